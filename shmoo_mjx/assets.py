@@ -1,0 +1,18 @@
+"""Finds the files that come with the package, in an editable and in an installed copy alike."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+__all__ = ["asset"]
+
+_PACKAGE = Path(__file__).resolve().parent
+
+
+def asset(relative_path: str) -> Path:
+    """Path of a shipped file such as ``models_xml/shmoobot.xml`` or ``experiments/weights/demo.safetensors``.
+
+    In a wheel the top-level folders lie inside the package; in a checkout, beside it.
+    """
+    inside = _PACKAGE / relative_path
+    return inside if inside.exists() else _PACKAGE.parent / relative_path

@@ -1,0 +1,199 @@
+"""The command line: thin, each command calls one function of the package. Heavy imports wait until a command runs."""
+
+from __future__ import annotations
+
+import os
+import sys
+import warnings
+from pathlib import Path
+from typing import Literal
+
+import tyro
+from tyro.conf import Positional
+
+import shmoo_mjx
+from shmoo_mjx.errors import ShmooError
+
+__all__ = ["main"]
+
+
+def demo(
+    seed: str = "0",
+    out: Path = Path("runs"),
+    weights: Path | None = None,
+    video: bool = True,
+    quick: bool = False,
+) -> int:
+    """Run the whole story on a generated floor plan: push a box out of the way, recognise a locked wheelchair, go round.
+
+    Example: shmoo demo --seed 3
+
+    Args:
+        seed: draws floor plan, objects and their properties; a range such as 0..19 runs each and prints the success rate.
+        out: folder that gets one folder per run, demo-SEED.
+        weights: trained weights (default: the shipped ones).
+        video: draw episode.mp4 (--no-video is about twice as fast).
+        quick: a short form for checks: no video.
+    """
+    from shmoo_mjx.demo import run_demo
+
+    return run_demo(_seeds(seed), out, weights, video and not quick)
+
+
+def navigate(
+    scenario: Path | None = None,
+    map: Path | None = None,
+    start: str | None = None,
+    goal: str | None = None,
+    out: Path = Path("runs/navigate"),
+    weights: Path | None = None,
+    video: bool = True,
+) -> int:
+    """Run a scenario in any ROS map_server map.
+
+    Example: shmoo navigate --map office.yaml --scenario blocked_door.yaml
+
+    Args:
+        scenario: scenario file (docs/scenario.md); or give --start and --goal.
+        map: map_server YAML; overrides the scenario's own map.
+        start: x,y,yaw [m, rad] of the robot, without a scenario file.
+        goal: x,y [m], without a scenario file.
+        out: folder for result.json, report.html and episode.mp4.
+        weights: trained weights (default: the shipped ones).
+        video: draw episode.mp4.
+    """
+    from shmoo_mjx import progress, run
+
+    grid, task = run.load_inputs(map, scenario, start, goal)
+    name = str(scenario) if scenario else "--start/--goal"
+    with progress.stages() as report:
+        result = run.run_scenario(grid, task, out, weights, video, name, report)
+    print(f"{result['outcome']}: {result['reason']}; {out / 'report.html'}")
+    return 0 if result["outcome"] == "success" else 1
+
+
+def collect(
+    directory: Positional[Path],
+    train: int = 40,
+    validation: int = 8,
+    episodes: int = 8,
+    seconds: float = 12.0,
+    seed: int = 0,
+    workers: int = 2,
+) -> int:
+    """Let scripted operators push randomised objects and record a data set; resumes where it was stopped.
+
+    Example: shmoo collect data/train
+
+    Args:
+        directory: data set to make or to go on with.
+        train: training conditions per family.
+        validation: validation conditions per family.
+        episodes: episodes per condition.
+        seconds: length of an episode [s].
+        seed: of the operators.
+        workers: processes.
+    """
+    from shmoo_mjx import progress
+    from shmoo_mjx.data.collect import CollectConfig
+    from shmoo_mjx.data.collect import collect as run
+
+    config = CollectConfig(train=train, validation=validation, episodes=episodes, seconds=seconds, seed=seed)
+    with progress.counter("conditions") as report:
+        run(directory, config, workers, report)
+    print(f"{directory}: complete")
+    return 0
+
+
+def train(
+    what: Positional[Literal["object", "robot"]],
+    data: Positional[Path],
+    out: Path = Path("weights.safetensors"),
+    seed: int = 0,
+) -> int:
+    """Train the object model (DAIML) or the robot model on a data set; resumes where it was stopped.
+
+    Example: shmoo train object data/train --out weights.safetensors
+
+    Args:
+        what: object (psi, its prior and noise) or robot (R).
+        data: data set made by shmoo collect.
+        out: weights file; the part that is trained is written into it, the other part is kept.
+        seed: of initialisation and batches.
+    """
+    from shmoo_mjx import progress
+    from shmoo_mjx.learning.train import train_part
+
+    with progress.training(what) as report:
+        score = train_part(what, data, out, seed, report)
+    print(f"{out}: {what} model, fraction of variance unexplained on validation conditions {score:.3f}")
+    return 0
+
+
+def map_(action: Positional[Literal["show"]], map: Positional[Path], out: Path = Path("map.png"), radius: float = 0.26) -> int:
+    """Draw a map with the free space of a robot of the given radius.
+
+    Example: shmoo map show office.yaml --out office.png
+
+    Args:
+        action: show.
+        map: map_server YAML.
+        out: picture to write.
+        radius: robot radius [m].
+    """
+    from shmoo_mjx.navigation.maps import load_map
+    from shmoo_mjx.report.figures import draw_map
+
+    draw_map(load_map(map), radius, out)
+    print(out)
+    return 0
+
+
+def doctor() -> int:
+    """Check versions, device, renderer and video encoder, and say what to do about each failure.
+
+    Example: shmoo doctor
+    """
+    from shmoo_mjx.doctor import report
+
+    return report()
+
+
+_COMMANDS = {"demo": demo, "navigate": navigate, "collect": collect, "train": train, "map": map_, "doctor": doctor}
+
+
+def _seeds(text: str) -> list[int]:
+    first, dots, last = text.partition("..")
+    try:
+        seeds = list(range(int(first), int(last) + 1)) if dots else [int(first)]
+    except ValueError:
+        seeds = []
+    if not seeds or min(seeds) < 0:
+        raise ShmooError(f"--seed {text!r} must be a whole number or a range such as 0..19.")
+    return seeds
+
+
+def _prepare_environment() -> None:
+    """Defaults for this process only; whatever the user has set stands."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "shmoo_mjx" / "jax"
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache))
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
+    if sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
+        # MuJoCo's default window system needs a display; EGL renders without one.
+        os.environ.setdefault("MUJOCO_GL", "egl")
+    # JAX warns of any fork. The video encoder and the renderer's trial run call exec at once and share no lock with it.
+    warnings.filterwarnings("ignore", message=r"os\.fork\(\) was called", category=RuntimeWarning)
+
+
+def main() -> None:
+    """Entry point. Bad input ends with one sentence and exit code 2."""
+    _prepare_environment()
+    try:
+        code = tyro.extras.subcommand_cli_from_dict(_COMMANDS, prog="shmoo", description=shmoo_mjx.__doc__)
+    except ShmooError as error:
+        print(f"shmoo: {error}", file=sys.stderr)
+        code = 2
+    except KeyboardInterrupt:
+        print("shmoo: stopped; run the same command again to go on.", file=sys.stderr)
+        code = 130
+    sys.exit(code)

@@ -1,0 +1,190 @@
+"""What a push costs: Eq. 9 of the paper, and four terms of ours that are off unless given a weight.
+
+Every term is a function of one batch of roll-outs (``SystemState`` with leading axes ``[S, T]``, states after each
+control) and returns ``[S]``. All terms are in metres once weighted, so MPPI's temperature reads in metres too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import jax.numpy as jnp
+from jax.scipy.ndimage import map_coordinates
+
+from shmoo_mjx import se2
+from shmoo_mjx.hands import REACH
+from shmoo_mjx.types import DT, SystemState
+
+__all__ = [
+    "Clearance",
+    "PushCost",
+    "change",
+    "clearance_at",
+    "clearance_penalty",
+    "effort",
+    "face_misalignment",
+    "footprint_points",
+    "pose_distance",
+    "push_cost",
+    "terminal_speed",
+]
+
+Array = Any
+
+
+@dataclass(frozen=True)
+class PushCost:
+    """Weights of the terms. The first five are Eq. 9; the rest are ours and 0 (off) by default."""
+
+    goal_weight: float = 1.0
+    """Factor on the terminal pose distance [-]; 1 in the paper."""
+    yaw_weight: float = 1.0
+    """Metres that a yaw error of 1 rad counts for [m/rad]; 1 as printed, 0 leaves the yaw free."""
+    effort: float = 0.01
+    """lambda_1 [m/rad], per time step; not given in the paper."""
+    change: float = 0.02
+    """lambda_2 [m/rad], per time step; not given in the paper."""
+    running_weight: float = 0.0
+    """Factor on the pose distance averaged over the roll-out [-]: rewards getting there early."""
+    clearance_weight: float = 0.0
+    """Per metre-second that the robot or the object spends inside its margin [1/s]."""
+    object_margin: float = 0.10
+    """Clearance the object's outline keeps [m]."""
+    robot_margin: float = 0.30
+    """Clearance the robot's centre keeps [m]: its radius and a reserve."""
+    clearance_stride: int = 1
+    """Every how many time steps the map is looked up; the last one always is."""
+    lateral_weight: float = 0.0
+    """Per metre of the hands' midpoint beside the face's centre, averaged over the roll-out [-]."""
+    heading_weight: float = 0.0
+    """Per rad between the robot's heading and the face's inward normal, averaged over the roll-out [m/rad]."""
+    speed_weight: float = 0.0
+    """Per m/s of the object at the end [s]: pushing can't brake what rolls."""
+
+
+class Clearance(Protocol):
+    """Distance to the nearest obstacle on a grid: the map's clearance field has these, and so can any other pytree."""
+
+    @property
+    def values(self) -> Array:
+        """``[H, W]`` [m]; ``values[j, i]`` holds at the centre of cell (i, j), i along x and j along y of the grid."""
+
+    @property
+    def origin(self) -> Array:
+        """``[3]`` pose in {W} of the grid's corner, the outer corner of cell (0, 0) (x, y [m], yaw [rad])."""
+
+    @property
+    def resolution(self) -> Array:
+        """Side of a cell [m]."""
+
+
+def pose_distance(goal: Array, pose: Array, yaw_weight: float = 1.0) -> Array:
+    """|| goal - pose ||_2 of Eq. 9 ``[...]`` [m], the yaw error taken on the circle and times ``yaw_weight`` [m/rad].
+
+    Args:
+        goal: desired pose ``[3]`` in {W}.
+        pose: object poses ``[..., 3]`` in {W}.
+        yaw_weight: 0 leaves the position alone.
+    """
+    offset = pose[..., :2] - goal[..., :2]
+    yaw = yaw_weight * se2.wrap(pose[..., 2] - goal[..., 2])
+    return jnp.sqrt(jnp.sum(offset**2, axis=-1) + yaw**2)
+
+
+def effort(controls: Array) -> Array:
+    """sum_k || u_k ||_2 of Eq. 9 ``[S]`` [rad], from ``controls [S, T, 3]``."""
+    return jnp.sum(jnp.linalg.norm(controls, axis=-1), axis=-1)
+
+
+def change(controls: Array, last_u: Array) -> Array:
+    """sum_k || u_k - u_{k-1} ||_2 of Eq. 9 ``[S]`` [rad]; u_0 is the control applied last, ``last_u [3]``."""
+    first = jnp.broadcast_to(last_u, controls[..., :1, :].shape)
+    return jnp.sum(jnp.linalg.norm(jnp.diff(controls, axis=-2, prepend=first), axis=-1), axis=-1)
+
+
+def clearance_at(field: Clearance, points: Array) -> Array:
+    """Clearance ``[...]`` [m] at ``points [..., 2]`` in {W}, bilinear; zero off the grid."""
+    local = se2.inverse_transform_point(jnp.asarray(field.origin), points) / field.resolution - 0.5
+    return map_coordinates(
+        jnp.asarray(field.values), [local[..., 1], local[..., 0]], order=1, mode="constant", cval=0.0
+    )
+
+
+def footprint_points(pose: Array, half_extents: Array) -> Array:
+    """Corners and edge midpoints ``[..., 8, 2]`` in {W} of a rectangle with ``half_extents [2]`` [m] at ``pose``."""
+    unit = jnp.array([[1, 0], [1, 1], [0, 1], [-1, 1], [-1, 0], [-1, -1], [0, -1], [1, -1]], dtype=float)
+    return se2.transform_point(pose[..., None, :], unit * jnp.asarray(half_extents))
+
+
+def clearance_penalty(cfg: PushCost, traj: SystemState, field: Clearance, half_extents: Array) -> Array:
+    """Time integral of the depth by which robot centre and object outline enter their margins ``[S]`` [m s].
+
+    The object counts with the deepest of its four corners and four edge midpoints.
+    """
+    steps = traj.robot_pose.shape[-2]
+    picked = jnp.arange(steps - 1, -1, -cfg.clearance_stride)
+    robot = clearance_at(field, traj.robot_pose[..., picked, :2])
+    outline = footprint_points(traj.object_pose[..., picked, :], half_extents)
+    thing = jnp.min(clearance_at(field, outline), axis=-1)
+    depth = jnp.maximum(cfg.robot_margin - robot, 0.0) + jnp.maximum(cfg.object_margin - thing, 0.0)
+    return jnp.mean(depth, axis=-1) * (steps * DT)
+
+
+def face_misalignment(traj: SystemState, reach: float = REACH) -> tuple[Array, Array]:
+    """How far the hands are from pushing the face squarely, means over the roll-out.
+
+    Returns:
+        ``[S]`` distance of the hands' midpoint from the face's centre line [m], and ``[S]`` angle between the robot's
+        heading and the face's inward normal [rad].
+    """
+    ahead = jnp.array([reach, 0.0])
+    hands = se2.transform_point(traj.robot_pose, jnp.broadcast_to(ahead, (*traj.robot_pose.shape[:-1], 2)))
+    centre = se2.transform_point(traj.object_pose, traj.face[..., :2])
+    normal = traj.object_pose[..., 2] + traj.face[..., 2]
+    lateral = se2.rotate(hands - centre, -normal)[..., 1]
+    heading = se2.wrap(traj.robot_pose[..., 2] - normal)
+    return jnp.mean(jnp.abs(lateral), axis=-1), jnp.mean(jnp.abs(heading), axis=-1)
+
+
+def terminal_speed(traj: SystemState) -> Array:
+    """Speed of the object's centre at the end ``[S]`` [m/s]."""
+    return jnp.linalg.norm(traj.object_twist[..., -1, :2], axis=-1)
+
+
+def push_cost(
+    cfg: PushCost,
+    goal: Array,
+    traj: SystemState,
+    controls: Array,
+    last_u: Array,
+    field: Clearance | None = None,
+    half_extents: Array | None = None,
+) -> Array:
+    """Cost of each roll-out ``[S]`` [m]: Eq. 9, plus the terms of ours that have a weight.
+
+    Args:
+        cfg: weights.
+        goal: desired object pose ``[3]`` in {W}.
+        traj: roll-outs, leaves ``[S, T, ...]``.
+        controls: ``[S, T, 3]`` [rad].
+        last_u: control applied last ``[3]`` [rad].
+        field: map clearance; needed when ``clearance_weight`` is set.
+        half_extents: ``[2]`` half length and width of the object's footprint [m]; needed with ``field``.
+    """
+    goal = jnp.asarray(goal)
+    cost = cfg.goal_weight * pose_distance(goal, traj.object_pose[..., -1, :], cfg.yaw_weight)
+    cost = cost + cfg.effort * effort(controls) + cfg.change * change(controls, last_u)
+    if cfg.running_weight:
+        distance = pose_distance(goal, traj.object_pose, cfg.yaw_weight)
+        cost = cost + cfg.running_weight * jnp.mean(distance, axis=-1)
+    if cfg.clearance_weight and field is not None:
+        if half_extents is None:
+            raise ValueError("the clearance term needs the object's half_extents")
+        cost = cost + cfg.clearance_weight * clearance_penalty(cfg, traj, field, half_extents)
+    if cfg.lateral_weight or cfg.heading_weight:
+        lateral, heading = face_misalignment(traj)
+        cost = cost + cfg.lateral_weight * lateral + cfg.heading_weight * heading
+    if cfg.speed_weight:
+        cost = cost + cfg.speed_weight * terminal_speed(traj)
+    return cost

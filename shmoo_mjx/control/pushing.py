@@ -1,0 +1,266 @@
+"""Adaptive pushing (Sec. III-E, spec 7.2): MPPI on the learned core while Eq. 8 adapts the object's coefficients.
+
+``PushController`` compiles the two functions a push needs, once for every map and object: the 10 Hz step (adapt, plan,
+command) and the planning stage's roll-outs, which the object planner judges. All memory is in ``PushState``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from shmoo_mjx import se2
+from shmoo_mjx.control import cost, mppi
+from shmoo_mjx.dynamics import core, object_model
+from shmoo_mjx.learning import adaptation
+from shmoo_mjx.learning.weights import Weights
+from shmoo_mjx.types import DT, Observation, SystemState
+
+__all__ = ["LocalField", "PushConfig", "PushController", "PushState", "Sighting", "local_field"]
+
+Array = Any
+
+
+@dataclass(frozen=True)
+class PushConfig:
+    """Settings of the pushing controller; the paper's values where it gives them."""
+
+    control: mppi.MppiConfig = mppi.MppiConfig(
+        cost_scale=40.0,
+        sigma=(0.05, 0.03, 0.15),
+        low=(-0.15, -0.10, -0.45),
+        high=(0.15, 0.10, 0.45),
+        noise_correlation=0.9,
+    )
+    planning_horizon: int = 50
+    """T of the planning stage (Sec. IV-B)."""
+    cost: cost.PushCost = cost.PushCost(
+        yaw_weight=0.0,
+        effort=0.002,
+        change=0.01,
+        running_weight=0.5,
+        clearance_weight=4.0,
+        object_margin=0.06,
+        robot_margin=0.27,
+        clearance_stride=3,
+        lateral_weight=0.5,
+        heading_weight=0.3,
+        speed_weight=0.3,
+    )
+    adapt: adaptation.AdaptConfig = field(default_factory=adaptation.AdaptConfig)
+    contact_force: float = 2.0
+    """Force from which a sample counts as contact [N]."""
+
+
+class LocalField(NamedTuple):
+    """Clearance round the object on a grid of fixed size, so that one compiled controller serves every map."""
+
+    values: Array
+    """``[N, N]`` [m]"""
+    origin: Array
+    """``[3]`` pose of the grid's corner in {W}."""
+    resolution: Array
+    """[m]"""
+
+
+class Sighting(NamedTuple):
+    """The robot and one object as perceived at one instant: an Observation reduced to that object."""
+
+    robot_pose: np.ndarray
+    robot_twist: np.ndarray
+    lean: np.ndarray
+    lean_rate: np.ndarray
+    object_pose: np.ndarray
+    object_twist: np.ndarray
+    wrench: np.ndarray
+    """``[3]`` mean over the sample that just ended, about the object's centre, in {W}."""
+
+    @classmethod
+    def of(cls, seen: Observation, index: int) -> Sighting:
+        """From an observation of one world (batch of one)."""
+        return cls(
+            *(np.asarray(v[0]) for v in (seen.robot_pose, seen.robot_twist, seen.lean, seen.lean_rate)),
+            *(np.asarray(v[0, index]) for v in (seen.object_pose, seen.object_twist, seen.wrench)),
+        )
+
+
+class PushState(NamedTuple):
+    """Memory of one push."""
+
+    adapt: adaptation.AdaptState
+    plan: mppi.MppiState
+    before: SystemState
+    """State one sample ago, with the memory it had then."""
+    last_force: Array
+    """``[2]`` mean hand force of the last sample in {R} of its start [N]."""
+
+
+class _Transition(NamedTuple):
+    """What Eq. 8 takes from the sample that just ended."""
+
+    inputs: np.ndarray
+    """``[10]`` inputs of psi at its start, measured wrench included."""
+    label: np.ndarray
+    """``[3]`` measured acceleration in {O}."""
+    valid: np.ndarray
+
+
+def local_field(clearance: Any, centre: Array, size: float = 7.0, resolution: float = 0.05) -> LocalField:
+    """Cut a square of ``size`` metres round ``centre`` out of a clearance field with a method ``at(points)``."""
+    n = round(size / resolution)
+    corner = np.asarray(centre, dtype=float)[:2] - size / 2
+    ticks = (np.arange(n) + 0.5) * resolution
+    points = np.stack(np.meshgrid(corner[0] + ticks, corner[1] + ticks, indexing="xy"), axis=-1)
+    values = np.asarray(clearance.at(points), dtype=np.float32)
+    origin = np.array([corner[0], corner[1], 0.0], dtype=np.float32)
+    return LocalField(values, origin, np.float32(resolution))
+
+
+class PushController:
+    """Compiled functions for one set of weights and one configuration; no state of its own."""
+
+    def __init__(self, weights: Weights, config: PushConfig | None = None) -> None:
+        self.config = config or PushConfig()
+        self.weights = weights
+        self._step = jax.jit(partial(_step, self.config, weights.config))
+        self._rollouts = jax.jit(partial(_planning_rollouts, self.config, weights.config))
+
+    def init(
+        self, now: Sighting, face: Array, half_extents: Array, key: Array, adapt: adaptation.AdaptState | None = None
+    ) -> PushState:
+        """Start a push on ``face [4]``; ``adapt`` carries over what was learned of this object before."""
+        adapt = adapt or adaptation.init(
+            self.weights.params.coefficients, self.weights.prior_covariance, self.weights.noise
+        )
+        zero = np.zeros(3)
+        before = _system_state(now, zero, np.zeros(2), zero, face, half_extents)
+        return PushState(adapt, mppi.init(self.config.control, key), before, np.zeros(2))
+
+    def step(
+        self, state: PushState, now: Sighting, last_u: Array, goal: Array, around: LocalField, half_extents: Array
+    ) -> tuple[np.ndarray, PushState, mppi.Plan]:
+        """One 10 Hz control step: adapt on the sample that ended, plan, and give the command u ``[3]`` to apply now.
+
+        Args:
+            state: from ``init`` or the last step.
+            now: what is perceived now, with the wrench of the sample that ended.
+            last_u: ``[3]`` what was applied during that sample.
+            goal: ``[3]`` desired object pose in {W}.
+            around: clearance round the object, the object itself left out.
+            half_extents: ``[2]`` of the object's footprint [m].
+        """
+        state, system, transition = self._perceive(state, now, last_u, half_extents)
+        u, adapt, plan_state, plan = self._step(
+            self.weights.params, state.adapt, state.plan, system, transition, _f32(goal), around, _f32(half_extents)
+        )
+        return np.asarray(u, dtype=float), state._replace(adapt=adapt, plan=plan_state, before=system), plan
+
+    def planning_rollouts(
+        self, state: PushState, goal: Array, around: LocalField, half_extents: Array
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The planning stage's roll-outs (T = 50) from the state of the last step.
+
+        Returns:
+            Object poses ``[S, T, 3]``, robot positions ``[S, T, 2]`` in {W} and costs ``[S]``.
+        """
+        poses, robots, costs = self._rollouts(
+            self.weights.params, state.adapt, state.plan, state.before, _f32(goal), around, _f32(half_extents)
+        )
+        return np.asarray(poses), np.asarray(robots), np.asarray(costs)
+
+    def _perceive(
+        self, state: PushState, now: Sighting, last_u: Array, half_extents: Array
+    ) -> tuple[PushState, SystemState, _Transition]:
+        before = state.before
+        twist_before = se2.rotate(before.object_twist, -before.object_pose[2])
+        wrench = se2.rotate(now.wrench, -before.object_pose[2])
+        force = se2.rotate(now.wrench[:2], -before.robot_pose[2])
+        inputs = np.concatenate([twist_before, wrench, before.last_object_twist, [before.size]])
+        label = se2.rotate((now.object_twist - before.object_twist) / DT, -before.object_pose[2])
+        valid = np.hypot(*force) > self.config.contact_force
+        system = _system_state(now, twist_before, force, last_u, before.face, half_extents)
+        state = state._replace(plan=state.plan._replace(last_u=_f32(last_u)), last_force=force)
+        return state, system, _Transition(_f32(inputs), _f32(label), np.asarray(valid))
+
+
+def _f32(x: Array) -> np.ndarray:
+    return np.asarray(x, dtype=np.float32)
+
+
+def _system_state(
+    now: Sighting, last_twist: Array, last_force: Array, last_u: Array, face: Array, half_extents: Array
+) -> SystemState:
+    values = SystemState(
+        robot_pose=now.robot_pose,
+        robot_twist=now.robot_twist,
+        lean=now.lean,
+        lean_rate=now.lean_rate,
+        object_pose=now.object_pose,
+        object_twist=now.object_twist,
+        last_object_twist=last_twist,
+        last_force=last_force,
+        last_u=last_u,
+        face=face,
+        size=np.hypot(*half_extents),
+    )
+    return SystemState(*(_f32(v) for v in values))
+
+
+def _with_coefficients(params: core.Params, adapt: adaptation.AdaptState) -> core.Params:
+    return params._replace(coefficients=adapt.mean.reshape(params.coefficients.shape))
+
+
+def _functions(
+    config: PushConfig, core_config: Any, params: core.Params, goal: Array, around: LocalField, half_extents: Array
+) -> Any:
+    def rollout_fn(state: SystemState, controls: Array) -> SystemState:
+        return jax.vmap(lambda u: core.rollout(params, state, u, core_config)[0])(controls)
+
+    def cost_fn(trajectory: SystemState, controls: Array, last_u: Array) -> Array:
+        return cost.push_cost(config.cost, goal, trajectory, controls, last_u, around, half_extents)
+
+    return rollout_fn, cost_fn
+
+
+def _step(
+    config: PushConfig,
+    core_config: Any,
+    params: core.Params,
+    adapt: adaptation.AdaptState,
+    plan_state: mppi.MppiState,
+    system: SystemState,
+    transition: _Transition,
+    goal: Array,
+    around: LocalField,
+    half_extents: Array,
+) -> tuple[Array, adaptation.AdaptState, mppi.MppiState, mppi.Plan]:
+    phi = object_model.design_matrix(params.object, transition.inputs, core_config.object)
+    adapt = adaptation.step(config.adapt, adapt, phi, transition.label, transition.valid)
+    rollout_fn, cost_fn = _functions(config, core_config, _with_coefficients(params, adapt), goal, around, half_extents)
+    u, plan_state, plan = mppi.plan(config.control, rollout_fn, cost_fn, system, plan_state)
+    return u, adapt, plan_state, plan
+
+
+def _planning_rollouts(
+    config: PushConfig,
+    core_config: Any,
+    params: core.Params,
+    adapt: adaptation.AdaptState,
+    plan_state: mppi.MppiState,
+    system: SystemState,
+    goal: Array,
+    around: LocalField,
+    half_extents: Array,
+) -> tuple[Array, Array, Array]:
+    longer = replace(config.control, horizon=config.planning_horizon)
+    extra = config.planning_horizon - config.control.horizon
+    nominal = jnp.concatenate([plan_state.nominal, jnp.repeat(plan_state.nominal[-1:], extra, axis=0)])
+    rollout_fn, cost_fn = _functions(config, core_config, _with_coefficients(params, adapt), goal, around, half_extents)
+    key = jax.random.fold_in(plan_state.key, 1)
+    plan = mppi.improve(longer, rollout_fn, cost_fn, system, nominal, plan_state.last_u, key)
+    return plan.trajectories.object_pose, plan.trajectories.robot_pose[..., :2], plan.costs

@@ -1,0 +1,48 @@
+"""The demo: one generated scenario per seed, each with its own folder, and a table of how they went."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from shmoo_mjx.navigation.floorplan import demo_scenario
+
+__all__ = ["run_demo"]
+
+
+def run_demo(seeds: list[int], out: Path, weights: Path | None = None, video: bool = True) -> int:
+    """Run the demo for each seed and print the outcome, the success rate and the cause of each failure.
+
+    Args:
+        seeds: each draws a floor plan and its objects.
+        out: gets one folder ``demo-SEED`` per run.
+        weights: trained weights; the shipped ones if not given.
+        video: draw each run's episode.mp4.
+
+    Returns:
+        0 if every run succeeded, 1 otherwise.
+    """
+    from shmoo_mjx import progress
+    from shmoo_mjx.run import run_scenario
+
+    results: list[dict[str, Any]] = []
+    for seed in seeds:
+        grid, scenario = demo_scenario(seed)
+        with progress.stages() as report:
+            result = run_scenario(grid, scenario, out / f"demo-{seed}", weights, video, f"demo seed {seed}", report)
+        results.append(result)
+        print(_line(seed, result), flush=True)
+    good = sum(r["outcome"] == "success" for r in results)
+    if len(seeds) > 1:
+        print(f"success rate {good}/{len(seeds)}")
+    print(f"report: {out / f'demo-{seeds[-1]}' / 'report.html'}")
+    return 0 if good == len(seeds) else 1
+
+
+def _line(seed: int, result: dict[str, Any]) -> str:
+    told = "; ".join(
+        f"object {d['object']} at {d['t']:.0f} s: K = {d['K']:.2f} m^2, {'manipulable' if d['manipulable'] else 'not manipulable'}"
+        for d in result["decisions"]
+    )
+    measured = f"{result['time_s']:.0f} s, {result['path_length_m']:.1f} m, wall contacts {result['wall_contacts']}"
+    return f"seed {seed}: {result['outcome']} ({result['reason']}; {measured})\n  decisions: {told or 'none'}"

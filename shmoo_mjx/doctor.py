@@ -1,0 +1,109 @@
+"""``shmoo doctor``: what this machine has, what is missing, and what to do about it."""
+
+from __future__ import annotations
+
+import importlib
+import platform
+import sys
+import tempfile
+from collections.abc import Callable
+from importlib import metadata
+from pathlib import Path
+from typing import NamedTuple
+
+__all__ = ["Check", "checks", "report"]
+
+
+class Check(NamedTuple):
+    """One finding."""
+
+    name: str
+    ok: bool
+    found: str
+    remedy: str
+    needed: bool = True
+    """Whether the main job fails without it."""
+
+
+def _python() -> Check:
+    return Check("Python", sys.version_info >= (3, 12), platform.python_version(), "install Python 3.12 or newer")
+
+
+def _mujoco() -> Check:
+    core, mjx = metadata.version("mujoco"), metadata.version("mujoco-mjx")
+    return Check("mujoco and mujoco-mjx", core == mjx, f"{core} and {mjx}", f"pip install mujoco=={mjx} mujoco-mjx=={mjx}")
+
+
+def _jax() -> Check:
+    version = metadata.version("jax")
+    numbers = tuple(int(n) for n in version.split(".")[:2])
+    remedy = "pip install 'jax>=0.11': older ones can deadlock on machines with two cores"
+    return Check("JAX", numbers >= (0, 11), version, remedy)
+
+
+def _device() -> Check:
+    jax = importlib.import_module("jax")
+    try:
+        devices = jax.devices()
+    except RuntimeError as error:
+        return Check("JAX device", False, str(error).splitlines()[0], "unset JAX_PLATFORMS, or install the cuda extra")
+    return Check("JAX device", True, ", ".join(str(d) for d in devices), "")
+
+
+def _renderer() -> Check:
+    from shmoo_mjx.plant.render import can_render
+
+    problem = can_render()
+    remedy = (
+        "install EGL (Debian, Ubuntu: apt-get install libegl1 libgl1-mesa-dri) or set MUJOCO_GL; "
+        "without it videos are drawn from above"
+    )
+    return Check("3-D renderer", not problem, problem or "MuJoCo renders without a display", remedy, needed=False)
+
+
+def _encoder() -> Check:
+    import numpy as np
+
+    from shmoo_mjx.report.video import write_video
+
+    remedy = "pip install imageio-ffmpeg, which brings an ffmpeg program, or set IMAGEIO_FFMPEG_EXE"
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            write_video(Path(folder) / "try.mp4", [np.zeros((64, 64, 3), np.uint8)] * 3)
+    except Exception as error:  # whatever the encoder's program does wrong
+        return Check("video encoder", False, f"{type(error).__name__}: {error}", remedy)
+    return Check("video encoder", True, "H.264", remedy)
+
+
+def _weights() -> Check:
+    from shmoo_mjx.assets import asset
+    from shmoo_mjx.errors import ShmooError
+    from shmoo_mjx.learning.weights import load_weights
+    from shmoo_mjx.run import DEMO_WEIGHTS
+
+    path = asset(DEMO_WEIGHTS)
+    remedy = "reinstall, or make them anew: shmoo collect, shmoo train (docs/training.md)"
+    try:
+        load_weights(path)
+    except ShmooError as error:
+        return Check("shipped weights", False, str(error), remedy)
+    return Check("shipped weights", True, path.name, remedy)
+
+
+CHECKS: tuple[Callable[[], Check], ...] = (_python, _mujoco, _jax, _device, _renderer, _encoder, _weights)
+
+
+def checks() -> list[Check]:
+    """Every finding; takes some seconds."""
+    return [check() for check in CHECKS]
+
+
+def report() -> int:
+    """Print the findings. Returns 0 if the main job can run, 1 otherwise."""
+    found = checks()
+    for check in found:
+        mark = "ok  " if check.ok else ("FAIL" if check.needed else "note")
+        print(f"{mark}  {check.name}: {check.found}")
+        if not check.ok:
+            print(f"      {check.remedy}")
+    return int(any(c.needed and not c.ok for c in found))

@@ -1,0 +1,78 @@
+"""Multi-layer perceptrons as plain pytrees, with the normalisation of their inputs stored beside the weights."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+__all__ = ["ACTIVATIONS", "MLP", "apply", "cap_spectral_norm", "init", "power_iterate", "with_normaliser"]
+
+Array = Any
+
+ACTIVATIONS: dict[str, Callable[[Array], Array]] = {"tanh": jnp.tanh, "relu": jax.nn.relu, "silu": jax.nn.silu}
+"""Names a config may use."""
+
+
+class MLP(NamedTuple):
+    """Weights of a fully connected network; the hidden activation is an argument of `apply`."""
+
+    weights: tuple[Array, ...]
+    """One ``[n_in, n_out]`` per layer."""
+    biases: tuple[Array, ...]
+    """One ``[n_out]`` per layer."""
+    mean: Array
+    """``[n_0]`` subtracted from the input, in the input's unit."""
+    scale: Array
+    """``[n_0]`` the input is divided by this, in the input's unit."""
+
+
+def init(key: Array, widths: Sequence[int]) -> MLP:
+    """Fresh weights (LeCun normal, zero bias) for layers of ``widths``, e.g. (28, 128, 128, 50, 5)."""
+    keys = jax.random.split(key, len(widths) - 1)
+    pairs = list(pairwise(widths))
+    weights = tuple(jax.random.normal(k, (n, m)) / jnp.sqrt(n) for k, (n, m) in zip(keys, pairs, strict=True))
+    biases = tuple(jnp.zeros(m) for _, m in pairs)
+    return MLP(weights, biases, jnp.zeros(widths[0]), jnp.ones(widths[0]))
+
+
+def with_normaliser(mlp: MLP, inputs: Array, floor: float = 1e-3) -> MLP:
+    """The same network, its input normaliser set to the mean and standard deviation of ``inputs [N, n_0]``."""
+    rows = inputs.reshape(-1, inputs.shape[-1])
+    return mlp._replace(mean=jnp.mean(rows, axis=0), scale=jnp.maximum(jnp.std(rows, axis=0), floor))
+
+
+def apply(mlp: MLP, x: Array, activation: str = "tanh") -> Array:
+    """Output ``[..., n_last]`` for input ``x [..., n_0]``; the last layer is linear."""
+    function = ACTIVATIONS[activation]
+    h = (x - mlp.mean) / mlp.scale
+    for weight, bias in zip(mlp.weights[:-1], mlp.biases[:-1], strict=True):
+        h = function(h @ weight + bias)
+    return h @ mlp.weights[-1] + mlp.biases[-1]
+
+
+def power_iterate(weight: Array, vector: Array, steps: int = 1) -> tuple[Array, Array]:
+    """Estimate the spectral norm of ``weight [n, m]``, going on from ``vector [m]``: (norm, new vector)."""
+    for _ in range(steps):
+        left = weight @ vector
+        left = left / (jnp.linalg.norm(left) + 1e-12)
+        vector = weight.T @ left
+        vector = vector / (jnp.linalg.norm(vector) + 1e-12)
+    return jnp.linalg.norm(weight @ vector), vector
+
+
+def cap_spectral_norm(mlp: MLP, vectors: tuple[Array, ...], cap: float) -> tuple[MLP, tuple[Array, ...]]:
+    """Scale down each layer whose spectral norm exceeds ``cap``, as DAIML does after every update.
+
+    ``vectors`` holds one ``[n_out]`` right singular vector estimate per layer, kept from update to update: the weights
+    move slowly, so one step of power iteration each time follows them.
+    """
+    weights, following = [], []
+    for weight, vector in zip(mlp.weights, vectors, strict=True):
+        norm, vector = power_iterate(weight, vector)
+        weights.append(weight * jnp.minimum(1.0, cap / jnp.maximum(norm, 1e-12)))
+        following.append(vector)
+    return mlp._replace(weights=tuple(weights)), tuple(following)

@@ -1,0 +1,82 @@
+"""R: the network that predicts the base's acceleration and the force of the hands on the object (Eq. 2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from scipy.linalg import expm
+
+from shmoo_mjx.dynamics import features, mlp
+from shmoo_mjx.types import DT
+
+__all__ = ["LeanResponse", "RobotConfig", "RobotParams", "init", "lag", "lean_step", "predict"]
+
+Array = Any
+
+
+@dataclass(frozen=True)
+class RobotConfig:
+    """Shape of R."""
+
+    hidden: tuple[int, ...] = (128, 128, 50)
+    """Widths of the hidden layers; with 28 inputs and 5 outputs these are the paper's."""
+    activation: str = "tanh"
+
+
+class LeanResponse(NamedTuple):
+    """How the lean follows its command over one sample: a second-order lag in its exact, discrete form."""
+
+    matrix: Array
+    """``[2, 2, 5]`` for x and y: from (lean [rad], its rate [rad/s], command [rad], force of the hands on the object
+    over the last sample [N], 1) to (lean, its rate) one sample later. The force leans the body, and the constant holds
+    what the weight of the extended arms takes."""
+
+
+class RobotParams(NamedTuple):
+    """Everything learned about the robot."""
+
+    net: mlp.MLP
+    output_mean: Array
+    """``[5]`` in the units of ROBOT_OUTPUTS."""
+    output_scale: Array
+    """``[5]`` in the units of ROBOT_OUTPUTS."""
+    lean: LeanResponse
+
+
+def init(key: Array, config: RobotConfig | None = None) -> RobotParams:
+    """Untrained parameters."""
+    config = config or RobotConfig()
+    n_in, n_out = features.width(features.ROBOT_INPUTS), features.width(features.ROBOT_OUTPUTS)
+    return RobotParams(
+        net=mlp.init(key, (n_in, *config.hidden, n_out)),
+        output_mean=jnp.zeros(n_out),
+        output_scale=jnp.ones(n_out),
+        lean=lag(8.0, 0.9),
+    )
+
+
+def predict(params: RobotParams, inputs: Array, config: RobotConfig) -> tuple[Array, Array]:
+    """R of Eq. 2 for ``inputs [..., 28]``: base acceleration ``[..., 3]`` and hand force ``[..., 2]``, both in {R}."""
+    out = mlp.apply(params.net, inputs, config.activation) * params.output_scale + params.output_mean
+    return out[..., :3], out[..., 3:]
+
+
+def lag(frequency: float, damping: float, dt: float = DT) -> LeanResponse:
+    """The response phi'' = w^2 (u - phi) - 2 zeta w phi' for w [rad/s] and zeta [1], the same in x and y."""
+    system = np.array([[0.0, 1.0, 0.0], [-(frequency**2), -2 * damping * frequency, frequency**2], [0.0, 0.0, 0.0]])
+    matrix = np.zeros((2, 2, 5), np.float32)
+    matrix[:, :, :3] = expm(system * dt)[:2]
+    return LeanResponse(jnp.asarray(matrix))
+
+
+def lean_step(response: LeanResponse, lean: Array, rate: Array, target: Array, force: Array) -> tuple[Array, Array]:
+    """Lean and its rate ``[..., 2]`` [rad, rad/s] one sample later.
+
+    ``target`` is the command, ``force`` the one of the last sample in {R}, both ``[..., 2]``.
+    """
+    inputs = jnp.stack([lean, rate, target, force, jnp.ones_like(lean)], axis=-1)
+    out = jnp.sum(response.matrix * inputs[..., None, :], axis=-1)
+    return out[..., 0], out[..., 1]

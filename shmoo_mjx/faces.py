@@ -1,0 +1,42 @@
+"""The four sides of a rectangular footprint as faces to push on."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from shmoo_mjx import se2
+from shmoo_mjx.hands import HAND_RADIUS, REACH
+
+__all__ = ["faces_of", "heading", "stand_off"]
+
+Array = Any
+
+
+def faces_of(half_extents: tuple[float, float]) -> np.ndarray:
+    """Faces ``[4, 4]`` in {O}: centre x, y [m], direction of the inward normal [rad], half the width [m].
+
+    In the order rear (pushes towards +x), right (+y), front (-x), left (-y).
+    """
+    a, b = half_extents
+    return np.array([(-a, 0.0, 0.0, b), (0.0, -b, np.pi / 2, a), (a, 0.0, -np.pi, b), (0.0, b, -np.pi / 2, a)])
+
+
+def heading(object_pose: Array, face: Array) -> Array:
+    """Heading in {W} [rad] of a robot that faces ``face [..., 4]`` of an object at ``object_pose [..., 3]``."""
+    return se2.wrap(object_pose[..., 2] + face[..., 2])
+
+
+def stand_off(object_pose: np.ndarray, face: np.ndarray, gap: float, lateral: float = 0.0, reach: float = REACH) -> np.ndarray:
+    """Pose of {R} ``[3]`` in {W} that faces ``face``, with ``gap`` metres between it and the extended hands.
+
+    Args:
+        object_pose: ``[3]`` of {O} in {W}.
+        face: ``[4]`` as in :func:`faces_of`.
+        gap: clearance between hand surface and face [m].
+        lateral: shift along the face, to the robot's left [m].
+        reach: x of the hands' midpoint in {R} [m].
+    """
+    in_face = np.array([-(gap + reach + HAND_RADIUS), lateral, 0.0])
+    return se2.compose(np.asarray(object_pose, dtype=float), se2.compose(face[:3], in_face))

@@ -1,0 +1,43 @@
+"""Where the two hands are asked to be: the steering rule of Sec. III, shared by the plant and the dynamics core."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from shmoo_mjx import se2
+
+__all__ = ["HAND_HEIGHT", "HAND_RADIUS", "REACH", "SEPARATION", "TUCKED_HEIGHT", "TUCKED_REACH", "hand_targets"]
+
+Array = Any
+
+REACH = 0.42
+"""x of the point midway between the hands in {R} when the arms are extended [m]."""
+TUCKED_REACH = 0.20
+"""x of that point when the arms are folded for driving [m]."""
+SEPARATION = 0.36
+"""Distance l between the hands when the arms are extended [m]."""
+HAND_HEIGHT = 0.38
+"""Height of the hands above the floor while pushing [m]: low, so that boxes slide rather than topple."""
+TUCKED_HEIGHT = 0.62
+"""Their height when the arms are folded [m]."""
+HAND_RADIUS = 0.04
+"""Radius of the spherical hand [m]; the contact surface is this far ahead of the hand's centre."""
+
+
+def hand_targets(gamma: Array, reach: Array = REACH) -> Array:
+    """Desired hand centres in {R}: [p_l, p_r] = [x, y] +- R_z(gamma)^T l/2 (Sec. III).
+
+    Args:
+        gamma: steering angle ``[...]`` [rad]; positive moves the left hand forward and turns the object to the right.
+        reach: x of the midpoint in {R} ``[...]`` [m]; the hands come together in proportion as the arms fold.
+
+    Returns:
+        ``[..., 2, 2]``: (left, right) x (x, y) [m].
+    """
+    xp = se2.array_module(gamma, reach)
+    gamma = xp.asarray(gamma)
+    half = SEPARATION / 2 * (reach / REACH)
+    half_x, half_y = half * xp.sin(gamma), half * xp.cos(gamma)
+    left = xp.stack([reach + half_x, half_y], axis=-1)
+    right = xp.stack([reach - half_x, -half_y], axis=-1)
+    return xp.stack([left, right], axis=-2)

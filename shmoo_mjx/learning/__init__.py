@@ -1,0 +1,1 @@
+"""Training of R and psi, online adaptation, and the weights file."""

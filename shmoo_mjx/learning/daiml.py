@@ -1,0 +1,548 @@
+"""DAIML: learning psi so that a few coefficients a(c) tell objects apart (Eq. 4 to 6).
+
+Every update draws some conditions; for each, a* is fitted on one batch of rows (Eq. 5, differentiable) and scored on
+windows of H steps elsewhere (Eq. 4); a discriminator tries to tell the condition from psi, and psi is paid for keeping
+it from that (Eq. 6). Readings:
+
+* Eq. 4 is an open-loop roll-out of the object: the predicted twist is fed back for H steps under the recorded wrench.
+  ``open_loop=False`` feeds the recorded twist instead.
+* Sigma_C is the covariance of the condition's own labels, so each condition counts by the share it leaves unexplained.
+* a* is drawn towards a prior (the object not yet touched) whose mean and covariance are learned along with psi. The
+  covariance couples the axes, so a push along x says something about y and yaw; ``coupled=False`` gives a plain ridge.
+* B^a is a stretch of consecutive rows of random length, as the robot meets them, not rows from all over the recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+
+from shmoo_mjx import se2
+from shmoo_mjx.data import store
+from shmoo_mjx.dynamics import features, mlp, object_model
+from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
+from shmoo_mjx.learning import least_squares, training
+from shmoo_mjx.types import DT
+
+__all__ = [
+    "DaimlConfig",
+    "ObjectFit",
+    "Rows",
+    "fit",
+    "fit_rows",
+    "open_loop",
+    "rows_from_arrays",
+    "rows_from_dataset",
+    "train_object",
+    "validation_scores",
+]
+
+Array = Any
+
+
+@dataclass(frozen=True)
+class DaimlConfig:
+    """Settings of the training of psi."""
+
+    object: ObjectConfig = field(default_factory=lambda: ObjectConfig())
+    horizon: int = 20
+    """H of Eq. 4 [samples]."""
+    open_loop: bool = True
+    """Feed the prediction back over the H steps; otherwise the recorded twist (teacher-forced)."""
+    loss_on_twist: bool = True
+    """Take the error of Eq. 4 on the twist reached after each step; otherwise on each step's acceleration as printed,
+    whose noise from step to step hides the drift that planning suffers from."""
+    conditions: int = 12
+    """Conditions per update."""
+    adapt_rows: int = 100
+    """B^a of Eq. 5: at most so many consecutive rows per condition that a* is fitted on."""
+    windows: int = 16
+    """Windows of H steps per condition that the loss is taken on, half of them soon after B^a, half anywhere."""
+    coupled: bool = True
+    """Learn the prior's covariance over all axes; otherwise a ridge of fixed strength per axis."""
+    ridge: float = 0.3
+    """Strength of the ridge of Eq. 5 if not coupled [samples]."""
+    norm_cap: float = 20.0
+    """gamma: cap on ||a||."""
+    spectral_cap: float = 4.0
+    """Cap on the spectral norm of each layer of psi."""
+    label_floor: float = 0.1
+    """Share of all conditions' label variance added to each condition's own in Sigma_C and in the validation score: an
+    object that hardly moves must not outweigh the others by its noise."""
+    alpha: float = 0.01
+    """Weight of the adversarial term of Eq. 6; 0 leaves the discriminator out."""
+    discriminator_share: float = 0.5
+    """Probability that an update also trains the discriminator."""
+    learning_rate: float = 1e-3
+    chunks: int = 40
+    """Most chunks; the learning rate falls to zero over them along a cosine."""
+    chunk_updates: int = 150
+    patience: int = 12
+    """Chunks without a better validation score before stopping."""
+    fit_rows: int = 250
+    """First rows of a validation condition that a* is fitted on; it is scored on the later ones."""
+    seed: int = 0
+
+
+class Rows(NamedTuple):
+    """C conditions with N rows each, in the order they were recorded."""
+
+    inputs: Array
+    """``[C, N, n_in]``"""
+    labels: Array
+    """``[C, N, m]`` accelerations in {O} (or whatever the user predicts)."""
+    weights: Array
+    """``[C, N]`` 1 where a row counts; 0 for padding and for objects that are neither touched nor moving."""
+    run: Array
+    """``[C, N]`` how many rows from here on, this one included, lie in the same episode."""
+
+
+class ObjectFit(NamedTuple):
+    """A trained psi with what is known of an object before it is touched."""
+
+    params: ObjectParams
+    prior_mean: Array
+    """``[m, K]``"""
+    prior_covariance: Array
+    """``[m K, m K]``, axes coupled: what x shows says something about y and yaw."""
+    noise: Array
+    """``[m, m]`` covariance of a sample's residual."""
+    score: float
+    """Best validation score (see `validation_scores`; one-step and open-loop shares averaged)."""
+    history: list[tuple[float, float]]
+
+
+class _Model(NamedTuple):
+    """What is learned; the prior is in the unit of normalised labels."""
+
+    params: ObjectParams
+    mean: Array
+    """``[m, K]``"""
+    factor: Array
+    """``[m K, m K]`` factor of the prior covariance."""
+    log_noise: Array
+    """``[m]`` log of the standard deviation of a sample's residual."""
+
+
+class _State(NamedTuple):
+    model: _Model
+    model_opt: Any
+    discriminator: mlp.MLP
+    discriminator_opt: Any
+    vectors: tuple[Array, ...]
+    key: Array
+
+
+def rows_from_dataset(dataset: store.Dataset) -> Rows:
+    """The rows of psi (OBJECT_INPUTS, acceleration in {O}) of every condition of a data set."""
+    inputs, labels, weights, runs = [], [], [], []
+    for arrays in dataset.arrays:
+        samples = store.system_states(arrays)
+        twist = se2.rotate(samples.state.object_twist, -samples.state.object_pose[..., 2])
+        memory = samples.state.last_object_twist
+        x = features.object_inputs(twist, samples.wrench, memory, samples.state.size)
+        n_episodes, length = x.shape[:2]
+        moving = np.linalg.norm(twist, axis=-1) > 5e-3
+        counts = samples.contact | moving
+        counts[:, 0] = False  # the twist before an episode's first sample is not known
+        run = np.broadcast_to(length - np.arange(length), (n_episodes, length))
+        inputs.append(np.asarray(x).reshape(-1, x.shape[-1]))
+        labels.append(samples.object_acceleration.reshape(-1, 3))
+        weights.append(counts.reshape(-1))
+        runs.append(run.reshape(-1))
+    return _stack(inputs, labels, weights, runs)
+
+
+def rows_from_arrays(data: Mapping[str, tuple[Array, Array]]) -> Rows:
+    """Rows of any {condition: (x [N, n_in], y [N, m])}; conditions may differ in N."""
+    pairs = [(np.asarray(x), np.asarray(y)) for x, y in data.values()]
+    return _stack(
+        [x for x, _ in pairs],
+        [y for _, y in pairs],
+        [np.ones(len(x)) for x, _ in pairs],
+        [len(x) - np.arange(len(x)) for x, _ in pairs],
+    )
+
+
+def train_object(
+    data: str | Path | store.Dataset,
+    out_dir: str | Path | None = None,
+    config: DaimlConfig | None = None,
+    progress: Callable[[training.Progress], None] | None = None,
+) -> ObjectFit:
+    """Train psi on a data set's train split, stopping on its validation split.
+
+    Args:
+        data: a directory that `store` wrote, or what `store.read` gave.
+        out_dir: keeps a checkpoint there and goes on from it.
+        config: settings.
+        progress: called after each chunk.
+
+    Raises:
+        ShmooError: no or a damaged data set, one without training or validation conditions, or a damaged checkpoint.
+    """
+    dataset = store.of_training(data)
+    train, validation = dataset.split("train"), dataset.split("validation")
+    return fit_rows(rows_from_dataset(train), rows_from_dataset(validation), config, out_dir, progress)
+
+
+def fit(
+    train: Mapping[str, tuple[Array, Array]],
+    validation: Mapping[str, tuple[Array, Array]],
+    config: DaimlConfig | None = None,
+    out_dir: str | Path | None = None,
+    progress: Callable[[training.Progress], None] | None = None,
+) -> ObjectFit:
+    """DAIML on any {condition: (x, y)} arrays; inputs of an unknown meaning can not be fed back, so teacher-forced."""
+    from dataclasses import replace
+
+    config = replace(config or DaimlConfig(), open_loop=False)
+    return fit_rows(rows_from_arrays(train), rows_from_arrays(validation), config, out_dir, progress)
+
+
+def fit_rows(
+    train: Rows,
+    validation: Rows,
+    config: DaimlConfig | None = None,
+    out_dir: str | Path | None = None,
+    progress: Callable[[training.Progress], None] | None = None,
+) -> ObjectFit:
+    """`train_object` on rows that are already made."""
+    config = config or DaimlConfig()
+    device = jax.tree.map(jnp.asarray, train)
+    held_out = jax.tree.map(jnp.asarray, validation)
+    sampler = _sampler(train, config)
+    chunk = jax.jit(partial(_chunk, config, device, sampler))
+    scores = jax.jit(partial(_model_scores, config, held_out))
+    fitted = training.run(
+        _init(config, train),
+        chunk,
+        extract=lambda state: state.model,
+        evaluate=lambda model: jnp.mean(jnp.minimum(jnp.stack(scores(model)), 10.0)),
+        chunks=config.chunks,
+        patience=config.patience,
+        identity=training.fingerprint(config, train.inputs, train.labels),
+        directory=out_dir,
+        progress=progress,
+    )
+    model: _Model = jax.tree.map(jnp.asarray, fitted.best)
+    mean, covariance, noise = jax.jit(partial(_prior, config))(device, model)
+    shape = model.mean.shape
+    return ObjectFit(model.params, mean.reshape(shape), covariance, noise, fitted.score, fitted.history)
+
+
+def open_loop(
+    params: ObjectParams, a: Array, inputs: Array, config: ObjectConfig, feed_back: bool = True
+) -> tuple[Array, Array]:
+    """Roll the object's twist out over H steps under the recorded wrench (Eq. 4).
+
+    Args:
+        params: psi.
+        a: ``[3, K]``.
+        inputs: ``[B, H, 10]`` recorded inputs of B windows.
+        config: of psi.
+        feed_back: feed the predicted twist back; False predicts every step from the recorded one.
+
+    Returns:
+        Predicted accelerations ``[B, H, 3]`` in {O} and the twists before each step ``[B, H, 3]`` in {O}.
+    """
+    where = features.slices(features.OBJECT_INPUTS)
+    if not feed_back:
+        return object_model.predict(params, a, inputs, config), inputs[..., where["object_twist"]]
+
+    def one(carry: tuple[Array, Array], x: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        twist, last = carry
+        x = features.object_inputs(twist, x[..., where["wrench"]], last, x[..., where["size"]][..., 0])
+        acceleration = object_model.predict(params, a, x, config)
+        turn = twist[..., 2] * DT + 0.5 * acceleration[..., 2] * DT**2
+        following = se2.rotate(twist + acceleration * DT, -turn)
+        return (following, twist), (acceleration, twist)
+
+    start = (inputs[:, 0, where["object_twist"]], inputs[:, 0, where["last_object_twist"]])
+    _, (accelerations, twists) = jax.lax.scan(one, start, jnp.swapaxes(inputs, 0, 1))
+    return jnp.swapaxes(accelerations, 0, 1), jnp.swapaxes(twists, 0, 1)
+
+
+def validation_scores(config: DaimlConfig, rows: Rows, fitted: ObjectFit) -> tuple[Array, Array]:
+    """How well psi does on conditions it has not seen: a* from the first rows, scored on the later ones only.
+
+    Returns:
+        Fraction of variance unexplained per condition ``[C]`` of one-step accelerations; and of the twist's change
+        after H open-loop steps (the one-step share again if config.open_loop is off).
+    """
+
+    def fit_one(x: Array, y: Array, w: Array) -> Array:
+        phi = object_model.design_matrix(fitted.params, x, config.object)
+        prior = (fitted.prior_mean.reshape(-1), fitted.prior_covariance)
+        return least_squares.posterior(phi, y, *prior, fitted.noise, w)[0].reshape(fitted.prior_mean.shape)
+
+    return _scores(config, rows, fitted.params, fit_one)
+
+
+def _model_scores(config: DaimlConfig, rows: Rows, model: _Model) -> tuple[Array, Array]:
+    return _scores(config, rows, model.params, partial(_coefficients, config, model))
+
+
+def _scores(
+    config: DaimlConfig, rows: Rows, params: ObjectParams, fit_one: Callable[[Array, Array, Array], Array]
+) -> tuple[Array, Array]:
+    def one(x: Array, y: Array, w: Array, run: Array) -> tuple[Array, Array]:
+        n, h = x.shape[0], config.horizon
+        first = min(config.fit_rows, n // 2)
+        a = fit_one(x[:first], y[:first], w[:first])
+        predicted = object_model.predict(params, a, x[first:], config.object)
+        floor = config.label_floor * params.label_scale**2
+        one_step = least_squares.fraction_unexplained(predicted, y[first:], w[first:], floor)
+        if not config.open_loop or n - first <= h:
+            return one_step, one_step
+        starts = jnp.arange(first, n - h, max(1, h // 2))
+        window = starts[:, None] + jnp.arange(h)
+        rolled, _ = open_loop(params, a, x[window], config.object)
+        good = (run[starts] >= h) * jnp.mean(w[window], axis=1)
+        change, truth = jnp.mean(rolled, axis=1), jnp.mean(y[window], axis=1)
+        return one_step, least_squares.fraction_unexplained(change, truth, good, floor / h)
+
+    return jax.vmap(one)(*rows)
+
+
+def _stack(inputs: list, labels: list, weights: list, runs: list) -> Rows:
+    """Conditions of different lengths, padded at the end with rows that do not count."""
+    longest = max(len(x) for x in inputs)
+
+    def pad(items: list) -> np.ndarray:
+        whole = [np.pad(a, [(0, longest - len(a))] + [(0, 0)] * (np.ndim(a) - 1)) for a in items]
+        return np.stack(whole).astype(np.float32)
+
+    return Rows(pad(inputs), pad(labels), pad(weights), pad(runs).astype(np.int32))
+
+
+class _Sampler(NamedTuple):
+    rows: Array
+    """``[C, M]`` rows that a* may be fitted on."""
+    starts: Array
+    """``[C, M']`` ascending, first rows of windows of H steps within one episode."""
+    precision: Array
+    """``[C, m, m]`` inverse of Sigma_C in units of label_scale."""
+
+
+def _label_scale(rows: Rows) -> np.ndarray:
+    used = rows.labels[rows.weights > 0]
+    return np.maximum(np.std(used, axis=0), 1e-6)
+
+
+def _sampler(rows: Rows, config: DaimlConfig) -> _Sampler:
+    steps, scale = config.horizon, _label_scale(rows)
+    found, starts, precision = [], [], []
+    for y, w, run in zip(rows.labels, rows.weights, rows.run, strict=True):
+        good = np.flatnonzero(w > 0)
+        begin = np.flatnonzero((w > 0) & (run >= steps))
+        found.append(good if len(good) else np.zeros(1, int))
+        starts.append(begin if len(begin) else np.zeros(1, int))
+        scaled = y[good] / scale
+        covariance = np.cov(scaled.T).reshape(y.shape[1], y.shape[1]) if len(good) > 1 else np.zeros((y.shape[1],) * 2)
+        precision.append(np.linalg.inv(covariance + config.label_floor * np.eye(y.shape[1])))
+    return _Sampler(_repeat(found), jnp.sort(_repeat(starts), axis=1), jnp.asarray(np.stack(precision), jnp.float32))
+
+
+def _repeat(items: list[np.ndarray]) -> Array:
+    longest = max(len(i) for i in items)
+    return jnp.asarray(np.stack([np.resize(i, longest) for i in items]), jnp.int32)
+
+
+def _optimiser(config: DaimlConfig) -> optax.GradientTransformation:
+    total = config.chunks * config.chunk_updates
+    return optax.chain(
+        optax.clip_by_global_norm(1.0), optax.adam(optax.cosine_decay_schedule(config.learning_rate, total))
+    )
+
+
+def _init(config: DaimlConfig, rows: Rows) -> _State:
+    key = jax.random.key(config.seed)
+    key, net_key, mean_key, discriminator_key, vector_key = jax.random.split(key, 5)
+    n_axes = rows.labels.shape[-1]
+    params = object_model.init(net_key, config.object, rows.inputs.shape[-1], n_axes)
+    params = params._replace(
+        net=mlp.with_normaliser(params.net, jnp.asarray(rows.inputs[rows.weights > 0])),
+        label_scale=jnp.asarray(_label_scale(rows), jnp.float32),
+    )
+    mean = 0.3 * jax.random.normal(mean_key, (n_axes, config.object.functions))
+    n = mean.size
+    model = _Model(params, mean, jnp.eye(n), jnp.full(n_axes, jnp.log(0.5)))
+    n_psi = params.net.biases[-1].shape[0]
+    discriminator = mlp.init(discriminator_key, (n_psi, 64, 64, rows.inputs.shape[0]))
+    vector_keys = jax.random.split(vector_key, len(params.net.weights))
+    vectors = tuple(jax.random.normal(k, (w.shape[1],)) for k, w in zip(vector_keys, params.net.weights, strict=True))
+    optimiser = _optimiser(config)
+    return _State(
+        model,
+        optimiser.init(_learned(model)),
+        discriminator,
+        optimiser.init(discriminator),
+        vectors,
+        jax.random.key_data(key),
+    )
+
+
+def _learned(model: _Model) -> tuple[Any, ...]:
+    """The part of the model that gradients move: not the normalisers."""
+    net = model.params.net
+    return net.weights, net.biases, model.params.linear, model.mean, model.factor, model.log_noise
+
+
+def _with_learned(model: _Model, learned: tuple[Any, ...], linear_terms: bool) -> _Model:
+    weights, biases, linear, mean, factor, log_noise = learned
+    net = model.params.net._replace(weights=weights, biases=biases)
+    params = model.params._replace(net=net, linear=linear if linear_terms else model.params.linear)
+    return _Model(params, mean, factor, log_noise)
+
+
+def _coefficients(config: DaimlConfig, model: _Model, x: Array, y: Array, w: Array) -> Array:
+    """a* of Eq. 5 ``[m, K]``."""
+    params, labels = model.params, y / model.params.label_scale
+    if config.coupled:
+        phi = object_model.design_matrix(params, x, config.object) / params.label_scale[:, None]
+        noise = jnp.diag(jnp.exp(2 * model.log_noise))
+        a, _ = least_squares.posterior_from_factor(phi, labels, model.mean.reshape(-1), model.factor, noise, w)
+        a = a.reshape(model.mean.shape)
+    else:
+        psi = object_model.basis(params, x, config.object)
+        a = least_squares.ridge(psi, labels, model.mean, config.ridge, w)
+    return least_squares.cap_norm(a, config.norm_cap)
+
+
+def _chunk(config: DaimlConfig, rows: Rows, sampler: _Sampler, state: _State) -> tuple[_State, Array]:
+    optimiser = _optimiser(config)
+
+    def update(state: _State, _: None) -> tuple[_State, Array]:
+        key, batch_key, coin_key = jax.random.split(jax.random.wrap_key_data(state.key), 3)
+        batch = _batch(config, rows, sampler, batch_key)
+
+        def loss_of(learned: tuple[Any, ...]) -> tuple[Array, tuple[Array, Array]]:
+            model = _with_learned(state.model, learned, config.object.linear_terms)
+            return _loss(config, model, state.discriminator, batch)
+
+        gradient, (loss, psi) = jax.grad(loss_of, has_aux=True)(_learned(state.model))
+        learned = _learned(state.model)
+        change, model_opt = optimiser.update(gradient, state.model_opt, learned)
+        learned = optax.apply_updates(learned, change)
+        model = _with_learned(state.model, learned, config.object.linear_terms)
+        net, vectors = mlp.cap_spectral_norm(model.params.net, state.vectors, config.spectral_cap)
+        model = model._replace(params=model.params._replace(net=net))
+        new = state._replace(model=model, model_opt=model_opt, vectors=vectors, key=jax.random.key_data(key))
+        if config.alpha > 0:
+            new = _train_discriminator(config, new, psi, batch.condition, coin_key)
+        return new, loss
+
+    state, losses = jax.lax.scan(update, state, None, length=config.chunk_updates)
+    return state, jnp.mean(losses)
+
+
+class _Batch(NamedTuple):
+    condition: Array
+    adapt: tuple[Array, Array, Array]
+    """Inputs, labels and weights of B^a."""
+    windows: tuple[Array, Array, Array]
+    """Inputs, labels and the twist (inputs again) one row later."""
+    precision: Array
+
+
+def _batch(config: DaimlConfig, rows: Rows, sampler: _Sampler, key: Array) -> _Batch:
+    condition_key, row_key, length_key, start_key, near_key = jax.random.split(key, 5)
+    n_conditions, n_rows = rows.inputs.shape[:2]
+    count = min(config.conditions, n_conditions)
+    c = jax.random.permutation(condition_key, n_conditions)[:count]
+    begin = jax.random.randint(row_key, (count,), 0, sampler.rows.shape[1])
+    most = min(config.adapt_rows, sampler.rows.shape[1])
+    # Log-uniform: from half a second of contact to all of it.
+    length = jnp.exp(jax.random.uniform(length_key, (count, 1), minval=jnp.log(5.0), maxval=jnp.log(most + 1.0)))
+    place = (begin[:, None] + jnp.arange(most)) % sampler.rows.shape[1]
+    row = jnp.take_along_axis(sampler.rows[c], place, axis=1)
+    adapt = (
+        rows.inputs[c[:, None], row],
+        rows.labels[c[:, None], row],
+        (jnp.arange(most) < length).astype(jnp.float32),
+    )
+    starts = sampler.starts[c]
+    anywhere = jax.random.randint(start_key, (count, config.windows), 0, starts.shape[1])
+    last = jnp.take_along_axis(row, jnp.minimum(length.astype(int), most - 1), axis=1)
+    soon = jax.vmap(jnp.searchsorted)(starts, last) + jax.random.randint(near_key, (count, config.windows), 0, 50)
+    near = jnp.arange(config.windows) < config.windows // 2
+    start = jnp.take_along_axis(starts, jnp.where(near, soon % starts.shape[1], anywhere), axis=1)
+    window = start[..., None] + jnp.arange(config.horizon)
+    x, y = rows.inputs[c[:, None, None], window], rows.labels[c[:, None, None], window]
+    return _Batch(
+        c, adapt, (x, y, rows.inputs[c[:, None, None], jnp.minimum(window + 1, n_rows - 1)]), sampler.precision[c]
+    )
+
+
+def _loss(config: DaimlConfig, model: _Model, discriminator: mlp.MLP, batch: _Batch) -> tuple[Array, Any]:
+    """Eq. 6 for fixed h: (loss, (multi-step loss, psi of the rows of B^a))."""
+    params = model.params
+
+    def one(adapt: tuple[Array, ...], windows: tuple[Array, ...], precision: Array) -> Array:
+        a = _coefficients(config, model, *adapt)
+        x, y, following = windows
+        predicted, twists = open_loop(params, a, x, config.object, config.open_loop)
+        error = (y - predicted) / params.label_scale
+        if config.open_loop and config.loss_on_twist:
+            # After h steps of independent errors the twist's covariance would be h times that of one.
+            steps = jnp.arange(1, x.shape[1] + 1)[:, None]
+            truth = following[:, :-1, features.slices(features.OBJECT_INPUTS)["object_twist"]]
+            drift = (truth - twists[:, 1:]) / (DT * params.label_scale)
+            error = jnp.concatenate([drift, error[:, -1:] * steps[-1] ** 0.5], axis=1) / steps**0.5
+        return jnp.mean(jnp.einsum("bha,ac,bhc->bh", error, precision, error)) / error.shape[-1]
+
+    multi_step = jnp.mean(jax.vmap(one)(batch.adapt, batch.windows, batch.precision))
+    if config.alpha == 0:
+        return multi_step, (multi_step, jnp.zeros(()))
+    psi = _raw_basis(config, params, batch.adapt[0])
+    return multi_step - config.alpha * _cross_entropy(discriminator, psi, batch.condition), (multi_step, psi)
+
+
+def _raw_basis(config: DaimlConfig, params: ObjectParams, x: Array) -> Array:
+    """psi with its distinct outputs in one axis ``[..., n]``."""
+    psi = object_model.basis(params, x, config.object)
+    return psi.reshape(*psi.shape[:-2], -1) if config.object.per_axis else psi[..., 0, :]
+
+
+def _cross_entropy(discriminator: mlp.MLP, psi: Array, condition: Array) -> Array:
+    logits = jax.nn.log_softmax(mlp.apply(discriminator, psi, "relu"))
+    return -jnp.mean(jnp.take_along_axis(logits, condition[:, None, None], axis=-1))
+
+
+def _train_discriminator(config: DaimlConfig, state: _State, psi: Array, condition: Array, key: Array) -> _State:
+    gradient = jax.grad(_cross_entropy)(state.discriminator, jax.lax.stop_gradient(psi), condition)
+    gradient = gradient._replace(mean=jnp.zeros_like(gradient.mean), scale=jnp.zeros_like(gradient.scale))
+    change, opt = _optimiser(config).update(gradient, state.discriminator_opt, state.discriminator)
+    trained = optax.apply_updates(state.discriminator, change)
+    train = jax.random.bernoulli(key, config.discriminator_share)
+    choose = partial(jax.tree.map, lambda new, old: jnp.where(train, new, old))
+    return state._replace(
+        discriminator=choose(trained, state.discriminator), discriminator_opt=choose(opt, state.discriminator_opt)
+    )
+
+
+def _prior(config: DaimlConfig, rows: Rows, model: _Model) -> tuple[Array, Array, Array]:
+    """Prior mean ``[n]``, covariance ``[n, n]`` and residual covariance ``[m, m]``: learned, or else from the rows."""
+    scale = model.params.label_scale
+    if config.coupled:
+        noise = jnp.diag((jnp.exp(model.log_noise) * scale) ** 2)
+        covariance = model.factor @ model.factor.T
+        ridge = 1e-5 * jnp.trace(covariance) / covariance.shape[0]
+        return model.mean.reshape(-1), covariance + ridge * jnp.eye(covariance.shape[0]), noise
+    phi = object_model.design_matrix(model.params, rows.inputs, config.object)
+    n = model.mean.size
+    fitted = jax.vmap(partial(_coefficients, config, model))(rows.inputs, rows.labels, rows.weights).reshape(-1, n)
+    spread = jnp.cov(fitted.T).reshape(n, n)
+    covariance = spread + 0.05 * jnp.diag(jnp.diag(spread)) + 1e-4 * jnp.eye(n)
+    mean = jnp.mean(fitted, axis=0)
+    noise = jnp.diag((0.5 * scale) ** 2)
+    return least_squares.empirical_prior(phi, rows.labels, mean, covariance, noise, rows.weights)

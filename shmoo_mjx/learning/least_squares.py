@@ -1,0 +1,134 @@
+"""Coefficients from data: Eq. 5 with a ridge, its Bayesian form, and the prior that the training conditions imply."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+__all__ = ["cap_norm", "empirical_prior", "fraction_unexplained", "posterior", "posterior_from_factor", "ridge"]
+
+Array = Any
+
+
+def ridge(psi: Array, labels: Array, mean: Array, strength: float | Array, weights: Array | None = None) -> Array:
+    """a* of Eq. 5, regularised: argmin sum_i |y_i - psi_i a|^2 + strength |a - mean|^2, one problem per axis.
+
+    Solved by Cholesky, so gradients flow through it.
+
+    Args:
+        psi: ``[N, m, K]`` basis at N samples for each of m axes.
+        labels: ``[N, m]`` in the unit psi a predicts.
+        mean: ``[m, K]`` what a is drawn towards.
+        strength: ridge, in samples times psi squared.
+        weights: ``[N]`` weight of each sample; ones if None.
+
+    Returns:
+        ``[m, K]``.
+    """
+    weights = jnp.ones(labels.shape[0]) if weights is None else weights
+    weighted = psi * weights[:, None, None]
+    gram = jnp.einsum("nak,nal->akl", weighted, psi) + strength * jnp.eye(psi.shape[-1])
+    residual = labels - jnp.sum(psi * mean, axis=-1)
+    right = jnp.einsum("nak,na->ak", weighted, residual)
+    factor = jnp.linalg.cholesky(gram)
+    return mean + jax.scipy.linalg.cho_solve((factor, True), right[..., None])[..., 0]
+
+
+def cap_norm(a: Array, cap: float) -> Array:
+    """``a [m, K]`` scaled down so that the norm of all its entries is at most ``cap`` (gamma of DAIML)."""
+    # The small constant keeps the gradient of the norm finite at a = 0.
+    norm = jnp.sqrt(jnp.sum(a**2) + 1e-12)
+    return a * jnp.minimum(1.0, cap / norm)
+
+
+def posterior(
+    phi: Array, labels: Array, mean: Array, covariance: Array, noise: Array, weights: Array | None = None
+) -> tuple[Array, Array]:
+    """Mean and covariance of a given N samples and the prior N(mean, covariance): Eq. 8 in one batch.
+
+    Args:
+        phi: ``[N, m, n]`` design matrices, label = phi a + noise.
+        labels: ``[N, m]``.
+        mean: ``[n]`` of the prior.
+        covariance: ``[n, n]`` of the prior.
+        noise: ``[m, m]`` covariance of a sample's residual.
+        weights: ``[N]`` weight of each sample; ones if None.
+
+    Returns:
+        ``[n]`` and ``[n, n]``.
+    """
+    return posterior_from_factor(phi, labels, mean, jnp.linalg.cholesky(covariance), noise, weights)
+
+
+def posterior_from_factor(
+    phi: Array, labels: Array, mean: Array, factor: Array, noise: Array, weights: Array | None = None
+) -> tuple[Array, Array]:
+    """`posterior` with the prior covariance given as ``factor factor^T``."""
+    weights = jnp.ones(labels.shape[0]) if weights is None else weights
+    # In the coordinates where the prior is N(0, I) the precision is I + something: well conditioned in float32.
+    precision = jnp.linalg.inv(noise)
+    white = phi @ factor
+    weighted = jnp.einsum("nai,ab->nbi", white * weights[:, None, None], precision)
+    gram = jnp.eye(mean.shape[0]) + jnp.einsum("nbi,nbj->ij", weighted, white)
+    right = jnp.einsum("nbi,nb->i", weighted, labels - phi @ mean)
+    inner = jax.scipy.linalg.cho_factor(gram, lower=True)
+    shift = jax.scipy.linalg.cho_solve(inner, right)
+    spread = factor @ jax.scipy.linalg.cho_solve(inner, factor.T)
+    return mean + factor @ shift, 0.5 * (spread + spread.T)
+
+
+def empirical_prior(
+    phi: Array, labels: Array, mean: Array, covariance: Array, noise: Array, weights: Array, rounds: int = 8
+) -> tuple[Array, Array, Array]:
+    """The prior and the noise under which the training conditions are most likely, by expectation maximisation.
+
+    Plain statistics of a* over conditions would count what a condition's data could not tell as spread (or, with a
+    strong ridge, as certainty); here each condition contributes its posterior.
+
+    Args:
+        phi: ``[C, N, m, n]``.
+        labels: ``[C, N, m]``.
+        mean: ``[n]`` first guess.
+        covariance: ``[n, n]`` first guess.
+        noise: ``[m, m]`` first guess.
+        weights: ``[C, N]`` weight of each sample.
+        rounds: number of EM rounds.
+
+    Returns:
+        Prior mean ``[n]``, prior covariance ``[n, n]`` and residual covariance ``[m, m]``.
+    """
+    n = mean.shape[0]
+    floor = 1e-4 * jnp.diag(jnp.diag(covariance))
+
+    def one_round(carry: tuple[Array, Array, Array], _: None) -> tuple[tuple[Array, Array, Array], None]:
+        mean, covariance, noise = carry
+        fit = jax.vmap(lambda p, y, w: posterior(p, y, mean, covariance, noise, w))
+        means, spreads = fit(phi, labels, weights)
+        new_mean = jnp.mean(means, axis=0)
+        centred = means - new_mean
+        # A few pseudo-conditions at the present prior keep the estimate of n^2 numbers from C conditions sane.
+        pseudo = 2.0
+        total = jnp.einsum("ci,cj->ij", centred, centred) + jnp.sum(spreads, axis=0) + pseudo * covariance
+        residual = (labels - jnp.einsum("cnai,ci->cna", phi, means)) * jnp.sqrt(weights)[..., None]
+        count = jnp.maximum(jnp.sum(weights), 1.0)
+        new_noise = jnp.einsum("cna,cnb->ab", residual, residual) / count + 1e-8 * jnp.eye(noise.shape[0])
+        return (new_mean, total / (phi.shape[0] + pseudo) + floor, new_noise), None
+
+    assert covariance.shape == (n, n)
+    return jax.lax.scan(one_round, (mean, covariance, noise), None, length=rounds)[0]
+
+
+def fraction_unexplained(predicted: Array, labels: Array, weights: Array, floor: float | Array = 1e-9) -> Array:
+    """Fraction of the labels' variance left unexplained, the axes counted in units of their own variance.
+
+    ``predicted`` and ``labels`` are ``[N, m]``, ``weights [N]``. 0 is perfect, 1 is as good as the mean.
+    ``floor [m]`` is added to each axis' variance, so that an object that hardly moves is not judged by its noise.
+    """
+    weights = weights[:, None]
+    count = jnp.maximum(jnp.sum(weights), 1.0)
+    centre = jnp.sum(weights * labels, axis=0) / count
+    variance = jnp.sum(weights * (labels - centre) ** 2, axis=0)
+    left = jnp.sum(weights * (labels - predicted) ** 2, axis=0)
+    return jnp.mean(left / (variance + count * floor))

@@ -1,0 +1,219 @@
+"""Eq. 7: supervised training of R on recorded samples, and the fit of the lean's response."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+
+from shmoo_mjx.data import store
+from shmoo_mjx.dynamics import features, mlp, robot_model
+from shmoo_mjx.dynamics.robot_model import LeanResponse, RobotConfig, RobotParams
+from shmoo_mjx.learning import training
+
+__all__ = ["RobotFit", "RobotFitConfig", "RobotRows", "fit_lean", "fit_rows", "rows_from_dataset", "train_robot"]
+
+Array = Any
+
+
+@dataclass(frozen=True)
+class RobotFitConfig:
+    """Settings of the training of R."""
+
+    robot: RobotConfig = field(default_factory=lambda: RobotConfig())
+    batch: int = 512
+    chunks: int = 40
+    """Most chunks; the learning rate falls to zero over them along a cosine."""
+    chunk_updates: int = 250
+    learning_rate: float = 2e-3
+    weight_decay: float = 1e-4
+    input_noise: float = 0.02
+    """Noise put on the inputs, in their standard deviations: a roll-out feeds R its own errors."""
+    patience: int = 12
+    """Chunks without a better validation score before stopping."""
+    seed: int = 0
+
+
+class RobotRows(NamedTuple):
+    """Rows of R, all conditions together."""
+
+    inputs: Array
+    """``[N, 28]``"""
+    labels: Array
+    """``[N, 5]`` base acceleration and force, {R}."""
+    lean: Array
+    """``[N, 2]`` at the start of the sample [rad]."""
+    lean_rate: Array
+    """``[N, 2]`` [rad/s]"""
+    target: Array
+    """``[N, 2]`` commanded lean [rad]."""
+    next_lean: Array
+    """``[N, 2]`` at the end of the sample [rad]."""
+    next_rate: Array
+    """``[N, 2]`` [rad/s]"""
+
+
+class RobotFit(NamedTuple):
+    """A trained R."""
+
+    params: RobotParams
+    score: float
+    """Best validation score: share of each output's variance left unexplained, mean over the five."""
+    per_output: Array
+    """``[5]`` the same for each output, on the validation conditions."""
+    history: list[tuple[float, float]]
+
+
+class _State(NamedTuple):
+    net: mlp.MLP
+    opt: Any
+    key: Array
+
+
+def rows_from_dataset(dataset: store.Dataset) -> RobotRows:
+    """The rows of every condition of a data set; the first sample of an episode has no past and is left out."""
+    found = [_condition_rows(arrays) for arrays in dataset.arrays]
+    return RobotRows(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+
+
+def _condition_rows(arrays: dict[str, np.ndarray]) -> RobotRows:
+    samples = store.system_states(arrays)
+    inputs = np.asarray(features.robot_inputs(samples.state, samples.u))
+    labels = np.concatenate([samples.robot_acceleration, samples.force], axis=-1)
+    parts = RobotRows(
+        inputs,
+        labels,
+        samples.state.lean,
+        samples.state.lean_rate,
+        samples.u[..., :2],
+        arrays["lean"][:, 1:],
+        arrays["lean_rate"][:, 1:],
+    )
+    return RobotRows(*(p[:, 1:].reshape(-1, p.shape[-1]).astype(np.float32) for p in parts))
+
+
+def train_robot(
+    data: str | Path | store.Dataset,
+    out_dir: str | Path | None = None,
+    config: RobotFitConfig | None = None,
+    progress: Callable[[training.Progress], None] | None = None,
+    start: RobotParams | None = None,
+) -> RobotFit:
+    """Train R on a data set's train split, stopping on its validation split.
+
+    Args:
+        data: a directory that `store` wrote, or what `store.read` gave.
+        out_dir: keeps a checkpoint there and goes on from it.
+        config: settings.
+        progress: called after each chunk.
+        start: parameters to go on from, for fine-tuning on other data.
+
+    Raises:
+        ShmooError: no or a damaged data set, one without training or validation conditions, or a damaged checkpoint.
+    """
+    dataset = store.of_training(data)
+    train, validation = dataset.split("train"), dataset.split("validation")
+    return fit_rows(rows_from_dataset(train), rows_from_dataset(validation), config, out_dir, progress, start)
+
+
+def fit_rows(
+    train: RobotRows,
+    validation: RobotRows,
+    config: RobotFitConfig | None = None,
+    out_dir: str | Path | None = None,
+    progress: Callable[[training.Progress], None] | None = None,
+    start: RobotParams | None = None,
+) -> RobotFit:
+    """`train_robot` on rows that are already made."""
+    config = config or RobotFitConfig()
+    params = _prepared(config, train) if start is None else start
+    params = params._replace(lean=fit_lean(train))
+    scores = jax.jit(partial(_unexplained, config, params, jnp.asarray(validation.inputs), validation.labels))
+    optimiser = _optimiser(config)
+    key = jax.random.key_data(jax.random.key(config.seed))
+    fitted = training.run(
+        _State(params.net, optimiser.init(_learned(params.net)), key),
+        jax.jit(partial(_chunk, config, params, jnp.asarray(train.inputs), jnp.asarray(train.labels))),
+        extract=lambda state: state.net,
+        evaluate=lambda net: jnp.mean(scores(net)),
+        chunks=config.chunks,
+        patience=config.patience,
+        identity=training.fingerprint((config, start is None), train.inputs, train.labels),
+        directory=out_dir,
+        progress=progress,
+    )
+    net = jax.tree.map(jnp.asarray, fitted.best)
+    return RobotFit(params._replace(net=net), fitted.score, np.asarray(scores(net)), fitted.history)
+
+
+def fit_lean(rows: RobotRows) -> LeanResponse:
+    """The lean's response from each sample's start and end, by linear least squares per axis."""
+    force = np.asarray(rows.inputs)[:, features.slices(features.ROBOT_INPUTS)["last_force"]]
+    matrix = []
+    for axis in range(2):
+        columns = [rows.lean[:, axis], rows.lean_rate[:, axis], rows.target[:, axis], force[:, axis]]
+        inputs = np.stack([*columns, np.ones(len(force))], axis=-1).astype(float)
+        outputs = np.stack([rows.next_lean[:, axis], rows.next_rate[:, axis]], axis=-1).astype(float)
+        # A trace of ridge: a recording without contact says nothing about the force.
+        gram = inputs.T @ inputs + 1e-9 * len(inputs) * np.eye(5)
+        matrix.append(np.linalg.solve(gram, inputs.T @ outputs).T)
+    return LeanResponse(jnp.asarray(np.stack(matrix), jnp.float32))
+
+
+def _prepared(config: RobotFitConfig, rows: RobotRows) -> RobotParams:
+    """Untrained parameters with the rows' normalisation."""
+    params = robot_model.init(jax.random.key(config.seed + 1), config.robot)
+    return params._replace(
+        net=mlp.with_normaliser(params.net, jnp.asarray(rows.inputs)),
+        output_mean=jnp.mean(jnp.asarray(rows.labels), axis=0),
+        output_scale=jnp.maximum(jnp.std(jnp.asarray(rows.labels), axis=0), 1e-3),
+    )
+
+
+def _optimiser(config: RobotFitConfig) -> optax.GradientTransformation:
+    schedule = optax.cosine_decay_schedule(config.learning_rate, config.chunks * config.chunk_updates)
+    return optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(schedule, weight_decay=config.weight_decay))
+
+
+def _learned(net: mlp.MLP) -> tuple[Any, Any]:
+    return net.weights, net.biases
+
+
+def _chunk(
+    config: RobotFitConfig, params: RobotParams, inputs: Array, labels: Array, state: _State
+) -> tuple[_State, Array]:
+    optimiser = _optimiser(config)
+
+    def update(state: _State, _: None) -> tuple[_State, Array]:
+        key, row_key, noise_key = jax.random.split(jax.random.wrap_key_data(state.key), 3)
+        rows = jax.random.randint(row_key, (config.batch,), 0, inputs.shape[0])
+        x, y = inputs[rows], (labels[rows] - params.output_mean) / params.output_scale
+        x = x + config.input_noise * state.net.scale * jax.random.normal(noise_key, x.shape)
+
+        def loss_of(learned: tuple[Any, Any]) -> Array:
+            net = state.net._replace(weights=learned[0], biases=learned[1])
+            return jnp.mean((mlp.apply(net, x, config.robot.activation) - y) ** 2)
+
+        learned = _learned(state.net)
+        loss, gradient = jax.value_and_grad(loss_of)(learned)
+        change, opt = optimiser.update(gradient, state.opt, learned)
+        weights, biases = optax.apply_updates(learned, change)
+        net = state.net._replace(weights=weights, biases=biases)
+        return _State(net, opt, jax.random.key_data(key)), loss
+
+    state, losses = jax.lax.scan(update, state, None, length=config.chunk_updates)
+    return state, jnp.mean(losses)
+
+
+def _unexplained(config: RobotFitConfig, params: RobotParams, inputs: Array, labels: Array, net: mlp.MLP) -> Array:
+    """Share of each output's variance left unexplained ``[5]``."""
+    base, force = robot_model.predict(params._replace(net=net), inputs, config.robot)
+    error = jnp.concatenate([base, force], axis=-1) - labels
+    return jnp.mean(error**2, axis=0) / jnp.maximum(jnp.var(jnp.asarray(labels), axis=0), 1e-9)

@@ -1,0 +1,111 @@
+"""The loop that the object's and the robot's training share: chunks, early stopping, checkpoints, progress."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from shmoo_mjx.learning import trees
+
+__all__ = ["Fitted", "Progress", "fingerprint", "run"]
+
+Array = Any
+Tree = Any
+
+CHECKPOINT = "training.safetensors"
+
+
+class Progress(NamedTuple):
+    """What a progress callback is told after each chunk."""
+
+    chunk: int
+    """Chunks done so far."""
+    chunks: int
+    """Chunks planned; early stopping may end before."""
+    train_loss: float
+    validation: float
+    """Score on the validation conditions; lower is better."""
+    best: float
+    """Best score so far."""
+    seconds_left: float
+    """At the speed so far, if not stopped early [s]."""
+
+
+class Fitted(NamedTuple):
+    """The end of a training."""
+
+    best: Tree
+    """What `extract` gave at the chunk with the best validation score."""
+    score: float
+    history: list[tuple[float, float]]
+    """(training loss, validation score) of each chunk."""
+
+
+def fingerprint(config: object, *arrays: Array) -> str:
+    """Identifies a training: its config and its data. A checkpoint of another one is not continued."""
+    digest = hashlib.sha256(repr(config).encode())
+    for array in arrays:
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
+def run(
+    state: Tree,
+    chunk: Callable[[Tree], tuple[Tree, Array]],
+    extract: Callable[[Tree], Tree],
+    evaluate: Callable[[Tree], Array],
+    chunks: int,
+    patience: int,
+    identity: str = "",
+    directory: str | Path | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> Fitted:
+    """Train until ``chunks`` are done or the validation score has not improved for ``patience`` of them.
+
+    Args:
+        state: pytree of arrays, all that the next chunk depends on, random key data included.
+        chunk: one chunk of updates, state -> (state, mean loss).
+        extract: the parameters in a state that are worth keeping.
+        evaluate: validation score of what ``extract`` gave; lower is better.
+        chunks: most chunks.
+        patience: chunks without improvement before stopping.
+        identity: from `fingerprint`.
+        directory: where the checkpoint is kept after each chunk; a training that was cut short goes on from it and
+            gives what it would have given.
+        progress: called after each chunk.
+    """
+    path = None if directory is None else Path(directory) / CHECKPOINT
+    best = extract(state)
+    score, history = float("inf"), list[tuple[float, float]]()
+    loaded = None if path is None else trees.load_checkpoint(path, {"state": state, "best": best}, identity)
+    if loaded is not None:
+        tree, notes = loaded
+        state, best, score = tree["state"], tree["best"], notes["score"]
+        history = [(float(a), float(b)) for a, b in notes["history"]]
+    begun, first = time.monotonic(), len(history)
+    while len(history) < chunks and not _stale(history, patience):
+        state, loss = chunk(state)
+        candidate = extract(state)
+        value = float(evaluate(candidate))
+        if value < score:
+            best, score = candidate, value
+        history.append((float(loss), value))
+        if path is not None:
+            notes = {"score": score, "history": history, "identity": identity}
+            trees.save_checkpoint(path, {"state": state, "best": best}, notes)
+        if progress is not None:
+            pace = (time.monotonic() - begun) / (len(history) - first)
+            left = pace * (chunks - len(history))
+            progress(Progress(len(history), chunks, float(loss), value, score, left))
+    return Fitted(jax.tree.map(np.asarray, best), score, history)
+
+
+def _stale(history: list[tuple[float, float]], patience: int) -> bool:
+    scores = [score if np.isfinite(score) else float("inf") for _, score in history]
+    return len(scores) > patience and min(scores[-patience:]) >= min(scores[:-patience])

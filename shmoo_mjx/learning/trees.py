@@ -1,0 +1,112 @@
+"""Pytrees of arrays in safetensors files, with JSON notes in the header and a checksum of the contents."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from shmoo_mjx.errors import ShmooError
+
+__all__ = ["load_checkpoint", "load_tree", "read_notes", "save_checkpoint", "save_tree"]
+
+Tree = Any
+
+
+def save_tree(path: str | os.PathLike[str], tree: Tree, notes: dict[str, Any]) -> None:
+    """Write ``tree`` and the JSON-able ``notes`` to ``path``, whole or not at all."""
+    from safetensors.numpy import save
+
+    arrays = _flatten(tree)
+    header = {"notes": json.dumps(notes), "sha256": _checksum(arrays)}
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp")
+    with open(temporary, "wb") as file:
+        file.write(save(arrays, metadata=header))
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(temporary, path)
+
+
+def read_notes(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """The notes of a file that `save_tree` wrote.
+
+    Raises:
+        ShmooError: no such file, or it is damaged.
+    """
+    return _read(Path(path))[1]
+
+
+def load_tree(path: str | os.PathLike[str], like: Tree) -> tuple[Tree, dict[str, Any]]:
+    """Read what `save_tree` wrote, into the structure of ``like`` (arrays or shapes).
+
+    Raises:
+        ShmooError: no such file, damaged, or other names or shapes than ``like``.
+    """
+    path = Path(path)
+    arrays, notes = _read(path)
+    leaves = jax.tree_util.tree_leaves_with_path(like)
+    wanted = {jax.tree_util.keystr(key, simple=True, separator="."): leaf for key, leaf in leaves}
+    for name, leaf in wanted.items():
+        if name not in arrays:
+            raise ShmooError(f"{path}: field '{name}' is missing; use a file that this version wrote.")
+        if arrays[name].shape != np.shape(leaf):
+            raise ShmooError(
+                f"{path}: field '{name}' has shape {arrays[name].shape} where {np.shape(leaf)} is needed; use a file "
+                "that was trained with this configuration."
+            )
+    found = [arrays[name] for name in wanted]
+    return jax.tree.unflatten(jax.tree.structure(like), found), notes
+
+
+def save_checkpoint(path: Path, tree: Tree, notes: dict[str, Any]) -> None:
+    """Write a training's checkpoint; ``notes`` must hold its identity."""
+    save_tree(path, tree, notes)
+
+
+def load_checkpoint(path: Path, like: Tree, identity: str) -> tuple[Tree, dict[str, Any]] | None:
+    """The checkpoint at ``path``, or None where there is none or it belongs to another config or other data.
+
+    Raises:
+        ShmooError: the file is damaged.
+    """
+    if not path.is_file() or read_notes(path).get("identity") != identity:
+        return None
+    return load_tree(path, like)
+
+
+def _flatten(tree: Tree) -> dict[str, np.ndarray]:
+    leaves = jax.tree_util.tree_leaves_with_path(tree)
+    return {jax.tree_util.keystr(key, simple=True, separator="."): np.array(leaf, order="C") for key, leaf in leaves}
+
+
+def _checksum(arrays: dict[str, np.ndarray]) -> str:
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        digest.update(f"{name} {arrays[name].shape} {arrays[name].dtype}".encode())
+        digest.update(arrays[name].tobytes())
+    return digest.hexdigest()
+
+
+def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    from safetensors import SafetensorError, safe_open
+
+    if not path.is_file():
+        raise ShmooError(f"{path}: there is no such file; train first or give the path of a weights file.")
+    try:
+        with safe_open(path, framework="numpy") as file:
+            header = file.metadata() or {}
+            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no iterator of its own
+        notes = json.loads(header["notes"])
+        intact = header["sha256"] == _checksum(arrays)
+    except (SafetensorError, KeyError, ValueError, OSError) as error:
+        raise ShmooError(f"{path}: the file is damaged ({error}); train again or fetch it anew.") from None
+    if not intact:
+        raise ShmooError(f"{path}: the file is damaged (field 'sha256' does not fit); train again or fetch it anew.")
+    return arrays, notes

@@ -1,0 +1,114 @@
+"""Shipped weights: one safetensors file with everything a controller needs, and its config in the header."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import asdict
+from importlib import metadata
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from shmoo_mjx.dynamics import core
+from shmoo_mjx.dynamics.core import CoreConfig, Params
+from shmoo_mjx.dynamics.object_model import ObjectConfig
+from shmoo_mjx.dynamics.robot_model import RobotConfig
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.learning import trees
+from shmoo_mjx.learning.daiml import ObjectFit
+from shmoo_mjx.learning.robot_fit import RobotFit
+
+__all__ = ["SCHEMA_VERSION", "Weights", "load_weights", "save_weights", "untrained", "with_object", "with_robot"]
+
+Array = Any
+
+SCHEMA_VERSION = 1
+"""Raised whenever a field of the file changes its meaning."""
+
+
+class Weights(NamedTuple):
+    """A trained model, ready to roll out and to adapt."""
+
+    params: Params
+    """Its coefficients are the prior mean."""
+    prior_covariance: Array
+    """``[3 K, 3 K]``, P0 of Eq. 8."""
+    noise: Array
+    """``[3, 3]`` covariance of a sample's residual, R dt of Eq. 8."""
+    config: CoreConfig
+    info: dict[str, Any]
+    """Where it came from: scores, data, seeds; JSON-able."""
+
+
+def untrained(config: CoreConfig | None = None, seed: int = 0) -> Weights:
+    """Weights to fill in by `with_robot` and `with_object`."""
+    config = config or CoreConfig()
+    n = 3 * config.object.functions
+    return Weights(core.init(jax.random.key(seed), config), jnp.eye(n), jnp.eye(3), config, {})
+
+
+def with_robot(weights: Weights, fit: RobotFit, config: RobotConfig | None = None) -> Weights:
+    """The same weights with a newly trained R of the given shape (by default the shape it had)."""
+    params = weights.params._replace(robot=fit.params)
+    info = weights.info | {"robot_score": float(fit.score)}
+    core_config = _replace(weights.config, robot=config or weights.config.robot)
+    return weights._replace(params=params, config=core_config, info=info)
+
+
+def with_object(weights: Weights, fit: ObjectFit, config: ObjectConfig | None = None) -> Weights:
+    """The same weights with a newly trained psi of the given shape (by default the shape it had) and its prior."""
+    params = weights.params._replace(object=fit.params, coefficients=jnp.asarray(fit.prior_mean))
+    info = weights.info | {"object_score": float(fit.score)}
+    core_config = _replace(weights.config, object=config or weights.config.object)
+    return Weights(params, jnp.asarray(fit.prior_covariance), jnp.asarray(fit.noise), core_config, info)
+
+
+def save_weights(path: str | os.PathLike[str], weights: Weights) -> None:
+    """Write the weights to one file, whole or not at all."""
+    notes = {
+        "schema_version": SCHEMA_VERSION,
+        "config": asdict(weights.config),
+        "info": weights.info,
+        "versions": {"shmoo-mjx": metadata.version("shmoo-mjx"), "jax": jax.__version__},
+    }
+    trees.save_tree(path, _arrays(weights), notes)
+
+
+def load_weights(path: str | os.PathLike[str]) -> Weights:
+    """Read what `save_weights` wrote.
+
+    Raises:
+        ShmooError: no such file, truncated, garbled, of another schema, or arrays that do not fit its config.
+    """
+    notes = trees.read_notes(path)
+    version = notes.get("schema_version")
+    if version != SCHEMA_VERSION:
+        raise ShmooError(
+            f"{path}: field 'schema_version' is {version}, this version reads {SCHEMA_VERSION}; train again."
+        )
+    try:
+        config = _config(notes["config"])
+    except (KeyError, TypeError) as error:
+        raise ShmooError(f"{path}: field 'config' can not be read ({error}); train again.") from None
+    like = jax.eval_shape(lambda: _arrays(untrained(config)))
+    tree, _ = trees.load_tree(path, like)
+    arrays = jax.tree.map(jnp.asarray, tree)
+    return Weights(arrays["params"], arrays["prior_covariance"], arrays["noise"], config, notes["info"])
+
+
+def _arrays(weights: Weights) -> dict[str, Any]:
+    return {"params": weights.params, "prior_covariance": weights.prior_covariance, "noise": weights.noise}
+
+
+def _replace(config: CoreConfig, **changes: Any) -> CoreConfig:
+    from dataclasses import replace
+
+    return replace(config, **changes)
+
+
+def _config(values: dict[str, Any]) -> CoreConfig:
+    values = dict(values)
+    robot, body = dict(values.pop("robot")), dict(values.pop("object"))
+    robot["hidden"], body["hidden"] = tuple(robot["hidden"]), tuple(body["hidden"])
+    return CoreConfig(robot=RobotConfig(**robot), object=ObjectConfig(**body), **values)

@@ -1,0 +1,1 @@
+"""Maps, paths and trajectories, the object planner, and the navigator."""

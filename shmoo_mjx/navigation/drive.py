@@ -1,0 +1,108 @@
+"""Driving: lean commands that follow a path by local flat trajectories, hold a place, or move at a velocity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from shmoo_mjx import se2
+from shmoo_mjx.navigation import flat_trajectory
+from shmoo_mjx.navigation.flat_trajectory import Planner, Trajectory
+from shmoo_mjx.navigation.maps import ClearanceField
+from shmoo_mjx.navigation.paths import Path, point_at, project
+from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
+from shmoo_mjx.types import Observation
+
+__all__ = ["DriveConfig", "DriveState", "follow", "init", "velocity_command", "yaw_ahead"]
+
+Array = Any
+
+
+@dataclass(frozen=True)
+class DriveConfig:
+    """Feedback about the local trajectory."""
+
+    replan_every: float = 0.5
+    """Time between two local trajectories [s]."""
+    stiffness: float = 1.6
+    """Acceleration of the flat output per metre of error [1/s^2]."""
+    damping: float = 2.4
+    """Acceleration per m/s of error [1/s]."""
+    lead: float = 0.2
+    """How far ahead the lean is read off the trajectory [s]: the lag of the lean loop."""
+    lean_limit: float = 0.14
+    """Largest commanded lean while driving [rad]."""
+    lookahead: float = 0.7
+    """Distance along the path of the point the robot faces [m]."""
+
+
+class DriveState(NamedTuple):
+    """The local trajectory being followed."""
+
+    trajectory: Trajectory | None
+    start: float
+    """Time at which it starts [s]."""
+    failed_since: float | None
+    """Since when no local trajectory has been found [s]."""
+    reason: str
+    """Why the last one was refused."""
+
+
+def init() -> DriveState:
+    """Nothing planned yet."""
+    return DriveState(None, -np.inf, None, "")
+
+
+def follow(
+    cfg: DriveConfig, planner: Planner, state: DriveState, seen: Observation, path: Path, field: ClearanceField
+) -> tuple[DriveState, np.ndarray]:
+    """One control step along ``path``; the lean command ``[2]`` in {R} [rad].
+
+    A trajectory always ends at rest, so that while no new one is found the old one brings the robot to a stop.
+    """
+    now = float(seen.time[0])
+    position, velocity = seen.robot_pose[0, :2], seen.robot_twist[0, :2]
+    yaw = seen.robot_pose[0, 2]
+    flat = planner.model.flat_state(position, velocity, se2.rotate(seen.lean[0], yaw), se2.rotate(seen.lean_rate[0], yaw))
+    if now - state.start >= cfg.replan_every - 1e-6:
+        found = flat_trajectory.plan(planner, flat, path, field)
+        if found.ok:
+            state = DriveState(found, now, None, "")
+        else:
+            since = now if state.failed_since is None else state.failed_since
+            state = state._replace(failed_since=since, reason=found.reason)
+    if state.trajectory is None:
+        return state, velocity_command(seen, np.zeros(2))
+    return state, _track(cfg, planner, state, now, flat, yaw)
+
+
+def _track(cfg: DriveConfig, planner: Planner, state: DriveState, now: float, flat: np.ndarray, yaw: float) -> np.ndarray:
+    assert state.trajectory is not None
+    a, b, c = planner.model
+    elapsed = now - state.start
+    wanted = flat_trajectory.evaluate(state.trajectory, elapsed)
+    ahead = flat_trajectory.evaluate(state.trajectory, elapsed + cfg.lead)
+    position = wanted.position + b / a * wanted.lean
+    velocity = wanted.velocity + b / a * wanted.lean_rate
+    acceleration = c / a * ahead.lean + cfg.damping * (velocity - flat[1]) + cfg.stiffness * (position - flat[0])
+    lean = a / c * acceleration
+    norm = float(np.linalg.norm(lean))
+    return se2.rotate(lean * min(1.0, cfg.lean_limit / max(norm, 1e-9)), -yaw)
+
+
+def velocity_command(seen: Observation, desired: Array, gains: Gains | None = None) -> np.ndarray:
+    """Lean command ``[2]`` in {R} for a velocity ``desired [2]`` in {R} [m/s]."""
+    velocity = se2.rotate(seen.robot_twist[0, :2], -seen.robot_pose[0, 2])
+    lean = velocity_to_lean(gains or Gains(), velocity, seen.lean_rate[0], np.asarray(desired, dtype=float))
+    return np.asarray(lean)
+
+
+def yaw_ahead(cfg: DriveConfig, seen: Observation, path: Path) -> float:
+    """Heading in {W} [rad] towards the path a little ahead; the present one near the path's end."""
+    position = seen.robot_pose[0, :2]
+    offset = point_at(path, project(path, position) + cfg.lookahead) - position
+    return float(np.arctan2(offset[1], offset[0])) if np.hypot(*offset) > 0.3 else float(seen.robot_pose[0, 2])
+
+

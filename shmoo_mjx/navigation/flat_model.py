@@ -1,0 +1,68 @@
+"""The flat output of the ball-balancing robot, and the closed-form motion from rest to rest.
+
+One plane of the robot, linearised about upright, obeys a x'' + b phi'' = c phi with x the ball's position and phi the
+lean. S = x + (b/a) phi is a flat output: phi = (a/c) S'' and x = S - (b/c) S''.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+__all__ = ["FlatModel", "rest_to_rest", "rest_to_rest_time"]
+
+Array = Any
+
+_GRAVITY = 9.81
+
+
+class FlatModel(NamedTuple):
+    """Coefficients of a x'' + b phi'' = c phi, for both planes."""
+
+    a: float
+    """[kg m]"""
+    b: float
+    """[kg m^2]"""
+    c: float
+    """[N m]"""
+
+    @classmethod
+    def from_inertia(
+        cls, m_body: float, m_ball: float, com_height: float, ball_radius: float, i_body: float, i_ball: float
+    ) -> FlatModel:
+        """From masses [kg], height of the body's centre of mass above the ball's centre and ball radius [m], inertias.
+
+        Inertias [kg m^2] are about horizontal axes through each part's own centre.
+        """
+        rolling_mass = m_ball + m_body + i_ball / ball_radius**2
+        return cls(
+            a=rolling_mass * ball_radius + m_body * com_height,
+            b=i_body + m_body * com_height**2 + m_body * com_height * ball_radius,
+            c=m_body * _GRAVITY * com_height,
+        )
+
+    def flat_state(self, position: Array, velocity: Array, lean: Array, lean_rate: Array) -> np.ndarray:
+        """S and its first three derivatives ``[4, 2]`` from ball position, velocity, lean, lean rate (2,) in {W}."""
+        position, velocity, lean, lean_rate = (
+            np.asarray(v, dtype=float)[:2] for v in (position, velocity, lean, lean_rate)
+        )
+        lever, pull = self.b / self.a, self.c / self.a
+        return np.stack([position + lever * lean, velocity + lever * lean_rate, pull * lean, pull * lean_rate])
+
+
+def rest_to_rest(distance: float, duration: float, t: Array) -> np.ndarray:
+    """S and its first four derivatives ``[..., 5]`` at times t of the degree-9 motion from rest to rest.
+
+    s(u) = 126 u^5 - 420 u^6 + 540 u^7 - 315 u^8 + 70 u^9, the polynomial whose derivatives up to the fourth vanish at
+    both ends.
+    """
+    shape = np.polynomial.Polynomial([0, 0, 0, 0, 0, 126, -420, 540, -315, 70])
+    u = np.clip(np.asarray(t, dtype=float) / duration, 0.0, 1.0)
+    return distance * np.stack([shape.deriv(k)(u) / duration**k if k else shape(u) for k in range(5)], axis=-1)
+
+
+def rest_to_rest_time(model: FlatModel, distance: float, lean_max: float, speed_max: float = np.inf) -> float:
+    """Shortest duration [s] of ``rest_to_rest`` that keeps |lean| and |S'| below their limits [rad, m/s]."""
+    by_lean = np.sqrt(9.372 * model.a * distance / (model.c * lean_max))
+    return float(max(by_lean, 2.461 * distance / speed_max))

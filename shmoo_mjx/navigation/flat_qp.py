@@ -1,0 +1,224 @@
+"""The quadratic program behind a flat trajectory.
+
+With the flat output S of ``flat_model``, a quintic B-spline for S in x and in y gives position, speed and lean as
+linear functions of its control points, so that limits on them and a corridor round the path make a quadratic program.
+Its variables are the control points' x, then their y, then one slack per sample time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import clarabel
+import numpy as np
+from scipy import sparse
+from scipy.interpolate import BSpline
+
+from shmoo_mjx.navigation.flat_model import FlatModel
+
+__all__ = ["DEGREE", "Planner", "TrajectoryConfig", "init", "knot_vector", "solve"]
+
+DEGREE = 5
+_ANGLES = np.arange(8) * np.pi / 4
+_NORMALS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=-1)
+"""Directions of an octagon's sides: a disc written as linear constraints."""
+_INSCRIBED = float(np.cos(np.pi / 8))
+
+
+@dataclass(frozen=True)
+class TrajectoryConfig:
+    """Limits, horizon and weights."""
+
+    horizon: float = 3.5
+    """Length of a trajectory [s]; it always ends at rest, so that following an old one to its end is safe."""
+    intervals: int = 12
+    """Polynomial pieces of the spline."""
+    samples: int = 24
+    """Times at which limits and corridor are imposed."""
+    speed: float = 0.45
+    """Speed aimed at [m/s]."""
+    speed_max: float = 0.60
+    """Speed never exceeded [m/s], except in a recovery."""
+    lean_max: float = 0.10
+    """Lean never exceeded [rad], except in a recovery."""
+    lean_recovery: float = 0.20
+    """Lean never exceeded in a recovery [rad]."""
+    lean_acceleration_max: float = 5.0
+    """Acceleration of the lean never exceeded [rad/s^2]; about the drive's torque over the body's inertia about the
+    ball."""
+    acceleration: float = 0.35
+    """Acceleration of the reference along the path [m/s^2]; below g times lean_max."""
+    robot_radius: float = 0.25
+    """Radius of the disc that must stay clear, margin included [m]."""
+    narrow: float = 0.20
+    """Where the corridor's half width is below this [m], the reference slows down in proportion, at most to a third."""
+    corridor_min: float = 0.04
+    """Half width that the corridor is given where there is none [m]."""
+    corridor_max: float = 0.50
+    """Half width at which the corridor is cut off [m]."""
+    tracking_weight: float = 1.0
+    """On the squared distance from the reference [1/m^2]."""
+    end_weight: float = 100.0
+    """The same at the end of the horizon where that is the path's end [1/m^2]."""
+    smooth_weight: float = 2e-3
+    """On the squared fourth derivative of S, to which the drive's torque is proportional [s^8/m^2]."""
+    slack_weight: float = 200.0
+    """On leaving the corridor [1/m], and in a recovery on excess speed [s/m]."""
+
+
+class Planner(NamedTuple):
+    """What depends on model and configuration only; made once by ``init``. n control points, K samples."""
+
+    model: FlatModel
+    cfg: TrajectoryConfig
+    times: np.ndarray
+    """``[K]`` sample times [s], the last one being the horizon."""
+    position: np.ndarray
+    """``[K, n]`` control points to ball position."""
+    on_way: sparse.csc_matrix
+    """``[2n + K, 2n + K]`` upper half of the quadratic cost."""
+    at_end: sparse.csc_matrix
+    """The same where the horizon ends at the path's end."""
+    rows: sparse.csc_matrix
+    """``[R, 2n + K]`` left-hand sides: 14 equalities, then inequalities."""
+    recovery_rows: sparse.csc_matrix
+    """The same with slack on speed."""
+
+
+def init(model: FlatModel, cfg: TrajectoryConfig = TrajectoryConfig()) -> Planner:
+    """Evaluates the spline basis and assembles the matrices once for all solves."""
+    times = np.linspace(0.0, cfg.horizon, cfg.samples + 1)[1:]
+    value, speed, tilt, jerk, snap = (_basis(cfg, times, order) for order in range(5))
+    lag, pull = model.b / model.c, model.a / model.c
+    position, velocity, lean = value - lag * tilt, speed - lag * jerk, pull * tilt
+    # The fourth derivative is linear between knots, so that limits at the knots hold everywhere.
+    lean_acceleration = pull * _basis(cfg, np.linspace(0.0, cfg.horizon, cfg.intervals + 1), 4)
+    ends = [_basis(cfg, np.zeros(1), k)[0] for k in range(4)]
+    ends += [_basis(cfg, np.full(1, cfg.horizon), k)[0] for k in range(1, 4)]
+    return Planner(
+        model=model,
+        cfg=cfg,
+        times=times,
+        position=position,
+        on_way=_quadratic(cfg, position, snap, at_end=False),
+        at_end=_quadratic(cfg, position, snap, at_end=True),
+        rows=_rows(np.array(ends), velocity, lean, position, lean_acceleration, recovery=False),
+        recovery_rows=_rows(np.array(ends), velocity, lean, position, lean_acceleration, recovery=True),
+    )
+
+
+def solve(
+    planner: Planner, state: np.ndarray, reference: np.ndarray, width: np.ndarray, at_end: bool, recovery: bool = False
+) -> tuple[np.ndarray, float] | None:
+    """Solves for the spline.
+
+    Args:
+        planner: from ``init``.
+        state: flat state ``[4, 2]`` at the start.
+        reference: ``[K, 2]`` where to be at the sample times [m].
+        width: ``[K]`` radius of the disc round each reference point that should not be left [m].
+        at_end: weigh the last point as the path's end.
+        recovery: allow ``lean_recovery`` and, at a price, speeds above ``speed_max``.
+
+    Returns:
+        Control points ``[n, 2]`` and the largest slack, or None if the limits contradict the state.
+    """
+    cfg, n = planner.cfg, planner.position.shape[1]
+    linear = -2 * (planner.position.T * _tracking_weights(cfg, at_end)) @ reference
+    cost = np.concatenate([linear.T.ravel(), np.full(cfg.samples, cfg.slack_weight / cfg.samples)])
+    pinned, limits = _bounds(cfg, state, reference, width, recovery)
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    solver = clarabel.DefaultSolver(
+        planner.at_end if at_end else planner.on_way,
+        cost,
+        planner.recovery_rows if recovery else planner.rows,
+        np.concatenate([pinned, limits]),
+        [clarabel.ZeroConeT(len(pinned)), clarabel.NonnegativeConeT(len(limits))],
+        settings,
+    )
+    solution = solver.solve()
+    if str(solution.status) not in ("Solved", "AlmostSolved"):
+        return None
+    x = np.array(solution.x)
+    return x[: 2 * n].reshape(2, n).T, float(max(x[2 * n :].max(), 0.0))
+
+
+def knot_vector(intervals: int, horizon: float) -> np.ndarray:
+    """Knots of the clamped spline with this many equal pieces over [0, horizon] s."""
+    inner = np.linspace(0.0, horizon, intervals + 1)
+    return np.concatenate([np.zeros(DEGREE), inner, np.full(DEGREE, horizon)])
+
+
+def _basis(cfg: TrajectoryConfig, times: np.ndarray, order: int) -> np.ndarray:
+    """``[len(times), n]``: control points to the derivative of S of this order."""
+    n = cfg.intervals + DEGREE
+    spline = BSpline(knot_vector(cfg.intervals, cfg.horizon), np.eye(n), DEGREE)
+    return (spline.derivative(order) if order else spline)(times)
+
+
+def _tracking_weights(cfg: TrajectoryConfig, at_end: bool) -> np.ndarray:
+    weights = np.full(cfg.samples, cfg.tracking_weight / cfg.samples)
+    if at_end:
+        weights[-1] = cfg.end_weight
+    return weights
+
+
+def _quadratic(cfg: TrajectoryConfig, position: np.ndarray, snap: np.ndarray, at_end: bool) -> sparse.csc_matrix:
+    """Upper half of the quadratic cost: tracking and smoothness; slack costs linearly."""
+    k = cfg.samples
+    hessian = 2 * (position.T * _tracking_weights(cfg, at_end)) @ position
+    hessian += 2 * cfg.smooth_weight / k * snap.T @ snap
+    return sparse.csc_matrix(
+        sparse.triu(sparse.block_diag([sparse.csc_matrix(hessian)] * 2 + [sparse.csc_matrix((k, k))]))
+    )
+
+
+def _rows(
+    ends: np.ndarray,
+    velocity: np.ndarray,
+    lean: np.ndarray,
+    position: np.ndarray,
+    lean_acceleration: np.ndarray,
+    recovery: bool,
+) -> sparse.csc_matrix:
+    """Left-hand sides, in the order of ``_bounds``."""
+    k = len(position)
+    slack = -sparse.kron(np.ones((8, 1)), sparse.identity(k))
+    blocks = [
+        [sparse.kron(np.eye(2), sparse.csc_matrix(ends)), None],
+        [_octagon(velocity), slack if recovery else None],
+        [_octagon(lean), None],
+        [_octagon(position), slack],
+        [_box(lean_acceleration), None],
+        [None, -sparse.identity(k)],
+    ]
+    return sparse.csc_matrix(sparse.bmat(blocks))
+
+
+def _bounds(
+    cfg: TrajectoryConfig, state: np.ndarray, reference: np.ndarray, width: np.ndarray, recovery: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Right-hand sides of the equalities (state at the start, rest at the end) and of the inequalities."""
+    k = cfg.samples
+    pinned = np.concatenate([np.concatenate([state[:, i], np.zeros(3)]) for i in range(2)])
+    limits = [
+        np.full(8 * k, cfg.speed_max * _INSCRIBED),
+        np.full(8 * k, (cfg.lean_recovery if recovery else cfg.lean_max) * _INSCRIBED),
+        (_NORMALS @ reference.T).ravel() + np.tile(width * _INSCRIBED, 8),
+        np.full(4 * (cfg.intervals + 1), cfg.lean_acceleration_max / np.sqrt(2)),
+        np.zeros(k),
+    ]
+    return pinned, np.concatenate(limits)
+
+
+def _octagon(rows: np.ndarray) -> sparse.csc_matrix:
+    """``[8 K, 2 n]``: each octagon normal times the planar quantity that ``rows [K, n]`` give per axis."""
+    return sparse.kron(_NORMALS, sparse.csc_matrix(rows), format="csc")
+
+
+def _box(rows: np.ndarray) -> sparse.csc_matrix:
+    """``[4 K, 2 n]``: plus and minus each axis's part of the quantity; cheaper than the octagon, and stricter."""
+    signed = np.vstack([np.eye(2), -np.eye(2)])
+    return sparse.kron(signed, sparse.csc_matrix(rows), format="csc")

@@ -1,0 +1,172 @@
+"""Local trajectories that a ball-balancing robot can follow, by differential flatness and one QP (spec 8.2).
+
+Here the path becomes the reference and the corridor of the quadratic program in ``flat_qp``, and its solution a
+trajectory that has been checked and can be evaluated.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.interpolate import BSpline
+
+from shmoo_mjx.navigation.flat_model import FlatModel, rest_to_rest, rest_to_rest_time
+from shmoo_mjx.navigation.flat_qp import DEGREE, Planner, TrajectoryConfig, init, knot_vector, solve
+from shmoo_mjx.navigation.maps import ClearanceField
+from shmoo_mjx.navigation.paths import Path, point_at, project, tangent_at
+
+__all__ = [
+    "FlatModel",
+    "Planner",
+    "Trajectory",
+    "TrajectoryConfig",
+    "TrajectorySample",
+    "evaluate",
+    "init",
+    "plan",
+    "rest_to_rest",
+    "rest_to_rest_time",
+]
+
+Array = Any
+
+
+class Trajectory(NamedTuple):
+    """A solution, or why there is none."""
+
+    ok: bool
+    reason: str
+    """Empty if ok, else one sentence."""
+    control_points: np.ndarray
+    """``[n, 2]`` of S in {W} [m]."""
+    horizon: float
+    """[s]"""
+    model: FlatModel
+    reference: np.ndarray
+    """``[K, 2]`` points of the path that were tracked, {W} [m]."""
+    corridor_excess: float
+    """How far the trajectory leaves its corridor at the worst sample [m]; in a recovery, or its speed limit [m/s]."""
+    reaches_end: bool
+    """Does the trajectory end at the path's end."""
+    recovery: bool = False
+    """Were the limits on lean and speed relaxed because the robot was beyond them, say after a push."""
+
+
+class TrajectorySample(NamedTuple):
+    """The trajectory at some times; every field is ``[..., 2]`` in {W}."""
+
+    position: np.ndarray
+    """Of the ball [m]."""
+    velocity: np.ndarray
+    """Of the ball [m/s]."""
+    acceleration: np.ndarray
+    """Of the ball [m/s^2]."""
+    lean: np.ndarray
+    """Lean towards +x and +y that goes with it: the feed-forward [rad]."""
+    lean_rate: np.ndarray
+    """[rad/s]"""
+
+
+def plan(planner: Planner, state: Array, path: Path, field: ClearanceField | None = None) -> Trajectory:
+    """The smoothest trajectory that follows the path within the limits, at rest at the end of the horizon.
+
+    Args:
+        planner: from ``init``.
+        state: flat state ``[4, 2]`` in {W}, see ``FlatModel.flat_state``.
+        path: the global path; the part behind the robot is skipped.
+        field: distance to walls and obstacles, which makes the corridor; None for open floor.
+
+    Returns:
+        The trajectory; ``ok`` is False, with the reason, where limits and state contradict each other or the robot
+        would come nearer to a wall than its radius (and nearer than it is now). From a state that can't keep the
+        limits, a ``recovery`` may lean up to ``lean_recovery`` and exceed ``speed_max`` as little as possible.
+    """
+    state = np.asarray(state, dtype=float)
+    cfg = planner.cfg
+    if not np.isfinite(state).all():
+        return _failed(planner, "the robot's state is not finite", np.zeros((cfg.samples, 2)))
+    reference, width, at_end = _reference(planner, state, path, field)
+    solution = solve(planner, state, reference, width, at_end)
+    recovery = solution is None
+    if recovery:
+        solution = solve(planner, state, reference, width, at_end, recovery=True)
+    if solution is None:
+        speed, lean = np.linalg.norm(state[1]), np.linalg.norm(state[2]) * planner.model.a / planner.model.c
+        text = f"no trajectory keeps the limits from a speed of {speed:.2f} m/s and a lean of {lean:.3f} rad"
+        return _failed(planner, text, reference)
+    points, excess = solution
+    trajectory = Trajectory(True, "", points, cfg.horizon, planner.model, reference, excess, at_end, recovery)
+    reason = _leans_too_far(trajectory, planner) or ("" if field is None else _too_near(trajectory, planner, field))
+    return trajectory._replace(ok=not reason, reason=reason)
+
+
+def evaluate(trajectory: Trajectory, t: Array) -> TrajectorySample:
+    """The trajectory ``t [...]`` s after its start; at rest at its end from the horizon on."""
+    t = np.asarray(t, dtype=float)
+    after = (t > trajectory.horizon)[..., None]
+    intervals = len(trajectory.control_points) - DEGREE
+    spline = BSpline(knot_vector(intervals, trajectory.horizon), trajectory.control_points, DEGREE)
+    s = [spline.derivative(k)(np.clip(t, 0.0, trajectory.horizon)) for k in range(5)]
+    a, b, c = trajectory.model
+    lag, tilt = b / c, a / c
+    return TrajectorySample(
+        position=s[0] - lag * s[2],
+        velocity=np.where(after, 0.0, s[1] - lag * s[3]),
+        acceleration=np.where(after, 0.0, s[2] - lag * s[4]),
+        lean=np.where(after, 0.0, tilt * s[2]),
+        lean_rate=np.where(after, 0.0, tilt * s[3]),
+    )
+
+
+def _reference(
+    planner: Planner, state: np.ndarray, path: Path, field: ClearanceField | None
+) -> tuple[np.ndarray, np.ndarray, bool]:
+    """Points of the path to be at ``[K, 2]``, half width of the corridor there ``[K]``, and is the end reached."""
+    cfg, lag = planner.cfg, planner.model.b / planner.model.c
+    here = state[0] - lag * state[2]
+    s = project(path, here)
+    v = max(0.0, float((state[1] - lag * state[3]) @ tangent_at(path, s)))
+    ahead = np.linspace(s, min(s + cfg.speed_max * cfg.horizon, path.length), 40)
+    half_width = np.full(40, cfg.corridor_max)
+    if field is not None:
+        half_width = np.clip(field.at(point_at(path, ahead)) - cfg.robot_radius, cfg.corridor_min, cfg.corridor_max)
+    step = cfg.horizon / cfg.samples
+    along, a = [], cfg.acceleration
+    for t in planner.times:
+        slow = np.clip(np.interp(s, ahead, half_width) / cfg.narrow, 1 / 3, 1.0)
+        stop_at_end = np.sqrt(2 * a * max(path.length - s, 0.0))
+        v = max(0.0, min(v + a * step, cfg.speed * slow, stop_at_end, a * (cfg.horizon - t)))
+        s = min(s + v * step, path.length)
+        along.append(s)
+    return point_at(path, np.array(along)), np.interp(along, ahead, half_width), bool(path.length - s < 0.02)
+
+
+def _leans_too_far(trajectory: Trajectory, planner: Planner) -> str:
+    """Why the trajectory can't be leant into, or nothing: the limits hold at samples, this looks between them."""
+    cfg = planner.cfg
+    lean = np.linalg.norm(evaluate(trajectory, np.linspace(0.0, trajectory.horizon, 120)).lean, axis=1)
+    allowed = 1.05 * (cfg.lean_recovery if trajectory.recovery else cfg.lean_max)
+    if lean.max() > max(allowed, float(lean[0])):
+        return f"the trajectory would have to lean by {lean.max():.2f} rad, more than {allowed:.2f} rad"
+    return ""
+
+
+def _too_near(trajectory: Trajectory, planner: Planner, field: ClearanceField) -> str:
+    """Why the trajectory must not be driven, or nothing."""
+    times = np.linspace(0.0, trajectory.horizon, 120)
+    distance = field.at(evaluate(trajectory, times).position)
+    # Half a cell is what the field itself is uncertain by; who stands too near already may not come nearer.
+    allowed = min(planner.cfg.robot_radius, float(distance[0])) - 0.5 * float(field.resolution)
+    worst = int(np.argmin(distance))
+    if distance[worst] >= allowed:
+        return ""
+    return (
+        f"the trajectory would come within {distance[worst]:.2f} m of an obstacle after {times[worst]:.1f} s, "
+        f"where {allowed:.2f} m are needed"
+    )
+
+
+def _failed(planner: Planner, reason: str, reference: np.ndarray) -> Trajectory:
+    points = np.zeros((planner.position.shape[1], 2))
+    return Trajectory(False, reason, points, planner.cfg.horizon, planner.model, reference, np.inf, False)

@@ -1,0 +1,178 @@
+"""Floor plans and the demo's scene, drawn from a seed.
+
+Three rooms in a row, A (start), B and C (goal). One doorway joins A and B; two join B and C, one near the straight line
+to the goal and one far off it. A light box stands in the doorway of A, a wheelchair with its brakes on in the near
+doorway of C, so that every way is blocked until the box is moved, and the way by the far doorway is free then. Half of
+the seeds are mirrored.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from shmoo_mjx.navigation.maps import FREE, OCCUPIED, OccupancyGrid
+from shmoo_mjx.navigation.scenario import ObjectEntry, Scenario
+
+__all__ = ["Doorway", "Floorplan", "FloorplanConfig", "demo_scenario", "draw_floorplan"]
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class FloorplanConfig:
+    """Ranges that are drawn from uniformly; all lengths in m."""
+
+    resolution: float = 0.05
+    """Side of a cell."""
+    wall: float = 0.10
+    """Thickness of every wall."""
+    height: Range = (6.0, 6.5)
+    """Size along y."""
+    room_a: Range = (2.9, 3.2)
+    """Depth of room A along x."""
+    room_b: Range = (2.9, 3.2)
+    """Depth of room B along x."""
+    room_c: Range = (2.5, 2.8)
+    """Depth of room C along x."""
+    entry_y: Range = (0.45, 0.50)
+    """Centre of the doorway between A and B, as a fraction of the height."""
+    near_y: Range = (0.79, 0.82)
+    """Centre of the near doorway between B and C, as a fraction of the height."""
+    far_y: Range = (0.14, 0.19)
+    """Centre of the far doorway between B and C, as a fraction of the height."""
+    door_width: Range = (1.10, 1.30)
+    """Width of a doorway."""
+
+
+class Doorway(NamedTuple):
+    """A gap in a wall that runs along y."""
+
+    x: float
+    """Middle of the wall [m]."""
+    y: float
+    """Middle of the gap [m]."""
+    width: float
+    """[m]"""
+
+
+class Floorplan(NamedTuple):
+    """A map and where its doorways are."""
+
+    grid: OccupancyGrid
+    """Walls and floor; origin at the lower-left outer corner."""
+    entry: Doorway
+    """Between rooms A and B."""
+    near: Doorway
+    """Between rooms B and C, near the way to the goal."""
+    far: Doorway
+    """Between rooms B and C, far off it."""
+
+
+def draw_floorplan(
+    rng: np.random.Generator,
+    cfg: FloorplanConfig = FloorplanConfig(),
+    widths: tuple[float, float] | None = None,
+) -> Floorplan:
+    """Draws the three rooms.
+
+    Args:
+        rng: consumed.
+        cfg: ranges.
+        widths: widths of the entry and of the near doorway [m], drawn if not given.
+    """
+
+    def draw(span: Range, scale: float = 1.0) -> float:
+        return _snap(rng.uniform(*span) * scale, cfg.resolution)
+
+    height, wall = draw(cfg.height), cfg.wall
+    x1 = wall + draw(cfg.room_a) + wall / 2
+    x2 = x1 + wall + draw(cfg.room_b)
+    length = x2 + wall / 2 + draw(cfg.room_c) + wall
+    entry_width, near_width = widths or (draw(cfg.door_width), draw(cfg.door_width))
+    entry = Doorway(x1, draw(cfg.entry_y, height), _snap(entry_width, cfg.resolution))
+    near = Doorway(x2, draw(cfg.near_y, height), _snap(near_width, cfg.resolution))
+    far = Doorway(x2, draw(cfg.far_y, height), draw(cfg.door_width))
+    cells = np.full(_cells((height, length), cfg.resolution), FREE, dtype=np.int8)
+    edge = round(wall / cfg.resolution)
+    cells[:edge] = cells[-edge:] = cells[:, :edge] = cells[:, -edge:] = OCCUPIED
+    for x in (x1, x2):
+        left = round((x - wall / 2) / cfg.resolution)
+        cells[:, left : left + edge] = OCCUPIED
+    for door in (entry, near, far):
+        left = round((door.x - wall / 2) / cfg.resolution)
+        low = round((door.y - door.width / 2) / cfg.resolution)
+        cells[low : low + round(door.width / cfg.resolution), left : left + edge] = FREE
+    return Floorplan(OccupancyGrid(cells, cfg.resolution), entry, near, far)
+
+
+def demo_scenario(seed: int) -> tuple[OccupancyGrid, Scenario]:
+    """The demo's map and scenario for a seed, objects' properties included."""
+    rng = np.random.default_rng([seed, 0x5F100])
+    box_side, chair_width = rng.uniform(0.45, 0.58), rng.uniform(0.54, 0.60)
+    # Beside the objects less than the robot's 0.5 m is left, yet enough for them to turn a little while pushed.
+    widths = (np.clip(box_side + rng.uniform(0.60, 0.68), 1.1, 1.25), chair_width + rng.uniform(0.58, 0.66))
+    plan = draw_floorplan(rng, widths=widths)
+    start_y = plan.entry.y + rng.uniform(0.1, 0.6)
+    start_x = rng.uniform(0.8, 1.1)
+    start_yaw = np.arctan2(plan.entry.y - start_y, plan.entry.x - start_x) + rng.uniform(-0.15, 0.15)
+    goal = (plan.near.x + rng.uniform(1.1, 1.5), plan.near.y + rng.uniform(-0.1, 0.2))
+    scenario = Scenario(
+        start=_rounded(start_x, start_y, start_yaw),
+        goal=_rounded(*goal),
+        objects=(_draw_box(rng, plan.entry, box_side), _draw_wheelchair(rng, plan.near, chair_width)),
+        seed=seed,
+    )
+    return _mirrored(plan.grid, scenario) if rng.random() < 0.5 else (plan.grid, scenario)
+
+
+def _draw_box(rng: np.random.Generator, door: Doorway, side: float) -> ObjectEntry:
+    pose = _rounded(door.x + rng.uniform(0.0, 0.2), door.y + rng.uniform(-0.04, 0.04), rng.uniform(-0.22, 0.02))
+    properties: dict[str, Any] = {
+        "size": list(_rounded(side, side * rng.uniform(0.95, 1.05), rng.uniform(0.6, 0.7))),
+        "mass": round(rng.uniform(2.5, 6.0), 2),
+        "payload": 0.0,
+        "friction": round(rng.uniform(0.3, 0.5), 3),
+    }
+    return ObjectEntry(family="box", pose=pose, seed=int(rng.integers(10**6)), properties=properties)
+
+
+def _draw_wheelchair(rng: np.random.Generator, door: Doorway, width: float) -> ObjectEntry:
+    yaw = rng.choice([0.0, np.pi]) + rng.uniform(-0.12, 0.12)
+    pose = _rounded(door.x - rng.uniform(0.05, 0.30), door.y + rng.uniform(-0.03, 0.03), yaw)
+    properties: dict[str, Any] = {
+        "size": [0.8, round(width, 3), 0.52],
+        "payload": round(rng.uniform(30.0, 70.0), 1),
+        "payload_x": round(rng.uniform(0.0, 0.08), 3),
+        "friction": round(rng.uniform(0.7, 1.0), 3),
+        "locked": [True, True, False, False],
+    }
+    return ObjectEntry(family="wheelchair", pose=pose, seed=int(rng.integers(10**6)), properties=properties)
+
+
+def _mirrored(grid: OccupancyGrid, scenario: Scenario) -> tuple[OccupancyGrid, Scenario]:
+    """Map and scenario with y turned round; payload offsets to the side are drawn symmetric anyway."""
+    height = grid.cells.shape[0] * grid.resolution
+
+    def flip(x: float, y: float, *yaw: float) -> Any:
+        return _rounded(x, height - y, *(-angle for angle in yaw))
+
+    objects = tuple(entry.model_copy(update={"pose": flip(*entry.pose)}) for entry in scenario.objects)
+    update = {"start": flip(*scenario.start), "goal": flip(*scenario.goal), "objects": objects}
+    flipped = OccupancyGrid(np.ascontiguousarray(grid.cells[::-1]), grid.resolution, grid.origin)
+    return flipped, scenario.model_copy(update=update)
+
+
+def _snap(value: float, step: float) -> float:
+    return round(value / step) * step
+
+
+def _cells(lengths: tuple[float, ...], resolution: float) -> tuple[int, ...]:
+    return tuple(round(length / resolution) for length in lengths)
+
+
+def _rounded(*values: float) -> Any:
+    # Three decimals keep a written scenario readable and equal to the drawn one.
+    return tuple(round(float(v), 3) for v in values)

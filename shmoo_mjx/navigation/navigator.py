@@ -1,0 +1,472 @@
+"""Interactive navigation (Sec. IV): follow the path, push what is in the way, go round what can't be pushed.
+
+An explicit state machine at 10 Hz; every transition is logged with its reason. It sees poses and sizes of objects in
+sight and the force on its hands; what it knows of an object's dynamics it has learned by touching it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from shmoo_mjx import se2
+from shmoo_mjx.control.pushing import LocalField, PushController, PushState, Sighting, local_field
+from shmoo_mjx.faces import faces_of, heading, stand_off
+from shmoo_mjx.hands import HAND_HEIGHT, HAND_RADIUS, REACH, TUCKED_HEIGHT, TUCKED_REACH
+from shmoo_mjx.navigation import drive, flat_trajectory
+from shmoo_mjx.navigation.belief import Belief, KnownObject, Status
+from shmoo_mjx.navigation.flat_trajectory import FlatModel, TrajectoryConfig
+from shmoo_mjx.navigation.footprints import footprints_free
+from shmoo_mjx.navigation.maps import OccupancyGrid
+from shmoo_mjx.navigation.object_planner import ObjectPlannerConfig, initial_goal, planning_stage
+from shmoo_mjx.navigation.paths import Path, path_blocked_by, plan_path, project
+from shmoo_mjx.plant.robot import ROBOT
+from shmoo_mjx.types import DT, Command, Observation
+
+__all__ = ["Decision", "Mode", "Navigator", "NavigatorConfig", "Transition"]
+
+Array = Any
+
+class Mode(StrEnum):
+    """States of the navigator."""
+
+    FOLLOW = "follow path"
+    APPROACH = "approach"
+    CONTACT = "make contact"
+    PROBE = "probe"
+    PUSH = "push"
+    RETREAT = "retreat"
+    REPLAN = "replan"
+    DONE = "done"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class NavigatorConfig:
+    """Settings of the state machine, SI units."""
+
+    robot_radius: float = 0.26
+    """Radius of the disc that paths keep clear: body, folded hands and a reserve."""
+    sensing_range: float = 3.5
+    goal_tolerance: float = 0.15
+    """Distance at which the goal counts as reached; the scenario's own tolerance may be wider."""
+    act_within: float = 2.2
+    """An object in the way is dealt with once the path's blocked point is this near."""
+    detour: float = 1.5
+    """A way round that is at most this much longer is taken rather than a push."""
+    contact_gap: float = 0.12
+    """Distance between hands and face at the stand-off pose."""
+    contact_speed: float = 0.12
+    """Speed at which contact is made."""
+    probe_time: float = 1.0
+    """Contact time before the planning stage (Algorithm 1)."""
+    review_every: float = 2.0
+    """Contact time between two planning stages of one push."""
+    stall_distance: float = 0.05
+    """An object that moved less than this ..."""
+    stall_time: float = 5.0
+    """... in this much contact time has stalled."""
+    push_limit: float = 45.0
+    """Longest push."""
+    lost_after: float = 1.5
+    """Time without contact after which contact counts as lost."""
+    max_pushes: int = 4
+    """Pushes of one object before it is registered as an obstacle."""
+    path_margin: float = 0.05
+    """What must be free beside the robot's radius between the path and a pushed object."""
+    planner: ObjectPlannerConfig = ObjectPlannerConfig(min_displacement=0.6)
+    trajectory: TrajectoryConfig = TrajectoryConfig(robot_radius=0.24)
+    drive: drive.DriveConfig = drive.DriveConfig()
+
+
+class Transition(NamedTuple):
+    """A change of state."""
+
+    t: float
+    source: Mode
+    target: Mode
+    reason: str
+
+
+class Decision(NamedTuple):
+    """One planning stage of the object planner, with its evidence."""
+
+    t: float
+    object: int
+    K: float
+    G: float
+    manipulable: bool
+    goal: np.ndarray | None
+    reason: str
+    rollouts: np.ndarray
+    """``[R, T, 2]`` predicted object positions, best first."""
+    candidates: np.ndarray
+    """``[C, 3]``"""
+
+
+@dataclass
+class _Push:
+    """Memory of dealing with one object."""
+
+    object: int
+    face: np.ndarray
+    goal: np.ndarray
+    path: Path
+    """Way to the stand-off pose."""
+    around: LocalField
+    state: PushState | None = None
+    contact_time: float = 0.0
+    since_contact: float = 0.0
+    reviewed_at: float = 0.0
+    """Contact time of the last planning stage."""
+    started: float = 0.0
+    extended_at: float | None = None
+    marks: list[tuple[float, np.ndarray]] = field(default_factory=list)
+    """(contact time, object position) once a sample."""
+
+
+class Navigator:
+    """The state machine. ``tick`` takes an observation and gives the command for the next sample."""
+
+    def __init__(
+        self,
+        grid: OccupancyGrid,
+        goal: Array,
+        sizes: list[tuple[float, float]],
+        controller: PushController,
+        seed: int = 0,
+        config: NavigatorConfig | None = None,
+    ) -> None:
+        self.config = config or NavigatorConfig()
+        self.goal = np.asarray(goal, dtype=float)[:2]
+        self.belief = Belief(grid, self.config.sensing_range)
+        self.mode = Mode.REPLAN
+        self.path: Path | None = None
+        self.transitions: list[Transition] = []
+        self.decisions: list[Decision] = []
+        self.plans: list[tuple[float, np.ndarray]] = []
+        self.push: _Push | None = None
+        self._sizes = sizes
+        self._controller = controller
+        self._key = jax.random.key(seed)
+        self._planner = flat_trajectory.init(FlatModel(*ROBOT.flatness), self.config.trajectory)
+        self._drive = drive.init()
+        self._last_u = np.zeros(3)
+        self._handlers: dict[Mode, Callable[[Observation], Command]] = {
+            Mode.FOLLOW: self._follow,
+            Mode.APPROACH: self._approach,
+            Mode.CONTACT: self._contact,
+            Mode.PROBE: self._push_step,
+            Mode.PUSH: self._push_step,
+            Mode.RETREAT: self._retreat,
+            Mode.REPLAN: self._replan,
+            Mode.DONE: self._rest,
+            Mode.FAILED: self._rest,
+        }
+
+    @property
+    def finished(self) -> bool:
+        """Whether the run has come to its end."""
+        return self.mode in (Mode.DONE, Mode.FAILED)
+
+    @property
+    def coefficients(self) -> tuple[int, np.ndarray] | None:
+        """(object, a ``[n]``) that adapts at present."""
+        if self.push is None or self.push.state is None:
+            return None
+        return self.push.object, np.asarray(self.push.state.adapt.mean)
+
+    def tick(self, seen: Observation) -> Command:
+        """One decision from one observation of a single world."""
+        self.belief.update(seen, self._sizes)
+        command = self._handlers[self.mode](seen)
+        self._last_u = np.asarray(command.u)[0]
+        return command
+
+    # States. Each returns the command for the next sample and may have changed the mode.
+
+    def _replan(self, seen: Observation) -> Command:
+        position = seen.robot_pose[0, :2]
+        path = self._plan(position, self.belief.polygons((Status.PARKED, Status.FIXED)))
+        if path is None:
+            path = self._plan_through_parked(seen)
+        if path is None:
+            self._go(seen, Mode.FAILED, "every route to the goal is blocked by walls and objects that can't be moved")
+            return self._rest(seen)
+        self._set_path(seen, path)
+        self._go(seen, Mode.FOLLOW, f"path of {path.length:.2f} m found")
+        return self._follow(seen)
+
+    def _plan_through_parked(self, seen: Observation) -> Path | None:
+        """A parked object that now closes the only way is taken up again, unless it has been pushed too often."""
+        path = self._plan(seen.robot_pose[0, :2], self.belief.polygons((Status.FIXED,)))
+        for known in self.belief.objects.values():
+            if path is not None and known.status is Status.PARKED and known.pushes < self.config.max_pushes:
+                if path_blocked_by(path, known.polygon, self.config.robot_radius)[0]:
+                    known.status = Status.UNKNOWN
+        return self._plan(seen.robot_pose[0, :2], self.belief.polygons((Status.PARKED, Status.FIXED)))
+
+    def _follow(self, seen: Observation) -> Command:
+        assert self.path is not None
+        position = seen.robot_pose[0, :2]
+        speed = float(np.linalg.norm(seen.robot_twist[0, :2]))
+        if np.linalg.norm(position - self.goal) < self.config.goal_tolerance and speed < 0.1:
+            self._go(seen, Mode.DONE, f"goal reached to {np.linalg.norm(position - self.goal):.2f} m")
+            return self._rest(seen)
+        blocked = self._first_block(seen)
+        if blocked is not None and self._deal_with(seen, *blocked):
+            return self._handlers[self.mode](seen)
+        field_ = self.belief.clearance()
+        self._drive, lean = drive.follow(self.config.drive, self._planner, self._drive, seen, self.path, field_)
+        since = self._drive.failed_since
+        if since is not None and float(seen.time[0]) - since > 3.0:
+            self._go(seen, Mode.REPLAN, f"no local trajectory for 3 s: {self._drive.reason}")
+            self._drive = drive.init()
+        return self._command(lean, 0.0, drive.yaw_ahead(self.config.drive, seen, self.path), TUCKED_REACH, TUCKED_HEIGHT)
+
+    def _first_block(self, seen: Observation) -> tuple[int, float] | None:
+        """The known object that blocks the path first, and how far along the path [m]."""
+        assert self.path is not None
+        here = project(self.path, seen.robot_pose[0, :2])
+        found = []
+        for index, known in self.belief.objects.items():
+            blocked, s = path_blocked_by(self.path, known.polygon, self.config.robot_radius - 0.03, here)
+            if blocked and s is not None and s - here < self.config.act_within:
+                found.append((s - here, index))
+        return (min(found)[1], min(found)[0]) if found else None
+
+    def _deal_with(self, seen: Observation, index: int, distance: float) -> bool:
+        """Decide about an object in the way; True if the mode has changed."""
+        assert self.path is not None
+        known = self.belief.objects[index]
+        if known.status is not Status.UNKNOWN:
+            self._go(seen, Mode.REPLAN, f"object {index} ({known.status}) is in the way")
+            return True
+        position = seen.robot_pose[0, :2]
+        remaining = self.path.length - project(self.path, position)
+        others = self.belief.polygons((Status.PARKED, Status.FIXED))
+        detour = self._plan(position, [*others, known.polygon])
+        if detour is not None and detour.length < remaining + self.config.detour:
+            self._set_path(seen, detour)
+            self._go(seen, Mode.FOLLOW, f"object {index} is in the way; going round it costs {detour.length - remaining:+.2f} m")
+            return False
+        cost = "there is no way round" if detour is None else f"the way round is {detour.length - remaining:.2f} m longer"
+        # Walking to a face is worth while only if that and the rest of the path are shorter than the way round.
+        longest_way = np.inf if detour is None else detour.length - (remaining - distance)
+        return self._start_push(seen, index, f"object {index} blocks the path {distance:.2f} m ahead and {cost}", longest_way)
+
+    def _start_push(self, seen: Observation, index: int, why: str, longest_way: float) -> bool:
+        """Choose goal, face and way to the stand-off pose; True (the mode changes in any case)."""
+        known = self.belief.objects[index]
+        if known.pushes >= self.config.max_pushes:
+            return self._give_up(seen, index, f"object {index} has been pushed {known.pushes} times without clearing the path")
+        around = self.belief.clearance(without=index)
+        faces = faces_of(known.half_extents)
+        ways = [self._way_to(seen, index, face) for face in faces]
+        usable = [i for i, way in enumerate(ways) if way is not None and way.length < longest_way]
+        if not usable:
+            return self._give_up(seen, index, f"no face of object {index} can be reached on a way worth taking")
+        directions = [heading(known.pose, faces[i]) for i in usable]
+        first = initial_goal(known.pose, self._collision_free(seen, known, around), np.array(directions), self.config.planner)
+        if first.goal is None or first.direction is None:
+            return self._give_up(seen, index, f"object {index} can be put nowhere: {first.reason}")
+        face, way = faces[usable[first.direction]], ways[usable[first.direction]]
+        assert way is not None
+        known.pushes += 1
+        self.push = _Push(index, face, first.goal, way, local_field(around, known.pose), started=float(seen.time[0]))
+        self._drive = drive.init()
+        self._go(seen, Mode.APPROACH, f"{why}; first goal: {first.reason}")
+        return True
+
+    def _give_up(self, seen: Observation, index: int, why: str) -> bool:
+        self.belief.objects[index].status = Status.FIXED
+        self._go(seen, Mode.REPLAN, f"{why}; registered as an obstacle")
+        return True
+
+    def _approach(self, seen: Observation) -> Command:
+        push = self._pushed()
+        known = self.belief.objects[push.object]
+        wanted = stand_off(known.pose, push.face, self.config.contact_gap)
+        position, now = seen.robot_pose[0], float(seen.time[0])
+        field_ = self.belief.clearance()
+        self._drive, lean = drive.follow(self.config.drive, self._planner, self._drive, seen, push.path, field_)
+        near = np.linalg.norm(position[:2] - wanted[:2]) < 0.10
+        slow = np.linalg.norm(seen.robot_twist[0, :2]) < 0.08
+        remaining = push.path.length - project(push.path, position[:2])
+        yaw = wanted[2] if remaining < 0.8 else drive.yaw_ahead(self.config.drive, seen, push.path)
+        if push.extended_at is None and near and slow and abs(se2.wrap(position[2] - wanted[2])) < 0.12:
+            push.extended_at = now
+        if push.extended_at is not None and now - push.extended_at > 1.0:
+            self._go(seen, Mode.CONTACT, "at the stand-off pose, arms extended")
+        elif now - push.started > 30.0:
+            self._go(seen, Mode.REPLAN, "the stand-off pose was not reached within 30 s")
+        if push.extended_at is None:
+            return self._command(lean, 0.0, yaw, TUCKED_REACH, TUCKED_HEIGHT)
+        return self._command(lean, 0.0, yaw, REACH, HAND_HEIGHT)
+
+    def _contact(self, seen: Observation) -> Command:
+        push = self._pushed()
+        known = self.belief.objects[push.object]
+        sighting = Sighting.of(seen, push.object)
+        if np.hypot(*sighting.wrench[:2]) > 5.0:
+            push.state = self._controller.init(sighting, push.face, known.half_extents, self._next_key(), known.adapt)
+            push.started = float(seen.time[0])
+            self._go(seen, Mode.PROBE, f"contact with object {push.object}")
+            return self._push_step(seen)
+        in_face = se2.relative(se2.compose(known.pose, push.face[:3]), seen.robot_pose[0])
+        if in_face[0] < -(REACH + HAND_RADIUS + 0.5) or abs(in_face[1]) > 0.3:
+            self._go(seen, Mode.REPLAN, "drifted off the face while making contact")
+        wish = np.array([self.config.contact_speed, np.clip(-0.8 * in_face[1], -0.1, 0.1)])
+        lean = drive.velocity_command(seen, se2.rotate(wish, -in_face[2]))
+        return self._command(lean, 0.0, heading(known.pose, push.face), REACH, HAND_HEIGHT)
+
+    def _push_step(self, seen: Observation) -> Command:
+        push = self._pushed()
+        known = self.belief.objects[push.object]
+        sighting = Sighting.of(seen, push.object)
+        assert push.state is not None
+        u, push.state, plan = self._controller.step(
+            push.state, sighting, self._last_u, push.goal, push.around, np.array(known.half_extents)
+        )
+        known.adapt = push.state.adapt
+        touching = np.hypot(*sighting.wrench[:2]) > self._controller.config.contact_force
+        push.contact_time += DT if touching else 0.0
+        push.since_contact = 0.0 if touching else push.since_contact + DT
+        push.marks.append((push.contact_time, known.pose[:2].copy()))
+        self._judge(seen, push, known, bool(plan.ok))
+        return self._command(u[:2], u[2], heading(known.pose, push.face), REACH, HAND_HEIGHT)
+
+    def _judge(self, seen: Observation, push: _Push, known: KnownObject, ok: bool) -> None:
+        """Leave the push if it is over, hopeless or lost."""
+        index, cfg = push.object, self.config
+        if not ok:
+            self._go(seen, Mode.RETREAT, "no roll-out of the model is finite: safe stop")
+        elif self.mode is Mode.PUSH and self._path_clear(seen, known):
+            known.status = Status.PARKED
+            self._go(seen, Mode.RETREAT, f"object {index} no longer blocks the path")
+        elif self.mode is Mode.PUSH and np.linalg.norm(known.pose[:2] - push.goal[:2]) < 0.10:
+            known.status = Status.PARKED
+            self._go(seen, Mode.RETREAT, f"object {index} is at its goal")
+        elif push.since_contact > cfg.lost_after:
+            self._go(seen, Mode.RETREAT, f"contact with object {index} lost for {cfg.lost_after:g} s")
+        elif self._stalled(push):
+            known.status = Status.FIXED
+            text = f"object {index} moved less than {cfg.stall_distance:g} m in {cfg.stall_time:g} s of contact"
+            self._go(seen, Mode.RETREAT, f"{text}; registered as an obstacle")
+        elif float(seen.time[0]) - push.started > cfg.push_limit:
+            self._go(seen, Mode.RETREAT, f"object {index} has been pushed for {cfg.push_limit:g} s")
+        elif push.contact_time >= (cfg.probe_time if self.mode is Mode.PROBE else push.reviewed_at + cfg.review_every):
+            self._review(seen, push, known)
+
+    def _review(self, seen: Observation, push: _Push, known: KnownObject) -> None:
+        """The planning stage of Algorithm 1 on the roll-outs of the adapted model."""
+        assert push.state is not None
+        push.reviewed_at = push.contact_time
+        half = np.array(known.half_extents)
+        # K asks how far the object can be moved: a goal that is nearly reached would say nothing about that.
+        far = push.goal
+        offset = push.goal[:2] - known.pose[:2]
+        if np.linalg.norm(offset) < self.config.planner.min_displacement:
+            direction = offset / max(float(np.linalg.norm(offset)), 1e-6)
+            far = np.array([*(known.pose[:2] + self.config.planner.min_displacement * direction), push.goal[2]])
+        poses, _, costs = self._controller.planning_rollouts(push.state, far, push.around, half)
+        check = self._collision_free(seen, known, self.belief.clearance(without=push.object))
+        result = planning_stage(poses[:, -1], costs, known.pose, check, self.config.planner)
+        best = np.argsort(costs)[:40]
+        self.decisions.append(
+            Decision(
+                float(seen.time[0]), push.object, result.K, result.G, result.manipulable, result.goal, result.reason,
+                poses[best][:, :, :2], result.candidates,
+            )
+        )  # fmt: skip
+        if not result.manipulable:
+            known.status = Status.FIXED
+            self._go(seen, Mode.RETREAT, f"object {push.object} is not manipulable: {result.reason}; registered as an obstacle")
+            return
+        if result.goal is not None:
+            push.goal = result.goal
+        if self.mode is Mode.PROBE:
+            self._go(seen, Mode.PUSH, f"object {push.object} is manipulable: {result.reason}")
+
+    def _retreat(self, seen: Observation) -> Command:
+        push = self._pushed()
+        known = self.belief.objects[push.object]
+        in_face = se2.relative(se2.compose(known.pose, push.face[:3]), seen.robot_pose[0])
+        away = -in_face[0] - REACH - HAND_RADIUS
+        last = self.transitions[-1].t
+        if away > 0.25 or float(seen.time[0]) - last > 5.0:
+            self.push = None
+            self._go(seen, Mode.REPLAN, f"backed away from object {push.object}")
+            return self._rest(seen)
+        lean = drive.velocity_command(seen, np.array([-0.2, 0.0]))
+        reach = REACH if away < 0.1 else TUCKED_REACH
+        return self._command(lean, 0.0, float(seen.robot_pose[0, 2]), reach, HAND_HEIGHT)
+
+    def _rest(self, seen: Observation) -> Command:
+        lean = drive.velocity_command(seen, np.zeros(2))
+        return self._command(lean, 0.0, float(seen.robot_pose[0, 2]), TUCKED_REACH, TUCKED_HEIGHT)
+
+    # Questions and small steps.
+
+    def _pushed(self) -> _Push:
+        assert self.push is not None, f"{self.mode} needs an object"
+        return self.push
+
+    def _stalled(self, push: _Push) -> bool:
+        recent = [p for t, p in push.marks if t > push.contact_time - self.config.stall_time]
+        if push.contact_time < self.config.stall_time:
+            return False
+        return float(np.linalg.norm(np.ptp(np.array(recent), axis=0))) < self.config.stall_distance
+
+    def _path_clear(self, seen: Observation, known: KnownObject) -> bool:
+        """Whether the way on, planned as if the object were not there, passes it."""
+        path = self._free_path(seen, known)
+        if path is None:
+            return False
+        return not path_blocked_by(path, known.polygon, self.config.robot_radius + self.config.path_margin)[0]
+
+    def _free_path(self, seen: Observation, known: KnownObject) -> Path | None:
+        others = [o.polygon for o in self.belief.objects.values() if o is not known and o.status is not Status.UNKNOWN]
+        return self._plan(seen.robot_pose[0, :2], others)
+
+    def _collision_free(self, seen: Observation, known: KnownObject, around: Any) -> Callable[[np.ndarray], np.ndarray]:
+        """CollisionCheck(M, P, g): the footprint clear of walls, other objects and the path ahead."""
+        path = self._free_path(seen, known)
+        clearance = self.config.robot_radius + self.config.path_margin
+        points = None if path is None else path.points
+        return lambda poses: footprints_free(around, poses, np.array(known.half_extents), points, clearance, 0.05)
+
+    def _way_to(self, seen: Observation, index: int, face: np.ndarray) -> Path | None:
+        known = self.belief.objects[index]
+        wanted = stand_off(known.pose, face, self.config.contact_gap)
+        obstacles = self.belief.polygons()
+        if float(self.belief.clearance().at(wanted[:2])) < self.config.robot_radius:
+            return None
+        return plan_path(self.belief.grid, seen.robot_pose[0, :2], wanted[:2], obstacles, self.config.robot_radius)
+
+    def _plan(self, position: np.ndarray, obstacles: list[Any]) -> Path | None:
+        return plan_path(
+            self.belief.grid, position, self.goal, obstacles, self.config.robot_radius, field=self.belief.walls
+        )
+
+    def _set_path(self, seen: Observation, path: Path) -> None:
+        self.path = path
+        self.plans.append((float(seen.time[0]), path.points))
+        self._drive = drive.init()
+
+    def _command(self, lean: Array, gamma: float, yaw: float, reach: float, height: float) -> Command:
+        u = np.array([[lean[0], lean[1], gamma]], dtype=float)
+        return Command(u, np.array([float(yaw)]), np.array([reach]), np.array([height]))
+
+    def _go(self, seen: Observation, target: Mode, reason: str) -> None:
+        self.transitions.append(Transition(float(seen.time[0]), self.mode, target, reason))
+        self.mode = target
+
+    def _next_key(self) -> Array:
+        self._key, key = jax.random.split(self._key)
+        return key

@@ -1,0 +1,184 @@
+"""Where an object that blocks the path should go, and whether it can be moved at all: Algorithm 1 (Sec. IV-B).
+
+Plain NumPy arrays in, a decision out; the collision check is the caller's function, so the map, the path and the
+object's footprint are his. The roll-outs of the planning stage are those of MPPI with T = 50, S = 500.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from shmoo_mjx import se2
+
+__all__ = ["InitialGoal", "ObjectDecision", "ObjectPlannerConfig", "goal_grid", "initial_goal", "planning_stage"]
+
+Array = Any
+CollisionFree = Callable[[np.ndarray], np.ndarray]
+"""(object poses ``[N, 3]`` in {W}) -> bool ``[N]``, True where the whole footprint is clear of map and path."""
+
+
+@dataclass(frozen=True)
+class ObjectPlannerConfig:
+    """Settings of Algorithm 1; the paper's values where it gives them."""
+
+    area: float = 2.0
+    """Side of the square round the object that the first goals come from [m]."""
+    grid_step: float = 0.1
+    """Spacing of those goals [m]."""
+    min_displacement: float = 0.6
+    """A first goal lies at least this far from the object [m]. The optimal roll-outs end at the goal, so K is at most
+    ``best`` x its squared distance: a goal nearer than 0.32 m would make everything look immovable."""
+    cone: float = math.radians(35)
+    """Half angle round an accessible face's push direction in which first goals are sought [rad]."""
+    best: int = 3
+    """Roll-outs of least cost that K sums over."""
+    threshold: float = 0.3
+    """K below this: not manipulable [m^2]. Three roll-outs of 0.32 m each reach it."""
+
+    def __post_init__(self) -> None:
+        if self.best * self.min_displacement**2 <= self.threshold:
+            raise ValueError("min_displacement is so small that K could not reach its threshold")
+
+
+class InitialGoal(NamedTuple):
+    """Result of the initialisation stage."""
+
+    goal: np.ndarray | None
+    """``[3]`` pose in {W}, the object's yaw kept; None if no candidate is left."""
+    direction: int | None
+    """Index of the push direction that the goal belongs to; None without directions or goal."""
+    candidates: np.ndarray
+    """``[M, 3]`` collision-free poses (the goal buffer), nearest first."""
+    reason: str
+
+
+class ObjectDecision(NamedTuple):
+    """Result of the planning stage."""
+
+    manipulable: bool
+    K: float
+    """Sum over the best roll-outs of the squared end displacement [m^2]; NaN if no roll-out was finite."""
+    G: float
+    """Distance between the object and the mean end position of the best roll-outs [m], the text's criterion."""
+    goal: np.ndarray | None
+    """``[3]`` pose in {W}; None if the object is not manipulable or no roll-out ends clear."""
+    candidates: np.ndarray
+    """``[M, 3]`` collision-free end poses (the goal buffer), nearest first."""
+    reason: str
+
+
+def goal_grid(object_pose: Array, cfg: ObjectPlannerConfig | None = None) -> np.ndarray:
+    """Poses ``[N, 3]`` on a grid over the square round ``object_pose [3]``, axes along {W}, its yaw kept."""
+    cfg = cfg or ObjectPlannerConfig()
+    pose = np.asarray(object_pose, dtype=float)
+    count = math.floor(cfg.area / 2 / cfg.grid_step + 1e-9)
+    ticks = np.arange(-count, count + 1) * cfg.grid_step
+    dx, dy = np.meshgrid(ticks, ticks, indexing="ij")
+    return np.stack([pose[0] + dx.ravel(), pose[1] + dy.ravel(), np.full(dx.size, pose[2])], axis=-1)
+
+
+def initial_goal(
+    object_pose: Array,
+    collision_free: CollisionFree,
+    push_directions: Array | None = None,
+    cfg: ObjectPlannerConfig | None = None,
+) -> InitialGoal:
+    """Algorithm 1, lines 1-6: the closest collision-free goal, before anything is known of the object's dynamics.
+
+    Args:
+        object_pose: x^o_t ``[3]`` in {W}.
+        collision_free: check of footprint poses against map and path.
+        push_directions: ``[F]`` headings in {W} [rad] in which the robot can push, one per face it can reach; goals
+            outside every cone are left out. None allows all. Of goals equally close the one straightest ahead is taken.
+        cfg: settings.
+
+    Returns:
+        The goal with all candidates.
+    """
+    cfg = cfg or ObjectPlannerConfig()
+    pose = np.asarray(object_pose, dtype=float)
+    grid = goal_grid(pose, cfg)
+    distance = _distance(grid, pose)
+    grid = grid[distance >= max(cfg.min_displacement, 1e-9) - 1e-9]
+    deviation, nearest = _deviation(grid, pose, push_directions)
+    within = deviation <= cfg.cone
+    if not within.any():
+        return InitialGoal(None, None, np.zeros((0, 3)), "no goal lies in a direction in which the robot can push")
+    grid, deviation, nearest = grid[within], deviation[within], nearest[within]
+    free = np.asarray(collision_free(grid), dtype=bool)
+    if not free.any():
+        return InitialGoal(None, None, np.zeros((0, 3)), f"none of {len(grid)} goals near the object is collision-free")
+    grid, deviation, nearest = grid[free], deviation[free], nearest[free]
+    # Rounding makes mirror-image goals equally close whatever the last bit says, so that the straighter one wins.
+    order = np.lexsort((np.round(deviation, 6), np.round(_distance(grid, pose), 6)))
+    grid, direction = grid[order], int(nearest[order[0]])
+    reason = f"closest of {len(grid)} collision-free goals, {float(_distance(grid[:1], pose)[0]):.2f} m away"
+    return InitialGoal(grid[0], None if push_directions is None else direction, grid, reason)
+
+
+def planning_stage(
+    end_poses: Array,
+    costs: Array,
+    object_pose: Array,
+    collision_free: CollisionFree,
+    cfg: ObjectPlannerConfig | None = None,
+) -> ObjectDecision:
+    """Algorithm 1, lines 7-16: can the object be moved, and if so, to which pose that the model says it can reach.
+
+    Non-finite roll-outs are left out. The goal buffer starts empty (Reading: with the first stage's goals still in it,
+    as printed, the closest goal would often be one that no roll-out reaches).
+
+    Args:
+        end_poses: x^{o,T} of each roll-out ``[S, 3]`` in {W}.
+        costs: cost of each roll-out ``[S]``; the least mark the optimal roll-outs x^*.
+        object_pose: x^o_t ``[3]`` in {W}.
+        collision_free: check of footprint poses against map and path.
+        cfg: settings.
+
+    Returns:
+        The decision with K, G and the candidates.
+    """
+    cfg = cfg or ObjectPlannerConfig()
+    pose = np.asarray(object_pose, dtype=float)
+    ends, cost = np.asarray(end_poses, dtype=float), np.asarray(costs, dtype=float)
+    finite = np.isfinite(cost) & np.isfinite(ends).all(axis=-1)
+    ends, cost = ends[finite], cost[finite]
+    empty = np.zeros((0, 3))
+    if not len(ends):
+        return ObjectDecision(False, math.nan, math.nan, None, empty, "no roll-out of the model is finite")
+    best = ends[np.argsort(cost, kind="stable")[: cfg.best]]
+    # With fewer finite roll-outs than K sums over, those there stand for the missing ones.
+    k = float(np.mean(_distance(best, pose) ** 2) * cfg.best)
+    g = float(np.linalg.norm(best[:, :2].mean(axis=0) - pose[:2]))
+    if k < cfg.threshold:
+        reason = f"K = {k:.3f} m^2 < {cfg.threshold:g} m^2: the best roll-outs hardly move the object"
+        return ObjectDecision(False, k, g, None, empty, reason)
+    buffer = ends[np.asarray(collision_free(ends), dtype=bool)]
+    if not len(buffer):
+        return ObjectDecision(
+            True, k, g, None, empty, f"K = {k:.3f} m^2, but none of {len(ends)} roll-outs ends collision-free"
+        )
+    buffer = buffer[np.argsort(_distance(buffer, pose), kind="stable")]
+    reason = f"K = {k:.3f} m^2 >= {cfg.threshold:g} m^2; closest of {len(buffer)} reachable collision-free goals"
+    return ObjectDecision(True, k, g, buffer[0], buffer, reason)
+
+
+def _distance(poses: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(poses[:, :2] - pose[:2], axis=-1)
+
+
+def _deviation(poses: np.ndarray, pose: np.ndarray, directions: Array | None) -> tuple[np.ndarray, np.ndarray]:
+    """Angle ``[N]`` between each displacement and the nearest push direction, and that direction's index ``[N]``."""
+    if directions is None:
+        return np.zeros(len(poses)), np.zeros(len(poses), dtype=int)
+    headings = np.atleast_1d(np.asarray(directions, dtype=float))
+    if not len(headings):
+        return np.full(len(poses), np.inf), np.zeros(len(poses), dtype=int)
+    bearing = np.arctan2(poses[:, 1] - pose[1], poses[:, 0] - pose[0])
+    angles = np.abs(se2.wrap(bearing[:, None] - headings[None, :]))
+    return angles.min(axis=1), angles.argmin(axis=1)

@@ -1,0 +1,200 @@
+"""Global paths for a round robot: minimum-cost paths on the clearance field, and questions about a path.
+
+The search is scikit-image's ``MCP_Geometric`` (Euclidean step costs). A cell costs its length, more where a wall is
+near, so that the path keeps to the middle where there is room; then the path is pulled taut where that costs nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import shapely
+from skimage.graph import MCP_Geometric
+
+from shmoo_mjx.navigation.footprints import add_obstacles, footprint_polygon, footprints_free
+from shmoo_mjx.navigation.maps import ClearanceField, OccupancyGrid, clearance_field
+from shmoo_mjx.navigation.path_shortening import PathConfig, metre_cost, shorten
+
+__all__ = [
+    "Path",
+    "PathConfig",
+    "arc_lengths",
+    "cost_to_go",
+    "footprint_polygon",
+    "footprints_free",
+    "path_blocked_by",
+    "path_length",
+    "plan_path",
+    "point_at",
+    "project",
+    "tangent_at",
+]
+
+Array = Any
+
+
+class Path(NamedTuple):
+    """A polyline on the floor."""
+
+    points: np.ndarray
+    """``[N, 2]`` in {W} [m], N >= 2."""
+    length: float
+    """[m]"""
+
+
+def plan_path(
+    grid: OccupancyGrid,
+    start: Array,
+    goal: Array,
+    obstacles: Sequence[shapely.Polygon] = (),
+    robot_radius: float = 0.25,
+    cfg: PathConfig = PathConfig(),  # noqa: B008  (frozen)
+    field: ClearanceField | None = None,
+) -> Path | None:
+    """The cheapest collision-free path of a disc, or None if there is none.
+
+    Args:
+        grid: the map; unknown cells count as walls.
+        start: (2,) in {W} [m].
+        goal: (2,) in {W} [m].
+        obstacles: footprints in {W} that are to be avoided like walls.
+        robot_radius: radius of the disc, margin included [m].
+        cfg: see ``PathConfig``.
+        field: ``clearance_field(grid)`` if the caller has it already.
+
+    Returns:
+        The path from start to goal. Every point keeps ``robot_radius`` from walls and obstacles to within the map's
+        discretisation, except where the start itself doesn't.
+    """
+    start, goal = np.asarray(start, dtype=float)[:2], np.asarray(goal, dtype=float)[:2]
+    field = add_obstacles(field if field is not None else clearance_field(grid), obstacles)
+    first, last = grid.world_to_cell(start), grid.world_to_cell(goal)
+    if not grid.inside(np.stack([first, last])).all():
+        return None
+    costs = _opened_at_ends(_cell_costs(field, robot_radius, cfg), grid, field, (start, goal), robot_radius, cfg)
+    if costs[tuple(first)] < 0 or costs[tuple(last)] < 0:
+        return None
+    search = MCP_Geometric(costs)
+    total, _ = search.find_costs([tuple(first)], [tuple(last)])
+    if not np.isfinite(total[tuple(last)]):
+        return None
+    cells = np.array(search.traceback(tuple(last)))
+    middle = grid.cell_to_world(cells[1:-1])
+    points = shorten(np.vstack([start, middle, goal]), field, robot_radius, cfg)
+    return Path(points, path_length(points))
+
+
+def cost_to_go(
+    grid: OccupancyGrid,
+    goal: Array,
+    obstacles: Sequence[shapely.Polygon] = (),
+    robot_radius: float = 0.25,
+    cfg: PathConfig = PathConfig(),  # noqa: B008  (frozen)
+) -> np.ndarray:
+    """Cost ``[H, W]`` of the cheapest path from each cell's centre to the goal [m, near-wall metres counted more].
+
+    Infinite where no path exists. With ``soft_weight = 0`` it is the length of the shortest 8-connected path [m].
+    """
+    field = add_obstacles(clearance_field(grid), obstacles)
+    costs = _cell_costs(field, robot_radius, cfg)
+    last = grid.world_to_cell(np.asarray(goal, dtype=float)[:2])
+    if not grid.inside(last) or costs[tuple(last)] < 0:
+        return np.full(grid.cells.shape, np.inf)
+    total, _ = MCP_Geometric(costs).find_costs([tuple(last)])
+    return np.where(costs < 0, np.inf, total * grid.resolution)
+
+
+def path_length(points: Array) -> float:
+    """Length [m] of the polyline ``points [N, 2]``."""
+    return float(arc_lengths(points)[-1])
+
+
+def arc_lengths(points: Array) -> np.ndarray:
+    """Arc length ``[N]`` [m] from the first point to each point of the polyline ``points [N, 2]``."""
+    steps = np.linalg.norm(np.diff(np.asarray(points, dtype=float), axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def point_at(path: Path, s: Array) -> np.ndarray:
+    """Points ``[..., 2]`` in {W} at arc lengths ``s [...]`` [m]; the ends hold beyond the ends."""
+    along = arc_lengths(path.points)
+    return np.stack([np.interp(s, along, path.points[:, i]) for i in range(2)], axis=-1)
+
+
+def tangent_at(path: Path, s: Array) -> np.ndarray:
+    """Unit direction ``[..., 2]`` in {W} of the path at arc lengths ``s [...]`` [m]."""
+    along = arc_lengths(path.points)
+    steps = np.diff(path.points, axis=0)
+    long_enough = np.flatnonzero(np.diff(along) > 1e-9)
+    if long_enough.size == 0:
+        return np.broadcast_to(np.array([1.0, 0.0]), (*np.shape(s), 2))
+    at = np.searchsorted(along[long_enough + 1], np.asarray(s, dtype=float), side="right")
+    chosen = steps[long_enough[np.minimum(at, long_enough.size - 1)]]
+    return chosen / np.linalg.norm(chosen, axis=-1, keepdims=True)
+
+
+def project(path: Path, point: Array, after: float = 0.0) -> float:
+    """Arc length [m] of the path's point nearest to ``point`` (2,) in {W}, not before ``after`` [m]."""
+    along = arc_lengths(path.points)
+    steps = np.diff(path.points, axis=0)
+    lengths = np.diff(along)
+    offset = np.asarray(point, dtype=float)[:2] - path.points[:-1]
+    fraction = np.einsum("ij,ij->i", offset, steps) / np.maximum(lengths**2, 1e-18)
+    earliest = np.clip((after - along[:-1]) / np.maximum(lengths, 1e-12), 0.0, 1.0)
+    fraction = np.clip(fraction, earliest, 1.0)
+    distance = np.linalg.norm(offset - fraction[:, None] * steps, axis=1)
+    distance[along[1:] < min(after, along[-1])] = np.inf
+    nearest = int(np.argmin(distance))
+    return float(along[nearest] + fraction[nearest] * lengths[nearest])
+
+
+def path_blocked_by(
+    path: Path, polygon: shapely.Polygon, clearance: float, after: float = 0.0
+) -> tuple[bool, float | None]:
+    """Does a disc of radius ``clearance`` [m] that follows the path from arc length ``after`` [m] touch the polygon.
+
+    Returns:
+        (blocked, arc length [m] of the first touch or None).
+    """
+    ahead = _part_after(path, after)
+    hit = shapely.LineString(ahead).intersection(polygon.buffer(max(clearance - 1e-6, 0.0), quad_segs=32))
+    if hit.is_empty:
+        return False, None
+    touching = [project(path, xy, after) for xy in shapely.get_coordinates(hit)]
+    return True, float(min(touching))
+
+
+def _part_after(path: Path, s: float) -> np.ndarray:
+    along = arc_lengths(path.points)
+    return np.vstack([point_at(path, s), path.points[along > s], path.points[-1]])
+
+
+def _cell_costs(field: ClearanceField, radius: float, cfg: PathConfig) -> np.ndarray:
+    """Cost of each cell ``[H, W]`` per metre; -1 where the disc can't be."""
+    values = np.asarray(field.values)
+    return np.where(values >= radius, metre_cost(values, radius, cfg), -1.0)
+
+
+def _opened_at_ends(
+    costs: np.ndarray,
+    grid: OccupancyGrid,
+    field: ClearanceField,
+    ends: tuple[Array, Array],
+    radius: float,
+    cfg: PathConfig,
+) -> np.ndarray:
+    """The costs with the cells added that the robot must be allowed to use because of where it starts or ends."""
+    start, goal = ends
+    values, costs = np.asarray(field.values), costs.copy()
+    last = tuple(grid.world_to_cell(goal))
+    if costs[last] < 0 and float(field.at(goal)) >= radius:  # the point is far enough though its cell's centre is not
+        costs[last] = 1.0 + cfg.soft_weight
+    here = float(field.at(start))
+    if here >= radius + grid.resolution:
+        return costs
+    # A robot that stands too near to something must get out, but not squeeze through where it is narrower still.
+    near = np.linalg.norm(grid.centres - start, axis=-1) <= cfg.escape_radius + grid.resolution
+    usable = near & (values > 0) & (values >= min(here, radius) - 0.5 * grid.resolution)
+    return np.where(usable & (costs < 0), 10.0 * (1.0 + cfg.soft_weight), costs)

@@ -1,0 +1,157 @@
+"""The scenario file: which map, from where to where, and which objects stand about (spec 8.5).
+
+map: office.yaml          # ROS map_server YAML, relative to this file; may be left out and given on the command line
+start: [1.0, 1.0, 0.0]    # x, y [m], yaw [rad] in {W}
+goal: [5.0, 2.0]          # x, y [m] in {W}
+objects:
+  - family: box           # box, cart or wheelchair
+    pose: [3.0, 1.5, 0.2]
+    seed: 4               # draws the properties that are not given
+    properties: {mass: 3.0}
+seed: 0
+limits: {time_s: 180}
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, get_args
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator
+
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.navigation.yaml_input import read_mapping, validated, write_whole
+
+if TYPE_CHECKING:
+    from shmoo_mjx.navigation.maps import OccupancyGrid
+
+__all__ = ["FAMILIES", "Limits", "ObjectEntry", "Scenario", "check_scenario", "load_scenario", "save_scenario"]
+
+Family = Literal["box", "cart", "wheelchair"]
+FAMILIES: tuple[str, ...] = get_args(Family)
+Pose = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+Property = bool | FiniteFloat
+
+_NEVER_NEGATIVE = ("size", "mass", "payload", "friction", "rolling", "swivel_friction")
+"""Properties of which a negative number makes no sense; the plant checks names and ranges."""
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class ObjectEntry(_Strict):
+    """One object on the floor."""
+
+    family: Family
+    """Kind of object."""
+    pose: Pose
+    """(x, y, yaw) of its centre in {W} [m, m, rad]."""
+    seed: int = Field(default=0, ge=0)
+    """Draws every property that is not given."""
+    properties: dict[str, Property | list[Property]] = Field(default_factory=dict)
+    """Properties given instead of drawn, in SI units; the plant checks their names."""
+
+    @field_validator("family", mode="before")
+    @classmethod
+    def _known_family(cls, value: object) -> object:
+        if value not in FAMILIES:
+            raise ValueError(f"is {value!r}, which is no object family; choose one of {', '.join(FAMILIES)}.")
+        return value
+
+    @field_validator("properties", mode="before")
+    @classmethod
+    def _numbers_that_make_sense(cls, value: object) -> object:
+        if not isinstance(value, dict):
+            raise ValueError(f"is {value!r}; give a mapping such as {{mass: 3.0}}.")
+        for name, given in value.items():
+            for number in given if isinstance(given, list | tuple) else [given]:
+                if not isinstance(number, int | float) or not math.isfinite(number):
+                    raise ValueError(f"gives {name} = {number!r}; give a finite number, true, false or a list of them.")
+                if number < 0 and name in _NEVER_NEGATIVE:
+                    raise ValueError(f"gives {name} = {number:g}, which must not be negative; give a positive number.")
+        return value
+
+
+class Limits(_Strict):
+    """When a run ends without success."""
+
+    time_s: FiniteFloat = Field(default=180.0, gt=0)
+    """Simulated time [s]."""
+    goal_tolerance_m: FiniteFloat = Field(default=0.25, gt=0)
+    """Distance from the goal that counts as reached [m]."""
+
+
+class Scenario(_Strict):
+    """Everything that defines one run, apart from the map's cells."""
+
+    map: str | None = None
+    """Path of the map's YAML; None where the map comes from elsewhere."""
+    start: Pose
+    """(x, y, yaw) of the robot in {W} [m, m, rad]."""
+    goal: tuple[FiniteFloat, FiniteFloat]
+    """(x, y) in {W} [m]."""
+    objects: tuple[ObjectEntry, ...] = ()
+    """What stands in the map and is not drawn in it."""
+    seed: int = Field(default=0, ge=0)
+    """Seeds everything random in the run."""
+    limits: Limits = Limits()
+    """When to give up."""
+
+
+def load_scenario(path: str | Path) -> Scenario:
+    """Reads a scenario file; a relative map path is taken relative to the file.
+
+    Raises:
+        ShmooError: names the file, the field and the remedy.
+    """
+    path = Path(path)
+    scenario = validated(Scenario, read_mapping(path, "scenario"), path)
+    if scenario.map is None:
+        return scenario
+    return scenario.model_copy(update={"map": str(path.parent / scenario.map)})
+
+
+def save_scenario(scenario: Scenario, path: str | Path) -> None:
+    """Writes a scenario file that ``load_scenario`` reads back as it is (the map path as given)."""
+    data = scenario.model_dump(mode="json", exclude_none=True)
+    write_whole(path, yaml.safe_dump(data, sort_keys=False, default_flow_style=None).encode())
+
+
+def check_scenario(grid: OccupancyGrid, scenario: Scenario, robot_radius: float, name: str = "scenario") -> None:
+    """Checks what only scenario and map together can tell; objects are left out, since they can be moved.
+
+    Args:
+        grid: the map.
+        scenario: start and goal in the map's {W}.
+        robot_radius: radius of the robot's footprint [m].
+        name: the scenario's file or option, for the error.
+
+    Raises:
+        ShmooError: the start or goal is off the map or too near a wall, or no route joins them.
+    """
+    from shmoo_mjx.navigation.maps import clearance_field
+    from shmoo_mjx.navigation.paths import plan_path
+
+    field = clearance_field(grid)
+    for label, point in (("start", scenario.start[:2]), ("goal", scenario.goal)):
+        where = f"{name}: '{label}' ({point[0]:g}, {point[1]:g})"
+        if not bool(grid.inside(grid.world_to_cell(point))):
+            x0, y0, x1, y1 = grid.bounds
+            span = f"x {x0:.2f} to {x1:.2f} and y {y0:.2f} to {y1:.2f} m"
+            raise ShmooError(f"{where} lies off the map; choose a point within {span}.")
+        if grid.values_at(point) != 0:
+            kind = "unknown space" if grid.values_at(point) < 0 else "a wall"
+            raise ShmooError(f"{where} lies inside {kind}; choose a point on free floor.")
+        distance = float(field.at(point))
+        if distance < robot_radius:
+            need = f"{distance:.2f} m from a wall, but the robot needs {robot_radius:.2f} m"
+            raise ShmooError(f"{where} is only {need}; move it away from the wall.")
+    if plan_path(grid, scenario.start[:2], scenario.goal, robot_radius=robot_radius) is None:
+        goal = f"({scenario.goal[0]:g}, {scenario.goal[1]:g})"
+        raise ShmooError(
+            f"{name}: 'goal' {goal} can't be reached from 'start' on this map by a robot of radius "
+            f"{robot_radius:.2f} m; choose a goal in the same connected free space."
+        )

@@ -1,0 +1,61 @@
+"""Covering the occupied cells of a map with few rectangles, to be used as wall geoms."""
+
+from __future__ import annotations
+
+import numpy as np
+
+__all__ = ["cover_rectangles"]
+
+
+def cover_rectangles(mask: np.ndarray) -> np.ndarray:
+    """Rectangles that together cover every True cell and no False one.
+
+    Greedy: the cells with the longest straight run through them come first, each takes the larger of the two maximal
+    rectangles grown from its row run and from its column run. Rectangles may overlap, which needs fewer of them than
+    a partition where walls cross.
+
+    Args:
+        mask: bool ``[H, W]``.
+
+    Returns:
+        int ``[K, 4]``: first row, last row + 1, first column, last column + 1.
+    """
+    mask = np.asarray(mask, dtype=bool)
+    rows, cols = np.nonzero(mask)
+    if rows.size == 0:
+        return np.zeros((0, 4), dtype=int)
+    left, right = _runs(mask)
+    top, bottom = (edge.T for edge in _runs(mask.T))
+    longest = np.maximum(right - left, bottom - top)[rows, cols]
+    uncovered = mask.copy()
+    found = []
+    for i in np.argsort(-longest, kind="stable"):
+        row, col = rows[i], cols[i]
+        if not uncovered[row, col]:
+            continue
+        wide = _grow(mask, row, left[row, col], right[row, col])
+        c0, c1, r0, r1 = _grow(mask.T, col, top[row, col], bottom[row, col])
+        tall = (r0, r1, c0, c1)
+        best = max(wide, tall, key=lambda r: int(uncovered[r[0] : r[1], r[2] : r[3]].sum()))
+        uncovered[best[0] : best[1], best[2] : best[3]] = False
+        found.append(best)
+    return np.array(found, dtype=int)
+
+
+def _runs(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """For each cell the first column and the end column of the run of True cells through it, along its row."""
+    width = mask.shape[1]
+    columns = np.arange(width)
+    last_gap = np.maximum.accumulate(np.where(mask, -1, columns), axis=1)
+    next_gap = np.minimum.accumulate(np.where(mask, width, columns)[:, ::-1], axis=1)[:, ::-1]
+    return last_gap + 1, next_gap
+
+
+def _grow(mask: np.ndarray, row: int, start: int, end: int) -> tuple[int, int, int, int]:
+    """Widens the run ``mask[row, start:end]`` over the rows above and below in which all of it is True."""
+    full = mask[:, start:end].all(axis=1)
+    gaps = np.flatnonzero(~full)
+    at = int(np.searchsorted(gaps, row))
+    low = int(gaps[at - 1]) + 1 if at > 0 else 0
+    high = int(gaps[at]) if at < gaps.size else mask.shape[0]
+    return low, high, int(start), int(end)

@@ -1,0 +1,243 @@
+"""The three object families and their conditions c: everything about one object that pushing depends on.
+
+A condition is re-created from (family, seed); every law and range stands in ``_DRAW`` with its source in docs/plant.md.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from shmoo_mjx.assets import asset
+from shmoo_mjx.errors import ShmooError
+
+__all__ = ["FAMILIES", "WHEELS", "Condition", "draw_condition", "object_spec"]
+
+FAMILIES = ("box", "cart", "wheelchair")
+WHEELS = {"box": 0, "cart": 4, "wheelchair": 4}
+"""Wheels per family; cart: casters front left, front right, rear left, rear right; wheelchair: fixed rear left, rear
+right, then casters front left, front right."""
+_CASTER_RADIUS = {"cart": 0.05, "wheelchair": 0.08}
+_REAR_RADIUS = 0.28
+_REAR_AXLE = -0.12
+"""x of the wheelchair's rear axle in {O} [m]: the wheels end with the footprint."""
+_LOCKED_TORQUE = 200.0
+"""Roll friction of a locked wheel [N m]: more than any floor contact can overcome, so that it slides."""
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One object's fixed dynamic properties (condition c of Sec. III). SI units."""
+
+    family: str
+    seed: int
+    size: tuple[float, float, float]
+    """Length (x of {O}), width and height of the hull."""
+    mass: float
+    """Mass of the empty object, without wheels and forks."""
+    payload: float
+    """Mass of the load."""
+    payload_x: float
+    payload_y: float
+    """Offset of the load from the centre of {O}."""
+    friction: float
+    """Coulomb coefficient mu of sole or wheels on the floor."""
+    rolling: tuple[float, ...] = ()
+    """Rolling resistance coefficient sigma (C_rr) of each wheel: force over load."""
+    swivel_friction: float = 0.0
+    """Dry friction of each caster's swivel [N m]."""
+    locked: tuple[bool, ...] = ()
+    """Brake of each wheel."""
+    caster_angle: tuple[float, ...] = ()
+    """Starting angle of each caster [rad]."""
+
+    @property
+    def half_extents(self) -> tuple[float, float]:
+        """Half length and half width of the footprint [m]."""
+        return self.size[0] / 2, self.size[1] / 2
+
+    @property
+    def total_mass(self) -> float:
+        """Empty object plus load, without wheels [kg]."""
+        return self.mass + self.payload
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data that :meth:`from_dict` turns back into an equal condition."""
+        return dataclasses.asdict(self)
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Condition:
+        """The condition :meth:`to_dict` came from, also after a trip through JSON."""
+        tuples = {k: tuple(v) if isinstance(v, list | tuple) else v for k, v in data.items()}
+        return cls(**tuples)
+
+    def fingerprint(self) -> str:
+        """Hash of every property, equal on every machine."""
+        return hashlib.sha256(json.dumps(self.to_dict(), sort_keys=True).encode()).hexdigest()[:16]
+
+    def describe(self) -> str:
+        """The condition in one sentence."""
+        names = {"cart": ("front left", "front right", "rear left", "rear right")}.get(
+            self.family, ("rear left", "rear right", "front left", "front right")
+        )
+        text = f"{self.family} {self.size[0]:.2f} x {self.size[1]:.2f} x {self.size[2]:.2f} m, {self.mass:.1f} kg"
+        if self.payload > 0:
+            text += f" + {self.payload:.1f} kg at ({self.payload_x:+.2f}, {self.payload_y:+.2f}) m"
+        text += f", mu {self.friction:.2f}"
+        if self.rolling:
+            text += f", rolling resistance {min(self.rolling):.3f} to {max(self.rolling):.3f}"
+        locked = [name for name, on in zip(names, self.locked, strict=False) if on]
+        return text + (f", locked: {', '.join(locked)}" if locked else "")
+
+
+def _draw_box(rng: np.random.Generator) -> dict[str, Any]:
+    mass = float(np.exp(rng.uniform(np.log(2.0), np.log(40.0))))
+    loaded = rng.random() < 0.5
+    size = (rng.uniform(0.45, 0.70), rng.uniform(0.45, 0.80), rng.uniform(0.55, 0.75))
+    return {
+        "size": size,
+        "mass": mass * (0.6 if loaded else 1.0),
+        "payload": mass * 0.4 if loaded else 0.0,
+        "payload_x": rng.uniform(-0.3, 0.3) * size[0],
+        "payload_y": rng.uniform(-0.3, 0.3) * size[1],
+        "friction": rng.uniform(0.25, 0.65),
+    }
+
+
+def _draw_wheeled(
+    rng: np.random.Generator, size: tuple[float, float, float], mass: float, load: float, load_x: tuple[float, float]
+) -> dict[str, Any]:
+    # Resistance varies between objects more than between the wheels of one.
+    sigma = np.exp(rng.uniform(np.log(0.008), np.log(0.05))) * rng.uniform(0.8, 1.25, 4)
+    locked = [False] * 4
+    brakes = rng.choice([0, 1, 2], p=[0.6, 0.2, 0.2])
+    pair = [(0, 1), (0, 2), (1, 3)][rng.integers(3)]
+    for wheel in pair[:brakes]:
+        locked[wheel] = True
+    return {
+        "size": size,
+        "mass": mass,
+        "payload": load,
+        "payload_x": rng.uniform(*load_x),
+        "payload_y": rng.uniform(-0.08, 0.08),
+        "friction": rng.uniform(0.5, 1.0),
+        "rolling": tuple(float(s) for s in sigma),
+        "swivel_friction": float(np.exp(rng.uniform(np.log(0.02), np.log(0.3)))),
+        "locked": tuple(locked),
+    }
+
+
+def _draw_cart(rng: np.random.Generator) -> dict[str, Any]:
+    size = (rng.uniform(0.60, 0.90), rng.uniform(0.45, 0.65), rng.uniform(0.55, 0.70))
+    values = _draw_wheeled(rng, size, rng.uniform(8.0, 25.0), rng.uniform(0.0, 35.0), (-0.10, 0.10))
+    return values | {"caster_angle": tuple(float(a) for a in rng.uniform(-np.pi, np.pi, 4))}
+
+
+def _draw_wheelchair(rng: np.random.Generator) -> dict[str, Any]:
+    size = (0.80, rng.uniform(0.54, 0.60), 0.52)
+    # The load sits ahead of the rear axle, or the chair would tip.
+    values = _draw_wheeled(rng, size, rng.uniform(8.0, 15.0), rng.uniform(0.0, 70.0), (0.0, 0.10))
+    locked = values["locked"]
+    brakes = sum(locked)  # a wheelchair's brakes act on its rear wheels
+    left_first = rng.random() < 0.5
+    rear = {0: (False, False), 1: (left_first, not left_first), 2: (True, True)}[brakes]
+    return values | {"locked": (*rear, False, False), "caster_angle": tuple(float(a) for a in rng.uniform(-np.pi, np.pi, 2))}
+
+
+_DRAW = {"box": _draw_box, "cart": _draw_cart, "wheelchair": _draw_wheelchair}
+
+
+def draw_condition(family: str, seed: int, properties: Mapping[str, Any] | None = None) -> Condition:
+    """The condition with this family and seed, with single properties replaced by ``properties``.
+
+    Raises:
+        ShmooError: unknown family, unknown property, or a value no object can have.
+    """
+    if family not in _DRAW:
+        raise ShmooError(f"object family {family!r} is unknown: choose one of {', '.join(FAMILIES)}.")
+    # The family's index keeps (box, 3) and (cart, 3) from sharing their random numbers.
+    rng = np.random.default_rng([FAMILIES.index(family), seed])
+    values = {"family": family, "seed": seed} | _plain(_DRAW[family](rng))
+    fields = [f.name for f in dataclasses.fields(Condition) if f.name not in ("family", "seed")]
+    for name, value in (properties or {}).items():
+        if name not in fields:
+            raise ShmooError(f"property {name!r} of the {family} is unknown: use one of {', '.join(fields)}.")
+        values[name] = tuple(value) if isinstance(value, list | tuple) else value
+    condition = Condition(**values)
+    _check(condition)
+    return condition
+
+
+def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
+    # Rounding makes the hash and the printed condition independent of the last bits of exp and log.
+    def one(v: Any) -> Any:
+        return v if isinstance(v, bool) else round(float(v), 6)
+
+    return {k: tuple(one(x) for x in v) if isinstance(v, tuple) else one(v) for k, v in values.items()}
+
+
+def _check(c: Condition) -> None:
+    what = f"{c.family} (seed {c.seed})"
+    if len(c.size) != 3 or min(c.size) < 0.2 or max(c.size) > 2.5:
+        raise ShmooError(f"{what}: size {c.size} must be three lengths between 0.2 and 2.5 m.")
+    for name, low, high in (("mass", 0.5, 500.0), ("payload", 0.0, 500.0), ("friction", 0.05, 2.0)):
+        value = getattr(c, name)
+        if not (np.isfinite(value) and low <= value <= high):
+            raise ShmooError(f"{what}: {name} {value} must lie between {low} and {high}.")
+    casters = {"box": 0, "cart": 4, "wheelchair": 2}[c.family]
+    for name, length in (("rolling", WHEELS[c.family]), ("locked", WHEELS[c.family]), ("caster_angle", casters)):
+        if len(getattr(c, name)) != length:
+            raise ShmooError(f"{what}: {name} must have {length} entries.")
+
+
+def object_spec(condition: Condition) -> mujoco.MjSpec:
+    """MJCF of the object: the family's XML with this condition's numbers. Its root body is ``object`` at {O}."""
+    spec = mujoco.MjSpec.from_file(str(asset(f"models_xml/objects/{condition.family}.xml")))
+    length, width, height = condition.size
+    hull = spec.geom("hull")
+    bottom = {"box": 0.01, "cart": 0.15, "wheelchair": 0.22}[condition.family]
+    half_height = (height - bottom) / 2 if condition.family != "wheelchair" else 0.25
+    hull.size, hull.pos = [length / 2, width / 2, half_height], [0, 0, bottom + half_height]
+    hull.mass = condition.mass
+    payload = spec.geom("payload")
+    # MuJoCo refuses massless bodies but takes massless geoms; a hidden payload is simply not drawn.
+    payload.mass = condition.payload
+    payload.pos = [condition.payload_x, condition.payload_y, hull.pos[2]]
+    if condition.payload == 0:
+        payload.rgba = [0, 0, 0, 0]
+    if condition.family == "box":
+        sole = spec.geom("sole")
+        sole.size, sole.friction = [length / 2 - 0.01, width / 2 - 0.01, 0.005], [condition.friction, 0.005, 0.0001]
+    else:
+        _set_wheels(spec, condition)
+    return spec
+
+
+def _set_wheels(spec: mujoco.MjSpec, c: Condition) -> None:
+    corners = {"cart": [(1, 1), (1, -1), (-1, 1), (-1, -1)], "wheelchair": [(0, 0), (0, 0), (1, 1), (1, -1)]}[c.family]
+    casters = range(4) if c.family == "cart" else range(2, 4)
+    for wheel in range(4):
+        radius = _CASTER_RADIUS[c.family] if wheel in casters else _REAR_RADIUS
+        # condim 6: the rolling coefficient is a length, C_rr times the wheel's radius.
+        spec.geom(f"wheel{wheel}").friction = [c.friction, 0.002, c.rolling[wheel] * radius]
+        if c.locked[wheel]:
+            spec.joint(f"wheel{wheel}_roll").frictionloss = _LOCKED_TORQUE
+            spec.geom(f"wheel{wheel}").rgba = [0.8, 0.1, 0.1, spec.geom(f"wheel{wheel}").rgba[3]]
+        if wheel in casters:
+            fork, joint = spec.body(f"wheel{wheel}_fork"), spec.joint(f"wheel{wheel}_swivel")
+            inset = 0.06
+            fork.pos = [corners[wheel][0] * (c.size[0] / 2 - inset), corners[wheel][1] * (c.size[1] / 2 - inset), fork.pos[2]]
+            joint.frictionloss = c.swivel_friction
+            joint.ref = 0.0
+            angle = c.caster_angle[wheel if c.family == "cart" else wheel - 2]
+            fork.quat = [np.cos(angle / 2), 0, 0, np.sin(angle / 2)]
+        else:
+            side = 1 if wheel == 0 else -1
+            spec.body(f"wheel{wheel}").pos = [_REAR_AXLE, side * (c.size[1] / 2 - 0.02), _REAR_RADIUS]

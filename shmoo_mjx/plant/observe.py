@@ -1,0 +1,62 @@
+"""What both engines report, from generalised coordinates and contact sensors."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from shmoo_mjx import se2
+from shmoo_mjx.plant.robot import hand_in_body, readout
+from shmoo_mjx.plant.scene import Scene
+from shmoo_mjx.types import Observation
+
+__all__ = ["observation", "planar_wrench"]
+
+Array = Any
+
+
+def _object_poses(scene: Scene, qpos: Array, qvel: Array) -> tuple[Array, Array]:
+    """Planar pose and twist ``[..., N, 3]`` of the objects in {W}."""
+    xp = se2.array_module(qpos, qvel)
+    q, v = scene.object_qpos[:, None], scene.object_qvel[:, None]
+    position = qpos[..., q + [0, 1]]
+    w, x, y, z = (qpos[..., scene.object_qpos + 3 + i] for i in range(4))
+    yaw = xp.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    # A free joint's angular velocity is in the body's own frame; objects stay level but for the sag of their contacts.
+    twist = qvel[..., v + [0, 1, 5]]
+    return xp.concatenate([position, yaw[..., None]], axis=-1), twist
+
+
+def observation(scene: Scene, time: Array, qpos: Array, qvel: Array, wrench: Array) -> Observation:
+    """Observation from generalised coordinates ``[..., nq]``, ``[..., nv]`` and the mean wrench ``[..., N, 3]``."""
+    xp = se2.array_module(qpos, qvel)
+    robot = readout(qpos[..., :17], qvel[..., :15])
+    hands = xp.einsum("...ij,...hj->...hi", robot.rotation, hand_in_body(robot.arms))
+    lift = xp.stack([xp.zeros_like(robot.height), xp.zeros_like(robot.height), robot.height], axis=-1)
+    pose, twist = _object_poses(scene, qpos, qvel)
+    return Observation(
+        time=time,
+        robot_pose=robot.pose,
+        robot_twist=robot.twist,
+        lean=robot.lean,
+        lean_rate=robot.lean_rate,
+        hands=hands + lift[..., None, :],
+        object_pose=pose,
+        object_twist=twist,
+        wrench=wrench,
+    )
+
+
+def planar_wrench(scene: Scene, qpos: Array, sensordata: Array) -> Array:
+    """Wrench Gamma of both hands on each object about its centre, in {W}: ``[..., N, 3]`` (fx, fy, tz).
+
+    Each contact sensor gives the net force and torque at a point; the planar moment about the object's centre is
+    lever x force plus the vertical torque.
+    """
+    xp = se2.array_module(qpos, sensordata)
+    adr = scene.contact_sensor  # [N, 2]
+    force = sensordata[..., adr[:, :, None] + [0, 1]]
+    torque = sensordata[..., adr + 5]
+    point = sensordata[..., adr[:, :, None] + [6, 7]]
+    centre = qpos[..., scene.object_qpos[:, None] + [0, 1]][..., None, :]
+    moment = se2.cross(point - centre, force) + torque
+    return xp.sum(xp.concatenate([force, moment[..., None]], axis=-1), axis=-2)

@@ -1,0 +1,61 @@
+"""Pictures of a scene by MuJoCo's own renderer, without a display."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import mujoco
+import numpy as np
+
+from shmoo_mjx.plant.scene import Scene
+
+__all__ = ["can_render", "frames"]
+
+
+_PROBE = """
+import mujoco
+model = mujoco.MjModel.from_xml_string("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")
+with mujoco.Renderer(model, 16, 16) as renderer:
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    renderer.update_scene(data)
+    renderer.render()
+"""
+
+
+def can_render() -> str:
+    """Empty if MuJoCo can draw here, else why not.
+
+    Tried in a process of its own: a GL library that lacks a display may end the process it is loaded in.
+    """
+    done = subprocess.run([sys.executable, "-c", _PROBE], capture_output=True, text=True, timeout=120, check=False)
+    if done.returncode == 0:
+        return ""
+    errors = [line for line in done.stderr.splitlines() if "Error" in line]
+    return errors[-1].strip() if errors else f"the renderer ended with code {done.returncode}"
+
+
+def frames(scene: Scene, qpos: np.ndarray, width: int = 640, height: int = 480, distance: float = 3.6) -> Iterator[np.ndarray]:
+    """Draw configurations ``qpos [T, nq]`` from behind and above the robot; yields uint8 ``[height, width, 3]``.
+
+    The camera follows the robot's position smoothly and does not turn with it, so that motion stays readable.
+    """
+    model = scene.model
+    data = mujoco.MjData(model)
+    camera = mujoco.MjvCamera()
+    camera.type = mujoco.mjtCamera.mjCAMERA_FREE
+    camera.distance, camera.elevation, camera.azimuth = distance, -48.0, 55.0
+    look = np.array([*qpos[0, :2], 0.4])
+    options = mujoco.MjvOption()
+    options.geomgroup[3] = 0
+    with mujoco.Renderer(model, height, width) as renderer:
+        for row in qpos:
+            data.qpos[:] = row
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_camlight(model, data)
+            look[:2] += 0.15 * (row[:2] - look[:2])
+            camera.lookat[:] = look
+            renderer.update_scene(data, camera, options)
+            yield renderer.render()

@@ -1,0 +1,114 @@
+"""Puts robot, objects and walls into one MuJoCo model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from shmoo_mjx.assets import asset
+from shmoo_mjx.plant.objects import Condition, object_spec
+
+__all__ = ["Scene", "build_scene"]
+
+_HANDS = ("left_hand", "right_hand")
+_FORCE_TORQUE_POSITION = (1 << 1) | (1 << 2) | (1 << 4)  # mjCONDATA bits of a contact sensor: force, torque, pos
+_NET_FORCE = 3  # mjREDUCE: one wrench for all contacts of a pair, in {W}
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A compiled world and where things stand in its arrays."""
+
+    model: mujoco.MjModel
+    conditions: tuple[Condition, ...]
+    object_qpos: np.ndarray
+    """``[N]`` first index of each object's free joint in qpos."""
+    object_qvel: np.ndarray
+    """``[N]`` the same in qvel."""
+    contact_sensor: np.ndarray
+    """``[N, 2]`` first index in sensordata of (force, torque, position) of object x hand (left, right)."""
+    robot_geoms: frozenset[int]
+    """Geoms of the robot's body and hands."""
+    wall_geoms: frozenset[int]
+    qpos0: np.ndarray
+    """``[nq]`` starting configuration."""
+
+
+def build_scene(
+    objects: Sequence[tuple[Condition, Sequence[float]]] = (),
+    robot_pose: Sequence[float] = (0.0, 0.0, 0.0),
+    walls: Sequence[tuple[float, float, float, float]] = (),
+    wall_yaw: float = 0.0,
+    wall_height: float = 0.6,
+) -> Scene:
+    """A scene of Shmoobot, ``objects`` at their (x, y, yaw) in {W}, and walls.
+
+    Args:
+        objects: (condition, pose) of each object.
+        robot_pose: (x, y, yaw) of {R} in {W} [m, rad].
+        walls: boxes (centre x, centre y, half length x, half length y) in the map's axes [m].
+        wall_yaw: yaw of the map's axes [rad]; centres are already in {W}.
+        wall_height: drawn and simulated height of the walls [m].
+    """
+    spec = mujoco.MjSpec.from_file(str(asset("models_xml/scene.xml")))
+    spec.attach(mujoco.MjSpec.from_file(str(asset("models_xml/shmoobot.xml"))), prefix="robot/", frame=spec.worldbody.add_frame())
+    for i, (condition, _) in enumerate(objects):
+        spec.attach(object_spec(condition), prefix=f"object{i}/", frame=spec.worldbody.add_frame())
+        for hand in _HANDS:
+            spec.add_sensor(
+                name=f"object{i}/{hand}",
+                type=mujoco.mjtSensor.mjSENS_CONTACT,
+                objtype=mujoco.mjtObj.mjOBJ_GEOM,
+                objname=f"robot/{hand}",
+                reftype=mujoco.mjtObj.mjOBJ_GEOM,
+                refname=f"object{i}/hull",
+                intprm=[_FORCE_TORQUE_POSITION, _NET_FORCE, 1],
+            )
+    for i, (x, y, hx, hy) in enumerate(walls):
+        spec.worldbody.add_geom(
+            name=f"wall{i}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=[x, y, wall_height / 2],
+            size=[hx, hy, wall_height / 2],
+            euler=[0, 0, wall_yaw],
+            contype=0,
+            conaffinity=6,
+            material="wall",
+        )
+    model = spec.compile()
+    return _index(model, objects, robot_pose, len(walls))
+
+
+def _index(
+    model: mujoco.MjModel, objects: Sequence[tuple[Condition, Sequence[float]]], robot_pose: Sequence[float], walls: int
+) -> Scene:
+    joints = [model.joint(f"object{i}/object") for i in range(len(objects))]
+    object_qpos = np.array([j.qposadr[0] for j in joints], dtype=int)
+    sensors = [[model.sensor(f"object{i}/{hand}").adr[0] for hand in _HANDS] for i in range(len(objects))]
+    qpos0 = model.qpos0.copy()
+    qpos0[:7] = _free(robot_pose, qpos0[2])
+    for adr, (_, pose) in zip(object_qpos, objects, strict=True):
+        qpos0[adr : adr + 7] = _free(pose, qpos0[adr + 2])
+    qpos0[11:17] = np.tile(_TUCKED_ARMS, 2)
+    return Scene(
+        model=model,
+        conditions=tuple(c for c, _ in objects),
+        object_qpos=object_qpos,
+        object_qvel=np.array([j.dofadr[0] for j in joints], dtype=int),
+        contact_sensor=np.array(sensors, dtype=int).reshape(-1, 2),
+        robot_geoms=frozenset(model.geom(f"robot/{name}").id for name in ("torso_hull", *_HANDS)),
+        wall_geoms=frozenset(model.geom(f"wall{i}").id for i in range(walls)),
+        qpos0=qpos0,
+    )
+
+
+_TUCKED_ARMS = (0.0, 1.6, -2.4)
+"""Joint angles near the folded arms, so that a world starts without a swing."""
+
+
+def _free(pose: Sequence[float], z: float) -> list[float]:
+    x, y, yaw = pose
+    return [x, y, z, np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)]

@@ -1,0 +1,155 @@
+"""Bench trials of the robot and of single objects: what tests, figures and the settling survey share.
+
+Nothing here takes part in a run. Pushes come from outside instead of from the hands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from shmoo_mjx import se2
+from shmoo_mjx.assets import asset
+from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH
+from shmoo_mjx.plant.engine_mujoco import MujocoEngine
+from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
+from shmoo_mjx.plant.objects import Condition, object_spec
+from shmoo_mjx.types import DT, Command, Observation
+
+__all__ = ["Track", "command", "drive", "object_alone", "pushed", "release", "settled"]
+
+
+class Track(NamedTuple):
+    """Planar motion of an object, sampled at every physics step."""
+
+    time: np.ndarray
+    """``[T]`` [s]"""
+    pose: np.ndarray
+    """``[T, 3]`` of {O} in {W}; yaw not wrapped."""
+    twist: np.ndarray
+    """``[T, 3]`` its derivative, in {W}."""
+
+
+def object_alone(condition: Condition) -> mujoco.MjModel:
+    """The object by itself on the floor of models_xml/scene.xml."""
+    spec = mujoco.MjSpec.from_file(str(asset("models_xml/scene.xml")))
+    spec.attach(object_spec(condition), prefix="object0/", frame=spec.worldbody.add_frame())
+    return spec.compile()
+
+
+def settled(model: mujoco.MjModel, seconds: float = 0.5) -> mujoco.MjData:
+    """The object after standing still for ``seconds``."""
+    data = mujoco.MjData(model)
+    for _ in range(round(seconds / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+    return data
+
+
+def release(data: mujoco.MjData, twist: np.ndarray) -> None:
+    """Give the object the planar twist ``[3]`` in {W}, its wheels at rest."""
+    data.qvel[:2], data.qvel[5] = twist[:2], twist[2]
+
+
+def pushed(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    wrench: np.ndarray,
+    seconds: float,
+    height: float = 0.1,
+    follow: bool = False,
+) -> Track:
+    """Apply a planar wrench at the centre of {O} and record the motion. ``data`` is advanced in place.
+
+    Args:
+        model: as :func:`object_alone` gives it.
+        data: state to start from.
+        wrench: ``[3]`` constant or ``[T, 3]`` per step: fx, fy [N], tz [N m].
+        seconds: duration.
+        height: of the point of application above the floor [m].
+        follow: the wrench is given in {O} and turns with the object, else in {W}.
+    """
+    steps = round(seconds / model.opt.timestep)
+    wrenches = np.broadcast_to(wrench, (steps, 3))
+    body = model.body("object0/object").id
+    poses, twists = np.empty((steps, 3)), np.empty((steps, 3))
+    for i in range(steps):
+        yaw = _yaw(data.qpos)
+        force, torque, point = np.zeros(3), np.zeros(3), np.array([data.qpos[0], data.qpos[1], height])
+        force[:2] = se2.rotate(wrenches[i, :2], np.float64(yaw if follow else 0.0))
+        torque[2] = wrenches[i, 2]
+        data.qfrc_applied[:] = 0.0
+        mujoco.mj_applyFT(model, data, force, torque, point, body, data.qfrc_applied)
+        mujoco.mj_step(model, data)
+        poses[i] = data.qpos[0], data.qpos[1], _yaw(data.qpos)
+        twists[i] = data.qvel[0], data.qvel[1], data.qvel[5]
+    data.qfrc_applied[:] = 0.0
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    return Track(model.opt.timestep * np.arange(1, steps + 1), poses, twists)
+
+
+def _yaw(qpos: np.ndarray) -> float:
+    w, x, y, z = qpos[3:7]
+    return float(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+
+
+def command(
+    worlds: int,
+    lean: np.ndarray | tuple[float, float] = (0.0, 0.0),
+    gamma: float = 0.0,
+    yaw: float | np.ndarray = 0.0,
+    reach: float = TUCKED_REACH,
+    hand_height: float = TUCKED_HEIGHT,
+) -> Command:
+    """The same command for W worlds; ``lean`` may be ``[W, 2]``, ``yaw`` ``[W]``."""
+    u = np.zeros((worlds, 3))
+    u[:, :2], u[:, 2] = lean, gamma
+    return Command(u, np.broadcast_to(yaw, worlds).astype(float), np.full(worlds, reach), np.full(worlds, hand_height))
+
+
+def drive(
+    engine: MujocoEngine,
+    seconds: float,
+    velocity: Callable[[float], tuple[float, float]] = lambda time: (0.0, 0.0),
+    station: float = 0.0,
+    push: Callable[[float], np.ndarray | None] = lambda time: None,
+    yaw: float = 0.0,
+    arms: Callable[[float], tuple[float, float]] = lambda time: (TUCKED_REACH, TUCKED_HEIGHT),
+    sensor_noise: tuple[np.random.Generator, float, float] | None = None,
+) -> tuple[Observation, np.ndarray]:
+    """Run the velocity loop of the cascade on every world of ``engine``.
+
+    Args:
+        engine: any batch of worlds.
+        seconds: duration.
+        velocity: wish in {R} [m/s] over time.
+        station: gain of station keeping at the origin [1/s]; 0 is off.
+        push: wrench ``[W, 6]`` on the torso over time, or None.
+        yaw: heading to hold [rad].
+        arms: (reach, hand height) over time [m].
+        sensor_noise: (generator, standard deviation of velocity [m/s], of lean rate [rad/s]) as the outer loop sees them.
+
+    Returns:
+        Observations stacked over time ``[T, W, ...]`` and whether each world ended fallen ``[W]``.
+    """
+    world = engine.init()
+    seen = engine.observe(world)
+    rows = []
+    gains = Gains()
+    for i in range(round(seconds / DT)):
+        time = i * DT
+        heading = seen.robot_pose[:, 2]
+        moving, rate = se2.rotate(seen.robot_twist[:, :2], -heading), seen.lean_rate
+        if sensor_noise is not None:
+            rng, speed_noise, rate_noise = sensor_noise
+            moving = moving + speed_noise * rng.normal(size=moving.shape)
+            rate = rate + rate_noise * rng.normal(size=rate.shape)
+        wish = np.array(velocity(time)) - station * se2.rotate(seen.robot_pose[:, :2], -heading)
+        lean = velocity_to_lean(gains, moving, rate, wish)
+        reach, height = arms(time)
+        world, seen = engine.step(world, command(len(lean), lean, 0.0, yaw, reach, height), push=push(time))
+        rows.append(seen)
+    track = Observation(*(np.stack(fields) for fields in zip(*rows, strict=True)))
+    return track, engine.fallen(world)

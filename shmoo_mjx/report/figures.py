@@ -1,0 +1,329 @@
+"""Figures of one run, from its result and trace; each function returns a matplotlib Figure without touching pyplot."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from shmoo_mjx.report.style import COLOURS, SERIES, object_colour, outline, window
+from shmoo_mjx.report.trace import Trace, object_index, object_name, telling_decisions
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["coefficients_figure", "decision_figure", "map_figure", "timeline_figure", "to_png"]
+
+Array = Any
+
+_MOST_COLUMNS = 5
+"""Pushes that fit beside each other in the figure of the coefficients."""
+_CONTACT_FORCE = 1.0
+"""Force from which the hands count as touching, for the marks in the figures only [N]."""
+
+
+def to_png(figure: Figure, dpi: int = 110) -> bytes:
+    """The figure as a PNG file."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=dpi, facecolor="white")
+    return buffer.getvalue()
+
+
+def map_figure(result: dict[str, Any], trace: Trace) -> Figure:
+    """Map, planned paths, driven path, objects where they were and are, and the telling decisions with their K."""
+    box = window(result, trace)
+    width, height = box[1] - box[0], box[3] - box[2]
+    figure = _figure(9.0, min(max(9.0 * height / width, 3.0), 11.0))
+    axes = figure.subplots()
+    _draw_map(axes, trace, box)
+    for number, path in enumerate(trace.plans):
+        label = f"plan {number + 1}, {float(trace.plan_times[number]):.0f} s"
+        shade = 0.25 + 0.6 * (number + 1) / len(trace.plans)
+        axes.plot(*path.T[:2], "--", color=COLOURS["plan"], alpha=shade, lw=1.6, label=label if number < 6 else None)
+    _draw_driven(figure, axes, trace)
+    for number, item in enumerate(result["objects"]):
+        colour = object_colour(item, number)
+        _polygon(axes, item["start_pose"], item["half_extents"], edge=colour, style=":")
+        _polygon(axes, item["final_pose"], item["half_extents"], edge=colour, fill=0.75)
+        start, final = np.asarray(item["start_pose"]), np.asarray(item["final_pose"])
+        if np.linalg.norm(final[:2] - start[:2]) > 0.05:
+            axes.annotate("", _xy(final), _xy(start), arrowprops={"arrowstyle": "->", "color": colour, "lw": 1.5})
+        text = f"{item['family']} {item['id']}" + (", registered" if item.get("registered") else "")
+        foot = outline(final, item["half_extents"])[:, 1].min()
+        place = (float(final[0]), float(foot))
+        axes.annotate(text, place, (0, -4), textcoords="offset points", ha="center", va="top", fontsize=8, **_halo())
+    for number in telling_decisions(result):
+        _mark_decision(axes, result, trace, number, result["decisions"][number])
+    _mark_ends(axes, result, trace)
+    axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.08), ncols=4, fontsize=8, frameon=False)
+    return figure
+
+
+def decision_figure(result: dict[str, Any], trace: Trace, number: int) -> Figure:
+    """Roll-outs, candidate goals and the goal chosen for decision ``number``, round the object."""
+    decision = result["decisions"][number]
+    index = object_index(result, decision["object"])
+    item = result["objects"][index] if index is not None else None
+    pose = _pose_at(result, trace, index, decision["t"])
+    figure = _figure(5.6, 5.2)
+    axes = figure.subplots()
+    rollouts = trace.decision_rollouts[number] if number < len(trace.decision_rollouts) else np.zeros((0, 0, 2))
+    candidates = trace.decision_candidates[number] if number < len(trace.decision_candidates) else np.zeros((0, 3))
+    reach = np.concatenate([np.reshape(rollouts, (-1, 2)), candidates[:, :2], pose[None, :2]])
+    radius = float(np.clip(np.nanmax(np.abs(reach - pose[:2])) + 0.6, 1.4, 6.0))
+    _draw_map(axes, trace, (pose[0] - radius, pose[0] + radius, pose[1] - radius, pose[1] + radius))
+    path = _plan_at(trace, decision["t"])
+    if path is not None:
+        axes.plot(*path.T[:2], "--", color=COLOURS["plan"], lw=1.6, label="path")
+    for k, line in enumerate(rollouts):
+        axes.plot(*line.T, color=COLOURS["rollout"], alpha=0.35, lw=0.8, label="roll-outs" if k == 0 else None)
+    if len(rollouts):
+        axes.plot(*rollouts[:, -1].T, ".", color=COLOURS["rollout"], ms=3)
+    if len(candidates):
+        axes.plot(*candidates.T[:2], "o", color=COLOURS["candidate"], ms=3.5, mew=0, label="collision-free ends")
+    colour = object_colour(item, index or 0) if item else COLOURS["object"]
+    half = item["half_extents"] if item else (0.3, 0.3)
+    _polygon(axes, pose, half, edge=colour, fill=0.6)
+    if decision.get("goal") is not None:
+        goal = np.asarray([*decision["goal"], pose[2]][:3], dtype=float)
+        _polygon(axes, goal, half, edge=COLOURS["goal"], style="-", width=2.2)
+        axes.plot(*goal[:2], "*", color=COLOURS["goal"], ms=13, mec="white", label="goal chosen")
+    robot = trace.robot_pose[_sample(trace, decision["t"])]
+    axes.plot(*robot[:2], "o", color=COLOURS["robot"], ms=9, label="robot")
+    verdict = "can be moved" if decision["manipulable"] else "can't be moved"
+    known, name = _number(decision.get("K")), object_name(result, decision["object"])
+    says = f"{verdict}, K = {decision['K']:.2f} m²" if known else "first goal, dynamics not known yet"
+    axes.set_title(f"{number + 1}. At {float(decision['t']):.1f} s, {name}: {says}", fontsize=10)
+    axes.legend(loc="best", fontsize=7, framealpha=0.9)
+    return figure
+
+
+def coefficients_figure(result: dict[str, Any], trace: Trace) -> Figure:
+    """Coefficients while they adapt: a row per axis of SE(2), a column per push, each over its own largest value."""
+    values = np.asarray(trace.coefficients, dtype=float)
+    values = values.reshape(len(values), -1)
+    scale = np.max(np.abs(np.nan_to_num(values)), axis=0, initial=0.0)
+    shown = values / np.where(scale > 0, scale, 1.0)
+    pushes = _pushes(trace)[:_MOST_COLUMNS] or [slice(0, len(values))]
+    spans = [float(trace.t[p][-1] - trace.t[p][0]) for p in pushes]
+    widths = np.maximum(np.array(spans), 0.35 * max(spans) + 1e-6)
+    figure = _figure(9.0, 5.8)
+    grid = figure.subplots(3, len(pushes), sharex="col", sharey=True, squeeze=False, width_ratios=widths)
+    for column, push in enumerate(pushes):
+        index = int(trace.coefficient_object[push.start])
+        name = object_name(result, result["objects"][index]["id"]) if 0 <= index < len(result["objects"]) else ""
+        grid[0, column].set_title(name, fontsize=10)
+        grid[2, column].set_xlabel("time [s]")
+        for axes, group in zip(grid[:, column], np.array_split(np.arange(values.shape[1]), 3), strict=True):
+            _draw_coefficients(axes, result, trace, shown, push, group)
+    for axes, name in zip(grid[:, 0], ("x", "y", "yaw"), strict=True):
+        axes.set_ylabel(f"{name} axis\n(normalised)", fontsize=9)
+    figure.legend(*_named_once(grid.ravel()), loc="outside upper center", ncols=8, fontsize=8, frameon=False)
+    return figure
+
+
+def timeline_figure(result: dict[str, Any], trace: Trace) -> Figure:
+    """State of the navigator, speed, lean with its command, and force of the hands, over time."""
+    figure = _figure(9.0, 7.4)
+    states, speed, lean, force = figure.subplots(4, 1, sharex=True, height_ratios=[1.4, 1, 1, 1])
+    _draw_states(states, trace)
+    t, velocity = trace.t, _speed(trace)
+    speed.plot(t, velocity, color=COLOURS["robot"], lw=1.3)
+    speed.set_ylabel("speed [m/s]")
+    for axis, name, colour in ((0, "x", SERIES[0]), (1, "y", SERIES[1])):
+        lean.plot(t, np.degrees(trace.lean[:, axis]), color=colour, lw=1.3, label=f"lean {name}")
+        lean.plot(t, np.degrees(trace.u[:, axis]), color=colour, lw=0.9, ls=":", label=f"command {name}")
+    lean.set_ylabel("lean [deg]")
+    lean.legend(ncols=4, fontsize=7, loc="upper right", framealpha=0.8)
+    for axis, name, colour in ((0, "forward", SERIES[0]), (1, "sideways", SERIES[1])):
+        force.plot(t, trace.force[:, axis], color=colour, lw=1.2, label=name)
+    force.set_ylabel("force of hands [N]")
+    force.legend(ncols=2, fontsize=7, loc="upper right", framealpha=0.8)
+    force.set_xlabel("time [s]")
+    for axes in (speed, lean, force):
+        axes.grid(alpha=0.25)
+    for axes in (states, speed, lean, force):
+        for decision in result["decisions"]:
+            axes.axvline(decision["t"], color=COLOURS["decision"], lw=1.0, alpha=0.8)
+    return figure
+
+
+def _figure(width: float, height: float) -> Figure:
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def _draw_map(axes: Axes, trace: Trace, box: tuple[float, float, float, float]) -> None:
+    from matplotlib.colors import ListedColormap
+    from matplotlib.transforms import Affine2D
+
+    cells = np.asarray(trace.map_cells)
+    kind = np.where(cells >= 65, 2, np.where(cells == 0, 0, 1))
+    height, width = kind.shape
+    x, y, yaw = np.asarray(trace.map_origin, dtype=float)
+    place = Affine2D().scale(trace.map_resolution).rotate(yaw).translate(x, y)
+    palette = ListedColormap([COLOURS["free"], COLOURS["unknown"], COLOURS["wall"]])
+    image = axes.imshow(
+        kind, cmap=palette, vmin=0, vmax=2, origin="lower", interpolation="nearest", extent=(0, width, 0, height)
+    )
+    image.set_transform(place + axes.transData)
+    axes.set_xlim(box[0], box[1])
+    axes.set_ylim(box[2], box[3])
+    axes.set_aspect("equal")
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+
+
+def _draw_driven(figure: Figure, axes: Axes, trace: Trace) -> None:
+    from matplotlib.collections import LineCollection
+
+    points = np.asarray(trace.robot_pose)[:, :2]
+    if len(points) < 2:
+        return
+    lines = LineCollection(list(np.stack([points[:-1], points[1:]], axis=1)), cmap="viridis", lw=2.6, zorder=3)
+    lines.set_array(np.asarray(trace.t)[1:])
+    axes.add_collection(lines)
+    figure.colorbar(lines, ax=axes, label="driven path: time [s]", shrink=0.8, pad=0.02)
+
+
+def _polygon(
+    axes: Axes, pose: Array, half: Array, edge: str, fill: float = 0.0, style: str = "-", width: float = 1.4
+) -> None:
+    from matplotlib.colors import to_rgba
+    from matplotlib.patches import Polygon
+
+    face = to_rgba(edge, fill) if fill else "none"
+    axes.add_patch(Polygon(outline(pose, half), ec=edge, fc=face, ls=style, lw=width, zorder=4))
+
+
+def _halo() -> dict[str, Any]:
+    from matplotlib.patheffects import withStroke
+
+    return {"path_effects": [withStroke(linewidth=2.5, foreground="white")], "zorder": 6}
+
+
+def _mark_decision(axes: Axes, result: dict[str, Any], trace: Trace, number: int, decision: dict[str, Any]) -> None:
+    index = object_index(result, decision["object"])
+    pose = _pose_at(result, trace, index, decision["t"])
+    top = pose[1] if index is None else outline(pose, result["objects"][index]["half_extents"])[:, 1].max()
+    colour = COLOURS["goal"] if decision["manipulable"] else COLOURS["decision"]
+    text = f"K = {decision['K']:.2f} m²" if _number(decision.get("K")) else "first goal"
+    axes.annotate(
+        f"{number + 1}: {text}",
+        (float(pose[0]), float(top)),
+        (8, 12 + 15 * (number % 3)),
+        textcoords="offset points",
+        fontsize=8,
+        zorder=6,
+        bbox={"boxstyle": "round,pad=0.25", "fc": "white", "ec": colour},
+        arrowprops={"arrowstyle": "-", "color": colour},
+    )
+    if decision.get("goal") is not None:
+        axes.plot(*decision["goal"][:2], "x", color=COLOURS["goal"], ms=7, mew=2, zorder=5)
+
+
+def _mark_ends(axes: Axes, result: dict[str, Any], trace: Trace) -> None:
+    start = result.get("start") or trace.robot_pose[0]
+    axes.plot(*np.asarray(start, dtype=float)[:2], "o", color=COLOURS["robot"], ms=9, zorder=5, label="start")
+    if result.get("goal") is not None:
+        goal = np.asarray(result["goal"], dtype=float)
+        axes.plot(*goal[:2], "*", color=COLOURS["goal"], ms=16, mec="white", zorder=5, label="goal")
+
+
+def _draw_states(axes: Axes, trace: Trace) -> None:
+    used = list(dict.fromkeys(int(s) for s in trace.state))
+    step = float(trace.t[1] - trace.t[0]) if len(trace.t) > 1 else 0.1
+    for row, state in enumerate(used):
+        spans = [(float(t), step) for t, s in zip(trace.t, trace.state, strict=True) if s == state]
+        axes.broken_barh(_merged(spans), (row - 0.4, 0.8), color=SERIES[row % len(SERIES)])
+    axes.set_yticks(range(len(used)), [trace.state_names[s] for s in used], fontsize=8)
+    axes.invert_yaxis()
+    axes.grid(alpha=0.25, axis="x")
+
+
+def _merged(spans: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    out: list[tuple[float, float]] = []
+    for begin, length in spans:
+        if out and begin <= sum(out[-1]) + 1e-6:
+            out[-1] = (out[-1][0], begin + length - out[-1][0])
+        else:
+            out.append((begin, length))
+    return out
+
+
+def _draw_coefficients(
+    axes: Axes, result: dict[str, Any], trace: Trace, shown: np.ndarray, push: slice, group: np.ndarray
+) -> None:
+    for k, column in enumerate(group):
+        axes.plot(trace.t[push], shown[push, column], lw=1.4, color=SERIES[k % len(SERIES)], label=f"a{k + 1}")
+    begin, end = float(trace.t[push][0]), float(trace.t[push][-1])
+    for t in _contact_begins(trace):
+        if begin - 0.2 <= t <= end:
+            axes.axvline(t, color=COLOURS["contact"], lw=1.2, ls=":", label="contact begins")
+    for decision in result["decisions"]:
+        if begin <= decision["t"] <= end:
+            axes.axvline(decision["t"], color=COLOURS["decision"], lw=1.4, ls="--", label="decision")
+    axes.set_ylim(-1.1, 1.1)
+    axes.grid(alpha=0.25)
+
+
+def _named_once(panels: Iterable[Axes]) -> tuple[list[Any], list[str]]:
+    """Handles and labels of a legend for all panels together."""
+    found: dict[str, Any] = {}
+    for axes in panels:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            found.setdefault(label, handle)
+    return list(found.values()), list(found)
+
+
+def _pushes(trace: Trace) -> list[slice]:
+    """Stretches of samples in which the coefficients of one object adapt."""
+    which = np.asarray(trace.coefficient_object).astype(int)
+    edges = [0, *(np.flatnonzero(np.diff(which)) + 1).tolist(), len(which)]
+    return [slice(a, b) for a, b in pairwise(edges) if which[a] >= 0 and b - a > 1]
+
+
+def _contact_begins(trace: Trace) -> np.ndarray:
+    touching = np.linalg.norm(np.nan_to_num(np.asarray(trace.force, dtype=float)), axis=-1) > _CONTACT_FORCE
+    begins = np.flatnonzero(touching & ~np.r_[False, touching[:-1]])
+    # Contact that flickers would fill the figure with lines: one per second is enough.
+    kept: list[float] = []
+    for t in np.asarray(trace.t, dtype=float)[begins]:
+        if not kept or t - kept[-1] > 1.0:
+            kept.append(float(t))
+    return np.array(kept)
+
+
+def _speed(trace: Trace) -> np.ndarray:
+    points, t = np.asarray(trace.robot_pose, dtype=float)[:, :2], np.asarray(trace.t, dtype=float)
+    return np.linalg.norm(np.gradient(points, t, axis=0), axis=-1) if len(t) > 1 else np.zeros(len(t))
+
+
+def _sample(trace: Trace, t: float) -> int:
+    return int(np.clip(np.searchsorted(trace.t, float(t)), 0, len(trace.t) - 1))
+
+
+def _pose_at(result: dict[str, Any], trace: Trace, index: int | None, t: float) -> np.ndarray:
+    sample = _sample(trace, t)
+    pose = np.asarray(trace.robot_pose[sample] if index is None else trace.object_pose[sample, index], dtype=float)
+    if index is not None and not np.isfinite(pose).all():  # not perceived at that time
+        pose = np.asarray(result["objects"][index]["start_pose"], dtype=float)
+    return pose
+
+
+def _plan_at(trace: Trace, t: float) -> np.ndarray | None:
+    before = np.flatnonzero(np.asarray(trace.plan_times, dtype=float) <= float(t) + 1e-6)
+    return np.asarray(trace.plans[before[-1]]) if len(before) else None
+
+
+def _xy(pose: Array) -> tuple[float, float]:
+    return float(pose[0]), float(pose[1])
+
+
+def _number(value: Any) -> bool:
+    return isinstance(value, int | float) and bool(np.isfinite(value))

@@ -1,0 +1,177 @@
+"""One page that tells a stranger what happened in a run: self-contained HTML with figures, tables and the film."""
+
+from __future__ import annotations
+
+import base64
+import json
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shmoo_mjx.report import figures
+from shmoo_mjx.report.trace import (
+    Trace,
+    load_result,
+    load_trace,
+    object_index,
+    object_name,
+    telling_decisions,
+    write_bytes,
+)
+
+__all__ = ["MAX_VIDEO_BYTES", "render_report", "succeeded", "summary", "write_report"]
+
+MAX_VIDEO_BYTES = 12_000_000
+"""Larger films are linked, not embedded."""
+_SUCCESS = ("success", "reached", "goal_reached", "goal reached", "done")
+
+
+def write_report(run_dir: str | Path) -> Path:
+    """Reads ``result.json``, ``trace.npz`` and, if there, ``episode.mp4`` of a run; writes ``report.html`` beside them.
+
+    Raises:
+        ShmooError: a file is missing or damaged.
+    """
+    folder = Path(run_dir)
+    result, trace = load_result(folder / "result.json"), load_trace(folder / "trace.npz")
+    video = folder / "episode.mp4"
+    page = render_report(result, trace, video if video.is_file() else None)
+    return write_bytes(folder / "report.html", page.encode("utf-8"))
+
+
+def render_report(result: dict[str, Any], trace: Trace, video: Path | None = None) -> str:
+    """The page as text; ``video`` is embedded if it is smaller than ``MAX_VIDEO_BYTES`` and linked otherwise."""
+    from jinja2 import Environment, StrictUndefined
+
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment.filters["number"] = _number
+    environment.filters["pose"] = _pose
+    environment.filters["object_name"] = lambda name: object_name(result, name)
+    source = resources.files("shmoo_mjx.report").joinpath("report.html.j2").read_text(encoding="utf-8")
+    return environment.from_string(source).render(
+        title=result.get("name") or "run",
+        good=succeeded(result),
+        outcome=str(result["outcome"]).replace("_", " "),
+        summary=summary(result),
+        tiles=_tiles(result),
+        result=result,
+        objects=[_object_row(item) for item in result["objects"]],
+        map_png=_embed(figures.to_png(figures.map_figure(result, trace))),
+        decision_pngs=[
+            (i, _embed(figures.to_png(figures.decision_figure(result, trace, i), dpi=100)))
+            for i in telling_decisions(result)
+        ],
+        coefficients_png=_coefficients(result, trace),
+        timeline_png=_embed(figures.to_png(figures.timeline_figure(result, trace))),
+        video=_video(video),
+        versions=result.get("versions") or {},
+        config=json.dumps(result["config"], indent=2, sort_keys=True) if result.get("config") else "",
+    )
+
+
+def succeeded(result: dict[str, Any]) -> bool:
+    """True if the outcome's word is one for success."""
+    return str(result["outcome"]).lower() in _SUCCESS
+
+
+def summary(result: dict[str, Any]) -> str:
+    """The run in one paragraph of plain words."""
+    first = "The robot reached its goal"
+    if not succeeded(result):
+        why = str(result.get("reason") or result["outcome"]).replace("_", " ").rstrip(".")
+        first = f"The run ended without success ({why})"
+    if _is_number(result.get("time_s")):
+        first += f" after {result['time_s']:.0f} s"
+    if _is_number(result.get("path_length_m")):
+        first += f", having driven {result['path_length_m']:.1f} m"
+    if _is_number(result.get("goal_distance_m")):
+        first += f", and ended {result['goal_distance_m']:.2f} m from the goal"
+    sentences = [first + "."]
+    for item in result["objects"]:
+        sentences.append(_object_sentence(result, item))
+    if _is_number(result.get("falls")) and _is_number(result.get("wall_contacts")):
+        sentences.append(_safety(int(result["falls"]), int(result["wall_contacts"])))
+    return " ".join(s for s in sentences if s)
+
+
+def _object_sentence(result: dict[str, Any], item: dict[str, Any]) -> str:
+    index = object_index(result, item["id"])
+    decided = [d for d in result["decisions"] if object_index(result, d["object"]) == index and _is_number(d.get("K"))]
+    # What settled a registered object was its last decision; one that was pushed, its first.
+    evidence = f" (K = {decided[-1 if item.get('registered') else 0]['K']:.2f} m²)" if decided else ""
+    name, moved = f"the {item['family']} {item['id']}", _moved(item)
+    if item.get("registered"):
+        return f"It concluded that {name} can't be moved{evidence} and went on with it as an obstacle in the map."
+    if moved > 0.05:
+        return f"It pushed {name} {moved:.2f} m{evidence}."
+    return f"It left {name} where it was{evidence}."
+
+
+def _safety(falls: int, contacts: int) -> str:
+    if not falls and not contacts:
+        return "It never fell and never touched a wall."
+    return f"It fell {_times(falls)} and touched a wall {_times(contacts)}."
+
+
+def _times(count: int) -> str:
+    return {0: "not once", 1: "once", 2: "twice"}.get(count, f"{count} times")
+
+
+def _tiles(result: dict[str, Any]) -> list[tuple[str, str]]:
+    known = (
+        ("time", "time_s", "{:.1f} s"),
+        ("driven", "path_length_m", "{:.2f} m"),
+        ("from the goal", "goal_distance_m", "{:.2f} m"),
+        ("falls", "falls", "{:.0f}"),
+        ("wall contacts", "wall_contacts", "{:.0f}"),
+        ("seed", "seed", "{:.0f}"),
+    )
+    return [(label, form.format(result[key])) for label, key, form in known if _is_number(result.get(key))]
+
+
+def _object_row(item: dict[str, Any]) -> dict[str, Any]:
+    return {"description": "", **item, "moved": _moved(item), "registered": bool(item.get("registered"))}
+
+
+def _moved(item: dict[str, Any]) -> float:
+    start, final = np.asarray(item["start_pose"], dtype=float), np.asarray(item["final_pose"], dtype=float)
+    return float(np.linalg.norm(final[:2] - start[:2]))
+
+
+def _coefficients(result: dict[str, Any], trace: Trace) -> str:
+    if not np.isfinite(np.asarray(trace.coefficients, dtype=float)).any():
+        return ""
+    return _embed(figures.to_png(figures.coefficients_figure(result, trace)))
+
+
+def _video(path: Path | None) -> dict[str, str] | None:
+    if path is None:
+        return None
+    if path.stat().st_size >= MAX_VIDEO_BYTES:
+        return {
+            "source": path.name,
+            "note": f"The film is too large to embed; it lies beside this page as {path.name}.",
+        }
+    return {"source": _embed(path.read_bytes(), "video/mp4"), "note": ""}
+
+
+def _embed(data: bytes, kind: str = "image/png") -> str:
+    return f"data:{kind};base64,{base64.b64encode(data).decode('ascii')}"
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and bool(np.isfinite(value))
+
+
+def _number(value: Any, digits: int = 2) -> str:
+    return f"{value:.{digits}f}" if _is_number(value) else "–"  # noqa: RUF001 (an en dash for "no value")
+
+
+def _pose(value: Any) -> str:
+    """(x, y, yaw in degrees) of a pose, or of a point without yaw."""
+    if value is None:
+        return "–"  # noqa: RUF001
+    text = ", ".join(f"{float(v):.2f}" for v in value[:2])
+    return f"({text}, {np.degrees(float(value[2])):.0f}°)" if len(value) > 2 else f"({text})"

@@ -1,0 +1,65 @@
+"""Colours and geometry that figures and films share."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from shmoo_mjx import se2
+from shmoo_mjx.report.trace import Trace
+
+__all__ = ["COLOURS", "SERIES", "object_colour", "outline", "window"]
+
+Array = Any
+
+# Okabe and Ito's palette, told apart with any colour vision.
+SERIES = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#7A6A00", "#555555")
+COLOURS = {
+    "free": "#FFFFFF",
+    "unknown": "#E4E6EA",
+    "wall": "#3A3F4A",
+    "plan": "#009E73",
+    "robot": "#0072B2",
+    "goal": "#009E73",
+    "decision": "#D55E00",
+    "contact": "#555555",
+    "rollout": "#56B4E9",
+    "candidate": "#0072B2",
+    "object": "#E69F00",
+    "registered": "#D55E00",
+}
+_FAMILIES = {"box": "#E69F00", "cart": "#CC79A7", "wheelchair": "#8E5BB5"}
+_SIGNS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+
+
+def object_colour(item: dict[str, Any], number: int) -> str:
+    """Colour of an object of ``result.json``: by its family, or red once it is registered as an obstacle."""
+    if item.get("registered"):
+        return COLOURS["registered"]
+    return _FAMILIES.get(str(item.get("family")), SERIES[(number + 1) % len(SERIES)])
+
+
+def outline(pose: Array, half_extents: Array) -> np.ndarray:
+    """Corners ``[4, 2]`` in {W} of a rectangle with ``half_extents (2,)`` [m] at ``pose (3,)``."""
+    corners = np.asarray(half_extents, dtype=float)[:2] * _SIGNS
+    return se2.transform_point(np.asarray(pose, dtype=float), corners)
+
+
+def window(result: dict[str, Any], trace: Trace, margin: float = 1.2) -> tuple[float, float, float, float]:
+    """(x_min, x_max, y_min, y_max) in {W} [m] of all that happened, with a margin, cut to the map."""
+    parts = [np.asarray(trace.robot_pose)[:, :2], *(np.asarray(p)[:, :2] for p in trace.plans if len(p))]
+    parts += [
+        outline(item[key], item["half_extents"]) for item in result["objects"] for key in ("start_pose", "final_pose")
+    ]
+    parts += [
+        np.asarray(result[key], dtype=float)[None, :2] for key in ("start", "goal") if result.get(key) is not None
+    ]
+    points = np.concatenate(parts)
+    points = points[np.isfinite(points).all(axis=1)]
+    low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
+    height, width = np.shape(trace.map_cells)
+    corners = np.array([[0, 0], [width, 0], [0, height], [width, height]]) * trace.map_resolution
+    corners = se2.transform_point(np.asarray(trace.map_origin, dtype=float), corners)
+    low, high = np.maximum(low, corners.min(axis=0) - 0.1), np.minimum(high, corners.max(axis=0) + 0.1)
+    return float(low[0]), float(high[0]), float(low[1]), float(high[1])

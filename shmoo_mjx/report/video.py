@@ -1,0 +1,247 @@
+"""The film of a run: an MP4 writer, a top-down view that needs no GL, and a frame with caption and inset map."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from shmoo_mjx import se2
+from shmoo_mjx.report.style import COLOURS, object_colour, outline, window
+from shmoo_mjx.report.trace import Trace
+
+if TYPE_CHECKING:
+    from PIL import Image, ImageFont
+
+__all__ = ["TopDown", "caption_at", "compose", "narrate", "top_down", "topdown_frames", "topdown_image", "write_video"]
+
+Array = Any
+
+_ROBOT_RADIUS = 0.19
+"""Drawn radius of the robot's body [m]."""
+_OVERSAMPLE = 2
+"""The top-down view is drawn this much larger and reduced, which smooths its edges."""
+
+
+class TopDown(NamedTuple):
+    """What all frames of the top-down view share."""
+
+    result: dict[str, Any]
+    trace: Trace
+    base: Image.Image
+    """Map, start and goal, oversampled."""
+    corner: np.ndarray
+    """``[2]`` (x, y) in {W} of the picture's upper-left corner [m]."""
+    scale: float
+    """Oversampled pixels per metre."""
+    size: tuple[int, int]
+    """(width, height) of a finished picture [pixels]."""
+
+    def pixels(self, points: Array) -> list[tuple[float, float]]:
+        """Oversampled picture coordinates of ``points [M, 2]`` in {W}."""
+        flat = (np.asarray(points, dtype=float)[:, :2] - self.corner) * (self.scale, -self.scale)
+        return [(float(x), float(y)) for x, y in flat]
+
+
+def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float = 10.0) -> Path:
+    """Writes ``frames`` (uint8 ``[H, W, 3]``, all of one size) as H.264, yuv420p; whole or not at all.
+
+    Odd sizes lose their last row or column, which yuv420p can't hold.
+    """
+    import imageio.v2 as iio
+
+    target = Path(path)
+    temporary = target.with_name(f".{target.stem}.part.mp4")
+    writer = None
+    try:
+        for frame in frames:
+            even = np.ascontiguousarray(frame[: frame.shape[0] // 2 * 2, : frame.shape[1] // 2 * 2, :3])
+            if writer is None:
+                writer = iio.get_writer(
+                    temporary,
+                    format="FFMPEG",  # type: ignore[arg-type]
+                    fps=fps,
+                    codec="libx264",
+                    pixelformat="yuv420p",
+                    quality=None,
+                    macro_block_size=2,
+                    output_params=["-crf", "24", "-preset", "veryfast", "-movflags", "+faststart"],
+                )
+            writer.append_data(even)
+        if writer is None:
+            raise ValueError("a film needs at least one frame")
+        writer.close()
+        os.replace(temporary, target)
+    finally:
+        if writer is not None:
+            writer.close()
+        temporary.unlink(missing_ok=True)
+    return target
+
+
+def top_down(result: dict[str, Any], trace: Trace, size: tuple[int, int] = (640, 480)) -> TopDown:
+    """Prepares the top-down view of a run for pictures of ``size`` = (width, height) [pixels]."""
+    from PIL import Image, ImageDraw
+
+    width, height = (n * _OVERSAMPLE for n in size)
+    x0, x1, y0, y1 = window(result, trace)
+    scale = min(width / (x1 - x0), height / (y1 - y0))
+    corner = np.array([(x0 + x1) / 2 - width / scale / 2, (y0 + y1) / 2 + height / scale / 2])
+    view = TopDown(
+        result, trace, Image.fromarray(_map_pixels(trace, corner, scale, (width, height))), corner, scale, size
+    )
+    draw = ImageDraw.Draw(view.base)
+    if result.get("goal") is not None:
+        _star(draw, view, np.asarray(result["goal"], dtype=float)[:2])
+    return view
+
+
+def topdown_image(view: TopDown, t: float) -> np.ndarray:
+    """The scene at time ``t`` [s] from above: uint8 ``[H, W, 3]``, +x to the right, +y up."""
+    from PIL import Image, ImageDraw
+
+    trace, image = view.trace, view.base.copy()
+    draw = ImageDraw.Draw(image)
+    k = int(np.clip(np.searchsorted(trace.t, t, side="right") - 1, 0, len(trace.t) - 1))
+    line = max(2, round(0.035 * view.scale))
+    plans = np.flatnonzero(np.asarray(trace.plan_times, dtype=float) <= t + 1e-6)
+    if len(plans) and len(trace.plans[plans[-1]]) > 1:
+        draw.line(view.pixels(trace.plans[plans[-1]]), fill=COLOURS["plan"], width=line, joint="curve")
+    if k > 0:
+        draw.line(view.pixels(trace.robot_pose[: k + 1]), fill=COLOURS["rollout"], width=line, joint="curve")
+    for number, item in enumerate(view.result["objects"]):
+        if not np.isfinite(trace.object_pose[k, number]).all():
+            continue  # not perceived at that time
+        now = {**item, "registered": item.get("registered") and _registered_at(view.result, item, t)}
+        corners = view.pixels(outline(trace.object_pose[k, number], item["half_extents"]))
+        draw.polygon(corners, fill=object_colour(now, number), outline="#333333", width=max(1, line // 2))
+    decision = _decision_at(view.result, t)
+    if decision is not None and decision.get("goal") is not None:
+        goal = np.asarray(decision["goal"], dtype=float)
+        half = next((o["half_extents"] for o in view.result["objects"] if o["id"] == decision["object"]), (0.2, 0.2))
+        pose = np.array([goal[0], goal[1], goal[2] if len(goal) > 2 else 0.0])
+        draw.polygon(view.pixels(outline(pose, half)), outline=COLOURS["goal"], width=line)
+    _robot(draw, view, np.asarray(trace.robot_pose[k], dtype=float), line)
+    return np.asarray(image.resize(view.size, Image.Resampling.BOX))
+
+
+def topdown_frames(
+    result: dict[str, Any], trace: Trace, fps: float = 10.0, speed: float = 1.0, size: tuple[int, int] = (800, 600)
+) -> Iterator[np.ndarray]:
+    """Film frames from above with captions, for machines on which MuJoCo can't render.
+
+    Args:
+        result: ``result.json``.
+        trace: ``trace.npz``.
+        fps: frames per second of film.
+        speed: seconds of the run per second of film.
+        size: (width, height) of the view without the caption [pixels].
+    """
+    view = top_down(result, trace, size)
+    end = float(trace.t[-1])
+    for t in np.arange(float(trace.t[0]), end + 0.5 * speed / fps, speed / fps):
+        yield compose(topdown_image(view, float(t)), caption_at(result, float(min(t, end))))
+
+
+def narrate(
+    frames: Iterable[tuple[float, np.ndarray]], result: dict[str, Any], trace: Trace, inset_width: int = 360
+) -> Iterator[np.ndarray]:
+    """3-D frames (time [s], uint8 ``[H, W, 3]``) with the top-down view beside and the caption below each."""
+    view: TopDown | None = None
+    for t, frame in frames:
+        view = view or top_down(result, trace, (inset_width, frame.shape[0]))
+        yield compose(frame, caption_at(result, t), topdown_image(view, t))
+
+
+def compose(frame: np.ndarray, caption: tuple[str, str] = ("", ""), inset: np.ndarray | None = None) -> np.ndarray:
+    """A frame with ``inset`` to its right and ``caption`` (headline, detail) in a strip below, of even size."""
+    from PIL import Image, ImageDraw
+
+    height = frame.shape[0]
+    width = frame.shape[1] + (0 if inset is None else inset.shape[1] + 4)
+    big, small = max(14, height // 26), max(11, height // 34)
+    strip = round(2.0 * big + 3.0 * small)
+    canvas = Image.new("RGB", ((width + 1) // 2 * 2, (height + strip + 1) // 2 * 2), "#1f2430")
+    canvas.paste(Image.fromarray(np.ascontiguousarray(frame[..., :3])), (0, 0))
+    if inset is not None:
+        canvas.paste(Image.fromarray(np.ascontiguousarray(inset[..., :3])), (frame.shape[1] + 4, 0))
+    draw = ImageDraw.Draw(canvas)
+    left = big // 2
+    draw.text((left, height + 0.3 * big), caption[0], fill="white", font=_font(big))
+    for row, line in enumerate(_lines(caption[1], _font(small), width - 2 * left)):
+        draw.text((left, height + 1.8 * big + 1.35 * row * small), line, fill="#c5cad6", font=_font(small))
+    return np.asarray(canvas)
+
+
+def caption_at(result: dict[str, Any], t: float) -> tuple[str, str]:
+    """(headline, detail) of what goes on at time ``t`` [s]: the present state, and why it was entered."""
+    past = [step for step in result["transitions"] if float(step["t"]) <= t + 1e-6]
+    if not past:
+        return f"{t:5.1f} s", ""
+    return f"{t:5.1f} s   {str(past[-1]['to']).replace('_', ' ')}", str(past[-1].get("reason") or "")
+
+
+def _map_pixels(trace: Trace, corner: np.ndarray, scale: float, size: tuple[int, int]) -> np.ndarray:
+    """uint8 ``[H, W, 3]``: for each pixel the colour of the map cell under it; unknown off the map."""
+    from matplotlib.colors import to_rgb
+
+    cells = np.asarray(trace.map_cells)
+    cols, rows = np.meshgrid(np.arange(size[0]) + 0.5, np.arange(size[1]) + 0.5)
+    points = corner + np.stack([cols, -rows], axis=-1) / scale
+    local = se2.inverse_transform_point(np.asarray(trace.map_origin, dtype=float), points) / trace.map_resolution
+    i, j = np.floor(local[..., 0]).astype(int), np.floor(local[..., 1]).astype(int)
+    inside = (i >= 0) & (j >= 0) & (i < cells.shape[1]) & (j < cells.shape[0])
+    value = np.where(inside, cells[np.where(inside, j, 0), np.where(inside, i, 0)], -1)
+    kind = np.where(value >= 65, 2, np.where(value == 0, 0, 1))
+    palette = np.array([to_rgb(COLOURS[name]) for name in ("free", "unknown", "wall")])
+    return (palette * 255).round().astype(np.uint8)[kind]
+
+
+def _robot(draw: Any, view: TopDown, pose: np.ndarray, line: int) -> None:
+    (x, y), tip = view.pixels(np.stack([pose[:2], se2.transform_point(pose, np.array([0.45, 0.0]))]))
+    radius = _ROBOT_RADIUS * view.scale
+    draw.line([(x, y), tip], fill=COLOURS["robot"], width=line)
+    draw.ellipse([x - radius, y - radius, x + radius, y + radius], fill=COLOURS["robot"], outline="white", width=line)
+
+
+def _star(draw: Any, view: TopDown, point: np.ndarray) -> None:
+    angles = np.pi / 2 + np.arange(10) * np.pi / 5
+    radii = np.where(np.arange(10) % 2 == 0, 0.28, 0.12)
+    corners = point + radii[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    draw.polygon(view.pixels(corners), fill=COLOURS["goal"])
+
+
+def _registered_at(result: dict[str, Any], item: dict[str, Any], t: float) -> bool:
+    times = [d["t"] for d in result["decisions"] if d["object"] == item["id"] and not d["manipulable"]]
+    return not times or t >= min(times)
+
+
+def _decision_at(result: dict[str, Any], t: float) -> dict[str, Any] | None:
+    past = [d for d in result["decisions"] if float(d["t"]) <= t + 1e-6]
+    return past[-1] if past else None
+
+
+def _font(size: int) -> ImageFont.FreeTypeFont:
+    import matplotlib
+    from PIL import ImageFont
+
+    # Pillow's own font lacks signs such as the superscript in m².
+    return ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"), size)
+
+
+def _lines(text: str, font: Any, width: float, most: int = 2) -> list[str]:
+    """``text`` broken between words into at most ``most`` lines of ``width`` pixels; what is left over is cut."""
+    lines: list[str] = []
+    words = text.split()
+    while words and len(lines) < most:
+        count = max((n for n in range(1, len(words) + 1) if font.getlength(" ".join(words[:n])) <= width), default=1)
+        lines.append(" ".join(words[:count]))
+        words = words[count:]
+    if words:
+        while lines[-1] and font.getlength(lines[-1] + "...") > width:
+            lines[-1] = lines[-1][:-1]
+        lines[-1] += "..."
+    return lines

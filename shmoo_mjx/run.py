@@ -1,0 +1,134 @@
+"""Runs that leave a folder: simulate a scenario, then write result.json, trace.npz, report.html and episode.mp4."""
+
+from __future__ import annotations
+
+import json
+import platform
+from collections.abc import Callable, Iterator
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shmoo_mjx.assets import asset
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.navigation.maps import OccupancyGrid, save_map
+from shmoo_mjx.navigation.scenario import Scenario, check_scenario, save_scenario
+from shmoo_mjx.types import DT
+
+__all__ = ["DEMO_WEIGHTS", "load_inputs", "run_scenario", "versions"]
+
+DEMO_WEIGHTS = "experiments/weights/demo.safetensors"
+
+
+def versions() -> dict[str, str]:
+    """Versions of everything a result depends on."""
+    names = ("shmoo-mjx", "jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy", "scikit-image", "clarabel")
+    return {"python": platform.python_version()} | {name: metadata.version(name) for name in names}
+
+
+def run_scenario(
+    grid: OccupancyGrid,
+    scenario: Scenario,
+    out: Path,
+    weights: Path | None = None,
+    video: bool = True,
+    name: str = "scenario",
+    progress: Callable[[str, float], None] = lambda stage, fraction: None,
+) -> dict[str, Any]:
+    """Run one scenario and write its folder ``out``.
+
+    Args:
+        grid: the map.
+        scenario: what to do in it.
+        out: folder for the results; made if absent, files of an earlier run are replaced.
+        weights: trained weights; the shipped ones if not given.
+        video: draw episode.mp4, which takes about as long as the simulation.
+        name: what to call the scenario in error messages.
+        progress: called with (stage, fraction of its limit that has passed).
+
+    Returns:
+        The result, as in result.json.
+
+    Raises:
+        ShmooError: the scenario does not fit the map, or the weights can't be read.
+    """
+    from shmoo_mjx.control.pushing import PushController
+    from shmoo_mjx.episode import conditions_of, run_episode
+    from shmoo_mjx.learning.weights import load_weights
+    from shmoo_mjx.navigation.navigator import NavigatorConfig
+    from shmoo_mjx.report.html import write_report
+    from shmoo_mjx.report.trace import save_trace, write_bytes
+
+    config = NavigatorConfig()
+    check_scenario(grid, scenario, config.robot_radius, name)
+    conditions_of(scenario)  # fails early on properties no object can have
+    loaded = load_weights(weights or asset(DEMO_WEIGHTS))
+    out.mkdir(parents=True, exist_ok=True)
+    limit = scenario.limits.time_s
+    episode = run_episode(
+        grid, scenario, PushController(loaded), config, lambda t, mode: progress(f"simulating: {mode}", t / limit)
+    )
+    result = {"name": out.name, **episode.result, "versions": versions(), "weights": loaded.info}
+    save_map(grid, out / "map.yaml")
+    save_scenario(scenario.model_copy(update={"map": "map.yaml"}), out / "scenario.yaml")
+    save_trace(out / "trace.npz", episode.trace)
+    write_bytes(out / "result.json", (json.dumps(result, indent=1, default=float) + "\n").encode())
+    if video:
+        _write_video(out / "episode.mp4", result, episode, progress)
+    progress("writing the report", 0.9)
+    write_report(out)
+    progress("done", 1.0)
+    return result
+
+
+def _write_video(path: Path, result: dict[str, Any], episode: Any, progress: Callable[[str, float], None]) -> None:
+    from shmoo_mjx.plant.render import can_render, frames
+    from shmoo_mjx.report import video
+
+    fps, speed = 15.0, 3.0
+    stride = round(speed / fps / DT)
+    if problem := can_render():
+        progress(f"no 3-D renderer ({problem}), drawing from above", 0.0)
+        video.write_video(path, video.topdown_frames(result, episode.trace, fps, speed), fps)
+        return
+    times = episode.trace.t[::stride]
+
+    def pictures() -> Iterator[tuple[float, np.ndarray]]:
+        for i, picture in enumerate(frames(episode.scene, episode.qpos[::stride])):
+            progress("drawing the video", i / len(times))
+            yield float(times[i]), picture
+
+    video.write_video(path, video.narrate(pictures(), result, episode.trace), fps)
+
+
+def load_inputs(map_path: Path | None, scenario_path: Path | None, start: str | None, goal: str | None) -> tuple[OccupancyGrid, Scenario]:
+    """Map and scenario from the options of ``shmoo navigate``.
+
+    Raises:
+        ShmooError: no map, neither scenario nor start and goal, or anything wrong inside the files.
+    """
+    from shmoo_mjx.navigation.maps import load_map
+    from shmoo_mjx.navigation.scenario import load_scenario
+
+    if scenario_path is not None:
+        scenario = load_scenario(scenario_path)
+    elif start is not None and goal is not None:
+        scenario = Scenario(start=_numbers("--start", start, 3), goal=_numbers("--goal", goal, 2))
+    else:
+        raise ShmooError("navigate needs --scenario FILE, or --map FILE with --start x,y,yaw and --goal x,y.")
+    chosen = map_path or (None if scenario.map is None else Path(scenario.map))
+    if chosen is None:
+        raise ShmooError(f"{scenario_path or 'navigate'}: field 'map' is missing; add it or give --map FILE.")
+    return load_map(chosen), scenario
+
+
+def _numbers(option: str, text: str, count: int) -> Any:
+    try:
+        values = tuple(float(v) for v in text.split(","))
+    except ValueError:
+        values = ()
+    if len(values) != count:
+        raise ShmooError(f"{option} {text!r} must be {count} numbers separated by commas.")
+    return values

@@ -1,0 +1,72 @@
+"""Poses, twists and wrenches on the plane.
+
+A pose is ``[..., 3]`` = (x, y, yaw) in m and rad; a twist (vx, vy, wz) in m/s and rad/s; a wrench (fx, fy, tz) in N and
+N m. Every function takes NumPy or JAX arrays, keeps leading batch dimensions, and answers in the kind it was given.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+__all__ = ["array_module", "compose", "cross", "inverse_transform_point", "relative", "rotate", "transform_point", "wrap"]
+
+Array = Any  # numpy.ndarray or jax.Array: every function here works on both
+
+
+def array_module(*arrays: Array) -> Any:
+    """numpy if every array is a plain NumPy array or number, jax.numpy otherwise."""
+    if all(isinstance(a, np.ndarray | np.generic | float | int) for a in arrays):
+        return np
+    import jax.numpy as jnp
+
+    return jnp
+
+
+def wrap(angle: Array) -> Array:
+    """The same angle [rad] in [-pi, pi)."""
+    xp = array_module(angle)
+    return xp.mod(angle + xp.pi, 2 * xp.pi) - xp.pi
+
+
+def rotate(vector: Array, angle: Array) -> Array:
+    """R_z(angle) applied to the first two entries of ``vector [..., 2 or 3]``; a third entry is kept.
+
+    Turns a planar vector, twist or wrench (about the same point) from a frame whose yaw is ``angle`` into the world
+    frame; with ``-angle`` it goes the other way.
+    """
+    xp = array_module(vector, angle)
+    c, s = xp.cos(angle), xp.sin(angle)
+    x, y = vector[..., 0], vector[..., 1]
+    out = [c * x - s * y, s * x + c * y]
+    if vector.shape[-1] == 3:
+        out.append(xp.broadcast_to(vector[..., 2], out[0].shape))
+    return xp.stack(out, axis=-1)
+
+
+def transform_point(pose: Array, point: Array) -> Array:
+    """A point ``[..., 2]`` given in the frame ``pose [..., 3]``, in that pose's parent frame."""
+    return pose[..., :2] + rotate(point, pose[..., 2])
+
+
+def inverse_transform_point(pose: Array, point: Array) -> Array:
+    """A point ``[..., 2]`` of the parent frame, in the frame ``pose [..., 3]``."""
+    return rotate(point - pose[..., :2], -pose[..., 2])
+
+
+def compose(a: Array, b: Array) -> Array:
+    """The pose ``b``, given in frame ``a``, in ``a``'s parent frame (a * b). Yaw is not wrapped."""
+    xp = array_module(a, b)
+    return xp.concatenate([transform_point(a, b[..., :2]), (a[..., 2] + b[..., 2])[..., None]], axis=-1)
+
+
+def relative(a: Array, b: Array) -> Array:
+    """The pose ``b`` seen from ``a``, both given in one parent frame (a^-1 * b), yaw wrapped."""
+    xp = array_module(a, b)
+    return xp.concatenate([inverse_transform_point(a, b[..., :2]), wrap(b[..., 2] - a[..., 2])[..., None]], axis=-1)
+
+
+def cross(a: Array, b: Array) -> Array:
+    """z component of the cross product of planar vectors ``[..., 2]``: the moment of force b at lever arm a."""
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]

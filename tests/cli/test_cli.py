@@ -1,0 +1,131 @@
+"""The `shmoo` command as its users meet it: what good input leaves behind, and what bad input is answered with."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sysconfig
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from shmoo_mjx.assets import asset
+from shmoo_mjx.navigation.maps import OCCUPIED, OccupancyGrid, save_map
+from shmoo_mjx.run import DEMO_WEIGHTS
+
+Done = subprocess.CompletedProcess[str]
+
+BAD_INPUT: dict[str, tuple[str, tuple[str, ...]]] = {
+    "map without its image": ("navigate --map no_image.yaml --start 1,1,0 --goal 2,1", ("no_image.yaml", "'image'", "gone.png")),
+    "map without resolution": ("navigate --map no_resolution.yaml --start 1,1,0 --goal 2,1", ("'resolution'", "missing")),
+    "start inside a wall": ("navigate --scenario wall.yaml", ("wall.yaml", "'start'", "inside a wall")),
+    "goal unreachable": ("navigate --scenario split.yaml", ("split.yaml", "'goal'", "can't be reached")),
+    "unknown object family": ("navigate --scenario family.yaml", ("'objects[0].family'", "'sofa'", "wheelchair")),
+    "negative mass": ("navigate --scenario mass.yaml", ("mass.yaml", "'objects[0].properties'", "mass", "negative")),
+    "misspelt key": ("navigate --scenario key.yaml", ("key.yaml", "'gaol'", "did you mean 'goal'?")),
+    "truncated weights": ("navigate --scenario good.yaml --weights cut.safetensors", ("cut.safetensors", "damaged")),
+    "seed that is no number": ("demo --seed one", ("--seed", "'one'")),
+    "start with a number too few": ("navigate --map room.yaml --start 1,1 --goal 2,1", ("--start", "3 numbers")),
+    "neither scenario nor start": ("navigate --map room.yaml", ("--scenario", "--start", "--goal")),
+    "training without data": ("train object nothing_here", ("nothing_here", "shmoo collect")),
+}
+GOOD_INPUT = {
+    "help": "--help",
+    "drive": "navigate --scenario drive.yaml --no-video --out drive",
+    "too little time": "navigate --scenario hasty.yaml --no-video --out hasty",
+}
+
+
+def write_inputs(folder: Path) -> None:
+    """Maps, scenarios and weights, each with the one fault its name says."""
+    cells = np.zeros((60, 100), np.int8)
+    cells[:2] = cells[-2:] = cells[:, :2] = cells[:, -2:] = OCCUPIED
+    save_map(OccupancyGrid(cells, 0.05), folder / "room.yaml")
+    cells[:, 50:52] = OCCUPIED
+    save_map(OccupancyGrid(cells, 0.05), folder / "two_rooms.yaml")
+    meta = yaml.safe_load((folder / "room.yaml").read_text())
+    maps = {"no_image": meta | {"image": "gone.png"}, "no_resolution": {k: meta[k] for k in meta if k != "resolution"}}
+    box = {"family": "box", "pose": [3.5, 1.5, 0.0], "properties": {"mass": 3.0}}
+    good = {"map": "room.yaml", "start": [1.0, 1.0, 0.0], "goal": [4.0, 2.0], "objects": [box]}
+    scenarios = {
+        "good": good,
+        "wall": good | {"start": [0.02, 1.0, 0.0]},
+        "split": good | {"map": "two_rooms.yaml"},
+        "family": good | {"objects": [box | {"family": "sofa"}]},
+        "mass": good | {"objects": [box | {"properties": {"mass": -3.0}}]},
+        "key": {"gaol" if key == "goal" else key: value for key, value in good.items()},
+        "drive": good | {"goal": [2.0, 1.0], "objects": []},
+        "hasty": good | {"objects": [], "limits": {"time_s": 0.5}},
+    }
+    for name, data in (maps | scenarios).items():
+        (folder / f"{name}.yaml").write_text(yaml.safe_dump(data))
+    weights = asset(DEMO_WEIGHTS).read_bytes()
+    (folder / "cut.safetensors").write_bytes(weights[: len(weights) // 2])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("cli")
+    write_inputs(made)
+    return made
+
+
+@pytest.fixture(scope="module")
+def done(folder: Path) -> dict[str, Done]:
+    """Every command of this module, run once, two at a time."""
+    program = Path(sysconfig.get_path("scripts")) / "shmoo"
+
+    def run(arguments: str) -> Done:
+        command = [str(program), *arguments.split()]
+        return subprocess.run(
+            command, cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=240, check=False
+        )
+
+    commands = GOOD_INPUT | {case: arguments for case, (arguments, _) in BAD_INPUT.items()}
+    with ThreadPoolExecutor(2) as pool:
+        return dict(zip(commands, pool.map(run, commands.values()), strict=True))
+
+
+@pytest.mark.parametrize("case", BAD_INPUT)
+def test_bad_input_is_answered_with_one_sentence(done: dict[str, Done], case: str) -> None:
+    result, words = done[case], BAD_INPUT[case][1]
+    assert result.returncode == 2, result.stderr
+    lines = result.stderr.splitlines()
+    assert len(lines) == 1, result.stderr
+    assert lines[0].startswith("shmoo: ") and lines[0][-1] in ".?"
+    assert all(word in lines[0] for word in words), lines[0]
+    assert result.stdout == ""
+
+
+def test_bad_input_leaves_no_run_behind(done: dict[str, Done], folder: Path) -> None:
+    assert all(done[case].returncode == 2 for case in BAD_INPUT)
+    assert not (folder / "runs").exists()
+    assert not (folder / "weights.safetensors").exists()
+
+
+def test_help_names_every_command(done: dict[str, Done]) -> None:
+    assert done["help"].returncode == 0
+    for command in ("demo", "navigate", "collect", "train", "map", "doctor"):
+        assert f"• {command} " in done["help"].stdout
+
+
+def test_a_drive_leaves_its_folder(done: dict[str, Done], folder: Path) -> None:
+    assert done["drive"].returncode == 0, done["drive"].stderr
+    assert done["drive"].stdout.startswith("success: ")
+    names = {path.name for path in (folder / "drive").iterdir()}
+    assert names == {"map.yaml", "map.png", "scenario.yaml", "trace.npz", "result.json", "report.html"}
+    result = json.loads((folder / "drive" / "result.json").read_text())
+    assert result["outcome"] == "success" and result["goal_distance_m"] < 0.25
+    assert result["falls"] == result["wall_contacts"] == 0
+    assert [t["to"] for t in result["transitions"]] == ["follow path", "done"]
+    assert all(t["reason"] for t in result["transitions"])
+    assert result["versions"]["mujoco"] == result["versions"]["mujoco-mjx"]
+
+
+def test_a_run_without_success_says_so(done: dict[str, Done], folder: Path) -> None:
+    assert done["too little time"].returncode == 1, done["too little time"].stderr
+    assert done["too little time"].stdout.startswith("timeout: ")
+    assert json.loads((folder / "hasty" / "result.json").read_text())["outcome"] == "timeout"

@@ -1,0 +1,221 @@
+"""MPPI against problems whose answer is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from shmoo_mjx.control import mppi
+
+DT = 0.2
+CFG = mppi.MppiConfig(
+    samples=600,
+    horizon=6,
+    temperature=0.05,
+    sigma=(0.3, 0.3, 0.3),
+    low=(-5.0,) * 3,
+    high=(5.0,) * 3,
+    noise_correlation=0.5,
+    include_zero=False,
+)
+X0 = jnp.array([1.0, -0.5, 0.3])
+
+
+def integrate(x0: Any, controls: Any) -> Any:
+    """Single integrator in each channel, the plainest linear model: [S, T, 3]."""
+    return x0 + DT * jnp.cumsum(controls, axis=-2)
+
+
+def quadratic(traj: Any, controls: Any, last_u: Any) -> Any:
+    return jnp.sum(traj**2, axis=(-2, -1)) + 0.1 * jnp.sum(controls**2, axis=(-2, -1))
+
+
+def optimum(extra: np.ndarray | None = None) -> np.ndarray:
+    """Minimiser [T, 3] of the quadratic cost, plus u^T extra u over time."""
+    steps = CFG.horizon
+    sums = DT * np.tril(np.ones((steps, steps)))
+    hessian = sums.T @ sums + 0.1 * np.eye(steps) + (0 if extra is None else extra)
+    return -np.linalg.solve(hessian, sums.T @ np.ones((steps, 1)) @ np.asarray(X0)[None])
+
+
+def converge(cfg: mppi.MppiConfig, sweeps: int = 300) -> np.ndarray:
+    def sweep(nominal: Any, key: Any) -> tuple[Any, Any]:
+        better = mppi.improve(cfg, integrate, quadratic, X0, nominal, jnp.zeros(3), key).nominal
+        return better, better
+
+    keys = jax.random.split(jax.random.key(0), sweeps)
+    _, trail = jax.jit(partial(jax.lax.scan, sweep))(jnp.zeros((cfg.horizon, 3)), keys)
+    return np.asarray(trail[sweeps // 2 :]).mean(axis=0)  # average over sweeps: sampling noise remains in each
+
+
+def test_reaches_the_linear_quadratic_optimum() -> None:
+    assert np.abs(optimum()).max() > 0.5
+    np.testing.assert_allclose(converge(CFG), optimum(), atol=0.04)
+
+
+def test_control_term_adds_the_information_cost() -> None:
+    # With Williams' term the fixed point minimises J + lambda / 2 u^T Sigma^-1 u, Sigma that of the coloured noise.
+    steps = np.arange(CFG.horizon)
+    covariance = 0.3**2 * 0.5 ** np.abs(steps[:, None] - steps[None, :])
+    expected = optimum(0.5 * CFG.temperature * np.linalg.inv(covariance))
+    assert np.abs(expected - optimum()).max() > 0.2
+    np.testing.assert_allclose(converge(replace(CFG, control_cost=1.0)), expected, atol=0.04)
+
+
+def test_noise_has_the_stated_deviation_and_correlation() -> None:
+    cfg = replace(CFG, samples=20_000, horizon=4, sigma=(0.1, 0.2, 0.0), noise_correlation=0.8)
+    noise = np.asarray(mppi.sample_controls(cfg, jax.random.key(1), jnp.zeros((4, 3))))
+    np.testing.assert_allclose(noise[:, 0].std(axis=0), cfg.sigma, atol=3e-3)
+    np.testing.assert_allclose(noise[:, 3].std(axis=0), cfg.sigma, atol=3e-3)
+    assert abs(np.corrcoef(noise[:, 1, 0], noise[:, 2, 0])[0, 1] - 0.8) < 0.02
+    assert abs(np.corrcoef(noise[:, 0, 1], noise[:, 3, 1])[0, 1] - 0.8**3) < 0.03
+
+
+@given(
+    costs=st.lists(
+        st.floats(allow_nan=True, allow_infinity=True, width=32) | st.floats(-1, 1, width=32), min_size=4, max_size=4
+    ),
+    temperature=st.sampled_from([1e-6, 0.7, 1e6]),
+)
+@settings(max_examples=60, deadline=None)
+def test_weights_sum_to_one_whatever_the_costs(costs: list[float], temperature: float) -> None:
+    c = jnp.asarray(costs, dtype=jnp.float32)
+    valid = jnp.isfinite(c)
+    weights = np.asarray(mppi.importance_weights(replace(CFG, temperature=temperature), c, valid))
+    assert np.isfinite(weights).all() and (weights >= 0).all()
+    assert (weights[~np.asarray(valid)] == 0).all()
+    assert weights.sum() == pytest.approx(1.0 if np.asarray(valid).any() else 0.0, abs=1e-5)
+
+
+def test_temperature_limits_and_cost_scale() -> None:
+    costs = jnp.array([3.0, 1.0, 2.0])
+    weigh = partial(mppi.importance_weights, costs=costs, valid=jnp.ones(3, bool))
+    np.testing.assert_allclose(weigh(replace(CFG, temperature=1e-4)), [0, 1, 0], atol=1e-6)
+    np.testing.assert_allclose(weigh(replace(CFG, temperature=1e6)), np.full(3, 1 / 3), atol=1e-5)
+    expected = np.exp(-np.array([2.0, 0.0, 1.0]) / 0.7)
+    np.testing.assert_allclose(weigh(replace(CFG, temperature=0.7)), expected / expected.sum(), rtol=1e-5)
+    np.testing.assert_allclose(
+        weigh(replace(CFG, temperature=7.0, cost_scale=10.0)), expected / expected.sum(), rtol=1e-5
+    )
+
+
+def test_invalid_rollouts_are_ignored_and_counted() -> None:
+    def broken(x0: Any, controls: Any) -> Any:
+        # The state blows up wherever the first control is positive; the cost below does not look at it.
+        seen = integrate(x0, controls)
+        return {"seen": seen, "hidden": jnp.where(controls[:, :1, :1] > 0, jnp.nan, seen)}
+
+    plan = mppi.improve(
+        CFG,
+        broken,
+        lambda t, c, last: quadratic(t["seen"], c, last),
+        X0,
+        jnp.zeros((6, 3)),
+        jnp.zeros(3),
+        jax.random.key(2),
+    )
+    positive = np.asarray(plan.controls[:, 0, 0] > 0)
+    assert int(plan.invalid) == positive.sum() > 100
+    assert bool(plan.ok)
+    assert (np.asarray(plan.weights)[positive] == 0).all()
+    assert float(plan.nominal[0, 0]) < 0
+
+
+def test_no_valid_rollout_gives_the_safe_action() -> None:
+    state = mppi.init(CFG, jax.random.key(3), jnp.ones(3))
+    u, after, plan = mppi.plan(
+        CFG, lambda x0, c: integrate(x0, c) * jnp.nan, lambda t, c, last: jnp.sum(t, axis=(-2, -1)), X0, state
+    )
+    assert not bool(plan.ok) and int(plan.invalid) == CFG.samples
+    np.testing.assert_array_equal(u, np.zeros(3))
+    np.testing.assert_array_equal(after.nominal, np.zeros((6, 3)))
+    np.testing.assert_array_equal(plan.weights, np.zeros(CFG.samples))
+
+
+@pytest.mark.parametrize("include_zero", [True, False])
+def test_recovers_from_a_broken_warm_start(include_zero: bool) -> None:
+    cfg = replace(CFG, include_zero=include_zero)
+    state = mppi.init(cfg, jax.random.key(3))._replace(nominal=jnp.full((6, 3), jnp.nan))
+    u, after, plan = mppi.plan(cfg, integrate, lambda t, c, last: jnp.zeros(len(c)), X0, state)
+    assert bool(plan.ok) is include_zero
+    np.testing.assert_array_equal(u, np.zeros(3))
+    assert np.isfinite(after.nominal).all()
+
+
+def test_warm_start_shifts_by_one_step() -> None:
+    state = mppi.init(CFG, jax.random.key(4))
+    u, after, plan = mppi.plan(CFG, integrate, quadratic, X0, state)
+    np.testing.assert_array_equal(u, plan.nominal[0])
+    np.testing.assert_array_equal(after.last_u, u)
+    np.testing.assert_array_equal(after.nominal[:-1], plan.nominal[1:])
+    np.testing.assert_array_equal(after.nominal[-1], plan.nominal[-1])
+    np.testing.assert_array_equal(plan.controls[0], state.nominal)
+
+
+def test_last_applied_control_reaches_the_cost() -> None:
+    state = mppi.init(CFG, jax.random.key(4), jnp.array([0.1, 0.2, 0.3]))
+    _, _, plan = mppi.plan(CFG, integrate, lambda t, c, last: jnp.full(len(c), last.sum()), X0, state)
+    np.testing.assert_allclose(plan.costs, 0.6, rtol=1e-6)
+
+
+def test_controls_stay_within_bounds() -> None:
+    cfg = replace(CFG, low=(-0.2, -0.1, 0.05), high=(0.2, 0.3, 0.4), sigma=(1.0, 1.0, 1.0), include_zero=True)
+    u, _, plan = mppi.plan(cfg, integrate, quadratic, 10 * X0, mppi.init(cfg, jax.random.key(5), 9 * jnp.ones(3)))
+    for controls in (np.asarray(plan.controls), np.asarray(plan.nominal), np.asarray(u)):
+        assert (controls >= np.array(cfg.low, np.float32)).all() and (controls <= np.array(cfg.high, np.float32)).all()
+    np.testing.assert_allclose(plan.controls[1], np.broadcast_to([0.0, 0.0, 0.05], (6, 3)), rtol=1e-6)
+
+
+def test_same_key_same_plan_other_key_other_plan() -> None:
+    run = partial(mppi.plan, CFG, integrate, quadratic, X0)
+    first, second = run(mppi.init(CFG, jax.random.key(6))), run(mppi.init(CFG, jax.random.key(6)))
+    jax.tree.map(np.testing.assert_array_equal, first[2], second[2])
+    third = run(mppi.init(CFG, jax.random.key(7)))
+    assert np.abs(first[2].controls - third[2].controls).max() > 0.1
+    # The key moves on: planning again from the returned state draws other samples.
+    again = run(first[1])
+    noise = [r[2].controls[2] - start for r, start in ((first, jnp.zeros((6, 3))), (again, first[1].nominal))]
+    assert np.abs(noise[0] - noise[1]).max() > 0.05
+
+
+def test_batch_equals_one_by_one_and_compiles_once() -> None:
+    traces = []
+
+    def counted(x0: Any, controls: Any) -> Any:
+        traces.append(1)
+        return integrate(x0, controls)
+
+    run = jax.jit(partial(mppi.plan, CFG, counted, quadratic))
+    starts = jnp.stack([X0, -X0, 2 * X0])
+    states = [mppi.init(CFG, k) for k in jax.random.split(jax.random.key(8), 3)]
+    single = [run(x, s) for x, s in zip(starts, states, strict=True)]
+    assert len(traces) == 1
+    batch = jax.vmap(run)(starts, jax.tree.map(lambda *x: jnp.stack(x), *states))
+    for i, (u, state, plan) in enumerate(single):
+        np.testing.assert_allclose(batch[0][i], u, atol=1e-5)
+        np.testing.assert_allclose(batch[1].nominal[i], state.nominal, atol=1e-5)
+        np.testing.assert_allclose(batch[2].costs[i], plan.costs, rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"temperature": 0.0},
+        {"samples": 1},
+        {"noise_correlation": 1.0},
+        {"sigma": (0.1,)},
+        {"low": (6.0, 0.0, 0.0)},
+        {"cost_scale": -1.0},
+    ],
+)
+def test_config_rejects_nonsense(bad: dict[str, Any]) -> None:
+    with pytest.raises(ValueError):
+        replace(CFG, **bad)

@@ -1,0 +1,53 @@
+"""R learns, resumes and can be fine-tuned; the lean's constants are found."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from shmoo_mjx.data import store
+from shmoo_mjx.dynamics import RobotConfig, robot_model
+from shmoo_mjx.learning import robot_fit, training
+from shmoo_mjx.learning.robot_fit import RobotFitConfig
+
+SMALL = RobotFitConfig(robot=RobotConfig(hidden=(32, 32)), batch=128, chunks=5, chunk_updates=100, learning_rate=5e-3)
+
+
+def test_learns_base_and_force(synthetic_dataset: store.Dataset) -> None:
+    fitted = robot_fit.train_robot(synthetic_dataset, None, SMALL)
+    planar = fitted.per_output[[0, 1, 3, 4]]  # the synthetic robot does not turn
+    assert np.all(planar < 0.1)
+    np.testing.assert_allclose(fitted.params.lean.matrix, robot_model.lag(6.0, 0.7).matrix, atol=0.05)
+
+
+def test_killed_and_started_again_gives_the_same(tmp_path: Path, synthetic_dataset: store.Dataset) -> None:
+    config = replace(SMALL, chunks=3, chunk_updates=10)
+    whole = robot_fit.train_robot(synthetic_dataset, None, config)
+
+    def stop(progress: training.Progress) -> None:
+        if progress.chunk == 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        robot_fit.train_robot(synthetic_dataset, tmp_path, config, stop)
+    resumed = robot_fit.train_robot(synthetic_dataset, tmp_path, config)
+    assert resumed.history == whole.history
+    jax.tree.map(np.testing.assert_array_equal, resumed.params, whole.params)
+
+
+def test_fine_tuning_starts_from_what_is_known(synthetic_dataset: store.Dataset) -> None:
+    known = robot_fit.train_robot(synthetic_dataset, None, SMALL)
+    brief = replace(SMALL, chunks=1, chunk_updates=5, learning_rate=1e-4)
+    tuned = robot_fit.train_robot(synthetic_dataset, None, brief, start=known.params)
+    fresh = robot_fit.train_robot(synthetic_dataset, None, brief)
+    assert tuned.score < 1.2 * known.score < fresh.score
+
+
+def test_stops_when_validation_stops_improving() -> None:
+    scores = iter([3.0, 2.0, 2.5, 2.4, 2.6, 0.1])
+    fitted = training.run(
+        0, lambda s: (s + 1, np.zeros(())), extract=lambda s: s, evaluate=lambda s: next(scores), chunks=6, patience=3
+    )
+    assert len(fitted.history) == 5 and fitted.score == 2.0 and int(fitted.best) == 2

@@ -1,0 +1,71 @@
+"""The weights file: complete, checked, and refused in one sentence when damaged."""
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from shmoo_mjx.dynamics import CoreConfig, ObjectConfig, RobotConfig
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.learning import daiml, robot_fit, trees, weights
+
+CONFIG = CoreConfig(robot=RobotConfig(hidden=(8, 8)), object=ObjectConfig(hidden=(8,), per_axis=True), open_gap=0.05)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    path = tmp_path / "w.safetensors"
+    weights.save_weights(path, weights.untrained(CONFIG)._replace(info={"seed": 3}))
+    return path
+
+
+def test_round_trip(path: Path) -> None:
+    found, made = weights.load_weights(path), weights.untrained(CONFIG)
+    assert found.config == CONFIG and found.info == {"seed": 3}
+    jax.tree.map(np.testing.assert_array_equal, found.params, made.params)
+    assert [p.name for p in path.parent.iterdir()] == [path.name]
+
+
+def test_parts_are_put_together() -> None:
+    made, other = weights.untrained(CONFIG), weights.untrained(CONFIG, seed=1)
+    body = daiml.ObjectFit(other.params.object, jnp.ones((3, 6)), 2 * jnp.eye(18), 3 * jnp.eye(3), 0.2, [])
+    robot = robot_fit.RobotFit(other.params.robot, 0.1, np.zeros(5), [])
+    both = weights.with_robot(weights.with_object(made, body), robot)
+    assert both.info == {"object_score": 0.2, "robot_score": 0.1} and both.config == CONFIG
+    np.testing.assert_array_equal(both.params.coefficients, 1.0)
+    jax.tree.map(np.testing.assert_array_equal, both.params.robot, other.params.robot)
+
+
+@pytest.mark.parametrize("keep", [0, 7, 200, -1])
+def test_truncated(path: Path, keep: int) -> None:
+    path.write_bytes(path.read_bytes()[:keep])
+    with pytest.raises(ShmooError, match=r"w\.safetensors.*damaged"):
+        weights.load_weights(path)
+
+
+def test_garbled(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[-20] ^= 4
+    path.write_bytes(content)
+    with pytest.raises(ShmooError, match=r"w\.safetensors.*sha256"):
+        weights.load_weights(path)
+
+
+def test_missing_old_or_of_another_shape(path: Path) -> None:
+    with pytest.raises(ShmooError, match="no such file"):
+        weights.load_weights(path.with_name("x"))
+    tree = {"params": weights.untrained(CONFIG).params}
+    notes = trees.read_notes(path)
+    trees.save_tree(path, tree, notes | {"schema_version": 0})
+    with pytest.raises(ShmooError, match="schema_version"):
+        weights.load_weights(path)
+    trees.save_tree(path, tree, notes)
+    with pytest.raises(ShmooError, match="'noise' is missing"):
+        weights.load_weights(path)
+    wide = weights.untrained(CoreConfig(robot=RobotConfig(hidden=(9, 8)), object=CONFIG.object))
+    whole = {"params": wide.params, "prior_covariance": wide.prior_covariance, "noise": wide.noise}
+    trees.save_tree(path, whole, notes)
+    with pytest.raises(ShmooError, match=r"has shape \(28, 9\) where \(28, 8\)"):
+        weights.load_weights(path)

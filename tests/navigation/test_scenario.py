@@ -1,0 +1,117 @@
+"""Scenario files: what is read, what is refused and how, and the checks against a map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.navigation.maps import OCCUPIED, UNKNOWN, OccupancyGrid
+from shmoo_mjx.navigation.scenario import FAMILIES, ObjectEntry, Scenario, check_scenario, load_scenario, save_scenario
+
+GOOD = {
+    "map": "maps/office.yaml",
+    "start": [1.0, 1.0, 0.0],
+    "goal": [4.0, 2],
+    "objects": [
+        {"family": "box", "pose": [2.0, 1.0, 0.1], "properties": {"mass": 3.0, "size": [0.5, 0.5, 0.6]}},
+        {"family": "wheelchair", "pose": [3, 1, 0], "seed": 7, "properties": {"locked": [True, True, False, False]}},
+    ],
+    "seed": 3,
+    "limits": {"time_s": 120},
+}
+
+
+def write(folder: Path, data: object) -> Path:
+    path = folder / "scene.yaml"
+    path.write_text(yaml.safe_dump(data))
+    return path
+
+
+def test_reads_everything_and_finds_the_map_beside_the_file(tmp_path: Path) -> None:
+    scenario = load_scenario(write(tmp_path, GOOD))
+    assert scenario.map == str(tmp_path / "maps/office.yaml")
+    assert scenario.goal == (4.0, 2.0) and scenario.limits.time_s == 120.0
+    assert [o.family for o in scenario.objects] == ["box", "wheelchair"]
+    assert scenario.objects[0].seed == 0 and scenario.objects[0].properties["mass"] == 3.0
+    assert scenario.objects[1].properties["locked"] == [True, True, False, False]
+    assert all(type(v) is bool for v in scenario.objects[1].properties["locked"])
+
+
+def test_written_scenarios_come_back(tmp_path: Path) -> None:
+    scenario = Scenario.model_validate(GOOD | {"map": None})
+    save_scenario(scenario, tmp_path / "new" / "scene.yaml")
+    assert load_scenario(tmp_path / "new" / "scene.yaml") == scenario
+    assert [p.name for p in (tmp_path / "new").iterdir()] == ["scene.yaml"]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"gaol": [1, 2]}, ("'gaol'", "'goal'")),
+        ({"start": None}, ("'start'",)),
+        ({"start": [0.0, 1.0]}, ("'start[2]'", "missing")),
+        ({"goal": [0.0, "east"]}, ("'goal[1]'", "'east'")),
+        ({"goal": [0.0, float("inf")]}, ("'goal[1]'", "finite")),
+        ({"seed": -1}, ("'seed'", "-1")),
+        ({"limits": {"time": 5}}, ("'limits.time'", "'time_s'")),
+        ({"limits": {"time_s": -5}}, ("'limits.time_s'",)),
+        ({"objects": [{"family": "sofa", "pose": [0, 0, 0]}]}, ("'objects[0].family'", "'sofa'", *FAMILIES)),
+        ({"objects": [{"family": "box"}]}, ("'objects[0].pose'", "missing")),
+        ({"objects": [{"family": "box", "pos": [0, 0, 0]}]}, ("'objects[0].pos'", "'pose'")),
+        ({"objects": [{"family": "box", "pose": [0, 0, 0], "properties": {"mass": -2}}]}, ("mass = -2", "negative")),
+        ({"objects": [{"family": "box", "pose": [0, 0, 0], "properties": {"size": [1, -1, 1]}}]}, ("size = -1",)),
+        (
+            {"objects": [{"family": "box", "pose": [0, 0, 0], "properties": {"mass": "big"}}]},
+            ("mass = 'big'", "number"),
+        ),
+        ({"objects": [{"family": "box", "pose": [0, 0, 0], "properties": 3}]}, ("'objects[0].properties' is 3",)),
+        ({"objects": {"family": "box"}}, ("'objects'", "list")),
+        ({"limits": 4}, ("'limits' is 4", "mapping")),
+    ],
+)
+def test_faults_are_said_in_one_sentence(tmp_path: Path, change: dict, words: tuple[str, ...]) -> None:
+    path = write(tmp_path, GOOD | change)
+    with pytest.raises(ShmooError) as error:
+        load_scenario(path)
+    text = str(error.value)
+    assert str(path) in text and all(word in text for word in words), text
+    assert "\n" not in text and text.endswith((".", "?")) and "Value error" not in text and "instance" not in text
+
+
+def test_offsets_may_be_negative(tmp_path: Path) -> None:
+    entry = {"family": "cart", "pose": [0, 0, 0], "properties": {"payload_x": -0.1, "caster_angle": [-1.0, 1, 0, 0]}}
+    assert load_scenario(write(tmp_path, GOOD | {"objects": [entry]})).objects[0].properties["payload_x"] == -0.1
+
+
+def two_rooms() -> OccupancyGrid:
+    cells = np.zeros((40, 60), np.int8)
+    cells[:, 30] = OCCUPIED
+    cells[30:, 50:] = UNKNOWN
+    return OccupancyGrid(cells, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("start", "goal", "words"),
+    [
+        ((3.05, 2.0, 0.0), (1.0, 1.0), ("'start'", "inside a wall")),
+        ((1.0, 1.0, 0.0), (5.5, 3.5), ("'goal'", "unknown space")),
+        ((2.85, 2.0, 0.0), (1.0, 1.0), ("'start'", "0.15 m from a wall", "0.25 m")),
+        ((9.0, 2.0, 0.0), (1.0, 1.0), ("'start'", "off the map", "x 0.00 to 6.00")),
+        ((1.0, 1.0, 0.0), (4.0, 1.0), ("'goal'", "can't be reached")),
+    ],
+)
+def test_start_and_goal_are_checked_against_the_map(
+    start: tuple[float, float, float], goal: tuple[float, float], words: tuple[str, ...]
+) -> None:
+    with pytest.raises(ShmooError) as error:
+        check_scenario(two_rooms(), Scenario(start=start, goal=goal), 0.25, "scene.yaml")
+    assert all(word in str(error.value) for word in ("scene.yaml", *words)), str(error.value)
+
+
+def test_a_good_scenario_passes_whatever_stands_about() -> None:
+    entry = ObjectEntry(family="cart", pose=(1.5, 2.0, 0.0))
+    check_scenario(two_rooms(), Scenario(start=(0.5, 1, 0), goal=(2.5, 3), objects=(entry,)), 0.25)

@@ -1,0 +1,109 @@
+"""The robot's kinematics as the control knows them, against MuJoCo's own."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from shmoo_mjx.assets import asset
+from shmoo_mjx.hands import HAND_RADIUS
+from shmoo_mjx.plant.robot import ROBOT, arm_jacobian, com_offset, hand_in_body, readout
+
+MODEL = mujoco.MjModel.from_xml_path(str(asset("models_xml/shmoobot.xml")))
+HANDS = ("left_hand", "right_hand")
+
+
+def _random_state(seed: int) -> mujoco.MjData:
+    rng = np.random.default_rng(seed)
+    data = mujoco.MjData(MODEL)
+    data.qpos[:2] = rng.uniform(-3, 3, 2)
+    yaw, lean = rng.uniform(-np.pi, np.pi), rng.uniform(-0.3, 0.3, 2)
+    turn, tilt = np.zeros(4), np.zeros(4)
+    mujoco.mju_axisAngle2Quat(turn, np.array([0.0, 0.0, 1.0]), yaw)
+    mujoco.mju_axisAngle2Quat(tilt, np.array([-lean[1], lean[0], 0.0]) / np.hypot(*lean), np.hypot(*lean))
+    mujoco.mju_mulQuat(data.qpos[3:7], turn, tilt)
+    ball = rng.normal(size=4)
+    data.qpos[7:11] = ball / np.linalg.norm(ball)
+    data.qpos[11:17] = rng.uniform(MODEL.jnt_range[2:8, 0], MODEL.jnt_range[2:8, 1])
+    data.qvel[:] = rng.normal(size=MODEL.nv)
+    mujoco.mj_forward(MODEL, data)
+    return data
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**31))
+def test_hand_positions_and_jacobian(seed: int) -> None:
+    data = _random_state(seed)
+    arms = data.qpos[11:17].reshape(2, 3)
+    body = data.body("torso").xmat.reshape(3, 3)
+    for arm, name in enumerate(HANDS):
+        in_body = body.T @ (data.site(name).xpos - data.body("torso").xpos)
+        np.testing.assert_allclose(hand_in_body(arms)[arm], in_body, atol=1e-9)
+        jacobian = np.zeros((3, MODEL.nv))
+        mujoco.mj_jacSite(MODEL, data, jacobian, None, MODEL.site(name).id)
+        columns = slice(9 + 3 * arm, 12 + 3 * arm)
+        np.testing.assert_allclose(arm_jacobian(arms)[arm], body.T @ jacobian[:, columns], atol=1e-9)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**31))
+def test_readout_against_mujoco(seed: int) -> None:
+    data = _random_state(seed)
+    seen = readout(data.qpos, data.qvel)
+    torso, ball = data.body("torso"), data.body("ball")
+    velocity = np.zeros(6)
+    mujoco.mj_objectVelocity(MODEL, data, mujoco.mjtObj.mjOBJ_XBODY, torso.id, velocity, 0)
+    axes = torso.xmat.reshape(3, 3)
+    c, s = np.cos(seen.pose[2]), np.sin(seen.pose[2])
+    level = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+    np.testing.assert_allclose(seen.rotation, level @ axes, atol=1e-9)
+    np.testing.assert_allclose(seen.pose[:2], torso.xpos[:2], atol=1e-12)
+    np.testing.assert_allclose(seen.twist, [velocity[3], velocity[4], velocity[2]], atol=1e-9)
+    up = level @ axes[:, 2]
+    np.testing.assert_allclose(np.tan(seen.lean), up[:2] / up[2], atol=1e-9)
+    np.testing.assert_allclose(seen.lean_rate, [(level @ velocity[:3])[1], -(level @ velocity[:3])[0]], atol=1e-9)
+    spin = np.zeros(6)
+    mujoco.mj_objectVelocity(MODEL, data, mujoco.mjtObj.mjOBJ_XBODY, ball.id, spin, 0)
+    np.testing.assert_allclose(seen.drive_rate, axes.T @ (spin[:3] - velocity[:3]), atol=1e-9)
+
+
+def test_com_feed_forward_is_the_true_com() -> None:
+    data = _random_state(3)
+    data.qpos[3:7] = [1, 0, 0, 0]
+    mujoco.mj_forward(MODEL, data)
+    bodies = [b for b in range(1, MODEL.nbody) if MODEL.body(b).name != "ball"]
+    mass = MODEL.body_mass[bodies]
+    com = mass @ data.xipos[bodies] / mass.sum() - data.body("torso").xpos
+    np.testing.assert_allclose(com_offset(data.qpos[11:17].reshape(2, 3)), com[:2], atol=1e-9)
+
+
+def test_nominal_numbers_equal_the_xml() -> None:
+    torso, ball = MODEL.body("torso"), MODEL.geom("ball")
+    assert ball.size[0] == pytest.approx(ROBOT.ball_radius)
+    assert MODEL.body("ball").mass[0] == pytest.approx(ROBOT.ball_mass)
+    assert torso.mass[0] == pytest.approx(ROBOT.body_mass)
+    assert torso.ipos[2] == pytest.approx(ROBOT.body_com_height)
+    np.testing.assert_allclose(torso.inertia, ROBOT.body_inertia)
+    np.testing.assert_allclose(MODEL.body("left_upper_arm").pos, ROBOT.shoulder)
+    assert MODEL.body("right_upper_arm").pos[1] == pytest.approx(-ROBOT.shoulder[1])
+    for side in ("left", "right"):
+        assert MODEL.body(f"{side}_forearm").pos[0] == pytest.approx(ROBOT.upper_arm)
+        assert MODEL.body(f"{side}_hand").pos[0] == pytest.approx(ROBOT.forearm)
+        masses = [MODEL.body(f"{side}_{part}").mass[0] for part in ("upper_arm", "forearm", "hand")]
+        np.testing.assert_allclose(masses, [ROBOT.upper_arm_mass, ROBOT.forearm_mass, ROBOT.hand_mass])
+        assert MODEL.geom(f"{side}_hand").size[0] == pytest.approx(HAND_RADIUS)
+    drive = MODEL.joint("ball")
+    assert drive.frictionloss[0] == pytest.approx(ROBOT.drive_coulomb)
+    assert drive.damping[0] == pytest.approx(ROBOT.drive_viscous)
+    assert MODEL.actuator("drive_x").ctrlrange[1] == pytest.approx(ROBOT.drive_limit)
+    assert MODEL.geom("torso_hull").size[0] == pytest.approx(ROBOT.radius)
+    assert MODEL.body_mass[1:].sum() == pytest.approx(ROBOT.upper_mass + ROBOT.ball_mass)
+
+
+def test_flatness_coefficients_give_the_unstable_pole() -> None:
+    """With the base free, phi'' = (c M / det) phi; the linear model's pole against MuJoCo's own linearisation."""
+    a, b, c = ROBOT.flatness
+    assert a > 0 and b > 0 and c == pytest.approx(ROBOT.upper_mass * 9.81 * ROBOT.body_com_height)

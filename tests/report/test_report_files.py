@@ -1,0 +1,185 @@
+"""The trace file, the page and what it says."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.report import html
+from shmoo_mjx.report.trace import Trace, load_result, load_trace, object_index, save_trace, telling_decisions
+
+
+def write_run(folder: Path, result: dict[str, Any], trace: Trace) -> None:
+    (folder / "result.json").write_text(json.dumps(result), encoding="utf-8")
+    save_trace(folder / "trace.npz", trace)
+
+
+def test_trace_round_trip_keeps_lists_of_unequal_arrays(tmp_path: Path, trace: Trace) -> None:
+    back = load_trace(save_trace(tmp_path / "trace.npz", trace))
+    for name, value in trace._asdict().items():
+        kept = getattr(back, name)
+        if isinstance(value, tuple) and name != "state_names":
+            assert len(kept) == len(value)
+            for a, b in zip(kept, value, strict=True):
+                assert a.shape == np.shape(b)
+                np.testing.assert_allclose(a, b, atol=1e-6)
+        else:
+            np.testing.assert_array_equal(kept, value)
+    assert [p.name for p in tmp_path.iterdir()] == ["trace.npz"]
+
+
+def test_more_than_ten_plans_keep_their_order(tmp_path: Path, trace: Trace) -> None:
+    plans = tuple(np.full((2, 2), float(i)) for i in range(12))
+    back = load_trace(save_trace(tmp_path / "t.npz", trace._replace(plans=plans, plan_times=np.arange(12.0))))
+    assert [float(p[0, 0]) for p in back.plans] == list(range(12))
+
+
+def test_bad_files_are_named(tmp_path: Path, trace: Trace, result: dict[str, Any]) -> None:
+    path = tmp_path / "trace.npz"
+    with pytest.raises(ShmooError, match=r"trace\.npz"):
+        load_trace(path)
+    path.write_bytes(save_trace(path, trace).read_bytes()[:2000])
+    with pytest.raises(ShmooError, match="damaged"):
+        load_trace(path)
+    with path.open("wb") as stream:
+        np.savez(stream, t=trace.t)
+    with pytest.raises(ShmooError, match="robot_pose"):
+        load_trace(path)
+    source = tmp_path / "result.json"
+    with pytest.raises(ShmooError, match="no result"):
+        load_result(source)
+    source.write_text("{", encoding="utf-8")
+    with pytest.raises(ShmooError, match="JSON"):
+        load_result(source)
+    source.write_text(json.dumps({k: v for k, v in result.items() if k != "objects"}), encoding="utf-8")
+    with pytest.raises(ShmooError, match="objects"):
+        load_result(source)
+
+
+def test_report_is_one_self_contained_page(tmp_path: Path, trace: Trace, result: dict[str, Any]) -> None:
+    write_run(tmp_path, result, trace)
+    (tmp_path / "episode.mp4").write_bytes(b"film" * 10)
+    page = html.write_report(tmp_path).read_text(encoding="utf-8")
+    sources = re.findall(r'src="([^"]*)"', page)
+    assert len(sources) == 1 + 5 and all(s.startswith("data:") for s in sources)
+    assert not re.search("https?:", page)
+    assert base64.b64encode(b"film" * 10).decode() in page
+    assert "hands &lt;on&gt; the face" in page
+    for step in result["transitions"]:
+        assert f"<td>{step['to']}</td>" in page
+    assert "1.910" in page and "0.012" in page and "can&#39;t be moved" not in page.split("<h2>")[0].split("<p")[0]
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_large_film_is_linked(
+    tmp_path: Path, trace: Trace, result: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_run(tmp_path, result, trace)
+    (tmp_path / "episode.mp4").write_bytes(b"film" * 10)
+    monkeypatch.setattr(html, "MAX_VIDEO_BYTES", 39)
+    page = html.write_report(tmp_path).read_text(encoding="utf-8")
+    assert 'src="episode.mp4"' in page and "too large" in page
+
+
+def test_summary_says_what_happened(result: dict[str, Any]) -> None:
+    text = html.summary(result)
+    assert text.startswith("The robot reached its goal after 40 s, having driven 9.3 m")
+    assert "pushed the box box-1 1.10 m (K = 1.91 m²)" in text
+    assert "the wheelchair chair-2 can't be moved (K = 0.01 m²)" in text
+    assert text.endswith("It never fell and never touched a wall.")
+    assert "0.14 m from the goal" in text
+    failed = html.summary(
+        {**result, "outcome": "no_route", "reason": "all routes are blocked.", "falls": 1, "decisions": []}
+    )
+    assert failed.startswith("The run ended without success (all routes are blocked) after")
+    assert failed.endswith("It fell once and touched a wall not once.")
+
+
+def test_long_pushes_show_only_the_telling_decisions(trace: Trace, result: dict[str, Any]) -> None:
+    first, last = result["decisions"]
+    verdicts = [True, True, False, True, True, True]
+    result["decisions"] = [first | {"t": 13.0 + k, "manipulable": v} for k, v in enumerate(verdicts)] + [last]
+    assert telling_decisions(result) == [0, 2, 3, 5, 6]
+    page = html.render_report(result, trace)
+    assert page.count('alt="Decision') == 5 and "Decision 6:" in page and "Decision 2:" not in page
+    assert "changed the verdict" in page and page.count("1.910") == 6
+
+
+def test_report_of_a_run_that_ended_at_once(tmp_path: Path, trace: Trace, result: dict[str, Any]) -> None:
+    bare: dict[str, Any] = {"outcome": "failed", "transitions": [], "decisions": [], "objects": []}
+    sampled: dict[str, Any] = {
+        k: v[:1] for k, v in trace._asdict().items() if isinstance(v, np.ndarray) and len(v) == len(trace.t)
+    }
+    short = trace._replace(**sampled)._replace(
+        object_pose=np.zeros((1, 0, 3)),
+        coefficients=np.full((1, 18), np.nan),
+        plans=(),
+        plan_times=np.zeros(0),
+        decision_rollouts=(),
+        decision_candidates=(),
+        coefficient_object=np.array([-1]),
+    )
+    write_run(tmp_path, bare, short)
+    page = html.write_report(tmp_path).read_text(encoding="utf-8")
+    assert "No decision was needed." in page and "The scene held no object." in page
+    assert "What it learned" not in page
+
+
+def test_unknown_k_and_missing_evidence_are_drawn_all_the_same(trace: Trace, result: dict[str, Any]) -> None:
+    result["decisions"][0] |= {"K": None, "G": None, "goal": [4.0, 1.5]}
+    page = html.render_report(result, trace._replace(decision_rollouts=(), decision_candidates=()))
+    assert page.count("<img") == 5 and page.count("to be tried") == 1
+
+
+def test_objects_that_were_not_perceived_yet_do_no_harm(trace: Trace, result: dict[str, Any]) -> None:
+    from shmoo_mjx.report import figures, video
+
+    poses = trace.object_pose.copy()
+    poses[:350, 1] = np.nan
+    unseen = trace._replace(object_pose=poses)
+    axes = figures.decision_figure(result, unseen, 1).axes[0]
+    assert axes.get_xlim()[0] < 5.8 < axes.get_xlim()[1]
+    assert video.topdown_image(video.top_down(result, unseen, (200, 150)), 10.0).shape == (150, 200, 3)
+
+
+def test_figures_show_where_things_are(trace: Trace, result: dict[str, Any]) -> None:
+    from shmoo_mjx.report import figures
+
+    axes = figures.map_figure(result, trace).axes[0]
+    assert 0.0 >= axes.get_xlim()[0] > -0.2 and 8.2 > axes.get_xlim()[1] >= 7.9
+    corners = np.concatenate([p.get_xy() for p in axes.patches if hasattr(p, "get_xy")])
+    assert np.linalg.norm(corners - (4.3 + 0.25 * np.cos(0.1) - 0.3 * np.sin(0.1), 1.8235), axis=1).min() < 0.05
+    labels = [text.get_text() for text in axes.texts]
+    assert "1: K = 1.91 m²" in labels and "2: K = 0.01 m²" in labels
+    assert any("registered" in label for label in labels)
+
+
+def test_coefficients_have_a_column_per_push(trace: Trace, result: dict[str, Any]) -> None:
+    from shmoo_mjx.report import figures
+
+    panels = figures.coefficients_figure(result, trace).axes
+    assert len(panels) == 3 * 2
+    assert [p.get_title() for p in panels[:2]] == ["box box-1", "wheelchair chair-2"]
+    drawn = [line for line in panels[0].lines if str(line.get_label()).startswith("a")]
+    x = np.asarray(drawn[0].get_xdata(), dtype=float)
+    assert len(drawn) == 6 and 12.0 < x[0] < 12.3 and 19.8 < x[-1] < 20.1
+    assert max(np.abs(np.asarray(line.get_ydata(), dtype=float)).max() for line in drawn) <= 1.0
+
+
+def test_figures_are_png_images(trace: Trace, result: dict[str, Any]) -> None:
+    from PIL import Image
+
+    from shmoo_mjx.report import figures
+
+    for figure in (figures.coefficients_figure(result, trace), figures.timeline_figure(result, trace)):
+        image = Image.open(io.BytesIO(figures.to_png(figure, dpi=50)))
+        assert image.format == "PNG" and image.size[0] == 450
+    assert object_index(result, "chair-2") == 1 and object_index(result, "none") is None
