@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 import sys
 import warnings
+from collections.abc import Callable
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import tyro
 from tyro.conf import Positional
@@ -24,12 +25,12 @@ def demo(
     video: bool = True,
     quick: bool = False,
 ) -> int:
-    """Run the whole story on a generated floor plan: push a box out of the way, recognise a locked wheelchair, go round.
+    """Run the whole story on a generated floor plan: push a box away, recognise a locked wheelchair, go round.
 
     Example: shmoo demo --seed 3
 
     Args:
-        seed: draws floor plan, objects and their properties; a range such as 0..19 runs each and prints the success rate.
+        seed: draws floor plan, objects and properties; a range such as 0..19 runs each and prints the success rate.
         out: folder that gets one folder per run, demo-SEED.
         weights: trained weights (default: the shipped ones).
         video: draw episode.mp4 (--no-video is about twice as fast).
@@ -130,7 +131,9 @@ def train(
     return 0
 
 
-def map_(action: Positional[Literal["show"]], map: Positional[Path], out: Path = Path("map.png"), radius: float = 0.26) -> int:
+def map_(
+    action: Positional[Literal["show"]], map: Positional[Path], out: Path = Path("map.png"), radius: float = 0.26
+) -> int:
     """Draw a map with the free space of a robot of the given radius.
 
     Example: shmoo map show office.yaml --out office.png
@@ -142,7 +145,7 @@ def map_(action: Positional[Literal["show"]], map: Positional[Path], out: Path =
         radius: robot radius [m].
     """
     from shmoo_mjx.navigation.maps import load_map
-    from shmoo_mjx.report.figures import draw_map
+    from shmoo_mjx.report.map_picture import draw_map
 
     draw_map(load_map(map), radius, out)
     print(out)
@@ -159,7 +162,14 @@ def doctor() -> int:
     return report()
 
 
-_COMMANDS = {"demo": demo, "navigate": navigate, "collect": collect, "train": train, "map": map_, "doctor": doctor}
+_COMMANDS: dict[str, Callable[..., Any]] = {
+    "demo": demo,
+    "navigate": navigate,
+    "collect": collect,
+    "train": train,
+    "map": map_,
+    "doctor": doctor,
+}
 
 
 def _seeds(text: str) -> list[int]:
@@ -189,9 +199,15 @@ def main() -> None:
     """Entry point. Bad input ends with one sentence and exit code 2."""
     _prepare_environment()
     try:
-        code = tyro.extras.subcommand_cli_from_dict(_COMMANDS, prog="shmoo", description=shmoo_mjx.__doc__)
+        code: int = tyro.extras.subcommand_cli_from_dict(_COMMANDS, prog="shmoo", description=shmoo_mjx.__doc__)
     except ShmooError as error:
         print(f"shmoo: {error}", file=sys.stderr)
+        code = 2
+    except OSError as error:
+        where = error.filename or "a file"
+        print(
+            f"shmoo: {where}: {error.strerror or error}; choose a place that can be read and written.", file=sys.stderr
+        )
         code = 2
     except KeyboardInterrupt:
         print("shmoo: stopped; run the same command again to go on.", file=sys.stderr)

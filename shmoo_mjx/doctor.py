@@ -31,7 +31,9 @@ def _python() -> Check:
 
 def _mujoco() -> Check:
     core, mjx = metadata.version("mujoco"), metadata.version("mujoco-mjx")
-    return Check("mujoco and mujoco-mjx", core == mjx, f"{core} and {mjx}", f"pip install mujoco=={mjx} mujoco-mjx=={mjx}")
+    return Check(
+        "mujoco and mujoco-mjx", core == mjx, f"{core} and {mjx}", f"pip install mujoco=={mjx} mujoco-mjx=={mjx}"
+    )
 
 
 def _jax() -> Check:

@@ -91,7 +91,10 @@ def run_episode(
         record.falls += int(engine.fallen(world)[0])
     engine.close()
     return Episode(
-        _result(scenario, conditions, navigator, record, seen), _trace(grid, navigator, record), scene, np.array(record.qpos)
+        _result(scenario, conditions, navigator, record, seen),
+        _trace(grid, navigator, record),
+        scene,
+        np.array(record.qpos),
     )
 
 
@@ -170,7 +173,8 @@ def _result(
         "start": list(scenario.start),
         "goal": list(scenario.goal),
         "transitions": [
-            {"t": round(t.t, 2), "from": str(t.source), "to": str(t.target), "reason": t.reason} for t in navigator.transitions
+            {"t": round(t.t, 2), "from": str(t.source), "to": str(t.target), "reason": t.reason}
+            for t in navigator.transitions
         ],
         "decisions": [
             {
@@ -198,7 +202,10 @@ def _outcome(scenario: Scenario, navigator: Navigator, record: _Record, distance
         if record.wall_contacts:
             return "wall contact", f"goal reached, but the robot touched a wall {record.wall_contacts} times"
         return "success", f"goal reached to {distance:.2f} m"
-    return "timeout", f"{scenario.limits.time_s:g} s were not enough; {distance:.2f} m from the goal, state {navigator.mode}"
+    return (
+        "timeout",
+        f"{scenario.limits.time_s:g} s were not enough; {distance:.2f} m from the goal, state {navigator.mode}",
+    )
 
 
 def _floats(values: np.ndarray) -> list[float]:

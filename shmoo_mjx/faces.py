@@ -28,7 +28,9 @@ def heading(object_pose: Array, face: Array) -> Array:
     return se2.wrap(object_pose[..., 2] + face[..., 2])
 
 
-def stand_off(object_pose: np.ndarray, face: np.ndarray, gap: float, lateral: float = 0.0, reach: float = REACH) -> np.ndarray:
+def stand_off(
+    object_pose: np.ndarray, face: np.ndarray, gap: float, lateral: float = 0.0, reach: float = REACH
+) -> np.ndarray:
     """Pose of {R} ``[3]`` in {W} that faces ``face``, with ``gap`` metres between it and the extended hands.
 
     Args:

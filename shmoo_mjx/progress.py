@@ -9,13 +9,21 @@ from typing import Any
 __all__ = ["counter", "stages", "training"]
 
 
-def _bar() -> Any:
+@contextmanager
+def _bar() -> Iterator[Any]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"))
     # To stderr, so that what a command prints can be piped.
-    return Progress(*columns, TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(), console=Console(stderr=True))
+    console = Console(stderr=True)
+    with Progress(*columns, TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(), console=console) as bar:
+        try:
+            yield bar
+        except BaseException:
+            # Wiped: an error is told by its one sentence alone.
+            bar.live.transient, console.quiet = True, not console.is_terminal
+            raise
 
 
 @contextmanager

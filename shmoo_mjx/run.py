@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
 import platform
 from collections.abc import Callable, Iterator
+from dataclasses import asdict
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -14,7 +16,7 @@ import numpy as np
 from shmoo_mjx.assets import asset
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.navigation.maps import OccupancyGrid, save_map
-from shmoo_mjx.navigation.scenario import Scenario, check_scenario, save_scenario
+from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Scenario, check_scenario, save_scenario
 from shmoo_mjx.types import DT
 
 __all__ = ["DEMO_WEIGHTS", "load_inputs", "run_scenario", "versions"]
@@ -54,23 +56,26 @@ def run_scenario(
     Raises:
         ShmooError: the scenario does not fit the map, or the weights can't be read.
     """
+    check_scenario(grid, scenario, ROBOT_RADIUS, name)
+    _check_objects(scenario, name)
+    # Only now what takes seconds to import: bad input is answered at once.
     from shmoo_mjx.control.pushing import PushController
-    from shmoo_mjx.episode import conditions_of, run_episode
+    from shmoo_mjx.episode import run_episode
     from shmoo_mjx.learning.weights import load_weights
     from shmoo_mjx.navigation.navigator import NavigatorConfig
     from shmoo_mjx.report.html import write_report
     from shmoo_mjx.report.trace import save_trace, write_bytes
 
     config = NavigatorConfig()
-    check_scenario(grid, scenario, config.robot_radius, name)
-    conditions_of(scenario)  # fails early on properties no object can have
     loaded = load_weights(weights or asset(DEMO_WEIGHTS))
+    controller = PushController(loaded)
     out.mkdir(parents=True, exist_ok=True)
     limit = scenario.limits.time_s
     episode = run_episode(
-        grid, scenario, PushController(loaded), config, lambda t, mode: progress(f"simulating: {mode}", t / limit)
+        grid, scenario, controller, config, lambda t, mode: progress(f"simulating: {mode}", t / limit)
     )
     result = {"name": out.name, **episode.result, "versions": versions(), "weights": loaded.info}
+    result["config"]["pushing"] = asdict(controller.config)
     save_map(grid, out / "map.yaml")
     save_scenario(scenario.model_copy(update={"map": "map.yaml"}), out / "scenario.yaml")
     save_trace(out / "trace.npz", episode.trace)
@@ -81,6 +86,17 @@ def run_scenario(
     write_report(out)
     progress("done", 1.0)
     return result
+
+
+def _check_objects(scenario: Scenario, name: str) -> None:
+    """Refuses properties no object can have, and says in which scenario."""
+    from shmoo_mjx.plant.objects import draw_condition
+
+    for i, entry in enumerate(scenario.objects):
+        try:
+            draw_condition(entry.family, entry.seed, entry.properties)
+        except ShmooError as error:
+            raise ShmooError(f"{name}: 'objects[{i}].properties': {error}") from None
 
 
 def _write_video(path: Path, result: dict[str, Any], episode: Any, progress: Callable[[str, float], None]) -> None:
@@ -103,7 +119,9 @@ def _write_video(path: Path, result: dict[str, Any], episode: Any, progress: Cal
     video.write_video(path, video.narrate(pictures(), result, episode.trace), fps)
 
 
-def load_inputs(map_path: Path | None, scenario_path: Path | None, start: str | None, goal: str | None) -> tuple[OccupancyGrid, Scenario]:
+def load_inputs(
+    map_path: Path | None, scenario_path: Path | None, start: str | None, goal: str | None
+) -> tuple[OccupancyGrid, Scenario]:
     """Map and scenario from the options of ``shmoo navigate``.
 
     Raises:
@@ -129,6 +147,6 @@ def _numbers(option: str, text: str, count: int) -> Any:
         values = tuple(float(v) for v in text.split(","))
     except ValueError:
         values = ()
-    if len(values) != count:
-        raise ShmooError(f"{option} {text!r} must be {count} numbers separated by commas.")
+    if len(values) != count or not all(map(math.isfinite, values)):
+        raise ShmooError(f"{option} {text!r} must be {count} finite numbers separated by commas.")
     return values

@@ -10,7 +10,16 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["array_module", "compose", "cross", "inverse_transform_point", "relative", "rotate", "transform_point", "wrap"]
+__all__ = [
+    "array_module",
+    "compose",
+    "cross",
+    "inverse_transform_point",
+    "relative",
+    "rotate",
+    "transform_point",
+    "wrap",
+]
 
 Array = Any  # numpy.ndarray or jax.Array: every function here works on both
 

@@ -1,4 +1,4 @@
-"""What a push costs: Eq. 9 of the paper, and four terms of ours that are off unless given a weight.
+"""What a push costs: Eq. 9 of the paper, and some terms of ours that are off unless given a weight.
 
 Every term is a function of one batch of roll-outs (``SystemState`` with leading axes ``[S, T]``, states after each
 control) and returns ``[S]``. All terms are in metres once weighted, so MPPI's temperature reads in metres too.
@@ -19,12 +19,14 @@ from shmoo_mjx.types import DT, SystemState
 __all__ = [
     "Clearance",
     "PushCost",
+    "aim_error",
     "change",
     "clearance_at",
     "clearance_penalty",
     "effort",
     "face_misalignment",
     "footprint_points",
+    "haste",
     "pose_distance",
     "push_cost",
     "terminal_speed",
@@ -59,8 +61,15 @@ class PushCost:
     """Per metre of the hands' midpoint beside the face's centre, averaged over the roll-out [-]."""
     heading_weight: float = 0.0
     """Per rad between the robot's heading and the face's inward normal, averaged over the roll-out [m/rad]."""
+    aim_weight: float = 0.0
+    """Per metre that the goal lies beside the axis along which the face is pushed, averaged over the roll-out [-]:
+    turning an object towards its goal pays only after the horizon's end."""
     speed_weight: float = 0.0
     """Per m/s of the object at the end [s]: pushing can't brake what rolls."""
+    haste_weight: float = 0.0
+    """Per m/s of the robot above ``speed_limit``, averaged over the roll-out [s]."""
+    speed_limit: float = 0.4
+    """Speed of the robot that is free of charge [m/s]."""
 
 
 class Clearance(Protocol):
@@ -147,9 +156,21 @@ def face_misalignment(traj: SystemState, reach: float = REACH) -> tuple[Array, A
     return jnp.mean(jnp.abs(lateral), axis=-1), jnp.mean(jnp.abs(heading), axis=-1)
 
 
+def aim_error(goal: Array, traj: SystemState) -> Array:
+    """Distance of the goal from the line through the object's centre along the face's normal, mean ``[S]`` [m]."""
+    angle = traj.object_pose[..., 2] + traj.face[..., 2]
+    normal = jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=-1)
+    return jnp.mean(jnp.abs(se2.cross(normal, goal[..., :2] - traj.object_pose[..., :2])), axis=-1)
+
+
 def terminal_speed(traj: SystemState) -> Array:
     """Speed of the object's centre at the end ``[S]`` [m/s]."""
     return jnp.linalg.norm(traj.object_twist[..., -1, :2], axis=-1)
+
+
+def haste(traj: SystemState, limit: float) -> Array:
+    """Speed of the robot above ``limit`` [m/s], mean over the roll-out ``[S]`` [m/s]."""
+    return jnp.mean(jnp.maximum(jnp.linalg.norm(traj.robot_twist[..., :2], axis=-1) - limit, 0.0), axis=-1)
 
 
 def push_cost(
@@ -185,6 +206,10 @@ def push_cost(
     if cfg.lateral_weight or cfg.heading_weight:
         lateral, heading = face_misalignment(traj)
         cost = cost + cfg.lateral_weight * lateral + cfg.heading_weight * heading
+    if cfg.aim_weight:
+        cost = cost + cfg.aim_weight * aim_error(goal, traj)
     if cfg.speed_weight:
         cost = cost + cfg.speed_weight * terminal_speed(traj)
+    if cfg.haste_weight:
+        cost = cost + cfg.haste_weight * haste(traj, cfg.speed_limit)
     return cost

@@ -32,7 +32,7 @@ class PushConfig:
 
     control: mppi.MppiConfig = mppi.MppiConfig(
         cost_scale=40.0,
-        sigma=(0.05, 0.03, 0.15),
+        sigma=(0.04, 0.03, 0.20),
         low=(-0.15, -0.10, -0.45),
         high=(0.15, 0.10, 0.45),
         noise_correlation=0.9,
@@ -43,14 +43,17 @@ class PushConfig:
         yaw_weight=0.0,
         effort=0.002,
         change=0.01,
-        running_weight=0.5,
-        clearance_weight=4.0,
+        running_weight=1.0,
+        clearance_weight=15.0,
         object_margin=0.06,
-        robot_margin=0.27,
+        robot_margin=0.30,
         clearance_stride=3,
-        lateral_weight=0.5,
-        heading_weight=0.3,
-        speed_weight=0.3,
+        lateral_weight=0.2,
+        heading_weight=0.1,
+        aim_weight=2.0,
+        speed_weight=1.0,
+        haste_weight=15.0,
+        speed_limit=0.25,
     )
     adapt: adaptation.AdaptConfig = field(default_factory=adaptation.AdaptConfig)
     contact_force: float = 2.0

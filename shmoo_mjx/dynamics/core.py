@@ -104,7 +104,9 @@ def step(params: Params, state: SystemState, u: Array, config: CoreConfig | None
     if config.unilateral:
         push = push + _unilateral(state, touch, twist, push, robot_acceleration, u[..., 2], force)
     object_acceleration = se2.rotate(push, yaw)
-    lean, lean_rate = robot_model.lean_step(params.robot.lean, state.lean, state.lean_rate, u[..., :2], state.last_force)
+    lean, lean_rate = robot_model.lean_step(
+        params.robot.lean, state.lean, state.lean_rate, u[..., :2], state.last_force
+    )
     half = 0.0 if config.euler else 0.5 * DT**2
     new = state._replace(
         robot_pose=state.robot_pose + state.robot_twist * DT + half * robot_acceleration,

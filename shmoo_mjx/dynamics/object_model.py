@@ -20,13 +20,15 @@ class ObjectConfig:
     """Shape of psi."""
 
     hidden: tuple[int, ...] = (128, 128, 50)
-    """Widths of the hidden layers; with 10 inputs and 6 outputs these are the paper's."""
+    """Widths of the hidden layers, the paper's."""
     functions: int = 6
     """K, number of basis functions (and coefficients) per axis."""
-    activation: str = "tanh"
-    per_axis: bool = False
-    """Each of x, y and yaw has K functions of its own; otherwise the three share them, as the paper's widths say."""
-    linear_terms: bool = False
+    activation: str = "relu"
+    """As good as tanh on held-out objects and about a third of its training time."""
+    per_axis: bool = True
+    """Each of x, y and yaw has K functions of its own; otherwise the three share them, as the paper's widths
+    [10, 128, 128, 50, 6] say. Own functions leave less error on held-out objects."""
+    linear_terms: bool = True
     """Add a learned linear map of the inputs to psi: rolling objects are close to linear in twist and wrench."""
 
 

@@ -23,7 +23,7 @@ class RobotConfig:
 
     hidden: tuple[int, ...] = (128, 128, 50)
     """Widths of the hidden layers; with 28 inputs and 5 outputs these are the paper's."""
-    activation: str = "tanh"
+    activation: str = "relu"
 
 
 class LeanResponse(NamedTuple):

@@ -22,25 +22,21 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 import optax
 
-from shmoo_mjx import se2
 from shmoo_mjx.data import store
 from shmoo_mjx.dynamics import features, mlp, object_model
 from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
-from shmoo_mjx.learning import least_squares, training
+from shmoo_mjx.learning import least_squares, multistep, training
+from shmoo_mjx.learning import rows as batches
+from shmoo_mjx.learning.rows import Batch, Rows, Sampler, label_scale, rows_from_arrays, rows_from_dataset
 from shmoo_mjx.types import DT
 
 __all__ = [
     "DaimlConfig",
     "ObjectFit",
-    "Rows",
     "fit",
     "fit_rows",
-    "open_loop",
-    "rows_from_arrays",
-    "rows_from_dataset",
     "train_object",
     "validation_scores",
 ]
@@ -72,7 +68,7 @@ class DaimlConfig:
     """Strength of the ridge of Eq. 5 if not coupled [samples]."""
     norm_cap: float = 20.0
     """gamma: cap on ||a||."""
-    spectral_cap: float = 4.0
+    spectral_cap: float = 2.5
     """Cap on the spectral norm of each layer of psi."""
     label_floor: float = 0.1
     """Share of all conditions' label variance added to each condition's own in Sigma_C and in the validation score: an
@@ -90,19 +86,6 @@ class DaimlConfig:
     fit_rows: int = 250
     """First rows of a validation condition that a* is fitted on; it is scored on the later ones."""
     seed: int = 0
-
-
-class Rows(NamedTuple):
-    """C conditions with N rows each, in the order they were recorded."""
-
-    inputs: Array
-    """``[C, N, n_in]``"""
-    labels: Array
-    """``[C, N, m]`` accelerations in {O} (or whatever the user predicts)."""
-    weights: Array
-    """``[C, N]`` 1 where a row counts; 0 for padding and for objects that are neither touched nor moving."""
-    run: Array
-    """``[C, N]`` how many rows from here on, this one included, lie in the same episode."""
 
 
 class ObjectFit(NamedTuple):
@@ -139,37 +122,6 @@ class _State(NamedTuple):
     discriminator_opt: Any
     vectors: tuple[Array, ...]
     key: Array
-
-
-def rows_from_dataset(dataset: store.Dataset) -> Rows:
-    """The rows of psi (OBJECT_INPUTS, acceleration in {O}) of every condition of a data set."""
-    inputs, labels, weights, runs = [], [], [], []
-    for arrays in dataset.arrays:
-        samples = store.system_states(arrays)
-        twist = se2.rotate(samples.state.object_twist, -samples.state.object_pose[..., 2])
-        memory = samples.state.last_object_twist
-        x = features.object_inputs(twist, samples.wrench, memory, samples.state.size)
-        n_episodes, length = x.shape[:2]
-        moving = np.linalg.norm(twist, axis=-1) > 5e-3
-        counts = samples.contact | moving
-        counts[:, 0] = False  # the twist before an episode's first sample is not known
-        run = np.broadcast_to(length - np.arange(length), (n_episodes, length))
-        inputs.append(np.asarray(x).reshape(-1, x.shape[-1]))
-        labels.append(samples.object_acceleration.reshape(-1, 3))
-        weights.append(counts.reshape(-1))
-        runs.append(run.reshape(-1))
-    return _stack(inputs, labels, weights, runs)
-
-
-def rows_from_arrays(data: Mapping[str, tuple[Array, Array]]) -> Rows:
-    """Rows of any {condition: (x [N, n_in], y [N, m])}; conditions may differ in N."""
-    pairs = [(np.asarray(x), np.asarray(y)) for x, y in data.values()]
-    return _stack(
-        [x for x, _ in pairs],
-        [y for _, y in pairs],
-        [np.ones(len(x)) for x, _ in pairs],
-        [len(x) - np.arange(len(x)) for x, _ in pairs],
-    )
 
 
 def train_object(
@@ -219,14 +171,15 @@ def fit_rows(
     config = config or DaimlConfig()
     device = jax.tree.map(jnp.asarray, train)
     held_out = jax.tree.map(jnp.asarray, validation)
-    sampler = _sampler(train, config)
-    chunk = jax.jit(partial(_chunk, config, device, sampler))
-    scores = jax.jit(partial(_model_scores, config, held_out))
+    sampler = batches.sampler(train, config.horizon, config.label_floor)
+    # The rows are arguments, not constants: XLA would fold constants of this size at length.
+    chunk = jax.jit(partial(_chunk, config))
+    scores = jax.jit(partial(_model_scores, config))
     fitted = training.run(
         _init(config, train),
-        chunk,
+        lambda state: chunk(device, sampler, state),
         extract=lambda state: state.model,
-        evaluate=lambda model: jnp.mean(jnp.minimum(jnp.stack(scores(model)), 10.0)),
+        evaluate=lambda model: jnp.mean(jnp.minimum(jnp.stack(scores(held_out, model)), 10.0)),
         chunks=config.chunks,
         patience=config.patience,
         identity=training.fingerprint(config, train.inputs, train.labels),
@@ -237,38 +190,6 @@ def fit_rows(
     mean, covariance, noise = jax.jit(partial(_prior, config))(device, model)
     shape = model.mean.shape
     return ObjectFit(model.params, mean.reshape(shape), covariance, noise, fitted.score, fitted.history)
-
-
-def open_loop(
-    params: ObjectParams, a: Array, inputs: Array, config: ObjectConfig, feed_back: bool = True
-) -> tuple[Array, Array]:
-    """Roll the object's twist out over H steps under the recorded wrench (Eq. 4).
-
-    Args:
-        params: psi.
-        a: ``[3, K]``.
-        inputs: ``[B, H, 10]`` recorded inputs of B windows.
-        config: of psi.
-        feed_back: feed the predicted twist back; False predicts every step from the recorded one.
-
-    Returns:
-        Predicted accelerations ``[B, H, 3]`` in {O} and the twists before each step ``[B, H, 3]`` in {O}.
-    """
-    where = features.slices(features.OBJECT_INPUTS)
-    if not feed_back:
-        return object_model.predict(params, a, inputs, config), inputs[..., where["object_twist"]]
-
-    def one(carry: tuple[Array, Array], x: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        twist, last = carry
-        x = features.object_inputs(twist, x[..., where["wrench"]], last, x[..., where["size"]][..., 0])
-        acceleration = object_model.predict(params, a, x, config)
-        turn = twist[..., 2] * DT + 0.5 * acceleration[..., 2] * DT**2
-        following = se2.rotate(twist + acceleration * DT, -turn)
-        return (following, twist), (acceleration, twist)
-
-    start = (inputs[:, 0, where["object_twist"]], inputs[:, 0, where["last_object_twist"]])
-    _, (accelerations, twists) = jax.lax.scan(one, start, jnp.swapaxes(inputs, 0, 1))
-    return jnp.swapaxes(accelerations, 0, 1), jnp.swapaxes(twists, 0, 1)
 
 
 def validation_scores(config: DaimlConfig, rows: Rows, fitted: ObjectFit) -> tuple[Array, Array]:
@@ -284,77 +205,14 @@ def validation_scores(config: DaimlConfig, rows: Rows, fitted: ObjectFit) -> tup
         prior = (fitted.prior_mean.reshape(-1), fitted.prior_covariance)
         return least_squares.posterior(phi, y, *prior, fitted.noise, w)[0].reshape(fitted.prior_mean.shape)
 
-    return _scores(config, rows, fitted.params, fit_one)
+    horizon = config.horizon if config.open_loop else 0
+    floor = config.label_floor
+    return multistep.scores(rows, fitted.params, config.object, fit_one, config.fit_rows, horizon, floor)
 
 
 def _model_scores(config: DaimlConfig, rows: Rows, model: _Model) -> tuple[Array, Array]:
-    return _scores(config, rows, model.params, partial(_coefficients, config, model))
-
-
-def _scores(
-    config: DaimlConfig, rows: Rows, params: ObjectParams, fit_one: Callable[[Array, Array, Array], Array]
-) -> tuple[Array, Array]:
-    def one(x: Array, y: Array, w: Array, run: Array) -> tuple[Array, Array]:
-        n, h = x.shape[0], config.horizon
-        first = min(config.fit_rows, n // 2)
-        a = fit_one(x[:first], y[:first], w[:first])
-        predicted = object_model.predict(params, a, x[first:], config.object)
-        floor = config.label_floor * params.label_scale**2
-        one_step = least_squares.fraction_unexplained(predicted, y[first:], w[first:], floor)
-        if not config.open_loop or n - first <= h:
-            return one_step, one_step
-        starts = jnp.arange(first, n - h, max(1, h // 2))
-        window = starts[:, None] + jnp.arange(h)
-        rolled, _ = open_loop(params, a, x[window], config.object)
-        good = (run[starts] >= h) * jnp.mean(w[window], axis=1)
-        change, truth = jnp.mean(rolled, axis=1), jnp.mean(y[window], axis=1)
-        return one_step, least_squares.fraction_unexplained(change, truth, good, floor / h)
-
-    return jax.vmap(one)(*rows)
-
-
-def _stack(inputs: list, labels: list, weights: list, runs: list) -> Rows:
-    """Conditions of different lengths, padded at the end with rows that do not count."""
-    longest = max(len(x) for x in inputs)
-
-    def pad(items: list) -> np.ndarray:
-        whole = [np.pad(a, [(0, longest - len(a))] + [(0, 0)] * (np.ndim(a) - 1)) for a in items]
-        return np.stack(whole).astype(np.float32)
-
-    return Rows(pad(inputs), pad(labels), pad(weights), pad(runs).astype(np.int32))
-
-
-class _Sampler(NamedTuple):
-    rows: Array
-    """``[C, M]`` rows that a* may be fitted on."""
-    starts: Array
-    """``[C, M']`` ascending, first rows of windows of H steps within one episode."""
-    precision: Array
-    """``[C, m, m]`` inverse of Sigma_C in units of label_scale."""
-
-
-def _label_scale(rows: Rows) -> np.ndarray:
-    used = rows.labels[rows.weights > 0]
-    return np.maximum(np.std(used, axis=0), 1e-6)
-
-
-def _sampler(rows: Rows, config: DaimlConfig) -> _Sampler:
-    steps, scale = config.horizon, _label_scale(rows)
-    found, starts, precision = [], [], []
-    for y, w, run in zip(rows.labels, rows.weights, rows.run, strict=True):
-        good = np.flatnonzero(w > 0)
-        begin = np.flatnonzero((w > 0) & (run >= steps))
-        found.append(good if len(good) else np.zeros(1, int))
-        starts.append(begin if len(begin) else np.zeros(1, int))
-        scaled = y[good] / scale
-        covariance = np.cov(scaled.T).reshape(y.shape[1], y.shape[1]) if len(good) > 1 else np.zeros((y.shape[1],) * 2)
-        precision.append(np.linalg.inv(covariance + config.label_floor * np.eye(y.shape[1])))
-    return _Sampler(_repeat(found), jnp.sort(_repeat(starts), axis=1), jnp.asarray(np.stack(precision), jnp.float32))
-
-
-def _repeat(items: list[np.ndarray]) -> Array:
-    longest = max(len(i) for i in items)
-    return jnp.asarray(np.stack([np.resize(i, longest) for i in items]), jnp.int32)
+    horizon, fit_one = config.horizon if config.open_loop else 0, partial(_coefficients, config, model)
+    return multistep.scores(rows, model.params, config.object, fit_one, config.fit_rows, horizon, config.label_floor)
 
 
 def _optimiser(config: DaimlConfig) -> optax.GradientTransformation:
@@ -371,7 +229,7 @@ def _init(config: DaimlConfig, rows: Rows) -> _State:
     params = object_model.init(net_key, config.object, rows.inputs.shape[-1], n_axes)
     params = params._replace(
         net=mlp.with_normaliser(params.net, jnp.asarray(rows.inputs[rows.weights > 0])),
-        label_scale=jnp.asarray(_label_scale(rows), jnp.float32),
+        label_scale=jnp.asarray(label_scale(rows), jnp.float32),
     )
     mean = 0.3 * jax.random.normal(mean_key, (n_axes, config.object.functions))
     n = mean.size
@@ -418,12 +276,13 @@ def _coefficients(config: DaimlConfig, model: _Model, x: Array, y: Array, w: Arr
     return least_squares.cap_norm(a, config.norm_cap)
 
 
-def _chunk(config: DaimlConfig, rows: Rows, sampler: _Sampler, state: _State) -> tuple[_State, Array]:
+def _chunk(config: DaimlConfig, rows: Rows, sampler: Sampler, state: _State) -> tuple[_State, Array]:
     optimiser = _optimiser(config)
 
     def update(state: _State, _: None) -> tuple[_State, Array]:
         key, batch_key, coin_key = jax.random.split(jax.random.wrap_key_data(state.key), 3)
-        batch = _batch(config, rows, sampler, batch_key)
+        sizes = (config.conditions, config.adapt_rows, config.windows, config.horizon)
+        batch = batches.draw(rows, sampler, batch_key, *sizes)
 
         def loss_of(learned: tuple[Any, ...]) -> tuple[Array, tuple[Array, Array]]:
             model = _with_learned(state.model, learned, config.object.linear_terms)
@@ -445,52 +304,14 @@ def _chunk(config: DaimlConfig, rows: Rows, sampler: _Sampler, state: _State) ->
     return state, jnp.mean(losses)
 
 
-class _Batch(NamedTuple):
-    condition: Array
-    adapt: tuple[Array, Array, Array]
-    """Inputs, labels and weights of B^a."""
-    windows: tuple[Array, Array, Array]
-    """Inputs, labels and the twist (inputs again) one row later."""
-    precision: Array
-
-
-def _batch(config: DaimlConfig, rows: Rows, sampler: _Sampler, key: Array) -> _Batch:
-    condition_key, row_key, length_key, start_key, near_key = jax.random.split(key, 5)
-    n_conditions, n_rows = rows.inputs.shape[:2]
-    count = min(config.conditions, n_conditions)
-    c = jax.random.permutation(condition_key, n_conditions)[:count]
-    begin = jax.random.randint(row_key, (count,), 0, sampler.rows.shape[1])
-    most = min(config.adapt_rows, sampler.rows.shape[1])
-    # Log-uniform: from half a second of contact to all of it.
-    length = jnp.exp(jax.random.uniform(length_key, (count, 1), minval=jnp.log(5.0), maxval=jnp.log(most + 1.0)))
-    place = (begin[:, None] + jnp.arange(most)) % sampler.rows.shape[1]
-    row = jnp.take_along_axis(sampler.rows[c], place, axis=1)
-    adapt = (
-        rows.inputs[c[:, None], row],
-        rows.labels[c[:, None], row],
-        (jnp.arange(most) < length).astype(jnp.float32),
-    )
-    starts = sampler.starts[c]
-    anywhere = jax.random.randint(start_key, (count, config.windows), 0, starts.shape[1])
-    last = jnp.take_along_axis(row, jnp.minimum(length.astype(int), most - 1), axis=1)
-    soon = jax.vmap(jnp.searchsorted)(starts, last) + jax.random.randint(near_key, (count, config.windows), 0, 50)
-    near = jnp.arange(config.windows) < config.windows // 2
-    start = jnp.take_along_axis(starts, jnp.where(near, soon % starts.shape[1], anywhere), axis=1)
-    window = start[..., None] + jnp.arange(config.horizon)
-    x, y = rows.inputs[c[:, None, None], window], rows.labels[c[:, None, None], window]
-    return _Batch(
-        c, adapt, (x, y, rows.inputs[c[:, None, None], jnp.minimum(window + 1, n_rows - 1)]), sampler.precision[c]
-    )
-
-
-def _loss(config: DaimlConfig, model: _Model, discriminator: mlp.MLP, batch: _Batch) -> tuple[Array, Any]:
+def _loss(config: DaimlConfig, model: _Model, discriminator: mlp.MLP, batch: Batch) -> tuple[Array, Any]:
     """Eq. 6 for fixed h: (loss, (multi-step loss, psi of the rows of B^a))."""
     params = model.params
 
     def one(adapt: tuple[Array, ...], windows: tuple[Array, ...], precision: Array) -> Array:
         a = _coefficients(config, model, *adapt)
         x, y, following = windows
-        predicted, twists = open_loop(params, a, x, config.object, config.open_loop)
+        predicted, twists = multistep.open_loop(params, a, x, config.object, config.open_loop)
         error = (y - predicted) / params.label_scale
         if config.open_loop and config.loss_on_twist:
             # After h steps of independent errors the twist's covariance would be h times that of one.

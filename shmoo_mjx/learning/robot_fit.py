@@ -29,14 +29,14 @@ class RobotFitConfig:
 
     robot: RobotConfig = field(default_factory=lambda: RobotConfig())
     batch: int = 512
-    chunks: int = 40
+    chunks: int = 80
     """Most chunks; the learning rate falls to zero over them along a cosine."""
     chunk_updates: int = 250
-    learning_rate: float = 2e-3
+    learning_rate: float = 3e-3
     weight_decay: float = 1e-4
     input_noise: float = 0.02
     """Noise put on the inputs, in their standard deviations: a roll-out feeds R its own errors."""
-    patience: int = 12
+    patience: int = 20
     """Chunks without a better validation score before stopping."""
     seed: int = 0
 
@@ -135,12 +135,16 @@ def fit_rows(
     config = config or RobotFitConfig()
     params = _prepared(config, train) if start is None else start
     params = params._replace(lean=fit_lean(train))
-    scores = jax.jit(partial(_unexplained, config, params, jnp.asarray(validation.inputs), validation.labels))
+    # The rows are arguments, not constants: XLA would fold constants of this size at length.
+    scores_of = jax.jit(partial(_unexplained, config))
+    scores = partial(scores_of, params, jnp.asarray(validation.inputs), jnp.asarray(validation.labels))
+    chunk = jax.jit(partial(_chunk, config))
+    inputs, labels = jnp.asarray(train.inputs), jnp.asarray(train.labels)
     optimiser = _optimiser(config)
     key = jax.random.key_data(jax.random.key(config.seed))
     fitted = training.run(
         _State(params.net, optimiser.init(_learned(params.net)), key),
-        jax.jit(partial(_chunk, config, params, jnp.asarray(train.inputs), jnp.asarray(train.labels))),
+        lambda state: chunk(params, inputs, labels, state),
         extract=lambda state: state.net,
         evaluate=lambda net: jnp.mean(scores(net)),
         chunks=config.chunks,

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from shmoo_mjx.learning import trees
@@ -80,6 +81,8 @@ def run(
             gives what it would have given.
         progress: called after each chunk.
     """
+    # Python scalars leave weakly typed arrays, which a chunk returns strongly typed: without this it compiles twice.
+    state = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=jnp.asarray(leaf).dtype), state)
     path = None if directory is None else Path(directory) / CHECKPOINT
     best = extract(state)
     score, history = float("inf"), list[tuple[float, float]]()

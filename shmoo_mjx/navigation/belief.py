@@ -48,7 +48,9 @@ class KnownObject:
         return footprint_polygon(self.pose, self.half_extents)
 
 
-def visible(seen: Observation, index: int, half_extents: tuple[float, float], walls: ClearanceField, reach: float) -> bool:
+def visible(
+    seen: Observation, index: int, half_extents: tuple[float, float], walls: ClearanceField, reach: float
+) -> bool:
     """Whether object ``index`` is within ``reach`` metres and some corner of it is in line of sight over the map."""
     robot = seen.robot_pose[0, :2]
     corners = np.asarray(footprint_polygon(seen.object_pose[0, index], half_extents).exterior.coords)[:4]
@@ -81,7 +83,9 @@ class Belief:
                 else:
                     self.objects[index] = KnownObject(pose, size)
 
-    def polygons(self, statuses: tuple[Status, ...] = tuple(Status), without: int | None = None) -> list[shapely.Polygon]:
+    def polygons(
+        self, statuses: tuple[Status, ...] = tuple(Status), without: int | None = None
+    ) -> list[shapely.Polygon]:
         """Footprints of the known objects with one of ``statuses``, except ``without``."""
         return [o.polygon for i, o in self.objects.items() if o.status in statuses and i != without]
 

@@ -65,7 +65,9 @@ def follow(
     now = float(seen.time[0])
     position, velocity = seen.robot_pose[0, :2], seen.robot_twist[0, :2]
     yaw = seen.robot_pose[0, 2]
-    flat = planner.model.flat_state(position, velocity, se2.rotate(seen.lean[0], yaw), se2.rotate(seen.lean_rate[0], yaw))
+    flat = planner.model.flat_state(
+        position, velocity, se2.rotate(seen.lean[0], yaw), se2.rotate(seen.lean_rate[0], yaw)
+    )
     if now - state.start >= cfg.replan_every - 1e-6:
         found = flat_trajectory.plan(planner, flat, path, field)
         if found.ok:
@@ -78,7 +80,9 @@ def follow(
     return state, _track(cfg, planner, state, now, flat, yaw)
 
 
-def _track(cfg: DriveConfig, planner: Planner, state: DriveState, now: float, flat: np.ndarray, yaw: float) -> np.ndarray:
+def _track(
+    cfg: DriveConfig, planner: Planner, state: DriveState, now: float, flat: np.ndarray, yaw: float
+) -> np.ndarray:
     assert state.trajectory is not None
     a, b, c = planner.model
     elapsed = now - state.start
@@ -104,5 +108,3 @@ def yaw_ahead(cfg: DriveConfig, seen: Observation, path: Path) -> float:
     position = seen.robot_pose[0, :2]
     offset = point_at(path, project(path, position) + cfg.lookahead) - position
     return float(np.arctan2(offset[1], offset[0])) if np.hypot(*offset) > 0.3 else float(seen.robot_pose[0, 2])
-
-

@@ -265,8 +265,8 @@ def occupied_rectangles(
     Args:
         grid: the map.
         window: (x_min, y_min, x_max, y_max) in {W} [m]; only cells whose centre lies in it.
-        unknown_borders: also cover unknown cells that touch free ones. In a scanned map the floor ends there at a surface
-            that the scan was too faint to call occupied; without it a simulated robot could drive through.
+        unknown_borders: also cover unknown cells that touch free ones. In a scanned map the floor ends there at a
+            surface that the scan was too faint to call occupied; without it a simulated robot could drive through.
 
     Returns:
         ``[(centre x, centre y, half size x, half size y)]`` [m]: centres in {W}, half sizes along the map's axes, which

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+import shapely
 
 from shmoo_mjx import se2
 from shmoo_mjx.control.pushing import LocalField, PushController, PushState, Sighting, local_field
@@ -21,16 +22,18 @@ from shmoo_mjx.hands import HAND_HEIGHT, HAND_RADIUS, REACH, TUCKED_HEIGHT, TUCK
 from shmoo_mjx.navigation import drive, flat_trajectory
 from shmoo_mjx.navigation.belief import Belief, KnownObject, Status
 from shmoo_mjx.navigation.flat_trajectory import FlatModel, TrajectoryConfig
-from shmoo_mjx.navigation.footprints import footprints_free
-from shmoo_mjx.navigation.maps import OccupancyGrid
+from shmoo_mjx.navigation.footprints import footprint_polygon, footprints_free
+from shmoo_mjx.navigation.maps import ClearanceField, OccupancyGrid
 from shmoo_mjx.navigation.object_planner import ObjectPlannerConfig, initial_goal, planning_stage
 from shmoo_mjx.navigation.paths import Path, path_blocked_by, plan_path, project
+from shmoo_mjx.navigation.scenario import ROBOT_RADIUS
 from shmoo_mjx.plant.robot import ROBOT
 from shmoo_mjx.types import DT, Command, Observation
 
 __all__ = ["Decision", "Mode", "Navigator", "NavigatorConfig", "Transition"]
 
 Array = Any
+
 
 class Mode(StrEnum):
     """States of the navigator."""
@@ -50,7 +53,7 @@ class Mode(StrEnum):
 class NavigatorConfig:
     """Settings of the state machine, SI units."""
 
-    robot_radius: float = 0.26
+    robot_radius: float = ROBOT_RADIUS
     """Radius of the disc that paths keep clear: body, folded hands and a reserve."""
     sensing_range: float = 3.5
     goal_tolerance: float = 0.15
@@ -77,8 +80,14 @@ class NavigatorConfig:
     """Time without contact after which contact counts as lost."""
     max_pushes: int = 4
     """Pushes of one object before it is registered as an obstacle."""
+    retreat: float = 0.15
+    """Distance between the extended hands' place and the face at which a retreat ends; the arms fold meanwhile."""
     path_margin: float = 0.05
     """What must be free beside the robot's radius between the path and a pushed object."""
+    wall_margin: float = 0.05
+    """What must be free between walls and a pushed object's goal."""
+    other_paths: int = 12
+    """Goals for which another path is sought when none leaves the path free."""
     planner: ObjectPlannerConfig = ObjectPlannerConfig(min_displacement=0.6)
     trajectory: TrajectoryConfig = TrajectoryConfig(robot_radius=0.24)
     drive: drive.DriveConfig = drive.DriveConfig()
@@ -206,9 +215,9 @@ class Navigator:
         """A parked object that now closes the only way is taken up again, unless it has been pushed too often."""
         path = self._plan(seen.robot_pose[0, :2], self.belief.polygons((Status.FIXED,)))
         for known in self.belief.objects.values():
-            if path is not None and known.status is Status.PARKED and known.pushes < self.config.max_pushes:
-                if path_blocked_by(path, known.polygon, self.config.robot_radius)[0]:
-                    known.status = Status.UNKNOWN
+            again = known.status is Status.PARKED and known.pushes < self.config.max_pushes
+            if path is not None and again and path_blocked_by(path, known.polygon, self.config.robot_radius)[0]:
+                known.status = Status.UNKNOWN
         return self._plan(seen.robot_pose[0, :2], self.belief.polygons((Status.PARKED, Status.FIXED)))
 
     def _follow(self, seen: Observation) -> Command:
@@ -227,7 +236,9 @@ class Navigator:
         if since is not None and float(seen.time[0]) - since > 3.0:
             self._go(seen, Mode.REPLAN, f"no local trajectory for 3 s: {self._drive.reason}")
             self._drive = drive.init()
-        return self._command(lean, 0.0, drive.yaw_ahead(self.config.drive, seen, self.path), TUCKED_REACH, TUCKED_HEIGHT)
+        return self._command(
+            lean, 0.0, drive.yaw_ahead(self.config.drive, seen, self.path), TUCKED_REACH, TUCKED_HEIGHT
+        )
 
     def _first_block(self, seen: Observation) -> tuple[int, float] | None:
         """The known object that blocks the path first, and how far along the path [m]."""
@@ -253,18 +264,28 @@ class Navigator:
         detour = self._plan(position, [*others, known.polygon])
         if detour is not None and detour.length < remaining + self.config.detour:
             self._set_path(seen, detour)
-            self._go(seen, Mode.FOLLOW, f"object {index} is in the way; going round it costs {detour.length - remaining:+.2f} m")
+            self._go(
+                seen,
+                Mode.FOLLOW,
+                f"object {index} is in the way; going round it costs {detour.length - remaining:+.2f} m",
+            )
             return False
-        cost = "there is no way round" if detour is None else f"the way round is {detour.length - remaining:.2f} m longer"
+        cost = (
+            "there is no way round" if detour is None else f"the way round is {detour.length - remaining:.2f} m longer"
+        )
         # Walking to a face is worth while only if that and the rest of the path are shorter than the way round.
         longest_way = np.inf if detour is None else detour.length - (remaining - distance)
-        return self._start_push(seen, index, f"object {index} blocks the path {distance:.2f} m ahead and {cost}", longest_way)
+        return self._start_push(
+            seen, index, f"object {index} blocks the path {distance:.2f} m ahead and {cost}", longest_way
+        )
 
     def _start_push(self, seen: Observation, index: int, why: str, longest_way: float) -> bool:
         """Choose goal, face and way to the stand-off pose; True (the mode changes in any case)."""
         known = self.belief.objects[index]
         if known.pushes >= self.config.max_pushes:
-            return self._give_up(seen, index, f"object {index} has been pushed {known.pushes} times without clearing the path")
+            return self._give_up(
+                seen, index, f"object {index} has been pushed {known.pushes} times without clearing the path"
+            )
         around = self.belief.clearance(without=index)
         faces = faces_of(known.half_extents)
         ways = [self._way_to(seen, index, face) for face in faces]
@@ -272,7 +293,9 @@ class Navigator:
         if not usable:
             return self._give_up(seen, index, f"no face of object {index} can be reached on a way worth taking")
         directions = [heading(known.pose, faces[i]) for i in usable]
-        first = initial_goal(known.pose, self._collision_free(seen, known, around), np.array(directions), self.config.planner)
+        first = initial_goal(
+            known.pose, self._collision_free(seen, known, around), np.array(directions), self.config.planner
+        )
         if first.goal is None or first.direction is None:
             return self._give_up(seen, index, f"object {index} can be put nowhere: {first.reason}")
         face, way = faces[usable[first.direction]], ways[usable[first.direction]]
@@ -352,6 +375,8 @@ class Navigator:
         elif self.mode is Mode.PUSH and np.linalg.norm(known.pose[:2] - push.goal[:2]) < 0.10:
             known.status = Status.PARKED
             self._go(seen, Mode.RETREAT, f"object {index} is at its goal")
+        elif self.mode is Mode.PUSH and self._passed(push, known):
+            self._go(seen, Mode.RETREAT, f"object {index} has gone past its goal, and can't be pulled")
         elif push.since_contact > cfg.lost_after:
             self._go(seen, Mode.RETREAT, f"contact with object {index} lost for {cfg.lost_after:g} s")
         elif self._stalled(push):
@@ -368,12 +393,13 @@ class Navigator:
         assert push.state is not None
         push.reviewed_at = push.contact_time
         half = np.array(known.half_extents)
-        # K asks how far the object can be moved: a goal that is nearly reached would say nothing about that.
-        far = push.goal
-        offset = push.goal[:2] - known.pose[:2]
-        if np.linalg.norm(offset) < self.config.planner.min_displacement:
-            direction = offset / max(float(np.linalg.norm(offset)), 1e-6)
-            far = np.array([*(known.pose[:2] + self.config.planner.min_displacement * direction), push.goal[2]])
+        # K asks how far the object can be moved. A goal that is nearly reached, or already behind the object, would say
+        # nothing about that, so a place ahead takes its part.
+        far, reach = push.goal, self.config.planner.min_displacement
+        ahead = heading(known.pose, push.face)
+        direction = np.array([np.cos(ahead), np.sin(ahead)])
+        if (push.goal[:2] - known.pose[:2]) @ direction < reach:
+            far = np.array([*(known.pose[:2] + reach * direction), push.goal[2]])
         poses, _, costs = self._controller.planning_rollouts(push.state, far, push.around, half)
         check = self._collision_free(seen, known, self.belief.clearance(without=push.object))
         result = planning_stage(poses[:, -1], costs, known.pose, check, self.config.planner)
@@ -386,7 +412,11 @@ class Navigator:
         )  # fmt: skip
         if not result.manipulable:
             known.status = Status.FIXED
-            self._go(seen, Mode.RETREAT, f"object {push.object} is not manipulable: {result.reason}; registered as an obstacle")
+            self._go(
+                seen,
+                Mode.RETREAT,
+                f"object {push.object} is not manipulable: {result.reason}; registered as an obstacle",
+            )
             return
         if result.goal is not None:
             push.goal = result.goal
@@ -398,14 +428,23 @@ class Navigator:
         known = self.belief.objects[push.object]
         in_face = se2.relative(se2.compose(known.pose, push.face[:3]), seen.robot_pose[0])
         away = -in_face[0] - REACH - HAND_RADIUS
-        last = self.transitions[-1].t
-        if away > 0.25 or float(seen.time[0]) - last > 5.0:
+        position, yaw = seen.robot_pose[0, :2], float(seen.robot_pose[0, 2])
+        back = -0.2 * np.array([np.cos(yaw), np.sin(yaw)]) + self._off_walls(position)
+        if away > self.config.retreat or float(seen.time[0]) - self.transitions[-1].t > 4.0:
             self.push = None
             self._go(seen, Mode.REPLAN, f"backed away from object {push.object}")
             return self._rest(seen)
-        lean = drive.velocity_command(seen, np.array([-0.2, 0.0]))
-        reach = REACH if away < 0.1 else TUCKED_REACH
-        return self._command(lean, 0.0, float(seen.robot_pose[0, 2]), reach, HAND_HEIGHT)
+        lean = drive.velocity_command(seen, se2.rotate(back, -yaw))
+        reach = REACH if away < 0.05 else TUCKED_REACH
+        return self._command(lean, 0.0, yaw, reach, HAND_HEIGHT)
+
+    def _off_walls(self, position: np.ndarray) -> np.ndarray:
+        """Velocity ``[2]`` in {W} [m/s] away from a wall that is too near to back past; zero elsewhere."""
+        step = 0.05 * np.eye(2)
+        walls = self.belief.walls
+        slope = (walls.at(position + step) - walls.at(position - step)) / 0.1
+        depth = max(self.config.robot_radius + 0.12 - float(walls.at(position)), 0.0)
+        return 2.5 * depth * slope
 
     def _rest(self, seen: Observation) -> Command:
         lean = drive.velocity_command(seen, np.zeros(2))
@@ -417,6 +456,12 @@ class Navigator:
         assert self.push is not None, f"{self.mode} needs an object"
         return self.push
 
+    @staticmethod
+    def _passed(push: _Push, known: KnownObject) -> bool:
+        ahead = heading(known.pose, push.face)
+        offset = push.goal[:2] - known.pose[:2]
+        return float(offset[0] * np.cos(ahead) + offset[1] * np.sin(ahead)) < -0.08
+
     def _stalled(self, push: _Push) -> bool:
         recent = [p for t, p in push.marks if t > push.contact_time - self.config.stall_time]
         if push.contact_time < self.config.stall_time:
@@ -424,22 +469,47 @@ class Navigator:
         return float(np.linalg.norm(np.ptp(np.array(recent), axis=0))) < self.config.stall_distance
 
     def _path_clear(self, seen: Observation, known: KnownObject) -> bool:
-        """Whether the way on, planned as if the object were not there, passes it."""
+        """Whether the way on, planned as if the object were not there, passes it; looked at twice a second."""
+        if round(float(seen.time[0]) / DT) % 5:
+            return False
         path = self._free_path(seen, known)
         if path is None:
             return False
         return not path_blocked_by(path, known.polygon, self.config.robot_radius + self.config.path_margin)[0]
 
-    def _free_path(self, seen: Observation, known: KnownObject) -> Path | None:
+    def _free_path(self, seen: Observation, known: KnownObject, instead: shapely.Polygon | None = None) -> Path | None:
+        """The way on as if ``known`` were not there, or stood where ``instead`` is."""
         others = [o.polygon for o in self.belief.objects.values() if o is not known and o.status is not Status.UNKNOWN]
-        return self._plan(seen.robot_pose[0, :2], others)
+        return self._plan(seen.robot_pose[0, :2], others if instead is None else [*others, instead])
 
-    def _collision_free(self, seen: Observation, known: KnownObject, around: Any) -> Callable[[np.ndarray], np.ndarray]:
-        """CollisionCheck(M, P, g): the footprint clear of walls, other objects and the path ahead."""
+    def _collision_free(
+        self, seen: Observation, known: KnownObject, around: ClearanceField
+    ) -> Callable[[np.ndarray], np.ndarray]:
+        """CollisionCheck(M, P, g): the footprint clear of walls, other objects and the path ahead.
+
+        Where no pose leaves the path free, poses that leave room for another path, little longer, are taken (Reading:
+        the path P was planned before anybody knew where the object would go).
+        """
         path = self._free_path(seen, known)
+        half = np.array(known.half_extents)
         clearance = self.config.robot_radius + self.config.path_margin
-        points = None if path is None else path.points
-        return lambda poses: footprints_free(around, poses, np.array(known.half_extents), points, clearance, 0.05)
+
+        def check(poses: np.ndarray) -> np.ndarray:
+            off_walls = footprints_free(around, poses, half, wall_clearance=self.config.wall_margin)
+            if path is None or not off_walls.any():
+                return off_walls
+            candidates = np.flatnonzero(off_walls)
+            off_path = np.zeros(len(poses), dtype=bool)
+            off_path[candidates] = footprints_free(around, poses[candidates], half, path.points, clearance)
+            if off_path.any():
+                return off_path
+            nearest = np.argsort(np.linalg.norm(poses[candidates, :2] - known.pose[:2], axis=1))
+            for i in candidates[nearest][:: max(1, len(nearest) // self.config.other_paths)]:
+                other = self._free_path(seen, known, footprint_polygon(poses[i], half).buffer(self.config.path_margin))
+                off_path[i] = other is not None and other.length < path.length + self.config.detour
+            return off_path
+
+        return check
 
     def _way_to(self, seen: Observation, index: int, face: np.ndarray) -> Path | None:
         known = self.belief.objects[index]
@@ -447,7 +517,8 @@ class Navigator:
         obstacles = self.belief.polygons()
         if float(self.belief.clearance().at(wanted[:2])) < self.config.robot_radius:
             return None
-        return plan_path(self.belief.grid, seen.robot_pose[0, :2], wanted[:2], obstacles, self.config.robot_radius)
+        position, radius = seen.robot_pose[0, :2], self.config.robot_radius
+        return plan_path(self.belief.grid, position, wanted[:2], obstacles, radius, field=self.belief.walls)
 
     def _plan(self, position: np.ndarray, obstacles: list[Any]) -> Path | None:
         return plan_path(

@@ -27,10 +27,21 @@ from shmoo_mjx.navigation.yaml_input import read_mapping, validated, write_whole
 if TYPE_CHECKING:
     from shmoo_mjx.navigation.maps import OccupancyGrid
 
-__all__ = ["FAMILIES", "Limits", "ObjectEntry", "Scenario", "check_scenario", "load_scenario", "save_scenario"]
+__all__ = [
+    "FAMILIES",
+    "ROBOT_RADIUS",
+    "Limits",
+    "ObjectEntry",
+    "Scenario",
+    "check_scenario",
+    "load_scenario",
+    "save_scenario",
+]
 
 Family = Literal["box", "cart", "wheelchair"]
 FAMILIES: tuple[str, ...] = get_args(Family)
+ROBOT_RADIUS = 0.26
+"""Radius of the disc that paths keep clear: body, folded hands and a reserve [m]."""
 Pose = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Property = bool | FiniteFloat
 

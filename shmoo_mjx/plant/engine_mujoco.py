@@ -1,12 +1,13 @@
 """C MuJoCo behind the engines' signature: ``init() -> state`` and ``step(state, command) -> state, observation``.
 
-A batch of W worlds of one structure (the same family and number of objects) advances together: the control is one compiled
-function over all worlds, the physics runs in MuJoCo's own threads (``mujoco.rollout``).
+A batch of W worlds of one structure (the same family and number of objects) advances together: the control is one
+compiled function over all worlds, the physics runs in MuJoCo's own threads (``mujoco.rollout``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -18,13 +19,24 @@ from shmoo_mjx import se2
 from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.plant import lowlevel
 from shmoo_mjx.plant.observe import observation, planar_wrench
-from shmoo_mjx.plant.robot import readout
+from shmoo_mjx.plant.robot import Readout, readout
 from shmoo_mjx.plant.scene import Scene
 from shmoo_mjx.types import DT, Command, Observation
 
 __all__ = ["MujocoEngine", "World"]
 
 _CONTROL_AND_FORCE = int(mujoco.mjtState.mjSTATE_CTRL) | int(mujoco.mjtState.mjSTATE_XFRC_APPLIED)
+
+
+@functools.cache
+def _compiled_control(gains: lowlevel.Gains, timestep: float) -> Callable[..., Any]:
+    """The low-level control, compiled once for all engines with these gains.
+
+    Compiled even for one world: some 80 small array operations cost NumPy ten times as much.
+    """
+    return jax.jit(
+        lambda state, qpos, qvel, command: lowlevel.control(gains, state, readout(qpos, qvel), command, timestep)
+    )
 
 
 class World(NamedTuple):
@@ -51,12 +63,7 @@ class MujocoEngine:
         self._nq, self._nv = first.model.nq, first.model.nv
         self._torso = first.model.body("robot/torso").id
         self._watched = self._robot_wall_table(first)
-        # Compiled even for one world: some 80 small array operations cost NumPy ten times as much.
-        self._control = jax.jit(
-            lambda state, qpos, qvel, command: lowlevel.control(
-                self.gains, state, readout(qpos, qvel), command, self.timestep
-            )
-        )
+        self._control = _compiled_control(self.gains, self.timestep)
 
     def close(self) -> None:
         """Stop the threads."""
@@ -105,7 +112,19 @@ class MujocoEngine:
         world = World(physics, control, touched)
         return world, observation(self.scenes[0], physics[:, 0], *self._split(physics), wrench / substeps)
 
-    def _advance(self, physics: np.ndarray, torque: np.ndarray, push: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    def torque(self, world: World, command: Command) -> np.ndarray:
+        """Motor torques ``[W, 9]`` [N m] that the control asks for now; what a robot measures as motor currents."""
+        qpos, qvel = self._split(world.physics)
+        return np.asarray(self._control(world.control, qpos[:, :17], qvel[:, :15], command)[1], dtype=np.float64)
+
+    def robot(self, world: World) -> Readout:
+        """The robots' true state, batched ``[W, ...]``."""
+        qpos, qvel = self._split(world.physics)
+        return readout(qpos[:, :17], qvel[:, :15])
+
+    def _advance(
+        self, physics: np.ndarray, torque: np.ndarray, push: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """One physics step: states ``[W, 1, n]`` after it and the sensors it computed."""
         if push is None:
             return self._rollout.rollout(self._models, self._data, physics, torque[:, None, :], skip_checks=False)
@@ -134,6 +153,4 @@ class MujocoEngine:
 
     def fallen(self, world: World) -> np.ndarray:
         """``[W]`` whether the body leans more than 0.6 rad."""
-        qpos, qvel = self._split(world.physics)
-        lean = readout(qpos[:, :17], qvel[:, :15]).lean
-        return np.any(np.abs(se2.wrap(lean)) > 0.6, axis=-1)
+        return np.any(np.abs(se2.wrap(self.robot(world).lean)) > 0.6, axis=-1)

@@ -1,8 +1,8 @@
 """Low-level control of Shmoobot (Sec. III), one functional implementation for every engine and batch shape.
 
 Cascade: the lean command passes a reference filter, a PID per plane turns lean error into drive torque with friction
-compensation, a PI on yaw rate under a P on heading turns the robot, and each hand is held by a Cartesian impedance at the
-place the steering rule gives. The CoM offset of the arms is subtracted from the lean command (feed-forward).
+compensation, a PI on yaw rate under a P on heading turns the robot, and each hand is held by a Cartesian impedance at
+the place the steering rule gives. The CoM offset of the arms is subtracted from the lean command (feed-forward).
 Everything works on NumPy and JAX arrays alike; C MuJoCo runs it with the former, MJX with the latter.
 """
 
@@ -16,7 +16,7 @@ from shmoo_mjx.hands import hand_targets
 from shmoo_mjx.plant.robot import ROBOT, Readout, arm_jacobian, com_offset, hand_in_body
 from shmoo_mjx.types import Command
 
-__all__ = ["Gains", "LowLevelState", "control", "init", "velocity_to_lean"]
+__all__ = ["Gains", "LowLevelState", "arm_gravity", "control", "init", "velocity_to_lean"]
 
 Array = Any
 
@@ -38,6 +38,8 @@ class Gains:
     """Natural frequency of the critically damped reference filter of the lean command [rad/s]."""
     lean_integral_limit: float = 0.08
     """Bound of the integral of the lean error [rad s]."""
+    com_feed_forward: float = 1.0
+    """Share of the arms' CoM offset that is subtracted from the lean command; 0 switches the feed-forward off."""
     yaw_p: float = 2.0
     yaw_rate_p: float = 8.0
     yaw_rate_i: float = 8.0
@@ -110,10 +112,13 @@ def _references(gains: Gains, state: LowLevelState, command: Command, dt: float)
     )
 
 
-def _drive_torque(gains: Gains, state: LowLevelState, robot: Readout, yaw: Array, dt: float) -> tuple[LowLevelState, Array]:
+def _drive_torque(
+    gains: Gains, state: LowLevelState, robot: Readout, yaw: Array, dt: float
+) -> tuple[LowLevelState, Array]:
     xp = se2.array_module(state.gamma, robot.lean)
     # The CoM of the extended arms lies ahead of the body axis: lean the axis back by that angle.
-    error = robot.lean + com_offset(robot.arms) / ROBOT.body_com_height - state.lean_ref
+    offset = gains.com_feed_forward * com_offset(robot.arms) / ROBOT.body_com_height
+    error = robot.lean + offset - state.lean_ref
     limit = gains.lean_integral_limit
     integral = xp.clip(state.lean_integral + error * dt, -limit, limit)
     effort = gains.lean_p * error + gains.lean_i * integral + gains.lean_d * (robot.lean_rate - state.lean_ref_rate)
@@ -143,11 +148,12 @@ def _arm_torque(gains: Gains, state: LowLevelState, robot: Readout) -> Array:
     jacobian = arm_jacobian(robot.arms)
     velocity = xp.einsum("...ij,...j->...i", jacobian, robot.arm_rates)
     force = gains.hand_stiffness * (target - hand_in_body(robot.arms)) - gains.hand_damping * velocity
-    torque = xp.einsum("...ij,...i->...j", jacobian, force) + _gravity(robot.arms)
+    torque = xp.einsum("...ij,...i->...j", jacobian, force) + arm_gravity(robot.arms)
     return xp.clip(torque, -gains.arm_torque_limit, gains.arm_torque_limit)
 
 
-def _gravity(arms: Array) -> Array:
+def arm_gravity(arms: Array) -> Array:
+    """Joint torques ``[..., 2, 3]`` [N m] that hold the arms ``[..., 2, 3]`` against gravity on an upright body."""
     xp = se2.array_module(arms)
     g, l1, l2 = 9.81, ROBOT.upper_arm, ROBOT.forearm
     pitch, fore = arms[..., 1], arms[..., 1] + arms[..., 2]

@@ -10,6 +10,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -75,19 +76,24 @@ class Condition:
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Condition:
         """The condition :meth:`to_dict` came from, also after a trip through JSON."""
-        tuples = {k: tuple(v) if isinstance(v, list | tuple) else v for k, v in data.items()}
+        tuples: dict[str, Any] = {k: tuple(v) if isinstance(v, list | tuple) else v for k, v in data.items()}
         return cls(**tuples)
 
     def fingerprint(self) -> str:
-        """Hash of every property, equal on every machine."""
-        return hashlib.sha256(json.dumps(self.to_dict(), sort_keys=True).encode()).hexdigest()[:16]
+        """Hash of every property, equal on every machine; of an own object, its file's content counts, not its path."""
+        values = self.to_dict()
+        if _is_own(self.family):
+            values["family"] = hashlib.sha256(Path(self.family).read_bytes()).hexdigest()
+        return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:16]
 
     def describe(self) -> str:
         """The condition in one sentence."""
-        names = {"cart": ("front left", "front right", "rear left", "rear right")}.get(
-            self.family, ("rear left", "rear right", "front left", "front right")
-        )
-        text = f"{self.family} {self.size[0]:.2f} x {self.size[1]:.2f} x {self.size[2]:.2f} m, {self.mass:.1f} kg"
+        names = {
+            "cart": ("front left", "front right", "rear left", "rear right"),
+            "wheelchair": ("rear left", "rear right", "front left", "front right"),
+        }.get(self.family, tuple(f"wheel {i}" for i in range(len(self.locked))))
+        size = " x ".join(f"{s:.2f}" for s in self.size)
+        text = f"{Path(self.family).stem} {size} m, {self.mass:.1f} kg"
         if self.payload > 0:
             text += f" + {self.payload:.1f} kg at ({self.payload_x:+.2f}, {self.payload_y:+.2f}) m"
         text += f", mu {self.friction:.2f}"
@@ -148,7 +154,10 @@ def _draw_wheelchair(rng: np.random.Generator) -> dict[str, Any]:
     brakes = sum(locked)  # a wheelchair's brakes act on its rear wheels
     left_first = rng.random() < 0.5
     rear = {0: (False, False), 1: (left_first, not left_first), 2: (True, True)}[brakes]
-    return values | {"locked": (*rear, False, False), "caster_angle": tuple(float(a) for a in rng.uniform(-np.pi, np.pi, 2))}
+    return values | {
+        "locked": (*rear, False, False),
+        "caster_angle": tuple(float(a) for a in rng.uniform(-np.pi, np.pi, 2)),
+    }
 
 
 _DRAW = {"box": _draw_box, "cart": _draw_cart, "wheelchair": _draw_wheelchair}
@@ -157,22 +166,38 @@ _DRAW = {"box": _draw_box, "cart": _draw_cart, "wheelchair": _draw_wheelchair}
 def draw_condition(family: str, seed: int, properties: Mapping[str, Any] | None = None) -> Condition:
     """The condition with this family and seed, with single properties replaced by ``properties``.
 
+    Args:
+        family: one of FAMILIES, or the path of an object file that plant/mesh.py made (it ends with .json).
+        seed: draws every property; of an own object only the casters' starting angles.
+        properties: values of single fields of :class:`Condition`.
+
     Raises:
         ShmooError: unknown family, unknown property, or a value no object can have.
     """
-    if family not in _DRAW:
-        raise ShmooError(f"object family {family!r} is unknown: choose one of {', '.join(FAMILIES)}.")
-    # The family's index keeps (box, 3) and (cart, 3) from sharing their random numbers.
-    rng = np.random.default_rng([FAMILIES.index(family), seed])
-    values = {"family": family, "seed": seed} | _plain(_DRAW[family](rng))
+    if _is_own(family):
+        from shmoo_mjx.plant.mesh import own_condition
+
+        values = own_condition(family, seed)
+    elif family in _DRAW:
+        # The family's index keeps (box, 3) and (cart, 3) from sharing their random numbers.
+        rng = np.random.default_rng([FAMILIES.index(family), seed])
+        values = {"family": family, "seed": seed} | _plain(_DRAW[family](rng))
+    else:
+        names = ", ".join(FAMILIES)
+        raise ShmooError(f"object family {family!r} is unknown: choose one of {names} or an object file (*.json).")
+    drawn = Condition(**values)
     fields = [f.name for f in dataclasses.fields(Condition) if f.name not in ("family", "seed")]
     for name, value in (properties or {}).items():
         if name not in fields:
             raise ShmooError(f"property {name!r} of the {family} is unknown: use one of {', '.join(fields)}.")
         values[name] = tuple(value) if isinstance(value, list | tuple) else value
     condition = Condition(**values)
-    _check(condition)
+    _check(condition, drawn)
     return condition
+
+
+def _is_own(family: str) -> bool:
+    return family.endswith(".json")
 
 
 def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -183,22 +208,28 @@ def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
     return {k: tuple(one(x) for x in v) if isinstance(v, tuple) else one(v) for k, v in values.items()}
 
 
-def _check(c: Condition) -> None:
+def _check(c: Condition, drawn: Condition) -> None:
     what = f"{c.family} (seed {c.seed})"
-    if len(c.size) != 3 or min(c.size) < 0.2 or max(c.size) > 2.5:
+    for name in ("size", "rolling", "locked", "caster_angle"):
+        value, length = getattr(c, name), len(getattr(drawn, name))
+        if not isinstance(value, tuple) or len(value) != length:
+            raise ShmooError(f"{what}: {name} must be a list of {length} entries.")
+    if _is_own(c.family) and c.size != drawn.size:
+        raise ShmooError(f"{what}: size is that of its mesh; make the object again with another --scale.")
+    if not _is_own(c.family) and (min(c.size) < 0.2 or max(c.size) > 2.5):
         raise ShmooError(f"{what}: size {c.size} must be three lengths between 0.2 and 2.5 m.")
     for name, low, high in (("mass", 0.5, 500.0), ("payload", 0.0, 500.0), ("friction", 0.05, 2.0)):
         value = getattr(c, name)
-        if not (np.isfinite(value) and low <= value <= high):
-            raise ShmooError(f"{what}: {name} {value} must lie between {low} and {high}.")
-    casters = {"box": 0, "cart": 4, "wheelchair": 2}[c.family]
-    for name, length in (("rolling", WHEELS[c.family]), ("locked", WHEELS[c.family]), ("caster_angle", casters)):
-        if len(getattr(c, name)) != length:
-            raise ShmooError(f"{what}: {name} must have {length} entries.")
+        if isinstance(value, tuple) or not (np.isfinite(value) and low <= value <= high):
+            raise ShmooError(f"{what}: {name} {value} must be a number between {low} and {high}.")
 
 
 def object_spec(condition: Condition) -> mujoco.MjSpec:
     """MJCF of the object: the family's XML with this condition's numbers. Its root body is ``object`` at {O}."""
+    if _is_own(condition.family):
+        from shmoo_mjx.plant.mesh import own_spec
+
+        return own_spec(condition)
     spec = mujoco.MjSpec.from_file(str(asset(f"models_xml/objects/{condition.family}.xml")))
     length, width, height = condition.size
     hull = spec.geom("hull")
@@ -233,7 +264,11 @@ def _set_wheels(spec: mujoco.MjSpec, c: Condition) -> None:
         if wheel in casters:
             fork, joint = spec.body(f"wheel{wheel}_fork"), spec.joint(f"wheel{wheel}_swivel")
             inset = 0.06
-            fork.pos = [corners[wheel][0] * (c.size[0] / 2 - inset), corners[wheel][1] * (c.size[1] / 2 - inset), fork.pos[2]]
+            fork.pos = [
+                corners[wheel][0] * (c.size[0] / 2 - inset),
+                corners[wheel][1] * (c.size[1] / 2 - inset),
+                fork.pos[2],
+            ]
             joint.frictionloss = c.swivel_friction
             joint.ref = 0.0
             angle = c.caster_angle[wheel if c.family == "cart" else wheel - 2]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from shmoo_mjx import se2
 from shmoo_mjx.plant.robot import hand_in_body, readout
 from shmoo_mjx.plant.scene import Scene
@@ -17,12 +19,11 @@ Array = Any
 def _object_poses(scene: Scene, qpos: Array, qvel: Array) -> tuple[Array, Array]:
     """Planar pose and twist ``[..., N, 3]`` of the objects in {W}."""
     xp = se2.array_module(qpos, qvel)
-    q, v = scene.object_qpos[:, None], scene.object_qvel[:, None]
-    position = qpos[..., q + [0, 1]]
+    position = qpos[..., scene.object_qpos[:, None] + np.array([0, 1])]
     w, x, y, z = (qpos[..., scene.object_qpos + 3 + i] for i in range(4))
     yaw = xp.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     # A free joint's angular velocity is in the body's own frame; objects stay level but for the sag of their contacts.
-    twist = qvel[..., v + [0, 1, 5]]
+    twist = qvel[..., scene.object_qvel[:, None] + np.array([0, 1, 5])]
     return xp.concatenate([position, yaw[..., None]], axis=-1), twist
 
 
@@ -54,9 +55,21 @@ def planar_wrench(scene: Scene, qpos: Array, sensordata: Array) -> Array:
     """
     xp = se2.array_module(qpos, sensordata)
     adr = scene.contact_sensor  # [N, 2]
-    force = sensordata[..., adr[:, :, None] + [0, 1]]
-    torque = sensordata[..., adr + 5]
+    if scene.framed:
+        force, torque = _from_contact_frame(sensordata, adr)
+    else:
+        force = sensordata[..., adr[:, :, None] + [0, 1]]
+        torque = sensordata[..., adr + 5]
     point = sensordata[..., adr[:, :, None] + [6, 7]]
     centre = qpos[..., scene.object_qpos[:, None] + [0, 1]][..., None, :]
     moment = se2.cross(point - centre, force) + torque
     return xp.sum(xp.concatenate([force, moment[..., None]], axis=-1), axis=-2)
+
+
+def _from_contact_frame(sensordata: Array, adr: Array) -> tuple[Array, Array]:
+    """Planar force ``[..., N, 2, 2]`` and vertical torque ``[..., N, 2]`` in {W} from framed sensors."""
+    xp = se2.array_module(sensordata)
+    force, torque, normal, tangent = (sensordata[..., adr[:, :, None] + [i, i + 1, i + 2]] for i in (0, 3, 9, 12))
+    axes = xp.stack([normal, tangent, xp.cross(normal, tangent)], axis=-2)
+    force = xp.einsum("...i,...ij->...j", force, axes)
+    return force[..., :2], xp.einsum("...i,...i->...", torque, axes[..., 2])

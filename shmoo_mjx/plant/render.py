@@ -37,7 +37,9 @@ def can_render() -> str:
     return errors[-1].strip() if errors else f"the renderer ended with code {done.returncode}"
 
 
-def frames(scene: Scene, qpos: np.ndarray, width: int = 640, height: int = 480, distance: float = 3.6) -> Iterator[np.ndarray]:
+def frames(
+    scene: Scene, qpos: np.ndarray, width: int = 640, height: int = 480, distance: float = 3.6
+) -> Iterator[np.ndarray]:
     """Draw configurations ``qpos [T, nq]`` from behind and above the robot; yields uint8 ``[height, width, 3]``.
 
     The camera follows the robot's position smoothly and does not turn with it, so that motion stays readable.

@@ -50,9 +50,10 @@ class Robot:
 
         The flat output is S = x + (b/a) phi and phi = (a/c) S''.
         """
-        m, l, r = self.upper_mass, self.body_com_height, self.ball_radius
+        m, height, r = self.upper_mass, self.body_com_height, self.ball_radius
         total = m + self.ball_mass * (1 + 2 / 5)  # a solid ball's I / r^2
-        return total * r + m * l, self.body_inertia[0] + m * l * l + m * l * r, m * 9.81 * l
+        moment = m * height
+        return total * r + moment, self.body_inertia[0] + moment * (height + r), moment * 9.81
 
     @property
     def upper_mass(self) -> float:
@@ -130,7 +131,8 @@ def readout(qpos: Array, qvel: Array) -> Readout:
     rotation = xp.stack(rows, axis=-2)
     omega = xp.einsum("...ij,...j->...i", rotation, qvel[..., 3:6])
     lean = xp.stack(
-        [xp.arctan2(rotation[..., 0, 2], rotation[..., 2, 2]), xp.arctan2(rotation[..., 1, 2], rotation[..., 2, 2])], axis=-1
+        [xp.arctan2(rotation[..., 0, 2], rotation[..., 2, 2]), xp.arctan2(rotation[..., 1, 2], rotation[..., 2, 2])],
+        axis=-1,
     )
     return Readout(
         pose=xp.stack([qpos[..., 0], qpos[..., 1], yaw], axis=-1),

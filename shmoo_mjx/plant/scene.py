@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import mujoco
 import numpy as np
@@ -16,6 +17,8 @@ __all__ = ["Scene", "build_scene"]
 _HANDS = ("left_hand", "right_hand")
 _FORCE_TORQUE_POSITION = (1 << 1) | (1 << 2) | (1 << 4)  # mjCONDATA bits of a contact sensor: force, torque, pos
 _NET_FORCE = 3  # mjREDUCE: one wrench for all contacts of a pair, in {W}
+_FRAME = (1 << 5) | (1 << 6)  # mjCONDATA bits: normal, tangent
+_NEAREST = 1  # mjREDUCE: the deepest contact of a pair, in its own frame
 
 
 @dataclass(frozen=True)
@@ -35,6 +38,9 @@ class Scene:
     wall_geoms: frozenset[int]
     qpos0: np.ndarray
     """``[nq]`` starting configuration."""
+    framed: bool = False
+    """Whether the sensors report in the contact's own frame, with normal and tangent after the position: MJX knows no
+    net wrench. A hand, being a sphere, has one contact with a convex hull, so that the two agree."""
 
 
 def build_scene(
@@ -43,6 +49,8 @@ def build_scene(
     walls: Sequence[tuple[float, float, float, float]] = (),
     wall_yaw: float = 0.0,
     wall_height: float = 0.6,
+    engine: Literal["mujoco", "mjx"] = "mujoco",
+    adjust: Callable[[mujoco.MjSpec], None] = lambda spec: None,
 ) -> Scene:
     """A scene of Shmoobot, ``objects`` at their (x, y, yaw) in {W}, and walls.
 
@@ -52,9 +60,16 @@ def build_scene(
         walls: boxes (centre x, centre y, half length x, half length y) in the map's axes [m].
         wall_yaw: yaw of the map's axes [rad]; centres are already in {W}.
         wall_height: drawn and simulated height of the walls [m].
+        engine: which engine's contact sensors to build; the physics is the same.
+        adjust: last changes to the MJCF before it is compiled, in place (plant/proxy.py makes another robot this way).
     """
+    framed = engine == "mjx"
     spec = mujoco.MjSpec.from_file(str(asset("models_xml/scene.xml")))
-    spec.attach(mujoco.MjSpec.from_file(str(asset("models_xml/shmoobot.xml"))), prefix="robot/", frame=spec.worldbody.add_frame())
+    spec.attach(
+        mujoco.MjSpec.from_file(str(asset("models_xml/shmoobot.xml"))),
+        prefix="robot/",
+        frame=spec.worldbody.add_frame(),
+    )
     for i, (condition, _) in enumerate(objects):
         spec.attach(object_spec(condition), prefix=f"object{i}/", frame=spec.worldbody.add_frame())
         for hand in _HANDS:
@@ -65,7 +80,11 @@ def build_scene(
                 objname=f"robot/{hand}",
                 reftype=mujoco.mjtObj.mjOBJ_GEOM,
                 refname=f"object{i}/hull",
-                intprm=[_FORCE_TORQUE_POSITION, _NET_FORCE, 1],
+                intprm=[
+                    _FORCE_TORQUE_POSITION | (_FRAME if framed else 0),
+                    _NEAREST if framed else _NET_FORCE,
+                    1,
+                ],
             )
     for i, (x, y, hx, hy) in enumerate(walls):
         spec.worldbody.add_geom(
@@ -78,12 +97,17 @@ def build_scene(
             conaffinity=6,
             material="wall",
         )
+    adjust(spec)
     model = spec.compile()
-    return _index(model, objects, robot_pose, len(walls))
+    return _index(model, objects, robot_pose, len(walls), framed)
 
 
 def _index(
-    model: mujoco.MjModel, objects: Sequence[tuple[Condition, Sequence[float]]], robot_pose: Sequence[float], walls: int
+    model: mujoco.MjModel,
+    objects: Sequence[tuple[Condition, Sequence[float]]],
+    robot_pose: Sequence[float],
+    walls: int,
+    framed: bool,
 ) -> Scene:
     joints = [model.joint(f"object{i}/object") for i in range(len(objects))]
     object_qpos = np.array([j.qposadr[0] for j in joints], dtype=int)
@@ -102,6 +126,7 @@ def _index(
         robot_geoms=frozenset(model.geom(f"robot/{name}").id for name in ("torso_hull", *_HANDS)),
         wall_geoms=frozenset(model.geom(f"wall{i}").id for i in range(walls)),
         qpos0=qpos0,
+        framed=framed,
     )
 
 

@@ -6,7 +6,7 @@ Nothing here takes part in a run. Pushes come from outside instead of from the h
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -14,7 +14,6 @@ import numpy as np
 from shmoo_mjx import se2
 from shmoo_mjx.assets import asset
 from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH
-from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
 from shmoo_mjx.plant.objects import Condition, object_spec
 from shmoo_mjx.types import DT, Command, Observation
@@ -110,7 +109,7 @@ def command(
 
 
 def drive(
-    engine: MujocoEngine,
+    engine: Any,
     seconds: float,
     velocity: Callable[[float], tuple[float, float]] = lambda time: (0.0, 0.0),
     station: float = 0.0,
@@ -122,20 +121,20 @@ def drive(
     """Run the velocity loop of the cascade on every world of ``engine``.
 
     Args:
-        engine: any batch of worlds.
+        engine: any batch of worlds, on either engine or the proxy robot.
         seconds: duration.
         velocity: wish in {R} [m/s] over time.
         station: gain of station keeping at the origin [1/s]; 0 is off.
         push: wrench ``[W, 6]`` on the torso over time, or None.
         yaw: heading to hold [rad].
         arms: (reach, hand height) over time [m].
-        sensor_noise: (generator, standard deviation of velocity [m/s], of lean rate [rad/s]) as the outer loop sees them.
+        sensor_noise: (generator, standard deviation of velocity [m/s], of lean rate [rad/s]) of the outer loop.
 
     Returns:
         Observations stacked over time ``[T, W, ...]`` and whether each world ended fallen ``[W]``.
     """
     world = engine.init()
-    seen = engine.observe(world)
+    seen = _numpy(engine.observe(world))
     rows = []
     gains = Gains()
     for i in range(round(seconds / DT)):
@@ -150,6 +149,11 @@ def drive(
         lean = velocity_to_lean(gains, moving, rate, wish)
         reach, height = arms(time)
         world, seen = engine.step(world, command(len(lean), lean, 0.0, yaw, reach, height), push=push(time))
+        seen = _numpy(seen)
         rows.append(seen)
     track = Observation(*(np.stack(fields) for fields in zip(*rows, strict=True)))
-    return track, engine.fallen(world)
+    return track, np.asarray(engine.fallen(world))
+
+
+def _numpy(seen: Observation) -> Observation:
+    return Observation(*(np.asarray(field, dtype=np.float64) for field in seen))

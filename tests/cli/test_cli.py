@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import subprocess
+import sys
 import sysconfig
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -13,29 +14,31 @@ import pytest
 import yaml
 
 from shmoo_mjx.assets import asset
+from shmoo_mjx.cli import main
 from shmoo_mjx.navigation.maps import OCCUPIED, OccupancyGrid, save_map
 from shmoo_mjx.run import DEMO_WEIGHTS
 
 Done = subprocess.CompletedProcess[str]
 
 BAD_INPUT: dict[str, tuple[str, tuple[str, ...]]] = {
-    "map without its image": ("navigate --map no_image.yaml --start 1,1,0 --goal 2,1", ("no_image.yaml", "'image'", "gone.png")),
-    "map without resolution": ("navigate --map no_resolution.yaml --start 1,1,0 --goal 2,1", ("'resolution'", "missing")),
+    "map without its image": ("navigate --map no_image.yaml --start 1,1,0 --goal 2,1", ("no_image.yaml", "gone.png")),
+    "map without resolution": ("navigate --map no_scale.yaml --start 1,1,0 --goal 2,1", ("'resolution'", "missing")),
     "start inside a wall": ("navigate --scenario wall.yaml", ("wall.yaml", "'start'", "inside a wall")),
     "goal unreachable": ("navigate --scenario split.yaml", ("split.yaml", "'goal'", "can't be reached")),
     "unknown object family": ("navigate --scenario family.yaml", ("'objects[0].family'", "'sofa'", "wheelchair")),
     "negative mass": ("navigate --scenario mass.yaml", ("mass.yaml", "'objects[0].properties'", "mass", "negative")),
+    "property of another shape": ("navigate --scenario shape.yaml", ("shape.yaml", "'objects[0].properties'", "size")),
     "misspelt key": ("navigate --scenario key.yaml", ("key.yaml", "'gaol'", "did you mean 'goal'?")),
     "truncated weights": ("navigate --scenario good.yaml --weights cut.safetensors", ("cut.safetensors", "damaged")),
     "seed that is no number": ("demo --seed one", ("--seed", "'one'")),
-    "start with a number too few": ("navigate --map room.yaml --start 1,1 --goal 2,1", ("--start", "3 numbers")),
+    "start that is no place": ("navigate --map room.yaml --start nan,1,0 --goal 2,1", ("--start", "3 finite numbers")),
     "neither scenario nor start": ("navigate --map room.yaml", ("--scenario", "--start", "--goal")),
     "training without data": ("train object nothing_here", ("nothing_here", "shmoo collect")),
 }
 GOOD_INPUT = {
     "help": "--help",
+    "picture": "map show room.yaml --out room_picture.png",
     "drive": "navigate --scenario drive.yaml --no-video --out drive",
-    "too little time": "navigate --scenario hasty.yaml --no-video --out hasty",
 }
 
 
@@ -47,7 +50,7 @@ def write_inputs(folder: Path) -> None:
     cells[:, 50:52] = OCCUPIED
     save_map(OccupancyGrid(cells, 0.05), folder / "two_rooms.yaml")
     meta = yaml.safe_load((folder / "room.yaml").read_text())
-    maps = {"no_image": meta | {"image": "gone.png"}, "no_resolution": {k: meta[k] for k in meta if k != "resolution"}}
+    maps = {"no_image": meta | {"image": "gone.png"}, "no_scale": {k: meta[k] for k in meta if k != "resolution"}}
     box = {"family": "box", "pose": [3.5, 1.5, 0.0], "properties": {"mass": 3.0}}
     good = {"map": "room.yaml", "start": [1.0, 1.0, 0.0], "goal": [4.0, 2.0], "objects": [box]}
     scenarios = {
@@ -56,6 +59,7 @@ def write_inputs(folder: Path) -> None:
         "split": good | {"map": "two_rooms.yaml"},
         "family": good | {"objects": [box | {"family": "sofa"}]},
         "mass": good | {"objects": [box | {"properties": {"mass": -3.0}}]},
+        "shape": good | {"objects": [box | {"properties": {"size": 0.5}}]},
         "key": {"gaol" if key == "goal" else key: value for key, value in good.items()},
         "drive": good | {"goal": [2.0, 1.0], "objects": []},
         "hasty": good | {"objects": [], "limits": {"time_s": 0.5}},
@@ -112,6 +116,11 @@ def test_help_names_every_command(done: dict[str, Done]) -> None:
         assert f"• {command} " in done["help"].stdout
 
 
+def test_a_map_is_drawn(done: dict[str, Done], folder: Path) -> None:
+    assert done["picture"].returncode == 0, done["picture"].stderr
+    assert (folder / "room_picture.png").read_bytes().startswith(b"\x89PNG")
+
+
 def test_a_drive_leaves_its_folder(done: dict[str, Done], folder: Path) -> None:
     assert done["drive"].returncode == 0, done["drive"].stderr
     assert done["drive"].stdout.startswith("success: ")
@@ -125,7 +134,14 @@ def test_a_drive_leaves_its_folder(done: dict[str, Done], folder: Path) -> None:
     assert result["versions"]["mujoco"] == result["versions"]["mujoco-mjx"]
 
 
-def test_a_run_without_success_says_so(done: dict[str, Done], folder: Path) -> None:
-    assert done["too little time"].returncode == 1, done["too little time"].stderr
-    assert done["too little time"].stdout.startswith("timeout: ")
-    assert json.loads((folder / "hasty" / "result.json").read_text())["outcome"] == "timeout"
+def test_a_run_without_success_says_so(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # In this process, which has paid for its imports already.
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(sys, "argv", ["shmoo", "navigate", "--scenario", "hasty.yaml", "--no-video", "--out", "hasty"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 1
+    assert capsys.readouterr().out.startswith("timeout: ")
+    assert json.loads(Path("hasty/result.json").read_text())["outcome"] == "timeout"

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from shmoo_mjx.dynamics import CoreConfig, Params, contact_wrench, core, features, robot_model
+from shmoo_mjx.dynamics import CoreConfig, ObjectConfig, Params, contact_wrench, core, features, robot_model
 from shmoo_mjx.hands import HAND_RADIUS, REACH
 from shmoo_mjx.types import DT, SystemState
 
-CONFIG = CoreConfig()
+CONFIG = CoreConfig(object=ObjectConfig(per_axis=False))
 
 
 def touching(compression: float = 0.02, speed: float = 0.0) -> SystemState:

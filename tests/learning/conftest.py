@@ -11,7 +11,7 @@ from shmoo_mjx.types import DT
 
 
 def _condition(rng: np.random.Generator, episodes: int, samples: int) -> dict[str, np.ndarray]:
-    """A rigid body with mass, anisotropic drag and a dead beat lean: enough for the learners to have something to learn.
+    """A rigid body with mass, anisotropic drag and a dead beat lean: enough for the learners to learn.
 
     In {O}: acceleration = (wrench - drag * twist) / inertia, exactly over each sample; the robot's base follows its
     lean, the force is a spring on the lean.

@@ -100,7 +100,7 @@ def test_the_sign_of_the_tracking_term() -> None:
 _RUN = jax.jit(run, static_argnums=0)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(
     st.integers(0, 2**31 - 1),
     st.sampled_from([1e-4, 1e-2, 1.0, 1e2, 1e4]),

@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -51,3 +52,17 @@ def test_stops_when_validation_stops_improving() -> None:
         0, lambda s: (s + 1, np.zeros(())), extract=lambda s: s, evaluate=lambda s: next(scores), chunks=6, patience=3
     )
     assert len(fitted.history) == 5 and fitted.score == 2.0 and int(fitted.best) == 2
+
+
+def test_a_chunk_compiles_once() -> None:
+    traces = []
+
+    @jax.jit
+    def chunk(state: jax.Array) -> tuple[jax.Array, jax.Array]:
+        traces.append(1)
+        return state + jnp.ones(3), jnp.sum(state)
+
+    weak = jnp.broadcast_to(0.5, (3,))
+    assert weak.weak_type
+    training.run(weak, chunk, extract=lambda s: s, evaluate=lambda s: -s[0], chunks=3, patience=3)
+    assert len(traces) == 1

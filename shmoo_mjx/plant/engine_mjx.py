@@ -1,0 +1,194 @@
+"""MJX behind the engines' signature: ``init() -> state`` and ``step(state, command) -> state, observation``.
+
+A batch of W worlds is one vmapped function. What differs between the worlds' models (an object's size, mass or
+friction; a randomised robot) is batched, everything else is shared. ``step`` is pure and may be called inside jit, scan
+and vmap.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import functools
+import io
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from shmoo_mjx import se2
+from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH
+from shmoo_mjx.plant import lowlevel
+from shmoo_mjx.plant.observe import observation, planar_wrench
+from shmoo_mjx.plant.robot import Readout, readout
+from shmoo_mjx.plant.scene import Scene
+from shmoo_mjx.types import DT, Command, Observation
+
+with contextlib.redirect_stdout(io.StringIO()):  # it prints that its optional Warp back end is missing
+    from mujoco import mjx
+
+__all__ = ["MjxEngine", "MjxWorld", "stack_models"]
+
+Array = Any
+
+
+class MjxWorld(NamedTuple):
+    """Complete state of W worlds; without W inside a vmap."""
+
+    physics: Array
+    """``[W, 1 + nq + nv]`` time, qpos, qvel: the layout of C MuJoCo's physics state."""
+    control: lowlevel.LowLevelState
+    wall_contact: Array
+    """``[W]`` whether the robot's body or a hand touched a wall in the last sample time."""
+    warm_start: Array
+    """``[W, nv]`` acceleration the solver starts from [m/s^2, rad/s^2]."""
+
+
+def stack_models(models: Sequence[mjx.Model]) -> tuple[mjx.Model, mjx.Model]:
+    """One model whose differing arrays have a leading axis W, and the ``in_axes`` tree that says which those are."""
+    leaves = [jax.tree.leaves(m) for m in models]
+    tree = jax.tree.structure(models[0])
+    stacked, axes = [], []
+    for column in zip(*leaves, strict=True):
+        same = all(c is column[0] or np.array_equal(c, column[0]) for c in column[1:])
+        stacked.append(column[0] if same else jnp.stack(column))
+        axes.append(None if same else 0)
+    return jax.tree.unflatten(tree, stacked), jax.tree.unflatten(tree, axes)
+
+
+class MjxEngine:
+    """Steps W worlds of one structure. Holds models, never state.
+
+    Args:
+        scenes: one per world, each built with ``engine="mjx"``; scenes may share a model.
+        gains: of the low-level control.
+        iterations: of the constraint solver; static, a change compiles anew. docs/plant.md has accuracy and cost.
+        line_search: iterations of its line search; static.
+    """
+
+    def __init__(
+        self,
+        scenes: Sequence[Scene],
+        gains: lowlevel.Gains | None = None,
+        iterations: int = 8,
+        line_search: int = 10,
+    ) -> None:
+        self.scenes = list(scenes)
+        self.gains = gains or lowlevel.Gains()
+        first = self.scenes[0]
+        if not all(s.framed for s in self.scenes):
+            raise ValueError("MjxEngine needs scenes built with engine='mjx'")
+        self.timestep = float(first.model.opt.timestep)
+        put: dict[int, mjx.Model] = {}
+        for scene in self.scenes:
+            if id(scene.model) not in put:
+                put[id(scene.model)] = _put(scene.model, iterations, line_search)
+        if len(put) == 1:
+            self.model = put[id(first.model)]
+            self.in_axes = jax.tree.map(lambda _: None, self.model)
+        else:
+            self.model, self.in_axes = stack_models([put[id(s.model)] for s in self.scenes])
+        self._template = mjx.make_data(first.model)
+        self._torso = first.model.body("robot/torso").id
+        self._kind = np.zeros(first.model.ngeom, dtype=int)
+        self._kind[list(first.robot_geoms)] = 1
+        self._kind[list(first.wall_geoms)] = 2
+        self._batched = jax.jit(self._step_all, static_argnames="substeps")
+
+    def with_model(self, model: mjx.Model, in_axes: mjx.Model) -> MjxEngine:
+        """The same engine on another model of the same structure, such as plant/randomize.py makes."""
+        other = copy.copy(self)
+        other.model, other.in_axes = model, in_axes
+        other._batched = jax.jit(other._step_all, static_argnames="substeps")
+        return other
+
+    def init(self) -> MjxWorld:
+        """All worlds at their scenes' starting configuration, arms folded."""
+        worlds, nv = len(self.scenes), self.scenes[0].model.nv
+        qpos = np.stack([s.qpos0 for s in self.scenes])
+        physics = np.concatenate([np.zeros((worlds, 1)), qpos, np.zeros((worlds, nv))], axis=-1)
+        world = MjxWorld(
+            physics=jnp.asarray(physics, dtype=jnp.float32),
+            control=lowlevel.init(jnp, (worlds,), TUCKED_REACH, TUCKED_HEIGHT),
+            wall_contact=jnp.zeros(worlds, dtype=bool),
+            warm_start=jnp.zeros((worlds, nv)),
+        )
+        # As committed to the device as every later state is; or the second step would compile again.
+        return jax.device_put(world, self.model.geom_size.sharding)
+
+    def observe(self, world: MjxWorld) -> Observation:
+        """The worlds as they are, with no wrench."""
+        none = jnp.zeros((*world.physics.shape[:-1], len(self.scenes[0].conditions), 3))
+        return observation(self.scenes[0], world.physics[..., 0], *self._split(world.physics), none)
+
+    def step(
+        self, world: MjxWorld, command: Command, duration: float = DT, push: Array | None = None
+    ) -> tuple[MjxWorld, Observation]:
+        """Hold ``command`` (fields batched ``[W, ...]``) for ``duration`` seconds.
+
+        ``push [W, 6]`` is an outside disturbance: force [N] and torque [N m] in {W} at the CoM of the robot's torso.
+        """
+        push = jnp.zeros((*world.physics.shape[:-1], 6)) if push is None else jnp.asarray(push)
+        command = jax.tree.map(jnp.asarray, command)
+        return self._batched(self.model, world, command, push, substeps=round(duration / self.timestep))
+
+    def step_one(
+        self, model: mjx.Model, world: MjxWorld, command: Command, push: Array, substeps: int
+    ) -> tuple[MjxWorld, Observation]:
+        """One world without batch axis: what :meth:`step` maps, for callers that map it themselves."""
+        data = self._template.replace(xfrc_applied=self._template.xfrc_applied.at[self._torso].set(push))
+
+        def substep(carry: MjxWorld, _: None) -> tuple[MjxWorld, Array]:
+            qpos, qvel = self._split(carry.physics)
+            control, torque = lowlevel.control(
+                self.gains, carry.control, readout(qpos[:17], qvel[:15]), command, self.timestep
+            )
+            now = data.replace(
+                time=carry.physics[0], qpos=qpos, qvel=qvel, ctrl=torque, qacc_warmstart=carry.warm_start
+            )
+            after = mjx.step(model, now)
+            # Contact sensors belong to the configuration before the step.
+            wrench = planar_wrench(self.scenes[0], qpos, after.sensordata)
+            physics = jnp.concatenate([jnp.atleast_1d(after.time), after.qpos, after.qvel])
+            touched = carry.wall_contact | self._touches_wall(after)
+            return MjxWorld(physics, control, touched, after.qacc_warmstart), wrench
+
+        start = world._replace(wall_contact=jnp.zeros_like(world.wall_contact))
+        world, wrenches = jax.lax.scan(substep, start, None, length=substeps)
+        seen = observation(self.scenes[0], world.physics[0], *self._split(world.physics), wrenches.mean(axis=0))
+        return world, seen
+
+    def _step_all(
+        self, model: mjx.Model, world: MjxWorld, command: Command, push: Array, substeps: int
+    ) -> tuple[MjxWorld, Observation]:
+        one = functools.partial(self.step_one, substeps=substeps)
+        return jax.vmap(one, in_axes=(self.in_axes, 0, 0, 0))(model, world, command, push)
+
+    def robot(self, world: MjxWorld) -> Readout:
+        """The robots' true state, batched ``[W, ...]``."""
+        qpos, qvel = self._split(world.physics)
+        return readout(qpos[..., :17], qvel[..., :15])
+
+    def fallen(self, world: MjxWorld) -> Array:
+        """``[W]`` whether the body leans more than 0.6 rad."""
+        return jnp.any(jnp.abs(se2.wrap(self.robot(world).lean)) > 0.6, axis=-1)
+
+    def _split(self, physics: Array) -> tuple[Array, Array]:
+        nq = self.scenes[0].model.nq
+        return physics[..., 1 : 1 + nq], physics[..., 1 + nq :]
+
+    def _touches_wall(self, data: mjx.Data) -> Array:
+        if not self.scenes[0].wall_geoms:
+            return jnp.zeros((), dtype=bool)
+        contact = data._impl.contact
+        kinds = jnp.asarray(self._kind)[contact.geom]
+        return jnp.any((kinds.min(axis=-1) == 1) & (kinds.max(axis=-1) == 2) & (contact.dist < 0))
+
+
+def _put(model: mujoco.MjModel, iterations: int, line_search: int) -> mjx.Model:
+    model = copy.deepcopy(model)
+    model.opt.iterations, model.opt.ls_iterations = iterations, line_search
+    return mjx.put_model(model)

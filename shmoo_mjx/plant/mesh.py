@@ -1,0 +1,311 @@
+"""Own objects: a mesh file becomes an object file that stands wherever a family's name does (spec 1.8).
+
+``shmoo object add chair.stl --mass 7 --friction 0.4`` writes chair.json: convex hull, mass, CoM, inertia, feet or
+wheels. ``family: chair.json`` in a scenario, or ``draw_condition("chair.json", seed)``, then gives the object.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import mujoco
+import numpy as np
+import shapely
+
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.plant.objects import Condition
+
+__all__ = ["Wheels", "add_object", "own_condition", "own_spec", "read_object"]
+
+Wheels = Literal["none", "casters", "rear"]
+_FORMATS = (".stl", ".obj", ".ply", ".glb", ".gltf", ".off")
+_HULL_VERTICES = 64
+_MOST_FEET = 6
+_FOOT = 0.01
+"""Radius of the spheres an object without wheels slides on [m]."""
+_SWIVEL = {"damping": 0.01, "armature": 0.001}
+_ROLL = {"damping": 0.001, "armature": 0.0005}
+
+
+def add_object(
+    mesh_file: Path,
+    mass: float,
+    friction: float,
+    wheels: Wheels = "none",
+    wheel_radius: float = 0.04,
+    rolling: float = 0.02,
+    swivel_friction: float = 0.05,
+    scale: float = 1.0,
+    up: Literal["auto", "y", "z"] = "auto",
+    hull: bool = False,
+    out: Path | None = None,
+) -> Path:
+    """Turn a mesh file into an object file.
+
+    Args:
+        mesh_file: STL, OBJ, PLY, OFF, GLB or glTF.
+        mass: of the whole object, wheels included [kg].
+        friction: Coulomb coefficient of feet or wheels on the floor.
+        wheels: none (slides on its feet), casters (a swivel caster at each foot), rear (two fixed wheels behind, two
+            casters in front; x points forward).
+        wheel_radius: [m].
+        rolling: rolling resistance coefficient of each wheel.
+        swivel_friction: dry friction of each caster's swivel [N m].
+        scale: metres per unit of the file; 0.001 for millimetres.
+        up: which axis of the file points up; auto is y for GLB and glTF, as that format says, else z.
+        hull: take the mass distribution of the convex hull, for a mesh that isn't closed.
+        out: file to write (default: the mesh's name with .json, in the present folder).
+
+    Returns:
+        The file written.
+
+    Raises:
+        ShmooError: the mesh or a number can't be an object; one sentence with the remedy.
+    """
+    name = mesh_file.name
+    for what, value, low, high in (("mass", mass, 0.5, 500.0), ("friction", friction, 0.05, 2.0)):
+        if not (np.isfinite(value) and low <= value <= high):
+            raise ShmooError(f"--{what} {value} must lie between {low} and {high}.")
+    vertices, inertial = _measure(mesh_file, scale, up, hull)
+    size, centre = np.ptp(vertices, axis=0), (vertices.max(axis=0) + vertices.min(axis=0)) / 2
+    shift = np.array([centre[0], centre[1], vertices[:, 2].min()])
+    vertices, com = vertices - shift, inertial["com"] - shift
+    if wheels == "rear":
+        x, y = size[0] / 2 - wheel_radius, size[1] / 2 - wheel_radius
+        feet = np.array([(-x, y), (-x, -y), (x, y), (x, -y)])
+    else:
+        feet = _feet(vertices, name)
+    _check_balance(feet, com, name)
+    data = {
+        "schema": 1,
+        "source": {"file": name, "sha256": hashlib.sha256(mesh_file.read_bytes()).hexdigest()},
+        "size": _rounded(size),
+        "mass": mass,
+        "friction": friction,
+        "com": _rounded(com),
+        "inertia_per_mass": _rounded(inertial["inertia"]),
+        "hull": _rounded(_fewer(vertices)),
+        "feet": _rounded(feet),
+        "wheels": wheels,
+        "wheel_radius": wheel_radius,
+        "rolling": rolling,
+        "swivel_friction": swivel_friction,
+    }
+    target = Path(out) if out else Path(mesh_file.stem + ".json")
+    written = target.with_name(target.name + ".part")
+    written.write_text(json.dumps(data, indent=1))
+    os.replace(written, target)
+    return target
+
+
+def _measure(mesh_file: Path, scale: float, up: str, hull: bool) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Vertices of the convex hull [m], and CoM and inertia per mass (xx, yy, zz, xy, xz, yz) [m^2], z up."""
+    mesh, name = _load(mesh_file), mesh_file.name
+    points = np.asarray(mesh.vertices, dtype=float)
+    if len(mesh.faces) == 0 or len(points) < 4:
+        raise ShmooError(f"{name} holds no surface; export the object as triangles.")
+    if not np.isfinite(points).all():
+        raise ShmooError(f"{name} has vertices that are not finite numbers; export the mesh again.")
+    if up == "y" or (up == "auto" and mesh_file.suffix.lower() in (".glb", ".gltf")):
+        mesh.apply_transform(np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]], dtype=float))
+    mesh.apply_scale(scale)
+    size = np.ptp(mesh.vertices, axis=0)
+    if max(size) < 0.2 or max(size) > 2.5 or min(size) < 0.05:
+        text = " x ".join(f"{s:.3g}" for s in size)
+        raise ShmooError(
+            f"{name} measures {text} m, but an object's longest side is 0.2 to 2.5 m and its shortest at least 0.05 m; "
+            "give --scale in metres per unit of the file (0.001 for millimetres)."
+        )
+    mesh.merge_vertices()
+    if not hull and not mesh.is_watertight:
+        raise ShmooError(f"{name} is not closed (it has open edges); repair it or pass --hull to use its convex hull.")
+    shell = mesh.convex_hull
+    solid = shell if hull else mesh
+    volume = float(solid.volume)
+    if volume < 0:
+        solid.invert()
+        volume = -volume
+    if volume < 1e-3 * float(np.prod(size)):
+        raise ShmooError(
+            f"{name} encloses hardly any volume ({volume:.2g} m^3); give its walls a thickness or pass --hull."
+        )
+    moment = np.asarray(solid.moment_inertia) / volume
+    inertia = moment[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    return np.asarray(shell.vertices), {"com": np.asarray(solid.center_mass), "inertia": inertia}
+
+
+def _load(mesh_file: Path) -> Any:
+    import trimesh
+
+    if mesh_file.suffix.lower() not in _FORMATS:
+        raise ShmooError(f"{mesh_file.name} is no mesh format known here: use one of {', '.join(_FORMATS)}.")
+    if not mesh_file.is_file():
+        raise ShmooError(f"{mesh_file} does not exist; give the path of a mesh file.")
+    try:
+        return trimesh.load(mesh_file, force="mesh", process=False)
+    except Exception as error:
+        raise ShmooError(f"{mesh_file.name} can't be read as a mesh ({error}); export it again.") from error
+
+
+def _fewer(vertices: np.ndarray) -> np.ndarray:
+    """At most 64 of the hull's vertices: those that reach furthest in evenly spread directions."""
+    if len(vertices) <= _HULL_VERTICES:
+        return vertices
+    i = np.arange(_HULL_VERTICES)
+    z, turn = 1 - (2 * i + 1) / _HULL_VERTICES, np.pi * (1 + np.sqrt(5)) * i
+    flat = np.sqrt(1 - z * z)
+    directions = np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=-1)
+    return vertices[np.unique(np.argmax(vertices @ directions.T, axis=0))]
+
+
+def _feet(vertices: np.ndarray, name: str) -> np.ndarray:
+    """Corners ``[F, 2]`` of the area the object stands on, at most six."""
+    low = vertices[vertices[:, 2] < 0.005 + 0.01 * vertices[:, 2].max(), :2]
+    area = shapely.MultiPoint(low).convex_hull
+    if not isinstance(area, shapely.Polygon) or area.area < 0.1 * np.prod(np.ptp(vertices[:, :2], axis=0)):
+        raise ShmooError(f"{name} stands on a point or an edge; turn it so that it stands, or give --up y.")
+    # The several corners of one leg or wheel count as one foot.
+    near = 0.15 * float(np.sqrt(area.area))
+    groups: list[list[np.ndarray]] = []
+    for corner in np.asarray(area.exterior.coords)[:-1]:
+        if groups and np.linalg.norm(corner - groups[-1][-1]) < near:
+            groups[-1].append(corner)
+        else:
+            groups.append([corner])
+    if len(groups) > 1 and np.linalg.norm(groups[0][0] - groups[-1][-1]) < near:
+        groups[0] += groups.pop()
+    corners = np.array([np.mean(g, axis=0) for g in groups])
+    tolerance, outline = 0.001, corners
+    # A round base has no corners of its own: groups run together, and its outline is thinned instead.
+    if len(corners) < 3:
+        outline = np.asarray(area.exterior.coords)[:-1]
+    while len(outline) > _MOST_FEET:
+        tolerance *= 1.3
+        outline = np.asarray(shapely.Polygon(outline).simplify(tolerance).exterior.coords)[:-1]
+    return outline
+
+
+def _check_balance(feet: np.ndarray, com: np.ndarray, name: str) -> None:
+    support = shapely.MultiPoint(feet).convex_hull
+    if not support.buffer(-0.02).contains(shapely.Point(com[:2])):
+        raise ShmooError(f"{name} would topple: its centre of mass is not above its feet; turn it or give --up y.")
+
+
+def _rounded(values: np.ndarray) -> list[Any]:
+    return np.round(values, 6).tolist()
+
+
+def read_object(path: str | Path) -> dict[str, Any]:
+    """The object file as plain data.
+
+    Raises:
+        ShmooError: the file is missing or not one that ``shmoo object add`` wrote.
+    """
+    try:
+        data = json.loads(Path(path).read_text())
+        if data["schema"] != 1 or not {"size", "mass", "hull", "feet", "wheels"} <= data.keys():
+            raise KeyError
+    except FileNotFoundError as error:
+        raise ShmooError(f"object file {path} does not exist; make it with shmoo object add.") from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise ShmooError(f"{path} is not an object file; make it with shmoo object add.") from error
+    return data
+
+
+def own_condition(path: str, seed: int) -> dict[str, Any]:
+    """Values of an own object's condition: what its file says; the seed draws only the casters' starting angles."""
+    data = read_object(path)
+    wheels = 0 if data["wheels"] == "none" else len(data["feet"])
+    casters = wheels - (2 if data["wheels"] == "rear" else 0)
+    angles = np.random.default_rng([13, seed]).uniform(-np.pi, np.pi, casters)
+    return {
+        "family": path,
+        "seed": seed,
+        "size": tuple(data["size"]),
+        "mass": data["mass"] - wheels * _wheel_mass(data),
+        "payload": 0.0,
+        "payload_x": 0.0,
+        "payload_y": 0.0,
+        "friction": data["friction"],
+        "rolling": (data["rolling"],) * wheels,
+        "swivel_friction": data["swivel_friction"] if casters else 0.0,
+        "locked": (False,) * wheels,
+        "caster_angle": tuple(np.round(angles, 6).tolist()),
+    }
+
+
+def _wheel_mass(data: Mapping[str, Any]) -> float:
+    """Mass of one wheel with its fork [kg]: 0.4, less for a light object."""
+    return min(0.4, 0.05 * data["mass"])
+
+
+def own_spec(condition: Condition) -> mujoco.MjSpec:
+    """MJCF of an own object: hull as a convex mesh, feet or wheels below. Its root body is ``object`` at {O}."""
+    data = read_object(condition.family)
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    root = spec.worldbody.add_body(name="object")
+    root.add_freejoint(name="object")
+    root.explicitinertial = True
+    root.mass, root.ipos = condition.mass, data["com"]
+    root.fullinertia = condition.mass * np.array(data["inertia_per_mass"])
+    spec.add_mesh(name="hull", uservert=np.array(data["hull"]).ravel())
+    root.add_geom(
+        name="hull", type=mujoco.mjtGeom.mjGEOM_MESH, meshname="hull", contype=4, conaffinity=6,
+        friction=[0.4, 0.005, 0.0001], mass=0, rgba=[0.45, 0.52, 0.60, 1],
+    )  # fmt: skip
+    if condition.payload > 0:
+        # A body of its own: the root's mass is given, not summed over its geoms.
+        load = root.add_body(name="payload", pos=[condition.payload_x, condition.payload_y, data["com"][2]])
+        load.add_geom(
+            name="payload", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.08] * 3, mass=condition.payload,
+            contype=0, conaffinity=0, rgba=[0.6, 0.2, 0.2, 1],
+        )  # fmt: skip
+    if data["wheels"] == "none":
+        for i, (x, y) in enumerate(data["feet"]):
+            root.add_geom(
+                name=f"foot{i}_sole", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[_FOOT, 0, 0], pos=[x, y, _FOOT],
+                contype=1, conaffinity=0, condim=3, friction=[condition.friction, 0.005, 0.0001], priority=1, mass=0,
+            )  # fmt: skip
+    else:
+        _add_wheels(root, condition, data)
+    return spec
+
+
+def _add_wheels(root: Any, c: Condition, data: Mapping[str, Any]) -> None:
+    radius, mass = data["wheel_radius"], _wheel_mass(data)
+    hinge = mujoco.mjtJoint.mjJNT_HINGE
+    dry = {"solref_friction": [0.005, 1], "solimp_friction": [0.99, 0.9999, 0.001, 0.5, 2]}
+    fixed = 2 if data["wheels"] == "rear" else 0
+    for i, (x, y) in enumerate(data["feet"]):
+        if i < fixed:
+            wheel = root.add_body(name=f"wheel{i}", pos=[x, y, radius])
+            share = mass
+        else:
+            angle = c.caster_angle[i - fixed]
+            fork = root.add_body(
+                name=f"wheel{i}_fork", pos=[x, y, 2.4 * radius], quat=[np.cos(angle / 2), 0, 0, np.sin(angle / 2)]
+            )
+            fork.add_joint(
+                name=f"wheel{i}_swivel", axis=[0, 0, 1], type=hinge, frictionloss=c.swivel_friction, **_SWIVEL, **dry
+            )  # fmt: skip
+            end = [-0.8 * radius, 0.0, -1.4 * radius]
+            fork.add_geom(
+                name=f"wheel{i}_fork", type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[0, 0, 0, *end],
+                size=[0.2 * radius, 0, 0], mass=0.4 * mass, contype=0, conaffinity=0,
+            )  # fmt: skip
+            wheel = fork.add_body(name=f"wheel{i}", pos=end)
+            share = 0.6 * mass
+        loss = 200.0 if c.locked[i] else 0.0
+        wheel.add_joint(name=f"wheel{i}_roll", axis=[0, 1, 0], type=hinge, frictionloss=loss, **_ROLL, **dry)
+        wheel.add_geom(
+            name=f"wheel{i}", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0],
+            contype=1, conaffinity=0, condim=6, priority=1, mass=share,
+            friction=[c.friction, 0.002, c.rolling[i] * radius],
+            rgba=[0.8, 0.1, 0.1, 1] if c.locked[i] else [0.12, 0.12, 0.13, 1],
+        )  # fmt: skip

@@ -1,0 +1,127 @@
+"""The documentation says what the code says: tables, links, names, examples, and the direction of imports."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+
+from shmoo_mjx.dynamics import features
+from shmoo_mjx.navigation.scenario import Scenario
+from shmoo_mjx.plant.objects import FAMILIES, Condition, draw_condition
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = [
+    "README.md",
+    "CONTRIBUTING.md",
+    "CHANGELOG.md",
+    *(f"docs/{p.name}" for p in sorted((ROOT / "docs").glob("*.md"))),
+]
+LINK = re.compile(r"\[([^\]]*)\]\(([^)\s]+)\)")
+
+
+def read(page: str) -> str:
+    return (ROOT / page).read_text(encoding="utf-8")
+
+
+def names_in(source: Path) -> set[str]:
+    """Functions, methods, classes and module-level names of a Python file."""
+    tree = ast.parse(source.read_text(encoding="utf-8"))
+    defined = {n.name for n in ast.walk(tree) if isinstance(n, ast.FunctionDef | ast.ClassDef)}
+    targets = [t for n in tree.body if isinstance(n, ast.Assign) for t in n.targets]
+    return defined | {t.id for t in targets if isinstance(t, ast.Name)}
+
+
+@pytest.mark.parametrize("name", ["ROBOT_INPUTS", "ROBOT_OUTPUTS", "OBJECT_INPUTS", "OBJECT_OUTPUTS"])
+def test_the_models_page_holds_the_codes_table(name: str) -> None:
+    assert "\n\n" + features.markdown_table(getattr(features, name)) + "\n" in read("docs/models.md")
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_links_lead_somewhere(page: str) -> None:
+    targets = [target for _, target in LINK.findall(read(page)) if "://" not in target and not target.startswith("#")]
+    missing = [t for t in targets if not ((ROOT / page).parent / t.partition("#")[0]).exists()]
+    assert not missing
+
+
+def test_the_paper_map_names_functions_that_exist() -> None:
+    named = 0
+    for text, target in LINK.findall(read("docs/paper_map.md")):
+        if target.endswith(".py"):
+            wanted = set(re.findall(r"`(\w+)`", text))
+            assert wanted <= names_in(ROOT / "docs" / target), target
+            named += len(wanted)
+    assert named > 40
+
+
+def test_the_paper_map_names_settings_that_exist() -> None:
+    readings = read("docs/paper_map.md").partition("## Readings")[2]
+    cells = [line.split("|")[-2] for line in readings.splitlines() if line.startswith("|")]
+    wanted = {name for cell in cells for name in re.findall(r"`(?:\w+\.)?(\w+)`", cell)}
+    known: set[str] = set()
+    for source in (ROOT / "shmoo_mjx").rglob("*.py"):
+        for node in ast.walk(ast.parse(source.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+                known.add(node.target.id)
+            elif isinstance(node, ast.FunctionDef | ast.ClassDef):
+                known.add(node.name)
+    assert len(wanted) > 25 and wanted <= known
+
+
+def test_every_equation_and_figure_of_the_paper_has_a_row() -> None:
+    page = read("docs/paper_map.md").partition("## Readings")[0]
+    first_cells = " ".join(line.split("|")[1] for line in page.splitlines() if line.startswith("|"))
+    for item in [f"Eq. {n}" for n in range(1, 10)] + [f"Fig. {n}" for n in range(1, 9)] + ["Algorithm 1"]:
+        assert re.search(rf"{re.escape(item)}(?!\d)", first_cells), item
+
+
+def test_the_example_scenario_is_one() -> None:
+    example = re.search(r"```yaml\n(.*?)```", read("docs/scenario.md"), re.DOTALL)
+    assert example
+    scenario = Scenario.model_validate(yaml.safe_load(example[1]))
+    conditions = [draw_condition(o.family, o.seed, o.properties) for o in scenario.objects]
+    assert conditions[0].mass == 3.0 and conditions[1].locked == (True, True, False, False)
+
+
+def test_the_scenario_page_lists_every_property_and_family() -> None:
+    page = read("docs/scenario.md")
+    properties = {f.name for f in dataclasses.fields(Condition)} - {"family", "seed"}
+    assert all(f"`{name}`" in page for name in properties | set(FAMILIES))
+
+
+def test_the_readme_begins_with_its_two_lines() -> None:
+    block = re.search(r"```bash\n(.*?)```", read("README.md"), re.DOTALL)
+    assert block
+    assert block[1].splitlines() == ["pip install uv && uv run shmoo demo", "pip install uv && uv run pytest"]
+    assert "(pip install uv && uv run pytest)" in read(".ci/run")
+
+
+LAYERS = (
+    {"se2", "types", "errors", "hands", "faces", "assets", "progress"},
+    {"plant", "dynamics"},
+    {"data"},
+    {"learning"},
+    {"control"},
+    {"navigation"},
+    {"report"},
+    {"episode"},
+    {"run"},
+    {"demo", "doctor"},
+    {"cli"},
+)
+
+
+def test_imports_point_one_way() -> None:
+    rank = {part: i for i, layer in enumerate(LAYERS) for part in layer}
+    for source in (ROOT / "shmoo_mjx").rglob("*.py"):
+        part = source.relative_to(ROOT / "shmoo_mjx").parts[0].removesuffix(".py")
+        for node in ast.walk(ast.parse(source.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("shmoo_mjx"):
+                modules = [node.module] if node.module != "shmoo_mjx" else [f"shmoo_mjx.{a.name}" for a in node.names]
+                for other in (str(m).split(".")[1] for m in modules if m):
+                    allowed = other == part or rank[part] > rank[other] or rank[part] == rank[other] == 0
+                    assert allowed, f"{source.relative_to(ROOT)} imports {other}"

@@ -1,0 +1,75 @@
+"""The C engine: worlds are independent, states are values, threads change nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from shmoo_mjx.hands import HAND_HEIGHT, REACH
+from shmoo_mjx.plant.engine_mujoco import MujocoEngine, World
+from shmoo_mjx.plant.objects import draw_condition
+from shmoo_mjx.plant.scene import Scene, build_scene
+from shmoo_mjx.plant.trials import command
+from shmoo_mjx.types import Observation
+
+
+def _scene(seed: int) -> Scene:
+    return build_scene([(draw_condition("box", seed), (0.9, 0.0, 0.0))])
+
+
+def _run(engine: MujocoEngine, samples: int = 4) -> tuple[World, Observation]:
+    world = engine.init()
+    wanted = command(len(engine.scenes), (0.04, 0.01), 0.1, reach=REACH, hand_height=HAND_HEIGHT)
+    for _ in range(samples):
+        world, seen = engine.step(world, wanted)
+    return world, seen
+
+
+def test_batch_equals_single_worlds_and_threads_change_nothing() -> None:
+    scenes = [_scene(i) for i in range(3)]
+    engines = [MujocoEngine(scenes), MujocoEngine(scenes, threads=2)]
+    (one, _), (two, _) = (_run(e) for e in engines)
+    np.testing.assert_array_equal(one.physics, two.physics)
+    alone, _ = _run(MujocoEngine([scenes[1]]))
+    np.testing.assert_allclose(alone.physics[0], one.physics[1], atol=1e-4)
+    for engine in engines:
+        engine.close()
+
+
+def test_a_state_is_a_value() -> None:
+    engine = MujocoEngine([_scene(0)])
+    world = engine.init()
+    kept = world.physics.copy()
+    wanted = command(1, (0.05, 0.0))
+    first, seen = engine.step(world, wanted)
+    np.testing.assert_array_equal(world.physics, kept)
+    again, seen_again = engine.step(world, wanted)
+    np.testing.assert_array_equal(first.physics, again.physics)
+    np.testing.assert_array_equal(seen.robot_pose, seen_again.robot_pose)
+    assert seen.time[0] == pytest.approx(0.1)
+    engine.close()
+
+
+def test_no_push_is_a_push_of_nothing() -> None:
+    engine = MujocoEngine([_scene(0)])
+    world, wanted = engine.init(), command(1)
+    still, _ = engine.step(world, wanted)
+    zero, _ = engine.step(world, wanted, push=np.zeros((1, 6)))
+    _, seen = engine.step(world, wanted, push=np.array([[0.0, 30.0, 0.0, 0.0, 0.0, 0.0]]))
+    np.testing.assert_allclose(zero.physics, still.physics, atol=1e-12)
+    assert seen.robot_twist[0, 1] > 0.01 and abs(still[0][0, 2]) < 1e-6
+    # The push ends with its step.
+    after, _ = engine.step(still, wanted)
+    after_zero, _ = engine.step(zero, wanted)
+    np.testing.assert_allclose(after.physics, after_zero.physics, atol=1e-9)
+    engine.close()
+
+
+def test_a_robot_that_leans_far_has_fallen() -> None:
+    engine = MujocoEngine([_scene(0)])
+    world = engine.init()
+    assert not engine.fallen(world)[0]
+    physics = world.physics.copy()
+    physics[0, 4:8] = [np.cos(0.4), 0.0, np.sin(0.4), 0.0]
+    assert engine.fallen(world._replace(physics=physics))[0]
+    engine.close()

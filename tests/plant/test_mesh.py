@@ -1,0 +1,208 @@
+"""Own objects: a mesh becomes something the robot can push, or the user hears in one sentence why not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.hands import HAND_HEIGHT, REACH
+from shmoo_mjx.plant.engine_mujoco import MujocoEngine
+from shmoo_mjx.plant.mesh import add_object, read_object
+from shmoo_mjx.plant.objects import draw_condition
+from shmoo_mjx.plant.scene import build_scene
+from shmoo_mjx.plant.trials import command, object_alone, pushed, settled
+
+trimesh = pytest.importorskip("trimesh")
+
+
+def _box(path: Path, size: tuple[float, float, float] = (0.5, 0.4, 0.7)) -> Path:
+    trimesh.creation.box(size).export(path)
+    return path
+
+
+def _office_chair(path: Path) -> Path:
+    """A seat with a back on a column, on a star of five feet."""
+    parts = [
+        trimesh.creation.box((0.48, 0.48, 0.08), trimesh.transformations.translation_matrix((0, 0, 0.48))),
+        trimesh.creation.box((0.06, 0.44, 0.50), trimesh.transformations.translation_matrix((-0.22, 0, 0.76))),
+        trimesh.creation.cylinder(0.04, 0.40, transform=trimesh.transformations.translation_matrix((0, 0, 0.26))),
+    ]
+    for k in range(5):
+        turn = trimesh.transformations.rotation_matrix(2 * np.pi * k / 5, (0, 0, 1))
+        leg = trimesh.creation.box((0.32, 0.05, 0.05), trimesh.transformations.translation_matrix((0.16, 0, 0.085)))
+        wheel = trimesh.creation.cylinder(
+            0.03, 0.04, sections=16,
+            transform=trimesh.transformations.translation_matrix((0.30, 0, 0.03))
+            @ trimesh.transformations.rotation_matrix(np.pi / 2, (1, 0, 0)),
+        )  # fmt: skip
+        parts += [part.apply_transform(turn) for part in (leg, wheel)]
+    trimesh.util.concatenate(parts).export(path)
+    return path
+
+
+def test_a_box_mesh_slides_like_a_box(tmp_path: Path) -> None:
+    made = add_object(_box(tmp_path / "crate.stl"), mass=8.0, friction=0.4, out=tmp_path / "crate.json")
+    data = read_object(made)
+    np.testing.assert_allclose(data["size"], (0.5, 0.4, 0.7), atol=1e-5)
+    np.testing.assert_allclose(data["com"], (0, 0, 0.35), atol=1e-5)
+    np.testing.assert_allclose(
+        data["inertia_per_mass"][:3], [(0.16 + 0.49) / 12, (0.25 + 0.49) / 12, 0.41 / 12], rtol=1e-4
+    )
+    assert len(data["feet"]) == 4
+    condition = draw_condition(str(made), 0)
+    assert condition.half_extents == pytest.approx((0.25, 0.2))
+    model = object_alone(condition)
+    assert model.body("object0/object").subtreemass[0] == pytest.approx(8.0)
+    data = settled(model)
+    expected = 0.4 * 8.0 * 9.81
+    ramp = np.zeros((1500, 3))
+    ramp[:, 0] = np.linspace(0, 1.4 * expected, 1500)
+    track = pushed(model, data, ramp, 3.0, height=0.0)
+    assert ramp[np.argmax(track.twist[:, 0] > 0.01), 0] == pytest.approx(expected, rel=0.1)
+
+
+def test_an_office_chair_on_casters_is_pushed_by_the_robot(tmp_path: Path) -> None:
+    made = add_object(
+        _office_chair(tmp_path / "chair.glb"), 9.0, 0.6, wheels="casters", wheel_radius=0.03, up="z", hull=True,
+        out=tmp_path / "chair.json",
+    )  # fmt: skip
+    condition = draw_condition(str(made), 3)
+    assert len(condition.rolling) == len(read_object(made)["feet"]) == 5
+    scene = build_scene([(condition, (REACH + 0.06 + condition.half_extents[0], 0.0, 0.0))])
+    assert scene.model.body("object0/object").subtreemass[0] == pytest.approx(9.0, rel=1e-6)
+    engine = MujocoEngine([scene])
+    world = engine.init()
+    start = engine.observe(world).object_pose[0, 0, 0]
+    strongest = 0.0
+    for _ in range(25):
+        world, seen = engine.step(world, command(1, (0.04, 0.0), reach=REACH, hand_height=HAND_HEIGHT + 0.1))
+        strongest = max(strongest, float(seen.wrench[0, 0, 0]))
+    assert not engine.fallen(world)[0]
+    engine.close()
+    assert seen.object_pose[0, 0, 0] > start + 0.1 and strongest > 1.0
+
+
+def test_rear_wheels_resist_sideways(tmp_path: Path) -> None:
+    made = add_object(
+        _box(tmp_path / "trolley.ply"), 12.0, 0.7, wheels="rear", wheel_radius=0.08, out=tmp_path / "trolley.json"
+    )
+    condition = draw_condition(str(made), 0, {"caster_angle": (0.0, 0.0)})
+    moved = []
+    for axis in (0, 1):
+        model = object_alone(condition)
+        wrench = np.zeros(3)
+        wrench[axis] = 12.0
+        track = pushed(model, settled(model), wrench, 0.6)
+        moved.append(abs(track.pose[-1, axis]))
+    assert moved[0] > 3 * moved[1]
+
+
+def test_an_own_object_takes_properties_and_keeps_its_fingerprint(tmp_path: Path) -> None:
+    made = add_object(_box(tmp_path / "crate.stl"), 8.0, 0.4, out=tmp_path / "crate.json")
+    condition = draw_condition(str(made), 0, {"friction": 0.6, "payload": 5.0})
+    assert condition.friction == 0.6 and "crate" in condition.describe()
+    assert object_alone(condition).body_mass.sum() == pytest.approx(13.0)
+    moved = tmp_path / "elsewhere"
+    moved.mkdir()
+    copy = moved / "crate.json"
+    copy.write_bytes(made.read_bytes())
+    assert draw_condition(str(copy), 0).fingerprint() == draw_condition(str(made), 0).fingerprint()
+    with pytest.raises(ShmooError, match="size"):
+        draw_condition(str(made), 0, {"size": (1.0, 1.0, 1.0)})
+
+
+def test_millimetres_and_y_up_are_understood(tmp_path: Path) -> None:
+    made = add_object(
+        _box(tmp_path / "crate.obj", (500.0, 700.0, 400.0)), 8.0, 0.4, scale=0.001, up="y", out=tmp_path / "c.json"
+    )
+    np.testing.assert_allclose(read_object(made)["size"], (0.5, 0.4, 0.7), atol=1e-5)
+
+
+def test_a_mesh_turned_inside_out_is_the_same_object(tmp_path: Path) -> None:
+    mesh = trimesh.creation.box((0.5, 0.4, 0.7))
+    mesh.invert()
+    mesh.export(tmp_path / "inverted.stl")
+    made = [
+        read_object(add_object(path, 8.0, 0.4, out=path.with_suffix(".json")))
+        for path in (tmp_path / "inverted.stl", _box(tmp_path / "crate.stl"))
+    ]
+    np.testing.assert_allclose(made[0]["inertia_per_mass"], made[1]["inertia_per_mass"], atol=1e-5)
+    np.testing.assert_allclose(made[0]["com"], made[1]["com"], atol=1e-5)
+
+
+def _bad_mesh(kind: str, folder: Path) -> tuple[Path, dict[str, Any]]:
+    path, options = folder / "thing.stl", {}
+    mesh = trimesh.creation.box((0.5, 0.4, 0.7))
+    if kind == "scale":
+        mesh.apply_scale(1000)
+    elif kind == "open":
+        mesh = trimesh.Trimesh(mesh.vertices, mesh.faces[2:], process=False)
+    elif kind == "flat":
+        mesh = trimesh.creation.box((0.5, 0.4, 0.7))
+        inner = trimesh.creation.box((0.4999, 0.3999, 0.6999))
+        inner.invert()
+        mesh = trimesh.util.concatenate([mesh, inner])
+    elif kind == "nan":
+        vertices = mesh.vertices.copy()
+        vertices[3] = np.nan
+        mesh = trimesh.Trimesh(vertices, mesh.faces, process=False, validate=False)
+    elif kind == "point":
+        mesh = trimesh.creation.icosphere(radius=0.3)
+    elif kind == "format":
+        path = folder / "thing.step"
+        path.write_text("x")
+        return path, options
+    elif kind == "missing":
+        return path, options
+    elif kind == "rubbish":
+        path = folder / "thing.ply"
+        path.write_bytes(b"\x00\x01rubbish")
+        return path, options
+    elif kind == "mass":
+        options = {"mass": -1.0}
+    elif kind == "topple":
+        top = trimesh.creation.box((0.5, 0.5, 0.5), trimesh.transformations.translation_matrix((0.9, 0, 0.8)))
+        mesh = trimesh.util.concatenate([mesh, top])
+    mesh.export(path)
+    return path, options
+
+
+@pytest.mark.parametrize(
+    ("kind", "word"),
+    [
+        ("scale", "--scale"), ("open", "--hull"), ("flat", "volume"), ("nan", "not finite"),
+        ("point", "stands on a point"),
+        ("format", "format"), ("missing", "does not exist"), ("rubbish", "thing.ply"), ("mass", "--mass"),
+        ("topple", "topple"),
+    ],
+)  # fmt: skip
+def test_bad_meshes_get_one_sentence(kind: str, word: str, tmp_path: Path) -> None:
+    path, options = _bad_mesh(kind, tmp_path)
+    with pytest.raises(ShmooError) as error:
+        add_object(path, **{"mass": 8.0, "friction": 0.4, "out": tmp_path / "thing.json"} | options)
+    assert word in str(error.value) and "\n" not in str(error.value)
+    assert not list(tmp_path.glob("*.json*"))
+
+
+def test_a_file_that_is_no_object_is_named(tmp_path: Path) -> None:
+    wrong = tmp_path / "wrong.json"
+    wrong.write_text("[1, 2]")
+    for path in (wrong, tmp_path / "missing.json"):
+        with pytest.raises(ShmooError, match=path.name):
+            draw_condition(str(path), 0)
+
+
+@pytest.mark.slow
+def test_two_million_triangles(tmp_path: Path) -> None:
+    mesh = trimesh.creation.uv_sphere(radius=0.4, count=[1000, 510])
+    vertices = mesh.vertices.copy()
+    vertices[:, 2] = np.clip(vertices[:, 2], -0.3, None)
+    trimesh.Trimesh(vertices, mesh.faces, process=False).export(tmp_path / "egg.stl")
+    assert len(mesh.faces) > 2_000_000
+    made = add_object(tmp_path / "egg.stl", 8.0, 0.4, hull=True, out=tmp_path / "egg.json")
+    assert len(read_object(made)["hull"]) <= 64
+    settled(object_alone(draw_condition(str(made), 0)), 0.2)
