@@ -1,0 +1,316 @@
+"""A data set on disk: a directory with one safetensors file per condition and a manifest.
+
+The manifest names every file with its checksum and its condition. A file counts as recorded once the manifest names it,
+so collection that was cut short goes on where it stopped, and a file that changed afterwards is named, not read.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from importlib import metadata
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from shmoo_mjx import se2
+from shmoo_mjx.data import differentiate
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.types import DT, SystemState
+
+__all__ = [
+    "FIELDS",
+    "SCHEMA_VERSION",
+    "SPLITS",
+    "Dataset",
+    "Samples",
+    "Store",
+    "create_or_open",
+    "of_training",
+    "read",
+    "system_states",
+    "write_condition",
+]
+
+Array = Any
+
+SCHEMA_VERSION = 1
+"""Raised whenever a field of a condition's file changes its meaning."""
+
+SPLITS = ("train", "validation", "test")
+"""Splits are by condition, never by row."""
+
+FIELDS: dict[str, tuple[int, ...]] = {
+    "robot_pose": (3,),
+    "robot_twist": (3,),
+    "lean": (2,),
+    "lean_rate": (2,),
+    "object_pose": (3,),
+    "object_twist": (3,),
+    "u": (3,),
+    "force_robot": (2,),
+    "wrench_object": (3,),
+    "contact": (),
+}
+"""Per sample: what follows ``[E, L]`` for E episodes of L samples. Poses and twists are in {W} at the start of the
+sample; u is held over it; force_robot ({R} at its start) and wrench_object (about the object's centre, {O} at its
+start) are means over it. Beside these a file has face ``[E, 4]`` and size ``[E]`` as types.SystemState tells them."""
+
+MANIFEST = "manifest.json"
+
+
+class Store(NamedTuple):
+    """An open data set directory."""
+
+    directory: Path
+    manifest: dict[str, Any]
+
+    def has(self, name: str) -> bool:
+        """Whether the condition is recorded and its file is as it was written."""
+        entry = self.manifest["conditions"].get(name)
+        if entry is None:
+            return False
+        path = self.directory / entry["file"]
+        return path.is_file() and _checksum(path) == entry["sha256"]
+
+
+class Dataset(NamedTuple):
+    """What `read` found, one entry per condition in each list."""
+
+    names: list[str]
+    conditions: list[dict[str, Any]]
+    arrays: list[dict[str, np.ndarray]]
+    schema: dict[str, Any]
+
+    def split(self, name: str) -> Dataset:
+        """The conditions of one split: train, validation or test."""
+        keep = [i for i, condition in enumerate(self.conditions) if condition["split"] == name]
+        return Dataset(
+            [self.names[i] for i in keep],
+            [self.conditions[i] for i in keep],
+            [self.arrays[i] for i in keep],
+            self.schema,
+        )
+
+
+class Samples(NamedTuple):
+    """A condition's file as the learners take it; L - 1 samples have a label."""
+
+    state: SystemState
+    """``[E, L - 1, ...]``"""
+    u: np.ndarray
+    """``[E, L - 1, 3]`` [rad]"""
+    robot_acceleration: np.ndarray
+    """``[E, L - 1, 3]`` in {R}"""
+    force: np.ndarray
+    """``[E, L - 1, 2]`` in {R} [N]"""
+    wrench: np.ndarray
+    """``[E, L - 1, 3]`` in {O} [N, N m]"""
+    object_acceleration: np.ndarray
+    """``[E, L - 1, 3]`` in {O}"""
+    contact: np.ndarray
+    """``[E, L - 1]`` bool"""
+
+
+def create_or_open(directory: str | os.PathLike[str], schema: dict[str, Any]) -> Store:
+    """Open the data set in ``directory``, or start an empty one.
+
+    Args:
+        directory: made if it does not exist.
+        schema: what the whole collection depends on (seeds, episode length, ...), JSON-able.
+
+    Raises:
+        ShmooError: the directory holds a data set made with another schema, or a damaged manifest.
+    """
+    directory = Path(directory)
+    path = directory / MANIFEST
+    wanted = json.loads(json.dumps(schema))
+    if path.exists():
+        manifest = _read_manifest(path)
+        if manifest["schema"] != wanted:
+            raise ShmooError(
+                f"{path}: field 'schema' says the data set was collected with other settings; choose an empty "
+                "directory or the settings it was started with."
+            )
+        return Store(directory, manifest)
+    directory.mkdir(parents=True, exist_ok=True)
+    manifest = {"schema_version": SCHEMA_VERSION, "schema": wanted, "versions": _versions(), "conditions": {}}
+    _write_whole(path, json.dumps(manifest, indent=1).encode())
+    return Store(directory, manifest)
+
+
+def write_condition(
+    store: Store | str | os.PathLike[str], name: str, arrays: dict[str, np.ndarray], condition: dict[str, Any]
+) -> None:
+    """Add one condition: its file first, then the manifest that names it, each written whole or not at all.
+
+    Args:
+        store: from `create_or_open`, or the directory of an existing data set.
+        name: unique; becomes the file's name.
+        arrays: every entry of FIELDS ``[E, L, ...]``, face ``[E, 4]`` and size ``[E]``.
+        condition: JSON-able, with at least family, seed and split.
+
+    Raises:
+        ShmooError: an array is missing, has another shape or holds a value that is not finite; a condition without
+            family, seed or a known split.
+    """
+    from safetensors.numpy import save
+
+    if not isinstance(store, Store):
+        store = Store(Path(store), _read_manifest(Path(store) / MANIFEST))
+    _check_arrays(name, arrays)
+    _check_condition(name, condition)
+    typed = {k: np.ascontiguousarray(v, dtype=bool if k == "contact" else np.float32) for k, v in arrays.items()}
+    path = store.directory / f"{name}.safetensors"
+    content = save(typed, metadata={"condition": json.dumps(condition)})
+    _write_whole(path, content)
+    entry = {"file": path.name, "sha256": hashlib.sha256(content).hexdigest(), "condition": condition}
+    store.manifest["conditions"][name] = json.loads(json.dumps(entry))
+    _write_whole(store.directory / MANIFEST, json.dumps(store.manifest, indent=1).encode())
+
+
+def read(directory: str | os.PathLike[str], splits: tuple[str, ...] = SPLITS) -> Dataset:
+    """Read the conditions of the given splits.
+
+    Raises:
+        ShmooError: no data set there, or a file that is missing or differs from what was written.
+    """
+    from safetensors.numpy import load
+
+    directory = Path(directory)
+    manifest = _read_manifest(directory / MANIFEST)
+    names, conditions, arrays = [], [], []
+    for name, entry in sorted(manifest["conditions"].items()):
+        if entry["condition"]["split"] not in splits:
+            continue
+        path = directory / entry["file"]
+        if not path.is_file():
+            raise ShmooError(f"{path}: the file of condition '{name}' is missing; collect again to make it anew.")
+        content = path.read_bytes()
+        if hashlib.sha256(content).hexdigest() != entry["sha256"]:
+            raise ShmooError(
+                f"{path}: the file of condition '{name}' is damaged (field 'sha256' does not fit); delete it and "
+                "collect again to make it anew."
+            )
+        names.append(name)
+        conditions.append(entry["condition"])
+        arrays.append(load(content))
+    return Dataset(names, conditions, arrays, manifest["schema"])
+
+
+def of_training(data: str | os.PathLike[str] | Dataset) -> Dataset:
+    """The train and validation conditions of a data set given as a directory or already read.
+
+    Raises:
+        ShmooError: as `read`; or one of the two splits is empty.
+    """
+    dataset = data if isinstance(data, Dataset) else read(data, splits=("train", "validation"))
+    for split in ("train", "validation"):
+        if not dataset.split(split).names:
+            where = "the data set" if isinstance(data, Dataset) else os.fspath(data)
+            raise ShmooError(f"{where}: field 'split' is '{split}' for no condition; collect some for training.")
+    return dataset
+
+
+def system_states(arrays: dict[str, np.ndarray]) -> Samples:
+    """The states, commands and labels of one condition's arrays.
+
+    The last_* fields are the values of the sample before, zeros at an episode's start.
+    """
+    object_pose, object_twist = arrays["object_pose"], arrays["object_twist"]
+    body_twist = np.asarray(se2.rotate(object_twist, -object_pose[..., 2]))
+    n = object_pose.shape[1] - 1
+    state = SystemState(
+        robot_pose=arrays["robot_pose"][:, :-1],
+        robot_twist=arrays["robot_twist"][:, :-1],
+        lean=arrays["lean"][:, :-1],
+        lean_rate=arrays["lean_rate"][:, :-1],
+        object_pose=object_pose[:, :-1],
+        object_twist=object_twist[:, :-1],
+        last_object_twist=_before(body_twist)[:, :-1],
+        last_force=_before(arrays["force_robot"])[:, :-1],
+        last_u=_before(arrays["u"])[:, :-1],
+        face=np.repeat(arrays["face"][:, None], n, axis=1),
+        size=np.repeat(arrays["size"][:, None], n, axis=1),
+    )
+    return Samples(
+        state=state,
+        u=arrays["u"][:, :-1],
+        robot_acceleration=differentiate.body_acceleration(arrays["robot_pose"], arrays["robot_twist"], DT),
+        force=arrays["force_robot"][:, :-1],
+        wrench=arrays["wrench_object"][:, :-1],
+        object_acceleration=differentiate.body_acceleration(object_pose, object_twist, DT),
+        contact=arrays["contact"][:, :-1].astype(bool),
+    )
+
+
+def _before(values: np.ndarray) -> np.ndarray:
+    return np.concatenate([np.zeros_like(values[:, :1]), values[:, :-1]], axis=1)
+
+
+def _check_arrays(name: str, arrays: dict[str, np.ndarray]) -> None:
+    missing = sorted({*FIELDS, "face", "size"} - set(arrays))
+    if missing:
+        raise ShmooError(f"condition '{name}': field '{missing[0]}' is missing; a recording needs every field.")
+    lead = np.shape(arrays["robot_pose"])[:2]
+    shapes = {k: (*lead, *tail) for k, tail in FIELDS.items()} | {"face": (*lead[:1], 4), "size": lead[:1]}
+    for key, shape in shapes.items():
+        if np.shape(arrays[key]) != shape:
+            raise ShmooError(
+                f"condition '{name}': field '{key}' has shape {np.shape(arrays[key])}; it must be {shape}."
+            )
+        if not np.all(np.isfinite(arrays[key])):
+            raise ShmooError(f"condition '{name}': field '{key}' holds a value that is not finite; record it again.")
+
+
+def _check_condition(name: str, condition: dict[str, Any]) -> None:
+    for key in ("family", "seed", "split"):
+        if key not in condition:
+            raise ShmooError(f"condition '{name}': field '{key}' is missing; name its family, seed and split.")
+    if condition["split"] not in SPLITS:
+        raise ShmooError(
+            f"condition '{name}': field 'split' is '{condition['split']}'; use one of {', '.join(SPLITS)}."
+        )
+
+
+def _read_manifest(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        raise ShmooError(f"{path}: there is no data set here; give the directory that `shmoo collect` wrote.")
+    try:
+        manifest = json.loads(path.read_text())
+        version = manifest["schema_version"]
+        manifest["schema"], manifest["conditions"].items()
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ShmooError(
+            f"{path}: the manifest is damaged ({error}); delete the directory and collect again."
+        ) from None
+    if version != SCHEMA_VERSION:
+        raise ShmooError(
+            f"{path}: field 'schema_version' is {version}, this version reads {SCHEMA_VERSION}; collect again."
+        )
+    return manifest
+
+
+def _checksum(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _write_whole(path: Path, content: bytes) -> None:
+    temporary = path.with_name(path.name + f".{os.getpid()}.tmp")
+    with open(temporary, "wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(temporary, path)
+
+
+def _versions() -> dict[str, str]:
+    found = {}
+    for package in ("shmoo-mjx", "mujoco", "jax", "numpy"):
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            found[package] = "not installed"
+    return found

@@ -1,0 +1,107 @@
+"""Data sets on disk: whole, resumable, and honest about damage."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from shmoo_mjx import se2
+from shmoo_mjx.data import store
+from shmoo_mjx.errors import ShmooError
+
+CONDITION = {"family": "box", "seed": 3, "split": "train"}
+
+
+def recording(seed: int = 0, episodes: int = 2, samples: int = 5) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    arrays = {k: rng.normal(size=(episodes, samples, *tail)) for k, tail in store.FIELDS.items()}
+    arrays["contact"] = arrays["contact"] > 0
+    return arrays | {"face": rng.normal(size=(episodes, 4)), "size": rng.uniform(0.2, 0.6, episodes)}
+
+
+def test_round_trip_and_splits(tmp_path: Path) -> None:
+    opened = store.create_or_open(tmp_path / "d", {"seed": 1})
+    arrays = recording()
+    store.write_condition(opened, "box-3", arrays, CONDITION)
+    store.write_condition(tmp_path / "d", "box-4", recording(1), CONDITION | {"split": "test"})
+    found = store.read(tmp_path / "d")
+    assert found.names == ["box-3", "box-4"] and found.schema == {"seed": 1}
+    np.testing.assert_allclose(found.arrays[0]["u"], arrays["u"], rtol=1e-6)
+    assert found.arrays[0]["u"].dtype == np.float32 and found.arrays[0]["contact"].dtype == bool
+    assert found.split("test").names == ["box-4"]
+    assert store.read(tmp_path / "d", splits=("train",)).names == ["box-3"]
+
+
+def test_resume_skips_what_is_whole(tmp_path: Path) -> None:
+    opened = store.create_or_open(tmp_path, {"seed": 1})
+    store.write_condition(opened, "a", recording(), CONDITION)
+    again = store.create_or_open(tmp_path, {"seed": 1})
+    assert again.has("a") and not again.has("b")
+    path = tmp_path / "a.safetensors"
+    path.write_bytes(path.read_bytes()[:-4])
+    assert not again.has("a")
+    with pytest.raises(ShmooError, match="schema"):
+        store.create_or_open(tmp_path, {"seed": 2})
+
+
+def test_damage_is_named(tmp_path: Path) -> None:
+    opened = store.create_or_open(tmp_path, {})
+    store.write_condition(opened, "a", recording(), CONDITION)
+    path = tmp_path / "a.safetensors"
+    content = bytearray(path.read_bytes())
+    content[-1] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(ShmooError, match=r"a\.safetensors.*damaged"):
+        store.read(tmp_path)
+    path.unlink()
+    with pytest.raises(ShmooError, match=r"a\.safetensors.*missing"):
+        store.read(tmp_path)
+    (tmp_path / "manifest.json").write_text('{"schema_version": 1')
+    with pytest.raises(ShmooError, match=r"manifest\.json.*damaged"):
+        store.read(tmp_path)
+    with pytest.raises(ShmooError, match="no data set"):
+        store.read(tmp_path / "elsewhere")
+
+
+def test_an_interrupted_write_leaves_no_condition(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened = store.create_or_open(tmp_path, {})
+
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(store.os, "replace", stop)
+    with pytest.raises(KeyboardInterrupt):
+        store.write_condition(opened, "a", recording(), CONDITION)
+    monkeypatch.undo()
+    again = store.create_or_open(tmp_path, {})
+    assert not again.has("a") and not (tmp_path / "a.safetensors").exists()
+    assert json.loads((tmp_path / "manifest.json").read_text())["conditions"] == {}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda a, c: a.pop("lean"), "'lean' is missing"),
+        (lambda a, c: a.update(u=np.zeros((2, 5, 2))), "'u' has shape"),
+        (lambda a, c: a["wrench_object"].__setitem__((0, 0, 0), np.nan), "'wrench_object'.*not finite"),
+        (lambda a, c: c.pop("seed"), "'seed' is missing"),
+        (lambda a, c: c.update(split="dev"), "use one of train, validation, test"),
+    ],
+)
+def test_bad_recordings_are_refused(tmp_path: Path, change: object, message: str) -> None:
+    arrays, condition = recording(), dict(CONDITION)
+    change(arrays, condition)  # type: ignore[operator]
+    with pytest.raises(ShmooError, match=message):
+        store.write_condition(store.create_or_open(tmp_path, {}), "a", arrays, condition)
+
+
+def test_states_remember_the_sample_before() -> None:
+    arrays = {k: v.astype(np.float32) for k, v in recording().items()}
+    samples = store.system_states(arrays)
+    assert samples.state.object_pose.shape == (2, 4, 3) and samples.state.face.shape == (2, 4, 4)
+    np.testing.assert_array_equal(samples.state.last_u[:, 0], 0.0)
+    np.testing.assert_array_equal(samples.state.last_u[:, 1:], arrays["u"][:, :-2])
+    np.testing.assert_array_equal(samples.state.last_force[:, 1:], arrays["force_robot"][:, :-2])
+    body = se2.rotate(arrays["object_twist"][0, 0], -arrays["object_pose"][0, 0, 2])
+    np.testing.assert_allclose(samples.state.last_object_twist[0, 1], body, rtol=1e-5)
