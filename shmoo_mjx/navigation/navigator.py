@@ -62,6 +62,8 @@ class NavigatorConfig:
     """An object in the way is dealt with once the path's blocked point is this near."""
     detour: float = 1.5
     """A way round that is at most this much longer is taken rather than a push."""
+    passing: float = 0.3
+    """A pushed object is out of the way once passing it makes the path at most this much longer."""
     contact_gap: float = 0.12
     """Distance between hands and face at the stand-off pose."""
     contact_speed: float = 0.12
@@ -74,14 +76,16 @@ class NavigatorConfig:
     """An object that moved less than this ..."""
     stall_time: float = 5.0
     """... in this much contact time has stalled."""
+    moved: float = 0.3
+    """An object that a push has moved this far is not immovable, whatever holds it now: a wall, say."""
     push_limit: float = 45.0
     """Longest push."""
     lost_after: float = 1.5
     """Time without contact after which contact counts as lost."""
     max_pushes: int = 4
     """Pushes of one object before it is registered as an obstacle."""
-    retreat: float = 0.15
-    """Distance between the extended hands' place and the face at which a retreat ends; the arms fold meanwhile."""
+    retreat: float = 0.05
+    """Distance between the extended hands' place and the face at which a retreat stops and the arms fold."""
     path_margin: float = 0.05
     """What must be free beside the robot's radius between the path and a pushed object."""
     wall_margin: float = 0.05
@@ -200,10 +204,8 @@ class Navigator:
     # States. Each returns the command for the next sample and may have changed the mode.
 
     def _replan(self, seen: Observation) -> Command:
-        position = seen.robot_pose[0, :2]
-        path = self._plan(position, self.belief.polygons((Status.PARKED, Status.FIXED)))
-        if path is None:
-            path = self._plan_through_parked(seen)
+        self._take_up_again(seen)
+        path = self._plan(seen.robot_pose[0, :2], self.belief.polygons((Status.PARKED, Status.FIXED)))
         if path is None:
             self._go(seen, Mode.FAILED, "every route to the goal is blocked by walls and objects that can't be moved")
             return self._rest(seen)
@@ -211,14 +213,17 @@ class Navigator:
         self._go(seen, Mode.FOLLOW, f"path of {path.length:.2f} m found")
         return self._follow(seen)
 
-    def _plan_through_parked(self, seen: Observation) -> Path | None:
-        """A parked object that now closes the only way is taken up again, unless it has been pushed too often."""
-        path = self._plan(seen.robot_pose[0, :2], self.belief.polygons((Status.FIXED,)))
+    def _take_up_again(self, seen: Observation) -> None:
+        """A parked object that still costs a long way round may be pushed again, unless it has been too often."""
+        position, cfg = seen.robot_pose[0, :2], self.config
+        around = self._plan(position, self.belief.polygons((Status.PARKED, Status.FIXED)))
+        through = self._plan(position, self.belief.polygons((Status.FIXED,)))
+        if through is None or (around is not None and around.length < through.length + cfg.detour):
+            return
         for known in self.belief.objects.values():
-            again = known.status is Status.PARKED and known.pushes < self.config.max_pushes
-            if path is not None and again and path_blocked_by(path, known.polygon, self.config.robot_radius)[0]:
+            again = known.status is Status.PARKED and known.pushes < cfg.max_pushes
+            if again and path_blocked_by(through, known.polygon, cfg.robot_radius)[0]:
                 known.status = Status.UNKNOWN
-        return self._plan(seen.robot_pose[0, :2], self.belief.polygons((Status.PARKED, Status.FIXED)))
 
     def _follow(self, seen: Observation) -> Command:
         assert self.path is not None
@@ -380,9 +385,8 @@ class Navigator:
         elif push.since_contact > cfg.lost_after:
             self._go(seen, Mode.RETREAT, f"contact with object {index} lost for {cfg.lost_after:g} s")
         elif self._stalled(push):
-            known.status = Status.FIXED
             text = f"object {index} moved less than {cfg.stall_distance:g} m in {cfg.stall_time:g} s of contact"
-            self._go(seen, Mode.RETREAT, f"{text}; registered as an obstacle")
+            self._stuck(seen, push, known, text)
         elif float(seen.time[0]) - push.started > cfg.push_limit:
             self._go(seen, Mode.RETREAT, f"object {index} has been pushed for {cfg.push_limit:g} s")
         elif push.contact_time >= (cfg.probe_time if self.mode is Mode.PROBE else push.reviewed_at + cfg.review_every):
@@ -411,17 +415,22 @@ class Navigator:
             )
         )  # fmt: skip
         if not result.manipulable:
-            known.status = Status.FIXED
-            self._go(
-                seen,
-                Mode.RETREAT,
-                f"object {push.object} is not manipulable: {result.reason}; registered as an obstacle",
-            )
+            self._stuck(seen, push, known, f"object {push.object} is not manipulable: {result.reason}")
             return
         if result.goal is not None:
             push.goal = result.goal
         if self.mode is Mode.PROBE:
             self._go(seen, Mode.PUSH, f"object {push.object} is manipulable: {result.reason}")
+
+    def _stuck(self, seen: Observation, push: _Push, known: KnownObject, why: str) -> None:
+        """End a push that leads no further. Only an object that this push has not moved counts as immovable."""
+        moved = float(np.linalg.norm(known.pose[:2] - push.marks[0][1]))
+        if moved < self.config.moved:
+            known.status = Status.FIXED
+            self._go(seen, Mode.RETREAT, f"{why}; registered as an obstacle")
+        else:
+            known.status = Status.PARKED
+            self._go(seen, Mode.RETREAT, f"{why}; but it has been moved {moved:.2f} m, and is left where it is")
 
     def _retreat(self, seen: Observation) -> Command:
         push = self._pushed()
@@ -429,14 +438,17 @@ class Navigator:
         in_face = se2.relative(se2.compose(known.pose, push.face[:3]), seen.robot_pose[0])
         away = -in_face[0] - REACH - HAND_RADIUS
         position, yaw = seen.robot_pose[0, :2], float(seen.robot_pose[0, 2])
-        back = -0.2 * np.array([np.cos(yaw), np.sin(yaw)]) + self._off_walls(position)
-        if away > self.config.retreat or float(seen.time[0]) - self.transitions[-1].t > 4.0:
+        # The arms fold at rest: their CoM moves, and a robot under way would be carried along by it.
+        folding = away > self.config.retreat
+        folded = bool(np.all(seen.hands[0, :, 0] < TUCKED_REACH + 0.06))
+        slow = float(np.linalg.norm(seen.robot_twist[0, :2])) < 0.08
+        if (folded and slow) or float(seen.time[0]) - self.transitions[-1].t > 5.0:
             self.push = None
             self._go(seen, Mode.REPLAN, f"backed away from object {push.object}")
             return self._rest(seen)
+        back = (0.0 if folding else -0.2) * np.array([np.cos(yaw), np.sin(yaw)]) + self._off_walls(position)
         lean = drive.velocity_command(seen, se2.rotate(back, -yaw))
-        reach = REACH if away < 0.05 else TUCKED_REACH
-        return self._command(lean, 0.0, yaw, reach, HAND_HEIGHT)
+        return self._command(lean, 0.0, yaw, TUCKED_REACH if folding else REACH, HAND_HEIGHT)
 
     def _off_walls(self, position: np.ndarray) -> np.ndarray:
         """Velocity ``[2]`` in {W} [m/s] away from a wall that is too near to back past; zero elsewhere."""
@@ -469,13 +481,12 @@ class Navigator:
         return float(np.linalg.norm(np.ptp(np.array(recent), axis=0))) < self.config.stall_distance
 
     def _path_clear(self, seen: Observation, known: KnownObject) -> bool:
-        """Whether the way on, planned as if the object were not there, passes it; looked at twice a second."""
+        """Whether the way on passes the object where it stands, little longer than without it; asked twice a second."""
         if round(float(seen.time[0]) / DT) % 5:
             return False
         path = self._free_path(seen, known)
-        if path is None:
-            return False
-        return not path_blocked_by(path, known.polygon, self.config.robot_radius + self.config.path_margin)[0]
+        around = self._free_path(seen, known, known.polygon.buffer(self.config.path_margin))
+        return path is not None and around is not None and around.length < path.length + self.config.passing
 
     def _free_path(self, seen: Observation, known: KnownObject, instead: shapely.Polygon | None = None) -> Path | None:
         """The way on as if ``known`` were not there, or stood where ``instead`` is."""
