@@ -16,7 +16,7 @@ FPS, SPEED = 15.0, 3.0  # of episode.mp4, as run.py writes it
 
 def main(run: Path, out: Path, width: int = 560) -> None:
     """Six frames: one second after each of the telling transitions, in two columns."""
-    result = load_result(run)
+    result = load_result(run / "result.json")
     steps = [t for t in result["transitions"] if t["to"] in ("approach", "push", "retreat", "done", "follow path")]
     times = [steps[0]["t"] + 1.0] + [t["t"] + 0.8 for t in steps if t["to"] in ("push", "retreat")][:3]
     last = steps[-1]["t"]
@@ -27,8 +27,8 @@ def main(run: Path, out: Path, width: int = 560) -> None:
         picture = Image.fromarray(frames[min(int(t / SPEED * FPS), len(frames) - 1)])
         tiles.append(np.asarray(picture.resize((width, round(picture.height * width / picture.width)))))
     rows = [np.concatenate(tiles[i : i + 2], axis=1) for i in range(0, 6, 2)]
-    # 128 colours keep the file small; the renderer's surfaces are plain.
-    Image.fromarray(np.concatenate(rows, axis=0)).quantize(128).save(out, optimize=True)
+    # 256 colours keep the file small; the renderer's surfaces are plain.
+    Image.fromarray(np.concatenate(rows, axis=0)).quantize(256).save(out, optimize=True)
 
 
 if __name__ == "__main__":
