@@ -152,6 +152,44 @@ def map_(
     return 0
 
 
+def object_(
+    action: Positional[Literal["add"]],
+    mesh: Positional[Path],
+    mass: float,
+    friction: float,
+    wheels: Literal["none", "casters", "rear"] = "none",
+    wheel_radius: float = 0.04,
+    rolling: float = 0.02,
+    swivel_friction: float = 0.05,
+    scale: float = 1.0,
+    up: Literal["auto", "y", "z"] = "auto",
+    hull: bool = False,
+    out: Path | None = None,
+) -> int:
+    """Turn a mesh file (STL, OBJ, PLY, GLB) into an object that a scenario can name as its family.
+
+    Example: shmoo object add chair.stl --mass 7 --friction 0.4 --wheels casters
+
+    Args:
+        action: add.
+        mesh: mesh file.
+        mass: of the whole object [kg].
+        friction: Coulomb coefficient of feet or wheels on the floor.
+        wheels: none (slides on its feet), casters, or rear (two fixed wheels behind, casters in front).
+        wheel_radius: [m].
+        rolling: rolling resistance coefficient of each wheel.
+        swivel_friction: dry friction of each caster's swivel [N m].
+        scale: metres per unit of the file; 0.001 for millimetres.
+        up: which axis of the file points up; auto is y for GLB and glTF, else z.
+        hull: take the mass distribution of the convex hull, for a mesh that is not closed.
+        out: file to write (default: the mesh's name with .json, in the present folder).
+    """
+    from shmoo_mjx.plant.mesh import add_object
+
+    print(add_object(mesh, mass, friction, wheels, wheel_radius, rolling, swivel_friction, scale, up, hull, out))
+    return 0
+
+
 def doctor() -> int:
     """Check versions, device, renderer and video encoder, and say what to do about each failure.
 
@@ -168,6 +206,7 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
     "collect": collect,
     "train": train,
     "map": map_,
+    "object": object_,
     "doctor": doctor,
 }
 

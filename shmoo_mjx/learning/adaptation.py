@@ -108,7 +108,9 @@ def step(
         new_mean = new_mean + covariance @ phi.T @ jnp.where(use, tracking_error, 0.0) * dt
     rest = jnp.eye(mean.shape[0]) - gain @ phi
     new_covariance = rest @ covariance @ rest.T + gain @ noise @ gain.T
-    new_covariance = 0.5 * (new_covariance + new_covariance.T)
+    # Joseph's form is positive definite but for float32's rounding, which huge features bring to light; a millionth of
+    # each variance outweighs that and is far below the process noise.
+    new_covariance = 0.5 * (new_covariance + new_covariance.T) + 1e-6 * jnp.diag(jnp.diag(new_covariance))
     new = state._replace(mean=new_mean, covariance=new_covariance, samples=state.samples + 1)
     # Finite inputs can still overflow float32; such a sample is dropped as well.
     use &= jnp.all(jnp.isfinite(new_mean)) & jnp.all(jnp.isfinite(new_covariance))

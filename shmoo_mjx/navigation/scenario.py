@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator
@@ -38,8 +38,7 @@ __all__ = [
     "save_scenario",
 ]
 
-Family = Literal["box", "cart", "wheelchair"]
-FAMILIES: tuple[str, ...] = get_args(Family)
+FAMILIES = ("box", "cart", "wheelchair")
 ROBOT_RADIUS = 0.26
 """Radius of the disc that paths keep clear: body, folded hands and a reserve [m]."""
 Pose = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
@@ -56,8 +55,8 @@ class _Strict(BaseModel):
 class ObjectEntry(_Strict):
     """One object on the floor."""
 
-    family: Family
-    """Kind of object."""
+    family: str
+    """Kind of object: one of FAMILIES, or an object file (*.json) that ``shmoo object add`` made."""
     pose: Pose
     """(x, y, yaw) of its centre in {W} [m, m, rad]."""
     seed: int = Field(default=0, ge=0)
@@ -68,8 +67,9 @@ class ObjectEntry(_Strict):
     @field_validator("family", mode="before")
     @classmethod
     def _known_family(cls, value: object) -> object:
-        if value not in FAMILIES:
-            raise ValueError(f"is {value!r}, which is no object family; choose one of {', '.join(FAMILIES)}.")
+        if value not in FAMILIES and not str(value).endswith(".json"):
+            names = ", ".join(repr(name) for name in FAMILIES)
+            raise ValueError(f"is {value!r}, no object family; choose one of {names} or an object file (*.json).")
         return value
 
     @field_validator("properties", mode="before")
@@ -113,16 +113,21 @@ class Scenario(_Strict):
 
 
 def load_scenario(path: str | Path) -> Scenario:
-    """Reads a scenario file; a relative map path is taken relative to the file.
+    """Reads a scenario file; map and object files are taken relative to the file.
 
     Raises:
         ShmooError: names the file, the field and the remedy.
     """
     path = Path(path)
     scenario = validated(Scenario, read_mapping(path, "scenario"), path)
-    if scenario.map is None:
-        return scenario
-    return scenario.model_copy(update={"map": str(path.parent / scenario.map)})
+    objects = tuple(
+        entry.model_copy(update={"family": str(path.parent / entry.family)})
+        if entry.family.endswith(".json")
+        else entry
+        for entry in scenario.objects
+    )
+    map_path = None if scenario.map is None else str(path.parent / scenario.map)
+    return scenario.model_copy(update={"map": map_path, "objects": objects})
 
 
 def save_scenario(scenario: Scenario, path: str | Path) -> None:
