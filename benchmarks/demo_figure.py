@@ -18,7 +18,7 @@ def main(run: Path, out: Path, width: int = 560) -> None:
     """Six frames: one second after each of the telling transitions, in two columns."""
     result = load_result(run / "result.json")
     steps = [t for t in result["transitions"] if t["to"] in ("approach", "push", "retreat", "done", "follow path")]
-    times = [steps[0]["t"] + 1.0] + [t["t"] + 0.8 for t in steps if t["to"] in ("push", "retreat")][:3]
+    times = [steps[0]["t"] + 1.0, *[t["t"] + 0.8 for t in steps if t["to"] in ("push", "retreat")][:3]]
     last = steps[-1]["t"]
     times += [last - 12.0, last]
     frames = iio.imread(run / "episode.mp4", plugin="FFMPEG")
