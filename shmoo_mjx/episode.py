@@ -11,7 +11,8 @@ import numpy as np
 from shmoo_mjx import se2
 from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.navigation.maps import OccupancyGrid, occupied_rectangles
-from shmoo_mjx.navigation.navigator import Mode, Navigator, NavigatorConfig
+from shmoo_mjx.navigation.navigator import Navigator
+from shmoo_mjx.navigation.records import Mode, NavigatorConfig
 from shmoo_mjx.navigation.scenario import Scenario
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.objects import Condition, draw_condition

@@ -62,7 +62,7 @@ def run_scenario(
     from shmoo_mjx.control.pushing import PushController
     from shmoo_mjx.episode import run_episode
     from shmoo_mjx.learning.weights import load_weights
-    from shmoo_mjx.navigation.navigator import NavigatorConfig
+    from shmoo_mjx.navigation.records import NavigatorConfig
     from shmoo_mjx.report.html import write_report
     from shmoo_mjx.report.trace import save_trace, write_bytes
 

@@ -7,140 +7,29 @@ sight and the force on its hands; what it knows of an object's dynamics it has l
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from enum import StrEnum
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
-import shapely
 
 from shmoo_mjx import se2
-from shmoo_mjx.control.pushing import LocalField, PushController, PushState, Sighting, local_field
+from shmoo_mjx.control.pushing import PushController, Sighting, local_field
 from shmoo_mjx.faces import faces_of, heading, stand_off
 from shmoo_mjx.hands import HAND_HEIGHT, HAND_RADIUS, REACH, TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.navigation import drive, flat_trajectory
 from shmoo_mjx.navigation.belief import Belief, KnownObject, Status
-from shmoo_mjx.navigation.flat_trajectory import FlatModel, TrajectoryConfig
-from shmoo_mjx.navigation.footprints import footprint_polygon, footprints_free
-from shmoo_mjx.navigation.maps import ClearanceField, OccupancyGrid
-from shmoo_mjx.navigation.object_planner import ObjectPlannerConfig, initial_goal, planning_stage
-from shmoo_mjx.navigation.paths import Path, path_blocked_by, plan_path, project
-from shmoo_mjx.navigation.scenario import ROBOT_RADIUS
+from shmoo_mjx.navigation.flat_trajectory import FlatModel
+from shmoo_mjx.navigation.maps import OccupancyGrid
+from shmoo_mjx.navigation.object_planner import initial_goal, planning_stage
+from shmoo_mjx.navigation.paths import Path, path_blocked_by, project
+from shmoo_mjx.navigation.records import Decision, Mode, NavigatorConfig, Push, Transition
+from shmoo_mjx.navigation.routes import Routes
 from shmoo_mjx.plant.robot import ROBOT
 from shmoo_mjx.types import DT, Command, Observation
 
-__all__ = ["Decision", "Mode", "Navigator", "NavigatorConfig", "Transition"]
+__all__ = ["Navigator"]
 
 Array = Any
-
-
-class Mode(StrEnum):
-    """States of the navigator."""
-
-    FOLLOW = "follow path"
-    APPROACH = "approach"
-    CONTACT = "make contact"
-    PROBE = "probe"
-    PUSH = "push"
-    RETREAT = "retreat"
-    REPLAN = "replan"
-    DONE = "done"
-    FAILED = "failed"
-
-
-@dataclass(frozen=True)
-class NavigatorConfig:
-    """Settings of the state machine, SI units."""
-
-    robot_radius: float = ROBOT_RADIUS
-    """Radius of the disc that paths keep clear: body, folded hands and a reserve."""
-    sensing_range: float = 3.5
-    goal_tolerance: float = 0.15
-    """Distance at which the goal counts as reached; the scenario's own tolerance may be wider."""
-    act_within: float = 2.2
-    """An object in the way is dealt with once the path's blocked point is this near."""
-    detour: float = 1.5
-    """A way round that is at most this much longer is taken rather than a push."""
-    passing: float = 0.3
-    """A pushed object is out of the way once passing it makes the path at most this much longer."""
-    contact_gap: float = 0.12
-    """Distance between hands and face at the stand-off pose."""
-    contact_speed: float = 0.12
-    """Speed at which contact is made."""
-    probe_time: float = 1.0
-    """Contact time before the planning stage (Algorithm 1)."""
-    review_every: float = 2.0
-    """Contact time between two planning stages of one push."""
-    stall_distance: float = 0.05
-    """An object that moved less than this ..."""
-    stall_time: float = 5.0
-    """... in this much contact time has stalled."""
-    moved: float = 0.3
-    """An object that a push has moved this far is not immovable, whatever holds it now: a wall, say."""
-    push_limit: float = 45.0
-    """Longest push."""
-    lost_after: float = 1.5
-    """Time without contact after which contact counts as lost."""
-    max_pushes: int = 4
-    """Pushes of one object before it is registered as an obstacle."""
-    retreat: float = 0.05
-    """Distance between the extended hands' place and the face at which a retreat stops and the arms fold."""
-    path_margin: float = 0.05
-    """What must be free beside the robot's radius between the path and a pushed object."""
-    wall_margin: float = 0.05
-    """What must be free between walls and a pushed object's goal."""
-    other_paths: int = 12
-    """Goals for which another path is sought when none leaves the path free."""
-    planner: ObjectPlannerConfig = ObjectPlannerConfig(min_displacement=0.6)
-    trajectory: TrajectoryConfig = TrajectoryConfig(robot_radius=0.24)
-    drive: drive.DriveConfig = drive.DriveConfig()
-
-
-class Transition(NamedTuple):
-    """A change of state."""
-
-    t: float
-    source: Mode
-    target: Mode
-    reason: str
-
-
-class Decision(NamedTuple):
-    """One planning stage of the object planner, with its evidence."""
-
-    t: float
-    object: int
-    K: float
-    G: float
-    manipulable: bool
-    goal: np.ndarray | None
-    reason: str
-    rollouts: np.ndarray
-    """``[R, T, 2]`` predicted object positions, best first."""
-    candidates: np.ndarray
-    """``[C, 3]``"""
-
-
-@dataclass
-class _Push:
-    """Memory of dealing with one object."""
-
-    object: int
-    face: np.ndarray
-    goal: np.ndarray
-    path: Path
-    """Way to the stand-off pose."""
-    around: LocalField
-    state: PushState | None = None
-    contact_time: float = 0.0
-    since_contact: float = 0.0
-    reviewed_at: float = 0.0
-    """Contact time of the last planning stage."""
-    started: float = 0.0
-    extended_at: float | None = None
-    marks: list[tuple[float, np.ndarray]] = field(default_factory=list)
-    """(contact time, object position) once a sample."""
 
 
 class Navigator:
@@ -158,12 +47,13 @@ class Navigator:
         self.config = config or NavigatorConfig()
         self.goal = np.asarray(goal, dtype=float)[:2]
         self.belief = Belief(grid, self.config.sensing_range)
+        self._routes = Routes(self.belief, self.goal, self.config)
         self.mode = Mode.REPLAN
         self.path: Path | None = None
         self.transitions: list[Transition] = []
         self.decisions: list[Decision] = []
         self.plans: list[tuple[float, np.ndarray]] = []
-        self.push: _Push | None = None
+        self.push: Push | None = None
         self._sizes = sizes
         self._controller = controller
         self._key = jax.random.key(seed)
@@ -205,7 +95,7 @@ class Navigator:
 
     def _replan(self, seen: Observation) -> Command:
         self._take_up_again(seen)
-        path = self._plan(seen.robot_pose[0, :2], self.belief.polygons((Status.PARKED, Status.FIXED)))
+        path = self._routes.plan(seen.robot_pose[0, :2], self.belief.polygons((Status.PARKED, Status.FIXED)))
         if path is None:
             self._go(seen, Mode.FAILED, "every route to the goal is blocked by walls and objects that can't be moved")
             return self._rest(seen)
@@ -216,8 +106,8 @@ class Navigator:
     def _take_up_again(self, seen: Observation) -> None:
         """A parked object that still costs a long way round may be pushed again, unless it has been too often."""
         position, cfg = seen.robot_pose[0, :2], self.config
-        around = self._plan(position, self.belief.polygons((Status.PARKED, Status.FIXED)))
-        through = self._plan(position, self.belief.polygons((Status.FIXED,)))
+        around = self._routes.plan(position, self.belief.polygons((Status.PARKED, Status.FIXED)))
+        through = self._routes.plan(position, self.belief.polygons((Status.FIXED,)))
         if through is None or (around is not None and around.length < through.length + cfg.detour):
             return
         for known in self.belief.objects.values():
@@ -266,7 +156,7 @@ class Navigator:
         position = seen.robot_pose[0, :2]
         remaining = self.path.length - project(self.path, position)
         others = self.belief.polygons((Status.PARKED, Status.FIXED))
-        detour = self._plan(position, [*others, known.polygon])
+        detour = self._routes.plan(position, [*others, known.polygon])
         if detour is not None and detour.length < remaining + self.config.detour:
             self._set_path(seen, detour)
             self._go(
@@ -293,20 +183,19 @@ class Navigator:
             )
         around = self.belief.clearance(without=index)
         faces = faces_of(known.half_extents)
-        ways = [self._way_to(seen, index, face) for face in faces]
+        ways = [self._routes.way_to(seen.robot_pose[0, :2], index, face) for face in faces]
         usable = [i for i, way in enumerate(ways) if way is not None and way.length < longest_way]
         if not usable:
             return self._give_up(seen, index, f"no face of object {index} can be reached on a way worth taking")
         directions = [heading(known.pose, faces[i]) for i in usable]
-        first = initial_goal(
-            known.pose, self._collision_free(seen, known, around), np.array(directions), self.config.planner
-        )
+        free = self._routes.collision_free(seen.robot_pose[0, :2], known, around)
+        first = initial_goal(known.pose, free, np.array(directions), self.config.planner)
         if first.goal is None or first.direction is None:
             return self._give_up(seen, index, f"object {index} can be put nowhere: {first.reason}")
         face, way = faces[usable[first.direction]], ways[usable[first.direction]]
         assert way is not None
         known.pushes += 1
-        self.push = _Push(index, face, first.goal, way, local_field(around, known.pose), started=float(seen.time[0]))
+        self.push = Push(index, face, first.goal, way, local_field(around, known.pose), started=float(seen.time[0]))
         self._drive = drive.init()
         self._go(seen, Mode.APPROACH, f"{why}; first goal: {first.reason}")
         return True
@@ -369,7 +258,7 @@ class Navigator:
         self._judge(seen, push, known, bool(plan.ok))
         return self._command(u[:2], u[2], heading(known.pose, push.face), REACH, HAND_HEIGHT)
 
-    def _judge(self, seen: Observation, push: _Push, known: KnownObject, ok: bool) -> None:
+    def _judge(self, seen: Observation, push: Push, known: KnownObject, ok: bool) -> None:
         """Leave the push if it is over, hopeless or lost."""
         index, cfg = push.object, self.config
         if not ok:
@@ -392,7 +281,7 @@ class Navigator:
         elif push.contact_time >= (cfg.probe_time if self.mode is Mode.PROBE else push.reviewed_at + cfg.review_every):
             self._review(seen, push, known)
 
-    def _review(self, seen: Observation, push: _Push, known: KnownObject) -> None:
+    def _review(self, seen: Observation, push: Push, known: KnownObject) -> None:
         """The planning stage of Algorithm 1 on the roll-outs of the adapted model."""
         assert push.state is not None
         push.reviewed_at = push.contact_time
@@ -405,7 +294,7 @@ class Navigator:
         if (push.goal[:2] - known.pose[:2]) @ direction < reach:
             far = np.array([*(known.pose[:2] + reach * direction), push.goal[2]])
         poses, _, costs = self._controller.planning_rollouts(push.state, far, push.around, half)
-        check = self._collision_free(seen, known, self.belief.clearance(without=push.object))
+        check = self._routes.collision_free(seen.robot_pose[0, :2], known, self.belief.clearance(without=push.object))
         result = planning_stage(poses[:, -1], costs, known.pose, check, self.config.planner)
         best = np.argsort(costs)[:40]
         self.decisions.append(
@@ -422,7 +311,7 @@ class Navigator:
         if self.mode is Mode.PROBE:
             self._go(seen, Mode.PUSH, f"object {push.object} is manipulable: {result.reason}")
 
-    def _stuck(self, seen: Observation, push: _Push, known: KnownObject, why: str) -> None:
+    def _stuck(self, seen: Observation, push: Push, known: KnownObject, why: str) -> None:
         """End a push that leads no further. Only an object that this push has not moved counts as immovable."""
         moved = float(np.linalg.norm(known.pose[:2] - push.marks[0][1]))
         if moved < self.config.moved:
@@ -446,17 +335,9 @@ class Navigator:
             self.push = None
             self._go(seen, Mode.REPLAN, f"backed away from object {push.object}")
             return self._rest(seen)
-        back = (0.0 if folding else -0.2) * np.array([np.cos(yaw), np.sin(yaw)]) + self._off_walls(position)
+        back = (0.0 if folding else -0.2) * np.array([np.cos(yaw), np.sin(yaw)]) + self._routes.off_walls(position)
         lean = drive.velocity_command(seen, se2.rotate(back, -yaw))
         return self._command(lean, 0.0, yaw, TUCKED_REACH if folding else REACH, HAND_HEIGHT)
-
-    def _off_walls(self, position: np.ndarray) -> np.ndarray:
-        """Velocity ``[2]`` in {W} [m/s] away from a wall that is too near to back past; zero elsewhere."""
-        step = 0.05 * np.eye(2)
-        walls = self.belief.walls
-        slope = (walls.at(position + step) - walls.at(position - step)) / 0.1
-        depth = max(self.config.robot_radius + 0.12 - float(walls.at(position)), 0.0)
-        return 2.5 * depth * slope
 
     def _rest(self, seen: Observation) -> Command:
         lean = drive.velocity_command(seen, np.zeros(2))
@@ -464,77 +345,26 @@ class Navigator:
 
     # Questions and small steps.
 
-    def _pushed(self) -> _Push:
+    def _pushed(self) -> Push:
         assert self.push is not None, f"{self.mode} needs an object"
         return self.push
 
+    def _path_clear(self, seen: Observation, known: KnownObject) -> bool:
+        """Asked twice a second only: it plans two paths."""
+        due = round(float(seen.time[0]) / DT) % 5 == 0
+        return due and self._routes.path_clear(seen.robot_pose[0, :2], known)
+
     @staticmethod
-    def _passed(push: _Push, known: KnownObject) -> bool:
+    def _passed(push: Push, known: KnownObject) -> bool:
         ahead = heading(known.pose, push.face)
         offset = push.goal[:2] - known.pose[:2]
         return float(offset[0] * np.cos(ahead) + offset[1] * np.sin(ahead)) < -0.08
 
-    def _stalled(self, push: _Push) -> bool:
+    def _stalled(self, push: Push) -> bool:
         recent = [p for t, p in push.marks if t > push.contact_time - self.config.stall_time]
         if push.contact_time < self.config.stall_time:
             return False
         return float(np.linalg.norm(np.ptp(np.array(recent), axis=0))) < self.config.stall_distance
-
-    def _path_clear(self, seen: Observation, known: KnownObject) -> bool:
-        """Whether the way on passes the object where it stands, little longer than without it; asked twice a second."""
-        if round(float(seen.time[0]) / DT) % 5:
-            return False
-        path = self._free_path(seen, known)
-        around = self._free_path(seen, known, known.polygon.buffer(self.config.path_margin))
-        return path is not None and around is not None and around.length < path.length + self.config.passing
-
-    def _free_path(self, seen: Observation, known: KnownObject, instead: shapely.Polygon | None = None) -> Path | None:
-        """The way on as if ``known`` were not there, or stood where ``instead`` is."""
-        others = [o.polygon for o in self.belief.objects.values() if o is not known and o.status is not Status.UNKNOWN]
-        return self._plan(seen.robot_pose[0, :2], others if instead is None else [*others, instead])
-
-    def _collision_free(
-        self, seen: Observation, known: KnownObject, around: ClearanceField
-    ) -> Callable[[np.ndarray], np.ndarray]:
-        """CollisionCheck(M, P, g): the footprint clear of walls, other objects and the path ahead.
-
-        Where no pose leaves the path free, poses that leave room for another path, little longer, are taken (Reading:
-        the path P was planned before anybody knew where the object would go).
-        """
-        path = self._free_path(seen, known)
-        half = np.array(known.half_extents)
-        clearance = self.config.robot_radius + self.config.path_margin
-
-        def check(poses: np.ndarray) -> np.ndarray:
-            off_walls = footprints_free(around, poses, half, wall_clearance=self.config.wall_margin)
-            if path is None or not off_walls.any():
-                return off_walls
-            candidates = np.flatnonzero(off_walls)
-            off_path = np.zeros(len(poses), dtype=bool)
-            off_path[candidates] = footprints_free(around, poses[candidates], half, path.points, clearance)
-            if off_path.any():
-                return off_path
-            nearest = np.argsort(np.linalg.norm(poses[candidates, :2] - known.pose[:2], axis=1))
-            for i in candidates[nearest][:: max(1, len(nearest) // self.config.other_paths)]:
-                other = self._free_path(seen, known, footprint_polygon(poses[i], half).buffer(self.config.path_margin))
-                off_path[i] = other is not None and other.length < path.length + self.config.detour
-            return off_path
-
-        return check
-
-    def _way_to(self, seen: Observation, index: int, face: np.ndarray) -> Path | None:
-        known = self.belief.objects[index]
-        wanted = stand_off(known.pose, face, self.config.contact_gap)
-        obstacles = self.belief.polygons()
-        if float(self.belief.clearance().at(wanted[:2])) < self.config.robot_radius:
-            return None
-        position, radius = seen.robot_pose[0, :2], self.config.robot_radius
-        return plan_path(self.belief.grid, position, wanted[:2], obstacles, radius, field=self.belief.walls)
-
-    def _plan(self, position: np.ndarray, obstacles: list[Any]) -> Path | None:
-        return plan_path(
-            self.belief.grid, position, self.goal, obstacles, self.config.robot_radius, field=self.belief.walls
-        )
 
     def _set_path(self, seen: Observation, path: Path) -> None:
         self.path = path

@@ -1,0 +1,126 @@
+"""What the navigator is set to, what it remembers of a push, and what it writes down."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import NamedTuple
+
+import numpy as np
+
+from shmoo_mjx.control.pushing import LocalField, PushState
+from shmoo_mjx.navigation import drive
+from shmoo_mjx.navigation.flat_trajectory import TrajectoryConfig
+from shmoo_mjx.navigation.object_planner import ObjectPlannerConfig
+from shmoo_mjx.navigation.paths import Path
+from shmoo_mjx.navigation.scenario import ROBOT_RADIUS
+
+__all__ = ["Decision", "Mode", "NavigatorConfig", "Push", "Transition"]
+
+
+class Mode(StrEnum):
+    """States of the navigator."""
+
+    FOLLOW = "follow path"
+    APPROACH = "approach"
+    CONTACT = "make contact"
+    PROBE = "probe"
+    PUSH = "push"
+    RETREAT = "retreat"
+    REPLAN = "replan"
+    DONE = "done"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class NavigatorConfig:
+    """Settings of the state machine, SI units."""
+
+    robot_radius: float = ROBOT_RADIUS
+    """Radius of the disc that paths keep clear: body, folded hands and a reserve."""
+    sensing_range: float = 3.5
+    goal_tolerance: float = 0.15
+    """Distance at which the goal counts as reached; the scenario's own tolerance may be wider."""
+    act_within: float = 2.2
+    """An object in the way is dealt with once the path's blocked point is this near."""
+    detour: float = 1.5
+    """A way round that is at most this much longer is taken rather than a push."""
+    passing: float = 0.3
+    """A pushed object is out of the way once passing it makes the path at most this much longer."""
+    contact_gap: float = 0.12
+    """Distance between hands and face at the stand-off pose."""
+    contact_speed: float = 0.12
+    """Speed at which contact is made."""
+    probe_time: float = 1.0
+    """Contact time before the planning stage (Algorithm 1)."""
+    review_every: float = 2.0
+    """Contact time between two planning stages of one push."""
+    stall_distance: float = 0.05
+    """An object that moved less than this ..."""
+    stall_time: float = 5.0
+    """... in this much contact time has stalled."""
+    moved: float = 0.3
+    """An object that a push has moved this far is not immovable, whatever holds it now: a wall, say."""
+    push_limit: float = 45.0
+    """Longest push."""
+    lost_after: float = 1.5
+    """Time without contact after which contact counts as lost."""
+    max_pushes: int = 4
+    """Pushes of one object before it is registered as an obstacle."""
+    retreat: float = 0.05
+    """Distance between the extended hands' place and the face at which a retreat stops and the arms fold."""
+    path_margin: float = 0.05
+    """What must be free beside the robot's radius between the path and a pushed object."""
+    wall_margin: float = 0.05
+    """What must be free between walls and a pushed object's goal."""
+    other_paths: int = 12
+    """Goals for which another path is sought when none leaves the path free."""
+    planner: ObjectPlannerConfig = ObjectPlannerConfig(min_displacement=0.6)
+    trajectory: TrajectoryConfig = TrajectoryConfig(robot_radius=0.24)
+    drive: drive.DriveConfig = drive.DriveConfig()
+
+
+class Transition(NamedTuple):
+    """A change of state."""
+
+    t: float
+    source: Mode
+    target: Mode
+    reason: str
+
+
+class Decision(NamedTuple):
+    """One planning stage of the object planner, with its evidence."""
+
+    t: float
+    object: int
+    K: float
+    G: float
+    manipulable: bool
+    goal: np.ndarray | None
+    reason: str
+    rollouts: np.ndarray
+    """``[R, T, 2]`` predicted object positions, best first."""
+    candidates: np.ndarray
+    """``[C, 3]``"""
+
+
+@dataclass
+class Push:
+    """Memory of dealing with one object."""
+
+    object: int
+    face: np.ndarray
+    goal: np.ndarray
+    path: Path
+    """Way to the stand-off pose."""
+    around: LocalField
+    state: PushState | None = None
+    contact_time: float = 0.0
+    since_contact: float = 0.0
+    reviewed_at: float = 0.0
+    """Contact time of the last planning stage."""
+    started: float = 0.0
+    extended_at: float | None = None
+    marks: list[tuple[float, np.ndarray]] = field(default_factory=list)
+    """(contact time, object position) once a sample."""
