@@ -1,0 +1,106 @@
+"""What the robot knows, and what it answers about ways through it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from shmoo_mjx.faces import faces_of
+from shmoo_mjx.navigation.belief import Belief, KnownObject, Status
+from shmoo_mjx.navigation.maps import FREE, OCCUPIED, OccupancyGrid
+from shmoo_mjx.navigation.records import NavigatorConfig
+from shmoo_mjx.navigation.routes import Routes
+from shmoo_mjx.types import Observation
+
+HALF = (0.25, 0.25)
+
+
+def rooms(doors: tuple[float, ...]) -> OccupancyGrid:
+    """6 x 6 m with a wall at x = 3 m and doorways of 1.2 m centred at the given y."""
+    cells = np.full((120, 120), FREE, dtype=np.int8)
+    cells[:2] = cells[-2:] = cells[:, :2] = cells[:, -2:] = OCCUPIED
+    cells[:, 59:61] = OCCUPIED
+    for y in doors:
+        cells[round((y - 0.6) / 0.05) : round((y + 0.6) / 0.05), 59:61] = FREE
+    return OccupancyGrid(cells, 0.05)
+
+
+def observation(robot: tuple[float, float], *objects: tuple[float, float, float]) -> Observation:
+    zero = np.zeros((1, 2))
+    poses = np.array([objects])
+    return Observation(
+        np.zeros(1),
+        np.array([[*robot, 0.0]]),
+        np.zeros((1, 3)),
+        zero,
+        zero,
+        np.zeros((1, 2, 3)),
+        poses,
+        0 * poses,
+        0 * poses,
+    )
+
+
+def test_an_object_is_perceived_in_sight_and_range_only() -> None:
+    belief = Belief(rooms((1.0,)), sensing_range=3.0)
+    # In the same room; behind the wall; in sight but too far.
+    seen = observation((1.0, 5.0), (2.0, 4.0, 0.1), (4.0, 5.0, 0.0), (1.0, 1.0, 0.0))
+    belief.update(seen, [HALF] * 3)
+    assert set(belief.objects) == {0}
+    np.testing.assert_allclose(belief.objects[0].pose, (2.0, 4.0, 0.1))
+    belief.update(observation((1.0, 5.0), (2.2, 4.0, 0.1), (2.5, 5.0, 0.0), (1.0, 1.0, 0.0)), [HALF] * 3)
+    assert set(belief.objects) == {0, 1}
+    assert belief.objects[0].pose[0] == 2.2
+
+
+def routes(doors: tuple[float, ...], pose: tuple[float, float, float]) -> tuple[Routes, KnownObject]:
+    belief = Belief(rooms(doors))
+    known = KnownObject(np.array(pose), HALF)
+    belief.objects[0] = known
+    return Routes(belief, np.array([5.0, 3.0]), NavigatorConfig()), known
+
+
+@pytest.mark.parametrize(("y", "clear"), [(3.0, False), (4.6, True)])
+def test_the_path_is_clear_once_the_object_stands_beside_it(y: float, clear: bool) -> None:
+    ways, known = routes((3.0,), (3.6 if clear else 3.0, y, 0.0))
+    assert ways.path_clear(np.array([1.0, 3.0]), known) is clear
+
+
+def test_the_way_through_another_door_is_not_a_clear_path() -> None:
+    ways, known = routes((3.0, 5.0), (3.0, 3.0, 0.0))
+    assert ways.plan(np.array([1.0, 3.0]), [known.polygon]) is not None
+    assert not ways.path_clear(np.array([1.0, 3.0]), known)
+
+
+def test_goals_keep_off_walls_and_the_path() -> None:
+    ways, known = routes((3.0,), (3.0, 3.0, 0.0))
+    check = ways.collision_free(np.array([1.0, 3.0]), known, ways.belief.clearance(without=0))
+    poses = np.array([(4.0, 3.0, 0.0), (4.0, 4.0, 0.0), (3.1, 4.5, 0.0), (2.0, 2.0, 0.0)])
+    #       on the path, beside it, in the wall, beside it on this side
+    assert check(poses).tolist() == [False, True, False, True]
+
+
+def test_where_no_goal_leaves_the_path_another_path_may_do() -> None:
+    ways, known = routes((3.0,), (3.0, 3.0, 0.0))
+    check = ways.collision_free(np.array([1.0, 3.0]), known, ways.belief.clearance(without=0))
+    on_path, in_door = np.array([(4.0, 3.0, 0.0)]), np.array([(3.0, 3.0, 0.0)])
+    assert check(on_path).tolist() == [True]  # the room is wide enough to pass it
+    assert check(in_door).tolist() == [False]
+
+
+def test_the_way_to_a_face_ends_at_its_stand_off_pose() -> None:
+    ways, known = routes((3.0,), (3.0, 3.0, 0.0))
+    rear, _, front, _ = faces_of(HALF)
+    way = ways.way_to(np.array([1.0, 3.0]), 0, rear)
+    assert way is not None
+    np.testing.assert_allclose(way.points[-1], (3.0 - 0.25 - 0.12 - 0.42 - 0.04, 3.0), atol=1e-6)
+    assert ways.way_to(np.array([1.0, 3.0]), 0, front) is None  # the object closes the only door
+    known.status = Status.FIXED
+    assert ways.plan(np.array([1.0, 3.0]), ways.belief.polygons((Status.FIXED,))) is None
+
+
+def test_walls_push_a_retreat_away() -> None:
+    ways, _ = routes((3.0,), (3.0, 3.0, 0.0))
+    away = ways.off_walls(np.array([0.35, 3.0]))
+    assert away[0] > 0.05 and abs(away[1]) < 1e-6
+    assert np.all(ways.off_walls(np.array([1.5, 3.0])) == 0)
