@@ -99,8 +99,6 @@ class PushState(NamedTuple):
     plan: mppi.MppiState
     before: SystemState
     """State one sample ago, with the memory it had then."""
-    last_force: Array
-    """``[2]`` mean hand force of the last sample in {R} of its start [N]."""
 
 
 class _Transition(NamedTuple):
@@ -142,7 +140,7 @@ class PushController:
         )
         zero = np.zeros(3)
         before = _system_state(now, zero, np.zeros(2), zero, face, half_extents)
-        return PushState(adapt, mppi.init(self.config.control, key), before, np.zeros(2))
+        return PushState(adapt, mppi.init(self.config.control, key), before)
 
     def step(
         self, state: PushState, now: Sighting, last_u: Array, goal: Array, around: LocalField, half_extents: Array
@@ -187,7 +185,7 @@ class PushController:
         label = se2.rotate((now.object_twist - before.object_twist) / DT, -before.object_pose[2])
         valid = np.hypot(*force) > self.config.contact_force
         system = _system_state(now, twist_before, force, last_u, before.face, half_extents)
-        state = state._replace(plan=state.plan._replace(last_u=_f32(last_u)), last_force=force)
+        state = state._replace(plan=state.plan._replace(last_u=_f32(last_u)))
         return state, system, _Transition(_f32(inputs), _f32(label), np.asarray(valid))
 
 
