@@ -48,11 +48,9 @@ def conditions_of(scenario: Scenario) -> list[Condition]:
     return [draw_condition(o.family, o.seed, o.properties) for o in scenario.objects]
 
 
-def scene_of(grid: OccupancyGrid, scenario: Scenario, conditions: list[Condition], margin: float = 4.0) -> Scene:
-    """The MuJoCo world: walls within ``margin`` metres of everything the scenario names, objects and the robot."""
-    points = np.array([scenario.start[:2], scenario.goal, *(o.pose[:2] for o in scenario.objects)])
-    window = (*(points.min(axis=0) - margin).tolist(), *(points.max(axis=0) + margin).tolist())
-    walls = occupied_rectangles(grid, window, unknown_borders=True)
+def scene_of(grid: OccupancyGrid, scenario: Scenario, conditions: list[Condition]) -> Scene:
+    """The MuJoCo world: every wall of the map (a way round may lead anywhere), objects and the robot."""
+    walls = occupied_rectangles(grid, unknown_borders=True)
     placed = [(c, o.pose) for c, o in zip(conditions, scenario.objects, strict=True)]
     return build_scene(placed, scenario.start, walls, float(grid.origin[2]))
 

@@ -80,6 +80,8 @@ def run_scenario(
     save_scenario(scenario.model_copy(update={"map": "map.yaml"}), out / "scenario.yaml")
     save_trace(out / "trace.npz", episode.trace)
     write_bytes(out / "result.json", (json.dumps(result, indent=1, default=float) + "\n").encode())
+    # The report shows the film that lies there: one of an earlier run must not.
+    (out / "episode.mp4").unlink(missing_ok=True)
     if video:
         _write_video(out / "episode.mp4", result, episode, progress)
     progress("writing the report", 0.9)

@@ -230,7 +230,7 @@ class Navigator:
         push = self._pushed()
         known = self.belief.objects[push.object]
         sighting = Sighting.of(seen, push.object)
-        if np.hypot(*sighting.wrench[:2]) > 5.0:
+        if np.hypot(*sighting.wrench[:2]) > self.config.contact_force:
             push.state = self._controller.init(sighting, push.face, known.half_extents, self._next_key(), known.adapt)
             push.started = float(seen.time[0])
             self._go(seen, Mode.PROBE, f"contact with object {push.object}")
@@ -266,7 +266,7 @@ class Navigator:
         elif self.mode is Mode.PUSH and self._path_clear(seen, known):
             known.status = Status.PARKED
             self._go(seen, Mode.RETREAT, f"object {index} no longer blocks the path")
-        elif self.mode is Mode.PUSH and np.linalg.norm(known.pose[:2] - push.goal[:2]) < 0.10:
+        elif self.mode is Mode.PUSH and np.linalg.norm(known.pose[:2] - push.goal[:2]) < cfg.at_goal:
             known.status = Status.PARKED
             self._go(seen, Mode.RETREAT, f"object {index} is at its goal")
         elif self.mode is Mode.PUSH and self._passed(push, known):

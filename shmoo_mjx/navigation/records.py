@@ -51,6 +51,10 @@ class NavigatorConfig:
     """Distance between hands and face at the stand-off pose."""
     contact_speed: float = 0.12
     """Speed at which contact is made."""
+    contact_force: float = 5.0
+    """Force on the hands at which contact counts as made [N]: above what a grazing hand gives."""
+    at_goal: float = 0.10
+    """Distance from its goal at which an object has arrived."""
     probe_time: float = 1.0
     """Contact time before the planning stage (Algorithm 1)."""
     review_every: float = 2.0

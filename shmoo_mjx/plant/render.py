@@ -52,7 +52,7 @@ def frames(
     look = np.array([*qpos[0, :2], 0.4])
     options = mujoco.MjvOption()
     options.geomgroup[3] = 0
-    with mujoco.Renderer(model, height, width) as renderer:
+    with mujoco.Renderer(model, height, width, max_geom=2 * model.ngeom + 1000) as renderer:
         for row in qpos:
             data.qpos[:] = row
             mujoco.mj_kinematics(model, data)
