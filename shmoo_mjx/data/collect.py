@@ -24,7 +24,7 @@ from shmoo_mjx.plant.objects import FAMILIES, Condition, draw_condition
 from shmoo_mjx.plant.robot import ROBOT
 from shmoo_mjx.types import DT, Command, Observation
 
-__all__ = ["SPLIT_SEEDS", "CollectConfig", "collect", "conditions", "record"]
+__all__ = ["SPLIT_SEEDS", "CollectConfig", "collect", "conditions", "record", "sample"]
 
 SPLIT_SEEDS = {"train": 0, "validation": 100_000, "test": 1_000_000}
 """First object seed of each split; training can't reach the test seeds."""
@@ -144,8 +144,17 @@ def _drive(rng: np.random.Generator, op: Operator, seen: Observation) -> tuple[O
     return op, Command(u=u, yaw=wanted_yaw, reach=REACH * ones, hand_height=HAND_HEIGHT * ones)
 
 
-def record(config: CollectConfig, chunk: list[Condition], seed: int) -> Iterator[dict[str, np.ndarray]]:
+def record(
+    config: CollectConfig,
+    chunk: list[Condition],
+    seed: int,
+    adjust: Callable[[Any], None] = lambda spec: None,
+    engine_of: Callable[[list[Any]], Any] | None = None,
+) -> Iterator[dict[str, np.ndarray]]:
     """Drive one chunk of conditions of one family; yields each condition's arrays ``[E, L, ...]`` in order.
+
+    ``adjust`` (as `build_scene` takes it) and ``engine_of`` (scenes -> engine) put another robot in the place of the
+    training plant; then the arrays hold what that robot perceives.
 
     Arrays: robot_pose, robot_twist, lean, lean_rate, object_pose, object_twist at the start of each sample ({W}); u
     held over it; force_robot ({R}) and wrench_object ({O}, about the object's centre), the hands' mean over it in the
@@ -158,14 +167,14 @@ def record(config: CollectConfig, chunk: list[Condition], seed: int) -> Iterator
     episodes, worlds = config.episodes, len(chunk) * config.episodes
     half_extents = [c.half_extents for c in chunk for _ in range(episodes)]
     operator, poses = _start(rng, worlds, half_extents)
-    compiled = [build_scene([(c, (0.0, 0.0, 0.0))]) for c in chunk]
+    compiled = [build_scene([(c, (0.0, 0.0, 0.0))], adjust=adjust) for c in chunk]
     scenes = []
     for i, pose in enumerate(poses):
         scene = compiled[i // episodes]
         qpos = scene.qpos0.copy()
         qpos[[0, 1, 3, 4, 5, 6]] = [pose[0], pose[1], np.cos(pose[2] / 2), 0.0, 0.0, np.sin(pose[2] / 2)]
         scenes.append(dataclasses.replace(scene, qpos0=qpos))
-    engine = MujocoEngine(scenes)
+    engine = (engine_of or MujocoEngine)(scenes)
     world = engine.init()
     settle = Command(np.zeros((worlds, 3)), poses[:, 2], np.full(worlds, REACH), np.full(worlds, HAND_HEIGHT))
     world, seen = engine.step(world, settle, 1.0)
@@ -174,7 +183,7 @@ def record(config: CollectConfig, chunk: list[Condition], seed: int) -> Iterator
         operator, command = _drive(rng, operator, seen)
         before = seen
         world, seen = engine.step(world, command)
-        rows.append(_sample(before, seen, command.u))
+        rows.append(sample(before, seen, command.u))
     engine.close()
     arrays = {k: np.stack([r[k] for r in rows], axis=1).astype(np.float32) for k in rows[0]}
     arrays["face"] = operator.face.astype(np.float32)
@@ -183,7 +192,8 @@ def record(config: CollectConfig, chunk: list[Condition], seed: int) -> Iterator
         yield {k: v[i * episodes : (i + 1) * episodes] for k, v in arrays.items()}
 
 
-def _sample(before: Observation, after: Observation, u: np.ndarray) -> dict[str, np.ndarray]:
+def sample(before: Observation, after: Observation, u: np.ndarray) -> dict[str, np.ndarray]:
+    """The fields of one sample, each ``[W, ...]``: observations before and after it and u ``[W, 3]`` held over it."""
     wrench = after.wrench[:, 0]
     return {
         "robot_pose": before.robot_pose,
@@ -220,6 +230,7 @@ def collect(
     config: CollectConfig,
     workers: int = 2,
     progress: Callable[[int, int], None] = lambda done, total: None,
+    rows: list[tuple[str, str, Condition]] | None = None,
 ) -> None:
     """Fill ``directory`` with one file per condition; conditions already there and whole are kept.
 
@@ -228,12 +239,17 @@ def collect(
         config: what to collect; must equal that of a data set that is resumed.
         workers: processes.
         progress: called with (conditions done, conditions in all).
+        rows: (name, split, condition) of each condition; by default those that ``config`` counts.
     """
     from shmoo_mjx.data import store
 
-    _check(config)
-    opened = store.create_or_open(directory, {"config": dataclasses.asdict(config), "dt": DT})
-    rows = conditions(config)
+    schema: dict[str, Any] = {"config": dataclasses.asdict(config), "dt": DT}
+    if rows is None:
+        _check(config)
+        rows = conditions(config)
+    else:
+        schema["names"] = [name for name, _, _ in rows]
+    opened = store.create_or_open(directory, schema)
     present = {name for name, _, _ in rows if opened.has(name)}
     chunks: list[tuple[int, list[tuple[str, str, Condition]]]] = []
     for number, start in enumerate(range(0, len(rows), config.chunk)):

@@ -2,7 +2,8 @@
 
 A batch of W worlds is one vmapped function. What differs between the worlds' models (an object's size, mass or
 friction; a randomised robot) is batched, everything else is shared. ``step`` is pure and may be called inside jit, scan
-and vmap.
+and vmap. Where JAX has several devices, each takes an equal part of the worlds; a CPU counts as several if
+``XLA_FLAGS=--xla_force_host_platform_device_count=N`` is set before JAX starts.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+from jax.sharding import AxisType, NamedSharding, PartitionSpec
 
 from shmoo_mjx import se2
 from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH
@@ -67,6 +69,9 @@ class MjxEngine:
         gains: of the low-level control.
         iterations: of the constraint solver; static, a change compiles anew. docs/plant.md has accuracy and cost.
         line_search: iterations of its line search; static.
+        tolerance: at which the solver stops. Single precision never reaches MuJoCo's 1e-8, so that every world of the
+            batch would take all iterations.
+        devices: that share the worlds; all there are by default, or the first alone if W can't be parted equally.
     """
 
     def __init__(
@@ -75,6 +80,8 @@ class MjxEngine:
         gains: lowlevel.Gains | None = None,
         iterations: int = 8,
         line_search: int = 10,
+        tolerance: float = 1e-5,
+        devices: Sequence[jax.Device] | None = None,
     ) -> None:
         self.scenes = list(scenes)
         self.gains = gains or lowlevel.Gains()
@@ -85,25 +92,44 @@ class MjxEngine:
         put: dict[int, mjx.Model] = {}
         for scene in self.scenes:
             if id(scene.model) not in put:
-                put[id(scene.model)] = _put(scene.model, iterations, line_search)
-        if len(put) == 1:
-            self.model = put[id(first.model)]
-            self.in_axes = jax.tree.map(lambda _: None, self.model)
-        else:
-            self.model, self.in_axes = stack_models([put[id(s.model)] for s in self.scenes])
+                put[id(scene.model)] = _put(scene.model, iterations, line_search, tolerance)
+        chosen = list(devices or jax.devices())
+        chosen = chosen if len(self.scenes) % len(chosen) == 0 else chosen[:1]
+        self._mesh = jax.make_mesh((len(chosen),), ("world",), axis_types=(AxisType.Auto,), devices=chosen)
+        self._single = put[id(first.model)]
         self._template = mjx.make_data(first.model)
         self._torso = first.model.body("robot/torso").id
         self._kind = np.zeros(first.model.ngeom, dtype=int)
         self._kind[list(first.robot_geoms)] = 1
         self._kind[list(first.wall_geoms)] = 2
-        self._batched = jax.jit(self._step_all, static_argnames="substeps")
+        if len(put) == 1:
+            self._use(self._single, jax.tree.map(lambda _: None, self._single))
+        else:
+            self._use(*stack_models([put[id(s.model)] for s in self.scenes]))
 
     def with_model(self, model: mjx.Model, in_axes: mjx.Model) -> MjxEngine:
         """The same engine on another model of the same structure, such as plant/randomize.py makes."""
         other = copy.copy(self)
-        other.model, other.in_axes = model, in_axes
-        other._batched = jax.jit(other._step_all, static_argnames="substeps")
+        other._use(model, in_axes)
         return other
+
+    def _use(self, model: mjx.Model, in_axes: mjx.Model) -> None:
+        each, shared = PartitionSpec("world"), PartitionSpec()
+        parts = jax.tree.map(lambda one, all_: each if np.ndim(all_) > np.ndim(one) else shared, self._single, model)
+        place = functools.partial(NamedSharding, self._mesh)
+        self.model, self.in_axes = jax.device_put(model, jax.tree.map(place, parts)), in_axes
+        self._placement = place(each)
+
+        def step_all(
+            model: mjx.Model, world: MjxWorld, command: Command, push: Array, substeps: int
+        ) -> tuple[MjxWorld, Observation]:
+            one = jax.vmap(functools.partial(self.step_one, substeps=substeps), in_axes=(in_axes, 0, 0, 0))
+            # Each device iterates its own worlds' solvers; nothing passes between them.
+            return jax.shard_map(
+                one, mesh=self._mesh, in_specs=(parts, each, each, each), out_specs=each, check_vma=False
+            )(model, world, command, push)
+
+        self._batched = jax.jit(step_all, static_argnames="substeps", out_shardings=self._placement)
 
     def init(self) -> MjxWorld:
         """All worlds at their scenes' starting configuration, arms folded."""
@@ -117,7 +143,17 @@ class MjxEngine:
             warm_start=jnp.zeros((worlds, nv)),
         )
         # As committed to the device as every later state is; or the second step would compile again.
-        return jax.device_put(world, self.model.geom_size.sharding)
+        return jax.device_put(world, self._placement)
+
+    def scratch_bytes(self) -> int:
+        """Memory the compiled sample of all worlds takes beside its inputs and outputs, on all devices together."""
+        world = self.init()
+        command = Command(*(jnp.zeros((len(self.scenes), *shape)) for shape in ((3,), (), (), ())))
+        push = jnp.zeros((len(self.scenes), 6))
+        given = jax.device_put((command, push), self._placement)
+        lowered = self._batched.lower(self.model, world, *given, substeps=round(DT / self.timestep))
+        analysis = lowered.compile().memory_analysis()
+        return 0 if analysis is None else int(analysis.temp_size_in_bytes) * self._mesh.size
 
     def observe(self, world: MjxWorld) -> Observation:
         """The worlds as they are, with no wrench."""
@@ -131,8 +167,8 @@ class MjxEngine:
 
         ``push [W, 6]`` is an outside disturbance: force [N] and torque [N m] in {W} at the CoM of the robot's torso.
         """
-        push = jnp.zeros((*world.physics.shape[:-1], 6)) if push is None else jnp.asarray(push)
-        command = jax.tree.map(jnp.asarray, command)
+        push = np.zeros((*world.physics.shape[:-1], 6)) if push is None else push
+        command, push = jax.device_put(jax.tree.map(jnp.asarray, (command, push)), self._placement)
         return self._batched(self.model, world, command, push, substeps=round(duration / self.timestep))
 
     def step_one(
@@ -161,12 +197,6 @@ class MjxEngine:
         seen = observation(self.scenes[0], world.physics[0], *self._split(world.physics), wrenches.mean(axis=0))
         return world, seen
 
-    def _step_all(
-        self, model: mjx.Model, world: MjxWorld, command: Command, push: Array, substeps: int
-    ) -> tuple[MjxWorld, Observation]:
-        one = functools.partial(self.step_one, substeps=substeps)
-        return jax.vmap(one, in_axes=(self.in_axes, 0, 0, 0))(model, world, command, push)
-
     def robot(self, world: MjxWorld) -> Readout:
         """The robots' true state, batched ``[W, ...]``."""
         qpos, qvel = self._split(world.physics)
@@ -188,7 +218,7 @@ class MjxEngine:
         return jnp.any((kinds.min(axis=-1) == 1) & (kinds.max(axis=-1) == 2) & (contact.dist < 0))
 
 
-def _put(model: mujoco.MjModel, iterations: int, line_search: int) -> mjx.Model:
+def _put(model: mujoco.MjModel, iterations: int, line_search: int, tolerance: float) -> mjx.Model:
     model = copy.deepcopy(model)
-    model.opt.iterations, model.opt.ls_iterations = iterations, line_search
+    model.opt.iterations, model.opt.ls_iterations, model.opt.tolerance = iterations, line_search, tolerance
     return mjx.put_model(model)

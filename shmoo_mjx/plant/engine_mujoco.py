@@ -1,13 +1,16 @@
 """C MuJoCo behind the engines' signature: ``init() -> state`` and ``step(state, command) -> state, observation``.
 
 A batch of W worlds of one structure (the same family and number of objects) advances together: the control is one
-compiled function over all worlds, the physics runs in MuJoCo's own threads (``mujoco.rollout``).
+compiled function over all worlds, the physics is one call of ``mujoco.rollout``. With several threads, each takes a
+part of the worlds through the whole sample time: to meet after every 2 ms would cost what the second thread brings.
 """
 
 from __future__ import annotations
 
 import functools
+import itertools
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import jax
@@ -49,17 +52,31 @@ class World(NamedTuple):
     """``[W]`` whether the robot's body or a hand touched a wall in the last sample time (only kept for W = 1)."""
 
 
+class _Part(NamedTuple):
+    """The worlds of one thread, and its own scratch memory."""
+
+    worlds: slice
+    models: list[mujoco.MjModel]
+    data: list[mujoco.MjData]
+    rollout: Rollout
+
+
 class MujocoEngine:
     """Steps W worlds of one structure. Holds compiled models and scratch memory, never state."""
 
     def __init__(self, scenes: Sequence[Scene], gains: lowlevel.Gains | None = None, threads: int = 1) -> None:
         self.scenes = list(scenes)
         self.gains = gains or lowlevel.Gains()
-        self._models = [s.model for s in self.scenes]
         first = self.scenes[0]
         self.timestep = float(first.model.opt.timestep)
-        self._data = [mujoco.MjData(self._models[0]) for _ in range(threads)]
-        self._rollout = Rollout(nthread=threads if threads > 1 else 0)
+        models = [s.model for s in self.scenes]
+        _check_structure(models)
+        ends = np.linspace(0, len(models), min(threads, len(models)) + 1).astype(int)
+        self._parts = [
+            _Part(slice(a, b), models[a:b], [mujoco.MjData(models[0])], Rollout(nthread=0))
+            for a, b in itertools.pairwise(ends)
+        ]
+        self._pool = ThreadPoolExecutor(len(self._parts)) if len(self._parts) > 1 else None
         self._nq, self._nv = first.model.nq, first.model.nv
         self._torso = first.model.body("robot/torso").id
         self._watched = self._robot_wall_table(first)
@@ -67,7 +84,10 @@ class MujocoEngine:
 
     def close(self) -> None:
         """Stop the threads."""
-        self._rollout.close()
+        if self._pool is not None:
+            self._pool.shutdown()
+        for part in self._parts:
+            part.rollout.close()
 
     def init(self) -> World:
         """All worlds at their scenes' starting configuration, arms folded."""
@@ -83,6 +103,18 @@ class MujocoEngine:
         control = lowlevel.init(np, batch, TUCKED_REACH, TUCKED_HEIGHT)
         return World(np.array(rows), control, np.zeros(batch, dtype=bool))
 
+    def change(self, scenes: Sequence[Scene]) -> None:
+        """Go on with other scenes of the same structure: what an object weighs or which brakes are on changes mid-run.
+
+        The worlds' states stay as they are. Poses in the new scenes' starting configurations mean nothing here.
+        """
+        models = [s.model for s in scenes]
+        _check_structure([*self._parts[0].models[:1], *models])
+        self.scenes = list(scenes)
+        self._parts = [
+            part._replace(models=models[part.worlds], data=[mujoco.MjData(models[0])]) for part in self._parts
+        ]
+
     def observe(self, world: World) -> Observation:
         """The worlds as they are, with no wrench."""
         none = np.zeros((len(self.scenes), len(self.scenes[0].conditions), 3))
@@ -95,22 +127,35 @@ class MujocoEngine:
 
         ``push [W, 6]`` is an outside disturbance: force [N] and torque [N m] in {W} at the CoM of the robot's torso.
         """
-        substeps = round(duration / self.timestep)
+        hold = functools.partial(self._hold, substeps=round(duration / self.timestep))
+        pushes = [None if push is None else push[p.worlds] for p in self._parts]
+        if self._pool is None:
+            world, wrench = hold(self._parts[0], world, command, pushes[0])
+        else:
+            state, wanted = (jax.tree.map(np.asarray, tree) for tree in (world, command))
+            parted = [(_cut(state, p.worlds), _cut(wanted, p.worlds)) for p in self._parts]
+            done = list(self._pool.map(hold, self._parts, *zip(*parted, strict=True), pushes))
+            world, wrench = jax.tree.map(lambda *parts: np.concatenate(parts), *done)
+        return world, observation(self.scenes[0], world.physics[:, 0], *self._split(world.physics), wrench)
+
+    def _hold(
+        self, part: _Part, world: World, command: Command, push: np.ndarray | None, substeps: int
+    ) -> tuple[World, np.ndarray]:
+        """The part's worlds after ``substeps``, and their mean wrench ``[w, N, 3]``."""
         physics, control = world.physics, world.control
-        wrench = np.zeros((len(self.scenes), len(self.scenes[0].conditions), 3))
-        touched = np.zeros(len(self.scenes), dtype=bool)
+        wrench = np.zeros((len(physics), len(self.scenes[0].conditions), 3))
+        touched = np.zeros(len(physics), dtype=bool)
         for _ in range(substeps):
             qpos, qvel = self._split(physics)
             control, torque = self._control(control, qpos[:, :17], qvel[:, :15], command)
-            state, sensors = self._advance(physics, np.asarray(torque, dtype=np.float64), push)
+            state, sensors = self._advance(part, physics, np.asarray(torque, dtype=np.float64), push)
             if sensors.any():
                 # Contact sensors belong to the configuration before the step.
-                wrench += planar_wrench(self.scenes[0], qpos, sensors[:, 0])
-            physics = state[:, 0]
+                wrench += planar_wrench(self.scenes[0], qpos, sensors)
+            physics = state
             if len(self.scenes) == 1:
-                touched |= self._touches_wall(self._data[0])
-        world = World(physics, control, touched)
-        return world, observation(self.scenes[0], physics[:, 0], *self._split(physics), wrench / substeps)
+                touched |= self._touches_wall(part.data[0])
+        return World(physics, control, touched), wrench / substeps
 
     def torque(self, world: World, command: Command) -> np.ndarray:
         """Motor torques ``[W, 9]`` [N m] that the control asks for now; what a robot measures as motor currents."""
@@ -123,17 +168,22 @@ class MujocoEngine:
         return readout(qpos[:, :17], qvel[:, :15])
 
     def _advance(
-        self, physics: np.ndarray, torque: np.ndarray, push: np.ndarray | None
+        self, part: _Part, physics: np.ndarray, torque: np.ndarray, push: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """One physics step: states ``[W, 1, n]`` after it and the sensors it computed."""
-        if push is None:
-            return self._rollout.rollout(self._models, self._data, physics, torque[:, None, :], skip_checks=False)
-        outside = np.zeros((len(torque), self._models[0].nbody, 6))
-        outside[:, self._torso] = push
-        inputs = np.concatenate([torque, outside.reshape(len(torque), -1)], axis=-1)
-        return self._rollout.rollout(
-            self._models, self._data, physics, inputs[:, None, :], control_spec=_CONTROL_AND_FORCE, skip_checks=False
-        )
+        """One physics step of a part: states ``[w, n]`` after it and the sensors it computed."""
+        inputs, spec = torque, int(mujoco.mjtState.mjSTATE_CTRL)
+        if push is not None:
+            outside = np.zeros((len(torque), part.models[0].nbody, 6))
+            outside[:, self._torso] = push
+            inputs, spec = np.concatenate([torque, outside.reshape(len(torque), -1)], axis=-1), _CONTROL_AND_FORCE
+        state = np.empty((len(physics), 1, physics.shape[-1]))
+        sensors = np.empty((len(physics), 1, part.models[0].nsensordata))
+        # Its checks of every model at every step would take as long as a tenth of the physics.
+        part.rollout.rollout(
+            part.models, part.data, np.ascontiguousarray(physics), np.ascontiguousarray(inputs[:, None]),
+            control_spec=spec, skip_checks=True, nstep=1, state=state, sensordata=sensors,
+        )  # fmt: skip
+        return state[:, 0], sensors[:, 0]
 
     def _split(self, physics: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return physics[:, 1 : 1 + self._nq], physics[:, 1 + self._nq : 1 + self._nq + self._nv]
@@ -154,3 +204,14 @@ class MujocoEngine:
     def fallen(self, world: World) -> np.ndarray:
         """``[W]`` whether the body leans more than 0.6 rad."""
         return np.any(np.abs(se2.wrap(self.robot(world).lean)) > 0.6, axis=-1)
+
+
+def _check_structure(models: Sequence[mujoco.MjModel]) -> None:
+    """MuJoCo would read past its arrays if the worlds of a batch were unlike each other."""
+    shapes = {(m.nq, m.nv, m.nbody, m.na, m.nsensordata) for m in models}
+    if len(shapes) > 1:
+        raise ValueError("the worlds of one engine must have the same structure: family and number of objects")
+
+
+def _cut(tree: Any, worlds: slice) -> Any:
+    return jax.tree.map(lambda field: field[worlds], tree)

@@ -1,4 +1,4 @@
-"""Own objects: a mesh file becomes an object file that stands wherever a family's name does (spec 1.8).
+"""Own objects: a mesh or MJCF file becomes an object file that stands wherever a family's name does (spec 1.8).
 
 ``shmoo object add chair.stl --mass 7 --friction 0.4`` writes chair.json: convex hull, mass, CoM, inertia, feet or
 wheels. ``family: chair.json`` in a scenario, or ``draw_condition("chair.json", seed)``, then gives the object.
@@ -18,12 +18,15 @@ import numpy as np
 import shapely
 
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.plant.mjcf_object import read_mjcf
 from shmoo_mjx.plant.objects import Condition
 
 __all__ = ["Wheels", "add_object", "own_condition", "own_spec", "read_object"]
 
 Wheels = Literal["none", "casters", "rear"]
 _FORMATS = (".stl", ".obj", ".ply", ".glb", ".gltf", ".off")
+_Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""Turns a file's axes with y up into z up."""
 _HULL_VERTICES = 64
 _MOST_FEET = 6
 _FOOT = 0.01
@@ -33,8 +36,8 @@ _ROLL = {"damping": 0.001, "armature": 0.0005}
 
 
 def add_object(
-    mesh_file: Path,
-    mass: float,
+    source: Path,
+    mass: float | None,
     friction: float,
     wheels: Wheels = "none",
     wheel_radius: float = 0.04,
@@ -45,11 +48,11 @@ def add_object(
     hull: bool = False,
     out: Path | None = None,
 ) -> Path:
-    """Turn a mesh file into an object file.
+    """Turn a mesh file or an MJCF file into an object file.
 
     Args:
-        mesh_file: STL, OBJ, PLY, OFF, GLB or glTF.
-        mass: of the whole object, wheels included [kg].
+        source: STL, OBJ, PLY, OFF, GLB, glTF, or MJCF (.xml) of one rigid object.
+        mass: of the whole object, wheels included [kg]; None takes that of an MJCF file.
         friction: Coulomb coefficient of feet or wheels on the floor.
         wheels: none (slides on its feet), casters (a swivel caster at each foot), rear (two fixed wheels behind, two
             casters in front; x points forward).
@@ -59,19 +62,27 @@ def add_object(
         scale: metres per unit of the file; 0.001 for millimetres.
         up: which axis of the file points up; auto is y for GLB and glTF, as that format says, else z.
         hull: take the mass distribution of the convex hull, for a mesh that isn't closed.
-        out: file to write (default: the mesh's name with .json, in the present folder).
+        out: file to write (default: the source's name with .json, in the present folder).
 
     Returns:
         The file written.
 
     Raises:
-        ShmooError: the mesh or a number can't be an object; one sentence with the remedy.
+        ShmooError: the file or a number can't be an object; one sentence with the remedy.
     """
-    name = mesh_file.name
+    name = source.name
+    if not 0 < scale < np.inf:
+        raise ShmooError(f"--scale {scale} must be a positive number.")
+    if source.suffix.lower() == ".xml":
+        vertices, inertial, own_mass = _measure_mjcf(source, scale, up, hull)
+        mass = own_mass if mass is None else mass
+    else:
+        vertices, inertial = _measure(source, scale, up, hull)
+    if mass is None:
+        raise ShmooError(f"{name} is a mesh, which has no mass; give --mass in kg.")
     for what, value, low, high in (("mass", mass, 0.5, 500.0), ("friction", friction, 0.05, 2.0)):
         if not (np.isfinite(value) and low <= value <= high):
-            raise ShmooError(f"--{what} {value} must lie between {low} and {high}.")
-    vertices, inertial = _measure(mesh_file, scale, up, hull)
+            raise ShmooError(f"{name}: --{what} {value:g} must lie between {low} and {high}.")
     size, centre = np.ptp(vertices, axis=0), (vertices.max(axis=0) + vertices.min(axis=0)) / 2
     shift = np.array([centre[0], centre[1], vertices[:, 2].min()])
     vertices, com = vertices - shift, inertial["com"] - shift
@@ -83,9 +94,9 @@ def add_object(
     _check_balance(feet, com, name)
     data = {
         "schema": 1,
-        "source": {"file": name, "sha256": hashlib.sha256(mesh_file.read_bytes()).hexdigest()},
+        "source": {"file": name, "sha256": hashlib.sha256(source.read_bytes()).hexdigest()},
         "size": _rounded(size),
-        "mass": mass,
+        "mass": round(mass, 6),
         "friction": friction,
         "com": _rounded(com),
         "inertia_per_mass": _rounded(inertial["inertia"]),
@@ -96,7 +107,7 @@ def add_object(
         "rolling": rolling,
         "swivel_friction": swivel_friction,
     }
-    target = Path(out) if out else Path(mesh_file.stem + ".json")
+    target = Path(out) if out else Path(source.stem + ".json")
     written = target.with_name(target.name + ".part")
     written.write_text(json.dumps(data, indent=1))
     os.replace(written, target)
@@ -112,15 +123,11 @@ def _measure(mesh_file: Path, scale: float, up: str, hull: bool) -> tuple[np.nda
     if not np.isfinite(points).all():
         raise ShmooError(f"{name} has vertices that are not finite numbers; export the mesh again.")
     if up == "y" or (up == "auto" and mesh_file.suffix.lower() in (".glb", ".gltf")):
-        mesh.apply_transform(np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]], dtype=float))
+        turn = np.eye(4)
+        turn[:3, :3] = _Y_UP
+        mesh.apply_transform(turn)
     mesh.apply_scale(scale)
-    size = np.ptp(mesh.vertices, axis=0)
-    if max(size) < 0.2 or max(size) > 2.5 or min(size) < 0.05:
-        text = " x ".join(f"{s:.3g}" for s in size)
-        raise ShmooError(
-            f"{name} measures {text} m, but an object's longest side is 0.2 to 2.5 m and its shortest at least 0.05 m; "
-            "give --scale in metres per unit of the file (0.001 for millimetres)."
-        )
+    size = _checked_size(np.asarray(mesh.vertices), name)
     mesh.merge_vertices()
     if not hull and not mesh.is_watertight:
         raise ShmooError(f"{name} is not closed (it has open edges); repair it or pass --hull to use its convex hull.")
@@ -134,16 +141,45 @@ def _measure(mesh_file: Path, scale: float, up: str, hull: bool) -> tuple[np.nda
         raise ShmooError(
             f"{name} encloses hardly any volume ({volume:.2g} m^3); give its walls a thickness or pass --hull."
         )
-    moment = np.asarray(solid.moment_inertia) / volume
-    inertia = moment[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-    return np.asarray(shell.vertices), {"com": np.asarray(solid.center_mass), "inertia": inertia}
+    return np.asarray(shell.vertices), _inertial(solid.center_mass, np.asarray(solid.moment_inertia) / volume)
+
+
+def _measure_mjcf(source: Path, scale: float, up: str, hull: bool) -> tuple[np.ndarray, dict[str, np.ndarray], float]:
+    """The same of an MJCF file, and its mass [kg]."""
+    import trimesh
+
+    solid = read_mjcf(source)
+    axes = _Y_UP if up == "y" else np.eye(3)
+    points = scale * solid.points @ axes.T
+    _checked_size(points, source.name)
+    shell = trimesh.convex.convex_hull(points)
+    if hull:
+        inertial = _inertial(shell.center_mass, np.asarray(shell.moment_inertia) / float(shell.volume))
+    else:
+        inertial = _inertial(scale * axes @ solid.com, scale * scale * axes @ solid.inertia @ axes.T)
+    return np.asarray(shell.vertices), inertial, solid.mass
+
+
+def _inertial(com: Any, inertia: np.ndarray) -> dict[str, np.ndarray]:
+    return {"com": np.asarray(com), "inertia": inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]}
+
+
+def _checked_size(points: np.ndarray, name: str) -> np.ndarray:
+    size: np.ndarray = np.ptp(points, axis=0)
+    if max(size) < 0.2 or max(size) > 2.5 or min(size) < 0.05:
+        text = " x ".join(f"{s:.3g}" for s in size)
+        raise ShmooError(
+            f"{name} measures {text} m, but an object's longest side is 0.2 to 2.5 m and its shortest at least 0.05 m; "
+            "give --scale in metres per unit of the file (0.001 for millimetres)."
+        )
+    return size
 
 
 def _load(mesh_file: Path) -> Any:
     import trimesh
 
     if mesh_file.suffix.lower() not in _FORMATS:
-        raise ShmooError(f"{mesh_file.name} is no mesh format known here: use one of {', '.join(_FORMATS)}.")
+        raise ShmooError(f"{mesh_file.name} is no format known here: use one of {', '.join(_FORMATS)} or .xml (MJCF).")
     if not mesh_file.is_file():
         raise ShmooError(f"{mesh_file} does not exist; give the path of a mesh file.")
     try:
@@ -271,6 +307,7 @@ def own_spec(condition: Condition) -> mujoco.MjSpec:
             root.add_geom(
                 name=f"foot{i}_sole", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[_FOOT, 0, 0], pos=[x, y, _FOOT],
                 contype=1, conaffinity=0, condim=3, friction=[condition.friction, 0.005, 0.0001], priority=1, mass=0,
+                solimp=[0, 0.95, 0.002, 0.5, 2],  # box.xml says why
             )  # fmt: skip
     else:
         _add_wheels(root, condition, data)

@@ -229,6 +229,11 @@ class ProxyEngine:
             world, seen, (wrench if self.imperfections.force_from_torque else contact) / ticks, rng
         )
 
+    def change(self, scenes: Sequence[Scene]) -> None:
+        """Go on with other objects of the same structure, as :meth:`MujocoEngine.change` does."""
+        self.engine.change(scenes)
+        self.scenes = self.engine.scenes
+
     def true_observation(self, world: ProxyWorld) -> Observation:
         """What the simulator knows, for scoring."""
         return self.engine.observe(world.truth)

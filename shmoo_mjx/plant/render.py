@@ -11,7 +11,7 @@ import numpy as np
 
 from shmoo_mjx.plant.scene import Scene
 
-__all__ = ["can_render", "frames"]
+__all__ = ["can_render", "frames", "overview"]
 
 
 _PROBE = """
@@ -60,4 +60,30 @@ def frames(
             look[:2] += 0.15 * (row[:2] - look[:2])
             camera.lookat[:] = look
             renderer.update_scene(data, camera, options)
+            if not scene.wall_geoms:
+                _plain(renderer)
             yield renderer.render()
+
+
+def _plain(renderer: mujoco.Renderer) -> None:
+    """No shadows and reflections: on an endless floor the shadow map is too coarse and leaves speckles."""
+    for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
+        renderer.scene.flags[flag] = 0
+
+
+def overview(scene: Scene, width: int = 1280, height: int = 720) -> np.ndarray:
+    """The whole scene as it starts, seen from above at an angle: uint8 ``[height, width, 3]``."""
+    model, data = scene.model, mujoco.MjData(scene.model)
+    data.qpos[:] = scene.qpos0
+    mujoco.mj_forward(model, data)
+    # The floor is endless: what counts is where bodies and walls are.
+    places = np.concatenate([data.xpos[1:, :2], data.geom_xpos[sorted(scene.wall_geoms), :2]])
+    low, high = places.min(axis=0), places.max(axis=0)
+    camera, options = mujoco.MjvCamera(), mujoco.MjvOption()
+    camera.type, camera.elevation, camera.azimuth = mujoco.mjtCamera.mjCAMERA_FREE, -50.0, 115.0
+    camera.lookat[:], camera.distance = [*(low + high) / 2, 0.4], max(3.2, 1.25 * float(np.hypot(*(high - low))))
+    options.geomgroup[3] = 0
+    with mujoco.Renderer(model, height, width, max_geom=2 * model.ngeom + 1000) as renderer:
+        renderer.update_scene(data, camera, options)
+        _plain(renderer)
+        return np.asarray(renderer.render())

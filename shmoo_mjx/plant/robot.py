@@ -13,7 +13,17 @@ import numpy as np
 
 from shmoo_mjx import se2
 
-__all__ = ["ROBOT", "Readout", "Robot", "arm_jacobian", "com_offset", "hand_in_body", "quat_rotate", "readout"]
+__all__ = [
+    "ROBOT",
+    "Readout",
+    "Robot",
+    "arm_angles",
+    "arm_jacobian",
+    "com_offset",
+    "hand_in_body",
+    "quat_rotate",
+    "readout",
+]
 
 Array = Any
 
@@ -157,6 +167,15 @@ def hand_in_body(arms: Array) -> Array:
     out = ROBOT.upper_arm * xp.cos(pitch) + ROBOT.forearm * xp.cos(fore)
     down = ROBOT.upper_arm * xp.sin(pitch) + ROBOT.forearm * xp.sin(fore)
     return _SHOULDERS + xp.stack([out * xp.cos(yaw), out * xp.sin(yaw), -down], axis=-1)
+
+
+def arm_angles(hands: np.ndarray) -> np.ndarray:
+    """Joint angles ``[2, 3]`` that put the hands ``[2, 3]`` (body frame) there, elbows up: inverts `hand_in_body`."""
+    x, y, z = (hands - _SHOULDERS).T
+    out, l1, l2 = np.hypot(x, y), ROBOT.upper_arm, ROBOT.forearm
+    elbow = -np.arccos(np.clip((out * out + z * z - l1 * l1 - l2 * l2) / (2 * l1 * l2), -1.0, 1.0))
+    pitch = np.arctan2(-z, out) - np.arctan2(l2 * np.sin(elbow), l1 + l2 * np.cos(elbow))
+    return np.stack([np.arctan2(y, x), pitch, elbow], axis=-1)
 
 
 def arm_jacobian(arms: Array) -> Array:

@@ -10,7 +10,9 @@ import mujoco
 import numpy as np
 
 from shmoo_mjx.assets import asset
+from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH, hand_targets
 from shmoo_mjx.plant.objects import Condition, object_spec
+from shmoo_mjx.plant.robot import ROBOT, arm_angles, com_offset
 
 __all__ = ["Scene", "build_scene"]
 
@@ -60,7 +62,8 @@ def build_scene(
         walls: boxes (centre x, centre y, half length x, half length y) in the map's axes [m].
         wall_yaw: yaw of the map's axes [rad]; centres are already in {W}.
         wall_height: drawn and simulated height of the walls [m].
-        engine: which engine's contact sensors to build; the physics is the same.
+        engine: which engine's contact sensors to build. The physics is the same until the robot falls or an object
+            topples: MJX, which computes every contact that could be, leaves out those of the bodies with the floor.
         adjust: last changes to the MJCF before it is compiled, in place (plant/proxy.py makes another robot this way).
     """
     framed = engine == "mjx"
@@ -97,9 +100,18 @@ def build_scene(
             conaffinity=6,
             material="wall",
         )
+    if framed:
+        _drop_idle_contacts(spec)
     adjust(spec)
     model = spec.compile()
     return _index(model, objects, robot_pose, len(walls), framed)
+
+
+def _drop_idle_contacts(spec: mujoco.MjSpec) -> None:
+    """Body against floor, hull against floor: 6 to 10 contacts that are open as long as everything stands."""
+    for geom in spec.geoms:
+        if geom.name.endswith("hull"):
+            geom.contype &= ~1
 
 
 def _index(
@@ -116,7 +128,8 @@ def _index(
     qpos0[:7] = _free(robot_pose, qpos0[2])
     for adr, (_, pose) in zip(object_qpos, objects, strict=True):
         qpos0[adr : adr + 7] = _free(pose, qpos0[adr + 2])
-    qpos0[11:17] = np.tile(_TUCKED_ARMS, 2)
+    qpos0[11:17] = _folded_arms()
+    qpos0[3:7] = _balanced(qpos0[3:7], qpos0[11:17])
     return Scene(
         model=model,
         conditions=tuple(c for c, _ in objects),
@@ -130,8 +143,19 @@ def _index(
     )
 
 
-_TUCKED_ARMS = (0.0, 1.6, -2.4)
-"""Joint angles near the folded arms, so that a world starts without a swing."""
+def _folded_arms() -> np.ndarray:
+    """Joint angles ``[6]`` with the hands where the control holds them folded: a world starts without a swing."""
+    flat = hand_targets(np.array(0.0), np.array(TUCKED_REACH))
+    height = np.full((2, 1), TUCKED_HEIGHT - ROBOT.ball_radius)
+    return arm_angles(np.concatenate([flat, height], axis=-1)).ravel()
+
+
+def _balanced(quat: np.ndarray, arms: np.ndarray) -> np.ndarray:
+    """Lean the body back until its CoM with the arms is above the ball, as the control's feed-forward does."""
+    lean = -com_offset(arms.reshape(2, 3))[0] / ROBOT.body_com_height
+    out = np.empty(4)
+    mujoco.mju_mulQuat(out, quat, np.array([np.cos(lean / 2), 0.0, np.sin(lean / 2), 0.0]))
+    return out
 
 
 def _free(pose: Sequence[float], z: float) -> list[float]:

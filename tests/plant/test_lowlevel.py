@@ -38,6 +38,24 @@ def test_stands_ten_seconds_with_sensor_noise(single: MujocoEngine) -> None:
     assert np.hypot(*track.robot_pose[:, 0, :2].T).max() < 0.1
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+def test_stands_a_minute_with_sensor_noise(single: MujocoEngine, seed: int) -> None:
+    noise = (np.random.default_rng(seed), 0.01, 0.01)
+    track, fallen = drive(single, 60.0, station=0.8, sensor_noise=noise)
+    assert not fallen.any()
+    assert np.hypot(*track.robot_pose[:, 0, :2].T).max() < 0.1
+
+
+def test_starts_in_balance(single: MujocoEngine) -> None:
+    """With no lean command and no outer loop nothing holds the place; a start in balance keeps the robot near it."""
+    world = single.init()
+    for _ in range(100):
+        world, seen = single.step(world, command(1))
+    assert np.hypot(*seen.robot_pose[0, :2]) < 0.05
+    np.testing.assert_allclose(seen.hands, single.observe(single.init()).hands, atol=0.01)
+
+
 def test_velocity_step(single: MujocoEngine) -> None:
     track, _ = drive(single, 5.0, lambda time: (0.5, 0.0))
     speed = track.robot_twist[:, 0, 0]

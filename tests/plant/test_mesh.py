@@ -134,6 +134,77 @@ def test_a_mesh_turned_inside_out_is_the_same_object(tmp_path: Path) -> None:
     np.testing.assert_allclose(made[0]["com"], made[1]["com"], atol=1e-5)
 
 
+_TABLE = """
+<mujoco>
+  <worldbody>
+    <body pos="1 2 0">
+      <freejoint/>
+      <geom type="box" size="0.30 0.20 0.02" pos="0 0 0.58" mass="6"/>
+      <geom type="cylinder" size="0.02 0.28" pos="0.26 0.16 0.28" mass="1"/>
+      <geom type="cylinder" size="0.02 0.28" pos="-0.26 0.16 0.28" mass="1"/>
+      <geom type="cylinder" size="0.02 0.28" pos="0.26 -0.16 0.28" mass="1"/>
+      <body pos="-0.26 -0.16 0.28"><geom type="capsule" size="0.02 0.26" mass="1"/></body>
+      <geom type="sphere" size="0.3" pos="0 0 0.6" contype="0" conaffinity="0" mass="0"/>
+      {more}
+    </body>
+    {floor}
+  </worldbody>
+</mujoco>
+"""
+
+
+def _table(path: Path, more: str = "", floor: str = "") -> Path:
+    path.write_text(_TABLE.format(more=more, floor=floor))
+    return path
+
+
+def test_an_mjcf_table_keeps_its_shape_mass_and_inertia(tmp_path: Path) -> None:
+    made = add_object(_table(tmp_path / "table.xml"), mass=None, friction=0.5, out=tmp_path / "table.json")
+    data = read_object(made)
+    # The hull is that of the shapes that collide: the sphere for the eye doesn't count.
+    np.testing.assert_allclose(data["size"], (0.60, 0.40, 0.60), atol=1e-3)
+    assert data["mass"] == pytest.approx(10.0) and len(data["feet"]) == 4
+    np.testing.assert_allclose(data["com"], (0, 0, (6 * 0.58 + 4 * 0.28) / 10), atol=1e-6)
+    # About z: the top as a plate, the legs as points with their own thin moments.
+    legs = 4 * (0.26**2 + 0.16**2) + 4 * 0.5 * 0.02**2
+    expected = (6 * (0.6**2 + 0.4**2) / 12 + legs) / 10
+    assert data["inertia_per_mass"][2] == pytest.approx(expected, rel=2e-3)
+    model = object_alone(draw_condition(str(made), 0))
+    assert model.body("object0/object").subtreemass[0] == pytest.approx(10.0)
+    assert np.abs(settled(model, 1.0).qvel[:6]).max() < 0.01
+
+
+def test_an_mjcf_object_takes_mass_scale_and_wheels(tmp_path: Path) -> None:
+    made = add_object(
+        _table(tmp_path / "table.xml"), 14.0, 0.5, wheels="casters", wheel_radius=0.03, scale=1.2,
+        out=tmp_path / "table.json",
+    )  # fmt: skip
+    np.testing.assert_allclose(read_object(made)["size"], (0.72, 0.48, 0.72), atol=1e-3)
+    assert object_alone(draw_condition(str(made), 0)).body_mass.sum() == pytest.approx(14.0)
+
+
+@pytest.mark.parametrize(
+    ("more", "floor", "words"),
+    [
+        ('<body><joint name="drawer" type="slide"/><geom size="0.1"/></body>', "", ("'drawer'", "--wheels")),
+        ("", '<geom type="plane" size="1 1 1"/>', ("plane", "floor")),
+        ("", '<body><freejoint/><geom size="0.1"/></body>', ("2 free bodies",)),
+        ("<geom/>", "", ("MJCF", "size")),
+    ],
+)
+def test_bad_mjcf_gets_one_sentence(more: str, floor: str, words: tuple[str, ...], tmp_path: Path) -> None:
+    with pytest.raises(ShmooError) as error:
+        add_object(_table(tmp_path / "thing.xml", more, floor), None, 0.4, out=tmp_path / "thing.json")
+    assert "thing.xml" in str(error.value) and "\n" not in str(error.value)
+    assert all(word in str(error.value) for word in words)
+    assert not list(tmp_path.glob("*.json*"))
+
+
+def test_a_mesh_without_mass_is_asked_for_it(tmp_path: Path) -> None:
+    with pytest.raises(ShmooError, match="--mass"):
+        add_object(_box(tmp_path / "crate.stl"), None, 0.4, out=tmp_path / "crate.json")
+
+
 def _bad_mesh(kind: str, folder: Path) -> tuple[Path, dict[str, Any]]:
     path, options = folder / "thing.stl", {}
     mesh = trimesh.creation.box((0.5, 0.4, 0.7))

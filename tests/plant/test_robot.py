@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from shmoo_mjx.assets import asset
 from shmoo_mjx.hands import HAND_RADIUS
-from shmoo_mjx.plant.robot import ROBOT, arm_jacobian, com_offset, hand_in_body, readout
+from shmoo_mjx.plant.robot import ROBOT, arm_angles, arm_jacobian, com_offset, hand_in_body, readout
 
 MODEL = mujoco.MjModel.from_xml_path(str(asset("models_xml/shmoobot.xml")))
 HANDS = ("left_hand", "right_hand")
@@ -46,6 +46,16 @@ def test_hand_positions_and_jacobian(seed: int) -> None:
         mujoco.mj_jacSite(MODEL, data, jacobian, None, MODEL.site(name).id)
         columns = slice(9 + 3 * arm, 12 + 3 * arm)
         np.testing.assert_allclose(arm_jacobian(arms)[arm], body.T @ jacobian[:, columns], atol=1e-9)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**31))
+def test_arm_angles_invert_the_hand_positions(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    # Ahead of the shoulder: folded back, the same place has another yaw.
+    arms = np.stack([rng.uniform(-1.2, 1.2, 2), rng.uniform(-0.6, 1.5, 2), rng.uniform(-1.5, -0.1, 2)], axis=-1)
+    hands = hand_in_body(arms)
+    np.testing.assert_allclose(hand_in_body(arm_angles(hands)), hands, atol=1e-9)
 
 
 @settings(max_examples=40, deadline=None)
