@@ -6,7 +6,16 @@ from typing import Any
 
 from shmoo_mjx import se2
 
-__all__ = ["HAND_HEIGHT", "HAND_RADIUS", "REACH", "SEPARATION", "TUCKED_HEIGHT", "TUCKED_REACH", "hand_targets"]
+__all__ = [
+    "HAND_HEIGHT",
+    "HAND_RADIUS",
+    "REACH",
+    "SEPARATION",
+    "TUCKED_HEIGHT",
+    "TUCKED_REACH",
+    "hand_components",
+    "hand_targets",
+]
 
 Array = Any
 
@@ -35,9 +44,14 @@ def hand_targets(gamma: Array, reach: Array = REACH) -> Array:
         ``[..., 2, 2]``: (left, right) x (x, y) [m].
     """
     xp = se2.array_module(gamma, reach)
+    left, right = hand_components(gamma, reach)
+    return xp.stack([xp.stack(xp.broadcast_arrays(*left), -1), xp.stack(xp.broadcast_arrays(*right), -1)], -2)
+
+
+def hand_components(gamma: Array, reach: Array = REACH) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """`hand_targets` as its parts: ((left x, left y), (right x, right y)), each of gamma's shape [m]."""
+    xp = se2.array_module(gamma, reach)
     gamma = xp.asarray(gamma)
     half = SEPARATION / 2 * (reach / REACH)
     half_x, half_y = half * xp.sin(gamma), half * xp.cos(gamma)
-    left = xp.stack([reach + half_x, half_y], axis=-1)
-    right = xp.stack([reach - half_x, -half_y], axis=-1)
-    return xp.stack([left, right], axis=-2)
+    return (reach + half_x, half_y), (reach - half_x, -half_y)

@@ -3,6 +3,9 @@
 The model and the cost are arguments, so a learned model, a hand-written one and a simulator stand in the same place.
 Everything is pure: ``jax.jit(partial(plan, cfg, rollout_fn, cost_fn))`` compiles once per configuration, and
 ``jax.vmap`` of it over ``x0`` and the state plans a batch of problems in one call.
+
+XLA runs small matrix products on one core. Where JAX was started with several CPU devices (`sample_mesh`), ``plan`` and
+``improve`` take a mesh and share the samples out among them, and ``compiled`` jits a function that does.
 """
 
 from __future__ import annotations
@@ -15,16 +18,20 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 __all__ = [
     "MppiConfig",
     "MppiState",
     "Plan",
+    "compiled",
     "importance_weights",
     "improve",
     "init",
     "plan",
+    "replicated",
     "sample_controls",
+    "sample_mesh",
     "shift",
 ]
 
@@ -33,6 +40,9 @@ RolloutFn = Callable[[Any, Array], Any]
 """(x0, U ``[S, T, m]``) -> trajectory, a pytree of arrays ``[S, T, ...]``: the states *after* each control."""
 CostFn = Callable[[Any, Array, Array], Array]
 """(trajectory, U ``[S, T, m]``, last applied u ``[m]``) -> total cost of each sample ``[S]``."""
+
+
+_AXIS = "samples"
 
 
 @dataclass(frozen=True)
@@ -143,8 +153,41 @@ def importance_weights(cfg: MppiConfig, costs: Array, valid: Array) -> Array:
     return raw / jnp.maximum(jnp.sum(raw), 1.0)  # the best sample alone gives 1, so a sum below 1 means none is valid
 
 
+def sample_mesh(samples: int) -> Mesh | None:
+    """The CPU devices among which ``samples`` can be shared out evenly; None if that is one, or not a CPU.
+
+    There are as many as JAX was started with: ``JAX_NUM_CPU_DEVICES``, which the command line sets. Each count gives
+    the same plan but for rounding.
+    """
+    devices = jax.devices()
+    if devices[0].platform != "cpu":
+        return None
+    count = max(n for n in range(1, len(devices) + 1) if samples % n == 0)
+    return Mesh(np.asarray(devices[:count]), (_AXIS,)) if count > 1 else None
+
+
+def replicated(mesh: Mesh | None, tree: Any) -> Any:
+    """The arrays of ``tree`` on every device of ``mesh``, so that no call has to bring them there."""
+    return tree if mesh is None else jax.device_put(tree, NamedSharding(mesh, PartitionSpec()))
+
+
+def compiled(function: Callable[..., Any], mesh: Mesh | None) -> Callable[..., Any]:
+    """``jax.jit``, with every argument the same on all devices of ``mesh``.
+
+    Naming the placement keeps it from compiling again when an answer comes back as an argument.
+    """
+    return jax.jit(function) if mesh is None else jax.jit(function, in_shardings=NamedSharding(mesh, PartitionSpec()))
+
+
 def improve(
-    cfg: MppiConfig, rollout_fn: RolloutFn, cost_fn: CostFn, x0: Any, nominal: Array, last_u: Array, key: Array
+    cfg: MppiConfig,
+    rollout_fn: RolloutFn,
+    cost_fn: CostFn,
+    x0: Any,
+    nominal: Array,
+    last_u: Array,
+    key: Array,
+    mesh: Mesh | None = None,
 ) -> Plan:
     """One path-integral update of ``nominal [T, m]`` from state ``x0``, without shifting it.
 
@@ -156,17 +199,28 @@ def improve(
         nominal: control sequence to improve.
         last_u: control applied last [m], for costs on the change of control.
         key: random key.
+        mesh: devices to share the samples out among; both functions then see a part of the samples each time.
 
     Returns:
         The plan with its roll-outs.
     """
+
+    def evaluate(controls: Array) -> tuple[Any, Array, Array, Array]:
+        trajectories = rollout_fn(x0, controls)
+        costs = cost_fn(trajectories, controls, last_u)
+        total = costs
+        if cfg.control_cost:
+            total = costs + cfg.control_cost * cfg.temperature / cfg.cost_scale * _control_term(cfg, nominal, controls)
+        return trajectories, costs, total, jnp.isfinite(total) & _finite((trajectories, controls), len(controls))
+
     controls = sample_controls(cfg, key, nominal)
-    trajectories = rollout_fn(x0, controls)
-    costs = cost_fn(trajectories, controls, last_u)
-    total = costs
-    if cfg.control_cost:
-        total = costs + cfg.control_cost * cfg.temperature / cfg.cost_scale * _control_term(cfg, nominal, controls)
-    valid = jnp.isfinite(total) & _finite((trajectories, controls), cfg.samples)
+    if mesh is not None:
+        controls = jax.lax.with_sharding_constraint(controls, NamedSharding(mesh, PartitionSpec(_AXIS)))
+        # The check would ask of every user's roll-out that it marks its carry as varying over the devices.
+        evaluate = jax.shard_map(
+            evaluate, mesh=mesh, in_specs=PartitionSpec(_AXIS), out_specs=PartitionSpec(_AXIS), check_vma=False
+        )
+    trajectories, costs, total, valid = evaluate(controls)
     weights = importance_weights(cfg, total, valid)
     mean = jnp.einsum("s,stm->tm", weights, jnp.where(valid[:, None, None], controls, 0.0))
     # The clip: rounding may carry the mean over a bound by one ulp, and zero, the mean of no sample, may lie outside.
@@ -174,17 +228,19 @@ def improve(
 
 
 def plan(
-    cfg: MppiConfig, rollout_fn: RolloutFn, cost_fn: CostFn, x0: Any, state: MppiState
+    cfg: MppiConfig, rollout_fn: RolloutFn, cost_fn: CostFn, x0: Any, state: MppiState, mesh: Mesh | None = None
 ) -> tuple[Array, MppiState, Plan]:
     """The control to apply now ``[m]``, the state for the next call, and the plan (Sec. III-E).
 
     If every roll-out is invalid the control is zero (clipped to the bounds), ``Plan.ok`` is False and the next warm
-    start is zero control too.
+    start is zero control too. The arguments are those of `improve`.
     """
     key, use = jax.random.split(state.key)
-    result = improve(cfg, rollout_fn, cost_fn, x0, state.nominal, state.last_u, use)
-    u = result.nominal[0]
-    return u, MppiState(shift(result.nominal), u, key), result
+    result = improve(cfg, rollout_fn, cost_fn, x0, state.nominal, state.last_u, use, mesh)
+    nominal = result.nominal
+    if mesh is not None:
+        nominal = jax.lax.with_sharding_constraint(nominal, NamedSharding(mesh, PartitionSpec()))
+    return nominal[0], MppiState(shift(nominal), nominal[0], key), result
 
 
 def shift(nominal: Array) -> Array:

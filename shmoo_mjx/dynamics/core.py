@@ -19,12 +19,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from shmoo_mjx import se2
-from shmoo_mjx.dynamics import features, object_model, robot_model
-from shmoo_mjx.dynamics.features import Contact
+from shmoo_mjx.dynamics import features, mlp, object_model, robot_model
+from shmoo_mjx.dynamics.features import Contact, Facing
+from shmoo_mjx.dynamics.layout import channels_first, channels_last, inward, outward
 from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
-from shmoo_mjx.dynamics.robot_model import RobotConfig, RobotParams
-from shmoo_mjx.hands import HAND_RADIUS, hand_targets
+from shmoo_mjx.dynamics.robot_model import LeanResponse, RobotConfig, RobotParams
+from shmoo_mjx.hands import HAND_RADIUS
 from shmoo_mjx.types import DT, SystemState
 
 __all__ = ["CoreConfig", "Params", "contact_wrench", "init", "rollout", "step"]
@@ -57,6 +57,15 @@ class Params(NamedTuple):
     """``[..., 3, K]`` a of Eq. 3."""
 
 
+class _Models(NamedTuple):
+    """Params made ready for `_advance`, once per roll-out."""
+
+    robot: mlp.Layers
+    object: object_model.Folded
+    """With the coefficients in it: O of Eq. 3, not psi."""
+    lean: LeanResponse
+
+
 def init(key: Array, config: CoreConfig | None = None) -> Params:
     """Untrained parameters, with zero coefficients (an object that keeps its twist)."""
     config = config or CoreConfig()
@@ -75,14 +84,18 @@ def contact_wrench(state: SystemState, force: Array, gamma: Array, config: CoreC
     neither is compressed; no wrench if both are out of reach.
     """
     config = config or CoreConfig()
-    return _wrench(state, features.contact(state, gamma), force, config)
+    inside = inward(state, jnp.broadcast_shapes(jnp.shape(state.robot_pose)[:-1], jnp.shape(gamma)))
+    face = features.facing(inside)
+    touch = features.contact(face, gamma)
+    force = jnp.where(_out_of_reach(inside, touch, config), 0.0, channels_first(force))
+    return channels_last(_wrench(inside, face, touch, force, config))
 
 
 def step(params: Params, state: SystemState, u: Array, config: CoreConfig | None = None) -> tuple[SystemState, Array]:
     """One sample of DT by Eq. 1 to 3.
 
     Args:
-        params: with coefficients ``[3, K]`` (or batched like ``state``).
+        params: with coefficients ``[3, K]``; vmap for more than one object.
         state: SystemState, any batch dimensions.
         u: ``[..., 3]`` command (phi_x, phi_y, gamma) [rad], held over the sample.
         config: static choices.
@@ -91,22 +104,59 @@ def step(params: Params, state: SystemState, u: Array, config: CoreConfig | None
         The state one sample later and the wrench on the object ``[..., 3]`` in {O} at the start of the sample.
     """
     config = config or CoreConfig()
-    heading, yaw = state.robot_pose[..., 2], state.object_pose[..., 2]
-    inputs = features.robot_inputs(state, u)
-    base, force = robot_model.predict(params.robot, inputs, config.robot)
-    touch = features.contact(state, u[..., 2])
-    force = jnp.where(_out_of_reach(state, touch, config)[..., None], 0.0, force)
-    wrench = _wrench(state, touch, force, config)
-    twist = se2.rotate(state.object_twist, -yaw)
-    psi_inputs = features.object_inputs(twist, wrench, state.last_object_twist, state.size)
-    push = object_model.predict(params.object, params.coefficients, psi_inputs, config.object)
-    robot_acceleration = se2.rotate(base, heading)
+    batch = jnp.broadcast_shapes(jnp.shape(state.robot_pose)[:-1], jnp.shape(u)[:-1])
+    u = channels_first(jnp.broadcast_to(u, (*batch, 3)))
+    new, wrench = _advance(_fold(params, config), inward(state, batch), u, config)
+    return outward(new), channels_last(wrench)
+
+
+def rollout(
+    params: Params, state: SystemState, controls: Array, config: CoreConfig | None = None
+) -> tuple[SystemState, Array]:
+    """The states after each of the T commands ``controls [..., T, 3]`` and the wrenches on the way.
+
+    A whole batch of roll-outs in one call is much faster than a vmap of single ones, and gives the same.
+
+    Returns:
+        SystemState ``[..., T, n]``, and wrenches ``[..., T, 3]`` in {O} at the start of each sample.
+    """
+    config = config or CoreConfig()
+    controls = jnp.asarray(controls)
+    models = _fold(params, config)
+    start = inward(state, controls.shape[:-2])
+
+    def body(carry: SystemState, u: Array) -> tuple[SystemState, tuple[SystemState, Array]]:
+        new, wrench = _advance(models, carry, u, config)
+        return new, (new._replace(face=None, size=None), wrench)
+
+    commands = jnp.moveaxis(controls, (-2, -1), (0, 1))
+    states, wrenches = jax.lax.scan(body, start, commands)[1]
+    # [T, n, ...] as [n, ..., T]: time becomes the last batch dimension.
+    states, wrenches = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), (states, wrenches))
+    return outward(states._replace(face=start.face[..., None], size=start.size[..., None])), channels_last(wrenches)
+
+
+def _fold(params: Params, config: CoreConfig) -> _Models:
+    robot = robot_model.fold(params.robot)
+    return _Models(robot, object_model.fold(params.object, params.coefficients, config.object), params.robot.lean)
+
+
+def _advance(models: _Models, state: SystemState, u: Array, config: CoreConfig) -> tuple[SystemState, Array]:
+    """`step`, and all of it, with channels first."""
+    face = features.facing(state)
+    before, touch = features.contact(face, state.last_u[2]), features.contact(face, u[2])
+    inputs = features.stacked_robot_inputs(state, face, before, u)
+    said = mlp.forward(models.robot, inputs, config.robot.activation)
+    force = jnp.where(_out_of_reach(state, touch, config), 0.0, said[3:])
+    wrench = _wrench(state, face, touch, force, config)
+    twist = face.yaw.back(state.object_twist)
+    psi_inputs = features.object_inputs(twist, wrench, state.last_object_twist, state.size, axis=0)
+    push = object_model.forward(models.object, psi_inputs, config.object)
     if config.unilateral:
-        push = push + _unilateral(state, touch, twist, push, robot_acceleration, u[..., 2], force)
-    object_acceleration = se2.rotate(push, yaw)
-    lean, lean_rate = robot_model.lean_step(
-        params.robot.lean, state.lean, state.lean_rate, u[..., :2], state.last_force
-    )
+        push = push + _unilateral(state, face, touch, twist, push, said[:3], force)
+    robot_acceleration = face.heading(said[:3])
+    object_acceleration = face.yaw(push)
+    lean, lean_rate = robot_model.lean_step(models.lean, state.lean, state.lean_rate, u[:2], state.last_force)
     half = 0.0 if config.euler else 0.5 * DT**2
     new = state._replace(
         robot_pose=state.robot_pose + state.robot_twist * DT + half * robot_acceleration,
@@ -117,84 +167,59 @@ def step(params: Params, state: SystemState, u: Array, config: CoreConfig | None
         object_twist=state.object_twist + object_acceleration * DT,
         last_object_twist=twist,
         last_force=force,
-        last_u=jnp.broadcast_to(u, state.last_u.shape),
+        last_u=u,
     )
     return new, wrench
-
-
-def rollout(
-    params: Params, state: SystemState, controls: Array, config: CoreConfig | None = None
-) -> tuple[SystemState, Array]:
-    """The states after each of the T commands ``controls [T, 3]`` and the wrenches on the way.
-
-    Returns:
-        SystemState stacked over a leading T, and wrenches ``[T, 3]`` in {O} at the start of each sample.
-    """
-    config = config or CoreConfig()
-    state = jax.tree.map(jnp.asarray, state)
-
-    def body(carry: SystemState, u: Array) -> tuple[SystemState, tuple[SystemState, Array]]:
-        new, wrench = step(params, carry, u, config)
-        return new, (new, wrench)
-
-    return jax.lax.scan(body, state, controls)[1]
 
 
 def _out_of_reach(state: SystemState, touch: Contact, config: CoreConfig) -> Array:
     """True where both hands are well off the face, ahead of it or beside it, throughout the sample."""
     nearest = jnp.minimum(touch.gap, touch.gap + DT * touch.rate)
-    beside = jnp.abs(touch.lateral) > state.face[..., 3:] + HAND_RADIUS
-    return jnp.all((nearest > config.open_gap) | beside, axis=-1)
+    beside = jnp.abs(touch.lateral) > state.face[3] + HAND_RADIUS
+    return jnp.all((nearest > config.open_gap) | beside, axis=0)
 
 
-def _wrench(state: SystemState, touch: Contact, force: Array, config: CoreConfig) -> Array:
-    force = jnp.where(_out_of_reach(state, touch, config)[..., None], 0.0, force)
-    in_object = se2.rotate(force, state.robot_pose[..., 2] - state.object_pose[..., 2])
+def _wrench(state: SystemState, face: Facing, touch: Contact, force: Array, config: CoreConfig) -> Array:
+    """Gamma^o ``[3, ...]`` of a hand force ``[2, ...]`` that is zero out of reach."""
+    in_object = face.relative.back(force)
     gap = touch.gap + config.pressure_lead * DT * touch.rate
     # The small constant gives equal weights where neither hand is pressed in, and a smooth change between the cases.
     weight = jnp.maximum(-gap, 0.0) + 1e-4
-    lateral = jnp.clip(touch.lateral, -state.face[..., 3:], state.face[..., 3:])
-    mean = jnp.sum(weight * lateral, axis=-1) / jnp.sum(weight, axis=-1)
-    tangent = jnp.stack([-jnp.sin(state.face[..., 2]), jnp.cos(state.face[..., 2])], axis=-1)
-    point = state.face[..., :2] + mean[..., None] * tangent
-    return jnp.concatenate([in_object, se2.cross(point, in_object)[..., None]], axis=-1)
+    lateral = jnp.clip(touch.lateral, -state.face[3], state.face[3])
+    mean = jnp.sum(weight * lateral, axis=0) / jnp.sum(weight, axis=0)
+    x = state.face[0] - mean * jnp.sin(state.face[2])
+    y = state.face[1] + mean * jnp.cos(state.face[2])
+    return jnp.stack([*in_object, x * in_object[1] - y * in_object[0]])
 
 
 def _unilateral(
-    state: SystemState, touch: Contact, twist: Array, push: Array, robot_acceleration: Array, gamma: Array, force: Array
+    state: SystemState, face: Facing, touch: Contact, twist: Array, push: Array, base: Array, force: Array
 ) -> Array:
-    """Correction ``[..., 3]`` of the object's acceleration in {O} so that no pushed point of the face outruns its hand.
+    """Correction ``[3, ...]`` of the object's acceleration in {O} so that no pushed point of the face outruns its hand.
 
     Along the inward normal n, at each hand's contact point: v_object(t+1) <= max(v_hand(t+1) + compression / DT,
     v_object(t)). The second entry leaves an object that already coasts away alone. The two excess speeds are taken off
-    by the pair (speed along n, spin) that removes exactly those.
+    by the pair (speed along n, spin) that removes exactly those. ``base`` is the robot's acceleration in {R}.
     """
-    angle = state.face[..., 2]
-    normal = jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=-1)
+    nx, ny = jnp.cos(state.face[2]), jnp.sin(state.face[2])
     # Speed along n of the face's point at offset s is v.n + w (arm - s), with arm the moment of n about the centre.
-    arm = se2.cross(state.face[..., :2], normal)[..., None] - touch.lateral
-    before = jnp.sum(twist[..., :2] * normal, axis=-1, keepdims=True) + twist[..., 2:] * arm
-    gain = (jnp.sum(push[..., :2] * normal, axis=-1, keepdims=True) + push[..., 2:] * arm) * DT
-    release = _hand_speed(state, touch, robot_acceleration, gamma) + jnp.maximum(-touch.gap, 0.0) / DT
-    pushed = jnp.sum(force * _direction(touch.face[..., 2]), axis=-1, keepdims=True) > 0.0
+    arm = state.face[0] * ny - state.face[1] * nx - touch.lateral
+    before = twist[0] * nx + twist[1] * ny + twist[2] * arm
+    gain = (push[0] * nx + push[1] * ny + push[2] * arm) * DT
+    release = _hand_speed(state, face, touch, base) + jnp.maximum(-touch.gap, 0.0) / DT
+    pushed = force[0] * face.normal.c + force[1] * face.normal.s > 0.0
     nearest = jnp.minimum(touch.gap, touch.gap + DT * touch.rate)
-    touching = nearest <= jnp.maximum(jnp.min(nearest, axis=-1, keepdims=True), 0.0)
-    beside = jnp.abs(touch.lateral) > state.face[..., 3:] + HAND_RADIUS
+    touching = nearest <= jnp.maximum(nearest[::-1], 0.0)  # pressed in, or the nearer hand of the two
+    beside = jnp.abs(touch.lateral) > state.face[3] + HAND_RADIUS
     excess = jnp.where(pushed & touching & ~beside, jnp.maximum(before + gain - jnp.maximum(release, before), 0.0), 0.0)
-    between = touch.lateral[..., 0] - touch.lateral[..., 1]
-    spin = (excess[..., 0] - excess[..., 1]) / jnp.where(jnp.abs(between) < 0.1, 0.1, between)
-    speed = -(excess[..., 0] + arm[..., 0] * spin)
-    return jnp.concatenate([speed[..., None] * normal, spin[..., None]], axis=-1) / DT
+    between = touch.lateral[0] - touch.lateral[1]
+    spin = (excess[0] - excess[1]) / jnp.where(jnp.abs(between) < 0.1, 0.1, between)
+    speed = -(excess[0] + arm[0] * spin)
+    return jnp.stack([speed * nx, speed * ny, spin]) / DT
 
 
-def _hand_speed(state: SystemState, touch: Contact, robot_acceleration: Array, gamma: Array) -> Array:
-    """Speed ``[..., 2]`` of the hands along the face's inward normal at the end of the sample [m/s]."""
-    twist = se2.rotate(state.robot_twist + robot_acceleration * DT, -state.robot_pose[..., 2])
-    hands = hand_targets(gamma)
-    spin = twist[..., None, 2]
-    velocity = jnp.stack([twist[..., None, 0] - spin * hands[..., 1], twist[..., None, 1] + spin * hands[..., 0]], -1)
-    return jnp.sum(velocity * _direction(touch.face[..., 2])[..., None, :], axis=-1)
-
-
-def _direction(angle: Array) -> Array:
-    return jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=-1)
+def _hand_speed(state: SystemState, face: Facing, touch: Contact, base: Array) -> Array:
+    """Speed ``[2, ...]`` of the hands along the face's inward normal at the end of the sample [m/s]."""
+    vx, vy, spin = face.heading.back(state.robot_twist) + base * DT
+    x, y = touch.hands
+    return (vx - spin * y) * face.normal.c + (vy + spin * x) * face.normal.s

@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from shmoo_mjx import se2
-from shmoo_mjx.hands import HAND_RADIUS, hand_targets
+from shmoo_mjx.dynamics.layout import Turn, channels_first, channels_last, inward, once
+from shmoo_mjx.hands import HAND_RADIUS, hand_components
 from shmoo_mjx.types import SystemState
 
 __all__ = [
@@ -21,11 +22,14 @@ __all__ = [
     "ROBOT_OUTPUTS",
     "Contact",
     "Entry",
+    "Facing",
     "contact",
+    "facing",
     "markdown_table",
     "object_inputs",
     "robot_inputs",
     "slices",
+    "stacked_robot_inputs",
     "width",
 ]
 
@@ -81,19 +85,34 @@ OBJECT_OUTPUTS: tuple[Entry, ...] = (
 """The 3 outputs of O = psi a."""
 
 
+class Facing(NamedTuple):
+    """Robot and face as they stand, whatever the hands do; channels first."""
+
+    heading: Turn
+    """From {R} to {W}."""
+    yaw: Turn
+    """From {O} to {W}."""
+    relative: Turn
+    """From {O} to {R}."""
+    pose: Array
+    """``[3, ...]`` pose of the face in {R}: centre x, y [m], direction of the inward normal [rad]."""
+    motion: Array
+    """``[3, ...]`` twist of the face as seen from the moving {R}, at the face's centre [m/s, rad/s]."""
+    normal: Turn
+    """Its cosine and sine are the inward normal of the face in {R}."""
+
+
 class Contact(NamedTuple):
-    """Hands and face as the hands' targets for one steering angle would meet it; last axis (left, right)."""
+    """How the hands' targets for one steering angle meet the face; channels first, hands (left, right)."""
 
     gap: Array
-    """``[..., 2]`` from the hand's surface to the face's line, along the inward normal [m]; negative = pressed in."""
+    """``[2, ...]`` from the hand's surface to the face's line, along the inward normal [m]; negative = pressed in."""
     lateral: Array
-    """``[..., 2]`` offset of the hand from the face's centre along the face [m]."""
+    """``[2, ...]`` offset of the hand from the face's centre along the face [m]."""
     rate: Array
-    """``[..., 2]`` rate of the gap with the hands at rest in {R} [m/s]."""
-    face: Array
-    """``[..., 3]`` pose of the face in {R}: centre x, y [m], direction of the inward normal [rad]."""
-    motion: Array
-    """``[..., 3]`` twist of the face as seen from the moving {R}, at the face's centre [m/s, rad/s]."""
+    """``[2, ...]`` rate of the gap with the hands at rest in {R} [m/s]."""
+    hands: tuple[Array, Array]
+    """x and y ``[2, ...]`` of the hands in {R} [m]."""
 
 
 def width(table: tuple[Entry, ...]) -> int:
@@ -119,56 +138,72 @@ def markdown_table(table: tuple[Entry, ...]) -> str:
     return "\n".join(rows) + "\n"
 
 
-def contact(state: SystemState, gamma: Array) -> Contact:
-    """Where the hands, held at the targets for steering angle ``gamma [...]`` [rad], stand against the face.
-
-    Takes ``state`` with any batch dimensions.
-    """
-    lever = se2.rotate(state.face[..., :2], state.object_pose[..., 2])
-    to_face = state.object_pose[..., :2] + lever - state.robot_pose[..., :2]
-    heading = state.robot_pose[..., 2]
-    centre = se2.rotate(to_face, -heading)
-    angle = se2.wrap(state.object_pose[..., 2] + state.face[..., 2] - heading)
+def facing(state: SystemState) -> Facing:
+    """Where the pushed face stands, for a state with channels first (`layout`) and any batch dimensions."""
+    heading, yaw = once((Turn.by(state.robot_pose[2]), Turn.by(state.object_pose[2])))
+    relative = yaw.then(heading.inverse())
+    lever = yaw(state.face[:2])
+    to_face = state.object_pose[:2] + lever - state.robot_pose[:2]
     velocity = _point_velocity(state.object_twist, lever) - _point_velocity(state.robot_twist, to_face)
-    spin = (state.object_twist - state.robot_twist)[..., 2:]
-    velocity = se2.rotate(velocity, -heading)
-    normal = jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=-1)[..., None, :]
-    tangent = jnp.stack([-jnp.sin(angle), jnp.cos(angle)], axis=-1)[..., None, :]
-    away = centre[..., None, :] - hand_targets(gamma)
-    along = jnp.sum(away * tangent, axis=-1)
-    return Contact(
-        gap=jnp.sum(away * normal, axis=-1) - HAND_RADIUS,
-        lateral=-along,
-        rate=jnp.sum(velocity[..., None, :] * normal, axis=-1) + spin * along,
-        face=jnp.concatenate([centre, angle[..., None]], axis=-1),
-        motion=jnp.concatenate([velocity, spin], axis=-1),
+    angle = se2.wrap(state.object_pose[2] + state.face[2] - state.robot_pose[2])
+    face = Facing(
+        heading=heading,
+        yaw=yaw,
+        relative=relative,
+        pose=jnp.stack([*heading.back(to_face), angle]),
+        motion=jnp.stack([*heading.back(velocity), state.object_twist[2] - state.robot_twist[2]]),
+        normal=relative.then(Turn.by(state.face[2])),
     )
+    return once(face)
+
+
+def contact(face: Facing, gamma: Array) -> Contact:
+    """How the hands, held at the targets for steering angle ``gamma [...]`` [rad], stand against the face."""
+    n = face.normal
+    (left_x, left_y), (right_x, right_y) = hand_components(gamma)
+    x, y = jnp.stack([left_x, right_x]), jnp.stack([left_y, right_y])
+    away_x, away_y = face.pose[0] - x, face.pose[1] - y
+    along = away_y * n.c - away_x * n.s
+    touch = Contact(
+        gap=away_x * n.c + away_y * n.s - HAND_RADIUS,
+        lateral=-along,
+        rate=face.motion[0] * n.c + face.motion[1] * n.s + face.motion[2] * along,
+        hands=(x, y),
+    )
+    return once(touch)
 
 
 def robot_inputs(state: SystemState, u: Array) -> Array:
     """The inputs of R ``[..., 28]`` as ROBOT_INPUTS lists them; ``u [..., 3]`` is the command of this sample [rad]."""
-    touch = contact(state, state.last_u[..., 2])
-    half_width = state.face[..., 3:]
+    batch = jnp.broadcast_shapes(jnp.shape(state.robot_pose)[:-1], jnp.shape(u)[:-1])
+    inside = inward(state, batch)
+    u = channels_first(jnp.broadcast_to(u, (*batch, 3)))
+    face = facing(inside)
+    return channels_last(stacked_robot_inputs(inside, face, contact(face, inside.last_u[2]), u))
+
+
+def stacked_robot_inputs(state: SystemState, face: Facing, touch: Contact, u: Array) -> Array:
+    """`robot_inputs` with channels first: ``[28, ...]``, from the contact as the last command's steering has it."""
+    half_width = state.face[3:]
     return jnp.concatenate(
         [
-            se2.rotate(state.robot_twist, -state.robot_pose[..., 2]),
+            face.heading.back(state.robot_twist),
             state.lean,
             state.lean_rate,
-            touch.face,
-            touch.motion,
+            face.pose,
+            face.motion,
             jnp.clip(touch.gap, -GAP_LIMIT, GAP_LIMIT),
             jnp.clip(touch.lateral / half_width, -3.0, 3.0),
             touch.rate,
             state.last_force,
             state.last_u,
             u,
-            half_width,
-        ],
-        axis=-1,
+            jnp.broadcast_to(half_width, (1, *u.shape[1:])),
+        ]
     )
 
 
-def object_inputs(twist: Array, wrench: Array, last_twist: Array, size: Array) -> Array:
+def object_inputs(twist: Array, wrench: Array, last_twist: Array, size: Array, axis: int = -1) -> Array:
     """The inputs of psi ``[..., 10]`` as OBJECT_INPUTS lists them.
 
     Args:
@@ -176,12 +211,13 @@ def object_inputs(twist: Array, wrench: Array, last_twist: Array, size: Array) -
         wrench: ``[..., 3]`` about the object's centre, in {O}.
         last_twist: ``[..., 3]`` one sample earlier, in {O} of that time.
         size: ``[...]`` half the diagonal of the footprint [m].
+        axis: where the channels lie, in the arguments and in the answer; 0 for channels first.
     """
-    size = jnp.broadcast_to(jnp.asarray(size)[..., None], (*twist.shape[:-1], 1))
-    return jnp.concatenate([twist, wrench, last_twist, size], axis=-1)
+    batch = twist.shape[:-1] if axis == -1 else twist.shape[1:]
+    size = jnp.expand_dims(jnp.broadcast_to(jnp.asarray(size), batch), axis)
+    return jnp.concatenate([twist, wrench, last_twist, size], axis=axis)
 
 
 def _point_velocity(twist: Array, lever: Array) -> Array:
-    """Velocity ``[..., 2]`` of the point at ``lever`` from the origin of a body with this twist, all in one frame."""
-    spin = twist[..., 2:]
-    return twist[..., :2] + spin * jnp.stack([-lever[..., 1], lever[..., 0]], axis=-1)
+    """Velocity ``[2, ...]`` of the point at ``lever`` from the origin of a body with this twist, all in one frame."""
+    return jnp.stack([twist[0] - twist[2] * lever[1], twist[1] + twist[2] * lever[0]])

@@ -9,7 +9,18 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-__all__ = ["ACTIVATIONS", "MLP", "apply", "cap_spectral_norm", "init", "power_iterate", "with_normaliser"]
+__all__ = [
+    "ACTIVATIONS",
+    "MLP",
+    "Layers",
+    "apply",
+    "cap_spectral_norm",
+    "fold",
+    "forward",
+    "init",
+    "power_iterate",
+    "with_normaliser",
+]
 
 Array = Any
 
@@ -28,6 +39,17 @@ class MLP(NamedTuple):
     """``[n_0]`` subtracted from the input, in the input's unit."""
     scale: Array
     """``[n_0]`` the input is divided by this, in the input's unit."""
+
+
+class Layers(NamedTuple):
+    """The same network made ready for roll-outs: channels first, the normaliser folded into the first layer."""
+
+    weights: tuple[Array, ...]
+    """One ``[n_out, n_in]`` per layer."""
+    biases: tuple[Array, ...]
+    """One ``[n_out]`` per layer."""
+    skip: Array | None = None
+    """``[n_last, n_0]`` a linear map of the input that is added to the output."""
 
 
 def init(key: Array, widths: Sequence[int]) -> MLP:
@@ -52,6 +74,24 @@ def apply(mlp: MLP, x: Array, activation: str = "tanh") -> Array:
     for weight, bias in zip(mlp.weights[:-1], mlp.biases[:-1], strict=True):
         h = function(h @ weight + bias)
     return h @ mlp.weights[-1] + mlp.biases[-1]
+
+
+def fold(mlp: MLP) -> Layers:
+    """Prepare a network for `forward`; once per plan, so that its steps need not."""
+    first = mlp.weights[0].T / mlp.scale
+    biases = (mlp.biases[0] - first @ mlp.mean, *mlp.biases[1:])
+    return Layers((first, *(w.T for w in mlp.weights[1:])), biases)
+
+
+def forward(layers: Layers, x: Array, activation: str = "tanh") -> Array:
+    """What `apply` gives, with channels first: ``[n_last, ...]`` for ``x [n_0, ...]``."""
+    function = ACTIVATIONS[activation]
+    ones = (1,) * (x.ndim - 1)
+    h = x
+    for i, (weight, bias) in enumerate(zip(layers.weights, layers.biases, strict=True)):
+        h = jnp.tensordot(weight, h, axes=1) + bias.reshape(-1, *ones)
+        h = function(h) if i + 1 < len(layers.weights) else h
+    return h if layers.skip is None else h + jnp.tensordot(layers.skip, x, axes=1)
 
 
 def power_iterate(weight: Array, vector: Array, steps: int = 1) -> tuple[Array, Array]:

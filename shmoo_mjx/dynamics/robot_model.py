@@ -12,7 +12,16 @@ from scipy.linalg import expm
 from shmoo_mjx.dynamics import features, mlp
 from shmoo_mjx.types import DT
 
-__all__ = ["LeanResponse", "RobotConfig", "RobotParams", "init", "lag", "lean_step", "predict"]
+__all__ = [
+    "LeanResponse",
+    "RobotConfig",
+    "RobotParams",
+    "fold",
+    "init",
+    "lag",
+    "lean_step",
+    "predict",
+]
 
 Array = Any
 
@@ -64,6 +73,14 @@ def predict(params: RobotParams, inputs: Array, config: RobotConfig) -> tuple[Ar
     return out[..., :3], out[..., 3:]
 
 
+def fold(params: RobotParams) -> mlp.Layers:
+    """R made ready for roll-outs: `mlp.forward` of it gives ``[5, ...]`` in the units of ROBOT_OUTPUTS."""
+    net = mlp.fold(params.net)
+    last = net.weights[-1] * params.output_scale[:, None]
+    bias = net.biases[-1] * params.output_scale + params.output_mean
+    return net._replace(weights=(*net.weights[:-1], last), biases=(*net.biases[:-1], bias))
+
+
 def lag(frequency: float, damping: float, dt: float = DT) -> LeanResponse:
     """The response phi'' = w^2 (u - phi) - 2 zeta w phi' for w [rad/s] and zeta [1], the same in x and y."""
     system = np.array([[0.0, 1.0, 0.0], [-(frequency**2), -2 * damping * frequency, frequency**2], [0.0, 0.0, 0.0]])
@@ -73,10 +90,11 @@ def lag(frequency: float, damping: float, dt: float = DT) -> LeanResponse:
 
 
 def lean_step(response: LeanResponse, lean: Array, rate: Array, target: Array, force: Array) -> tuple[Array, Array]:
-    """Lean and its rate ``[..., 2]`` [rad, rad/s] one sample later.
+    """Lean and its rate ``[2, ...]`` [rad, rad/s] one sample later, channels first.
 
-    ``target`` is the command, ``force`` the one of the last sample in {R}, both ``[..., 2]``.
+    ``target`` is the command, ``force`` the one of the last sample in {R}, both ``[2, ...]``.
     """
-    inputs = jnp.stack([lean, rate, target, force, jnp.ones_like(lean)], axis=-1)
-    out = jnp.sum(response.matrix * inputs[..., None, :], axis=-1)
-    return out[..., 0], out[..., 1]
+    m = response.matrix.reshape(*response.matrix.shape, *(1,) * (lean.ndim - 1))
+    inputs = (lean, rate, target, force, 1.0)
+    new, new_rate = (sum(m[:, row, k] * inputs[k] for k in range(5)) for row in range(2))
+    return new, new_rate

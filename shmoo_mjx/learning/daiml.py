@@ -15,7 +15,7 @@ it from that (Eq. 6). Readings:
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -49,7 +49,7 @@ class DaimlConfig:
     """Settings of the training of psi."""
 
     object: ObjectConfig = field(default_factory=lambda: ObjectConfig())
-    horizon: int = 20
+    horizon: int = 5
     """H of Eq. 4 [samples]."""
     open_loop: bool = True
     """Feed the prediction back over the H steps; otherwise the recorded twist (teacher-forced)."""
@@ -77,7 +77,7 @@ class DaimlConfig:
     """Weight of the adversarial term of Eq. 6; 0 leaves the discriminator out."""
     discriminator_share: float = 0.5
     """Probability that an update also trains the discriminator."""
-    learning_rate: float = 1e-3
+    learning_rate: float = 2e-3
     chunks: int = 40
     """Most chunks; the learning rate falls to zero over them along a cosine."""
     chunk_updates: int = 150
@@ -153,10 +153,12 @@ def fit(
     out_dir: str | Path | None = None,
     progress: Callable[[training.Progress], None] | None = None,
 ) -> ObjectFit:
-    """DAIML on any {condition: (x, y)} arrays; inputs of an unknown meaning can not be fed back, so teacher-forced."""
-    from dataclasses import replace
+    """DAIML on any {condition: (x, y)} arrays.
 
-    config = replace(config or DaimlConfig(), open_loop=False)
+    Inputs of an unknown meaning can not be fed back, so it is teacher-forced, and no trial body can answer to them.
+    """
+    config = config or DaimlConfig()
+    config = replace(config, open_loop=False, object=replace(config.object, trial_bodies=0))
     return fit_rows(rows_from_arrays(train), rows_from_arrays(validation), config, out_dir, progress)
 
 
@@ -228,7 +230,9 @@ def _init(config: DaimlConfig, rows: Rows) -> _State:
     n_axes = rows.labels.shape[-1]
     params = object_model.init(net_key, config.object, rows.inputs.shape[-1], n_axes)
     params = params._replace(
-        net=mlp.with_normaliser(params.net, jnp.asarray(rows.inputs[rows.weights > 0])),
+        net=mlp.with_normaliser(
+            params.net, object_model.network_inputs(params, jnp.asarray(rows.inputs[rows.weights > 0]))
+        ),
         label_scale=jnp.asarray(label_scale(rows), jnp.float32),
     )
     mean = 0.3 * jax.random.normal(mean_key, (n_axes, config.object.functions))
@@ -252,13 +256,14 @@ def _init(config: DaimlConfig, rows: Rows) -> _State:
 def _learned(model: _Model) -> tuple[Any, ...]:
     """The part of the model that gradients move: not the normalisers."""
     net = model.params.net
-    return net.weights, net.biases, model.params.linear, model.mean, model.factor, model.log_noise
+    params = model.params
+    return net.weights, net.biases, params.linear, params.bodies, model.mean, model.factor, model.log_noise
 
 
 def _with_learned(model: _Model, learned: tuple[Any, ...], linear_terms: bool) -> _Model:
-    weights, biases, linear, mean, factor, log_noise = learned
+    weights, biases, linear, bodies, mean, factor, log_noise = learned
     net = model.params.net._replace(weights=weights, biases=biases)
-    params = model.params._replace(net=net, linear=linear if linear_terms else model.params.linear)
+    params = model.params._replace(net=net, linear=linear if linear_terms else model.params.linear, bodies=bodies)
     return _Model(params, mean, factor, log_noise)
 
 

@@ -107,6 +107,31 @@ def test_temperature_limits_and_cost_scale() -> None:
     )
 
 
+@pytest.mark.parametrize("scale", [1e-30, 1.0, 1e30])
+def test_equal_costs_weigh_the_same_and_scales_do_not_break(scale: float) -> None:
+    weigh = partial(mppi.importance_weights, CFG, valid=jnp.ones(4, bool))
+    np.testing.assert_allclose(weigh(jnp.full(4, scale)), np.full(4, 0.25), rtol=1e-6)
+    spread = np.asarray(weigh(scale * jnp.array([3.0, 1.0, 2.0, 1.0])))
+    assert spread.sum() == pytest.approx(1.0, abs=1e-6)
+    expected = [0.25] * 4 if scale < 1 else [0.0, 0.5, 0.0, 0.5]  # far below and far above the temperature of 0.05
+    np.testing.assert_allclose(spread, expected, atol=1e-6)
+
+
+def test_one_nan_rollout_changes_nothing_but_its_own_weight() -> None:
+    def plan(bad: bool) -> mppi.Plan:
+        def cost(traj: Any, controls: Any, last_u: Any) -> Any:
+            costs = quadratic(traj, controls, last_u)
+            return costs.at[7].set(jnp.nan if bad else 1e6)  # a roll-out so dear weighs nothing either
+
+        return mppi.improve(CFG, integrate, cost, X0, jnp.zeros((6, 3)), jnp.zeros(3), jax.random.key(2))
+
+    clean, broken = plan(False), plan(True)
+    assert int(clean.invalid) == 0 and int(broken.invalid) == 1 and bool(broken.ok)
+    assert float(broken.weights[7]) == 0.0
+    np.testing.assert_allclose(broken.weights, clean.weights, atol=1e-7)
+    np.testing.assert_allclose(broken.nominal, clean.nominal, atol=1e-6)
+
+
 def test_invalid_rollouts_are_ignored_and_counted() -> None:
     def broken(x0: Any, controls: Any) -> Any:
         # The state blows up wherever the first control is positive; the cost below does not look at it.

@@ -12,7 +12,9 @@ from shmoo_mjx.dynamics import CoreConfig, ObjectConfig, Params, contact_wrench,
 from shmoo_mjx.hands import HAND_RADIUS, REACH
 from shmoo_mjx.types import DT, SystemState
 
-CONFIG = CoreConfig(object=ObjectConfig(per_axis=False))
+CONFIG = CoreConfig(object=ObjectConfig(functions=6, per_axis=False, trial_bodies=0))
+SHAPE = (3, ObjectConfig().functions)
+"""Of the default coefficients."""
 
 
 def touching(compression: float = 0.02, speed: float = 0.0) -> SystemState:
@@ -97,7 +99,7 @@ def test_a_lag_is_exact_for_any_damping() -> None:
 
 
 def test_rollout_is_step_repeated_and_batches() -> None:
-    params = core.init(jax.random.key(0))._replace(coefficients=0.3 * jax.random.normal(jax.random.key(2), (3, 6)))
+    params = core.init(jax.random.key(0))._replace(coefficients=0.3 * jax.random.normal(jax.random.key(2), SHAPE))
     controls = 0.1 * jax.random.normal(jax.random.key(1), (4, 6, 3))
     state = touching()
     one = state
@@ -113,7 +115,7 @@ def test_rollout_is_step_repeated_and_batches() -> None:
 
 
 def test_rollout_is_differentiable() -> None:
-    params = core.init(jax.random.key(0))._replace(coefficients=0.3 * jax.random.normal(jax.random.key(2), (3, 6)))
+    params = core.init(jax.random.key(0))._replace(coefficients=0.3 * jax.random.normal(jax.random.key(2), SHAPE))
 
     def end(a: jax.Array, controls: jax.Array) -> jax.Array:
         return core.rollout(params._replace(coefficients=a), touching(), controls)[0].object_pose[-1, 0]

@@ -34,7 +34,7 @@ def trained(synthetic_dataset: store.Dataset) -> daiml.ObjectFit:
 def test_unseen_objects_are_predicted(synthetic_dataset: store.Dataset, trained: daiml.ObjectFit) -> None:
     held_out = rows.rows_from_dataset(synthetic_dataset.split("test"))
     one_step, twist = daiml.validation_scores(SMALL, held_out, trained)
-    frozen = trained._replace(prior_covariance=1e-9 * jnp.eye(18))
+    frozen = trained._replace(prior_covariance=1e-9 * jnp.eye(trained.prior_mean.size))
     prior_only, _ = daiml.validation_scores(SMALL, held_out, frozen)
     assert float(jnp.mean(one_step)) < 0.15
     assert float(jnp.mean(twist)) < 0.2
@@ -44,7 +44,8 @@ def test_unseen_objects_are_predicted(synthetic_dataset: store.Dataset, trained:
 
 def test_the_prior_is_a_distribution(trained: daiml.ObjectFit) -> None:
     covariance, noise = np.asarray(trained.prior_covariance, float), np.asarray(trained.noise, float)
-    assert covariance.shape == (18, 18) and trained.prior_mean.shape == (3, 6)
+    n = SMALL.object.functions
+    assert covariance.shape == (3 * n, 3 * n) and trained.prior_mean.shape == (3, n)
     np.linalg.cholesky(covariance)
     np.linalg.cholesky(noise)
 
@@ -76,7 +77,7 @@ def test_a_checkpoint_of_another_training_is_not_continued() -> None:
 def test_open_loop_feeds_its_own_twist_back(per_axis: bool) -> None:
     config = ObjectConfig(hidden=(8,), per_axis=per_axis, linear_terms=True)
     params = object_model.init(jax.random.key(0), config)
-    a = jax.random.normal(jax.random.key(1), (3, 6))
+    a = jax.random.normal(jax.random.key(1), (3, config.functions))
     inputs = jax.random.normal(jax.random.key(2), (4, 7, 10))
     fed, twists = multistep.open_loop(params, a, inputs, config)
     forced, recorded = multistep.open_loop(params, a, inputs, config, feed_back=False)
@@ -92,7 +93,8 @@ def test_open_loop_feeds_its_own_twist_back(per_axis: bool) -> None:
 def test_design_matrix_is_the_model() -> None:
     for config in (ObjectConfig(hidden=(8,), per_axis=False), ObjectConfig(hidden=(8,))):
         params = object_model.init(jax.random.key(0), config)._replace(label_scale=jnp.array([1.0, 2.0, 3.0]))
-        a, x = jax.random.normal(jax.random.key(1), (3, 6)), jax.random.normal(jax.random.key(2), (5, 10))
+        a = jax.random.normal(jax.random.key(1), (3, config.functions))
+        x = jax.random.normal(jax.random.key(2), (5, 10))
         phi = object_model.design_matrix(params, x, config)
         expected = object_model.predict(params, a, x, config)
         np.testing.assert_allclose(phi @ a.reshape(-1), expected, atol=1e-5)

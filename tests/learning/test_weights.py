@@ -30,7 +30,8 @@ def test_round_trip(path: Path) -> None:
 
 def test_parts_are_put_together() -> None:
     made, other = weights.untrained(CONFIG), weights.untrained(CONFIG, seed=1)
-    body = daiml.ObjectFit(other.params.object, jnp.ones((3, 6)), 2 * jnp.eye(18), 3 * jnp.eye(3), 0.2, [])
+    mean = jnp.ones_like(other.params.coefficients)
+    body = daiml.ObjectFit(other.params.object, mean, 2 * jnp.eye(mean.size), 3 * jnp.eye(3), 0.2, [])
     robot = robot_fit.RobotFit(other.params.robot, 0.1, np.zeros(5), [])
     both = weights.with_robot(weights.with_object(made, body), robot)
     assert both.info == {"object_score": 0.2, "robot_score": 0.1} and both.config == CONFIG

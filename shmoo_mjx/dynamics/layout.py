@@ -1,0 +1,83 @@
+"""Channels first: how arrays lie inside the transition.
+
+Outside, a state is ``[..., n]``. Inside, it is ``[n, ...]``, so that each channel of a batch of roll-outs is one whole
+vector of samples: on a CPU that makes arithmetic on poses and contacts several times as fast, and the networks' matrix
+products need no transposition. This module is the only place where one becomes the other.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from shmoo_mjx.types import SystemState
+
+__all__ = ["Turn", "channels_first", "channels_last", "inward", "once", "outward"]
+
+Array = Any
+
+
+def channels_first(x: Array) -> Array:
+    """``[..., n]`` as ``[n, ...]``."""
+    return jnp.moveaxis(jnp.asarray(x), -1, 0)
+
+
+def channels_last(x: Array) -> Array:
+    """``[n, ...]`` as ``[..., n]``."""
+    return jnp.moveaxis(x, 0, -1)
+
+
+def inward(state: SystemState, batch: tuple[int, ...]) -> SystemState:
+    """A state with channels first and its batch dimensions spread to ``batch``; face and size are not copied.
+
+    Face and size get batch dimensions of length 1 where they are the same for all.
+    """
+    moving = state._replace(face=None, size=None)
+    spread = jax.tree.map(lambda x: channels_first(jnp.broadcast_to(x, (*batch, jnp.shape(x)[-1]))), moving)
+    face, size = jnp.asarray(state.face), jnp.asarray(state.size)
+    face = face.reshape((1,) * (len(batch) + 1 - face.ndim) + face.shape)
+    return spread._replace(face=channels_first(face), size=size.reshape((1,) * (len(batch) - size.ndim) + size.shape))
+
+
+def outward(state: SystemState) -> SystemState:
+    """The inverse of `inward`: channels last, face and size spread over the whole batch."""
+    batch = state.robot_pose.shape[1:]
+    moving = jax.tree.map(channels_last, state._replace(face=None, size=None))
+    face = channels_last(jnp.broadcast_to(state.face, (state.face.shape[0], *batch)))
+    return moving._replace(face=face, size=jnp.broadcast_to(state.size, batch))
+
+
+def once(tree: Any) -> Any:
+    """The same values, computed once: left alone, XLA repeats cheap-looking geometry for every use of it."""
+    return jax.lax.optimization_barrier(tree)
+
+
+class Turn(NamedTuple):
+    """A rotation by some angle, kept as its cosine and sine: those are worth computing once."""
+
+    c: Array
+    s: Array
+
+    @classmethod
+    def by(cls, angle: Array) -> Turn:
+        """R_z(angle)."""
+        return cls(jnp.cos(angle), jnp.sin(angle))
+
+    def __call__(self, vector: Array) -> Array:
+        """`se2.rotate` with channels first: turns the first two of ``vector [2 or 3, ...]``."""
+        x, y = vector[0], vector[1]
+        return jnp.stack([self.c * x - self.s * y, self.s * x + self.c * y, *vector[2:]])
+
+    def back(self, vector: Array) -> Array:
+        """The inverse rotation."""
+        return self.inverse()(vector)
+
+    def then(self, other: Turn) -> Turn:
+        """The rotation by the sum of both angles."""
+        return Turn(self.c * other.c - self.s * other.s, self.s * other.c + self.c * other.s)
+
+    def inverse(self) -> Turn:
+        """The rotation by the negative angle."""
+        return Turn(self.c, -self.s)
