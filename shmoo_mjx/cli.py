@@ -49,6 +49,7 @@ def navigate(
     out: Path = Path("runs/navigate"),
     weights: Path | None = None,
     video: bool = True,
+    record: bool = False,
 ) -> int:
     """Run a scenario in any ROS map_server map.
 
@@ -62,13 +63,14 @@ def navigate(
         out: folder for result.json, report.html and episode.mp4.
         weights: trained weights (default: the shipped ones).
         video: draw episode.mp4.
+        record: write episode.rrd too, a 3-D recording to scrub through (needs the package rerun-sdk).
     """
     from shmoo_mjx import progress, run
 
     grid, task = run.load_inputs(map, scenario, start, goal)
     name = str(scenario) if scenario else "--start/--goal"
     with progress.stages() as report:
-        result = run.run_scenario(grid, task, out, weights, video, name, report)
+        result = run.run_scenario(grid, task, out, weights, video, name, report, record)
     print(f"{result['outcome']}: {result['reason']}; {out / 'report.html'}")
     return 0 if result["outcome"] == "success" else 1
 
@@ -154,9 +156,9 @@ def map_(
 
 def object_(
     action: Positional[Literal["add"]],
-    mesh: Positional[Path],
-    mass: float,
+    source: Positional[Path],
     friction: float,
+    mass: float | None = None,
     wheels: Literal["none", "casters", "rear"] = "none",
     wheel_radius: float = 0.04,
     rolling: float = 0.02,
@@ -166,15 +168,15 @@ def object_(
     hull: bool = False,
     out: Path | None = None,
 ) -> int:
-    """Turn a mesh file (STL, OBJ, PLY, GLB) into an object that a scenario can name as its family.
+    """Turn a mesh (STL, OBJ, PLY, GLB) or MJCF file into an object that a scenario can name as its family.
 
     Example: shmoo object add chair.stl --mass 7 --friction 0.4 --wheels casters
 
     Args:
         action: add.
-        mesh: mesh file.
-        mass: of the whole object [kg].
+        source: mesh file, or MJCF file (.xml) of one rigid object.
         friction: Coulomb coefficient of feet or wheels on the floor.
+        mass: of the whole object [kg]; an MJCF file's own if not given.
         wheels: none (slides on its feet), casters, or rear (two fixed wheels behind, casters in front).
         wheel_radius: [m].
         rolling: rolling resistance coefficient of each wheel.
@@ -182,11 +184,124 @@ def object_(
         scale: metres per unit of the file; 0.001 for millimetres.
         up: which axis of the file points up; auto is y for GLB and glTF, else z.
         hull: take the mass distribution of the convex hull, for a mesh that is not closed.
-        out: file to write (default: the mesh's name with .json, in the present folder).
+        out: file to write (default: the source's name with .json, in the present folder).
     """
     from shmoo_mjx.plant.mesh import add_object
 
-    print(add_object(mesh, mass, friction, wheels, wheel_radius, rolling, swivel_friction, scale, up, hull, out))
+    print(add_object(source, mass, friction, wheels, wheel_radius, rolling, swivel_friction, scale, up, hull, out))
+    return 0
+
+
+def view(
+    what: Positional[str] = "robot",
+    seed: int = 0,
+    record: Path | None = None,
+    out: Path = Path("runs/view"),
+    seconds: float = 8.0,
+    window: bool = True,
+) -> int:
+    """Show a scene and drive the robot with the keyboard; where no window can open, write a picture and a film.
+
+    Example: shmoo view cart --seed 3 --record data/mine
+
+    Args:
+        what: robot, demo, box, cart, wheelchair, an object file (*.json) or a scenario file (*.yaml).
+        seed: of the object or the demo.
+        record: data set that the drive is added to when the window is closed.
+        out: folder for scene.png and view.mp4, where no window can open.
+        seconds: length of the film [s].
+        window: open a window if there is a display (--no-window always writes the film).
+    """
+    from shmoo_mjx import teleop
+    from shmoo_mjx import view as viewing
+
+    scene = viewing.scene_named(what, seed)
+    if window and viewing.has_display():
+        print("\n".join(teleop.KEYS.values()))
+        viewing.interactive(scene, record)
+        return 0
+    if record is not None:
+        raise ShmooError("--record needs a display, for the keyboard; shmoo collect records scripted operators.")
+    for path in viewing.film(scene, out, seconds):
+        print(path)
+    return 0
+
+
+def experiment(
+    name: Positional[str],
+    seed: int = 0,
+    condition_seed: int = 0,
+    json: Path | None = None,
+    quick: bool = False,
+    data: Path | None = None,
+    maps: Path | None = None,
+    scenarios: int | None = None,
+    weights: Path | None = None,
+    out: Path = Path("runs/experiments"),
+) -> int:
+    """Run an experiment: object_model, baselines, robot_finetune, pushing, object_planner, real_pushing or navigation.
+
+    Example: shmoo experiment object_model --json object_model.json
+
+    Args:
+        name: which experiment.
+        seed: of trainings, operators and noise.
+        condition_seed: draws the unseen objects or scenarios; another number gives others nobody has looked at.
+        json: file for the result (default: OUT/NAME.json).
+        quick: a short form of the same shape.
+        data: data set, for the experiments that take one (made if absent; real_pushing: a folder of recorded pushes).
+        maps: folder with map_server maps, for navigation.
+        scenarios: scenarios per map, for navigation.
+        weights: trained weights (default: the shipped ones).
+        out: folder for figures and what an interrupted experiment goes on from.
+    """
+    from shmoo_mjx import progress
+    from shmoo_mjx.evaluation.registry import run_experiment
+    from shmoo_mjx.evaluation.result import Ask, table, write_result
+
+    with progress.stages() as report:
+        ask = Ask(seed, condition_seed, quick, data, maps, scenarios, weights, out, report)
+        result = run_experiment(name, ask)
+    target = json or out / f"{name}.json"
+    write_result(target, result)
+    print(table(result))
+    print(target)
+    return 0
+
+
+def bench(
+    name: Positional[Literal["mppi"]],
+    json: Path | None = None,
+    quick: bool = False,
+    peers_python: Path | None = None,
+    seed: int = 0,
+    out: Path = Path("runs/benchmarks"),
+) -> int:
+    """Measure how fast a part is beside what else does the same work: mppi, the control step.
+
+    Example: shmoo bench mppi --peers-python peers/bin/python --json mppi.json
+
+    Args:
+        name: mppi.
+        json: file for the result (default: OUT/bench_NAME.json).
+        quick: a short form of the same shape.
+        peers_python: Python interpreter with torch and pytorch-mppi (default: this one); absent peers are left out.
+        seed: of made-up weights and noise.
+        out: folder for the result.
+    """
+    from shmoo_mjx import progress
+    from shmoo_mjx.benchmarking.registry import BenchAsk, run_benchmark
+    from shmoo_mjx.evaluation.result import table, write_result
+
+    with progress.stages() as report:
+        result = run_benchmark(name, BenchAsk(quick, peers_python, seed, report))
+    target = json or out / f"bench_{name}.json"
+    write_result(target, result)
+    print(table(result))
+    for row in result.rows:
+        if "absent" in row:
+            print(row["absent"])
+    print(f"{result.config['device']}, {result.config['cores']} cores; {target}")
     return 0
 
 
@@ -207,6 +322,9 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
     "train": train,
     "map": map_,
     "object": object_,
+    "view": view,
+    "experiment": experiment,
+    "bench": bench,
     "doctor": doctor,
 }
 
@@ -227,6 +345,10 @@ def _prepare_environment() -> None:
     cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "shmoo_mjx" / "jax"
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache))
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if cores > 1 and "xla_force_host_platform_device_count" not in os.environ.get("XLA_FLAGS", ""):
+        # XLA runs small matrix products on one core: MPPI shares its samples out among these devices.
+        os.environ.setdefault("JAX_NUM_CPU_DEVICES", str(min(cores, 4)))
     if sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
         # MuJoCo's default window system needs a display; EGL renders without one.
         os.environ.setdefault("MUJOCO_GL", "egl")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
 
@@ -10,17 +10,18 @@ import numpy as np
 
 from shmoo_mjx import se2
 from shmoo_mjx.control.pushing import PushController
+from shmoo_mjx.navigation.belief import Status
 from shmoo_mjx.navigation.maps import OccupancyGrid, occupied_rectangles
 from shmoo_mjx.navigation.navigator import Navigator
 from shmoo_mjx.navigation.records import Mode, NavigatorConfig
 from shmoo_mjx.navigation.scenario import Scenario
-from shmoo_mjx.plant.engine_mujoco import MujocoEngine
+from shmoo_mjx.plant.engine_mujoco import MujocoEngine, World
 from shmoo_mjx.plant.objects import Condition, draw_condition
 from shmoo_mjx.plant.scene import Scene, build_scene
 from shmoo_mjx.report.trace import Trace
 from shmoo_mjx.types import DT, Observation
 
-__all__ = ["Episode", "conditions_of", "run_episode", "scene_of"]
+__all__ = ["Episode", "Hooks", "conditions_of", "run_episode", "scene_of"]
 
 
 class Episode(NamedTuple):
@@ -32,6 +33,21 @@ class Episode(NamedTuple):
     scene: Scene
     qpos: np.ndarray
     """``[T, nq]`` for rendering."""
+    navigator: Navigator
+    """As it was at the end."""
+
+
+class Hooks(NamedTuple):
+    """What a caller may add to a run; each is called once a sample."""
+
+    progress: Callable[[float, str], None] = lambda time, mode: None
+    """Takes (simulated time [s], state)."""
+    perceive: Callable[[Observation], Observation] = lambda seen: seen
+    """What the robot's senses make of the truth; NaN stands for the pose of an object that was not detected."""
+    disturb: Callable[[Scene, World], World] = lambda scene, world: world
+    """What others do in the world, such as moving an object or releasing its brakes."""
+    over: Callable[[Navigator], bool] = lambda navigator: False
+    """Ends the run before the navigator does."""
 
 
 @dataclass
@@ -60,7 +76,8 @@ def run_episode(
     scenario: Scenario,
     controller: PushController,
     config: NavigatorConfig | None = None,
-    progress: Callable[[float, str], None] = lambda time, mode: None,
+    hooks: Hooks = Hooks(),  # noqa: B008  (immutable)
+    first_status: Sequence[Status] | None = None,
 ) -> Episode:
     """Run ``scenario`` until the navigator ends, the robot falls or time is up.
 
@@ -69,21 +86,24 @@ def run_episode(
         scenario: start, goal, objects, limits.
         controller: the adaptive pushing controller.
         config: the navigator's settings.
-        progress: called at each sample with (simulated time [s], state).
+        hooks: callbacks of the caller.
+        first_status: what the robot takes each object to be when it first sees it; UNKNOWN if not given.
     """
     conditions = conditions_of(scenario)
     scene = scene_of(grid, scenario, conditions)
     engine = MujocoEngine([scene])
     sizes = [c.half_extents for c in conditions]
-    navigator = Navigator(grid, scenario.goal, sizes, controller, scenario.seed, config)
+    navigator = Navigator(grid, scenario.goal, sizes, controller, scenario.seed, config, first_status)
     world = engine.init()
     seen = engine.observe(world)
     record = _Record([], [])
     while not navigator.finished and float(seen.time[0]) < scenario.limits.time_s and not record.falls:
-        command = navigator.tick(seen)
-        progress(float(seen.time[0]), str(navigator.mode))
+        command = navigator.tick(hooks.perceive(seen))
+        hooks.progress(float(seen.time[0]), str(navigator.mode))
         _note(record, navigator, seen, command.u[0], world.physics[0, 1 : 1 + scene.model.nq])
-        world, seen = engine.step(world, command)
+        if hooks.over(navigator):
+            break
+        world, seen = engine.step(hooks.disturb(scene, world), command)
         # A contact counts once, however long it lasts.
         record.wall_contacts += int(world.wall_contact[0] and not record.touching)
         record.touching = bool(world.wall_contact[0])
@@ -94,6 +114,7 @@ def run_episode(
         _trace(grid, navigator, record),
         scene,
         np.array(record.qpos),
+        navigator,
     )
 
 
@@ -187,6 +208,7 @@ def _result(
             }
             for d in navigator.decisions
         ],
+        "events": [{"t": round(t, 2), "what": what} for t, what in navigator.belief.events],
         "objects": objects,
         "config": {"navigator": asdict(navigator.config), "scenario": scenario.model_dump(mode="json"), "dt": DT},
     }

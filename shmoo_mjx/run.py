@@ -38,6 +38,7 @@ def run_scenario(
     video: bool = True,
     name: str = "scenario",
     progress: Callable[[str, float], None] = lambda stage, fraction: None,
+    record: bool = False,
 ) -> dict[str, Any]:
     """Run one scenario and write its folder ``out``.
 
@@ -49,6 +50,7 @@ def run_scenario(
         video: draw episode.mp4, which takes about as long as the simulation.
         name: what to call the scenario in error messages.
         progress: called with (stage, fraction of its limit that has passed).
+        record: also write episode.rrd, a 3-D recording for the Rerun viewer.
 
     Returns:
         The result, as in result.json.
@@ -60,20 +62,22 @@ def run_scenario(
     _check_objects(scenario, name)
     # Only now what takes seconds to import: bad input is answered at once.
     from shmoo_mjx.control.pushing import PushController
-    from shmoo_mjx.episode import run_episode
+    from shmoo_mjx.episode import Hooks, run_episode
     from shmoo_mjx.learning.weights import load_weights
     from shmoo_mjx.navigation.records import NavigatorConfig
     from shmoo_mjx.report.html import write_report
+    from shmoo_mjx.report.recording import require_viewer, write_recording
     from shmoo_mjx.report.trace import save_trace, write_bytes
 
+    if record:
+        require_viewer()
     config = NavigatorConfig()
     loaded = load_weights(weights or asset(DEMO_WEIGHTS))
     controller = PushController(loaded)
     out.mkdir(parents=True, exist_ok=True)
     limit = scenario.limits.time_s
-    episode = run_episode(
-        grid, scenario, controller, config, lambda t, mode: progress(f"simulating: {mode}", t / limit)
-    )
+    hooks = Hooks(progress=lambda t, mode: progress(f"simulating: {mode}", t / limit))
+    episode = run_episode(grid, scenario, controller, config, hooks)
     result = {"name": out.name, **episode.result, "versions": versions(), "weights": loaded.info}
     result["config"]["pushing"] = asdict(controller.config)
     save_map(grid, out / "map.yaml")
@@ -82,6 +86,9 @@ def run_scenario(
     write_bytes(out / "result.json", (json.dumps(result, indent=1, default=float) + "\n").encode())
     # The report shows the film that lies there: one of an earlier run must not.
     (out / "episode.mp4").unlink(missing_ok=True)
+    (out / "episode.rrd").unlink(missing_ok=True)
+    if record:
+        write_recording(out / "episode.rrd", result, episode.trace)
     if video:
         _write_video(out / "episode.mp4", result, episode, progress)
     progress("writing the report", 0.9)

@@ -20,6 +20,7 @@ __all__ = [
     "Clearance",
     "PushCost",
     "aim_error",
+    "allowed_speed",
     "change",
     "clearance_at",
     "clearance_penalty",
@@ -62,14 +63,18 @@ class PushCost:
     heading_weight: float = 0.0
     """Per rad between the robot's heading and the face's inward normal, averaged over the roll-out [m/rad]."""
     aim_weight: float = 0.0
-    """Per metre that the goal lies beside the axis along which the face is pushed, averaged over the roll-out [-]:
-    turning an object towards its goal pays only after the horizon's end."""
+    """Per metre by which a push along the face's normal would miss the goal, averaged over the roll-out [-]: turning an
+    object towards its goal pays only after the horizon's end. Where the yaw counts, see ``aim_error``."""
     speed_weight: float = 0.0
     """Per m/s of the object at the end [s]: pushing can't brake what rolls."""
     haste_weight: float = 0.0
     """Per m/s of the robot above ``speed_limit``, averaged over the roll-out [s]."""
     speed_limit: float = 0.4
     """Speed of the robot that is free of charge [m/s]."""
+    creep: float = 0.0
+    """... at the goal [m/s]: pushing can't brake, so that what rolls has to arrive slowly."""
+    slow_down: float = 0.0
+    """By how much more per metre from the goal, up to ``speed_limit`` [1/s]; 0 leaves the limit the same everywhere."""
 
 
 class Clearance(Protocol):
@@ -156,11 +161,22 @@ def face_misalignment(traj: SystemState, reach: float = REACH) -> tuple[Array, A
     return jnp.mean(jnp.abs(lateral), axis=-1), jnp.mean(jnp.abs(heading), axis=-1)
 
 
-def aim_error(goal: Array, traj: SystemState) -> Array:
-    """Distance of the goal from the line through the object's centre along the face's normal, mean ``[S]`` [m]."""
+def aim_error(goal: Array, traj: SystemState, with_yaw: bool = False) -> Array:
+    """By how much a push straight on would miss the goal, mean over the roll-out ``[S]`` [m].
+
+    The distance of the goal from the line through the object's centre along the face's normal. ``with_yaw``, instead of
+    the line, the arc that ends at the goal with the goal's yaw: at bearing b of the goal it starts in the direction
+    2 b - (direction at the goal). The lead over the bearing is limited to 0.6 rad.
+    """
+    offset = goal[..., :2] - traj.object_pose[..., :2]
     angle = traj.object_pose[..., 2] + traj.face[..., 2]
+    if with_yaw:
+        bearing = jnp.arctan2(offset[..., 1], offset[..., 0])
+        lead = se2.wrap(bearing - goal[..., 2] - traj.face[..., 2])
+        # Behind the goal the bearing says nothing about the yaw.
+        angle = angle - jnp.where(jnp.abs(lead) < jnp.pi / 2, jnp.clip(lead, -0.6, 0.6), 0.0)
     normal = jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=-1)
-    return jnp.mean(jnp.abs(se2.cross(normal, goal[..., :2] - traj.object_pose[..., :2])), axis=-1)
+    return jnp.mean(jnp.abs(se2.cross(normal, offset)), axis=-1)
 
 
 def terminal_speed(traj: SystemState) -> Array:
@@ -168,8 +184,15 @@ def terminal_speed(traj: SystemState) -> Array:
     return jnp.linalg.norm(traj.object_twist[..., -1, :2], axis=-1)
 
 
-def haste(traj: SystemState, limit: float) -> Array:
-    """Speed of the robot above ``limit`` [m/s], mean over the roll-out ``[S]`` [m/s]."""
+def allowed_speed(cfg: PushCost, distance: Array) -> Array:
+    """Speed of the robot that is free of charge [m/s] where the object is ``distance [...]`` [m] from its goal."""
+    if not cfg.slow_down:
+        return cfg.speed_limit + 0.0 * distance
+    return se2.array_module(distance).minimum(cfg.creep + cfg.slow_down * distance, cfg.speed_limit)
+
+
+def haste(traj: SystemState, limit: Array) -> Array:
+    """Speed of the robot above ``limit [S, T]`` or ``[]`` [m/s], mean over the roll-out ``[S]`` [m/s]."""
     return jnp.mean(jnp.maximum(jnp.linalg.norm(traj.robot_twist[..., :2], axis=-1) - limit, 0.0), axis=-1)
 
 
@@ -207,9 +230,10 @@ def push_cost(
         lateral, heading = face_misalignment(traj)
         cost = cost + cfg.lateral_weight * lateral + cfg.heading_weight * heading
     if cfg.aim_weight:
-        cost = cost + cfg.aim_weight * aim_error(goal, traj)
+        cost = cost + cfg.aim_weight * aim_error(goal, traj, with_yaw=cfg.yaw_weight > 0)
     if cfg.speed_weight:
         cost = cost + cfg.speed_weight * terminal_speed(traj)
     if cfg.haste_weight:
-        cost = cost + cfg.haste_weight * haste(traj, cfg.speed_limit)
+        distance = jnp.linalg.norm(goal[..., :2] - traj.object_pose[..., :2], axis=-1)
+        cost = cost + cfg.haste_weight * haste(traj, allowed_speed(cfg, distance))
     return cost

@@ -15,8 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from shmoo_mjx import se2
-from shmoo_mjx.control import cost, mppi
-from shmoo_mjx.dynamics import core, object_model
+from shmoo_mjx.control import cost, models, mppi
+from shmoo_mjx.control.governor import forward_lean, govern
+from shmoo_mjx.dynamics import core, features, object_model
 from shmoo_mjx.learning import adaptation
 from shmoo_mjx.learning.weights import Weights
 from shmoo_mjx.types import DT, Observation, SystemState
@@ -58,6 +59,16 @@ class PushConfig:
     adapt: adaptation.AdaptConfig = field(default_factory=adaptation.AdaptConfig)
     contact_force: float = 2.0
     """Force from which a sample counts as contact [N]."""
+    adapts: bool = True
+    """Eq. 8 is at work; False leaves the coefficients as they are, for comparison."""
+    governor: float = 0.25
+    """Lean per m/s left to the speed allowed that the governor grants beyond balance [rad s/m]; 0 switches it off."""
+    governor_room: float = 1.0
+    """By how much the plan may stay below that lean [rad]; 1 is no bound."""
+    coast_samples: int = 40
+    """How far ahead :meth:`PushController.coast` looks."""
+    least_drag: float = 0.08
+    """Deceleration that any object has on any floor, whatever the model says [m/s^2]: a rolling resistance of 0.008."""
 
 
 class LocalField(NamedTuple):
@@ -128,8 +139,11 @@ class PushController:
     def __init__(self, weights: Weights, config: PushConfig | None = None) -> None:
         self.config = config or PushConfig()
         self.weights = weights
-        self._step = jax.jit(partial(_step, self.config, weights.config))
-        self._rollouts = jax.jit(partial(_planning_rollouts, self.config, weights.config))
+        self._mesh = mppi.sample_mesh(self.config.control.samples)
+        self._params = mppi.replicated(self._mesh, weights.params)
+        self._step = mppi.compiled(partial(_step, self.config, weights.config, self._mesh), self._mesh)
+        self._rollouts = mppi.compiled(partial(_planning_rollouts, self.config, weights.config, self._mesh), self._mesh)
+        self._coast = jax.jit(partial(_coast, self.config, weights.config))
 
     def init(
         self, now: Sighting, face: Array, half_extents: Array, key: Array, adapt: adaptation.AdaptState | None = None
@@ -157,9 +171,19 @@ class PushController:
         """
         state, system, transition = self._perceive(state, now, last_u, half_extents)
         u, adapt, plan_state, plan = self._step(
-            self.weights.params, state.adapt, state.plan, system, transition, _f32(goal), around, _f32(half_extents)
+            self._params, state.adapt, state.plan, system, transition, _f32(goal), around, _f32(half_extents)
         )
-        return np.asarray(u, dtype=float), state._replace(adapt=adapt, plan=plan_state, before=system), plan
+        return self._governed(u, now, goal), state._replace(adapt=adapt, plan=plan_state, before=system), plan
+
+    def _governed(self, u: Array, now: Sighting, goal: Array) -> np.ndarray:
+        u = np.asarray(u, dtype=float)
+        if not self.config.governor:
+            return u
+        cfg, distance = self.config, float(np.linalg.norm(np.asarray(goal)[:2] - now.object_pose[:2]))
+        limit = float(cost.allowed_speed(cfg.cost, distance))
+        lean = forward_lean(now.robot_pose, now.robot_twist, now.lean_rate, now.wrench, limit, cfg.governor)
+        low, high = cfg.control.low[0], cfg.control.high[0]
+        return govern(u, float(np.clip(lean, low, high)), cfg.governor_room)
 
     def planning_rollouts(
         self, state: PushState, goal: Array, around: LocalField, half_extents: Array
@@ -170,9 +194,14 @@ class PushController:
             Object poses ``[S, T, 3]``, robot positions ``[S, T, 2]`` in {W} and costs ``[S]``.
         """
         poses, robots, costs = self._rollouts(
-            self.weights.params, state.adapt, state.plan, state.before, _f32(goal), around, _f32(half_extents)
+            self._params, state.adapt, state.plan, state.before, _f32(goal), around, _f32(half_extents)
         )
         return np.asarray(poses), np.asarray(robots), np.asarray(costs)
+
+    def coast(self, state: PushState) -> np.ndarray:
+        """Where the object comes to rest ``[3]`` in {W} if the hands let go of it now, as the adapted model has it."""
+        params = _with_coefficients(self.weights.params, state.adapt)
+        return np.asarray(self._coast(params, state.before), dtype=float)
 
     def _perceive(
         self, state: PushState, now: Sighting, last_u: Array, half_extents: Array
@@ -183,7 +212,7 @@ class PushController:
         force = se2.rotate(now.wrench[:2], -before.robot_pose[2])
         inputs = np.concatenate([twist_before, wrench, before.last_object_twist, [before.size]])
         label = se2.rotate((now.object_twist - before.object_twist) / DT, -before.object_pose[2])
-        valid = np.hypot(*force) > self.config.contact_force
+        valid = self.config.adapts and np.hypot(*force) > self.config.contact_force
         system = _system_state(now, twist_before, force, last_u, before.face, half_extents)
         state = state._replace(plan=state.plan._replace(last_u=_f32(last_u)))
         return state, system, _Transition(_f32(inputs), _f32(label), np.asarray(valid))
@@ -219,18 +248,16 @@ def _with_coefficients(params: core.Params, adapt: adaptation.AdaptState) -> cor
 def _functions(
     config: PushConfig, core_config: Any, params: core.Params, goal: Array, around: LocalField, half_extents: Array
 ) -> Any:
-    def rollout_fn(state: SystemState, controls: Array) -> SystemState:
-        return jax.vmap(lambda u: core.rollout(params, state, u, core_config)[0])(controls)
-
     def cost_fn(trajectory: SystemState, controls: Array, last_u: Array) -> Array:
         return cost.push_cost(config.cost, goal, trajectory, controls, last_u, around, half_extents)
 
-    return rollout_fn, cost_fn
+    return models.learned(params, core_config), cost_fn
 
 
 def _step(
     config: PushConfig,
     core_config: Any,
+    mesh: Any,
     params: core.Params,
     adapt: adaptation.AdaptState,
     plan_state: mppi.MppiState,
@@ -243,13 +270,14 @@ def _step(
     phi = object_model.design_matrix(params.object, transition.inputs, core_config.object)
     adapt = adaptation.step(config.adapt, adapt, phi, transition.label, transition.valid)
     rollout_fn, cost_fn = _functions(config, core_config, _with_coefficients(params, adapt), goal, around, half_extents)
-    u, plan_state, plan = mppi.plan(config.control, rollout_fn, cost_fn, system, plan_state)
+    u, plan_state, plan = mppi.plan(config.control, rollout_fn, cost_fn, system, plan_state, mesh)
     return u, adapt, plan_state, plan
 
 
 def _planning_rollouts(
     config: PushConfig,
     core_config: Any,
+    mesh: Any,
     params: core.Params,
     adapt: adaptation.AdaptState,
     plan_state: mppi.MppiState,
@@ -263,5 +291,23 @@ def _planning_rollouts(
     nominal = jnp.concatenate([plan_state.nominal, jnp.repeat(plan_state.nominal[-1:], extra, axis=0)])
     rollout_fn, cost_fn = _functions(config, core_config, _with_coefficients(params, adapt), goal, around, half_extents)
     key = jax.random.fold_in(plan_state.key, 1)
-    plan = mppi.improve(longer, rollout_fn, cost_fn, system, nominal, plan_state.last_u, key)
+    plan = mppi.improve(longer, rollout_fn, cost_fn, system, nominal, plan_state.last_u, key, mesh)
     return plan.trajectories.object_pose, plan.trajectories.robot_pose[..., :2], plan.costs
+
+
+def _coast(config: PushConfig, core_config: core.CoreConfig, params: core.Params, now: SystemState) -> Array:
+    """Pose ``[3]`` in {W} some samples on without a force. What nothing pushes slows down, and never turns back."""
+
+    def body(carry: tuple[Array, Array, Array], _: None) -> tuple[tuple[Array, Array, Array], None]:
+        pose, twist, last = carry
+        inside = se2.rotate(twist, -pose[2])
+        inputs = features.object_inputs(inside, jnp.zeros(3), last, now.size)
+        push = object_model.predict(params.object, params.coefficients, inputs, core_config.object)
+        new = twist + se2.rotate(push, pose[2]) * DT
+        speed = jnp.linalg.norm(twist[:2]) + 1e-6
+        kept = jnp.minimum(jnp.sum(new[:2] * twist[:2]) / speed**2, 1.0 - config.least_drag * DT / speed)
+        new = jnp.maximum(kept, 0.0) * twist
+        return (pose + 0.5 * (twist + new) * DT, new, inside), None
+
+    start = (now.object_pose, now.object_twist, now.last_object_twist)
+    return jax.lax.scan(body, start, None, length=config.coast_samples)[0][0]

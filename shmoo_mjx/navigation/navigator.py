@@ -6,25 +6,23 @@ sight and the force on its hands; what it knows of an object's dynamics it has l
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
 import numpy as np
 
-from shmoo_mjx import se2
 from shmoo_mjx.control.pushing import PushController, Sighting, local_field
-from shmoo_mjx.faces import faces_of, heading, stand_off
-from shmoo_mjx.hands import HAND_HEIGHT, HAND_RADIUS, REACH, TUCKED_HEIGHT, TUCKED_REACH
-from shmoo_mjx.navigation import drive, flat_trajectory
+from shmoo_mjx.faces import faces_of, heading
+from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
+from shmoo_mjx.navigation import drive
 from shmoo_mjx.navigation.belief import Belief, KnownObject, Status
-from shmoo_mjx.navigation.flat_trajectory import FlatModel
 from shmoo_mjx.navigation.maps import OccupancyGrid
+from shmoo_mjx.navigation.moves import Moves, command
 from shmoo_mjx.navigation.object_planner import initial_goal, planning_stage
 from shmoo_mjx.navigation.paths import Path, path_blocked_by, project
-from shmoo_mjx.navigation.records import Decision, Mode, NavigatorConfig, Push, Transition
+from shmoo_mjx.navigation.records import Approach, Decision, Mode, NavigatorConfig, Push, Transition
 from shmoo_mjx.navigation.routes import Routes
-from shmoo_mjx.plant.robot import ROBOT
 from shmoo_mjx.types import DT, Command, Observation
 
 __all__ = ["Navigator"]
@@ -43,10 +41,11 @@ class Navigator:
         controller: PushController,
         seed: int = 0,
         config: NavigatorConfig | None = None,
+        first_status: Sequence[Status] | None = None,
     ) -> None:
         self.config = config or NavigatorConfig()
         self.goal = np.asarray(goal, dtype=float)[:2]
-        self.belief = Belief(grid, self.config.sensing_range)
+        self.belief = Belief(grid, self.config.sensing_range, first_status)
         self._routes = Routes(self.belief, self.goal, self.config)
         self.mode = Mode.REPLAN
         self.path: Path | None = None
@@ -57,7 +56,7 @@ class Navigator:
         self._sizes = sizes
         self._controller = controller
         self._key = jax.random.key(seed)
-        self._planner = flat_trajectory.init(FlatModel(*ROBOT.flatness), self.config.trajectory)
+        self._moves = Moves(self._routes, self.config)
         self._drive = drive.init()
         self._last_u = np.zeros(3)
         self._handlers: dict[Mode, Callable[[Observation], Command]] = {
@@ -68,8 +67,8 @@ class Navigator:
             Mode.PUSH: self._push_step,
             Mode.RETREAT: self._retreat,
             Mode.REPLAN: self._replan,
-            Mode.DONE: self._rest,
-            Mode.FAILED: self._rest,
+            Mode.DONE: self._moves.rest,
+            Mode.FAILED: self._moves.rest,
         }
 
     @property
@@ -86,19 +85,24 @@ class Navigator:
 
     def tick(self, seen: Observation) -> Command:
         """One decision from one observation of a single world."""
-        self.belief.update(seen, self._sizes)
-        command = self._handlers[self.mode](seen)
-        self._last_u = np.asarray(command.u)[0]
-        return command
+        seen = self.belief.update(seen, self._sizes, None if self.push is None else self.push.object)
+        result = self._handlers[self.mode](seen)
+        self._last_u = np.asarray(result.u)[0]
+        return result
 
     # States. Each returns the command for the next sample and may have changed the mode.
 
     def _replan(self, seen: Observation) -> Command:
+        if self.push is not None:
+            self.belief.objects[self.push.object].registered = self.belief.objects[self.push.object].pose
+            self.push = None
         self._take_up_again(seen)
         path = self._routes.plan(seen.robot_pose[0, :2], self.belief.polygons((Status.PARKED, Status.FIXED)))
+        if path is None and self._second_chance(seen):
+            path = self._routes.plan(seen.robot_pose[0, :2], self.belief.polygons((Status.PARKED, Status.FIXED)))
         if path is None:
             self._go(seen, Mode.FAILED, "every route to the goal is blocked by walls and objects that can't be moved")
-            return self._rest(seen)
+            return self._moves.rest(seen)
         self._set_path(seen, path)
         self._go(seen, Mode.FOLLOW, f"path of {path.length:.2f} m found")
         return self._follow(seen)
@@ -115,25 +119,39 @@ class Navigator:
             if again and path_blocked_by(through, known.polygon, cfg.robot_radius)[0]:
                 known.status = Status.UNKNOWN
 
+    def _second_chance(self, seen: Observation) -> bool:
+        """With every route blocked, each registered object is tried once more, as if it had never been touched."""
+        if not self.config.second_chance:
+            return False
+        again = {i: o for i, o in self.belief.objects.items() if o.status is Status.FIXED and not o.retried}
+        through = self._routes.plan(
+            seen.robot_pose[0, :2], [o.polygon for i, o in self.belief.objects.items() if i not in again]
+        )
+        for index, known in again.items():
+            if through is not None and path_blocked_by(through, known.polygon, self.config.robot_radius)[0]:
+                known.status, known.retried, known.adapt = Status.UNKNOWN, True, None
+                known.pushes = min(known.pushes, self.config.max_pushes - 1)
+                text = f"every route is blocked: object {index}, registered as an obstacle, is tried once more"
+                self.belief.events.append((float(seen.time[0]), text))
+                return True
+        return False
+
     def _follow(self, seen: Observation) -> Command:
         assert self.path is not None
         position = seen.robot_pose[0, :2]
         speed = float(np.linalg.norm(seen.robot_twist[0, :2]))
         if np.linalg.norm(position - self.goal) < self.config.goal_tolerance and speed < 0.1:
             self._go(seen, Mode.DONE, f"goal reached to {np.linalg.norm(position - self.goal):.2f} m")
-            return self._rest(seen)
+            return self._moves.rest(seen)
         blocked = self._first_block(seen)
         if blocked is not None and self._deal_with(seen, *blocked):
             return self._handlers[self.mode](seen)
-        field_ = self.belief.clearance()
-        self._drive, lean = drive.follow(self.config.drive, self._planner, self._drive, seen, self.path, field_)
+        self._drive, lean = self._moves.follow(seen, self._drive, self.path)
         since = self._drive.failed_since
         if since is not None and float(seen.time[0]) - since > 3.0:
             self._go(seen, Mode.REPLAN, f"no local trajectory for 3 s: {self._drive.reason}")
             self._drive = drive.init()
-        return self._command(
-            lean, 0.0, drive.yaw_ahead(self.config.drive, seen, self.path), TUCKED_REACH, TUCKED_HEIGHT
-        )
+        return command(lean, 0.0, drive.yaw_ahead(self.config.drive, seen, self.path), TUCKED_REACH, TUCKED_HEIGHT)
 
     def _first_block(self, seen: Observation) -> tuple[int, float] | None:
         """The known object that blocks the path first, and how far along the path [m]."""
@@ -157,7 +175,7 @@ class Navigator:
         remaining = self.path.length - project(self.path, position)
         others = self.belief.polygons((Status.PARKED, Status.FIXED))
         detour = self._routes.plan(position, [*others, known.polygon])
-        if detour is not None and detour.length < remaining + self.config.detour:
+        if self.config.goes_round and detour is not None and detour.length < remaining + self.config.detour:
             self._set_path(seen, detour)
             self._go(
                 seen,
@@ -169,7 +187,9 @@ class Navigator:
             "there is no way round" if detour is None else f"the way round is {detour.length - remaining:.2f} m longer"
         )
         # Walking to a face is worth while only if that and the rest of the path are shorter than the way round.
-        longest_way = np.inf if detour is None else detour.length - (remaining - distance)
+        longest_way = np.inf
+        if detour is not None and self.config.goes_round:
+            longest_way = detour.length - (remaining - distance)
         return self._start_push(
             seen, index, f"object {index} blocks the path {distance:.2f} m ahead and {cost}", longest_way
         )
@@ -185,84 +205,91 @@ class Navigator:
         faces = faces_of(known.half_extents)
         ways = [self._routes.way_to(seen.robot_pose[0, :2], index, face) for face in faces]
         usable = [i for i, way in enumerate(ways) if way is not None and way.length < longest_way]
+        usable = [i for i in usable if i not in known.failed_faces] or usable
         if not usable:
             return self._give_up(seen, index, f"no face of object {index} can be reached on a way worth taking")
         directions = [heading(known.pose, faces[i]) for i in usable]
-        free = self._routes.collision_free(seen.robot_pose[0, :2], known, around)
+        position = seen.robot_pose[0, :2]
+        free = self._routes.collision_free(position, known, around, self._routes.free_path(position, known))
         first = initial_goal(known.pose, free, np.array(directions), self.config.planner)
         if first.goal is None or first.direction is None:
             return self._give_up(seen, index, f"object {index} can be put nowhere: {first.reason}")
         face, way = faces[usable[first.direction]], ways[usable[first.direction]]
         assert way is not None
-        known.pushes += 1
-        self.push = Push(index, face, first.goal, way, local_field(around, known.pose), started=float(seen.time[0]))
-        self._drive = drive.init()
+        known.pushes, known.registered = known.pushes + 1, known.pose
+        approach = Approach(way, float(seen.time[0]))
+        self.push = Push(index, usable[first.direction], face, first.goal, approach, local_field(around, known.pose))
         self._go(seen, Mode.APPROACH, f"{why}; first goal: {first.reason}")
         return True
 
     def _give_up(self, seen: Observation, index: int, why: str) -> bool:
-        self.belief.objects[index].status = Status.FIXED
+        if not self.config.goes_round:
+            self._go(seen, Mode.FAILED, f"{why}, and going round is not allowed")
+            return True
+        known = self.belief.objects[index]
+        known.status, known.registered = Status.FIXED, known.pose
         self._go(seen, Mode.REPLAN, f"{why}; registered as an obstacle")
         return True
 
     def _approach(self, seen: Observation) -> Command:
         push = self._pushed()
         known = self.belief.objects[push.object]
-        wanted = stand_off(known.pose, push.face, self.config.contact_gap)
-        position, now = seen.robot_pose[0], float(seen.time[0])
-        field_ = self.belief.clearance()
-        self._drive, lean = drive.follow(self.config.drive, self._planner, self._drive, seen, push.path, field_)
-        near = np.linalg.norm(position[:2] - wanted[:2]) < 0.10
-        slow = np.linalg.norm(seen.robot_twist[0, :2]) < 0.08
-        remaining = push.path.length - project(push.path, position[:2])
-        yaw = wanted[2] if remaining < 0.8 else drive.yaw_ahead(self.config.drive, seen, push.path)
-        if push.extended_at is None and near and slow and abs(se2.wrap(position[2] - wanted[2])) < 0.12:
-            push.extended_at = now
-        if push.extended_at is not None and now - push.extended_at > 1.0:
+        move = self._moves.approach(seen, known.pose, push.face, push.approach)
+        if move.over:
             self._go(seen, Mode.CONTACT, "at the stand-off pose, arms extended")
-        elif now - push.started > 30.0:
-            self._go(seen, Mode.REPLAN, "the stand-off pose was not reached within 30 s")
-        if push.extended_at is None:
-            return self._command(lean, 0.0, yaw, TUCKED_REACH, TUCKED_HEIGHT)
-        return self._command(lean, 0.0, yaw, REACH, HAND_HEIGHT)
+        elif move.failed:
+            self._go(seen, Mode.REPLAN, move.failed)
+        elif self._moved_away(known):
+            known.pushes -= 1
+            self._go(seen, Mode.REPLAN, f"object {push.object} was moved while it was being approached")
+        return move.command
+
+    def _moved_away(self, known: KnownObject) -> bool:
+        assert known.registered is not None
+        return float(np.linalg.norm(known.pose[:2] - known.registered[:2])) > self.belief.displaced
 
     def _contact(self, seen: Observation) -> Command:
         push = self._pushed()
         known = self.belief.objects[push.object]
-        sighting = Sighting.of(seen, push.object)
-        if np.hypot(*sighting.wrench[:2]) > self.config.contact_force:
+        move = self._moves.contact(seen, push.object, known.pose, push.face)
+        if move.over:
+            sighting = Sighting.of(seen, push.object)
             push.state = self._controller.init(sighting, push.face, known.half_extents, self._next_key(), known.adapt)
             push.started = float(seen.time[0])
             self._go(seen, Mode.PROBE, f"contact with object {push.object}")
             return self._push_step(seen)
-        in_face = se2.relative(se2.compose(known.pose, push.face[:3]), seen.robot_pose[0])
-        if in_face[0] < -(REACH + HAND_RADIUS + 0.5) or abs(in_face[1]) > 0.3:
-            self._go(seen, Mode.REPLAN, "drifted off the face while making contact")
-        wish = np.array([self.config.contact_speed, np.clip(-0.8 * in_face[1], -0.1, 0.1)])
-        lean = drive.velocity_command(seen, se2.rotate(wish, -in_face[2]))
-        return self._command(lean, 0.0, heading(known.pose, push.face), REACH, HAND_HEIGHT)
+        if move.failed:
+            self._go(seen, Mode.REPLAN, move.failed)
+        return move.command
 
     def _push_step(self, seen: Observation) -> Command:
         push = self._pushed()
         known = self.belief.objects[push.object]
         sighting = Sighting.of(seen, push.object)
         assert push.state is not None
+        before = push.state.adapt
         u, push.state, plan = self._controller.step(
             push.state, sighting, self._last_u, push.goal, push.around, np.array(known.half_extents)
         )
+        if known.blind > 0.0 or push.blind:
+            # A pose that was guessed, now or a sample ago, says nothing about the object.
+            push.state = push.state._replace(adapt=before)
+        push.blind = known.blind > 0.0
         known.adapt = push.state.adapt
         touching = np.hypot(*sighting.wrench[:2]) > self._controller.config.contact_force
         push.contact_time += DT if touching else 0.0
         push.since_contact = 0.0 if touching else push.since_contact + DT
         push.marks.append((push.contact_time, known.pose[:2].copy()))
         self._judge(seen, push, known, bool(plan.ok))
-        return self._command(u[:2], u[2], heading(known.pose, push.face), REACH, HAND_HEIGHT)
+        return command(u[:2], u[2], heading(known.pose, push.face), REACH, HAND_HEIGHT)
 
     def _judge(self, seen: Observation, push: Push, known: KnownObject, ok: bool) -> None:
         """Leave the push if it is over, hopeless or lost."""
         index, cfg = push.object, self.config
         if not ok:
             self._go(seen, Mode.RETREAT, "no roll-out of the model is finite: safe stop")
+        elif known.blind > cfg.blind_limit:
+            self._go(seen, Mode.RETREAT, f"object {index} has not been detected for {cfg.blind_limit:g} s")
         elif self.mode is Mode.PUSH and self._path_clear(seen, known):
             known.status = Status.PARKED
             self._go(seen, Mode.RETREAT, f"object {index} no longer blocks the path")
@@ -271,15 +298,26 @@ class Navigator:
             self._go(seen, Mode.RETREAT, f"object {index} is at its goal")
         elif self.mode is Mode.PUSH and self._passed(push, known):
             self._go(seen, Mode.RETREAT, f"object {index} has gone past its goal, and can't be pulled")
-        elif push.since_contact > cfg.lost_after:
+        elif push.since_contact > cfg.lost_after and not (self.mode is Mode.PROBE and self._rolled(push, known)):
             self._go(seen, Mode.RETREAT, f"contact with object {index} lost for {cfg.lost_after:g} s")
         elif self._stalled(push):
             text = f"object {index} moved less than {cfg.stall_distance:g} m in {cfg.stall_time:g} s of contact"
             self._stuck(seen, push, known, text)
         elif float(seen.time[0]) - push.started > cfg.push_limit:
             self._go(seen, Mode.RETREAT, f"object {index} has been pushed for {cfg.push_limit:g} s")
-        elif push.contact_time >= (cfg.probe_time if self.mode is Mode.PROBE else push.reviewed_at + cfg.review_every):
+        elif self._review_due(float(seen.time[0]), push, known):
             self._review(seen, push, known)
+
+    def _review_due(self, now: float, push: Push, known: KnownObject) -> bool:
+        if self.mode is Mode.PUSH:
+            return push.contact_time >= push.reviewed_at + self.config.review_every
+        late = now - push.started >= self.config.probe_limit and self._rolled(push, known)
+        again = push.reviewed_at + self.config.doubt_every if push.reviewed_at else 0.0
+        return push.contact_time >= max(self.config.probe_time, again) or late
+
+    def _rolled(self, push: Push, known: KnownObject) -> bool:
+        """A cart that rolls ahead of the hands gives little contact, but its motion tells as much."""
+        return float(np.linalg.norm(known.pose[:2] - push.marks[0][1])) > self.config.rolled
 
     def _review(self, seen: Observation, push: Push, known: KnownObject) -> None:
         """The planning stage of Algorithm 1 on the roll-outs of the adapted model."""
@@ -294,15 +332,22 @@ class Navigator:
         if (push.goal[:2] - known.pose[:2]) @ direction < reach:
             far = np.array([*(known.pose[:2] + reach * direction), push.goal[2]])
         poses, _, costs = self._controller.planning_rollouts(push.state, far, push.around, half)
-        check = self._routes.collision_free(seen.robot_pose[0, :2], known, self.belief.clearance(without=push.object))
+        around, position = self.belief.clearance(without=push.object), seen.robot_pose[0, :2]
+        path = self._routes.free_path(position, known)
+        if path is not None and self.mode is Mode.PROBE:
+            self.plans.append((float(seen.time[0]), path.points))
+        check = self._routes.collision_free(position, known, around, path)
         result = planning_stage(poses[:, -1], costs, known.pose, check, self.config.planner)
         best = np.argsort(costs)[:40]
         self.decisions.append(
             Decision(
                 float(seen.time[0]), push.object, result.K, result.G, result.manipulable, result.goal, result.reason,
-                poses[best][:, :, :2], result.candidates,
+                poses[best][:, :, :2], result.candidates, far,
             )
         )  # fmt: skip
+        if not result.manipulable and self.mode is Mode.PROBE and push.contact_time < self.config.doubt_time:
+            return
+        known.manipulable = result.manipulable
         if not result.manipulable:
             self._stuck(seen, push, known, f"object {push.object} is not manipulable: {result.reason}")
             return
@@ -314,8 +359,11 @@ class Navigator:
     def _stuck(self, seen: Observation, push: Push, known: KnownObject, why: str) -> None:
         """End a push that leads no further. Only an object that this push has not moved counts as immovable."""
         moved = float(np.linalg.norm(known.pose[:2] - push.marks[0][1]))
-        if moved < self.config.moved:
-            known.status = Status.FIXED
+        if moved < self.config.moved and not self.config.goes_round:
+            self._go(seen, Mode.RETREAT, f"{why}; tried again, since going round is not allowed")
+        elif moved < self.config.moved:
+            known.status, known.registered = Status.FIXED, known.pose
+            known.failed_faces.add(push.side)
             self._go(seen, Mode.RETREAT, f"{why}; registered as an obstacle")
         else:
             known.status = Status.PARKED
@@ -323,25 +371,10 @@ class Navigator:
 
     def _retreat(self, seen: Observation) -> Command:
         push = self._pushed()
-        known = self.belief.objects[push.object]
-        in_face = se2.relative(se2.compose(known.pose, push.face[:3]), seen.robot_pose[0])
-        away = -in_face[0] - REACH - HAND_RADIUS
-        position, yaw = seen.robot_pose[0, :2], float(seen.robot_pose[0, 2])
-        # The arms fold at rest: their CoM moves, and a robot under way would be carried along by it.
-        folding = away > self.config.retreat
-        folded = bool(np.all(seen.hands[0, :, 0] < TUCKED_REACH + 0.06))
-        slow = float(np.linalg.norm(seen.robot_twist[0, :2])) < 0.08
-        if (folded and slow) or float(seen.time[0]) - self.transitions[-1].t > 5.0:
-            self.push = None
+        move = self._moves.retreat(seen, self.belief.objects[push.object].pose, push.face, self.transitions[-1].t)
+        if move.over:
             self._go(seen, Mode.REPLAN, f"backed away from object {push.object}")
-            return self._rest(seen)
-        back = (0.0 if folding else -0.2) * np.array([np.cos(yaw), np.sin(yaw)]) + self._routes.off_walls(position)
-        lean = drive.velocity_command(seen, se2.rotate(back, -yaw))
-        return self._command(lean, 0.0, yaw, TUCKED_REACH if folding else REACH, HAND_HEIGHT)
-
-    def _rest(self, seen: Observation) -> Command:
-        lean = drive.velocity_command(seen, np.zeros(2))
-        return self._command(lean, 0.0, float(seen.robot_pose[0, 2]), TUCKED_REACH, TUCKED_HEIGHT)
+        return move.command
 
     # Questions and small steps.
 
@@ -370,10 +403,6 @@ class Navigator:
         self.path = path
         self.plans.append((float(seen.time[0]), path.points))
         self._drive = drive.init()
-
-    def _command(self, lean: Array, gamma: float, yaw: float, reach: float, height: float) -> Command:
-        u = np.array([[lean[0], lean[1], gamma]], dtype=float)
-        return Command(u, np.array([float(yaw)]), np.array([reach]), np.array([height]))
 
     def _go(self, seen: Observation, target: Mode, reason: str) -> None:
         self.transitions.append(Transition(float(seen.time[0]), self.mode, target, reason))

@@ -15,7 +15,7 @@ from shmoo_mjx.navigation.object_planner import ObjectPlannerConfig
 from shmoo_mjx.navigation.paths import Path
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS
 
-__all__ = ["Decision", "Mode", "NavigatorConfig", "Push", "Transition"]
+__all__ = ["Approach", "Decision", "Mode", "NavigatorConfig", "Push", "Transition"]
 
 
 class Mode(StrEnum):
@@ -57,6 +57,15 @@ class NavigatorConfig:
     """Distance from its goal at which an object has arrived."""
     probe_time: float = 1.0
     """Contact time before the planning stage (Algorithm 1)."""
+    doubt_time: float = 3.0
+    """Contact time before an object counts as not manipulable: friction that holds against the gentle push of the first
+    second says little about a firm one. That it can be moved is believed at once."""
+    doubt_every: float = 0.5
+    """Contact time between two planning stages until then."""
+    probe_limit: float = 2.5
+    """Time since the first contact at which the planning stage comes, however short the contacts were, for ..."""
+    rolled: float = 0.10
+    """... an object that has moved this far meanwhile: a cart rolls ahead of the hands after a short touch."""
     review_every: float = 2.0
     """Contact time between two planning stages of one push."""
     stall_distance: float = 0.05
@@ -71,6 +80,12 @@ class NavigatorConfig:
     """Time without contact after which contact counts as lost."""
     max_pushes: int = 4
     """Pushes of one object before it is registered as an obstacle."""
+    blind_limit: float = 1.5
+    """A push ends when the object has not been detected for this long."""
+    goes_round: bool = True
+    """False: every object in the way is pushed, none is ever registered or gone round. For comparison."""
+    second_chance: bool = True
+    """Try each registered object once more before giving up."""
     retreat: float = 0.05
     """Distance between the extended hands' place and the face at which a retreat stops and the arms fold."""
     path_margin: float = 0.05
@@ -107,6 +122,21 @@ class Decision(NamedTuple):
     """``[R, T, 2]`` predicted object positions, best first."""
     candidates: np.ndarray
     """``[C, 3]``"""
+    asked: np.ndarray
+    """``[3]`` where the roll-outs were to bring the object, in {W}."""
+
+
+@dataclass
+class Approach:
+    """Memory of one approach to a face."""
+
+    path: Path
+    """Way to the stand-off pose."""
+    started: float
+    """[s]"""
+    extended_at: float | None = None
+    """When the arms were told to extend [s]."""
+    drive: drive.DriveState = field(default_factory=drive.init)
 
 
 @dataclass
@@ -114,10 +144,11 @@ class Push:
     """Memory of dealing with one object."""
 
     object: int
+    side: int
+    """Index of the face among ``faces_of``."""
     face: np.ndarray
     goal: np.ndarray
-    path: Path
-    """Way to the stand-off pose."""
+    approach: Approach
     around: LocalField
     state: PushState | None = None
     contact_time: float = 0.0
@@ -125,6 +156,8 @@ class Push:
     reviewed_at: float = 0.0
     """Contact time of the last planning stage."""
     started: float = 0.0
-    extended_at: float | None = None
+    """When contact was made [s]."""
+    blind: bool = False
+    """Was the object's pose a guess in the last sample."""
     marks: list[tuple[float, np.ndarray]] = field(default_factory=list)
     """(contact time, object position) once a sample."""

@@ -41,14 +41,13 @@ class Routes:
         return self.plan(position, others if instead is None else [*others, instead])
 
     def collision_free(
-        self, position: np.ndarray, known: KnownObject, around: ClearanceField
+        self, position: np.ndarray, known: KnownObject, around: ClearanceField, path: Path | None
     ) -> Callable[[np.ndarray], np.ndarray]:
-        """CollisionCheck(M, P, g): the footprint clear of walls, other objects and the path ahead.
+        """CollisionCheck(M, P, g): the footprint clear of walls, other objects and the path P, as if it were not there.
 
         Where no pose leaves the path free, poses that leave room for another path, little longer, are taken (Reading:
         the path P was planned before anybody knew where the object would go).
         """
-        path = self.free_path(position, known)
         half = np.array(known.half_extents)
         clearance = self.config.robot_radius + self.config.path_margin
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["coefficients_figure", "decision_figure", "map_figure", "timeline_figure", "to_png"]
+__all__ = ["coefficients_figure", "decision_figure", "draw_decision", "map_figure", "timeline_figure", "to_png"]
 
 Array = Any
 
@@ -65,12 +65,17 @@ def map_figure(result: dict[str, Any], trace: Trace) -> Figure:
 
 def decision_figure(result: dict[str, Any], trace: Trace, number: int) -> Figure:
     """Roll-outs, candidate goals and the goal chosen for decision ``number``, round the object."""
+    figure = _figure(5.6, 5.2)
+    draw_decision(figure.subplots(), result, trace, number)
+    return figure
+
+
+def draw_decision(axes: Axes, result: dict[str, Any], trace: Trace, number: int) -> None:
+    """What :func:`decision_figure` shows, in ``axes``."""
     decision = result["decisions"][number]
     index = object_index(result, decision["object"])
     item = result["objects"][index] if index is not None else None
     pose = _pose_at(result, trace, index, decision["t"])
-    figure = _figure(5.6, 5.2)
-    axes = figure.subplots()
     rollouts = trace.decision_rollouts[number] if number < len(trace.decision_rollouts) else np.zeros((0, 0, 2))
     candidates = trace.decision_candidates[number] if number < len(trace.decision_candidates) else np.zeros((0, 3))
     reach = np.concatenate([np.reshape(rollouts, (-1, 2)), candidates[:, :2], pose[None, :2]])
@@ -99,7 +104,6 @@ def decision_figure(result: dict[str, Any], trace: Trace, number: int) -> Figure
     says = f"{verdict}, K = {decision['K']:.2f} m²" if known else "first goal, dynamics not known yet"
     axes.set_title(f"{number + 1}. At {float(decision['t']):.1f} s, {name}: {says}", fontsize=10)
     axes.legend(loc="best", fontsize=7, framealpha=0.9)
-    return figure
 
 
 def coefficients_figure(result: dict[str, Any], trace: Trace) -> Figure:

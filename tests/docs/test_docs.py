@@ -108,9 +108,10 @@ LAYERS = (
     {"control"},
     {"navigation"},
     {"report"},
-    {"episode"},
+    {"episode", "teleop"},
     {"run"},
-    {"demo", "doctor"},
+    {"demo", "doctor", "view", "evaluation"},
+    {"benchmarking"},
     {"cli"},
 )
 

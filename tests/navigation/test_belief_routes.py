@@ -53,6 +53,32 @@ def test_an_object_is_perceived_in_sight_and_range_only() -> None:
     assert belief.objects[0].pose[0] == 2.2
 
 
+def test_a_missing_pose_is_carried_on_for_a_while_and_then_taken_to_rest() -> None:
+    belief = Belief(rooms((1.0,)), foresight=0.5)
+    seen = observation((1.0, 5.0), (2.0, 4.0, 0.1))
+    belief.update(seen._replace(object_twist=np.array([[[0.2, 0.0, 0.0]]])), [HALF])
+    gone = seen._replace(object_pose=np.full((1, 1, 3), np.nan), object_twist=np.full((1, 1, 3), np.nan))
+    xs = [belief.update(gone, [HALF]).object_pose[0, 0, 0] for _ in range(8)]
+    np.testing.assert_allclose(xs, [2.02, 2.04, 2.06, 2.08, 2.10, 2.10, 2.10, 2.10], atol=1e-9)
+    assert belief.objects[0].blind == pytest.approx(0.8)
+    belief.update(seen, [HALF])
+    assert belief.objects[0].blind == 0.0
+    assert ["not detected" in what for _, what in belief.events] == [True, False]
+
+
+def test_an_object_never_seen_stays_unknown_while_it_is_not_detected() -> None:
+    belief = Belief(rooms((1.0,)))
+    gone = observation((1.0, 5.0), (np.nan, np.nan, np.nan))
+    belief.update(gone, [HALF])
+    assert not belief.objects and not belief.events
+
+
+def test_what_an_object_is_taken_for_at_first_sight_can_be_told() -> None:
+    belief = Belief(rooms((1.0,)), first_status=[Status.FIXED])
+    belief.update(observation((1.0, 5.0), (2.0, 4.0, 0.1)), [HALF])
+    assert belief.objects[0].status is Status.FIXED
+
+
 def routes(doors: tuple[float, ...], pose: tuple[float, float, float]) -> tuple[Routes, KnownObject]:
     belief = Belief(rooms(doors))
     known = KnownObject(np.array(pose), HALF)
@@ -74,7 +100,8 @@ def test_the_way_through_another_door_is_not_a_clear_path() -> None:
 
 def test_goals_keep_off_walls_and_the_path() -> None:
     ways, known = routes((3.0,), (3.0, 3.0, 0.0))
-    check = ways.collision_free(np.array([1.0, 3.0]), known, ways.belief.clearance(without=0))
+    here = np.array([1.0, 3.0])
+    check = ways.collision_free(here, known, ways.belief.clearance(without=0), ways.free_path(here, known))
     poses = np.array([(4.0, 3.0, 0.0), (4.0, 4.0, 0.0), (3.1, 4.5, 0.0), (2.0, 2.0, 0.0)])
     #       on the path, beside it, in the wall, beside it on this side
     assert check(poses).tolist() == [False, True, False, True]
@@ -82,7 +109,8 @@ def test_goals_keep_off_walls_and_the_path() -> None:
 
 def test_where_no_goal_leaves_the_path_another_path_may_do() -> None:
     ways, known = routes((3.0,), (3.0, 3.0, 0.0))
-    check = ways.collision_free(np.array([1.0, 3.0]), known, ways.belief.clearance(without=0))
+    here = np.array([1.0, 3.0])
+    check = ways.collision_free(here, known, ways.belief.clearance(without=0), ways.free_path(here, known))
     on_path, in_door = np.array([(4.0, 3.0, 0.0)]), np.array([(3.0, 3.0, 0.0)])
     assert check(on_path).tolist() == [True]  # the room is wide enough to pass it
     assert check(in_door).tolist() == [False]

@@ -1,0 +1,181 @@
+"""Speed and memory of DAIML: an epoch of Neural-Fly's size, the cost of more conditions, and the shipped training.
+
+Every row comes from a fresh process. Times leave compilation out, but for the whole training and ``first_chunk_s``.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shmoo_mjx.benchmarking.registry import BenchAsk
+from shmoo_mjx.data import store
+from shmoo_mjx.evaluation.datasets import TRAINING
+from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
+
+__all__ = ["BenchConfig", "run"]
+
+Row = dict[str, Any]
+
+CHUNKS = 6
+"""Chunks of a training that is timed; the first compiles. Between two, Python is called and a condition scored."""
+REFERENCE = {"neural_fly_epoch_ms": 33.0}
+"""What an epoch takes in Neural-Fly's PyTorch code on one thread of a machine like this [ms]."""
+
+
+@dataclass(frozen=True)
+class BenchConfig:
+    """Sizes of the benchmark."""
+
+    epochs: int = 200
+    """Neural-Fly epochs per chunk."""
+    conditions: tuple[int, ...] = (12, 48, 120, 480)
+    """Numbers of training conditions."""
+    whole: bool = True
+    """Train the shipped psi from start to end."""
+
+    @classmethod
+    def quick(cls) -> BenchConfig:
+        """Without the whole training."""
+        return cls(epochs=50, conditions=(12, 120), whole=False)
+
+
+def _one_thread() -> None:
+    """Before JAX starts: this process keeps to one core and XLA to one thread."""
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+    flags = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
+    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {flags}"
+
+
+def _any_threads() -> None:
+    pass
+
+
+def _fresh(prepare: Callable[[], None], work: Callable[..., Row], *arguments: Any) -> Row:
+    """Run ``work`` in a process of its own."""
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=context, initializer=prepare) as pool:
+        return pool.submit(work, *arguments).result()
+
+
+def _peak_bytes() -> int:
+    """Most memory that this process ever had; unlike ru_maxrss, nothing of the process it came from."""
+    for line in Path("/proc/self/status").read_text().splitlines():
+        if line.startswith("VmHWM"):
+            return 1024 * int(line.split()[1])
+    return 0
+
+
+def _law(rng: np.random.Generator, rows: int, inputs: int) -> tuple[np.ndarray, np.ndarray]:
+    x = rng.normal(size=(rows, inputs))
+    return x, np.tanh(x[:, :3]) * rng.uniform(0.5, 2.0, 3) + 0.1 * rng.normal(size=(rows, 3))
+
+
+def _timed(train: Callable[[Callable[[Any], None]], Any], per_chunk: int) -> Row:
+    """Times of one of the ``per_chunk`` steps of a chunk [ms], without the first chunk, which compiles.
+
+    ``ms`` is the fastest chunk's; ``cpu_ms`` counts only what this process was running, so busy neighbours add little.
+    """
+    started = time.perf_counter()
+    ends: list[tuple[float, float]] = []
+    train(lambda progress: ends.append((time.perf_counter(), time.process_time())))
+    wall, cpu = 1e3 * np.diff(ends, axis=0).T / per_chunk
+    times = {"ms": min(wall), "ms_median": np.median(wall), "cpu_ms": np.median(cpu)}
+    return {k: round(float(v), 3) for k, v in times.items()} | {"first_chunk_s": round(ends[0][0] - started, 2)}
+
+
+def neural_fly_epoch(epochs: int) -> Row:
+    """3 conditions, one update for each: batch 256, K-shot 32, phi 11-50-60-50-3, adversary every other time."""
+    from shmoo_mjx.dynamics.object_model import ObjectConfig
+    from shmoo_mjx.learning import daiml
+
+    rng = np.random.default_rng(0)
+    shape = ObjectConfig(hidden=(50, 60, 50), functions=3, per_axis=False, linear_terms=False)
+    config = daiml.DaimlConfig(
+        object=shape,
+        horizon=1,
+        conditions=1,
+        adapt_rows=32,
+        windows=256,
+        coupled=False,
+        alpha=0.01,
+        discriminator_share=0.5,
+        chunks=CHUNKS,
+        chunk_updates=3 * epochs,
+        patience=CHUNKS,
+    )
+    data = {str(c): _law(rng, 6000, 11) for c in range(3)}
+    held_out = {"held out": _law(rng, 600, 11)}
+    found = _timed(lambda report: daiml.fit(data, held_out, config, progress=report), epochs)
+    speed_up = round(REFERENCE["neural_fly_epoch_ms"] / found["ms"], 1)
+    return {"name": "neural_fly_epoch", **found, "speed_up": speed_up}
+
+
+def more_conditions(conditions: int) -> Row:
+    """An update of the shipped settings, which looks at 12 conditions however many there are."""
+    from shmoo_mjx.dynamics import features
+    from shmoo_mjx.learning import daiml
+    from shmoo_mjx.learning.rows import Rows
+
+    rng = np.random.default_rng(0)
+    updates, n, length = 30, 952, 119
+    run = np.tile(np.arange(length, 0, -1), (conditions, n // length))
+
+    def rows(count: int) -> Rows:
+        inputs = 0.3 * rng.normal(size=(count, n, features.width(features.OBJECT_INPUTS))).astype(np.float32)
+        inputs[..., features.slices(features.OBJECT_INPUTS)["size"]] = 0.5
+        labels = 0.3 * rng.normal(size=(count, n, 3)).astype(np.float32)
+        return Rows(inputs, labels, np.ones((count, n), np.float32), run[:count].astype(np.int32))
+
+    config = daiml.DaimlConfig(chunks=4, chunk_updates=updates, patience=4)
+    train, held_out = rows(conditions), rows(3)
+    before = _peak_bytes()
+    found = _timed(lambda report: daiml.fit_rows(train, held_out, config, progress=report), updates)
+    return {
+        "name": f"update_{conditions}_conditions",
+        **found,
+        "data_mb": round(sum(np.asarray(leaf).nbytes for leaf in train) / 2**20, 1),
+        "peak_mb": round(_peak_bytes() / 2**20),
+        "peak_before_mb": round(before / 2**20),
+    }
+
+
+def whole_training(data: Path) -> Row:
+    """The shipped psi from start to end, reading and compiling included."""
+    from shmoo_mjx.learning import daiml
+
+    started = time.perf_counter()
+    fitted = daiml.train_object(data)
+    seconds = time.perf_counter() - started
+    return {
+        "name": "whole_training",
+        "s": round(seconds, 1),
+        "chunks": len(fitted.history),
+        "score": round(float(fitted.score), 4),
+        "peak_mb": round(_peak_bytes() / 2**20),
+    }
+
+
+def run(ask: BenchAsk) -> ExperimentResult:
+    """All rows. The shipped training needs data/train, takes minutes, and is left out of a quick run."""
+    config = BenchConfig.quick() if ask.quick else BenchConfig()
+    jobs: list[tuple[Callable[[], None], Callable[..., Row], tuple[Any, ...]]] = [
+        (_one_thread, neural_fly_epoch, (config.epochs,))
+    ]
+    jobs += [(_any_threads, more_conditions, (count,)) for count in config.conditions]
+    if config.whole and (TRAINING / store.MANIFEST).exists():
+        jobs.append((_any_threads, whole_training, (TRAINING,)))
+    rows = []
+    for done, (prepare, work, arguments) in enumerate(jobs):
+        ask.progress(work.__name__, done / len(jobs))
+        rows.append(_fresh(prepare, work, *arguments))
+    metrics = {f"{row['name']}_{key}": value for row in rows for key, value in row.items() if key != "name"}
+    return make_result("bench_daiml", Ask(seed=ask.seed, quick=ask.quick), config, metrics, REFERENCE, rows)

@@ -1,0 +1,192 @@
+"""Our side of the MPPI benchmark, each engine in a process of its own: python -m shmoo_mjx.benchmarking.engines SPEC.
+
+SPEC is JSON: engine, samples, horizon, problems, activation, seed. The engines:
+
+* ``ours``: the whole control step of `control.pushing`, observation to u, with the shipped weights: adaptation,
+  sampling, features, networks, contact rules, the cost of a push with its map, update.
+* ``ours_paper``: the same with the paper's widths of psi and no linear terms, untrained, and Eq. 9 as the only cost.
+* ``plain_jax``: the common problem of `mppi_problem` as one writes it in JAX: vmap, scan, jit.
+* ``batch``: several problems planned in one call, by a vmap of ``mppi.plan`` over the learned core.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from shmoo_mjx.assets import asset
+from shmoo_mjx.benchmarking import mppi_problem as work
+from shmoo_mjx.benchmarking.peers import serve
+from shmoo_mjx.control import cost, mppi, pushing
+from shmoo_mjx.dynamics import CoreConfig, ObjectConfig, RobotConfig, core
+from shmoo_mjx.learning import weights as weights_file
+from shmoo_mjx.run import DEMO_WEIGHTS
+from shmoo_mjx.types import SystemState
+
+__all__ = ["batch", "main", "ours", "plain_jax"]
+
+Array = Any
+
+HALF_EXTENTS = np.array([0.3, 0.25])
+FACE = np.array([-0.3, 0.0, 0.0, 0.25])
+GOAL = np.array([2.0, 0.4, 0.0])
+
+
+class _Corridor:
+    """Clearance of a corridor 2.4 m wide."""
+
+    def at(self, points: Array) -> Array:
+        return np.maximum(1.2 - np.abs(points[..., 1]), 0.0)
+
+
+def _sighting(rng: np.random.Generator) -> pushing.Sighting:
+    """Hands on the face, and a little noise: no two steps see the same."""
+    noise = 0.01 * rng.standard_normal((7, 3))
+    return pushing.Sighting(
+        robot_pose=noise[0],
+        robot_twist=np.array([0.2, 0.0, 0.0]) + noise[1],
+        lean=noise[2, :2],
+        lean_rate=noise[3, :2],
+        object_pose=np.array([0.75, 0.02, 0.05]) + noise[4],
+        object_twist=np.array([0.2, 0.0, 0.0]) + noise[5],
+        wrench=np.array([8.0, 0.0, 0.3]) + noise[6],
+    )
+
+
+def ours(samples: int, horizon: int, activation: str, seed: int, paper: bool) -> Callable[[], Any]:
+    """The control step of a push; each call goes on from the last one's state."""
+    if paper:
+        body = replace(ObjectConfig.paper(), activation=activation)
+        weights = weights_file.untrained(CoreConfig(robot=RobotConfig(activation=activation), object=body), seed)
+        config = pushing.PushConfig(cost=cost.PushCost())
+    else:
+        weights, config = weights_file.load_weights(asset(DEMO_WEIGHTS)), pushing.PushConfig()
+    config = replace(config, control=replace(config.control, samples=samples, horizon=horizon))
+    controller = pushing.PushController(weights, config)
+    rng = np.random.default_rng(seed)
+    state = controller.init(_sighting(rng), FACE, HALF_EXTENTS, jax.random.key(seed))
+    around = pushing.local_field(_Corridor(), np.zeros(2))
+    u = np.zeros(3)
+
+    def step() -> Any:
+        nonlocal state, u
+        u, state, plan = controller.step(state, _sighting(rng), u, GOAL, around, HALF_EXTENTS)
+        return jax.block_until_ready((state, plan))
+
+    return step
+
+
+def plain_jax(samples: int, horizon: int, activation: str, seed: int) -> Callable[[], Any]:
+    """The common problem: single roll-outs, vmap, jit."""
+    problem = jax.tree.map(jnp.asarray, work.draw(seed))
+    act = jnp.tanh if activation == "tanh" else jax.nn.relu
+
+    def net(layers: list, x: Array) -> Array:
+        for i, (weight, bias) in enumerate(layers):
+            x = x @ weight + bias
+            x = act(x) if i + 1 < len(layers) else x
+        return x
+
+    def rollout(controls: Array) -> Array:
+        def body(x: Array, u: Array) -> tuple[Array, Array]:
+            new = work.transition(
+                jnp, partial(net, problem.robot), lambda s: net(problem.psi, s) @ problem.coefficients.T, x, u[None]
+            )
+            return new, new[0]
+
+        return jax.lax.scan(body, problem.x0[None], controls)[1]
+
+    @jax.jit
+    def plan(nominal: Array, key: Array) -> tuple[Array, Array, Array, Array]:
+        key, use = jax.random.split(key)
+        noise = work.SIGMA * jax.random.normal(use, (samples, horizon, 3))
+        controls = jnp.clip(nominal + noise, -work.BOUND, work.BOUND)
+        states = jax.vmap(rollout)(controls)
+        costs = work.cost(jnp, problem.goal, states[:, -1], controls)
+        best = jnp.einsum("s,stm->tm", jax.nn.softmax(-costs / work.TEMPERATURE), controls)
+        return best[0], jnp.concatenate([best[1:], best[-1:]]), key, states
+
+    nominal, key = jnp.zeros((horizon, 3)), jax.random.key(seed)
+
+    def step() -> Any:
+        nonlocal nominal, key
+        u, nominal, key, states = jax.block_until_ready(plan(nominal, key))
+        return np.asarray(u), states
+
+    return step
+
+
+def batch(samples: int, horizon: int, problems: int, seed: int) -> Callable[[], Any]:
+    """Plans for ``problems`` states at once, with Eq. 9 as the cost; the samples of each shared out as in one plan."""
+    weights = weights_file.load_weights(asset(DEMO_WEIGHTS))
+    cfg = replace(pushing.PushConfig().control, samples=samples, horizon=horizon)
+    mesh = mppi.sample_mesh(samples)
+
+    def one(params: core.Params, x0: SystemState, state: mppi.MppiState) -> Any:
+        def rollout_fn(x: SystemState, controls: Array) -> SystemState:
+            return core.rollout(params, x, controls, weights.config)[0]
+
+        def cost_fn(states: SystemState, controls: Array, last_u: Array) -> Array:
+            return cost.push_cost(cost.PushCost(), GOAL, states, controls, last_u)
+
+        u, after, plan = mppi.plan(cfg, rollout_fn, cost_fn, x0, state, mesh)
+        return u, after, plan.costs
+
+    run = mppi.compiled(jax.vmap(one, in_axes=(None, 0, 0)), mesh)
+    params = mppi.replicated(mesh, weights.params)
+    rng = np.random.default_rng(seed)
+    starts = jax.tree.map(lambda *x: np.stack(x).astype(np.float32), *(_state(rng) for _ in range(problems)))
+    states = jax.vmap(partial(mppi.init, cfg))(jax.random.split(jax.random.key(seed), problems))
+
+    def step() -> Any:
+        nonlocal states
+        u, states, costs = jax.block_until_ready(run(params, starts, states))
+        return np.asarray(u), costs
+
+    return step
+
+
+def _state(rng: np.random.Generator) -> SystemState:
+    seen, zero = _sighting(rng), np.zeros(3)
+    memory = {"last_object_twist": zero, "last_force": zero[:2], "last_u": zero, "face": FACE, "size": 0.39}
+    return SystemState(**{k: v for k, v in seen._asdict().items() if k != "wrench"}, **memory)
+
+
+def main() -> None:
+    """Build the engine that the argument names and serve it."""
+    spec = json.loads(sys.argv[1])
+    compilations = [0]
+
+    def count(event: str, duration_secs: float, **_: str | int) -> None:
+        compilations[0] += event == "/jax/core/compile/backend_compile_duration"
+
+    jax.monitoring.register_event_duration_secs_listener(count)
+    engine, size = spec["engine"], (spec["samples"], spec["horizon"])
+    if engine == "batch":
+        step = batch(*size, spec["problems"], spec["seed"])
+    elif engine == "plain_jax":
+        step = plain_jax(*size, spec["activation"], spec["seed"])
+    else:
+        step = ours(*size, spec["activation"], spec["seed"], paper=engine == "ours_paper")
+    started = time.perf_counter()
+    step()
+    about = {"first_s": time.perf_counter() - started, "jax": jax.__version__}
+    for _ in range(3):
+        step()
+    devices = jax.devices()
+    before = compilations[0]
+    about |= {"device": f"{len(devices)} x {devices[0].device_kind}"}
+    serve(step, about, lambda: compilations[0] - before)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,215 @@
+"""How long a control step takes: ours beside pytorch_mppi, NumPy, plain JAX and the least the machine needs.
+
+Every engine is a process of its own on the same cores. They take turns in short rounds, so that whatever else the
+machine does meets all of them alike, and each figure is a median. The peers do the two networks, sampling, Eq. 9 and
+the update; ours does the whole step from observation to command, with adaptation, features, contact rules and the map.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shmoo_mjx.benchmarking import mppi_problem, workers
+from shmoo_mjx.benchmarking.registry import BenchAsk
+from shmoo_mjx.benchmarking.workers import Worker, busy_neighbour, usable_cores
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
+
+__all__ = ["BenchConfig", "run"]
+
+
+@dataclass(frozen=True)
+class BenchConfig:
+    """Sizes of the benchmark."""
+
+    samples: int = 500
+    horizon: int = 30
+    activation: str = "relu"
+    """Of every engine's networks; the shipped weights have it too."""
+    rounds: int = 12
+    calls: int = 25
+    """Control steps of each engine per round."""
+    gemm: int = 4096
+    """Side of the matrices whose product gives the machine's rate."""
+    steps: int = 10_000
+    """Control steps in a row for the worst case, quiet and beside a busy neighbour."""
+    sample_sweep: tuple[int, ...] = (100, 500, 2_000, 10_000, 100_000)
+    horizon_sweep: tuple[int, ...] = (10, 30, 50, 100)
+    problem_sweep: tuple[int, ...] = (1, 4, 16, 64)
+
+    @classmethod
+    def quick(cls) -> BenchConfig:
+        """The same in half a minute on two quiet cores."""
+        return cls(
+            rounds=3,
+            calls=10,
+            gemm=2048,
+            steps=200,
+            sample_sweep=(100, 500),
+            horizon_sweep=(10, 30),
+            problem_sweep=(1, 4),
+        )
+
+
+Row = dict[str, Any]
+
+
+def run(ask: BenchAsk) -> ExperimentResult:
+    """Measure; peers that are not installed are null, with a row that says why."""
+    cfg = BenchConfig.quick() if ask.quick else BenchConfig()
+    python = ask.peers_python or Path(sys.executable)
+    turns, about = _take_turns(cfg, _starters(cfg, ask.seed, python), ask.progress)
+    medians = {name: 1e3 * float(np.median(s)) for name, s in turns.items() if s}
+    worst = [_worst_case(cfg, ask, busy) for busy in (False, True)]
+    sweep = _sweeps(cfg, ask)
+    metrics = _metrics(cfg, medians, about, worst)
+    rows = [_row(name, seconds, about[name]) for name, seconds in turns.items()]
+    setup = {"peers_python": str(python), "cores": usable_cores(), "device": about["ours"]["device"]}
+    settings = vars(cfg) | setup | {"flop": mppi_problem.flop(cfg.samples, cfg.horizon)}
+    asked = Ask(seed=ask.seed, quick=ask.quick)
+    return make_result("bench_mppi", asked, settings, metrics, {}, [*rows, *worst, *sweep])
+
+
+def _starters(cfg: BenchConfig, seed: int, python: Path) -> dict[str, Callable[[], Worker]]:
+    """How to start each engine."""
+
+    def own(engine: str, devices: int | None = None) -> Callable[[], Worker]:
+        return lambda: workers.ours(_spec(cfg, seed, engine=engine), devices)
+
+    def other(engine: str, by: Path, samples: int = cfg.samples) -> Callable[[], Worker]:
+        return lambda: workers.peer(by, engine, samples, cfg.horizon, cfg.activation, seed)
+
+    return {
+        "ours": own("ours"),
+        "ours_paper": own("ours_paper"),
+        "plain_jax": own("plain_jax", 1),
+        "numpy": other("numpy", Path(sys.executable)),
+        "gemm": other("gemm", Path(sys.executable), cfg.gemm),
+        "pytorch_mppi_eager": other("pytorch_mppi_eager", python),
+        "pytorch_mppi_compiled": other("pytorch_mppi_compiled", python),
+    }
+
+
+def _spec(cfg: BenchConfig, seed: int, **changes: Any) -> Row:
+    spec = {"samples": cfg.samples, "horizon": cfg.horizon, "activation": cfg.activation, "problems": 1, "seed": seed}
+    return spec | changes
+
+
+def _take_turns(
+    cfg: BenchConfig, starters: dict[str, Callable[[], Worker]], progress: Callable[[str, float], None]
+) -> tuple[dict[str, list[float]], dict[str, Row]]:
+    """Seconds of every step of each engine, by interleaved rounds; an absent peer has none and says why."""
+    running: dict[str, Worker] = {}
+    about: dict[str, Row] = {}
+    turns: dict[str, list[float]] = {name: [] for name in starters}
+    try:
+        for name, start in starters.items():
+            progress(f"start {name}", 0.0)
+            try:
+                running[name] = start()
+                about[name] = running[name].about
+            except ShmooError as error:
+                if not name.startswith("pytorch_mppi"):
+                    raise
+                about[name] = {"absent": f"{name} is absent: {error}"}
+        for i in range(cfg.rounds):
+            progress("rounds", i / cfg.rounds)
+            for name, worker in running.items():
+                worker.seconds(2)  # caches and clocks belong to the engine before
+                turns[name] += worker.seconds(1 if name == "gemm" else cfg.calls)[0]
+    finally:
+        for worker in running.values():
+            worker.close()
+    return turns, about
+
+
+def _worst_case(cfg: BenchConfig, ask: BenchAsk, busy: bool) -> Row:
+    """Many steps of ours in a row, and beside a busy neighbour plain JAX too, for the case of one free core."""
+    name = "busy" if busy else "quiet"
+    ours, plain = workers.ours(_spec(cfg, ask.seed, engine="ours")), None
+    try:
+        if not busy:
+            return _many(cfg, ask, ours, name)
+        plain = workers.ours(_spec(cfg, ask.seed, engine="plain_jax"), 1)
+        with busy_neighbour():
+            row = _many(cfg, ask, ours, name)
+            return row | {"plain_jax_ms": 1e3 * float(np.median(plain.seconds(max(cfg.steps // 20, 20))[0]))}
+    finally:
+        ours.close()
+        if plain:
+            plain.close()
+
+
+def _many(cfg: BenchConfig, ask: BenchAsk, worker: Worker, name: str) -> Row:
+    seconds: list[float] = []
+    chunk = max(cfg.steps // 20, 1)
+    while len(seconds) < cfg.steps:
+        ask.progress(f"{cfg.steps} steps, {name}", len(seconds) / cfg.steps)
+        some, compiled = worker.seconds(chunk)
+        seconds += some
+        if compiled:
+            raise RuntimeError(f"the control step was compiled {compiled} times again while it ran")
+    ms = 1e3 * np.asarray(seconds)
+    over = int(np.sum(ms > 50.0))
+    row = {"kind": "worst case", "name": name, "steps": len(ms), "median_ms": np.median(ms), "max_ms": ms.max()}
+    return row | {"p99_ms": np.quantile(ms, 0.99), "over_50_ms": over, "recompilations": compiled}
+
+
+def _sweeps(cfg: BenchConfig, ask: BenchAsk) -> list[Row]:
+    """Cost against samples, horizon and the number of problems planned at once."""
+    wanted = [("samples", {"engine": "ours", "samples": s}) for s in cfg.sample_sweep]
+    wanted += [("horizon", {"engine": "ours", "horizon": t}) for t in cfg.horizon_sweep]
+    wanted += [("problems", {"engine": "batch", "problems": p}) for p in cfg.problem_sweep]
+    rows = []
+    for i, (kind, changes) in enumerate(wanted):
+        ask.progress("sweeps", i / len(wanted))
+        worker = workers.ours(_spec(cfg, ask.seed, **changes))
+        try:
+            once = min(worker.seconds(1)[0])
+            calls = int(np.clip(3.0 / once, 3, 2 * cfg.calls))
+            rows.append(_row(kind, worker.seconds(calls)[0], worker.about) | {"kind": f"sweep {kind}"} | changes)
+        finally:
+            worker.close()
+    return rows
+
+
+def _row(name: str, seconds: list[float], about: Row) -> Row:
+    ms = 1e3 * np.asarray(seconds)
+    row = {"kind": "engine", "name": name, "calls": len(ms)} | about
+    if not len(ms):
+        return row
+    return row | {"median_ms": np.median(ms), "min_ms": ms.min(), "p90_ms": np.quantile(ms, 0.9)}
+
+
+def _metrics(cfg: BenchConfig, medians: dict[str, float], about: dict[str, Row], worst: list[Row]) -> Row:
+    rate = 2 * cfg.gemm**3 / (1e-3 * medians["gemm"])
+    ours, ideal = medians["ours"], 1e3 * mppi_problem.flop(cfg.samples, cfg.horizon) / rate
+    eager, compiled = medians.get("pytorch_mppi_eager"), medians.get("pytorch_mppi_compiled")
+    quiet, busy = worst
+    return {
+        "ours_ms": ours,
+        "ours_p99_ms": quiet["p99_ms"],
+        "ours_max_ms": quiet["max_ms"],
+        "ours_paper_networks_ms": medians["ours_paper"],
+        "pytorch_mppi_eager_ms": eager,
+        "pytorch_mppi_compiled_ms": compiled,
+        "numpy_ms": medians["numpy"],
+        "plain_jax_ms": medians["plain_jax"],
+        "ideal_ms": ideal,
+        "gemm_gflops": rate / 1e9,
+        "ratio_to_pytorch_mppi_eager": ours / eager if eager else None,
+        "ratio_to_ideal": ours / ideal,
+        "steps_over_50_ms": quiet["over_50_ms"],
+        "busy_ms": busy["median_ms"],
+        "busy_p99_ms": busy["p99_ms"],
+        "busy_max_ms": busy["max_ms"],
+        "busy_plain_jax_ms": busy["plain_jax_ms"],
+        "recompilations": quiet["recompilations"] + busy["recompilations"],
+        "first_step_s": about["ours"]["first_s"],
+    }

@@ -1,0 +1,55 @@
+"""A governor on the forward lean: what the felt force balances, plus what the speed allowed calls for.
+
+An object that sticks makes a planner lean harder until it breaks away, and then the robot falls forward with it: what
+rolls can't be braked by pushing. The governor keeps the lean near that of the cascade's velocity loop (Sec. III), so
+that the speed stays where it was allowed and the hands stay on the object, whatever the model believes.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from shmoo_mjx import se2
+from shmoo_mjx.hands import HAND_HEIGHT
+from shmoo_mjx.plant.robot import ROBOT
+
+__all__ = ["forward_lean", "govern", "static_lean"]
+
+Array = Any
+
+
+def static_lean(force: Array) -> Array:
+    """Lean [rad] that balances a forward force ``[...]`` [N] of the hands: m g l phi = F h."""
+    return force * HAND_HEIGHT / ROBOT.flatness[2]
+
+
+def forward_lean(
+    robot_pose: Array, robot_twist: Array, lean_rate: Array, wrench: Array, limit: float, gain: float
+) -> float:
+    """Lean [rad] that brings the robot to the speed ``limit`` against what it feels.
+
+    At rest the whole felt force counts as resistance, at the speed allowed less than a third of it: by then most of it
+    may be what accelerates the object, and leaning into that would run away.
+
+    Args:
+        robot_pose: ``[3]`` of {R} in {W}.
+        robot_twist: ``[3]`` in {W}.
+        lean_rate: ``[2]`` [rad/s].
+        wrench: ``[3]`` felt on the object, in {W}.
+        limit: speed allowed [m/s].
+        gain: lean per speed left to the limit [rad s/m].
+    """
+    a, b, _ = ROBOT.flatness
+    yaw = float(robot_pose[2])
+    # Speed of the flat output: the base first moves the wrong way when the lean changes.
+    speed = float(se2.rotate(np.asarray(robot_twist)[:2], -yaw)[0]) + b / a * float(lean_rate[0])
+    force = max(float(se2.rotate(np.asarray(wrench)[:2], -yaw)[0]), 0.0)
+    share = 1.0 - 0.7 * min(max(speed / limit, 0.0), 1.0)
+    return share * float(static_lean(force)) + gain * (limit - speed)
+
+
+def govern(u: Array, lean: float, room: float) -> np.ndarray:
+    """``u [3]`` (phi_x, phi_y, gamma) [rad] with its forward lean at most ``lean`` and at least ``room`` less."""
+    return np.array([min(max(float(u[0]), lean - room), lean), float(u[1]), float(u[2])])

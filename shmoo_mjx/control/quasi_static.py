@@ -1,0 +1,107 @@
+"""A quasi-static pusher, to compare with: geometry alone, no model of the object, nothing learned.
+
+It takes the object to move as one with the two hands (a stable line contact, Lynch and Mason 1996) and to stand still
+as soon as the hands do. The hands are driven along the arc that ends at the goal with the goal's yaw, as fast as
+:func:`~shmoo_mjx.control.cost.allowed_speed` allows; the felt force is balanced by lean. Same signature as
+:class:`~shmoo_mjx.control.pushing.PushController`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from shmoo_mjx import se2
+from shmoo_mjx.control.cost import PushCost, allowed_speed
+from shmoo_mjx.control.governor import forward_lean
+from shmoo_mjx.control.pushing import LocalField, Sighting
+from shmoo_mjx.hands import REACH
+from shmoo_mjx.learning.adaptation import AdaptState
+from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
+
+__all__ = ["QuasiStaticConfig", "QuasiStaticPusher", "QuasiStaticState"]
+
+Array = Any
+
+
+@dataclass(frozen=True)
+class QuasiStaticConfig:
+    """Gains, tuned on objects of the development seeds."""
+
+    steer: float = 1.2
+    """Steering angle per rad of heading error [1]."""
+    steer_limit: float = 0.35
+    """[rad]"""
+    ahead: float = 0.4
+    """How far ahead on the arc the heading is taken [m]."""
+    centre: float = 0.8
+    """Sideways speed per metre that the hands are off the face's centre [1/s]."""
+    shift: float = 0.5
+    """Metres that the hands are shifted along the face per rad of heading error [m/rad]."""
+    gain: float = 0.25
+    """Lean per m/s left to the speed allowed [rad s/m]."""
+    lean_limit: float = 0.12
+    """[rad]"""
+
+
+class QuasiStaticState(NamedTuple):
+    """Memory of one push: the face, and where the object is."""
+
+    face: np.ndarray
+    pose: np.ndarray
+    adapt: AdaptState | None
+
+
+class QuasiStaticPusher:
+    """The pusher; ``cost`` gives the speed allowed."""
+
+    def __init__(self, cost: PushCost, config: QuasiStaticConfig | None = None) -> None:
+        self.config = config or QuasiStaticConfig()
+        self.cost = cost
+
+    def init(
+        self, now: Sighting, face: Array, half_extents: Array, key: Array, adapt: AdaptState | None = None
+    ) -> QuasiStaticState:
+        """Start a push on ``face [4]``."""
+        return QuasiStaticState(np.asarray(face), now.object_pose, adapt)
+
+    def step(
+        self,
+        state: QuasiStaticState,
+        now: Sighting,
+        last_u: Array,
+        goal: Array,
+        around: LocalField,
+        half_extents: Array,
+    ) -> tuple[np.ndarray, QuasiStaticState, None]:
+        """The command ``[3]`` for the next sample; arguments as for the controller it stands in for."""
+        cfg, pose, goal = self.config, now.object_pose, np.asarray(goal, dtype=float)
+        offset = goal[:2] - pose[:2]
+        heading = pose[2] + state.face[2]
+        bearing = float(np.arctan2(offset[1], offset[0]))
+        lead = float(se2.wrap(bearing - goal[2] - state.face[2]))
+        # The arc to the goal starts at the bearing plus the lead; beside or past the goal only the yaw is left to mend.
+        wanted = bearing + float(np.clip(lead, -0.6, 0.6)) if abs(lead) < np.pi / 2 else goal[2] + state.face[2]
+        distance = float(np.linalg.norm(offset))
+        curvature = -2.0 * float(np.sin(lead)) / max(distance, 0.3) if abs(lead) < np.pi / 2 else 0.0
+        # What the arc turns is wanted beforehand; the error alone would always lag behind it.
+        error = float(se2.wrap(heading - wanted)) - cfg.ahead * curvature
+        in_face = se2.relative(se2.compose(pose, state.face[:3]), now.robot_pose)
+        hands = in_face[1] + REACH * float(np.sin(in_face[2]))
+        # Pushing right of the centre turns the object left.
+        room = max(float(state.face[3]) - 0.18, 0.0)
+        shift = float(np.clip(cfg.shift * error, -room, room))
+        sideways = float(np.clip(cfg.centre * (shift - hands), -0.1, 0.1))
+        velocity = se2.rotate(now.robot_twist[:2], -now.robot_pose[2])
+        lean = np.asarray(velocity_to_lean(Gains(), velocity, now.lean_rate, np.array([0.0, sideways])))
+        limit = float(allowed_speed(self.cost, distance))
+        forward = forward_lean(now.robot_pose, now.robot_twist, now.lean_rate, now.wrench, limit, cfg.gain)
+        u = np.array([np.clip(forward, -cfg.lean_limit, cfg.lean_limit), lean[1], 0.0])
+        u[2] = np.clip(cfg.steer * error, -cfg.steer_limit, cfg.steer_limit)
+        return u, state._replace(pose=pose), None
+
+    def coast(self, state: QuasiStaticState) -> np.ndarray:
+        """Quasi-static objects don't."""
+        return state.pose

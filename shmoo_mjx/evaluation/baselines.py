@@ -1,0 +1,198 @@
+"""Experiment `baselines`: ours beside every other way to predict an object from 25 s of it (Sec. V-B, spec section 9).
+
+Every method tries the same number of settings on the validation conditions with the same short budget; the best is
+trained anew with three seeds and scored on unseen objects. All see the same inputs, rows and protocol (`scoring`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shmoo_mjx.data import store
+from shmoo_mjx.evaluation import datasets, scoring
+from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
+from shmoo_mjx.evaluation.trials import fingerprint, run_trials
+from shmoo_mjx.learning.baselines import METHODS, REFERENCES, Budget, Job, recordings
+from shmoo_mjx.learning.baselines.adaptive import prior
+from shmoo_mjx.learning.baselines.protocol import Method, output_scale
+from shmoo_mjx.types import DT
+
+__all__ = ["PAPER", "BaselinesConfig", "run"]
+
+PAPER = {
+    "mse_ours": 0.4271,
+    "mse_prior": 1.3131,
+    "mse_trigonometric": 0.5720,
+    "ratio_trigonometric": 1.34,
+    "ratio_residual": 1.13,
+}
+"""Sec. V-A and V-B; ratio_<name> is a method's mse over ours."""
+
+
+@dataclass(frozen=True)
+class BaselinesConfig:
+    """What is compared and how hard each is tried."""
+
+    methods: tuple[str, ...] = tuple(METHODS)
+    settings: int = 4
+    """Settings that each method tries on the validation conditions, with seed 0 and the tuning budget."""
+    tuning: Budget = field(default_factory=lambda: Budget(8, 150, 8))
+    final: Budget = field(default_factory=lambda: Budget(24, 150, 8))
+    """For the chosen setting."""
+    seeds: int = 3
+    """Trainings of the chosen setting, with other seeds."""
+    fit_seconds: float = 25.0
+    """Recording that a method adapts on [s]."""
+    training_objects: int | None = None
+    """Per family; None takes all that the training set has."""
+    unseen: Mapping[str, int] = field(default_factory=lambda: dict(datasets.UNSEEN_COUNTS))
+    """Unseen objects per family."""
+    workers: int = 2
+    """Processes."""
+
+
+QUICK = BaselinesConfig(
+    settings=1,
+    tuning=Budget(1, 50, 1),
+    final=Budget(3, 100, 3),
+    seeds=1,
+    training_objects=6,
+    unseen={"box": 2, "cart": 2, "wheelchair": 2},
+)
+
+
+@dataclass(frozen=True)
+class _Work:
+    """One fit in a process of its own; called with "tune-METHOD-SETTING" or "final-METHOD-SETTING-SEED"."""
+
+    train: Path
+    unseen: Path
+    folder: Path
+    config: BaselinesConfig
+    seed: int
+
+    def __call__(self, name: str) -> list[dict[str, Any]]:
+        stage, method_name, setting, *rest = name.split("-")
+        method, number = (METHODS | REFERENCES)[method_name], int(rest[0]) if rest else 0
+        dataset = store.of_training(self.train)
+        if self.config.training_objects is not None:
+            dataset = datasets.subset(dataset, self.config.training_objects)
+        job = Job(
+            recordings(dataset.split("train")),
+            recordings(dataset.split("validation")),
+            method.settings[int(setting)],
+            self.config.tuning if stage == "tune" else self.config.final,
+            self.seed + number,
+            round(self.config.fit_seconds / DT),
+            self.folder / "training" / name,
+        )
+        return _tuned(method, job) if stage == "tune" else self._final(method, job, number)
+
+    def _final(self, method: Method, job: Job, number: int) -> list[dict[str, Any]]:
+        objects = store.read(self.unseen, splits=("test",))
+        recorded, scale = recordings(objects), output_scale(job.train.rows)
+        fits = {method.name: method.fit} | ({"prior": prior} if method.name == "ours" else {})
+        rows = []
+        for name, fit in fits.items():
+            found = scoring.score(fit(job), recorded, scale, job.fit_rows)
+            rows += [
+                {
+                    "method": name,
+                    "run": number,
+                    "condition": condition,
+                    "family": about["family"],
+                    "setting": job.setting,
+                }
+                | {measure: float(values[i]) for measure, values in found.items()}
+                for i, (condition, about) in enumerate(zip(objects.names, objects.conditions, strict=True))
+            ]
+        return rows
+
+
+def run(ask: Ask, config: BaselinesConfig | None = None) -> ExperimentResult:
+    """Tune, train and score every method; goes on from ``ask.out`` after a stop."""
+    config = config or (QUICK if ask.quick else BaselinesConfig())
+    train = datasets.training_directory(ask)
+    unseen = datasets.unseen_directory(ask, config.unseen)
+    manifests = [directory / store.MANIFEST for directory in (train, unseen)]
+    # Neither the number of processes nor of seeds changes what a fit gives.
+    key = asdict(replace(config, workers=1, seeds=1, methods=())) | {"seed": ask.seed}
+    folder = ask.out / "baselines" / fingerprint(key, *manifests)
+    work = _Work(train, unseen, folder, config, ask.seed)
+    methods = [METHODS[name] for name in config.methods]
+    tried = _tune(methods, work, ask)
+    chosen = {
+        name: min(rows, key=lambda row: row["validation_fvu"])["number"] if rows else 0 for name, rows in tried.items()
+    }
+    final = [
+        f"final-{m.name}-{chosen[m.name]}-{seed}" for m in methods for seed in range(config.seeds if m.trained else 1)
+    ]
+    final += [f"final-{name}-0-0" for name in REFERENCES]
+    rows = run_trials(final, work, folder, ask.progress, config.workers)
+    tuning = [row for name in tried for row in tried[name]]
+    result = make_result("baselines", ask, config, _metrics(rows), PAPER, [*tuning, *rows])
+    _figure(result, ask.out / "baselines" / "baselines.png")
+    return result
+
+
+def _tune(methods: list[Method], work: _Work, ask: Ask) -> dict[str, list[dict[str, Any]]]:
+    """What each setting of each method gave on the validation conditions; nothing where there is only one to try."""
+    counts = {m.name: min(work.config.settings, len(m.settings)) for m in methods}
+    names = [f"tune-{name}-{i}" for name, count in counts.items() if count > 1 for i in range(count)]
+    rows = run_trials(names, work, work.folder, ask.progress, work.config.workers)
+    numbered = [row | {"number": int(name.split("-")[2])} for name, row in zip(names, rows, strict=True)]
+    return {m.name: [row for row in numbered if row["tuned"] == m.name] for m in methods}
+
+
+def _tuned(method: Method, job: Job) -> list[dict[str, Any]]:
+    found = scoring.score(method.fit(job), job.validation, output_scale(job.train.rows), job.fit_rows)
+    return [{"tuned": method.name, "setting": job.setting, "validation_fvu": float(np.mean(found["fvu"]))}]
+
+
+def _metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
+    """Mean over conditions and seeds of each measure, the spread over seeds, and the ratios to ours."""
+    metrics: dict[str, float] = {}
+    for method in dict.fromkeys(row["method"] for row in rows):
+        mine = [row for row in rows if row["method"] == method]
+        runs = sorted({row["run"] for row in mine})
+        for measure in scoring.NAMES:
+            of_seeds = [np.nanmean([row[measure] for row in mine if row["run"] == run]) for run in runs]
+            metrics[f"{measure}_{method}"] = float(np.mean(of_seeds))
+            if measure in ("mse", "fvu"):
+                metrics[f"{measure}_std_{method}"] = float(np.std(of_seeds))
+        for family in dict.fromkeys(row["family"] for row in mine):
+            metrics[f"fvu_{family}_{method}"] = float(np.mean([r["fvu"] for r in mine if r["family"] == family]))
+    if "mse_ours" in metrics:
+        others = [name for name in dict.fromkeys(row["method"] for row in rows) if name != "ours"]
+        metrics |= {f"ratio_{name}": metrics[f"mse_{name}"] / metrics["mse_ours"] for name in others}
+    return metrics
+
+
+def _figure(result: ExperimentResult, path: Path) -> None:
+    """Fraction of variance unexplained of each method: mean over conditions, spread of seeds, a dot per condition."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    rows = [row for row in result.rows if "method" in row]
+    means = {name: result.metrics[f"fvu_{name}"] or np.nan for name in dict.fromkeys(row["method"] for row in rows)}
+    names = sorted(means, key=lambda name: -means[name])
+    figure, axes = pyplot.subplots(figsize=(7.0, 0.32 * len(names) + 1.2), constrained_layout=True)
+    for place, name in enumerate(names):
+        spread = result.metrics[f"fvu_std_{name}"] or 0.0
+        colour = "#0072B2" if name.startswith("ours") else "#999999"
+        axes.barh(place, means[name], xerr=spread, color=colour, height=0.62, error_kw={"elinewidth": 1.2})
+        dots = [row["fvu"] for row in rows if row["method"] == name and row["run"] == 0]
+        axes.plot(np.clip(dots, 0, 2), np.full(len(dots), place), "k.", markersize=3, alpha=0.5)
+    axes.axvline(1.0, color="black", linewidth=0.8, linestyle=":")
+    axes.set(yticks=range(len(names)), yticklabels=names, xlim=(0, 2), xlabel="fraction of variance unexplained")
+    axes.set_title("unseen objects, one step, after 25 s; dots are objects (those over 2 at the edge)", fontsize=9)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=130)
+    pyplot.close(figure)

@@ -1,0 +1,123 @@
+"""The data that experiments on the object model share: one training set, and objects that nobody has looked at."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from shmoo_mjx.data import store
+from shmoo_mjx.data.collect import SPLIT_SEEDS, CollectConfig, collect
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.evaluation.result import Ask
+from shmoo_mjx.plant.objects import FAMILIES, Condition, draw_condition
+
+__all__ = [
+    "UNSEEN_COUNTS",
+    "collect_rows",
+    "subset",
+    "training_data",
+    "training_directory",
+    "unseen_data",
+    "unseen_directory",
+]
+
+UNSEEN_COUNTS = {"box": 7, "cart": 7, "wheelchair": 6}
+"""The 20 unseen objects of the experiments on the object model."""
+
+TRAINING = Path("data/train")
+"""Where ``shmoo collect data/train`` of the docs puts the training set."""
+
+QUICK = CollectConfig(train=8, validation=3)
+"""Collected for a quick experiment where no training set lies at hand."""
+
+
+def training_directory(ask: Ask) -> Path:
+    """The directory of the training set: ``ask.data`` or data/train, collected if it is absent.
+
+    A collection that was stopped is continued. Without a set at hand, a quick experiment collects a small one.
+
+    Raises:
+        ShmooError: the directory holds a damaged data set.
+    """
+    directory = ask.data or TRAINING
+    config = CollectConfig()
+    if ask.quick and not (directory / store.MANIFEST).exists():
+        directory, config = ask.data or ask.out / "data" / "train-quick", QUICK
+    if (directory / store.MANIFEST).exists():
+        manifest = json.loads((directory / store.MANIFEST).read_text())
+        recorded = manifest.get("schema", {}).get("config")
+        if recorded is None or len(manifest["conditions"]) >= _count(CollectConfig(**recorded)):
+            return directory
+        config = CollectConfig(**recorded)
+    collect(directory, config, progress=_report(ask, "collect training objects"))
+    return directory
+
+
+def training_data(ask: Ask) -> store.Dataset:
+    """The train and validation conditions of `training_directory`."""
+    return store.of_training(training_directory(ask))
+
+
+def unseen_directory(ask: Ask, counts: Mapping[str, int] | None = None) -> Path:
+    """The directory with recordings of unseen objects, collected once under ``ask.out``.
+
+    Args:
+        ask: its condition_seed draws the objects, its seed the operators that push them.
+        counts: objects per family (default: UNSEEN_COUNTS).
+    """
+    counts = UNSEEN_COUNTS if counts is None else counts
+    first = ask.first_unseen
+    assert first >= SPLIT_SEEDS["test"], "an unseen object would have a training seed"
+    rows = [
+        (f"test-{family}-{first + i}", "test", draw_condition(family, first + i))
+        for family, count in counts.items()
+        for i in range(count)
+    ]
+    name = "-".join(str(n) for n in counts.values())
+    return collect_rows(ask, f"unseen-{first}-{name}", rows)
+
+
+def collect_rows(ask: Ask, name: str, rows: list[tuple[str, str, Condition]]) -> Path:
+    """The directory ``name`` under ``ask.out`` with recordings of these (name, split, condition), collected once."""
+    directory = ask.out / "data" / f"{name}-seed{ask.seed}"
+    # Operators of their own: those of the training set start from small seeds.
+    config = CollectConfig(train=0, validation=0, seed=ask.first_unseen + ask.seed)
+    collect(directory, config, progress=_report(ask, "collect unseen objects"), rows=rows)
+    return directory
+
+
+def unseen_data(ask: Ask, counts: Mapping[str, int] | None = None) -> store.Dataset:
+    """The conditions of `unseen_directory`."""
+    return store.read(unseen_directory(ask, counts), splits=("test",))
+
+
+def subset(dataset: store.Dataset, per_family: int) -> store.Dataset:
+    """The first ``per_family`` conditions of each family and split.
+
+    Raises:
+        ShmooError: nothing is left.
+    """
+    kept: list[int] = []
+    seen: dict[tuple[str, str], int] = {}
+    for i, condition in enumerate(dataset.conditions):
+        group = (condition["family"], condition["split"])
+        seen[group] = seen.get(group, 0) + 1
+        if seen[group] <= per_family:
+            kept.append(i)
+    if not kept:
+        raise ShmooError("data set: field 'conditions' is empty; collect some conditions first.")
+    return store.Dataset(
+        [dataset.names[i] for i in kept],
+        [dataset.conditions[i] for i in kept],
+        [dataset.arrays[i] for i in kept],
+        dataset.schema,
+    )
+
+
+def _count(config: CollectConfig) -> int:
+    return len(FAMILIES) * (config.train + config.validation + config.test)
+
+
+def _report(ask: Ask, stage: str) -> Callable[[int, int], None]:
+    return lambda done, total: ask.progress(stage, done / max(total, 1))

@@ -1,0 +1,116 @@
+"""What "manipulable" means, told by the plant alone, and objects drawn on both sides of that line.
+
+No model, planner or controller of the system takes part: the robot leans into the object as far as the pushing
+controller may, and how far the object has gone is the truth that decisions are compared with.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from shmoo_mjx import se2
+from shmoo_mjx.faces import faces_of, heading, stand_off
+from shmoo_mjx.hands import HAND_HEIGHT, HAND_RADIUS, REACH
+from shmoo_mjx.plant.engine_mujoco import MujocoEngine
+from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
+from shmoo_mjx.plant.objects import Condition, draw_condition
+from shmoo_mjx.plant.scene import build_scene
+from shmoo_mjx.types import DT, Command, Observation
+
+__all__ = ["IMMOVABLE", "SteadyPush", "draw_immovable", "manipulable", "steady_push"]
+
+Array = Any
+
+IMMOVABLE = ("heavy", "brakes", "fixed")
+"""Kinds of objects that a robot like this can't move: too heavy, two wheels locked, fixed to the floor."""
+
+
+@dataclass(frozen=True)
+class SteadyPush:
+    """The robot's greatest steady push."""
+
+    lean: float = 0.15
+    """Lean towards the object while it is slower than ``speed``: the limit of the pushing controller [rad]."""
+    speed: float = 0.25
+    """Speed at which the lean is taken back: that controller's speed limit [m/s]."""
+    seconds: float = 10.0
+    """Time from the first contact."""
+    distance: float = 0.316
+    """Displacement from which an object counts as manipulable [m]: what K = 0.3 m^2 asks of each of three roll-outs."""
+    touch: float = 5.0
+    """Force that counts as the first contact [N]."""
+
+
+@cache
+def steady_push(condition: Condition, side: int, cfg: SteadyPush = SteadyPush()) -> float:
+    """How far [m] the object goes when the robot leans into face ``side`` (of ``faces_of``) with all it has.
+
+    It ends once the object has gone ``cfg.distance``, or after ``cfg.seconds`` of contact.
+    """
+    face = faces_of(condition.half_extents)[side]
+    start = stand_off(np.zeros(3), face, 0.10)
+    engine = MujocoEngine([build_scene([(condition, (0.0, 0.0, 0.0))], start.tolist())])
+    world = engine.init()
+    seen = engine.observe(world)
+    lean, contact, moved = np.zeros(2), None, 0.0
+    while moved < cfg.distance and float(seen.time[0]) < cfg.seconds + 12.0:
+        if contact is None and np.hypot(*seen.wrench[0, 0, :2]) > cfg.touch:
+            contact = float(seen.time[0])
+        if contact is not None and float(seen.time[0]) - contact >= cfg.seconds:
+            break
+        lean = _lean(cfg, seen, face, lean, contact is not None)
+        u, yaw = np.array([[*lean, 0.0]]), np.array([heading(seen.object_pose[0, 0], face)])
+        world, seen = engine.step(world, Command(u, yaw, np.array([REACH]), np.array([HAND_HEIGHT])))
+        moved = float(np.linalg.norm(seen.object_pose[0, 0, :2]))
+        if engine.fallen(world)[0]:
+            break
+    engine.close()
+    return moved
+
+
+def _lean(cfg: SteadyPush, seen: Observation, face: np.ndarray, last: np.ndarray, touching: bool) -> np.ndarray:
+    """Lean command ``[2]`` in {R}: arms out at rest for 1.5 s, slowly forward, then into the object with full lean."""
+    in_face = se2.relative(se2.compose(seen.object_pose[0, 0], face[:3]), seen.robot_pose[0])
+    velocity = se2.rotate(seen.robot_twist[0, :2], -seen.robot_pose[0, 2])
+    ahead = 0.0 if float(seen.time[0]) < 1.5 else 0.12
+    wish = np.array([ahead, float(np.clip(-0.8 * in_face[1], -0.1, 0.1))])
+    lean = np.array(velocity_to_lean(Gains(), velocity, seen.lean_rate[0], wish))
+    if touching:
+        full = cfg.lean * float(np.clip((cfg.speed - velocity[0]) / 0.1, -0.5, 1.0))
+        off = -in_face[0] - REACH - HAND_RADIUS > 0.10
+        # Out of touch the hands follow the object at its own pace; in touch the lean grows by no more than 0.1 rad/s.
+        lean[0] = lean[0] if off else last[0] + np.clip(full - last[0], -0.2 * DT, 0.1 * DT)
+    return lean
+
+
+def manipulable(condition: Condition, side: int = 0, cfg: SteadyPush = SteadyPush()) -> bool:
+    """Whether the robot's steady push on face ``side`` moves the object."""
+    return steady_push(condition, side, cfg) >= cfg.distance
+
+
+def draw_immovable(kind: str, family: str, seed: int) -> Condition:
+    """An object of a kind that ought not to move; whether it does, the plant must say.
+
+    Args:
+        kind: heavy (a load of 1.5 to 4 times what the robot can push), brakes (two wheels locked, a person's load) or
+            fixed (to the floor: so heavy and so rough that nothing moves it).
+        family: of the object; a box has no brakes and is drawn heavy instead.
+        seed: draws everything.
+    """
+    rng = np.random.default_rng([seed, IMMOVABLE.index(kind)])
+    drawn = draw_condition(family, seed)
+    if kind == "fixed":
+        locked = {"locked": [True] * len(drawn.locked)} if drawn.locked else {}
+        return draw_condition(family, seed, {"mass": 400.0, "payload": 400.0, "friction": 2.0, **locked})
+    if kind == "brakes" and family != "box":
+        pairs = [(0, 1), (0, 2), (1, 3), (2, 3)] if family == "cart" else [(0, 1)]
+        pair = pairs[rng.integers(len(pairs))]
+        properties = {"locked": [i in pair for i in range(4)], "payload": float(rng.uniform(30.0, 90.0))}
+        return draw_condition(family, seed, properties)
+    if family == "box":
+        return draw_condition(family, seed, {"mass": float(rng.uniform(30.0, 90.0)), "friction": drawn.friction})
+    return draw_condition(family, seed, {"payload": float(rng.uniform(200.0, 450.0)), "rolling": [0.08] * 4})

@@ -1,0 +1,119 @@
+"""The tables of docs/learning.md, filled in from the JSON of `baselines` and `ablations`; none is typed by hand.
+
+python -m shmoo_mjx.evaluation.method_tables docs/learning.md baselines.json ablations.json
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from pathlib import Path
+
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.evaluation.result import ExperimentResult, read_result
+
+__all__ = ["ablations_table", "baselines_table", "fill"]
+
+_NAMES = {
+    "ours": "ours",
+    "ours_paper": "ours, the paper's printed form",
+    "trigonometric": "trigonometric functions of time",
+    "residual": "adaptive residual",
+    "linear": "linear basis, ridge towards zero",
+    "linear_prior": "linear basis, towards the prior",
+    "physics": "physics basis, towards the prior",
+    "rigid_body": "rigid body, identified",
+    "alpaca": "ALPaCA",
+    "gru": "GRU in context",
+    "mlp": "one MLP, no adaptation",
+    "told": "MLP told the true properties",
+    "prior": "ours before it touches the object",
+    "zero": "no acceleration (a = 0)",
+    "constant_velocity": "constant twist in {O}",
+}
+
+
+def baselines_table(result: ExperimentResult) -> str:
+    """One line per method, the best first: error after adapting, spread over seeds, ratio to ours and the paper's."""
+    found = result.metrics
+    names = [name for name in _NAMES if f"fvu_{name}" in found]
+    lines = [
+        "| method | FVU | MSE | MSE / ours | paper | 3 s position [m] | 3 s yaw [deg] | setting |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    settings = {row["method"]: row["setting"] for row in result.rows if "method" in row}
+    for name in sorted(names, key=lambda n: found[f"fvu_{n}"] or 0.0):
+        paper = result.paper.get(f"ratio_{name}")
+        cells = [
+            _NAMES[name],
+            _spread(found, "fvu", name),
+            _spread(found, "mse", name),
+            _number(1.0 if name == "ours" else found.get(f"ratio_{name}")),
+            "" if paper is None else f"{paper:g}",
+            _number(found.get(f"pos_rmse_3s_m_{name}")),
+            _number(found.get(f"yaw_rmse_3s_deg_{name}")),
+            ", ".join(f"{key} {value}" for key, value in settings.get(name, {}).items()) or "default",
+        ]
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join([*lines, "", _source(result)])
+
+
+def ablations_table(result: ExperimentResult) -> str:
+    """One line per variant: error on unseen objects, and how well a fresh probe tells the condition from psi."""
+    found = result.metrics
+    names = [key.removeprefix("fvu_") for key in found if key.startswith("fvu_") and not key.startswith("fvu_std_")]
+    lines = ["| variant | FVU | 3 s position [m] | 3 s yaw [deg] | probe on psi |", "|---|---|---|---|---|"]
+    for name in names:
+        cells = [name, _spread(found, "fvu", name)]
+        cells += [_number(found.get(f"{m}_{name}")) for m in ("pos_rmse_3s_m", "yaw_rmse_3s_deg", "probe_psi")]
+        lines.append(f"| {' | '.join(cells)} |")
+    probes = (
+        f"The same probe on the raw inputs: {_number(found['probe_inputs'])}; without the size: "
+        f"{_number(found['probe_inputs_without_size'])}; chance: {_number(found['chance'])}."
+    )
+    return "\n".join([*lines, "", probes, "", _source(result)])
+
+
+def fill(page: Path, results: list[ExperimentResult]) -> None:
+    """Put each result's table between the page's comments <!-- NAME --> and <!-- end NAME -->.
+
+    Raises:
+        ShmooError: the page has no such place.
+    """
+    text, tables = page.read_text(), {"baselines": baselines_table, "ablations": ablations_table}
+    for result in results:
+        name = result.experiment
+        place = re.compile(rf"<!-- {re.escape(name)} -->\n.*?<!-- end {re.escape(name)} -->", re.DOTALL)
+        if name not in tables or not place.search(text):
+            raise ShmooError(f"{page}: has no place for {name!r}; write <!-- {name} --> and <!-- end {name} --> there.")
+        table = tables[name](result)
+        before, after = place.split(text, maxsplit=1)
+        text = f"{before}<!-- {name} -->\n{table}\n<!-- end {name} -->{after}"
+    part = page.with_name(f"{page.name}.{os.getpid()}.part")
+    part.write_text(text)
+    os.replace(part, page)
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}"
+
+
+def _spread(found: dict[str, float | None], measure: str, name: str) -> str:
+    """Mean and, where there is more than one seed, the standard deviation over seeds."""
+    std = found.get(f"{measure}_std_{name}")
+    return _number(found[f"{measure}_{name}"]) + (f" +- {std:.2g}" if std else "")
+
+
+def _source(result: ExperimentResult) -> str:
+    config = result.config
+    objects = sum(config["unseen"].values())
+    quick = " --quick" if config["quick"] else ""
+    return (
+        f"`shmoo experiment {result.experiment}{quick} --seed {result.seed} --condition-seed "
+        f"{config['condition_seed']}`: {objects} unseen objects, {config['seeds']} seeds."
+    )
+
+
+if __name__ == "__main__":
+    fill(Path(sys.argv[1]), [read_result(Path(argument)) for argument in sys.argv[2:]])

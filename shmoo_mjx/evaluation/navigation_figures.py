@@ -1,0 +1,122 @@
+"""Figures of the experiment navigation."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shmoo_mjx.evaluation.scenarios import KINDS
+from shmoo_mjx.navigation.maps import OccupancyGrid, load_map
+from shmoo_mjx.report.figures import to_png
+from shmoo_mjx.report.style import COLOURS, SERIES, object_colour, outline
+from shmoo_mjx.report.trace import write_bytes
+
+__all__ = ["draw_figures"]
+
+
+def draw_figures(folder: Path, rows: list[dict[str, Any]], maps: dict[str, Path]) -> None:
+    """Write success.png, causes.png and one picture of the runs per map into ``folder``."""
+    folder.mkdir(parents=True, exist_ok=True)
+    if not rows:
+        return
+    write_bytes(folder / "success.png", to_png(_success(rows)))
+    write_bytes(folder / "causes.png", to_png(_causes(rows)))
+    for name in dict.fromkeys(r["map"] for r in rows):
+        of = [r for r in rows if r["map"] == name]
+        write_bytes(folder / f"runs-{name}.png", to_png(_runs(of, load_map(maps[name]))))
+
+
+def _policies(rows: list[dict[str, Any]]) -> list[str]:
+    return list(dict.fromkeys(r["policy"] for r in rows))
+
+
+def _success(rows: list[dict[str, Any]]) -> Any:
+    """Share of successes by policy, a group of bars per kind of scenario."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.5, 3.6), layout="constrained")
+    axes = figure.subplots()
+    policies = _policies(rows)
+    groups = [kind for kind in KINDS if any(r["kind"] == kind for r in rows)]
+    for k, policy in enumerate(policies):
+        for g, kind in enumerate(groups):
+            of = [r["success"] for r in rows if r["policy"] == policy and r["kind"] == kind]
+            place = g + (k - (len(policies) - 1) / 2) * 0.8 / len(policies)
+            label = policy.replace("_", " ") if g == 0 else None
+            axes.bar(place, np.mean(of), 0.75 / len(policies), color=SERIES[k], label=label)
+            axes.text(place, float(np.mean(of)), f"{sum(of)}/{len(of)}", ha="center", va="bottom", fontsize=7)
+    axes.set_xticks(range(len(groups)), groups)
+    axes.set_ylabel("share of runs that reach the goal")
+    axes.set_ylim(0, 1.12)
+    figure.legend(loc="outside upper center", ncols=4, fontsize=8, frameon=False)
+    return figure
+
+
+def _causes(rows: list[dict[str, Any]]) -> Any:
+    """Failures by cause, a colour per policy."""
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
+
+    policies = _policies(rows)
+    counts = Counter((r["cause"], r["policy"]) for r in rows if not r["success"])
+    causes = [c for c, _ in Counter(r["cause"] for r in rows if not r["success"]).most_common()][::-1]
+    figure = Figure(figsize=(8.0, 1.2 + 0.4 * max(len(causes), 1)), layout="constrained")
+    axes = figure.subplots()
+    left = np.zeros(len(causes))
+    for k, policy in enumerate(policies):
+        width = np.array([counts[cause, policy] for cause in causes], dtype=float)
+        axes.barh(range(len(causes)), width, left=left, color=SERIES[k], label=policy.replace("_", " "))
+        left += width
+    axes.set_yticks(range(len(causes)), causes, fontsize=8)
+    axes.set_xlabel("failed runs")
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    figure.legend(loc="outside upper center", ncols=4, fontsize=8, frameon=False)
+    return figure
+
+
+def _runs(rows: list[dict[str, Any]], grid: OccupancyGrid) -> Any:
+    """A row per scenario, a column per policy: driven path, objects before (dotted) and after."""
+    from matplotlib.figure import Figure
+
+    policies, numbers = _policies(rows), sorted({r["scenario"] for r in rows})
+    figure = Figure(figsize=(3.2 * len(policies), 3.2 * len(numbers)), layout="constrained")
+    panels = figure.subplots(len(numbers), len(policies), squeeze=False)
+    for axes in panels.ravel():
+        axes.set_axis_off()
+    for row in rows:
+        axes = panels[numbers.index(row["scenario"]), policies.index(row["policy"])]
+        _draw_run(axes, row, grid)
+    return figure
+
+
+def _draw_run(axes: Any, row: dict[str, Any], grid: OccupancyGrid) -> None:
+    from matplotlib.transforms import Affine2D
+
+    shade = np.full((*grid.cells.shape, 3), 0.85)
+    shade[grid.free], shade[grid.occupied] = 1.0, 0.25
+    height, width = grid.cells.shape
+    image = axes.imshow(shade, origin="lower", extent=(0, width, 0, height), interpolation="nearest")
+    x, y, yaw = grid.origin
+    image.set_transform(Affine2D().scale(grid.resolution).rotate(yaw).translate(x, y) + axes.transData)
+    driven = np.array(row["driven"])
+    axes.plot(*driven.T, color=COLOURS["robot"], lw=1.5)
+    goal = np.array(row["scenario_file"]["goal"])
+    axes.plot(*goal, "*", color=COLOURS["goal"], ms=11)
+    axes.plot(*driven[0], "o", color=COLOURS["robot"], ms=5)
+    corners = [driven, goal[None]]
+    for number, item in enumerate(row["objects"]):
+        colour = object_colour(item, number)
+        for key, style in (("start_pose", ":"), ("final_pose", "-")):
+            shape = outline(item[key], item["half_extents"])
+            corners.append(shape)
+            axes.fill(*shape.T, facecolor="none" if style == ":" else colour, edgecolor=colour, ls=style, alpha=0.8)
+    low, high = np.concatenate(corners).min(axis=0) - 1.0, np.concatenate(corners).max(axis=0) + 1.0
+    half = 0.5 * max(high - low)
+    middle = 0.5 * (low + high)
+    axes.set_xlim(middle[0] - half, middle[0] + half)
+    axes.set_ylim(middle[1] - half, middle[1] + half)
+    verdict = f"{row['time_s']:.0f} s" if row["success"] else row["cause"]
+    axes.set_title(f"{row['policy']}, {row['kind']}\n{verdict}", fontsize=8)

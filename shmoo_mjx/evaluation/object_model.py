@@ -1,0 +1,274 @@
+"""Experiment `object_model`: what psi and 25 s of an unseen object are worth (Sec. V-A, Fig. 4, spec section 9).
+
+psi is trained with several seeds, adapts to each unseen object on its first 25 s, and is scored on later rows, beside
+the prior (the same psi, object not yet touched) and predictors that don't adapt. With the first psi, online adaptation
+(Eq. 8) is run sample by sample: how much of the way from the prior to a* is covered after how much contact, and how
+long it takes to notice a brake.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from shmoo_mjx.data import store
+from shmoo_mjx.dynamics import object_model
+from shmoo_mjx.evaluation import datasets, scoring
+from shmoo_mjx.evaluation.object_model_figures import draw_curve, draw_roll_outs
+from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result, spread
+from shmoo_mjx.evaluation.trials import fingerprint, run_trials
+from shmoo_mjx.learning import adaptation, daiml
+from shmoo_mjx.learning.adaptation import AdaptConfig
+from shmoo_mjx.learning.baselines import REFERENCES, Budget, Job, Recordings, first_rows, recordings
+from shmoo_mjx.learning.baselines.adaptive import daiml_config, from_fit, prior_of
+from shmoo_mjx.learning.baselines.networks import mlp
+from shmoo_mjx.learning.baselines.protocol import Predictor, output_scale
+from shmoo_mjx.learning.daiml import DaimlConfig, ObjectFit
+from shmoo_mjx.plant.objects import draw_condition
+from shmoo_mjx.types import DT
+
+__all__ = ["PAPER", "ObjectModelConfig", "gap_closed", "run"]
+
+PAPER = {"mse_before": 1.3131, "mse_after": 0.4271, "ratio_after_before": 0.325}
+"""Sec. V-A."""
+
+SECONDS = (0.2, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0, 20.0)
+"""Of contact, at which the adaptation is looked at [s]."""
+
+
+@dataclass(frozen=True)
+class ObjectModelConfig:
+    """What is trained and measured."""
+
+    seeds: int = 3
+    """Trainings of psi and of the network without adaptation."""
+    budget: Budget = field(default_factory=lambda: Budget(DaimlConfig().chunks, 150, DaimlConfig().patience))
+    """Of each training: that of the shipped psi."""
+    fit_seconds: float = 25.0
+    """Recording that a* is fitted on [s]."""
+    training_objects: int | None = None
+    """Per family; None takes all that the training set has."""
+    unseen: dict[str, int] = field(default_factory=lambda: dict(datasets.UNSEEN_COUNTS))
+    """Unseen objects per family."""
+    adapt: AdaptConfig = field(default_factory=AdaptConfig)
+    """Gains of the online adaptation."""
+    workers: int = 1
+    """Processes; a training keeps both cores busy by itself, and two of them hinder each other."""
+
+
+QUICK = ObjectModelConfig(
+    seeds=1, budget=Budget(3, 100, 3), training_objects=6, unseen={"box": 2, "cart": 2, "wheelchair": 2}
+)
+
+
+@dataclass(frozen=True)
+class _Work:
+    """One training and its scores, in a process of its own; called with "psi-SEED" or "mlp-SEED" or a reference."""
+
+    train: Path
+    unseen: Path
+    folder: Path
+    config: ObjectModelConfig
+    seed: int
+
+    def __call__(self, name: str) -> list[dict[str, Any]]:
+        method, _, number = name.partition("-")
+        objects = store.read(self.unseen, splits=("test",))
+        job = self.job(int(number))
+        rows: list[dict[str, Any]] = []
+        for label, predictor in self._predictors(method, job).items():
+            found = scoring.score(predictor, recordings(objects), output_scale(job.train.rows), job.fit_rows)
+            rows += [
+                {"predictor": label, "run": int(number), "condition": condition, "family": about["family"]}
+                | {measure: float(values[i]) for measure, values in found.items()}
+                for i, (condition, about) in enumerate(zip(objects.names, objects.conditions, strict=True))
+            ]
+        return rows
+
+    def job(self, number: int) -> Job:
+        """The training with this number."""
+        dataset = store.of_training(self.train)
+        if self.config.training_objects is not None:
+            dataset = datasets.subset(dataset, self.config.training_objects)
+        data = (recordings(dataset.split("train")), recordings(dataset.split("validation")))
+        rows = round(self.config.fit_seconds / DT)
+        folder = self.folder / "training" / f"psi-{number}"
+        return Job(*data, {}, self.config.budget, self.seed + number, rows, folder)
+
+    def fit(self, number: int) -> tuple[ObjectFit, DaimlConfig]:
+        """psi number ``number``: trained, or read from its checkpoint if it has been."""
+        job = self.job(number)
+        config = daiml_config(job, DaimlConfig())
+        return daiml.fit_rows(job.train.rows, job.validation.rows, config, job.directory), config
+
+    def _predictors(self, method: str, job: Job) -> dict[str, Predictor]:
+        if method == "psi":
+            fitted = self.fit(job.seed - self.seed)
+            return {"after": from_fit(*fitted), "before": prior_of(*fitted)}
+        if method == "mlp":
+            return {
+                "mlp": mlp(replace(job, setting={"learning_rate": 1e-3}, directory=self.folder / f"mlp-{job.seed}"))
+            }
+        return {method: REFERENCES[method].fit(job)}
+
+
+def run(ask: Ask, config: ObjectModelConfig | None = None) -> ExperimentResult:
+    """Train, adapt and score; goes on from ``ask.out`` after a stop."""
+    config = config or (QUICK if ask.quick else ObjectModelConfig())
+    train, unseen = datasets.training_directory(ask), datasets.unseen_directory(ask, config.unseen)
+    key = asdict(replace(config, workers=1, seeds=1)) | {"seed": ask.seed}
+    name = fingerprint(key, train / store.MANIFEST, unseen / store.MANIFEST)
+    out = ask.out / "object_model"
+    work = _Work(train, unseen, out / name, config, ask.seed)
+    names = [f"{method}-{i}" for method in ("psi", "mlp") for i in range(config.seeds)]
+    rows = run_trials([*names, *(f"{r}-0" for r in REFERENCES)], work, out / name, ask.progress, config.workers)
+    metrics = _metrics(rows)
+    ask.progress("online adaptation", 0.95)
+    fitted, daiml_settings = work.fit(0)
+    objects = store.read(unseen, splits=("test",))
+    recorded = recordings(objects)
+    scale = output_scale(work.job(0).train.rows)
+    shares = gap_closed(fitted, daiml_settings, config.adapt, recorded, scale)
+    metrics |= _curve_metrics(shares) | _brake_metrics(ask, config, fitted, daiml_settings, scale)
+    curve = [
+        {"curve": "gap_closed", "condition": condition, "contact_s": s, "share": shares[i, k]}
+        for i, condition in enumerate(objects.names)
+        for k, s in enumerate(SECONDS)
+    ]
+    draw_curve(SECONDS, shares, out / "adaptation.png")
+    draw_roll_outs(from_fit(fitted, daiml_settings), prior_of(fitted, daiml_settings), objects, out / "roll_outs.png")
+    return make_result("object_model", ask, config, metrics, PAPER, [*rows, *curve])
+
+
+def gap_closed(
+    fitted: ObjectFit, config: DaimlConfig, adapt: AdaptConfig, recorded: Recordings, scale: np.ndarray
+) -> np.ndarray:
+    """Share of the way from the prior's error to that of a* that Eq. 8 has covered after SECONDS of contact.
+
+    Errors are on the rows after those that a* is fitted on. The adaptation starts at the prior and sees only rows that
+    count, in the order of the recording.
+
+    Returns:
+        ``[C, len(SECONDS)]``; NaN where the recording has less contact, or a* is no better than the prior.
+    """
+    after, before = from_fit(fitted, config), prior_of(fitted, config)
+    marks = np.round(np.array(SECONDS) / DT).astype(int)
+    shares = np.full((len(recorded.properties), len(SECONDS)), np.nan)
+    for i in range(len(shares)):
+        known = first_rows(recorded, i, config.fit_rows)
+        error = _error_of(after, recorded, i, scale, config.fit_rows)
+        means = _online(fitted, config, adapt, known.inputs, known.labels, known.weights)
+        prior, best = error(before.adapt(known)), error(after.adapt(jax.tree.map(jnp.asarray, known)))
+        if best < prior:
+            count = int(np.sum(np.asarray(known.weights) > 0))
+            for k, mark in enumerate(marks):
+                shares[i, k] = (prior - error(means[mark - 1])) / (prior - best) if mark <= count else np.nan
+    return shares
+
+
+def _error_of(
+    predictor: Predictor, recorded: Recordings, index: int, scale: np.ndarray, fit_rows: int
+) -> Callable[[Any], float]:
+    """The fraction of variance unexplained of one condition's later rows, as a function of the coefficients."""
+    rows, time = jax.tree.map(lambda v: jnp.asarray(v[index, fit_rows:]), (recorded.rows, recorded.time))
+    weight = rows.weights[:, None]
+    mean = jnp.sum(weight * rows.labels, axis=0) / jnp.maximum(jnp.sum(weight), 1.0)
+    variance = jnp.sum(weight * ((rows.labels - mean) / scale) ** 2)
+
+    @jax.jit
+    def error(a: Any) -> Any:
+        left = (rows.labels - predictor.predict(a, rows.inputs, time)) / scale
+        return jnp.sum(weight * left**2) / variance
+
+    return lambda a: float(error(a))
+
+
+def _online(fitted: ObjectFit, config: DaimlConfig, adapt: AdaptConfig, x: Any, y: Any, w: Any) -> np.ndarray:
+    """The coefficients ``[M, m, K]`` after each of the M rows that count."""
+    keep = np.asarray(w) > 0
+    phi = object_model.design_matrix(
+        jax.tree.map(jnp.asarray, fitted.params), jnp.asarray(np.asarray(x)[keep]), config.object
+    )
+    start = adaptation.init(fitted.prior_mean, fitted.prior_covariance, fitted.noise)
+
+    def one(state: Any, row: Any) -> tuple[Any, Any]:
+        state = adaptation.step(adapt, state, *row)
+        return state, state.mean
+
+    means = jax.jit(lambda: jax.lax.scan(one, start, (phi, jnp.asarray(np.asarray(y)[keep])))[1])()
+    return np.asarray(means).reshape(-1, *np.shape(fitted.prior_mean))
+
+
+def _metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
+    def of(predictor: str, measure: str, family: str | None = None) -> list[float]:
+        """Mean over the objects, for each training."""
+        mine = [r for r in rows if r["predictor"] == predictor and family in (None, r["family"])]
+        runs = sorted({r["run"] for r in mine})
+        return [float(np.nanmean([r[measure] for r in mine if r["run"] == k])) for k in runs]
+
+    found: dict[str, float] = {}
+    for predictor in ("before", "after", "zero", "constant_velocity", "mlp"):
+        for measure in ("mse", "mse_x", "mse_y", "mse_yaw", "fvu"):
+            values = of(predictor, measure)
+            found[f"{measure}_{predictor}"] = float(np.mean(values))
+            if len(values) > 1 and measure in ("mse", "fvu"):
+                found[f"{measure}_{predictor}_std"] = float(np.std(values))
+        suffix = "" if predictor == "after" else f"_{predictor}"
+        for name in scoring.NAMES:
+            if "rmse" in name:
+                found[f"{name}{suffix}"] = float(np.mean(of(predictor, name)))
+    for family in dict.fromkeys(r["family"] for r in rows):
+        found[f"fvu_after_{family}"] = float(np.mean(of("after", "fvu", family)))
+        found[f"fvu_before_{family}"] = float(np.mean(of("before", "fvu", family)))
+    others = ("before", "zero", "constant_velocity", "mlp")
+    found["ratio_after_before"] = found["mse_after"] / found["mse_before"]
+    found["ratio_after_best_nonadaptive"] = found["mse_after"] / min(found[f"mse_{o}"] for o in others)
+    for name in ("pos_rmse_3s_m", "yaw_rmse_3s_deg"):
+        found[f"ratio_{name}_best_nonadaptive"] = found[name] / min(found[f"{name}_{o}"] for o in others)
+    return found
+
+
+def _curve_metrics(shares: np.ndarray) -> dict[str, float]:
+    found: dict[str, float] = {}
+    for k, seconds in enumerate(SECONDS):
+        values = spread(shares[:, k])
+        found |= {f"gap_closed_{seconds:g}s_{name}": values[name] for name in ("median", "q25", "q75")}
+    return found
+
+
+def _brake_metrics(
+    ask: Ask, config: ObjectModelConfig, fitted: ObjectFit, settings: DaimlConfig, scale: np.ndarray
+) -> dict[str, float]:
+    """Seconds of contact after a brake is put on until Eq. 8 has covered 60 % of the way to the braked object's a*."""
+    count = max(config.unseen.get("wheelchair", 0), 1)
+    seeds = range(ask.first_unseen + 500, ask.first_unseen + 500 + count)
+    free = {"locked": (False, False, False, False)}
+    braked = {"locked": (True, False, False, False)}
+    rows = [
+        (f"test-{state}-{seed}", "test", draw_condition("wheelchair", seed, properties))
+        for state, properties in (("free", free), ("braked", braked))
+        for seed in seeds
+    ]
+    directory = datasets.collect_rows(ask, f"brake-{seeds[0]}-{count}", rows)
+    recorded = recordings(store.read(directory, splits=("test",)))
+    after = from_fit(fitted, settings)
+    times = []
+    # Names are read in alphabetical order: the braked ones come first.
+    for i in range(count):
+        new, old = first_rows(recorded, i, settings.fit_rows), first_rows(recorded, i + count, settings.fit_rows)
+        x, y, w = (np.concatenate([getattr(old, n), getattr(new, n)]) for n in ("inputs", "labels", "weights"))
+        means = _online(fitted, settings, config.adapt, x, y, w)
+        error = _error_of(after, recorded, i, scale, settings.fit_rows)
+        begun = int(np.sum(old.weights > 0))
+        wrong, best = error(means[begun - 1]), error(after.adapt(jax.tree.map(jnp.asarray, new)))
+        marks = [
+            k for k in range(1, len(means) - begun, 2) if error(means[begun + k - 1]) <= wrong - 0.6 * (wrong - best)
+        ]
+        times.append(marks[0] * DT if marks and best < wrong else np.nan)
+    return {"brake_readapt_s_median": spread(times)["median"], "brake_readapted": float(np.sum(np.isfinite(times)))}

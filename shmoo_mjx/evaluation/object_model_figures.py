@@ -1,0 +1,107 @@
+"""Figures of the experiment `object_model`: roll-outs before and after (like Fig. 4), and the adaptation's progress."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shmoo_mjx import se2
+from shmoo_mjx.data import store
+from shmoo_mjx.evaluation.scoring import FIT_ROWS, roll_out
+from shmoo_mjx.learning.baselines import first_rows, recordings
+from shmoo_mjx.learning.baselines.protocol import Predictor
+from shmoo_mjx.report.style import SERIES, outline
+
+__all__ = ["draw_curve", "draw_roll_outs"]
+
+BEFORE, AFTER = SERIES[1], SERIES[0]
+
+STEPS = 30
+"""Length of the drawn roll-outs [samples]."""
+
+
+def draw_roll_outs(after: Predictor, before: Predictor, objects: store.Dataset, path: Path, count: int = 8) -> None:
+    """Eight objects, pushed for 3 s after the 25 s of adaptation: where each went, and where psi says it would go."""
+    pyplot = _pyplot()
+    recorded = recordings(objects)
+    # One family after the other, so that the eight show them all.
+    by_family: dict[str, list[int]] = {}
+    for i, condition in enumerate(objects.conditions):
+        by_family.setdefault(condition["family"], []).append(i)
+    most = max(len(v) for v in by_family.values())
+    chosen = [v[k] for k in range(most) for v in by_family.values() if k < len(v)][:count]
+    figure, axes = pyplot.subplots(
+        2, (len(chosen) + 1) // 2, figsize=(12.5, 6.2), constrained_layout=True, squeeze=False
+    )
+    for axis, i in zip(axes.flat, chosen, strict=False):
+        _draw_one(axis, after, before, recorded, i, objects)
+    axes.flat[0].legend(fontsize=7, loc="best")
+    for axis in axes.flat[len(chosen) :]:
+        axis.axis("off")
+    _save(pyplot, figure, path)
+
+
+def _draw_one(axis: Any, after: Predictor, before: Predictor, recorded: Any, i: int, objects: store.Dataset) -> None:
+    start = _liveliest(recorded, i)
+    rows = slice(start, start + STEPS)
+    x, time, pose = recorded.rows.inputs[i, rows], recorded.time[i, rows], recorded.pose[i]
+    known = first_rows(recorded, i, FIT_ROWS)
+    truth = se2.relative(pose[start], pose[start : start + STEPS + 1])
+    axis.plot(truth[:, 0], truth[:, 1], color="black", linewidth=2.2, label="recorded")
+    for predictor, label, colour in ((before, "before: the prior", BEFORE), (after, "after 25 s", AFTER)):
+        path = np.asarray(roll_out(predictor, predictor.adapt(known), x, time))
+        axis.plot(path[:, 0], path[:, 1], color=colour, linewidth=1.6, label=label)
+        _outline(axis, path[-1], objects.conditions[i], colour)
+    _outline(axis, truth[-1], objects.conditions[i], "black")
+    force = np.asarray(se2.rotate(x[::3, 3:5], truth[:-1:3, 2]))
+    axis.quiver(*truth[:-1:3, :2].T, *force.T, color="0.55", scale=400, width=0.005, zorder=0)
+    about = objects.conditions[i]
+    axis.set_title(f"{about['family']}, {about['mass'] + about['payload']:.0f} kg", fontsize=9)
+    axis.set_aspect("equal")
+    axis.tick_params(labelsize=7)
+
+
+def _liveliest(recorded: Any, i: int) -> int:
+    """First row of the stretch of STEPS rows in one episode, after the adaptation, over which the object moves most."""
+    starts = np.arange(FIT_ROWS, recorded.rows.inputs.shape[1] - STEPS)
+    inside = recorded.rows.run[i, starts] > STEPS
+    moved = np.linalg.norm(recorded.pose[i, starts + STEPS, :2] - recorded.pose[i, starts, :2], axis=1) * inside
+    return int(starts[np.argmax(moved)])
+
+
+def _outline(axis: Any, pose: np.ndarray, condition: dict[str, Any], colour: str) -> None:
+    corners = outline(pose, np.array(condition["size"][:2]) / 2)
+    axis.plot(*corners[[0, 1, 2, 3, 0]].T, color=colour, linewidth=0.8, alpha=0.7)
+
+
+def draw_curve(seconds: Sequence[float], shares: np.ndarray, path: Path) -> None:
+    """Share of the way from the prior's error to that of a* against seconds of contact: median and quartiles."""
+    pyplot = _pyplot()
+    q25, median, q75 = np.nanquantile(shares, [0.25, 0.5, 0.75], axis=0)
+    figure, axis = pyplot.subplots(figsize=(5.5, 3.4), constrained_layout=True)
+    axis.fill_between(seconds, q25, q75, color=AFTER, alpha=0.2, label="quartiles")
+    axis.plot(seconds, median, color=AFTER, marker="o", label="median over the objects")
+    axis.axhline(0.6, color="black", linestyle=":", linewidth=0.8, label="60 %")
+    axis.set(xscale="log", xlabel="seconds of contact", ylabel="share of prior-to-a* gap closed", ylim=(-0.3, 1.1))
+    axis.set_xticks(list(seconds), [f"{s:g}" for s in seconds])
+    axis.minorticks_off()
+    axis.legend(fontsize=8)
+    _save(pyplot, figure, path)
+
+
+def _pyplot() -> Any:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    return pyplot
+
+
+def _save(pyplot: Any, figure: Any, path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=130)
+    pyplot.close(figure)

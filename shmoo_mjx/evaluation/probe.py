@@ -1,0 +1,77 @@
+"""Is psi the same in every condition? A fresh network tries to tell the condition from one sample of psi (Eq. 6).
+
+The adversary's own loss in training says little: it may be weak. This probe is trained from nothing on a psi that does
+not change any more, as well as it can, and is tested on later rows than it was trained on.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+
+from shmoo_mjx.dynamics import features, object_model
+from shmoo_mjx.learning.baselines.gradient import Layers, dense, layers
+from shmoo_mjx.learning.daiml import DaimlConfig, ObjectFit
+from shmoo_mjx.learning.rows import Rows
+
+__all__ = ["accuracy", "psi_of", "raw_without_size"]
+
+Array = Any
+
+HIDDEN = (64, 64)
+BATCH = 1024
+TRAINING_SHARE = 0.6
+"""Share of each condition's rows, the first ones, that the probe is trained on."""
+
+
+def accuracy(values: Array, weights: Array, seed: int, updates: int = 1500) -> float:
+    """Share of later rows whose condition a fresh probe tells, mean over conditions; chance is 1 / C.
+
+    Args:
+        values: ``[C, N, f]`` what the probe sees of each row.
+        weights: ``[C, N]`` rows with 0 are left out.
+        seed: of the probe.
+        updates: of its training, by Adam on batches of 1024 rows.
+    """
+    values, weights = np.asarray(values, np.float32), np.asarray(weights) > 0
+    early = np.cumsum(weights, axis=1) <= TRAINING_SHARE * weights.sum(axis=1, keepdims=True)
+    train, test = np.nonzero(weights & early), np.nonzero(weights & ~early)
+    used = values[train]
+    values = (values - used.mean(axis=0)) / np.maximum(used.std(axis=0), 1e-6)
+    start = layers(jax.random.key(seed), values.shape[-1], *HIDDEN, values.shape[0])
+    net = _fit(start, jnp.asarray(values[train]), jnp.asarray(train[0]), jax.random.key(seed + 1), updates)
+    right = np.argmax(np.asarray(dense(net, values[test])), axis=-1) == test[0]
+    return float(np.mean([right[test[0] == c].mean() for c in np.unique(test[0])]))
+
+
+def psi_of(fitted: ObjectFit, config: DaimlConfig, rows: Rows) -> Array:
+    """psi ``[C, N, n]`` of every row, its distinct functions side by side."""
+    psi = object_model.basis(jax.tree.map(jnp.asarray, fitted.params), jnp.asarray(rows.inputs), config.object)
+    return psi.reshape(*psi.shape[:-2], -1) if config.object.per_axis else psi[..., 0, :]
+
+
+def raw_without_size(rows: Rows) -> Array:
+    """The inputs of psi without the size, which is the same in all rows of a condition and gives it away."""
+    where = features.slices(features.OBJECT_INPUTS)["size"]
+    return np.delete(np.asarray(rows.inputs), np.arange(where.start, where.stop), axis=-1)
+
+
+@partial(jax.jit, static_argnums=4)
+def _fit(net: Layers, values: Array, condition: Array, key: Array, updates: int) -> Layers:
+    optimiser = optax.adam(optax.cosine_decay_schedule(3e-3, updates))
+
+    def loss(net: Layers, rows: Array) -> Array:
+        return jnp.mean(optax.softmax_cross_entropy_with_integer_labels(dense(net, values[rows]), condition[rows]))
+
+    def update(carry: tuple[Layers, Any], key: Array) -> tuple[tuple[Layers, Any], None]:
+        net, state = carry
+        gradient = jax.grad(loss)(net, jax.random.randint(key, (BATCH,), 0, values.shape[0]))
+        change, state = optimiser.update(gradient, state)
+        return (optax.apply_updates(net, change), state), None
+
+    return jax.lax.scan(update, (net, optimiser.init(net)), jax.random.split(key, updates))[0][0]

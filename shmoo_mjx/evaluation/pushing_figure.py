@@ -1,0 +1,108 @@
+"""The picture of the pushing experiment, after the paper's Fig. 7, and its films."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shmoo_mjx.evaluation.pushing_trials import GOALS, METHODS, Trial, scene_of_trial
+from shmoo_mjx.report.style import COLOURS, SERIES, outline
+
+__all__ = ["draw_figure", "film"]
+
+_COLOUR = dict(zip(METHODS, (SERIES[0], SERIES[3], SERIES[1], SERIES[2]), strict=True))
+
+
+def draw_figure(path: Path, rows: list[dict[str, Any]], folder: Path) -> Path:
+    """One panel per family with the objects' ways under our controller, one with where every object ended."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+    from matplotlib.collections import LineCollection
+
+    families = list(dict.fromkeys(row["family"] for row in rows))
+    figure, axes = plt.subplots(1, len(families) + 1, figsize=(4.4 * (len(families) + 1), 4.4), layout="constrained")
+    lines = None
+    for axis, family in zip(axes, families, strict=False):
+        for row in rows:
+            if row["method"] == "ours" and row["family"] == family:
+                track = np.load(folder / f"ours-{row['trial']}.npz")
+                way = track["object_pose"][:, :2]
+                pieces = np.stack([way[:-1], way[1:]], axis=1)
+                progress = np.linspace(0, 1, len(pieces))
+                lines = axis.add_collection(LineCollection(list(pieces), array=progress, cmap="viridis", lw=1.2))
+                axis.plot(*way[-1], "o", ms=4, color=_COLOUR["ours"], mec="white", mew=0.5)
+        axis.set_title(f"{family}: ways of the object")
+        _goals(axis, [r for r in rows if r["method"] == "ours" and r["family"] == family], circles=True)
+    if lines is not None:
+        figure.colorbar(lines, ax=axes[: len(families)].tolist(), label="share of the trial's time", shrink=0.7)
+    _offsets(axes[-1], rows)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=130)
+    plt.close(figure)
+    return path
+
+
+def _goals(axis: Any, rows: list[dict[str, Any]], circles: bool) -> None:
+    """The three goals, and round each the circle that holds all final positions."""
+    from matplotlib.patches import Circle, Polygon
+
+    for number, (x, y) in enumerate(GOALS, 1):
+        offsets = [row["offset_m"] for row in rows if row["goal"] == number]
+        if not offsets:
+            continue
+        pose = np.array([x, y, 2 * np.arctan2(y, x)])
+        axis.add_patch(Polygon(outline(pose, (0.3, 0.25)), fill=False, ec=COLOURS["goal"], lw=0.8, ls=":"))
+        axis.plot(x, y, "+", ms=9, mew=1.5, color=COLOURS["goal"])
+        if circles:
+            axis.add_patch(Circle((x, y), max(offsets), fill=False, ec=COLOURS["decision"], lw=1.0))
+            label = f"goal {number}\nmean {np.mean(offsets):.3f} m\ncircle {max(offsets):.2f} m"
+            axis.annotate(label, (x, y), (8, 8), textcoords="offset points", fontsize=7)
+    axis.set_aspect("equal")
+    axis.set(xlabel="x [m]", ylabel="y [m]", xlim=(-0.7, 2.4), ylim=(-1.3, 1.3))
+
+
+def _offsets(axis: Any, rows: list[dict[str, Any]]) -> None:
+    """Final offsets per goal and method beside the paper's means."""
+    from shmoo_mjx.evaluation.pushing import PAPER
+
+    methods = list(dict.fromkeys(row["method"] for row in rows))
+    width = 0.8 / len(methods)
+    for i, method in enumerate(methods):
+        for goal in sorted({row["goal"] for row in rows}):
+            offsets = np.array([r["offset_m"] for r in rows if r["method"] == method and r["goal"] == goal])
+            x = goal - 0.4 + (i + 0.5) * width
+            jitter = np.linspace(-0.3, 0.3, len(offsets)) * width
+            axis.plot(x + jitter, np.minimum(offsets, 1.5), ".", ms=3, alpha=0.6, color=_COLOUR[method])
+            label = method.replace("_", " ") if goal == min(r["goal"] for r in rows) else None
+            axis.bar(x, offsets.mean(), 0.9 * width, color=_COLOUR[method], alpha=0.45, label=label)
+    for goal in sorted({row["goal"] for row in rows}):
+        label = "paper" if goal == 1 else None
+        axis.hlines(PAPER[f"offset_goal{goal}_m"], goal - 0.45, goal + 0.45, color="black", lw=1.2, label=label)
+    axis.axhline(0.25, color="grey", lw=0.8, ls=":")
+    axis.set(xlabel="goal", ylabel="final offset [m]", xticks=sorted({row["goal"] for row in rows}), yscale="symlog")
+    axis.set_yscale("symlog", linthresh=0.1)
+    axis.legend(fontsize=7)
+    axis.set_title("final offsets (bars: mean)")
+
+
+def film(path: Path, trial: Trial, folder: Path) -> Path | None:
+    """The film of one of our trials, drawn by MuJoCo; None where that can't draw."""
+    from shmoo_mjx.plant.proxy import Imperfections
+    from shmoo_mjx.plant.render import can_render, frames
+    from shmoo_mjx.report.video import compose, write_video
+
+    if can_render():
+        return None
+    track = np.load(folder / f"ours-{trial.name}.npz")
+    scene = scene_of_trial(trial, trial.condition, Imperfections())
+    stride = 2
+    views = frames(scene, track["qpos"][::stride].astype(float))
+    captions = (
+        (f"{t:5.1f} s   {p}", trial.condition.describe())
+        for t, p in zip(track["t"][::stride], track["phase"][::stride], strict=True)
+    )
+    return write_video(path, (compose(v, c) for v, c in zip(views, captions, strict=True)), fps=15.0)

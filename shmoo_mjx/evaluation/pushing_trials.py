@@ -1,0 +1,306 @@
+"""The trials of the pushing experiment: drawn from seeds, run one by one on the proxy robot.
+
+A trial is an object nobody has looked at, a goal, a start pose of object and robot, another body of the proxy robot,
+and what changes half-way: extra mass, a brake pressed on one wheel, or nothing.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shmoo_mjx import se2
+from shmoo_mjx.learning.adaptation import AdaptState
+from shmoo_mjx.learning.weights import Weights
+from shmoo_mjx.navigation.maps import OccupancyGrid
+from shmoo_mjx.navigation.push_task import Pusher, PushTask, pose_push_config
+from shmoo_mjx.plant.objects import FAMILIES, Condition, draw_condition
+from shmoo_mjx.plant.proxy import Imperfections, ProxyEngine, body_of, draw_body
+from shmoo_mjx.plant.scene import Scene, build_scene
+from shmoo_mjx.types import Observation
+
+__all__ = [
+    "GOALS",
+    "METHODS",
+    "Runner",
+    "Trial",
+    "draw_trials",
+    "hindsight",
+    "resistance",
+    "save_trial",
+    "scene_of_trial",
+]
+
+Array = Any
+
+METHODS = ("ours", "frozen_prior", "quasi_static", "hindsight")
+"""Ours: MPPI while Eq. 8 adapts. The others run on the same trials."""
+
+GOALS = ((1.2, 0.0), (1.3, 0.28), (1.7, -0.42))
+"""Positions of the three goals in {W} [m]; an object starts near the origin, its x axis about along x of {W}. Straight
+ahead, to the left, and farther to the right. The paper shows its goals in a picture only and calls them dynamically
+feasible; the yaw of a goal is therefore that at the end of the arc which starts along x: twice the bearing (24 and
+-28 deg), on arcs that steering gives light and heavy objects alike (0.32 and 0.27 per metre)."""
+
+_GRAVITY = 9.81
+_MOST = 40.0
+"""Resistance up to which an object counts as movable, before and after the change [N]: half of what the robot can push
+with at its lean limit."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One trial, for every method the same."""
+
+    family: str
+    goal: int
+    """1 to 3."""
+    run: int
+    condition: Condition
+    changed: Condition
+    """The object after the change; equal to ``condition`` if nothing changes."""
+    change: str
+    """none, mass or brake."""
+    change_at: float
+    """Share of the way to the goal after which it changes [1]."""
+    object_pose: tuple[float, float, float]
+    robot_pose: tuple[float, float, float]
+    seed: int
+    """Of the proxy robot's body and noise and of the controller."""
+
+    @property
+    def name(self) -> str:
+        """Short, unique in an experiment."""
+        return f"{self.family}-goal{self.goal}-{self.run:02d}"
+
+    @property
+    def goal_pose(self) -> np.ndarray:
+        """``[3]`` in {W}."""
+        x, y = GOALS[self.goal - 1]
+        return np.array([x, y, 2 * np.arctan2(y, x)])
+
+
+def resistance(c: Condition) -> float:
+    """Force that keeps the object moving straight on [N]: friction of a sole, or of wheels that share the load."""
+    if not c.rolling:
+        return c.friction * c.total_mass * _GRAVITY
+    share = [c.friction if locked else rolling for rolling, locked in zip(c.rolling, c.locked, strict=True)]
+    return float(np.mean(share)) * c.total_mass * _GRAVITY
+
+
+def _movable(family: str, first_seed: int, count: int) -> list[Condition]:
+    """The first ``count`` objects from ``first_seed`` on that can be pushed and have no brake on yet."""
+    found: list[Condition] = []
+    for seed in range(first_seed, first_seed + 1000):
+        condition = draw_condition(family, seed)
+        if resistance(condition) <= 0.8 * _MOST and not any(condition.locked):
+            found.append(condition)
+        if len(found) == count:
+            break
+    return found
+
+
+def _changed(rng: np.random.Generator, condition: Condition, kind: str) -> Condition:
+    """The object with more on it, or with a brake pressed on one wheel; it stays movable."""
+    room = _MOST - resistance(condition)
+    if kind == "mass":
+        per_kilogram = resistance(condition) / condition.total_mass
+        extra = min(float(rng.uniform(0.2, 0.5)) * condition.total_mass, 15.0, room / per_kilogram)
+        return replace(condition, payload=round(condition.payload + extra, 3))
+    if kind == "brake":
+        # A braked wheel that slides resists with mu; a brake pressed less hard lets it turn against that much.
+        load = condition.total_mass * _GRAVITY / 4
+        wheel = int(rng.integers(4 if condition.family == "cart" else 2))
+        rolling = list(condition.rolling)
+        drag = min(float(rng.uniform(8.0, 20.0)), room, condition.friction * load)
+        rolling[wheel] = round(rolling[wheel] + drag / load, 4)
+        return replace(condition, rolling=tuple(rolling))
+    return condition
+
+
+def draw_trials(first_unseen: int, seed: int, runs: int, goals: tuple[int, ...] = (1, 2, 3)) -> list[Trial]:
+    """All trials: three families x goals x runs. Run r of a family is the same object for each goal."""
+    trials = []
+    for number, family in enumerate(FAMILIES):
+        for run, condition in enumerate(_movable(family, first_unseen, runs)):
+            for goal in goals:
+                rng = np.random.default_rng([seed, first_unseen, number, goal, run])
+                kinds = ("none", "mass") if family == "box" else ("none", "mass", "brake")
+                kind = str(rng.choice(kinds))
+                shift = rng.uniform([-0.1, -0.1, -np.deg2rad(8)], [0.1, 0.1, np.deg2rad(8)])
+                angle, far = rng.uniform(-np.pi, np.pi), rng.uniform(1.2, 1.9)
+                robot = (float(far * np.cos(angle)), float(far * np.sin(angle)), float(rng.uniform(-np.pi, np.pi)))
+                trials.append(
+                    Trial(
+                        family, goal, run, condition, _changed(rng, condition, kind), kind,
+                        float(rng.uniform(0.25, 0.6)), tuple(shift.tolist()), robot, int(rng.integers(2**31)),
+                    )
+                )  # fmt: skip
+    return trials
+
+
+def scene_of_trial(trial: Trial, condition: Condition, imperfections: Imperfections) -> Scene:
+    """The trial's world with this body of the proxy robot."""
+    adjust = body_of(draw_body(imperfections, trial.seed))
+    return build_scene([(condition, trial.object_pose)], trial.robot_pose, adjust=adjust)
+
+
+def _pusher(method: str, weights: Weights) -> Pusher:
+    from shmoo_mjx.control.pushing import PushController
+    from shmoo_mjx.control.quasi_static import QuasiStaticPusher
+
+    config = pose_push_config()
+    if method == "quasi_static":
+        return QuasiStaticPusher(config.cost)
+    return PushController(weights, replace(config, adapts=method == "ours"))
+
+
+def hindsight(weights: Weights, condition: Condition, seed: int) -> AdaptState:
+    """a* of Eq. 5 from recorded pushes of this very object, with senses that don't err; it stays as it is."""
+    import jax
+
+    from shmoo_mjx.data.collect import CollectConfig, record
+    from shmoo_mjx.data.store import Dataset
+    from shmoo_mjx.dynamics.object_model import design_matrix
+    from shmoo_mjx.learning import adaptation
+    from shmoo_mjx.learning.least_squares import posterior
+    from shmoo_mjx.learning.rows import rows_from_dataset
+
+    config = CollectConfig(episodes=8, seconds=10.0)
+    arrays = next(iter(record(config, [condition], seed)))
+    rows = rows_from_dataset(Dataset(["object"], [condition.to_dict()], [arrays], {}))
+    params = weights.params
+    phi = jax.vmap(lambda x: design_matrix(params.object, x, weights.config.object))(rows.inputs[0])
+    prior = params.coefficients.reshape(-1)
+    mean, _ = posterior(phi, rows.labels[0], prior, weights.prior_covariance, weights.noise, rows.weights[0])
+    return adaptation.init(mean, weights.prior_covariance, weights.noise)
+
+
+class Runner:
+    """Runs trials of every method in one process; each method's controller is compiled once."""
+
+    def __init__(self, weights: Weights, time_limit: float, imperfections: Imperfections | None = None) -> None:
+        self.weights = weights
+        self.time_limit = time_limit
+        self.imperfections = imperfections or Imperfections()
+        self._pushers: dict[str, Pusher] = {}
+
+    def run(self, trial: Trial, method: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+        """The trial's row and its track: t, object_pose, robot_pose (all true), phase, qpos."""
+        pusher = self._pushers.setdefault(method, _pusher(method, self.weights))
+        scene = scene_of_trial(trial, trial.condition, self.imperfections)
+        engine = ProxyEngine([scene], self.imperfections, trial.seed)
+        adapt, adapt_after = None, None
+        if method == "hindsight":
+            adapt = hindsight(self.weights, trial.condition, trial.seed % 10_000)
+            adapt_after = hindsight(self.weights, trial.changed, trial.seed % 10_000)
+        grid = OccupancyGrid(np.zeros((240, 240), np.int8), 0.05, (-6.0, -6.0, 0.0))
+        sizes = [trial.condition.half_extents]
+        task = PushTask(grid, sizes, trial.goal_pose, pusher, seed=trial.seed, adapt=adapt)
+        log = _Log(scene, trial)
+        world = engine.init()
+        seen, true = engine.observe(world), engine.true_observation(world)
+        changed_at = None
+        while not task.finished and float(seen.time[0]) < self.time_limit and not log.fell:
+            if changed_at is None and trial.change != "none" and log.share(true) > trial.change_at:
+                changed_at = float(seen.time[0])
+                engine.change([scene_of_trial(trial, trial.changed, self.imperfections)])
+                if adapt_after is not None:
+                    task.know(adapt_after)
+            command = task.tick(seen)
+            world, seen = engine.step(world, command)
+            true = engine.true_observation(world)
+            log.note(true, world.physics[0], str(task.phase), bool(engine.fallen(world)[0]))
+        engine.close()
+        return self._row(trial, method, task, log, true, changed_at), log.track()
+
+    def _row(
+        self, trial: Trial, method: str, task: PushTask, log: _Log, true: Observation, changed_at: float | None
+    ) -> dict[str, Any]:
+        final, goal = true.object_pose[0, 0], trial.goal_pose
+        offset = float(np.linalg.norm(final[:2] - goal[:2]))
+        turned = float(np.rad2deg(abs(se2.wrap(final[2] - goal[2]))))
+        return {
+            "trial": trial.name,
+            "method": method,
+            "family": trial.family,
+            "goal": trial.goal,
+            "run": trial.run,
+            "object_seed": trial.condition.seed,
+            "object": trial.condition.describe(),
+            "change": trial.change,
+            "changed_at_s": changed_at,
+            "offset_m": offset,
+            "yaw_error_deg": turned,
+            "success": offset <= 0.25 and turned <= 20.0 and not log.fell,
+            "fell": log.fell,
+            "time_s": float(true.time[0]),
+            "pushes": task.pushes,
+            "worst_lean_rad": log.lean,
+            "arm_margin_rad": log.margin,
+            "final_x": float(final[0]),
+            "final_y": float(final[1]),
+            "ended": str(task.phase) if task.finished else "time is up",
+            "reason": task.events[-1].reason if task.events else "",
+            "events": [[round(e.t, 1), str(e.target), e.reason] for e in task.events],
+        }
+
+
+class _Log:
+    """What the simulator knows about a trial while it runs."""
+
+    def __init__(self, scene: Scene, trial: Trial) -> None:
+        self.fell = False
+        self.lean = 0.0
+        self.margin = np.inf
+        self._start = np.array(trial.object_pose[:2])
+        self._way = float(np.linalg.norm(trial.goal_pose[:2] - self._start))
+        self._nq = scene.model.nq
+        names = ("shoulder_yaw", "shoulder_pitch", "elbow")
+        joints = [scene.model.joint(f"robot/{side}_{name}") for side in ("left", "right") for name in names]
+        self._arm = np.array([j.qposadr[0] for j in joints])
+        self._range = np.array([j.range for j in joints])
+        self._rows: list[tuple[float, np.ndarray, np.ndarray, str, np.ndarray]] = []
+
+    def share(self, true: Observation) -> float:
+        """How much of the way to the goal the object has gone."""
+        return float(np.linalg.norm(true.object_pose[0, 0, :2] - self._start)) / self._way
+
+    def note(self, true: Observation, physics: np.ndarray, phase: str, fell: bool) -> None:
+        """One sample."""
+        qpos = physics[1 : 1 + self._nq]
+        arm = qpos[self._arm]
+        self.fell |= fell
+        self.lean = max(self.lean, float(np.hypot(*true.lean[0])))
+        self.margin = min(self.margin, float(np.min([arm - self._range[:, 0], self._range[:, 1] - arm])))
+        self._rows.append((float(true.time[0]), true.object_pose[0, 0], true.robot_pose[0], phase, qpos.copy()))
+
+    def track(self) -> dict[str, np.ndarray]:
+        """Arrays over time."""
+        t, thing, robot, phase, qpos = zip(*self._rows, strict=True)
+        return {
+            "t": np.array(t),
+            "object_pose": np.array(thing),
+            "robot_pose": np.array(robot),
+            "phase": np.array(phase),
+            "qpos": np.array(qpos, dtype=np.float32),
+        }
+
+
+def save_trial(folder: Path, row: dict[str, Any], track: dict[str, np.ndarray]) -> None:
+    """One trial's files; the row comes last and makes the trial count as done."""
+    stem = f"{row['method']}-{row['trial']}"
+    _whole(folder / f"{stem}.npz", lambda part: np.savez_compressed(part, **track))  # type: ignore[arg-type]
+    _whole(folder / f"{stem}.json", lambda part: part.write_text(json.dumps(row, default=float)))
+
+
+def _whole(path: Path, write: Callable[[Path], Any]) -> None:
+    part = path.with_name(f".{os.getpid()}.part{path.suffix}")
+    write(part)
+    os.replace(part, path)

@@ -1,0 +1,30 @@
+"""The experiments by name. Each module has ``run(ask) -> ExperimentResult`` and is imported only when asked for."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.evaluation.result import Ask, ExperimentResult
+
+__all__ = ["EXPERIMENTS", "run_experiment"]
+
+EXPERIMENTS = {
+    "object_model": "shmoo_mjx.evaluation.object_model",
+    "baselines": "shmoo_mjx.evaluation.baselines",
+    "ablations": "shmoo_mjx.evaluation.ablations",
+    "robot_finetune": "shmoo_mjx.evaluation.robot_finetune",
+    "pushing": "shmoo_mjx.evaluation.pushing",
+    "object_planner": "shmoo_mjx.evaluation.object_planner",
+    "real_pushing": "shmoo_mjx.evaluation.real_pushing",
+    "navigation": "shmoo_mjx.evaluation.navigation",
+}
+"""Name to module; spec section 9."""
+
+
+def run_experiment(name: str, ask: Ask) -> ExperimentResult:
+    """Run one experiment."""
+    if name not in EXPERIMENTS:
+        raise ShmooError(f"experiment {name!r} is not known; choose one of {', '.join(EXPERIMENTS)}.")
+    result: ExperimentResult = import_module(EXPERIMENTS[name]).run(ask)
+    return result

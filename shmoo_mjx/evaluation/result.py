@@ -1,0 +1,146 @@
+"""What every experiment leaves: one JSON of one schema, and how experiments are asked for."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.run import versions
+
+__all__ = ["UNSEEN_SEED", "Ask", "ExperimentResult", "make_result", "read_result", "spread", "table", "write_result"]
+
+UNSEEN_SEED = 1_000_000
+"""First seed of the objects that no training can reach; each --condition-seed has 1,000 seeds of its own above it."""
+
+
+@dataclass(frozen=True)
+class Ask:
+    """What the command line asks of an experiment."""
+
+    seed: int = 0
+    """Of trainings, operators and noise."""
+    condition_seed: int = 0
+    """Draws the unseen objects (or scenarios): another number gives others that nobody has looked at."""
+    quick: bool = False
+    """A short form of the same shape: fewer objects, seeds and updates."""
+    data: Path | None = None
+    """A data set, for the experiments that take one."""
+    maps: Path | None = None
+    """Folder with map_server maps, for navigation."""
+    scenarios: int | None = None
+    """Scenarios per map, for navigation."""
+    weights: Path | None = None
+    """Trained weights (default: the shipped ones)."""
+    out: Path = Path("runs/experiments")
+    """Folder for figures and what an interrupted experiment goes on from."""
+    progress: Callable[[str, float], None] = lambda stage, fraction: None
+    """Called with (stage, fraction done)."""
+
+    @property
+    def first_unseen(self) -> int:
+        """Seed of the first unseen object."""
+        return UNSEEN_SEED + 1000 * self.condition_seed
+
+
+class ExperimentResult(BaseModel):
+    """One experiment's JSON."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    experiment: str
+    seed: int
+    config: dict[str, Any]
+    """Every choice of the run, condition_seed and quick included."""
+    versions: dict[str, str]
+    metrics: dict[str, float | None]
+    """Flat names; null is a number that this run could not measure."""
+    paper: dict[str, float]
+    """The paper's numbers under the names of the metrics they compare with."""
+    rows: list[dict[str, Any]]
+    """One per condition, trial or scenario."""
+
+
+def make_result(
+    experiment: str, ask: Ask, config: Any, metrics: dict[str, Any], paper: dict[str, float], rows: list[dict[str, Any]]
+) -> ExperimentResult:
+    """Assemble a result; numpy numbers become plain ones and what is not finite becomes null."""
+    settings = asdict(config) if is_dataclass(config) and not isinstance(config, type) else dict(config)
+    asked = {"condition_seed": ask.condition_seed, "quick": ask.quick}
+    return ExperimentResult(
+        experiment=experiment,
+        seed=ask.seed,
+        config=_plain(settings | asked),
+        versions=versions(),
+        metrics=_plain(metrics),
+        paper=paper,
+        rows=_plain(rows),
+    )
+
+
+def spread(values: Any) -> dict[str, float]:
+    """Mean, standard deviation, median and quartiles of some numbers, for a row or a table."""
+    x = np.asarray(values, dtype=float)
+    x = x[np.isfinite(x)]
+    if not x.size:
+        return dict.fromkeys(("mean", "std", "median", "q25", "q75"), math.nan)
+    q25, median, q75 = np.quantile(x, [0.25, 0.5, 0.75])
+    return {"mean": float(x.mean()), "std": float(x.std()), "median": float(median), "q25": q25, "q75": q75}
+
+
+def write_result(path: Path, result: ExperimentResult) -> None:
+    """Write the JSON whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f"{path.name}.{os.getpid()}.part")
+    part.write_text(result.model_dump_json(indent=1) + "\n")
+    os.replace(part, path)
+
+
+def read_result(path: Path) -> ExperimentResult:
+    """Read an experiment's JSON back.
+
+    Raises:
+        ShmooError: the file is no such JSON.
+    """
+    try:
+        return ExperimentResult.model_validate(json.loads(path.read_text()))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise ShmooError(f"{path}: is not JSON ({error}); give a file that shmoo experiment --json wrote.") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        field = ".".join(map(str, first["loc"]))
+        raise ShmooError(f"{path}: {field}: {first['msg']}; give a file that shmoo experiment --json wrote.") from None
+
+
+def table(result: ExperimentResult) -> str:
+    """The metrics beside the paper's numbers, as text."""
+    width = max(map(len, result.metrics), default=0)
+    lines = [f"{'metric':{width}}  {'ours':>10}  {'paper':>10}"]
+    for name, value in result.metrics.items():
+        ours = "-" if value is None else f"{value:.4g}"
+        paper = f"{result.paper[name]:.4g}" if name in result.paper else ""
+        lines.append(f"{name:{width}}  {ours:>10}  {paper:>10}".rstrip())
+    return "\n".join(lines)
+
+
+def _plain(value: Any) -> Any:
+    """Plain JSON types all the way down."""
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if hasattr(value, "tolist"):
+        return _plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    return str(value)

@@ -1,0 +1,218 @@
+"""Experiment `robot_finetune`: R on another robot, before and after five minutes of its data (Sec. III-D.3, Fig. 8).
+
+The proxy robot stands for the hardware (plant/proxy.py): another body, delay, noise, force only by J tau. Scripted
+operators push objects with it for five minutes; R goes on training on these, and is scored on another two minutes, on
+objects of their own. Labels are what the proxy itself measures, noise included, as on hardware.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from shmoo_mjx.assets import asset
+from shmoo_mjx.data import store
+from shmoo_mjx.data.collect import CollectConfig, record
+from shmoo_mjx.dynamics import core, features, object_model, robot_model
+from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
+from shmoo_mjx.evaluation.trials import fingerprint, run_trials
+from shmoo_mjx.learning import least_squares, robot_fit
+from shmoo_mjx.learning.robot_fit import RobotFitConfig, RobotRows
+from shmoo_mjx.learning.rows import rows_from_dataset
+from shmoo_mjx.learning.weights import Weights, load_weights
+from shmoo_mjx.plant.objects import FAMILIES, draw_condition
+from shmoo_mjx.plant.proxy import Imperfections, ProxyEngine, body_of, draw_body
+from shmoo_mjx.run import DEMO_WEIGHTS
+from shmoo_mjx.types import SystemState
+
+__all__ = ["PAPER", "RobotFinetuneConfig", "run"]
+
+PAPER = {"reduction_percent": 27.3}
+"""Sec. III-D.3."""
+
+STEPS = 30
+"""Length of the roll-outs [samples]."""
+
+OUTPUTS = ("acceleration_x", "acceleration_y", "acceleration_yaw", "force_x", "force_y")
+
+
+@dataclass(frozen=True)
+class RobotFinetuneConfig:
+    """How much of how many proxy robots is recorded, and how R goes on training."""
+
+    robots: int = 3
+    """Proxy robots, each drawn with a seed of its own and fine-tuned for itself."""
+    train_episodes: int = 8
+    """Per family, of ``seconds`` each: 8 x 3 x 12.5 s = 5 minutes."""
+    validation_episodes: int = 2
+    """Of these, the last ones, on which early stopping looks."""
+    test_episodes: int = 3
+    """Per family, each on an object of its own: 3 x 3 x 13.3 s = 2 minutes."""
+    seconds: float = 12.5
+    test_seconds: float = 13.3
+    fit: RobotFitConfig = RobotFitConfig(
+        batch=256, chunks=30, chunk_updates=50, learning_rate=5e-4, input_noise=0.1, weight_decay=1e-3, patience=8
+    )
+    workers: int = 2
+    """Processes."""
+
+
+QUICK = RobotFinetuneConfig(robots=1, train_episodes=2, validation_episodes=1, test_episodes=1)
+
+
+@dataclass(frozen=True)
+class _Work:
+    """One proxy robot in a process of its own; called with "robot-NUMBER"."""
+
+    weights: Path
+    config: RobotFinetuneConfig
+    seed: int
+    first_unseen: int
+
+    def __call__(self, name: str) -> list[dict[str, Any]]:
+        number = int(name.partition("-")[2])
+        weights, config = load_weights(self.weights), self.config
+        robot_seed = self.first_unseen + 10 * self.seed + number
+        train, test = self._record(robot_seed, test=False), self._record(robot_seed, test=True)
+        kept = config.train_episodes - config.validation_episodes
+        settings = replace(config.fit, robot=weights.config.robot, seed=self.seed + number)
+        fitted = robot_fit.fit_rows(
+            robot_fit.rows_from_dataset(_episodes(train, slice(0, kept))),
+            robot_fit.rows_from_dataset(_episodes(train, slice(kept, None))),
+            settings,
+            start=weights.params.robot,
+        )
+        found: list[dict[str, Any]] = []
+        for label, robot in (("before", weights.params.robot), ("after", fitted.params)):
+            mine = weights._replace(params=weights.params._replace(robot=robot))
+            found.append({"robot": number, "model": label} | _one_step(mine, test) | _roll_outs(mine, test))
+        return found
+
+    def _record(self, robot_seed: int, test: bool) -> store.Dataset:
+        """What the proxy with this seed perceives while operators push one object per episode."""
+        config, imperfections = self.config, Imperfections()
+        count = config.test_episodes if test else config.train_episodes
+        settings = CollectConfig(
+            episodes=1, seconds=config.test_seconds if test else config.seconds, seed=robot_seed + int(test)
+        )
+        names, conditions, arrays = [], [], []
+        for k, family in enumerate(FAMILIES):
+            seeds = [self.first_unseen + 100 * (1 + int(test)) + i for i in range(count)]
+            chunk = [draw_condition(family, seed) for seed in seeds]
+            recorded = record(
+                settings,
+                chunk,
+                k,
+                body_of(draw_body(imperfections, robot_seed)),
+                partial(ProxyEngine, imperfections=imperfections, seed=robot_seed),
+            )
+            for condition, values in zip(chunk, recorded, strict=True):
+                names.append(f"{family}-{condition.seed}")
+                conditions.append(condition.to_dict() | {"split": "test"})
+                arrays.append(values)
+        return store.Dataset(names, conditions, arrays, {})
+
+
+def run(ask: Ask, config: RobotFinetuneConfig | None = None) -> ExperimentResult:
+    """Record, fine-tune and score each proxy robot; goes on from ``ask.out`` after a stop."""
+    config = config or (QUICK if ask.quick else RobotFinetuneConfig())
+    weights = ask.weights or asset(DEMO_WEIGHTS)
+    key = asdict(replace(config, workers=1, robots=1)) | {"seed": ask.seed, "unseen": ask.first_unseen}
+    folder = ask.out / "robot_finetune" / fingerprint(key, weights)
+    work = _Work(weights, config, ask.seed, ask.first_unseen)
+    names = [f"robot-{i}" for i in range(config.robots)]
+    rows = run_trials(names, work, folder, ask.progress, config.workers)
+    result = make_result("robot_finetune", ask, config, _metrics(rows), PAPER, rows)
+    _figure(result, ask.out / "robot_finetune" / "robot_finetune.png")
+    return result
+
+
+def _episodes(dataset: store.Dataset, part: slice) -> store.Dataset:
+    """Some of each family's recordings, by their place among them."""
+    chosen = [
+        i for family in FAMILIES for i in [k for k, c in enumerate(dataset.conditions) if c["family"] == family][part]
+    ]
+    return store.Dataset(
+        [dataset.names[i] for i in chosen],
+        [dataset.conditions[i] for i in chosen],
+        [dataset.arrays[i] for i in chosen],
+        dataset.schema,
+    )
+
+
+def _one_step(weights: Weights, dataset: store.Dataset) -> dict[str, float]:
+    """Mean squared error of each output in units of its variance over the test rows, in contact and free."""
+    rows: RobotRows = robot_fit.rows_from_dataset(dataset)
+    base, force = robot_model.predict(weights.params.robot, jnp.asarray(rows.inputs), weights.config.robot)
+    error = (np.asarray(jnp.concatenate([base, force], axis=-1)) - rows.labels) ** 2 / rows.labels.var(axis=0)
+    touching = np.hypot(*rows.inputs[:, features.slices(features.ROBOT_INPUTS)["last_force"]].T) > 1.0
+    found = {f"mse_{name}": float(error[:, i].mean()) for i, name in enumerate(OUTPUTS)}
+    found |= {"mse_contact": float(error[touching].mean()), "mse_free": float(error[~touching].mean())}
+    return found | {"mse": float(error.mean())}
+
+
+def _roll_outs(weights: Weights, dataset: store.Dataset) -> dict[str, float]:
+    """Root mean squared error of the robot's position 3 s ahead under the recorded commands [m], every 1 s.
+
+    The object moves by psi with coefficients fitted to its own recording, the same before and after.
+    """
+    rows = jax.tree.map(jnp.asarray, rows_from_dataset(dataset))
+    params, config = weights.params, weights.config
+    rollout = jax.jit(lambda p, s, u: core.rollout(p, s, u, config)[0])
+    square: dict[str, list[float]] = {"contact": [], "free": []}
+    for i, arrays in enumerate(dataset.arrays):
+        phi = object_model.design_matrix(params.object, rows.inputs[i], config.object)
+        prior = (params.coefficients.reshape(-1), weights.prior_covariance, weights.noise)
+        a = least_squares.posterior(phi, rows.labels[i], *prior, rows.weights[i])[0].reshape(params.coefficients.shape)
+        samples = store.system_states(arrays)
+        starts = np.arange(1, samples.u.shape[1] - STEPS, 10)
+        start = SystemState(*(np.asarray(v)[0, starts] for v in samples.state))
+        controls = np.stack([samples.u[0, s : s + STEPS] for s in starts])
+        ends = rollout(params._replace(coefficients=a), start, controls).robot_pose[:, -1]
+        truth = arrays["robot_pose"][0, starts + STEPS]
+        touched = [samples.contact[0, s : s + STEPS].mean() >= 0.5 for s in starts]
+        for miss, touch in zip(np.sum((np.asarray(ends) - truth)[:, :2] ** 2, axis=-1), touched, strict=True):
+            square["contact" if touch else "free"].append(float(miss))
+    return {f"pos_rmse_3s_{k}_m": float(np.sqrt(np.mean(v))) if v else np.nan for k, v in square.items()}
+
+
+def _metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
+    """Means over the robots; reductions are of the mean."""
+    measures = [name for name in rows[0] if name not in ("robot", "model")]
+    found: dict[str, float] = {}
+    for name in measures:
+        before, after = ([row[name] for row in rows if row["model"] == m] for m in ("before", "after"))
+        found |= {f"{name}_before": float(np.nanmean(before)), f"{name}_after": float(np.nanmean(after))}
+    reductions = [100 * (1 - after["mse"] / before["mse"]) for before, after in zip(rows[::2], rows[1::2], strict=True)]
+    found["reduction_percent"] = 100 * (1 - found["mse_after"] / found["mse_before"])
+    found["reduction_percent_std"] = float(np.std(reductions))
+    for name in OUTPUTS:
+        found[f"reduction_percent_{name}"] = 100 * (1 - found[f"mse_{name}_after"] / found[f"mse_{name}_before"])
+    return found
+
+
+def _figure(result: ExperimentResult, path: Path) -> None:
+    """Error of each output before and after."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure, axis = pyplot.subplots(figsize=(7.0, 3.2), constrained_layout=True)
+    names = (*OUTPUTS, "contact", "free")
+    place = np.arange(len(names))
+    for shift, model, colour in ((-0.2, "before", "#E69F00"), (0.2, "after", "#0072B2")):
+        heights = [result.metrics[f"mse_{name}_{model}"] or 0.0 for name in names]
+        axis.bar(place + shift, heights, width=0.4, color=colour, label=f"{model} fine-tuning")
+    axis.set_xticks(place, [name.replace("_", "\n") for name in names], fontsize=8)
+    axis.set_ylabel("squared error over variance")
+    axis.legend(fontsize=8)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=130)
+    pyplot.close(figure)

@@ -1,0 +1,156 @@
+"""The one measure of every predictor of an object's motion: adapt on the first 25 s, score on later rows only.
+
+Every number is of one condition; experiments average over conditions, so that one lively object does not drown the
+rest.
+
+* mse_x, mse_y, mse_yaw: mean squared error of the one-step acceleration in {O} [(m/s^2)^2, (rad/s^2)^2]; mse is their
+  mean, the paper's measure.
+* fvu: fraction of variance unexplained. Errors and labels are divided by each axis' standard deviation over the
+  training set; the squared errors of all axes over the squared deviations from the condition's own mean. Nothing is
+  added to the variance of an object that hardly moves.
+* pos_rmse_1s_m, yaw_rmse_1s_deg and the same at 3 s: the pose is integrated open loop under the recorded wrench, from
+  every fifth of the later rows that has the whole stretch before it in the same episode and half of it in contact;
+  root of the mean squared error at the end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from shmoo_mjx import se2
+from shmoo_mjx.dynamics import features
+from shmoo_mjx.learning.baselines.protocol import Predictor, Recordings, first_rows
+from shmoo_mjx.types import DT
+
+__all__ = ["FIT_ROWS", "NAMES", "average", "by_family", "roll_out", "score"]
+
+Array = Any
+
+FIT_ROWS = 250
+"""25 s of recording, in contact or not, to adapt on."""
+
+HORIZONS = {"1s": 10, "3s": 30}
+"""Steps of the open-loop roll-outs."""
+
+_ENDS = tuple(name for h in HORIZONS for name in (f"pos_rmse_{h}_m", f"yaw_rmse_{h}_deg"))
+
+NAMES = ("mse", "mse_x", "mse_y", "mse_yaw", "fvu", *_ENDS)
+"""The measures of a condition."""
+
+STRIDE = 5
+"""Rows between the starts of two roll-outs."""
+
+
+def score(
+    predictor: Predictor,
+    recorded: Recordings,
+    scale: Array,
+    fit_rows: int = FIT_ROWS,
+    from_row: int | None = None,
+    roll_outs: bool = True,
+) -> dict[str, np.ndarray]:
+    """Adapt to each condition on its first rows and measure on later ones.
+
+    Args:
+        predictor: a fitted method.
+        recorded: C conditions it has not been trained on.
+        scale: ``[m]`` standard deviation of the labels over the training set.
+        fit_rows: rows to adapt on.
+        from_row: first row that is scored; by default the one after ``fit_rows``.
+        roll_outs: measure open-loop roll-outs too, which needs the inputs that OBJECT_INPUTS lists.
+
+    Returns:
+        NAMES -> ``[C]`` (those of one step only without roll_outs); NaN where a condition has no stretch long enough
+        for a roll-out.
+    """
+    first = fit_rows if from_row is None else from_row
+    count = len(recorded.properties)
+    states = [predictor.adapt(jax.tree.map(jnp.asarray, first_rows(recorded, i, fit_rows))) for i in range(count)]
+    state = jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves]), *states)
+
+    @jax.jit
+    def measure(state: Any, recorded: Recordings) -> dict[str, Array]:
+        one = jax.vmap(lambda s, r: _one_step(predictor, s, r, scale, first))(state, recorded)
+        return one | jax.vmap(lambda s, r: _ends(predictor, s, r, first))(state, recorded) if roll_outs else one
+
+    found = measure(state, jax.tree.map(jnp.asarray, recorded))
+    return {name: np.asarray(found[name], float) for name in NAMES if name in found}
+
+
+def roll_out(predictor: Predictor, state: Any, inputs: Array, time: Array) -> Array:
+    """Open-loop motion of the object under the recorded wrench, from the twist of the first row.
+
+    Every entry of the inputs that is a twist of the object is replaced by the predicted one; the rest is as recorded.
+
+    Args:
+        predictor: a fitted method.
+        state: from its ``adapt``.
+        inputs: ``[H, n]`` recorded.
+        time: ``[H]`` [s].
+
+    Returns:
+        ``[H + 1, 3]`` poses in {O} of the first row, yaw not wrapped.
+    """
+    memory = _twist_slices()
+
+    def step(carry: tuple[Array, Array], row: tuple[Array, Array]) -> tuple[tuple[Array, Array], Array]:
+        pose, twists = carry
+        x, t = row
+        for where, twist in zip(memory, twists, strict=True):
+            x = x.at[where].set(twist)
+        twist, a = twists[0], predictor.predict(state, x, t)
+        move = twist * DT + 0.5 * a * DT**2
+        following = se2.rotate(twist + a * DT, -move[2])
+        pose = pose + se2.rotate(move, pose[2])
+        return (pose, jnp.concatenate([following[None], twists[:-1]])), pose
+
+    start = jnp.stack([inputs[0, where] for where in memory])
+    _, poses = jax.lax.scan(step, (jnp.zeros(3), start), (inputs, time))
+    return jnp.concatenate([jnp.zeros((1, 3)), poses])
+
+
+def average(scores: Mapping[str, np.ndarray]) -> dict[str, float]:
+    """Mean of each measure over the conditions."""
+    return {name: float(np.nanmean(values)) for name, values in scores.items()}
+
+
+def by_family(values: np.ndarray, families: list[str]) -> dict[str, float]:
+    """Mean over the conditions of each family."""
+    return {f: float(np.nanmean(values[[g == f for g in families]])) for f in dict.fromkeys(families)}
+
+
+def _one_step(predictor: Predictor, state: Any, recorded: Recordings, scale: Array, first: int) -> dict[str, Array]:
+    x, y, w, _ = (v[first:] for v in recorded.rows)
+    weight = w[:, None]
+    count = jnp.maximum(jnp.sum(w), 1.0)
+    square = (predictor.predict(state, x, recorded.time[first:]) - y) ** 2
+    per_axis = jnp.sum(weight * square, axis=0) / count
+    spread = jnp.sum(weight * (y - jnp.sum(weight * y, axis=0) / count) ** 2, axis=0) / count
+    found = {f"mse_{axis}": per_axis[i] for i, axis in enumerate(("x", "y", "yaw"))}
+    return found | {"mse": jnp.mean(per_axis), "fvu": jnp.sum(per_axis / scale**2) / jnp.sum(spread / scale**2)}
+
+
+def _ends(predictor: Predictor, state: Any, recorded: Recordings, first: int) -> dict[str, Array]:
+    rows, found = recorded.rows, {}
+    for name, h in HORIZONS.items():
+        starts = jnp.arange(first, rows.inputs.shape[0] - h, STRIDE)
+        window = starts[:, None] + jnp.arange(h)
+        good = (rows.run[starts] > h) & (jnp.mean(rows.weights[window], axis=1) >= 0.5)
+        ends = jax.vmap(lambda x, t: roll_out(predictor, state, x, t)[-1])(rows.inputs[window], recorded.time[window])
+        truth = se2.relative(recorded.pose[starts], recorded.pose[starts + h])
+        error = jnp.where(good[:, None], ends - truth, 0.0)
+        turn = jnp.where(good, se2.wrap(error[:, 2]), 0.0)
+        # No stretch at all gives 0 / 0, which is told as NaN.
+        mean = jnp.stack([jnp.sum(error[:, :2] ** 2), jnp.sum(turn**2)]) / jnp.sum(good)
+        found[f"pos_rmse_{name}_m"], found[f"yaw_rmse_{name}_deg"] = jnp.sqrt(mean[0]), jnp.rad2deg(jnp.sqrt(mean[1]))
+    return found
+
+
+def _twist_slices() -> list[slice]:
+    """Where the inputs of psi hold twists of the object, newest first."""
+    return [where for name, where in features.slices(features.OBJECT_INPUTS).items() if "object_twist" in name]

@@ -1,0 +1,66 @@
+"""Trials of an experiment in files of their own, so that an interrupted experiment goes on where it was stopped."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import multiprocessing
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+from typing import Any
+
+from shmoo_mjx.navigation.yaml_input import write_whole
+
+__all__ = ["fingerprint", "run_trials"]
+
+Work = Callable[[str], list[dict[str, Any]]]
+"""Name of a trial -> its rows. Must be picklable."""
+
+
+def fingerprint(settings: dict[str, Any], *files: Path) -> str:
+    """Name for a folder of trials that were run with these settings and files, and with no others."""
+    digest = hashlib.sha256(json.dumps(settings, sort_keys=True, default=str).encode())
+    for file in files:
+        digest.update(file.read_bytes())
+    return digest.hexdigest()[:10]
+
+
+def run_trials(
+    names: Sequence[str], work: Work, folder: Path, progress: Callable[[str, float], None], workers: int = 2
+) -> list[dict[str, Any]]:
+    """The rows of every trial, in the order of ``names``; those that ``folder`` has already are read from it.
+
+    Args:
+        names: trials, good as file names.
+        work: runs one; called in other processes if ``workers`` > 1.
+        folder: gets NAME.json for each.
+        progress: called with (stage, fraction done).
+        workers: processes.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    missing = [name for name in names if not (folder / f"{name}.json").is_file()]
+    done = len(names) - len(missing)
+    progress(f"{done} of {len(names)} trials were there", done / max(len(names), 1))
+    for name, rows in _worked(missing, work, min(workers, len(missing))):
+        write_whole(folder / f"{name}.json", (json.dumps(rows, indent=1) + "\n").encode())
+        done += 1
+        progress(f"trial {name}", done / len(names))
+    return [row for name in names for row in json.loads((folder / f"{name}.json").read_text())]
+
+
+def _worked(names: Sequence[str], work: Work, workers: int) -> Any:
+    if workers <= 1:
+        yield from ((name, work(name)) for name in names)
+        return
+    # Forked children would inherit JAX's locks; spawned ones start clean and share its compilation cache on disk.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(workers, os.cpu_count() or 1), mp_context=context) as pool:
+        waiting = {pool.submit(work, name): name for name in names}
+        try:
+            for future in as_completed(waiting):
+                yield waiting[future], future.result()
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise

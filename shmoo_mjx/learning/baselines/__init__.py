@@ -1,0 +1,70 @@
+"""The methods that the learned object model is compared with, all behind one protocol."""
+
+from __future__ import annotations
+
+from shmoo_mjx.learning.baselines import adaptive, fixed, linear, networks, rigid_body
+from shmoo_mjx.learning.baselines.alpaca import alpaca
+from shmoo_mjx.learning.baselines.protocol import (
+    Budget,
+    Context,
+    Job,
+    Method,
+    Predictor,
+    Recordings,
+    Setting,
+    first_rows,
+    recordings,
+)
+
+__all__ = [
+    "METHODS",
+    "REFERENCES",
+    "Budget",
+    "Context",
+    "Job",
+    "Method",
+    "Predictor",
+    "Recordings",
+    "first_rows",
+    "recordings",
+]
+
+_RIDGES = tuple({"ridge": ridge} for ridge in (1.0, 0.001, 10.0, 100.0))
+_PRIORS = tuple({"noise": noise, "coupled": coupled} for noise in (1.0, 4.0) for coupled in (True, False))
+_DAIML: tuple[Setting, ...] = ({}, {"learning_rate": 1e-3}, {"functions": 6}, {"alpha": 0.0})
+_PAPER: tuple[Setting, ...] = ({}, {"learning_rate": 1e-3}, {"ridge": 3.0}, {"alpha": 0.0})
+_NETS = tuple({"learning_rate": rate, "decay": decay} for rate in (1e-3, 3e-3) for decay in (0.0, 0.1))
+
+METHODS: dict[str, Method] = {
+    method.name: method
+    for method in (
+        Method("ours", adaptive.ours, _DAIML),
+        Method("ours_paper", adaptive.paper_form, _PAPER),
+        Method("trigonometric", linear.trigonometric, _RIDGES, trained=False),
+        Method("residual", adaptive.residual, _DAIML),
+        Method("linear", linear.linear, _RIDGES, trained=False),
+        Method("linear_prior", linear.linear_prior, _PRIORS, trained=False),
+        Method("physics", linear.physics, _PRIORS, trained=False),
+        Method(
+            "rigid_body", rigid_body.rigid_body, tuple({"prior": p} for p in (1.0, 0.1, 10.0, 100.0)), trained=False
+        ),
+        Method(
+            "alpaca",
+            alpaca,
+            tuple({"learning_rate": rate, "features": d} for rate in (1e-3, 3e-3) for d in (16, 32)),
+        ),
+        Method("gru", networks.gru, _NETS),
+        Method("mlp", networks.mlp, _NETS),
+        Method("told", networks.told, _NETS),
+    )
+}
+"""Every method that is tuned, by the name its metrics carry."""
+
+REFERENCES: dict[str, Method] = {
+    method.name: method
+    for method in (
+        Method("zero", fixed.zero, ({},), trained=False),
+        Method("constant_velocity", fixed.constant_velocity, ({},), trained=False),
+    )
+}
+"""What learns nothing and has nothing to tune."""

@@ -1,0 +1,109 @@
+"""The methods built on DAIML: ours, the paper's exact form, the prior alone, and a residual on a common network."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from shmoo_mjx.dynamics import object_model
+from shmoo_mjx.dynamics.object_model import ObjectConfig
+from shmoo_mjx.learning import daiml, least_squares
+from shmoo_mjx.learning.baselines.networks import mlp
+from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, Recordings
+from shmoo_mjx.learning.daiml import DaimlConfig, ObjectFit
+
+__all__ = ["daiml_config", "from_fit", "ours", "paper_config", "paper_form", "prior", "prior_of", "residual"]
+
+Array = Any
+
+
+def paper_config() -> DaimlConfig:
+    """The printed form: the paper's psi, a ridge instead of a learned prior, and Eq. 4 on accelerations."""
+    return DaimlConfig(object=ObjectConfig.paper(), coupled=False, loss_on_twist=False)
+
+
+def daiml_config(job: Job, config: DaimlConfig) -> DaimlConfig:
+    """``config`` under the job's budget, seed and setting; what ObjectConfig names goes to psi."""
+    of_psi = {f.name for f in fields(ObjectConfig)}
+    shape = {key: value for key, value in job.setting.items() if key in of_psi}
+    rest = {key: value for key, value in job.setting.items() if key not in of_psi}
+    return replace(
+        config,
+        object=replace(config.object, **shape),
+        chunks=job.budget.chunks,
+        chunk_updates=job.budget.chunk_updates,
+        patience=job.budget.patience,
+        fit_rows=job.fit_rows,
+        seed=job.seed,
+        **rest,
+    )
+
+
+def ours(job: Job) -> Predictor:
+    """psi as shipped."""
+    config = daiml_config(job, DaimlConfig())
+    return from_fit(daiml.fit_rows(job.train.rows, job.validation.rows, config, job.directory), config)
+
+
+def paper_form(job: Job) -> Predictor:
+    """psi as printed: a* by Eq. 5 with a ridge."""
+    config = daiml_config(job, paper_config())
+    return from_fit(daiml.fit_rows(job.train.rows, job.validation.rows, config, job.directory), config)
+
+
+def prior(job: Job) -> Predictor:
+    """psi as shipped, with the coefficients of an object that has not been touched."""
+    config = daiml_config(job, DaimlConfig())
+    return prior_of(daiml.fit_rows(job.train.rows, job.validation.rows, config, job.directory), config)
+
+
+def residual(job: Job) -> Predictor:
+    """A network over all conditions, and psi on what it leaves over (Sec. V-B). Both train for the whole budget."""
+    common = mlp(replace(job, setting={"learning_rate": 1e-3}, directory=_under(job.directory, "common")))
+    config = replace(daiml_config(job, DaimlConfig()), open_loop=False, horizon=1)
+    predicted = jax.jit(lambda x: common.predict((), x, jnp.zeros(x.shape[:-1])))
+
+    def left(recorded: Recordings) -> daiml.Rows:
+        rows = recorded.rows
+        return rows._replace(labels=rows.labels - np.asarray(predicted(rows.inputs)))
+
+    directory = _under(job.directory, "psi")
+    own = from_fit(daiml.fit_rows(left(job.train), left(job.validation), config, directory), config)
+
+    def adapt(context: Context) -> Array:
+        return own.adapt(context._replace(labels=context.labels - predicted(context.inputs)))
+
+    return Predictor(adapt, lambda a, x, time: common.predict((), x, time) + own.predict(a, x, time))
+
+
+def from_fit(fitted: ObjectFit, config: DaimlConfig) -> Predictor:
+    """A trained psi: a* given the learned prior, or by a plain ridge where the config says so."""
+    fitted = jax.tree.map(jnp.asarray, fitted)
+    params, mean = fitted.params, fitted.prior_mean
+
+    def adapt(context: Context) -> Array:
+        x, y, w = context.inputs, context.labels, context.weights
+        if not config.coupled:
+            psi = object_model.basis(params, x, config.object)
+            a = least_squares.ridge(psi, y / params.label_scale, mean, config.ridge, w)
+            return least_squares.cap_norm(a, config.norm_cap)
+        phi = object_model.design_matrix(params, x, config.object)
+        known = (mean.reshape(-1), fitted.prior_covariance, fitted.noise)
+        return least_squares.posterior(phi, y, *known, w)[0].reshape(mean.shape)
+
+    return Predictor(jax.jit(adapt), lambda a, x, time: object_model.predict(params, a, x, config.object))
+
+
+def prior_of(fitted: ObjectFit, config: DaimlConfig) -> Predictor:
+    """The same psi before the object is touched."""
+    mean = jnp.asarray(fitted.prior_mean)
+    return from_fit(fitted, config)._replace(adapt=lambda context: mean)
+
+
+def _under(directory: Path | None, name: str) -> Path | None:
+    return None if directory is None else directory / name

@@ -1,0 +1,183 @@
+"""Least squares on functions made by hand: of time (the paper's baseline), of the inputs, and of physics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from shmoo_mjx import se2
+from shmoo_mjx.dynamics import features
+from shmoo_mjx.learning import least_squares
+from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, input_scale, output_scale
+from shmoo_mjx.types import DT
+
+__all__ = ["Prior", "fit_prior", "linear", "linear_prior", "physics", "physics_functions", "trigonometric"]
+
+Array = Any
+Basis = Callable[[Array, Array], Array]
+"""(inputs ``[..., n]``, time ``[...]``) -> functions ``[..., d]``."""
+
+SLOW = 0.03
+"""Speeds below this count as sliding that has hardly begun [m/s]."""
+
+
+class Prior(NamedTuple):
+    """What the training conditions say of the coefficients, axis-major, m axes of d functions."""
+
+    mean: np.ndarray
+    """``[m d]``"""
+    covariance: np.ndarray
+    """``[m d, m d]``"""
+    noise: np.ndarray
+    """``[m, m]`` covariance of a sample's residual."""
+
+
+def trigonometric(job: Job) -> Predictor:
+    """psi(t) = [sin t, sin 2t, sin 3t, cos t, cos 2t, cos 3t] (Sec. V-B)."""
+
+    def basis(x: Array, time: Array) -> Array:
+        angles = jnp.asarray(time)[..., None] * jnp.arange(1.0, 4.0)
+        return jnp.concatenate([jnp.sin(angles), jnp.cos(angles)], axis=-1)
+
+    return _ridge(basis, job)
+
+
+def linear(job: Job) -> Predictor:
+    """The inputs themselves and a constant; setting["ridge"] draws towards zero."""
+    return _ridge(_inputs(job), job)
+
+
+def linear_prior(job: Job) -> Predictor:
+    """The inputs and a constant, drawn towards what the training conditions say."""
+    return _towards_prior(_inputs(job), job)
+
+
+def physics(job: Job) -> Predictor:
+    """Functions that rigid bodies with friction and wheels suggest, drawn towards the training conditions."""
+    x = jnp.asarray(job.train.rows.inputs[job.train.rows.weights > 0])
+    spread = jnp.maximum(jnp.std(physics_functions(x), axis=0), 1e-3)
+    return _towards_prior(lambda x, time: physics_functions(x) / spread, job)
+
+
+def physics_functions(x: Array) -> Array:
+    """Functions ``[..., 28]`` of the inputs of psi ``[..., n]``, none of which needs the object's parameters.
+
+    Wrench over mass and inertia; viscous, Coulomb and quadratic friction; Coulomb friction at the four corners;
+    stiction, which takes back the wrench on an object at rest; Coriolis terms; and the last acceleration, in which
+    casters keep their memory.
+    """
+    where = features.slices(features.OBJECT_INPUTS)
+    twist, wrench, last = (x[..., where[name]] for name in ("object_twist", "wrench", "last_object_twist"))
+    size = x[..., where["size"]]
+    velocity, spin = twist[..., :2], twist[..., 2:]
+    speed = jnp.sqrt(jnp.sum(velocity**2, axis=-1, keepdims=True) + SLOW**2)
+    turning = jnp.sqrt((size * spin) ** 2 + SLOW**2)
+    rest = SLOW**2 / (speed**2 + turning**2 - SLOW**2)
+    before = se2.rotate(last, -last[..., 2] * DT)
+    parts = [
+        jnp.ones_like(size),
+        wrench,
+        wrench * rest,
+        twist,
+        velocity / speed,
+        size * spin / turning,
+        _corner_friction(twist, size),
+        velocity * speed,
+        spin * jnp.abs(spin),
+        spin * velocity,
+        spin * speed,
+        (twist - before) / DT,
+        jnp.sign(wrench[..., :2]) * jnp.abs(wrench[..., :2]) ** 0.5,
+        wrench[..., 2:] * size,
+    ]
+    return jnp.concatenate(parts, axis=-1)
+
+
+def fit_prior(functions: np.ndarray, labels: np.ndarray, weights: np.ndarray, rounds: int = 30) -> Prior:
+    """The prior under which the conditions' labels are most likely, by expectation maximisation.
+
+    The same model as `least_squares.empirical_prior`, on each condition's normal equations instead of its rows.
+
+    Args:
+        functions: ``[C, N, d]`` shared by the axes.
+        labels: ``[C, N, m]``.
+        weights: ``[C, N]``.
+        rounds: of EM.
+    """
+    f, y, w = (np.asarray(v, np.float64) for v in (functions, labels, weights))
+    weighted = f * w[..., None]
+    gram = np.einsum("cni,cnj->cij", weighted, f)
+    right = np.einsum("cni,cna->cai", weighted, y)
+    square = np.einsum("cn,cna,cnb->ab", w, y, y)
+    d, axes, count = f.shape[-1], y.shape[-1], max(w.sum(), 1.0)
+    n = axes * d
+    pooled = np.linalg.solve(gram.sum(axis=0) + np.eye(d), right.sum(axis=0).T).T
+    prior = Prior(pooled.reshape(n), np.eye(n), square / count)
+    for _ in range(rounds):
+        precision, inverse = np.linalg.inv(prior.noise), np.linalg.inv(prior.covariance)
+        spreads = np.linalg.inv(np.einsum("ab,cij->caibj", precision, gram).reshape(-1, n, n) + inverse)
+        moments = np.einsum("ab,cbi->cai", precision, right).reshape(-1, n) + inverse @ prior.mean
+        means = np.einsum("cij,cj->ci", spreads, moments)
+        mean = means.mean(axis=0)
+        # Two pseudo-conditions at the present prior keep n^2 numbers from C conditions sane.
+        total = (means - mean).T @ (means - mean) + spreads.sum(axis=0) + 2.0 * prior.covariance
+        a = means.reshape(-1, axes, d)
+        crossed = np.einsum("cai,cbi->ab", a, right)
+        noise = (square - crossed - crossed.T + np.einsum("cai,cij,cbj->ab", a, gram, a)) / count
+        covariance = total / (len(means) + 2.0) + 1e-6 * np.eye(n)
+        prior = Prior(mean, covariance, 0.5 * (noise + noise.T) + 1e-6 * np.eye(axes))
+    return prior
+
+
+def _inputs(job: Job) -> Basis:
+    mean, spread = input_scale(job.train.rows)
+    return lambda x, time: jnp.concatenate([(x - mean) / spread, jnp.ones((*x.shape[:-1], 1))], axis=-1)
+
+
+def _ridge(basis: Basis, job: Job) -> Predictor:
+    """Each condition by itself, drawn towards zero."""
+    scale = output_scale(job.train.rows)
+
+    def adapt(context: Context) -> Array:
+        f = basis(context.inputs, context.time)
+        psi = jnp.broadcast_to(f[:, None, :], (f.shape[0], scale.shape[0], f.shape[-1]))
+        start = jnp.zeros(psi.shape[1:])
+        return least_squares.ridge(psi, context.labels / scale, start, job.setting["ridge"], context.weights)
+
+    return Predictor(jax.jit(adapt), lambda a, x, time: basis(x, time) @ a.T * scale)
+
+
+def _towards_prior(basis: Basis, job: Job) -> Predictor:
+    """Each condition given the prior; setting["noise"] inflates the noise, whose samples are correlated in truth.
+
+    setting["coupled"] keeps the prior's covariances between coefficients; otherwise only their variances.
+    """
+    scale, rows = output_scale(job.train.rows), job.train.rows
+    prior = fit_prior(np.asarray(basis(rows.inputs, job.train.time)), rows.labels / scale, rows.weights)
+    covariance = prior.covariance if job.setting["coupled"] else np.diag(np.diag(prior.covariance))
+    factor = jnp.asarray(np.linalg.cholesky(covariance), jnp.float32)
+    mean, noise = jnp.asarray(prior.mean, jnp.float32), jnp.asarray(prior.noise * job.setting["noise"], jnp.float32)
+    axes = scale.shape[0]
+
+    def adapt(context: Context) -> Array:
+        f = basis(context.inputs, context.time)
+        phi = (f[:, None, None, :] * jnp.eye(axes)[:, :, None]).reshape(f.shape[0], axes, -1)
+        labels = context.labels / scale
+        a, _ = least_squares.posterior_from_factor(phi, labels, mean, factor, noise, context.weights)
+        return a.reshape(axes, -1)
+
+    return Predictor(jax.jit(adapt), lambda a, x, time: basis(x, time) @ a.T * scale)
+
+
+def _corner_friction(twist: Array, size: Array) -> Array:
+    """Direction of Coulomb friction at four feet, and its moment, summed ``[..., 3]``."""
+    lever = size[..., None] / jnp.sqrt(2.0) * jnp.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
+    around = jnp.stack([-lever[..., 1], lever[..., 0]], axis=-1)
+    velocity = twist[..., None, :2] + twist[..., None, 2:] * around
+    direction = velocity / jnp.sqrt(jnp.sum(velocity**2, axis=-1, keepdims=True) + SLOW**2)
+    moment = jnp.sum(around * direction, axis=-1, keepdims=True)
+    return jnp.sum(jnp.concatenate([direction, moment], axis=-1), axis=-2) / 4

@@ -1,0 +1,98 @@
+"""Plain networks over all conditions: without adaptation, told the true properties, and a GRU that adapts."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from shmoo_mjx.learning.baselines.gradient import Layers, dense, layers, meta_train
+from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, input_scale, output_scale
+
+__all__ = ["gru", "mlp", "told"]
+
+Array = Any
+
+HIDDEN = (128, 128, 50)
+"""Hidden layers of every network here: those of psi."""
+MEMORY = 64
+"""Width of the GRU's state."""
+CONTEXT_ROWS = 150
+"""Most rows that the GRU reads in training; of 25 s of recording about as many count."""
+
+
+class _Gru(NamedTuple):
+    gates: Layers
+    """Reset and update gates, from row and memory."""
+    candidate: Layers
+    head: Layers
+
+
+def mlp(job: Job) -> Predictor:
+    """One network for all conditions; it knows nothing of the one at hand."""
+    return _network(job, "mlp", told=False)
+
+
+def told(job: Job) -> Predictor:
+    """The same network, told the true mass, size, friction, wheels and brakes of each condition."""
+    return _network(job, "told", told=True)
+
+
+def gru(job: Job) -> Predictor:
+    """A recurrent network reads inputs and labels of the context; its last memory goes into the network's inputs."""
+    (mean, spread), scale = input_scale(job.train.rows), output_scale(job.train.rows)
+    n_in, n_out = mean.shape[0], scale.shape[0]
+    width = n_in + n_out + MEMORY
+    keys = jax.random.split(jax.random.key(job.seed), 3)
+    start = _Gru(
+        layers(keys[0], width, 2 * MEMORY),
+        layers(keys[1], width, MEMORY),
+        layers(keys[2], n_in + MEMORY, *HIDDEN, n_out),
+    )
+
+    def predictor(params: _Gru) -> Predictor:
+        def adapt(context: Context) -> Array:
+            rows = jnp.concatenate([(context.inputs - mean) / spread, context.labels / scale], axis=-1)
+            memory, _ = jax.lax.scan(
+                lambda m, r: (_read(params, m, *r), None), jnp.zeros(MEMORY), (rows, context.weights)
+            )
+            return memory
+
+        def predict(memory: Array, x: Array, time: Array) -> Array:
+            known = jnp.broadcast_to(memory, (*x.shape[:-1], MEMORY))
+            return dense(params.head, jnp.concatenate([(x - mean) / spread, known], axis=-1)) * scale
+
+        return Predictor(adapt, predict)
+
+    return predictor(meta_train(job, start, predictor, "gru", adapt_rows=CONTEXT_ROWS))
+
+
+def _network(job: Job, name: str, told: bool) -> Predictor:
+    (mean, spread), scale = input_scale(job.train.rows), output_scale(job.train.rows)
+    known = job.train.properties
+    centre, width = known.mean(axis=0), np.maximum(known.std(axis=0), 1e-3)
+    extra = known.shape[-1] if told else 0
+    start = layers(jax.random.key(job.seed), mean.shape[0] + extra, *HIDDEN, scale.shape[0])
+
+    def predictor(params: Layers) -> Predictor:
+        def adapt(context: Context) -> Array:
+            return (context.properties - centre) / width
+
+        def predict(state: Array, x: Array, time: Array) -> Array:
+            x = (x - mean) / spread
+            if told:
+                x = jnp.concatenate([x, jnp.broadcast_to(state, (*x.shape[:-1], extra))], axis=-1)
+            return dense(params, x) * scale
+
+        return Predictor(adapt, predict)
+
+    return predictor(meta_train(job, start, predictor, name, adapt_rows=8))
+
+
+def _read(params: _Gru, memory: Array, row: Array, weight: Array) -> Array:
+    """One step of the GRU; a row that does not count leaves the memory as it was."""
+    reset, update = jnp.split(jax.nn.sigmoid(dense(params.gates, jnp.concatenate([row, memory]))), 2)
+    candidate = jnp.tanh(dense(params.candidate, jnp.concatenate([row, reset * memory])))
+    return memory + weight * update * (candidate - memory)

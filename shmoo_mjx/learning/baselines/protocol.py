@@ -1,0 +1,171 @@
+"""What every method of the comparison is: it is fitted once, adapts on the first rows of a condition, and predicts.
+
+A method gets training and validation conditions and answers with a `Predictor`. A predictor meets a condition that
+it has not seen: ``adapt`` takes the condition's first rows, ``predict`` tells the acceleration at others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from shmoo_mjx.data import store
+from shmoo_mjx.learning import least_squares
+from shmoo_mjx.learning.rows import Rows, label_scale, rows_from_dataset
+from shmoo_mjx.plant.objects import FAMILIES
+from shmoo_mjx.types import DT
+
+__all__ = ["Budget", "Context", "Job", "Method", "Predictor", "Recordings", "first_rows", "recordings", "share_left"]
+
+Array = Any
+State = Any
+Setting = dict[str, Any]
+
+PROPERTIES = ("mass", "payload", "payload_x", "payload_y", "friction", "swivel_friction")
+WHEELS = 4
+
+
+class Recordings(NamedTuple):
+    """C conditions as arrays."""
+
+    rows: Rows
+    time: Array
+    """``[C, N]`` since the recording began, gaps between episodes left out [s]."""
+    pose: Array
+    """``[C, N, 3]`` of the object in {W} at the start of each row."""
+    properties: Array
+    """``[C, p]`` the true properties, which only the told network sees: family, size, mass, friction, wheels."""
+
+
+class Context(NamedTuple):
+    """What a method adapts on: some rows of one condition in the order they were recorded."""
+
+    inputs: Array
+    """``[N, n]``"""
+    labels: Array
+    """``[N, m]``"""
+    weights: Array
+    """``[N]`` 0 where a row does not count."""
+    time: Array
+    """``[N]`` [s]"""
+    properties: Array
+    """``[p]``"""
+
+
+class Predictor(NamedTuple):
+    """A fitted method. Both functions can be jitted; neither keeps anything between calls."""
+
+    adapt: Callable[[Context], State]
+    predict: Callable[[State, Array, Array], Array]
+    """(state, inputs ``[..., n]``, time ``[...]``) -> accelerations ``[..., m]``."""
+
+
+@dataclass(frozen=True)
+class Budget:
+    """How long a learned method may train: the same for each."""
+
+    chunks: int = 20
+    """Most chunks."""
+    chunk_updates: int = 150
+    """Updates per chunk."""
+    patience: int = 8
+    """Chunks without a better validation score before stopping."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """One fit of one method."""
+
+    train: Recordings
+    validation: Recordings
+    setting: Setting = field(default_factory=dict)
+    budget: Budget = field(default_factory=Budget)
+    seed: int = 0
+    fit_rows: int = 250
+    """Rows at the start of a validation condition that a method adapts on."""
+    directory: Path | None = None
+    """Keeps the training's checkpoint, finished or not."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """A row of the comparison."""
+
+    name: str
+    fit: Callable[[Job], Predictor]
+    settings: tuple[Setting, ...]
+    """What is tried on the validation conditions, the default first. Every method has as many."""
+    trained: bool = True
+    """By gradient descent, so that the seed matters."""
+
+
+def recordings(dataset: store.Dataset) -> Recordings:
+    """The rows of every condition with what the comparison needs beside them."""
+    rows = rows_from_dataset(dataset)
+    n = rows.inputs.shape[1]
+    poses, times = [], []
+    for arrays in dataset.arrays:
+        pose = arrays["object_pose"]
+        count = pose.shape[0] * (pose.shape[1] - 1)
+        assert count <= n, "rows and poses are of different recordings"
+        time = DT * np.arange(pose.shape[0] * pose.shape[1]).reshape(pose.shape[:2])[:, :-1].reshape(-1)
+        poses.append(np.pad(pose[:, :-1].reshape(-1, 3), ((0, n - count), (0, 0))))
+        times.append(np.pad(time, (0, n - count), mode="edge"))
+    known = np.stack([_properties(c) for c in dataset.conditions])
+    return Recordings(rows, np.stack(times).astype(np.float32), np.stack(poses).astype(np.float32), known)
+
+
+def first_rows(recorded: Recordings, condition: int, count: int) -> Context:
+    """The first ``count`` rows of one condition, at most half of them."""
+    rows, n = recorded.rows, min(count, recorded.rows.inputs.shape[1] // 2)
+    i = condition
+    known = recorded.properties[i]
+    return Context(rows.inputs[i, :n], rows.labels[i, :n], rows.weights[i, :n], recorded.time[i, :n], known)
+
+
+def share_left(predictor: Predictor, recorded: Recordings, fit_rows: int, scale: Array, floor: float = 0.1) -> Array:
+    """Mean share of variance unexplained after the first ``fit_rows`` rows; what early stopping looks at.
+
+    As in DAIML's own validation score, ``floor`` times ``scale [m]`` squared is added to each label's variance.
+    """
+    n = recorded.rows.inputs.shape[1]
+    first = min(fit_rows, n // 2)
+
+    def one(x: Array, y: Array, w: Array, time: Array, known: Array) -> Array:
+        state = predictor.adapt(Context(x[:first], y[:first], w[:first], time[:first], known))
+        predicted = predictor.predict(state, x[first:], time[first:])
+        return least_squares.fraction_unexplained(predicted, y[first:], w[first:], floor * scale**2)
+
+    rows = recorded.rows
+    shares = jax.vmap(one)(rows.inputs, rows.labels, rows.weights, recorded.time, recorded.properties)
+    return jnp.mean(jnp.minimum(shares, 10.0))
+
+
+def input_scale(rows: Rows) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and standard deviation ``[n]`` of the inputs of the rows that count."""
+    used = rows.inputs[rows.weights > 0]
+    return used.mean(axis=0), np.maximum(used.std(axis=0), 1e-3)
+
+
+def output_scale(rows: Rows) -> np.ndarray:
+    """The unit ``[m]`` in which methods predict."""
+    return np.asarray(label_scale(rows), np.float32)
+
+
+def _properties(condition: dict[str, Any]) -> np.ndarray:
+    """``[p]``: numbers for what is fixed in a condition; where casters point at the start is not."""
+    family = [float(condition["family"] == f) for f in FAMILIES]
+    size = list(condition.get("size", (0.0, 0.0, 0.0)))
+    plain = [float(condition.get(name, 0.0)) for name in PROPERTIES]
+    wheels = [_padded(condition.get(name, ())) for name in ("rolling", "locked")]
+    return np.array([*family, *size, *plain, *wheels[0], *wheels[1]], np.float32)
+
+
+def _padded(values: Any) -> list[float]:
+    return ([float(v) for v in values] + [0.0] * WHEELS)[:WHEELS]

@@ -1,0 +1,147 @@
+"""Which face to push, and where to first: arcs that bring an object to a pose, looked ahead over two pushes.
+
+A push moves an object along the inward normal of its face, and steering bends that way into an arc. No dynamics is
+needed for the choice: what coasts or drags is the controller's business, and the choice is made anew after each push.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from shmoo_mjx import se2
+from shmoo_mjx.navigation.footprints import footprints_free
+from shmoo_mjx.navigation.maps import ClearanceField
+
+__all__ = ["ArcConfig", "Choice", "arc_ends", "choose", "residual"]
+
+Array = Any
+
+
+@dataclass(frozen=True)
+class ArcConfig:
+    """Arcs that count as possible, and what speaks against a push."""
+
+    curvature: float = 0.45
+    """Largest curvature [1/m]: 26 deg over a metre, what steering gives light and heavy objects alike."""
+    longest: float = 2.6
+    """[m]"""
+    yaw_weight: float = 0.25
+    """Metres that a yaw error of 1 rad counts for [m/rad]."""
+    walk: float = 0.01
+    """Metres of error that a metre of walking to the face counts for [1]."""
+    second: float = 0.2
+    """Metres of error that a second push counts for [m]: each takes half a minute and errs by itself."""
+    wall_clearance: float = 0.06
+    """Kept by the footprint at the end of a push [m]."""
+
+
+class Choice(NamedTuple):
+    """A push to make next."""
+
+    side: int
+    """Index of the face."""
+    goal: np.ndarray
+    """``[3]`` where this push is to bring the object, in {W}."""
+    expected: float
+    """Error left after this push, or after a second one, with what the pushes cost [m]."""
+
+
+def residual(pose: Array, goal: Array, yaw_weight: float) -> np.ndarray:
+    """Error ``[...]`` [m] of ``pose [..., 3]`` against ``goal [3]``, the yaw on the circle."""
+    offset = np.asarray(pose)[..., :2] - np.asarray(goal)[:2]
+    yaw = se2.wrap(np.asarray(pose)[..., 2] - np.asarray(goal)[2])
+    return np.hypot(offset[..., 0], offset[..., 1]) + yaw_weight * np.abs(yaw)
+
+
+def arc_ends(pose: Array, face: Array, lengths: Array, curvatures: Array) -> np.ndarray:
+    """Object poses ``[..., L, K, 3]`` in {W} after pushes of these lengths ``[L]`` [m] and curvatures ``[K]`` [1/m].
+
+    Args:
+        pose: ``[..., 3]`` where the object stands.
+        face: ``[4]`` as faces.faces_of gives it.
+        lengths: along the arc.
+        curvatures: positive turns left.
+    """
+    s, k = np.meshgrid(lengths, curvatures, indexing="ij")
+    turn = s * k
+    # sinc keeps the straight push among the arcs without a special case.
+    chord = s * np.sinc(turn / (2 * np.pi))
+    step = np.stack([chord * np.cos(turn / 2), chord * np.sin(turn / 2)], axis=-1)
+    moved = se2.rotate(step, np.full(s.shape, face[2]))
+    local = np.concatenate([moved, turn[..., None]], axis=-1)
+    return se2.compose(np.asarray(pose, dtype=float)[..., None, None, :], local)
+
+
+def choose(
+    pose: np.ndarray,
+    goal: np.ndarray,
+    faces: np.ndarray,
+    ways: Sequence[float | None],
+    field: ClearanceField,
+    half_extents: tuple[float, float],
+    cfg: ArcConfig = ArcConfig(),
+) -> Choice | None:
+    """The push that, alone or followed by another one, leaves the least error; None if no face can be reached.
+
+    Args:
+        pose: ``[3]`` of the object in {W}.
+        goal: ``[3]`` where it is to be.
+        faces: ``[F, 4]``.
+        ways: length of the way to each face [m], None where it can't be reached or must not be pushed.
+        field: clearance without the object itself.
+        half_extents: of the footprint [m].
+        cfg: see ``ArcConfig``.
+    """
+    found: list[Choice] = []
+    usable = [i for i, way in enumerate(ways) if way is not None]
+    for i in usable:
+        walk = cfg.walk * float(ways[i] or 0.0)
+        error, end = _best_single(pose, goal, faces[i], cfg)
+        # The goal itself is what the controller is given: it may do better than any arc.
+        if end is not None:
+            found.append(Choice(i, np.asarray(goal, dtype=float), float(error) + walk))
+        found += _through(pose, goal, faces, usable, i, field, half_extents, cfg, walk)
+    return min(found, key=lambda c: c.expected) if found else None
+
+
+def _best_single(
+    pose: Array, goal: np.ndarray, face: np.ndarray, cfg: ArcConfig
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Least error ``[...]`` after one push from ``pose [..., 3]`` and where the first of them ends."""
+    curvatures = np.linspace(-cfg.curvature, cfg.curvature, 13)
+    ends = arc_ends(pose, face, np.linspace(0.03, cfg.longest, 60), curvatures)
+    errors = residual(ends, goal, cfg.yaw_weight).reshape(*ends.shape[:-3], -1)
+    best = np.argmin(errors, axis=-1)
+    if errors.ndim > 1:
+        return np.min(errors, axis=-1), None
+    return np.min(errors, axis=-1), ends.reshape(-1, 3)[best]
+
+
+def _through(
+    pose: np.ndarray,
+    goal: np.ndarray,
+    faces: np.ndarray,
+    usable: Sequence[int],
+    first: int,
+    field: ClearanceField,
+    half_extents: tuple[float, float],
+    cfg: ArcConfig,
+    walk: float,
+) -> list[Choice]:
+    """Pushes on face ``first`` to places from which a push on another face leads to the goal."""
+    curvatures = np.linspace(-cfg.curvature, cfg.curvature, 5)
+    stops = arc_ends(pose, faces[first], np.linspace(0.2, 1.4, 7), curvatures).reshape(-1, 3)
+    stops = stops[footprints_free(field, stops, np.array(half_extents), wall_clearance=cfg.wall_clearance)]
+    if not len(stops):
+        return []
+    found = []
+    for second in usable:
+        if second != first:
+            errors, _ = _best_single(stops, goal, faces[second], cfg)
+            best = int(np.argmin(errors))
+            found.append(Choice(first, stops[best], float(errors[best]) + cfg.second + walk))
+    return found

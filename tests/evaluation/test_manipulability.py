@@ -1,0 +1,113 @@
+"""The truth about pushes, the measures of the experiment object_planner, and trials that outlive a stop."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from shmoo_mjx.evaluation.manipulable import SteadyPush, draw_immovable, steady_push
+from shmoo_mjx.evaluation.object_planner import auc, draw_object, held_out_accuracy, measure, open_floor_scenario
+from shmoo_mjx.evaluation.trials import fingerprint, run_trials
+from shmoo_mjx.faces import faces_of, heading
+from shmoo_mjx.plant.objects import draw_condition
+
+QUICK = SteadyPush(seconds=4.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("mass", "friction", "moves"), [(3.0, 0.4, True), (12.0, 0.4, True), (40.0, 0.6, False), (90.0, 0.5, False)]
+)
+def test_a_box_moves_if_its_friction_is_below_what_the_robot_can_push(
+    mass: float, friction: float, moves: bool
+) -> None:
+    """At 0.15 rad the robot balances some 95 N at the height of its hands."""
+    box = draw_condition("box", 3, {"mass": mass, "payload": 0.0, "friction": friction})
+    moved = steady_push(box, 0)
+    assert (moved >= SteadyPush().distance) == moves
+    assert moves or moved < 0.05
+
+
+def test_a_box_that_is_fixed_to_the_floor_stays() -> None:
+    assert steady_push(draw_immovable("fixed", "box", 7), 2, QUICK) < 0.01
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("index", range(4))
+def test_objects_are_drawn_as_the_plant_has_them(index: int) -> None:
+    condition, side, kind = draw_object(index, 1_000_000, SteadyPush())
+    assert (steady_push(condition, side) >= SteadyPush().distance) == (kind == "drawn") == (index % 2 == 0)
+
+
+def test_kinds_differ_in_what_holds_them() -> None:
+    assert draw_immovable("heavy", "cart", 1).payload > 150
+    assert sum(draw_immovable("brakes", "wheelchair", 1).locked) == 2
+    assert sum(draw_immovable("brakes", "cart", 1).locked) == 2
+    assert draw_immovable("fixed", "cart", 1).locked == (True,) * 4
+
+
+def test_the_open_floor_shows_the_chosen_face() -> None:
+    condition = draw_condition("cart", 2)
+    for side, face in enumerate(faces_of(condition.half_extents)):
+        scenario = open_floor_scenario(condition, side, 3, 10.0)
+        # Pushing that face pushes along +x, the robot's way.
+        assert abs(heading(np.array(scenario.objects[0].pose), face)) < 0.16
+
+
+def test_auc_and_held_out_threshold() -> None:
+    truth = np.array([False] * 5 + [True] * 5)
+    apart = np.array([0.0, 0.1, 0.2, 0.1, 0.0, 1.0, 2.0, 1.5, 3.0, 1.2])
+    assert auc(apart, truth) == 1.0 and held_out_accuracy(apart, truth) == 1.0
+    assert auc(-apart, truth) == 0.0
+    assert auc(np.ones(10), truth) == 0.5
+    # A value that only one object has can't be told by a threshold found on the others.
+    assert held_out_accuracy(np.where(np.arange(10) == 5, -1.0, apart), truth) == 0.9
+    assert np.isnan(auc(apart[:5], truth[:5]))
+
+
+def row(manipulable: bool, decided: bool | None, k: float = 1.0, seconds: float = 1.0) -> dict[str, Any]:
+    found = {"manipulable": manipulable, "decided": decided, "first_decided": decided}
+    numbers = {"K": k, "K_first": k, "K_posterior": k, "moved_m": k, "mobility": k, "decision_time_s": seconds}
+    return found if decided is None else found | numbers
+
+
+def test_measures_count_undecided_objects_as_mistakes() -> None:
+    rows = [row(True, True, 2.0), row(True, False, 0.1, 4.0), row(False, False, 0.01), row(False, None)]
+    metrics = measure(rows)
+    assert metrics["accuracy"] == 0.5 and metrics["undecided"] == 1
+    assert metrics["decision_time_s"] == 1.0 and metrics["decided_within_3s"] == pytest.approx(2 / 3)
+    assert metrics["manipulable_called_manipulable"] == 1 and metrics["manipulable_called_immovable"] == 1
+    assert metrics["immovable_called_immovable"] == 1 and metrics["immovable_called_manipulable"] == 0
+    assert metrics["auc_K"] == 1.0
+
+
+def test_trials_go_on_where_they_were_stopped(tmp_path: Path) -> None:
+    calls: list[str] = []
+
+    def work(name: str) -> list[dict[str, Any]]:
+        calls.append(name)
+        if name == "c" and len(calls) == 3:
+            raise KeyboardInterrupt
+        return [{"name": name}]
+
+    def silent(stage: str, fraction: float) -> None:
+        return None
+
+    with pytest.raises(KeyboardInterrupt):
+        run_trials(["a", "b", "c"], work, tmp_path, silent, workers=1)
+    rows = run_trials(["a", "b", "c"], work, tmp_path, silent, workers=1)
+    assert calls == ["a", "b", "c", "c"] and [r["name"] for r in rows] == ["a", "b", "c"]
+    assert json.loads((tmp_path / "b.json").read_text()) == [{"name": "b"}]
+
+
+def test_a_fingerprint_changes_with_settings_and_files(tmp_path: Path) -> None:
+    file = tmp_path / "weights"
+    file.write_bytes(b"one")
+    first = fingerprint({"a": 1, "b": 2}, file)
+    assert first == fingerprint({"b": 2, "a": 1}, file) != fingerprint({"a": 1, "b": 3}, file)
+    file.write_bytes(b"two")
+    assert fingerprint({"a": 1, "b": 2}, file) != first

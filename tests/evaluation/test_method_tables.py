@@ -1,0 +1,43 @@
+"""The page's tables come from the JSON, and only where the page has a place for them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.evaluation import method_tables
+from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
+
+
+def result() -> ExperimentResult:
+    config = {"unseen": {"box": 2}, "seeds": 3}
+    metrics = {
+        f"{m}_{n}": v
+        for m in ("fvu", "mse", "pos_rmse_3s_m", "yaw_rmse_3s_deg")
+        for n, v in (("ours", 0.25), ("linear", 0.5))
+    }
+    metrics |= {"ratio_linear": 2.0, "fvu_std_ours": 0.01}
+    rows = [{"method": "ours", "setting": {}}, {"method": "linear", "setting": {"ridge": 10.0}}]
+    return make_result("baselines", Ask(seed=4), config, metrics, {"ratio_linear": 1.5}, rows)
+
+
+def test_tables_are_replaced_and_the_rest_stays(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("before\n<!-- baselines -->\nold\n<!-- end baselines -->\nafter\n")
+    method_tables.fill(page, [result()])
+    once = page.read_text()
+    assert "| ours | 0.25 +- 0.01 | 0.25 | 1 |  | 0.25 | 0.25 | default |" in once
+    assert "| linear basis, ridge towards zero | 0.5 | 0.5 | 2 | 1.5 | 0.5 | 0.5 | ridge 10.0 |" in once
+    assert "--seed 4" in once and "old" not in once
+    assert once.index("| ours") < once.index("| linear") and once.startswith("before") and once.endswith("after\n")
+    method_tables.fill(page, [result()])
+    assert page.read_text() == once
+
+
+def test_a_page_without_a_place_is_named(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("nothing\n")
+    with pytest.raises(ShmooError, match=r"page\.md"):
+        method_tables.fill(page, [result()])

@@ -1,0 +1,167 @@
+"""The pushing experiment: trials from seeds, changes mid-run, metrics, resuming, limits."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from shmoo_mjx.evaluation import pushing
+from shmoo_mjx.evaluation.pushing import PushingConfig, enclosing_circle, metrics_of
+from shmoo_mjx.evaluation.pushing_trials import METHODS, draw_trials, resistance, save_trial
+from shmoo_mjx.evaluation.result import Ask
+from shmoo_mjx.plant.engine_mujoco import MujocoEngine
+from shmoo_mjx.plant.objects import draw_condition
+from shmoo_mjx.plant.scene import build_scene
+from shmoo_mjx.plant.trials import command
+
+
+def test_trials_come_from_seeds_alone_and_are_unseen() -> None:
+    trials = draw_trials(1_000_000, 3, 10)
+    assert trials == draw_trials(1_000_000, 3, 10)
+    assert len(trials) == 90
+    assert len({t.name for t in trials}) == 90
+    assert all(1_000_000 <= t.condition.seed < 1_001_000 for t in trials)
+    others = draw_trials(1_001_000, 3, 10)
+    assert not {t.condition.fingerprint() for t in trials} & {t.condition.fingerprint() for t in others}
+    moved = draw_trials(1_000_000, 4, 10)
+    assert [t.condition for t in moved] == [t.condition for t in trials]
+    assert [t.robot_pose for t in moved] != [t.robot_pose for t in trials]
+
+
+def test_every_object_can_be_pushed_before_and_after_its_change() -> None:
+    trials = draw_trials(1_000_000, 0, 10)
+    assert max(resistance(t.condition) for t in trials) <= 40.0
+    assert max(resistance(t.changed) for t in trials) <= 40.0 + 0.1
+    kinds = {t.change for t in trials}
+    assert kinds == {"none", "mass", "brake"}
+    for trial in trials:
+        assert (trial.changed == trial.condition) == (trial.change == "none")
+        if trial.change == "mass":
+            assert trial.changed.payload > trial.condition.payload
+        if trial.change == "brake":
+            worse = np.array(trial.changed.rolling) > np.array(trial.condition.rolling)
+            assert worse.sum() == 1
+
+
+def test_start_poses_lie_all_round_the_object() -> None:
+    poses = np.array([t.robot_pose for t in draw_trials(1_000_000, 0, 10)])
+    quadrants = set(np.floor(np.arctan2(poses[:, 1], poses[:, 0]) / (np.pi / 2)).astype(int).tolist())
+    assert quadrants == {-2, -1, 0, 1}
+
+
+def test_changing_the_scene_keeps_the_state_and_changes_the_motion() -> None:
+    """A sliding box with a higher friction stops sooner, from the very state it had."""
+    easy = draw_condition("box", 3, {"friction": 0.3})
+    rough = draw_condition("box", 3, {"friction": 0.6})
+
+    def slide(change: bool) -> tuple[float, float]:
+        engine = MujocoEngine([build_scene([(easy, (2.0, 0.0, 0.0))])])
+        world, _ = engine.step(engine.init(), command(1), 0.2)
+        physics = world.physics.copy()
+        nq = engine.scenes[0].model.nq
+        physics[0, 1 + nq + engine.scenes[0].object_qvel[0]] = 1.0
+        world = world._replace(physics=physics)
+        if change:
+            engine.change([build_scene([(rough, (0.0, 0.0, 0.0))])])
+        assert engine.observe(world).object_pose[0, 0, 0] == pytest.approx(2.0, abs=0.01)
+        world, seen = engine.step(world, command(1), 0.2)
+        engine.close()
+        return float(seen.object_pose[0, 0, 0]) - 2.0, float(seen.object_twist[0, 0, 0])
+
+    (far, fast), (near, slow) = slide(False), slide(True)
+    assert fast == pytest.approx(1 - 0.2 * 0.3 * 9.81, abs=0.06)
+    assert near < far
+    assert slow == pytest.approx(0.0, abs=0.06)
+
+
+def test_a_scene_of_another_structure_is_refused() -> None:
+    engine = MujocoEngine([build_scene([(draw_condition("box", 0), (2.0, 0.0, 0.0))])])
+    with pytest.raises(ValueError, match="structure"):
+        engine.change([build_scene([(draw_condition("cart", 0), (2.0, 0.0, 0.0))])])
+
+
+def test_the_circle_holds_all_points_and_no_smaller_one_does() -> None:
+    points = np.random.default_rng(0).normal(size=(30, 2))
+    centre, radius = enclosing_circle(points)
+    assert np.linalg.norm(points - centre, axis=1).max() == pytest.approx(radius, rel=1e-6)
+    for shift in 0.02 * np.array([[1, 0], [-1, 0], [0, 1], [0, -1], [0.7, 0.7], [-0.7, 0.7]]):
+        assert np.linalg.norm(points - centre - shift, axis=1).max() > radius
+
+
+def _row(method: str, trial: str, goal: int, offset: float, yaw: float = 5.0, **more: Any) -> dict[str, Any]:
+    row = {
+        "method": method, "trial": trial, "family": trial.split("-")[0], "goal": goal, "run": 0, "offset_m": offset,
+        "yaw_error_deg": yaw, "success": offset <= 0.25 and yaw <= 20, "fell": False, "time_s": 40.0, "pushes": 1,
+        "worst_lean_rad": 0.1, "arm_margin_rad": 0.3, "final_x": 1.0 + offset, "final_y": 0.0, "change": "none",
+        "object": "a box", "ended": "done",
+    }  # fmt: skip
+    return row | more
+
+
+def test_metrics_have_the_names_that_were_agreed() -> None:
+    rows = [
+        _row("ours", "box-goal1-00", 1, 0.05),
+        _row("ours", "box-goal1-01", 1, 0.15, yaw=30.0),
+        _row("ours", "cart-goal2-00", 2, 0.30, fell=True, worst_lean_rad=0.5),
+        _row("frozen_prior", "box-goal1-00", 1, 0.5),
+    ]
+    m = metrics_of(rows)
+    assert m["offset_goal1_m"] == pytest.approx(0.10)
+    assert m["radius_goal1_m"] == pytest.approx(0.05, rel=1e-3)
+    assert m["circle_goal1_m"] == pytest.approx(0.15)
+    assert m["success_rate"] == pytest.approx(1 / 3)
+    assert m["falls"] == 1
+    assert m["worst_lean_rad"] == 0.5
+    assert m["baseline_frozen_prior_offset_goal1_m"] == 0.5
+    assert m["baseline_frozen_prior_success_rate"] == 0.0
+
+
+def test_finished_trials_are_not_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+
+    def fake(todo: Any, weights: Path, config: PushingConfig, folder: Path) -> Any:
+        for trial, method in todo:
+            asked.append(f"{method}-{trial.name}")
+            way = np.linspace(trial.object_pose, trial.goal_pose, 5)
+            track = {"t": np.arange(5.0), "object_pose": way, "robot_pose": way, "phase": np.array(["push"] * 5)}
+            row = _row(method, trial.name, trial.goal, 0.1, family=trial.family)
+            save_trial(folder, row, track | {"qpos": np.zeros((5, 3))})
+            if len(asked) == 5:
+                raise KeyboardInterrupt
+            yield trial.name
+
+    monkeypatch.setattr(pushing, "_run_all", fake)
+    ask = Ask(quick=True, out=tmp_path)
+    with pytest.raises(KeyboardInterrupt):
+        pushing.run(ask)
+    result = pushing.run(ask)
+    total = 6 * len(METHODS)
+    assert len(asked) == total == len(set(asked))
+    assert len(result.rows) == total
+    assert result.metrics["success_rate"] == 1.0
+    assert result.paper["offset_goal1_m"] == 0.067
+    assert (tmp_path / "pushing" / "pushing.png").stat().st_size > 10_000
+    pushing.run(ask)
+    assert len(asked) == total
+    pushing.run(Ask(quick=True, out=tmp_path, seed=1))
+    assert len(asked) == 2 * total
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["quasi_static", "ours"])
+def test_a_trial_on_the_proxy_robot_stays_within_its_limits(method: str) -> None:
+    from shmoo_mjx.assets import asset
+    from shmoo_mjx.evaluation.pushing_trials import Runner
+    from shmoo_mjx.learning.weights import load_weights
+
+    trial = next(t for t in draw_trials(500_000, 0, 1) if t.family == "box" and t.goal == 1)
+    weights = load_weights(asset("experiments/weights/demo.safetensors"))
+    row, track = Runner(weights, 60.0).run(trial, method)
+    assert not row["fell"]
+    assert row["worst_lean_rad"] < 0.2
+    assert row["arm_margin_rad"] > 0.0
+    assert row["offset_m"] < 0.25
+    assert len(track["t"]) == len(track["qpos"])

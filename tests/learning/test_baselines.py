@@ -1,0 +1,198 @@
+"""Each method of the comparison learns what it can: the synthetic objects obey a linear law with their own numbers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from shmoo_mjx.data import store
+from shmoo_mjx.dynamics import features
+from shmoo_mjx.evaluation import scoring
+from shmoo_mjx.learning import least_squares
+from shmoo_mjx.learning.baselines import (
+    METHODS,
+    REFERENCES,
+    Budget,
+    Job,
+    Predictor,
+    Recordings,
+    layouts,
+    linear,
+    recordings,
+    rigid_body,
+)
+from shmoo_mjx.learning.baselines.protocol import output_scale
+
+
+@pytest.fixture(scope="module")
+def job(synthetic_dataset: store.Dataset) -> Job:
+    split = synthetic_dataset.split
+    return Job(recordings(split("train")), recordings(split("validation")), {}, Budget(3, 80, 3), 0, 100)
+
+
+@pytest.fixture(scope="module")
+def unseen(synthetic_dataset: store.Dataset) -> Recordings:
+    return recordings(synthetic_dataset.split("test"))
+
+
+def unexplained(predictor: Predictor, recorded: Recordings, job: Job) -> float:
+    return float(np.mean(scoring.score(predictor, recorded, output_scale(job.train.rows), 100, roll_outs=False)["fvu"]))
+
+
+def with_context(recorded: Recordings, factor: float) -> Recordings:
+    """The labels of the rows to adapt on multiplied."""
+    labels = np.array(recorded.rows.labels)
+    labels[:, :100] *= factor
+    return recorded._replace(rows=recorded.rows._replace(labels=labels))
+
+
+def fitted(name: str, job: Job, **setting: Any) -> Predictor:
+    method = (METHODS | REFERENCES)[name]
+    return method.fit(replace(job, setting=method.settings[0] | setting))
+
+
+def test_every_method_tries_as_many_settings() -> None:
+    assert {len(method.settings) for method in METHODS.values()} == {4}
+    assert all(len({str(s) for s in method.settings}) == 4 for method in METHODS.values())
+
+
+@pytest.mark.parametrize(("name", "most"), [("linear", 0.02), ("linear_prior", 0.02), ("physics", 0.05)])
+def test_a_linear_law_is_found_by_linear_means(name: str, most: float, job: Job, unseen: Recordings) -> None:
+    assert unexplained(fitted(name, job), unseen, job) < most
+
+
+def test_time_alone_explains_nothing(job: Job, unseen: Recordings) -> None:
+    assert unexplained(fitted("trigonometric", job), unseen, job) > 0.8
+    assert unexplained(fitted("zero", job), unseen, job) > 0.9
+
+
+@pytest.mark.slow
+def test_a_rigid_body_is_identified(job: Job, unseen: Recordings) -> None:
+    one = jax.tree.map(lambda leaf: leaf[:1], unseen)
+    few = replace(job, train=jax.tree.map(lambda leaf: leaf[:4], job.train))
+    assert unexplained(fitted("rigid_body", few), one, job) < 0.05
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["alpaca", "gru"])
+def test_meta_learned_methods_use_their_context(name: str, job: Job, unseen: Recordings) -> None:
+    predictor = fitted(name, job, learning_rate=3e-3)
+    own = unexplained(predictor, unseen, job)
+    assert own < 0.6
+    assert unexplained(predictor, with_context(unseen, -1.0), job) > own + 0.02
+
+
+def test_networks_without_a_context_do_not_care_for_it(job: Job, unseen: Recordings) -> None:
+    predictor = fitted("mlp", job, learning_rate=3e-3)
+    own = unexplained(predictor, unseen, job)
+    assert own < 0.8
+    assert unexplained(predictor, with_context(unseen, -1.0), job) == pytest.approx(own)
+
+
+def test_the_told_network_sees_the_properties(job: Job) -> None:
+    """Labels that only the properties tell: without them half of the variance stays."""
+    sign = np.where(np.arange(len(job.train.properties)) % 2, 1.0, -1.0).astype(np.float32)
+
+    def signed(recorded: Recordings, sign: np.ndarray) -> Recordings:
+        rows, known = recorded.rows, recorded.properties.copy()
+        known[:, 0] = sign
+        return recorded._replace(rows=rows._replace(labels=rows.labels * sign[:, None, None]), properties=known)
+
+    changed = replace(job, train=signed(job.train, sign), validation=signed(job.validation, sign[:3]))
+    told, mlp = (unexplained(fitted(n, changed, learning_rate=3e-3), changed.validation, job) for n in ("told", "mlp"))
+    assert told < 0.7 * mlp
+
+
+def test_a_finished_training_is_read_back(job: Job, tmp_path: Path) -> None:
+    kept = replace(job, setting={"learning_rate": 1e-3}, budget=Budget(2, 10, 2), directory=tmp_path)
+    first = METHODS["mlp"].fit(kept)
+    files = {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*") if p.is_file()}
+    assert files
+    again = METHODS["mlp"].fit(kept)
+    assert {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*") if p.is_file()} == files
+    x = jnp.asarray(job.train.rows.inputs[0, :5])
+    np.testing.assert_array_equal(*(p.predict(jnp.zeros(1), x, jnp.zeros(5)) for p in (first, again)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["ours", "ours_paper", "residual"])
+def test_psi_adapts(name: str, job: Job, unseen: Recordings) -> None:
+    setting = {"horizon": 4, "learning_rate": 5e-3, "conditions": 6, "windows": 8, "adapt_rows": 32}
+    predictor = METHODS[name].fit(replace(job, setting=setting))
+    assert unexplained(predictor, unseen, job) < 0.5
+    assert unexplained(METHODS[name].fit(replace(job, setting=setting)), unseen, job) == pytest.approx(
+        unexplained(predictor, unseen, job)
+    )
+
+
+def test_the_prior_agrees_with_expectation_maximisation_on_rows() -> None:
+    rng = np.random.default_rng(0)
+    conditions, n, d = 30, 80, 2
+    a = rng.normal([1.0, -0.5], [0.5, 0.2], (conditions, 1, d))
+    f = rng.normal(size=(conditions, n, d))
+    y = np.einsum("cni,cai->cna", f, a) + 0.3 * rng.normal(size=(conditions, n, 1))
+    ours = linear.fit_prior(f, y, np.ones((conditions, n)))
+    phi, start = f[:, :, None, :], (jnp.zeros(d), jnp.eye(d), jnp.eye(1))
+    mean, covariance, noise = least_squares.empirical_prior(phi, y, *start, np.ones((conditions, n)), rounds=30)
+    np.testing.assert_allclose(ours.mean, mean, atol=0.02)
+    np.testing.assert_allclose(ours.covariance, covariance, atol=0.03)
+    np.testing.assert_allclose(ours.noise, noise, rtol=0.02)
+    np.testing.assert_allclose(ours.mean, [1.0, -0.5], atol=0.25)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3), st.integers(0, 100))
+def test_friction_never_drives(twist: list[float], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    spread = np.array(list(rigid_body.PARAMETERS.values()))
+    parameters = spread[:, 0] + 0.5 * spread[:, 1] * rng.normal(size=len(spread))
+    parameters[2:4] = 0.0
+    start = jnp.asarray(twist)
+    after = start + 0.1 * rigid_body.acceleration(jnp.asarray(parameters), start, jnp.zeros(3))
+    inertia = jnp.exp(jnp.asarray([parameters[0], parameters[0], parameters[1]]))
+    assert float(jnp.sum(inertia * after**2)) <= float(jnp.sum(inertia * start**2)) + 1e-4
+
+
+def test_a_heavy_body_without_friction_obeys_newton() -> None:
+    names = list(rigid_body.PARAMETERS)
+    parameters = np.array([first for first, _ in rigid_body.PARAMETERS.values()])
+    parameters[[i for i, n in enumerate(names) if "friction" in n or "drag" in n]] = -20.0
+    parameters[names.index("log_mass")], parameters[names.index("log_inertia")] = np.log(20.0), np.log(3.0)
+    a = rigid_body.acceleration(jnp.asarray(parameters), jnp.zeros(3), jnp.array([10.0, -4.0, 1.5]))
+    np.testing.assert_allclose(a, [0.5, -0.2, 0.5], rtol=1e-3)
+
+
+def test_physics_functions_are_what_their_docstring_counts() -> None:
+    x = jnp.zeros((2, features.width(features.OBJECT_INPUTS)))
+    functions = linear.physics_functions(x)
+    assert functions.shape == (2, 28) and bool(jnp.all(jnp.isfinite(functions)))
+
+
+def test_the_past_stops_at_an_episodes_start(job: Job) -> None:
+    rows = job.train.rows
+    longer = layouts.with_past(rows, 2)
+    n = rows.inputs.shape[-1]
+    assert longer.inputs.shape[-1] == n + 12
+    where = features.slices(features.OBJECT_INPUTS)
+    np.testing.assert_array_equal(longer.inputs[:, 2, n + 6 : n + 9], rows.inputs[:, 0, where["object_twist"]])
+    starts = np.flatnonzero(np.diff(rows.run[0]) > 0) + 1
+    assert len(starts) == 3
+    assert not longer.inputs[0, starts, n:].any() and not longer.inputs[0, starts + 1, n + 6 :].any()
+
+
+def test_the_worlds_frame_and_back(job: Job) -> None:
+    world = layouts.in_world(job.train)
+    where = features.slices(features.OBJECT_INPUTS)
+    push = Predictor(lambda c: jnp.mean(c.labels, axis=0), lambda s, x, t: s + 0.1 * x[..., where["wrench"]])
+    back = layouts.from_world(push)
+    x = jnp.asarray(world.rows.inputs[0, :50])
+    predicted = back.predict(jnp.zeros(3), x, jnp.zeros(50))
+    np.testing.assert_allclose(predicted, 0.1 * job.train.rows.inputs[0, :50, where["wrench"]], atol=1e-4)

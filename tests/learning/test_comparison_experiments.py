@@ -1,0 +1,97 @@
+"""The experiments `baselines` and `ablations` from data to JSON and figure, on synthetic objects and tiny trainings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from shmoo_mjx.data import store
+from shmoo_mjx.evaluation import ablations, baselines, datasets, method_tables
+from shmoo_mjx.evaluation.registry import EXPERIMENTS
+from shmoo_mjx.evaluation.result import Ask
+from shmoo_mjx.learning.baselines import Budget
+
+TINY = {
+    "hidden": (8,),
+    "trial_bodies": 1,
+    "functions": 2,
+    "horizon": 2,
+    "windows": 4,
+    "conditions": 4,
+    "adapt_rows": 16,
+}
+
+
+@pytest.fixture
+def ask(synthetic_dataset: store.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ask:
+    """The synthetic data set in the place of collected ones."""
+    opened = store.create_or_open(tmp_path / "data", {"kind": "synthetic"})
+    entries = zip(synthetic_dataset.names, synthetic_dataset.arrays, synthetic_dataset.conditions, strict=True)
+    for name, arrays, condition in entries:
+        store.write_condition(opened, name, arrays, condition)
+    monkeypatch.setattr(datasets, "training_directory", lambda ask: tmp_path / "data")
+    monkeypatch.setattr(datasets, "unseen_directory", lambda ask, counts: tmp_path / "data")
+    return Ask(out=tmp_path / "out")
+
+
+def test_baselines_are_tuned_trained_scored_and_kept(ask: Ask, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = baselines.BaselinesConfig(
+        methods=("linear", "trigonometric", "mlp"),
+        settings=2,
+        tuning=Budget(1, 4, 1),
+        final=Budget(1, 8, 1),
+        seeds=2,
+        fit_seconds=10.0,
+        workers=1,
+    )
+    result = baselines.run(ask, config)
+    found = result.metrics
+    assert found["fvu_linear"] < 0.05 < found["fvu_trigonometric"]  # type: ignore[operator]
+    assert found["mse_std_mlp"] > 0 and found["mse_std_linear"] == 0  # type: ignore[operator]
+    tuned = [row for row in result.rows if "tuned" in row]
+    assert len(tuned) == 6
+    scored = [row for row in result.rows if row.get("method") == "mlp"]
+    assert len(scored) == 2 * 3 and {row["run"] for row in scored} == {0, 1}
+    best = min((row for row in tuned if row["tuned"] == "linear"), key=lambda row: row["validation_fvu"])
+    assert all(row["setting"] == best["setting"] for row in result.rows if row.get("method") == "linear")
+    assert (ask.out / "baselines" / "baselines.png").stat().st_size > 5000
+    assert "| zero" not in method_tables.baselines_table(result) and "no acceleration" in method_tables.baselines_table(
+        result
+    )
+
+    def never(self: Any, name: str) -> list[dict[str, Any]]:
+        raise AssertionError(f"{name} was run again")
+
+    monkeypatch.setattr(baselines._Work, "__call__", never)
+    assert baselines.run(ask, config).metrics == found
+
+
+@pytest.mark.slow
+def test_ablations_vary_one_thing_and_probe(ask: Ask, monkeypatch: pytest.MonkeyPatch) -> None:
+    one_step = TINY | {"trial_bodies": 0, "horizon": 1, "open_loop": False}
+    variants = {"default": TINY, "alpha_0.1": TINY | {"alpha": 0.1}, "layout_past_3": one_step, "frame_world": one_step}
+    monkeypatch.setattr(ablations, "VARIANTS", variants)
+    config = ablations.AblationsConfig(tuple(variants), Budget(1, 4, 1), 1, (2.0, 10.0), 1, 20, workers=1)
+    result = ablations.run(ask, config)
+    found = result.metrics
+    for name in ("default", "default_2s", "alpha_0.1", "layout_past_3", "frame_world"):
+        assert np.isfinite(found[f"fvu_{name}"])  # type: ignore[arg-type]
+    assert "pos_rmse_3s_m_default" in found and "pos_rmse_3s_m_frame_world" not in found
+    assert found["chance"] == pytest.approx(1 / 12)
+    assert 0 <= found["probe_psi_alpha_0.1"] <= 1  # type: ignore[operator]
+    assert (ask.out / "ablations" / "domain_invariance.png").stat().st_size > 5000
+    assert "| alpha_0.1 |" in method_tables.ablations_table(result)
+
+
+def test_every_shipped_variant_is_a_configuration() -> None:
+    from shmoo_mjx.learning.baselines.adaptive import daiml_config
+    from shmoo_mjx.learning.baselines.protocol import Job
+    from shmoo_mjx.learning.daiml import DaimlConfig
+
+    made = {n: daiml_config(Job(None, None, s), DaimlConfig()) for n, s in ablations.VARIANTS.items()}  # type: ignore[arg-type]
+    assert made["functions_3"].object.functions == 3 and made["alpha_1"].alpha == 1.0
+    assert set(ablations.QUICK.variants) <= set(made)
+    assert {"baselines", "ablations"} <= set(EXPERIMENTS)

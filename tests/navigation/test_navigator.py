@@ -1,0 +1,324 @@
+"""The navigator's behaviour in a world of points and rectangles: what it decides, and what it does about surprises.
+
+The toy world has no physics worth the name, and the pushing controller is a stand-in that leans forward and rolls out
+what the toy object would do; both are enough for the state machine, and fast.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from shmoo_mjx import se2
+from shmoo_mjx.evaluation.scenarios import toy_scenario
+from shmoo_mjx.faces import faces_of
+from shmoo_mjx.hands import HAND_RADIUS
+from shmoo_mjx.navigation.belief import Status
+from shmoo_mjx.navigation.maps import OccupancyGrid, clearance_field
+from shmoo_mjx.navigation.navigator import Navigator
+from shmoo_mjx.navigation.object_planner import ObjectPlannerConfig
+from shmoo_mjx.navigation.records import Mode, NavigatorConfig
+from shmoo_mjx.plant.robot import ROBOT
+from shmoo_mjx.types import DT, Command, Observation
+
+HALF = (0.25, 0.275)
+
+
+class Adapt(NamedTuple):
+    """Stands for what Eq. 8 has learned: how many samples it took in."""
+
+    mean: np.ndarray
+    samples: int = 0
+
+
+class State(NamedTuple):
+    """Stands for the pushing controller's memory."""
+
+    adapt: Adapt
+    face: np.ndarray
+    pose: np.ndarray
+
+
+class Stand(SimpleNamespace):
+    """Stands for the pushing controller: leans forward while slow, and foresees what ``world`` would do."""
+
+    def __init__(self, world: World) -> None:
+        super().__init__(world=world, config=SimpleNamespace(contact_force=2.0))
+
+    def init(self, now: Any, face: Any, half: Any, key: Any, adapt: Adapt | None = None) -> State:
+        return State(adapt or Adapt(np.zeros(18)), face, now.object_pose)
+
+    def step(
+        self, state: State, now: Any, last_u: Any, goal: Any, around: Any, half: Any
+    ) -> tuple[np.ndarray, State, Any]:
+        assert np.isfinite(now.object_pose).all() and np.isfinite(now.object_twist).all()
+        forward = se2.rotate(now.robot_twist[:2], -now.robot_pose[2])
+        lean = 0.1 * np.clip(0.25 - forward[0], -0.3, 0.3), -0.1 * forward[1]
+        adapt = state.adapt._replace(samples=state.adapt.samples + 1)
+        return np.array([*lean, 0.0]), State(adapt, state.face, now.object_pose), SimpleNamespace(ok=True)
+
+    def planning_rollouts(
+        self, state: State, goal: Any, around: Any, half: Any
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        angle = state.pose[2] + state.face[2]
+        reach = np.linspace(0.1, 1.2, 60) if self.world.movable else np.full(60, 0.01)
+        along = reach[:, None] * np.array([np.cos(angle), np.sin(angle)])
+        ends = np.concatenate([state.pose[:2] + along, np.full((60, 1), state.pose[2])], axis=1)
+        paths = np.linspace(state.pose, ends, 6)[1:].swapaxes(0, 1)
+        return paths, paths[..., :2], np.linalg.norm(ends[:, :2] - goal[:2], axis=1)
+
+
+class World:
+    """A disc that accelerates as it leans, and a rectangle that it pushes without slip, or that stops it."""
+
+    def __init__(self, start: tuple[float, float, float], box: tuple[float, float, float], movable: bool) -> None:
+        self.pose, self.velocity = np.array(start), np.zeros(2)
+        self.box, self.box_twist = np.array(box), np.zeros(3)
+        self.movable = movable
+        self.lean, self.lean_rate, self.reach, self.force = np.zeros(2), np.zeros(2), 0.2, np.zeros(2)
+        self.time = 0.0
+
+    def observe(self) -> Observation:
+        hands = np.array([[[self.reach, 0.1, 0.4], [self.reach, -0.1, 0.4]]])
+        twist = np.array([[*self.velocity, 0.0]])
+        wrench = np.array([[[*self.force, 0.0]]])
+        parts = (self.pose, twist[0], self.lean, self.lean_rate)
+        robot = [np.array([p], dtype=float) for p in parts]
+        return Observation(
+            np.array([self.time]), *robot, hands, self.box[None, None].copy(), self.box_twist[None, None], wrench
+        )
+
+    def step(self, command: Command) -> Observation:
+        a, _, c = ROBOT.flatness
+        before = self.box.copy()
+        self.force = np.zeros(2)
+        for _ in range(10):
+            rate = (command.u[0, :2] - self.lean) / 0.1
+            self.lean, self.lean_rate = self.lean + rate * DT / 10, rate
+            turn = se2.wrap(command.yaw[0] - self.pose[2])
+            self.pose[2] = se2.wrap(self.pose[2] + np.clip(turn, -0.15, 0.15) / 10)
+            self.velocity = self.velocity + c / a * se2.rotate(self.lean, self.pose[2]) * DT / 10
+            self.pose[:2] += self.velocity * DT / 10
+            self.reach += np.clip(command.reach[0] - self.reach, -0.04, 0.04)
+            self._touch()
+        self.box_twist = (self.box - before) / DT
+        self.time += DT
+        return self.observe()
+
+    def _touch(self) -> None:
+        """Press the rectangle, or be stopped by it, where the hands are inside one of its faces."""
+        ahead = np.array([np.cos(self.pose[2]), np.sin(self.pose[2])])
+        tip = self.pose[:2] + (self.reach + HAND_RADIUS) * ahead
+        for face in faces_of(HALF):
+            local = se2.relative(se2.compose(self.box, face[:3]), np.array([*tip, self.pose[2]]))
+            if 0.0 < local[0] < 0.2 and abs(local[1]) < face[3] and abs(local[2]) < 0.5:
+                normal = np.array([np.cos(self.box[2] + face[2]), np.sin(self.box[2] + face[2])])
+                self.force = (12.0 if self.movable else 40.0) * normal
+                if self.movable:
+                    self.box[:2] += local[0] * normal
+                else:
+                    self.pose[:2] -= local[0] * normal
+                    self.velocity = self.velocity - max(self.velocity @ normal, 0.0) * normal
+
+
+def run(
+    doors: int = 2,
+    movable: bool = True,
+    config: NavigatorConfig | None = None,
+    happens: Callable[[World, Navigator], None] = lambda world, navigator: None,
+    sees: Callable[[Observation], Observation] = lambda seen: seen,
+    first_status: list[Status] | None = None,
+    seconds: float = 120.0,
+) -> tuple[Navigator, World]:
+    """One run in the toy scenario; what happens in the world and what is seen of it may be tampered with."""
+    grid, scenario = toy_scenario(doors, movable)
+    world = World(scenario.start, scenario.objects[0].pose, movable)
+    navigator = Navigator(
+        grid, scenario.goal, [HALF], Stand(world), config=config or NavigatorConfig(), first_status=first_status
+    )  # type: ignore[arg-type]
+    seen, walls = world.observe(), clearance_field(grid)
+    while not navigator.finished and world.time < seconds:
+        command = navigator.tick(sees(seen))
+        happens(world, navigator)
+        seen = world.step(command)
+        assert walls.at(world.pose[:2]) > 0.15, f"the robot hits a wall at {world.time:.1f} s while to {navigator.mode}"
+    return navigator, world
+
+
+def visited(navigator: Navigator) -> set[Mode]:
+    return {t.target for t in navigator.transitions}
+
+
+def reasons(navigator: Navigator) -> str:
+    return "; ".join(t.reason for t in navigator.transitions)
+
+
+def said(navigator: Navigator) -> str:
+    return "; ".join(what for _, what in navigator.belief.events)
+
+
+def test_a_movable_box_in_the_only_doorway_is_pushed_away() -> None:
+    navigator, world = run(doors=1)
+    assert navigator.mode is Mode.DONE
+    assert {Mode.APPROACH, Mode.CONTACT, Mode.PROBE, Mode.PUSH, Mode.RETREAT} <= visited(navigator)
+    assert navigator.belief.objects[0].status is Status.PARKED
+    assert np.linalg.norm(world.box[:2] - (3.0, 2.025)) > 0.3
+
+
+def test_an_immovable_box_is_registered_and_gone_round() -> None:
+    navigator, _ = run(doors=2, movable=False, config=NavigatorConfig(detour=0.1))
+    assert navigator.mode is Mode.DONE
+    assert navigator.belief.objects[0].status is Status.FIXED
+    assert Mode.PUSH not in visited(navigator) and not navigator.decisions[-1].manipulable
+    # Not given up before it was pushed for as long as doubt lasts.
+    probe = next(t.t for t in navigator.transitions if t.target is Mode.PROBE)
+    assert navigator.decisions[-1].t - probe >= NavigatorConfig().doubt_time - 0.2
+
+
+def test_with_no_way_left_it_says_so_after_one_more_try_and_stands_still() -> None:
+    navigator, world = run(doors=1, movable=False)
+    assert navigator.mode is Mode.FAILED
+    assert "every route to the goal is blocked" in navigator.transitions[-1].reason
+    assert "object 0, registered as an obstacle, is tried once more" in said(navigator)
+    assert sum(t.target is Mode.PROBE for t in navigator.transitions) == 2
+    assert np.linalg.norm(world.velocity) < 0.15
+
+
+def test_without_a_second_chance_it_gives_up_at_once() -> None:
+    navigator, _ = run(doors=1, movable=False, config=NavigatorConfig(second_chance=False))
+    assert navigator.mode is Mode.FAILED and "tried once more" not in said(navigator)
+
+
+def test_an_object_that_was_registered_and_becomes_free_is_pushed_after_all() -> None:
+    def release(world: World, navigator: Navigator) -> None:
+        if navigator.belief.objects and navigator.belief.objects[0].status is Status.FIXED:
+            world.movable = True
+
+    navigator, _ = run(doors=1, movable=False, happens=release)
+    assert navigator.mode is Mode.DONE
+    assert "is tried once more" in said(navigator)
+    assert [d.manipulable for d in navigator.decisions][-1]
+    assert not navigator.decisions[0].manipulable
+
+
+def test_a_registered_object_that_somebody_moves_counts_as_unknown_again() -> None:
+    moved_at = []
+
+    def carry(world: World, navigator: Navigator) -> None:
+        known = navigator.belief.objects.get(0)
+        if known is not None and known.status is Status.FIXED and not moved_at:
+            world.box[:] = (4.6, 1.0, 0.3)
+            moved_at.append(world.time)
+
+    # Going round is far: the robot is still in sight of the object when it is carried away.
+    navigator, _ = run(doors=2, movable=False, config=NavigatorConfig(detour=0.1), happens=carry)
+    assert navigator.mode is Mode.DONE and moved_at
+    assert "object 0 (fixed) stands" in said(navigator) and "counts as unknown again" in said(navigator)
+
+
+def test_an_object_that_somebody_puts_into_the_way_is_noticed_and_dealt_with() -> None:
+    def carry(world: World, navigator: Navigator) -> None:
+        if abs(world.time - 2.0) < 0.01:
+            world.box[:2] = (3.0, 2.025)
+
+    grid_free = (1.4, 3.3, 0.0)
+
+    def start_elsewhere(world: World, navigator: Navigator) -> None:
+        if world.time == 0.0:
+            world.box[:] = grid_free
+        carry(world, navigator)
+
+    navigator, _ = run(doors=1, happens=start_elsewhere)
+    assert navigator.mode is Mode.DONE
+    assert "somebody has moved it" in said(navigator)
+    assert Mode.PUSH in visited(navigator)
+
+
+def test_an_object_that_is_taken_away_during_a_push_ends_it() -> None:
+    def snatch(world: World, navigator: Navigator) -> None:
+        if navigator.mode is Mode.PUSH and world.box[1] < 3.0:
+            world.box[:] = (0.8, 3.4, 0.0)
+
+    navigator, _ = run(doors=1, happens=snatch)
+    assert navigator.mode is Mode.DONE
+    assert "suddenly elsewhere" in said(navigator)
+    assert Mode.RETREAT in visited(navigator)
+
+
+def missing(begin: float, end: float, when: list[float]) -> Callable[[Observation], Observation]:
+    """Drop-outs of the object's pose from ``begin`` to ``end`` seconds after ``when[0]``."""
+
+    def sees(seen: Observation) -> Observation:
+        since = float(seen.time[0]) - when[0] if when else -1.0
+        gone = begin <= since < end
+        return (
+            seen._replace(object_pose=seen.object_pose * np.nan, object_twist=seen.object_twist * np.nan)
+            if gone
+            else seen
+        )
+
+    return sees
+
+
+@pytest.mark.parametrize(("length", "survives"), [(1.0, True), (4.0, False)])
+def test_a_push_lives_through_a_second_without_the_objects_pose(length: float, survives: bool) -> None:
+    when: list[float] = []
+    counts: list[tuple[float, int]] = []
+
+    def watch(world: World, navigator: Navigator) -> None:
+        if navigator.mode is Mode.PUSH and not when:
+            when.append(world.time)
+        if navigator.push is not None and navigator.push.state is not None:
+            counts.append((world.time, navigator.push.state.adapt.samples))
+
+    navigator, _ = run(doors=1, happens=watch, sees=missing(0.15, 0.15 + length, when))
+    assert navigator.mode is Mode.DONE
+    assert ("has not been detected for" not in reasons(navigator)) == survives
+    assert "object 0 is not detected" in said(navigator) and "is detected again after" in said(navigator)
+    # What was guessed meanwhile has taught nothing.
+    during = [n for t, n in counts if when[0] + 0.25 <= t <= when[0] + 0.95]
+    assert during and max(during) == min(during)
+
+
+def test_a_goal_that_becomes_unreachable_ends_the_run_with_the_reason() -> None:
+    def bar(world: World, navigator: Navigator) -> None:
+        if world.time == 0.0:
+            world.box[:] = (1.4, 3.3, 0.0)
+        if abs(world.time - 1.0) < 0.01:
+            world.box[:] = (3.0, 2.025, 0.0)
+            world.movable = False
+
+    navigator, world = run(doors=1, happens=bar)
+    assert navigator.mode is Mode.FAILED
+    assert "was moved while it was being approached" in reasons(navigator)
+    assert "every route to the goal is blocked" in navigator.transitions[-1].reason
+    assert np.linalg.norm(world.velocity) < 0.15 and world.pose[0] < 3.0
+
+
+def test_a_policy_that_avoids_everything_touches_nothing() -> None:
+    config = NavigatorConfig(second_chance=False)
+    navigator, world = run(doors=2, config=config, first_status=[Status.FIXED])
+    assert navigator.mode is Mode.DONE and Mode.APPROACH not in visited(navigator)
+    np.testing.assert_allclose(world.box[:2], (3.0, 2.025))
+    blocked, _ = run(doors=1, config=config, first_status=[Status.FIXED])
+    assert blocked.mode is Mode.FAILED and Mode.APPROACH not in visited(blocked)
+
+
+def test_a_policy_that_never_goes_round_pushes_until_it_gives_up() -> None:
+    config = replace(NavigatorConfig(goes_round=False), planner=ObjectPlannerConfig(threshold=0.0))
+    navigator, _ = run(doors=2, movable=False, config=config, seconds=200.0)
+    assert navigator.mode is Mode.FAILED
+    assert "going round is not allowed" in navigator.transitions[-1].reason
+    assert navigator.belief.objects[0].pushes == config.max_pushes
+
+
+def test_the_toy_scenario_is_what_it_says() -> None:
+    grid, _ = toy_scenario(2, True)
+    assert isinstance(grid, OccupancyGrid)
+    assert grid.values_at((3.0, 2.0)) == 0 and grid.values_at((3.0, 0.6)) == 0 and grid.values_at((3.0, 3.2)) == 100
+    assert toy_scenario(1, True)[0].values_at((3.0, 0.6)) == 100
