@@ -239,7 +239,8 @@ def experiment(
     weights: Path | None = None,
     out: Path = Path("runs/experiments"),
 ) -> int:
-    """Run an experiment: object_model, baselines, robot_finetune, pushing, object_planner, real_pushing or navigation.
+    """Run an experiment: object_model, baselines, ablations, robot_finetune, pushing, object_planner, real_pushing
+    or navigation.
 
     Example: shmoo experiment object_model --json object_model.json
 
@@ -270,19 +271,19 @@ def experiment(
 
 
 def bench(
-    name: Positional[Literal["mppi"]],
+    name: Positional[str],
     json: Path | None = None,
     quick: bool = False,
     peers_python: Path | None = None,
     seed: int = 0,
     out: Path = Path("runs/benchmarks"),
 ) -> int:
-    """Measure how fast a part is beside what else does the same work: mppi, the control step.
+    """Measure how fast a part is beside what else does the same work: mppi (the control step) or daiml (training).
 
     Example: shmoo bench mppi --peers-python peers/bin/python --json mppi.json
 
     Args:
-        name: mppi.
+        name: which benchmark.
         json: file for the result (default: OUT/bench_NAME.json).
         quick: a short form of the same shape.
         peers_python: Python interpreter with torch and pytorch-mppi (default: this one); absent peers are left out.

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -174,9 +174,7 @@ def fit_rows(
     device = jax.tree.map(jnp.asarray, train)
     held_out = jax.tree.map(jnp.asarray, validation)
     sampler = batches.sampler(train, config.horizon, config.label_floor)
-    # The rows are arguments, not constants: XLA would fold constants of this size at length.
-    chunk = jax.jit(partial(_chunk, config))
-    scores = jax.jit(partial(_model_scores, config))
+    chunk, scores, prior = _compiled(replace(config, seed=0))
     fitted = training.run(
         _init(config, train),
         lambda state: chunk(device, sampler, state),
@@ -189,9 +187,18 @@ def fit_rows(
         progress=progress,
     )
     model: _Model = jax.tree.map(jnp.asarray, fitted.best)
-    mean, covariance, noise = jax.jit(partial(_prior, config))(device, model)
+    mean, covariance, noise = prior(device, model)
     shape = model.mean.shape
     return ObjectFit(model.params, mean.reshape(shape), covariance, noise, fitted.score, fitted.history)
+
+
+@lru_cache(maxsize=8)
+def _compiled(config: DaimlConfig) -> tuple[Any, Any, Any]:
+    """`_chunk`, `_model_scores` and `_prior` for trainings that differ in seed and rows only.
+
+    The rows are arguments, not constants: XLA would fold constants of this size at length.
+    """
+    return tuple(jax.jit(partial(function, config)) for function in (_chunk, _model_scores, _prior))  # type: ignore[return-value]
 
 
 def validation_scores(config: DaimlConfig, rows: Rows, fitted: ObjectFit) -> tuple[Array, Array]:

@@ -35,7 +35,9 @@ def require_viewer() -> Any:
     try:
         import rerun
     except ImportError:
-        raise ShmooError("the 3-D recording needs the package rerun-sdk; install it or leave out --record.") from None
+        raise ShmooError(
+            "the 3-D recording needs the package rerun-sdk; get it with `uv sync --extra record` or leave out --record."
+        ) from None
     return rerun
 
 
