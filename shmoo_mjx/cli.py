@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import os
 import sys
-import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import tyro
 from tyro.conf import Positional
 
 import shmoo_mjx
+from shmoo_mjx.environment import prepare_environment
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.talk import with_talk
 
 __all__ = ["main"]
 
@@ -237,10 +238,11 @@ def experiment(
     maps: Path | None = None,
     scenarios: int | None = None,
     weights: Path | None = None,
+    pushes: Path | None = None,
     out: Path = Path("runs/experiments"),
 ) -> int:
-    """Run an experiment: object_model, baselines, ablations, robot_finetune, pushing, object_planner, real_pushing
-    or navigation.
+    """Run an experiment: object_model, baselines, ablations, robot_finetune, pushing, object_planner, real_pushing,
+    navigation; or all of them, with a page of their results.
 
     Example: shmoo experiment object_model --json object_model.json
 
@@ -254,14 +256,22 @@ def experiment(
         maps: folder with map_server maps, for navigation.
         scenarios: scenarios per map, for navigation.
         weights: trained weights (default: the shipped ones).
+        pushes: folder of recorded pushes, for real_pushing among all.
         out: folder for figures and what an interrupted experiment goes on from.
     """
     from shmoo_mjx import progress
+    from shmoo_mjx.evaluation.everything import run_all
     from shmoo_mjx.evaluation.registry import run_experiment
     from shmoo_mjx.evaluation.result import Ask, table, write_result
 
     with progress.stages() as report:
         ask = Ask(seed, condition_seed, quick, data, maps, scenarios, weights, out, report)
+        if name == "all":
+            page, left_out = run_all(ask, pushes)
+            for other, reason in left_out.items():
+                print(f"{other} was left out: {reason}")
+            print(page)
+            return 0
         result = run_experiment(name, ask)
     target = json or out / f"{name}.json"
     write_result(target, result)
@@ -272,18 +282,23 @@ def experiment(
 
 def bench(
     name: Positional[str],
+    files: Positional[tuple[Path, ...]] = (),
     json: Path | None = None,
     quick: bool = False,
     peers_python: Path | None = None,
     seed: int = 0,
     out: Path = Path("runs/benchmarks"),
 ) -> int:
-    """Measure how fast a part is beside what else does the same work: mppi (the control step) or daiml (training).
+    """Measure how fast a part is: mppi (control step), daiml (training), plant, planner, startup, or all of them; or
+    compare two results of one machine.
 
     Example: shmoo bench mppi --peers-python peers/bin/python --json mppi.json
 
+    Example: shmoo bench compare old.json new.json
+
     Args:
-        name: which benchmark.
+        name: which benchmark; all; or compare, which ends with code 1 if anything takes over 20 % longer than it did.
+        files: for compare: the older result, then the newer one.
         json: file for the result (default: OUT/bench_NAME.json).
         quick: a short form of the same shape.
         peers_python: Python interpreter with torch and pytorch-mppi (default: this one); absent peers are left out.
@@ -291,18 +306,56 @@ def bench(
         out: folder for the result.
     """
     from shmoo_mjx import progress
-    from shmoo_mjx.benchmarking.registry import BenchAsk, run_benchmark
-    from shmoo_mjx.evaluation.result import table, write_result
+    from shmoo_mjx.benchmarking.compare import compare_files
+    from shmoo_mjx.benchmarking.registry import BenchAsk, describe, run_all, run_benchmark
+    from shmoo_mjx.evaluation.result import write_result
 
+    if name == "compare":
+        text, slower = compare_files(files)
+        print(text)
+        return int(slower)
     with progress.stages() as report:
-        result = run_benchmark(name, BenchAsk(quick, peers_python, seed, report))
+        ask = BenchAsk(quick, peers_python, seed, report)
+        result = run_all(ask, out) if name == "all" else run_benchmark(name, ask)
     target = json or out / f"bench_{name}.json"
     write_result(target, result)
-    print(table(result))
-    for row in result.rows:
-        if "absent" in row:
-            print(row["absent"])
-    print(f"{result.config['device']}, {result.config['cores']} cores; {target}")
+    print(describe(result))
+    print(target)
+    return 0
+
+
+def sweep(
+    config: Positional[Path],
+    out: Path | None = None,
+    weights: Path | None = None,
+    quick: bool = False,
+    estimate: bool = False,
+    memory_gb: float | None = None,
+    jobs: int = 0,
+    cluster: Literal["slurm", "local"] = "slurm",
+    options: tuple[str, ...] = (),
+) -> int:
+    """Push objects in thousands of randomised MJX worlds and say when pushes succeed; goes on where it was stopped.
+
+    Example: shmoo sweep push_mass_friction --quick
+
+    Args:
+        config: sweep file (docs/sweeps.md), or the name of a shipped one.
+        out: folder for shards, table and figures (default: runs/sweeps/NAME).
+        weights: trained weights (default: the shipped ones).
+        quick: a short form of the same shape.
+        estimate: only say what time and memory it would take.
+        memory_gb: that a batch of worlds may take [GB] (default: what is free).
+        jobs: so many jobs of a cluster share the work; 0 is this process alone.
+        cluster: with --jobs: slurm, or local for processes of this machine.
+        options: with --jobs: settings of submitit, such as timeout_min=60 gpus_per_node=1 slurm_partition=gpu.
+    """
+    from shmoo_mjx import progress
+    from shmoo_mjx.sweep.command import carry_out
+
+    made = carry_out(config, out, weights, quick, estimate, memory_gb, jobs, cluster, options, progress.stages)
+    for path in made:
+        print(path)
     return 0
 
 
@@ -316,7 +369,18 @@ def doctor() -> int:
     return report()
 
 
-_COMMANDS: dict[str, Callable[..., Any]] = {
+def completion(shell: Positional[Literal["bash", "zsh", "fish"]]) -> int:
+    """Print the script that lets a shell complete commands and options.
+
+    Example: shmoo completion bash > ~/.local/share/bash-completion/completions/shmoo
+
+    Args:
+        shell: which shell.
+    """
+    return _run(["--tyro-print-completion", shell])
+
+
+_COMMANDS: dict[str, Callable[..., int]] = {
     "demo": demo,
     "navigate": navigate,
     "collect": collect,
@@ -326,8 +390,19 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
     "view": view,
     "experiment": experiment,
     "bench": bench,
+    "sweep": sweep,
     "doctor": doctor,
+    "completion": completion,
 }
+
+
+def _run(arguments: list[str] | None = None) -> int:
+    """Run the command that the arguments name (default: those of this process)."""
+    commands = {name: with_talk(command) for name, command in _COMMANDS.items()}
+    code: int = tyro.extras.subcommand_cli_from_dict(
+        commands, prog="shmoo", description=shmoo_mjx.__doc__, args=arguments
+    )
+    return code
 
 
 def _seeds(text: str) -> list[int]:
@@ -341,30 +416,18 @@ def _seeds(text: str) -> list[int]:
     return seeds
 
 
-def _prepare_environment() -> None:
-    """Defaults for this process only; whatever the user has set stands."""
-    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "shmoo_mjx" / "jax"
-    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache))
-    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if cores > 1 and "xla_force_host_platform_device_count" not in os.environ.get("XLA_FLAGS", ""):
-        # XLA runs small matrix products on one core: MPPI shares its samples out among these devices.
-        os.environ.setdefault("JAX_NUM_CPU_DEVICES", str(min(cores, 4)))
-    if sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
-        # MuJoCo's default window system needs a display; EGL renders without one.
-        os.environ.setdefault("MUJOCO_GL", "egl")
-    # JAX warns of any fork. The video encoder and the renderer's trial run call exec at once and share no lock with it.
-    warnings.filterwarnings("ignore", message=r"os\.fork\(\) was called", category=RuntimeWarning)
-
-
 def main() -> None:
     """Entry point. Bad input ends with one sentence and exit code 2."""
-    _prepare_environment()
+    prepare_environment()
     try:
-        code: int = tyro.extras.subcommand_cli_from_dict(_COMMANDS, prog="shmoo", description=shmoo_mjx.__doc__)
+        code = _run()
     except ShmooError as error:
         print(f"shmoo: {error}", file=sys.stderr)
         code = 2
+    except BrokenPipeError:
+        # Whoever read the output has closed it; Python would try to flush once more at its end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = 1
     except OSError as error:
         where = error.filename or "a file"
         print(

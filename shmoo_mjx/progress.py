@@ -1,23 +1,56 @@
-"""Progress on the terminal: what is being done, how far, how long yet."""
+"""Progress on the terminal: what is being done, how far, how long yet. As a bar, as lines of a log, or not at all."""
 
 from __future__ import annotations
 
+import re
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from shmoo_mjx.talk import LOG, is_quiet, is_verbose
+
 __all__ = ["counter", "stages", "training"]
+
+_EVERY = 10.0
+"""Time between two lines of a log that say the same but for its numbers [s]."""
+
+
+class _Lines:
+    """What rich's Progress is for a bar, for a log: a line for each new stage, and one now and then."""
+
+    def __init__(self) -> None:
+        self._began = self._last = time.monotonic()
+        self._what, self._total, self._said = "", 1.0, ""
+
+    def add_task(self, what: str, total: float | None) -> int:
+        self._what, self._total = what, total or 1.0
+        return 0
+
+    def update(self, task: int, completed: float, description: str | None = None, total: float | None = None) -> None:
+        self._what, self._total = description or self._what, total or self._total
+        now, new = time.monotonic(), re.sub(r"[\d.]+", "", self._what)
+        if new == self._said and now - self._last < _EVERY:
+            return
+        self._said, self._last = new, now
+        share, spent = min(completed / self._total, 1.0), now - self._began
+        left = f", about {spent * (1 / share - 1):.0f} s left" if 0.02 < share < 1.0 else ""
+        LOG.info("%s: %.0f %%%s", self._what, 100 * share, left)
 
 
 @contextmanager
 def _bar() -> Iterator[Any]:
+    if is_verbose():
+        yield _Lines()
+        return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"))
+    times = (TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
     # To stderr, so that what a command prints can be piped.
     console = Console(stderr=True)
-    with Progress(*columns, TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(), console=console) as bar:
+    with Progress(*columns, *times, console=console, disable=is_quiet()) as bar:
         try:
             yield bar
         except BaseException:

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from shmoo_mjx.benchmarking.registry import BenchAsk
+from shmoo_mjx.benchmarking.workers import usable_cores
 from shmoo_mjx.data import store
 from shmoo_mjx.evaluation.datasets import TRAINING
 from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
@@ -178,4 +179,5 @@ def run(ask: BenchAsk) -> ExperimentResult:
         ask.progress(work.__name__, done / len(jobs))
         rows.append(_fresh(prepare, work, *arguments))
     metrics = {f"{row['name']}_{key}": value for row in rows for key, value in row.items() if key != "name"}
-    return make_result("bench_daiml", Ask(seed=ask.seed, quick=ask.quick), config, metrics, REFERENCE, rows)
+    settings = vars(config) | {"device": "cpu", "cores": usable_cores()}
+    return make_result("bench_daiml", Ask(seed=ask.seed, quick=ask.quick), settings, metrics, REFERENCE, rows)

@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+import platform
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
+from shmoo_mjx.benchmarking.workers import usable_cores
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.evaluation.result import ExperimentResult
+from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result, table, write_result
 
-__all__ = ["BENCHMARKS", "BenchAsk", "run_benchmark"]
+__all__ = ["BENCHMARKS", "BenchAsk", "describe", "machine", "run_all", "run_benchmark"]
 
-BENCHMARKS = {"mppi": "shmoo_mjx.benchmarking.mppi", "daiml": "shmoo_mjx.benchmarking.daiml"}
+BENCHMARKS = {
+    "startup": "shmoo_mjx.benchmarking.startup",
+    "plant": "shmoo_mjx.benchmarking.plant",
+    "planner": "shmoo_mjx.benchmarking.planner",
+    "mppi": "shmoo_mjx.benchmarking.mppi",
+    "daiml": "shmoo_mjx.benchmarking.daiml",
+}
 """Name to module."""
 
 
@@ -31,8 +40,53 @@ class BenchAsk:
 
 
 def run_benchmark(name: str, ask: BenchAsk) -> ExperimentResult:
-    """Run one benchmark."""
+    """Run one benchmark; its config says on which machine."""
     if name not in BENCHMARKS:
-        raise ShmooError(f"benchmark {name!r} is not known; choose one of {', '.join(BENCHMARKS)}.")
+        names = ", ".join(BENCHMARKS)
+        raise ShmooError(f"benchmark {name!r} is not known; choose one of {names}, all or compare.")
     result: ExperimentResult = import_module(BENCHMARKS[name]).run(ask)
-    return result
+    return result.model_copy(update={"config": result.config | {"machine": machine()}})
+
+
+def run_all(ask: BenchAsk, out: Path) -> ExperimentResult:
+    """Every benchmark in turn, each with its own file in ``out``; the result holds them all, names before metrics."""
+    metrics: dict[str, float | None] = {}
+    paper: dict[str, float] = {}
+    settings: dict[str, Any] = {}
+    rows: list[dict[str, Any]] = []
+    for done, name in enumerate(BENCHMARKS):
+
+        def report(stage: str, fraction: float, name: str = name, done: int = done) -> None:
+            ask.progress(f"{name}: {stage}", (done + fraction) / len(BENCHMARKS))
+
+        one = run_benchmark(name, replace(ask, progress=report))
+        write_result(out / f"bench_{name}.json", one)
+        metrics |= {f"{name}_{key}": value for key, value in one.metrics.items()}
+        paper |= {f"{name}_{key}": value for key, value in one.paper.items()}
+        rows += [{"benchmark": name} | row for row in one.rows]
+        settings[name] = one.config
+    whole = settings | {"machine": machine()}
+    return make_result("bench_all", Ask(seed=ask.seed, quick=ask.quick), whole, metrics, paper, rows)
+
+
+def describe(result: ExperimentResult) -> str:
+    """The metrics, what was left out, and the machine, as text."""
+    absent = [str(row["absent"]) for row in result.rows if "absent" in row]
+    made = result.config["machine"]
+    return "\n".join([table(result), *absent, f"{made['processor']}, {made['cores']} cores, {made['device']}"])
+
+
+def machine() -> dict[str, str | int]:
+    """What two results must have in common to be compared."""
+    import jax
+
+    return {"processor": _processor(), "cores": usable_cores(), "device": jax.devices()[0].device_kind}
+
+
+def _processor() -> str:
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        names = [line.partition(":")[2].strip() for line in info.read_text().splitlines() if "model name" in line]
+        if names:
+            return names[0]
+    return platform.processor() or platform.machine()

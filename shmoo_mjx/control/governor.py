@@ -2,14 +2,13 @@
 
 An object that sticks makes a planner lean harder until it breaks away, and then the robot falls forward with it: what
 rolls can't be braked by pushing. The governor keeps the lean near that of the cascade's velocity loop (Sec. III), so
-that the speed stays where it was allowed and the hands stay on the object, whatever the model believes.
+that the speed stays where it was allowed and the hands stay on the object, whatever the model believes. For one robot,
+on NumPy and JAX arrays alike; vmap for more.
 """
 
 from __future__ import annotations
 
 from typing import Any
-
-import numpy as np
 
 from shmoo_mjx import se2
 from shmoo_mjx.hands import HAND_HEIGHT
@@ -26,9 +25,9 @@ def static_lean(force: Array) -> Array:
 
 
 def forward_lean(
-    robot_pose: Array, robot_twist: Array, lean_rate: Array, wrench: Array, limit: float, gain: float
-) -> float:
-    """Lean [rad] that brings the robot to the speed ``limit`` against what it feels.
+    robot_pose: Array, robot_twist: Array, lean_rate: Array, wrench: Array, limit: Array, gain: float
+) -> Array:
+    """Lean ``[]`` [rad] that brings the robot to the speed ``limit`` against what it feels.
 
     At rest the whole felt force counts as resistance, at the speed allowed less than a third of it: by then most of it
     may be what accelerates the object, and leaning into that would run away.
@@ -41,15 +40,16 @@ def forward_lean(
         limit: speed allowed [m/s].
         gain: lean per speed left to the limit [rad s/m].
     """
+    xp, yaw = se2.array_module(robot_pose, robot_twist, lean_rate, wrench, limit), robot_pose[2]
     a, b, _ = ROBOT.flatness
-    yaw = float(robot_pose[2])
     # Speed of the flat output: the base first moves the wrong way when the lean changes.
-    speed = float(se2.rotate(np.asarray(robot_twist)[:2], -yaw)[0]) + b / a * float(lean_rate[0])
-    force = max(float(se2.rotate(np.asarray(wrench)[:2], -yaw)[0]), 0.0)
-    share = 1.0 - 0.7 * min(max(speed / limit, 0.0), 1.0)
-    return share * float(static_lean(force)) + gain * (limit - speed)
+    speed = se2.rotate(robot_twist[:2], -yaw)[0] + b / a * lean_rate[0]
+    force = xp.maximum(se2.rotate(wrench[:2], -yaw)[0], 0.0)
+    share = 1.0 - 0.7 * xp.clip(speed / limit, 0.0, 1.0)
+    return share * static_lean(force) + gain * (limit - speed)
 
 
-def govern(u: Array, lean: float, room: float) -> np.ndarray:
+def govern(u: Array, lean: Array, room: float) -> Array:
     """``u [3]`` (phi_x, phi_y, gamma) [rad] with its forward lean at most ``lean`` and at least ``room`` less."""
-    return np.array([min(max(float(u[0]), lean - room), lean), float(u[1]), float(u[2])])
+    xp = se2.array_module(u, lean)
+    return xp.concatenate([xp.clip(u[:1], lean - room, lean), u[1:]])

@@ -1,7 +1,8 @@
 """Adaptive pushing (Sec. III-E, spec 7.2): MPPI on the learned core while Eq. 8 adapts the object's coefficients.
 
 ``PushController`` compiles the two functions a push needs, once for every map and object: the 10 Hz step (adapt, plan,
-command) and the planning stage's roll-outs, which the object planner judges. All memory is in ``PushState``.
+command) and the planning stage's roll-outs, which the object planner judges. All memory is in ``PushState``. ``start``,
+``control_step`` and ``coast`` are the same push as pure functions, for whoever maps it over many worlds.
 """
 
 from __future__ import annotations
@@ -22,7 +23,17 @@ from shmoo_mjx.learning import adaptation
 from shmoo_mjx.learning.weights import Weights
 from shmoo_mjx.types import DT, Observation, SystemState
 
-__all__ = ["LocalField", "PushConfig", "PushController", "PushState", "Sighting", "local_field"]
+__all__ = [
+    "LocalField",
+    "PushConfig",
+    "PushController",
+    "PushState",
+    "Sighting",
+    "coast",
+    "control_step",
+    "local_field",
+    "start",
+]
 
 Array = Any
 
@@ -85,13 +96,13 @@ class LocalField(NamedTuple):
 class Sighting(NamedTuple):
     """The robot and one object as perceived at one instant: an Observation reduced to that object."""
 
-    robot_pose: np.ndarray
-    robot_twist: np.ndarray
-    lean: np.ndarray
-    lean_rate: np.ndarray
-    object_pose: np.ndarray
-    object_twist: np.ndarray
-    wrench: np.ndarray
+    robot_pose: Array
+    robot_twist: Array
+    lean: Array
+    lean_rate: Array
+    object_pose: Array
+    object_twist: Array
+    wrench: Array
     """``[3]`` mean over the sample that just ended, about the object's centre, in {W}."""
 
     @classmethod
@@ -115,11 +126,11 @@ class PushState(NamedTuple):
 class _Transition(NamedTuple):
     """What Eq. 8 takes from the sample that just ended."""
 
-    inputs: np.ndarray
+    inputs: Array
     """``[10]`` inputs of psi at its start, measured wrench included."""
-    label: np.ndarray
+    label: Array
     """``[3]`` measured acceleration in {O}."""
-    valid: np.ndarray
+    valid: Array
 
 
 def local_field(clearance: Any, centre: Array, size: float = 7.0, resolution: float = 0.05) -> LocalField:
@@ -143,7 +154,7 @@ class PushController:
         self._params = mppi.replicated(self._mesh, weights.params)
         self._step = mppi.compiled(partial(_step, self.config, weights.config, self._mesh), self._mesh)
         self._rollouts = mppi.compiled(partial(_planning_rollouts, self.config, weights.config, self._mesh), self._mesh)
-        self._coast = jax.jit(partial(_coast, self.config, weights.config))
+        self._coast = jax.jit(partial(coast, self.config, weights.config))
 
     def init(
         self, now: Sighting, face: Array, half_extents: Array, key: Array, adapt: adaptation.AdaptState | None = None
@@ -152,9 +163,7 @@ class PushController:
         adapt = adapt or adaptation.init(
             self.weights.params.coefficients, self.weights.prior_covariance, self.weights.noise
         )
-        zero = np.zeros(3)
-        before = _system_state(now, zero, np.zeros(2), zero, face, half_extents)
-        return PushState(adapt, mppi.init(self.config.control, key), before)
+        return start(self.config, adapt, now, face, half_extents, key)
 
     def step(
         self, state: PushState, now: Sighting, last_u: Array, goal: Array, around: LocalField, half_extents: Array
@@ -169,21 +178,12 @@ class PushController:
             around: clearance round the object, the object itself left out.
             half_extents: ``[2]`` of the object's footprint [m].
         """
-        state, system, transition = self._perceive(state, now, last_u, half_extents)
+        state, system, transition = _perceive(self.config, state, now, last_u, half_extents)
         u, adapt, plan_state, plan = self._step(
             self._params, state.adapt, state.plan, system, transition, _f32(goal), around, _f32(half_extents)
         )
-        return self._governed(u, now, goal), state._replace(adapt=adapt, plan=plan_state, before=system), plan
-
-    def _governed(self, u: Array, now: Sighting, goal: Array) -> np.ndarray:
-        u = np.asarray(u, dtype=float)
-        if not self.config.governor:
-            return u
-        cfg, distance = self.config, float(np.linalg.norm(np.asarray(goal)[:2] - now.object_pose[:2]))
-        limit = float(cost.allowed_speed(cfg.cost, distance))
-        lean = forward_lean(now.robot_pose, now.robot_twist, now.lean_rate, now.wrench, limit, cfg.governor)
-        low, high = cfg.control.low[0], cfg.control.high[0]
-        return govern(u, float(np.clip(lean, low, high)), cfg.governor_room)
+        u = _governed(self.config, np.asarray(u, dtype=float), now, np.asarray(goal, dtype=float))
+        return u, state._replace(adapt=adapt, plan=plan_state, before=system), plan
 
     def planning_rollouts(
         self, state: PushState, goal: Array, around: LocalField, half_extents: Array
@@ -200,26 +200,68 @@ class PushController:
 
     def coast(self, state: PushState) -> np.ndarray:
         """Where the object comes to rest ``[3]`` in {W} if the hands let go of it now, as the adapted model has it."""
-        params = _with_coefficients(self.weights.params, state.adapt)
-        return np.asarray(self._coast(params, state.before), dtype=float)
-
-    def _perceive(
-        self, state: PushState, now: Sighting, last_u: Array, half_extents: Array
-    ) -> tuple[PushState, SystemState, _Transition]:
-        before = state.before
-        twist_before = se2.rotate(before.object_twist, -before.object_pose[2])
-        wrench = se2.rotate(now.wrench, -before.object_pose[2])
-        force = se2.rotate(now.wrench[:2], -before.robot_pose[2])
-        inputs = np.concatenate([twist_before, wrench, before.last_object_twist, [before.size]])
-        label = se2.rotate((now.object_twist - before.object_twist) / DT, -before.object_pose[2])
-        valid = self.config.adapts and np.hypot(*force) > self.config.contact_force
-        system = _system_state(now, twist_before, force, last_u, before.face, half_extents)
-        state = state._replace(plan=state.plan._replace(last_u=_f32(last_u)))
-        return state, system, _Transition(_f32(inputs), _f32(label), np.asarray(valid))
+        return np.asarray(self._coast(self.weights.params, state.adapt, state.before), dtype=float)
 
 
-def _f32(x: Array) -> np.ndarray:
-    return np.asarray(x, dtype=np.float32)
+def start(
+    config: PushConfig, adapt: adaptation.AdaptState, now: Sighting, face: Array, half_extents: Array, key: Array
+) -> PushState:
+    """The state with which a push on ``face [4]`` begins; pure."""
+    zero = np.zeros(3)
+    before = _system_state(now, zero, np.zeros(2), zero, face, half_extents)
+    return PushState(adapt, mppi.init(config.control, key), before)
+
+
+def control_step(
+    config: PushConfig,
+    core_config: Any,
+    params: core.Params,
+    state: PushState,
+    now: Sighting,
+    last_u: Array,
+    goal: Array,
+    half_extents: Array,
+) -> tuple[Array, PushState]:
+    """:meth:`PushController.step` on a floor without obstacles as one pure function, for jit and vmap over worlds."""
+    open_floor = replace(config, cost=replace(config.cost, clearance_weight=0.0))
+    state, system, transition = _perceive(config, state, now, last_u, half_extents)
+    u, adapt, plan_state, _ = _step(
+        open_floor, core_config, None, params, state.adapt, state.plan, system, transition, goal, None, half_extents
+    )
+    return _governed(config, u, now, goal), state._replace(adapt=adapt, plan=plan_state, before=system)
+
+
+def _perceive(
+    config: PushConfig, state: PushState, now: Sighting, last_u: Array, half_extents: Array
+) -> tuple[PushState, SystemState, _Transition]:
+    before, xp = state.before, se2.array_module(now.wrench)
+    twist_before = se2.rotate(before.object_twist, -before.object_pose[2])
+    wrench = se2.rotate(now.wrench, -before.object_pose[2])
+    force = se2.rotate(now.wrench[:2], -before.robot_pose[2])
+    inputs = xp.concatenate([twist_before, wrench, before.last_object_twist, before.size[None]])
+    label = se2.rotate((now.object_twist - before.object_twist) / DT, -before.object_pose[2])
+    valid = xp.asarray(config.adapts & (xp.hypot(force[0], force[1]) > config.contact_force))
+    system = _system_state(now, twist_before, force, last_u, before.face, half_extents)
+    state = state._replace(plan=state.plan._replace(last_u=_f32(last_u)))
+    return state, system, _Transition(_f32(inputs), _f32(label), valid)
+
+
+def _governed(config: PushConfig, u: Array, now: Sighting, goal: Array) -> Array:
+    if not config.governor:
+        return u
+    offset = goal[:2] - now.object_pose[:2]
+    xp = se2.array_module(u, offset)
+    limit = cost.allowed_speed(config.cost, xp.hypot(offset[0], offset[1]))
+    lean = forward_lean(now.robot_pose, now.robot_twist, now.lean_rate, now.wrench, limit, config.governor)
+    room = config.governor_room
+    if room < 1.0:
+        # What sticks is leant into until it breaks away, whatever the model believes.
+        room = room * xp.clip(xp.hypot(now.robot_twist[0], now.robot_twist[1]) / limit, 0.0, 1.0)
+    return govern(u, xp.clip(lean, config.control.low[0], config.control.high[0]), room)
+
+
+def _f32(x: Array) -> Array:
+    return se2.array_module(x).asarray(x, dtype=np.float32)
 
 
 def _system_state(
@@ -236,7 +278,7 @@ def _system_state(
         last_force=last_force,
         last_u=last_u,
         face=face,
-        size=np.hypot(*half_extents),
+        size=se2.array_module(half_extents).hypot(half_extents[0], half_extents[1]),
     )
     return SystemState(*(_f32(v) for v in values))
 
@@ -246,7 +288,12 @@ def _with_coefficients(params: core.Params, adapt: adaptation.AdaptState) -> cor
 
 
 def _functions(
-    config: PushConfig, core_config: Any, params: core.Params, goal: Array, around: LocalField, half_extents: Array
+    config: PushConfig,
+    core_config: Any,
+    params: core.Params,
+    goal: Array,
+    around: LocalField | None,
+    half_extents: Array,
 ) -> Any:
     def cost_fn(trajectory: SystemState, controls: Array, last_u: Array) -> Array:
         return cost.push_cost(config.cost, goal, trajectory, controls, last_u, around, half_extents)
@@ -264,7 +311,7 @@ def _step(
     system: SystemState,
     transition: _Transition,
     goal: Array,
-    around: LocalField,
+    around: LocalField | None,
     half_extents: Array,
 ) -> tuple[Array, adaptation.AdaptState, mppi.MppiState, mppi.Plan]:
     phi = object_model.design_matrix(params.object, transition.inputs, core_config.object)
@@ -295,8 +342,11 @@ def _planning_rollouts(
     return plan.trajectories.object_pose, plan.trajectories.robot_pose[..., :2], plan.costs
 
 
-def _coast(config: PushConfig, core_config: core.CoreConfig, params: core.Params, now: SystemState) -> Array:
+def coast(
+    config: PushConfig, core_config: Any, params: core.Params, adapt: adaptation.AdaptState, now: SystemState
+) -> Array:
     """Pose ``[3]`` in {W} some samples on without a force. What nothing pushes slows down, and never turns back."""
+    params = _with_coefficients(params, adapt)
 
     def body(carry: tuple[Array, Array, Array], _: None) -> tuple[tuple[Array, Array, Array], None]:
         pose, twist, last = carry

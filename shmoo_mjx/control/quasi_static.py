@@ -21,7 +21,7 @@ from shmoo_mjx.hands import REACH
 from shmoo_mjx.learning.adaptation import AdaptState
 from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
 
-__all__ = ["QuasiStaticConfig", "QuasiStaticPusher", "QuasiStaticState"]
+__all__ = ["QuasiStaticConfig", "QuasiStaticPusher", "QuasiStaticState", "law"]
 
 Array = Any
 
@@ -77,31 +77,41 @@ class QuasiStaticPusher:
         half_extents: Array,
     ) -> tuple[np.ndarray, QuasiStaticState, None]:
         """The command ``[3]`` for the next sample; arguments as for the controller it stands in for."""
-        cfg, pose, goal = self.config, now.object_pose, np.asarray(goal, dtype=float)
-        offset = goal[:2] - pose[:2]
-        heading = pose[2] + state.face[2]
-        bearing = float(np.arctan2(offset[1], offset[0]))
-        lead = float(se2.wrap(bearing - goal[2] - state.face[2]))
-        # The arc to the goal starts at the bearing plus the lead; beside or past the goal only the yaw is left to mend.
-        wanted = bearing + float(np.clip(lead, -0.6, 0.6)) if abs(lead) < np.pi / 2 else goal[2] + state.face[2]
-        distance = float(np.linalg.norm(offset))
-        curvature = -2.0 * float(np.sin(lead)) / max(distance, 0.3) if abs(lead) < np.pi / 2 else 0.0
-        # What the arc turns is wanted beforehand; the error alone would always lag behind it.
-        error = float(se2.wrap(heading - wanted)) - cfg.ahead * curvature
-        in_face = se2.relative(se2.compose(pose, state.face[:3]), now.robot_pose)
-        hands = in_face[1] + REACH * float(np.sin(in_face[2]))
-        # Pushing right of the centre turns the object left.
-        room = max(float(state.face[3]) - 0.18, 0.0)
-        shift = float(np.clip(cfg.shift * error, -room, room))
-        sideways = float(np.clip(cfg.centre * (shift - hands), -0.1, 0.1))
-        velocity = se2.rotate(now.robot_twist[:2], -now.robot_pose[2])
-        lean = np.asarray(velocity_to_lean(Gains(), velocity, now.lean_rate, np.array([0.0, sideways])))
-        limit = float(allowed_speed(self.cost, distance))
-        forward = forward_lean(now.robot_pose, now.robot_twist, now.lean_rate, now.wrench, limit, cfg.gain)
-        u = np.array([np.clip(forward, -cfg.lean_limit, cfg.lean_limit), lean[1], 0.0])
-        u[2] = np.clip(cfg.steer * error, -cfg.steer_limit, cfg.steer_limit)
-        return u, state._replace(pose=pose), None
+        u = law(self.config, self.cost, state.face, now, np.asarray(goal, dtype=float))
+        return u, state._replace(pose=now.object_pose), None
 
     def coast(self, state: QuasiStaticState) -> np.ndarray:
         """Quasi-static objects don't."""
         return state.pose
+
+
+def law(cfg: QuasiStaticConfig, cost: PushCost, face: Array, now: Sighting, goal: Array) -> Array:
+    """The command ``[3]`` [rad] for ``face [4]`` and ``goal [3]`` in {W}: pure, on NumPy and JAX arrays alike."""
+    pose, xp = now.object_pose, se2.array_module(now.object_pose, now.robot_pose)
+    offset = goal[:2] - pose[:2]
+    bearing = xp.arctan2(offset[1], offset[0])
+    lead = se2.wrap(bearing - goal[2] - face[2])
+    # The arc to the goal starts at the bearing plus the lead; beside or past the goal only the yaw is left to mend.
+    ahead = abs(lead) < np.pi / 2
+    wanted = xp.where(ahead, bearing + xp.clip(lead, -0.6, 0.6), goal[2] + face[2])
+    distance = xp.hypot(offset[0], offset[1])
+    curvature = xp.where(ahead, -2.0 * xp.sin(lead) / xp.maximum(distance, 0.3), 0.0)
+    # What the arc turns is wanted beforehand; the error alone would always lag behind it.
+    error = se2.wrap(pose[2] + face[2] - wanted) - cfg.ahead * curvature
+    sideways = _sideways(cfg, face, now, error)
+    velocity = se2.rotate(now.robot_twist[:2], -now.robot_pose[2])
+    lean = velocity_to_lean(Gains(), velocity, now.lean_rate, xp.stack([0.0 * sideways, sideways]))
+    limit = allowed_speed(cost, distance)
+    forward = forward_lean(now.robot_pose, now.robot_twist, now.lean_rate, now.wrench, limit, cfg.gain)
+    forward = xp.clip(forward, -cfg.lean_limit, cfg.lean_limit)
+    return xp.stack([forward, lean[1], xp.clip(cfg.steer * error, -cfg.steer_limit, cfg.steer_limit)])
+
+
+def _sideways(cfg: QuasiStaticConfig, face: Array, now: Sighting, error: Array) -> Array:
+    """Speed along the face [m/s] that brings the hands to where they turn the object against ``error`` [rad]."""
+    xp = se2.array_module(now.robot_pose, error)
+    in_face = se2.relative(se2.compose(now.object_pose, face[:3]), now.robot_pose)
+    hands = in_face[1] + REACH * xp.sin(in_face[2])
+    # Pushing right of the centre turns the object left.
+    room = xp.maximum(face[3] - 0.18, 0.0)
+    return xp.clip(cfg.centre * (xp.clip(cfg.shift * error, -room, room) - hands), -0.1, 0.1)

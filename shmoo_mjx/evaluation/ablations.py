@@ -61,7 +61,7 @@ class AblationsConfig:
     """What is varied and how long each variant trains."""
 
     variants: tuple[str, ...] = tuple(VARIANTS)
-    budget: Budget = field(default_factory=lambda: Budget(8, 150, 6))
+    budget: Budget = field(default_factory=lambda: Budget(5, 150, 5))
     seeds: int = 2
     fit_seconds: tuple[float, ...] = (5.0, 10.0, 25.0)
     """Recording that the default variant adapts on [s]; the others take the longest. All are scored on later rows."""
@@ -71,8 +71,8 @@ class AblationsConfig:
     training_objects: int | None = None
     """Per family; None takes all that the training set has."""
     unseen: Mapping[str, int] = field(default_factory=lambda: dict(datasets.UNSEEN_COUNTS))
-    workers: int = 2
-    """Processes."""
+    workers: int = 1
+    """Processes. One training keeps two cores busy by itself."""
 
 
 QUICK = AblationsConfig(

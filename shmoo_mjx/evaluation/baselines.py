@@ -52,8 +52,8 @@ class BaselinesConfig:
     """Per family; None takes all that the training set has."""
     unseen: Mapping[str, int] = field(default_factory=lambda: dict(datasets.UNSEEN_COUNTS))
     """Unseen objects per family."""
-    workers: int = 2
-    """Processes."""
+    workers: int = 1
+    """Processes. One training keeps two cores busy by itself."""
 
 
 QUICK = BaselinesConfig(

@@ -16,8 +16,8 @@ EXPERIMENTS = {
     "robot_finetune": "shmoo_mjx.evaluation.robot_finetune",
     "pushing": "shmoo_mjx.evaluation.pushing",
     "object_planner": "shmoo_mjx.evaluation.object_planner",
-    "real_pushing": "shmoo_mjx.evaluation.real_pushing",
     "navigation": "shmoo_mjx.evaluation.navigation",
+    "real_pushing": "shmoo_mjx.evaluation.real_pushing",
 }
 """Name to module; spec section 9."""
 

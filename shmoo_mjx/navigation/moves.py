@@ -96,7 +96,8 @@ class Moves:
             return Move(self.rest(seen), over=True)
         back = (0.0 if folding else -0.2) * np.array([np.cos(yaw), np.sin(yaw)]) + self._routes.off_walls(position)
         lean = drive.velocity_command(seen, se2.rotate(back, -yaw))
-        reach = TUCKED_REACH if folding else REACH
+        # A ball-balancing robot first rolls forwards when it is to go back: hands left out would push once more.
+        reach = TUCKED_REACH if folding else REACH - self.config.withdraw
         return Move(command(lean, 0.0, yaw, reach, HAND_HEIGHT))
 
     def rest(self, seen: Observation, extended: bool = False) -> Command:

@@ -15,6 +15,7 @@ import jax
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.control import trim
 from shmoo_mjx.control.cost import PushCost
 from shmoo_mjx.control.mppi import Plan
 from shmoo_mjx.control.pushing import LocalField, PushConfig, Sighting, local_field
@@ -90,8 +91,8 @@ class PushTaskConfig:
     """Distance from the goal at which the object is left where it is."""
     arrived_yaw: float = float(np.deg2rad(10.0))
     """... and the yaw error."""
-    gain: float = 0.04
-    """Least improvement that another push has to promise [m of error]."""
+    gain: float = 0.1
+    """Least improvement that another push has to promise [m of error]: about what a short one errs by itself."""
     max_pushes: int = 6
     lead: float = 0.015
     """The object is let go where it is expected to stop this far before its goal: hands relax by about that much."""
@@ -107,6 +108,7 @@ class PushTaskConfig:
     """... in this much contact time has stalled."""
     push_limit: float = 40.0
     """Longest push."""
+    trim: trim.TrimConfig = trim.TrimConfig()
     arcs: ArcConfig = ArcConfig()
     moves: NavigatorConfig = NavigatorConfig()
 
@@ -184,6 +186,7 @@ class PushTask:
         self._moves = Moves(self._routes, self.config.moves)
         self._key = jax.random.key(seed)
         self._last_u = np.zeros(3)
+        self.trim = trim.init()
         self._handlers = {
             Phase.CHOOSE: self._choose,
             Phase.APPROACH: self._approach,
@@ -213,9 +216,10 @@ class PushTask:
     def tick(self, seen: Observation) -> Command:
         """One decision."""
         seen = self.belief.update(seen, self._sizes, self._index)
-        result = self._handlers[self.phase](seen)
+        self.trim = trim.step(self.config.trim, self.trim, seen)
+        result = self._handlers[self.phase](trim.with_trim(self.trim, seen))
         self._last_u = np.asarray(result.u)[0]
-        return result
+        return trim.trimmed(self.trim, result)
 
     # Phases. Each returns the command for the next sample and may have changed the phase.
 

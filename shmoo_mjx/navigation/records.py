@@ -88,6 +88,8 @@ class NavigatorConfig:
     """Try each registered object once more before giving up."""
     retreat: float = 0.05
     """Distance between the extended hands' place and the face at which a retreat stops and the arms fold."""
+    withdraw: float = 0.12
+    """How far the hands draw back as soon as a push ends [m]."""
     path_margin: float = 0.05
     """What must be free beside the robot's radius between the path and a pushed object."""
     wall_margin: float = 0.05

@@ -104,7 +104,7 @@ def _dotted(location: tuple[int | str, ...]) -> str:
 def _keys_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
     """The field names valid where ``location`` points, by walking the nested models."""
     for part in location[:-1]:
-        if isinstance(part, int):
+        if isinstance(part, int) or part not in model.model_fields:  # of a list, or a key that the user may name
             continue
         annotation: Any = model.model_fields[part].annotation
         candidates = [annotation, *getattr(annotation, "__args__", ())]

@@ -55,10 +55,14 @@ def stack_models(models: Sequence[mjx.Model]) -> tuple[mjx.Model, mjx.Model]:
     tree = jax.tree.structure(models[0])
     stacked, axes = [], []
     for column in zip(*leaves, strict=True):
-        same = all(c is column[0] or np.array_equal(c, column[0]) for c in column[1:])
+        same = _alike(column)
         stacked.append(column[0] if same else jnp.stack(column))
         axes.append(None if same else 0)
     return jax.tree.unflatten(tree, stacked), jax.tree.unflatten(tree, axes)
+
+
+def _alike(column: Sequence[Array]) -> bool:
+    return all(c is column[0] or np.array_equal(c, column[0]) for c in column[1:])
 
 
 class MjxEngine:
@@ -73,6 +77,9 @@ class MjxEngine:
             batch would take all iterations.
         devices: that share the worlds; all there are by default, or the first alone if W can't be parted equally.
     """
+
+    model: mjx.Model
+    """Of all worlds; what differs between them has a leading axis W."""
 
     def __init__(
         self,
@@ -89,10 +96,8 @@ class MjxEngine:
         if not all(s.framed for s in self.scenes):
             raise ValueError("MjxEngine needs scenes built with engine='mjx'")
         self.timestep = float(first.model.opt.timestep)
-        put: dict[int, mjx.Model] = {}
-        for scene in self.scenes:
-            if id(scene.model) not in put:
-                put[id(scene.model)] = _put(scene.model, iterations, line_search, tolerance)
+        self._solver = (iterations, line_search, tolerance)
+        put = self._put_once(self.scenes)
         chosen = list(devices or jax.devices())
         chosen = chosen if len(self.scenes) % len(chosen) == 0 else chosen[:1]
         self._mesh = jax.make_mesh((len(chosen),), ("world",), axis_types=(AxisType.Auto,), devices=chosen)
@@ -106,6 +111,28 @@ class MjxEngine:
             self._use(self._single, jax.tree.map(lambda _: None, self._single))
         else:
             self._use(*stack_models([put[id(s.model)] for s in self.scenes]))
+
+    def _put_once(self, scenes: Sequence[Scene]) -> dict[int, mjx.Model]:
+        """The scenes' models on the device, by the ids of C MuJoCo's."""
+        models = {id(scene.model): scene.model for scene in scenes}
+        return {key: _put(model, *self._solver) for key, model in models.items()}
+
+    def change(self, scenes: Sequence[Scene]) -> None:
+        """Go on with other scenes of the same structure; the worlds' states stay as they are.
+
+        Compiles anew only if something differs between the new worlds that was the same in all the old ones.
+        """
+        put = self._put_once(scenes)
+        columns = list(zip(*(jax.tree.leaves(put[id(s.model)]) for s in scenes), strict=True))
+        old, tree = jax.tree.flatten(self.model)
+        apart = [np.ndim(all_) > np.ndim(column[0]) for all_, column in zip(old, columns, strict=True)]
+        if any(not own and not _alike(column) for own, column in zip(apart, columns, strict=True)):
+            self._use(*stack_models([put[id(s.model)] for s in scenes]))
+        else:
+            new = [jnp.stack(c) if own else c[0] for own, c in zip(apart, columns, strict=True)]
+            placed = [jax.device_put(leaf, before.sharding) for leaf, before in zip(new, old, strict=True)]
+            self.model = jax.tree.unflatten(tree, placed)
+        self.scenes = list(scenes)
 
     def with_model(self, model: mjx.Model, in_axes: mjx.Model) -> MjxEngine:
         """The same engine on another model of the same structure, such as plant/randomize.py makes."""
@@ -172,15 +199,24 @@ class MjxEngine:
         return self._batched(self.model, world, command, push, substeps=round(duration / self.timestep))
 
     def step_one(
-        self, model: mjx.Model, world: MjxWorld, command: Command, push: Array, substeps: int
+        self,
+        model: mjx.Model,
+        world: MjxWorld,
+        command: Command,
+        push: Array,
+        substeps: int,
+        gains: lowlevel.Gains | None = None,
     ) -> tuple[MjxWorld, Observation]:
-        """One world without batch axis: what :meth:`step` maps, for callers that map it themselves."""
+        """One world without batch axis: what :meth:`step` maps, for callers that map it themselves.
+
+        ``gains``, if given, are this world's own; their fields may be traced.
+        """
         data = self._template.replace(xfrc_applied=self._template.xfrc_applied.at[self._torso].set(push))
 
         def substep(carry: MjxWorld, _: None) -> tuple[MjxWorld, Array]:
             qpos, qvel = self._split(carry.physics)
             control, torque = lowlevel.control(
-                self.gains, carry.control, readout(qpos[:17], qvel[:15]), command, self.timestep
+                gains or self.gains, carry.control, readout(qpos[:17], qvel[:15]), command, self.timestep
             )
             now = data.replace(
                 time=carry.physics[0], qpos=qpos, qvel=qvel, ctrl=torque, qacc_warmstart=carry.warm_start

@@ -8,7 +8,7 @@ per cent).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +16,7 @@ import numpy as np
 
 from shmoo_mjx.plant.scene import Scene
 
-__all__ = ["Ranges", "randomize"]
+__all__ = ["Factors", "Ranges", "perturbed", "randomize"]
 
 Array = Any
 
@@ -41,6 +41,21 @@ class Ranges:
     hand_friction: float = 0.3
 
 
+class Factors(NamedTuple):
+    """How one world's model differs from the nominal one: factors, unless a unit is given. See :class:`Ranges`."""
+
+    body_mass: Array
+    arm_mass: Array
+    object_mass: Array
+    drive_friction: Array
+    body_com: Array
+    """``[3]`` [m]"""
+    hand_friction: Array
+    torque_gain: Array
+    """``[nu]``, or one for all motors."""
+    object_friction: Array
+
+
 def randomize(model: Any, keys: Array, scene: Scene, ranges: Ranges | None = None) -> tuple[Any, Any]:
     """Draw one model per key.
 
@@ -54,12 +69,14 @@ def randomize(model: Any, keys: Array, scene: Scene, ranges: Ranges | None = Non
         The model whose randomised arrays have a leading axis W, and the ``in_axes`` tree for vmap.
     """
     chosen = ranges or Ranges()
-    drawn = jax.vmap(lambda key: _draw(model, key, scene, chosen))(keys)
+    motors = int(scene.model.nu)
+    drawn = jax.vmap(lambda key: perturbed(model, _draw(key, chosen, motors), scene))(keys)
     in_axes = jax.tree.map(lambda _: None, model)
     return model.tree_replace(drawn), in_axes.tree_replace(dict.fromkeys(drawn, 0))
 
 
-def _draw(model: Any, key: Array, scene: Scene, ranges: Ranges) -> dict[str, Array]:
+def perturbed(model: Any, factors: Factors, scene: Scene) -> dict[str, Array]:
+    """The fields of ``mjx.Model`` that ``factors`` change, for one world, with their new values."""
     names = scene.model
     torso, ball = names.body("robot/torso").id, names.joint("robot/ball")
     bodies = [names.body(i).name for i in range(names.nbody)]
@@ -67,27 +84,38 @@ def _draw(model: Any, key: Array, scene: Scene, ranges: Ranges) -> dict[str, Arr
     objects = _having(bodies, "object", "")
     geoms = [names.geom(i).name for i in range(names.ngeom)]
     hands, floor_side = _having(geoms, "robot/", "_hand"), _having(geoms, "object", "sole", "wheel")
+    scale = jnp.ones(names.nbody).at[torso].set(factors.body_mass)
+    scale = scale.at[arms].set(factors.arm_mass).at[objects].set(factors.object_mass)
+    dofs = np.arange(ball.dofadr[0], ball.dofadr[0] + 3)
+    friction = model.geom_friction.at[hands].multiply(factors.hand_friction)
+    return {
+        "body_mass": model.body_mass * scale,
+        "body_inertia": model.body_inertia * scale[:, None],
+        "body_ipos": model.body_ipos.at[torso].add(factors.body_com),
+        "dof_frictionloss": model.dof_frictionloss.at[dofs].multiply(factors.drive_friction),
+        "dof_damping": model.dof_damping.at[dofs].multiply(factors.drive_friction),
+        "actuator_gear": model.actuator_gear * jnp.broadcast_to(factors.torque_gain, (names.nu,))[:, None],
+        "geom_friction": friction.at[floor_side].multiply(factors.object_friction),
+    }
+
+
+def _draw(key: Array, ranges: Ranges, motors: int) -> Factors:
     keys = iter(jax.random.split(key, 8))
 
     def factor(width: float, shape: tuple[int, ...] = ()) -> Array:
         return jax.random.uniform(next(keys), shape, minval=1 - width, maxval=1 + width)
 
     # One factor for everything of a kind, except for motors, which differ from each other.
-    scale = jnp.ones(names.nbody).at[torso].set(factor(ranges.body_mass))
-    scale = scale.at[arms].set(factor(ranges.arm_mass)).at[objects].set(factor(ranges.object_mass))
-    dofs = np.arange(ball.dofadr[0], ball.dofadr[0] + 3)
-    drive = factor(ranges.drive_friction)
-    shift = jax.random.uniform(next(keys), (3,), minval=-ranges.body_com, maxval=ranges.body_com)
-    friction = model.geom_friction.at[hands].multiply(factor(ranges.hand_friction))
-    return {
-        "body_mass": model.body_mass * scale,
-        "body_inertia": model.body_inertia * scale[:, None],
-        "body_ipos": model.body_ipos.at[torso].add(shift),
-        "dof_frictionloss": model.dof_frictionloss.at[dofs].multiply(drive),
-        "dof_damping": model.dof_damping.at[dofs].multiply(drive),
-        "actuator_gear": model.actuator_gear * factor(ranges.torque_gain, (names.nu,))[:, None],
-        "geom_friction": friction.at[floor_side].multiply(factor(ranges.object_friction)),
-    }
+    return Factors(
+        body_mass=factor(ranges.body_mass),
+        arm_mass=factor(ranges.arm_mass),
+        object_mass=factor(ranges.object_mass),
+        drive_friction=factor(ranges.drive_friction),
+        body_com=jax.random.uniform(next(keys), (3,), minval=-ranges.body_com, maxval=ranges.body_com),
+        hand_friction=factor(ranges.hand_friction),
+        torque_gain=factor(ranges.torque_gain, (motors,)),
+        object_friction=factor(ranges.object_friction),
+    )
 
 
 def _having(names: list[str], prefix: str, *parts: str) -> np.ndarray:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
@@ -43,6 +43,15 @@ class Scene:
     framed: bool = False
     """Whether the sensors report in the contact's own frame, with normal and tangent after the position: MJX knows no
     net wrench. A hand, being a sphere, has one contact with a convex hull, so that the two agree."""
+
+    def placed(self, robot_pose: Any, object_poses: Any) -> np.ndarray:
+        """The starting configuration ``[nq]`` with robot and objects at other poses (x, y, yaw) in {W}."""
+        qpos = self.qpos0.copy()
+        qpos[:7] = _free(robot_pose, qpos[2])
+        qpos[3:7] = _balanced(qpos[3:7], qpos[11:17])
+        for adr, pose in zip(self.object_qpos, object_poses, strict=True):
+            qpos[adr : adr + 7] = _free(pose, qpos[adr + 2])
+        return qpos
 
 
 def build_scene(
@@ -125,12 +134,8 @@ def _index(
     object_qpos = np.array([j.qposadr[0] for j in joints], dtype=int)
     sensors = [[model.sensor(f"object{i}/{hand}").adr[0] for hand in _HANDS] for i in range(len(objects))]
     qpos0 = model.qpos0.copy()
-    qpos0[:7] = _free(robot_pose, qpos0[2])
-    for adr, (_, pose) in zip(object_qpos, objects, strict=True):
-        qpos0[adr : adr + 7] = _free(pose, qpos0[adr + 2])
     qpos0[11:17] = _folded_arms()
-    qpos0[3:7] = _balanced(qpos0[3:7], qpos0[11:17])
-    return Scene(
+    scene = Scene(
         model=model,
         conditions=tuple(c for c, _ in objects),
         object_qpos=object_qpos,
@@ -141,6 +146,7 @@ def _index(
         qpos0=qpos0,
         framed=framed,
     )
+    return replace(scene, qpos0=scene.placed(robot_pose, [pose for _, pose in objects]))
 
 
 def _folded_arms() -> np.ndarray:

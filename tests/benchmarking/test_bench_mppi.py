@@ -51,7 +51,7 @@ def test_an_absent_peer_says_so() -> None:
         workers.peer(Path(sys.executable), "pytorch_mppi_eager", 10, 2, "relu", 0)
     with pytest.raises(ShmooError, match="no-such-python"):
         workers.peer(Path("no-such-python"), "numpy", 10, 2, "relu", 0)
-    with pytest.raises(ShmooError, match="choose one of mppi"):
+    with pytest.raises(ShmooError, match="choose one of startup"):
         run_benchmark("nonsense", BenchAsk())
 
 

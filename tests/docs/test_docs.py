@@ -101,7 +101,7 @@ def test_the_readme_begins_with_its_two_lines() -> None:
 
 
 LAYERS = (
-    {"se2", "types", "errors", "hands", "faces", "assets", "progress"},
+    {"se2", "types", "errors", "hands", "faces", "assets", "environment", "talk", "progress"},
     {"plant", "dynamics"},
     {"data"},
     {"learning"},
@@ -110,8 +110,8 @@ LAYERS = (
     {"report"},
     {"episode", "teleop"},
     {"run"},
-    {"demo", "doctor", "view", "evaluation"},
-    {"benchmarking"},
+    {"demo", "doctor", "view", "evaluation", "gym"},
+    {"benchmarking", "sweep"},
     {"cli"},
 )
 

@@ -117,6 +117,7 @@ def test_metrics_have_the_names_that_were_agreed() -> None:
     assert m["worst_lean_rad"] == 0.5
     assert m["baseline_frozen_prior_offset_goal1_m"] == 0.5
     assert m["baseline_frozen_prior_success_rate"] == 0.0
+    assert m["baseline_frozen_prior_ours_offset_m"] == 0.05
 
 
 def test_finished_trials_are_not_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,6 +8,7 @@ import shapely
 
 from shmoo_mjx import se2
 from shmoo_mjx.control.quasi_static import QuasiStaticPusher
+from shmoo_mjx.control.trim import arms_lean
 from shmoo_mjx.hands import HAND_RADIUS, TUCKED_REACH
 from shmoo_mjx.navigation.footprints import footprint_polygon
 from shmoo_mjx.navigation.maps import OCCUPIED, OccupancyGrid
@@ -24,18 +25,20 @@ class _World:
     def __init__(self, robot: np.ndarray, thing: np.ndarray, movable: bool = True) -> None:
         self.robot, self.thing, self.movable = robot.astype(float), thing.astype(float), movable
         self.velocity, self.reach, self.time, self.force = np.zeros(2), TUCKED_REACH, 0.0, np.zeros(2)
-        self.moved = np.zeros(3)
+        self.moved, self.lean = np.zeros(3), np.zeros(2)
 
     def seen(self) -> Observation:
         hands = np.array([[self.reach, 0.18, 0.4], [self.reach, -0.18, 0.4]])
         twist = np.append(self.velocity, 0.0)
         wrench = np.append(self.force, 0.0)
-        values = (self.time, self.robot, twist, np.zeros(2), np.zeros(2), hands, [self.thing], [self.moved], [wrench])
+        lean = self.lean - arms_lean(hands)
+        values = (self.time, self.robot, twist, lean, np.zeros(2), hands, [self.thing], [self.moved], [wrench])
         return Observation(*(np.array(v, dtype=float)[None] for v in values))
 
     def step(self, command: Command) -> None:
         a, _, c = ROBOT.flatness
-        lean = se2.rotate(np.asarray(command.u)[0, :2], self.robot[2])
+        self.lean = np.asarray(command.u)[0, :2]
+        lean = se2.rotate(self.lean, self.robot[2])
         self.velocity = self.velocity + DT * (c / a * lean - self.force / 60.0)
         self.robot[:2] += DT * self.velocity
         self.robot[2] += np.clip(se2.wrap(command.yaw[0] - self.robot[2]), -0.08, 0.08)

@@ -1,0 +1,84 @@
+"""Two results of one benchmark on one machine: what has become slower?
+
+A metric's name tells what it is: of ``..._per_s`` and ``..._gflops`` more is better, of ``..._ms`` and ``..._s`` less.
+Ratios, memory and the worst single step are left out: they follow from the others, or from chance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.evaluation.result import ExperimentResult, read_result
+
+__all__ = ["LIMIT", "Change", "compare_files", "compare_results"]
+
+LIMIT = 1.2
+"""Times as slow as before from which on a metric is flagged."""
+
+
+class Change(NamedTuple):
+    """One metric in both results."""
+
+    name: str
+    before: float
+    after: float
+    slower: float
+    """How many times as slow as before; below 1 it is faster."""
+
+
+def compare_results(old: ExperimentResult, new: ExperimentResult) -> list[Change]:
+    """Every time and rate that both have, the worst first."""
+    changes = []
+    for name, before in old.metrics.items():
+        after, kind = new.metrics.get(name), _kind(name)
+        if before and after and kind:
+            changes.append(Change(name, before, after, after / before if kind == "time" else before / after))
+    return sorted(changes, key=lambda change: -change.slower)
+
+
+def compare_files(files: Sequence[Path]) -> tuple[str, bool]:
+    """The comparison as text, and whether anything is slower than the limit allows.
+
+    Raises:
+        ShmooError: not two files, no results of a benchmark, or results that can't be compared.
+    """
+    if len(files) != 2:
+        raise ShmooError(f"bench compare needs two files, the older and the newer result, not {len(files)}.")
+    old, new = (_read(path) for path in files)
+    for what, one, other in (
+        ("of different benchmarks", old.experiment, new.experiment),
+        ("from different machines", old.config["machine"], new.config["machine"]),
+        ("of different sizes (--quick)", old.config["quick"], new.config["quick"]),
+    ):
+        if one != other:
+            raise ShmooError(f"{files[0]} and {files[1]}: are {what} ({one} and {other}); measure both alike.")
+    changes = compare_results(old, new)
+    if not changes:
+        raise ShmooError(f"{files[0]} and {files[1]}: have no time or rate in common; measure both with one version.")
+    width = max(len(change.name) for change in changes)
+    lines = [f"{'metric':{width}}  {'before':>10}  {'after':>10}  {'slower':>6}"]
+    lines += [
+        f"{c.name:{width}}  {c.before:10.4g}  {c.after:10.4g}  {c.slower:6.2f}{'  SLOWER' if c.slower > LIMIT else ''}"
+        for c in changes
+    ]
+    flagged = sum(c.slower > LIMIT for c in changes)
+    lines.append(f"{flagged} of {len(changes)} are slower by more than {100 * (LIMIT - 1):.0f} %")
+    return "\n".join(lines), flagged > 0
+
+
+def _read(path: Path) -> ExperimentResult:
+    if not path.exists():
+        raise ShmooError(f"{path}: does not exist; give a file that shmoo bench wrote.")
+    result = read_result(path)
+    if not result.experiment.startswith("bench_") or "machine" not in result.config:
+        raise ShmooError(f"{path}: is no benchmark's result with its machine; give a file that shmoo bench wrote.")
+    return result
+
+
+def _kind(name: str) -> str:
+    if name.endswith(("_per_s", "_gflops")):
+        return "rate"
+    return "time" if name.endswith(("_ms", "_s")) and "max" not in name else ""

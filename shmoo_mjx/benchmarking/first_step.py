@@ -1,0 +1,41 @@
+"""From nothing to the demo's first commands, in a process of its own: python -m shmoo_mjx.benchmarking.first_step SEED.
+
+Prints one line of JSON: seconds from the start of this file to the first command (``drive``) and to the first one that
+MPPI gives (``push``), with which the simulated seconds of the drive up to the box are included.
+"""
+
+from __future__ import annotations
+
+import time
+
+_BEGAN = time.perf_counter()
+
+
+def main() -> None:
+    """Run the demo until it pushes."""
+    from shmoo_mjx.environment import prepare_environment
+
+    prepare_environment()
+    import json
+    import sys
+
+    from shmoo_mjx.assets import asset
+    from shmoo_mjx.control.pushing import PushController
+    from shmoo_mjx.episode import Hooks, run_episode
+    from shmoo_mjx.learning.weights import load_weights
+    from shmoo_mjx.navigation.floorplan import demo_scenario
+    from shmoo_mjx.run import DEMO_WEIGHTS
+
+    seconds: dict[str, float] = {}
+
+    def note(now: float, mode: str) -> None:
+        kind = "push" if mode == "probe" else "drive"
+        seconds.setdefault(kind, time.perf_counter() - _BEGAN)
+
+    controller = PushController(load_weights(asset(DEMO_WEIGHTS)))
+    run_episode(*demo_scenario(int(sys.argv[1])), controller, hooks=Hooks(note, over=lambda _: "push" in seconds))
+    print(json.dumps(seconds))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,88 @@
+"""Lean trim: where the robot really balances, learned while nothing is touched.
+
+A centre of mass that lies some millimetres beside where the model has it makes a robot at zero lean drift off. Along
+the flat output S = x + (b/a) phi one plane obeys a S'' = c (phi + arms - trim) (``Robot.flatness``), so the trim is
+what the measured lean, with what the arms weigh, has more than S'' explains.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from shmoo_mjx import se2
+from shmoo_mjx.plant.robot import ROBOT, arm_angles, com_offset
+from shmoo_mjx.types import DT, Command, Observation
+
+__all__ = ["Trim", "TrimConfig", "arms_lean", "init", "step", "trimmed", "with_trim"]
+
+Array = Any
+
+
+@dataclass(frozen=True)
+class TrimConfig:
+    """Settings of the estimate."""
+
+    memory: float = 4.0
+    """Time over which it averages [s]."""
+    force: float = 1.0
+    """Hand force from which a sample is left out [N]."""
+    limit: float = 0.04
+    """Largest trim [rad]: 2 cm at the height of the centre of mass."""
+
+
+class Trim(NamedTuple):
+    """The estimate for one robot."""
+
+    lean: np.ndarray
+    """``[2]`` lean at which the robot balances, in {R} [rad]."""
+    samples: int
+    """Samples that it rests on so far."""
+    before: tuple[np.ndarray, np.ndarray] | None
+    """Velocity of the flat output in {W} and lean in {R}, a sample ago."""
+
+
+def init() -> Trim:
+    """Nothing known: zero."""
+    return Trim(np.zeros(2), 0, None)
+
+
+def step(config: TrimConfig, state: Trim, seen: Observation) -> Trim:
+    """Take in one sample of one world."""
+    a, b, c = ROBOT.flatness
+    yaw = seen.robot_pose[0, 2]
+    lean = np.asarray(seen.lean[0], dtype=float)
+    speed = seen.robot_twist[0, :2] + b / a * se2.rotate(seen.lean_rate[0], yaw)
+    if state.before is None or np.hypot(seen.wrench[0, :, 0], seen.wrench[0, :, 1]).max(initial=0.0) > config.force:
+        return state._replace(before=(speed, lean))
+    explained = a / c * se2.rotate(speed - state.before[0], -yaw) / DT
+    error = 0.5 * (lean + state.before[1]) + arms_lean(seen.hands[0]) - explained - state.lean
+    samples = state.samples + 1
+    # The first seconds count in full: a mean grows into a fading memory.
+    gain = max(DT / config.memory, 1.0 / samples)
+    trim = np.clip(state.lean + gain * error, -config.limit, config.limit)
+    return Trim(trim, samples, (speed, lean))
+
+
+def arms_lean(hands: Array) -> np.ndarray:
+    """By how much the low-level control leans back for the arms ``[2]`` [rad]; the lean is commanded without it.
+
+    Args:
+        hands: ``[2, 3]`` as in an Observation.
+    """
+    in_body = np.asarray(hands, dtype=float) - [0.0, 0.0, ROBOT.ball_radius]
+    return np.asarray(com_offset(arm_angles(in_body))) / ROBOT.body_com_height
+
+
+def with_trim(state: Trim, seen: Observation) -> Observation:
+    """The observation with its lean counted from where the robot balances."""
+    return seen._replace(lean=seen.lean - state.lean)
+
+
+def trimmed(state: Trim, command: Command) -> Command:
+    """The command with its lean counted from where the body's axis is upright, as the low-level control takes it."""
+    u = np.array(command.u, dtype=float)
+    u[:, :2] += state.lean
+    return command._replace(u=u)

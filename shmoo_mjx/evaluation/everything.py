@@ -1,0 +1,45 @@
+"""All experiments one after another, and the page of their results."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.evaluation import page
+from shmoo_mjx.evaluation.registry import EXPERIMENTS, run_experiment
+from shmoo_mjx.evaluation.result import Ask, write_result
+
+__all__ = ["run_all"]
+
+
+def run_all(ask: Ask, pushes: Path | None) -> tuple[Path, dict[str, str]]:
+    """Run every experiment, each with its JSON in ``ask.out``; the page grows with each of them.
+
+    An experiment that lacks something (maps, recorded pushes) is left out.
+
+    Args:
+        ask: as for one experiment; ``data`` is the training data.
+        pushes: folder of recorded pushes, for `real_pushing`.
+
+    Returns:
+        The page, and why each experiment that was left out was.
+    """
+    target, left_out = ask.out / "results.md", dict[str, str]()
+    done = dict[str, page.ExperimentResult]()
+    for i, name in enumerate(EXPERIMENTS):
+
+        def report(stage: str, fraction: float, name: str = name, i: int = i) -> None:
+            ask.progress(f"{name}: {stage}", (i + fraction) / len(EXPERIMENTS))
+
+        own = replace(ask, progress=report, data=pushes if name == "real_pushing" else ask.data)
+        try:
+            done[name] = run_experiment(name, own)
+        except ShmooError as error:
+            left_out[name] = str(error)
+            continue
+        write_result(ask.out / f"{name}.json", done[name])
+        page.write_page(done, ask.out, target)
+    if not done:
+        raise ShmooError("experiment all: nothing could be run. " + " ".join(left_out.values()))
+    return target, left_out

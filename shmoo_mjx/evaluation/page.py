@@ -1,0 +1,357 @@
+"""One page for all experiments: each number beside the paper's, each table with the command that makes it anew.
+
+python -m shmoo_mjx.evaluation.page runs/experiments docs/results.md
+
+Nothing on the page is typed by hand: numbers, spreads, versions and commands come from the experiments' JSON.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import shutil
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from shmoo_mjx.evaluation.method_tables import ablations_table, baselines_table
+from shmoo_mjx.evaluation.registry import EXPERIMENTS
+from shmoo_mjx.evaluation.result import ExperimentResult, read_result
+from shmoo_mjx.navigation.yaml_input import write_whole
+
+__all__ = ["SECTIONS", "Section", "read_results", "render", "write_page"]
+
+
+@dataclass(frozen=True)
+class Section:
+    """How an experiment is shown."""
+
+    title: str
+    what: str
+    """What was measured on what, in a sentence or two."""
+    columns: tuple[str, ...] = ()
+    """Heads of the table."""
+    lines: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    """(label, name of the metric of each column; "" leaves the cell empty)."""
+    figures: tuple[str, ...] = ()
+    """Below the experiment's folder."""
+    options: str = ""
+    """What the command needs beside seeds."""
+
+
+def _of_methods(labels: Mapping[str, str], names: tuple[str, ...]) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    """Lines whose columns are ours and the baselines ``names``."""
+    prefixes = ("", *(f"baseline_{name}_" for name in names))
+    return tuple((label, tuple(prefix + metric for prefix in prefixes)) for metric, label in labels.items())
+
+
+def _suffixed(labels: Mapping[str, str], suffixes: tuple[str, ...]) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    return tuple((label, tuple(metric + suffix for suffix in suffixes)) for metric, label in labels.items())
+
+
+def _single(labels: Mapping[str, str]) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    return tuple((label, (metric,)) for metric, label in labels.items())
+
+
+_OPEN_LOOP = {
+    "pos_rmse_1s_m": "position after 1 s open loop [m]",
+    "yaw_rmse_1s_deg": "yaw after 1 s [deg]",
+    "pos_rmse_3s_m": "position after 3 s [m]",
+    "yaw_rmse_3s_deg": "yaw after 3 s [deg]",
+}
+
+_PUSHERS = ("frozen_prior", "quasi_static", "hindsight")
+
+SECTIONS = {
+    "object_model": Section(
+        "Predicting unseen objects (III-D, Fig. 4)",
+        "psi adapts on the first 25 s of each unseen object and is scored on later rows.",
+        ("prior", "after 25 s", "zero", "constant velocity", "one MLP"),
+        (
+            *(
+                (label, tuple(f"{metric}_{name}" for name in ("before", "after", "zero", "constant_velocity", "mlp")))
+                for metric, label in (("mse", "MSE of the acceleration"), ("fvu", "variance unexplained"))
+            ),
+            *(
+                (f"variance unexplained, {family}", (f"fvu_before_{family}", f"fvu_after_{family}", "", "", ""))
+                for family in ("box", "cart", "wheelchair")
+            ),
+            *_suffixed(_OPEN_LOOP, ("_before", "", "_zero", "_constant_velocity", "_mlp")),
+            ("MSE after / before", ("", "ratio_after_before", "", "", "")),
+            ("MSE after / best without adaptation", ("", "ratio_after_best_nonadaptive", "", "", "")),
+            ("gap closed after 1 s of contact, median", ("", "gap_closed_1s_median", "", "", "")),
+            ("gap closed after 1 s, lower quartile", ("", "gap_closed_1s_q25", "", "", "")),
+            ("gap closed after 5 s, median", ("", "gap_closed_5s_median", "", "", "")),
+        ),
+        ("roll_outs.png", "adaptation.png"),
+    ),
+    "baselines": Section(
+        "Beside other ways to predict (V-B)",
+        "Every method is tuned on validation objects with the same budget.",
+        figures=("baselines.png",),
+    ),
+    "ablations": Section(
+        "One choice at a time",
+        "Short trainings that differ in one choice; a fresh probe shows what psi gives away of the condition.",
+        figures=("domain_invariance.png",),
+    ),
+    "robot_finetune": Section(
+        "The robot's model on another robot (V-C, Fig. 8)",
+        "R is trained further on 5 minutes of the proxy robot and scored on 2 other minutes.",
+        ("before", "after"),
+        (
+            *_suffixed(
+                {
+                    "mse": "MSE, all outputs",
+                    "mse_contact": "MSE in contact",
+                    "mse_free": "MSE without contact",
+                    "pos_rmse_3s_contact_m": "position after 3 s in contact [m]",
+                    "pos_rmse_3s_free_m": "position after 3 s without contact [m]",
+                },
+                ("_before", "_after"),
+            ),
+            ("reduction of the MSE [%]", ("", "reduction_percent")),
+            *(
+                (f"... of {name.replace('_', ' ')} [%]", ("", f"reduction_percent_{name}"))
+                for name in ("acceleration_x", "acceleration_y", "acceleration_yaw", "force_x", "force_y")
+            ),
+        ),
+        ("robot_finetune.png",),
+    ),
+    "pushing": Section(
+        "Pushing to a pose (VI-A, Fig. 7)",
+        "The proxy robot pushes unseen objects to three goals; in many trials the object changes on the way.",
+        ("ours", "frozen prior", "quasi-static", "hindsight a*"),
+        (
+            *_of_methods(
+                {
+                    **{f"offset_goal{i}_m": f"offset, goal {i} [m]" for i in (1, 2, 3)},
+                    **{f"radius_goal{i}_m": f"enclosing circle, goal {i} [m]" for i in (1, 2, 3)},
+                    "success_rate": "success",
+                    **{f"success_rate_{family}": f"success, {family}" for family in ("box", "cart", "wheelchair")},
+                    "offset_m": "offset, mean [m]",
+                    "offset_median_m": "offset, median [m]",
+                    "yaw_error_deg": "yaw error [deg]",
+                    "falls": "falls",
+                    "worst_lean_rad": "worst lean [rad]",
+                    "time_s": "time [s]",
+                    "pushes": "pushes",
+                    "trials": "trials",
+                },
+                _PUSHERS,
+            ),
+            *(
+                (f"... and ours on the same trials: {label}", ("", *(f"baseline_{m}_ours_{metric}" for m in _PUSHERS)))
+                for metric, label in (("success_rate", "success"), ("offset_m", "mean offset [m]"))
+            ),
+        ),
+        ("pushing.png",),
+    ),
+    "object_planner": Section(
+        "Can it be moved? (IV-B, Algorithm 1, Fig. 5)",
+        "The navigator approaches unseen objects, half of which can't be moved, and gives its verdict.",
+        ("ours",),
+        _single(
+            {
+                "accuracy": "accuracy",
+                "accuracy_after_1s": "accuracy of K after 1 s",
+                "decision_time_s": "median time from the first touch [s]",
+                "decided_within_3s": "decided within 3 s",
+                "manipulable_called_manipulable": "manipulable, called so",
+                "manipulable_called_immovable": "manipulable, called immovable",
+                "immovable_called_immovable": "immovable, called so",
+                "immovable_called_manipulable": "immovable, called manipulable",
+                "undecided": "no verdict",
+                "auc_K": "area under the ROC curve: K",
+                "auc_K_posterior": "... K over the posterior",
+                "auc_moved_m": "... distance moved",
+                "auc_mobility": "... distance over impulse",
+            }
+        ),
+        ("K.png", "confusion.png", "planned_goals.png"),
+    ),
+    "navigation": Section(
+        "Interactive navigation (VI-B)",
+        "Generated scenarios on real maps, the same for every policy.",
+        ("ours", "always avoid", "always push", "oracle"),
+        (
+            *_of_methods(
+                {
+                    "success_rate": "success",
+                    "success_rate_push_only": "success, push only",
+                    "success_rate_detour_only": "success, detour only",
+                    "success_rate_either": "success, either",
+                    "falls": "falls",
+                    "wall_contacts": "wall contacts",
+                    "time_s": "time of successes [s]",
+                    "path_length_m": "path of successes [m]",
+                    "displacement_m": "objects displaced by [m]",
+                    "efficiency": "efficiency",
+                    "effort": "effort",
+                },
+                ("always_avoid", "always_push", "oracle"),
+            ),
+            ("scenarios", ("scenarios", "", "", "")),
+            ("scenarios that neither baseline can do", ("neither_baseline", "", "", "")),
+            ("... and we can", ("neither_baseline_but_ours", "", "", "")),
+        ),
+        ("causes.png",),
+        "--maps DIR",
+    ),
+    "real_pushing": Section(
+        "Real pushes (other people's data)",
+        "Mean error of the final pose; published models of the same data beside ours.",
+        ("ours", "physics alone", "4th-order, published", "quadratic, published", "linear", "no motion"),
+        tuple(
+            (
+                f"{place}, {unit}",
+                tuple(
+                    f"{prefix}{method}{metric}"
+                    for method in ("", "physics_", "published_", "published_quadratic_", "linear_", "no_motion_")
+                ),
+            )
+            for place, prefix in (
+                ("pair left out", ""),
+                ("shape left out", "shape_out_"),
+                ("triangle's support left out", "mlab_"),
+            )
+            for metric, unit in (("pos_error_mm", "mm"), ("angle_error_deg", "deg"))
+        ),
+        ("real_pushing.png",),
+        "--data DIR",
+    ),
+}
+
+
+def read_results(folder: Path) -> dict[str, ExperimentResult]:
+    """The experiments' JSON files that are in a folder."""
+    files = {name: folder / f"{name}.json" for name in EXPERIMENTS}
+    return {name: read_result(file) for name, file in files.items() if file.is_file()}
+
+
+def render(results: Mapping[str, ExperimentResult], figures: Mapping[str, list[str]]) -> str:
+    """The page as Markdown.
+
+    Args:
+        results: by name; those of `EXPERIMENTS` that are missing are named as not run.
+        figures: for each, paths as the page is to name them.
+    """
+    parts = ["# Results", _about(results)]
+    for name, section in SECTIONS.items():
+        parts.append(f"## {section.title}")
+        result = results.get(name)
+        if result is None:
+            parts.append(
+                f"Not run. `shmoo experiment {name}{' ' * bool(section.options)}{section.options}` measures it."
+            )
+            continue
+        parts += [section.what, f"`{_command(result, section)}`", _table(result, section)]
+        parts += [f"![{Path(path).stem.replace('_', ' ')}]({path})" for path in figures.get(name, [])]
+    return "\n\n".join(parts) + "\n"
+
+
+def write_page(results: Mapping[str, ExperimentResult], made_in: Path, page: Path, copies: Path | None = None) -> None:
+    """Write ``page`` as Markdown, and as HTML beside it if its figures stay where they are.
+
+    Args:
+        results: by name.
+        made_in: folder of the experiments' figures.
+        page: the Markdown file.
+        copies: copy the figures there, for a page that is kept apart from the run.
+    """
+    found = {name: [p for p in (made_in / name / f for f in SECTIONS[name].figures) if p.is_file()] for name in results}
+    page.parent.mkdir(parents=True, exist_ok=True)
+    named: dict[str, list[str]] = {}
+    for name, files in found.items():
+        if copies is not None:
+            copies.mkdir(parents=True, exist_ok=True)
+            kept = [copies / f"{name}_{f.name}" if f.stem != name else copies / f.name for f in files]
+            for source, target in zip(files, kept, strict=True):
+                shutil.copyfile(source, target)
+            files = kept
+        named[name] = [Path(f).resolve().relative_to(page.parent.resolve()).as_posix() for f in files]
+    text = render(results, named)
+    write_whole(page, text.encode())
+    if copies is None:
+        write_whole(page.with_suffix(".html"), _as_html(text, page.parent).encode())
+
+
+def _about(results: Mapping[str, ExperimentResult]) -> str:
+    if not results:
+        return "Nothing has been run."
+    versions = {k: v for r in results.values() for k, v in r.versions.items()}
+    quick = sorted(name for name, r in results.items() if r.config.get("quick"))
+    lines = [
+        "Measured in simulation, on objects and scenarios that training can't reach; the real pushes are others' "
+        "recordings. Numbers after +- are standard deviations over the seeds. The paper's numbers come from its own "
+        "simulator, objects and robot.",
+        "Versions: " + ", ".join(f"{k} {v}" for k, v in versions.items()) + ".",
+    ]
+    if quick:
+        lines.append(f"**Short form (--quick), for the shape of the page only:** {', '.join(quick)}.")
+    return "\n\n".join(lines)
+
+
+def _command(result: ExperimentResult, section: Section) -> str:
+    words = ["shmoo experiment", result.experiment, section.options]
+    words += [f"--seed {result.seed}", f"--condition-seed {result.config.get('condition_seed', 0)}"]
+    words += ["--quick"] if result.config.get("quick") else []
+    return " ".join(word for word in words if word)
+
+
+def _table(result: ExperimentResult, section: Section) -> str:
+    if result.experiment == "baselines":
+        return baselines_table(result)
+    if result.experiment == "ablations":
+        return ablations_table(result)
+    lines = [
+        f"| | {' | '.join(section.columns)} | paper |",
+        "|---" * (len(section.columns) + 2) + "|",
+    ]
+    for label, names in section.lines:
+        if not any(name in result.metrics for name in names):
+            continue
+        cells = [_cell(result, name) for name in names]
+        paper = " / ".join(f"{result.paper[name]:.3g}" for name in names if name in result.paper)
+        lines.append(f"| {label} | {' | '.join(cells)} | {paper} |")
+    return "\n".join(lines)
+
+
+def _cell(result: ExperimentResult, name: str) -> str:
+    if not name or name not in result.metrics:
+        return ""
+    value, std = result.metrics[name], result.metrics.get(f"{name}_std")
+    if value is None:
+        return "-"
+    return f"{value:.3g}" + (f" +- {std:.2g}" if std else "")
+
+
+def _as_html(text: str, folder: Path) -> str:
+    """The page with its figures inside, so that it can be sent to somebody."""
+    from markdown_it import MarkdownIt
+
+    markdown = MarkdownIt("commonmark").enable("table")
+    tokens = markdown.parse(text)
+    for token in tokens:
+        for child in token.children or []:
+            if child.type == "image":
+                data = base64.b64encode((folder / str(child.attrs["src"])).read_bytes()).decode()
+                child.attrs["src"] = f"data:image/png;base64,{data}"
+    body = markdown.renderer.render(tokens, markdown.options, {})
+    style = (
+        "body{font:15px/1.5 system-ui,sans-serif;max-width:60em;margin:2em auto;padding:0 1em}img{max-width:100%}"
+        "table{border-collapse:collapse}td,th{border:1px solid #ccc;padding:.2em .6em;text-align:left}"
+    )
+    title = html.escape("shmoo_mjx: results")
+    return f'<!doctype html><meta charset="utf-8"><title>{title}</title><style>{style}</style>\n{body}'
+
+
+def main() -> None:
+    """Make the page anew from a folder of results."""
+    made_in, page = Path(sys.argv[1]), Path(sys.argv[2])
+    write_page(read_results(made_in), made_in, page, page.parent / "figures")
+
+
+if __name__ == "__main__":
+    main()

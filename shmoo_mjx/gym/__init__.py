@@ -1,0 +1,33 @@
+"""Gymnasium environments: ``ShmooPush-v0`` and ``ShmooNavigate-v0``, one world in C MuJoCo or many at once in MJX.
+
+    gymnasium.make("shmoo_mjx.gym:ShmooPush-v0")
+    gymnasium.make_vec("shmoo_mjx.gym:ShmooPush-v0", num_envs=64)
+
+Importing this package registers them, as Gymnasium's convention has it. docs/gym.md lists every observation and action.
+Needs the extra ``gym``.
+"""
+
+from __future__ import annotations
+
+from shmoo_mjx.errors import ShmooError
+
+try:
+    import gymnasium
+except ModuleNotFoundError:
+    raise ShmooError(
+        "shmoo_mjx.gym needs the package gymnasium, which is not installed; pip install 'shmoo-mjx[gym]'."
+    ) from None
+
+__all__ = ["EPISODE_STEPS"]
+
+EPISODE_STEPS = {"ShmooPush-v0": 400, "ShmooNavigate-v0": 1800}
+"""Environment to the steps of 0.1 s after which an episode is cut off: 40 s and 180 s."""
+
+for _name, _steps in EPISODE_STEPS.items():
+    _kind = _name.removeprefix("Shmoo").removesuffix("-v0")
+    gymnasium.register(
+        _name,
+        entry_point=f"shmoo_mjx.gym.single:{_kind}Env",
+        vector_entry_point=f"shmoo_mjx.gym.batch:{_kind}VectorEnv",
+        max_episode_steps=_steps,
+    )

@@ -1,0 +1,171 @@
+"""Many worlds in MJX as a ``gymnasium.vector.VectorEnv``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import jax
+import jax.numpy as jnp
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from shmoo_mjx.gym import EPISODE_STEPS
+from shmoo_mjx.gym.navigate import NavigateConfig, NavigateTask
+from shmoo_mjx.gym.push import PushConfig, PushTask
+from shmoo_mjx.gym.single import checked, space
+from shmoo_mjx.gym.task import Start, Task
+from shmoo_mjx.plant.engine_mjx import MjxEngine, MjxWorld
+from shmoo_mjx.types import Observation
+
+__all__ = ["NavigateVectorEnv", "PushVectorEnv", "ShmooVectorEnv"]
+
+
+class ShmooVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
+    """A task in ``num_envs`` worlds that are stepped together.
+
+    World i is drawn as a single environment seeded with ``seed + i`` would draw it. Its objects and walls stay until
+    the next ``reset(seed=...)``; an episode that ends is followed by another one in the same world, with a new start
+    and goal where the task draws them apart. That one begins with the step after the last (NEXT_STEP), whose action
+    does nothing in this world and whose reward is 0.
+    """
+
+    metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012 (as Gymnasium declares it)
+
+    def __init__(self, task: Task, num_envs: int, max_episode_steps: int) -> None:
+        self.task, self.num_envs, self.limit = task, num_envs, max_episode_steps
+        self.single_observation_space, self.single_action_space = space(task.observation), space(task.action)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._engine: MjxEngine | None = None
+        self._world: MjxWorld
+        self._seen: Observation
+        self._starts: list[Start]
+        self._over = np.zeros(num_envs, dtype=bool)
+        self._steps = np.zeros(num_envs, dtype=int)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begin an episode in every world, with a seed (and the first time) in new worlds. There are no options."""
+        super().reset(seed=seed)
+        if self._engine is None or seed is not None:
+            first = int(self.np_random.integers(2**31)) if seed is None else seed
+            self._rngs = [seeding.np_random(first + i)[0] for i in range(self.num_envs)]
+            self._starts = [self.task.draw(rng) for rng in self._rngs]
+            self._build(self._starts)
+            self._begin(np.ones(self.num_envs, dtype=bool), drawn=True)
+        else:
+            self._begin(np.ones(self.num_envs, dtype=bool))
+        return self.task.observe(self._context, self._seen), self._infos(np.zeros(self.num_envs, dtype=bool))
+
+    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Hold ``actions [W, m]`` for 0.1 s."""
+        if self._engine is None:
+            raise gymnasium.error.ResetNeeded("call reset before step")
+        resetting = self._over
+        before = self.task.judge(self._context, self._seen)
+        assert isinstance(self.action_space, gymnasium.spaces.Box)
+        wanted = self.task.command(checked(actions, self.action_space), self._seen)
+        self._world, seen = self._engine.step(self._world, wanted)
+        self._seen = _numpy(seen)
+        self._steps += 1
+        if resetting.any():
+            self._begin(resetting)
+        after, fallen = self.task.judge(self._context, self._seen), self._fallen() & ~resetting
+        success = after.success & ~fallen & ~resetting
+        reward = after.progress - before.progress + self.task.bonus * success + self.task.fall * fallen
+        reward += self.task.bump * np.asarray(self._world.wall_contact)
+        terminated = success | fallen
+        truncated = (self._steps >= self.limit) & ~terminated
+        self._over = terminated | truncated
+        rewards = np.where(resetting, 0.0, reward)
+        return self.task.observe(self._context, self._seen), rewards, terminated, truncated, self._infos(fallen)
+
+    @property
+    def starts(self) -> tuple[Start, ...]:
+        """How each world's present episode began: its objects' properties, which the observation does not tell."""
+        return tuple(self._starts)
+
+    def _build(self, starts: list[Start]) -> None:
+        self._scenes = [start.scene("mjx") for start in starts]
+        if self._engine is None:
+            self._engine = MjxEngine(self._scenes)
+        else:
+            self._engine.change(self._scenes)
+
+    def _begin(self, which: np.ndarray, drawn: bool = False) -> None:
+        """Start episodes in the worlds ``which [W]``; ``drawn`` if their starts are new already."""
+        assert self._engine is not None
+        if not drawn:
+            for i in np.flatnonzero(which):
+                self._starts[i] = self.task.draw(self._rngs[i], self._starts[i])
+        self._context = self.task.gather(self._starts)
+        fresh, whole = self._fresh(), which.all()
+        self._world = fresh if whole else _merged(which, fresh, self._world)
+        still = _numpy(self._engine.observe(self._world))
+        self._seen = still if whole else jax.tree.map(lambda new, old: _chosen(np, which, new, old), still, self._seen)
+        self._steps = np.where(which, 0, self._steps)
+        self._over = self._over & ~which
+
+    def _fresh(self) -> MjxWorld:
+        assert self._engine is not None
+        world = self._engine.init()
+        qpos = [c.placed(s.robot_pose, s.object_poses) for c, s in zip(self._scenes, self._starts, strict=True)]
+        physics = np.array(world.physics)
+        physics[:, 1 : 1 + len(qpos[0])] = np.stack(qpos)
+        return world._replace(physics=jax.device_put(jnp.asarray(physics), world.physics.sharding))
+
+    def _fallen(self) -> np.ndarray:
+        assert self._engine is not None
+        return np.asarray(self._engine.fallen(self._world))
+
+    def _infos(self, fallen: np.ndarray) -> dict[str, Any]:
+        outcome = self.task.judge(self._context, self._seen)
+        found = {
+            "success": outcome.success & ~fallen,
+            "distance": outcome.distance,
+            "fallen": fallen,
+            "wall_contact": np.asarray(self._world.wall_contact),
+        }
+        return found | {f"_{name}": np.ones(self.num_envs, dtype=bool) for name in found}
+
+
+def _numpy(seen: Observation) -> Observation:
+    return Observation(*(np.asarray(field, dtype=np.float64) for field in seen))
+
+
+def _chosen(xp: Any, which: np.ndarray, new: Any, old: Any) -> Any:
+    return xp.where(which.reshape(-1, *(1,) * (new.ndim - 1)), new, old)
+
+
+def _merged(which: np.ndarray, new: MjxWorld, old: MjxWorld) -> MjxWorld:
+    """``new`` in the worlds ``which``, laid out over the devices as it was: another layout would compile anew."""
+    merged: MjxWorld = jax.tree.map(lambda a, b: jax.device_put(_chosen(jnp, which, a, b), b.sharding), new, old)
+    return merged
+
+
+class PushVectorEnv(ShmooVectorEnv):
+    """``ShmooPush-v0``, batched."""
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        max_episode_steps: int = EPISODE_STEPS["ShmooPush-v0"],
+        config: PushConfig | None = None,
+    ) -> None:
+        super().__init__(PushTask(config), num_envs, max_episode_steps)
+
+
+class NavigateVectorEnv(ShmooVectorEnv):
+    """``ShmooNavigate-v0``, batched."""
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        max_episode_steps: int = EPISODE_STEPS["ShmooNavigate-v0"],
+        config: NavigateConfig | None = None,
+    ) -> None:
+        super().__init__(NavigateTask(config), num_envs, max_episode_steps)

@@ -1,0 +1,124 @@
+"""ShmooPush: bring one object of unknown mass and friction to a goal pose and let it rest there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from shmoo_mjx import se2
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.faces import faces_of, stand_off
+from shmoo_mjx.gym.task import ACTIONS, BODY, Outcome, Part, Start, body, command, flat, in_robot
+from shmoo_mjx.plant.objects import FAMILIES, draw_condition
+from shmoo_mjx.types import Command, Observation
+
+__all__ = ["PushConfig", "PushGoal", "PushTask"]
+
+
+@dataclass(frozen=True)
+class PushConfig:
+    """Choices of the task, SI units."""
+
+    family: str = "box"
+    """box, cart or wheelchair."""
+    distance: tuple[float, float] = (0.6, 1.6)
+    """Range of the way to the goal [m]."""
+    bearing: float = 0.3
+    """Largest angle between the face's direction and the goal [rad]. The goal's yaw is turned by twice the angle:
+    the end of the arc that starts straight ahead."""
+    gap: tuple[float, float] = (0.05, 0.15)
+    """Range of the distance between hands and face at the start [m]."""
+    lateral: float = 0.05
+    """Largest shift along the face at the start [m]."""
+    arrived: float = 0.10
+    """Distance from the goal that counts as success [m] ..."""
+    arrived_yaw: float = float(np.deg2rad(10.0))
+    """... with this yaw error [rad] ..."""
+    at_rest: float = 0.03
+    """... and below this speed [m/s]."""
+    yaw_weight: float = 0.3
+    """Metres that a radian of yaw error counts as."""
+    near_weight: float = 0.1
+    """Share of the distance between hands and object that counts as distance from the goal: it leads to contact."""
+    fall: float = -1.0
+    bonus: float = 1.0
+
+
+class PushGoal(NamedTuple):
+    """What differs between worlds."""
+
+    goal: np.ndarray
+    """``[W, 3]`` in {W}."""
+    half_extents: np.ndarray
+    """``[W, 2]`` [m]"""
+
+
+class PushTask:
+    """The robot starts in front of the object's rear face; its arms come out in the first half second."""
+
+    observation: tuple[Part, ...] = (
+        *BODY,
+        Part("object", 4, -10.0, 10.0, "m, 1", "the object's x, y, and cos and sin of its yaw"),
+        Part("object_twist", 3, -10.0, 10.0, "m/s, rad/s", "its velocity (x, y) and yaw rate"),
+        Part("wrench", 3, -500.0, 500.0, "N, N m", "of the hands on it about its centre, mean over the last 0.1 s"),
+        Part("goal", 4, -10.0, 10.0, "m, 1", "where it should be: x, y, cos and sin of yaw"),
+        Part("half_extents", 2, 0.0, 2.0, "m", "half its length and half its width"),
+    )
+    action: tuple[Part, ...] = ACTIONS
+    bump = 0.0
+
+    def __init__(self, config: PushConfig | None = None) -> None:
+        self.config = config or PushConfig()
+        if self.config.family not in FAMILIES:
+            names = ", ".join(FAMILIES)
+            raise ShmooError(f"PushConfig: family {self.config.family!r} is unknown; choose one of {names}.")
+        self.fall, self.bonus = self.config.fall, self.config.bonus
+
+    def draw(self, rng: np.random.Generator, same_world: Start | None = None) -> Start:
+        """An object (unless given) at the origin, the robot behind it, and a goal ahead."""
+        cfg = self.config
+        thing = same_world.conditions[0] if same_world else draw_condition(cfg.family, int(rng.integers(2**31)))
+        face = faces_of(thing.half_extents)[0]
+        robot = stand_off(np.zeros(3), face, rng.uniform(*cfg.gap), rng.uniform(-cfg.lateral, cfg.lateral))
+        bearing, far = rng.uniform(-cfg.bearing, cfg.bearing), rng.uniform(*cfg.distance)
+        goal = np.array([far * np.cos(bearing), far * np.sin(bearing), 2 * bearing])
+        return Start((thing,), np.zeros((1, 3)), robot, goal)
+
+    def gather(self, starts: Sequence[Start]) -> PushGoal:
+        """Goals and footprints."""
+        return PushGoal(
+            np.stack([s.goal for s in starts]), np.array([s.conditions[0].half_extents for s in starts], dtype=float)
+        )
+
+    def command(self, actions: np.ndarray, seen: Observation) -> Command:
+        """Arms extended."""
+        return command(actions, seen)
+
+    def observe(self, context: PushGoal, seen: Observation) -> np.ndarray:
+        """See ``observation``."""
+        yaw = seen.robot_pose[:, 2]
+        return flat(
+            self.observation,
+            body(seen)
+            | {
+                "object": in_robot(seen, seen.object_pose[:, 0]),
+                "object_twist": se2.rotate(seen.object_twist[:, 0], -yaw),
+                "wrench": se2.rotate(seen.wrench[:, 0], -yaw),
+                "goal": in_robot(seen, context.goal),
+                "half_extents": context.half_extents,
+            },
+        )
+
+    def judge(self, context: PushGoal, seen: Observation) -> Outcome:
+        """The potential is minus the distance from the goal, yaw error and distance of the hands included."""
+        cfg, pose = self.config, seen.object_pose[:, 0]
+        distance = np.linalg.norm(pose[:, :2] - context.goal[:, :2], axis=-1)
+        turned = np.abs(se2.wrap(pose[:, 2] - context.goal[:, 2]))
+        thing = se2.inverse_transform_point(seen.robot_pose, pose[:, :2])
+        near = np.linalg.norm(seen.hands[..., :2].mean(axis=1) - thing, axis=-1)
+        speed = np.linalg.norm(seen.object_twist[:, 0, :2], axis=-1)
+        success = (distance < cfg.arrived) & (turned < cfg.arrived_yaw) & (speed < cfg.at_rest)
+        return Outcome(-distance - cfg.yaw_weight * turned - cfg.near_weight * near, distance, success)

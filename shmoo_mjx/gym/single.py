@@ -1,0 +1,148 @@
+"""One world in C MuJoCo as a ``gymnasium.Env``."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import gymnasium
+import numpy as np
+
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.gym.navigate import NavigateConfig, NavigateTask
+from shmoo_mjx.gym.push import PushConfig, PushTask
+from shmoo_mjx.gym.task import Outcome, Part, Start, Task
+from shmoo_mjx.plant.engine_mujoco import MujocoEngine, World
+from shmoo_mjx.types import DT, Observation
+
+__all__ = ["NavigateEnv", "PushEnv", "ShmooEnv", "checked", "space"]
+
+
+def space(parts: tuple[Part, ...], dtype: type = np.float32) -> gymnasium.spaces.Box:
+    """The box that ``parts`` span."""
+    low, high = ([np.full(p.size, end) for p, end in zip(parts, ends, strict=True)]
+                 for ends in ([p.low for p in parts], [p.high for p in parts]))  # fmt: skip
+    return gymnasium.spaces.Box(np.concatenate(low).astype(dtype), np.concatenate(high).astype(dtype), dtype=dtype)
+
+
+def checked(actions: np.ndarray, box: gymnasium.spaces.Box) -> np.ndarray:
+    """The actions, cut to what is allowed.
+
+    Raises:
+        ShmooError: wrong shape, or a value that is no number.
+    """
+    given = np.asarray(actions, dtype=float)
+    if given.shape != box.shape or not np.isfinite(given).all():
+        raise ShmooError(f"the action must be {box.shape} finite numbers, not {actions!r}.")
+    return np.clip(given, box.low, box.high)
+
+
+class _Episode(NamedTuple):
+    """What is running."""
+
+    start: Start
+    context: Any
+    engine: MujocoEngine
+    world: World
+    seen: Observation
+    outcome: Outcome
+
+
+class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+    """A task in one world; every reset draws another one.
+
+    The reward of a step is what it has gained in the task's potential, plus what the task gives for success, for a fall
+    and for contact with a wall. An episode ends with success or a fall.
+    """
+
+    # As Gymnasium declares it.
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": round(1 / DT)}  # noqa: RUF012
+
+    def __init__(self, task: Task, render_mode: str | None = None) -> None:
+        if render_mode not in (None, "rgb_array"):
+            raise ShmooError(f"render_mode {render_mode!r} is not known; use 'rgb_array' or none.")
+        self.task, self.render_mode = task, render_mode
+        self.observation_space, self.action_space = space(task.observation), space(task.action)
+        self._now: _Episode | None = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Draw and begin an episode. There are no options."""
+        super().reset(seed=seed)
+        self._stop()
+        start = self.task.draw(self.np_random)
+        engine, context = MujocoEngine([start.scene("mujoco")]), self.task.gather([start])
+        world = engine.init()
+        seen = engine.observe(world)
+        outcome = self.task.judge(context, seen)
+        self._now = _Episode(start, context, engine, world, seen, outcome)
+        return self.task.observe(context, seen)[0], self._info(False)
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """Hold ``action`` for 0.1 s. It never truncates: the registered limit of steps does."""
+        now = self._episode()
+        wanted = self.task.command(checked(action, self._box)[None], now.seen)
+        world, seen = now.engine.step(now.world, wanted)
+        outcome, fallen = self.task.judge(now.context, seen), bool(now.engine.fallen(world)[0])
+        self._now = now._replace(world=world, seen=seen, outcome=outcome)
+        success = bool(outcome.success[0]) and not fallen
+        reward = float(outcome.progress[0] - now.outcome.progress[0])
+        reward += success * self.task.bonus + fallen * self.task.fall + bool(world.wall_contact[0]) * self.task.bump
+        return self.task.observe(now.context, seen)[0], reward, success or fallen, False, self._info(fallen)
+
+    def render(self) -> np.ndarray | None:  # type: ignore[override]
+        """The world from behind and above the robot, uint8 ``[480, 640, 3]``."""
+        from shmoo_mjx.plant.render import frames
+
+        if self.render_mode is None:
+            return None
+        now = self._episode()
+        scene = now.engine.scenes[0]
+        return next(iter(frames(scene, now.world.physics[:, 1 : 1 + scene.model.nq])))
+
+    def close(self) -> None:
+        """Stop the engine."""
+        self._stop()
+
+    @property
+    def start(self) -> Start:
+        """How the present episode began: its objects' properties, which the observation does not tell."""
+        return self._episode().start
+
+    @property
+    def _box(self) -> gymnasium.spaces.Box:
+        assert isinstance(self.action_space, gymnasium.spaces.Box)
+        return self.action_space
+
+    def _episode(self) -> _Episode:
+        if self._now is None:
+            raise gymnasium.error.ResetNeeded("call reset before step or render")
+        return self._now
+
+    def _info(self, fallen: bool) -> dict[str, Any]:
+        now = self._episode()
+        return {
+            "success": bool(now.outcome.success[0]) and not fallen,
+            "distance": float(now.outcome.distance[0]),
+            "fallen": fallen,
+            "wall_contact": bool(now.world.wall_contact[0]),
+        }
+
+    def _stop(self) -> None:
+        if self._now is not None:
+            self._now.engine.close()
+            self._now = None
+
+
+class PushEnv(ShmooEnv):
+    """``ShmooPush-v0``."""
+
+    def __init__(self, config: PushConfig | None = None, render_mode: str | None = None) -> None:
+        super().__init__(PushTask(config), render_mode)
+
+
+class NavigateEnv(ShmooEnv):
+    """``ShmooNavigate-v0``."""
+
+    def __init__(self, config: NavigateConfig | None = None, render_mode: str | None = None) -> None:
+        super().__init__(NavigateTask(config), render_mode)

@@ -1,0 +1,164 @@
+"""What both environments and both engines share: the parts of an observation or action, and what a task is.
+
+Everything here works on W worlds at once, with NumPy; a single environment is a batch of one. Vectors are given in {R},
+the robot's frame (origin at the wheel's contact point, x forward, yaw only), so that a policy need not learn that
+rooms look alike from all sides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Literal, NamedTuple, Protocol
+
+import numpy as np
+
+from shmoo_mjx import se2
+from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
+from shmoo_mjx.plant.objects import Condition
+from shmoo_mjx.plant.scene import Scene, build_scene
+from shmoo_mjx.types import Command, Observation
+
+__all__ = [
+    "ACTIONS",
+    "BODY",
+    "Outcome",
+    "Part",
+    "Start",
+    "Task",
+    "body",
+    "command",
+    "flat",
+    "in_robot",
+    "markdown_table",
+]
+
+
+class Part(NamedTuple):
+    """Some neighbouring numbers of an observation or an action."""
+
+    name: str
+    size: int
+    low: float
+    high: float
+    unit: str
+    meaning: str
+
+
+ACTIONS = (
+    Part("lean", 2, -0.14, 0.14, "rad", "lean angles towards +x and +y of {R}: how the robot accelerates and pushes"),
+    Part("gamma", 1, -0.45, 0.45, "rad", "steering angle of the hands; positive turns the object to the right"),
+    Part("turn", 1, -0.4, 0.4, "rad", "heading to turn to, from the present one; the robot turns at twice that per s"),
+)
+"""Held for 0.1 s. Every one is small enough for Gymnasium's recommended range of -1 to 1."""
+
+BODY = (
+    Part("lean", 2, -1.6, 1.6, "rad", "lean towards +x and +y"),
+    Part("lean_rate", 2, -20.0, 20.0, "rad/s", "its rate"),
+    Part("twist", 3, -10.0, 10.0, "m/s, rad/s", "velocity of the robot (x, y) and yaw rate"),
+    Part("hands", 4, -2.0, 2.0, "m", "centres of the left and the right hand (x, y)"),
+)
+"""What every observation begins with."""
+
+
+class Start(NamedTuple):
+    """One episode of one world before it begins. N objects; poses in {W}, SI units."""
+
+    conditions: tuple[Condition, ...]
+    object_poses: np.ndarray
+    """``[N, 3]``"""
+    robot_pose: np.ndarray
+    """``[3]``"""
+    goal: np.ndarray
+    """``[3]`` pose of the object (push) or ``[2]`` place of the robot (navigate)."""
+    walls: np.ndarray = np.zeros((0, 4))
+    """``[K, 4]`` boxes along the axes of {W}: centre x, y, half lengths [m]."""
+    way: np.ndarray = np.zeros((0, 0))
+    """``[H, W]`` length of the way to the goal from each cell of the map [m]."""
+
+    def scene(self, engine: Literal["mujoco", "mjx"]) -> Scene:
+        """The world in MuJoCo."""
+        placed = list(zip(self.conditions, self.object_poses, strict=True))
+        return build_scene(placed, self.robot_pose.tolist(), [tuple(w) for w in self.walls], engine=engine)
+
+
+class Outcome(NamedTuple):
+    """What a task makes of W worlds, ``[W]`` each."""
+
+    progress: np.ndarray
+    """A potential [m]: the reward of a step is what it has gained."""
+    distance: np.ndarray
+    """From the goal [m]."""
+    success: np.ndarray
+
+
+class Task(Protocol):
+    """What to do, and how it is seen and judged. ``context`` is what :meth:`gather` made of the worlds' starts."""
+
+    observation: tuple[Part, ...]
+    action: tuple[Part, ...]
+    fall: float
+    """Reward of a fall, which ends the episode."""
+    bonus: float
+    """Reward of success, which ends the episode."""
+    bump: float
+    """Reward of 0.1 s in contact with a wall."""
+
+    def draw(self, rng: np.random.Generator, same_world: Start | None = None) -> Start:
+        """An episode; with ``same_world``, another one with the objects and walls of that one."""
+
+    def gather(self, starts: Sequence[Start]) -> Any:
+        """The batched arrays that the methods below need."""
+
+    def command(self, actions: np.ndarray, seen: Observation) -> Command:
+        """The low-level command for actions ``[W, m]``."""
+
+    def observe(self, context: Any, seen: Observation) -> np.ndarray:
+        """Observations ``[W, n]``, float32."""
+
+    def judge(self, context: Any, seen: Observation) -> Outcome:
+        """How far the worlds are."""
+
+
+def command(actions: np.ndarray, seen: Observation, arms: np.ndarray | float = 1.0) -> Command:
+    """ACTIONS ``[W, 4+]`` as a command; ``arms [W]`` goes from folded (0) to extended (1)."""
+    extended = np.broadcast_to(arms, len(actions))
+    return Command(
+        u=np.asarray(actions[:, :3], dtype=float),
+        yaw=se2.wrap(np.asarray(seen.robot_pose, dtype=float)[:, 2] + actions[:, 3]),
+        reach=TUCKED_REACH + extended * (REACH - TUCKED_REACH),
+        hand_height=TUCKED_HEIGHT + extended * (HAND_HEIGHT - TUCKED_HEIGHT),
+    )
+
+
+def flat(parts: Sequence[Part], values: dict[str, np.ndarray]) -> np.ndarray:
+    """The observation ``[W, n]``: each part's values ``[W, ...]`` in turn, cut to its range."""
+    columns = [np.clip(values[p.name].reshape(len(values[p.name]), p.size), p.low, p.high) for p in parts]
+    return np.concatenate(columns, axis=1).astype(np.float32)
+
+
+def body(seen: Observation) -> dict[str, np.ndarray]:
+    """Values of BODY."""
+    return {
+        "lean": seen.lean,
+        "lean_rate": seen.lean_rate,
+        "twist": se2.rotate(seen.robot_twist, -seen.robot_pose[:, 2]),
+        "hands": seen.hands[..., :2],
+    }
+
+
+def in_robot(seen: Observation, poses: np.ndarray) -> np.ndarray:
+    """Poses ``[W, ..., 3]`` of {W} as (x, y, cos yaw, sin yaw) in {R} ``[W, ..., 4]``."""
+    robot = seen.robot_pose.reshape(len(seen.robot_pose), *(1,) * (poses.ndim - 2), 3)
+    local = se2.relative(robot, poses)
+    return np.concatenate([local[..., :2], np.cos(local[..., 2:]), np.sin(local[..., 2:])], axis=-1)
+
+
+def markdown_table(parts: Sequence[Part]) -> str:
+    """The parts as docs/gym.md lists them."""
+    lines = ["| index | name | unit | range | meaning |", "|---|---|---|---|---|"]
+    first = 0
+    for part in parts:
+        index = str(first) if part.size == 1 else f"{first}-{first + part.size - 1}"
+        lines.append(f"| {index} | {part.name} | {part.unit} | {part.low:g} to {part.high:g} | {part.meaning} |")
+        first += part.size
+    return "\n".join(lines)

@@ -1,0 +1,1 @@
+"""Domain-randomisation sweeps: thousands of MJX worlds, one row each."""

@@ -1,0 +1,101 @@
+"""What ``shmoo sweep`` does: say what it will take, compute what is missing, put everything together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+from shmoo_mjx.assets import asset
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.sweep.cluster import Cluster, submit
+from shmoo_mjx.sweep.config import SweepConfig, load_sweep, quick
+from shmoo_mjx.sweep.run import Runner, Sweep, duration, read_table
+
+__all__ = ["carry_out", "find"]
+
+Progress = Callable[[], AbstractContextManager[Callable[[str, float], None]]]
+
+
+def find(name: Path) -> Path:
+    """A sweep file, or the shipped one of that name."""
+    shipped = asset(f"experiments/sweeps/{name.name.removesuffix('.yaml')}.yaml")
+    return shipped if not name.exists() and len(name.parts) == 1 and shipped.exists() else name
+
+
+def carry_out(
+    name: Path,
+    out: Path | None,
+    weights: Path | None,
+    short: bool,
+    only_estimate: bool,
+    memory_gb: float | None,
+    jobs: int,
+    cluster: Cluster,
+    options: tuple[str, ...],
+    progress: Progress,
+) -> list[Path]:
+    """Run a sweep, or go on with it; prints the estimate first and the answer last.
+
+    Returns:
+        What it made; nothing with ``only_estimate``.
+    """
+    given, path = _options(options), find(name)
+    config = quick(load_sweep(path)) if short else load_sweep(path)
+    sweep = Sweep.open(config, out or Path("runs/sweeps") / f"{path.stem}{'-quick' if short else ''}", weights)
+    there = len(sweep.shards) - len(sweep.missing())
+    if there:
+        print(f"{sweep.out}: {there} of {len(sweep.shards)} shards are there")
+    if jobs and sweep.missing() and not only_estimate:
+        with progress() as report:
+            submit(sweep, jobs, cluster, given, report)
+    elif sweep.missing() and not _alone(sweep, memory_gb, only_estimate, progress):
+        return []
+    return _collected(config, sweep)
+
+
+def _alone(sweep: Sweep, memory_gb: float | None, only_estimate: bool, progress: Progress) -> bool:
+    """Compute what is missing in this process; False if only the estimate was asked for."""
+    runner = Runner(sweep, memory=int(memory_gb * 1e9) if memory_gb else None)
+    print("compiling; then one second of each is timed", flush=True)
+    seconds = 0.0
+    for estimate in runner.estimate():
+        seconds += estimate.seconds
+        print(estimate, flush=True)
+    print(f"about {duration(seconds)} in all on {_devices()}", flush=True)
+    if only_estimate:
+        return False
+    with progress() as report:
+        runner.run(report)
+    return True
+
+
+def _collected(config: SweepConfig, sweep: Sweep) -> list[Path]:
+    from shmoo_mjx.navigation.yaml_input import write_whole
+    from shmoo_mjx.sweep.figures import draw_figures, summary
+
+    results = sweep.collect()
+    table = read_table(results)
+    text = summary(config, table)
+    print(text)
+    write_whole(sweep.out / "summary.txt", (text + "\n").encode())
+    return [results, sweep.out / "summary.txt", *draw_figures(config, table, sweep.out)]
+
+
+def _devices() -> str:
+    import jax
+
+    kinds = [d.device_kind for d in jax.devices()]
+    return f"{len(kinds)} x {kinds[0]}"
+
+
+def _options(options: tuple[str, ...]) -> dict[str, Any]:
+    """``name=value`` pairs, numbers as numbers."""
+    found: dict[str, Any] = {}
+    for option in options:
+        name, equals, value = option.partition("=")
+        if not equals or not name.isidentifier():
+            raise ShmooError(f"--options {option!r} must be name=value, such as timeout_min=60.")
+        found[name] = int(value) if value.isdecimal() else value
+    return found

@@ -1,0 +1,79 @@
+"""What a sweep may vary, by name: where each value goes, its unit, its nominal value and the values that make sense."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import NamedTuple
+
+from shmoo_mjx.plant.lowlevel import Gains
+
+__all__ = ["MOST_DELAY", "PARAMETERS", "RESISTANCE", "Parameter", "markdown_table"]
+
+MOST_DELAY = 0.3
+"""Longest delay of commands and of the camera [s]."""
+
+RESISTANCE = "object.resistance"
+"""Column of the force that keeps the object moving straight on [N], which follows from its mass and friction."""
+
+
+class Parameter(NamedTuple):
+    """One parameter of a world."""
+
+    default: float | None
+    """Its value where the sweep says nothing; None is what the object's seed draws."""
+    unit: str
+    low: float
+    high: float
+    """Bounds of the values that make sense."""
+    text: str
+
+
+def _gains() -> dict[str, Parameter]:
+    fields = dataclasses.fields(Gains)
+    text = "gain of the low-level control (plant/lowlevel.py)"
+    return {f"gains.{f.name}": Parameter(float(f.default), "SI", 0.0, math.inf, text) for f in fields}  # type: ignore[arg-type]
+
+
+PARAMETERS: dict[str, Parameter] = {
+    "object.mass": Parameter(None, "kg", 0.5, 500.0, "mass of the empty object"),
+    "object.payload": Parameter(None, "kg", 0.0, 500.0, "mass of its load"),
+    "object.payload_x": Parameter(None, "m", -1.0, 1.0, "offset of the load, ahead"),
+    "object.payload_y": Parameter(None, "m", -1.0, 1.0, "offset of the load, to the left"),
+    "object.friction": Parameter(None, "1", 0.05, 2.0, "Coulomb coefficient of sole or wheels on the floor"),
+    "object.rolling": Parameter(None, "1", 0.0, 1.0, "rolling resistance coefficient of every wheel"),
+    "object.swivel_friction": Parameter(None, "N m", 1e-4, 10.0, "dry friction of each caster's swivel"),
+    "robot.body_mass": Parameter(1.0, "of nominal", 0.2, 5.0, "mass and inertia of the torso"),
+    "robot.com_x": Parameter(0.0, "m", -0.2, 0.2, "shift of the torso's centre of mass, ahead"),
+    "robot.com_y": Parameter(0.0, "m", -0.2, 0.2, "the same, to the left"),
+    "robot.com_z": Parameter(0.0, "m", -0.4, 0.4, "the same, upwards"),
+    "robot.arm_mass": Parameter(1.0, "of nominal", 0.2, 5.0, "mass and inertia of the arms"),
+    "robot.drive_friction": Parameter(1.0, "of nominal", 0.0, 5.0, "Coulomb and viscous friction of the drive"),
+    "robot.torque_gain": Parameter(1.0, "of nominal", 0.1, 3.0, "torque of every motor over what is asked of it"),
+    "robot.hand_friction": Parameter(1.0, "of nominal", 0.05, 3.0, "friction of the hands on the object"),
+    **_gains(),
+    "noise.position": Parameter(0.0, "m", 0.0, 0.5, "standard deviation of the object's perceived position"),
+    "noise.yaw": Parameter(0.0, "rad", 0.0, 1.0, "... of its yaw"),
+    "noise.velocity": Parameter(0.0, "m/s", 0.0, 1.0, "... of its velocity"),
+    "noise.yaw_rate": Parameter(0.0, "rad/s", 0.0, 2.0, "... of its yaw rate"),
+    "noise.lean": Parameter(0.0, "rad", 0.0, 0.2, "... of the robot's lean and, five times larger, of its rate"),
+    "noise.force": Parameter(0.0, "N", 0.0, 50.0, "... of the hands' force"),
+    "delay.command": Parameter(0.0, "s", 0.0, MOST_DELAY, "from a command to the low-level control, in steps of 10 ms"),
+    "delay.camera": Parameter(0.0, "s", 0.0, MOST_DELAY, "age of the object's perceived pose and twist, the same"),
+    "start.gap": Parameter(0.05, "m", 0.0, 0.5, "between the hands and the face"),
+    "start.lateral": Parameter(0.0, "m", -0.5, 0.5, "of the robot along the face, to its left"),
+    "start.yaw": Parameter(0.0, "rad", -0.5, 0.5, "of the robot off the face's normal"),
+    "goal.distance": Parameter(1.0, "m", 0.1, 4.0, "from the object's start to its goal"),
+    "goal.bearing": Parameter(0.0, "rad", -1.0, 1.0, "of the goal off the push; its yaw is twice that, as on an arc"),
+}
+
+
+def markdown_table() -> str:
+    """The parameters as docs/sweeps.md lists them."""
+    lines = ["| parameter | what it is | unit | nominal | between |", "|---|---|---|---|---|"]
+    for name, p in PARAMETERS.items():
+        nominal = "the object's seed" if p.default is None else f"{p.default:g}"
+        bounds = f"{p.low:g} and {p.high:g}" if math.isfinite(p.high) else f"from {p.low:g} on"
+        text = p.text if not name.startswith("gains.") else name.removeprefix("gains.").replace("_", " ")
+        lines.append(f"| `{name}` | {text} | {p.unit} | {nominal} | {bounds} |")
+    return "\n".join(lines)

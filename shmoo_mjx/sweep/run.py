@@ -1,0 +1,245 @@
+"""A sweep as a list of shards, each a file that is there whole or not at all.
+
+A shard is some worlds in a row of one family under one controller. Whoever finds one missing may compute it: after a
+kill, on another machine, or several jobs side by side. When all are there they become one table, and figures.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+from shmoo_mjx.assets import asset
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.navigation.yaml_input import write_whole
+from shmoo_mjx.sweep.config import SweepConfig, fingerprint
+from shmoo_mjx.sweep.worlds import Drawn, draw, label
+
+__all__ = ["Estimate", "Runner", "Shard", "Simulator", "Sweep", "duration", "read_table"]
+
+_WEIGHTS = "experiments/weights/demo.safetensors"
+
+
+class Shard(NamedTuple):
+    """Worlds first .. first + worlds - 1 of one family under one controller."""
+
+    family: str
+    controller: str
+    first: int
+    worlds: int
+
+    @property
+    def name(self) -> str:
+        """Name of its file, without the ending."""
+        return f"{label(self.family)}-{self.controller}-{self.first:07d}-{self.worlds}"
+
+
+class Simulator(Protocol):
+    """What simulates worlds of one family under one controller: :class:`~shmoo_mjx.sweep.simulate.Batches`."""
+
+    batch: int
+    bytes: int
+    """That a batch takes."""
+    free: int
+    """Bytes that there are."""
+
+    def time_one(self) -> float:
+        """Seconds that a batch takes."""
+
+    def run(
+        self, worlds: Sequence[Drawn], progress: Callable[[float], None] = lambda fraction: None
+    ) -> list[dict[str, Any]]:
+        """One row a world, in order."""
+
+
+class Estimate(NamedTuple):
+    """What the missing shards of one family and controller take."""
+
+    family: str
+    controller: str
+    worlds: int
+    batch: int
+    bytes: int
+    """Of a batch."""
+    free: int
+    seconds: float
+
+    def __str__(self) -> str:
+        each, whole = self.bytes / self.batch / 1e6, self.bytes / 1e9
+        text = f"{label(self.family)}, {self.controller}: {self.worlds} worlds in batches of {self.batch}"
+        text += f", {each:.2g} MB a world, {whole:.2g} of {self.free / 1e9:.3g} GB"
+        return f"{text}, about {duration(self.seconds)}"
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A sweep and the folder it lives in."""
+
+    config: SweepConfig
+    out: Path
+    weights: Path
+
+    @classmethod
+    def open(cls, config: SweepConfig, out: Path, weights: Path | None = None) -> Sweep:
+        """Begin in ``out`` or go on there.
+
+        Raises:
+            ShmooError: pyarrow is missing, or ``out`` holds another sweep.
+        """
+        _pyarrow()
+        sweep = cls(config, out, Path(weights or asset(_WEIGHTS)))
+        if not sweep.weights.is_file():
+            raise ShmooError(f"{sweep.weights}: there is no such weights file; give one that shmoo train made.")
+        from shmoo_mjx.run import versions
+
+        notes, mark = out / "sweep.json", fingerprint(config, sweep.weights)
+        values = {"fingerprint": mark, "config": config.model_dump(mode="json"), "versions": versions()}
+        found = json.loads(notes.read_text()) if notes.exists() else {}
+        if found.get("fingerprint", mark) != mark:
+            raise ShmooError(f"{out}: holds another sweep, or this one with other settings; choose another --out.")
+        if found != values:
+            write_whole(notes, json.dumps(values, indent=1).encode())
+        return sweep
+
+    @property
+    def shards(self) -> list[Shard]:
+        """All shards, in the order of the rows."""
+        cfg = self.config
+        return [
+            Shard(family, controller, first, min(cfg.shard, cfg.worlds - first))
+            for family in cfg.families
+            for controller in cfg.controllers
+            for first in range(0, cfg.worlds, cfg.shard)
+        ]
+
+    def file(self, shard: Shard) -> Path:
+        """Where a shard's rows are."""
+        return self.out / "shards" / f"{shard.name}.parquet"
+
+    def missing(self, part: tuple[int, int] = (0, 1)) -> list[Shard]:
+        """Shards that are not there yet; with ``part`` (k, n) those of the k-th of n jobs."""
+        mine = self.shards[part[0] :: part[1]]
+        return [s for s in mine if not self.file(s).exists()]
+
+    def collect(self) -> Path:
+        """All rows as one file, once every shard is there."""
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        tables = [_read(self.file(s)) for s in self.shards]
+        whole = pa.concat_tables(tables, promote_options="default")
+        path = self.out / "results.parquet"
+        write_whole(path, _written(pq, whole.replace_schema_metadata(tables[0].schema.metadata)))
+        return path
+
+    def write(self, shard: Shard, rows: list[dict[str, Any]]) -> None:
+        """A shard's file, whole or not at all."""
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        named = [{"family": label(shard.family), "controller": shard.controller, **row} for row in rows]
+        table = pa.Table.from_pylist(named).replace_schema_metadata({"sweep": self.config.model_dump_json()})
+        write_whole(self.file(shard), _written(pq, table))
+
+
+class Runner:
+    """Computes missing shards in this process.
+
+    Args:
+        sweep: which.
+        part: (k, n): only the k-th of n jobs' shards.
+        make: (family, controller) -> simulator; MJX on all devices by default.
+        memory: bytes that a batch may take on all devices together; by default what is free.
+    """
+
+    def __init__(
+        self,
+        sweep: Sweep,
+        part: tuple[int, int] = (0, 1),
+        make: Callable[[str, str], Simulator] | None = None,
+        memory: int | None = None,
+    ) -> None:
+        self.sweep = sweep
+        self.missing = sweep.missing(part)
+        self._make = make or _mjx(sweep, memory)
+        self._simulators: dict[tuple[str, str], Simulator] = {}
+
+    def estimate(self) -> Iterator[Estimate]:
+        """Compile what is needed and say what it takes, group by group; then :meth:`run` can begin."""
+        groups = dict.fromkeys((s.family, s.controller) for s in self.missing)
+        for family, controller in groups:
+            mine = [s for s in self.missing if (s.family, s.controller) == (family, controller)]
+            simulator = self._simulators[family, controller] = self._make(family, controller)
+            batches = sum(-(-s.worlds // simulator.batch) for s in mine)
+            worlds = sum(s.worlds for s in mine)
+            seconds = batches * simulator.time_one()
+            yield Estimate(family, controller, worlds, simulator.batch, simulator.bytes, simulator.free, seconds)
+
+    def run(self, progress: Callable[[str, float], None] = lambda stage, fraction: None) -> None:
+        """Compute the missing shards one by one."""
+        total = sum(s.worlds for s in self.missing)
+        done = 0
+        for shard in self.missing:
+            stage = f"{label(shard.family)}, {shard.controller}: worlds from {shard.first}"
+            worlds = [draw(self.sweep.config, shard.family, i) for i in range(shard.first, shard.first + shard.worlds)]
+            if (shard.family, shard.controller) not in self._simulators:
+                self._simulators[shard.family, shard.controller] = self._make(shard.family, shard.controller)
+            simulator = self._simulators[shard.family, shard.controller]
+
+            def report(fraction: float, stage: str = stage, before: int = done, count: int = shard.worlds) -> None:
+                progress(stage, (before + fraction * count) / total)
+
+            report(0.0)
+            self.sweep.write(shard, simulator.run(worlds, report))
+            done += shard.worlds
+            progress(stage, done / total)
+
+
+def _mjx(sweep: Sweep, memory: int | None) -> Callable[[str, str], Simulator]:
+    from shmoo_mjx.learning.weights import load_weights
+    from shmoo_mjx.sweep.simulate import Batches
+
+    weights = load_weights(sweep.weights)
+    return lambda family, controller: Batches(sweep.config, family, controller, weights, memory)
+
+
+def read_table(path: Path) -> dict[str, list[Any]]:
+    """A Parquet file's columns."""
+    _pyarrow()
+    return _read(path).to_pydict()
+
+
+def _read(path: Path) -> Any:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        return pq.read_table(path)
+    except (pa.ArrowInvalid, OSError) as error:
+        reason = str(error).splitlines()[0]
+        raise ShmooError(f"{path}: can't be read as Parquet ({reason}); delete it and run the sweep again.") from None
+
+
+def _written(pq: Any, table: Any) -> bytes:
+    import pyarrow as pa
+
+    buffer = pa.BufferOutputStream()
+    pq.write_table(table, buffer)
+    return buffer.getvalue().to_pybytes()
+
+
+def _pyarrow() -> None:
+    try:
+        import pyarrow  # noqa: F401
+    except ImportError:
+        raise ShmooError("shmoo sweep: needs the package pyarrow for its tables; install it.") from None
+
+
+def duration(seconds: float) -> str:
+    """Some seconds in a unit that suits them."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -1,0 +1,267 @@
+"""Batches of worlds in MJX: vmapped, sharded over devices, cut to fit their memory.
+
+A batch is one compiled program that advances its worlds by a second; all that differs between worlds is an argument.
+Each device takes an equal part of the worlds and nothing passes between them.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from shmoo_mjx import se2
+from shmoo_mjx.control.pushing import Sighting
+from shmoo_mjx.learning.weights import Weights
+from shmoo_mjx.navigation.push_task import PushTaskConfig
+from shmoo_mjx.plant.engine_mjx import MjxEngine, MjxWorld
+from shmoo_mjx.plant.lowlevel import Gains
+from shmoo_mjx.plant.randomize import perturbed
+from shmoo_mjx.sweep import pushers
+from shmoo_mjx.sweep.config import SweepConfig
+from shmoo_mjx.sweep.parameters import MOST_DELAY
+from shmoo_mjx.sweep.rows import Tally, rows_of
+from shmoo_mjx.sweep.worlds import TICK, Drawn, Setup, draw, scene_of, setup
+from shmoo_mjx.types import DT, Command
+
+__all__ = ["Batches", "State", "commands_ago"]
+
+Array = Any
+
+_TICKS = round(DT / TICK)
+_MOST = round(MOST_DELAY / TICK)
+_SECOND = round(1.0 / DT)
+"""Samples per call of the compiled program; the arms take the first second to unfold."""
+_AT_ONCE = 4
+"""Worlds whose plans a CPU computes at a time: more would leave its caches."""
+_SHARE = 0.8
+"""Of the free memory that a batch may take."""
+
+
+class State(NamedTuple):
+    """W worlds between two samples."""
+
+    world: MjxWorld
+    sent: Command
+    """``[W, H, ...]`` the last commands, newest first."""
+    camera: Array
+    """``[W, C, 6]`` true pose and twist of the object in the last ticks, newest last."""
+    seen: Sighting
+    memory: pushers.Memory
+    samples: Array
+    """``[W]`` int"""
+    tally: Tally
+
+
+class Batches:
+    """Simulates worlds of one family under one controller, a batch at a time.
+
+    Args:
+        config: of the sweep.
+        family: of the objects.
+        controller: its name in the sweep.
+        weights: of the learned model.
+        memory: bytes that all devices together may take; what is free by default.
+        devices: to share the worlds out among; all that JAX sees by default.
+    """
+
+    def __init__(
+        self,
+        config: SweepConfig,
+        family: str,
+        controller: str,
+        weights: Weights,
+        memory: int | None = None,
+        devices: Sequence[jax.Device] | None = None,
+    ) -> None:
+        self.config = config
+        first = draw(config, family, 0)
+        self.scene = scene_of(first)
+        chosen = list(devices or jax.devices())
+        self.engine = MjxEngine([self.scene], devices=chosen[:1])
+        self._still = jax.tree.map(lambda x: np.asarray(x)[0], self.engine.init())
+        self.mesh = Mesh(np.asarray(chosen), ("world",))
+        self._each = NamedSharding(self.mesh, PartitionSpec("world"))
+        self._law = pushers.law_of(config.controllers[controller], weights)
+        nominal = jax.device_get(self.engine.model)
+        self._nominal = jax.device_put(nominal, NamedSharding(self.mesh, PartitionSpec()))
+        self._one = setup(config, [first], nominal, self.scene)
+        self.free = memory or free_memory(chosen)
+        each = -(-min(config.shard, config.worlds) // len(chosen))
+        self.batch = each * len(chosen)
+        self._compile()
+        while self.bytes > self.free * _SHARE and each > 1:
+            each = max(min(int(each * self.free * _SHARE / self.bytes), each - 1), 1)
+            self.batch = each * len(chosen)
+            self._compile()
+
+    def _compile(self) -> None:
+        shapes = jax.tree.map(
+            lambda x: jax.ShapeDtypeStruct((self.batch, *x.shape[1:]), x.dtype, sharding=self._each), self._one
+        )
+        each, shared = PartitionSpec("world"), PartitionSpec()
+        parted = functools.partial(jax.shard_map, mesh=self.mesh, out_specs=each, check_vma=False)
+        begin = parted(jax.vmap(self._begin, in_axes=(None, 0)), in_specs=(shared, each))
+        self._start = jax.jit(begin).lower(self._nominal, shapes).compile()
+        state = jax.eval_shape(begin, self._nominal, shapes)
+        state = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=self._each), state)
+        second = jax.jit(parted(self._second, in_specs=(shared, each, each)), donate_argnums=2)
+        self._advance = second.lower(self._nominal, shapes, state).compile()
+        used: Any = self._advance.memory_analysis()
+        parts = ("temp", "argument", "output")
+        size = sum(getattr(used, f"{part}_size_in_bytes", 0) for part in parts)
+        self.bytes = int(size - getattr(used, "alias_size_in_bytes", 0)) * self.mesh.size
+
+    def time_one(self) -> float:
+        """Seconds that a whole batch takes, by its first second on the sweep's first world."""
+        many = jax.tree.map(lambda x: jnp.repeat(x, self.batch, axis=0), self._one)
+        many = jax.device_put(many, self._each)
+        state = self._start(self._nominal, many)
+        jax.block_until_ready(state)
+        began = time.perf_counter()
+        jax.block_until_ready(self._advance(self._nominal, many, state))
+        return (time.perf_counter() - began) * self.config.seconds
+
+    def run(
+        self, worlds: Sequence[Drawn], progress: Callable[[float], None] = lambda fraction: None
+    ) -> list[dict[str, Any]]:
+        """What came of each world, in order: see :func:`rows_of`. A last batch that is not full is filled up."""
+        rows: list[dict[str, Any]] = []
+        for first in range(0, len(worlds), self.batch):
+            part = list(worlds[first : first + self.batch])
+            filled = part + [part[-1]] * (self.batch - len(part))
+            given = jax.device_put(setup(self.config, filled, self._nominal, self.scene), self._each)
+            state = self._start(self._nominal, given)
+            for second in range(self.config.seconds):
+                state = self._advance(self._nominal, given, state)
+                progress((first + len(part) * (second + 1) / self.config.seconds) / len(worlds))
+                if np.all(np.asarray(state.memory.phase) >= pushers.DONE):
+                    break
+            rows += rows_of(self.config, part, jax.device_get((state.memory.phase, state.tally)))
+        return rows
+
+    def _begin(self, nominal: Any, given: Setup) -> State:
+        physics = jnp.concatenate([jnp.zeros(1), given.qpos, jnp.zeros(self.scene.model.nv)])
+        world = jax.tree.map(jnp.asarray, self._still)._replace(physics=physics)
+        truth = self.engine.observe(world)
+        camera = jnp.concatenate([truth.object_pose[0], truth.object_twist[0]])
+        camera = jnp.broadcast_to(camera, (_MOST + 1, 6))
+        still = Command(jnp.zeros(3), truth.robot_pose[2], world.control.reach, world.control.hand_height)
+        sent = jax.tree.map(lambda x: jnp.broadcast_to(x, (_MOST // _TICKS + 1, *jnp.shape(x))), still)
+        seen = _perceived(given, truth, camera, jnp.zeros(3), jnp.int32(0))
+        memory = pushers.remember(self._law, seen, _task(given), _controller_key(given))
+        zero = jnp.float32(0.0)
+        tally = Tally(zero, zero, zero, zero, truth.object_pose[0])
+        return State(world, sent, camera, seen, memory, jnp.int32(0), tally)
+
+    def _second(self, nominal: Any, given: Setup, state: State) -> State:
+        """All the device's worlds by one second."""
+
+        def decide(given: tuple[pushers.Task, Array], state: Any) -> tuple[Command, pushers.Memory]:
+            memory, seen, samples = state
+            return pushers.decide(self._law, memory, seen, given[0], given[1], samples >= _SECOND)
+
+        def sample(state: State, _: None) -> tuple[State, None]:
+            asked = (jax.vmap(_task)(given), jax.vmap(_controller_key)(given))
+            known = (state.memory, state.seen, state.samples)
+            if self.mesh.devices.flat[0].platform == "cpu":
+                command, memory = jax.lax.map(lambda x: decide(*x), (asked, known), batch_size=_AT_ONCE)
+            else:
+                command, memory = jax.vmap(decide)(asked, known)
+            move = jax.vmap(self._move, in_axes=(None, 0, 0, 0, 0))
+            return move(nominal, given, state, command, memory), None
+
+        return jax.lax.scan(sample, state, None, length=_SECOND)[0]
+
+    def _move(self, nominal: Any, given: Setup, state: State, command: Command, memory: pushers.Memory) -> State:
+        """One world by one sample under ``command``; a world that is over stays as it is."""
+        sent = jax.tree.map(lambda new, old: jnp.concatenate([new[None], old[:-1]]), command, state.sent)
+        model = nominal.tree_replace(given.fields)
+        model = model.tree_replace(perturbed(model, given.factors, self.scene))
+        gains = Gains(**given.gains)
+        substeps = round(TICK / self.engine.timestep)
+
+        def tick(world: MjxWorld, number: Array) -> tuple[MjxWorld, Any]:
+            arrived = jax.tree.map(lambda x: x[commands_ago(given.delay[0], number)], sent)
+            return self.engine.step_one(model, world, arrived, jnp.zeros(6), substeps, gains)
+
+        world, track = jax.lax.scan(tick, state.world, jnp.arange(_TICKS))
+        frames = jnp.concatenate([track.object_pose[:, 0], track.object_twist[:, 0]], axis=-1)
+        camera = jnp.concatenate([state.camera[_TICKS:], frames])
+        truth = jax.tree.map(lambda x: x[-1], track)
+        wrench = track.wrench[:, 0].mean(axis=0)
+        samples = state.samples + 1
+        seen = _perceived(given, truth, camera, wrench, samples)
+        memory = memory._replace(phase=_phase(memory.phase, truth, world, given))
+        after = State(world, sent, camera, seen, memory, samples, _counted(state.tally, truth, wrench, samples))
+        return jax.tree.map(lambda a, b: jnp.where(state.memory.phase >= pushers.DONE, a, b), state, after)
+
+
+def commands_ago(delay: Array, tick: Array) -> Array:
+    """Which command the motors follow in a sample's ``tick`` if commands are ``delay`` ticks late; 0 is the newest."""
+    return jnp.maximum((delay - tick + _TICKS - 1) // _TICKS, 0)
+
+
+def _task(given: Setup) -> pushers.Task:
+    return pushers.Task(given.face, given.half_extents, given.goal)
+
+
+def _controller_key(given: Setup) -> Array:
+    return jax.random.fold_in(given.key, 0)
+
+
+def _perceived(given: Setup, truth: Any, camera: Array, wrench: Array, samples: Array) -> Sighting:
+    """What the robot's senses make of the truth: late, and with noise."""
+    error = given.noise * jax.random.normal(jax.random.fold_in(given.key, samples + 1), (11,))
+    frame = camera[_MOST - given.delay[1]] + error[4:10]
+    push = jnp.zeros(3).at[0].set(error[10])
+    return Sighting(
+        robot_pose=truth.robot_pose,
+        robot_twist=truth.robot_twist,
+        lean=truth.lean + error[:2],
+        lean_rate=truth.lean_rate + error[2:4],
+        object_pose=frame[:3],
+        object_twist=frame[3:],
+        wrench=wrench + se2.rotate(push, truth.robot_pose[2]),
+    )
+
+
+def _phase(phase: Array, truth: Any, world: MjxWorld, given: Setup) -> Array:
+    """The phase after a sample: over if the robot has fallen, or if it has let go and the object rests."""
+    settings = PushTaskConfig()
+    away = pushers.hands_to_face(truth.object_pose[0], truth.robot_pose, given.face) > settings.moves.retreat
+    resting = jnp.hypot(truth.object_twist[0, 0], truth.object_twist[0, 1]) < settings.at_rest
+    phase = jnp.where((phase == pushers.LET_GO) & away & resting, pushers.DONE, phase)
+    phase = jnp.where(jnp.any(jnp.abs(se2.wrap(truth.lean)) > 0.6), pushers.FELL, phase)
+    return jnp.where(jnp.all(jnp.isfinite(world.physics)), phase, pushers.UNSTABLE)
+
+
+def _counted(tally: Tally, truth: Any, wrench: Array, samples: Array) -> Tally:
+    force = jnp.hypot(wrench[0], wrench[1])
+    return Tally(
+        time=samples * DT,
+        contact=tally.contact + jnp.where(force > 2.0, DT, 0.0),
+        lean=jnp.maximum(tally.lean, jnp.hypot(truth.lean[0], truth.lean[1])),
+        force=jnp.maximum(tally.force, force),
+        pose=truth.object_pose[0],
+    )
+
+
+def free_memory(devices: Sequence[jax.Device]) -> int:
+    """Bytes that are free on all ``devices`` together; of CPUs, in the machine."""
+    stats = [d.memory_stats() for d in devices]
+    if all(s and "bytes_limit" in s for s in stats):
+        return sum(s["bytes_limit"] - s["bytes_in_use"] for s in stats if s)
+    try:
+        lines = Path("/proc/meminfo").read_text().splitlines()
+        return next(int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable"))
+    except (OSError, StopIteration):
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 2

@@ -1,0 +1,83 @@
+"""How much a command says: ``--quiet`` and ``--verbose`` for every command, and the log behind them.
+
+The logger ``shmoo_mjx`` holds the choice as its level. Quiet: results and errors only. Default: progress bars. Verbose:
+in place of bars, dated lines on stderr that make a log when they are kept (``2> run.log``).
+"""
+
+from __future__ import annotations
+
+import inspect
+import logging
+import platform
+import sys
+import time
+import typing
+from collections.abc import Callable
+from typing import Any
+
+from tyro.conf import FlagCreatePairsOff
+
+from shmoo_mjx.errors import ShmooError
+
+__all__ = ["LOG", "is_quiet", "is_verbose", "with_talk"]
+
+LOG = logging.getLogger("shmoo_mjx")
+
+_OPTIONS = """\
+    quiet: say nothing but results and errors.
+    verbose: say what is done as lines with the time on stderr, instead of progress bars: a log, with 2> run.log.
+"""
+
+
+def is_quiet() -> bool:
+    """Whether progress is unwanted."""
+    return LOG.getEffectiveLevel() > logging.WARNING
+
+
+def is_verbose() -> bool:
+    """Whether progress is wanted as lines."""
+    return LOG.getEffectiveLevel() <= logging.INFO
+
+
+def with_talk(command: Callable[..., int]) -> Callable[..., int]:
+    """The command with the two options that all commands share, for a parser that reads signature and docstring."""
+
+    def run(*arguments: Any, quiet: bool = False, verbose: bool = False, **options: Any) -> int:
+        _set(quiet, verbose)
+        started = time.monotonic()
+        LOG.info("shmoo %s, Python %s: %s", _version(), platform.python_version(), " ".join(sys.argv[1:]))
+        code = command(*arguments, **options)
+        LOG.info("took %.1f s, exit code %d", time.monotonic() - started, code)
+        return code
+
+    flag = FlagCreatePairsOff[bool]
+    added = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=flag)
+        for name in ("quiet", "verbose")
+    ]
+    signature = inspect.signature(command)
+    run.__signature__ = signature.replace(parameters=[*signature.parameters.values(), *added])  # type: ignore[attr-defined]
+    run.__annotations__ = typing.get_type_hints(command, include_extras=True) | {"quiet": flag, "verbose": flag}
+    doc = inspect.getdoc(command) or ""
+    run.__doc__ = doc.rstrip() + ("\n" if "\nArgs:\n" in doc else "\n\nArgs:\n") + _OPTIONS
+    run.__name__ = command.__name__
+    return run
+
+
+def _set(quiet: bool, verbose: bool) -> None:
+    if quiet and verbose:
+        raise ShmooError("--quiet and --verbose exclude each other; give one of them.")
+    LOG.setLevel(logging.ERROR if quiet else logging.INFO if verbose else logging.WARNING)
+    for handler in list(LOG.handlers):
+        LOG.removeHandler(handler)
+    if verbose:
+        handler = logging.StreamHandler(sys.stderr)
+        handler.setFormatter(logging.Formatter("%(asctime)s %(message)s", "%Y-%m-%d %H:%M:%S"))
+        LOG.addHandler(handler)
+        LOG.propagate = False
+
+
+def _version() -> str:
+    from importlib import metadata
+
+    return metadata.version("shmoo-mjx")

@@ -1,0 +1,75 @@
+"""Every benchmark is registered, runs in small, and its numbers hang together."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from shmoo_mjx.benchmarking import registry, startup
+from shmoo_mjx.benchmarking.registry import BENCHMARKS, BenchAsk, describe, run_all, run_benchmark
+from shmoo_mjx.evaluation.result import Ask, make_result
+
+
+def test_every_name_leads_to_a_module_that_runs() -> None:
+    assert all(callable(import_module(module).run) for module in BENCHMARKS.values())
+
+
+def small(monkeypatch: pytest.MonkeyPatch, name: str, **sizes: Any) -> Any:
+    """Run one benchmark with these sizes."""
+    config = import_module(BENCHMARKS[name]).BenchConfig
+    tiny = replace(config.quick(), **sizes)
+    monkeypatch.setattr(config, "quick", classmethod(lambda cls: tiny))
+    return run_benchmark(name, BenchAsk(quick=True))
+
+
+def test_the_suite_holds_all_and_keeps_each(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def fake(name: str, ask: BenchAsk) -> Any:
+        ask.progress("half", 0.5)
+        row = {"absent": "a peer is absent: it is not installed"} if name == "mppi" else {"name": "engine"}
+        return make_result(f"bench_{name}", Ask(), {"size": 1}, {"tick_ms": 2.0}, {}, [row])
+
+    monkeypatch.setattr(registry, "run_benchmark", fake)
+    said: list[tuple[str, float]] = []
+    result = run_all(BenchAsk(progress=lambda stage, share: said.append((stage, share))), tmp_path)
+    assert result.metrics == {f"{name}_tick_ms": 2.0 for name in BENCHMARKS}
+    assert {path.name for path in tmp_path.iterdir()} == {f"bench_{name}.json" for name in BENCHMARKS}
+    assert [share for _, share in said] == sorted(share for _, share in said) and said[0][1] == 0.5 / len(BENCHMARKS)
+    assert result.config["mppi"] == {"size": 1, "condition_seed": 0, "quick": False}
+    text = describe(result)
+    assert "a peer is absent" in text and f"{result.config['machine']['cores']} cores" in text
+    json.dumps(result.model_dump())
+
+
+def test_help_is_there_within_half_a_second() -> None:
+    # Seconds of the processor, the least of some runs: neighbours can only add to it.
+    assert min(startup.help_seconds()[1] for _ in range(5)) < 0.5
+
+
+@pytest.mark.slow
+def test_the_first_commands_come_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    result = small(monkeypatch, "startup", helps=3, demos=1)
+    assert 0 < result.metrics["first_command_s"] < min(20.0, result.metrics["first_push_command_s"])
+
+
+@pytest.mark.slow
+def test_the_planner_is_timed_by_state(monkeypatch: pytest.MonkeyPatch) -> None:
+    result = small(monkeypatch, "planner", time_s=12.0, paths=2)
+    assert {"approach_ms", "probe_ms", "planning_stage_ms", "global_path_ms"} <= set(result.metrics)
+    assert result.metrics["planning_stage_ms"] > result.metrics["make_contact_ms"] > 0
+    assert result.metrics["tick_max_ms"] >= result.metrics["tick_p99_ms"] >= result.metrics["tick_ms"]
+    assert sum(row.get("count", 0) for row in result.rows if row["name"] != "global path") <= 120
+
+
+@pytest.mark.slow
+def test_the_plant_is_timed_on_both_engines(monkeypatch: pytest.MonkeyPatch) -> None:
+    result = small(monkeypatch, "plant", scenes=("robot",), batches=(2,), seconds=0.05)
+    single, batch = result.metrics["robot_c_1_threads_standing_steps_per_s"], "robot_mjx_2_worlds"
+    assert single > 1000
+    over = result.metrics[f"{batch}_standing_steps_per_s"] / single
+    assert result.metrics[f"{batch}_standing_over_c_1_thread"] == pytest.approx(over, abs=0.01)
+    assert result.metrics["robot_c_1_threads_physics_alone_steps_per_s"] > single

@@ -1,0 +1,66 @@
+"""A push mapped over worlds is the push of the controller that drives one robot."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from shmoo_mjx.control import pushing
+from shmoo_mjx.control.pushing import LocalField, PushController, Sighting
+from shmoo_mjx.faces import faces_of, stand_off
+from shmoo_mjx.learning import adaptation
+from shmoo_mjx.learning.weights import load_weights
+from shmoo_mjx.navigation.push_task import pose_push_config
+
+ROOT = Path(__file__).resolve().parents[2]
+FACE, HALF = faces_of((0.3, 0.25))[0], np.array([0.3, 0.25])
+GOALS = np.array([[1.0, 0.0, 0.0], [0.9, 0.3, 0.6]])
+
+
+def sighting(world: int, sample: int) -> Sighting:
+    rng = np.random.default_rng([world, sample])
+    pose = np.array([0.02 * sample, 0.0, 0.01 * sample])
+    noise = 0.01 * rng.normal(size=(5, 3))
+    return Sighting(
+        robot_pose=stand_off(pose, FACE, 0.0) + noise[0],
+        robot_twist=np.array([0.15, 0.0, 0.0]) + noise[1],
+        lean=noise[2, :2],
+        lean_rate=noise[2, :2],
+        object_pose=pose + noise[3],
+        object_twist=np.array([0.2, 0.0, 0.1]) + noise[4],
+        wrench=np.array([20.0 + world, 1.0, 0.5]),
+    )
+
+
+def test_two_mapped_pushes_are_the_two_controllers() -> None:
+    weights = load_weights(ROOT / "experiments/weights/demo.safetensors")
+    base = pose_push_config()
+    config = replace(base, control=replace(base.control, samples=40, horizon=6))
+    controller = PushController(weights, config)
+    open_floor = LocalField(np.full((4, 4), 9.0, np.float32), np.full(3, -20, np.float32), np.float32(10.0))
+    keys = jax.random.split(jax.random.key(3), 2)
+    alone = [controller.init(sighting(w, 0), FACE, HALF, keys[w]) for w in range(2)]
+    prior = adaptation.init(weights.params.coefficients, weights.prior_covariance, weights.noise)
+    stacked = jax.tree.map(lambda *x: jnp.stack(x), *(sighting(w, 0) for w in range(2)))
+    together = jax.vmap(lambda now, key: pushing.start(config, prior, now, FACE, HALF, key))(stacked, keys)
+    step = jax.jit(jax.vmap(partial(pushing.control_step, config, weights.config), in_axes=(None, 0, 0, 0, 0, None)))
+    coast = jax.vmap(partial(pushing.coast, config, weights.config), in_axes=(None, 0, 0))
+    last = np.zeros((2, 3))
+    for sample in range(1, 4):
+        seen = [sighting(w, sample) for w in range(2)]
+        stacked = jax.tree.map(lambda *x: jnp.stack(x), *seen)
+        u, together = step(weights.params, together, stacked, jnp.asarray(last), jnp.asarray(GOALS), HALF)
+        for w in range(2):
+            expected, alone[w], _ = controller.step(alone[w], seen[w], last[w], GOALS[w], open_floor, HALF)
+            np.testing.assert_allclose(u[w], expected, atol=2e-5)
+            np.testing.assert_allclose(together.adapt.mean[w], alone[w].adapt.mean, atol=1e-3, rtol=1e-3)
+        last = np.asarray(u, dtype=float)
+    assert np.abs(u[0] - u[1]).max() > 1e-3
+    rest = coast(weights.params, together.adapt, together.before)
+    for w in range(2):
+        np.testing.assert_allclose(rest[w], controller.coast(alone[w]), atol=1e-4)

@@ -1,0 +1,130 @@
+"""The code in the documentation runs: every Python block, every command's options, and the whole tutorial."""
+
+from __future__ import annotations
+
+import inspect
+import os
+import re
+import shlex
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+import tyro
+
+from shmoo_mjx import cli
+from shmoo_mjx.talk import with_talk
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = ["README.md", "CONTRIBUTING.md", *(f"docs/{p.name}" for p in sorted((ROOT / "docs").glob("*.md")))]
+FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.DOTALL | re.MULTILINE)
+PRINTS = {"docs/own_cost.md": "turned by", "docs/own_robot.md": "pushed away by", "docs/own_object.md": "pushed by"}
+NEEDS = {"docs/gym.md": "gymnasium"}
+LINES_OF_OWN_COST = 32
+TRAINS = ("docs/training.md", "docs/own_learner.md")
+"""Pages whose examples train or record for half a minute."""
+
+
+class Block(NamedTuple):
+    language: str
+    text: str
+
+
+def blocks(page: str) -> list[Block]:
+    return [Block(*found) for found in FENCE.findall((ROOT / page).read_text(encoding="utf-8"))]
+
+
+def python_of(page: str) -> str:
+    return "\n".join(block.text for block in blocks(page) if block.language == "python")
+
+
+def commands(page: str) -> list[str]:
+    """Every shmoo command of the page's shell blocks and indented blocks."""
+    text = (ROOT / page).read_text(encoding="utf-8").replace("\\\n", " ")
+    fenced = [match[2] for match in FENCE.finditer(text) if match[1] == "bash"]
+    lines = [line for block in fenced for line in block.splitlines()]
+    lines += [line.strip() for line in FENCE.sub("", text).splitlines() if line.startswith("    ")]
+    found = [re.search(r"(?:^|&& )(?:[A-Z_]+=\S+ )*(?:uv run )?(shmoo [^#>&|]+)", line) for line in lines]
+    whole = [match[1].strip() for match in found if match and "..." not in match[1] and "COMMAND" not in match[1]]
+    # A single capital stands for a number.
+    return [re.sub(r" [A-Z](?= |$)", " 0", line) for line in whole]
+
+
+WITH_PYTHON = [page for page in PAGES if python_of(page)]
+WITH_COMMANDS = [page for page in PAGES if commands(page)]
+
+
+def test_the_pages_are_found() -> None:
+    how_to = {f"docs/own_{what}.md" for what in ("object", "scenario", "learner", "cost", "robot")}
+    assert {*how_to, "docs/tutorial.md", "docs/gym.md", "docs/training.md"} <= set(WITH_PYTHON)
+    assert {"README.md", "docs/tutorial.md", "docs/gpu.md", "docs/sweeps.md"} <= set(WITH_COMMANDS)
+
+
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, marks=pytest.mark.slow if page in TRAINS else ())
+        for page in WITH_PYTHON
+        if page != "docs/tutorial.md"
+    ],
+)
+def test_the_pages_python_runs(
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if page in NEEDS:
+        pytest.importorskip(NEEDS[page], reason=f"{page} needs {NEEDS[page]}, which is not installed")
+    monkeypatch.chdir(tmp_path)
+    # One after the other in one name space, as a reader would type them.
+    exec(compile(python_of(page), page, "exec"), {"__name__": "example"})
+    assert PRINTS.get(page, "") in capsys.readouterr().out
+
+
+def test_a_whole_task_is_short() -> None:
+    assert len([line for line in python_of("docs/own_cost.md").splitlines() if line.strip()]) <= LINES_OF_OWN_COST
+
+
+@pytest.mark.parametrize("page", WITH_COMMANDS)
+def test_the_pages_commands_are_ones(page: str) -> None:
+    received: list[str] = []
+
+    def stand_in_for(name: str) -> object:
+        def stand_in(*arguments: object, **options: object) -> int:
+            received.append(name)
+            return 0
+
+        stand_in.__signature__ = inspect.signature(cli._COMMANDS[name])  # type: ignore[attr-defined]
+        stand_in.__annotations__ = inspect.get_annotations(cli._COMMANDS[name], eval_str=True)
+        return with_talk(stand_in)
+
+    stand_ins = {name: stand_in_for(name) for name in cli._COMMANDS}
+    for line in commands(page):
+        arguments = shlex.split(line)[1:]
+        if arguments != ["--help"]:
+            try:
+                tyro.extras.subcommand_cli_from_dict(stand_ins, prog="shmoo", args=arguments, console_outputs=False)
+            except SystemExit:
+                pytest.fail(f"{page}: {line}")
+            assert received[-1] == arguments[0]
+
+
+@pytest.mark.slow
+def test_the_tutorial_from_start_to_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    scripts = sysconfig.get_path("scripts")
+    env = os.environ | {"PATH": f"{scripts}{os.pathsep}{os.environ['PATH']}"}
+    names: dict[str, object] = {"__name__": "example"}
+    ran = []
+    for block in blocks("docs/tutorial.md"):
+        ran.append(block.language)
+        if block.language == "python":
+            exec(compile(block.text, "docs/tutorial.md", "exec"), names)
+        else:
+            done = subprocess.run(
+                ["bash", "-e", "-c", block.text], env=env, capture_output=True, text=True, check=False
+            )
+            assert done.returncode == 0, f"{block.text}\n{done.stdout}\n{done.stderr}"
+    assert ran == ["bash", "bash", "python", "python", "bash", "python"]
+    assert sys.executable.startswith(str(Path(scripts).parent))

@@ -1,0 +1,79 @@
+"""The page of results: what is on it, and running everything."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.evaluation import everything, page
+from shmoo_mjx.evaluation.registry import EXPERIMENTS
+from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result, read_result
+
+
+def result_of(name: str, ask: Ask) -> ExperimentResult:
+    """A result with every metric that the page shows."""
+    metrics = {metric: 0.25 for _, names in page.SECTIONS[name].lines for metric in names if metric}
+    if name == "object_model":
+        metrics |= {"mse_after": 0.134, "mse_after_std": 0.0021}
+    if name == "robot_finetune":
+        metrics["mse_after"] = float("nan")
+    if name == "ablations":
+        metrics = {"fvu_default": 0.5, "probe_inputs": 0.1, "probe_inputs_without_size": 0.1, "chance": 0.01}
+    paper = {"mse_before": 1.3131, "mse_after": 0.4271} if name == "object_model" else {}
+    return make_result(name, ask, {"unseen": {"box": 1}, "seeds": 1}, metrics, paper, [])
+
+
+def run_fake(name: str, ask: Ask) -> ExperimentResult:
+    """Stands for an experiment, with a figure."""
+    if name == "navigation" and ask.maps is None:
+        raise ShmooError("experiment navigation needs --maps DIR.")
+    if name == "real_pushing" and ask.data is None:
+        raise ShmooError("real_pushing needs --data.")
+    for figure in page.SECTIONS[name].figures[:1]:
+        target = ask.out / name / figure
+        target.parent.mkdir(parents=True, exist_ok=True)
+        import matplotlib.image
+
+        matplotlib.image.imsave(target, np.zeros((2, 2, 3)))
+    ask.progress("half", 0.5)
+    return result_of(name, ask)
+
+
+def test_every_experiment_has_a_section() -> None:
+    assert list(page.SECTIONS) == list(EXPERIMENTS)
+
+
+def test_everything_is_on_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(everything, "run_experiment", run_fake)
+    seen: list[float] = []
+    ask = Ask(seed=3, out=tmp_path, quick=True, progress=lambda stage, fraction: seen.append(fraction))
+    target, left_out = everything.run_all(ask, None)
+    assert set(left_out) == {"navigation", "real_pushing"} and "--maps" in left_out["navigation"]
+    text, html = target.read_text(), target.with_suffix(".html").read_text()
+    assert "| MSE of the acceleration | 0.25 | 0.134 +- 0.0021 | 0.25 | 0.25 | 0.25 | 1.31 / 0.427 |" in text
+    assert "| MSE, all outputs | 0.25 | - |" in text
+    assert "`shmoo experiment pushing --seed 3 --condition-seed 0 --quick`" in text
+    assert "Not run. `shmoo experiment navigation --maps DIR` measures it." in text
+    assert "(object_model/roll_outs.png)" in text and "data:image/png;base64" in html and "<table>" in html
+    assert read_result(tmp_path / "pushing.json").seed == 3 and not (tmp_path / "navigation.json").exists()
+    assert seen == sorted(seen)
+
+
+def test_page_kept_apart_from_the_run_copies_its_figures(tmp_path: Path) -> None:
+    run_fake("pushing", Ask(out=tmp_path / "run"))
+    results = {"pushing": result_of("pushing", Ask())}
+    page.write_page(results, tmp_path / "run", tmp_path / "docs" / "results.md", tmp_path / "docs" / "figures")
+    assert "(figures/pushing.png)" in (tmp_path / "docs" / "results.md").read_text()
+    assert (tmp_path / "docs" / "figures" / "pushing.png").is_file()
+
+
+def test_nothing_could_be_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(name: str, ask: Ask) -> ExperimentResult:
+        raise ShmooError("no.")
+
+    monkeypatch.setattr(everything, "run_experiment", refuse)
+    with pytest.raises(ShmooError, match="nothing could be run"):
+        everything.run_all(Ask(out=tmp_path), None)

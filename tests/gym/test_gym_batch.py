@@ -1,0 +1,90 @@
+"""Batched worlds in MJX are what the single environments in C MuJoCo are, and go on by themselves."""
+
+# ruff: noqa: E402 (without the extra the file is skipped before it imports what needs it)
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+gymnasium = pytest.importorskip("gymnasium", reason="the extra gym (gymnasium) is not installed")
+
+import shmoo_mjx.gym  # noqa: F401  (registers the environments)
+
+LIMIT = 5
+
+
+@pytest.fixture(scope="module")
+def pair() -> Any:
+    """Two worlds with a box each, which compile once for this file."""
+    batch = gymnasium.make_vec("ShmooPush-v0", num_envs=2, max_episode_steps=LIMIT)
+    yield batch
+    batch.close()
+
+
+def agree(batch: Any, name: str, steps: int) -> None:
+    """The batch does what single environments of the same seeds do."""
+    singles = [gymnasium.make(name) for _ in range(batch.num_envs)]
+    seen, _ = batch.reset(seed=5)
+    np.testing.assert_allclose(seen, [e.reset(seed=5 + i)[0] for i, e in enumerate(singles)], atol=1e-5)
+    rng, high = np.random.default_rng(0), batch.single_action_space.high
+    for _ in range(steps):
+        actions = (0.5 * high * rng.uniform(0, 1, (len(singles), len(high)))).astype(np.float32)
+        seen, reward, terminated, _, info = batch.step(actions)
+        alone = [e.step(a) for e, a in zip(singles, actions, strict=True)]
+        np.testing.assert_allclose(seen, [a[0] for a in alone], atol=5e-3)
+        np.testing.assert_allclose(reward, [a[1] for a in alone], atol=1e-4)
+        assert terminated.tolist() == [a[2] for a in alone]
+        assert info["distance"].tolist() == pytest.approx([a[4]["distance"] for a in alone], abs=1e-3)
+        assert info["_distance"].all()
+
+
+def test_pushes_agree_and_episodes_follow_each_other_in_the_same_world(pair: Any) -> None:
+    agree(pair, "ShmooPush-v0", LIMIT - 2)
+    still = np.zeros(pair.action_space.shape, dtype=np.float32)
+    for _ in range(2):
+        _, _, terminated, truncated, _ = pair.step(still)
+    assert truncated.all() and not terminated.any()
+    before = pair.starts
+    seen, reward, _, truncated, _ = pair.step(still)
+    assert not truncated.any() and not reward.any()
+    assert seen in pair.observation_space
+    for i, (old, new) in enumerate(zip(before, pair.starts, strict=True)):
+        assert new.conditions == old.conditions and not np.allclose(new.goal, old.goal)
+        assert np.linalg.norm(seen[i, 21:23] - seen[i, 11:13]) == pytest.approx(np.linalg.norm(new.goal[:2]), abs=1e-3)
+    assert np.abs(pair.step(still)[1]).max() < 0.01
+    # Other objects, the same program.
+    pair.reset(seed=11)
+    assert all(new.conditions != old.conditions for old, new in zip(before, pair.starts, strict=True))
+    pair.step(still)
+    assert pair._engine._batched._cache_size() == 1
+
+
+def test_other_objects_move_otherwise(pair: Any) -> None:
+    agree(pair, "ShmooPush-v0", 2)
+    world, seen = pair._world, pair.step(np.full((2, 4), 0.05, np.float32))[0]
+    pair._engine.change(pair._scenes[::-1])
+    pair._world = world
+    assert np.abs(pair.step(np.full((2, 4), 0.05, np.float32))[0] - seen).max() > 1e-4
+    pair.reset(seed=5)
+
+
+def test_one_world_may_begin_anew_while_the_other_goes_on(pair: Any) -> None:
+    pair.reset(seed=3)
+    forward = np.array([[0.08, 0, 0, 0]] * 2, dtype=np.float32)
+    for _ in range(LIMIT - 1):
+        seen = pair.step(forward)[0]
+    pair._over = np.array([True, False])
+    after, reward, *_ = pair.step(forward)
+    assert reward[0] == 0.0 and reward[1] != 0.0
+    assert pair._steps.tolist() == [0, LIMIT]
+    assert np.abs(after[0, 4:7]).max() < 1e-6 and after[1, 4] > 0.01
+    np.testing.assert_allclose(after[1], seen[1], atol=0.3)
+
+
+@pytest.mark.slow
+def test_rooms_agree() -> None:
+    batch = gymnasium.make_vec("ShmooNavigate-v0", num_envs=2)
+    agree(batch, "ShmooNavigate-v0", 4)
+    batch.close()

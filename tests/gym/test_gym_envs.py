@@ -1,0 +1,230 @@
+"""The environments keep Gymnasium's rules, and mean what their tables say."""
+
+# ruff: noqa: E402 (without the extra the file is skipped before it imports what needs it)
+from __future__ import annotations
+
+import importlib
+import sys
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import shapely
+
+gymnasium = pytest.importorskip("gymnasium", reason="the extra gym (gymnasium) is not installed")
+
+import shmoo_mjx.gym
+from shmoo_mjx import se2
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.gym import navigate, task
+from shmoo_mjx.gym.push import PushConfig, PushTask
+from shmoo_mjx.navigation.belief import visible
+from shmoo_mjx.navigation.floorplan import demo_scenario
+from shmoo_mjx.navigation.footprints import footprint_polygon
+from shmoo_mjx.navigation.maps import OccupancyGrid, clearance_field
+from shmoo_mjx.navigation.path_shortening import PathConfig
+from shmoo_mjx.navigation.paths import plan_path
+from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Scenario
+from shmoo_mjx.plant.engine_mujoco import MujocoEngine
+from shmoo_mjx.plant.render import can_render
+from shmoo_mjx.types import Observation
+
+NAMES = list(shmoo_mjx.gym.EPISODE_STEPS)
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "gym.md"
+
+
+def start_of(env: Any) -> task.Start:
+    return env.unwrapped.start
+
+
+def part(env: Any, observation: np.ndarray, name: str) -> np.ndarray:
+    first = 0
+    for p in env.unwrapped.task.observation:
+        if p.name == name:
+            return observation[first : first + p.size]
+        first += p.size
+    raise KeyError(name)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_gymnasiums_checker_has_nothing_to_say(name: str) -> None:
+    from gymnasium.utils.env_checker import check_env
+
+    env = gymnasium.make(f"shmoo_mjx.gym:{name}")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(env.unwrapped, skip_render_check=bool(can_render()))
+    env.close()
+
+
+def roll(env: Any, seed: int, steps: int = 6) -> list[Any]:
+    first, _ = env.reset(seed=seed)
+    low, high = env.action_space.low, env.action_space.high
+    actions = np.random.default_rng(1).uniform(low, high, (steps, len(low)))
+    return [first, *(env.step(a)[:2] for a in actions)]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_seed_draws_everything(name: str) -> None:
+    env = gymnasium.make(name)
+    once, described = roll(env, 7), [c.describe() for c in start_of(env).conditions]
+    again = roll(env, 7)
+    np.testing.assert_array_equal(once[0], again[0])
+    for (seen, reward), (other, same) in zip(once[1:], again[1:], strict=True):
+        np.testing.assert_array_equal(seen, other)
+        assert reward == same
+    assert np.abs(roll(env, 8, 1)[0] - once[0]).max() > 0.01
+    assert [c.describe() for c in start_of(env).conditions] != described
+    env.close()
+
+
+@pytest.mark.parametrize("tables", [task.ACTIONS, PushTask.observation, navigate.NavigateTask.observation])
+def test_the_page_holds_the_codes_tables(tables: tuple[task.Part, ...]) -> None:
+    assert "\n\n" + task.markdown_table(tables) + "\n" in PAGE.read_text()
+
+
+def test_pushing_forward_pays_and_the_rewards_add_up() -> None:
+    env = gymnasium.make("ShmooPush-v0", config=PushConfig(distance=(1.5, 1.5), near_weight=0.0, yaw_weight=0.0))
+    _, info = env.reset(seed=3)
+    far, total = info["distance"], 0.0
+    for _ in range(60):
+        observation, reward, terminated, _, info = env.step(np.array([0.06, 0.0, 0.0, 0.0]))
+        total += reward
+        assert not terminated
+    assert info["distance"] < far - 0.2
+    assert total == pytest.approx(far - info["distance"], abs=1e-6)
+    assert part(env, observation, "wrench")[0] > 5.0
+    env.close()
+
+
+def test_an_object_at_rest_at_its_goal_is_success() -> None:
+    env = gymnasium.make("ShmooPush-v0", config=PushConfig(distance=(0.0, 0.0), bearing=0.0, gap=(0.5, 0.5)))
+    _, info = env.reset(seed=0)
+    assert info["success"]
+    _, reward, terminated, _, info = env.step(np.zeros(4))
+    assert terminated and info["success"] and reward == pytest.approx(1.0, abs=0.05)
+    env.close()
+
+
+def test_a_fall_ends_the_episode_and_costs(monkeypatch: pytest.MonkeyPatch) -> None:
+    env = gymnasium.make("ShmooPush-v0")
+    env.reset(seed=0)
+    monkeypatch.setattr(MujocoEngine, "fallen", lambda self, world: np.array([True]))
+    _, reward, terminated, _, info = env.step(np.zeros(4))
+    assert terminated and info["fallen"] and not info["success"] and reward < -0.9
+    env.close()
+
+
+def test_a_bad_action_is_refused_and_a_large_one_is_cut() -> None:
+    env = gymnasium.make("ShmooPush-v0", disable_env_checker=True)
+    env.reset(seed=0)
+    with pytest.raises(ShmooError, match="finite"):
+        env.step(np.array([np.nan, 0, 0, 0]))
+    with pytest.raises(ShmooError, match=r"\(4,\)"):
+        env.step(np.zeros(3))
+    large = env.step(np.full(4, 100.0))[0]
+    env.reset(seed=0)
+    np.testing.assert_array_equal(large, env.step(env.action_space.high)[0])
+    with pytest.raises(ShmooError, match="box, cart, wheelchair"):
+        gymnasium.make("ShmooPush-v0", config=PushConfig(family="sofa"))
+    env.close()
+
+
+def moved(seen: Observation, frame: np.ndarray) -> Observation:
+    """The same scene elsewhere."""
+    turn = frame[2]
+    return seen._replace(
+        robot_pose=se2.compose(frame, seen.robot_pose),
+        robot_twist=se2.rotate(seen.robot_twist, turn),
+        object_pose=se2.compose(frame, seen.object_pose),
+        object_twist=se2.rotate(seen.object_twist, turn),
+        wrench=se2.rotate(seen.wrench, turn),
+    )
+
+
+def test_where_the_scene_lies_makes_no_difference() -> None:
+    env = gymnasium.make("ShmooPush-v0")
+    roll(env, 2, 8)
+    now, frame = env.unwrapped._now, np.array([3.0, -2.0, 2.1])
+    there = now.context._replace(goal=se2.compose(frame, now.context.goal))
+    here = env.unwrapped.task.observe(now.context, now.seen)
+    np.testing.assert_allclose(env.unwrapped.task.observe(there, moved(now.seen, frame)), here, atol=1e-5)
+    env.close()
+
+
+def test_rays_meet_rectangles_where_geometry_says() -> None:
+    rng = np.random.default_rng(0)
+    poses = np.concatenate([rng.uniform(-3, 3, (20, 3, 2)), rng.uniform(-3, 3, (20, 3, 1))], axis=-1)
+    half, origins = rng.uniform(0.1, 1.0, (20, 3, 2)), rng.uniform(-3, 3, (20, 2))
+    angles = rng.uniform(-np.pi, np.pi, (20, 5))
+    directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    found = navigate.cast(origins, directions, poses, half, 3.5)
+    for w in range(20):
+        blocks = shapely.union_all([footprint_polygon(p, h) for p, h in zip(poses[w], half[w], strict=True)])
+        for r in range(5):
+            ray = shapely.LineString([origins[w], origins[w] + 3.5 * directions[w, r]]).intersection(blocks)
+            expected = 3.5 if ray.is_empty else ray.distance(shapely.Point(origins[w]))
+            assert found[w, r] == pytest.approx(expected, abs=1e-6)
+    assert 0.2 < np.mean(found < 3.5) < 0.95
+
+
+def demo_of(seed: int) -> tuple[OccupancyGrid, Scenario]:
+    """What the environment draws from this seed."""
+    return demo_scenario(int(gymnasium.utils.seeding.np_random(seed)[0].integers(2**31)))
+
+
+def test_what_is_behind_a_wall_is_not_seen() -> None:
+    env, counts, differ = gymnasium.make("ShmooNavigate-v0"), np.zeros((2, 2), dtype=int), 0
+    for seed in range(12):
+        observation, _ = env.reset(seed=seed)
+        walls = clearance_field(demo_of(seed)[0])
+        for i, condition in enumerate(start_of(env).conditions):
+            shown = bool(part(env, observation, f"object{i}_seen")[0])
+            counts[i, int(shown)] += 1
+            differ += shown != visible(env.unwrapped._now.seen, i, condition.half_extents, walls, 3.5)
+            assert part(env, observation, f"object{i}").any() == shown
+    # The navigator looks along other lines: a corner that just shows may be seen by one alone.
+    assert differ <= 1
+    assert counts[0, 1] > 6 and counts[1, 0] > 6
+    env.close()
+
+
+def test_the_way_is_that_of_the_global_path() -> None:
+    env = gymnasium.make("ShmooNavigate-v0")
+    observation, _ = env.reset(seed=4)
+    grid, scenario = demo_of(4)
+    assert tuple(start_of(env).goal) == scenario.goal
+    path = plan_path(
+        grid, scenario.start[:2], scenario.goal, robot_radius=ROBOT_RADIUS, cfg=PathConfig(soft_weight=0.0)
+    )
+    assert path is not None
+    length, *direction = part(env, observation, "way")
+    assert path.length - 0.05 <= length <= 1.1 * path.length
+    ahead = se2.rotate(path.points[1] - path.points[0], -np.asarray(scenario.start[2]))
+    assert np.dot(direction, ahead / np.linalg.norm(ahead)) > 0.9
+    env.close()
+
+
+def test_driving_into_a_wall_is_felt_and_costs() -> None:
+    env = gymnasium.make("ShmooNavigate-v0")
+    observation, _ = env.reset(seed=1)
+    before = part(env, observation, "way")[0]
+    for _ in range(80):
+        # Away from the goal: the start looks at the first doorway, with a wall behind.
+        observation, _, terminated, _, info = env.step(np.array([-0.08, 0.0, 0.0, 0.0, 0.0]))
+        if info["wall_contact"] or terminated:
+            break
+    assert info["wall_contact"]
+    after = part(env, observation, "way")[0]
+    assert after > before
+    last = part(env, env.step(np.zeros(5))[0], "ranges")
+    assert last.min() < 0.25
+    env.close()
+
+
+def test_without_gymnasium_one_sentence_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "gymnasium", None)
+    with pytest.raises(ShmooError, match=r"shmoo-mjx\[gym\]"):
+        importlib.reload(shmoo_mjx.gym)
