@@ -49,7 +49,7 @@ def forward_lean(
     return share * static_lean(force) + gain * (limit - speed)
 
 
-def govern(u: Array, lean: Array, room: float) -> Array:
-    """``u [3]`` (phi_x, phi_y, gamma) [rad] with its forward lean at most ``lean`` and at least ``room`` less."""
-    xp = se2.array_module(u, lean)
-    return xp.concatenate([xp.clip(u[:1], lean - room, lean), u[1:]])
+def govern(u: Array, low: Array, high: Array) -> Array:
+    """``u [..., 3]`` (phi_x, phi_y, gamma) [rad] with its forward lean within ``low`` and ``high``."""
+    xp = se2.array_module(u, high)
+    return xp.concatenate([xp.clip(u[..., :1], low, high), u[..., 1:]], axis=-1)

@@ -70,12 +70,17 @@ class PushConfig:
     adapt: adaptation.AdaptConfig = field(default_factory=adaptation.AdaptConfig)
     contact_force: float = 2.0
     """Force from which a sample counts as contact [N]."""
+    moving: float = float("inf")
+    """Speed of the object from which a sample without contact teaches as well: how it coasts [m/s]."""
     adapts: bool = True
     """Eq. 8 is at work; False leaves the coefficients as they are, for comparison."""
     governor: float = 0.25
     """Lean per m/s left to the speed allowed that the governor grants beyond balance [rad s/m]; 0 switches it off."""
     governor_room: float = 1.0
     """By how much the plan may stay below that lean [rad]; 1 is no bound."""
+    foresees_governor: bool = False
+    """Roll-outs lean within the governor's present bounds too. Otherwise they foresee firmer pushes than there will be,
+    and believe that steering turns what hardly resists."""
     coast_samples: int = 40
     """How far ahead :meth:`PushController.coast` looks."""
     least_drag: float = 0.08
@@ -179,10 +184,19 @@ class PushController:
             half_extents: ``[2]`` of the object's footprint [m].
         """
         state, system, transition = _perceive(self.config, state, now, last_u, half_extents)
+        lean = _governor(self.config, now, np.asarray(goal, dtype=float))
         u, adapt, plan_state, plan = self._step(
-            self._params, state.adapt, state.plan, system, transition, _f32(goal), around, _f32(half_extents)
+            self._params,
+            state.adapt,
+            state.plan,
+            system,
+            transition,
+            _f32(goal),
+            around,
+            _f32(half_extents),
+            _f32(lean),
         )
-        u = _governed(self.config, np.asarray(u, dtype=float), now, np.asarray(goal, dtype=float))
+        u = govern(np.asarray(u, dtype=float), *lean)
         return u, state._replace(adapt=adapt, plan=plan_state, before=system), plan
 
     def planning_rollouts(
@@ -225,10 +239,22 @@ def control_step(
     """:meth:`PushController.step` on a floor without obstacles as one pure function, for jit and vmap over worlds."""
     open_floor = replace(config, cost=replace(config.cost, clearance_weight=0.0))
     state, system, transition = _perceive(config, state, now, last_u, half_extents)
+    lean = _governor(config, now, goal)
     u, adapt, plan_state, _ = _step(
-        open_floor, core_config, None, params, state.adapt, state.plan, system, transition, goal, None, half_extents
+        open_floor,
+        core_config,
+        None,
+        params,
+        state.adapt,
+        state.plan,
+        system,
+        transition,
+        goal,
+        None,
+        half_extents,
+        lean,
     )
-    return _governed(config, u, now, goal), state._replace(adapt=adapt, plan=plan_state, before=system)
+    return govern(u, *lean), state._replace(adapt=adapt, plan=plan_state, before=system)
 
 
 def _perceive(
@@ -240,24 +266,27 @@ def _perceive(
     force = se2.rotate(now.wrench[:2], -before.robot_pose[2])
     inputs = xp.concatenate([twist_before, wrench, before.last_object_twist, before.size[None]])
     label = se2.rotate((now.object_twist - before.object_twist) / DT, -before.object_pose[2])
-    valid = xp.asarray(config.adapts & (xp.hypot(force[0], force[1]) > config.contact_force))
+    coasts = xp.hypot(before.object_twist[0], before.object_twist[1]) > config.moving
+    valid = xp.asarray(config.adapts & ((xp.hypot(force[0], force[1]) > config.contact_force) | coasts))
     system = _system_state(now, twist_before, force, last_u, before.face, half_extents)
     state = state._replace(plan=state.plan._replace(last_u=_f32(last_u)))
     return state, system, _Transition(_f32(inputs), _f32(label), valid)
 
 
-def _governed(config: PushConfig, u: Array, now: Sighting, goal: Array) -> Array:
-    if not config.governor:
-        return u
+def _governor(config: PushConfig, now: Sighting, goal: Array) -> Array:
+    """``[2]`` least and largest forward lean that may be commanded now [rad]."""
+    low, high = config.control.low[0], config.control.high[0]
     offset = goal[:2] - now.object_pose[:2]
-    xp = se2.array_module(u, offset)
+    xp = se2.array_module(now.wrench, offset)
+    if not config.governor:
+        return xp.asarray([low, high])
     limit = cost.allowed_speed(config.cost, xp.hypot(offset[0], offset[1]))
     lean = forward_lean(now.robot_pose, now.robot_twist, now.lean_rate, now.wrench, limit, config.governor)
-    room = config.governor_room
+    lean, room = xp.clip(lean, low, high), config.governor_room
     if room < 1.0:
         # What sticks is leant into until it breaks away, whatever the model believes.
         room = room * xp.clip(xp.hypot(now.robot_twist[0], now.robot_twist[1]) / limit, 0.0, 1.0)
-    return govern(u, xp.clip(lean, config.control.low[0], config.control.high[0]), room)
+    return xp.stack([lean - room, lean])
 
 
 def _f32(x: Array) -> Array:
@@ -294,11 +323,16 @@ def _functions(
     goal: Array,
     around: LocalField | None,
     half_extents: Array,
+    lean: Array | None = None,
 ) -> Any:
     def cost_fn(trajectory: SystemState, controls: Array, last_u: Array) -> Array:
         return cost.push_cost(config.cost, goal, trajectory, controls, last_u, around, half_extents)
 
-    return models.learned(params, core_config), cost_fn
+    model = models.learned(params, core_config)
+    if lean is None or not config.foresees_governor:
+        return model, cost_fn
+    # Bound by govern as the command will be.
+    return lambda state, controls: model(state, govern(controls, *lean)), cost_fn
 
 
 def _step(
@@ -313,10 +347,12 @@ def _step(
     goal: Array,
     around: LocalField | None,
     half_extents: Array,
+    lean: Array,
 ) -> tuple[Array, adaptation.AdaptState, mppi.MppiState, mppi.Plan]:
     phi = object_model.design_matrix(params.object, transition.inputs, core_config.object)
     adapt = adaptation.step(config.adapt, adapt, phi, transition.label, transition.valid)
-    rollout_fn, cost_fn = _functions(config, core_config, _with_coefficients(params, adapt), goal, around, half_extents)
+    params = _with_coefficients(params, adapt)
+    rollout_fn, cost_fn = _functions(config, core_config, params, goal, around, half_extents, lean)
     u, plan_state, plan = mppi.plan(config.control, rollout_fn, cost_fn, system, plan_state, mesh)
     return u, adapt, plan_state, plan
 

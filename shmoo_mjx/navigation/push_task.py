@@ -71,8 +71,8 @@ def pose_push_config() -> PushConfig:
 
     base = PushConfig()
     cost: PushCost = replace(
-        base.cost, yaw_weight=0.3, creep=0.07, slow_down=0.25, speed_limit=0.16, haste_weight=3.0, speed_weight=0.3,
-        change=0.03,
+        base.cost, yaw_weight=0.6, aim_weight=0.7, lateral_weight=0.8, creep=0.07, slow_down=0.25, speed_limit=0.16,
+        haste_weight=3.0, speed_weight=0.3, change=0.03,
     )  # fmt: skip
     # Small, slow noise: a plan that jumps about shakes what rolls off the hands.
     control = replace(
@@ -80,7 +80,11 @@ def pose_push_config() -> PushConfig:
         noise_correlation=0.95,
     )  # fmt: skip
     # Accelerations are differences of noisy twists.
-    return replace(base, cost=cost, control=control, adapt=replace(base.adapt, noise_scale=2.0), governor_room=0.04)
+    adapt = replace(base.adapt, noise_scale=2.0)
+    # What hardly resists is felt too weakly to teach much, but it coasts.
+    return replace(
+        base, cost=cost, control=control, adapt=adapt, governor_room=0.04, foresees_governor=True, moving=0.05
+    )
 
 
 @dataclass(frozen=True)

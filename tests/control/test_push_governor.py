@@ -42,8 +42,8 @@ def test_only_the_frame_of_the_robot_counts(yaw: float) -> None:
 
 @settings(deadline=None)
 @given(st.floats(-0.3, 0.3), st.floats(-0.1, 0.1), st.floats(0, 0.1))
-def test_the_plan_keeps_its_room_and_its_steering(wanted: float, lean: float, room: float) -> None:
-    u = govern(np.array([wanted, 0.03, -0.2]), lean, room)
+def test_the_plan_keeps_its_bounds_and_its_steering(wanted: float, lean: float, room: float) -> None:
+    u = govern(np.array([wanted, 0.03, -0.2]), lean - room, lean)
     assert lean - room - 1e-12 <= u[0] <= lean + 1e-12
     assert u[1] == 0.03
     assert u[2] == -0.2

@@ -17,7 +17,7 @@ def test_without_the_package_it_says_what_to_do(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, trace: Trace, result: dict[str, Any]
 ) -> None:
     monkeypatch.setitem(sys.modules, "rerun", None)
-    with pytest.raises(ShmooError, match="rerun-sdk; install it or leave out --record"):
+    with pytest.raises(ShmooError, match="rerun-sdk; get it with"):
         write_recording(tmp_path / "episode.rrd", result, trace)
     assert not list(tmp_path.iterdir())
 
