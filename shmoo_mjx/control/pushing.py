@@ -171,7 +171,14 @@ class PushController:
         return start(self.config, adapt, now, face, half_extents, key)
 
     def step(
-        self, state: PushState, now: Sighting, last_u: Array, goal: Array, around: LocalField, half_extents: Array
+        self,
+        state: PushState,
+        now: Sighting,
+        last_u: Array,
+        goal: Array,
+        around: LocalField,
+        half_extents: Array,
+        governor_room: float | None = None,
     ) -> tuple[np.ndarray, PushState, mppi.Plan]:
         """One 10 Hz control step: adapt on the sample that ended, plan, and give the command u ``[3]`` to apply now.
 
@@ -182,9 +189,10 @@ class PushController:
             goal: ``[3]`` desired object pose in {W}.
             around: clearance round the object, the object itself left out.
             half_extents: ``[2]`` of the object's footprint [m].
+            governor_room: in place of the configuration's, for this step.
         """
         state, system, transition = _perceive(self.config, state, now, last_u, half_extents)
-        lean = _governor(self.config, now, np.asarray(goal, dtype=float))
+        lean = _governor(self.config, now, np.asarray(goal, dtype=float), governor_room)
         u, adapt, plan_state, plan = self._step(
             self._params,
             state.adapt,
@@ -273,7 +281,7 @@ def _perceive(
     return state, system, _Transition(_f32(inputs), _f32(label), valid)
 
 
-def _governor(config: PushConfig, now: Sighting, goal: Array) -> Array:
+def _governor(config: PushConfig, now: Sighting, goal: Array, room: float | None = None) -> Array:
     """``[2]`` least and largest forward lean that may be commanded now [rad]."""
     low, high = config.control.low[0], config.control.high[0]
     offset = goal[:2] - now.object_pose[:2]
@@ -282,7 +290,7 @@ def _governor(config: PushConfig, now: Sighting, goal: Array) -> Array:
         return xp.asarray([low, high])
     limit = cost.allowed_speed(config.cost, xp.hypot(offset[0], offset[1]))
     lean = forward_lean(now.robot_pose, now.robot_twist, now.lean_rate, now.wrench, limit, config.governor)
-    lean, room = xp.clip(lean, low, high), config.governor_room
+    lean, room = xp.clip(lean, low, high), config.governor_room if room is None else room
     if room < 1.0:
         # What sticks is leant into until it breaks away, whatever the model believes.
         room = room * xp.clip(xp.hypot(now.robot_twist[0], now.robot_twist[1]) / limit, 0.0, 1.0)

@@ -37,8 +37,8 @@ class SteadyPush:
     """Lean towards the object while it is slower than ``speed``: the limit of the pushing controller [rad]."""
     speed: float = 0.25
     """Speed at which the lean is taken back: that controller's speed limit [m/s]."""
-    seconds: float = 10.0
-    """Time from the first contact."""
+    seconds: float = 6.5
+    """Time from the first contact: about 1.5 s until the lean is up, then the planning stage's horizon of 5 s [s]."""
     distance: float = 0.316
     """Displacement from which an object counts as manipulable [m]: what K = 0.3 m^2 asks of each of three roll-outs."""
     touch: float = 5.0

@@ -33,8 +33,8 @@ class ArcConfig:
     """Metres that a yaw error of 1 rad counts for [m/rad]."""
     walk: float = 0.01
     """Metres of error that a metre of walking to the face counts for [1]."""
-    second: float = 0.2
-    """Metres of error that a second push counts for [m]: each takes half a minute and errs by itself."""
+    second: float = 0.6
+    """Metres of error that a second push counts for [m]: the first one errs too, and then there is farther to go."""
     wall_clearance: float = 0.06
     """Kept by the footprint at the end of a push [m]."""
 

@@ -268,8 +268,9 @@ class Navigator:
         sighting = Sighting.of(seen, push.object)
         assert push.state is not None
         before = push.state.adapt
+        firm = self.config.probe_room if self.mode is Mode.PROBE and not self._rolled(push, known) else None
         u, push.state, plan = self._controller.step(
-            push.state, sighting, self._last_u, push.goal, push.around, np.array(known.half_extents)
+            push.state, sighting, self._last_u, push.goal, push.around, np.array(known.half_extents), firm
         )
         if known.blind > 0.0 or push.blind:
             # A pose that was guessed, now or a sample ago, says nothing about the object.
@@ -279,7 +280,7 @@ class Navigator:
         touching = np.hypot(*sighting.wrench[:2]) > self._controller.config.contact_force
         push.contact_time += DT if touching else 0.0
         push.since_contact = 0.0 if touching else push.since_contact + DT
-        push.marks.append((push.contact_time, known.pose[:2].copy()))
+        push.marks.append((push.contact_time, known.pose.copy()))
         self._judge(seen, push, known, bool(plan.ok))
         return command(u[:2], u[2], heading(known.pose, push.face), REACH, HAND_HEIGHT)
 
@@ -317,7 +318,7 @@ class Navigator:
 
     def _rolled(self, push: Push, known: KnownObject) -> bool:
         """A cart that rolls ahead of the hands gives little contact, but its motion tells as much."""
-        return float(np.linalg.norm(known.pose[:2] - push.marks[0][1])) > self.config.rolled
+        return bool(push.marks) and float(np.linalg.norm(known.pose[:2] - push.marks[0][1][:2])) > self.config.rolled
 
     def _review(self, seen: Observation, push: Push, known: KnownObject) -> None:
         """The planning stage of Algorithm 1 on the roll-outs of the adapted model."""
@@ -345,7 +346,7 @@ class Navigator:
                 poses[best][:, :, :2], result.candidates, far,
             )
         )  # fmt: skip
-        if not result.manipulable and self.mode is Mode.PROBE and push.contact_time < self.config.doubt_time:
+        if self.mode is Mode.PROBE and self._in_doubt(push, known, result.manipulable, result.K):
             return
         known.manipulable = result.manipulable
         if not result.manipulable:
@@ -356,9 +357,20 @@ class Navigator:
         if self.mode is Mode.PROBE:
             self._go(seen, Mode.PUSH, f"object {push.object} is manipulable: {result.reason}")
 
+    def _in_doubt(self, push: Push, known: KnownObject, manipulable: bool, k: float) -> bool:
+        """Whether the verdict of a planning stage of the probe has to wait for more contact."""
+        cfg = self.config
+        if manipulable:
+            clear = k >= cfg.clear_margin * cfg.planner.threshold or self._rolled(push, known)
+            return not clear and push.contact_time < cfg.doubt_time
+        recent = np.array([pose for t, pose in push.marks if t > push.contact_time - 1.0])
+        x, y, yaw = np.ptp(recent, axis=0)
+        gives_way = np.hypot(x, y) + np.hypot(*known.half_extents) * yaw > cfg.gives_way
+        return push.contact_time < (cfg.doubt_limit if gives_way else cfg.doubt_time)
+
     def _stuck(self, seen: Observation, push: Push, known: KnownObject, why: str) -> None:
         """End a push that leads no further. Only an object that this push has not moved counts as immovable."""
-        moved = float(np.linalg.norm(known.pose[:2] - push.marks[0][1]))
+        moved = float(np.linalg.norm(known.pose[:2] - push.marks[0][1][:2]))
         if moved < self.config.moved and not self.config.goes_round:
             self._go(seen, Mode.RETREAT, f"{why}; tried again, since going round is not allowed")
         elif moved < self.config.moved:
@@ -394,7 +406,7 @@ class Navigator:
         return float(offset[0] * np.cos(ahead) + offset[1] * np.sin(ahead)) < -0.08
 
     def _stalled(self, push: Push) -> bool:
-        recent = [p for t, p in push.marks if t > push.contact_time - self.config.stall_time]
+        recent = [p[:2] for t, p in push.marks if t > push.contact_time - self.config.stall_time]
         if push.contact_time < self.config.stall_time:
             return False
         return float(np.linalg.norm(np.ptp(np.array(recent), axis=0))) < self.config.stall_distance

@@ -47,6 +47,9 @@ class NavigatorConfig:
     """A way round that is at most this much longer is taken rather than a push."""
     passing: float = 0.3
     """A pushed object is out of the way once passing it makes the path at most this much longer."""
+    probe_room: float = 0.03
+    """How far the probe's lean may stay below what the governor grants, while the object has not moved yet [rad]: a
+    verdict on what was only touched gently would be worth little. 1 leaves the lean to the plan."""
     contact_gap: float = 0.12
     """Distance between hands and face at the stand-off pose."""
     contact_speed: float = 0.12
@@ -58,10 +61,16 @@ class NavigatorConfig:
     probe_time: float = 1.0
     """Contact time before the planning stage (Algorithm 1)."""
     doubt_time: float = 3.0
-    """Contact time before an object counts as not manipulable: friction that holds against the gentle push of the first
-    second says little about a firm one. That it can be moved is believed at once."""
+    """Contact time before an object counts as not manipulable: in the first second the lean still grows, and friction
+    that holds against that says little about a firm push."""
+    doubt_limit: float = 6.0
+    """... while the object gives way under the push."""
     doubt_every: float = 0.5
     """Contact time between two planning stages until then."""
+    gives_way: float = 0.02
+    """Way of the object's corners in the last second of contact from which it gives way [m]."""
+    clear_margin: float = 2.0
+    """K above its threshold by this factor is believed at once; below, only after ``doubt_time``."""
     probe_limit: float = 2.5
     """Time since the first contact at which the planning stage comes, however short the contacts were, for ..."""
     rolled: float = 0.10
@@ -162,4 +171,4 @@ class Push:
     blind: bool = False
     """Was the object's pose a guess in the last sample."""
     marks: list[tuple[float, np.ndarray]] = field(default_factory=list)
-    """(contact time, object position) once a sample."""
+    """(contact time, object pose) once a sample."""

@@ -48,14 +48,15 @@ class Stand(SimpleNamespace):
     """Stands for the pushing controller: leans forward while slow, and foresees what ``world`` would do."""
 
     def __init__(self, world: World) -> None:
-        super().__init__(world=world, config=SimpleNamespace(contact_force=2.0))
+        super().__init__(world=world, config=SimpleNamespace(contact_force=2.0), rooms=[])
 
     def init(self, now: Any, face: Any, half: Any, key: Any, adapt: Adapt | None = None) -> State:
         return State(adapt or Adapt(np.zeros(18)), face, now.object_pose)
 
     def step(
-        self, state: State, now: Any, last_u: Any, goal: Any, around: Any, half: Any
+        self, state: State, now: Any, last_u: Any, goal: Any, around: Any, half: Any, governor_room: float | None
     ) -> tuple[np.ndarray, State, Any]:
+        self.rooms.append(governor_room)
         assert np.isfinite(now.object_pose).all() and np.isfinite(now.object_twist).all()
         forward = se2.rotate(now.robot_twist[:2], -now.robot_pose[2])
         lean = 0.1 * np.clip(0.25 - forward[0], -0.3, 0.3), -0.1 * forward[1]
@@ -187,6 +188,29 @@ def test_with_no_way_left_it_says_so_after_one_more_try_and_stands_still() -> No
     assert "object 0, registered as an obstacle, is tried once more" in said(navigator)
     assert sum(t.target is Mode.PROBE for t in navigator.transitions) == 2
     assert np.linalg.norm(world.velocity) < 0.15
+
+
+@pytest.mark.parametrize(("creep", "longer"), [(0.0, False), (0.005, False), (0.03, True)])
+def test_what_gives_way_under_the_probe_stays_in_doubt_for_longer(creep: float, longer: bool) -> None:
+    def creeps(world: World, navigator: Navigator) -> None:
+        if navigator.mode is Mode.PROBE:
+            world.box[:2] += creep * DT * np.array([np.cos(world.pose[2]), np.sin(world.pose[2])])
+
+    navigator, _ = run(1, movable=False, happens=creeps)
+    began = next(t.t for t in navigator.transitions if t.target is Mode.PROBE)
+    verdict = next(t for t in navigator.transitions if t.target is Mode.RETREAT)
+    assert "not manipulable" in verdict.reason
+    spent = verdict.t - began
+    assert spent > 5.9 if longer else 2.9 < spent < 4.0
+
+
+@pytest.mark.parametrize("movable", [True, False])
+def test_the_probe_leans_in_firmly_until_the_object_moves(movable: bool) -> None:
+    navigator, _ = run(1, movable=movable)
+    rooms = navigator._controller.rooms  # type: ignore[attr-defined]
+    firm = [room == navigator.config.probe_room for room in rooms]
+    assert firm[0]
+    assert all(firm) != movable
 
 
 def test_without_a_second_chance_it_gives_up_at_once() -> None:
