@@ -64,8 +64,10 @@ POLICIES = {
 class NavigationTrials:
     """What is tried."""
 
-    scenarios: int = 4
+    scenarios: int = 20
     """Per map."""
+    baseline_scenarios: int = 4
+    """Of these the other policies run the first ones only."""
     policies: tuple[str, ...] = tuple(POLICIES)
     workers: int = 2
     scenario: ScenarioConfig = ScenarioConfig()
@@ -83,7 +85,7 @@ def run(ask: Ask) -> ExperimentResult:
         maps = dict(list(maps.items())[:2])
     weights = ask.weights or asset(DEMO_WEIGHTS)
     folder = ask.out / "navigation"
-    settings = asdict(replace(cfg, scenarios=0)) | {"seeds": [ask.seed, ask.condition_seed]}
+    settings = asdict(replace(cfg, scenarios=0, baseline_scenarios=0)) | {"seeds": [ask.seed, ask.condition_seed]}
     settings["policies"] = {name: asdict(POLICIES[name].config) for name in cfg.policies}
     store = folder / f"trials-{fingerprint(settings, weights)}"
     names = [f"{name}-{i}" for i in range(cfg.scenarios) for name in maps]
@@ -112,7 +114,7 @@ def find_maps(folder: Path | None) -> dict[str, Path]:
 def _trials(
     cfg: NavigationTrials, maps: dict[str, Path], seed: int, first_unseen: int, weights: Path, store: Path, name: str
 ) -> list[dict[str, Any]]:
-    """Every policy on one scenario. Each run is kept as soon as it ends."""
+    """Our policy, and of the first scenarios every policy. Each run is kept as soon as it ends."""
     map_name, _, number = name.rpartition("-")
     grid = load_map(maps[map_name])
     index = list(maps).index(map_name)
@@ -120,7 +122,7 @@ def _trials(
     if generated is None:
         return []
     rows = []
-    for policy in cfg.policies:
+    for policy in cfg.policies if int(number) < cfg.baseline_scenarios else (OURS,):
         file = store / "runs" / f"{name}-{policy}.json"
         if not file.is_file():
             row = _run_one(grid, generated, policy, seed, weights)
@@ -231,17 +233,24 @@ def cause_of(result: dict[str, Any], generated: Generated) -> str:
 
 
 def measure(rows: list[dict[str, Any]], policies: tuple[str, ...]) -> dict[str, Any]:
-    """Metrics of every policy, ours without a prefix."""
+    """Metrics of every policy, ours without a prefix; ``baseline_<name>_ours_*`` is ours on that one's scenarios."""
     metrics: dict[str, Any] = {}
+    ran = {p: {(r["map"], r["scenario"]) for r in rows if r["policy"] == p} for p in policies}
     for policy in policies:
         prefix = "" if policy == OURS else f"baseline_{policy}_"
         mine = [r for r in rows if r["policy"] == policy]
         metrics |= {prefix + name: value for name, value in _of_policy(mine).items()}
+        if policy != OURS:
+            same = [r for r in rows if r["policy"] == OURS and (r["map"], r["scenario"]) in ran[policy]]
+            ours = _of_policy(same)
+            metrics |= {f"{prefix}ours_{name}": ours[name] for name in ("success_rate", "time_s", "efficiency")}
     solved = {p: {(r["map"], r["scenario"]) for r in rows if r["policy"] == p and r["success"]} for p in policies}
     everything = {(r["map"], r["scenario"]) for r in rows}
-    others = set().union(*(solved.get(p, set()) for p in ("always_avoid", "always_push")))
-    neither = everything - others
+    simple = [p for p in ("always_avoid", "always_push") if p in policies]
+    compared = set.intersection(*(ran[p] for p in simple)) if simple else set()
+    neither = compared - set().union(*(solved[p] for p in simple))
     metrics["scenarios"] = len(everything)
+    metrics["scenarios_compared"] = len(compared)
     metrics["neither_baseline"] = len(neither)
     metrics["neither_baseline_but_ours"] = len(neither & solved.get(OURS, set()))
     for kind in KINDS:

@@ -78,9 +78,14 @@ def _causes(rows: list[dict[str, Any]]) -> Any:
 
 
 def _runs(rows: list[dict[str, Any]], grid: OccupancyGrid) -> Any:
-    """A row per scenario, a column per policy: driven path, objects before (dotted) and after."""
+    """A row per scenario, a column per policy: driven path, objects before (dotted) and after.
+
+    Scenarios that one policy alone has run are shown if it failed.
+    """
     from matplotlib.figure import Figure
 
+    count = Counter(r["scenario"] for r in rows)
+    rows = [r for r in rows if count[r["scenario"]] > 1 or not r["success"]] or rows[:1]
     policies, numbers = _policies(rows), sorted({r["scenario"] for r in rows})
     figure = Figure(figsize=(3.2 * len(policies), 3.2 * len(numbers)), layout="constrained")
     panels = figure.subplots(len(numbers), len(policies), squeeze=False)

@@ -192,7 +192,11 @@ SECTIONS = {
                 },
                 ("always_avoid", "always_push", "oracle"),
             ),
-            ("scenarios", ("scenarios", "", "", "")),
+            ("scenarios", ("scenarios", *("scenarios_compared",) * 3)),
+            (
+                "... and ours on the same scenarios: success",
+                ("", *(f"baseline_{p}_ours_success_rate" for p in ("always_avoid", "always_push", "oracle"))),
+            ),
             ("scenarios that neither baseline can do", ("neither_baseline", "", "", "")),
             ("... and we can", ("neither_baseline_but_ours", "", "", "")),
         ),

@@ -86,6 +86,15 @@ def test_measures_of_every_policy_and_what_neither_baseline_can_do() -> None:
     assert (metrics["scenarios"], metrics["neither_baseline"], metrics["neither_baseline_but_ours"]) == (4, 2, 1)
 
 
+def test_the_other_policies_are_compared_on_the_scenarios_that_they_ran() -> None:
+    rows = [*(row(0, p, p == "ours") for p in POLICIES), row(1, "ours", False), row(2, "ours", False)]
+    metrics = measure(rows, tuple(POLICIES))
+    assert metrics["success_rate"] == pytest.approx(1 / 3)
+    assert metrics["baseline_always_push_ours_success_rate"] == 1.0
+    assert (metrics["scenarios"], metrics["scenarios_compared"]) == (3, 1)
+    assert (metrics["neither_baseline"], metrics["neither_baseline_but_ours"]) == (1, 1)
+
+
 def test_policies_know_what_they_are_meant_to_know() -> None:
     found = generated(True, False)
     avoid, oracle = POLICIES["always_avoid"].first_status, POLICIES["oracle"].first_status
