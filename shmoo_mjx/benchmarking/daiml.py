@@ -5,11 +5,9 @@ Every row comes from a fresh process. Times leave compilation out, but for the w
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import time
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,6 +19,7 @@ from shmoo_mjx.benchmarking.workers import usable_cores
 from shmoo_mjx.data import store
 from shmoo_mjx.evaluation.datasets import TRAINING
 from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
+from shmoo_mjx.processes import process_pool
 
 __all__ = ["BenchConfig", "run"]
 
@@ -62,8 +61,7 @@ def _any_threads() -> None:
 
 def _fresh(prepare: Callable[[], None], work: Callable[..., Row], *arguments: Any) -> Row:
     """Run ``work`` in a process of its own."""
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(1, mp_context=context, initializer=prepare) as pool:
+    with process_pool(1, prepare) as pool:
         return pool.submit(work, *arguments).result()
 
 

@@ -7,9 +7,8 @@ run in separate processes and each condition is written as soon as its chunk end
 from __future__ import annotations
 
 import dataclasses
-import multiprocessing
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,6 +21,7 @@ from shmoo_mjx.faces import faces_of, heading, stand_off
 from shmoo_mjx.hands import HAND_HEIGHT, REACH
 from shmoo_mjx.plant.objects import FAMILIES, Condition, draw_condition
 from shmoo_mjx.plant.robot import ROBOT
+from shmoo_mjx.processes import process_pool
 from shmoo_mjx.types import DT, Command, Observation
 
 __all__ = ["SPLIT_SEEDS", "CollectConfig", "collect", "conditions", "record", "sample"]
@@ -261,7 +261,7 @@ def collect(
                 chunks.append((number * len(FAMILIES) + k, mine))
     done = len(rows) - sum(len(c) for _, c in chunks)
     progress(done, len(rows))
-    with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+    with process_pool(workers) as pool:
         jobs: dict[Any, list[tuple[str, str, Condition]]] = {
             pool.submit(_run_chunk, config, [(c.family, c.seed) for _, _, c in part], number): part
             for number, part in chunks

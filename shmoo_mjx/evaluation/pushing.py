@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-import multiprocessing
 import os
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +21,7 @@ import numpy as np
 from shmoo_mjx.assets import asset
 from shmoo_mjx.evaluation.pushing_trials import METHODS, Runner, Trial, draw_trials, save_trial
 from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
+from shmoo_mjx.processes import process_pool
 
 __all__ = ["PAPER", "PushingConfig", "enclosing_circle", "metrics_of", "run"]
 
@@ -174,12 +174,7 @@ def _run_all(todo: list[tuple[Trial, str]], weights: Path, config: PushingConfig
     if not todo:
         return
     workers = min(config.workers, len(todo))
-    with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"), initializer=_worker) as pool:
+    with process_pool(workers, _worker) as pool:
         jobs = [pool.submit(_one, trial, method, weights, config, folder) for trial, method in todo]
-        try:
-            for job in as_completed(jobs):
-                yield job.result()
-        except BaseException:
-            # Without this, leaving the pool would first run every trial that still waits.
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+        for job in as_completed(jobs):
+            yield job.result()

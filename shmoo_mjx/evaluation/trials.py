@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import json
-import multiprocessing
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from pathlib import Path
 from typing import Any
 
 from shmoo_mjx.navigation.yaml_input import write_whole
+from shmoo_mjx.processes import process_pool
 
 __all__ = ["fingerprint", "run_trials"]
 
@@ -54,13 +54,7 @@ def _worked(names: Sequence[str], work: Work, workers: int) -> Any:
     if workers <= 1:
         yield from ((name, work(name)) for name in names)
         return
-    # Forked children would inherit JAX's locks; spawned ones start clean and share its compilation cache on disk.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(workers, os.cpu_count() or 1), mp_context=context) as pool:
+    with process_pool(min(workers, os.cpu_count() or 1)) as pool:
         waiting = {pool.submit(work, name): name for name in names}
-        try:
-            for future in as_completed(waiting):
-                yield waiting[future], future.result()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+        for future in as_completed(waiting):
+            yield waiting[future], future.result()

@@ -73,10 +73,13 @@ class Moves:
         return Move(command(lean, 0.0, yaw, reach, height), over, failed)
 
     def contact(self, seen: Observation, index: int, pose: np.ndarray, face: np.ndarray) -> Move:
-        """Creep forward until the hands feel object ``index``."""
-        if np.hypot(*Sighting.of(seen, index).wrench[:2]) > self.config.contact_force:
-            return Move(self.rest(seen, extended=True), over=True)
+        """Creep forward until the hands feel object ``index``, or until it moves before them."""
+        sighting = Sighting.of(seen, index)
         in_face = se2.relative(se2.compose(pose, face[:3]), seen.robot_pose[0])
+        touching = in_face[0] > -(REACH + HAND_RADIUS + 0.05)
+        yields = touching and np.hypot(*sighting.object_twist[:2]) > self.config.contact_speed / 2
+        if yields or np.hypot(*sighting.wrench[:2]) > self.config.contact_force:
+            return Move(self.rest(seen, extended=True), over=True)
         off = in_face[0] < -(REACH + HAND_RADIUS + 0.5) or abs(in_face[1]) > 0.3
         wish = np.array([self.config.contact_speed, np.clip(-0.8 * in_face[1], -0.1, 0.1)])
         lean = drive.velocity_command(seen, se2.rotate(wish, -in_face[2]))

@@ -97,12 +97,13 @@ class MjxEngine:
             raise ValueError("MjxEngine needs scenes built with engine='mjx'")
         self.timestep = float(first.model.opt.timestep)
         self._solver = (iterations, line_search, tolerance)
+        self._dry = np.zeros(first.model.nv, dtype=bool)
         put = self._put_once(self.scenes)
         chosen = list(devices or jax.devices())
         chosen = chosen if len(self.scenes) % len(chosen) == 0 else chosen[:1]
         self._mesh = jax.make_mesh((len(chosen),), ("world",), axis_types=(AxisType.Auto,), devices=chosen)
         self._single = put[id(first.model)]
-        self._template = mjx.make_data(first.model)
+        self._template = mjx.make_data(self._single)
         self._torso = first.model.body("robot/torso").id
         self._kind = np.zeros(first.model.ngeom, dtype=int)
         self._kind[list(first.robot_geoms)] = 1
@@ -115,14 +116,23 @@ class MjxEngine:
     def _put_once(self, scenes: Sequence[Scene]) -> dict[int, mjx.Model]:
         """The scenes' models on the device, by the ids of C MuJoCo's."""
         models = {id(scene.model): scene.model for scene in scenes}
-        return {key: _put(model, *self._solver) for key, model in models.items()}
+        # Which joints have dry friction belongs to the structure: what one world brakes, all worlds must be able to.
+        self._dry = self._dry | np.any([model.dof_frictionloss > 0 for model in models.values()], axis=0)
+        return {key: _put(model, self._dry, *self._solver) for key, model in models.items()}
 
     def change(self, scenes: Sequence[Scene]) -> None:
         """Go on with other scenes of the same structure; the worlds' states stay as they are.
 
         Compiles anew only if something differs between the new worlds that was the same in all the old ones.
         """
+        before = self._dry
         put = self._put_once(scenes)
+        if not np.array_equal(before, self._dry):
+            self._single = put[id(scenes[0].model)]
+            self._template = mjx.make_data(self._single)
+            self._use(*stack_models([put[id(s.model)] for s in scenes]))
+            self.scenes = list(scenes)
+            return
         columns = list(zip(*(jax.tree.leaves(put[id(s.model)]) for s in scenes), strict=True))
         old, tree = jax.tree.flatten(self.model)
         apart = [np.ndim(all_) > np.ndim(column[0]) for all_, column in zip(old, columns, strict=True)]
@@ -130,7 +140,7 @@ class MjxEngine:
             self._use(*stack_models([put[id(s.model)] for s in scenes]))
         else:
             new = [jnp.stack(c) if own else c[0] for own, c in zip(apart, columns, strict=True)]
-            placed = [jax.device_put(leaf, before.sharding) for leaf, before in zip(new, old, strict=True)]
+            placed = [jax.device_put(leaf, was.sharding) for leaf, was in zip(new, old, strict=True)]
             self.model = jax.tree.unflatten(tree, placed)
         self.scenes = list(scenes)
 
@@ -254,7 +264,9 @@ class MjxEngine:
         return jnp.any((kinds.min(axis=-1) == 1) & (kinds.max(axis=-1) == 2) & (contact.dist < 0))
 
 
-def _put(model: mujoco.MjModel, iterations: int, line_search: int, tolerance: float) -> mjx.Model:
+def _put(model: mujoco.MjModel, dry: np.ndarray, iterations: int, line_search: int, tolerance: float) -> mjx.Model:
+    """The model on the device, with some dry friction, however little, on every joint ``[nv]`` of ``dry``."""
     model = copy.deepcopy(model)
+    model.dof_frictionloss[dry] = np.maximum(model.dof_frictionloss[dry], 1e-9)
     model.opt.iterations, model.opt.ls_iterations, model.opt.tolerance = iterations, line_search, tolerance
     return mjx.put_model(model)

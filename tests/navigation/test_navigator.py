@@ -80,7 +80,7 @@ class World:
     def __init__(self, start: tuple[float, float, float], box: tuple[float, float, float], movable: bool) -> None:
         self.pose, self.velocity = np.array(start), np.zeros(2)
         self.box, self.box_twist = np.array(box), np.zeros(3)
-        self.movable = movable
+        self.movable, self.resistance = movable, 12.0
         self.lean, self.lean_rate, self.reach, self.force = np.zeros(2), np.zeros(2), 0.2, np.zeros(2)
         self.time = 0.0
 
@@ -119,7 +119,7 @@ class World:
             local = se2.relative(se2.compose(self.box, face[:3]), np.array([*tip, self.pose[2]]))
             if 0.0 < local[0] < 0.2 and abs(local[1]) < face[3] and abs(local[2]) < 0.5:
                 normal = np.array([np.cos(self.box[2] + face[2]), np.sin(self.box[2] + face[2])])
-                self.force = (12.0 if self.movable else 40.0) * normal
+                self.force = (self.resistance if self.movable else 40.0) * normal
                 if self.movable:
                     self.box[:2] += local[0] * normal
                 else:
@@ -169,6 +169,17 @@ def test_a_movable_box_in_the_only_doorway_is_pushed_away() -> None:
     assert {Mode.APPROACH, Mode.CONTACT, Mode.PROBE, Mode.PUSH, Mode.RETREAT} <= visited(navigator)
     assert navigator.belief.objects[0].status is Status.PARKED
     assert np.linalg.norm(world.box[:2] - (3.0, 2.025)) > 0.3
+
+
+def test_a_box_that_is_hardly_felt_is_noticed_by_its_motion() -> None:
+    def light(world: World, navigator: Navigator) -> None:
+        world.resistance = 2.5
+
+    navigator, _ = run(1, happens=light)
+    assert navigator.mode is Mode.DONE
+    (began,) = (t.t for t in navigator.transitions if t.target is Mode.CONTACT)
+    probe = next(t.t for t in navigator.transitions if t.target is Mode.PROBE)
+    assert probe - began < 4.0
 
 
 def test_an_immovable_box_is_registered_and_gone_round() -> None:

@@ -75,6 +75,23 @@ def test_one_second_agrees_with_c(family: str | None) -> None:
     assert family is None or strongest > 10
 
 
+def test_a_brake_in_a_later_world_counts_though_the_first_world_has_none() -> None:
+    free, braked = (
+        draw_condition("wheelchair", 3, {"locked": locked}) for locked in ([False] * 4, [True] * 2 + [False] * 2)
+    )
+    place = (REACH + 0.06 + free.half_extents[0], 0.0, 0.0)
+    scenes = [build_scene([(c, place)], engine="mjx") for c in (free, braked)]
+    joints = scenes[1].model.dof_frictionloss > 0
+    assert joints.sum() > (scenes[0].model.dof_frictionloss > 0).sum()
+    together, later = MjxEngine(scenes), MjxEngine(scenes[:1])
+    later.change(scenes[1:])
+    for engine, world in ((together, 1), (later, 0)):
+        model = engine.model
+        assert np.array_equal(model._impl.dof_hasfrictionloss, joints)
+        loss = np.broadcast_to(model.dof_frictionloss, (len(engine.scenes), model.nv))
+        np.testing.assert_allclose(loss[world], scenes[1].model.dof_frictionloss, atol=1e-6)
+
+
 def test_randomize_varies_what_it_says_and_nothing_else() -> None:
     scene = _scene("cart", 0, "mjx")
     engine = MjxEngine([scene])

@@ -1,0 +1,47 @@
+"""A pool of worker processes that does not outlive the process it works for."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+
+__all__ = ["process_pool"]
+
+
+@contextmanager
+def process_pool(workers: int, prepare: Callable[[], None] | None = None) -> Iterator[ProcessPoolExecutor]:
+    """Worker processes; an exception, or the end of this process however it comes, stops them too.
+
+    Forked children would inherit JAX's locks; these are spawned, start clean, and share its compilation cache on disk.
+
+    Args:
+        workers: how many, at most.
+        prepare: called in each before its first job; must be picklable.
+    """
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin, initargs=(prepare,))
+    try:
+        yield pool
+    except BaseException:
+        # Otherwise every job that still waits would be run first.
+        pool.shutdown(wait=False, cancel_futures=True)
+        raise
+    pool.shutdown()
+
+
+def _begin(prepare: Callable[[], None] | None) -> None:
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    if prepare is not None:
+        prepare()
+
+
+def _end_with_parent() -> None:
+    """A parent that is killed has no time to tell its workers."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

@@ -1,0 +1,64 @@
+"""Worker processes end with the process they work for."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from shmoo_mjx.processes import process_pool
+
+SCRIPT = """
+import os, sys, time
+from pathlib import Path
+from shmoo_mjx.processes import process_pool
+
+def work(folder):
+    (Path(folder) / str(os.getpid())).touch()
+    time.sleep(120)
+
+if __name__ == "__main__":
+    with process_pool(2) as pool:
+        list(pool.map(work, [sys.argv[1]] * 2))
+"""
+
+
+def _fail(name: str) -> None:
+    raise ValueError(name)
+
+
+def _alive(number: int) -> bool:
+    try:
+        state = Path(f"/proc/{number}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGKILL])
+def test_workers_of_a_killed_process_end(tmp_path: Path, how: signal.Signals) -> None:
+    (tmp_path / "seen").mkdir()
+    (tmp_path / "main.py").write_text(SCRIPT)
+    parent = subprocess.Popen([sys.executable, str(tmp_path / "main.py"), str(tmp_path / "seen")])
+    deadline = time.monotonic() + 60.0
+    while len(os.listdir(tmp_path / "seen")) < 2 and time.monotonic() < deadline:
+        time.sleep(0.05)
+    workers = [int(name) for name in os.listdir(tmp_path / "seen")]
+    assert len(workers) == 2 and all(map(_alive, workers))
+    parent.send_signal(how)
+    parent.wait()
+    deadline = time.monotonic() + 10.0
+    while any(map(_alive, workers)) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not any(map(_alive, workers))
+
+
+def test_an_error_in_a_worker_comes_through() -> None:
+    with pytest.raises(ValueError, match="this one"), process_pool(1) as pool:
+        pool.submit(_fail, "this one").result()
