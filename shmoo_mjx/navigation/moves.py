@@ -72,13 +72,14 @@ class Moves:
         failed = "the stand-off pose was not reached within 30 s" if late else ""
         return Move(command(lean, 0.0, yaw, reach, height), over, failed)
 
-    def contact(self, seen: Observation, index: int, pose: np.ndarray, face: np.ndarray) -> Move:
-        """Creep forward until the hands feel object ``index``, or until it moves before them."""
-        sighting = Sighting.of(seen, index)
+    def contact(self, seen: Observation, index: int, pose: np.ndarray, face: np.ndarray, memory: Approach) -> Move:
+        """Creep forward until the hands feel object ``index``, or until it gives way without being felt."""
+        if memory.touched_from is None:
+            memory.touched_from = pose
         in_face = se2.relative(se2.compose(pose, face[:3]), seen.robot_pose[0])
-        touching = in_face[0] > -(REACH + HAND_RADIUS + 0.05)
-        yields = touching and np.hypot(*sighting.object_twist[:2]) > self.config.contact_speed / 2
-        if yields or np.hypot(*sighting.wrench[:2]) > self.config.contact_force:
+        near = in_face[0] > -(REACH + HAND_RADIUS + 0.05)
+        gives_way = near and np.linalg.norm(pose[:2] - memory.touched_from[:2]) > self.config.contact_shift
+        if gives_way or np.hypot(*Sighting.of(seen, index).wrench[:2]) > self.config.contact_force:
             return Move(self.rest(seen, extended=True), over=True)
         off = in_face[0] < -(REACH + HAND_RADIUS + 0.5) or abs(in_face[1]) > 0.3
         wish = np.array([self.config.contact_speed, np.clip(-0.8 * in_face[1], -0.1, 0.1)])

@@ -251,7 +251,7 @@ class Navigator:
     def _contact(self, seen: Observation) -> Command:
         push = self._pushed()
         known = self.belief.objects[push.object]
-        move = self._moves.contact(seen, push.object, known.pose, push.face)
+        move = self._moves.contact(seen, push.object, known.pose, push.face, push.approach)
         if move.over:
             sighting = Sighting.of(seen, push.object)
             push.state = self._controller.init(sighting, push.face, known.half_extents, self._next_key(), known.adapt)

@@ -278,7 +278,7 @@ class PushTask:
 
     def _contact(self, seen: Observation) -> Command:
         leg, known = self._current()
-        move = self._moves.contact(seen, self._index, known.pose, leg.face)
+        move = self._moves.contact(seen, self._index, known.pose, leg.face, leg.approach)
         if move.over:
             self._key, key = jax.random.split(self._key)
             sighting = Sighting.of(seen, self._index)

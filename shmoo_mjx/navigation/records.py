@@ -56,6 +56,8 @@ class NavigatorConfig:
     """Speed at which contact is made."""
     contact_force: float = 5.0
     """Force on the hands at which contact counts as made [N]: above what a grazing hand gives."""
+    contact_shift: float = 0.03
+    """An object near the hands that has moved this far is touched, however little it resists [m]."""
     at_goal: float = 0.10
     """Distance from its goal at which an object has arrived."""
     probe_time: float = 1.0
@@ -147,6 +149,8 @@ class Approach:
     """[s]"""
     extended_at: float | None = None
     """When the arms were told to extend [s]."""
+    touched_from: np.ndarray | None = None
+    """Pose of the object when the hands began to feel for it."""
     drive: drive.DriveState = field(default_factory=drive.init)
 
 

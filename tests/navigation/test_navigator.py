@@ -171,13 +171,13 @@ def test_a_movable_box_in_the_only_doorway_is_pushed_away() -> None:
     assert np.linalg.norm(world.box[:2] - (3.0, 2.025)) > 0.3
 
 
-def test_a_box_that_is_hardly_felt_is_noticed_by_its_motion() -> None:
+def test_a_box_that_is_hardly_felt_is_noticed_as_it_gives_way() -> None:
     def light(world: World, navigator: Navigator) -> None:
         world.resistance = 2.5
 
     navigator, _ = run(1, happens=light)
     assert navigator.mode is Mode.DONE
-    (began,) = (t.t for t in navigator.transitions if t.target is Mode.CONTACT)
+    began = next(t.t for t in navigator.transitions if t.target is Mode.CONTACT)
     probe = next(t.t for t in navigator.transitions if t.target is Mode.PROBE)
     assert probe - began < 4.0
 
