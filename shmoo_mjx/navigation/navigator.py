@@ -7,6 +7,7 @@ sight and the force on its hands; what it knows of an object's dynamics it has l
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -212,6 +213,10 @@ class Navigator:
         position = seen.robot_pose[0, :2]
         free = self._routes.collision_free(position, known, around, self._routes.free_path(position, known))
         first = initial_goal(known.pose, free, np.array(directions), self.config.planner)
+        if first.goal is None:
+            # In a corridor the next place where it is out of the way may be farther.
+            farther = replace(self.config.planner, area=self.config.far_area)
+            first = initial_goal(known.pose, free, np.array(directions), farther)
         if first.goal is None or first.direction is None:
             return self._give_up(seen, index, f"object {index} can be put nowhere: {first.reason}")
         face, way = faces[usable[first.direction]], ways[usable[first.direction]]
@@ -348,6 +353,9 @@ class Navigator:
         )  # fmt: skip
         if self.mode is Mode.PROBE and self._in_doubt(push, known, result.manipulable, result.K):
             return
+        if self.mode is Mode.PUSH and not result.manipulable and self._gives_way(push, known):
+            # What moves can be moved. K is small here because walls leave the roll-outs no way on.
+            return
         known.manipulable = result.manipulable
         if not result.manipulable:
             self._stuck(seen, push, known, f"object {push.object} is not manipulable: {result.reason}")
@@ -363,10 +371,13 @@ class Navigator:
         if manipulable:
             clear = k >= cfg.clear_margin * cfg.planner.threshold or self._rolled(push, known)
             return not clear and push.contact_time < cfg.doubt_time
+        return push.contact_time < (cfg.doubt_limit if self._gives_way(push, known) else cfg.doubt_time)
+
+    def _gives_way(self, push: Push, known: KnownObject) -> bool:
+        """Whether the object has moved or turned in the last second of contact."""
         recent = np.array([pose for t, pose in push.marks if t > push.contact_time - 1.0])
         x, y, yaw = np.ptp(recent, axis=0)
-        gives_way = np.hypot(x, y) + np.hypot(*known.half_extents) * yaw > cfg.gives_way
-        return push.contact_time < (cfg.doubt_limit if gives_way else cfg.doubt_time)
+        return bool(np.hypot(x, y) + np.hypot(*known.half_extents) * yaw > self.config.gives_way)
 
     def _stuck(self, seen: Observation, push: Push, known: KnownObject, why: str) -> None:
         """End a push that leads no further. Only an object that this push has not moved counts as immovable."""

@@ -105,6 +105,8 @@ class NavigatorConfig:
     """What must be free beside the robot's radius between the path and a pushed object."""
     wall_margin: float = 0.05
     """What must be free between walls and a pushed object's goal."""
+    far_area: float = 5.0
+    """Side of the square in which first goals are sought where the planner's own holds none [m]."""
     other_paths: int = 12
     """Goals for which another path is sought when none leaves the path free."""
     planner: ObjectPlannerConfig = ObjectPlannerConfig(min_displacement=0.6)
