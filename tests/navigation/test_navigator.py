@@ -19,7 +19,7 @@ from shmoo_mjx.evaluation.scenarios import toy_scenario
 from shmoo_mjx.faces import faces_of
 from shmoo_mjx.hands import HAND_RADIUS
 from shmoo_mjx.navigation.belief import Status
-from shmoo_mjx.navigation.maps import OccupancyGrid, clearance_field
+from shmoo_mjx.navigation.maps import FREE, OCCUPIED, OccupancyGrid, clearance_field
 from shmoo_mjx.navigation.navigator import Navigator
 from shmoo_mjx.navigation.object_planner import ObjectPlannerConfig
 from shmoo_mjx.navigation.records import Mode, NavigatorConfig
@@ -67,7 +67,7 @@ class Stand(SimpleNamespace):
         self, state: State, goal: Any, around: Any, half: Any
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         angle = state.pose[2] + state.face[2]
-        reach = np.linspace(0.1, 1.2, 60) if self.world.movable else np.full(60, 0.01)
+        reach = np.linspace(0.1, 1.2, 60) if self.world.movable and self.world.foreseen else np.full(60, 0.01)
         along = reach[:, None] * np.array([np.cos(angle), np.sin(angle)])
         ends = np.concatenate([state.pose[:2] + along, np.full((60, 1), state.pose[2])], axis=1)
         paths = np.linspace(state.pose, ends, 6)[1:].swapaxes(0, 1)
@@ -80,7 +80,7 @@ class World:
     def __init__(self, start: tuple[float, float, float], box: tuple[float, float, float], movable: bool) -> None:
         self.pose, self.velocity = np.array(start), np.zeros(2)
         self.box, self.box_twist = np.array(box), np.zeros(3)
-        self.movable, self.resistance = movable, 12.0
+        self.movable, self.resistance, self.foreseen = movable, 12.0, True
         self.lean, self.lean_rate, self.reach, self.force = np.zeros(2), np.zeros(2), 0.2, np.zeros(2)
         self.time = 0.0
 
@@ -180,6 +180,32 @@ def test_a_box_that_is_hardly_felt_is_noticed_as_it_gives_way() -> None:
     began = next(t.t for t in navigator.transitions if t.target is Mode.CONTACT)
     probe = next(t.t for t in navigator.transitions if t.target is Mode.PROBE)
     assert probe - began < 4.0
+
+
+def test_in_a_corridor_the_first_goal_may_be_far() -> None:
+    """A box in a corridor of 0.9 m: the next place where it is out of the way is the room behind it, 2 m on."""
+    cells = np.full((80, 120), OCCUPIED, dtype=np.int8)
+    cells[31:49, 6:80] = FREE
+    cells[6:74, 80:114] = FREE
+    world = World((0.8, 2.0, 0.0), (2.0, 2.0, 0.0), movable=True)
+    navigator = Navigator(OccupancyGrid(cells, 0.05), [5.2, 1.0], [HALF], Stand(world))  # type: ignore[arg-type]
+    navigator.tick(world.observe())
+    assert navigator.mode is Mode.APPROACH, reasons(navigator)
+    assert navigator.push is not None
+    assert np.linalg.norm(navigator.push.goal[:2] - world.box[:2]) > 1.5
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_only_what_stands_still_is_called_immovable_once_it_has_been_called_movable(moves: bool) -> None:
+    """Later looks foresee no motion; the box goes on, or sticks."""
+
+    def worsens(world: World, navigator: Navigator) -> None:
+        if navigator.mode is Mode.PUSH:
+            world.foreseen, world.movable = False, moves
+
+    navigator, _ = run(1, happens=worsens)
+    assert ("is not manipulable" in reasons(navigator)) != moves
+    assert (navigator.mode is Mode.DONE) == moves
 
 
 def test_an_immovable_box_is_registered_and_gone_round() -> None:
