@@ -304,7 +304,7 @@ class Navigator:
             self._go(seen, Mode.RETREAT, f"object {index} is at its goal")
         elif self.mode is Mode.PUSH and self._passed(push, known):
             self._go(seen, Mode.RETREAT, f"object {index} has gone past its goal, and can't be pulled")
-        elif push.since_contact > cfg.lost_after and not (self.mode is Mode.PROBE and self._rolled(push, known)):
+        elif push.since_contact > cfg.lost_after and not self._rolls_ahead(float(seen.time[0]), push, known):
             self._go(seen, Mode.RETREAT, f"contact with object {index} lost for {cfg.lost_after:g} s")
         elif self._stalled(push):
             text = f"object {index} moved less than {cfg.stall_distance:g} m in {cfg.stall_time:g} s of contact"
@@ -320,6 +320,11 @@ class Navigator:
         late = now - push.started >= self.config.probe_limit and self._rolled(push, known)
         again = push.reviewed_at + self.config.doubt_every if push.reviewed_at else 0.0
         return push.contact_time >= max(self.config.probe_time, again) or late
+
+    def _rolls_ahead(self, now: float, push: Push, known: KnownObject) -> bool:
+        """Whether a probe still waits for what rolls ahead of the hands to be looked at."""
+        waits = now - push.started < self.config.probe_limit + self.config.lost_after
+        return self.mode is Mode.PROBE and waits and self._rolled(push, known)
 
     def _rolled(self, push: Push, known: KnownObject) -> bool:
         """A cart that rolls ahead of the hands gives little contact, but its motion tells as much."""

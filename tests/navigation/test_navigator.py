@@ -208,6 +208,21 @@ def test_only_what_stands_still_is_called_immovable_once_it_has_been_called_mova
     assert (navigator.mode is Mode.DONE) == moves
 
 
+def test_a_probe_whose_object_has_rolled_away_ends() -> None:
+    """It was touched, has rolled 0.4 m, and the planning stage has too little contact for a verdict."""
+
+    def rolls(world: World, navigator: Navigator) -> None:
+        if navigator.mode is Mode.PROBE and navigator.push is not None:
+            world.foreseen = False
+            world.box[0] += 0.05 if world.time - navigator.push.started < 0.8 else 0.0
+            world.pose[:2] -= 0.05 * np.array([np.cos(world.pose[2]), np.sin(world.pose[2])])
+
+    navigator, _ = run(1, happens=rolls, seconds=25.0)
+    began = next(t.t for t in navigator.transitions if t.target is Mode.PROBE)
+    lost = next(t for t in navigator.transitions if t.source is Mode.PROBE)
+    assert "lost" in lost.reason and lost.t - began < 6.0
+
+
 def test_an_immovable_box_is_registered_and_gone_round() -> None:
     navigator, _ = run(doors=2, movable=False, config=NavigatorConfig(detour=0.1))
     assert navigator.mode is Mode.DONE
