@@ -201,7 +201,7 @@ SECTIONS = {
             ("scenarios that neither baseline can do", ("neither_baseline", "", "", "")),
             ("... and we can", ("neither_baseline_but_ours", "", "", "")),
         ),
-        ("causes.png",),
+        ("success.png", "causes.png"),
         "--maps DIR",
     ),
     "real_pushing": Section(
