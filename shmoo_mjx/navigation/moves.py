@@ -77,6 +77,7 @@ class Moves:
         if memory.touched_from is None:
             memory.touched_from = pose
         in_face = se2.relative(se2.compose(pose, face[:3]), seen.robot_pose[0])
+        # Within 5 cm of the hands, so that what somebody else moves meanwhile does not count.
         near = in_face[0] > -(REACH + HAND_RADIUS + 0.05)
         gives_way = near and np.linalg.norm(pose[:2] - memory.touched_from[:2]) > self.config.contact_shift
         if gives_way or np.hypot(*Sighting.of(seen, index).wrench[:2]) > self.config.contact_force:

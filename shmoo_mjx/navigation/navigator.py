@@ -381,6 +381,7 @@ class Navigator:
     def _gives_way(self, push: Push, known: KnownObject) -> bool:
         """Whether the object has moved or turned in the last second of contact."""
         recent = np.array([pose for t, pose in push.marks if t > push.contact_time - 1.0])
+        recent[:, 2] = np.unwrap(recent[:, 2])
         x, y, yaw = np.ptp(recent, axis=0)
         return bool(np.hypot(x, y) + np.hypot(*known.half_extents) * yaw > self.config.gives_way)
 

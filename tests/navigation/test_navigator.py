@@ -256,6 +256,18 @@ def test_what_gives_way_under_the_probe_stays_in_doubt_for_longer(creep: float, 
     assert spent > 5.9 if longer else 2.9 < spent < 4.0
 
 
+def test_an_object_that_faces_backwards_and_shakes_a_little_does_not_give_way() -> None:
+    """Its yaw jumps between pi and -pi."""
+
+    def shakes(world: World, navigator: Navigator) -> None:
+        world.box[2] = se2.wrap(np.pi + 0.001 * (-1) ** round(world.time / DT))
+
+    navigator, _ = run(1, movable=False, happens=shakes)
+    began = next(t.t for t in navigator.transitions if t.target is Mode.PROBE)
+    verdict = next(t for t in navigator.transitions if t.target is Mode.RETREAT)
+    assert verdict.t - began < 4.0
+
+
 @pytest.mark.parametrize("movable", [True, False])
 def test_the_probe_leans_in_firmly_until_the_object_moves(movable: bool) -> None:
     navigator, _ = run(1, movable=movable)
