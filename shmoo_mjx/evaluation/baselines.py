@@ -14,12 +14,13 @@ from typing import Any
 import numpy as np
 
 from shmoo_mjx.data import store
-from shmoo_mjx.evaluation import datasets, scoring
+from shmoo_mjx.evaluation import datasets, replay, scoring
 from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
 from shmoo_mjx.evaluation.trials import fingerprint, run_trials
 from shmoo_mjx.learning.baselines import METHODS, REFERENCES, Budget, Job, recordings
 from shmoo_mjx.learning.baselines.adaptive import prior
 from shmoo_mjx.learning.baselines.protocol import Method, output_scale
+from shmoo_mjx.learning.rows import rows_from_dataset
 from shmoo_mjx.types import DT
 
 __all__ = ["PAPER", "BaselinesConfig", "run"]
@@ -34,11 +35,17 @@ PAPER = {
 """Sec. V-A and V-B; ratio_<name> is a method's mse over ours."""
 
 
+REPLAY = "replay"
+"""Name of the plant itself among the methods: what their inputs leave to be predicted (`replay`)."""
+
+
 @dataclass(frozen=True)
 class BaselinesConfig:
     """What is compared and how hard each is tried."""
 
     methods: tuple[str, ...] = tuple(METHODS)
+    references: tuple[str, ...] = (*REFERENCES, REPLAY)
+    """What needs no tuning."""
     settings: int = 4
     """Settings that each method tries on the validation conditions, with seed 0 and the tuning budget."""
     tuning: Budget = field(default_factory=lambda: Budget(8, 150, 8))
@@ -78,6 +85,8 @@ class _Work:
 
     def __call__(self, name: str) -> list[dict[str, Any]]:
         stage, method_name, setting, *rest = name.split("-")
+        if method_name == REPLAY:
+            return self._replay()
         method, number = (METHODS | REFERENCES)[method_name], int(rest[0]) if rest else 0
         dataset = store.of_training(self.train)
         if self.config.training_objects is not None:
@@ -100,18 +109,14 @@ class _Work:
         rows = []
         for name, fit in fits.items():
             found = scoring.score(fit(job), recorded, scale, job.fit_rows)
-            rows += [
-                {
-                    "method": name,
-                    "run": number,
-                    "condition": condition,
-                    "family": about["family"],
-                    "setting": job.setting,
-                }
-                | {measure: float(values[i]) for measure, values in found.items()}
-                for i, (condition, about) in enumerate(zip(objects.names, objects.conditions, strict=True))
-            ]
+            rows += _rows(objects, found, {"method": name, "run": number, "setting": job.setting})
         return rows
+
+    def _replay(self) -> list[dict[str, Any]]:
+        objects = store.read(self.unseen, splits=("test",))
+        scale = output_scale(rows_from_dataset(store.of_training(self.train).split("train")))
+        found = replay.score(objects, scale, round(self.config.fit_seconds / DT))
+        return _rows(objects, found, {"method": REPLAY, "run": 0, "setting": {}})
 
 
 def run(ask: Ask, config: BaselinesConfig | None = None) -> ExperimentResult:
@@ -120,8 +125,9 @@ def run(ask: Ask, config: BaselinesConfig | None = None) -> ExperimentResult:
     train = datasets.training_directory(ask)
     unseen = datasets.unseen_directory(ask, config.unseen)
     manifests = [directory / store.MANIFEST for directory in (train, unseen)]
-    # Neither the number of processes nor of seeds changes what a fit gives.
+    # Neither the number of processes nor of seeds changes what a fit gives, nor what it is compared with.
     key = asdict(replace(config, workers=1, seeds=1, methods=())) | {"seed": ask.seed}
+    del key["references"]
     folder = ask.out / "baselines" / fingerprint(key, *manifests)
     work = _Work(train, unseen, folder, config, ask.seed)
     methods = [METHODS[name] for name in config.methods]
@@ -132,7 +138,7 @@ def run(ask: Ask, config: BaselinesConfig | None = None) -> ExperimentResult:
     final = [
         f"final-{m.name}-{chosen[m.name]}-{seed}" for m in methods for seed in range(config.seeds if m.trained else 1)
     ]
-    final += [f"final-{name}-0-0" for name in REFERENCES]
+    final += [f"final-{name}-0-0" for name in config.references]
     rows = run_trials(final, work, folder, ask.progress, config.workers)
     tuning = [row for name in tried for row in tried[name]]
     result = make_result("baselines", ask, config, _metrics(rows), PAPER, [*tuning, *rows])
@@ -149,6 +155,17 @@ def _tune(methods: list[Method], work: _Work, ask: Ask) -> dict[str, list[dict[s
     return {m.name: [row for row in numbered if row["tuned"] == m.name] for m in methods}
 
 
+def _rows(objects: store.Dataset, found: Mapping[str, np.ndarray], about: dict[str, Any]) -> list[dict[str, Any]]:
+    """One row for each unseen object; measures that a method has none of are NaN."""
+    none = np.full(len(objects.names), np.nan)
+    return [
+        about
+        | {"condition": condition, "family": described["family"]}
+        | {measure: float(found.get(measure, none)[i]) for measure in scoring.NAMES}
+        for i, (condition, described) in enumerate(zip(objects.names, objects.conditions, strict=True))
+    ]
+
+
 def _tuned(method: Method, job: Job) -> list[dict[str, Any]]:
     found = scoring.score(method.fit(job), job.validation, output_scale(job.train.rows), job.fit_rows)
     return [{"tuned": method.name, "setting": job.setting, "validation_fvu": float(np.mean(found["fvu"]))}]
@@ -161,7 +178,7 @@ def _metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
         mine = [row for row in rows if row["method"] == method]
         runs = sorted({row["run"] for row in mine})
         for measure in scoring.NAMES:
-            of_seeds = [np.nanmean([row[measure] for row in mine if row["run"] == run]) for run in runs]
+            of_seeds = [_mean([row[measure] for row in mine if row["run"] == run]) for run in runs]
             metrics[f"{measure}_{method}"] = float(np.mean(of_seeds))
             if measure in ("mse", "fvu"):
                 metrics[f"{measure}_std_{method}"] = float(np.std(of_seeds))
@@ -171,6 +188,11 @@ def _metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
         others = [name for name in dict.fromkeys(row["method"] for row in rows) if name != "ours"]
         metrics |= {f"ratio_{name}": metrics[f"mse_{name}"] / metrics["mse_ours"] for name in others}
     return metrics
+
+
+def _mean(values: list[float]) -> float:
+    """Mean of those that are numbers; NaN, without a warning, if none is."""
+    return float(np.nanmean(values)) if np.isfinite(values).any() else float("nan")
 
 
 def _figure(result: ExperimentResult, path: Path) -> None:

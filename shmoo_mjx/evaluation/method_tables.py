@@ -23,7 +23,8 @@ _NAMES = {
     "linear": "linear basis, ridge towards zero",
     "linear_prior": "linear basis, towards the prior",
     "physics": "physics basis, towards the prior",
-    "rigid_body": "rigid body, identified",
+    "rigid_body": "body on four feet, identified",
+    "psi_on_body": "psi that sees the identified body's answer",
     "alpaca": "ALPaCA",
     "gru": "GRU in context",
     "mlp": "one MLP, no adaptation",
@@ -31,6 +32,7 @@ _NAMES = {
     "prior": "ours before it touches the object",
     "zero": "no acceleration (a = 0)",
     "constant_velocity": "constant twist in {O}",
+    "replay": "the simulator, told everything, under each sample's mean wrench",
 }
 
 

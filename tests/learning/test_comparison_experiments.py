@@ -40,6 +40,7 @@ def ask(synthetic_dataset: store.Dataset, tmp_path: Path, monkeypatch: pytest.Mo
 def test_baselines_are_tuned_trained_scored_and_kept(ask: Ask, monkeypatch: pytest.MonkeyPatch) -> None:
     config = baselines.BaselinesConfig(
         methods=("linear", "trigonometric", "mlp"),
+        references=("zero", "constant_velocity"),
         settings=2,
         tuning=Budget(1, 4, 1),
         final=Budget(1, 8, 1),

@@ -33,6 +33,7 @@ _RIDGES = tuple({"ridge": ridge} for ridge in (1.0, 0.001, 10.0, 100.0))
 _PRIORS = tuple({"noise": noise, "coupled": coupled} for noise in (1.0, 4.0) for coupled in (True, False))
 _DAIML: tuple[Setting, ...] = ({}, {"learning_rate": 1e-3}, {"functions": 6}, {"alpha": 0.0})
 _PAPER: tuple[Setting, ...] = ({}, {"learning_rate": 1e-3}, {"ridge": 3.0}, {"alpha": 0.0})
+_BODIES = tuple({"noise": noise, "groups": groups} for noise in (1.5, 0.75) for groups in (3, 1))
 _NETS = tuple({"learning_rate": rate, "decay": decay} for rate in (1e-3, 3e-3) for decay in (0.0, 0.1))
 
 METHODS: dict[str, Method] = {
@@ -45,9 +46,8 @@ METHODS: dict[str, Method] = {
         Method("linear", linear.linear, _RIDGES, trained=False),
         Method("linear_prior", linear.linear_prior, _PRIORS, trained=False),
         Method("physics", linear.physics, _PRIORS, trained=False),
-        Method(
-            "rigid_body", rigid_body.rigid_body, tuple({"prior": p} for p in (1.0, 0.1, 10.0, 100.0)), trained=False
-        ),
+        Method("rigid_body", rigid_body.rigid_body, _BODIES, trained=False),
+        Method("psi_on_body", rigid_body.psi_on_body, _DAIML),
         Method(
             "alpaca",
             alpaca,

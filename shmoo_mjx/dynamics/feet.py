@@ -1,0 +1,101 @@
+"""A rigid body on four feet with dry friction, pushed at the height of the hands: the physics that most objects share.
+
+Dry friction decides within a sample whether an object holds, slides or stops, and that border moves with mass and
+friction. Here it is sharp: each foot holds or slips by Coulomb's law, solved implicitly over the whole sample. Friction
+that sets in gradually with speed would let an object creep that is pushed below its break-away force, and whoever fits
+such a body to data makes up for it with a hundredfold mass.
+
+A push at the height of the hands loads the far feet and relieves the near ones, which turns the object. Feet may grip
+more along one axis (wheels that do not swivel) and more at one end or corner (a locked wheel).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from shmoo_mjx.dynamics import features
+from shmoo_mjx.hands import HAND_HEIGHT
+from shmoo_mjx.types import DT
+
+__all__ = ["PARAMETERS", "acceleration"]
+
+Array = Any
+
+PARAMETERS: dict[str, tuple[float, float]] = {
+    "log_mass": (2.5, 1.0),
+    "log_gyration": (-0.5, 0.3),
+    "centre_x": (0.0, 0.15),
+    "centre_y": (0.0, 0.15),
+    "log_friction_x": (-2.0, 1.5),
+    "log_friction_y": (-2.0, 1.5),
+    "grip_x": (0.0, 0.4),
+    "grip_y": (0.0, 0.4),
+    "log_foot_x": (-0.5, 0.3),
+    "log_foot_y": (-0.5, 0.3),
+    "feet_x": (0.0, 0.15),
+    "feet_y": (0.0, 0.15),
+}
+"""What the body is told by, with a first guess and how far it may be off.
+
+Mass [log kg]; friction coefficients along x and y of {O} [log]; by how much their logarithm grows from the middle to
+the front and left feet; all else over half the diagonal of the footprint: radius of gyration [log], centre of mass,
+half distances of the feet [log], and the point in the middle of them."""
+
+GRAVITY = 9.81
+SWEEPS = 5
+"""Over the four feet: what one holds changes what the others have to hold."""
+FEET = ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0))
+
+
+def acceleration(parameters: Array, inputs: Array) -> Array:
+    """Mean acceleration ``[3, ...]`` in {O} over a sample under the inputs' wrench, channels first.
+
+    Args:
+        parameters: ``[12]`` as PARAMETERS lists them.
+        inputs: ``[10, ...]`` as OBJECT_INPUTS lists them.
+    """
+    where = features.slices(features.OBJECT_INPUTS)
+    vx, vy, spin = inputs[where["object_twist"]]
+    fx, fy, torque = inputs[where["wrench"]]
+    size = inputs[where["size"]][0]
+    named = dict(zip(PARAMETERS, parameters, strict=True))
+    mass, gyration = jnp.exp(named["log_mass"]), jnp.exp(named["log_gyration"]) * size
+    inverse_mass, inverse_inertia = 1.0 / mass, 1.0 / (mass * gyration**2)
+    x, y = named["centre_x"] * size, named["centre_y"] * size
+    half_x, half_y = jnp.exp(named["log_foot_x"]) * size, jnp.exp(named["log_foot_y"]) * size
+    # From the centre of mass to the middle of the feet.
+    mid_x, mid_y = named["feet_x"] * size - x, named["feet_y"] * size - y
+    # Where the floor's reaction acts, in half distances of the feet: weight, and the push's tipping moment.
+    tip = HAND_HEIGHT / (mass * GRAVITY)
+    load_x = jnp.clip((tip * fx - mid_x) / half_x, -0.98, 0.98)
+    load_y = jnp.clip((tip * fy - mid_y) / half_y, -0.98, 0.98)
+    signs = jnp.array(FEET).reshape(4, 2, *(1,) * size.ndim)
+    lever = jnp.stack([mid_x + signs[:, 0] * half_x, mid_y + signs[:, 1] * half_y], axis=1)
+    weight = DT * mass * GRAVITY / 4 * (1 + signs[:, 0] * load_x) * (1 + signs[:, 1] * load_y)
+    grip = jnp.exp(signs[:, 0] * named["grip_x"] + signs[:, 1] * named["grip_y"])
+    limit = jnp.stack([weight * grip * jnp.exp(named[f"log_friction_{axis}"]) for axis in "xy"], axis=1)
+    step = 1.0 / (inverse_mass + jnp.sum(lever**2, axis=1) * inverse_inertia)
+    # Twist of the centre of mass after the push alone; then the feet take from it what they hold.
+    pushed = (
+        vx - spin * y + DT * inverse_mass * fx,
+        vy + spin * x + DT * inverse_mass * fy,
+        spin + DT * inverse_inertia * (torque - x * fy + y * fx),
+    )
+
+    def hold(carry: tuple[Any, Array], foot: Array) -> tuple[tuple[Any, Array], None]:
+        """One foot: the impulse that would stop it, cut to what its load allows."""
+        (ux, uy, turn), impulses = carry
+        (lx, ly), most, before = lever[foot], limit[foot], impulses[foot]
+        slip = jnp.stack([ux - turn * ly, uy + turn * lx])
+        wanted = before - step[foot] * slip
+        after = wanted * jax.lax.rsqrt(jnp.maximum(1.0, jnp.sum((wanted / most) ** 2, axis=0)))
+        dx, dy = after - before
+        moved = (ux + inverse_mass * dx, uy + inverse_mass * dy, turn + inverse_inertia * (lx * dy - ly * dx))
+        return (moved, impulses.at[foot].set(after)), None
+
+    order = jnp.tile(jnp.arange(4), SWEEPS)
+    ((ux, uy, turn), _), _ = jax.lax.scan(hold, (pushed, jnp.zeros_like(limit)), order)
+    return jnp.stack([ux + turn * y - vx, uy - turn * x - vy, turn - spin]) / DT

@@ -1,0 +1,193 @@
+"""Which body on four feet an object is: parameters by nonlinear least squares, given what training objects are like.
+
+Objects that slide and objects that roll have little in common, so the prior is a mixture of Gaussians, found in the
+training conditions without being told families. An object is fitted once from the middle of each Gaussian, and the
+likeliest fit is kept. Residuals of dry friction are heavy-tailed and alike from sample to sample: large ones count by
+their size, not its square, and the noise is set higher than the residual's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.cluster.vq import kmeans2
+
+from shmoo_mjx.dynamics import feet
+
+__all__ = ["BodyPrior", "IdentificationConfig", "broad_prior", "identify", "learn_prior"]
+
+Array = Any
+
+
+@dataclass(frozen=True)
+class IdentificationConfig:
+    """Settings of the fit; hashable."""
+
+    noise: float = 1.5
+    """Standard deviation of a residual, over the label's standard deviation in training."""
+    groups: int = 3
+    """Gaussians of the prior."""
+    iterations: int = 15
+    """Levenberg-Marquardt steps from each start."""
+    starts: int = 512
+    """Random parameters tried for a training condition, of which the best `refined` are fitted."""
+    refined: int = 6
+    stride: int = 2
+    """Every so many rows of a training condition are used."""
+    rounds: int = 3
+    """Times that the mixture and the training conditions' fits are refined by each other."""
+    seed: int = 0
+
+
+class BodyPrior(NamedTuple):
+    """A mixture of G Gaussians over the p parameters of `feet.PARAMETERS`."""
+
+    mean: Array
+    """``[G, p]``"""
+    root: Array
+    """``[G, p, p]``: root (parameters - mean) is standard normal."""
+    log_weight: Array
+    """``[G]`` log of the share, and of the density at the mean."""
+
+
+def broad_prior() -> BodyPrior:
+    """One Gaussian as wide as PARAMETERS says."""
+    guess = np.array(list(feet.PARAMETERS.values()), np.float32)
+    return BodyPrior(guess[None, :, 0], np.diag(1.0 / guess[:, 1])[None], np.zeros(1, np.float32))
+
+
+def identify(
+    config: IdentificationConfig, prior: BodyPrior, scale: Array, inputs: Array, labels: Array, weights: Array
+) -> Array:
+    """The likeliest parameters ``[p]`` given N rows and the prior.
+
+    Args:
+        config: static.
+        prior: G Gaussians; a fit starts from the mean of each.
+        scale: ``[3]`` standard deviation of the labels in training.
+        inputs: ``[N, 10]``.
+        labels: ``[N, 3]``.
+        weights: ``[N]`` 0 where a row doesn't count.
+    """
+    rows = (inputs.T, labels.T / scale[:, None] / config.noise, weights, scale * config.noise)
+    found, cost = jax.vmap(lambda m, r: _fit(config, m, m, r, rows))(prior.mean, prior.root)
+    return found[jnp.argmin(cost - prior.log_weight)]
+
+
+def learn_prior(
+    config: IdentificationConfig, scale: Array, inputs: Array, labels: Array, weights: Array
+) -> tuple[BodyPrior, Array]:
+    """The mixture that the training conditions are drawn from, and their own parameters ``[C, p]``.
+
+    Args:
+        config: settings.
+        scale: ``[3]`` standard deviation of the labels.
+        inputs: ``[C, N, 10]``.
+        labels: ``[C, N, 3]``.
+        weights: ``[C, N]``.
+    """
+    rows = tuple(jnp.asarray(a[:, :: config.stride]) for a in (inputs, labels, weights))
+    guess = np.array(list(feet.PARAMETERS.values()))
+    rng = np.random.default_rng(config.seed)
+    starts = jnp.asarray(guess[:, 0] + 0.7 * guess[:, 1] * rng.normal(size=(config.starts, len(guess))), jnp.float32)
+    scale = jnp.asarray(scale)
+
+    @jax.jit
+    def first(rows: Any) -> Array:
+        return jax.lax.map(lambda r: _from_starts(config, starts, scale, *r), rows)
+
+    @jax.jit
+    def again(prior: BodyPrior, rows: Any) -> Array:
+        return jax.lax.map(lambda r: identify(config, prior, scale, *r), rows)
+
+    found = np.asarray(first(rows), float)
+    group = _groups(found, guess, config)
+    for _ in range(config.rounds):
+        prior = _mixture(found, group, guess, config.groups)
+        found = np.asarray(again(prior, rows), float)
+        group = _nearest(prior, found)
+    return prior, found
+
+
+def _fit(config: IdentificationConfig, start: Array, mean: Array, root: Array, rows: Any) -> tuple[Array, Array]:
+    """Levenberg-Marquardt from ``start [p]``: (parameters, half the sum of squares, robust and with the prior)."""
+    inputs, labels, weights, unit = rows
+
+    def residuals(parameters: Array) -> Array:
+        return feet.acceleration(parameters, inputs) / unit[:, None] - labels
+
+    def cost_of(parameters: Array, left: Array) -> Array:
+        robust = jnp.sum(weights * (jnp.sqrt(1.0 + left**2) - 1.0))
+        return robust + 0.5 * jnp.sum((root @ (parameters - mean)) ** 2)
+
+    # p tangents at once are cheaper than 3 N cotangents.
+    slopes_of = jax.jacfwd(residuals)
+
+    def iterate(carry: tuple[Array, Array, Array], _: None) -> tuple[tuple[Array, Array, Array], None]:
+        parameters, cost, damping = carry
+        left, slopes = residuals(parameters), slopes_of(parameters)
+        robust = weights / jnp.sqrt(1.0 + left**2)
+        information = jnp.einsum("ant,an,anu->tu", slopes, robust, slopes) + root.T @ root
+        gradient = jnp.einsum("ant,an,an->t", slopes, robust, left) + root.T @ (root @ (parameters - mean))
+        damped = information + damping * jnp.diag(jnp.diag(information))
+        tried = parameters - jnp.linalg.solve(damped, gradient)
+        new_cost = cost_of(tried, residuals(tried))
+        better = jnp.isfinite(new_cost) & (new_cost < cost)
+        kept = (jnp.where(better, tried, parameters), jnp.where(better, new_cost, cost))
+        return (*kept, jnp.clip(jnp.where(better, damping / 4, damping * 6), 1e-4, 1e6)), None
+
+    begin = (start, cost_of(start, residuals(start)), jnp.asarray(0.03))
+    (found, cost, _), _ = jax.lax.scan(iterate, begin, None, length=config.iterations)
+    return found, cost
+
+
+def _from_starts(
+    config: IdentificationConfig, starts: Array, scale: Array, inputs: Array, labels: Array, weights: Array
+) -> Array:
+    """The best of the fits from the most promising starts, under the broad prior."""
+    prior = jax.tree.map(jnp.asarray, broad_prior())
+    unit = scale * config.noise
+    x, y = inputs.T, labels.T / unit[:, None]
+
+    def badness(parameters: Array) -> Array:
+        left = feet.acceleration(parameters, x[:, ::2]) / unit[:, None] - y[:, ::2]
+        return jnp.sum(weights[::2] * (jnp.sqrt(1.0 + left**2) - 1.0))
+
+    promising = starts[jnp.argsort(jax.lax.map(badness, starts, batch_size=32))[: config.refined]]
+    rows = (x, y, weights, unit)
+    found, cost = jax.vmap(lambda s: _fit(config, s, prior.mean[0], prior.root[0], rows))(promising)
+    return found[jnp.argmin(cost)]
+
+
+def _groups(found: np.ndarray, guess: np.ndarray, config: IdentificationConfig) -> np.ndarray:
+    """Group ``[C]`` of each condition by k-means."""
+    return kmeans2((found - guess[:, 0]) / guess[:, 1], config.groups, minit="++", rng=config.seed)[1]
+
+
+def _mixture(found: np.ndarray, group: np.ndarray, guess: np.ndarray, groups: int) -> BodyPrior:
+    """Median and robust spread of each group that has members enough."""
+    means, roots, weights = [], [], []
+    floor = 0.1 * guess[:, 1]
+    for g in range(groups):
+        own = found[group == g]
+        own = own if len(own) >= 4 else found
+        mean = np.median(own, axis=0)
+        # One outlier among thirty must not make the prior wide.
+        spread = np.maximum(1.48 * np.median(np.abs(own - mean), axis=0), floor)
+        standard = np.clip((own - mean) / spread, -2.5, 2.5)
+        correlation = 0.8 * standard.T @ standard / len(own) + 0.2 * np.eye(len(mean))
+        root = np.linalg.cholesky(np.linalg.inv(correlation)).T / spread
+        means.append(mean)
+        roots.append(root)
+        weights.append(np.log(len(own) / len(found)) + np.linalg.slogdet(root)[1])
+    return BodyPrior(*(np.asarray(a, np.float32) for a in (means, roots, weights)))
+
+
+def _nearest(prior: BodyPrior, found: np.ndarray) -> np.ndarray:
+    """The likeliest Gaussian ``[C]`` of each condition's parameters."""
+    distance = np.sum(np.einsum("gij,cgj->cgi", prior.root, found[:, None] - prior.mean) ** 2, axis=-1)
+    return np.argmin(0.5 * distance - prior.log_weight, axis=1)

@@ -1,0 +1,60 @@
+"""Bodies on feet whose parameters are known, identified from what they did."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from shmoo_mjx.dynamics import feet
+from shmoo_mjx.learning import identification
+from shmoo_mjx.learning.identification import IdentificationConfig
+
+CONFIG = IdentificationConfig(noise=0.3, groups=2, starts=64, refined=2, stride=1, rounds=2)
+NAMES = list(feet.PARAMETERS)
+
+
+def drawn(log_mass: float, log_friction: float, rng: np.random.Generator, rows: int = 120) -> tuple[np.ndarray, ...]:
+    """Parameters around these, and inputs and labels of such a body under pushes that hold and slide it."""
+    guess = np.array(list(feet.PARAMETERS.values()))
+    parameters = guess[:, 0] + 0.3 * guess[:, 1] * rng.normal(size=len(guess))
+    parameters[NAMES.index("log_mass")] = log_mass + 0.2 * rng.normal()
+    parameters[[NAMES.index(f"log_friction_{a}") for a in "xy"]] = log_friction + 0.1 * rng.normal()
+    limit = np.exp(log_mass + log_friction) * feet.GRAVITY
+    inputs = np.zeros((rows, 10))
+    inputs[:, :3] = rng.normal(size=(rows, 3)) * [0.3, 0.3, 0.4] * (rng.random((rows, 1)) < 0.7)
+    inputs[:, 3:6] = rng.normal(size=(rows, 3)) * (limit + 3.0) * [0.7, 0.7, 0.15]
+    inputs[:, 9] = 0.4
+    labels = np.asarray(feet.acceleration(jnp.asarray(parameters, jnp.float32), jnp.asarray(inputs.T, jnp.float32))).T
+    return parameters, inputs.astype(np.float32), labels
+
+
+def test_groups_are_found_and_an_unseen_object_is_identified() -> None:
+    rng = np.random.default_rng(0)
+    kinds = ((2.0, -0.8), (3.5, -4.0))
+    training = [drawn(*kinds[i % 2], rng) for i in range(16)]
+    inputs, labels = (np.stack([t[k] for t in training]) for k in (1, 2))
+    scale = labels.reshape(-1, 3).std(axis=0)
+    prior, found = identification.learn_prior(CONFIG, scale, inputs, labels, np.ones(inputs.shape[:2], np.float32))
+    mass = NAMES.index("log_mass")
+    truth = np.array([t[0][mass] for t in training])
+    assert np.median(np.abs(found[:, mass] - truth)) < 0.15
+    friction = np.sort(prior.mean[:, NAMES.index("log_friction_x")])
+    np.testing.assert_allclose(friction, [-4.0, -0.8], atol=0.8)
+    for kind in kinds:
+        parameters, x, y = drawn(*kind, rng)
+        told = jax.jit(lambda x, y: identification.identify(CONFIG, prior, jnp.asarray(scale), x, y, jnp.ones(len(x))))(
+            x[:60], y[:60]
+        )
+        said = np.asarray(feet.acceleration(told, jnp.asarray(x[60:].T))).T
+        left = np.sum(((said - y[60:]) / scale) ** 2) / np.sum(((y[60:] - y[60:].mean(axis=0)) / scale) ** 2)
+        assert left < 0.1
+        assert abs(float(told[mass]) - parameters[mass]) < 0.3
+
+
+def test_what_was_not_felt_stays_as_training_objects_are() -> None:
+    """No row counts: the mean of the likeliest group."""
+    prior = identification.broad_prior()
+    none = jnp.zeros((5, 3))
+    told = identification.identify(CONFIG, prior, jnp.ones(3), jnp.full((5, 10), 0.4), none, jnp.zeros(5))
+    np.testing.assert_allclose(told, prior.mean[0], atol=1e-4)
