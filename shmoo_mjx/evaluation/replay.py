@@ -2,12 +2,13 @@
 
 A predictor sees a sample's mean planar wrench. The hands' forces vary within the sample and pull up or down on the
 face, and the object sags and tips a little; none of that is among psi's inputs. So even the simulator with the true
-object misses some of the acceleration, and no predictor of the comparison can be expected to miss less.
+object misses some of the acceleration, and no predictor of the comparison can be expected to miss less. Rolled out for
+seconds under recorded wrenches, which hover about the friction, it strays as well.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import fields
 from typing import Any
 
@@ -31,22 +32,38 @@ SETTLE = 0.4
 
 
 def score(objects: store.Dataset, scale: np.ndarray, fit_rows: int = scoring.FIT_ROWS) -> dict[str, np.ndarray]:
-    """The one-step measures of `scoring` ``[C]`` of the replay, on the rows after ``fit_rows``."""
+    """The measures of `scoring` ``[C]`` of the replay, on the rows after ``fit_rows``."""
     recorded = recordings(objects)
-    predicted = [
-        accelerations(condition, rows, poses, runs)
-        for condition, rows, poses, runs in zip(
-            objects.conditions, recorded.rows.inputs, recorded.pose, recorded.rows.run, strict=True
+    rows, predicted, ends = recorded.rows, [], []
+    for i, condition in enumerate(objects.conditions):
+        starts = {
+            h: [
+                s
+                for s in range(fit_rows, rows.inputs.shape[1] - h, scoring.STRIDE)
+                if rows.run[i, s] > h and rows.weights[i, s : s + h].mean() >= 0.5
+            ]
+            for h in scoring.HORIZONS.values()
+        }
+        said, rolled = accelerations(
+            condition, rows.inputs[i], recorded.pose[i], rows.run[i], set().union(*starts.values())
         )
-    ]
+        predicted.append(said)
+        ends.append(_ends(starts, rolled, recorded.pose[i]))
     # The replay stands in for the inputs: a predictor that says what its inputs say is scored like any other.
-    said = recorded._replace(rows=recorded.rows._replace(inputs=np.stack(predicted).astype(np.float32)))
-    told = Predictor(lambda context: np.zeros(()), lambda state, x, time: x)
-    return scoring.score(told, said, scale, fit_rows, roll_outs=False)
+    heard = recorded._replace(rows=rows._replace(inputs=np.stack(predicted).astype(np.float32)))
+    echo = Predictor(lambda context: np.zeros(()), lambda state, x, time: x)
+    found = scoring.score(echo, heard, scale, fit_rows, roll_outs=False)
+    return found | {name: np.array([e[name] for e in ends]) for name in ends[0]}
 
 
-def accelerations(condition: Mapping[str, Any], inputs: np.ndarray, poses: np.ndarray, runs: np.ndarray) -> np.ndarray:
-    """Accelerations ``[N, 3]`` in {O} over each recorded sample, as C MuJoCo has them for the object alone.
+def accelerations(
+    condition: Mapping[str, Any],
+    inputs: np.ndarray,
+    poses: np.ndarray,
+    runs: np.ndarray,
+    starts: Collection[int] = (),
+) -> tuple[np.ndarray, dict[int, np.ndarray]]:
+    """What C MuJoCo says of the object alone, sample by sample and rolled out.
 
     Each sample starts from the recorded planar pose and twist. What isn't recorded, wheels and casters, goes on from
     the sample before, and from the condition's starting angles where an episode starts.
@@ -56,6 +73,11 @@ def accelerations(condition: Mapping[str, Any], inputs: np.ndarray, poses: np.nd
         inputs: ``[N, 10]`` as OBJECT_INPUTS lists them.
         poses: ``[N, 3]`` of the object in {W}.
         runs: ``[N]`` rows left in the episode.
+        starts: rows from which the object is rolled out as well, under the recorded wrenches in {O} alone.
+
+    Returns:
+        Accelerations ``[N, 3]`` in {O} over each sample, and for each start poses ``[H + 1, 3]`` in {W}, H the longest
+        of `scoring.HORIZONS`.
     """
     known = {f.name for f in fields(Condition)}
     spec = mujoco.MjSpec.from_file(str(asset("models_xml/scene.xml")))
@@ -64,22 +86,52 @@ def accelerations(condition: Mapping[str, Any], inputs: np.ndarray, poses: np.nd
     model = spec.compile()
     data, body = mujoco.MjData(model), model.body("object/object").id
     where = features.slices(features.OBJECT_INPUTS)
-    steps = round(DT / model.opt.timestep)
-    found = np.zeros((len(inputs), 3))
+    wrenches, longest = inputs[:, where["wrench"]], max(scoring.HORIZONS.values())
+    found, rolled = np.zeros((len(inputs), 3)), {}
     for i, (row, pose) in enumerate(zip(inputs, poses, strict=True)):
         if i == 0 or runs[i] != runs[i - 1] - 1:
             mujoco.mj_resetData(model, data)
             mujoco.mj_step(model, data, round(SETTLE / model.opt.timestep))
             height = data.qpos[2]
-        twist, wrench = (se2.rotate(row[where[name]], pose[2]) for name in ("object_twist", "wrench"))
+        twist = se2.rotate(row[where["object_twist"]], pose[2])
         data.qpos[:7] = [*pose[:2], height, np.cos(pose[2] / 2), 0.0, 0.0, np.sin(pose[2] / 2)]
         data.qvel[:6] = [*twist[:2], 0.0, 0.0, 0.0, twist[2]]
         mujoco.mj_forward(model, data)
-        push = np.array([*wrench[:2], 0.0])
-        for _ in range(steps):
-            lever = np.array([*data.xpos[body][:2], HAND_HEIGHT]) - data.xipos[body]
-            data.xfrc_applied[body, :3], data.xfrc_applied[body, 3:] = push, np.cross(lever, push)
-            data.xfrc_applied[body, 5] += wrench[2]
-            mujoco.mj_step(model, data)
+        if i in starts:
+            before = data.qpos.copy(), data.qvel.copy(), data.qacc_warmstart.copy()
+            rolled[i] = np.array([pose, *(_pushed(model, data, body, w) for w in wrenches[i : i + longest])])
+            data.qpos[:], data.qvel[:], data.qacc_warmstart[:] = before
+            mujoco.mj_forward(model, data)
+        _pushed(model, data, body, row[where["wrench"]])
         found[i] = se2.rotate((data.qvel[[0, 1, 5]] - twist) / DT, -pose[2])
+    return found, rolled
+
+
+def _pushed(model: mujoco.MjModel, data: mujoco.MjData, body: int, wrench: np.ndarray) -> np.ndarray:
+    """Push for a sample with ``wrench [3]`` in {O}, held as it is in {W}; the object's planar pose ``[3]`` after it."""
+
+    def pose() -> np.ndarray:
+        return np.array([*data.qpos[:2], 2 * np.arctan2(data.qpos[6], data.qpos[3])])
+
+    turned = se2.rotate(wrench, pose()[2])
+    push = np.array([*turned[:2], 0.0])
+    for _ in range(round(DT / model.opt.timestep)):
+        lever = np.array([*data.xpos[body][:2], HAND_HEIGHT]) - data.xipos[body]
+        data.xfrc_applied[body, :3], data.xfrc_applied[body, 3:] = push, np.cross(lever, push)
+        data.xfrc_applied[body, 5] += wrench[2]
+        mujoco.mj_step(model, data)
+    return pose()
+
+
+def _ends(starts: Mapping[int, list[int]], rolled: Mapping[int, np.ndarray], poses: np.ndarray) -> dict[str, float]:
+    """Root of the mean squared error at the end of each horizon, as `scoring` has it; NaN without a stretch."""
+    found = {}
+    for name, h in scoring.HORIZONS.items():
+        error = np.array(
+            [se2.relative(poses[s], rolled[s][h]) - se2.relative(poses[s], poses[s + h]) for s in starts[h]]
+        )
+        error = error.reshape(-1, 3)
+        some = len(error) > 0
+        found[f"pos_rmse_{name}_m"] = np.sqrt(np.mean(np.sum(error[:, :2] ** 2, axis=1))) if some else np.nan
+        found[f"yaw_rmse_{name}_deg"] = np.rad2deg(np.sqrt(np.mean(se2.wrap(error[:, 2]) ** 2))) if some else np.nan
     return found

@@ -87,7 +87,7 @@ def test_it_is_the_simulators_box(seed: int) -> None:
     rows[:, :3] = rng.normal(size=(count, 3)) * [0.2, 0.2, 0.3] * (rng.random((count, 1)) < 0.6)
     rows[:, 3:6] = rng.normal(size=(count, 3)) * limit * [0.7, 0.7, 0.15]
     rows[:, 9] = size
-    truth = replay.accelerations(box.to_dict(), rows, np.zeros((count, 3)), np.ones(count))
+    truth, _ = replay.accelerations(box.to_dict(), rows, np.zeros((count, 3)), np.ones(count))
     said = jax.vmap(lambda x: feet.acceleration(told, x))(jnp.asarray(rows, jnp.float32))
     left = np.sum((truth - said) ** 2, axis=0) / np.sum((truth - truth.mean(axis=0)) ** 2, axis=0)
     assert left.max() < 0.1, left
