@@ -86,7 +86,7 @@ def test_a_body_on_feet_is_identified(name: str, job: Job, unseen: Recordings) -
         return recorded._replace(rows=recorded.rows._replace(labels=np.asarray(labels)))
 
     few = replace(job, train=labelled(job.train, 1), validation=labelled(job.validation, 2))
-    assert unexplained(fitted(name, few), labelled(unseen, 3), few) < 0.15
+    assert unexplained(fitted(name, few), labelled(unseen, 3), few) < 0.3
 
 
 @pytest.mark.slow
