@@ -72,9 +72,12 @@ def test_time_alone_explains_nothing(job: Job, unseen: Recordings) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["rigid_body", "psi_on_body"])
-def test_a_body_on_feet_is_identified(name: str, job: Job, unseen: Recordings) -> None:
-    """Labels that such bodies give: psi on the body's answer must not spoil what the body alone explains."""
+@pytest.mark.parametrize(("name", "setting"), [("rigid_body", {"noise": 0.3}), ("psi_on_body", {})])
+def test_a_body_on_feet_is_identified(name: str, setting: dict[str, float], job: Job, unseen: Recordings) -> None:
+    """Labels that such bodies give: psi on the body's answer must not spoil what the body alone explains.
+
+    They are free of noise, so the fit may trust them more than it does recordings.
+    """
 
     def labelled(recorded: Recordings, seed: int) -> Recordings:
         guess = np.array(list(feet.PARAMETERS.values()))
@@ -86,7 +89,7 @@ def test_a_body_on_feet_is_identified(name: str, job: Job, unseen: Recordings) -
         return recorded._replace(rows=recorded.rows._replace(labels=np.asarray(labels)))
 
     few = replace(job, train=labelled(job.train, 1), validation=labelled(job.validation, 2))
-    assert unexplained(fitted(name, few), labelled(unseen, 3), few) < 0.3
+    assert unexplained(fitted(name, few, **setting), labelled(unseen, 3), few) < 0.15
 
 
 @pytest.mark.slow
