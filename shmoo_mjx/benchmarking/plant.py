@@ -59,7 +59,7 @@ def run(ask: BenchAsk) -> ExperimentResult:
         ask.progress(f"C MuJoCo, {name}", done / len(cfg.scenes))
         here = c_rows(name, usable_cores(), cfg.seconds)
         rates = {(row["state"], row["threads"]): row["steps_per_s"] for row in here}
-        # Six objects cost a CPU the same time in every world, however many: 512 of them would take it twenty minutes.
+        # Six objects cost a CPU the same time in every world: 512 worlds hold it up for over ten minutes.
         batches = cfg.batches[:1] if name == "room" and jax.default_backend() == "cpu" else cfg.batches
         for i, batch in enumerate(batches):
             ask.progress(f"MJX, {name}, {batch} worlds", (done + (i + 1) / (len(batches) + 1)) / len(cfg.scenes))

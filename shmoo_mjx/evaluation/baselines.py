@@ -36,7 +36,7 @@ PAPER = {
 
 
 REPLAY = "replay"
-"""Name of the plant itself among the methods: what their inputs leave to be predicted (`replay`)."""
+"""Name of the plant itself among the methods (`replay`)."""
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,9 @@
 
 A predictor sees a sample's mean planar wrench. The hands' forces vary within the sample and pull up or down on the
 face, and the object sags and tips a little; none of that is among psi's inputs. So even the simulator with the true
-object misses some of the acceleration, and no predictor of the comparison can be expected to miss less. Rolled out for
-seconds under recorded wrenches, which hover about the friction, it strays as well.
+object misses some of the acceleration: a reference for the predictors of the comparison, though no bound, as what was
+missed a sample ago may say something of it. Rolled out for seconds under recorded wrenches, which hover about the
+friction, it strays as well.
 """
 
 from __future__ import annotations
@@ -36,14 +37,8 @@ def score(objects: store.Dataset, scale: np.ndarray, fit_rows: int = scoring.FIT
     recorded = recordings(objects)
     rows, predicted, ends = recorded.rows, [], []
     for i, condition in enumerate(objects.conditions):
-        starts = {
-            h: [
-                s
-                for s in range(fit_rows, rows.inputs.shape[1] - h, scoring.STRIDE)
-                if rows.run[i, s] > h and rows.weights[i, s : s + h].mean() >= 0.5
-            ]
-            for h in scoring.HORIZONS.values()
-        }
+        chosen = {h: scoring.stretches(rows.run[i], rows.weights[i], fit_rows, h) for h in scoring.HORIZONS.values()}
+        starts = {h: first[counts].tolist() for h, (first, counts) in chosen.items()}
         said, rolled = accelerations(
             condition, rows.inputs[i], recorded.pose[i], rows.run[i], set().union(*starts.values())
         )

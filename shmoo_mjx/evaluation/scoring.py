@@ -124,6 +124,23 @@ def by_family(values: np.ndarray, families: list[str]) -> dict[str, float]:
     return {f: float(np.nanmean(values[[g == f for g in families]])) for f in dict.fromkeys(families)}
 
 
+def stretches(run: Array, weights: Array, first: int, steps: int) -> tuple[np.ndarray, Array]:
+    """From which rows one condition is rolled out, and which of these count: within an episode, half the rows counting.
+
+    Args:
+        run: ``[N]`` rows left in the episode.
+        weights: ``[N]``.
+        first: rows before this one are left out.
+        steps: length of the roll-outs.
+
+    Returns:
+        First rows ``[M]``, and ``[M]`` bool.
+    """
+    starts = np.arange(first, run.shape[0] - steps, STRIDE)
+    window = starts[:, None] + np.arange(steps)
+    return starts, (run[starts] > steps) & (weights[window].mean(axis=1) >= 0.5)
+
+
 def _one_step(predictor: Predictor, state: Any, recorded: Recordings, scale: Array, first: int) -> dict[str, Array]:
     x, y, w, _ = (v[first:] for v in recorded.rows)
     weight = w[:, None]
@@ -138,9 +155,8 @@ def _one_step(predictor: Predictor, state: Any, recorded: Recordings, scale: Arr
 def _ends(predictor: Predictor, state: Any, recorded: Recordings, first: int) -> dict[str, Array]:
     rows, found = recorded.rows, {}
     for name, h in HORIZONS.items():
-        starts = jnp.arange(first, rows.inputs.shape[0] - h, STRIDE)
-        window = starts[:, None] + jnp.arange(h)
-        good = (rows.run[starts] > h) & (jnp.mean(rows.weights[window], axis=1) >= 0.5)
+        starts, good = stretches(rows.run, rows.weights, first, h)
+        window = starts[:, None] + np.arange(h)
         ends = jax.vmap(lambda x, t: roll_out(predictor, state, x, t)[-1])(rows.inputs[window], recorded.time[window])
         truth = se2.relative(recorded.pose[starts], recorded.pose[starts + h])
         error = jnp.where(good[:, None], ends - truth, 0.0)
