@@ -7,6 +7,7 @@ paper's K other criteria are measured on the same touches.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
@@ -114,8 +115,9 @@ def draw_object(index: int, first_seed: int, cfg: SteadyPush) -> tuple[Condition
 
 
 def _seeds(index: int, first_seed: int) -> Iterator[int]:
-    """Eight seeds for each object, so that one object's redraws do not change the next one."""
-    return iter(range(first_seed + 8 * index, first_seed + 8 * index + 8))
+    """Sixteen seeds for each object, in two blocks, so that one object's redraws do not change the next one."""
+    blocks = (first_seed + 8 * index, first_seed + 500 + 8 * index)
+    return itertools.chain.from_iterable(range(first, first + 8) for first in blocks)
 
 
 def _trial(cfg: ObjectPlannerTrials, first_seed: int, seed: int, weights: Path, name: str) -> list[dict[str, Any]]:

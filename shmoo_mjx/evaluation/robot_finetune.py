@@ -57,7 +57,15 @@ class RobotFinetuneConfig:
     seconds: float = 12.5
     test_seconds: float = 13.3
     fit: RobotFitConfig = RobotFitConfig(
-        batch=256, chunks=30, chunk_updates=50, learning_rate=5e-4, input_noise=0.1, weight_decay=1e-3, patience=8
+        batch=256,
+        chunks=30,
+        chunk_updates=50,
+        learning_rate=2e-4,
+        input_noise=0.1,
+        weight_decay=1e-3,
+        horizon=20,
+        rolled=0.1,
+        patience=8,
     )
     workers: int = 2
     """Processes."""

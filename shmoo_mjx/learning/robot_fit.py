@@ -1,4 +1,4 @@
-"""Eq. 7: supervised training of R on recorded samples, and the fit of the lean's response."""
+"""Eq. 7: supervised training of R on recorded samples, over a horizon if asked, and the fit of the lean's response."""
 
 from __future__ import annotations
 
@@ -13,10 +13,14 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
+from shmoo_mjx import se2
 from shmoo_mjx.data import store
-from shmoo_mjx.dynamics import features, mlp, robot_model
+from shmoo_mjx.dynamics import core, features, mlp, robot_model
+from shmoo_mjx.dynamics.core import CoreConfig
+from shmoo_mjx.dynamics.object_model import ObjectConfig
 from shmoo_mjx.dynamics.robot_model import LeanResponse, RobotConfig, RobotParams
 from shmoo_mjx.learning import training
+from shmoo_mjx.types import DT, SystemState
 
 __all__ = ["RobotFit", "RobotFitConfig", "RobotRows", "fit_lean", "fit_rows", "rows_from_dataset", "train_robot"]
 
@@ -36,28 +40,34 @@ class RobotFitConfig:
     weight_decay: float = 1e-4
     input_noise: float = 0.02
     """Noise put on the inputs, in their standard deviations: a roll-out feeds R its own errors."""
+    horizon: int = 0
+    """Samples over which R is rolled out beside the one step of Eq. 7, the object moving as recorded; 0 for Eq. 7."""
+    rolled: float = 0.3
+    """Weight of the roll-outs' error against that of one step."""
+    windows: int = 64
+    """Roll-outs per update."""
     patience: int = 20
     """Chunks without a better validation score before stopping."""
     seed: int = 0
 
 
 class RobotRows(NamedTuple):
-    """Rows of R, all conditions together."""
+    """Rows of R, all conditions together; those of an episode follow one another."""
 
     inputs: Array
     """``[N, 28]``"""
     labels: Array
     """``[N, 5]`` base acceleration and force, {R}."""
-    lean: Array
-    """``[N, 2]`` at the start of the sample [rad]."""
-    lean_rate: Array
-    """``[N, 2]`` [rad/s]"""
-    target: Array
-    """``[N, 2]`` commanded lean [rad]."""
+    state: SystemState
+    """``[N, ...]`` at the start of the sample."""
+    u: Array
+    """``[N, 3]`` command [rad]."""
     next_lean: Array
     """``[N, 2]`` at the end of the sample [rad]."""
     next_rate: Array
     """``[N, 2]`` [rad/s]"""
+    following: Array
+    """``[N]`` how many rows of the same episode follow."""
 
 
 class RobotFit(NamedTuple):
@@ -80,23 +90,23 @@ class _State(NamedTuple):
 def rows_from_dataset(dataset: store.Dataset) -> RobotRows:
     """The rows of every condition of a data set; the first sample of an episode has no past and is left out."""
     found = [_condition_rows(arrays) for arrays in dataset.arrays]
-    return RobotRows(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+    return jax.tree.map(lambda *parts: np.concatenate(parts), *found)
 
 
 def _condition_rows(arrays: dict[str, np.ndarray]) -> RobotRows:
     samples = store.system_states(arrays)
-    inputs = np.asarray(features.robot_inputs(samples.state, samples.u))
-    labels = np.concatenate([samples.robot_acceleration, samples.force], axis=-1)
-    parts = RobotRows(
-        inputs,
-        labels,
-        samples.state.lean,
-        samples.state.lean_rate,
-        samples.u[..., :2],
+    episodes, n = samples.u.shape[:2]
+    rows = RobotRows(
+        np.asarray(features.robot_inputs(samples.state, samples.u)),
+        np.concatenate([samples.robot_acceleration, samples.force], axis=-1),
+        samples.state,
+        samples.u,
         arrays["lean"][:, 1:],
         arrays["lean_rate"][:, 1:],
+        np.repeat(np.arange(n)[None, ::-1, None], episodes, axis=0),
     )
-    return RobotRows(*(p[:, 1:].reshape(-1, p.shape[-1]).astype(np.float32) for p in parts))
+    rows = jax.tree.map(lambda a: a[:, 1:].reshape(-1, *a.shape[2:]).astype(np.float32), rows)
+    return rows._replace(following=rows.following[:, 0].astype(np.int32))
 
 
 def train_robot(
@@ -139,12 +149,13 @@ def fit_rows(
     scores_of = jax.jit(partial(_unexplained, config))
     scores = partial(scores_of, params, jnp.asarray(validation.inputs), jnp.asarray(validation.labels))
     chunk = jax.jit(partial(_chunk, config))
-    inputs, labels = jnp.asarray(train.inputs), jnp.asarray(train.labels)
+    rows = jax.tree.map(jnp.asarray, train)
+    starts = np.flatnonzero(train.following >= config.horizon)
     optimiser = _optimiser(config)
     key = jax.random.key_data(jax.random.key(config.seed))
     fitted = training.run(
         _State(params.net, optimiser.init(_learned(params.net)), key),
-        lambda state: chunk(params, inputs, labels, state),
+        lambda state: chunk(params, rows, starts, state),
         extract=lambda state: state.net,
         evaluate=lambda net: jnp.mean(scores(net)),
         chunks=config.chunks,
@@ -159,10 +170,10 @@ def fit_rows(
 
 def fit_lean(rows: RobotRows) -> LeanResponse:
     """The lean's response from each sample's start and end, by linear least squares per axis."""
-    force = np.asarray(rows.inputs)[:, features.slices(features.ROBOT_INPUTS)["last_force"]]
+    force = rows.state.last_force
     matrix = []
     for axis in range(2):
-        columns = [rows.lean[:, axis], rows.lean_rate[:, axis], rows.target[:, axis], force[:, axis]]
+        columns = [rows.state.lean[:, axis], rows.state.lean_rate[:, axis], rows.u[:, axis], force[:, axis]]
         inputs = np.stack([*columns, np.ones(len(force))], axis=-1).astype(float)
         outputs = np.stack([rows.next_lean[:, axis], rows.next_rate[:, axis]], axis=-1).astype(float)
         # A trace of ridge: a recording without contact says nothing about the force.
@@ -191,19 +202,24 @@ def _learned(net: mlp.MLP) -> tuple[Any, Any]:
 
 
 def _chunk(
-    config: RobotFitConfig, params: RobotParams, inputs: Array, labels: Array, state: _State
+    config: RobotFitConfig, params: RobotParams, rows: RobotRows, starts: Array, state: _State
 ) -> tuple[_State, Array]:
     optimiser = _optimiser(config)
 
     def update(state: _State, _: None) -> tuple[_State, Array]:
         key, row_key, noise_key = jax.random.split(jax.random.wrap_key_data(state.key), 3)
-        rows = jax.random.randint(row_key, (config.batch,), 0, inputs.shape[0])
-        x, y = inputs[rows], (labels[rows] - params.output_mean) / params.output_scale
+        chosen = jax.random.randint(row_key, (config.batch,), 0, rows.inputs.shape[0])
+        x, y = rows.inputs[chosen], (rows.labels[chosen] - params.output_mean) / params.output_scale
         x = x + config.input_noise * state.net.scale * jax.random.normal(noise_key, x.shape)
+        picked = jax.random.randint(jax.random.fold_in(row_key, 1), (config.windows,), 0, starts.shape[0])
 
         def loss_of(learned: tuple[Any, Any]) -> Array:
             net = state.net._replace(weights=learned[0], biases=learned[1])
-            return jnp.mean((mlp.apply(net, x, config.robot.activation) - y) ** 2)
+            loss = jnp.mean((mlp.apply(net, x, config.robot.activation) - y) ** 2)
+            if config.horizon > 0:
+                model = params._replace(net=net)
+                loss = loss + config.rolled * _rolled_out(config, model, rows, starts[picked])
+            return loss
 
         learned = _learned(state.net)
         loss, gradient = jax.value_and_grad(loss_of)(learned)
@@ -214,6 +230,28 @@ def _chunk(
 
     state, losses = jax.lax.scan(update, state, None, length=config.chunk_updates)
     return state, jnp.mean(losses)
+
+
+def _rolled_out(config: RobotFitConfig, params: RobotParams, rows: RobotRows, windows: Array) -> Array:
+    """Mean squared error of twist and force over the horizon after the rows ``windows [B]``, in units of Eq. 7's."""
+    shape = CoreConfig(robot=config.robot, object=ObjectConfig.paper())
+    model = core.init(jax.random.key(0), shape)._replace(robot=params)
+
+    def one(state: SystemState, row: Array) -> tuple[SystemState, Array]:
+        now = jax.tree.map(lambda a: a[row], rows.state)
+        # The robot is where it was predicted to be, the object where it was.
+        state = state._replace(object_pose=now.object_pose, object_twist=now.object_twist)
+        new, _ = core.step(model, state, rows.u[row], shape)
+        then = jax.tree.map(lambda a: a[row + 1], rows.state)
+        drift = se2.rotate(new.robot_twist - then.robot_twist, -now.robot_pose[:, 2]) / DT
+        return new, jnp.concatenate([drift, new.last_force - then.last_force], axis=-1)
+
+    steps = jnp.arange(config.horizon)
+    start = jax.tree.map(lambda a: a[windows], rows.state)
+    error = jax.lax.scan(one, start, windows[None] + steps[:, None])[1] / params.output_scale
+    # After h steps of independent errors the twist's variance would be h times that of one.
+    error = error.at[..., :3].divide(jnp.sqrt(1.0 + steps)[:, None, None])
+    return jnp.mean(error**2)
 
 
 def _unexplained(config: RobotFitConfig, params: RobotParams, inputs: Array, labels: Array, net: mlp.MLP) -> Array:

@@ -46,6 +46,42 @@ def test_fine_tuning_starts_from_what_is_known(synthetic_dataset: store.Dataset)
     assert tuned.score < 1.2 * known.score < fresh.score
 
 
+def test_over_one_sample_a_roll_out_is_the_one_step_of_eq_7(synthetic_dataset: store.Dataset) -> None:
+    config = replace(SMALL, horizon=1)
+    params = robot_fit.train_robot(synthetic_dataset, None, replace(SMALL, chunks=1)).params
+    # Hands that are off the face push nothing in a roll-out; here they stay on it.
+    touching = [a | {"object_pose": a["robot_pose"] + np.float32([0.78, 0, 0])} for a in synthetic_dataset.arrays]
+    rows = robot_fit.rows_from_dataset(synthetic_dataset._replace(arrays=touching))
+    starts = np.flatnonzero(rows.following >= 1)
+    rolled = robot_fit._rolled_out(config, params, jax.tree.map(jnp.asarray, rows), starts)
+    base, force = robot_model.predict(params, rows.inputs[starts], SMALL.robot)
+    error = jnp.concatenate([base, force], axis=-1) - rows.labels[starts]
+    np.testing.assert_allclose(rolled, np.mean((error / params.output_scale) ** 2), rtol=2e-3)
+
+
+def test_roll_outs_stay_within_an_episode(synthetic_dataset: store.Dataset) -> None:
+    rows = robot_fit.rows_from_dataset(synthetic_dataset)
+    ends = np.flatnonzero(rows.following == 0)
+    within = np.setdiff1d(np.arange(len(rows.following)), ends)
+    # The next row starts where this one ends.
+    np.testing.assert_array_equal(rows.state.lean[within + 1], rows.next_lean[within])
+    assert rows.following[0] == ends[0] and np.any(rows.state.lean[ends[:-1] + 1] != rows.next_lean[ends[:-1]])
+
+
+def test_training_on_roll_outs_lessens_the_drift(synthetic_dataset: store.Dataset) -> None:
+    known = robot_fit.train_robot(synthetic_dataset, None, SMALL).params
+    astray = known._replace(output_mean=known.output_mean + 0.5 * known.output_scale)
+    brief = replace(SMALL, chunks=3, chunk_updates=30, learning_rate=1e-3, horizon=10)
+    rows = jax.tree.map(jnp.asarray, robot_fit.rows_from_dataset(synthetic_dataset))
+    starts = np.flatnonzero(rows.following >= 10)
+
+    def drift(rolled: float) -> float:
+        tuned = robot_fit.train_robot(synthetic_dataset, None, replace(brief, rolled=rolled), start=astray)
+        return float(robot_fit._rolled_out(brief, tuned.params, rows, starts))
+
+    assert drift(1.0) < drift(0.0) < float(robot_fit._rolled_out(brief, astray, rows, starts))
+
+
 def test_stops_when_validation_stops_improving() -> None:
     scores = iter([3.0, 2.0, 2.5, 2.4, 2.6, 0.1])
     fitted = training.run(
