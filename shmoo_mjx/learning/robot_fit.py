@@ -234,6 +234,7 @@ def _chunk(
 
 def _rolled_out(config: RobotFitConfig, params: RobotParams, rows: RobotRows, windows: Array) -> Array:
     """Mean squared error of twist and force over the horizon after the rows ``windows [B]``, in units of Eq. 7's."""
+    # What psi says of the object is thrown away below, so any will do.
     shape = CoreConfig(robot=config.robot, object=ObjectConfig.paper())
     model = core.init(jax.random.key(0), shape)._replace(robot=params)
 
