@@ -19,6 +19,7 @@ from shmoo_mjx.dynamics import core, features, mlp, robot_model
 from shmoo_mjx.dynamics.core import CoreConfig
 from shmoo_mjx.dynamics.object_model import ObjectConfig
 from shmoo_mjx.dynamics.robot_model import LeanResponse, RobotConfig, RobotParams
+from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.learning import training
 from shmoo_mjx.types import DT, SystemState
 
@@ -42,7 +43,7 @@ class RobotFitConfig:
     """Noise put on the inputs, in their standard deviations: a roll-out feeds R its own errors."""
     horizon: int = 0
     """Samples over which R is rolled out beside the one step of Eq. 7, the object moving as recorded; 0 for Eq. 7."""
-    rolled: float = 0.3
+    rolled: float = 0.1
     """Weight of the roll-outs' error against that of one step."""
     windows: int = 64
     """Roll-outs per update."""
@@ -141,7 +142,11 @@ def fit_rows(
     progress: Callable[[training.Progress], None] | None = None,
     start: RobotParams | None = None,
 ) -> RobotFit:
-    """`train_robot` on rows that are already made."""
+    """`train_robot` on rows that are already made.
+
+    Raises:
+        ShmooError: no episode is long enough for the horizon.
+    """
     config = config or RobotFitConfig()
     params = _prepared(config, train) if start is None else start
     params = params._replace(lean=fit_lean(train))
@@ -151,6 +156,11 @@ def fit_rows(
     chunk = jax.jit(partial(_chunk, config))
     rows = jax.tree.map(jnp.asarray, train)
     starts = np.flatnonzero(train.following >= config.horizon)
+    if not starts.size:
+        raise ShmooError(
+            f"training data of R: field 'horizon' is {config.horizon} samples, and every episode is shorter; record "
+            "longer episodes or lower it."
+        )
     optimiser = _optimiser(config)
     key = jax.random.key_data(jax.random.key(config.seed))
     fitted = training.run(

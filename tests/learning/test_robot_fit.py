@@ -10,6 +10,7 @@ import pytest
 
 from shmoo_mjx.data import store
 from shmoo_mjx.dynamics import RobotConfig, robot_model
+from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.learning import robot_fit, training
 from shmoo_mjx.learning.robot_fit import RobotFitConfig
 
@@ -66,6 +67,11 @@ def test_roll_outs_stay_within_an_episode(synthetic_dataset: store.Dataset) -> N
     # The next row starts where this one ends.
     np.testing.assert_array_equal(rows.state.lean[within + 1], rows.next_lean[within])
     assert rows.following[0] == ends[0] and np.any(rows.state.lean[ends[:-1] + 1] != rows.next_lean[ends[:-1]])
+
+
+def test_episodes_shorter_than_the_horizon_are_refused(synthetic_dataset: store.Dataset) -> None:
+    with pytest.raises(ShmooError, match="horizon"):
+        robot_fit.train_robot(synthetic_dataset, None, replace(SMALL, horizon=100))
 
 
 def test_training_on_roll_outs_lessens_the_drift(synthetic_dataset: store.Dataset) -> None:
