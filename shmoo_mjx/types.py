@@ -70,6 +70,9 @@ class SystemState(NamedTuple):
     """``[..., 3]`` derivative of object_pose, in {W}."""
     last_object_twist: Array
     """``[..., 3]`` the twist one sample earlier, in {O} of that time: casters have memory."""
+    last_wrench: Array
+    """``[..., 3]`` mean wrench of the hands on the object over the last sample, in {O} of that time: with the two
+    twists it tells what held the object back, whatever that was [N, N m]."""
     last_force: Array
     """``[..., 2]`` mean force of the hands on the object over the last sample, in {R} [N]."""
     last_u: Array

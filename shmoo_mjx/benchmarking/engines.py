@@ -157,7 +157,14 @@ def batch(samples: int, horizon: int, problems: int, seed: int) -> Callable[[], 
 
 def _state(rng: np.random.Generator) -> SystemState:
     seen, zero = _sighting(rng), np.zeros(3)
-    memory = {"last_object_twist": zero, "last_force": zero[:2], "last_u": zero, "face": FACE, "size": 0.39}
+    memory = {
+        "last_object_twist": zero,
+        "last_wrench": zero,
+        "last_force": zero[:2],
+        "last_u": zero,
+        "face": FACE,
+        "size": 0.39,
+    }
     return SystemState(**{k: v for k, v in seen._asdict().items() if k != "wrench"}, **memory)
 
 

@@ -79,6 +79,7 @@ def _state(scene: Scene, last: Observation, seen: Observation, u: Array, face: A
         object_pose=seen.object_pose[:, 0],
         object_twist=seen.object_twist[:, 0],
         last_object_twist=se2.rotate(last.object_twist[:, 0], -last.object_pose[:, 0, 2]),
+        last_wrench=se2.rotate(seen.wrench[:, 0], -last.object_pose[:, 0, 2]),
         last_force=se2.rotate(seen.wrench[:, 0, :2], -last.robot_pose[:, 2]),
         last_u=u,
         face=np.broadcast_to(np.asarray(face, dtype=np.float32), (*batch, 4)),

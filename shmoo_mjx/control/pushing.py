@@ -20,7 +20,7 @@ from shmoo_mjx.control import cost, models, mppi
 from shmoo_mjx.control.governor import forward_lean, govern
 from shmoo_mjx.dynamics import core, features, object_model
 from shmoo_mjx.learning import adaptation
-from shmoo_mjx.learning.weights import Weights
+from shmoo_mjx.learning.weights import Weights, untouched
 from shmoo_mjx.types import DT, Observation, SystemState
 
 __all__ = [
@@ -132,7 +132,7 @@ class _Transition(NamedTuple):
     """What Eq. 8 takes from the sample that just ended."""
 
     inputs: Array
-    """``[10]`` inputs of psi at its start, measured wrench included."""
+    """``[13]`` inputs of psi at its start, measured wrench included."""
     label: Array
     """``[3]`` measured acceleration in {O}."""
     valid: Array
@@ -165,9 +165,7 @@ class PushController:
         self, now: Sighting, face: Array, half_extents: Array, key: Array, adapt: adaptation.AdaptState | None = None
     ) -> PushState:
         """Start a push on ``face [4]``; ``adapt`` carries over what was learned of this object before."""
-        adapt = adapt or adaptation.init(
-            self.weights.params.coefficients, self.weights.prior_covariance, self.weights.noise
-        )
+        adapt = adapt or untouched(self.weights, self.config.adapt.body)
         return start(self.config, adapt, now, face, half_extents, key)
 
     def step(
@@ -230,7 +228,7 @@ def start(
 ) -> PushState:
     """The state with which a push on ``face [4]`` begins; pure."""
     zero = np.zeros(3)
-    before = _system_state(now, zero, np.zeros(2), zero, face, half_extents)
+    before = _system_state(now, zero, zero, zero[:2], zero, face, half_extents)
     return PushState(adapt, mppi.init(config.control, key), before)
 
 
@@ -272,11 +270,11 @@ def _perceive(
     twist_before = se2.rotate(before.object_twist, -before.object_pose[2])
     wrench = se2.rotate(now.wrench, -before.object_pose[2])
     force = se2.rotate(now.wrench[:2], -before.robot_pose[2])
-    inputs = xp.concatenate([twist_before, wrench, before.last_object_twist, before.size[None]])
+    inputs = xp.concatenate([twist_before, wrench, before.last_object_twist, before.size[None], before.last_wrench])
     label = se2.rotate((now.object_twist - before.object_twist) / DT, -before.object_pose[2])
     coasts = xp.hypot(before.object_twist[0], before.object_twist[1]) > config.moving
     valid = xp.asarray(config.adapts & ((xp.hypot(force[0], force[1]) > config.contact_force) | coasts))
-    system = _system_state(now, twist_before, force, last_u, before.face, half_extents)
+    system = _system_state(now, twist_before, wrench, force, last_u, before.face, half_extents)
     state = state._replace(plan=state.plan._replace(last_u=_f32(last_u)))
     return state, system, _Transition(_f32(inputs), _f32(label), valid)
 
@@ -302,7 +300,13 @@ def _f32(x: Array) -> Array:
 
 
 def _system_state(
-    now: Sighting, last_twist: Array, last_force: Array, last_u: Array, face: Array, half_extents: Array
+    now: Sighting,
+    last_twist: Array,
+    last_wrench: Array,
+    last_force: Array,
+    last_u: Array,
+    face: Array,
+    half_extents: Array,
 ) -> SystemState:
     values = SystemState(
         robot_pose=now.robot_pose,
@@ -312,6 +316,7 @@ def _system_state(
         object_pose=now.object_pose,
         object_twist=now.object_twist,
         last_object_twist=last_twist,
+        last_wrench=last_wrench,
         last_force=last_force,
         last_u=last_u,
         face=face,
@@ -321,7 +326,7 @@ def _system_state(
 
 
 def _with_coefficients(params: core.Params, adapt: adaptation.AdaptState) -> core.Params:
-    return params._replace(coefficients=adapt.mean.reshape(params.coefficients.shape))
+    return params._replace(coefficients=adapt.mean.reshape(params.coefficients.shape), body=adaptation.body_of(adapt))
 
 
 def _functions(
@@ -357,8 +362,9 @@ def _step(
     half_extents: Array,
     lean: Array,
 ) -> tuple[Array, adaptation.AdaptState, mppi.MppiState, mppi.Plan]:
-    phi = object_model.design_matrix(params.object, transition.inputs, core_config.object)
-    adapt = adaptation.step(config.adapt, adapt, phi, transition.label, transition.valid)
+    adapt = adaptation.observe(
+        config.adapt, adapt, params.object, core_config.object, transition.inputs, transition.label, transition.valid
+    )
     params = _with_coefficients(params, adapt)
     rollout_fn, cost_fn = _functions(config, core_config, params, goal, around, half_extents, lean)
     u, plan_state, plan = mppi.plan(config.control, rollout_fn, cost_fn, system, plan_state, mesh)
@@ -392,16 +398,16 @@ def coast(
     """Pose ``[3]`` in {W} some samples on without a force. What nothing pushes slows down, and never turns back."""
     params = _with_coefficients(params, adapt)
 
-    def body(carry: tuple[Array, Array, Array], _: None) -> tuple[tuple[Array, Array, Array], None]:
-        pose, twist, last = carry
-        inside = se2.rotate(twist, -pose[2])
-        inputs = features.object_inputs(inside, jnp.zeros(3), last, now.size)
-        push = object_model.predict(params.object, params.coefficients, inputs, core_config.object)
+    def body(carry: tuple[Array, ...], _: None) -> tuple[tuple[Array, ...], None]:
+        pose, twist, last, last_wrench = carry
+        inside, none = se2.rotate(twist, -pose[2]), jnp.zeros(3)
+        inputs = features.object_inputs(inside, none, last, now.size, last_wrench)
+        push = object_model.predict(params.object, params.coefficients, inputs, core_config.object, params.body)
         new = twist + se2.rotate(push, pose[2]) * DT
         speed = jnp.linalg.norm(twist[:2]) + 1e-6
         kept = jnp.minimum(jnp.sum(new[:2] * twist[:2]) / speed**2, 1.0 - config.least_drag * DT / speed)
         new = jnp.maximum(kept, 0.0) * twist
-        return (pose + 0.5 * (twist + new) * DT, new, inside), None
+        return (pose + 0.5 * (twist + new) * DT, new, inside, none), None
 
-    start = (now.object_pose, now.object_twist, now.last_object_twist)
+    start = (now.object_pose, now.object_twist, now.last_object_twist, now.last_wrench)
     return jax.lax.scan(body, start, None, length=config.coast_samples)[0][0]

@@ -230,6 +230,7 @@ def system_states(arrays: dict[str, np.ndarray]) -> Samples:
         object_pose=object_pose[:, :-1],
         object_twist=object_twist[:, :-1],
         last_object_twist=_before(body_twist)[:, :-1],
+        last_wrench=_before(arrays["wrench_object"])[:, :-1],
         last_force=_before(arrays["force_robot"])[:, :-1],
         last_u=_before(arrays["u"])[:, :-1],
         face=np.repeat(arrays["face"][:, None], n, axis=1),

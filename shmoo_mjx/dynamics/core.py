@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from shmoo_mjx.dynamics import features, mlp, object_model, robot_model
+from shmoo_mjx.dynamics import features, feet, mlp, object_model, robot_model
 from shmoo_mjx.dynamics.features import Contact, Facing
 from shmoo_mjx.dynamics.layout import channels_first, channels_last, inward, outward
 from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
@@ -55,6 +55,8 @@ class Params(NamedTuple):
     object: ObjectParams
     coefficients: Array
     """``[..., 3, K]`` a of Eq. 3."""
+    body: Array
+    """``[..., p]`` of the body on four feet that psi sees the answer of, as `feet.PARAMETERS` lists them."""
 
 
 class _Models(NamedTuple):
@@ -74,6 +76,7 @@ def init(key: Array, config: CoreConfig | None = None) -> Params:
         robot=robot_model.init(robot_key, config.robot),
         object=object_model.init(object_key, config.object),
         coefficients=jnp.zeros((3, config.object.functions)),
+        body=feet.guess(),
     )
 
 
@@ -138,7 +141,9 @@ def rollout(
 
 def _fold(params: Params, config: CoreConfig) -> _Models:
     robot = robot_model.fold(params.robot)
-    return _Models(robot, object_model.fold(params.object, params.coefficients, config.object), params.robot.lean)
+    return _Models(
+        robot, object_model.fold(params.object, params.coefficients, config.object, params.body), params.robot.lean
+    )
 
 
 def _advance(models: _Models, state: SystemState, u: Array, config: CoreConfig) -> tuple[SystemState, Array]:
@@ -150,7 +155,7 @@ def _advance(models: _Models, state: SystemState, u: Array, config: CoreConfig) 
     force = jnp.where(_out_of_reach(state, touch, config), 0.0, said[3:])
     wrench = _wrench(state, face, touch, force, config)
     twist = face.yaw.back(state.object_twist)
-    psi_inputs = features.object_inputs(twist, wrench, state.last_object_twist, state.size, axis=0)
+    psi_inputs = features.object_inputs(twist, wrench, state.last_object_twist, state.size, state.last_wrench, axis=0)
     push = object_model.forward(models.object, psi_inputs, config.object)
     if config.unilateral:
         push = push + _unilateral(state, face, touch, twist, push, said[:3], force)
@@ -166,6 +171,7 @@ def _advance(models: _Models, state: SystemState, u: Array, config: CoreConfig) 
         object_pose=state.object_pose + state.object_twist * DT + half * object_acceleration,
         object_twist=state.object_twist + object_acceleration * DT,
         last_object_twist=twist,
+        last_wrench=wrench,
         last_force=force,
         last_u=u,
     )

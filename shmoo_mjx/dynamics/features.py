@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from shmoo_mjx import se2
 from shmoo_mjx.dynamics.layout import Turn, channels_first, channels_last, inward, once
 from shmoo_mjx.hands import HAND_RADIUS, hand_components
-from shmoo_mjx.types import SystemState
+from shmoo_mjx.types import DT, SystemState
 
 __all__ = [
     "GAP_LIMIT",
@@ -25,6 +25,7 @@ __all__ = [
     "Facing",
     "contact",
     "facing",
+    "last_sample",
     "markdown_table",
     "object_inputs",
     "robot_inputs",
@@ -76,8 +77,9 @@ OBJECT_INPUTS: tuple[Entry, ...] = (
     Entry("wrench", 3, "O", "N, N m", "mean wrench of the hands about the object's centre over the sample"),
     Entry("last_object_twist", 3, "O", "m/s, rad/s", "twist one sample earlier, in {O} of that time"),
     Entry("size", 1, "O", "m", "half the diagonal of the footprint"),
+    Entry("last_wrench", 3, "O", "N, N m", "wrench one sample earlier, in {O} of that time"),
 )
-"""The 10 inputs of psi."""
+"""The 13 inputs of psi; the paper has 10, and the last entry is not among them."""
 
 OBJECT_OUTPUTS: tuple[Entry, ...] = (
     Entry("object_acceleration", 3, "O", "m/s^2, rad/s^2", "mean acceleration of the object over the sample: psi a"),
@@ -203,19 +205,36 @@ def stacked_robot_inputs(state: SystemState, face: Facing, touch: Contact, u: Ar
     )
 
 
-def object_inputs(twist: Array, wrench: Array, last_twist: Array, size: Array, axis: int = -1) -> Array:
-    """The inputs of psi ``[..., 10]`` as OBJECT_INPUTS lists them.
+def object_inputs(
+    twist: Array, wrench: Array, last_twist: Array, size: Array, last_wrench: Array, axis: int = -1
+) -> Array:
+    """The inputs of psi ``[..., 13]`` as OBJECT_INPUTS lists them.
 
     Args:
         twist: ``[..., 3]`` of the object, in {O}.
         wrench: ``[..., 3]`` about the object's centre, in {O}.
         last_twist: ``[..., 3]`` one sample earlier, in {O} of that time.
         size: ``[...]`` half the diagonal of the footprint [m].
+        last_wrench: ``[..., 3]`` one sample earlier, in {O} of that time.
         axis: where the channels lie, in the arguments and in the answer; 0 for channels first.
     """
     batch = twist.shape[:-1] if axis == -1 else twist.shape[1:]
     size = jnp.expand_dims(jnp.broadcast_to(jnp.asarray(size), batch), axis)
-    return jnp.concatenate([twist, wrench, last_twist, size], axis=axis)
+    return jnp.concatenate([twist, wrench, last_twist, size, last_wrench], axis=axis)
+
+
+def last_sample(inputs: Array) -> tuple[Array, Array]:
+    """What psi's inputs ``[13, ...]``, channels first, tell of the sample before: its twist and wrench, and what came.
+
+    Returns:
+        Inputs ``[13, ...]`` of that sample, whose own past is not known and left zero; and the mean acceleration
+        ``[3, ...]`` over it, in {O} at its start, the convention of psi's labels.
+    """
+    where = slices(OBJECT_INPUTS)
+    twist, last, wrench = (inputs[where[name]] for name in ("object_twist", "last_object_twist", "last_wrench"))
+    before = object_inputs(last, wrench, jnp.zeros_like(last), inputs[where["size"]][0], jnp.zeros_like(last), axis=0)
+    turned = Turn.by(0.5 * (last[2] + twist[2]) * DT)
+    return before, (turned(twist) - last) / DT
 
 
 def _point_velocity(twist: Array, lever: Array) -> Array:

@@ -15,12 +15,13 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from shmoo_mjx.dynamics import features
 from shmoo_mjx.hands import HAND_HEIGHT
 from shmoo_mjx.types import DT
 
-__all__ = ["PARAMETERS", "acceleration"]
+__all__ = ["PARAMETERS", "acceleration", "guess", "with_friction"]
 
 Array = Any
 
@@ -50,12 +51,22 @@ SWEEPS = 5
 FEET = ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0))
 
 
+def guess() -> Array:
+    """The first guess ``[p]`` of PARAMETERS."""
+    return jnp.array([first for first, _ in PARAMETERS.values()])
+
+
+def with_friction(parameters: Array, shift: float) -> Array:
+    """The same body with ``shift`` added to the logarithms of its friction."""
+    return parameters + shift * np.array([name.startswith("log_friction") for name in PARAMETERS], np.float32)
+
+
 def acceleration(parameters: Array, inputs: Array) -> Array:
     """Mean acceleration ``[3, ...]`` in {O} over a sample under the inputs' wrench, channels first.
 
     Args:
         parameters: ``[12]`` as PARAMETERS lists them.
-        inputs: ``[10, ...]`` as OBJECT_INPUTS lists them.
+        inputs: ``[13, ...]`` as OBJECT_INPUTS lists them.
     """
     where = features.slices(features.OBJECT_INPUTS)
     vx, vy, spin = inputs[where["object_twist"]]

@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from shmoo_mjx.dynamics import bodies, features, mlp
-from shmoo_mjx.dynamics.bodies import Bodies
+from shmoo_mjx.dynamics import features, feet, mlp
 
 __all__ = [
     "Folded",
@@ -25,6 +24,12 @@ __all__ = [
 ]
 
 Array = Any
+
+ANSWER_LIMIT = 20.0
+"""Cap on the body's answers, in standard deviations of the labels."""
+FRICTION_SHIFTS = (-0.2, 0.0, 0.2)
+"""The body answers with so much more friction [log]. A push is often close to the friction, where a few per cent decide
+whether the object holds; how the answers differ tells psi so, and to what to hedge over a long roll-out."""
 
 
 @dataclass(frozen=True)
@@ -43,13 +48,16 @@ class ObjectConfig:
     [10, 128, 128, 50, 6] say. Own functions leave less error on held-out objects."""
     linear_terms: bool = True
     """Add a learned linear map of the inputs to psi: rolling objects are close to linear in twist and wrench."""
-    trial_bodies: int = 16
-    """J, number of trial bodies with dry friction whose answers psi's network also sees; 0 as in the paper."""
+    last_wrench: bool = True
+    """psi sees the last of OBJECT_INPUTS too; otherwise the paper's 10."""
+    body: bool = True
+    """psi also sees what a body on four feet (`feet`), identified from what was felt of the object, says of the same
+    push and, with ``last_wrench``, by how much it was wrong a sample ago; not in the paper."""
 
     @classmethod
     def paper(cls) -> ObjectConfig:
         """psi as the paper prints it: widths [10, 128, 128, 50, 6], the six functions shared by the axes."""
-        return cls(functions=6, activation="tanh", per_axis=False, linear_terms=False, trial_bodies=0)
+        return cls(functions=6, activation="tanh", per_axis=False, linear_terms=False, last_wrench=False, body=False)
 
 
 class ObjectParams(NamedTuple):
@@ -57,9 +65,7 @@ class ObjectParams(NamedTuple):
 
     net: mlp.MLP
     linear: Array
-    """``[10 + 3 J, n]`` linear part of psi on normalised inputs; zero unless config.linear_terms."""
-    bodies: Bodies
-    """The J trial bodies."""
+    """``[seen, n]`` linear part of psi on what its network sees, normalised; zero unless config.linear_terms."""
     label_scale: Array
     """``[3]`` unit in which psi a predicts each axis [m/s^2, m/s^2, rad/s^2]."""
 
@@ -68,53 +74,70 @@ class Folded(NamedTuple):
     """O with its coefficients, made ready for roll-outs."""
 
     layers: mlp.Layers
-    bodies: Bodies
+    body: Array
+    """``[p]``, unused unless config.body."""
+    label_scale: Array
 
 
 def init(key: Array, config: ObjectConfig | None = None, n_in: int | None = None, n_axes: int = 3) -> ObjectParams:
-    """Untrained parameters; ``n_in`` and ``n_axes`` differ from 10 and 3 only for other people's data."""
+    """Untrained parameters; ``n_in`` and ``n_axes`` differ from 13 and 3 only for other people's data."""
     config = config or ObjectConfig()
     n_in = features.width(features.OBJECT_INPUTS) if n_in is None else n_in
-    n_seen = n_in + 3 * config.trial_bodies
+    n_seen = n_in - 3 * (not config.last_wrench) + n_axes * (len(FRICTION_SHIFTS) + config.last_wrench) * config.body
     n_out = config.functions * (n_axes if config.per_axis else 1)
-    net_key, linear_key, body_key = jax.random.split(key, 3)
+    net_key, linear_key = jax.random.split(key)
     linear = jax.random.normal(linear_key, (n_seen, n_out)) / jnp.sqrt(n_seen) * float(config.linear_terms)
     net = mlp.init(net_key, (n_seen, *config.hidden, n_out))
-    return ObjectParams(net, linear, bodies.init(body_key, config.trial_bodies), jnp.ones(n_axes))
+    return ObjectParams(net, linear, jnp.ones(n_axes))
 
 
-def network_inputs(params: ObjectParams, inputs: Array) -> Array:
-    """What psi's network sees ``[..., 10 + 3 J]``: ``inputs [..., 10]`` and the answers of the trial bodies."""
-    return jnp.moveaxis(_seen(params.bodies, jnp.moveaxis(inputs, -1, 0)), 0, -1)
+def network_inputs(params: ObjectParams, inputs: Array, config: ObjectConfig, body: Array) -> Array:
+    """What psi's network sees ``[..., 25]``: ``inputs [..., 13]`` and what ``body [p]`` makes of them."""
+    return jnp.moveaxis(_seen(params.label_scale, jnp.moveaxis(inputs, -1, 0), config, body), 0, -1)
 
 
-def _seen(trial: Bodies, inputs: Array) -> Array:
-    return jnp.concatenate([inputs, bodies.answers(trial, inputs)]) if trial.log_friction.shape[0] else inputs
+def _seen(label_scale: Array, inputs: Array, config: ObjectConfig, body: Array) -> Array:
+    seen = inputs if config.last_wrench else inputs[:-3]
+    if not config.body:
+        return seen
+    bodies, pushes = [feet.with_friction(body, shift) for shift in FRICTION_SHIFTS], [inputs] * len(FRICTION_SHIFTS)
+    if config.last_wrench:
+        before, happened = features.last_sample(inputs)
+        bodies, pushes = [body, *bodies], [before, *pushes]
+    said = jax.vmap(feet.acceleration)(jnp.stack(bodies), jnp.stack(pushes))
+    if config.last_wrench:
+        said = said.at[0].add(-happened)
+    # What is far beyond anything in training tells no more than what is at its edge.
+    said = jnp.clip(said / label_scale.reshape(-1, *(1,) * (inputs.ndim - 1)), -ANSWER_LIMIT, ANSWER_LIMIT)
+    return jnp.concatenate([seen, said.reshape(-1, *inputs.shape[1:])])
 
 
-def basis(params: ObjectParams, inputs: Array, config: ObjectConfig) -> Array:
-    """psi ``[..., 3, K]`` of Eq. 3 for ``inputs [..., 10]``; the three rows are equal unless config.per_axis."""
-    seen = network_inputs(params, inputs)
+def basis(params: ObjectParams, inputs: Array, config: ObjectConfig, body: Array) -> Array:
+    """psi ``[..., 3, K]`` of Eq. 3 for ``inputs [..., 13]``; the three rows are equal unless config.per_axis.
+
+    ``body [p]`` as `feet.PARAMETERS` lists them; ignored unless config.body.
+    """
+    seen = network_inputs(params, inputs, config, body)
     out = mlp.apply(params.net, seen, config.activation)
     if config.linear_terms:
         out = out + ((seen - params.net.mean) / params.net.scale) @ params.linear
     return _by_axis(params, out, config)
 
 
-def predict(params: ObjectParams, coefficients: Array, inputs: Array, config: ObjectConfig) -> Array:
-    """O of Eq. 3: acceleration ``[..., 3]`` in {O} for ``inputs [..., 10]`` and a ``[..., 3, K]``."""
-    return jnp.sum(basis(params, inputs, config) * coefficients, axis=-1) * params.label_scale
+def predict(params: ObjectParams, coefficients: Array, inputs: Array, config: ObjectConfig, body: Array) -> Array:
+    """O of Eq. 3: acceleration ``[..., 3]`` in {O} for ``inputs [..., 13]`` and a ``[..., 3, K]``."""
+    return jnp.sum(basis(params, inputs, config, body) * coefficients, axis=-1) * params.label_scale
 
 
-def design_matrix(params: ObjectParams, inputs: Array, config: ObjectConfig) -> Array:
+def design_matrix(params: ObjectParams, inputs: Array, config: ObjectConfig, body: Array) -> Array:
     """Phi ``[..., 3, 3 K]`` with acceleration = Phi a for a flattened ``[3 K]``: what Eq. 8 calls psi."""
-    psi = basis(params, inputs, config) * params.label_scale[:, None]
+    psi = basis(params, inputs, config, body) * params.label_scale[:, None]
     n_axes = params.label_scale.shape[-1]
     blocks = psi[..., :, None, :] * jnp.eye(n_axes)[:, :, None]
     return blocks.reshape(*psi.shape[:-1], n_axes * config.functions)
 
 
-def fold(params: ObjectParams, coefficients: Array, config: ObjectConfig) -> Folded:
+def fold(params: ObjectParams, coefficients: Array, config: ObjectConfig, body: Array) -> Folded:
     """O made ready for roll-outs with the coefficients ``[3, K]``: `forward` of it gives ``[3, ...]`` in {O}.
 
     psi a is linear in the last layer's output, so a goes into that layer's weights, and psi itself is never formed.
@@ -129,12 +152,12 @@ def fold(params: ObjectParams, coefficients: Array, config: ObjectConfig) -> Fol
     if config.linear_terms:
         skip = weigh(params.linear).T / params.net.scale
         bias = bias - skip @ params.net.mean
-    return Folded(mlp.Layers((*net.weights[:-1], last), (*net.biases[:-1], bias), skip), params.bodies)
+    return Folded(mlp.Layers((*net.weights[:-1], last), (*net.biases[:-1], bias), skip), body, params.label_scale)
 
 
 def forward(folded: Folded, inputs: Array, config: ObjectConfig) -> Array:
-    """What `predict` gives, with channels first: ``[3, ...]`` for ``inputs [10, ...]``."""
-    return mlp.forward(folded.layers, _seen(folded.bodies, inputs), config.activation)
+    """What `predict` gives, with channels first: ``[3, ...]`` for ``inputs [13, ...]``."""
+    return mlp.forward(folded.layers, _seen(folded.label_scale, inputs, config, folded.body), config.activation)
 
 
 def _by_axis(params: ObjectParams, out: Array, config: ObjectConfig) -> Array:

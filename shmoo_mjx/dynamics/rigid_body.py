@@ -100,8 +100,9 @@ def _advance(body: Body, lag: robot_model.LeanResponse, state: SystemState, u: A
 
     none = (jnp.zeros_like(state.last_force), jnp.zeros_like(state.object_twist))
     new, force, wrench = jax.lax.fori_loop(0, SUBSTEPS, substep, (state, *none))
-    memory = {"last_object_twist": twist_before, "last_force": force / SUBSTEPS, "last_u": u}
-    return new._replace(lean=lean, lean_rate=lean_rate, **memory), wrench / SUBSTEPS
+    force, wrench = force / SUBSTEPS, wrench / SUBSTEPS
+    memory = {"last_object_twist": twist_before, "last_wrench": wrench, "last_force": force, "last_u": u}
+    return new._replace(lean=lean, lean_rate=lean_rate, **memory), wrench
 
 
 def _hands(body: Body, state: SystemState, touch: features.Contact, face: features.Facing) -> tuple[Array, Array]:

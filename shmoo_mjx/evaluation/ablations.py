@@ -27,22 +27,24 @@ from shmoo_mjx.types import DT
 
 __all__ = ["VARIANTS", "AblationsConfig", "run"]
 
-ONE_STEP = {"horizon": 1, "open_loop": False, "trial_bodies": 0}
-"""For other inputs: they can not be fed back, and trial bodies need the usual ones."""
+ONE_STEP = {"horizon": 1, "open_loop": False, "body": False}
+"""For other inputs: they can not be fed back, and a body needs the usual ones."""
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "default": {},
     "horizon_1": {"horizon": 1},
     "horizon_5": {"horizon": 5},
-    "horizon_10": {"horizon": 10},
-    "horizon_20": {"horizon": 20},
+    "horizon_15": {"horizon": 15},
+    "horizon_30": {"horizon": 30},
     "horizon_5_forced": {"horizon": 5, "open_loop": False},
-    "horizon_20_forced": {"horizon": 20, "open_loop": False},
+    "horizon_15_forced": {"horizon": 15, "open_loop": False},
     "loss_on_acceleration": {"loss_on_twist": False},
     "plain_ridge": {"coupled": False},
     "shared_functions": {"per_axis": False},
     "no_linear_terms": {"linear_terms": False},
-    "no_trial_bodies": {"trial_bodies": 0},
+    "no_body": {"body": False},
+    "no_last_wrench": {"last_wrench": False},
+    "no_body_nor_last_wrench": {"body": False, "last_wrench": False},
     "functions_3": {"functions": 3},
     "functions_6": {"functions": 6},
     "functions_24": {"functions": 24},

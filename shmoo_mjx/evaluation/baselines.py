@@ -180,8 +180,9 @@ def _metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
         for measure in scoring.NAMES:
             of_seeds = [_mean([row[measure] for row in mine if row["run"] == run]) for run in runs]
             metrics[f"{measure}_{method}"] = float(np.mean(of_seeds))
-            if measure in ("mse", "fvu"):
-                metrics[f"{measure}_std_{method}"] = float(np.std(of_seeds))
+            metrics[f"{measure}_std_{method}"] = float(np.std(of_seeds))
+        medians = [np.nanmedian([row["fvu"] for row in mine if row["run"] == run]) for run in runs]
+        metrics[f"fvu_median_{method}"] = float(np.mean(medians))
         for family in dict.fromkeys(row["family"] for row in mine):
             metrics[f"fvu_{family}_{method}"] = float(np.mean([r["fvu"] for r in mine if r["family"] == family]))
     if "mse_ours" in metrics:

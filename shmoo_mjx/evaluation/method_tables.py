@@ -24,7 +24,7 @@ _NAMES = {
     "linear_prior": "linear basis, towards the prior",
     "physics": "physics basis, towards the prior",
     "rigid_body": "body on four feet, identified",
-    "psi_on_body": "psi that sees the identified body's answer",
+    "no_body": "ours without the body",
     "alpaca": "ALPaCA",
     "gru": "GRU in context",
     "mlp": "one MLP, no adaptation",
@@ -37,24 +37,25 @@ _NAMES = {
 
 
 def baselines_table(result: ExperimentResult) -> str:
-    """One line per method, the best first: error after adapting, spread over seeds, ratio to ours and the paper's."""
+    """One line per method, the least MSE first: errors after adapting, spread over seeds, ratios to ours."""
     found = result.metrics
-    names = [name for name in _NAMES if f"fvu_{name}" in found]
+    names = [name for name in _NAMES if f"mse_{name}" in found]
     lines = [
-        "| method | FVU | MSE | MSE / ours | paper | 3 s position [m] | 3 s yaw [deg] | setting |",
-        "|---|---|---|---|---|---|---|---|",
+        "| method | MSE | MSE / ours | paper | FVU | FVU, median object | 3 s position [m] | 3 s yaw [deg] | setting |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     settings = {row["method"]: row["setting"] for row in result.rows if "method" in row}
-    for name in sorted(names, key=lambda n: found[f"fvu_{n}"] or 0.0):
+    for name in sorted(names, key=lambda n: found[f"mse_{n}"] or 0.0):
         paper = result.paper.get(f"ratio_{name}")
         cells = [
             _NAMES[name],
-            _spread(found, "fvu", name),
             _spread(found, "mse", name),
             _number(1.0 if name == "ours" else found.get(f"ratio_{name}")),
             "" if paper is None else f"{paper:g}",
-            _number(found.get(f"pos_rmse_3s_m_{name}")),
-            _number(found.get(f"yaw_rmse_3s_deg_{name}")),
+            _spread(found, "fvu", name),
+            _number(found.get(f"fvu_median_{name}")),
+            _spread(found, "pos_rmse_3s_m", name),
+            _spread(found, "yaw_rmse_3s_deg", name),
             ", ".join(f"{key} {value}" for key, value in settings.get(name, {}).items()) or "default",
         ]
         lines.append(f"| {' | '.join(cells)} |")
@@ -67,8 +68,8 @@ def ablations_table(result: ExperimentResult) -> str:
     names = [key.removeprefix("fvu_") for key in found if key.startswith("fvu_") and not key.startswith("fvu_std_")]
     lines = ["| variant | FVU | 3 s position [m] | 3 s yaw [deg] | probe on psi |", "|---|---|---|---|---|"]
     for name in names:
-        cells = [name, _spread(found, "fvu", name)]
-        cells += [_number(found.get(f"{m}_{name}")) for m in ("pos_rmse_3s_m", "yaw_rmse_3s_deg", "probe_psi")]
+        measures = ("fvu", "pos_rmse_3s_m", "yaw_rmse_3s_deg", "probe_psi")
+        cells = [name, *(_spread(found, measure, name) for measure in measures)]
         lines.append(f"| {' | '.join(cells)} |")
     probes = (
         f"The same probe on the raw inputs: {_number(found['probe_inputs'])}; without the size: "
@@ -104,7 +105,7 @@ def _number(value: float | None) -> str:
 def _spread(found: dict[str, float | None], measure: str, name: str) -> str:
     """Mean and, where there is more than one seed, the standard deviation over seeds."""
     std = found.get(f"{measure}_std_{name}")
-    return _number(found[f"{measure}_{name}"]) + (f" +- {std:.2g}" if std else "")
+    return _number(found.get(f"{measure}_{name}")) + (f" +- {std:.2g}" if std else "")
 
 
 def _source(result: ExperimentResult) -> str:

@@ -18,12 +18,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from shmoo_mjx.data import store
-from shmoo_mjx.dynamics import object_model
 from shmoo_mjx.evaluation import datasets, scoring
 from shmoo_mjx.evaluation.object_model_figures import draw_curve, draw_roll_outs
 from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result, spread
 from shmoo_mjx.evaluation.trials import fingerprint, run_trials
-from shmoo_mjx.learning import adaptation, daiml
+from shmoo_mjx.learning import adaptation, daiml, identification
 from shmoo_mjx.learning.adaptation import AdaptConfig
 from shmoo_mjx.learning.baselines import REFERENCES, Budget, Job, Recordings, first_rows, recordings
 from shmoo_mjx.learning.baselines.adaptive import daiml_config, from_fit, prior_of
@@ -189,28 +188,30 @@ def _error_of(
     return lambda a: float(error(a))
 
 
-def _online(fitted: ObjectFit, config: DaimlConfig, adapt: AdaptConfig, x: Any, y: Any, w: Any) -> np.ndarray:
-    """The coefficients ``[M, m, K]`` after each of the M rows that count."""
+def _online(
+    fitted: ObjectFit, config: DaimlConfig, adapt: AdaptConfig, x: Any, y: Any, w: Any
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The coefficients ``[m, K]`` and the body ``[p]`` after each of the M rows that count."""
     keep = np.asarray(w) > 0
-    phi = object_model.design_matrix(
-        jax.tree.map(jnp.asarray, fitted.params), jnp.asarray(np.asarray(x)[keep]), config.object
-    )
-    start = adaptation.init(fitted.prior_mean, fitted.prior_covariance, fitted.noise)
+    params, shape = jax.tree.map(jnp.asarray, fitted.params), config.object
+    body = identification.untouched(adapt.body, fitted.body_prior, params.label_scale) if shape.body else None
+    start = adaptation.init(fitted.prior_mean, fitted.prior_covariance, fitted.noise, body)
 
     def one(state: Any, row: Any) -> tuple[Any, Any]:
-        state = adaptation.step(adapt, state, *row)
-        return state, state.mean
+        state = adaptation.observe(adapt, state, params, shape, *row)
+        return state, (state.mean.reshape(fitted.prior_mean.shape), adaptation.body_of(state))
 
-    means = jax.jit(lambda: jax.lax.scan(one, start, (phi, jnp.asarray(np.asarray(y)[keep])))[1])()
-    return np.asarray(means).reshape(-1, *np.shape(fitted.prior_mean))
+    rows = jnp.asarray(np.asarray(x)[keep]), jnp.asarray(np.asarray(y)[keep])
+    means, bodies = jax.jit(lambda rows: jax.lax.scan(one, start, rows)[1])(rows)
+    return list(zip(np.asarray(means), np.asarray(bodies), strict=True))
 
 
 def _metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
-    def of(predictor: str, measure: str, family: str | None = None) -> list[float]:
+    def of(predictor: str, measure: str, family: str | None = None, over_objects: Any = np.nanmean) -> list[float]:
         """Mean over the objects, for each training."""
         mine = [r for r in rows if r["predictor"] == predictor and family in (None, r["family"])]
         runs = sorted({r["run"] for r in mine})
-        return [float(np.nanmean([r[measure] for r in mine if r["run"] == k])) for k in runs]
+        return [float(over_objects([r[measure] for r in mine if r["run"] == k])) for k in runs]
 
     found: dict[str, float] = {}
     for predictor in ("before", "after", "zero", "constant_velocity", "mlp"):
@@ -219,6 +220,7 @@ def _metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
             found[f"{measure}_{predictor}"] = float(np.mean(values))
             if len(values) > 1 and measure in ("mse", "fvu"):
                 found[f"{measure}_{predictor}_std"] = float(np.std(values))
+        found[f"fvu_median_{predictor}"] = float(np.mean(of(predictor, "fvu", over_objects=np.nanmedian)))
         suffix = "" if predictor == "after" else f"_{predictor}"
         for name in scoring.NAMES:
             if "rmse" in name:
@@ -245,7 +247,10 @@ def _curve_metrics(shares: np.ndarray) -> dict[str, float]:
 def _brake_metrics(
     ask: Ask, config: ObjectModelConfig, fitted: ObjectFit, settings: DaimlConfig, scale: np.ndarray
 ) -> dict[str, float]:
-    """Seconds of contact after a brake is put on until Eq. 8 has covered 60 % of the way to the braked object's a*."""
+    """What a brake that is put on costs: error on the braked object when it is not yet felt, and when it is known.
+
+    And seconds of contact until Eq. 8 has covered 60 % of the way between the two, where there is a way to go.
+    """
     count = max(config.unseen.get("wheelchair", 0), 1)
     seeds = range(ask.first_unseen + 500, ask.first_unseen + 500 + count)
     free = {"locked": (False, False, False, False)}
@@ -258,7 +263,7 @@ def _brake_metrics(
     directory = datasets.collect_rows(ask, f"brake-{seeds[0]}-{count}", rows)
     recorded = recordings(store.read(directory, splits=("test",)))
     after = from_fit(fitted, settings)
-    times = []
+    times, unaware, known = [], [], []
     # Names are read in alphabetical order: the braked ones come first.
     for i in range(count):
         new, old = first_rows(recorded, i, settings.fit_rows), first_rows(recorded, i + count, settings.fit_rows)
@@ -271,4 +276,12 @@ def _brake_metrics(
             k for k in range(1, len(means) - begun, 2) if error(means[begun + k - 1]) <= wrong - 0.6 * (wrong - best)
         ]
         times.append(marks[0] * DT if marks and best < wrong else np.nan)
-    return {"brake_readapt_s_median": spread(times)["median"], "brake_readapted": float(np.sum(np.isfinite(times)))}
+        unaware.append(wrong)
+        known.append(best)
+    return {
+        "brake_fvu_unaware_median": spread(unaware)["median"],
+        "brake_fvu_known_median": spread(known)["median"],
+        "brake_with_a_way_to_go": float(np.sum(np.asarray(known) < np.asarray(unaware))),
+        "brake_readapt_s_median": spread(times)["median"],
+        "brake_readapted": float(np.sum(np.isfinite(times))),
+    }

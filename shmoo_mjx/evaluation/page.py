@@ -17,7 +17,7 @@ from pathlib import Path
 
 from shmoo_mjx.evaluation.method_tables import ablations_table, baselines_table
 from shmoo_mjx.evaluation.registry import EXPERIMENTS
-from shmoo_mjx.evaluation.result import ExperimentResult, read_result
+from shmoo_mjx.evaluation.result import ExperimentResult, read_result, weights_id
 from shmoo_mjx.navigation.yaml_input import write_whole
 
 __all__ = ["SECTIONS", "Section", "read_results", "render", "write_page"]
@@ -71,7 +71,11 @@ SECTIONS = {
         (
             *(
                 (label, tuple(f"{metric}_{name}" for name in ("before", "after", "zero", "constant_velocity", "mlp")))
-                for metric, label in (("mse", "MSE of the acceleration"), ("fvu", "variance unexplained"))
+                for metric, label in (
+                    ("mse", "MSE of the acceleration"),
+                    ("fvu", "variance unexplained"),
+                    ("fvu_median", "... of the median object"),
+                )
             ),
             *(
                 (f"variance unexplained, {family}", (f"fvu_before_{family}", f"fvu_after_{family}", "", "", ""))
@@ -83,6 +87,8 @@ SECTIONS = {
             ("gap closed after 1 s of contact, median", ("", "gap_closed_1s_median", "", "", "")),
             ("gap closed after 1 s, lower quartile", ("", "gap_closed_1s_q25", "", "", "")),
             ("gap closed after 5 s, median", ("", "gap_closed_5s_median", "", "", "")),
+            ("variance unexplained, a brake just put on, median", ("", "brake_fvu_unaware_median", "", "", "")),
+            ("... and felt for 25 s, median", ("", "brake_fvu_known_median", "", "", "")),
         ),
         ("roll_outs.png", "adaptation.png"),
     ),
@@ -251,7 +257,10 @@ def render(results: Mapping[str, ExperimentResult], figures: Mapping[str, list[s
                 f"Not run. `shmoo experiment {name}{' ' * bool(section.options)}{section.options}` measures it."
             )
             continue
-        parts += [section.what, f"`{_command(result, section)}`", _table(result, section)]
+        parts += [section.what, f"`{_command(result, section)}`"]
+        if result.config.get("weights") != weights_id():
+            parts.append("**Measured before the weights that are shipped now, or with others.**")
+        parts.append(_table(result, section))
         parts += [f"![{Path(path).stem.replace('_', ' ')}]({path})" for path in figures.get(name, [])]
     return "\n\n".join(parts) + "\n"
 

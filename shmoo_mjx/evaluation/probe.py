@@ -15,6 +15,7 @@ import numpy as np
 import optax
 
 from shmoo_mjx.dynamics import features, object_model
+from shmoo_mjx.learning import daiml
 from shmoo_mjx.learning.baselines.gradient import Layers, dense, layers
 from shmoo_mjx.learning.daiml import DaimlConfig, ObjectFit
 from shmoo_mjx.learning.rows import Rows
@@ -50,8 +51,14 @@ def accuracy(values: Array, weights: Array, seed: int, updates: int = 1500) -> f
 
 
 def psi_of(fitted: ObjectFit, config: DaimlConfig, rows: Rows) -> Array:
-    """psi ``[C, N, n]`` of every row, its distinct functions side by side."""
-    psi = object_model.basis(jax.tree.map(jnp.asarray, fitted.params), jnp.asarray(rows.inputs), config.object)
+    """psi ``[C, N, n]`` of every row, its distinct functions side by side.
+
+    psi sees the body that a condition looks like on its first rows, which tells conditions apart by itself.
+    """
+    params = jax.tree.map(jnp.asarray, fitted.params)
+    bodies = daiml.bodies_seen(config, fitted, rows)
+    see = jax.jit(jax.vmap(lambda x, body: object_model.basis(params, x, config.object, body)))
+    psi = see(jnp.asarray(rows.inputs), bodies)
     return psi.reshape(*psi.shape[:-2], -1) if config.object.per_axis else psi[..., 0, :]
 
 

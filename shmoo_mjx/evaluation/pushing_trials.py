@@ -163,23 +163,17 @@ def _pusher(method: str, weights: Weights) -> Pusher:
 
 def hindsight(weights: Weights, condition: Condition, seed: int) -> AdaptState:
     """a* of Eq. 5 from recorded pushes of this very object, with senses that don't err; it stays as it is."""
-    import jax
+    import jax.numpy as jnp
 
     from shmoo_mjx.data.collect import CollectConfig, record
     from shmoo_mjx.data.store import Dataset
-    from shmoo_mjx.dynamics.object_model import design_matrix
-    from shmoo_mjx.learning import adaptation
-    from shmoo_mjx.learning.least_squares import posterior
     from shmoo_mjx.learning.rows import rows_from_dataset
+    from shmoo_mjx.learning.weights import known_from
 
     config = CollectConfig(episodes=8, seconds=10.0)
     arrays = next(iter(record(config, [condition], seed)))
     rows = rows_from_dataset(Dataset(["object"], [condition.to_dict()], [arrays], {}))
-    params = weights.params
-    phi = jax.vmap(lambda x: design_matrix(params.object, x, weights.config.object))(rows.inputs[0])
-    prior = params.coefficients.reshape(-1)
-    mean, _ = posterior(phi, rows.labels[0], prior, weights.prior_covariance, weights.noise, rows.weights[0])
-    return adaptation.init(mean, weights.prior_covariance, weights.noise)
+    return known_from(weights, *(jnp.asarray(a[0]) for a in rows[:3]))
 
 
 class Runner:

@@ -47,7 +47,7 @@ class RealPushing:
     daiml: DaimlConfig = field(
         default_factory=lambda: DaimlConfig(
             # Few conditions and noisy labels: a small psi, few coefficients, slow steps.
-            object=ObjectConfig(hidden=(32, 32), functions=3, linear_terms=False),
+            object=ObjectConfig(hidden=(32, 32), functions=3, linear_terms=False, body=False),
             horizon=1,
             conditions=8,
             adapt_rows=80,
@@ -64,7 +64,7 @@ class RealPushing:
     )
     naive: DaimlConfig = field(
         default_factory=lambda: DaimlConfig(
-            object=ObjectConfig(functions=20),
+            object=ObjectConfig(functions=20, body=False),
             horizon=1,
             adapt_rows=80,
             windows=32,

@@ -65,7 +65,7 @@ def accelerations(
 
     Args:
         condition: of the recording.
-        inputs: ``[N, 10]`` as OBJECT_INPUTS lists them.
+        inputs: ``[N, 13]`` as OBJECT_INPUTS lists them.
         poses: ``[N, 3]`` of the object in {W}.
         runs: ``[N]`` rows left in the episode.
         starts: rows from which the object is rolled out as well, under the recorded wrenches in {O} alone.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
@@ -13,10 +14,21 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from shmoo_mjx.assets import asset
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.run import versions
+from shmoo_mjx.run import DEMO_WEIGHTS, versions
 
-__all__ = ["UNSEEN_SEED", "Ask", "ExperimentResult", "make_result", "read_result", "spread", "table", "write_result"]
+__all__ = [
+    "UNSEEN_SEED",
+    "Ask",
+    "ExperimentResult",
+    "make_result",
+    "read_result",
+    "spread",
+    "table",
+    "weights_id",
+    "write_result",
+]
 
 UNSEEN_SEED = 1_000_000
 """First seed of the objects that no training can reach; each --condition-seed has 1,000 seeds of its own above it."""
@@ -59,7 +71,7 @@ class ExperimentResult(BaseModel):
     experiment: str
     seed: int
     config: dict[str, Any]
-    """Every choice of the run, condition_seed and quick included."""
+    """Every choice of the run, condition_seed, quick and `weights_id` included."""
     versions: dict[str, str]
     metrics: dict[str, float | None]
     """Flat names; null is a number that this run could not measure."""
@@ -74,7 +86,7 @@ def make_result(
 ) -> ExperimentResult:
     """Assemble a result; numpy numbers become plain ones and what is not finite becomes null."""
     settings = asdict(config) if is_dataclass(config) and not isinstance(config, type) else dict(config)
-    asked = {"condition_seed": ask.condition_seed, "quick": ask.quick}
+    asked = {"condition_seed": ask.condition_seed, "quick": ask.quick, "weights": weights_id(ask.weights)}
     return ExperimentResult(
         experiment=experiment,
         seed=ask.seed,
@@ -84,6 +96,11 @@ def make_result(
         paper=paper,
         rows=_plain(rows),
     )
+
+
+def weights_id(weights: Path | None = None) -> str:
+    """The first digits of a weights file's SHA-256 (default: of the shipped one)."""
+    return hashlib.sha256((weights or asset(DEMO_WEIGHTS)).read_bytes()).hexdigest()[:10]
 
 
 def spread(values: Any) -> dict[str, float]:

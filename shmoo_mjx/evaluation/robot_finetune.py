@@ -19,13 +19,13 @@ import numpy as np
 from shmoo_mjx.assets import asset
 from shmoo_mjx.data import store
 from shmoo_mjx.data.collect import CollectConfig, record
-from shmoo_mjx.dynamics import core, features, object_model, robot_model
+from shmoo_mjx.dynamics import core, features, robot_model
 from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
 from shmoo_mjx.evaluation.trials import fingerprint, run_trials
-from shmoo_mjx.learning import least_squares, robot_fit
+from shmoo_mjx.learning import adaptation, robot_fit
 from shmoo_mjx.learning.robot_fit import RobotFitConfig, RobotRows
 from shmoo_mjx.learning.rows import rows_from_dataset
-from shmoo_mjx.learning.weights import Weights, load_weights
+from shmoo_mjx.learning.weights import Weights, known_from, load_weights
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 from shmoo_mjx.plant.proxy import Imperfections, ProxyEngine, body_of, draw_body
 from shmoo_mjx.run import DEMO_WEIGHTS
@@ -175,14 +175,13 @@ def _roll_outs(weights: Weights, dataset: store.Dataset) -> dict[str, float]:
     rollout = jax.jit(lambda p, s, u: core.rollout(p, s, u, config)[0])
     square: dict[str, list[float]] = {"contact": [], "free": []}
     for i, arrays in enumerate(dataset.arrays):
-        phi = object_model.design_matrix(params.object, rows.inputs[i], config.object)
-        prior = (params.coefficients.reshape(-1), weights.prior_covariance, weights.noise)
-        a = least_squares.posterior(phi, rows.labels[i], *prior, rows.weights[i])[0].reshape(params.coefficients.shape)
+        known = known_from(weights, rows.inputs[i], rows.labels[i], rows.weights[i])
+        found = {"coefficients": known.mean.reshape(params.coefficients.shape), "body": adaptation.body_of(known)}
         samples = store.system_states(arrays)
         starts = np.arange(1, samples.u.shape[1] - STEPS, 10)
         start = SystemState(*(np.asarray(v)[0, starts] for v in samples.state))
         controls = np.stack([samples.u[0, s : s + STEPS] for s in starts])
-        ends = rollout(params._replace(coefficients=a), start, controls).robot_pose[:, -1]
+        ends = rollout(params._replace(**found), start, controls).robot_pose[:, -1]
         truth = arrays["robot_pose"][0, starts + STEPS]
         touched = [samples.contact[0, s : s + STEPS].mean() >= 0.5 for s in starts]
         for miss, touch in zip(np.sum((np.asarray(ends) - truth)[:, :2] ** 2, axis=-1), touched, strict=True):

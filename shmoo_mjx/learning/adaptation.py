@@ -7,15 +7,19 @@ covariance, which stays positive definite where plain Euler steps of P do not. U
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
+from shmoo_mjx.dynamics import feet, object_model
+from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
+from shmoo_mjx.learning import identification
+from shmoo_mjx.learning.identification import BodyState, OnlineConfig
 from shmoo_mjx.types import DT
 
-__all__ = ["AdaptConfig", "AdaptState", "init", "step"]
+__all__ = ["AdaptConfig", "AdaptState", "body_of", "init", "observe", "step"]
 
 Array = Any
 
@@ -36,6 +40,8 @@ class AdaptConfig:
     """Squared Mahalanobis distance of the innovation above which a sample's noise is raised in proportion [1]."""
     tracking: bool = False
     """Use the term +P psi^T s dt."""
+    body: OnlineConfig = field(default_factory=OnlineConfig)
+    """How the body is identified on the way."""
 
 
 class AdaptState(NamedTuple):
@@ -53,20 +59,54 @@ class AdaptState(NamedTuple):
     """``[..., 3, 3]`` covariance of a sample's residual [(m/s^2)^2, (rad/s^2)^2]."""
     samples: Array
     """``[...]`` int, samples used so far."""
+    body: BodyState | None = None
+    """The body on four feet that the object looks like, if psi sees one."""
 
 
-def init(prior_mean: Array, prior_covariance: Array, noise: Array) -> AdaptState:
+def init(prior_mean: Array, prior_covariance: Array, noise: Array, body: BodyState | None = None) -> AdaptState:
     """What is known before the object is touched.
 
     Args:
         prior_mean: ``[3, K]`` or ``[n]``.
         prior_covariance: ``[n, n]``, P at the start.
         noise: ``[3, 3]`` covariance of a sample's residual.
+        body: from `identification.untouched`, if psi sees a body.
     """
     mean = jnp.asarray(prior_mean, dtype=jnp.float32).reshape(-1)
     covariance = jnp.asarray(prior_covariance, dtype=jnp.float32)
     noise = jnp.asarray(noise, dtype=jnp.float32)
-    return AdaptState(mean, covariance, mean, covariance, noise, jnp.zeros((), jnp.int32))
+    return AdaptState(mean, covariance, mean, covariance, noise, jnp.zeros((), jnp.int32), body)
+
+
+def observe(
+    config: AdaptConfig,
+    state: AdaptState,
+    params: ObjectParams,
+    shape: ObjectConfig,
+    inputs: Array,
+    label: Array,
+    valid: Array | bool = True,
+) -> AdaptState:
+    """One sample of the object: the body is identified anew, then Eq. 8 on psi that sees it.
+
+    Args:
+        config: gains; static.
+        state: unbatched; vmap for more.
+        params: psi.
+        shape: of psi; static.
+        inputs: ``[13]`` as OBJECT_INPUTS lists them.
+        label: ``[3]`` measured acceleration of the object in {O}.
+        valid: False without contact, with stale or missing poses.
+    """
+    if state.body is not None:
+        state = state._replace(body=identification.observe(config.body, state.body, inputs, label, valid))
+    phi = object_model.design_matrix(params, inputs, shape, body_of(state))
+    return step(config, state, phi, label, valid)
+
+
+def body_of(state: AdaptState) -> Array:
+    """Parameters ``[p]`` of the body that the object looks like; the first guess if psi sees none."""
+    return feet.guess() if state.body is None else identification.best(state.body)
 
 
 def step(
@@ -89,6 +129,8 @@ def step(
         tracking_error: ``[3]`` s of Eq. 8, used if config.tracking.
         dt: time since the last sample [s].
     """
+    rest_of_state = state.body
+    state = state._replace(body=None)
     finite = jnp.all(jnp.isfinite(phi)) & jnp.all(jnp.isfinite(label))
     if tracking_error is not None:
         finite &= jnp.all(jnp.isfinite(tracking_error))
@@ -114,7 +156,7 @@ def step(
     new = state._replace(mean=new_mean, covariance=new_covariance, samples=state.samples + 1)
     # Finite inputs can still overflow float32; such a sample is dropped as well.
     use &= jnp.all(jnp.isfinite(new_mean)) & jnp.all(jnp.isfinite(new_covariance))
-    return jax.tree.map(lambda a, b: jnp.where(use, a, b), new, state)
+    return jax.tree.map(lambda a, b: jnp.where(use, a, b), new, state)._replace(body=rest_of_state)
 
 
 def _propagate(config: AdaptConfig, state: AdaptState, dt: float) -> tuple[Array, Array]:

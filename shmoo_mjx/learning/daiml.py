@@ -22,13 +22,15 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 
 from shmoo_mjx.data import store
-from shmoo_mjx.dynamics import features, mlp, object_model
+from shmoo_mjx.dynamics import features, feet, mlp, object_model
 from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
-from shmoo_mjx.learning import least_squares, multistep, training
+from shmoo_mjx.learning import identification, least_squares, multistep, training, trees
 from shmoo_mjx.learning import rows as batches
+from shmoo_mjx.learning.identification import BodyPrior, IdentificationConfig
 from shmoo_mjx.learning.rows import Batch, Rows, Sampler, label_scale, rows_from_arrays, rows_from_dataset
 from shmoo_mjx.types import DT
 
@@ -49,13 +51,16 @@ class DaimlConfig:
     """Settings of the training of psi."""
 
     object: ObjectConfig = field(default_factory=lambda: ObjectConfig())
-    horizon: int = 5
+    horizon: int = 15
     """H of Eq. 4 [samples]."""
     open_loop: bool = True
     """Feed the prediction back over the H steps; otherwise the recorded twist (teacher-forced)."""
     loss_on_twist: bool = True
     """Take the error of Eq. 4 on the twist reached after each step; otherwise on each step's acceleration as printed,
     whose noise from step to step hides the drift that planning suffers from."""
+    one_step: float = 1.0
+    """Weight of the error of one step from the recorded twists, added to that of the open loop, where psi must live
+    with its own errors: one step ahead it may use what just happened."""
     conditions: int = 12
     """Conditions per update."""
     adapt_rows: int = 100
@@ -78,13 +83,15 @@ class DaimlConfig:
     discriminator_share: float = 0.5
     """Probability that an update also trains the discriminator."""
     learning_rate: float = 2e-3
-    chunks: int = 40
+    chunks: int = 24
     """Most chunks; the learning rate falls to zero over them along a cosine."""
     chunk_updates: int = 150
     patience: int = 12
     """Chunks without a better validation score before stopping."""
     fit_rows: int = 250
     """First rows of a validation condition that a* is fitted on; it is scored on the later ones."""
+    body_fit: IdentificationConfig = field(default_factory=IdentificationConfig)
+    """How bodies are identified, if psi sees one."""
     seed: int = 0
 
 
@@ -101,6 +108,8 @@ class ObjectFit(NamedTuple):
     score: float
     """Best validation score (see `validation_scores`; one-step and open-loop shares averaged)."""
     history: list[tuple[float, float]]
+    body_prior: BodyPrior
+    """What bodies on four feet the training objects are like; of no use unless config.object.body."""
 
 
 class _Model(NamedTuple):
@@ -155,10 +164,10 @@ def fit(
 ) -> ObjectFit:
     """DAIML on any {condition: (x, y)} arrays.
 
-    Inputs of an unknown meaning can not be fed back, so it is teacher-forced, and no trial body can answer to them.
+    Inputs of an unknown meaning can not be fed back, so it is teacher-forced, and no body can answer to them.
     """
     config = config or DaimlConfig()
-    config = replace(config, open_loop=False, object=replace(config.object, trial_bodies=0))
+    config = replace(config, open_loop=False, object=replace(config.object, last_wrench=True, body=False))
     return fit_rows(rows_from_arrays(train), rows_from_arrays(validation), config, out_dir, progress)
 
 
@@ -173,13 +182,16 @@ def fit_rows(
     config = config or DaimlConfig()
     device = jax.tree.map(jnp.asarray, train)
     held_out = jax.tree.map(jnp.asarray, validation)
+    body_prior, bodies, held_bodies = _identified(config, train, validation, out_dir)
     sampler = batches.sampler(train, config.horizon, config.label_floor)
     chunk, scores, prior = _compiled(replace(config, seed=0))
     fitted = training.run(
-        _init(config, train),
-        lambda state: chunk(device, sampler, state),
+        _init(config, train, bodies),
+        lambda state: chunk(device, bodies, sampler, state),
         extract=lambda state: state.model,
-        evaluate=lambda model: jnp.mean(jnp.minimum(jnp.stack(scores(held_out, model)), 10.0)),
+        evaluate=lambda model: jnp.mean(
+            jnp.minimum(jnp.stack(scores(held_out, held_bodies, model)), least_squares.WORST)
+        ),
         chunks=config.chunks,
         patience=config.patience,
         identity=training.fingerprint(config, train.inputs, train.labels),
@@ -187,9 +199,52 @@ def fit_rows(
         progress=progress,
     )
     model: _Model = jax.tree.map(jnp.asarray, fitted.best)
-    mean, covariance, noise = prior(device, model)
+    mean, covariance, noise = prior(device, bodies, model)
     shape = model.mean.shape
-    return ObjectFit(model.params, mean.reshape(shape), covariance, noise, fitted.score, fitted.history)
+    return ObjectFit(model.params, mean.reshape(shape), covariance, noise, fitted.score, fitted.history, body_prior)
+
+
+STRETCHES = (0, 10, 10, 30, 30, 100, 100, 250)
+"""Rows that a training condition's bodies are identified on: psi meets them as well known as a robot knows them."""
+
+
+def _identified(
+    config: DaimlConfig, train: Rows, validation: Rows, out_dir: str | Path | None
+) -> tuple[BodyPrior, Array, Array]:
+    """The prior of bodies, and those of training ``[C, M, p]`` and validation conditions ``[C', p]``."""
+    count, p = train.inputs.shape[0], len(feet.PARAMETERS)
+    groups = config.body_fit.groups
+    empty = BodyPrior(np.zeros((groups, p)), np.zeros((groups, p, p)), np.zeros(groups))
+    nothing = empty, np.zeros((count, len(STRETCHES), p)), np.zeros((validation.inputs.shape[0], p))
+    if not config.object.body:
+        return jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), nothing)  # type: ignore[return-value]
+    identity = training.fingerprint((config.body_fit, config.fit_rows), train.inputs, validation.inputs)
+    path = None if out_dir is None else Path(out_dir).parent / f"bodies-{identity[:10]}.safetensors"
+    kept = None if path is None else trees.load_checkpoint(path, nothing, identity)
+    if kept is not None:
+        return jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), kept[0])  # type: ignore[return-value]
+    scale = label_scale(train)
+    prior, _ = identification.learn_prior(config.body_fit, scale, train.inputs, train.labels, train.weights)
+    prior = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), prior)
+    bodies = identification.from_stretches(config.body_fit, prior, scale, tuple(train[:3]), STRETCHES)
+    found = prior, bodies, _bodies(config, prior, scale, validation)
+    if path is not None:
+        trees.save_checkpoint(path, found, {"identity": identity})
+    return found
+
+
+def bodies_seen(config: DaimlConfig, fitted: ObjectFit, rows: Rows) -> Array:
+    """The bodies ``[C, p]`` that conditions look like on their first ``config.fit_rows`` rows."""
+    if not config.object.body:
+        return jnp.zeros((rows.inputs.shape[0], len(feet.PARAMETERS)))
+    return _bodies(config, jax.tree.map(jnp.asarray, fitted.body_prior), fitted.params.label_scale, rows)
+
+
+def _bodies(config: DaimlConfig, prior: BodyPrior, scale: Array, rows: Rows) -> Array:
+    n = min(config.fit_rows, rows.inputs.shape[1] // 2)
+    identify = partial(identification.identify, config.body_fit, prior, jnp.asarray(scale))
+    first = tuple(jnp.asarray(a[:, :n]) for a in rows[:3])
+    return jax.jit(lambda r: jax.lax.map(lambda c: identify(*c), r))(first)
 
 
 @lru_cache(maxsize=8)
@@ -209,19 +264,22 @@ def validation_scores(config: DaimlConfig, rows: Rows, fitted: ObjectFit) -> tup
         after H open-loop steps (the one-step share again if config.open_loop is off).
     """
 
-    def fit_one(x: Array, y: Array, w: Array) -> Array:
-        phi = object_model.design_matrix(fitted.params, x, config.object)
+    def fit_one(x: Array, y: Array, w: Array, body: Array) -> Array:
+        phi = object_model.design_matrix(fitted.params, x, config.object, body)
         prior = (fitted.prior_mean.reshape(-1), fitted.prior_covariance)
         return least_squares.posterior(phi, y, *prior, fitted.noise, w)[0].reshape(fitted.prior_mean.shape)
 
     horizon = config.horizon if config.open_loop else 0
     floor = config.label_floor
-    return multistep.scores(rows, fitted.params, config.object, fit_one, config.fit_rows, horizon, floor)
+    bodies = bodies_seen(config, fitted, rows)
+    return multistep.scores(rows, bodies, fitted.params, config.object, fit_one, config.fit_rows, horizon, floor)
 
 
-def _model_scores(config: DaimlConfig, rows: Rows, model: _Model) -> tuple[Array, Array]:
+def _model_scores(config: DaimlConfig, rows: Rows, bodies: Array, model: _Model) -> tuple[Array, Array]:
     horizon, fit_one = config.horizon if config.open_loop else 0, partial(_coefficients, config, model)
-    return multistep.scores(rows, model.params, config.object, fit_one, config.fit_rows, horizon, config.label_floor)
+    return multistep.scores(
+        rows, bodies, model.params, config.object, fit_one, config.fit_rows, horizon, config.label_floor
+    )
 
 
 def _optimiser(config: DaimlConfig) -> optax.GradientTransformation:
@@ -231,17 +289,15 @@ def _optimiser(config: DaimlConfig) -> optax.GradientTransformation:
     )
 
 
-def _init(config: DaimlConfig, rows: Rows) -> _State:
+def _init(config: DaimlConfig, rows: Rows, bodies: Array) -> _State:
     key = jax.random.key(config.seed)
     key, net_key, mean_key, discriminator_key, vector_key = jax.random.split(key, 5)
     n_axes = rows.labels.shape[-1]
     params = object_model.init(net_key, config.object, rows.inputs.shape[-1], n_axes)
-    params = params._replace(
-        net=mlp.with_normaliser(
-            params.net, object_model.network_inputs(params, jnp.asarray(rows.inputs[rows.weights > 0]))
-        ),
-        label_scale=jnp.asarray(label_scale(rows), jnp.float32),
-    )
+    params = params._replace(label_scale=jnp.asarray(label_scale(rows), jnp.float32))
+    see = jax.jit(jax.vmap(lambda x, body: object_model.network_inputs(params, x, config.object, body)))
+    seen = see(jnp.asarray(rows.inputs), bodies[:, -1])
+    params = params._replace(net=mlp.with_normaliser(params.net, seen[jnp.asarray(rows.weights) > 0]))
     mean = 0.3 * jax.random.normal(mean_key, (n_axes, config.object.functions))
     n = mean.size
     model = _Model(params, mean, jnp.eye(n), jnp.full(n_axes, jnp.log(0.5)))
@@ -264,41 +320,43 @@ def _learned(model: _Model) -> tuple[Any, ...]:
     """The part of the model that gradients move: not the normalisers."""
     net = model.params.net
     params = model.params
-    return net.weights, net.biases, params.linear, params.bodies, model.mean, model.factor, model.log_noise
+    return net.weights, net.biases, params.linear, model.mean, model.factor, model.log_noise
 
 
 def _with_learned(model: _Model, learned: tuple[Any, ...], linear_terms: bool) -> _Model:
-    weights, biases, linear, bodies, mean, factor, log_noise = learned
+    weights, biases, linear, mean, factor, log_noise = learned
     net = model.params.net._replace(weights=weights, biases=biases)
-    params = model.params._replace(net=net, linear=linear if linear_terms else model.params.linear, bodies=bodies)
+    params = model.params._replace(net=net, linear=linear if linear_terms else model.params.linear)
     return _Model(params, mean, factor, log_noise)
 
 
-def _coefficients(config: DaimlConfig, model: _Model, x: Array, y: Array, w: Array) -> Array:
+def _coefficients(config: DaimlConfig, model: _Model, x: Array, y: Array, w: Array, body: Array) -> Array:
     """a* of Eq. 5 ``[m, K]``."""
     params, labels = model.params, y / model.params.label_scale
     if config.coupled:
-        phi = object_model.design_matrix(params, x, config.object) / params.label_scale[:, None]
+        phi = object_model.design_matrix(params, x, config.object, body) / params.label_scale[:, None]
         noise = jnp.diag(jnp.exp(2 * model.log_noise))
         a, _ = least_squares.posterior_from_factor(phi, labels, model.mean.reshape(-1), model.factor, noise, w)
         a = a.reshape(model.mean.shape)
     else:
-        psi = object_model.basis(params, x, config.object)
+        psi = object_model.basis(params, x, config.object, body)
         a = least_squares.ridge(psi, labels, model.mean, config.ridge, w)
     return least_squares.cap_norm(a, config.norm_cap)
 
 
-def _chunk(config: DaimlConfig, rows: Rows, sampler: Sampler, state: _State) -> tuple[_State, Array]:
+def _chunk(config: DaimlConfig, rows: Rows, bodies: Array, sampler: Sampler, state: _State) -> tuple[_State, Array]:
     optimiser = _optimiser(config)
 
     def update(state: _State, _: None) -> tuple[_State, Array]:
-        key, batch_key, coin_key = jax.random.split(jax.random.wrap_key_data(state.key), 3)
+        key, batch_key, coin_key, body_key = jax.random.split(jax.random.wrap_key_data(state.key), 4)
         sizes = (config.conditions, config.adapt_rows, config.windows, config.horizon)
         batch = batches.draw(rows, sampler, batch_key, *sizes)
+        which = jax.random.randint(body_key, batch.condition.shape, 0, bodies.shape[1])
+        body = bodies[batch.condition, which]
 
         def loss_of(learned: tuple[Any, ...]) -> tuple[Array, tuple[Array, Array]]:
             model = _with_learned(state.model, learned, config.object.linear_terms)
-            return _loss(config, model, state.discriminator, batch)
+            return _loss(config, model, state.discriminator, batch, body)
 
         gradient, (loss, psi) = jax.grad(loss_of, has_aux=True)(_learned(state.model))
         learned = _learned(state.model)
@@ -316,33 +374,43 @@ def _chunk(config: DaimlConfig, rows: Rows, sampler: Sampler, state: _State) -> 
     return state, jnp.mean(losses)
 
 
-def _loss(config: DaimlConfig, model: _Model, discriminator: mlp.MLP, batch: Batch) -> tuple[Array, Any]:
+def _loss(config: DaimlConfig, model: _Model, discriminator: mlp.MLP, batch: Batch, bodies: Array) -> tuple[Array, Any]:
     """Eq. 6 for fixed h: (loss, (multi-step loss, psi of the rows of B^a))."""
     params = model.params
 
-    def one(adapt: tuple[Array, ...], windows: tuple[Array, ...], precision: Array) -> Array:
-        a = _coefficients(config, model, *adapt)
+    def one(adapt: tuple[Array, Array, Array], windows: tuple[Array, ...], precision: Array, body: Array) -> Array:
+        a = _coefficients(config, model, *adapt, body)
         x, y, following = windows
-        predicted, twists = multistep.open_loop(params, a, x, config.object, config.open_loop)
+
+        def share(error: Array) -> Array:
+            return jnp.mean(jnp.einsum("bha,ac,bhc->bh", error, precision, error)) / error.shape[-1]
+
+        predicted, twists = multistep.open_loop(params, a, x, config.object, body, config.open_loop)
         error = (y - predicted) / params.label_scale
-        if config.open_loop and config.loss_on_twist:
+        if not config.open_loop:
+            return share(error)
+        forced = 0.0
+        if config.one_step > 0:
+            said, _ = multistep.open_loop(params, a, x, config.object, body, feed_back=False)
+            forced = config.one_step * share((y - said) / params.label_scale)
+        if config.loss_on_twist:
             # After h steps of independent errors the twist's covariance would be h times that of one.
             steps = jnp.arange(1, x.shape[1] + 1)[:, None]
             truth = following[:, :-1, features.slices(features.OBJECT_INPUTS)["object_twist"]]
             drift = (truth - twists[:, 1:]) / (DT * params.label_scale)
             error = jnp.concatenate([drift, error[:, -1:] * steps[-1] ** 0.5], axis=1) / steps**0.5
-        return jnp.mean(jnp.einsum("bha,ac,bhc->bh", error, precision, error)) / error.shape[-1]
+        return share(error) + forced
 
-    multi_step = jnp.mean(jax.vmap(one)(batch.adapt, batch.windows, batch.precision))
+    multi_step = jnp.mean(jax.vmap(one)(batch.adapt, batch.windows, batch.precision, bodies))
     if config.alpha == 0:
         return multi_step, (multi_step, jnp.zeros(()))
-    psi = _raw_basis(config, params, batch.adapt[0])
+    psi = jax.vmap(partial(_raw_basis, config, params))(batch.adapt[0], bodies)
     return multi_step - config.alpha * _cross_entropy(discriminator, psi, batch.condition), (multi_step, psi)
 
 
-def _raw_basis(config: DaimlConfig, params: ObjectParams, x: Array) -> Array:
+def _raw_basis(config: DaimlConfig, params: ObjectParams, x: Array, body: Array) -> Array:
     """psi with its distinct outputs in one axis ``[..., n]``."""
-    psi = object_model.basis(params, x, config.object)
+    psi = object_model.basis(params, x, config.object, body)
     return psi.reshape(*psi.shape[:-2], -1) if config.object.per_axis else psi[..., 0, :]
 
 
@@ -363,7 +431,7 @@ def _train_discriminator(config: DaimlConfig, state: _State, psi: Array, conditi
     )
 
 
-def _prior(config: DaimlConfig, rows: Rows, model: _Model) -> tuple[Array, Array, Array]:
+def _prior(config: DaimlConfig, rows: Rows, bodies: Array, model: _Model) -> tuple[Array, Array, Array]:
     """Prior mean ``[n]``, covariance ``[n, n]`` and residual covariance ``[m, m]``: learned, or else from the rows."""
     scale = model.params.label_scale
     if config.coupled:
@@ -371,9 +439,11 @@ def _prior(config: DaimlConfig, rows: Rows, model: _Model) -> tuple[Array, Array
         covariance = model.factor @ model.factor.T
         ridge = 1e-5 * jnp.trace(covariance) / covariance.shape[0]
         return model.mean.reshape(-1), covariance + ridge * jnp.eye(covariance.shape[0]), noise
-    phi = object_model.design_matrix(model.params, rows.inputs, config.object)
+    body = bodies[:, -1]
+    phi = jax.vmap(lambda x, b: object_model.design_matrix(model.params, x, config.object, b))(rows.inputs, body)
     n = model.mean.size
-    fitted = jax.vmap(partial(_coefficients, config, model))(rows.inputs, rows.labels, rows.weights).reshape(-1, n)
+    fit_one = jax.vmap(partial(_coefficients, config, model))
+    fitted = fit_one(rows.inputs, rows.labels, rows.weights, body).reshape(-1, n)
     spread = jnp.cov(fitted.T).reshape(n, n)
     covariance = spread + 0.05 * jnp.diag(jnp.diag(spread)) + 1e-4 * jnp.eye(n)
     mean = jnp.mean(fitted, axis=0)

@@ -8,7 +8,8 @@ their size, not its square, and the noise is set higher than the residual's.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -16,9 +17,22 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.cluster.vq import kmeans2
 
-from shmoo_mjx.dynamics import feet
+from shmoo_mjx.dynamics import features, feet
+from shmoo_mjx.types import DT
 
-__all__ = ["BodyPrior", "IdentificationConfig", "broad_prior", "identify", "learn_prior"]
+__all__ = [
+    "BodyPrior",
+    "BodyState",
+    "IdentificationConfig",
+    "OnlineConfig",
+    "best",
+    "broad_prior",
+    "from_stretches",
+    "identify",
+    "learn_prior",
+    "observe",
+    "untouched",
+]
 
 Array = Any
 
@@ -43,6 +57,19 @@ class IdentificationConfig:
     seed: int = 0
 
 
+@dataclass(frozen=True)
+class OnlineConfig:
+    """Settings of `observe`; hashable."""
+
+    window: int = 120
+    """The last so many samples are looked at."""
+    memory: float = 8.0
+    """A sample's weight falls by e in this time of contact [s]: properties may change."""
+    iterations: int = 2
+    """Levenberg-Marquardt steps per sample."""
+    fit: IdentificationConfig = field(default_factory=IdentificationConfig)
+
+
 class BodyPrior(NamedTuple):
     """A mixture of G Gaussians over the p parameters of `feet.PARAMETERS`."""
 
@@ -52,6 +79,63 @@ class BodyPrior(NamedTuple):
     """``[G, p, p]``: root (parameters - mean) is standard normal."""
     log_weight: Array
     """``[G]`` log of the share, and of the density at the mean."""
+
+
+class BodyState(NamedTuple):
+    """What has been felt of an object, and the body that each Gaussian of the prior makes of it."""
+
+    prior: BodyPrior
+    scale: Array
+    """``[3]`` standard deviation of the labels in training."""
+    inputs: Array
+    """``[W, 13]`` of the last W samples, the newest last."""
+    labels: Array
+    """``[W, 3]``"""
+    weights: Array
+    """``[W]``"""
+    found: Array
+    """``[G, p]``"""
+    cost: Array
+    """``[G]``"""
+
+
+def untouched(config: OnlineConfig, prior: BodyPrior, scale: Array) -> BodyState:
+    """Before anything is felt."""
+    prior = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), prior)
+    w = config.window
+    return BodyState(
+        prior,
+        jnp.asarray(scale, jnp.float32),
+        jnp.ones((w, features.width(features.OBJECT_INPUTS))),
+        jnp.zeros((w, 3)),
+        jnp.zeros(w),
+        prior.mean,
+        jnp.zeros(prior.mean.shape[0]),
+    )
+
+
+def observe(
+    config: OnlineConfig, state: BodyState, inputs: Array, label: Array, valid: Array | bool = True
+) -> BodyState:
+    """One more sample: ``inputs [13]``, ``label [3]``. Not valid or not finite, it changes nothing."""
+    use = jnp.all(jnp.isfinite(inputs)) & jnp.all(jnp.isfinite(label)) & jnp.asarray(valid)
+
+    def appended(values: Array, new: Array) -> Array:
+        return jnp.concatenate([values[1:], new[None]])
+
+    x = appended(state.inputs, jnp.where(use, inputs, state.inputs[-1]))
+    y = appended(state.labels, jnp.where(use, label, 0.0))
+    w = appended(state.weights * np.exp(-DT / config.memory), jnp.ones(()))
+    rows = _normalised(config.fit, state.scale, x, y, w)
+    fit = partial(_fit, config.iterations, rows=rows)
+    found, cost = jax.vmap(fit)(state.found, state.prior.mean, state.prior.root)
+    new = state._replace(inputs=x, labels=y, weights=w, found=found, cost=cost)
+    return jax.tree.map(lambda a, b: jnp.where(use, a, b), new, state)
+
+
+def best(state: BodyState) -> Array:
+    """The likeliest body's parameters ``[p]``."""
+    return state.found[jnp.argmin(state.cost - state.prior.log_weight)]
 
 
 def broad_prior() -> BodyPrior:
@@ -69,12 +153,12 @@ def identify(
         config: static.
         prior: G Gaussians; a fit starts from the mean of each.
         scale: ``[3]`` standard deviation of the labels in training.
-        inputs: ``[N, 10]``.
+        inputs: ``[N, 13]``.
         labels: ``[N, 3]``.
         weights: ``[N]`` 0 where a row doesn't count.
     """
-    rows = (inputs.T, labels.T / scale[:, None] / config.noise, weights, scale * config.noise)
-    found, cost = jax.vmap(lambda m, r: _fit(config, m, m, r, rows))(prior.mean, prior.root)
+    rows = _normalised(config, scale, inputs, labels, weights)
+    found, cost = jax.vmap(lambda m, r: _fit(config.iterations, m, m, r, rows))(prior.mean, prior.root)
     return found[jnp.argmin(cost - prior.log_weight)]
 
 
@@ -86,7 +170,7 @@ def learn_prior(
     Args:
         config: settings.
         scale: ``[3]`` standard deviation of the labels.
-        inputs: ``[C, N, 10]``.
+        inputs: ``[C, N, 13]``.
         labels: ``[C, N, 3]``.
         weights: ``[C, N]``.
     """
@@ -113,7 +197,48 @@ def learn_prior(
     return prior, found
 
 
-def _fit(config: IdentificationConfig, start: Array, mean: Array, root: Array, rows: Any) -> tuple[Array, Array]:
+def from_stretches(
+    config: IdentificationConfig,
+    prior: BodyPrior,
+    scale: Array,
+    rows: tuple[Array, Array, Array],
+    lengths: tuple[int, ...],
+) -> Array:
+    """What each condition looks like after so many rows of contact, from somewhere in its recording.
+
+    Args:
+        config: settings.
+        prior: from `learn_prior`.
+        scale: ``[3]``
+        rows: inputs ``[C, N, 13]``, labels ``[C, N, 3]``, weights ``[C, N]``.
+        lengths: rows that count, M numbers; 0 is the object not yet touched.
+
+    Returns:
+        Parameters ``[C, M, p]``.
+    """
+    count, total = rows[2].shape
+    longest = min(2 * max(*lengths, 1), total)
+    starts = np.random.default_rng(config.seed).integers(0, total, (count, len(lengths)))
+    scale, many = jnp.asarray(scale), jnp.asarray(lengths)
+
+    def one(start: Array, length: Array, inputs: Array, labels: Array, weights: Array) -> Array:
+        at = (start + jnp.arange(longest)) % inputs.shape[0]
+        w = weights[at]
+        return identify(config, prior, scale, inputs[at], labels[at], w * (jnp.cumsum(w) <= length))
+
+    @jax.jit
+    def all_of(starts: Array, rows: Any) -> Array:
+        return jax.lax.map(lambda c: jax.vmap(lambda s, n: one(s, n, *c[1]))(c[0], many), (starts, rows))
+
+    return all_of(jnp.asarray(starts), jax.tree.map(jnp.asarray, rows))
+
+
+def _normalised(config: IdentificationConfig, scale: Array, inputs: Array, labels: Array, weights: Array) -> Any:
+    unit = scale * config.noise
+    return inputs.T, labels.T / unit[:, None], weights, unit
+
+
+def _fit(iterations: int, start: Array, mean: Array, root: Array, rows: Any) -> tuple[Array, Array]:
     """Levenberg-Marquardt from ``start [p]``: (parameters, half the sum of squares, robust and with the prior)."""
     inputs, labels, weights, unit = rows
 
@@ -141,7 +266,7 @@ def _fit(config: IdentificationConfig, start: Array, mean: Array, root: Array, r
         return (*kept, jnp.clip(jnp.where(better, damping / 4, damping * 6), 1e-4, 1e6)), None
 
     begin = (start, cost_of(start, residuals(start)), jnp.asarray(0.03))
-    (found, cost, _), _ = jax.lax.scan(iterate, begin, None, length=config.iterations)
+    (found, cost, _), _ = jax.lax.scan(iterate, begin, None, length=iterations)
     return found, cost
 
 
@@ -150,16 +275,15 @@ def _from_starts(
 ) -> Array:
     """The best of the fits from the most promising starts, under the broad prior."""
     prior = jax.tree.map(jnp.asarray, broad_prior())
-    unit = scale * config.noise
-    x, y = inputs.T, labels.T / unit[:, None]
+    rows = _normalised(config, scale, inputs, labels, weights)
+    x, y, _, unit = rows
 
     def badness(parameters: Array) -> Array:
         left = feet.acceleration(parameters, x[:, ::2]) / unit[:, None] - y[:, ::2]
         return jnp.sum(weights[::2] * (jnp.sqrt(1.0 + left**2) - 1.0))
 
     promising = starts[jnp.argsort(jax.lax.map(badness, starts, batch_size=32))[: config.refined]]
-    rows = (x, y, weights, unit)
-    found, cost = jax.vmap(lambda s: _fit(config, s, prior.mean[0], prior.root[0], rows))(promising)
+    found, cost = jax.vmap(lambda s: _fit(config.iterations, s, prior.mean[0], prior.root[0], rows))(promising)
     return found[jnp.argmin(cost)]
 
 

@@ -120,6 +120,10 @@ def empirical_prior(
     return jax.lax.scan(one_round, (mean, covariance, noise), None, length=rounds)[0]
 
 
+WORST = 2.0
+"""Cap on what one validation condition leaves unexplained: one that runs away must not decide what is kept."""
+
+
 def fraction_unexplained(predicted: Array, labels: Array, weights: Array, floor: float | Array = 1e-9) -> Array:
     """Fraction of the labels' variance left unexplained, the axes counted in units of their own variance.
 

@@ -21,15 +21,16 @@ Array = Any
 
 
 def open_loop(
-    params: ObjectParams, a: Array, inputs: Array, config: ObjectConfig, feed_back: bool = True
+    params: ObjectParams, a: Array, inputs: Array, config: ObjectConfig, body: Array, feed_back: bool = True
 ) -> tuple[Array, Array]:
     """Roll the object's twist out over H steps under the recorded wrench (Eq. 4).
 
     Args:
         params: psi.
         a: ``[3, K]``.
-        inputs: ``[B, H, 10]`` recorded inputs of B windows.
+        inputs: ``[B, H, 13]`` recorded inputs of B windows.
         config: of psi.
+        body: ``[p]`` of `feet.PARAMETERS`.
         feed_back: feed the predicted twist back; False predicts every step from the recorded one.
 
     Returns:
@@ -37,12 +38,13 @@ def open_loop(
     """
     where = features.slices(features.OBJECT_INPUTS)
     if not feed_back:
-        return object_model.predict(params, a, inputs, config), inputs[..., where["object_twist"]]
+        return object_model.predict(params, a, inputs, config, body), inputs[..., where["object_twist"]]
 
     def one(carry: tuple[Array, Array], x: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         twist, last = carry
-        x = features.object_inputs(twist, x[..., where["wrench"]], last, x[..., where["size"]][..., 0])
-        acceleration = object_model.predict(params, a, x, config)
+        wrench, size, last_wrench = (x[..., where[name]] for name in ("wrench", "size", "last_wrench"))
+        x = features.object_inputs(twist, wrench, last, size[..., 0], last_wrench)
+        acceleration = object_model.predict(params, a, x, config, body)
         turn = twist[..., 2] * DT + 0.5 * acceleration[..., 2] * DT**2
         following = se2.rotate(twist + acceleration * DT, -turn)
         return (following, twist), (acceleration, twist)
@@ -54,9 +56,10 @@ def open_loop(
 
 def scores(
     rows: Rows,
+    bodies: Array,
     params: ObjectParams,
     config: ObjectConfig,
-    fit_one: Callable[[Array, Array, Array], Array],
+    fit_one: Callable[[Array, Array, Array, Array], Array],
     fit_rows: int,
     horizon: int,
     floor: float,
@@ -65,9 +68,10 @@ def scores(
 
     Args:
         rows: C conditions that psi was not trained on.
+        bodies: ``[C, p]`` identified on the same first rows.
         params: psi.
         config: of psi.
-        fit_one: (inputs, labels, weights) of some rows -> a ``[m, K]``.
+        fit_one: (inputs, labels, weights) of some rows, body -> a ``[m, K]``.
         fit_rows: how many rows a is fitted on, at most half of them.
         horizon: steps of the open-loop roll-out; 0 leaves it out.
         floor: share of label_scale squared added to each label's variance.
@@ -77,20 +81,20 @@ def scores(
         after ``horizon`` steps (the one-step share again without a roll-out).
     """
 
-    def one(x: Array, y: Array, w: Array, run: Array) -> tuple[Array, Array]:
+    def one(x: Array, y: Array, w: Array, run: Array, body: Array) -> tuple[Array, Array]:
         n, h = x.shape[0], horizon
         first = min(fit_rows, n // 2)
-        a = fit_one(x[:first], y[:first], w[:first])
-        predicted = object_model.predict(params, a, x[first:], config)
+        a = fit_one(x[:first], y[:first], w[:first], body)
+        predicted = object_model.predict(params, a, x[first:], config, body)
         extra = floor * params.label_scale**2
         one_step = least_squares.fraction_unexplained(predicted, y[first:], w[first:], extra)
         if h == 0 or n - first <= h:
             return one_step, one_step
         starts = jnp.arange(first, n - h, max(1, h // 2))
         window = starts[:, None] + jnp.arange(h)
-        rolled, _ = open_loop(params, a, x[window], config)
+        rolled, _ = open_loop(params, a, x[window], config, body)
         good = (run[starts] >= h) * jnp.mean(w[window], axis=1)
         change, truth = jnp.mean(rolled, axis=1), jnp.mean(y[window], axis=1)
         return one_step, least_squares.fraction_unexplained(change, truth, good, extra / h)
 
-    return jax.vmap(one)(*rows)
+    return jax.vmap(one)(*rows, bodies)

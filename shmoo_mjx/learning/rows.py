@@ -60,8 +60,8 @@ def rows_from_dataset(dataset: store.Dataset) -> Rows:
     for arrays in dataset.arrays:
         samples = store.system_states(arrays)
         twist = se2.rotate(samples.state.object_twist, -samples.state.object_pose[..., 2])
-        memory = samples.state.last_object_twist
-        x = features.object_inputs(twist, samples.wrench, memory, samples.state.size)
+        last = samples.state
+        x = features.object_inputs(twist, samples.wrench, last.last_object_twist, last.size, last.last_wrench)
         n_episodes, length = x.shape[:2]
         moving = np.linalg.norm(twist, axis=-1) > 5e-3
         counts = samples.contact | moving

@@ -10,20 +10,32 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from shmoo_mjx.dynamics import core
+from shmoo_mjx.dynamics import core, object_model
 from shmoo_mjx.dynamics.core import CoreConfig, Params
 from shmoo_mjx.dynamics.object_model import ObjectConfig
 from shmoo_mjx.dynamics.robot_model import RobotConfig
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.learning import trees
+from shmoo_mjx.learning import adaptation, identification, least_squares, trees
+from shmoo_mjx.learning.adaptation import AdaptState
 from shmoo_mjx.learning.daiml import ObjectFit
+from shmoo_mjx.learning.identification import BodyPrior, IdentificationConfig, OnlineConfig
 from shmoo_mjx.learning.robot_fit import RobotFit
 
-__all__ = ["SCHEMA_VERSION", "Weights", "load_weights", "save_weights", "untrained", "with_object", "with_robot"]
+__all__ = [
+    "SCHEMA_VERSION",
+    "Weights",
+    "known_from",
+    "load_weights",
+    "save_weights",
+    "untouched",
+    "untrained",
+    "with_object",
+    "with_robot",
+]
 
 Array = Any
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 """Raised whenever a field of the file changes its meaning."""
 
 
@@ -36,6 +48,8 @@ class Weights(NamedTuple):
     """``[3 K, 3 K]``, P0 of Eq. 8."""
     noise: Array
     """``[3, 3]`` covariance of a sample's residual, R dt of Eq. 8."""
+    body_prior: BodyPrior
+    """What bodies on four feet objects are like; of no use unless config.object.body."""
     config: CoreConfig
     info: dict[str, Any]
     """Where it came from: scores, data, seeds; JSON-able."""
@@ -45,7 +59,39 @@ def untrained(config: CoreConfig | None = None, seed: int = 0) -> Weights:
     """Weights to fill in by `with_robot` and `with_object`."""
     config = config or CoreConfig()
     n = 3 * config.object.functions
-    return Weights(core.init(jax.random.key(seed), config), jnp.eye(n), jnp.eye(3), config, {})
+    params = core.init(jax.random.key(seed), config)
+    groups, p = IdentificationConfig().groups, params.body.shape[0]
+    prior = BodyPrior(jnp.tile(params.body, (groups, 1)), jnp.tile(jnp.eye(p), (groups, 1, 1)), jnp.zeros(groups))
+    return Weights(params, jnp.eye(n), jnp.eye(3), prior, config, {})
+
+
+def untouched(weights: Weights, config: OnlineConfig | None = None) -> AdaptState:
+    """What is known of an object before it is touched, to be adapted by Eq. 8."""
+    body = None
+    if weights.config.object.body:
+        scale = weights.params.object.label_scale
+        body = identification.untouched(config or OnlineConfig(), weights.body_prior, scale)
+    return adaptation.init(weights.params.coefficients, weights.prior_covariance, weights.noise, body)
+
+
+def known_from(weights: Weights, inputs: Array, labels: Array, row_weights: Array) -> AdaptState:
+    """What a recording tells of its object, all rows at once: a* of Eq. 5, given the prior, and the body.
+
+    Args:
+        weights: trained.
+        inputs: ``[N, 13]``.
+        labels: ``[N, 3]``.
+        row_weights: ``[N]``.
+    """
+    state, shape, params = untouched(weights), weights.config.object, weights.params
+    if state.body is not None:
+        settings = OnlineConfig().fit
+        rows = (inputs, labels, row_weights)
+        body = identification.identify(settings, state.body.prior, state.body.scale, *rows)
+        state = state._replace(body=state.body._replace(found=jnp.broadcast_to(body, state.body.found.shape)))
+    phi = object_model.design_matrix(params.object, inputs, shape, adaptation.body_of(state))
+    known = (params.coefficients.reshape(-1), weights.prior_covariance, weights.noise)
+    return state._replace(mean=least_squares.posterior(phi, labels, *known, row_weights)[0])
 
 
 def with_robot(weights: Weights, fit: RobotFit, config: RobotConfig | None = None) -> Weights:
@@ -58,10 +104,12 @@ def with_robot(weights: Weights, fit: RobotFit, config: RobotConfig | None = Non
 
 def with_object(weights: Weights, fit: ObjectFit, config: ObjectConfig | None = None) -> Weights:
     """The same weights with a newly trained psi of the given shape (by default the shape it had) and its prior."""
-    params = weights.params._replace(object=fit.params, coefficients=jnp.asarray(fit.prior_mean))
+    prior = jax.tree.map(jnp.asarray, fit.body_prior)
+    body = prior.mean[jnp.argmax(prior.log_weight)]
+    params = weights.params._replace(object=fit.params, coefficients=jnp.asarray(fit.prior_mean), body=body)
     info = weights.info | {"object_score": float(fit.score)}
     core_config = _replace(weights.config, object=config or weights.config.object)
-    return Weights(params, jnp.asarray(fit.prior_covariance), jnp.asarray(fit.noise), core_config, info)
+    return Weights(params, jnp.asarray(fit.prior_covariance), jnp.asarray(fit.noise), prior, core_config, info)
 
 
 def save_weights(path: str | os.PathLike[str], weights: Weights) -> None:
@@ -94,11 +142,11 @@ def load_weights(path: str | os.PathLike[str]) -> Weights:
     like = jax.eval_shape(lambda: _arrays(untrained(config)))
     tree, _ = trees.load_tree(path, like)
     arrays = jax.tree.map(jnp.asarray, tree)
-    return Weights(arrays["params"], arrays["prior_covariance"], arrays["noise"], config, notes["info"])
+    return Weights(**arrays, config=config, info=notes["info"])
 
 
 def _arrays(weights: Weights) -> dict[str, Any]:
-    return {"params": weights.params, "prior_covariance": weights.prior_covariance, "noise": weights.noise}
+    return {name: getattr(weights, name) for name in ("params", "prior_covariance", "noise", "body_prior")}
 
 
 def _replace(config: CoreConfig, **changes: Any) -> CoreConfig:

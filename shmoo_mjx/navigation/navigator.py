@@ -374,7 +374,9 @@ class Navigator:
         """Whether the verdict of a planning stage of the probe has to wait for more contact."""
         cfg = self.config
         if manipulable:
-            clear = k >= cfg.clear_margin * cfg.planner.threshold or self._rolled(push, known)
+            # What has held so far may hold against a firmer push as well, whatever the roll-outs expect of it.
+            clear = k >= cfg.clear_margin * cfg.planner.threshold and self._gives_way(push, known)
+            clear |= self._rolled(push, known)
             return not clear and push.contact_time < cfg.doubt_time
         return push.contact_time < (cfg.doubt_limit if self._gives_way(push, known) else cfg.doubt_time)
 

@@ -72,7 +72,8 @@ class NavigatorConfig:
     gives_way: float = 0.02
     """Way of the object's corners in the last second of contact from which it gives way [m]."""
     clear_margin: float = 2.0
-    """K above its threshold by this factor is believed at once; below, only after ``doubt_time``."""
+    """K above its threshold by this factor is believed at once of an object that gives way; else only after
+    ``doubt_time``."""
     probe_limit: float = 2.5
     """Time since the first contact at which the planning stage comes, however short the contacts were, for ..."""
     rolled: float = 0.10

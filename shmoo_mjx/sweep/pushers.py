@@ -19,8 +19,7 @@ from shmoo_mjx.control import pushing, quasi_static
 from shmoo_mjx.control.pushing import PushConfig, Sighting
 from shmoo_mjx.faces import heading
 from shmoo_mjx.hands import HAND_HEIGHT, HAND_RADIUS, REACH
-from shmoo_mjx.learning import adaptation
-from shmoo_mjx.learning.weights import Weights
+from shmoo_mjx.learning.weights import Weights, untouched
 from shmoo_mjx.navigation.push_task import PushTaskConfig, pose_push_config
 from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
 from shmoo_mjx.sweep.config import Controller
@@ -100,7 +99,7 @@ def law_of(controller: Controller, weights: Weights) -> Law:
     core, params = weights.config, weights.params
 
     def init(now: Sighting, task: Task, key: Array) -> Any:
-        adapt = adaptation.init(params.coefficients, weights.prior_covariance, weights.noise)
+        adapt = untouched(weights, config.adapt.body)
         return pushing.start(config, adapt, now, task.face, task.half_extents, key)
 
     def step(state: Any, now: Sighting, last_u: Array, task: Task) -> tuple[Array, Any]:

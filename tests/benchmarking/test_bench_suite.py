@@ -12,7 +12,7 @@ import pytest
 
 from shmoo_mjx.benchmarking import registry, startup
 from shmoo_mjx.benchmarking.registry import BENCHMARKS, BenchAsk, describe, run_all, run_benchmark
-from shmoo_mjx.evaluation.result import Ask, make_result
+from shmoo_mjx.evaluation.result import Ask, make_result, weights_id
 
 
 def test_every_name_leads_to_a_module_that_runs() -> None:
@@ -39,7 +39,7 @@ def test_the_suite_holds_all_and_keeps_each(monkeypatch: pytest.MonkeyPatch, tmp
     assert result.metrics == {f"{name}_tick_ms": 2.0 for name in BENCHMARKS}
     assert {path.name for path in tmp_path.iterdir()} == {f"bench_{name}.json" for name in BENCHMARKS}
     assert [share for _, share in said] == sorted(share for _, share in said) and said[0][1] == 0.5 / len(BENCHMARKS)
-    assert result.config["mppi"] == {"size": 1, "condition_seed": 0, "quick": False}
+    assert result.config["mppi"] == {"size": 1, "condition_seed": 0, "quick": False, "weights": weights_id()}
     text = describe(result)
     assert "a peer is absent" in text and f"{result.config['machine']['cores']} cores" in text
     json.dumps(result.model_dump())

@@ -30,7 +30,7 @@ COST = partial(cost.push_cost, cost.PushCost(yaw_weight=0.0, effort=0.001, chang
 def start() -> SystemState:
     z = np.zeros
     pose = np.array([REACH + HAND_RADIUS + 0.3, 0.0, 0.0])
-    values = SystemState(z(3), z(3), z(2), z(2), pose, z(3), z(3), z(2), z(3), FACE, np.array(0.39))
+    values = SystemState(z(3), z(3), z(2), z(2), pose, z(3), z(3), z(3), z(2), z(3), FACE, np.array(0.39))
     return SystemState(*(np.asarray(v, np.float32) for v in values))
 
 

@@ -13,8 +13,7 @@ import numpy as np
 from shmoo_mjx.control import pushing
 from shmoo_mjx.control.pushing import LocalField, PushController, Sighting
 from shmoo_mjx.faces import faces_of, stand_off
-from shmoo_mjx.learning import adaptation
-from shmoo_mjx.learning.weights import load_weights
+from shmoo_mjx.learning.weights import load_weights, untouched
 from shmoo_mjx.navigation.push_task import pose_push_config
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -45,7 +44,7 @@ def test_two_mapped_pushes_are_the_two_controllers() -> None:
     open_floor = LocalField(np.full((4, 4), 9.0, np.float32), np.full(3, -20, np.float32), np.float32(10.0))
     keys = jax.random.split(jax.random.key(3), 2)
     alone = [controller.init(sighting(w, 0), FACE, HALF, keys[w]) for w in range(2)]
-    prior = adaptation.init(weights.params.coefficients, weights.prior_covariance, weights.noise)
+    prior = untouched(weights)
     stacked = jax.tree.map(lambda *x: jnp.stack(x), *(sighting(w, 0) for w in range(2)))
     together = jax.vmap(lambda now, key: pushing.start(config, prior, now, FACE, HALF, key))(stacked, keys)
     step = jax.jit(jax.vmap(partial(pushing.control_step, config, weights.config), in_axes=(None, 0, 0, 0, 0, None)))

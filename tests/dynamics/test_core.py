@@ -12,7 +12,7 @@ from shmoo_mjx.dynamics import CoreConfig, ObjectConfig, Params, contact_wrench,
 from shmoo_mjx.hands import HAND_RADIUS, REACH
 from shmoo_mjx.types import DT, SystemState
 
-CONFIG = CoreConfig(object=ObjectConfig(functions=6, per_axis=False, trial_bodies=0))
+CONFIG = CoreConfig(object=ObjectConfig(functions=6, per_axis=False, body=False))
 SHAPE = (3, ObjectConfig().functions)
 """Of the default coefficients."""
 
@@ -22,7 +22,7 @@ def touching(compression: float = 0.02, speed: float = 0.0) -> SystemState:
     pose = jnp.array([REACH + HAND_RADIUS + 0.3 - compression, 0.0, 0.0])
     twist = jnp.array([speed, 0.0, 0.0])
     face = jnp.array([-0.3, 0.0, 0.0, 0.3])
-    return SystemState(z(3), z(3), z(2), z(2), pose, twist, twist, z(2), z(3), face, jnp.array(0.42))
+    return SystemState(z(3), z(3), z(2), z(2), pose, twist, twist, z(3), z(2), z(3), face, jnp.array(0.42))
 
 
 def hand_made(force: float, gain: float) -> Params:
@@ -31,10 +31,10 @@ def hand_made(force: float, gain: float) -> Params:
     robot_net = params.robot.net._replace(weights=tuple(0 * w for w in params.robot.net.weights))
     robot = params.robot._replace(net=robot_net, output_mean=jnp.array([0.0, 0.0, 0.0, force, 0.0]))
     where = features.slices(features.OBJECT_INPUTS)["wrench"]
-    linear = jnp.zeros((10, 6)).at[where, :3].set(jnp.eye(3))
+    linear = jnp.zeros((13, 6)).at[where, :3].set(jnp.eye(3))
     net = params.object.net._replace(weights=tuple(0 * w for w in params.object.net.weights))
     a = jnp.zeros((3, 6)).at[:, :3].set(gain * jnp.eye(3))
-    return Params(robot, params.object._replace(net=net, linear=linear), a)
+    return Params(robot, params.object._replace(net=net, linear=linear), a, params.body)
 
 
 LINEAR = replace(CONFIG, object=replace(CONFIG.object, linear_terms=True))

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from shmoo_mjx import se2
 from shmoo_mjx.dynamics import core, features
 from shmoo_mjx.hands import HAND_RADIUS, REACH, SEPARATION
-from shmoo_mjx.types import SystemState
+from shmoo_mjx.types import DT, SystemState
 
 number = st.floats(-1.0, 1.0, width=32)
 
@@ -24,6 +24,7 @@ def scene(values: list[float]) -> SystemState:
         object_pose=v[0:3] + np.array([REACH + HAND_RADIUS + 0.3, 0.1, 0.0], np.float32) + 0.2 * v[10:13],
         object_twist=v[13:16],
         last_object_twist=v[16:19],
+        last_wrench=30 * v[19:22],
         last_force=30 * v[19:21],
         last_u=0.2 * v[21:24],
         face=np.array([-0.3, 0.05, 0.1, 0.3], np.float32),
@@ -43,7 +44,7 @@ def moved(state: SystemState, by: np.ndarray) -> SystemState:
 
 def test_widths_are_the_papers() -> None:
     tables = (features.ROBOT_INPUTS, features.ROBOT_OUTPUTS, features.OBJECT_INPUTS, features.OBJECT_OUTPUTS)
-    assert [features.width(t) for t in tables] == [28, 5, 10, 3]
+    assert [features.width(t) for t in tables] == [28, 5, 13, 3]
     state = scene([0.1] * 24)
     assert features.robot_inputs(state, np.zeros(3, np.float32)).shape == (28,)
     assert len(features.markdown_table(features.ROBOT_INPUTS).splitlines()) == 2 + len(features.ROBOT_INPUTS)
@@ -86,7 +87,7 @@ def test_moving_the_scene_moves_the_prediction(values: list[float], by: list[flo
     there, same = _STEP(other, u)
     np.testing.assert_allclose(wrench, same, atol=1e-3)
     expected = moved(here, by_pose)
-    for name in ("robot_twist", "object_twist", "last_object_twist", "last_force"):
+    for name in ("robot_twist", "object_twist", "last_object_twist", "last_wrench", "last_force"):
         np.testing.assert_allclose(getattr(expected, name), getattr(there, name), atol=1e-3)
     for name in ("robot_pose", "object_pose"):
         error = np.array(getattr(expected, name) - getattr(there, name))
@@ -103,3 +104,19 @@ _STEP = jax.jit(lambda state, u: core.step(_PARAMS, state, u))
 def test_slices_cover_the_vector_in_order(table: tuple[features.Entry, ...]) -> None:
     covered = [i for where in features.slices(table).values() for i in range(where.start, where.stop)]
     assert covered == list(range(features.width(table)))
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.lists(number, min_size=13, max_size=13))
+def test_inputs_tell_what_happened_a_sample_ago(values: list[float]) -> None:
+    """The last wrench and both twists give back the last sample's acceleration, in the convention of the labels."""
+    v = np.asarray(values, np.float32)
+    last, wrench, acceleration, now = v[:3], v[3:6], v[6:9], v[9:12]
+    turn = last[2] * DT + 0.5 * acceleration[2] * DT**2
+    twist = se2.rotate(last + acceleration * DT, -turn)
+    inputs = features.object_inputs(twist, now, last, np.float32(0.4), wrench)
+    before, happened = features.last_sample(inputs)
+    np.testing.assert_allclose(happened, acceleration, atol=1e-4)
+    where = features.slices(features.OBJECT_INPUTS)
+    for name, expected in (("object_twist", last), ("wrench", wrench), ("size", [0.4])):
+        np.testing.assert_allclose(before[where[name]], expected, rtol=1e-6)

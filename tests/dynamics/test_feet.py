@@ -83,7 +83,7 @@ def test_it_is_the_simulators_box(seed: int) -> None:
     )
     rng = np.random.default_rng(seed)
     count, limit = 60, mass * friction * feet.GRAVITY
-    rows = np.zeros((count, 10))
+    rows = np.zeros((count, 13))
     rows[:, :3] = rng.normal(size=(count, 3)) * [0.2, 0.2, 0.3] * (rng.random((count, 1)) < 0.6)
     rows[:, 3:6] = rng.normal(size=(count, 3)) * limit * [0.7, 0.7, 0.15]
     rows[:, 9] = size

@@ -17,7 +17,7 @@ def touching(compression: float = 0.0, twist: tuple[float, float, float] = (0.0,
     z = np.zeros
     pose = np.array([REACH + HAND_RADIUS + 0.3 - compression, 0.0, 0.0])
     return SystemState(
-        z(3), z(3), z(2), z(2), pose, np.array(twist), z(3), z(2), z(3), np.array([-0.3, 0, 0, 0.25]), 0.39
+        z(3), z(3), z(2), z(2), pose, np.array(twist), z(3), z(3), z(2), z(3), np.array([-0.3, 0, 0, 0.25]), 0.39
     )
 
 

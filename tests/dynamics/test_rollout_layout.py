@@ -26,7 +26,7 @@ def random_params(config: CoreConfig) -> Params:
     scale = jnp.array([1.0, 1.0, 0.5, 20.0, 10.0])
     robot = params.robot._replace(net=dress(params.robot.net), output_scale=scale, output_mean=0.1 * scale)
     body = params.object._replace(net=dress(params.object.net), label_scale=jnp.array([1.0, 0.7, 2.0]))
-    return Params(robot, body, 0.2 * jax.random.normal(next(keys), params.coefficients.shape))
+    return Params(robot, body, 0.2 * jax.random.normal(next(keys), params.coefficients.shape), params.body)
 
 
 def random_state(rng: np.random.Generator) -> SystemState:
@@ -40,8 +40,8 @@ def random_state(rng: np.random.Generator) -> SystemState:
         [pose[0] + c * ahead[0] - s * ahead[1], pose[1] + s * ahead[0] + c * ahead[1], pose[2] + 0.1]
     )
     values = SystemState(
-        pose, some(3, 0.2), some(2, 0.05), some(2, 0.1), object_pose, some(3, 0.2), some(3, 0.2), some(2, 5.0),
-        some(3, 0.1), np.array([-0.3, 0.03, 0.1, 0.25]), np.array(0.39),
+        pose, some(3, 0.2), some(2, 0.05), some(2, 0.1), object_pose, some(3, 0.2), some(3, 0.2), some(3, 5.0),
+        some(2, 5.0), some(3, 0.1), np.array([-0.3, 0.03, 0.1, 0.25]), np.array(0.39),
     )  # fmt: skip
     return SystemState(*(np.asarray(v, np.float32) for v in values))
 
@@ -79,8 +79,12 @@ def plain_step(params: Params, state: SystemState, u: np.ndarray, config: CoreCo
     wrench = np.array([*f, point[0] * f[1] - point[1] * f[0]])
 
     twist = into(-yaw, s["object_twist"])
-    psi_inputs = np.asarray(features.object_inputs(twist, wrench, s["last_object_twist"], s["size"]), np.float32)
-    push = np.asarray(object_model.predict(params.object, params.coefficients, psi_inputs, config.object), float)
+    psi_inputs = np.asarray(
+        features.object_inputs(twist, wrench, s["last_object_twist"], s["size"], s["last_wrench"]), np.float32
+    )
+    push = np.asarray(
+        object_model.predict(params.object, params.coefficients, psi_inputs, config.object, params.body), float
+    )
     if config.unilateral:
         n = np.array([math.cos(face[2]), math.sin(face[2])])
         arm = face[0] * n[1] - face[1] * n[0] - lateral
@@ -109,6 +113,7 @@ def plain_step(params: Params, state: SystemState, u: np.ndarray, config: CoreCo
         "object_pose": s["object_pose"] + s["object_twist"] * DT + half * object_acceleration,
         "object_twist": s["object_twist"] + object_acceleration * DT,
         "last_object_twist": twist,
+        "last_wrench": wrench,
         "last_force": force,
         "last_u": u,
     }, wrench
@@ -159,9 +164,10 @@ def test_rollouts_in_one_call_are_steps_one_by_one() -> None:
 @pytest.mark.parametrize("config", CONFIGS, ids=["shipped", "paper", "other"])
 def test_folding_changes_no_prediction(config: CoreConfig) -> None:
     params = random_params(config)
-    x = np.random.default_rng(4).standard_normal((7, 10)).astype(np.float32)
-    expected = object_model.predict(params.object, params.coefficients, x, config.object)
-    folded = object_model.fold(params.object, params.coefficients, config.object)
+    x = np.random.default_rng(4).standard_normal((7, 13)).astype(np.float32)
+    x[:, 9] = 0.4
+    expected = object_model.predict(params.object, params.coefficients, x, config.object, params.body)
+    folded = object_model.fold(params.object, params.coefficients, config.object, params.body)
     np.testing.assert_allclose(object_model.forward(folded, x.T, config.object).T, expected, atol=1e-5)
     assert folded.layers.weights[-1].shape[0] == 3
 

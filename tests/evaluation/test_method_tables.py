@@ -15,7 +15,7 @@ def result() -> ExperimentResult:
     config = {"unseen": {"box": 2}, "seeds": 3}
     metrics = {
         f"{m}_{n}": v
-        for m in ("fvu", "mse", "pos_rmse_3s_m", "yaw_rmse_3s_deg")
+        for m in ("fvu", "fvu_median", "mse", "pos_rmse_3s_m", "yaw_rmse_3s_deg")
         for n, v in (("ours", 0.25), ("linear", 0.5))
     }
     metrics |= {"ratio_linear": 2.0, "fvu_std_ours": 0.01}
@@ -28,8 +28,8 @@ def test_tables_are_replaced_and_the_rest_stays(tmp_path: Path) -> None:
     page.write_text("before\n<!-- baselines -->\nold\n<!-- end baselines -->\nafter\n")
     method_tables.fill(page, [result()])
     once = page.read_text()
-    assert "| ours | 0.25 +- 0.01 | 0.25 | 1 |  | 0.25 | 0.25 | default |" in once
-    assert "| linear basis, ridge towards zero | 0.5 | 0.5 | 2 | 1.5 | 0.5 | 0.5 | ridge 10.0 |" in once
+    assert "| ours | 0.25 | 1 |  | 0.25 +- 0.01 | 0.25 | 0.25 | 0.25 | default |" in once
+    assert "| linear basis, ridge towards zero | 0.5 | 2 | 1.5 | 0.5 | 0.5 | 0.5 | 0.5 | ridge 10.0 |" in once
     assert "--seed 4" in once and "old" not in once
     assert once.index("| ours") < once.index("| linear") and once.startswith("before") and once.endswith("after\n")
     method_tables.fill(page, [result()])

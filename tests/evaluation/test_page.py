@@ -46,6 +46,16 @@ def test_every_experiment_has_a_section() -> None:
     assert list(page.SECTIONS) == list(EXPERIMENTS)
 
 
+def test_a_result_of_other_weights_says_so() -> None:
+    result = result_of("pushing", Ask())
+    warning = "Measured before the weights that are shipped now"
+    assert warning not in page.render({"pushing": result}, {})
+    result.config["weights"] = "0123456789"
+    assert warning in page.render({"pushing": result}, {})
+    del result.config["weights"]
+    assert warning in page.render({"pushing": result}, {})
+
+
 def test_everything_is_on_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(everything, "run_experiment", run_fake)
     seen: list[float] = []

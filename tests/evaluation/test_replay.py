@@ -11,7 +11,7 @@ from shmoo_mjx.plant.objects import draw_condition
 
 def rows(force: float, size: float, count: int = 40) -> np.ndarray:
     """A box at rest, pushed along x of {O}."""
-    found = np.zeros((count, 10))
+    found = np.zeros((count, 13))
     found[:, 3], found[:, 9] = force, size
     return found
 

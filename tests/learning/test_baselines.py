@@ -72,9 +72,9 @@ def test_time_alone_explains_nothing(job: Job, unseen: Recordings) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "setting"), [("rigid_body", {"noise": 0.3}), ("psi_on_body", {})])
+@pytest.mark.parametrize(("name", "setting"), [("rigid_body", {"noise": 0.3}), ("ours", {})])
 def test_a_body_on_feet_is_identified(name: str, setting: dict[str, float], job: Job, unseen: Recordings) -> None:
-    """Labels that such bodies give: psi on the body's answer must not spoil what the body alone explains.
+    """Labels that such bodies give: psi that sees the body must not spoil what the body alone explains.
 
     They are free of noise, so the fit may trust them more than it does recordings.
     """
@@ -162,19 +162,20 @@ def test_the_prior_agrees_with_expectation_maximisation_on_rows() -> None:
 def test_physics_functions_are_what_their_docstring_counts() -> None:
     x = jnp.zeros((2, features.width(features.OBJECT_INPUTS)))
     functions = linear.physics_functions(x)
-    assert functions.shape == (2, 28) and bool(jnp.all(jnp.isfinite(functions)))
+    assert functions.shape == (2, 31) and bool(jnp.all(jnp.isfinite(functions)))
 
 
 def test_the_past_stops_at_an_episodes_start(job: Job) -> None:
     rows = job.train.rows
-    longer = layouts.with_past(rows, 2)
+    longer = layouts.with_past(rows, 3)
     n = rows.inputs.shape[-1]
     assert longer.inputs.shape[-1] == n + 12
     where = features.slices(features.OBJECT_INPUTS)
-    np.testing.assert_array_equal(longer.inputs[:, 2, n + 6 : n + 9], rows.inputs[:, 0, where["object_twist"]])
+    np.testing.assert_array_equal(longer.inputs[:, 2, n : n + 3], rows.inputs[:, 0, where["object_twist"]])
+    np.testing.assert_array_equal(longer.inputs[:, 3, n + 9 :], rows.inputs[:, 0, where["wrench"]])
     starts = np.flatnonzero(np.diff(rows.run[0]) > 0) + 1
     assert len(starts) == 3
-    assert not longer.inputs[0, starts, n:].any() and not longer.inputs[0, starts + 1, n + 6 :].any()
+    assert not longer.inputs[0, starts + 1, n:].any() and not longer.inputs[0, starts + 2, n + 6 :].any()
 
 
 def test_the_worlds_frame_and_back(job: Job) -> None:

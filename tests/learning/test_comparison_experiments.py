@@ -16,7 +16,7 @@ from shmoo_mjx.learning.baselines import Budget
 
 TINY = {
     "hidden": (8,),
-    "trial_bodies": 1,
+    "body": False,
     "functions": 2,
     "horizon": 2,
     "windows": 4,
@@ -72,7 +72,7 @@ def test_baselines_are_tuned_trained_scored_and_kept(ask: Ask, monkeypatch: pyte
 
 @pytest.mark.slow
 def test_ablations_vary_one_thing_and_probe(ask: Ask, monkeypatch: pytest.MonkeyPatch) -> None:
-    one_step = TINY | {"trial_bodies": 0, "horizon": 1, "open_loop": False}
+    one_step = TINY | {"horizon": 1, "open_loop": False}
     variants = {"default": TINY, "alpha_0.1": TINY | {"alpha": 0.1}, "layout_past_3": one_step, "frame_world": one_step}
     monkeypatch.setattr(ablations, "VARIANTS", variants)
     config = ablations.AblationsConfig(tuple(variants), Budget(1, 4, 1), 1, (2.0, 10.0), 1, 20, workers=1)

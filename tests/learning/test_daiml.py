@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from shmoo_mjx.data import store
-from shmoo_mjx.dynamics import ObjectConfig, object_model
+from shmoo_mjx.dynamics import ObjectConfig, feet, object_model
 from shmoo_mjx.learning import daiml, multistep, rows, training
 from shmoo_mjx.learning.daiml import DaimlConfig
 
 SMALL = DaimlConfig(
-    object=ObjectConfig(hidden=(24, 24)),
+    object=ObjectConfig(hidden=(24, 24), body=False),
     horizon=4,
     conditions=6,
     adapt_rows=32,
@@ -78,25 +78,26 @@ def test_open_loop_feeds_its_own_twist_back(per_axis: bool) -> None:
     config = ObjectConfig(hidden=(8,), per_axis=per_axis, linear_terms=True)
     params = object_model.init(jax.random.key(0), config)
     a = jax.random.normal(jax.random.key(1), (3, config.functions))
-    inputs = jax.random.normal(jax.random.key(2), (4, 7, 10))
-    fed, twists = multistep.open_loop(params, a, inputs, config)
-    forced, recorded = multistep.open_loop(params, a, inputs, config, feed_back=False)
+    inputs = jax.random.normal(jax.random.key(2), (4, 7, 13)).at[..., 9].set(0.4)
+    body = feet.guess()
+    fed, twists = multistep.open_loop(params, a, inputs, config, body)
+    forced, recorded = multistep.open_loop(params, a, inputs, config, body, feed_back=False)
     np.testing.assert_allclose(fed[:, 0], forced[:, 0], atol=1e-5)
     np.testing.assert_allclose(recorded, inputs[..., :3])
     assert float(jnp.max(jnp.abs(fed[:, 1:] - forced[:, 1:]))) > 1e-3
     # Feeding the rolled-out twists in as if recorded gives the same accelerations.
     last = jnp.concatenate([inputs[:, :1, 6:9], twists[:, :-1]], axis=1)
     closed = jnp.concatenate([twists, inputs[..., 3:6], last, inputs[..., 9:]], axis=-1)
-    np.testing.assert_allclose(object_model.predict(params, a, closed, config), fed, atol=1e-4)
+    np.testing.assert_allclose(object_model.predict(params, a, closed, config, body), fed, atol=1e-4)
 
 
 def test_design_matrix_is_the_model() -> None:
     for config in (ObjectConfig(hidden=(8,), per_axis=False), ObjectConfig(hidden=(8,))):
         params = object_model.init(jax.random.key(0), config)._replace(label_scale=jnp.array([1.0, 2.0, 3.0]))
         a = jax.random.normal(jax.random.key(1), (3, config.functions))
-        x = jax.random.normal(jax.random.key(2), (5, 10))
-        phi = object_model.design_matrix(params, x, config)
-        expected = object_model.predict(params, a, x, config)
+        x = jax.random.normal(jax.random.key(2), (5, 13)).at[..., 9].set(0.4)
+        phi = object_model.design_matrix(params, x, config, feet.guess())
+        expected = object_model.predict(params, a, x, config, feet.guess())
         np.testing.assert_allclose(phi @ a.reshape(-1), expected, atol=1e-5)
 
 

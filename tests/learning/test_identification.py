@@ -8,10 +8,11 @@ import numpy as np
 
 from shmoo_mjx.dynamics import feet
 from shmoo_mjx.learning import identification
-from shmoo_mjx.learning.identification import IdentificationConfig
+from shmoo_mjx.learning.identification import IdentificationConfig, OnlineConfig
 
 CONFIG = IdentificationConfig(noise=0.3, groups=2, starts=64, refined=2, stride=1, rounds=2)
 NAMES = list(feet.PARAMETERS)
+SCALE = np.array([0.3, 0.3, 0.8], np.float32)
 
 
 def drawn(log_mass: float, log_friction: float, rng: np.random.Generator, rows: int = 120) -> tuple[np.ndarray, ...]:
@@ -21,7 +22,7 @@ def drawn(log_mass: float, log_friction: float, rng: np.random.Generator, rows: 
     parameters[NAMES.index("log_mass")] = log_mass + 0.2 * rng.normal()
     parameters[[NAMES.index(f"log_friction_{a}") for a in "xy"]] = log_friction + 0.1 * rng.normal()
     limit = np.exp(log_mass + log_friction) * feet.GRAVITY
-    inputs = np.zeros((rows, 10))
+    inputs = np.zeros((rows, 13))
     inputs[:, :3] = rng.normal(size=(rows, 3)) * [0.3, 0.3, 0.4] * (rng.random((rows, 1)) < 0.7)
     inputs[:, 3:6] = rng.normal(size=(rows, 3)) * (limit + 3.0) * [0.7, 0.7, 0.15]
     inputs[:, 9] = 0.4
@@ -56,5 +57,28 @@ def test_what_was_not_felt_stays_as_training_objects_are() -> None:
     """No row counts: the mean of the likeliest group."""
     prior = identification.broad_prior()
     none = jnp.zeros((5, 3))
-    told = identification.identify(CONFIG, prior, jnp.ones(3), jnp.full((5, 10), 0.4), none, jnp.zeros(5))
+    told = identification.identify(CONFIG, prior, jnp.ones(3), jnp.full((5, 13), 0.4), none, jnp.zeros(5))
     np.testing.assert_allclose(told, prior.mean[0], atol=1e-4)
+
+
+def test_online_it_comes_close_and_forgets() -> None:
+    """Sample by sample; then the same object with four times the friction."""
+    rng = np.random.default_rng(3)
+    online = OnlineConfig(window=80, memory=3.0, fit=CONFIG)
+    state = identification.untouched(online, identification.broad_prior(), SCALE)
+    observe = jax.jit(lambda state, x, y: identification.observe(online, state, x, y))
+    friction = NAMES.index("log_friction_x")
+    for log_friction in (-1.5, -0.2):
+        parameters, inputs, labels = drawn(2.0, log_friction, rng)
+        for x, y in zip(inputs, labels, strict=True):
+            state = observe(state, x, y)
+        assert abs(float(identification.best(state)[friction]) - parameters[friction]) < 0.3
+
+
+def test_a_bad_sample_changes_nothing() -> None:
+    online = OnlineConfig(window=5, fit=CONFIG)
+    state = identification.untouched(online, identification.broad_prior(), SCALE)
+    x, y = jnp.full(13, 0.4), jnp.ones(3)
+    for bad in ((x.at[0].set(jnp.nan), y, True), (x, y.at[1].set(jnp.inf), True), (x, y, False)):
+        after = identification.observe(online, state, *bad)
+        jax.tree.map(np.testing.assert_array_equal, after, state)

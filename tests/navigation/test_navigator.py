@@ -242,6 +242,24 @@ def test_with_no_way_left_it_says_so_after_one_more_try_and_stands_still() -> No
     assert np.linalg.norm(world.velocity) < 0.15
 
 
+@pytest.mark.parametrize("held", [0.0, 2.0])
+def test_what_has_not_moved_yet_is_not_called_manipulable_at_once(held: float) -> None:
+    """The roll-outs foresee motion all along; the box holds for a while."""
+    places: list[tuple[np.ndarray, np.ndarray]] = []
+
+    def holds(world: World, navigator: Navigator) -> None:
+        push = navigator.push
+        if navigator.mode is Mode.PROBE and push is not None and push.contact_time < held:
+            places.append((world.box.copy(), world.pose.copy()))
+            world.box[:], world.pose[:] = places[0]
+
+    navigator, _ = run(1, happens=holds)
+    began = next(t.t for t in navigator.transitions if t.target is Mode.PROBE)
+    believed = next(t.t for t in navigator.transitions if t.target is Mode.PUSH)
+    assert next(d for d in navigator.decisions).manipulable
+    assert held - DT <= believed - began < max(held, 1.0) + 1.0
+
+
 @pytest.mark.parametrize(("creep", "longer"), [(0.0, False), (0.005, False), (0.03, True)])
 def test_what_gives_way_under_the_probe_stays_in_doubt_for_longer(creep: float, longer: bool) -> None:
     def creeps(world: World, navigator: Navigator) -> None:

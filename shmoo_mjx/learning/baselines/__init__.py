@@ -47,7 +47,7 @@ METHODS: dict[str, Method] = {
         Method("linear_prior", linear.linear_prior, _PRIORS, trained=False),
         Method("physics", linear.physics, _PRIORS, trained=False),
         Method("rigid_body", rigid_body.rigid_body, _BODIES, trained=False),
-        Method("psi_on_body", rigid_body.psi_on_body, _DAIML),
+        Method("no_body", adaptive.without_body, _DAIML),
         Method(
             "alpaca",
             alpaca,

@@ -10,14 +10,24 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from shmoo_mjx.dynamics import object_model
+from shmoo_mjx.dynamics import feet, object_model
 from shmoo_mjx.dynamics.object_model import ObjectConfig
-from shmoo_mjx.learning import daiml, least_squares
+from shmoo_mjx.learning import daiml, identification, least_squares
 from shmoo_mjx.learning.baselines.networks import mlp
 from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, Recordings
 from shmoo_mjx.learning.daiml import DaimlConfig, ObjectFit
 
-__all__ = ["daiml_config", "from_fit", "ours", "paper_config", "paper_form", "prior", "prior_of", "residual"]
+__all__ = [
+    "daiml_config",
+    "from_fit",
+    "ours",
+    "paper_config",
+    "paper_form",
+    "prior",
+    "prior_of",
+    "residual",
+    "without_body",
+]
 
 Array = Any
 
@@ -56,6 +66,11 @@ def paper_form(job: Job) -> Predictor:
     return from_fit(daiml.fit_rows(job.train.rows, job.validation.rows, config, job.directory), config)
 
 
+def without_body(job: Job) -> Predictor:
+    """psi as shipped, but for the body that it sees."""
+    return ours(replace(job, setting=job.setting | {"body": False}))
+
+
 def prior(job: Job) -> Predictor:
     """psi as shipped, with the coefficients of an object that has not been touched."""
     config = daiml_config(job, DaimlConfig())
@@ -66,6 +81,8 @@ def residual(job: Job) -> Predictor:
     """A network over all conditions, and psi on what it leaves over (Sec. V-B). Both train for the whole budget."""
     common = mlp(replace(job, setting={"learning_rate": 1e-3}, directory=_under(job.directory, "common")))
     config = replace(daiml_config(job, DaimlConfig()), open_loop=False, horizon=1)
+    # What a network leaves over is no body's motion.
+    config = replace(config, object=replace(config.object, body=False))
     predicted = jax.jit(lambda x: common.predict((), x, jnp.zeros(x.shape[:-1])))
 
     def left(recorded: Recordings) -> daiml.Rows:
@@ -86,23 +103,30 @@ def from_fit(fitted: ObjectFit, config: DaimlConfig) -> Predictor:
     fitted = jax.tree.map(jnp.asarray, fitted)
     params, mean = fitted.params, fitted.prior_mean
 
-    def adapt(context: Context) -> Array:
+    def adapt(context: Context) -> tuple[Array, Array]:
         x, y, w = context.inputs, context.labels, context.weights
+        body = jnp.zeros(len(feet.PARAMETERS))
+        if config.object.body:
+            body = identification.identify(config.body_fit, fitted.body_prior, params.label_scale, x, y, w)
         if not config.coupled:
-            psi = object_model.basis(params, x, config.object)
+            psi = object_model.basis(params, x, config.object, body)
             a = least_squares.ridge(psi, y / params.label_scale, mean, config.ridge, w)
-            return least_squares.cap_norm(a, config.norm_cap)
-        phi = object_model.design_matrix(params, x, config.object)
+            return least_squares.cap_norm(a, config.norm_cap), body
+        phi = object_model.design_matrix(params, x, config.object, body)
         known = (mean.reshape(-1), fitted.prior_covariance, fitted.noise)
-        return least_squares.posterior(phi, y, *known, w)[0].reshape(mean.shape)
+        return least_squares.posterior(phi, y, *known, w)[0].reshape(mean.shape), body
 
-    return Predictor(jax.jit(adapt), lambda a, x, time: object_model.predict(params, a, x, config.object))
+    def predict(known: tuple[Array, Array], x: Array, time: Array) -> Array:
+        return object_model.predict(params, known[0], x, config.object, known[1])
+
+    return Predictor(jax.jit(adapt), predict)
 
 
 def prior_of(fitted: ObjectFit, config: DaimlConfig) -> Predictor:
     """The same psi before the object is touched."""
-    mean = jnp.asarray(fitted.prior_mean)
-    return from_fit(fitted, config)._replace(adapt=lambda context: mean)
+    prior = fitted.body_prior
+    known = jnp.asarray(fitted.prior_mean), jnp.asarray(prior.mean[np.argmax(prior.log_weight)])
+    return from_fit(fitted, config)._replace(adapt=lambda context: known)
 
 
 def _under(directory: Path | None, name: str) -> Path | None:

@@ -25,18 +25,19 @@ def chosen(rows: Rows, *names: str) -> Rows:
 
 
 def with_past(rows: Rows, samples: int) -> Rows:
-    """The inputs of psi and, of each of so many samples before, twist and wrench; zeros before an episode's start."""
+    """The inputs of psi, and twist and wrench up to so many samples ago; zeros before an episode's start."""
     where = features.slices(features.OBJECT_INPUTS)
     moving = np.concatenate([rows.inputs[..., where[name]] for name in ("object_twist", "wrench")], axis=-1)
-    parts = [rows.inputs, *(_before(moving, rows.run, lag) for lag in range(1, samples + 1))]
+    parts = [rows.inputs, *(_before(moving, rows.run, lag) for lag in range(2, samples + 1))]
     return rows._replace(inputs=np.concatenate(parts, axis=-1))
 
 
 LAYOUTS: dict[str, Callable[[Rows], Rows]] = {
     "twist_wrench": lambda rows: chosen(rows, "object_twist", "wrench"),
     "no_past": lambda rows: chosen(rows, "object_twist", "wrench", "size"),
+    "last_twist": lambda rows: chosen(rows, "object_twist", "wrench", "last_object_twist", "size"),
     "default": lambda rows: rows,
-    "past_1": lambda rows: with_past(rows, 1),
+    "past_2": lambda rows: with_past(rows, 2),
     "past_3": lambda rows: with_past(rows, 3),
     "past_6": lambda rows: with_past(rows, 6),
 }

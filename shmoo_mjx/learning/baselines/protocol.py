@@ -144,7 +144,7 @@ def share_left(predictor: Predictor, recorded: Recordings, fit_rows: int, scale:
 
     rows = recorded.rows
     shares = jax.vmap(one)(rows.inputs, rows.labels, rows.weights, recorded.time, recorded.properties)
-    return jnp.mean(jnp.minimum(shares, 10.0))
+    return jnp.mean(jnp.minimum(shares, least_squares.WORST))
 
 
 def input_scale(rows: Rows) -> tuple[np.ndarray, np.ndarray]:

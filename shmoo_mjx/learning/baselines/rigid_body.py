@@ -1,8 +1,8 @@
-"""A body on four feet, identified from what was felt of the object; alone, and below psi."""
+"""A body on four feet, identified from what was felt of the object, alone: what psi sees, without psi."""
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import fields
 from typing import Any
 
 import jax
@@ -10,13 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from shmoo_mjx.dynamics import feet
-from shmoo_mjx.learning import daiml, identification, training, trees
-from shmoo_mjx.learning.baselines.adaptive import daiml_config, from_fit
-from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, Recordings, first_rows, output_scale
-from shmoo_mjx.learning.daiml import DaimlConfig
+from shmoo_mjx.learning import identification, training, trees
+from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, output_scale
 from shmoo_mjx.learning.identification import BodyPrior, IdentificationConfig
 
-__all__ = ["psi_on_body", "rigid_body"]
+__all__ = ["rigid_body"]
 
 Array = Any
 
@@ -25,38 +23,6 @@ def rigid_body(job: Job) -> Predictor:
     """The identified body alone; the setting's entries are those of IdentificationConfig."""
     known = {f.name for f in fields(IdentificationConfig)}
     return _body(job, IdentificationConfig(**{k: v for k, v in job.setting.items() if k in known}))[0]
-
-
-def psi_on_body(job: Job) -> Predictor:
-    """psi that sees, beside its inputs, how the identified body would answer them."""
-    body, of_training = _body(job, IdentificationConfig())
-    scale = output_scale(job.train.rows)
-    config = daiml_config(job, DaimlConfig())
-    config = replace(config, open_loop=False, horizon=1, object=replace(config.object, trial_bodies=0))
-
-    def seen(parameters: Array, inputs: Array) -> Array:
-        # An answer far beyond any in training tells no more than one at the edge.
-        answer = jnp.clip(body.predict(parameters, inputs, jnp.zeros(())) / scale, -30.0, 30.0)
-        return jnp.concatenate([inputs, answer], axis=-1)
-
-    def extended(recorded: Recordings, parameters: Array) -> daiml.Rows:
-        inputs = jax.jit(jax.vmap(seen))(parameters, jnp.asarray(recorded.rows.inputs))
-        return recorded.rows._replace(inputs=np.asarray(inputs))
-
-    contexts = [first_rows(job.validation, i, job.fit_rows) for i in range(len(job.validation.properties))]
-    of_validation = jnp.stack([body.adapt(jax.tree.map(jnp.asarray, context)) for context in contexts])
-    rows = extended(job.train, of_training), extended(job.validation, of_validation)
-    psi = from_fit(daiml.fit_rows(*rows, config, job.directory), config)
-
-    def adapt(context: Context) -> tuple[Array, Array]:
-        parameters = body.adapt(context)
-        return parameters, psi.adapt(context._replace(inputs=seen(parameters, context.inputs)))
-
-    def predict(state: tuple[Array, Array], x: Array, time: Array) -> Array:
-        parameters, a = state
-        return psi.predict(a, seen(parameters, x), time)
-
-    return Predictor(adapt, predict)
 
 
 def _body(job: Job, config: IdentificationConfig) -> tuple[Predictor, Array]:
