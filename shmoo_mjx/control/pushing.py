@@ -18,7 +18,7 @@ import numpy as np
 from shmoo_mjx import se2
 from shmoo_mjx.control import cost, models, mppi
 from shmoo_mjx.control.governor import forward_lean, govern
-from shmoo_mjx.dynamics import core, features, object_model
+from shmoo_mjx.dynamics import core, features, feet, object_model
 from shmoo_mjx.learning import adaptation
 from shmoo_mjx.learning.weights import Weights, untouched
 from shmoo_mjx.types import DT, Observation, SystemState
@@ -398,11 +398,17 @@ def coast(
     """Pose ``[3]`` in {W} some samples on without a force. What nothing pushes slows down, and never turns back."""
     params = _with_coefficients(params, adapt)
 
+    def free(inputs: Array) -> Array:
+        # psi learns from samples in contact; where nothing pushes, the body that it sees foretells more.
+        if core_config.object.body:
+            return feet.acceleration(params.body, inputs)
+        return object_model.predict(params.object, params.coefficients, inputs, core_config.object, params.body)
+
     def body(carry: tuple[Array, ...], _: None) -> tuple[tuple[Array, ...], None]:
         pose, twist, last, last_wrench = carry
         inside, none = se2.rotate(twist, -pose[2]), jnp.zeros(3)
         inputs = features.object_inputs(inside, none, last, now.size, last_wrench)
-        push = object_model.predict(params.object, params.coefficients, inputs, core_config.object, params.body)
+        push = free(inputs)
         new = twist + se2.rotate(push, pose[2]) * DT
         speed = jnp.linalg.norm(twist[:2]) + 1e-6
         kept = jnp.minimum(jnp.sum(new[:2] * twist[:2]) / speed**2, 1.0 - config.least_drag * DT / speed)
