@@ -356,7 +356,7 @@ class Navigator:
                 poses[best][:, :, :2], result.candidates, far,
             )
         )  # fmt: skip
-        if self.mode is Mode.PROBE and self._in_doubt(push, known, result.manipulable, result.K):
+        if self.mode is Mode.PROBE and self._in_doubt(push, known, result.manipulable):
             return
         if self.mode is Mode.PUSH and not result.manipulable and self._gives_way(push, known):
             # What moves can be moved. K is small here because walls leave the roll-outs no way on.
@@ -370,14 +370,12 @@ class Navigator:
         if self.mode is Mode.PROBE:
             self._go(seen, Mode.PUSH, f"object {push.object} is manipulable: {result.reason}")
 
-    def _in_doubt(self, push: Push, known: KnownObject, manipulable: bool, k: float) -> bool:
+    def _in_doubt(self, push: Push, known: KnownObject, manipulable: bool) -> bool:
         """Whether the verdict of a planning stage of the probe has to wait for more contact."""
         cfg = self.config
         if manipulable:
-            # What has held so far may hold against a firmer push as well, whatever the roll-outs expect of it.
-            clear = k >= cfg.clear_margin * cfg.planner.threshold and self._gives_way(push, known)
-            clear |= self._rolled(push, known)
-            return not clear and push.contact_time < cfg.doubt_time
+            # What has hardly moved so far may hold against a firmer push as well, whatever the roll-outs expect of it.
+            return not self._rolled(push, known) and push.contact_time < cfg.doubt_time
         return push.contact_time < (cfg.doubt_limit if self._gives_way(push, known) else cfg.doubt_time)
 
     def _gives_way(self, push: Push, known: KnownObject) -> bool:

@@ -63,17 +63,14 @@ class NavigatorConfig:
     probe_time: float = 1.0
     """Contact time before the planning stage (Algorithm 1)."""
     doubt_time: float = 3.0
-    """Contact time before an object counts as not manipulable: in the first second the lean still grows, and friction
-    that holds against that says little about a firm push."""
+    """Contact time before K is believed: in the first second the lean still grows, and friction that holds against that
+    says little about a firm push. What has ``rolled`` needs no more time to count as manipulable."""
     doubt_limit: float = 6.0
     """... while the object gives way under the push."""
     doubt_every: float = 0.5
     """Contact time between two planning stages until then."""
     gives_way: float = 0.02
     """Way of the object's corners in the last second of contact from which it gives way [m]."""
-    clear_margin: float = 2.0
-    """K above its threshold by this factor is believed at once of an object that gives way; else only after
-    ``doubt_time``."""
     probe_limit: float = 2.5
     """Time since the first contact at which the planning stage comes, however short the contacts were, for ..."""
     rolled: float = 0.10
