@@ -9,12 +9,15 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from shmoo_mjx.control import pushing
 from shmoo_mjx.control.pushing import LocalField, PushController, Sighting
+from shmoo_mjx.dynamics import feet
 from shmoo_mjx.faces import faces_of, stand_off
-from shmoo_mjx.learning.weights import load_weights, untouched
+from shmoo_mjx.learning.weights import load_weights, untouched, untrained
 from shmoo_mjx.navigation.push_task import pose_push_config
+from shmoo_mjx.types import DT
 
 ROOT = Path(__file__).resolve().parents[2]
 FACE, HALF = faces_of((0.3, 0.25))[0], np.array([0.3, 0.25])
@@ -63,3 +66,22 @@ def test_two_mapped_pushes_are_the_two_controllers() -> None:
     rest = coast(weights.params, together.adapt, together.before)
     for w in range(2):
         np.testing.assert_allclose(rest[w], controller.coast(alone[w]), atol=1e-4)
+
+
+@pytest.mark.parametrize("friction", [0.02, 0.05])
+@pytest.mark.parametrize("speed", [0.1, 0.2])
+def test_what_is_let_go_coasts_as_far_as_the_friction_of_its_body_lets_it(friction: float, speed: float) -> None:
+    weights, config, heading = untrained(), pose_push_config(), 0.7
+    shift = float(np.log(friction) - feet.PARAMETERS["log_friction_x"][0])
+    adapt = untouched(weights)
+    assert adapt.body is not None
+    adapt = adapt._replace(
+        body=adapt.body._replace(found=jax.vmap(lambda p: feet.with_friction(p, shift))(adapt.body.found))
+    )
+    along = np.array([np.cos(heading), np.sin(heading), 0.0])
+    now = sighting(0, 0)._replace(object_pose=np.array([1.0, 2.0, heading]), object_twist=speed * along)
+    state = pushing.start(config, adapt, now, FACE, HALF, jax.random.key(0))
+    rest = pushing.coast(config, weights.config, weights.params, adapt, state.before)
+    way = speed**2 / (2 * friction * 9.81)
+    # It stops within a sample, which the trapezoidal rule does not see.
+    np.testing.assert_allclose(rest - now.object_pose, way * along, atol=0.6 * friction * 9.81 * DT**2)
