@@ -38,6 +38,8 @@ class Section:
     """Below the experiment's folder."""
     options: str = ""
     """What the command needs beside seeds."""
+    own_psi: bool = False
+    """It says nothing about the shipped psi, whose inputs and settings it does not share."""
 
 
 def _of_methods(labels: Mapping[str, str], names: tuple[str, ...]) -> tuple[tuple[str, tuple[str, ...]], ...]:
@@ -231,6 +233,7 @@ SECTIONS = {
         ),
         ("real_pushing.png",),
         "--data DIR",
+        own_psi=True,
     ),
 }
 
@@ -258,7 +261,7 @@ def render(results: Mapping[str, ExperimentResult], figures: Mapping[str, list[s
             )
             continue
         parts += [section.what, f"`{_command(result, section)}`"]
-        if result.config.get("weights") != weights_id():
+        if result.config.get("weights") != weights_id() and not section.own_psi:
             parts.append("**Measured before the weights that are shipped now, or with others.**")
         parts.append(_table(result, section))
         parts += [f"![{Path(path).stem.replace('_', ' ')}]({path})" for path in figures.get(name, [])]

@@ -54,6 +54,10 @@ def test_a_result_of_other_weights_says_so() -> None:
     assert warning in page.render({"pushing": result}, {})
     del result.config["weights"]
     assert warning in page.render({"pushing": result}, {})
+    # Its psi, for other inputs, is trained on the spot.
+    other = result_of("real_pushing", Ask())
+    other.config["weights"] = "0123456789"
+    assert warning not in page.render({"real_pushing": other}, {})
 
 
 def test_everything_is_on_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
