@@ -37,7 +37,7 @@ def _histogram(rows: list[dict[str, Any]]) -> Any:
     limit = NavigatorConfig().planner.threshold
     axes.axvline(limit, color="black", lw=1.4, ls="--", label=f"K = {limit:g} m²")
     axes.set_xscale("log")
-    axes.set_xlabel("K of the first planning stage [m²]; the plant says which objects are manipulable")
+    axes.set_xlabel("K when the verdict fell [m²]; the plant says which objects are manipulable")
     axes.set_ylabel("objects")
     axes.legend(fontsize=8)
     return figure
