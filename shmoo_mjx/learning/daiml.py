@@ -22,13 +22,12 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 import optax
 
 from shmoo_mjx.data import store
 from shmoo_mjx.dynamics import features, feet, mlp, object_model
 from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
-from shmoo_mjx.learning import identification, least_squares, multistep, training, trees
+from shmoo_mjx.learning import least_squares, multistep, training, training_bodies
 from shmoo_mjx.learning import rows as batches
 from shmoo_mjx.learning.identification import BodyPrior, IdentificationConfig
 from shmoo_mjx.learning.rows import Batch, Rows, Sampler, label_scale, rows_from_arrays, rows_from_dataset
@@ -37,6 +36,7 @@ from shmoo_mjx.types import DT
 __all__ = [
     "DaimlConfig",
     "ObjectFit",
+    "bodies_seen",
     "fit",
     "fit_rows",
     "train_object",
@@ -182,7 +182,8 @@ def fit_rows(
     config = config or DaimlConfig()
     device = jax.tree.map(jnp.asarray, train)
     held_out = jax.tree.map(jnp.asarray, validation)
-    body_prior, bodies, held_bodies = _identified(config, train, validation, out_dir)
+    found = training_bodies.nothing if not config.object.body else training_bodies.identified
+    body_prior, bodies, held_bodies = found(config.body_fit, train, validation, config.fit_rows, out_dir)
     sampler = batches.sampler(train, config.horizon, config.label_floor)
     chunk, scores, prior = _compiled(replace(config, seed=0))
     fitted = training.run(
@@ -204,47 +205,12 @@ def fit_rows(
     return ObjectFit(model.params, mean.reshape(shape), covariance, noise, fitted.score, fitted.history, body_prior)
 
 
-STRETCHES = (0, 10, 10, 30, 30, 100, 100, 250)
-"""Rows that a training condition's bodies are identified on: psi meets them as well known as a robot knows them."""
-
-
-def _identified(
-    config: DaimlConfig, train: Rows, validation: Rows, out_dir: str | Path | None
-) -> tuple[BodyPrior, Array, Array]:
-    """The prior of bodies, and those of training ``[C, M, p]`` and validation conditions ``[C', p]``."""
-    count, p = train.inputs.shape[0], len(feet.PARAMETERS)
-    groups = config.body_fit.groups
-    empty = BodyPrior(np.zeros((groups, p)), np.zeros((groups, p, p)), np.zeros(groups))
-    nothing = empty, np.zeros((count, len(STRETCHES), p)), np.zeros((validation.inputs.shape[0], p))
-    if not config.object.body:
-        return jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), nothing)  # type: ignore[return-value]
-    identity = training.fingerprint((config.body_fit, config.fit_rows), train.inputs, validation.inputs)
-    path = None if out_dir is None else Path(out_dir).parent / f"bodies-{identity[:10]}.safetensors"
-    kept = None if path is None else trees.load_checkpoint(path, nothing, identity)
-    if kept is not None:
-        return jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), kept[0])  # type: ignore[return-value]
-    scale = label_scale(train)
-    prior, _ = identification.learn_prior(config.body_fit, scale, train.inputs, train.labels, train.weights)
-    prior = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), prior)
-    bodies = identification.from_stretches(config.body_fit, prior, scale, tuple(train[:3]), STRETCHES)
-    found = prior, bodies, _bodies(config, prior, scale, validation)
-    if path is not None:
-        trees.save_checkpoint(path, found, {"identity": identity})
-    return found
-
-
 def bodies_seen(config: DaimlConfig, fitted: ObjectFit, rows: Rows) -> Array:
     """The bodies ``[C, p]`` that conditions look like on their first ``config.fit_rows`` rows."""
     if not config.object.body:
         return jnp.zeros((rows.inputs.shape[0], len(feet.PARAMETERS)))
-    return _bodies(config, jax.tree.map(jnp.asarray, fitted.body_prior), fitted.params.label_scale, rows)
-
-
-def _bodies(config: DaimlConfig, prior: BodyPrior, scale: Array, rows: Rows) -> Array:
-    n = min(config.fit_rows, rows.inputs.shape[1] // 2)
-    identify = partial(identification.identify, config.body_fit, prior, jnp.asarray(scale))
-    first = tuple(jnp.asarray(a[:, :n]) for a in rows[:3])
-    return jax.jit(lambda r: jax.lax.map(lambda c: identify(*c), r))(first)
+    prior = jax.tree.map(jnp.asarray, fitted.body_prior)
+    return training_bodies.on_first_rows(config.body_fit, prior, fitted.params.label_scale, rows, config.fit_rows)
 
 
 @lru_cache(maxsize=8)

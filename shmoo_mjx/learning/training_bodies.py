@@ -1,0 +1,81 @@
+"""The bodies on four feet that the conditions of a training look like, found once for each data set.
+
+psi sees a body that a robot has identified on the way. So in training it meets bodies that are known badly and well:
+each training condition's are identified on short and long stretches of its recording.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from shmoo_mjx.dynamics import feet
+from shmoo_mjx.learning import identification, training, trees
+from shmoo_mjx.learning.identification import BodyPrior, IdentificationConfig
+from shmoo_mjx.learning.rows import Rows, label_scale
+
+__all__ = ["STRETCHES", "identified", "nothing", "on_first_rows"]
+
+Array = Any
+
+STRETCHES = (0, 10, 10, 30, 30, 100, 100, 250)
+"""Rows that a training condition's bodies are identified on, M numbers; 0 is the object not yet touched."""
+
+Found = tuple[BodyPrior, Array, Array]
+"""The prior of bodies, those of training conditions ``[C, M, p]`` and those of validation conditions ``[C', p]``."""
+
+
+def identified(
+    config: IdentificationConfig, train: Rows, validation: Rows, fit_rows: int, out_dir: str | Path | None = None
+) -> Found:
+    """Identify the bodies, or take them from beside ``out_dir`` where another training on these rows has left them.
+
+    Args:
+        config: of the identification.
+        train: C conditions.
+        validation: C' conditions.
+        fit_rows: first rows of a validation condition that count, at most half of them.
+        out_dir: of the training; None keeps nothing.
+    """
+    identity = training.fingerprint((config, fit_rows), train.inputs, validation.inputs)
+    path = None if out_dir is None else Path(out_dir).parent / f"bodies-{identity[:10]}.safetensors"
+    kept = None if path is None else trees.load_checkpoint(path, _empty(config, train, validation), identity)
+    if kept is not None:
+        return _single(kept[0])
+    scale = label_scale(train)
+    prior, _ = identification.learn_prior(config, scale, train.inputs, train.labels, train.weights)
+    prior = _single(prior)
+    bodies = identification.from_stretches(config, prior, scale, tuple(train[:3]), STRETCHES)
+    found = prior, bodies, on_first_rows(config, prior, scale, validation, fit_rows)
+    if path is not None:
+        trees.save_checkpoint(path, found, {"identity": identity})
+    return found
+
+
+def nothing(config: IdentificationConfig, train: Rows, validation: Rows, *_: Any) -> Found:
+    """`identified` for a psi that sees no body: zeros of the same shapes."""
+    return _single(_empty(config, train, validation))
+
+
+def on_first_rows(config: IdentificationConfig, prior: BodyPrior, scale: Array, rows: Rows, fit_rows: int) -> Array:
+    """The bodies ``[C, p]`` that conditions look like on their first ``fit_rows`` rows, at most half of them."""
+    n = min(fit_rows, rows.inputs.shape[1] // 2)
+    identify = partial(identification.identify, config, prior, jnp.asarray(scale))
+    first = tuple(jnp.asarray(a[:, :n]) for a in rows[:3])
+    return jax.jit(lambda r: jax.lax.map(lambda c: identify(*c), r))(first)
+
+
+def _empty(config: IdentificationConfig, train: Rows, validation: Rows) -> Found:
+    p, groups = len(feet.PARAMETERS), config.groups
+    prior = BodyPrior(np.zeros((groups, p)), np.zeros((groups, p, p)), np.zeros(groups))
+    counts = [rows.inputs.shape[0] for rows in (train, validation)]
+    return prior, np.zeros((counts[0], len(STRETCHES), p)), np.zeros((counts[1], p))
+
+
+def _single(tree: Any) -> Any:
+    return jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), tree)
