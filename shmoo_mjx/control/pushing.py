@@ -399,7 +399,7 @@ def coast(
     params = _with_coefficients(params, adapt)
 
     def free(inputs: Array) -> Array:
-        # psi learns from samples in contact; where nothing pushes, the body that it sees foretells more.
+        # Where it comes to rest is for dry friction to say: the body has it, and psi a comes close to it only.
         if core_config.object.body:
             return feet.acceleration(params.body, inputs)
         return object_model.predict(params.object, params.coefficients, inputs, core_config.object, params.body)
