@@ -22,7 +22,7 @@ from shmoo_mjx.learning.baselines import Budget, Job, Predictor, Recordings, rec
 from shmoo_mjx.learning.baselines.adaptive import daiml_config, from_fit
 from shmoo_mjx.learning.baselines.layouts import LAYOUTS, from_world, in_world
 from shmoo_mjx.learning.baselines.protocol import output_scale
-from shmoo_mjx.learning.daiml import DaimlConfig, ObjectFit
+from shmoo_mjx.learning.daiml import DaimlConfig
 from shmoo_mjx.types import DT
 
 __all__ = ["VARIANTS", "AblationsConfig", "run"]
@@ -122,9 +122,12 @@ class _Work:
             self.config.budget,
             self.seed + int(number),
             self._rows(max(self.config.fit_seconds)),
-            self.folder / "training" / name,
         )
-        fitted, config = _fit(job)
+        config = daiml_config(job, DaimlConfig())
+        # Variants that come to the same settings and inputs, as alpha_0.01 and the default do, share one training.
+        inputs = variant if variant.startswith(("layout", "frame")) else "usual"
+        directory = self.folder / "training" / f"{inputs}-{fingerprint(asdict(config))}"
+        fitted = daiml.fit_rows(train.rows, validation.rows, config, directory)
         predictor = from_world(from_fit(fitted, config)) if world else from_fit(fitted, config)
         scored = unseen_seen._replace(rows=unseen_seen.rows._replace(labels=unseen.rows.labels))
         rows = self._scored(predictor, scored, output_scale(recordings(parts[0]).rows), label, variant)
@@ -173,11 +176,6 @@ def run(ask: Ask, config: AblationsConfig | None = None) -> ExperimentResult:
     result = make_result("ablations", ask, config, _metrics(rows, config), {}, rows)
     _figure(result, ask.out / "ablations" / "domain_invariance.png")
     return result
-
-
-def _fit(job: Job) -> tuple[ObjectFit, DaimlConfig]:
-    config = daiml_config(job, DaimlConfig())
-    return daiml.fit_rows(job.train.rows, job.validation.rows, config, job.directory), config
 
 
 def _metrics(rows: list[dict[str, Any]], config: AblationsConfig) -> dict[str, float]:
