@@ -91,9 +91,9 @@ def init(key: Array, config: ObjectConfig | None = None, n_in: int | None = None
     return ObjectParams(net, linear, jnp.ones(n_axes))
 
 
-def network_inputs(params: ObjectParams, inputs: Array, config: ObjectConfig, body: Array) -> Array:
+def network_inputs(label_scale: Array, inputs: Array, config: ObjectConfig, body: Array) -> Array:
     """What psi's network sees ``[..., 25]``: ``inputs [..., 13]`` and what ``body [p]`` makes of them."""
-    return jnp.moveaxis(_seen(params.label_scale, jnp.moveaxis(inputs, -1, 0), config, body), 0, -1)
+    return jnp.moveaxis(_seen(label_scale, jnp.moveaxis(inputs, -1, 0), config, body), 0, -1)
 
 
 def _seen(label_scale: Array, inputs: Array, config: ObjectConfig, body: Array) -> Array:
@@ -117,7 +117,7 @@ def basis(params: ObjectParams, inputs: Array, config: ObjectConfig, body: Array
 
     ``body [p]`` as `feet.PARAMETERS` lists them; ignored unless config.body.
     """
-    seen = network_inputs(params, inputs, config, body)
+    seen = network_inputs(params.label_scale, inputs, config, body)
     out = mlp.apply(params.net, seen, config.activation)
     if config.linear_terms:
         out = out + ((seen - params.net.mean) / params.net.scale) @ params.linear

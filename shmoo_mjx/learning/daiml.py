@@ -31,6 +31,7 @@ from shmoo_mjx.learning import least_squares, multistep, training, training_bodi
 from shmoo_mjx.learning import rows as batches
 from shmoo_mjx.learning.identification import BodyPrior, IdentificationConfig
 from shmoo_mjx.learning.rows import Batch, Rows, Sampler, label_scale, rows_from_arrays, rows_from_dataset
+from shmoo_mjx.learning.training_bodies import Found
 from shmoo_mjx.types import DT
 
 __all__ = [
@@ -177,13 +178,16 @@ def fit_rows(
     config: DaimlConfig | None = None,
     out_dir: str | Path | None = None,
     progress: Callable[[training.Progress], None] | None = None,
+    found: Found | None = None,
 ) -> ObjectFit:
-    """`train_object` on rows that are already made."""
+    """`train_object` on rows that are already made; ``found`` are the bodies that psi sees where they are known."""
     config = config or DaimlConfig()
     device = jax.tree.map(jnp.asarray, train)
     held_out = jax.tree.map(jnp.asarray, validation)
-    found = training_bodies.nothing if not config.object.body else training_bodies.identified
-    body_prior, bodies, held_bodies = found(config.body_fit, train, validation, config.fit_rows, out_dir)
+    if found is None:
+        find = training_bodies.identified if config.object.body else training_bodies.nothing
+        found = find(config.body_fit, train, validation, config.fit_rows, out_dir)
+    body_prior, bodies, held_bodies = found
     sampler = batches.sampler(train, config.horizon, config.label_floor)
     chunk, scores, prior = _compiled(replace(config, seed=0))
     fitted = training.run(
@@ -261,7 +265,7 @@ def _init(config: DaimlConfig, rows: Rows, bodies: Array) -> _State:
     n_axes = rows.labels.shape[-1]
     params = object_model.init(net_key, config.object, rows.inputs.shape[-1], n_axes)
     params = params._replace(label_scale=jnp.asarray(label_scale(rows), jnp.float32))
-    see = jax.jit(jax.vmap(lambda x, body: object_model.network_inputs(params, x, config.object, body)))
+    see = jax.jit(jax.vmap(lambda x, body: object_model.network_inputs(params.label_scale, x, config.object, body)))
     seen = see(jnp.asarray(rows.inputs), bodies[:, -1])
     params = params._replace(net=mlp.with_normaliser(params.net, seen[jnp.asarray(rows.weights) > 0]))
     mean = 0.3 * jax.random.normal(mean_key, (n_axes, config.object.functions))

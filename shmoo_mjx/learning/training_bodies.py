@@ -19,7 +19,7 @@ from shmoo_mjx.learning import identification, training, trees
 from shmoo_mjx.learning.identification import BodyPrior, IdentificationConfig
 from shmoo_mjx.learning.rows import Rows, label_scale
 
-__all__ = ["STRETCHES", "identified", "nothing", "on_first_rows"]
+__all__ = ["STRETCHES", "Found", "identified", "nothing", "on_first_rows"]
 
 Array = Any
 
@@ -42,7 +42,8 @@ def identified(
         fit_rows: first rows of a validation condition that count, at most half of them.
         out_dir: of the training; None keeps nothing.
     """
-    identity = training.fingerprint((config, fit_rows), train.inputs, validation.inputs)
+    measured = (train.inputs, train.labels, validation.inputs, validation.labels)
+    identity = training.fingerprint((config, fit_rows), *measured)
     path = None if out_dir is None else Path(out_dir).parent / f"bodies-{identity[:10]}.safetensors"
     kept = None if path is None else trees.load_checkpoint(path, _empty(config, train, validation), identity)
     if kept is not None:

@@ -8,7 +8,9 @@ import pytest
 
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import method_tables
+from shmoo_mjx.evaluation.baselines import REPLAY
 from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
+from shmoo_mjx.learning.baselines import METHODS, REFERENCES
 
 
 def result() -> ExperimentResult:
@@ -41,3 +43,11 @@ def test_a_page_without_a_place_is_named(tmp_path: Path) -> None:
     page.write_text("nothing\n")
     with pytest.raises(ShmooError, match=r"page\.md"):
         method_tables.fill(page, [result()])
+
+
+def test_every_method_has_a_line() -> None:
+    config = {"unseen": {"box": 2}, "seeds": 3}
+    compared = [*METHODS, *REFERENCES, REPLAY, "prior"]
+    metrics = {f"mse_{name}": 1.0 + i for i, name in enumerate(compared)}
+    lines = method_tables.baselines_table(make_result("baselines", Ask(), config, metrics, {}, [])).splitlines()
+    assert len([line for line in lines if line.startswith("| ")]) == 1 + len(compared)

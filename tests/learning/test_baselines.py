@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 from shmoo_mjx.data import store
-from shmoo_mjx.dynamics import features, feet
+from shmoo_mjx.dynamics import features, feet, object_model
+from shmoo_mjx.dynamics.object_model import ObjectConfig
 from shmoo_mjx.evaluation import scoring
-from shmoo_mjx.learning import least_squares
+from shmoo_mjx.learning import least_squares, training_bodies
 from shmoo_mjx.learning.baselines import (
     METHODS,
     REFERENCES,
@@ -22,11 +23,19 @@ from shmoo_mjx.learning.baselines import (
     Job,
     Predictor,
     Recordings,
+    first_rows,
     layouts,
     linear,
     recordings,
+    sight,
 )
 from shmoo_mjx.learning.baselines.protocol import output_scale
+from shmoo_mjx.learning.rows import Rows
+
+SHORT = {"horizon": 4, "learning_rate": 5e-3, "conditions": 6, "windows": 8, "adapt_rows": 32}
+"""DAIML for few conditions and little time."""
+NOT_ASKED = ("no_body", "rigid_body")
+"""Methods whose names end so for another reason."""
 
 
 @pytest.fixture(scope="module")
@@ -72,11 +81,10 @@ def test_time_alone_explains_nothing(job: Job, unseen: Recordings) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "setting"), [("rigid_body", {"noise": 0.3}), ("ours", {})])
-def test_a_body_on_feet_is_identified(name: str, setting: dict[str, float], job: Job, unseen: Recordings) -> None:
-    """Labels that such bodies give: psi that sees the body must not spoil what the body alone explains.
+def test_a_body_on_feet_is_identified(job: Job, unseen: Recordings) -> None:
+    """Labels that such bodies give: methods that see the body must not spoil what the body alone explains.
 
-    They are free of noise, so the fit may trust them more than it does recordings.
+    The labels are free of noise, so a fit that trusts them more than it does recordings finds the body better.
     """
 
     def labelled(recorded: Recordings, seed: int) -> Recordings:
@@ -89,7 +97,12 @@ def test_a_body_on_feet_is_identified(name: str, setting: dict[str, float], job:
         return recorded._replace(rows=recorded.rows._replace(labels=np.asarray(labels)))
 
     few = replace(job, train=labelled(job.train, 1), validation=labelled(job.validation, 2))
-    assert unexplained(fitted(name, few, **setting), labelled(unseen, 3), few) < 0.15
+    others = labelled(unseen, 3)
+    assert unexplained(fitted("rigid_body", few, noise=0.3), others, few) < 0.15
+    alone = unexplained(fitted("rigid_body", few), others, few)
+    assert alone < 0.3
+    for name, setting in (("ours", SHORT), ("linear_prior_body", {})):
+        assert unexplained(fitted(name, few, **setting), others, few) < alone
 
 
 @pytest.mark.slow
@@ -99,6 +112,43 @@ def test_meta_learned_methods_use_their_context(name: str, job: Job, unseen: Rec
     own = unexplained(predictor, unseen, job)
     assert own < 0.6
     assert unexplained(predictor, with_context(unseen, -1.0), job) > own + 0.02
+
+
+@pytest.fixture
+def bodies(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bodies of conditions as drawn, not identified, which would take a minute."""
+    guess = np.array(list(feet.PARAMETERS.values()), np.float32)
+
+    def drawn(config: Any, train: Rows, validation: Rows, *_: Any) -> training_bodies.Found:
+        prior, of_training, of_validation = training_bodies.nothing(config, train, validation)
+        spread = np.random.default_rng(0).normal(size=of_training.shape)
+        return prior, jnp.asarray(guess[:, 0] + guess[:, 1] * spread, jnp.float32), of_validation + guess[:, 0]
+
+    monkeypatch.setattr(training_bodies, "identified", drawn)
+
+
+def test_what_sees_a_body_sees_what_psi_sees(bodies: None, job: Job) -> None:
+    sees = sight.sight(replace(job, setting={"body": True}))
+    plain = sight.sight(job)
+    context, body = first_rows(job.train, 0, 50), sees.found[1][0, -1]
+    config, scale = ObjectConfig(), jnp.asarray(output_scale(job.train.rows))
+    raw = object_model.network_inputs(scale, jnp.asarray(context.inputs), config, body)
+    np.testing.assert_allclose(sees(context.inputs, body) * sees.spread + sees.mean, raw, atol=1e-3)
+    np.testing.assert_array_equal(sees.body(context._replace(body=body)), body)
+    assert plain(context.inputs, body).shape[-1] == context.inputs.shape[-1] and not plain.body(context).any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in METHODS if name.endswith("_body") and name not in NOT_ASKED])
+def test_predictions_depend_on_the_body_seen(name: str, bodies: None, job: Job) -> None:
+    predictor = METHODS[name].fit(replace(job, setting=METHODS[name].settings[0], budget=Budget(2, 30, 2)))
+    context, x = first_rows(job.validation, 0, 100), jnp.asarray(job.validation.rows.inputs[0, 100:150])
+    guess = np.array(list(feet.PARAMETERS.values()), np.float32)
+    one, other = (
+        predictor.predict(predictor.adapt(context._replace(body=jnp.asarray(body))), x, jnp.zeros(50))
+        for body in (guess[:, 0], guess[:, 0] + guess[:, 1])
+    )
+    assert bool(jnp.all(jnp.isfinite(one))) and float(jnp.max(jnp.abs(one - other))) > 1e-3
 
 
 def test_networks_without_a_context_do_not_care_for_it(job: Job, unseen: Recordings) -> None:
@@ -129,17 +179,16 @@ def test_a_finished_training_is_read_back(job: Job, tmp_path: Path) -> None:
     assert files
     again = METHODS["mlp"].fit(kept)
     assert {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*") if p.is_file()} == files
-    x = jnp.asarray(job.train.rows.inputs[0, :5])
-    np.testing.assert_array_equal(*(p.predict(jnp.zeros(1), x, jnp.zeros(5)) for p in (first, again)))
+    x, context = jnp.asarray(job.train.rows.inputs[0, :5]), first_rows(job.train, 0, 20)
+    np.testing.assert_array_equal(*(p.predict(p.adapt(context), x, jnp.zeros(5)) for p in (first, again)))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["ours", "ours_paper", "residual"])
 def test_psi_adapts(name: str, job: Job, unseen: Recordings) -> None:
-    setting = {"horizon": 4, "learning_rate": 5e-3, "conditions": 6, "windows": 8, "adapt_rows": 32}
-    predictor = METHODS[name].fit(replace(job, setting=setting))
+    predictor = METHODS[name].fit(replace(job, setting=SHORT))
     assert unexplained(predictor, unseen, job) < 0.5
-    assert unexplained(METHODS[name].fit(replace(job, setting=setting)), unseen, job) == pytest.approx(
+    assert unexplained(METHODS[name].fit(replace(job, setting=SHORT)), unseen, job) == pytest.approx(
         unexplained(predictor, unseen, job)
     )
 

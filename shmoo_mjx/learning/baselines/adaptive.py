@@ -15,6 +15,7 @@ from shmoo_mjx.dynamics.object_model import ObjectConfig
 from shmoo_mjx.learning import daiml, identification, least_squares
 from shmoo_mjx.learning.baselines.networks import mlp
 from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, Recordings
+from shmoo_mjx.learning.baselines.sight import sight
 from shmoo_mjx.learning.daiml import DaimlConfig, ObjectFit
 
 __all__ = [
@@ -26,7 +27,6 @@ __all__ = [
     "prior",
     "prior_of",
     "residual",
-    "without_body",
 ]
 
 Array = Any
@@ -66,11 +66,6 @@ def paper_form(job: Job) -> Predictor:
     return from_fit(daiml.fit_rows(job.train.rows, job.validation.rows, config, job.directory), config)
 
 
-def without_body(job: Job) -> Predictor:
-    """psi as shipped, but for the body that it sees."""
-    return ours(replace(job, setting=job.setting | {"body": False}))
-
-
 def prior(job: Job) -> Predictor:
     """psi as shipped, with the coefficients of an object that has not been touched."""
     config = daiml_config(job, DaimlConfig())
@@ -78,24 +73,38 @@ def prior(job: Job) -> Predictor:
 
 
 def residual(job: Job) -> Predictor:
-    """A network over all conditions, and psi on what it leaves over (Sec. V-B). Both train for the whole budget."""
-    common = mlp(replace(job, setting={"learning_rate": 1e-3}, directory=_under(job.directory, "common")))
+    """A network over all conditions, and psi on what it leaves over (Sec. V-B). Both train for the whole budget.
+
+    With setting["body"] both see the body, identified from what was felt and not from what is left over. What the
+    network leaves over in training is taken with each condition's best known body, and psi sees that one.
+    """
+    body = job.setting.get("body", False)
+    common_job = replace(job, setting={"learning_rate": 1e-3, "body": body}, directory=_beside(job, "common"))
+    common, sees = mlp(common_job), sight(common_job)
     config = replace(daiml_config(job, DaimlConfig()), open_loop=False, horizon=1)
-    # What a network leaves over is no body's motion.
-    config = replace(config, object=replace(config.object, body=False))
-    predicted = jax.jit(lambda x: common.predict((), x, jnp.zeros(x.shape[:-1])))
+    config = replace(config, object=replace(config.object, body=body))
+    prior, bodies, held_bodies = sees.found
 
-    def left(recorded: Recordings) -> daiml.Rows:
+    def predicted(context: Context) -> Array:
+        return common.predict(common.adapt(context), context.inputs, context.time)
+
+    def left(recorded: Recordings, bodies: Array) -> daiml.Rows:
         rows = recorded.rows
-        return rows._replace(labels=rows.labels - np.asarray(predicted(rows.inputs)))
+        contexts = Context(*rows[:3], recorded.time, recorded.properties, bodies)
+        return rows._replace(labels=rows.labels - np.asarray(jax.jit(jax.vmap(predicted))(contexts)))
 
-    directory = _under(job.directory, "psi")
-    own = from_fit(daiml.fit_rows(left(job.train), left(job.validation), config, directory), config)
+    rows, held_out = left(job.train, bodies[:, -1]), left(job.validation, held_bodies)
+    found = prior, bodies[:, -1:], held_bodies
+    own = from_fit(daiml.fit_rows(rows, held_out, config, _beside(job, "psi"), found=found), config)
 
-    def adapt(context: Context) -> Array:
-        return own.adapt(context._replace(labels=context.labels - predicted(context.inputs)))
+    def adapt(context: Context) -> tuple[Array, Array]:
+        known = context._replace(body=sees.body(context))
+        return common.adapt(known), own.adapt(known._replace(labels=known.labels - predicted(known)))
 
-    return Predictor(adapt, lambda a, x, time: common.predict((), x, time) + own.predict(a, x, time))
+    def predict(state: tuple[Any, Any], x: Array, time: Array) -> Array:
+        return common.predict(state[0], x, time) + own.predict(state[1], x, time)
+
+    return Predictor(jax.jit(adapt), predict)
 
 
 def from_fit(fitted: ObjectFit, config: DaimlConfig) -> Predictor:
@@ -105,8 +114,8 @@ def from_fit(fitted: ObjectFit, config: DaimlConfig) -> Predictor:
 
     def adapt(context: Context) -> tuple[Array, Array]:
         x, y, w = context.inputs, context.labels, context.weights
-        body = jnp.zeros(len(feet.PARAMETERS))
-        if config.object.body:
+        body = jnp.zeros(len(feet.PARAMETERS)) if context.body is None else context.body
+        if config.object.body and context.body is None:
             body = identification.identify(config.body_fit, fitted.body_prior, params.label_scale, x, y, w)
         if not config.coupled:
             psi = object_model.basis(params, x, config.object, body)
@@ -129,5 +138,6 @@ def prior_of(fitted: ObjectFit, config: DaimlConfig) -> Predictor:
     return from_fit(fitted, config)._replace(adapt=lambda context: known)
 
 
-def _under(directory: Path | None, name: str) -> Path | None:
-    return None if directory is None else directory / name
+def _beside(job: Job, part: str) -> Path | None:
+    """The directory of a part of a fit; beside the job's own, where the bodies are kept for all."""
+    return None if job.directory is None else job.directory.with_name(f"{job.directory.name}-{part}")

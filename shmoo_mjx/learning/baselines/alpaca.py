@@ -9,7 +9,8 @@ import jax.numpy as jnp
 
 from shmoo_mjx.learning.baselines.gradient import Layers, Task, dense, layers, meta_train
 from shmoo_mjx.learning.baselines.networks import HIDDEN
-from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, input_scale, output_scale
+from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, output_scale
+from shmoo_mjx.learning.baselines.sight import sight
 
 __all__ = ["alpaca"]
 
@@ -28,21 +29,21 @@ class _Params(NamedTuple):
 
 def alpaca(job: Job) -> Predictor:
     """Features of setting["features"] dimensions; the last layer's posterior is the adaptation."""
-    (mean, spread), scale = input_scale(job.train.rows), output_scale(job.train.rows)
+    sees, scale = sight(job), output_scale(job.train.rows)
     d, axes = job.setting["features"], scale.shape[0]
     net_key, mean_key = jax.random.split(jax.random.key(job.seed))
     start = _Params(
-        layers(net_key, mean.shape[0], *HIDDEN, d),
+        layers(net_key, sees.mean.shape[0], *HIDDEN, d),
         0.1 * jax.random.normal(mean_key, (d, axes)),
         jnp.eye(d),
         jnp.full(axes, jnp.log(0.5)),
     )
 
-    def basis(params: _Params, x: Array) -> Array:
-        return jnp.tanh(dense(params.features, (x - mean) / spread))
+    def basis(params: _Params, x: Array, body: Array) -> Array:
+        return jnp.tanh(dense(params.features, sees(x, body)))
 
-    def posterior(params: _Params, context: Context) -> tuple[Array, Array]:
-        phi = basis(params, context.inputs)
+    def posterior(params: _Params, context: Context, body: Array) -> tuple[Array, Array]:
+        phi = basis(params, context.inputs, body)
         weighted = phi * context.weights[:, None]
         prior = params.factor @ params.factor.T + 1e-3 * jnp.eye(d)
         precision = prior + weighted.T @ phi
@@ -52,8 +53,9 @@ def alpaca(job: Job) -> Predictor:
 
     def loss(params: _Params, task: Task) -> Array:
         """Negative log likelihood of rows given the context; Gaussian with covariance (1 + phi' P phi) Sigma."""
-        last, covariance = posterior(params, task.context)
-        phi = basis(params, task.inputs)
+        body = sees.body(task.context)
+        last, covariance = posterior(params, task.context, body)
+        phi = basis(params, task.inputs, body)
         stretch = 1.0 + jnp.einsum("bi,ij,bj->b", phi, covariance, phi)
         error = (task.labels / scale - phi @ last) * jnp.exp(-params.log_noise)
         axes = error.shape[-1]
@@ -62,9 +64,14 @@ def alpaca(job: Job) -> Predictor:
         )
 
     def predictor(params: _Params) -> Predictor:
-        return Predictor(
-            lambda context: posterior(params, context)[0],
-            lambda last, x, time: basis(params, x) @ last * scale,
-        )
+        def adapt(context: Context) -> tuple[Array, Array]:
+            body = sees.body(context)
+            return posterior(params, context, body)[0], body
 
-    return predictor(meta_train(job, start, predictor, "alpaca", loss))
+        def predict(state: tuple[Array, Array], x: Array, time: Array) -> Array:
+            last, body = state
+            return basis(params, x, body) @ last * scale
+
+        return Predictor(jax.jit(adapt), predict)
+
+    return predictor(meta_train(job, start, predictor, "alpaca", sees, loss))

@@ -13,6 +13,7 @@ from shmoo_mjx.dynamics import mlp
 from shmoo_mjx.learning import rows as batches
 from shmoo_mjx.learning import training
 from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, Recordings, output_scale, share_left
+from shmoo_mjx.learning.baselines.sight import Sight
 from shmoo_mjx.learning.rows import Sampler
 
 __all__ = ["Layers", "Task", "dense", "layers", "meta_train"]
@@ -65,6 +66,7 @@ def meta_train(
     params: Tree,
     predictor: Callable[[Tree], Predictor],
     name: str,
+    sees: Sight,
     loss: Callable[[Tree, Task], Array] | None = None,
     adapt_rows: int = 100,
 ) -> Tree:
@@ -75,6 +77,7 @@ def meta_train(
         params: where it starts.
         predictor: parameters -> the predictor they make.
         name: of the method, part of the checkpoint's identity.
+        sees: the training conditions' bodies, of which a task's context has one drawn at random, well or badly known.
         loss: (params, task) -> loss; by default the squared error after adapting, weighted as in Eq. 4.
         adapt_rows: most rows of a task's context.
 
@@ -86,10 +89,12 @@ def meta_train(
     optimiser = _optimiser(job)
     task_loss = loss or _squared_error(predictor, scale)
 
-    def chunk(train: Recordings, sampler: Sampler, state: _State) -> tuple[_State, Array]:
+    _, bodies, held_bodies = sees.found
+
+    def chunk(train: Recordings, bodies: Array, sampler: Sampler, state: _State) -> tuple[_State, Array]:
         def update(state: _State, _: None) -> tuple[_State, Array]:
             key, batch_key = jax.random.split(jax.random.wrap_key_data(state.key))
-            tasks = _draw(train, sampler, batch_key, adapt_rows)
+            tasks = _draw(train, bodies, sampler, batch_key, adapt_rows)
             total, gradient = jax.value_and_grad(lambda p: jnp.mean(jax.vmap(task_loss, (None, 0))(p, tasks)))(
                 state.params
             )
@@ -101,13 +106,13 @@ def meta_train(
 
     device, held_out = jax.tree.map(jnp.asarray, (job.train, job.validation))
     run_chunk = jax.jit(chunk)
-    score = jax.jit(lambda p, recorded: share_left(predictor(p), recorded, job.fit_rows, scale, FLOOR))
+    score = jax.jit(lambda p, recorded, held: share_left(predictor(p), recorded, held, job.fit_rows, scale, FLOOR))
     key = jax.random.fold_in(jax.random.key(job.seed), 1)
     fitted = training.run(
         _State(params, optimiser.init(params), jax.random.key_data(key)),
-        lambda state: run_chunk(device, sampler, state),
+        lambda state: run_chunk(device, bodies, sampler, state),
         extract=lambda state: state.params,
-        evaluate=lambda p: score(p, held_out),
+        evaluate=lambda p: score(p, held_out, held_bodies),
         chunks=budget.chunks,
         patience=budget.patience,
         identity=training.fingerprint((name, job.setting, budget, job.seed, adapt_rows), rows.inputs, rows.labels),
@@ -132,10 +137,13 @@ def _squared_error(predictor: Callable[[Tree], Predictor], scale: Array) -> Call
     return loss
 
 
-def _draw(train: Recordings, sampler: Sampler, key: Array, adapt_rows: int) -> Task:
+def _draw(train: Recordings, bodies: Array, sampler: Sampler, key: Array, adapt_rows: int) -> Task:
     """The batches that DAIML draws, with windows of one row."""
+    key, body_key = jax.random.split(key)
     batch = batches.draw(train.rows, sampler, key, CONDITIONS, adapt_rows, WINDOWS, 1)
     x, y, w = batch.adapt
-    context = Context(x, y, w, jnp.zeros_like(w), train.properties[batch.condition])
+    which = jax.random.randint(body_key, batch.condition.shape, 0, bodies.shape[1])
+    body = bodies[batch.condition, which]
+    context = Context(x, y, w, jnp.zeros_like(w), train.properties[batch.condition], body)
     inputs, labels = batch.windows[0][:, :, 0], batch.windows[1][:, :, 0]
     return Task(context, inputs, labels, batch.precision)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -12,14 +13,15 @@ import numpy as np
 from shmoo_mjx import se2
 from shmoo_mjx.dynamics import features
 from shmoo_mjx.learning import least_squares
-from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, input_scale, output_scale
+from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, output_scale
+from shmoo_mjx.learning.baselines.sight import Sight, sight
 from shmoo_mjx.types import DT
 
 __all__ = ["Prior", "fit_prior", "linear", "linear_prior", "physics", "physics_functions", "trigonometric"]
 
 Array = Any
-Basis = Callable[[Array, Array], Array]
-"""(inputs ``[..., n]``, time ``[...]``) -> functions ``[..., d]``."""
+Basis = Callable[[Array, Array, Array], Array]
+"""(inputs ``[..., n]``, time ``[...]``, body ``[p]``) -> functions ``[..., d]``."""
 
 SLOW = 0.03
 """Speeds below this count as sliding that has hardly begun [m/s]."""
@@ -39,28 +41,30 @@ class Prior(NamedTuple):
 def trigonometric(job: Job) -> Predictor:
     """psi(t) = [sin t, sin 2t, sin 3t, cos t, cos 2t, cos 3t] (Sec. V-B)."""
 
-    def basis(x: Array, time: Array) -> Array:
+    def basis(x: Array, time: Array, body: Array) -> Array:
         angles = jnp.asarray(time)[..., None] * jnp.arange(1.0, 4.0)
         return jnp.concatenate([jnp.sin(angles), jnp.cos(angles)], axis=-1)
 
-    return _ridge(basis, job)
+    return _ridge(basis, job, sight(job))
 
 
 def linear(job: Job) -> Predictor:
     """The inputs themselves and a constant; setting["ridge"] draws towards zero."""
-    return _ridge(_inputs(job), job)
+    sees = sight(job)
+    return _ridge(_seen(sees), job, sees)
 
 
 def linear_prior(job: Job) -> Predictor:
     """The inputs and a constant, drawn towards what the training conditions say."""
-    return _towards_prior(_inputs(job), job)
+    sees = sight(job)
+    return _towards_prior(_seen(sees), job, sees)
 
 
 def physics(job: Job) -> Predictor:
     """Functions that rigid bodies with friction and wheels suggest, drawn towards the training conditions."""
     x = jnp.asarray(job.train.rows.inputs[job.train.rows.weights > 0])
     spread = jnp.maximum(jnp.std(physics_functions(x), axis=0), 1e-3)
-    return _towards_prior(lambda x, time: physics_functions(x) / spread, job)
+    return _towards_prior(lambda x, time, body: physics_functions(x) / spread, job, sight(job))
 
 
 def physics_functions(x: Array) -> Array:
@@ -135,44 +139,54 @@ def fit_prior(functions: np.ndarray, labels: np.ndarray, weights: np.ndarray, ro
     return prior
 
 
-def _inputs(job: Job) -> Basis:
-    mean, spread = input_scale(job.train.rows)
-    return lambda x, time: jnp.concatenate([(x - mean) / spread, jnp.ones((*x.shape[:-1], 1))], axis=-1)
+def _seen(sees: Sight) -> Basis:
+    """What the method sees, and a constant."""
+    return lambda x, time, body: jnp.concatenate([sees(x, body), jnp.ones((*x.shape[:-1], 1))], axis=-1)
 
 
-def _ridge(basis: Basis, job: Job) -> Predictor:
+def _ridge(basis: Basis, job: Job, sees: Sight) -> Predictor:
     """Each condition by itself, drawn towards zero."""
     scale = output_scale(job.train.rows)
 
-    def adapt(context: Context) -> Array:
-        f = basis(context.inputs, context.time)
+    def adapt(context: Context) -> tuple[Array, Array]:
+        body = sees.body(context)
+        f = basis(context.inputs, context.time, body)
         psi = jnp.broadcast_to(f[:, None, :], (f.shape[0], scale.shape[0], f.shape[-1]))
         start = jnp.zeros(psi.shape[1:])
-        return least_squares.ridge(psi, context.labels / scale, start, job.setting["ridge"], context.weights)
+        a = least_squares.ridge(psi, context.labels / scale, start, job.setting["ridge"], context.weights)
+        return a, body
 
-    return Predictor(jax.jit(adapt), lambda a, x, time: basis(x, time) @ a.T * scale)
+    return Predictor(jax.jit(adapt), partial(_weighted, basis, scale))
 
 
-def _towards_prior(basis: Basis, job: Job) -> Predictor:
+def _towards_prior(basis: Basis, job: Job, sees: Sight) -> Predictor:
     """Each condition given the prior; setting["noise"] inflates the noise, whose samples are correlated in truth.
 
     setting["coupled"] keeps the prior's covariances between coefficients; otherwise only their variances.
     """
     scale, rows = output_scale(job.train.rows), job.train.rows
-    prior = fit_prior(np.asarray(basis(rows.inputs, job.train.time)), rows.labels / scale, rows.weights)
+    functions = jax.jit(jax.vmap(basis))(rows.inputs, job.train.time, sees.found[1][:, -1])
+    prior = fit_prior(np.asarray(functions), rows.labels / scale, rows.weights)
     covariance = prior.covariance if job.setting["coupled"] else np.diag(np.diag(prior.covariance))
     factor = jnp.asarray(np.linalg.cholesky(covariance), jnp.float32)
     mean, noise = jnp.asarray(prior.mean, jnp.float32), jnp.asarray(prior.noise * job.setting["noise"], jnp.float32)
     axes = scale.shape[0]
 
-    def adapt(context: Context) -> Array:
-        f = basis(context.inputs, context.time)
+    def adapt(context: Context) -> tuple[Array, Array]:
+        body = sees.body(context)
+        f = basis(context.inputs, context.time, body)
         phi = (f[:, None, None, :] * jnp.eye(axes)[:, :, None]).reshape(f.shape[0], axes, -1)
         labels = context.labels / scale
         a, _ = least_squares.posterior_from_factor(phi, labels, mean, factor, noise, context.weights)
-        return a.reshape(axes, -1)
+        return a.reshape(axes, -1), body
 
-    return Predictor(jax.jit(adapt), lambda a, x, time: basis(x, time) @ a.T * scale)
+    return Predictor(jax.jit(adapt), partial(_weighted, basis, scale))
+
+
+def _weighted(basis: Basis, scale: Array, state: tuple[Array, Array], x: Array, time: Array) -> Array:
+    """The prediction from coefficients ``[m, d]`` and a body."""
+    a, body = state
+    return basis(x, time, body) @ a.T * scale
 
 
 def _corner_friction(twist: Array, size: Array) -> Array:

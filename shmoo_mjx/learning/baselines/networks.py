@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from shmoo_mjx.learning.baselines.gradient import Layers, dense, layers, meta_train
-from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, input_scale, output_scale
+from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, output_scale
+from shmoo_mjx.learning.baselines.sight import sight
 
 __all__ = ["gru", "mlp", "told"]
 
@@ -42,8 +43,8 @@ def told(job: Job) -> Predictor:
 
 def gru(job: Job) -> Predictor:
     """A recurrent network reads inputs and labels of the context; its last memory goes into the network's inputs."""
-    (mean, spread), scale = input_scale(job.train.rows), output_scale(job.train.rows)
-    n_in, n_out = mean.shape[0], scale.shape[0]
+    sees, scale = sight(job), output_scale(job.train.rows)
+    n_in, n_out = sees.mean.shape[0], scale.shape[0]
     width = n_in + n_out + MEMORY
     keys = jax.random.split(jax.random.key(job.seed), 3)
     start = _Gru(
@@ -53,42 +54,45 @@ def gru(job: Job) -> Predictor:
     )
 
     def predictor(params: _Gru) -> Predictor:
-        def adapt(context: Context) -> Array:
-            rows = jnp.concatenate([(context.inputs - mean) / spread, context.labels / scale], axis=-1)
+        def adapt(context: Context) -> tuple[Array, Array]:
+            body = sees.body(context)
+            rows = jnp.concatenate([sees(context.inputs, body), context.labels / scale], axis=-1)
             memory, _ = jax.lax.scan(
                 lambda m, r: (_read(params, m, *r), None), jnp.zeros(MEMORY), (rows, context.weights)
             )
-            return memory
+            return memory, body
 
-        def predict(memory: Array, x: Array, time: Array) -> Array:
+        def predict(state: tuple[Array, Array], x: Array, time: Array) -> Array:
+            memory, body = state
             known = jnp.broadcast_to(memory, (*x.shape[:-1], MEMORY))
-            return dense(params.head, jnp.concatenate([(x - mean) / spread, known], axis=-1)) * scale
+            return dense(params.head, jnp.concatenate([sees(x, body), known], axis=-1)) * scale
 
-        return Predictor(adapt, predict)
+        return Predictor(jax.jit(adapt), predict)
 
-    return predictor(meta_train(job, start, predictor, "gru", adapt_rows=CONTEXT_ROWS))
+    return predictor(meta_train(job, start, predictor, "gru", sees, adapt_rows=CONTEXT_ROWS))
 
 
 def _network(job: Job, name: str, told: bool) -> Predictor:
-    (mean, spread), scale = input_scale(job.train.rows), output_scale(job.train.rows)
+    sees, scale = sight(job), output_scale(job.train.rows)
     known = job.train.properties
     centre, width = known.mean(axis=0), np.maximum(known.std(axis=0), 1e-3)
     extra = known.shape[-1] if told else 0
-    start = layers(jax.random.key(job.seed), mean.shape[0] + extra, *HIDDEN, scale.shape[0])
+    start = layers(jax.random.key(job.seed), sees.mean.shape[0] + extra, *HIDDEN, scale.shape[0])
 
     def predictor(params: Layers) -> Predictor:
-        def adapt(context: Context) -> Array:
-            return (context.properties - centre) / width
+        def adapt(context: Context) -> tuple[Array, Array]:
+            return (context.properties - centre) / width, sees.body(context)
 
-        def predict(state: Array, x: Array, time: Array) -> Array:
-            x = (x - mean) / spread
+        def predict(state: tuple[Array, Array], x: Array, time: Array) -> Array:
+            properties, body = state
+            seen = sees(x, body)
             if told:
-                x = jnp.concatenate([x, jnp.broadcast_to(state, (*x.shape[:-1], extra))], axis=-1)
-            return dense(params, x) * scale
+                seen = jnp.concatenate([seen, jnp.broadcast_to(properties, (*x.shape[:-1], extra))], axis=-1)
+            return dense(params, seen) * scale
 
-        return Predictor(adapt, predict)
+        return Predictor(jax.jit(adapt), predict)
 
-    return predictor(meta_train(job, start, predictor, name, adapt_rows=8))
+    return predictor(meta_train(job, start, predictor, name, sees, adapt_rows=8))
 
 
 def _read(params: _Gru, memory: Array, row: Array, weight: Array) -> Array:

@@ -21,7 +21,19 @@ from shmoo_mjx.learning.rows import Rows, label_scale, rows_from_dataset
 from shmoo_mjx.plant.objects import FAMILIES
 from shmoo_mjx.types import DT
 
-__all__ = ["Budget", "Context", "Job", "Method", "Predictor", "Recordings", "first_rows", "recordings", "share_left"]
+__all__ = [
+    "Budget",
+    "Context",
+    "Fit",
+    "Job",
+    "Method",
+    "Predictor",
+    "Recordings",
+    "first_rows",
+    "output_scale",
+    "recordings",
+    "share_left",
+]
 
 Array = Any
 State = Any
@@ -56,6 +68,8 @@ class Context(NamedTuple):
     """``[N]`` [s]"""
     properties: Array
     """``[p]``"""
+    body: Array | None = None
+    """Parameters of the body that the condition looks like, where they are known already (`sight`)."""
 
 
 class Predictor(NamedTuple):
@@ -93,12 +107,15 @@ class Job:
     """Keeps the training's checkpoint, finished or not."""
 
 
+Fit = Callable[[Job], Predictor]
+
+
 @dataclass(frozen=True)
 class Method:
     """A row of the comparison."""
 
     name: str
-    fit: Callable[[Job], Predictor]
+    fit: Fit
     settings: tuple[Setting, ...]
     """What is tried on the validation conditions, the default first. Every method has as many."""
     trained: bool = True
@@ -129,28 +146,25 @@ def first_rows(recorded: Recordings, condition: int, count: int) -> Context:
     return Context(rows.inputs[i, :n], rows.labels[i, :n], rows.weights[i, :n], recorded.time[i, :n], known)
 
 
-def share_left(predictor: Predictor, recorded: Recordings, fit_rows: int, scale: Array, floor: float = 0.1) -> Array:
+def share_left(
+    predictor: Predictor, recorded: Recordings, bodies: Array, fit_rows: int, scale: Array, floor: float = 0.1
+) -> Array:
     """Mean share of variance unexplained after the first ``fit_rows`` rows; what early stopping looks at.
 
     As in DAIML's own validation score, ``floor`` times ``scale [m]`` squared is added to each label's variance.
+    ``bodies [C, p]`` are those that the conditions look like.
     """
     n = recorded.rows.inputs.shape[1]
     first = min(fit_rows, n // 2)
 
-    def one(x: Array, y: Array, w: Array, time: Array, known: Array) -> Array:
-        state = predictor.adapt(Context(x[:first], y[:first], w[:first], time[:first], known))
+    def one(x: Array, y: Array, w: Array, time: Array, known: Array, body: Array) -> Array:
+        state = predictor.adapt(Context(x[:first], y[:first], w[:first], time[:first], known, body))
         predicted = predictor.predict(state, x[first:], time[first:])
         return least_squares.fraction_unexplained(predicted, y[first:], w[first:], floor * scale**2)
 
     rows = recorded.rows
-    shares = jax.vmap(one)(rows.inputs, rows.labels, rows.weights, recorded.time, recorded.properties)
+    shares = jax.vmap(one)(rows.inputs, rows.labels, rows.weights, recorded.time, recorded.properties, bodies)
     return jnp.mean(jnp.minimum(shares, least_squares.WORST))
-
-
-def input_scale(rows: Rows) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and standard deviation ``[n]`` of the inputs of the rows that count."""
-    used = rows.inputs[rows.weights > 0]
-    return used.mean(axis=0), np.maximum(used.std(axis=0), 1e-3)
 
 
 def output_scale(rows: Rows) -> np.ndarray:
