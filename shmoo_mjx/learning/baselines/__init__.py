@@ -33,6 +33,7 @@ __all__ = [
 _RIDGES = tuple({"ridge": ridge} for ridge in (1.0, 0.001, 10.0, 100.0))
 _PRIORS = tuple({"noise": noise, "coupled": coupled} for noise in (1.0, 4.0) for coupled in (True, False))
 _DAIML: tuple[Setting, ...] = ({}, {"one_step": 4.0}, {"functions": 6}, {"alpha": 0.0})
+# Trained for one step alone, a residual has no weight between that and a roll-out to choose.
 _ON_RESIDUAL: tuple[Setting, ...] = ({}, {"learning_rate": 1e-3}, {"functions": 6}, {"alpha": 0.0})
 _PAPER: tuple[Setting, ...] = ({}, {"learning_rate": 1e-3}, {"ridge": 3.0}, {"alpha": 0.0})
 _BODIES = tuple({"noise": noise, "groups": groups} for noise in (1.5, 0.75) for groups in (3, 1))
