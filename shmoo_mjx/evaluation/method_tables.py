@@ -35,6 +35,8 @@ _NAMES = {
     "gru_body": "GRU in context that sees the body",
     "mlp_body": "one MLP that sees the body",
     "told_body": "MLP told the true properties that sees the body",
+    "gru_fed_back": "GRU in context that sees the body, trained by our loss",
+    "told_fed_back": "MLP told the true properties that sees the body, trained by our loss",
     "prior": "ours before it touches the object",
     "zero": "no acceleration (a = 0)",
     "constant_velocity": "constant twist in {O}",

@@ -25,14 +25,13 @@ import jax.numpy as jnp
 import optax
 
 from shmoo_mjx.data import store
-from shmoo_mjx.dynamics import features, feet, mlp, object_model
+from shmoo_mjx.dynamics import feet, mlp, object_model
 from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
 from shmoo_mjx.learning import least_squares, multistep, training, training_bodies
 from shmoo_mjx.learning import rows as batches
 from shmoo_mjx.learning.identification import BodyPrior, IdentificationConfig
 from shmoo_mjx.learning.rows import Batch, Rows, Sampler, label_scale, rows_from_arrays, rows_from_dataset
 from shmoo_mjx.learning.training_bodies import Found
-from shmoo_mjx.types import DT
 
 __all__ = [
     "DaimlConfig",
@@ -239,17 +238,22 @@ def validation_scores(config: DaimlConfig, rows: Rows, fitted: ObjectFit) -> tup
         prior = (fitted.prior_mean.reshape(-1), fitted.prior_covariance)
         return least_squares.posterior(phi, y, *prior, fitted.noise, w)[0].reshape(fitted.prior_mean.shape)
 
-    horizon = config.horizon if config.open_loop else 0
-    floor = config.label_floor
-    bodies = bodies_seen(config, fitted, rows)
-    return multistep.scores(rows, bodies, fitted.params, config.object, fit_one, config.fit_rows, horizon, floor)
+    return _scores(config, fitted.params, fit_one, rows, bodies_seen(config, fitted, rows))
 
 
 def _model_scores(config: DaimlConfig, rows: Rows, bodies: Array, model: _Model) -> tuple[Array, Array]:
-    horizon, fit_one = config.horizon if config.open_loop else 0, partial(_coefficients, config, model)
-    return multistep.scores(
-        rows, bodies, model.params, config.object, fit_one, config.fit_rows, horizon, config.label_floor
-    )
+    return _scores(config, model.params, partial(_coefficients, config, model), rows, bodies)
+
+
+def _scores(
+    config: DaimlConfig, params: ObjectParams, fit_one: Callable[..., Array], rows: Rows, bodies: Array
+) -> tuple[Array, Array]:
+    def adapted(x: Array, y: Array, w: Array, body: Array) -> multistep.Predict:
+        a = fit_one(x, y, w, body)
+        return lambda inputs: object_model.predict(params, a, inputs, config.object, body)
+
+    horizon = config.horizon if config.open_loop else 0
+    return multistep.scores(rows, bodies, adapted, params.label_scale, config.fit_rows, horizon, config.label_floor)
 
 
 def _optimiser(config: DaimlConfig) -> optax.GradientTransformation:
@@ -348,28 +352,19 @@ def _loss(config: DaimlConfig, model: _Model, discriminator: mlp.MLP, batch: Bat
     """Eq. 6 for fixed h: (loss, (multi-step loss, psi of the rows of B^a))."""
     params = model.params
 
-    def one(adapt: tuple[Array, Array, Array], windows: tuple[Array, ...], precision: Array, body: Array) -> Array:
+    def one(
+        adapt: tuple[Array, Array, Array], windows: tuple[Array, Array, Array], precision: Array, body: Array
+    ) -> Array:
         a = _coefficients(config, model, *adapt, body)
-        x, y, following = windows
-
-        def share(error: Array) -> Array:
-            return jnp.mean(jnp.einsum("bha,ac,bhc->bh", error, precision, error)) / error.shape[-1]
-
-        predicted, twists = multistep.open_loop(params, a, x, config.object, body, config.open_loop)
-        error = (y - predicted) / params.label_scale
-        if not config.open_loop:
-            return share(error)
-        forced = 0.0
-        if config.one_step > 0:
-            said, _ = multistep.open_loop(params, a, x, config.object, body, feed_back=False)
-            forced = config.one_step * share((y - said) / params.label_scale)
-        if config.loss_on_twist:
-            # After h steps of independent errors the twist's covariance would be h times that of one.
-            steps = jnp.arange(1, x.shape[1] + 1)[:, None]
-            truth = following[:, :-1, features.slices(features.OBJECT_INPUTS)["object_twist"]]
-            drift = (truth - twists[:, 1:]) / (DT * params.label_scale)
-            error = jnp.concatenate([drift, error[:, -1:] * steps[-1] ** 0.5], axis=1) / steps**0.5
-        return share(error) + forced
+        return multistep.loss(
+            lambda x: object_model.predict(params, a, x, config.object, body),
+            windows,
+            precision,
+            params.label_scale,
+            config.open_loop,
+            config.one_step,
+            config.loss_on_twist,
+        )
 
     multi_step = jnp.mean(jax.vmap(one)(batch.adapt, batch.windows, batch.precision, bodies))
     if config.alpha == 0:

@@ -219,18 +219,21 @@ def from_stretches(
     count, total = rows[2].shape
     longest = min(2 * max(*lengths, 1), total)
     starts = np.random.default_rng(config.seed).integers(0, total, (count, len(lengths)))
-    scale, many = jnp.asarray(scale), jnp.asarray(lengths)
+    scale = jnp.asarray(scale)
 
-    def one(start: Array, length: Array, inputs: Array, labels: Array, weights: Array) -> Array:
-        at = (start + jnp.arange(longest)) % inputs.shape[0]
-        w = weights[at]
-        return identify(config, prior, scale, inputs[at], labels[at], w * (jnp.cumsum(w) <= length))
+    @partial(jax.jit, static_argnums=0)
+    def all_of(length: int, starts: Array, rows: Any) -> Array:
+        def one(condition: tuple[Array, Any]) -> Array:
+            start, (inputs, labels, weights) = condition
+            at = (start + jnp.arange(longest)) % total
+            # The rows that count, in order, and no others: most stretches are short.
+            at = at[jnp.argsort(weights[at] == 0, stable=True)[: max(length, 1)]]
+            return identify(config, prior, scale, inputs[at], labels[at], weights[at] * (length > 0))
 
-    @jax.jit
-    def all_of(starts: Array, rows: Any) -> Array:
-        return jax.lax.map(lambda c: jax.vmap(lambda s, n: one(s, n, *c[1]))(c[0], many), (starts, rows))
+        return jax.lax.map(one, (starts, rows))
 
-    return all_of(jnp.asarray(starts), jax.tree.map(jnp.asarray, rows))
+    on_device = jax.tree.map(jnp.asarray, rows)
+    return jnp.stack([all_of(n, jnp.asarray(starts[:, i]), on_device) for i, n in enumerate(lengths)], axis=1)
 
 
 def _normalised(config: IdentificationConfig, scale: Array, inputs: Array, labels: Array, weights: Array) -> Any:

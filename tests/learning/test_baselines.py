@@ -34,8 +34,8 @@ from shmoo_mjx.learning.rows import Rows
 
 SHORT = {"horizon": 4, "learning_rate": 5e-3, "conditions": 6, "windows": 8, "adapt_rows": 32}
 """DAIML for few conditions and little time."""
-NOT_ASKED = ("no_body", "rigid_body")
-"""Methods whose names end so for another reason."""
+SEEING = tuple(n for n in METHODS if n.endswith(("_body", "_fed_back")) and n not in ("no_body", "rigid_body"))
+"""Methods of other kinds that are given the body."""
 
 
 @pytest.fixture(scope="module")
@@ -139,7 +139,7 @@ def test_what_sees_a_body_sees_what_psi_sees(bodies: None, job: Job) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in METHODS if name.endswith("_body") and name not in NOT_ASKED])
+@pytest.mark.parametrize("name", SEEING)
 def test_predictions_depend_on_the_body_seen(name: str, bodies: None, job: Job) -> None:
     predictor = METHODS[name].fit(replace(job, setting=METHODS[name].settings[0], budget=Budget(2, 30, 2)))
     context, x = first_rows(job.validation, 0, 100), jnp.asarray(job.validation.rows.inputs[0, 100:150])

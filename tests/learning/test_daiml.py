@@ -12,6 +12,7 @@ from shmoo_mjx.data import store
 from shmoo_mjx.dynamics import ObjectConfig, feet, object_model
 from shmoo_mjx.learning import daiml, multistep, rows, training
 from shmoo_mjx.learning.daiml import DaimlConfig
+from shmoo_mjx.types import DT
 
 SMALL = DaimlConfig(
     object=ObjectConfig(hidden=(24, 24), body=False),
@@ -80,15 +81,40 @@ def test_open_loop_feeds_its_own_twist_back(per_axis: bool) -> None:
     a = jax.random.normal(jax.random.key(1), (3, config.functions))
     inputs = jax.random.normal(jax.random.key(2), (4, 7, 13)).at[..., 9].set(0.4)
     body = feet.guess()
-    fed, twists = multistep.open_loop(params, a, inputs, config, body)
-    forced, recorded = multistep.open_loop(params, a, inputs, config, body, feed_back=False)
+
+    def predict(x: jax.Array) -> jax.Array:
+        return object_model.predict(params, a, x, config, body)
+
+    fed, twists = multistep.open_loop(predict, inputs)
+    forced = predict(inputs)
     np.testing.assert_allclose(fed[:, 0], forced[:, 0], atol=1e-5)
-    np.testing.assert_allclose(recorded, inputs[..., :3])
+    np.testing.assert_allclose(twists[:, 0], inputs[:, 0, :3])
     assert float(jnp.max(jnp.abs(fed[:, 1:] - forced[:, 1:]))) > 1e-3
     # Feeding the rolled-out twists in as if recorded gives the same accelerations.
     last = jnp.concatenate([inputs[:, :1, 6:9], twists[:, :-1]], axis=1)
     closed = jnp.concatenate([twists, inputs[..., 3:6], last, inputs[..., 9:]], axis=-1)
-    np.testing.assert_allclose(object_model.predict(params, a, closed, config, body), fed, atol=1e-4)
+    np.testing.assert_allclose(predict(closed), fed, atol=1e-4)
+
+
+def test_the_loss_counts_how_far_the_twist_has_drifted() -> None:
+    """A law that depends on the wrench alone, predicted exactly and with a constant error along x."""
+    steps, wrench = 6, jax.random.normal(jax.random.key(0), (3, 7, 3)) * jnp.array([1.0, 1.0, 0.0])
+    twist = jnp.cumsum(wrench * DT, axis=1) - wrench * DT
+    inputs = jnp.zeros((3, 7, 13)).at[..., :3].set(twist).at[..., 3:6].set(wrench).at[..., 9].set(0.4)
+    windows = inputs[:, :steps], wrench[:, :steps], inputs[:, 1:]
+    error, scale, precision = 0.2, jnp.array([0.5, 1.0, 1.0]), jnp.diag(jnp.array([2.0, 1.0, 1.0]))
+    # After h steps the twist is off by h errors, of which Eq. 4's covariance expects sqrt(h).
+    drift = (steps * (steps - 1) / 2 + 1) / steps
+    for wrong in (0.0, error):
+
+        def predict(x: jax.Array, wrong: float = wrong) -> jax.Array:
+            return x[..., 3:6] + wrong * jnp.array([1.0, 0.0, 0.0])
+
+        share = 2.0 * (wrong / 0.5) ** 2 / 3
+        forced = multistep.loss(predict, windows, precision, scale, feed_back=False)
+        fed = multistep.loss(predict, windows, precision, scale, one_step=0.5)
+        np.testing.assert_allclose(forced, share, atol=1e-6)
+        np.testing.assert_allclose(fed, (drift + 0.5) * share, atol=1e-5)
 
 
 def test_design_matrix_is_the_model() -> None:

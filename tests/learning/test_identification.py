@@ -82,3 +82,19 @@ def test_a_bad_sample_changes_nothing() -> None:
     for bad in ((x.at[0].set(jnp.nan), y, True), (x, y.at[1].set(jnp.inf), True), (x, y, False)):
         after = identification.observe(online, state, *bad)
         jax.tree.map(np.testing.assert_array_equal, after, state)
+
+
+def test_a_stretch_is_the_first_rows_that_count() -> None:
+    """Short stretches are fitted on their own rows only, wherever rows that don't count lie between."""
+    _, inputs, labels = drawn(2.0, -1.0, np.random.default_rng(1), 60)
+    weights = (np.arange(60) % 3 > 0).astype(np.float32)
+    rows = tuple(a[None] for a in (inputs, labels, weights))
+    prior = jax.tree.map(jnp.asarray, identification.broad_prior())
+    lengths = (0, 8, 20)
+    found = identification.from_stretches(CONFIG, prior, SCALE, rows, lengths)
+    starts = np.random.default_rng(CONFIG.seed).integers(0, 60, (1, 3))[0]
+    for start, length, told in zip(starts, lengths, found[0], strict=True):
+        turned = [np.roll(a, -start, axis=0)[:40] for a in (inputs, labels, weights)]
+        counted = turned[2] * (np.cumsum(turned[2]) <= length)
+        expected = identification.identify(CONFIG, prior, jnp.asarray(SCALE), turned[0], turned[1], counted)
+        np.testing.assert_allclose(told, expected, atol=2e-2)

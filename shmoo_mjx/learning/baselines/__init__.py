@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from shmoo_mjx.learning.baselines import adaptive, fixed, linear, networks, rigid_body
 from shmoo_mjx.learning.baselines.alpaca import alpaca
+from shmoo_mjx.learning.baselines.gradient import fed_back
 from shmoo_mjx.learning.baselines.protocol import (
     Budget,
     Context,
@@ -62,6 +63,8 @@ METHODS: dict[str, Method] = {
         Method("gru_body", seeing(networks.gru, body=True), _NETS),
         Method("mlp_body", seeing(networks.mlp, body=True), _NETS),
         Method("told_body", seeing(networks.told, body=True), _NETS),
+        Method("gru_fed_back", fed_back(seeing(networks.gru, body=True)), _NETS),
+        Method("told_fed_back", fed_back(seeing(networks.told, body=True)), _NETS),
     )
 }
 """Every method that is tuned, by the name its metrics carry."""

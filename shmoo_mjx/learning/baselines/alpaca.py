@@ -55,9 +55,10 @@ def alpaca(job: Job) -> Predictor:
         """Negative log likelihood of rows given the context; Gaussian with covariance (1 + phi' P phi) Sigma."""
         body = sees.body(task.context)
         last, covariance = posterior(params, task.context, body)
-        phi = basis(params, task.inputs, body)
+        inputs, labels = (a[:, 0] for a in task.windows[:2])
+        phi = basis(params, inputs, body)
         stretch = 1.0 + jnp.einsum("bi,ij,bj->b", phi, covariance, phi)
-        error = (task.labels / scale - phi @ last) * jnp.exp(-params.log_noise)
+        error = (labels / scale - phi @ last) * jnp.exp(-params.log_noise)
         axes = error.shape[-1]
         return jnp.mean(0.5 * jnp.sum(error**2, axis=-1) / stretch + 0.5 * axes * jnp.log(stretch)) + jnp.sum(
             params.log_noise

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
@@ -10,19 +11,23 @@ import jax.numpy as jnp
 import optax
 
 from shmoo_mjx.dynamics import mlp
+from shmoo_mjx.learning import least_squares, multistep, training
 from shmoo_mjx.learning import rows as batches
-from shmoo_mjx.learning import training
-from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, Recordings, output_scale, share_left
+from shmoo_mjx.learning.baselines.protocol import Context, Fit, Job, Predictor, Recordings, output_scale
 from shmoo_mjx.learning.baselines.sight import Sight
-from shmoo_mjx.learning.rows import Sampler
+from shmoo_mjx.learning.rows import Rows, Sampler
 
-__all__ = ["Layers", "Task", "dense", "layers", "meta_train"]
+__all__ = ["Layers", "Task", "dense", "fed_back", "layers", "meta_train"]
 
 Array = Any
 Tree = Any
 
-CONDITIONS, WINDOWS, FLOOR = 12, 64, 0.1
-"""Conditions per update, rows per condition that the loss is taken on, and the floor of Sigma_C: those of DAIML."""
+CONDITIONS, FLOOR = 12, 0.1
+"""Conditions per update and the floor of Sigma_C: those of DAIML."""
+ROWS = 64
+"""Rows per condition that the loss of one step is taken on."""
+WINDOWS, HORIZON = 16, 15
+"""Windows per condition and their length for a loss on what is fed back: those of DAIML."""
 
 
 class Layers(NamedTuple):
@@ -36,10 +41,8 @@ class Task(NamedTuple):
     """One condition of an update."""
 
     context: Context
-    inputs: Array
-    """``[B, n]`` rows that the loss is taken on."""
-    labels: Array
-    """``[B, m]``"""
+    windows: tuple[Array, Array, Array]
+    """Inputs ``[B, H, n]`` and labels ``[B, H, m]`` that the loss is taken on, and the inputs one row later."""
     precision: Array
     """``[m, m]`` inverse of Sigma_C in units of the label scale."""
 
@@ -73,28 +76,31 @@ def meta_train(
     """Train ``params`` until the budget is spent or the validation conditions get no better.
 
     Args:
-        job: data, budget, seed; setting["learning_rate"] and setting["decay"] (of the weights) are read here.
+        job: data, budget, seed; setting["learning_rate"], setting["decay"] (of the weights) and setting["feed_back"]
+            (`fed_back`) are read here.
         params: where it starts.
         predictor: parameters -> the predictor they make.
         name: of the method, part of the checkpoint's identity.
         sees: the training conditions' bodies, of which a task's context has one drawn at random, well or badly known.
-        loss: (params, task) -> loss; by default the squared error after adapting, weighted as in Eq. 4.
+        loss: (params, task) -> loss; by default that of Eq. 4 after adapting.
         adapt_rows: most rows of a task's context.
 
     Returns:
         The parameters with the best validation score.
     """
     scale, rows, budget = output_scale(job.train.rows), job.train.rows, job.budget
-    sampler = batches.sampler(rows, 1, FLOOR)
+    feed_back = job.setting.get("feed_back", False)
+    windows, horizon = (WINDOWS, HORIZON) if feed_back else (ROWS, 1)
+    sampler = batches.sampler(rows, horizon, FLOOR)
     optimiser = _optimiser(job)
-    task_loss = loss or _squared_error(predictor, scale)
+    task_loss = loss or _eq4(predictor, scale, feed_back)
 
     _, bodies, held_bodies = sees.found
 
     def chunk(train: Recordings, bodies: Array, sampler: Sampler, state: _State) -> tuple[_State, Array]:
         def update(state: _State, _: None) -> tuple[_State, Array]:
             key, batch_key = jax.random.split(jax.random.wrap_key_data(state.key))
-            tasks = _draw(train, bodies, sampler, batch_key, adapt_rows)
+            tasks = _draw(train, bodies, sampler, batch_key, adapt_rows, windows, horizon)
             total, gradient = jax.value_and_grad(lambda p: jnp.mean(jax.vmap(task_loss, (None, 0))(p, tasks)))(
                 state.params
             )
@@ -104,15 +110,25 @@ def meta_train(
         state, losses = jax.lax.scan(update, state, None, length=budget.chunk_updates)
         return state, jnp.mean(losses)
 
+    @jax.jit
+    def score(params: Tree, rows: Rows, known: tuple[Array, Array]) -> Array:
+        made = predictor(params)
+
+        def adapted(x: Array, y: Array, w: Array, known: tuple[Array, Array]) -> multistep.Predict:
+            return _known(made, Context(x, y, w, jnp.zeros_like(w), *known))
+
+        shares = multistep.scores(rows, known, adapted, scale, job.fit_rows, horizon if feed_back else 0, FLOOR)
+        return jnp.mean(jnp.minimum(jnp.stack(shares), least_squares.WORST))
+
     device, held_out = jax.tree.map(jnp.asarray, (job.train, job.validation))
+    held = held_out.properties, held_bodies
     run_chunk = jax.jit(chunk)
-    score = jax.jit(lambda p, recorded, held: share_left(predictor(p), recorded, held, job.fit_rows, scale, FLOOR))
     key = jax.random.fold_in(jax.random.key(job.seed), 1)
     fitted = training.run(
         _State(params, optimiser.init(params), jax.random.key_data(key)),
         lambda state: run_chunk(device, bodies, sampler, state),
         extract=lambda state: state.params,
-        evaluate=lambda p: score(p, held_out, held_bodies),
+        evaluate=lambda p: score(p, held_out.rows, held),
         chunks=budget.chunks,
         patience=budget.patience,
         identity=training.fingerprint((name, job.setting, budget, job.seed, adapt_rows), rows.inputs, rows.labels),
@@ -127,23 +143,37 @@ def _optimiser(job: Job) -> optax.GradientTransformation:
     return optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(rate, weight_decay=job.setting.get("decay", 0.0)))
 
 
-def _squared_error(predictor: Callable[[Tree], Predictor], scale: Array) -> Callable[[Tree, Task], Array]:
+def fed_back(fit: Fit) -> Fit:
+    """The same method trained by psi's loss: H steps with its predictions fed back, and one step."""
+
+    def fitted(job: Job) -> Predictor:
+        return fit(replace(job, setting=job.setting | {"feed_back": True}))
+
+    return fitted
+
+
+def _eq4(predictor: Callable[[Tree], Predictor], scale: Array, feed_back: bool) -> Callable[[Tree, Task], Array]:
     def loss(params: Tree, task: Task) -> Array:
-        made = predictor(params)
-        predicted = made.predict(made.adapt(task.context), task.inputs, jnp.zeros(task.inputs.shape[0]))
-        error = (task.labels - predicted) / scale
-        return jnp.mean(jnp.einsum("ba,ac,bc->b", error, task.precision, error)) / error.shape[-1]
+        predict = _known(predictor(params), task.context)
+        return multistep.loss(predict, task.windows, task.precision, scale, feed_back)
 
     return loss
 
 
-def _draw(train: Recordings, bodies: Array, sampler: Sampler, key: Array, adapt_rows: int) -> Task:
-    """The batches that DAIML draws, with windows of one row."""
+def _known(made: Predictor, context: Context) -> multistep.Predict:
+    """What a predictor says of the object of ``context``; no method trained here looks at the time."""
+    state = made.adapt(context)
+    return lambda x: made.predict(state, x, jnp.zeros(x.shape[:-1]))
+
+
+def _draw(
+    train: Recordings, bodies: Array, sampler: Sampler, key: Array, adapt_rows: int, windows: int, horizon: int
+) -> Task:
+    """The batches that DAIML draws."""
     key, body_key = jax.random.split(key)
-    batch = batches.draw(train.rows, sampler, key, CONDITIONS, adapt_rows, WINDOWS, 1)
+    batch = batches.draw(train.rows, sampler, key, CONDITIONS, adapt_rows, windows, horizon)
     x, y, w = batch.adapt
     which = jax.random.randint(body_key, batch.condition.shape, 0, bodies.shape[1])
     body = bodies[batch.condition, which]
     context = Context(x, y, w, jnp.zeros_like(w), train.properties[batch.condition], body)
-    inputs, labels = batch.windows[0][:, :, 0], batch.windows[1][:, :, 0]
-    return Task(context, inputs, labels, batch.precision)
+    return Task(context, batch.windows, batch.precision)

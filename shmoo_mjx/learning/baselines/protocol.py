@@ -11,12 +11,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from shmoo_mjx.data import store
-from shmoo_mjx.learning import least_squares
 from shmoo_mjx.learning.rows import Rows, label_scale, rows_from_dataset
 from shmoo_mjx.plant.objects import FAMILIES
 from shmoo_mjx.types import DT
@@ -32,7 +29,6 @@ __all__ = [
     "first_rows",
     "output_scale",
     "recordings",
-    "share_left",
 ]
 
 Array = Any
@@ -144,27 +140,6 @@ def first_rows(recorded: Recordings, condition: int, count: int) -> Context:
     i = condition
     known = recorded.properties[i]
     return Context(rows.inputs[i, :n], rows.labels[i, :n], rows.weights[i, :n], recorded.time[i, :n], known)
-
-
-def share_left(
-    predictor: Predictor, recorded: Recordings, bodies: Array, fit_rows: int, scale: Array, floor: float = 0.1
-) -> Array:
-    """Mean share of variance unexplained after the first ``fit_rows`` rows; what early stopping looks at.
-
-    As in DAIML's own validation score, ``floor`` times ``scale [m]`` squared is added to each label's variance.
-    ``bodies [C, p]`` are those that the conditions look like.
-    """
-    n = recorded.rows.inputs.shape[1]
-    first = min(fit_rows, n // 2)
-
-    def one(x: Array, y: Array, w: Array, time: Array, known: Array, body: Array) -> Array:
-        state = predictor.adapt(Context(x[:first], y[:first], w[:first], time[:first], known, body))
-        predicted = predictor.predict(state, x[first:], time[first:])
-        return least_squares.fraction_unexplained(predicted, y[first:], w[first:], floor * scale**2)
-
-    rows = recorded.rows
-    shares = jax.vmap(one)(rows.inputs, rows.labels, rows.weights, recorded.time, recorded.properties, bodies)
-    return jnp.mean(jnp.minimum(shares, least_squares.WORST))
 
 
 def output_scale(rows: Rows) -> np.ndarray:
