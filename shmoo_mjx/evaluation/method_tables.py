@@ -73,10 +73,13 @@ def baselines_table(result: ExperimentResult) -> str:
 def ablations_table(result: ExperimentResult) -> str:
     """One line per variant: error on unseen objects, and how well a fresh probe tells the condition from psi."""
     found = result.metrics
-    names = [key.removeprefix("fvu_") for key in found if key.startswith("fvu_") and not key.startswith("fvu_std_")]
-    lines = ["| variant | FVU | 3 s position [m] | 3 s yaw [deg] | probe on psi |", "|---|---|---|---|---|"]
+    names = [key.removeprefix("mse_") for key in found if key.startswith("mse_") and not key.startswith("mse_std_")]
+    lines = [
+        "| variant | MSE | FVU | FVU, median object | 3 s position [m] | 3 s yaw [deg] | probe on psi |",
+        "|---|---|---|---|---|---|---|",
+    ]
     for name in names:
-        measures = ("fvu", "pos_rmse_3s_m", "yaw_rmse_3s_deg", "probe_psi")
+        measures = ("mse", "fvu", "fvu_median", "pos_rmse_3s_m", "yaw_rmse_3s_deg", "probe_psi")
         cells = [name, *(_spread(found, measure, name) for measure in measures)]
         lines.append(f"| {' | '.join(cells)} |")
     probes = (

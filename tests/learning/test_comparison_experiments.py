@@ -75,13 +75,14 @@ def test_ablations_vary_one_thing_and_probe(ask: Ask, monkeypatch: pytest.Monkey
     one_step = TINY | {"horizon": 1, "open_loop": False}
     variants = {"default": TINY, "alpha_0.1": TINY | {"alpha": 0.1}, "layout_past_3": one_step, "frame_world": one_step}
     monkeypatch.setattr(ablations, "VARIANTS", variants)
-    config = ablations.AblationsConfig(tuple(variants), Budget(1, 4, 1), 1, (2.0, 10.0), 1, 20, workers=1)
+    monkeypatch.setattr(ablations, "OBJECTS", {"objects_2": 2})
+    config = ablations.AblationsConfig((*variants, "objects_2"), Budget(1, 4, 1), 1, (2.0, 10.0), 1, 20, workers=1)
     result = ablations.run(ask, config)
     found = result.metrics
-    for name in ("default", "default_2s", "alpha_0.1", "layout_past_3", "frame_world"):
+    for name in ("default", "default_2s", "alpha_0.1", "layout_past_3", "frame_world", "objects_2"):
         assert np.isfinite(found[f"fvu_{name}"])  # type: ignore[arg-type]
     assert "pos_rmse_3s_m_default" in found and "pos_rmse_3s_m_frame_world" not in found
-    assert found["chance"] == pytest.approx(1 / 12)
+    assert found["chance"] == pytest.approx(1 / 12) and found["mse_objects_2"] != found["mse_default"]
     assert 0 <= found["probe_psi_alpha_0.1"] <= 1  # type: ignore[operator]
     assert (ask.out / "ablations" / "domain_invariance.png").stat().st_size > 5000
     assert "| alpha_0.1 |" in method_tables.ablations_table(result)
@@ -94,5 +95,5 @@ def test_every_shipped_variant_is_a_configuration() -> None:
 
     made = {n: daiml_config(Job(None, None, s), DaimlConfig()) for n, s in ablations.VARIANTS.items()}  # type: ignore[arg-type]
     assert made["functions_3"].object.functions == 3 and made["alpha_1"].alpha == 1.0
-    assert set(ablations.QUICK.variants) <= set(made)
+    assert set(ablations.QUICK.variants) <= set(made) and len(set(ablations.AblationsConfig().variants)) > len(made)
     assert {"baselines", "ablations"} <= set(EXPERIMENTS)
