@@ -101,7 +101,7 @@ SECTIONS = {
     ),
     "ablations": Section(
         "One choice at a time",
-        "Short trainings that differ in one choice; a fresh probe shows what psi gives away of the condition.",
+        "Trainings that differ in one choice; a fresh probe shows what psi gives away of the condition.",
         figures=("domain_invariance.png",),
     ),
     "robot_finetune": Section(
