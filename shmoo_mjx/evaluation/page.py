@@ -106,8 +106,8 @@ SECTIONS = {
     ),
     "robot_finetune": Section(
         "The robot's model on another robot (V-C, Fig. 8)",
-        "R is trained further on 5 minutes of the proxy robot and scored on 2 other minutes.",
-        ("before", "after"),
+        "R is trained further on 5 minutes of the proxy robot, and on 40, and scored on 2 other minutes.",
+        ("before", "after", "after 40 minutes"),
         (
             *_suffixed(
                 {
@@ -117,11 +117,14 @@ SECTIONS = {
                     "pos_rmse_3s_contact_m": "position after 3 s in contact [m]",
                     "pos_rmse_3s_free_m": "position after 3 s without contact [m]",
                 },
-                ("_before", "_after"),
+                ("_before", "_after", "_more"),
             ),
-            ("reduction of the MSE [%]", ("", "reduction_percent")),
+            ("reduction of the MSE [%]", ("", "reduction_percent", "reduction_percent_more")),
             *(
-                (f"... of {name.replace('_', ' ')} [%]", ("", f"reduction_percent_{name}"))
+                (
+                    f"... of {name.replace('_', ' ')} [%]",
+                    ("", f"reduction_percent_{name}", f"reduction_percent_{name}_more"),
+                )
                 for name in ("acceleration_x", "acceleration_y", "acceleration_yaw", "force_x", "force_y")
             ),
         ),

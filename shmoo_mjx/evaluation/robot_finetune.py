@@ -2,7 +2,8 @@
 
 The proxy robot stands for the hardware (plant/proxy.py): another body, delay, noise, force only by J tau. Scripted
 operators push objects with it for five minutes; R goes on training on these, and is scored on another two minutes, on
-objects of their own. Labels are what the proxy itself measures, noise included, as on hardware.
+objects of their own. Labels are what the proxy itself measures, noise included, as on hardware. What eight times as
+much data bring shows how much there is to learn at all.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from shmoo_mjx.assets import asset
 from shmoo_mjx.data import store
 from shmoo_mjx.data.collect import CollectConfig, record
 from shmoo_mjx.dynamics import core, features, robot_model
+from shmoo_mjx.dynamics.robot_model import RobotParams
 from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
 from shmoo_mjx.evaluation.trials import fingerprint, run_trials
 from shmoo_mjx.learning import adaptation, robot_fit
@@ -54,6 +56,8 @@ class RobotFinetuneConfig:
     """Of these, the last ones, on which early stopping looks."""
     test_episodes: int = 3
     """Per family, each on an object of its own: 3 x 3 x 13.3 s = 2 minutes."""
+    more: int = 8
+    """R is fine-tuned once more, on so many times as many episodes; 0 leaves that out."""
     seconds: float = 12.5
     test_seconds: float = 13.3
     fit: RobotFitConfig = RobotFitConfig(
@@ -67,11 +71,16 @@ class RobotFinetuneConfig:
         patience=8,
     )
     """Chosen on the first two robots of condition seed 8000, which are not reported on."""
+    most_chunks: int = 120
+    """On more data R may train for longer."""
     workers: int = 2
     """Processes."""
 
 
-QUICK = RobotFinetuneConfig(robots=1, train_episodes=2, validation_episodes=1, test_episodes=1)
+QUICK = RobotFinetuneConfig(robots=1, train_episodes=2, validation_episodes=1, test_episodes=1, more=2, most_chunks=5)
+
+MODELS = ("before", "after", "more")
+"""R as shipped, fine-tuned, and fine-tuned on more data; what metrics of each end in."""
 
 
 @dataclass(frozen=True)
@@ -87,25 +96,34 @@ class _Work:
         number = int(name.partition("-")[2])
         weights, config = load_weights(self.weights), self.config
         robot_seed = self.first_unseen + 10 * self.seed + number
-        train, test = self._record(robot_seed, test=False), self._record(robot_seed, test=True)
-        kept = config.train_episodes - config.validation_episodes
-        settings = replace(config.fit, robot=weights.config.robot, seed=self.seed + number)
-        fitted = robot_fit.fit_rows(
-            robot_fit.rows_from_dataset(_episodes(train, slice(0, kept))),
-            robot_fit.rows_from_dataset(_episodes(train, slice(kept, None))),
-            settings,
-            start=weights.params.robot,
-        )
+        train, test = self._record(robot_seed, config.train_episodes), self._record(robot_seed, None)
+        robots = {"before": weights.params.robot, "after": self._tuned(weights, train, number, config.fit)}
+        if config.more:
+            train = self._record(robot_seed, config.more * config.train_episodes)
+            longer = replace(config.fit, chunks=config.most_chunks)
+            robots["more"] = self._tuned(weights, train, number, longer)
         found: list[dict[str, Any]] = []
-        for label, robot in (("before", weights.params.robot), ("after", fitted.params)):
+        for label, robot in robots.items():
             mine = weights._replace(params=weights.params._replace(robot=robot))
             found.append({"robot": number, "model": label} | _one_step(mine, test) | _roll_outs(mine, test))
         return found
 
-    def _record(self, robot_seed: int, test: bool) -> store.Dataset:
-        """What the proxy with this seed perceives while operators push one object per episode."""
-        config, imperfections = self.config, Imperfections()
-        count = config.test_episodes if test else config.train_episodes
+    def _tuned(self, weights: Weights, train: store.Dataset, number: int, fit: RobotFitConfig) -> RobotParams:
+        """R trained further; the last episodes of each family, in the same share, are for early stopping."""
+        config = self.config
+        episodes = len(train.names) // len(FAMILIES)
+        kept = episodes - episodes * config.validation_episodes // config.train_episodes
+        return robot_fit.fit_rows(
+            robot_fit.rows_from_dataset(_episodes(train, slice(0, kept))),
+            robot_fit.rows_from_dataset(_episodes(train, slice(kept, None))),
+            replace(fit, robot=weights.config.robot, seed=self.seed + number),
+            start=weights.params.robot,
+        ).params
+
+    def _record(self, robot_seed: int, episodes: int | None) -> store.Dataset:
+        """What the proxy with this seed perceives while operators push one object per episode; None: for the test."""
+        config, imperfections, test = self.config, Imperfections(), episodes is None
+        count = config.test_episodes if episodes is None else episodes
         settings = CollectConfig(
             episodes=1, seconds=config.test_seconds if test else config.seconds, seed=robot_seed + int(test)
         )
@@ -192,20 +210,24 @@ def _roll_outs(weights: Weights, dataset: store.Dataset) -> dict[str, float]:
 def _metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
     """Means over the robots; reductions are of the mean."""
     measures = [name for name in rows[0] if name not in ("robot", "model")]
+    of = {model: mine for model in MODELS if (mine := [row for row in rows if row["model"] == model])}
     found: dict[str, float] = {}
     for name in measures:
-        before, after = ([row[name] for row in rows if row["model"] == m] for m in ("before", "after"))
-        found |= {f"{name}_before": float(np.nanmean(before)), f"{name}_after": float(np.nanmean(after))}
-    reductions = [100 * (1 - after["mse"] / before["mse"]) for before, after in zip(rows[::2], rows[1::2], strict=True)]
-    found["reduction_percent"] = 100 * (1 - found["mse_after"] / found["mse_before"])
-    found["reduction_percent_std"] = float(np.std(reductions))
-    for name in OUTPUTS:
-        found[f"reduction_percent_{name}"] = 100 * (1 - found[f"mse_{name}_after"] / found[f"mse_{name}_before"])
+        found |= {f"{name}_{model}": float(np.nanmean([row[name] for row in of[model]])) for model in of}
+    for model, suffix in (("after", ""), ("more", "_more")):
+        if model not in of:
+            continue
+        lower = [100 * (1 - row["mse"] / first["mse"]) for first, row in zip(of["before"], of[model], strict=True)]
+        found[f"reduction_percent{suffix}"] = 100 * (1 - found[f"mse_{model}"] / found["mse_before"])
+        found[f"reduction_percent{suffix}_std"] = float(np.std(lower))
+        for name in OUTPUTS:
+            ratio = found[f"mse_{name}_{model}"] / found[f"mse_{name}_before"]
+            found[f"reduction_percent_{name}{suffix}"] = 100 * (1 - ratio)
     return found
 
 
 def _figure(result: ExperimentResult, path: Path) -> None:
-    """Error of each output before and after."""
+    """Error of each output with each R."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -214,9 +236,11 @@ def _figure(result: ExperimentResult, path: Path) -> None:
     figure, axis = pyplot.subplots(figsize=(7.0, 3.2), constrained_layout=True)
     names = (*OUTPUTS, "contact", "free")
     place = np.arange(len(names))
-    for shift, model, colour in ((-0.2, "before", "#E69F00"), (0.2, "after", "#0072B2")):
-        heights = [result.metrics[f"mse_{name}_{model}"] or 0.0 for name in names]
-        axis.bar(place + shift, heights, width=0.4, color=colour, label=f"{model} fine-tuning")
+    labels = ("before fine-tuning", "after", "after, on more data")
+    for shift, model, colour, label in zip((-1, 0, 1), MODELS, ("#E69F00", "#0072B2", "#56B4E9"), labels, strict=True):
+        if f"mse_{model}" in result.metrics:
+            heights = [result.metrics[f"mse_{name}_{model}"] or 0.0 for name in names]
+            axis.bar(place + 0.27 * shift, heights, width=0.27, color=colour, label=label)
     axis.set_xticks(place, [name.replace("_", "\n") for name in names], fontsize=8)
     axis.set_ylabel("squared error over variance")
     axis.legend(fontsize=8)

@@ -21,7 +21,7 @@ def result_of(name: str, ask: Ask) -> ExperimentResult:
     if name == "robot_finetune":
         metrics["mse_after"] = float("nan")
     if name == "ablations":
-        metrics = {"fvu_default": 0.5, "probe_inputs": 0.1, "probe_inputs_without_size": 0.1, "chance": 0.01}
+        metrics = {"mse_default": 0.5, "probe_inputs": 0.1, "probe_inputs_without_size": 0.1, "chance": 0.01}
     paper = {"mse_before": 1.3131, "mse_after": 0.4271} if name == "object_model" else {}
     return make_result(name, ask, {"unseen": {"box": 1}, "seeds": 1}, metrics, paper, [])
 
