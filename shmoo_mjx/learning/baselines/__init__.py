@@ -33,13 +33,13 @@ __all__ = [
 
 _RIDGES = tuple({"ridge": ridge} for ridge in (1.0, 0.001, 10.0, 100.0))
 _PRIORS = tuple({"noise": noise, "coupled": coupled} for noise in (1.0, 4.0) for coupled in (True, False))
-_DAIML: tuple[Setting, ...] = ({}, {"one_step": 4.0}, {"functions": 6}, {"alpha": 0.0})
+_DAIML: tuple[Setting, ...] = ({}, {"one_step": 4.0}, {"functions": 6}, {"learning_rate": 8e-3})
 # Trained for one step alone, a residual has no weight between that and a roll-out to choose.
-_ON_RESIDUAL: tuple[Setting, ...] = ({}, {"learning_rate": 1e-3}, {"functions": 6}, {"alpha": 0.0})
-_PAPER: tuple[Setting, ...] = ({}, {"learning_rate": 1e-3}, {"ridge": 3.0}, {"alpha": 0.0})
+_ON_RESIDUAL: tuple[Setting, ...] = ({}, {"learning_rate": 1e-3}, {"functions": 6}, {"learning_rate": 8e-3})
+_PAPER: tuple[Setting, ...] = ({}, {"learning_rate": 1e-3}, {"ridge": 3.0}, {"learning_rate": 8e-3})
 _BODIES = tuple({"noise": noise, "groups": groups} for noise in (1.5, 0.75) for groups in (3, 1))
 _ALPACA = tuple({"learning_rate": rate, "features": d} for rate in (1e-3, 3e-3) for d in (16, 32))
-_NETS = tuple({"learning_rate": rate, "decay": decay} for rate in (1e-3, 3e-3) for decay in (0.0, 0.1))
+_NETS = tuple({"learning_rate": rate, "decay": decay} for rate in (3e-3, 8e-3) for decay in (0.0, 0.1))
 
 METHODS: dict[str, Method] = {
     method.name: method
