@@ -144,7 +144,10 @@ def _optimiser(job: Job) -> optax.GradientTransformation:
 
 
 def fed_back(fit: Fit) -> Fit:
-    """The same method trained by psi's loss: H steps with its predictions fed back, and one step."""
+    """The same method trained by psi's loss: H steps with its predictions fed back, and one step.
+
+    For methods that leave `meta_train` its default loss; one of their own, as ALPaCA's likelihood, is kept.
+    """
 
     def fitted(job: Job) -> Predictor:
         return fit(replace(job, setting=job.setting | {"feed_back": True}))
