@@ -16,7 +16,7 @@ import numpy as np
 
 from shmoo_mjx.data import store
 from shmoo_mjx.evaluation import datasets, probe, scoring
-from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
+from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result, over_seeds
 from shmoo_mjx.evaluation.trials import fingerprint, run_trials
 from shmoo_mjx.learning import daiml
 from shmoo_mjx.learning.baselines import Budget, Job, Predictor, Recordings, recordings
@@ -195,10 +195,7 @@ def _metrics(rows: list[dict[str, Any]], config: AblationsConfig) -> dict[str, f
     raw = groups.pop("raw")[0]
     for name, mine in groups.items():
         for measure in measures:
-            values = [row[measure] for row in mine if np.isfinite(row.get(measure, np.nan))]
-            if values:
-                metrics[f"{measure}_{name}"] = float(np.mean(values))
-                metrics[f"{measure}_std_{name}"] = float(np.std(values))
+            metrics |= over_seeds(measure, name, [row.get(measure, np.nan) for row in mine])
     return metrics | {name: raw[name] for name in ("chance", "probe_inputs", "probe_inputs_without_size")}
 
 

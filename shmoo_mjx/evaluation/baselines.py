@@ -15,7 +15,7 @@ import numpy as np
 
 from shmoo_mjx.data import store
 from shmoo_mjx.evaluation import datasets, replay, scoring
-from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
+from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result, over_seeds
 from shmoo_mjx.evaluation.trials import fingerprint, run_trials
 from shmoo_mjx.learning.baselines import METHODS, REFERENCES, Budget, Job, recordings
 from shmoo_mjx.learning.baselines.adaptive import prior
@@ -179,8 +179,7 @@ def _metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
         runs = sorted({row["run"] for row in mine})
         for measure in scoring.NAMES:
             of_seeds = [_mean([row[measure] for row in mine if row["run"] == run]) for run in runs]
-            metrics[f"{measure}_{method}"] = float(np.mean(of_seeds))
-            metrics[f"{measure}_std_{method}"] = float(np.std(of_seeds))
+            metrics |= over_seeds(measure, method, of_seeds)
         medians = [np.nanmedian([row["fvu"] for row in mine if row["run"] == run]) for run in runs]
         metrics[f"fvu_median_{method}"] = float(np.mean(medians))
         for family in dict.fromkeys(row["family"] for row in mine):
@@ -192,8 +191,8 @@ def _metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
 
 
 def _mean(values: list[float]) -> float:
-    """Mean of those that are numbers; NaN, without a warning, if none is."""
-    return float(np.nanmean(values)) if np.isfinite(values).any() else float("nan")
+    """Mean of those that are not NaN; NaN, without a warning, if all are."""
+    return float("nan") if np.isnan(values).all() else float(np.nanmean(values))
 
 
 def _figure(result: ExperimentResult, path: Path) -> None:
@@ -221,7 +220,8 @@ def _figure(result: ExperimentResult, path: Path) -> None:
         dots = [row["fvu"] for row in rows if row["method"] == name and row["run"] == 0]
         axes.plot(np.clip(dots, 0, 2), np.full(len(dots), place), "k.", markersize=3, alpha=0.5)
     axes.axvline(1.0, color="black", linewidth=0.8, linestyle=":")
-    axes.set(yticks=range(len(names)), yticklabels=names, xlim=(0, 2), xlabel="fraction of variance unexplained")
+    axes.set(yticks=range(len(names)), yticklabels=names, ylim=(-0.6, len(names) - 0.4))
+    axes.set(xlim=(0, 2), xlabel="fraction of variance unexplained")
     axes.set_title("unseen objects, one step, after 25 s: median, a dot per object (over 2: at the edge)", fontsize=9)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=130)

@@ -5,6 +5,7 @@ python -m shmoo_mjx.evaluation.method_tables docs/learning.md baselines.json abl
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import sys
@@ -53,7 +54,7 @@ def baselines_table(result: ExperimentResult) -> str:
         "|---|---|---|---|---|---|---|---|---|",
     ]
     settings = {row["method"]: row["setting"] for row in result.rows if "method" in row}
-    for name in sorted(names, key=lambda n: found[f"mse_{n}"] or 0.0):
+    for name in sorted(names, key=lambda n: math.inf if (mse := found[f"mse_{n}"]) is None else mse):
         paper = result.paper.get(f"ratio_{name}")
         cells = [
             _NAMES[name],
@@ -114,7 +115,12 @@ def _number(value: float | None) -> str:
 
 
 def _spread(found: dict[str, float | None], measure: str, name: str) -> str:
-    """Mean and, where there is more than one seed, the standard deviation over seeds."""
+    """Mean and, where there is more than one seed, the standard deviation over seeds.
+
+    A measure that is there without a number is infinite (`result.over_seeds`): some object's roll-out ran away.
+    """
+    if found.get(f"{measure}_{name}", 0.0) is None:
+        return "runs away"
     std = found.get(f"{measure}_std_{name}")
     return _number(found.get(f"{measure}_{name}")) + (f" +- {std:.2g}" if std else "")
 

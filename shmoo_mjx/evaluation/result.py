@@ -23,6 +23,7 @@ __all__ = [
     "Ask",
     "ExperimentResult",
     "make_result",
+    "over_seeds",
     "read_result",
     "spread",
     "table",
@@ -74,7 +75,7 @@ class ExperimentResult(BaseModel):
     """Every choice of the run, condition_seed, quick and `weights_id` included."""
     versions: dict[str, str]
     metrics: dict[str, float | None]
-    """Flat names; null is a number that this run could not measure."""
+    """Flat names; null is a number that this run could not measure, or infinite."""
     paper: dict[str, float]
     """The paper's numbers under the names of the metrics they compare with."""
     rows: list[dict[str, Any]]
@@ -111,6 +112,16 @@ def spread(values: Any) -> dict[str, float]:
         return dict.fromkeys(("mean", "std", "median", "q25", "q75"), math.nan)
     q25, median, q75 = np.quantile(x, [0.25, 0.5, 0.75])
     return {"mean": float(x.mean()), "std": float(x.std()), "median": float(median), "q25": q25, "q75": q75}
+
+
+def over_seeds(measure: str, name: str, values: Any) -> dict[str, float]:
+    """MEASURE_NAME and MEASURE_std_NAME of one value per seed; infinite if one is, nothing if none is a number."""
+    x = np.asarray(values, dtype=float)
+    x = x[~np.isnan(x)]
+    if not x.size:
+        return {}
+    std = float(x.std()) if np.isfinite(x).all() else math.inf
+    return {f"{measure}_{name}": float(x.mean()), f"{measure}_std_{name}": std}
 
 
 def write_result(path: Path, result: ExperimentResult) -> None:

@@ -11,6 +11,8 @@ rest.
 * pos_rmse_1s_m, yaw_rmse_1s_deg and the same at 3 s: the pose is integrated open loop under the recorded wrench, from
   every fifth of the later rows that has the whole stretch before it in the same episode and half of it in contact;
   root of the mean squared error at the end.
+
+A prediction or roll-out that runs away to no number counts as infinitely wrong; left out, it would flatter its method.
 """
 
 from __future__ import annotations
@@ -146,6 +148,7 @@ def _one_step(predictor: Predictor, state: Any, recorded: Recordings, scale: Arr
     weight = w[:, None]
     count = jnp.maximum(jnp.sum(w), 1.0)
     square = (predictor.predict(state, x, recorded.time[first:]) - y) ** 2
+    square = jnp.where(weight > 0, _no_number_is_infinite(square), 0.0)
     per_axis = jnp.sum(weight * square, axis=0) / count
     spread = jnp.sum(weight * (y - jnp.sum(weight * y, axis=0) / count) ** 2, axis=0) / count
     found = {f"mse_{axis}": per_axis[i] for i, axis in enumerate(("x", "y", "yaw"))}
@@ -161,10 +164,14 @@ def _ends(predictor: Predictor, state: Any, recorded: Recordings, first: int) ->
         truth = se2.relative(recorded.pose[starts], recorded.pose[starts + h])
         error = jnp.where(good[:, None], ends - truth, 0.0)
         turn = jnp.where(good, se2.wrap(error[:, 2]), 0.0)
-        # No stretch at all gives 0 / 0, which is told as NaN.
-        mean = jnp.stack([jnp.sum(error[:, :2] ** 2), jnp.sum(turn**2)]) / jnp.sum(good)
+        mean = jnp.stack([jnp.sum(error[:, :2] ** 2), jnp.sum(turn**2)])
+        mean = jnp.where(jnp.any(good), _no_number_is_infinite(mean), jnp.nan) / jnp.sum(good)
         found[f"pos_rmse_{name}_m"], found[f"yaw_rmse_{name}_deg"] = jnp.sqrt(mean[0]), jnp.rad2deg(jnp.sqrt(mean[1]))
     return found
+
+
+def _no_number_is_infinite(values: Array) -> Array:
+    return jnp.where(jnp.isfinite(values), values, jnp.inf)
 
 
 def _twist_slices() -> list[slice]:

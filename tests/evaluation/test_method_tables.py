@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import method_tables
 from shmoo_mjx.evaluation.baselines import REPLAY
-from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
+from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result, over_seeds
 from shmoo_mjx.learning.baselines import METHODS, REFERENCES
 
 
@@ -36,6 +37,15 @@ def test_tables_are_replaced_and_the_rest_stays(tmp_path: Path) -> None:
     assert once.index("| ours") < once.index("| linear") and once.startswith("before") and once.endswith("after\n")
     method_tables.fill(page, [result()])
     assert page.read_text() == once
+
+
+def test_a_method_that_runs_away_is_last_and_says_so() -> None:
+    metrics = over_seeds("mse", "linear", [1.0, np.inf]) | over_seeds("mse", "ours", [1.0, 2.0])
+    metrics |= over_seeds("pos_rmse_3s_m", "ours", [np.nan, np.nan])
+    made = make_result("baselines", Ask(), {"unseen": {"box": 2}, "seeds": 2}, metrics, {}, [])
+    ours, linear = [line.split("|") for line in method_tables.baselines_table(made).splitlines()[2:4]]
+    assert ours[1:3] == [" ours ", " 1.5 +- 0.5 "] and ours[7] == " - "
+    assert linear[2] == " runs away "
 
 
 def test_a_page_without_a_place_is_named(tmp_path: Path) -> None:

@@ -106,6 +106,24 @@ def test_no_stretch_long_enough_is_not_a_number() -> None:
     assert np.isnan(found["pos_rmse_1s_m"][0]) and found["mse"][0] < 1e-10
 
 
+def test_what_runs_away_is_infinitely_wrong(recorded: Recordings) -> None:
+    """Not left out of the mean, which would flatter the method; rows that do not count do not matter."""
+    weights = np.array(recorded.rows.weights)
+    weights[0, 300:330] = 0.0
+    changed = recorded._replace(rows=recorded.rows._replace(weights=weights))
+    faster = Predictor(lambda c: jnp.zeros(()), lambda s, x, t: 1e20 * x[..., WHERE["object_twist"]] ** 3)
+    found = scoring.score(faster, changed, SCALE)
+    assert np.isinf(found["pos_rmse_3s_m"][0]) and np.isinf(found["yaw_rmse_3s_deg"][0])
+    late = float(recorded.time[0, 315])
+
+    def lost(s: Any, x: Any, t: Any) -> Any:
+        return jnp.where((jnp.abs(t - late) < 0.05)[..., None], jnp.nan, TRUTH.predict(s, x, t))
+
+    nowhere = Predictor(TRUTH.adapt, lost)
+    assert np.isinf(scoring.score(nowhere, recorded, SCALE, roll_outs=False)["mse"][0])
+    assert scoring.score(nowhere, changed, SCALE, roll_outs=False)["mse"][0] < 1e-10
+
+
 @settings(max_examples=4, deadline=None)
 @given(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0))
 def test_the_unit_of_the_labels_does_not_change_the_share(factor: float, shift: float) -> None:
