@@ -50,6 +50,7 @@ class Navigator:
         self._routes = Routes(self.belief, self.goal, self.config)
         self.mode = Mode.REPLAN
         self.path: Path | None = None
+        self._round: set[int] = set()  # objects that the path has been led round since the last plan
         self.transitions: list[Transition] = []
         self.decisions: list[Decision] = []
         self.plans: list[tuple[float, np.ndarray]] = []
@@ -104,6 +105,7 @@ class Navigator:
         if path is None:
             self._go(seen, Mode.FAILED, "every route to the goal is blocked by walls and objects that can't be moved")
             return self._moves.rest(seen)
+        self._round.clear()
         self._set_path(seen, path)
         self._go(seen, Mode.FOLLOW, f"path of {path.length:.2f} m found")
         return self._follow(seen)
@@ -174,9 +176,11 @@ class Navigator:
             return True
         position = seen.robot_pose[0, :2]
         remaining = self.path.length - project(self.path, position)
-        others = self.belief.polygons((Status.PARKED, Status.FIXED))
-        detour = self._routes.plan(position, [*others, known.polygon])
+        # Not through another one that this path goes round already: it would turn from one to the other for ever.
+        gone_round = [self.belief.objects[i].polygon for i in self._round | {index}]
+        detour = self._routes.plan(position, [*self.belief.polygons((Status.PARKED, Status.FIXED)), *gone_round])
         if self.config.goes_round and detour is not None and detour.length < remaining + self.config.detour:
+            self._round.add(index)
             self._set_path(seen, detour)
             self._go(
                 seen,

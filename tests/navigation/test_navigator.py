@@ -233,6 +233,20 @@ def test_an_immovable_box_is_registered_and_gone_round() -> None:
     assert navigator.decisions[-1].t - probe >= NavigatorConfig().doubt_time - 0.2
 
 
+def test_the_way_round_one_object_does_not_lead_through_another_that_is_gone_round() -> None:
+    """A box in each of two doorways, equally far: it stops to push one, where it once turned from one to the other."""
+    grid, scenario = toy_scenario(2, True)
+    world = World((1.8, 1.3, 0.0), scenario.objects[0].pose, movable=True)
+    navigator = Navigator(grid, scenario.goal, [HALF, HALF], Stand(world))  # type: ignore[arg-type]
+    seen = world.observe()
+    boxes = np.array([[scenario.objects[0].pose, (3.0, 0.6, 0.0)]])
+    both = {"object_pose": boxes, "object_twist": np.zeros((1, 2, 3)), "wrench": np.zeros((1, 2, 3))}
+    for _ in range(3):
+        navigator.tick(seen._replace(**both))
+    assert navigator.mode is Mode.APPROACH, reasons(navigator)
+    assert reasons(navigator).count("going round it costs") == 1
+
+
 def test_with_no_way_left_it_says_so_after_one_more_try_and_stands_still() -> None:
     navigator, world = run(doors=1, movable=False)
     assert navigator.mode is Mode.FAILED
