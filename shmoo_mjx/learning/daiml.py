@@ -258,9 +258,8 @@ def _scores(
 
 def _optimiser(config: DaimlConfig) -> optax.GradientTransformation:
     total = config.chunks * config.chunk_updates
-    return optax.chain(
-        optax.clip_by_global_norm(1.0), optax.adam(optax.cosine_decay_schedule(config.learning_rate, total))
-    )
+    schedule = optax.cosine_decay_schedule(config.learning_rate, total)
+    return optax.chain(training.bounded_gradient(), optax.adam(schedule))
 
 
 def _init(config: DaimlConfig, rows: Rows, bodies: Array) -> _State:

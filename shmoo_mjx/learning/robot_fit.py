@@ -204,7 +204,7 @@ def _prepared(config: RobotFitConfig, rows: RobotRows) -> RobotParams:
 
 def _optimiser(config: RobotFitConfig) -> optax.GradientTransformation:
     schedule = optax.cosine_decay_schedule(config.learning_rate, config.chunks * config.chunk_updates)
-    return optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(schedule, weight_decay=config.weight_decay))
+    return optax.chain(training.bounded_gradient(), optax.adamw(schedule, weight_decay=config.weight_decay))
 
 
 def _learned(net: mlp.MLP) -> tuple[Any, Any]:

@@ -11,10 +11,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 
+from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.learning import trees
 
-__all__ = ["Fitted", "Progress", "fingerprint", "run"]
+__all__ = ["Fitted", "Progress", "bounded_gradient", "fingerprint", "run"]
 
 Array = Any
 Tree = Any
@@ -56,6 +58,11 @@ def fingerprint(config: object, *arrays: Array) -> str:
     return digest.hexdigest()
 
 
+def bounded_gradient() -> optax.GradientTransformation:
+    """Gradients of norm 1 at most; one that has overflowed, as through the roll-outs of an untrained model, as none."""
+    return optax.chain(optax.clip_by_global_norm(1.0), optax.zero_nans())
+
+
 def run(
     state: Tree,
     chunk: Callable[[Tree], tuple[Tree, Array]],
@@ -80,6 +87,9 @@ def run(
         directory: where the checkpoint is kept after each chunk; a training that was cut short goes on from it and
             gives what it would have given.
         progress: called after each chunk.
+
+    Raises:
+        ShmooError: no chunk had a finite score, so nothing has been learned.
     """
     # Python scalars leave weakly typed arrays, which a chunk returns strongly typed: without this it compiles twice.
     state = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=jnp.asarray(leaf).dtype), state)
@@ -106,6 +116,11 @@ def run(
             pace = (time.monotonic() - begun) / (len(history) - first)
             left = pace * (chunks - len(history))
             progress(Progress(len(history), chunks, float(loss), value, score, left))
+    if chunks and not np.isfinite(score):
+        raise ShmooError(
+            f"training: none of {len(history)} chunks had a finite validation score; check the data for values that "
+            "are not finite, or lower learning_rate or horizon."
+        )
     return Fitted(jax.tree.map(np.asarray, best), score, history)
 
 

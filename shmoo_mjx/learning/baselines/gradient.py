@@ -140,7 +140,7 @@ def meta_train(
 def _optimiser(job: Job) -> optax.GradientTransformation:
     total = job.budget.chunks * job.budget.chunk_updates
     rate = optax.cosine_decay_schedule(job.setting["learning_rate"], total)
-    return optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(rate, weight_decay=job.setting.get("decay", 0.0)))
+    return optax.chain(training.bounded_gradient(), optax.adamw(rate, weight_decay=job.setting.get("decay", 0.0)))
 
 
 def fed_back(fit: Fit) -> Fit:
