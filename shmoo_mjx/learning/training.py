@@ -116,7 +116,7 @@ def run(
             pace = (time.monotonic() - begun) / (len(history) - first)
             left = pace * (chunks - len(history))
             progress(Progress(len(history), chunks, float(loss), value, score, left))
-    if chunks and not np.isfinite(score):
+    if not np.isfinite(score):
         raise ShmooError(
             f"training: none of {len(history)} chunks had a finite validation score; check the data for values that "
             "are not finite, or lower learning_rate or horizon."
