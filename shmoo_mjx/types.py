@@ -30,7 +30,7 @@ class Command(NamedTuple):
 
 
 class Observation(NamedTuple):
-    """What either engine reports at the end of a sample time. N objects."""
+    """What the robot perceives at the end of a sample time; an engine's own observation is the truth. N objects."""
 
     time: Array
     """``[...]`` [s]"""
@@ -51,6 +51,13 @@ class Observation(NamedTuple):
     wrench: Array
     """``[..., N, 3]`` Gamma: planar wrench of the hands on each object, about that object's centre, in {W}, mean over
     the last sample time (fx, fy [N], tz [N m])."""
+    robot_age: Array
+    """``[...]`` time since the measurement that the robot's pose rests on [s]."""
+    object_age: Array
+    """``[..., N]`` time since the measurement that each object's pose rests on [s]; infinite, with a pose of NaN, for
+    an object that was never detected."""
+    detected: Array
+    """``[..., N]`` whether the object was detected within the last sample time; otherwise its pose is carried on."""
 
 
 class SystemState(NamedTuple):

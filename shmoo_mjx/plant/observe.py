@@ -44,6 +44,9 @@ def observation(scene: Scene, time: Array, qpos: Array, qvel: Array, wrench: Arr
         object_pose=pose,
         object_twist=twist,
         wrench=wrench,
+        robot_age=xp.zeros_like(robot.height),
+        object_age=xp.zeros_like(pose[..., 0]),
+        detected=xp.ones_like(pose[..., 0], dtype=bool),
     )
 
 

@@ -22,7 +22,7 @@ def seen(
 ) -> Observation:
     """One world with one object."""
     pose, twist, wrench = [0.0, 0.0, yaw], [*velocity, 0.0], [[force, 0.0, 0.0]]
-    values = (t, pose, twist, lean, rate, HANDS, np.zeros((1, 3)), np.zeros((1, 3)), wrench)
+    values = (t, pose, twist, lean, rate, HANDS, np.zeros((1, 3)), np.zeros((1, 3)), wrench, 0.0, [0.0], [1.0])
     return Observation(*(np.array(v, dtype=float)[None] for v in values))
 
 

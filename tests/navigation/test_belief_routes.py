@@ -38,6 +38,9 @@ def observation(robot: tuple[float, float], *objects: tuple[float, float, float]
         poses,
         0 * poses,
         0 * poses,
+        np.zeros(1),
+        np.zeros((1, len(objects))),
+        np.ones((1, len(objects)), dtype=bool),
     )
 
 

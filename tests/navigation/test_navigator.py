@@ -91,8 +91,9 @@ class World:
         parts = (self.pose, twist[0], self.lean, self.lean_rate)
         robot = [np.array([p], dtype=float) for p in parts]
         return Observation(
-            np.array([self.time]), *robot, hands, self.box[None, None].copy(), self.box_twist[None, None], wrench
-        )
+            np.array([self.time]), *robot, hands, self.box[None, None].copy(), self.box_twist[None, None], wrench,
+            np.zeros(1), np.zeros((1, 1)), np.array([[True]]),
+        )  # fmt: skip
 
     def step(self, command: Command) -> Observation:
         a, _, c = ROBOT.flatness

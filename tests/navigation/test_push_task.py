@@ -33,7 +33,9 @@ class _World:
         wrench = np.append(self.force, 0.0)
         lean = self.lean - arms_lean(hands)
         values = (self.time, self.robot, twist, lean, np.zeros(2), hands, [self.thing], [self.moved], [wrench])
-        return Observation(*(np.array(v, dtype=float)[None] for v in values))
+        return Observation(
+            *(np.array(v, dtype=float)[None] for v in values), np.zeros(1), np.zeros((1, 1)), np.array([[True]])
+        )
 
     def step(self, command: Command) -> None:
         a, _, c = ROBOT.flatness
