@@ -7,6 +7,7 @@ from typing import Any
 from shmoo_mjx import se2
 
 __all__ = [
+    "CONTACT_FORCE",
     "HAND_HEIGHT",
     "HAND_RADIUS",
     "REACH",
@@ -15,6 +16,7 @@ __all__ = [
     "TUCKED_REACH",
     "hand_components",
     "hand_targets",
+    "touches",
 ]
 
 Array = Any
@@ -31,6 +33,14 @@ TUCKED_HEIGHT = 0.62
 """Their height when the arms are folded [m]."""
 HAND_RADIUS = 0.04
 """Radius of the spherical hand [m]; the contact surface is this far ahead of the hand's centre."""
+CONTACT_FORCE = 2.0
+"""Force of the hands from which they touch an object [N]: below it a reading of the joint torques says nothing."""
+
+
+def touches(wrench: Array) -> Array:
+    """Whether the hands touch an object on which their planar wrench is ``wrench [..., 3]``; not if it is NaN."""
+    xp = se2.array_module(wrench)
+    return xp.hypot(wrench[..., 0], wrench[..., 1]) > CONTACT_FORCE
 
 
 def hand_targets(gamma: Array, reach: Array = REACH) -> Array:

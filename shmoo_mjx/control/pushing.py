@@ -19,6 +19,7 @@ from shmoo_mjx import se2
 from shmoo_mjx.control import cost, models, mppi
 from shmoo_mjx.control.governor import forward_lean, govern
 from shmoo_mjx.dynamics import core, features, feet, object_model
+from shmoo_mjx.hands import touches
 from shmoo_mjx.learning import adaptation
 from shmoo_mjx.learning.weights import Weights, untouched
 from shmoo_mjx.types import DT, Observation, SystemState
@@ -68,8 +69,6 @@ class PushConfig:
         speed_limit=0.25,
     )
     adapt: adaptation.AdaptConfig = field(default_factory=adaptation.AdaptConfig)
-    contact_force: float = 2.0
-    """Force from which a sample counts as contact [N]."""
     moving: float = float("inf")
     """Speed of the object from which a sample without contact teaches as well: how it coasts [m/s]."""
     adapts: bool = True
@@ -109,14 +108,15 @@ class Sighting(NamedTuple):
     object_twist: Array
     wrench: Array
     """``[3]`` mean over the sample that just ended, about the object's centre, in {W}."""
+    detected: Array = True
+    """Whether the object's pose was detected in that sample, not carried on."""
 
     @classmethod
     def of(cls, seen: Observation, index: int) -> Sighting:
         """From an observation of one world (batch of one)."""
-        return cls(
-            *(np.asarray(v[0]) for v in (seen.robot_pose, seen.robot_twist, seen.lean, seen.lean_rate)),
-            *(np.asarray(v[0, index]) for v in (seen.object_pose, seen.object_twist, seen.wrench)),
-        )
+        robot = (seen.robot_pose, seen.robot_twist, seen.lean, seen.lean_rate)
+        of_object = (seen.object_pose, seen.object_twist, seen.wrench, seen.detected)
+        return cls(*(np.asarray(v[0]) for v in robot), *(np.asarray(v[0, index]) for v in of_object))
 
 
 class PushState(NamedTuple):
@@ -126,6 +126,8 @@ class PushState(NamedTuple):
     plan: mppi.MppiState
     before: SystemState
     """State one sample ago, with the memory it had then."""
+    detected: Array
+    """Whether the object was detected in that sample."""
 
 
 class _Transition(NamedTuple):
@@ -203,7 +205,7 @@ class PushController:
             _f32(lean),
         )
         u = govern(np.asarray(u, dtype=float), *lean)
-        return u, state._replace(adapt=adapt, plan=plan_state, before=system), plan
+        return u, state._replace(adapt=adapt, plan=plan_state, before=system, detected=now.detected), plan
 
     def planning_rollouts(
         self, state: PushState, goal: Array, around: LocalField, half_extents: Array
@@ -229,7 +231,7 @@ def start(
     """The state with which a push on ``face [4]`` begins; pure."""
     zero = np.zeros(3)
     before = _system_state(now, zero, zero, zero[:2], zero, face, half_extents)
-    return PushState(adapt, mppi.init(config.control, key), before)
+    return PushState(adapt, mppi.init(config.control, key), before, se2.array_module(now.wrench).asarray(now.detected))
 
 
 def control_step(
@@ -260,7 +262,8 @@ def control_step(
         half_extents,
         lean,
     )
-    return govern(u, *lean), state._replace(adapt=adapt, plan=plan_state, before=system)
+    detected = jnp.asarray(now.detected)
+    return govern(u, *lean), state._replace(adapt=adapt, plan=plan_state, before=system, detected=detected)
 
 
 def _perceive(
@@ -273,7 +276,9 @@ def _perceive(
     inputs = xp.concatenate([twist_before, wrench, before.last_object_twist, before.size[None], before.last_wrench])
     label = se2.rotate((now.object_twist - before.object_twist) / DT, -before.object_pose[2])
     coasts = xp.hypot(before.object_twist[0], before.object_twist[1]) > config.moving
-    valid = xp.asarray(config.adapts & ((xp.hypot(force[0], force[1]) > config.contact_force) | coasts))
+    # A pose that was carried on, now or a sample ago, says nothing about the object.
+    measured = xp.asarray(now.detected) & xp.asarray(state.detected)
+    valid = xp.asarray(config.adapts & (touches(now.wrench) | coasts) & measured)
     system = _system_state(now, twist_before, wrench, force, last_u, before.face, half_extents)
     state = state._replace(plan=state.plan._replace(last_u=_f32(last_u)))
     return state, system, _Transition(_f32(inputs), _f32(label), valid)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -56,11 +57,17 @@ def init() -> DriveState:
 
 
 def follow(
-    cfg: DriveConfig, planner: Planner, state: DriveState, seen: Observation, path: Path, field: ClearanceField
+    cfg: DriveConfig,
+    planner: Planner,
+    state: DriveState,
+    seen: Observation,
+    path: Path | None,
+    clearance: Callable[[], ClearanceField],
 ) -> tuple[DriveState, np.ndarray]:
     """One control step along ``path``; the lean command ``[2]`` in {R} [rad].
 
-    A trajectory always ends at rest, so that while no new one is found the old one brings the robot to a stop.
+    A trajectory always ends at rest, so that while no new one is found the old one brings the robot to a stop; so it
+    does without a path. ``clearance`` is asked only where a new trajectory is due.
     """
     now = float(seen.time[0])
     position, velocity = seen.robot_pose[0, :2], seen.robot_twist[0, :2]
@@ -68,8 +75,8 @@ def follow(
     flat = planner.model.flat_state(
         position, velocity, se2.rotate(seen.lean[0], yaw), se2.rotate(seen.lean_rate[0], yaw)
     )
-    if now - state.start >= cfg.replan_every - 1e-6:
-        found = flat_trajectory.plan(planner, flat, path, field)
+    if path is not None and now - state.start >= cfg.replan_every - 1e-6:
+        found = flat_trajectory.plan(planner, flat, path, clearance())
         if found.ok:
             state = DriveState(found, now, None, "")
         else:

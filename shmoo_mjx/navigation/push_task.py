@@ -7,9 +7,9 @@ follows, on another face where that helps: what has gone too far is pushed back 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -17,22 +17,33 @@ import numpy as np
 from shmoo_mjx import se2
 from shmoo_mjx.control import trim
 from shmoo_mjx.control.cost import PushCost
-from shmoo_mjx.control.mppi import Plan
 from shmoo_mjx.control.pushing import LocalField, PushConfig, Sighting, local_field
-from shmoo_mjx.faces import faces_of, heading
-from shmoo_mjx.hands import HAND_HEIGHT, REACH
+from shmoo_mjx.faces import faces_of
+from shmoo_mjx.hands import TUCKED_REACH
 from shmoo_mjx.learning.adaptation import AdaptState
-from shmoo_mjx.navigation.belief import Belief, KnownObject
+from shmoo_mjx.navigation import drive
+from shmoo_mjx.navigation.belief import KnownObject, belief_of
 from shmoo_mjx.navigation.face_choice import ArcConfig, choose, residual
 from shmoo_mjx.navigation.maps import OccupancyGrid
-from shmoo_mjx.navigation.moves import Moves, command
-from shmoo_mjx.navigation.records import Approach, NavigatorConfig
+from shmoo_mjx.navigation.navigator import setup_of
+from shmoo_mjx.navigation.paths import Path, project
+from shmoo_mjx.navigation.records import NavigatorConfig
 from shmoo_mjx.navigation.routes import Routes
-from shmoo_mjx.types import DT, Command, Observation
+from shmoo_mjx.sensing import finite
+from shmoo_mjx.skills import approach, batched, contact, hold, push, retreat
+from shmoo_mjx.skills.push import Pusher
+from shmoo_mjx.types import Command, Observation
 
-__all__ = ["Phase", "PushTask", "PushTaskConfig", "Pusher", "pose_push_config"]
+__all__ = ["Phase", "PushTask", "PushTaskConfig", "pose_push_config"]
 
 Array = Any
+
+_LONGEST_RETREAT = 5.0
+"""[s]"""
+_FRESH = 0.3
+"""Age of a pose from which the robot first turns to the object to look where it is [s]."""
+_LONGEST_LOOK = 4.0
+"""How long it looks for it [s]."""
 
 
 class Phase(StrEnum):
@@ -47,28 +58,8 @@ class Phase(StrEnum):
     FAILED = "failed"
 
 
-class Pusher(Protocol):
-    """What pushes: :class:`~shmoo_mjx.control.pushing.PushController`, or something to compare it with.
-
-    Its state is a NamedTuple of its own with a field ``adapt``: what has been learned of the object.
-    """
-
-    def init(self, now: Sighting, face: Array, half_extents: Array, key: Array, adapt: AdaptState | None = None) -> Any:
-        """Start a push."""
-
-    def step(
-        self, state: Any, now: Sighting, last_u: Array, goal: Array, around: LocalField, half_extents: Array
-    ) -> tuple[np.ndarray, Any, Plan | None]:
-        """One 10 Hz step."""
-
-    def coast(self, state: Any) -> np.ndarray:
-        """Where the object comes to rest if it is let go now."""
-
-
 def pose_push_config() -> PushConfig:
     """The pushing controller's settings where the object's yaw counts and it has to stop at its goal."""
-    from dataclasses import replace
-
     base = PushConfig()
     cost: PushCost = replace(
         base.cost, yaw_weight=0.6, aim_weight=0.7, lateral_weight=0.8, creep=0.07, slow_down=0.25, speed_limit=0.16,
@@ -98,10 +89,6 @@ class PushTaskConfig:
     gain: float = 0.1
     """Least improvement that another push has to promise [m of error]: about what a short one errs by itself."""
     max_pushes: int = 6
-    lead: float = 0.015
-    """The object is let go where it is expected to stop this far before its goal: hands relax by about that much."""
-    within: float = 0.3
-    """... but not from farther than this, since what is let go can't be steered [m]."""
     at_rest: float = 0.03
     """Speed below which the object counts as resting [m/s]."""
     lost_after: float = 2.5
@@ -112,12 +99,11 @@ class PushTaskConfig:
     """... in this much contact time has stalled."""
     push_limit: float = 40.0
     """Longest push."""
-    trim: trim.TrimConfig = trim.TrimConfig()
     arcs: ArcConfig = ArcConfig()
     moves: NavigatorConfig = NavigatorConfig()
 
 
-@dataclass
+@dataclass(frozen=True, eq=False)
 class _Leg:
     """One push on one face."""
 
@@ -125,19 +111,15 @@ class _Leg:
     face: np.ndarray
     goal: np.ndarray
     """``[3]``"""
-    approach: Approach
+    way: Path
+    """To the stand-off pose."""
+    approach: approach.ApproachState
     around: LocalField
-    state: Any = None
-    """The pusher's, once there is contact."""
-    began: float = 0.0
-    """When the present phase began [s]."""
-    contact_time: float = 0.0
-    since_contact: float = 0.0
-    start: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    coasts: list[float] = field(default_factory=list)
-    """How far the object would coast along the push, once a sample [m]."""
-    marks: list[tuple[float, np.ndarray]] = field(default_factory=list)
-    """(contact time, object pose) once a sample."""
+    contact: contact.ContactState | None = None
+    push: push.PushState | None = None
+    """Once there is contact."""
+    coasts: np.ndarray = field(default_factory=lambda: np.zeros(5))
+    """How far the object would coast along the push, in the last samples [m]."""
 
 
 class Event(NamedTuple):
@@ -177,28 +159,29 @@ class PushTask:
         """
         self.config = config or PushTaskConfig()
         self.goal = np.asarray(goal, dtype=float)
-        self.belief = Belief(grid, self.config.moves.sensing_range)
+        self.belief = belief_of(grid)
         self.phase = Phase.CHOOSE
+        self.since = 0.0
         self.events: list[Event] = []
         self.pushes = 0
         self.leg: _Leg | None = None
+        self.trim = trim.init()
+        self._setup = setup_of(sizes, pusher, self.config.moves)
         self._index = index
-        self._sizes = sizes
         self._pusher = pusher
         self._adapt = adapt
-        self._routes = Routes(self.belief, self.goal[:2], self.config.moves)
-        self._moves = Moves(self._routes, self.config.moves)
+        self._drive = drive.init()
         self._key = jax.random.key(seed)
         self._last_u = np.zeros(3)
-        self.trim = trim.init()
+        self._seen: Observation | None = None
         self._handlers = {
             Phase.CHOOSE: self._choose,
             Phase.APPROACH: self._approach,
             Phase.CONTACT: self._contact,
             Phase.PUSH: self._push,
             Phase.RETREAT: self._retreat,
-            Phase.DONE: self._moves.rest,
-            Phase.FAILED: self._moves.rest,
+            Phase.DONE: self._rest,
+            Phase.FAILED: self._rest,
         }
 
     @property
@@ -214,26 +197,34 @@ class PushTask:
     def know(self, adapt: AdaptState) -> None:
         """Take over coefficients from elsewhere, in the middle of a push too."""
         self._adapt = adapt
-        if self.leg is not None and self.leg.state is not None:
-            self.leg.state = self.leg.state._replace(adapt=adapt)
+        if self.leg is not None and self.leg.push is not None:
+            pushed = replace(self.leg.push, pusher=self.leg.push.pusher._replace(adapt=adapt))
+            self.leg = replace(self.leg, push=pushed)
 
     def tick(self, seen: Observation) -> Command:
         """One decision."""
-        seen = self.belief.update(seen, self._sizes, self._index)
-        self.trim = trim.step(self.config.trim, self.trim, seen)
+        seen = self._seen = finite(seen, self._seen)
+        self.belief, _ = self.belief.update(seen, self._setup.sizes, self._index)
+        self.trim = trim.step(trim.TrimConfig(), self.trim, seen)
         result = self._handlers[self.phase](trim.with_trim(self.trim, seen))
-        self._last_u = np.asarray(result.u)[0]
-        return trim.trimmed(self.trim, result)
+        self._last_u = np.asarray(result.u, dtype=float)
+        return trim.trimmed(self.trim, batched(result))
 
     # Phases. Each returns the command for the next sample and may have changed the phase.
+
+    def _rest(self, seen: Observation) -> Command:
+        return hold(Sighting.of(seen, self._index))
 
     def _choose(self, seen: Observation) -> Command:
         known = self.belief.objects.get(self._index)
         if known is None:
             self._go(seen, Phase.FAILED, f"object {self._index} is not in sight")
-        elif np.linalg.norm(seen.object_twist[0, self._index, :2]) < self.config.at_rest:
+            return self._rest(seen)
+        looks = known.age < _FRESH or float(seen.time[0]) - self.since > _LONGEST_LOOK
+        if looks and np.linalg.norm(seen.object_twist[0, self._index, :2]) < self.config.at_rest:
             self._judge(seen, known)
-        return self._moves.rest(seen)
+        offset = known.pose[:2] - seen.robot_pose[0, :2]
+        return self._rest(seen)._replace(yaw=np.arctan2(offset[1], offset[0]))
 
     def _judge(self, seen: Observation, known: KnownObject) -> None:
         """With the object at rest: leave it, or choose the next push."""
@@ -247,102 +238,101 @@ class PushTask:
         if self.pushes >= cfg.max_pushes:
             self._go(seen, Phase.DONE, f"the object is {where} after {self.pushes} pushes")
             return
-        around = self.belief.clearance(without=self._index)
-        faces = faces_of(known.half_extents)
-        paths = [self._routes.way_to(seen.robot_pose[0, :2], self._index, face) for face in faces]
-        ways = [p.length if p and i not in known.failed_faces else None for i, p in enumerate(paths)]
-        choice = choose(known.pose, self.goal, faces, ways, around, known.half_extents, cfg.arcs)
+        routes, everything = Routes(self.belief, self.goal[:2], cfg.moves), self.belief.clearance()
+        around, faces = self.belief.clearance(without=self._index), faces_of(known.half_extents)
+        ways = [routes.way_to(seen.robot_pose[0, :2], self._index, face, everything) for face in faces]
+        lengths = [w[0].length if w and i not in known.failed_faces else None for i, w in enumerate(ways)]
+        choice = choose(known.pose, self.goal, faces, lengths, around, known.half_extents, cfg.arcs)
         if choice is None:
             self._go(seen, Phase.FAILED, f"no face can be reached; the object is {where}")
             return
         if choice.expected > float(residual(known.pose, self.goal, weight)) - cfg.gain:
             self._go(seen, Phase.DONE, f"the object is {where}, and another push promises no better")
             return
-        path = paths[choice.side]
-        assert path is not None
-        now = float(seen.time[0])
-        self.leg = _Leg(choice.side, faces[choice.side], choice.goal, Approach(path, now),
-                        local_field(around, known.pose), start=known.pose)  # fmt: skip
-        self.pushes += 1
+        chosen = ways[choice.side]
+        assert chosen is not None
+        begun = approach.init(float(seen.time[0]), chosen[1])
+        field = local_field(around, known.pose)
+        self.leg = _Leg(choice.side, faces[choice.side], choice.goal, chosen[0], begun, field)
+        self.pushes, self._drive = self.pushes + 1, drive.init()
         final = "" if np.array_equal(choice.goal, self.goal) else " to a place on the way"
         self._go(seen, Phase.APPROACH, f"push {self.pushes} on face {choice.side}{final}; the object is {where}")
 
     def _approach(self, seen: Observation) -> Command:
-        leg, known = self._current()
-        move = self._moves.approach(seen, known.pose, leg.face, leg.approach)
+        leg, _ = self._current()
+        moves = self.config.moves
+        self._drive, lean = drive.follow(
+            moves.drive, self._setup.trajectories, self._drive, seen, leg.way, self.belief.clearance
+        )
+        remaining = leg.way.length - project(leg.way, seen.robot_pose[0, :2])
+        yaw, sighting = drive.yaw_ahead(moves.drive, seen, leg.way), Sighting.of(seen, self._index)
+        reached, move = approach.step(leg.approach, float(seen.time[0]), sighting, leg.face, lean, yaw, remaining)
+        self.leg = replace(leg, approach=reached)
         if move.over:
+            self.leg = replace(self.leg, contact=contact.init(sighting))
             self._go(seen, Phase.CONTACT, "at the stand-off pose, arms extended")
         elif move.failed:
-            self._go(seen, Phase.CHOOSE, move.failed)
+            self._go(seen, Phase.CHOOSE, "the stand-off pose was not reached in time")
         return move.command
 
     def _contact(self, seen: Observation) -> Command:
         leg, known = self._current()
-        move = self._moves.contact(seen, self._index, known.pose, leg.face, leg.approach)
+        assert leg.contact is not None
+        sighting = Sighting.of(seen, self._index)
+        _, move = contact.step(self.config.moves.skills, leg.contact, sighting, leg.face)
         if move.over:
             self._key, key = jax.random.split(self._key)
-            sighting = Sighting.of(seen, self._index)
-            leg.state = self._pusher.init(sighting, leg.face, np.array(known.half_extents), key, self._adapt)
+            now, half = float(seen.time[0]), known.half_extents
+            self.leg = replace(leg, push=push.init(self._pusher, now, sighting, leg.face, half, key, self._adapt))
             self._go(seen, Phase.PUSH, "contact")
-            return self._push(seen)
-        if move.failed:
-            self._go(seen, Phase.CHOOSE, move.failed)
+        elif move.failed:
+            self._go(seen, Phase.CHOOSE, "drifted off the face while making contact")
         return move.command
 
     def _push(self, seen: Observation) -> Command:
         leg, known = self._current()
-        assert leg.state is not None
-        sighting = Sighting.of(seen, self._index)
-        before = leg.state.adapt
-        u, leg.state, plan = self._pusher.step(
-            leg.state, sighting, self._last_u, leg.goal, leg.around, np.array(known.half_extents)
+        assert leg.push is not None
+        pushed, command = push.step(
+            self._pusher, leg.push, Sighting.of(seen, self._index), leg.face, self._last_u, leg.goal, leg.around,
+            known.half_extents,
+        )  # fmt: skip
+        self._adapt = pushed.pusher.adapt
+        coasts, left, let_go = push.lets_go(
+            self.config.moves.skills, self._pusher.coast(pushed.pusher), leg.coasts, known.pose, leg.face, leg.goal
         )
-        if known.blind > 0.0:
-            leg.state = leg.state._replace(adapt=before)
-        self._adapt = leg.state.adapt
-        touching = np.hypot(*sighting.wrench[:2]) > self.config.moves.contact_force / 2
-        leg.contact_time += DT if touching else 0.0
-        leg.since_contact = 0.0 if touching else leg.since_contact + DT
-        leg.marks.append((leg.contact_time, known.pose.copy()))
-        if plan is not None and not bool(plan.ok):
+        self.leg = replace(leg, push=pushed, coasts=coasts)
+        if not pushed.ok:
             self._go(seen, Phase.RETREAT, "no roll-out of the model is finite: safe stop")
+        elif let_go:
+            text = f"let go {left:.2f} m before the goal, to coast {np.median(coasts):.2f} m"
+            self._go(seen, Phase.RETREAT, text)
         else:
-            self._end_of_push(seen, leg, known)
-        if self.phase is Phase.RETREAT:
-            return self._retreat(seen)
-        return command(u[:2], u[2], heading(known.pose, leg.face), REACH, HAND_HEIGHT)
+            self._end_of_push(seen, leg, pushed, known)
+        return command
 
-    def _end_of_push(self, seen: Observation, leg: _Leg, known: KnownObject) -> None:
-        """Let go, or give up, if it is time to."""
-        assert leg.state is not None
-        cfg, now = self.config, float(seen.time[0])
-        ahead = heading(known.pose, leg.face)
-        normal = np.array([np.cos(ahead), np.sin(ahead)])
-        left = float((leg.goal[:2] - known.pose[:2]) @ normal)
-        leg.coasts.append(float((self._pusher.coast(leg.state)[:2] - known.pose[:2]) @ normal))
-        coasts = float(np.median(leg.coasts[-5:]))  # a single twist is noisy
-        moved = float(np.linalg.norm(known.pose[:2] - leg.start[:2]))
-        if left - coasts < cfg.lead and left < cfg.within:
-            self._go(seen, Phase.RETREAT, f"let go {left:.2f} m before the goal, to coast {coasts:.2f} m")
-        elif leg.since_contact > cfg.lost_after:
+    def _end_of_push(self, seen: Observation, leg: _Leg, pushed: push.PushState, known: KnownObject) -> None:
+        """Give up a push that leads no further."""
+        cfg = self.config
+        travelled = pushed.travelled(cfg.stall_time)
+        if pushed.since_contact > cfg.lost_after:
             self._go(seen, Phase.RETREAT, f"contact lost for {cfg.lost_after:g} s")
-        elif self._stalled(leg):
-            if moved < 0.1:
-                known.failed_faces.add(leg.side)
+        elif known.age > cfg.moves.blind_limit:
+            self._go(seen, Phase.RETREAT, f"the object has not been detected for {cfg.moves.blind_limit:g} s")
+        elif travelled is not None and travelled < cfg.stall_distance:
+            if pushed.moved(known.pose) < 0.1:
+                failed = known.failed_faces | {leg.side}
+                self.belief = self.belief.with_object(self._index, failed_faces=failed)
             self._go(seen, Phase.RETREAT, f"moved less than {cfg.stall_distance:g} m in {cfg.stall_time:g} s")
-        elif now - leg.began > cfg.push_limit:
+        elif float(seen.time[0]) - pushed.started > cfg.push_limit:
             self._go(seen, Phase.RETREAT, f"pushed for {cfg.push_limit:g} s")
 
-    def _stalled(self, leg: _Leg) -> bool:
-        if leg.contact_time < self.config.stall_time:
-            return False
-        recent = np.array([p[:2] for t, p in leg.marks if t > leg.contact_time - self.config.stall_time])
-        return float(np.linalg.norm(np.ptp(recent, axis=0))) < self.config.stall_distance
-
     def _retreat(self, seen: Observation) -> Command:
-        leg, known = self._current()
-        move = self._moves.retreat(seen, known.pose, leg.face, leg.began)
-        if move.over:
+        leg, _ = self._current()
+        now, sighting = float(seen.time[0]), Sighting.of(seen, self._index)
+        folded = bool(np.all(seen.hands[0, :, 0] < TUCKED_REACH + 0.06))
+        off_walls = Routes(self.belief, self.goal[:2], self.config.moves).off_walls(seen.robot_pose[0, :2])
+        move = retreat.step(self.config.moves.skills, sighting, leg.face, folded, off_walls)
+        if move.over or now - self.since > _LONGEST_RETREAT:
             self.leg = None
             self._go(seen, Phase.CHOOSE, "backed away")
         return move.command
@@ -352,7 +342,6 @@ class PushTask:
         return self.leg, self.belief.objects[self._index]
 
     def _go(self, seen: Observation, target: Phase, reason: str) -> None:
-        self.events.append(Event(float(seen.time[0]), self.phase, target, reason))
+        self.since = float(seen.time[0])
+        self.events.append(Event(self.since, self.phase, target, reason))
         self.phase = target
-        if self.leg is not None:
-            self.leg.began = float(seen.time[0])

@@ -1,21 +1,44 @@
-"""What the navigator is set to, what it remembers of a push, and what it writes down."""
+"""What the navigator is set to, its state, and the events it reports."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from shmoo_mjx.control.pushing import LocalField, PushState
+from shmoo_mjx.control import trim
+from shmoo_mjx.control.pushing import LocalField
 from shmoo_mjx.navigation import drive
-from shmoo_mjx.navigation.flat_trajectory import TrajectoryConfig
+from shmoo_mjx.navigation.belief import Belief, KnownObject, Status
+from shmoo_mjx.navigation.flat_trajectory import Planner, TrajectoryConfig
 from shmoo_mjx.navigation.object_planner import ObjectPlannerConfig
 from shmoo_mjx.navigation.paths import Path
+from shmoo_mjx.navigation.routes import Routes
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS
+from shmoo_mjx.skills import SkillConfig
+from shmoo_mjx.skills.approach import ApproachState
+from shmoo_mjx.skills.contact import ContactState
+from shmoo_mjx.skills.push import PushState
+from shmoo_mjx.types import Observation
 
-__all__ = ["Approach", "Decision", "Mode", "NavigatorConfig", "Push", "Transition"]
+__all__ = [
+    "Decision",
+    "Event",
+    "Mode",
+    "NavigatorConfig",
+    "NavigatorState",
+    "Note",
+    "Pending",
+    "Planned",
+    "Segment",
+    "Setup",
+    "Transition",
+]
+
+Array = Any
 
 
 class Mode(StrEnum):
@@ -37,79 +60,41 @@ class NavigatorConfig:
     """Settings of the state machine, SI units."""
 
     robot_radius: float = ROBOT_RADIUS
-    """Radius of the disc that paths keep clear: body, folded hands and a reserve."""
-    sensing_range: float = 3.5
+    """Radius of the disc that paths keep clear: body, folded hands and a reserve [m]."""
     goal_tolerance: float = 0.15
-    """Distance at which the goal counts as reached; the scenario's own tolerance may be wider."""
+    """Distance at which the goal counts as reached [m]; the scenario's own tolerance may be wider."""
+    planning_time: float = 0.0
+    """Time that a planning stage or a global path takes to compute [s]; the robot goes on as it did meanwhile."""
     act_within: float = 2.2
-    """An object in the way is dealt with once the path's blocked point is this near."""
+    """An object in the way is dealt with once the path's blocked point is this near [m]."""
     detour: float = 1.5
-    """A way round that is at most this much longer is taken rather than a push."""
-    passing: float = 0.3
-    """A pushed object is out of the way once passing it makes the path at most this much longer."""
+    """A way round that is at most this much longer is taken rather than a push [m]."""
     probe_room: float = 0.03
     """How far the probe's lean may stay below what the governor grants, while the object has not moved yet [rad]: a
     verdict on what was only touched gently would be worth little. 1 leaves the lean to the plan."""
-    contact_gap: float = 0.12
-    """Distance between hands and face at the stand-off pose."""
-    contact_speed: float = 0.12
-    """Speed at which contact is made."""
-    contact_force: float = 5.0
-    """Force on the hands at which contact counts as made [N]: above what a grazing hand gives."""
-    contact_shift: float = 0.03
-    """An object near the hands that has moved this far is touched, however little it resists [m]."""
-    at_goal: float = 0.10
-    """Distance from its goal at which an object has arrived."""
     probe_time: float = 1.0
-    """Contact time before the planning stage (Algorithm 1)."""
+    """Contact time before the planning stage (Algorithm 1) [s]."""
     doubt_time: float = 3.0
-    """Contact time before K is believed: in the first second the lean still grows, and friction that holds against that
-    says little about a firm push. What has ``rolled`` needs no more time to count as manipulable."""
+    """Contact time before K is believed [s]: in the first second the lean still grows, and friction that holds against
+    that says little about a firm push. What has rolled away needs no more time to count as manipulable."""
     doubt_limit: float = 6.0
-    """... while the object gives way under the push."""
-    doubt_every: float = 0.5
-    """Contact time between two planning stages until then."""
-    gives_way: float = 0.02
-    """Way of the object's corners in the last second of contact from which it gives way [m]."""
-    probe_limit: float = 2.5
-    """Time since the first contact at which the planning stage comes, however short the contacts were, for ..."""
-    rolled: float = 0.10
-    """... an object that has moved this far meanwhile: a cart rolls ahead of the hands after a short touch."""
-    review_every: float = 2.0
-    """Contact time between two planning stages of one push."""
-    stall_distance: float = 0.05
-    """An object that moved less than this ..."""
-    stall_time: float = 5.0
-    """... in this much contact time has stalled."""
-    moved: float = 0.3
-    """An object that a push has moved this far is not immovable, whatever holds it now: a wall, say."""
+    """The same while the object gives way under the push [s]."""
     push_limit: float = 45.0
-    """Longest push."""
+    """Longest push [s]."""
     lost_after: float = 1.5
-    """Time without contact after which contact counts as lost."""
+    """Time without contact after which contact counts as lost [s]."""
+    blind_limit: float = 1.5
+    """A push ends when the object has not been detected for this long [s]."""
     max_pushes: int = 4
     """Pushes of one object before it is registered as an obstacle."""
-    blind_limit: float = 1.5
-    """A push ends when the object has not been detected for this long."""
     goes_round: bool = True
     """False: every object in the way is pushed, none is ever registered or gone round. For comparison."""
     second_chance: bool = True
     """Try each registered object once more before giving up."""
-    retreat: float = 0.05
-    """Distance between the extended hands' place and the face at which a retreat stops and the arms fold."""
-    withdraw: float = 0.12
-    """How far the hands draw back as soon as a push ends [m]."""
-    path_margin: float = 0.05
-    """What must be free beside the robot's radius between the path and a pushed object."""
-    wall_margin: float = 0.05
-    """What must be free between walls and a pushed object's goal."""
-    far_area: float = 5.0
-    """Side of the square in which first goals are sought where the planner's own holds none [m]."""
-    other_paths: int = 12
-    """Goals for which another path is sought when none leaves the path free."""
     planner: ObjectPlannerConfig = ObjectPlannerConfig(min_displacement=0.6)
     trajectory: TrajectoryConfig = TrajectoryConfig(robot_radius=0.24)
     drive: drive.DriveConfig = drive.DriveConfig()
+    skills: SkillConfig = SkillConfig()
 
 
 class Transition(NamedTuple):
@@ -139,40 +124,118 @@ class Decision(NamedTuple):
     """``[3]`` where the roll-outs were to bring the object, in {W}."""
 
 
-@dataclass
-class Approach:
-    """Memory of one approach to a face."""
+class Note(NamedTuple):
+    """Something that the robot noticed without having done it."""
 
-    path: Path
-    """Way to the stand-off pose."""
-    started: float
-    """[s]"""
-    extended_at: float | None = None
-    """When the arms were told to extend [s]."""
-    touched_from: np.ndarray | None = None
-    """Pose of the object when the hands began to feel for it."""
-    drive: drive.DriveState = field(default_factory=drive.init)
+    t: float
+    text: str
 
 
-@dataclass
-class Push:
-    """Memory of dealing with one object."""
+class Planned(NamedTuple):
+    """A global path that was taken, or on which a decision rests."""
+
+    t: float
+    points: np.ndarray
+    """``[N, 2]`` in {W} [m]."""
+
+
+Event = Transition | Decision | Note | Planned
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """Dealing with one object, from the choice of a face to the retreat."""
 
     object: int
     side: int
     """Index of the face among ``faces_of``."""
     face: np.ndarray
     goal: np.ndarray
-    approach: Approach
+    """``[3]`` pose in {W} to bring the object to."""
+    way: Path
+    """To the stand-off pose."""
+    approach: ApproachState
     around: LocalField
-    state: PushState | None = None
-    contact_time: float = 0.0
-    since_contact: float = 0.0
-    reviewed_at: float = 0.0
-    """Contact time of the last planning stage."""
-    started: float = 0.0
-    """When contact was made [s]."""
-    blind: bool = False
-    """Was the object's pose a guess in the last sample."""
-    marks: list[tuple[float, np.ndarray]] = field(default_factory=list)
-    """(contact time, object pose) once a sample."""
+    contact: ContactState | None = None
+    push: PushState | None = None
+    reviewed: tuple[float, float] = (0.0, 0.0)
+    """Time and contact time of the last planning stage [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class NavigatorState:
+    """All that the navigator remembers; every step makes a new one."""
+
+    goal: np.ndarray
+    """``[2]`` in {W} [m]."""
+    belief: Belief
+    key: Array
+    mode: Mode = Mode.REPLAN
+    since: float = 0.0
+    """When the mode began [s]."""
+    path: Path | None = None
+    gone_round: frozenset[int] = frozenset()
+    """Objects that the path has been led round since the last plan."""
+    waits_from: float | None = None
+    """Since when no way to the goal has been known [s]."""
+    segment: Segment | None = None
+    drive: drive.DriveState = field(default_factory=drive.init)
+    trim: trim.Trim = field(default_factory=trim.init)
+    last_u: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    last_seen: Observation | None = None
+    pending: Pending | None = None
+    events: tuple[Event, ...] = ()
+    """Of the present step."""
+
+    def go(self, now: float, target: Mode, reason: str) -> NavigatorState:
+        """The state in mode ``target``, with the event that says why."""
+        event = Transition(now, self.mode, target, reason)
+        return replace(self, mode=target, since=now, events=(*self.events, event))
+
+    def said(self, *events: Event) -> NavigatorState:
+        """The state with more events."""
+        return replace(self, events=(*self.events, *events))
+
+    def known(self) -> KnownObject:
+        """The object that is dealt with."""
+        return self.belief.objects[self.current().object]
+
+    def current(self) -> Segment:
+        """Dealing with an object; only asked in modes that do."""
+        assert self.segment is not None, f"{self.mode} needs an object"
+        return self.segment
+
+    def in_segment(self, **changes: Any) -> NavigatorState:
+        """The state with these fields of the segment changed."""
+        return replace(self, segment=replace(self.current(), **changes))
+
+    def of_object(self, index: int, **changes: Any) -> NavigatorState:
+        """The state with these fields of object ``index`` changed."""
+        return replace(self, belief=self.belief.with_object(index, **changes))
+
+
+@dataclass(frozen=True, eq=False)
+class Pending:
+    """A decision that is being computed while the robot goes on."""
+
+    due: float
+    """When it will be known [s]."""
+    asked: NavigatorState
+    decided: NavigatorState
+
+
+class Setup(NamedTuple):
+    """What a navigator is made of and never changes."""
+
+    sizes: Sequence[tuple[float, float]]
+    """Half extents of each object [m]."""
+    controller: Any
+    """The :class:`~shmoo_mjx.control.pushing.PushController`."""
+    config: NavigatorConfig
+    trajectories: Planner
+    first_status: Sequence[Status] | None = None
+    """What each object is taken to be at first sight; UNKNOWN if not given."""
+
+    def routes(self, state: NavigatorState) -> Routes:
+        """Ways through the world as it is known."""
+        return Routes(state.belief, state.goal, self.config)

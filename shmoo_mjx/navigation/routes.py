@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import shapely
@@ -13,9 +14,25 @@ from shmoo_mjx.navigation.belief import Belief, KnownObject, Status
 from shmoo_mjx.navigation.footprints import footprint_polygon, footprints_free
 from shmoo_mjx.navigation.maps import ClearanceField
 from shmoo_mjx.navigation.paths import Path, plan_path
-from shmoo_mjx.navigation.records import NavigatorConfig
+
+if TYPE_CHECKING:
+    from shmoo_mjx.navigation.records import NavigatorConfig
 
 __all__ = ["Routes"]
+
+_CREEPING_ROOM = 0.23
+"""Distance from walls that the robot keeps on its way from the stand-off pose to contact [m]: body and a reserve."""
+_PASSING = 0.3
+"""A pushed object is out of the way once passing it makes the path at most this much longer [m]."""
+_PATH_MARGIN = 0.05
+"""What must be free beside the robot's radius between the path and a pushed object [m]."""
+_WALL_MARGIN = 0.05
+"""What must be free between walls and a pushed object's goal [m]."""
+_OTHER_PATHS = 12
+"""Goals for which another path is sought when none leaves the path free."""
+
+_WIDER_GAPS = (0.2, 0.3, 0.4)
+"""Distances between hands and face from which contact is sought where a wall leaves no room nearer by [m]."""
 
 
 @dataclass(frozen=True)
@@ -30,8 +47,8 @@ class Routes:
     def path_clear(self, position: np.ndarray, known: KnownObject) -> bool:
         """Whether the way on passes the object where it stands, little longer than without it."""
         path = self.free_path(position, known)
-        around = self.free_path(position, known, known.polygon.buffer(self.config.path_margin))
-        return path is not None and around is not None and around.length < path.length + self.config.passing
+        around = self.free_path(position, known, known.polygon.buffer(_PATH_MARGIN))
+        return path is not None and around is not None and around.length < path.length + _PASSING
 
     def free_path(
         self, position: np.ndarray, known: KnownObject, instead: shapely.Polygon | None = None
@@ -49,10 +66,10 @@ class Routes:
         the path P was planned before anybody knew where the object would go).
         """
         half = np.array(known.half_extents)
-        clearance = self.config.robot_radius + self.config.path_margin
+        clearance = self.config.robot_radius + _PATH_MARGIN
 
         def check(poses: np.ndarray) -> np.ndarray:
-            off_walls = footprints_free(around, poses, half, wall_clearance=self.config.wall_margin)
+            off_walls = footprints_free(around, poses, half, wall_clearance=_WALL_MARGIN)
             if path is None or not off_walls.any():
                 return off_walls
             candidates = np.flatnonzero(off_walls)
@@ -61,21 +78,27 @@ class Routes:
             if off_path.any():
                 return off_path
             nearest = np.argsort(np.linalg.norm(poses[candidates, :2] - known.pose[:2], axis=1))
-            for i in candidates[nearest][:: max(1, len(nearest) // self.config.other_paths)]:
-                other = self.free_path(
-                    position, known, footprint_polygon(poses[i], half).buffer(self.config.path_margin)
-                )
+            for i in candidates[nearest][:: max(1, len(nearest) // _OTHER_PATHS)]:
+                other = self.free_path(position, known, footprint_polygon(poses[i], half).buffer(_PATH_MARGIN))
                 off_path[i] = other is not None and other.length < path.length + self.config.detour
             return off_path
 
         return check
 
-    def way_to(self, position: np.ndarray, index: int, face: np.ndarray) -> Path | None:
-        """Way to the stand-off pose at ``face [4]`` of object ``index``; None if there is no room or no way."""
-        wanted = stand_off(self.belief.objects[index].pose, face, self.config.contact_gap)
-        if float(self.belief.clearance().at(wanted[:2])) < self.config.robot_radius:
-            return None
-        return self._path(position, wanted[:2], self.belief.polygons())
+    def way_to(
+        self, position: np.ndarray, index: int, face: np.ndarray, clearance: ClearanceField
+    ) -> tuple[Path, float] | None:
+        """Way to the nearest stand-off pose at ``face [4]`` of object ``index`` where the robot has room, and that
+        pose's gap [m]; None if there is no room or no way. ``clearance`` is that of everything known."""
+        known, obstacles = self.belief.objects[index], self.belief.polygons()
+        for gap in (self.config.skills.contact_gap, *_WIDER_GAPS):
+            wanted, touching = (stand_off(known.pose, face, g)[:2] for g in (gap, 0.0))
+            creeps = np.linspace(wanted, touching, 5)
+            room = float(clearance.at(wanted)) >= self.config.robot_radius
+            if room and float(np.min(self.belief.walls.at(creeps))) >= _CREEPING_ROOM:
+                path = self._path(position, wanted, obstacles)
+                return None if path is None else (path, gap)
+        return None
 
     def plan(self, position: np.ndarray, obstacles: list[shapely.Polygon]) -> Path | None:
         """The path to the goal clear of walls and of ``obstacles``."""

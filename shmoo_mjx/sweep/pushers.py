@@ -14,14 +14,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from shmoo_mjx import se2
 from shmoo_mjx.control import pushing, quasi_static
 from shmoo_mjx.control.pushing import PushConfig, Sighting
-from shmoo_mjx.faces import heading
-from shmoo_mjx.hands import HAND_HEIGHT, HAND_RADIUS, REACH
 from shmoo_mjx.learning.weights import Weights, untouched
 from shmoo_mjx.navigation.push_task import PushTaskConfig, pose_push_config
-from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
+from shmoo_mjx.skills import SkillConfig, contact, hold, retreat
+from shmoo_mjx.skills.push import lets_go
 from shmoo_mjx.sweep.config import Controller
 from shmoo_mjx.types import Command
 
@@ -36,7 +34,6 @@ __all__ = [
     "Memory",
     "Task",
     "decide",
-    "hands_to_face",
     "law_of",
     "push_config",
     "remember",
@@ -46,8 +43,7 @@ Array = Any
 
 APPROACH, PUSH, LET_GO, DONE, FELL, UNSTABLE = range(6)
 """Phases of a push; from DONE on nothing happens any more."""
-_TASK = PushTaskConfig()
-_MOVES = _TASK.moves
+_SKILLS: SkillConfig = PushTaskConfig().moves.skills
 
 
 class Task(NamedTuple):
@@ -76,6 +72,7 @@ class Memory(NamedTuple):
     """Memory of one push."""
 
     law: Any
+    contact: contact.ContactState
     phase: Array
     last_u: Array
     """``[3]``"""
@@ -118,7 +115,7 @@ def push_config(c: Controller) -> PushConfig:
 
 def remember(law: Law, now: Sighting, task: Task, key: Array) -> Memory:
     """Before the first sample."""
-    return Memory(law.init(now, task, key), jnp.int32(APPROACH), jnp.zeros(3), jnp.zeros(5))
+    return Memory(law.init(now, task, key), contact.init(now), jnp.int32(APPROACH), jnp.zeros(3), jnp.zeros(5))
 
 
 def decide(law: Law, memory: Memory, now: Sighting, task: Task, key: Array, ready: Array) -> tuple[Command, Memory]:
@@ -132,45 +129,27 @@ def decide(law: Law, memory: Memory, now: Sighting, task: Task, key: Array, read
         key: with which the controller's random numbers start.
         ready: the arms are out.
     """
-    felt = jnp.hypot(now.wrench[0], now.wrench[1])
-    touched = (memory.phase == APPROACH) & ready & (felt > _MOVES.contact_force)
-    phase = jnp.where(touched, PUSH, memory.phase)
-    # Until there is contact the controller's memory is ever a fresh one.
-    before = _choose(memory.phase == APPROACH, law.init(now, task, key), memory.law)
-    pushed, after = law.step(before, now, memory.last_u, task)
-    in_face = se2.relative(se2.compose(now.object_pose, task.face[:3]), now.robot_pose)
-    coasts, let_go = _lets_go(law.coast(after, now), memory.coasts, now, task)
-    phase = jnp.where((phase == PUSH) & let_go, LET_GO, phase)
-    near = hands_to_face(now.object_pose, now.robot_pose, task.face) < _MOVES.retreat
-    back = jnp.where(near, -0.2, 0.0) * jnp.array([1.0, 0.0])
-    creep = jnp.where(ready, _MOVES.contact_speed, 0.0)
-    ahead = se2.rotate(jnp.stack([creep, jnp.clip(-0.8 * in_face[1], -0.1, 0.1)]), -in_face[2])
-    moved = _lean(now, jnp.where(phase == APPROACH, ahead, back))
-    u = jnp.where(phase == PUSH, pushed, jnp.concatenate([moved, jnp.zeros(1)]))
-    yaw = jnp.where(phase >= LET_GO, now.robot_pose[2], heading(now.object_pose, task.face))
-    reach = jnp.where(phase >= LET_GO, REACH - _MOVES.withdraw, REACH)
-    command = Command(u, yaw, reach, jnp.float32(HAND_HEIGHT))
-    return command, Memory(_choose(phase == PUSH, after, before), phase, u, jnp.where(phase == PUSH, coasts, 0.0))
-
-
-def hands_to_face(object_pose: Array, robot_pose: Array, face: Array) -> Array:
-    """How far the place of the extended hands is off the face [m]."""
-    return -se2.relative(se2.compose(object_pose, face[:3]), robot_pose)[0] - REACH - HAND_RADIUS
-
-
-def _lets_go(rest: Array, coasts: Array, now: Sighting, task: Task) -> tuple[Array, Array]:
-    """The last coasting distances ``[5]`` with this one, and whether it is time to let go (as in the pushing task)."""
-    ahead = heading(now.object_pose, task.face)
-    normal = jnp.stack([jnp.cos(ahead), jnp.sin(ahead)])
-    left = (task.goal[:2] - now.object_pose[:2]) @ normal
-    coasts = jnp.concatenate([coasts[1:], ((rest[:2] - now.object_pose[:2]) @ normal)[None]])
-    return coasts, (left - jnp.median(coasts) < _TASK.lead) & (left < _TASK.within)
-
-
-def _lean(now: Sighting, wish: Array) -> Array:
-    """Lean ``[2]`` [rad] of the velocity loop for a wish ``[2]`` in {R} [m/s]."""
-    velocity = se2.rotate(now.robot_twist[:2], -now.robot_pose[2])
-    return velocity_to_lean(Gains(), velocity, now.lean_rate, wish)
+    waiting, pushing_now = memory.phase == APPROACH, memory.phase == PUSH
+    # The hands feel for the object from when the arms are out.
+    feeling = contact.ContactState(jnp.where(ready, memory.contact.object_pose, now.object_pose))
+    feeling, creep = contact.step(_SKILLS, feeling, now, task.face)
+    back = retreat.step(_SKILLS, now, task.face, folded=jnp.bool_(False))
+    pushed, after = law.step(memory.law, now, memory.last_u, task)
+    coasts, _, let_go = lets_go(_SKILLS, law.coast(after, now), memory.coasts, now.object_pose, task.face, task.goal)
+    phase = jnp.where(waiting & ready & creep.over, PUSH, memory.phase)
+    phase = jnp.where(pushing_now & let_go, LET_GO, phase)
+    # Until the first push the controller's memory is ever a fresh one.
+    kept = _choose(waiting, law.init(now, task, key), _choose(pushing_now, after, memory.law))
+    moved = jnp.where(waiting, jnp.where(ready, creep.command.u, hold(now, True).u), back.command.u)
+    u = jnp.where(pushing_now, pushed, moved)
+    ahead, away = creep.command, back.command
+    command = Command(
+        u,
+        jnp.where(waiting | pushing_now, ahead.yaw, away.yaw),
+        jnp.where(waiting | pushing_now, ahead.reach, away.reach),
+        jnp.asarray(ahead.hand_height, dtype=jnp.float32),
+    )
+    return command, Memory(kept, feeling, phase, u, jnp.where(pushing_now, coasts, 0.0))
 
 
 def _choose(which: Array, yes: Any, no: Any) -> Any:

@@ -25,6 +25,7 @@ from shmoo_mjx.navigation.push_task import PushTaskConfig
 from shmoo_mjx.plant.engine_mjx import MjxEngine, MjxWorld
 from shmoo_mjx.plant.lowlevel import Gains
 from shmoo_mjx.plant.randomize import perturbed
+from shmoo_mjx.skills.settings import hands_to_face
 from shmoo_mjx.sweep import pushers
 from shmoo_mjx.sweep.config import SweepConfig
 from shmoo_mjx.sweep.parameters import MOST_DELAY
@@ -237,7 +238,7 @@ def _perceived(given: Setup, truth: Any, camera: Array, wrench: Array, samples: 
 def _phase(phase: Array, truth: Any, world: MjxWorld, given: Setup) -> Array:
     """The phase after a sample: over if the robot has fallen, or if it has let go and the object rests."""
     settings = PushTaskConfig()
-    away = pushers.hands_to_face(truth.object_pose[0], truth.robot_pose, given.face) > settings.moves.retreat
+    away = hands_to_face(truth.object_pose[0], truth.robot_pose, given.face) > settings.moves.skills.retreat
     resting = jnp.hypot(truth.object_twist[0, 0], truth.object_twist[0, 1]) < settings.at_rest
     phase = jnp.where((phase == pushers.LET_GO) & away & resting, pushers.DONE, phase)
     phase = jnp.where(jnp.any(jnp.abs(se2.wrap(truth.lean)) > 0.6), pushers.FELL, phase)

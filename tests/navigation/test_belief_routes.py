@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from shmoo_mjx.faces import faces_of
-from shmoo_mjx.navigation.belief import Belief, KnownObject, Status
+from shmoo_mjx.navigation.belief import KnownObject, Status, belief_of
 from shmoo_mjx.navigation.maps import FREE, OCCUPIED, OccupancyGrid
 from shmoo_mjx.navigation.records import NavigatorConfig
 from shmoo_mjx.navigation.routes import Routes
@@ -44,48 +46,52 @@ def observation(robot: tuple[float, float], *objects: tuple[float, float, float]
     )
 
 
-def test_an_object_is_perceived_in_sight_and_range_only() -> None:
-    belief = Belief(rooms((1.0,)), sensing_range=3.0)
-    # In the same room; behind the wall; in sight but too far.
-    seen = observation((1.0, 5.0), (2.0, 4.0, 0.1), (4.0, 5.0, 0.0), (1.0, 1.0, 0.0))
-    belief.update(seen, [HALF] * 3)
+def test_what_was_never_detected_stays_unknown_and_what_was_is_kept() -> None:
+    unseen = (np.nan, np.nan, np.nan)
+    belief, _ = belief_of(rooms((1.0,))).update(observation((1.0, 5.0), (2.0, 4.0, 0.1), unseen), [HALF] * 2)
     assert set(belief.objects) == {0}
     np.testing.assert_allclose(belief.objects[0].pose, (2.0, 4.0, 0.1))
-    belief.update(observation((1.0, 5.0), (2.2, 4.0, 0.1), (2.5, 5.0, 0.0), (1.0, 1.0, 0.0)), [HALF] * 3)
-    assert set(belief.objects) == {0, 1}
-    assert belief.objects[0].pose[0] == 2.2
+    later, _ = belief.update(observation((1.0, 5.0), (2.1, 4.0, 0.1), (2.5, 5.0, 0.0)), [HALF] * 2)
+    assert set(later.objects) == {0, 1} and later.objects[0].pose[0] == 2.1
+    assert belief.objects[0].pose[0] == 2.0  # the one before is as it was
 
 
-def test_a_missing_pose_is_carried_on_for_a_while_and_then_taken_to_rest() -> None:
-    belief = Belief(rooms((1.0,)), foresight=0.5)
-    seen = observation((1.0, 5.0), (2.0, 4.0, 0.1))
-    belief.update(seen._replace(object_twist=np.array([[[0.2, 0.0, 0.0]]])), [HALF])
-    gone = seen._replace(object_pose=np.full((1, 1, 3), np.nan), object_twist=np.full((1, 1, 3), np.nan))
-    xs = [belief.update(gone, [HALF]).object_pose[0, 0, 0] for _ in range(8)]
-    np.testing.assert_allclose(xs, [2.02, 2.04, 2.06, 2.08, 2.10, 2.10, 2.10, 2.10], atol=1e-9)
-    assert belief.objects[0].blind == pytest.approx(0.8)
-    belief.update(seen, [HALF])
-    assert belief.objects[0].blind == 0.0
-    assert ["not detected" in what for _, what in belief.events] == [True, False]
+def test_it_is_said_when_a_pushed_object_is_lost_and_found() -> None:
+    belief, said = belief_of(rooms((1.0,))), []
+    for age in (0.0, 0.1, 0.3, 0.5, 0.0):
+        seen = observation((1.0, 5.0), (2.0, 4.0, 0.1))._replace(object_age=np.array([[age]]))
+        belief, notes = belief.update(seen, [HALF], pushed=0)
+        said += notes
+    assert ["not detected" in what for what in said] == [True, False]
+    assert "detected again after 0.5 s" in said[1]
 
 
-def test_an_object_never_seen_stays_unknown_while_it_is_not_detected() -> None:
-    belief = Belief(rooms((1.0,)))
-    gone = observation((1.0, 5.0), (np.nan, np.nan, np.nan))
-    belief.update(gone, [HALF])
-    assert not belief.objects and not belief.events
+@pytest.mark.parametrize(("told", "status"), [(None, Status.UNKNOWN), ([Status.FIXED], Status.FIXED)])
+def test_what_somebody_moves_counts_as_unknown_again_unless_its_status_was_told(
+    told: list[Status] | None, status: Status
+) -> None:
+    belief, _ = belief_of(rooms((1.0,))).update(observation((1.0, 5.0), (2.0, 4.0, 0.1)), [HALF], first_status=told)
+    belief = belief.with_object(0, status=Status.FIXED)
+    belief, notes = belief.update(observation((1.0, 5.0), (2.0, 4.3, 0.1)), [HALF], first_status=told)
+    assert belief.objects[0].status is status and "somebody has moved it" in notes[0]
+
+
+def test_what_is_only_remembered_is_not_taken_to_have_been_moved() -> None:
+    belief, _ = belief_of(rooms((1.0,))).update(observation((1.0, 5.0), (2.0, 4.0, 0.1)), [HALF])
+    old = observation((1.0, 5.0), (2.0, 4.3, 0.1))._replace(object_age=np.array([[3.0]]))
+    belief, notes = belief.update(old, [HALF])
+    assert not notes
 
 
 def test_what_an_object_is_taken_for_at_first_sight_can_be_told() -> None:
-    belief = Belief(rooms((1.0,)), first_status=[Status.FIXED])
-    belief.update(observation((1.0, 5.0), (2.0, 4.0, 0.1)), [HALF])
+    seen = observation((1.0, 5.0), (2.0, 4.0, 0.1))
+    belief, _ = belief_of(rooms((1.0,))).update(seen, [HALF], first_status=[Status.FIXED])
     assert belief.objects[0].status is Status.FIXED
 
 
 def routes(doors: tuple[float, ...], pose: tuple[float, float, float]) -> tuple[Routes, KnownObject]:
-    belief = Belief(rooms(doors))
     known = KnownObject(np.array(pose), HALF)
-    belief.objects[0] = known
+    belief = replace(belief_of(rooms(doors)), objects={0: known})
     return Routes(belief, np.array([5.0, 3.0]), NavigatorConfig()), known
 
 
@@ -120,14 +126,16 @@ def test_where_no_goal_leaves_the_path_another_path_may_do() -> None:
 
 
 def test_the_way_to_a_face_ends_at_its_stand_off_pose() -> None:
-    ways, known = routes((3.0,), (3.0, 3.0, 0.0))
+    ways, _ = routes((3.0,), (3.0, 3.0, 0.0))
     rear, _, front, _ = faces_of(HALF)
-    way = ways.way_to(np.array([1.0, 3.0]), 0, rear)
-    assert way is not None
-    np.testing.assert_allclose(way.points[-1], (3.0 - 0.25 - 0.12 - 0.42 - 0.04, 3.0), atol=1e-6)
-    assert ways.way_to(np.array([1.0, 3.0]), 0, front) is None  # the object closes the only door
-    known.status = Status.FIXED
-    assert ways.plan(np.array([1.0, 3.0]), ways.belief.polygons((Status.FIXED,))) is None
+    way = ways.way_to(np.array([1.0, 3.0]), 0, rear, ways.belief.clearance())
+    assert way is not None and way[1] == 0.12
+    np.testing.assert_allclose(way[0].points[-1], (3.0 - 0.25 - 0.12 - 0.42 - 0.04, 3.0), atol=1e-6)
+    assert (
+        ways.way_to(np.array([1.0, 3.0]), 0, front, ways.belief.clearance()) is None
+    )  # the object closes the only door
+    fixed = replace(ways, belief=ways.belief.with_object(0, status=Status.FIXED))
+    assert fixed.plan(np.array([1.0, 3.0]), fixed.belief.polygons((Status.FIXED,))) is None
 
 
 def test_walls_push_a_retreat_away() -> None:

@@ -1,0 +1,187 @@
+"""Choices on the way to the goal: which path, and whether to go round an object in it or to push it, and where from.
+
+Each takes a state and an observation and gives the state in which the choice has been made.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from shmoo_mjx.control.pushing import local_field
+from shmoo_mjx.faces import faces_of, heading
+from shmoo_mjx.navigation import drive
+from shmoo_mjx.navigation.belief import Status
+from shmoo_mjx.navigation.object_planner import InitialGoal, initial_goal
+from shmoo_mjx.navigation.paths import Path, path_blocked_by, project
+from shmoo_mjx.navigation.records import Mode, NavigatorState, Note, Planned, Segment, Setup
+from shmoo_mjx.skills import approach
+from shmoo_mjx.types import Observation
+
+__all__ = ["first_block", "look_ahead", "replan"]
+
+_FAR_AREA = 5.0
+"""Side of the square in which first goals are sought where the planner's own holds none, as in a corridor [m]."""
+_PATIENCE = 4.0
+"""How long it waits where every route is blocked before it gives up: what rolls comes to rest, others walk on [s]."""
+_ASK_AGAIN = 1.0
+"""Time between two looks meanwhile [s]."""
+_SLACK = 0.03
+"""By how much an object may come nearer to the path than the robot's radius before it blocks it [m]."""
+_AVOIDED = (Status.PARKED, Status.FIXED)
+
+
+def replan(setup: Setup, state: NavigatorState, seen: Observation) -> NavigatorState | None:
+    """A path to the goal round everything that is not to be pushed; without one, wait and then give up."""
+    now = float(seen.time[0])
+    if state.waits_from is not None and now - state.since < _ASK_AGAIN:
+        return None
+    if state.segment is not None:
+        index = state.segment.object
+        state = replace(state.of_object(index, registered=state.belief.objects[index].pose), segment=None)
+    state = _take_up_again(setup, state, seen)
+    path = _to_goal(setup, state, seen)
+    if path is None:
+        state, again = _second_chance(setup, state, seen)
+        path = _to_goal(setup, state, seen) if again else None
+    if path is not None:
+        state = _on_path(replace(state, gone_round=frozenset(), waits_from=None), now, path)
+        return state.go(now, Mode.FOLLOW, f"path of {path.length:.2f} m found")
+    begun = now if state.waits_from is None else state.waits_from
+    if now - begun >= _PATIENCE:
+        why = "every route to the goal is blocked by walls and objects that can't be moved"
+        return state.go(now, Mode.FAILED, why)
+    if state.waits_from is None:
+        state = state.said(Note(now, "every route to the goal is blocked; waits a little and looks again"))
+    return replace(state, waits_from=begun, since=now)
+
+
+def _to_goal(setup: Setup, state: NavigatorState, seen: Observation) -> Path | None:
+    return setup.routes(state).plan(seen.robot_pose[0, :2], state.belief.polygons(_AVOIDED))
+
+
+def _on_path(state: NavigatorState, now: float, path: Path) -> NavigatorState:
+    return replace(state, path=path, drive=drive.init()).said(Planned(now, path.points))
+
+
+def _take_up_again(setup: Setup, state: NavigatorState, seen: Observation) -> NavigatorState:
+    """A parked object that still costs a long way round may be pushed again, unless it has been too often."""
+    parked = [i for i, o in state.belief.objects.items() if o.status is Status.PARKED]
+    if not parked:
+        return state
+    routes, position, cfg = setup.routes(state), seen.robot_pose[0, :2], setup.config
+    around = routes.plan(position, state.belief.polygons(_AVOIDED))
+    through = routes.plan(position, state.belief.polygons((Status.FIXED,)))
+    if through is None or (around is not None and around.length < through.length + cfg.detour):
+        return state
+    for index in parked:
+        known = state.belief.objects[index]
+        if known.pushes < cfg.max_pushes and path_blocked_by(through, known.polygon, cfg.robot_radius)[0]:
+            state = state.of_object(index, status=Status.UNKNOWN)
+    return state
+
+
+def _second_chance(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[NavigatorState, bool]:
+    """With every route blocked, each registered object is tried once more, as if it had never been touched.
+
+    Not in the moment in which it was registered: what was out of reach then would be so still.
+    """
+    cfg, now, objects = setup.config, float(seen.time[0]), state.belief.objects
+    rested = [i for i, o in objects.items() if o.status is Status.FIXED and not o.retried and now - o.fixed_at > 1.0]
+    if not cfg.second_chance or not rested:
+        return state, False
+    others = [o.polygon for i, o in objects.items() if i not in rested]
+    through = setup.routes(state).plan(seen.robot_pose[0, :2], others)
+    for index in rested:
+        if through is not None and path_blocked_by(through, objects[index].polygon, cfg.robot_radius)[0]:
+            pushes = min(objects[index].pushes, cfg.max_pushes - 1)
+            state = state.of_object(index, status=Status.UNKNOWN, retried=True, adapt=None, pushes=pushes)
+            text = f"every route is blocked: object {index}, registered as an obstacle, is tried once more"
+            return state.said(Note(now, text)), True
+    return state, False
+
+
+def first_block(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[int, float] | None:
+    """The known object that blocks the path first, and how far along the path [m]."""
+    assert state.path is not None
+    here, found = project(state.path, seen.robot_pose[0, :2]), []
+    for index, known in state.belief.objects.items():
+        blocked, s = path_blocked_by(state.path, known.polygon, setup.config.robot_radius - _SLACK, here)
+        if blocked and s is not None and s - here < setup.config.act_within:
+            found.append((s - here, index))
+    return (min(found)[1], min(found)[0]) if found else None
+
+
+def look_ahead(setup: Setup, state: NavigatorState, seen: Observation) -> NavigatorState | None:
+    """What to do about an object in the way: go round it, push it, or plan anew; None if the way is free."""
+    blocked = first_block(setup, state, seen)
+    if blocked is None or state.path is None:
+        return None
+    (index, distance), now, cfg = blocked, float(seen.time[0]), setup.config
+    known, position = state.belief.objects[index], seen.robot_pose[0, :2]
+    if known.status is not Status.UNKNOWN:
+        return state.go(now, Mode.REPLAN, f"object {index} ({known.status}) is in the way")
+    remaining = state.path.length - project(state.path, position)
+    # Not through another one that this path goes round already: it would turn from one to the other for ever.
+    gone_round = [state.belief.objects[i].polygon for i in state.gone_round | {index}]
+    detour = setup.routes(state).plan(position, [*state.belief.polygons(_AVOIDED), *gone_round])
+    if cfg.goes_round and detour is not None and detour.length < remaining + cfg.detour:
+        state = _on_path(replace(state, gone_round=state.gone_round | {index}), now, detour)
+        longer = f"{detour.length - remaining:+.2f} m"
+        return state.go(now, Mode.FOLLOW, f"object {index} is in the way; going round it costs {longer}")
+    cost = "there is no way round" if detour is None else f"the way round is {detour.length - remaining:.2f} m longer"
+    # Walking to a face is worth while only if that and the rest of the path are shorter than the way round.
+    longest = np.inf if detour is None or not cfg.goes_round else detour.length - (remaining - distance)
+    why = f"object {index} blocks the path {distance:.2f} m ahead and {cost}"
+    return _start_push(setup, state, seen, index, why, longest)
+
+
+def _start_push(
+    setup: Setup, state: NavigatorState, seen: Observation, index: int, why: str, longest: float
+) -> NavigatorState:
+    """Choose goal, face and way to the stand-off pose, or give the object up."""
+    known, now, routes = state.belief.objects[index], float(seen.time[0]), setup.routes(state)
+    if known.pushes >= setup.config.max_pushes:
+        text = f"object {index} has been pushed {known.pushes} times without clearing the path"
+        return _give_up(setup, state, seen, index, text)
+    faces, position, everything = faces_of(known.half_extents), seen.robot_pose[0, :2], state.belief.clearance()
+    ways = {i: routes.way_to(position, index, face, everything) for i, face in enumerate(faces)}
+    usable = {i: way for i, way in ways.items() if way is not None and way[0].length < longest}
+    usable = {i: way for i, way in usable.items() if i not in known.failed_faces} or usable
+    if not usable:
+        return _give_up(setup, state, seen, index, f"no face of object {index} can be reached on a way worth taking")
+    around = state.belief.clearance(without=index)
+    first = _first_goal(setup, state, seen, index, [heading(known.pose, faces[i]) for i in usable])
+    if first.goal is None or first.direction is None:
+        return _give_up(setup, state, seen, index, f"object {index} can be put nowhere: {first.reason}")
+    side = list(usable)[first.direction]
+    way, gap = usable[side]
+    segment = Segment(
+        index, side, faces[side], first.goal, way, approach.init(now, gap), local_field(around, known.pose)
+    )
+    state = replace(state, segment=segment, drive=drive.init())
+    state = state.of_object(index, pushes=known.pushes + 1, registered=known.pose)
+    return state.go(now, Mode.APPROACH, f"{why}; first goal: {first.reason}")
+
+
+def _first_goal(
+    setup: Setup, state: NavigatorState, seen: Observation, index: int, directions: list[float]
+) -> InitialGoal:
+    """The initialisation stage of Algorithm 1."""
+    routes, known, position = setup.routes(state), state.belief.objects[index], seen.robot_pose[0, :2]
+    around = state.belief.clearance(without=index)
+    free = routes.collision_free(position, known, around, routes.free_path(position, known))
+    near = setup.config.planner
+    first = initial_goal(known.pose, free, np.array(directions), near)
+    if first.goal is not None:
+        return first
+    return initial_goal(known.pose, free, np.array(directions), replace(near, area=_FAR_AREA))
+
+
+def _give_up(setup: Setup, state: NavigatorState, seen: Observation, index: int, why: str) -> NavigatorState:
+    now = float(seen.time[0])
+    if not setup.config.goes_round:
+        return state.go(now, Mode.FAILED, f"{why}, and going round is not allowed")
+    state = state.of_object(index, status=Status.FIXED, registered=state.belief.objects[index].pose, fixed_at=now)
+    return state.go(now, Mode.REPLAN, f"{why}; registered as an obstacle")

@@ -1,0 +1,197 @@
+"""Judging a push while it goes on: is it over, lost or stuck, and can the object be moved at all (Algorithm 1)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shmoo_mjx.faces import heading
+from shmoo_mjx.navigation.belief import Status
+from shmoo_mjx.navigation.object_planner import ObjectDecision, planning_stage
+from shmoo_mjx.navigation.records import Decision, Mode, NavigatorState, Planned, Setup
+from shmoo_mjx.skills.push import PushState
+from shmoo_mjx.types import DT, Observation
+
+__all__ = ["judge", "review", "rolled"]
+
+_AT_GOAL = 0.10
+"""Distance from its goal at which an object has arrived [m]."""
+_PASSED = -0.08
+"""Way left to the goal along the push at which it has been passed [m]."""
+_ROLLED = 0.10
+"""An object that has moved this far under a probe gives way beyond doubt [m]."""
+_GIVES_WAY = 0.02
+"""Way of the object's corners in the last second of contact from which it gives way [m]."""
+_STALL = (0.05, 5.0)
+"""An object that moved less than this [m] in this much contact time [s] has stalled."""
+_MOVED = 0.3
+"""An object that a push has moved this far is not immovable, whatever holds it now: a wall, say [m]."""
+_PROBE_LIMIT = 2.5
+"""Time since the first contact at which the planning stage comes, however short the contacts were, for an object that
+rolls ahead of the hands after a short touch [s]."""
+_DOUBT_EVERY = 0.5
+"""Least time, and contact time of a probe, between two planning stages [s]."""
+_REVIEW_EVERY = 2.0
+"""Contact time between two planning stages of a push [s]."""
+_CLEAR_EVERY = 5
+"""Samples between two looks whether a pushed object has left the path free: each plans two paths."""
+_SHOWN = 40
+"""Roll-outs of a planning stage that are kept for pictures."""
+
+
+def rolled(push: PushState, pose: np.ndarray) -> bool:
+    """Whether the object has moved so far that it gives way beyond doubt: a cart that rolls ahead of the hands gives
+    little contact, but its motion tells as much."""
+    return push.moved(pose) > _ROLLED
+
+
+def judge(setup: Setup, state: NavigatorState, seen: Observation) -> NavigatorState:
+    """Leave a push that is over, hopeless or lost; what takes no planning to see."""
+    segment, known, cfg, now = state.current(), state.known(), setup.config, float(seen.time[0])
+    push, index, pushing = segment.push, segment.object, state.mode is Mode.PUSH
+    assert push is not None
+
+    def leave(reason: str) -> NavigatorState:
+        return state.go(now, Mode.RETREAT, reason)
+
+    if not push.ok:
+        return leave("no roll-out of the model is finite: safe stop")
+    if known.age > cfg.blind_limit:
+        return leave(f"object {index} has not been detected for {cfg.blind_limit:g} s")
+    if pushing and float(np.linalg.norm(known.pose[:2] - segment.goal[:2])) < _AT_GOAL:
+        state = state.of_object(index, status=Status.PARKED)
+        return leave(f"object {index} is at its goal")
+    if pushing and _left(segment.goal, known.pose, segment.face) < _PASSED:
+        return leave(f"object {index} has gone past its goal, and can't be pulled")
+    if push.since_contact > cfg.lost_after and not _rolls_ahead(setup, state, now, push):
+        return leave(f"contact with object {index} lost for {cfg.lost_after:g} s")
+    travelled = push.travelled(_STALL[1])
+    if travelled is not None and travelled < _STALL[0]:
+        text = f"object {index} moved less than {_STALL[0]:g} m in {_STALL[1]:g} s of contact"
+        return _stuck(setup, state, now, text)
+    if now - push.started > cfg.push_limit:
+        return leave(f"object {index} has been pushed for {cfg.push_limit:g} s")
+    return state
+
+
+def _left(goal: np.ndarray, pose: np.ndarray, face: np.ndarray) -> float:
+    """Way left to ``goal`` along the push [m]."""
+    ahead = heading(pose, face)
+    return float((goal[:2] - pose[:2]) @ np.array([np.cos(ahead), np.sin(ahead)]))
+
+
+def _rolls_ahead(setup: Setup, state: NavigatorState, now: float, push: PushState) -> bool:
+    """Whether a probe still waits for what rolls ahead of the hands to be looked at."""
+    waits = now - push.started < _PROBE_LIMIT + setup.config.lost_after
+    return state.mode is Mode.PROBE and waits and rolled(push, state.known().pose)
+
+
+def review(setup: Setup, state: NavigatorState, seen: Observation) -> NavigatorState | None:
+    """Look whether the path is clear, or hold the planning stage of Algorithm 1, where either is due."""
+    now, push = float(seen.time[0]), state.current().push
+    assert push is not None
+    looks = state.mode is Mode.PUSH and round(now / DT) % _CLEAR_EVERY == 0
+    if looks and setup.routes(state).path_clear(seen.robot_pose[0, :2], state.known()):
+        index = state.current().object
+        state = state.of_object(index, status=Status.PARKED)
+        return state.go(now, Mode.RETREAT, f"object {index} no longer blocks the path")
+    if not _due(setup, state, now, push):
+        return None
+    return _planning_stage(setup, state, seen, push)
+
+
+def _due(setup: Setup, state: NavigatorState, now: float, push: PushState) -> bool:
+    last, last_contact = state.current().reviewed
+    if state.mode is Mode.PUSH:
+        return push.contact_time >= last_contact + _REVIEW_EVERY
+    if now < last + _DOUBT_EVERY:
+        return False
+    late = now - push.started >= _PROBE_LIMIT and rolled(push, state.known().pose)
+    again = last_contact + _DOUBT_EVERY if last_contact else 0.0
+    return late or push.contact_time >= max(setup.config.probe_time, again)
+
+
+def _planning_stage(setup: Setup, state: NavigatorState, seen: Observation, push: PushState) -> NavigatorState:
+    """The planning stage of Algorithm 1 on the roll-outs of the adapted model."""
+    now, segment, known = float(seen.time[0]), state.current(), state.known()
+    state = state.in_segment(reviewed=(now, push.contact_time))
+    asked = _asked(setup, state)
+    half = np.array(known.half_extents)
+    poses, _, costs = setup.controller.planning_rollouts(push.pusher, asked, segment.around, half)
+    routes, position = setup.routes(state), seen.robot_pose[0, :2]
+    path = routes.free_path(position, known)
+    if path is not None and state.mode is Mode.PROBE:
+        state = state.said(Planned(now, path.points))
+    check = routes.collision_free(position, known, state.belief.clearance(without=segment.object), path)
+    result = planning_stage(poses[:, -1], costs, known.pose, check, setup.config.planner)
+    best = poses[np.argsort(costs)[:_SHOWN]][:, :, :2]
+    state = state.said(
+        Decision(
+            now, segment.object, result.K, result.G, result.manipulable, result.goal, result.reason, best,
+            result.candidates, asked,
+        )
+    )  # fmt: skip
+    return _verdict(setup, state, now, push, result)
+
+
+def _asked(setup: Setup, state: NavigatorState) -> np.ndarray:
+    """Where the roll-outs are to bring the object. K asks how far it can be moved: a goal that is nearly reached, or
+    already behind the object, would say nothing about that, so a place ahead takes its part."""
+    segment, pose, reach = state.current(), state.known().pose, setup.config.planner.min_displacement
+    if _left(segment.goal, pose, segment.face) >= reach:
+        return segment.goal
+    ahead = heading(pose, segment.face)
+    return np.array([*(pose[:2] + reach * np.array([np.cos(ahead), np.sin(ahead)])), segment.goal[2]])
+
+
+def _verdict(
+    setup: Setup, state: NavigatorState, now: float, push: PushState, result: ObjectDecision
+) -> NavigatorState:
+    index, known = state.current().object, state.known()
+    if state.mode is Mode.PROBE and _in_doubt(setup, push, known.pose, known.half_extents, result.manipulable):
+        return state
+    if state.mode is Mode.PUSH and not result.manipulable and _gives_way(push, known.half_extents):
+        # What moves can be moved. K is small here because walls leave the roll-outs no way on.
+        return state
+    state = state.of_object(index, manipulable=result.manipulable)
+    if not result.manipulable:
+        return _stuck(setup, state, now, f"object {index} is not manipulable: {result.reason}")
+    if result.goal is not None:
+        state = state.in_segment(goal=result.goal)
+    if state.mode is Mode.PROBE:
+        state = state.go(now, Mode.PUSH, f"object {index} is manipulable: {result.reason}")
+    return state
+
+
+def _in_doubt(
+    setup: Setup, push: PushState, pose: np.ndarray, half_extents: tuple[float, float], manipulable: bool
+) -> bool:
+    """Whether the verdict of a planning stage of the probe has to wait for more contact."""
+    cfg = setup.config
+    if manipulable:
+        # What has hardly moved so far may hold against a firmer push as well, whatever the roll-outs expect of it.
+        return not rolled(push, pose) and push.contact_time < cfg.doubt_time
+    return push.contact_time < (cfg.doubt_limit if _gives_way(push, half_extents) else cfg.doubt_time)
+
+
+def _gives_way(push: PushState, half_extents: tuple[float, float]) -> bool:
+    """Whether the object has moved or turned in the last second of contact."""
+    x, y, yaw = np.ptp(push.recent(1.0), axis=0)
+    return bool(np.hypot(x, y) + np.hypot(*half_extents) * yaw > _GIVES_WAY)
+
+
+def _stuck(setup: Setup, state: NavigatorState, now: float, why: str) -> NavigatorState:
+    """End a push that leads no further. Only what no push has moved counts as immovable; of what has given way before,
+    another face is tried."""
+    segment, known = state.current(), state.known()
+    assert segment.push is not None
+    moved, failed = segment.push.moved(known.pose), known.failed_faces | {segment.side}
+    if moved >= _MOVED:
+        state = state.of_object(segment.object, status=Status.PARKED)
+        return state.go(now, Mode.RETREAT, f"{why}; but it has been moved {moved:.2f} m, and is left where it is")
+    if not setup.config.goes_round:
+        return state.go(now, Mode.RETREAT, f"{why}; tried again, since going round is not allowed")
+    state = state.of_object(segment.object, failed_faces=failed)
+    if known.gave_way and len(failed) < 4:
+        return state.go(now, Mode.RETREAT, f"{why}; but it has given way before, so another face is tried")
+    state = state.of_object(segment.object, status=Status.FIXED, registered=known.pose, fixed_at=now)
+    return state.go(now, Mode.RETREAT, f"{why}; registered as an obstacle")

@@ -1,0 +1,10 @@
+"""What dealing with an object is made of: approach a face, make contact, push, retreat.
+
+Each skill is ``init`` and ``step`` on a frozen state. The navigator, the pushing task, the sweeps' pushers and whoever
+else moves an object string these together; a controller that pushes is their argument.
+"""
+
+from shmoo_mjx.skills import approach, contact, push, retreat
+from shmoo_mjx.skills.settings import Move, SkillConfig, batched, hold
+
+__all__ = ["Move", "SkillConfig", "approach", "batched", "contact", "hold", "push", "retreat"]

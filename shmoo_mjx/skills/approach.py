@@ -1,0 +1,75 @@
+"""Approach: drive to the stand-off pose at a face, stop there, and extend the arms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from shmoo_mjx import se2
+from shmoo_mjx.control.pushing import Sighting
+from shmoo_mjx.faces import stand_off
+from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
+from shmoo_mjx.skills.settings import Move
+from shmoo_mjx.types import Command
+
+__all__ = ["ApproachState", "init", "step"]
+
+Array = Any
+
+_UNFOLDING = 1.0
+"""Time that the arms take to extend [s]."""
+_LOOKING = 2.0
+"""Distance from the object within which the robot turns to it, so that the camera keeps it in view [m]."""
+_LIMIT = 30.0
+"""Longest approach [s]."""
+
+
+@dataclass(frozen=True)
+class ApproachState:
+    """Memory of one approach."""
+
+    started: float
+    """[s]"""
+    gap: float
+    """Distance between hands and face at the stand-off pose [m]."""
+    extended_at: float | None = None
+    """When the arms were told to extend [s]."""
+
+
+def init(now: float, gap: float) -> ApproachState:
+    """An approach that starts at time ``now`` [s]."""
+    return ApproachState(now, gap)
+
+
+def step(
+    state: ApproachState, time: float, now: Sighting, face: Array, lean: Array, yaw: float, remaining: float
+) -> tuple[ApproachState, Move]:
+    """One sample.
+
+    Args:
+        state: from :func:`init` or the last step.
+        time: [s]
+        now: robot and object.
+        face: ``[4]`` as in :func:`~shmoo_mjx.faces.faces_of`.
+        lean: ``[2]`` that follows the path to the stand-off pose [rad].
+        yaw: heading along that path, in {W} [rad].
+        remaining: length of the path still to go [m].
+    """
+    wanted, pose = stand_off(now.object_pose, face, state.gap), now.robot_pose
+    near = np.linalg.norm(pose[:2] - wanted[:2]) < 0.10
+    slow = np.linalg.norm(now.robot_twist[:2]) < 0.08
+    extended_at = state.extended_at
+    if extended_at is None and near and slow and abs(se2.wrap(pose[2] - wanted[2])) < 0.12:
+        extended_at = time
+    over = extended_at is not None and time - extended_at > _UNFOLDING
+    reach, height = (TUCKED_REACH, TUCKED_HEIGHT) if extended_at is None else (REACH, HAND_HEIGHT)
+    if remaining < 0.8:
+        yaw = float(wanted[2])
+    else:
+        offset = now.object_pose[:2] - pose[:2]
+        yaw = float(np.arctan2(offset[1], offset[0])) if np.hypot(*offset) < _LOOKING else yaw
+    command = Command(np.append(lean, 0.0), yaw, reach, height)
+    late = not over and time - state.started > _LIMIT
+    return ApproachState(state.started, state.gap, extended_at), Move(command, over, late)

@@ -1,0 +1,57 @@
+"""Make contact: creep forward until the hands feel the object, or until it gives way without being felt."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from shmoo_mjx import se2
+from shmoo_mjx.control.pushing import Sighting
+from shmoo_mjx.faces import heading
+from shmoo_mjx.hands import HAND_HEIGHT, HAND_RADIUS, REACH, touches
+from shmoo_mjx.skills.settings import Move, SkillConfig, hands_to_face, in_face, lean_for
+from shmoo_mjx.types import Command
+
+__all__ = ["ContactState", "init", "step"]
+
+Array = Any
+
+_NEAR = 0.05
+"""Distance of the hands from the face within which an object that moves was touched, and not moved by others [m]."""
+_ASTRAY = (0.5, 0.3)
+"""Distance of the hands from the face, and of the robot from the face's axis, at which contact has failed [m]."""
+
+
+class ContactState(NamedTuple):
+    """Memory of one attempt."""
+
+    object_pose: Array
+    """``[3]`` when the hands began to feel for it, in {W}."""
+
+
+def init(now: Sighting) -> ContactState:
+    """Before the first step."""
+    return ContactState(now.object_pose)
+
+
+def step(config: SkillConfig, state: ContactState, now: Sighting, face: Array) -> tuple[ContactState, Move]:
+    """One sample; pure, on NumPy and JAX arrays alike.
+
+    Args:
+        config: settings.
+        state: from :func:`init`.
+        now: robot and object.
+        face: ``[4]`` as in :func:`~shmoo_mjx.faces.faces_of`.
+    """
+    xp = se2.array_module(now.object_pose, now.robot_pose)
+    local, away = in_face(now.object_pose, now.robot_pose, face), hands_to_face(now.object_pose, now.robot_pose, face)
+    shift = now.object_pose[:2] - state.object_pose[:2]
+    gives_way = (away < _NEAR) & (xp.hypot(shift[0], shift[1]) > config.contact_shift)
+    over = touches(now.wrench) | gives_way
+    sideways = xp.clip(-0.8 * local[1], -0.1, 0.1)
+    wish = xp.where(over, 0.0, se2.rotate(xp.stack([config.contact_speed + 0.0 * sideways, sideways]), -local[2]))
+    lean = lean_for(now, wish)
+    command = Command(
+        xp.concatenate([lean, xp.zeros(1)]), heading(now.object_pose, face), xp.asarray(REACH), xp.asarray(HAND_HEIGHT)
+    )
+    failed = ~over & ((local[0] < -(REACH + HAND_RADIUS + _ASTRAY[0])) | (abs(local[1]) > _ASTRAY[1]))
+    return state, Move(command, over, failed)

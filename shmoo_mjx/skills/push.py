@@ -1,0 +1,155 @@
+"""Push: a pusher moves the object towards a goal; what it felt and how the object moved is kept for who judges it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from shmoo_mjx import se2
+from shmoo_mjx.control.mppi import Plan
+from shmoo_mjx.control.pushing import LocalField, Sighting
+from shmoo_mjx.faces import heading
+from shmoo_mjx.hands import HAND_HEIGHT, REACH, touches
+from shmoo_mjx.learning.adaptation import AdaptState
+from shmoo_mjx.skills.settings import SkillConfig, hold
+from shmoo_mjx.types import DT, Command
+
+__all__ = ["Mark", "PushState", "Pusher", "init", "lets_go", "step"]
+
+Array = Any
+
+
+class Pusher(Protocol):
+    """What pushes: :class:`~shmoo_mjx.control.pushing.PushController`, or something to compare it with.
+
+    Its state is a NamedTuple of its own with a field ``adapt``: what has been learned of the object.
+    """
+
+    def init(self, now: Sighting, face: Array, half_extents: Array, key: Array, adapt: AdaptState | None = None) -> Any:
+        """Start a push."""
+
+    def step(
+        self, state: Any, now: Sighting, last_u: Array, goal: Array, around: LocalField, half_extents: Array
+    ) -> tuple[np.ndarray, Any, Plan | None]:
+        """One 10 Hz step."""
+
+    def coast(self, state: Any) -> np.ndarray:
+        """Where the object comes to rest if it is let go now."""
+
+
+class Mark(NamedTuple):
+    """One sample of a push."""
+
+    contact_time: float
+    """Time in contact so far [s]."""
+    pose: np.ndarray
+    """``[3]`` of the object in {W}."""
+
+
+@dataclass(frozen=True, eq=False)
+class PushState:
+    """Memory of one push."""
+
+    pusher: Any
+    """The pusher's own."""
+    started: float
+    """[s]"""
+    contact_time: float = 0.0
+    """Time in contact so far [s]."""
+    since_contact: float = 0.0
+    """Time since the hands last touched the object [s]."""
+    marks: tuple[Mark, ...] = ()
+    ok: bool = True
+    """Whether the last plan had a finite roll-out."""
+
+    def moved(self, pose: np.ndarray) -> float:
+        """How far the object has come since the push began [m]."""
+        start = self.marks[0].pose if self.marks else pose
+        return float(np.linalg.norm(pose[:2] - start[:2]))
+
+    def travelled(self, seconds: float) -> float | None:
+        """Extent of the object's way in the last ``seconds`` of contact [m]; None if there was less contact."""
+        if self.contact_time < seconds:
+            return None
+        return float(np.linalg.norm(np.ptp(self.recent(seconds)[:, :2], axis=0)))
+
+    def recent(self, seconds: float) -> np.ndarray:
+        """Object poses ``[n, 3]`` of the last ``seconds`` of contact, the yaw without jumps."""
+        poses = np.array([m.pose for m in self.marks if m.contact_time > self.contact_time - seconds])
+        poses[:, 2] = np.unwrap(poses[:, 2])
+        return poses
+
+
+def init(
+    pusher: Any, time: float, now: Sighting, face: Array, half_extents: Array, key: Array, adapt: AdaptState | None
+) -> PushState:
+    """A push on ``face [4]`` that starts at ``time`` [s]. Its first step comes a sample later: a pusher that was
+    stepped with the very observation it began with would take the object to have been pushed and not moved."""
+    return PushState(pusher.init(now, face, np.asarray(half_extents), key, adapt), time)
+
+
+def step(
+    pusher: Any,
+    state: PushState,
+    now: Sighting,
+    face: Array,
+    last_u: Array,
+    goal: Array,
+    around: LocalField,
+    half_extents: Array,
+    governor_room: float | None = None,
+) -> tuple[PushState, Command]:
+    """One sample: adapt, plan, and give the command; stand still if no roll-out of the model is finite.
+
+    Args:
+        pusher: what pushes.
+        state: from :func:`init` or the last step.
+        now: robot and object, with the wrench of the sample that ended.
+        face: ``[4]`` that is pushed.
+        last_u: ``[3]`` what was applied during that sample.
+        goal: ``[3]`` pose of the object in {W}.
+        around: clearance round the object.
+        half_extents: ``[2]`` of the object's footprint [m].
+        governor_room: in place of the pusher's own, for this step.
+    """
+    more = () if governor_room is None else (governor_room,)
+    u, own, plan = pusher.step(state.pusher, now, last_u, goal, around, np.asarray(half_extents), *more)
+    touching = bool(touches(now.wrench))
+    contact_time = state.contact_time + (DT if touching else 0.0)
+    ok = (plan is None or bool(plan.ok)) and bool(np.isfinite(u).all())
+    state = replace(
+        state,
+        pusher=own,
+        contact_time=contact_time,
+        since_contact=0.0 if touching else state.since_contact + DT,
+        marks=(*state.marks, Mark(contact_time, np.array(now.object_pose))),
+        ok=ok,
+    )
+    command = Command(np.asarray(u), heading(now.object_pose, face), REACH, HAND_HEIGHT)
+    return state, command if ok else hold(now, extended=True)
+
+
+def lets_go(
+    config: SkillConfig, rest: Array, coasts: Array, object_pose: Array, face: Array, goal: Array
+) -> tuple[Array, Array, Array]:
+    """Whether it is time to let go of an object for it to coast into its goal; pure, NumPy and JAX alike.
+
+    Args:
+        config: settings.
+        rest: ``[3]`` where the object comes to rest if it is let go now, in {W}.
+        coasts: ``[5]`` how far it would have coasted along the push in the last samples [m]; a single one is noisy.
+        object_pose: ``[3]`` now.
+        face: ``[4]`` that is pushed.
+        goal: ``[3]`` in {W}.
+
+    Returns:
+        The coasting distances with this one, the way left along the push [m], and whether to let go.
+    """
+    xp = se2.array_module(rest, object_pose)
+    ahead = heading(object_pose, face)
+    normal = xp.stack([xp.cos(ahead), xp.sin(ahead)])
+    left = (goal[:2] - object_pose[:2]) @ normal
+    coasts = xp.concatenate([coasts[1:], ((rest[:2] - object_pose[:2]) @ normal)[None]])
+    return coasts, left, (left - xp.median(coasts) < config.lead) & (left < config.within)

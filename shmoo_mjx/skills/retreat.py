@@ -1,0 +1,47 @@
+"""Retreat: draw the hands back, back away from the face, fold the arms at rest."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from shmoo_mjx import se2
+from shmoo_mjx.control.pushing import Sighting
+from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_REACH
+from shmoo_mjx.skills.settings import Move, SkillConfig, hands_to_face, lean_for
+from shmoo_mjx.types import Command
+
+__all__ = ["step"]
+
+Array = Any
+
+_SPEED = 0.2
+"""Speed backwards [m/s]."""
+_SLOW = 0.08
+"""Speed below which the robot stands [m/s]."""
+
+
+def step(config: SkillConfig, now: Sighting, face: Array, folded: Array, off_walls: Array | None = None) -> Move:
+    """One sample; pure, on NumPy and JAX arrays alike. No memory: where robot and object are says what is next.
+
+    Args:
+        config: settings.
+        now: robot and object.
+        face: ``[4]`` as in :func:`~shmoo_mjx.faces.faces_of`.
+        folded: whether the arms are folded.
+        off_walls: ``[2]`` velocity in {W} that keeps off walls [m/s]; none if not given.
+    """
+    xp = se2.array_module(now.object_pose, now.robot_pose)
+    # The arms fold at rest: their centre of mass moves, and a robot under way would be carried along by it.
+    clear = hands_to_face(now.object_pose, now.robot_pose, face) > config.retreat
+    back = xp.stack([xp.where(clear, 0.0, -_SPEED), xp.asarray(0.0)])
+    if off_walls is not None:
+        back = back + se2.rotate(off_walls, -now.robot_pose[2])
+    slow = xp.hypot(now.robot_twist[0], now.robot_twist[1]) < _SLOW
+    over = clear & folded & slow
+    lean = lean_for(now, xp.where(over, 0.0, 1.0) * back)
+    # A ball-balancing robot first rolls forwards when it is to go back: hands left out would push once more.
+    reach = xp.where(clear, TUCKED_REACH, REACH - config.withdraw)
+    command = Command(xp.concatenate([lean, np.zeros(1)]), now.robot_pose[2], reach, xp.asarray(HAND_HEIGHT))
+    return Move(command, over)
