@@ -6,7 +6,7 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal
+from typing import Literal, cast
 
 import tyro
 from tyro.conf import Positional
@@ -15,6 +15,7 @@ import shmoo_mjx
 from shmoo_mjx.environment import prepare_environment
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.talk import with_talk
+from shmoo_mjx.types import SENSES, SensesName
 
 __all__ = ["main"]
 
@@ -25,6 +26,7 @@ def demo(
     weights: Path | None = None,
     video: bool = True,
     quick: bool = False,
+    senses: str = "real",
 ) -> int:
     """Run the whole story on a generated floor plan: push a box away, recognise a locked wheelchair, go round.
 
@@ -36,10 +38,11 @@ def demo(
         weights: trained weights (default: the shipped ones).
         video: draw episode.mp4 (--no-video is about twice as fast).
         quick: a short form for checks: no video.
+        senses: real (camera, odometry, joint torques) or perfect (the simulator's truth).
     """
     from shmoo_mjx.demo import run_demo
 
-    return run_demo(_seeds(seed), out, weights, video and not quick)
+    return run_demo(_seeds(seed), out, weights, video and not quick, _senses(senses))
 
 
 def navigate(
@@ -51,6 +54,7 @@ def navigate(
     weights: Path | None = None,
     video: bool = True,
     record: bool = False,
+    senses: str | None = None,
 ) -> int:
     """Run a scenario in any ROS map_server map.
 
@@ -65,13 +69,15 @@ def navigate(
         weights: trained weights (default: the shipped ones).
         video: draw episode.mp4.
         record: write episode.rrd too, a 3-D recording to scrub through (needs the package rerun-sdk).
+        senses: real or perfect; overrides the scenario's own (default: real).
     """
     from shmoo_mjx import progress, run
 
+    chosen = None if senses is None else _senses(senses)
     grid, task = run.load_inputs(map, scenario, start, goal)
     name = str(scenario) if scenario else "--start/--goal"
     with progress.stages() as report:
-        result = run.run_scenario(grid, task, out, weights, video, name, report, record)
+        result = run.run_scenario(grid, task, out, weights, video, name, report, record, chosen)
     print(f"{result['outcome']}: {result['reason']}; {out / 'report.html'}")
     return 0 if result["outcome"] == "success" else 1
 
@@ -240,6 +246,7 @@ def experiment(
     weights: Path | None = None,
     pushes: Path | None = None,
     out: Path = Path("runs/experiments"),
+    senses: str = "real",
 ) -> int:
     """Run an experiment: object_model, baselines, ablations, robot_finetune, pushing, object_planner, real_pushing,
     navigation; or all of them, with a page of their results.
@@ -258,14 +265,16 @@ def experiment(
         weights: trained weights (default: the shipped ones).
         pushes: folder of recorded pushes, for real_pushing among all.
         out: folder for figures and what an interrupted experiment goes on from.
+        senses: real or perfect, of the robots that act in the experiment.
     """
+    perceived = _senses(senses)
     from shmoo_mjx import progress
     from shmoo_mjx.evaluation.everything import run_all
     from shmoo_mjx.evaluation.registry import run_experiment
     from shmoo_mjx.evaluation.result import Ask, table, write_result
 
     with progress.stages() as report:
-        ask = Ask(seed, condition_seed, quick, data, maps, scenarios, weights, out, report)
+        ask = Ask(seed, condition_seed, quick, data, maps, scenarios, weights, out, report, perceived)
         if name == "all":
             page, left_out = run_all(ask, pushes)
             for other, reason in left_out.items():
@@ -403,6 +412,12 @@ def _run(arguments: list[str] | None = None) -> int:
         commands, prog="shmoo", description=shmoo_mjx.__doc__, args=arguments
     )
     return code
+
+
+def _senses(text: str) -> SensesName:
+    if text not in SENSES:
+        raise ShmooError(f"--senses {text!r} are unknown; choose {' or '.join(SENSES)}.")
+    return cast(SensesName, text)
 
 
 def _seeds(text: str) -> list[int]:

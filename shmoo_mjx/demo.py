@@ -6,11 +6,14 @@ from pathlib import Path
 from typing import Any
 
 from shmoo_mjx.navigation.floorplan import demo_scenario
+from shmoo_mjx.types import SensesName
 
 __all__ = ["run_demo"]
 
 
-def run_demo(seeds: list[int], out: Path, weights: Path | None = None, video: bool = True) -> int:
+def run_demo(
+    seeds: list[int], out: Path, weights: Path | None = None, video: bool = True, senses: SensesName = "real"
+) -> int:
     """Run the demo for each seed and print the outcome, the success rate and the cause of each failure.
 
     Args:
@@ -18,6 +21,7 @@ def run_demo(seeds: list[int], out: Path, weights: Path | None = None, video: bo
         out: gets one folder ``demo-SEED`` per run.
         weights: trained weights; the shipped ones if not given.
         video: draw each run's episode.mp4.
+        senses: what the robot perceives with.
 
     Returns:
         0 if every run succeeded, 1 otherwise.
@@ -29,7 +33,9 @@ def run_demo(seeds: list[int], out: Path, weights: Path | None = None, video: bo
     for seed in seeds:
         grid, scenario = demo_scenario(seed)
         with progress.stages() as report:
-            result = run_scenario(grid, scenario, out / f"demo-{seed}", weights, video, f"demo seed {seed}", report)
+            result = run_scenario(
+                grid, scenario, out / f"demo-{seed}", weights, video, f"demo seed {seed}", report, senses=senses
+            )
         results.append(result)
         print(_line(seed, result), flush=True)
     good = sum(r["outcome"] == "success" for r in results)

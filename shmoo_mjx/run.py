@@ -17,7 +17,7 @@ from shmoo_mjx.assets import asset
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.navigation.maps import OccupancyGrid, save_map
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Scenario, check_scenario, save_scenario
-from shmoo_mjx.types import DT
+from shmoo_mjx.types import DT, SensesName
 
 __all__ = ["DEMO_WEIGHTS", "load_inputs", "run_scenario", "versions"]
 
@@ -39,6 +39,7 @@ def run_scenario(
     name: str = "scenario",
     progress: Callable[[str, float], None] = lambda stage, fraction: None,
     record: bool = False,
+    senses: SensesName | None = None,
 ) -> dict[str, Any]:
     """Run one scenario and write its folder ``out``.
 
@@ -51,6 +52,7 @@ def run_scenario(
         name: what to call the scenario in error messages.
         progress: called with (stage, fraction of its limit that has passed).
         record: also write episode.rrd, a 3-D recording for the Rerun viewer.
+        senses: what the robot perceives with; if not given the scenario's, or real.
 
     Returns:
         The result, as in result.json.

@@ -6,14 +6,18 @@ centre, yaw only). SI units, angles in rad. ``...`` stands for any batch dimensi
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
-__all__ = ["DT", "Command", "Observation", "SystemState"]
+__all__ = ["DT", "SENSES", "Command", "Observation", "SensesName", "SystemState"]
 
 Array = Any  # numpy.ndarray or jax.Array
 
 DT = 0.1
 """Sample time of the dynamics model and of the controllers [s] (Eq. 1)."""
+
+SensesName = Literal["real", "perfect"]
+"""How the robot perceives: as a robot does, or the simulator's truth (shmoo_mjx/sensing)."""
+SENSES: tuple[str, ...] = get_args(SensesName)
 
 
 class Command(NamedTuple):

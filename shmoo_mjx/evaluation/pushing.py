@@ -1,4 +1,4 @@
-"""Experiment ``pushing`` (Sec. VI-A, Fig. 7, spec 7.3): objects pushed to three goals by the proxy robot.
+"""Experiment ``pushing`` (Sec. VI-A, Fig. 7, spec 7.3): objects pushed to three goals.
 
 Three families, three goals, ten runs each; the object changes half-way. Every trial is also run with the coefficients
 frozen at the prior, with a quasi-static pusher, and with coefficients fitted in hindsight. Each finished trial is a
@@ -22,6 +22,7 @@ from shmoo_mjx.assets import asset
 from shmoo_mjx.evaluation.pushing_trials import METHODS, Runner, Trial, draw_trials, save_trial
 from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
 from shmoo_mjx.processes import process_pool
+from shmoo_mjx.sensing import senses_named
 
 __all__ = ["PAPER", "PushingConfig", "enclosing_circle", "metrics_of", "run"]
 
@@ -65,7 +66,7 @@ def run(ask: Ask) -> ExperimentResult:
     wanted = [(t, m) for m in config.methods for t in trials if m == OURS or t.run < config.baseline_runs]
     todo = [(t, m) for t, m in wanted if not (folder / f"{m}-{t.name}.json").exists()]
     total = len(wanted)
-    for done, name in enumerate(_run_all(todo, weights, config, folder), total - len(todo) + 1):
+    for done, name in enumerate(_run_all(todo, weights, config, folder, ask.senses), total - len(todo) + 1):
         ask.progress(f"pushing: {name}", 0.95 * done / total)
     rows = [json.loads((folder / f"{m}-{t.name}.json").read_text()) for t, m in wanted]
     from shmoo_mjx.evaluation.pushing_figure import draw_figure, film
@@ -75,7 +76,7 @@ def run(ask: Ask) -> ExperimentResult:
         for family in dict.fromkeys(t.family for t in trials):
             ask.progress(f"film of a {family}", 0.97)
             first = next(t for t in trials if t.family == family and t.goal == 2)
-            film(ask.out / "pushing" / f"pushing-{family}.mp4", first, folder)
+            film(ask.out / "pushing" / f"pushing-{family}.mp4", first, folder, senses_named(ask.senses))
     ask.progress("done", 1.0)
     return make_result("pushing", ask, config, metrics_of(rows), PAPER, rows)
 
@@ -143,11 +144,12 @@ def _fingerprint(ask: Ask, config: PushingConfig, weights: Path) -> str:
 
     content = hashlib.sha256(weights.read_bytes()).hexdigest()
     settings: tuple[Any, ...] = (asdict(PushTaskConfig()), asdict(pose_push_config()), asdict(PushConfig()))
-    text = repr((ask.seed, ask.condition_seed, config.time_limit, settings, content))
+    senses = senses_named(ask.senses)
+    text = repr((ask.seed, ask.condition_seed, config.time_limit, settings, content, senses))
     return "trials-" + hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
-_RUNNER: dict[Path, Runner] = {}
+_RUNNER: dict[tuple[Path, str], Runner] = {}
 """A worker's own runner, made once per process: compiling its controllers takes longer than a trial."""
 
 
@@ -159,22 +161,25 @@ def _worker() -> None:
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_cpu_multi_thread_eigen=false".strip()
 
 
-def _one(trial: Trial, method: str, weights: Path, config: PushingConfig, folder: Path) -> str:
+def _one(trial: Trial, method: str, weights: Path, config: PushingConfig, folder: Path, senses: str) -> str:
     from shmoo_mjx.learning.weights import load_weights
 
-    if weights not in _RUNNER:
-        _RUNNER[weights] = Runner(load_weights(weights), config.time_limit)
-    row, track = _RUNNER[weights].run(trial, method)
+    key = (weights, senses)
+    if key not in _RUNNER:
+        _RUNNER[key] = Runner(load_weights(weights), config.time_limit, senses_named(senses))
+    row, track = _RUNNER[key].run(trial, method)
     save_trial(folder, row, track)
     return f"{method} {trial.name}"
 
 
-def _run_all(todo: list[tuple[Trial, str]], weights: Path, config: PushingConfig, folder: Path) -> Iterator[str]:
+def _run_all(
+    todo: list[tuple[Trial, str]], weights: Path, config: PushingConfig, folder: Path, senses: str
+) -> Iterator[str]:
     """Runs the trials in processes; yields the name of each as it is done."""
     if not todo:
         return
     workers = min(config.workers, len(todo))
     with process_pool(workers, _worker) as pool:
-        jobs = [pool.submit(_one, trial, method, weights, config, folder) for trial, method in todo]
+        jobs = [pool.submit(_one, trial, method, weights, config, folder, senses) for trial, method in todo]
         for job in as_completed(jobs):
             yield job.result()

@@ -9,6 +9,7 @@ import numpy as np
 
 from shmoo_mjx.evaluation.pushing_trials import GOALS, METHODS, Trial, scene_of_trial
 from shmoo_mjx.report.style import COLOURS, SERIES, outline
+from shmoo_mjx.sensing import Senses
 
 __all__ = ["draw_figure", "film"]
 
@@ -89,16 +90,15 @@ def _offsets(axis: Any, rows: list[dict[str, Any]]) -> None:
     axis.set_title("final offsets (bars: mean)")
 
 
-def film(path: Path, trial: Trial, folder: Path) -> Path | None:
+def film(path: Path, trial: Trial, folder: Path, senses: Senses) -> Path | None:
     """The film of one of our trials, drawn by MuJoCo; None where that can't draw."""
-    from shmoo_mjx.plant.proxy import Imperfections
     from shmoo_mjx.plant.render import can_render, frames
     from shmoo_mjx.report.video import compose, write_video
 
     if can_render():
         return None
     track = np.load(folder / f"ours-{trial.name}.npz")
-    scene = scene_of_trial(trial, trial.condition, Imperfections())
+    scene = scene_of_trial(trial, trial.condition, senses)
     stride = 2
     views = frames(scene, track["qpos"][::stride].astype(float))
     captions = (

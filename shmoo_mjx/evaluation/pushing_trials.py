@@ -1,6 +1,6 @@
-"""The trials of the pushing experiment: drawn from seeds, run one by one on the proxy robot.
+"""The trials of the pushing experiment: drawn from seeds, run one by one on a robot with real or perfect senses.
 
-A trial is an object nobody has looked at, a goal, a start pose of object and robot, another body of the proxy robot,
+A trial is an object nobody has looked at, a goal, a start pose of object and robot, another body of the robot,
 and what changes half-way: extra mass, a brake pressed on one wheel, or nothing.
 """
 
@@ -21,8 +21,8 @@ from shmoo_mjx.learning.weights import Weights
 from shmoo_mjx.navigation.maps import OccupancyGrid
 from shmoo_mjx.navigation.push_task import Pusher, PushTask, pose_push_config
 from shmoo_mjx.plant.objects import FAMILIES, Condition, draw_condition
-from shmoo_mjx.plant.proxy import Imperfections, ProxyEngine, body_of, draw_body
 from shmoo_mjx.plant.scene import Scene, build_scene
+from shmoo_mjx.sensing import REAL, SensedEngine, Senses
 from shmoo_mjx.types import Observation
 
 __all__ = [
@@ -72,7 +72,7 @@ class Trial:
     object_pose: tuple[float, float, float]
     robot_pose: tuple[float, float, float]
     seed: int
-    """Of the proxy robot's body and noise and of the controller."""
+    """Of the robot's body, its senses and the controller."""
 
     @property
     def name(self) -> str:
@@ -145,10 +145,9 @@ def draw_trials(first_unseen: int, seed: int, runs: int, goals: tuple[int, ...] 
     return trials
 
 
-def scene_of_trial(trial: Trial, condition: Condition, imperfections: Imperfections) -> Scene:
-    """The trial's world with this body of the proxy robot."""
-    adjust = body_of(draw_body(imperfections, trial.seed))
-    return build_scene([(condition, trial.object_pose)], trial.robot_pose, adjust=adjust)
+def scene_of_trial(trial: Trial, condition: Condition, senses: Senses) -> Scene:
+    """The trial's world with the body of the trial's robot."""
+    return build_scene([(condition, trial.object_pose)], trial.robot_pose, adjust=senses.adjust(trial.seed))
 
 
 def _pusher(method: str, weights: Weights) -> Pusher:
@@ -179,17 +178,18 @@ def hindsight(weights: Weights, condition: Condition, seed: int) -> AdaptState:
 class Runner:
     """Runs trials of every method in one process; each method's controller is compiled once."""
 
-    def __init__(self, weights: Weights, time_limit: float, imperfections: Imperfections | None = None) -> None:
+    def __init__(self, weights: Weights, time_limit: float, senses: Senses = REAL) -> None:
         self.weights = weights
         self.time_limit = time_limit
-        self.imperfections = imperfections or Imperfections()
+        self.senses = senses
         self._pushers: dict[str, Pusher] = {}
 
     def run(self, trial: Trial, method: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         """The trial's row and its track: t, object_pose, robot_pose (all true), phase, qpos."""
         pusher = self._pushers.setdefault(method, _pusher(method, self.weights))
-        scene = scene_of_trial(trial, trial.condition, self.imperfections)
-        engine = ProxyEngine([scene], self.imperfections, trial.seed)
+        scene = scene_of_trial(trial, trial.condition, self.senses)
+        # It is told where the object stands, as it is told the goal: to find the object is not part of the task.
+        engine = SensedEngine([scene], self.senses, trial.seed, told=True)
         adapt, adapt_after = None, None
         if method == "hindsight":
             adapt = hindsight(self.weights, trial.condition, trial.seed % 10_000)
@@ -198,20 +198,20 @@ class Runner:
         sizes = [trial.condition.half_extents]
         task = PushTask(grid, sizes, trial.goal_pose, pusher, seed=trial.seed, adapt=adapt)
         log = _Log(scene, trial)
-        world = engine.init()
-        seen, true = engine.observe(world), engine.true_observation(world)
-        changed_at = None
-        while not task.finished and float(seen.time[0]) < self.time_limit and not log.fell:
-            if changed_at is None and trial.change != "none" and log.share(true) > trial.change_at:
-                changed_at = float(seen.time[0])
-                engine.change([scene_of_trial(trial, trial.changed, self.imperfections)])
-                if adapt_after is not None:
-                    task.know(adapt_after)
-            command = task.tick(seen)
-            world, seen = engine.step(world, command)
-            true = engine.true_observation(world)
-            log.note(true, world.physics[0], str(task.phase), bool(engine.fallen(world)[0]))
-        engine.close()
+        with engine:
+            world = engine.init()
+            seen, true = engine.observe(world), engine.true_observation(world)
+            changed_at = None
+            while not task.finished and float(seen.time[0]) < self.time_limit and not log.fell:
+                if changed_at is None and trial.change != "none" and log.share(true) > trial.change_at:
+                    changed_at = float(seen.time[0])
+                    engine.change([scene_of_trial(trial, trial.changed, self.senses)])
+                    if adapt_after is not None:
+                        task.know(adapt_after)
+                command = task.tick(seen)
+                world, seen = engine.step(world, command)
+                true = engine.true_observation(world)
+                log.note(true, world.physics[0], str(task.phase), bool(engine.fallen(world)[0]))
         return self._row(trial, method, task, log, true, changed_at), log.track()
 
     def _row(

@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from shmoo_mjx.assets import asset
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.run import DEMO_WEIGHTS, versions
+from shmoo_mjx.types import SensesName
 
 __all__ = [
     "UNSEEN_SEED",
@@ -57,6 +58,8 @@ class Ask:
     """Folder for figures and what an interrupted experiment goes on from."""
     progress: Callable[[str, float], None] = lambda stage, fraction: None
     """Called with (stage, fraction done)."""
+    senses: SensesName = "real"
+    """What the robot perceives with, where a simulated robot acts in the experiment."""
 
     @property
     def first_unseen(self) -> int:
@@ -87,7 +90,12 @@ def make_result(
 ) -> ExperimentResult:
     """Assemble a result; numpy numbers become plain ones and what is not finite becomes null."""
     settings = asdict(config) if is_dataclass(config) and not isinstance(config, type) else dict(config)
-    asked = {"condition_seed": ask.condition_seed, "quick": ask.quick, "weights": weights_id(ask.weights)}
+    asked = {
+        "condition_seed": ask.condition_seed,
+        "quick": ask.quick,
+        "weights": weights_id(ask.weights),
+        "senses": ask.senses,
+    }
     return ExperimentResult(
         experiment=experiment,
         seed=ask.seed,

@@ -1,9 +1,9 @@
 """Experiment `robot_finetune`: R on another robot, before and after five minutes of its data (Sec. III-D.3, Fig. 8).
 
-The proxy robot stands for the hardware (plant/proxy.py): another body, delay, noise, force only by J tau. Scripted
-operators push objects with it for five minutes; R goes on training on these, and is scored on another two minutes, on
-objects of their own. Labels are what the proxy itself measures, noise included, as on hardware. What eight times as
-much data bring shows how much there is to learn at all.
+A robot with real senses stands for the hardware (plant/body.py, sensing): another body, delay, noise, drift, force
+only by J tau. Scripted operators push objects with it for five minutes; R goes on training on these, and is scored on
+another two minutes, on objects of their own. Labels are what the robot itself measures, noise included, as on hardware.
+What eight times as much data bring shows how much there is to learn at all.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from shmoo_mjx.learning.robot_fit import RobotFitConfig, RobotRows
 from shmoo_mjx.learning.rows import rows_from_dataset
 from shmoo_mjx.learning.weights import Weights, known_from, load_weights
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
-from shmoo_mjx.plant.proxy import Imperfections, ProxyEngine, body_of, draw_body
 from shmoo_mjx.run import DEMO_WEIGHTS
+from shmoo_mjx.sensing import SensedEngine, senses_named
 from shmoo_mjx.types import SystemState
 
 __all__ = ["PAPER", "RobotFinetuneConfig", "run"]
@@ -46,10 +46,10 @@ OUTPUTS = ("acceleration_x", "acceleration_y", "acceleration_yaw", "force_x", "f
 
 @dataclass(frozen=True)
 class RobotFinetuneConfig:
-    """How much of how many proxy robots is recorded, and how R goes on training."""
+    """How much of how many robots is recorded, and how R goes on training."""
 
     robots: int = 3
-    """Proxy robots, each drawn with a seed of its own and fine-tuned for itself."""
+    """Robots, each drawn with a seed of its own and fine-tuned for itself."""
     train_episodes: int = 8
     """Per family, of ``seconds`` each: 8 x 3 x 12.5 s = 5 minutes."""
     validation_episodes: int = 2
@@ -85,12 +85,13 @@ MODELS = ("before", "after", "more")
 
 @dataclass(frozen=True)
 class _Work:
-    """One proxy robot in a process of its own; called with "robot-NUMBER"."""
+    """One robot in a process of its own; called with "robot-NUMBER"."""
 
     weights: Path
     config: RobotFinetuneConfig
     seed: int
     first_unseen: int
+    senses: str
 
     def __call__(self, name: str) -> list[dict[str, Any]]:
         number = int(name.partition("-")[2])
@@ -121,8 +122,8 @@ class _Work:
         ).params
 
     def _record(self, robot_seed: int, episodes: int | None) -> store.Dataset:
-        """What the proxy with this seed perceives while operators push one object per episode; None: for the test."""
-        config, imperfections, test = self.config, Imperfections(), episodes is None
+        """What the robot with this seed perceives while operators push one object per episode; None: for the test."""
+        config, senses, test = self.config, senses_named(self.senses), episodes is None
         count = config.test_episodes if episodes is None else episodes
         settings = CollectConfig(
             episodes=1, seconds=config.test_seconds if test else config.seconds, seed=robot_seed + int(test)
@@ -135,8 +136,8 @@ class _Work:
                 settings,
                 chunk,
                 k,
-                body_of(draw_body(imperfections, robot_seed)),
-                partial(ProxyEngine, imperfections=imperfections, seed=robot_seed),
+                senses.adjust(robot_seed),
+                partial(SensedEngine, senses=senses, seed=robot_seed, told=True),
             )
             for condition, values in zip(chunk, recorded, strict=True):
                 names.append(f"{family}-{condition.seed}")
@@ -146,12 +147,16 @@ class _Work:
 
 
 def run(ask: Ask, config: RobotFinetuneConfig | None = None) -> ExperimentResult:
-    """Record, fine-tune and score each proxy robot; goes on from ``ask.out`` after a stop."""
+    """Record, fine-tune and score each robot; goes on from ``ask.out`` after a stop."""
     config = config or (QUICK if ask.quick else RobotFinetuneConfig())
     weights = ask.weights or asset(DEMO_WEIGHTS)
-    key = asdict(replace(config, workers=1, robots=1)) | {"seed": ask.seed, "unseen": ask.first_unseen}
+    key = asdict(replace(config, workers=1, robots=1)) | {
+        "seed": ask.seed,
+        "unseen": ask.first_unseen,
+        "senses": senses_named(ask.senses),
+    }
     folder = ask.out / "robot_finetune" / fingerprint(key, weights)
-    work = _Work(weights, config, ask.seed, ask.first_unseen)
+    work = _Work(weights, config, ask.seed, ask.first_unseen, ask.senses)
     names = [f"robot-{i}" for i in range(config.robots)]
     rows = run_trials(names, work, folder, ask.progress, config.workers)
     result = make_result("robot_finetune", ask, config, _metrics(rows), PAPER, rows)

@@ -18,9 +18,10 @@ from shmoo_mjx.navigation.path_shortening import PathConfig
 from shmoo_mjx.navigation.paths import cost_to_go
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS
 from shmoo_mjx.plant.objects import draw_condition
+from shmoo_mjx.sensing.rays import cast
 from shmoo_mjx.types import Command, Observation
 
-__all__ = ["NavigateConfig", "NavigateTask", "Rooms", "cast"]
+__all__ = ["NavigateConfig", "NavigateTask", "Rooms"]
 
 Array = Any
 
@@ -173,25 +174,6 @@ class NavigateTask:
         free = cast(seen.robot_pose[:, :2], offset / np.maximum(far, 1e-9)[..., None], context.wall_pose,
                     context.wall_half, _FAR)  # fmt: skip
         return ((far <= self.config.reach) & (free >= far)).reshape(worlds, count, -1).any(axis=-1)
-
-
-def cast(origins: Array, directions: Array, poses: Array, half_extents: Array, reach: float) -> np.ndarray:
-    """Distance ``[W, R]`` [m] along rays to the first of some rectangles, ``reach`` where none is nearer.
-
-    Args:
-        origins: ``[W, 2]`` in {W}.
-        directions: ``[W, R, 2]`` unit vectors in {W}.
-        poses: ``[W, K, 3]`` of the rectangles in {W}.
-        half_extents: ``[W, K, 2]`` along their own axes [m].
-        reach: of the rays [m].
-    """
-    origin = se2.inverse_transform_point(poses, origins[:, None])[:, :, None]
-    along = se2.rotate(directions[:, None], -poses[:, :, None, 2])
-    along = np.where(np.abs(along) < 1e-9, 1e-9, along)
-    ends = np.stack([(-half_extents[:, :, None] - origin) / along, (half_extents[:, :, None] - origin) / along])
-    enter, leave = ends.min(axis=0).max(axis=-1), ends.max(axis=0).min(axis=-1)
-    distance = np.where((leave >= enter) & (leave >= 0), np.maximum(enter, 0.0), reach)
-    return np.minimum(distance.min(axis=1), reach)
 
 
 def _way_to(grid: OccupancyGrid, goal: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ objects:
     properties: {mass: 3.0}
 seed: 0
 limits: {time_s: 180}
+senses: real              # or perfect
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator
 
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.navigation.yaml_input import read_mapping, validated, write_whole
+from shmoo_mjx.types import SENSES, SensesName
 
 if TYPE_CHECKING:
     from shmoo_mjx.navigation.maps import OccupancyGrid
@@ -110,6 +112,15 @@ class Scenario(_Strict):
     """Seeds everything random in the run."""
     limits: Limits = Limits()
     """When to give up."""
+    senses: SensesName | None = None
+    """What the robot perceives with, real or perfect; None leaves it to whoever runs the scenario (real)."""
+
+    @field_validator("senses", mode="before")
+    @classmethod
+    def _known_senses(cls, value: object) -> object:
+        if value is not None and value not in SENSES:
+            raise ValueError(f"is {value!r}; choose {' or '.join(SENSES)}.")
+        return value
 
 
 def load_scenario(path: str | Path) -> Scenario:

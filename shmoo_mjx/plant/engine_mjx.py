@@ -248,6 +248,10 @@ class MjxEngine:
         qpos, qvel = self._split(world.physics)
         return readout(qpos[..., :17], qvel[..., :15])
 
+    def torque(self, world: MjxWorld, command: Command) -> Array:
+        """Motor torques ``[W, 9]`` [N m] that the control asks for now; what a robot measures as motor currents."""
+        return lowlevel.control(self.gains, world.control, self.robot(world), command, self.timestep)[1]
+
     def fallen(self, world: MjxWorld) -> Array:
         """``[W]`` whether the body leans more than 0.6 rad."""
         return jnp.any(jnp.abs(se2.wrap(self.robot(world).lean)) > 0.6, axis=-1)

@@ -73,7 +73,7 @@ def build_scene(
         wall_height: drawn and simulated height of the walls [m].
         engine: which engine's contact sensors to build. The physics is the same until the robot falls or an object
             topples: MJX, which computes every contact that could be, leaves out those of the bodies with the floor.
-        adjust: last changes to the MJCF before it is compiled, in place (plant/proxy.py makes another robot this way).
+        adjust: last changes to the MJCF before it is compiled, in place (plant/body.py makes another robot this way).
     """
     framed = engine == "mjx"
     spec = mujoco.MjSpec.from_file(str(asset("models_xml/scene.xml")))

@@ -121,7 +121,7 @@ def drive(
     """Run the velocity loop of the cascade on every world of ``engine``.
 
     Args:
-        engine: any batch of worlds, on either engine or the proxy robot.
+        engine: any batch of worlds, on either engine, with senses or without.
         seconds: duration.
         velocity: wish in {R} [m/s] over time.
         station: gain of station keeping at the origin [1/s]; 0 is off.

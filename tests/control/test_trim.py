@@ -71,8 +71,8 @@ def test_lean_is_counted_from_the_trim_both_ways() -> None:
 
 def test_a_robot_with_a_shifted_centre_of_mass_stands_still() -> None:
     from shmoo_mjx.navigation.drive import velocity_command
+    from shmoo_mjx.plant.body import Imperfections, body_of, draw_body
     from shmoo_mjx.plant.engine_mujoco import MujocoEngine
-    from shmoo_mjx.plant.proxy import Imperfections, body_of, draw_body
     from shmoo_mjx.plant.scene import build_scene
 
     body = draw_body(Imperfections(), 3)._replace(com=(0.004, -0.005, 0.0))

@@ -123,7 +123,7 @@ def test_metrics_have_the_names_that_were_agreed() -> None:
 def test_finished_trials_are_not_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
 
-    def fake(todo: Any, weights: Path, config: PushingConfig, folder: Path) -> Any:
+    def fake(todo: Any, weights: Path, config: PushingConfig, folder: Path, senses: str) -> Any:
         for trial, method in todo:
             asked.append(f"{method}-{trial.name}")
             way = np.linspace(trial.object_pose, trial.goal_pose, 5)
@@ -153,7 +153,7 @@ def test_finished_trials_are_not_run_again(tmp_path: Path, monkeypatch: pytest.M
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["quasi_static", "ours"])
-def test_a_trial_on_the_proxy_robot_stays_within_its_limits(method: str) -> None:
+def test_a_trial_with_real_senses_stays_within_its_limits(method: str) -> None:
     from shmoo_mjx.assets import asset
     from shmoo_mjx.evaluation.pushing_trials import Runner
     from shmoo_mjx.learning.weights import load_weights

@@ -1,0 +1,147 @@
+"""The camera on the torso's top, which finds the tags on objects: what it sees, and how exactly.
+
+An object carries a tag at each corner of its top. A tag lies flat enough to be read from all sides, and the camera
+looks down on every object of ours, so that an object hides other objects' tags and never its own. Walls hide whatever
+is behind them, however low they are simulated. An object is detected in a frame if one of its tags is seen: one
+AprilTag gives a whole pose. Neither arms and hands nor the camera's field of view up and down are looked at, and
+lean is taken to be compensated by the inertial unit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from shmoo_mjx import se2
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.plant.scene import Scene
+from shmoo_mjx.sensing.rays import hidden
+
+__all__ = ["Camera", "Scenery", "deviation", "in_sight", "scenery_of"]
+
+Array = Any
+
+_CORNERS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+_INSET = 0.9
+"""Of the footprint's half extents: where a tag's centre is, which has to be seen."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """An RGB-D camera of the RealSense D435 class that reads AprilTags of some 10 cm; judged where no source stands."""
+
+    field_of_view: float = float(np.deg2rad(69.0))
+    """Width of the field of view [rad]: the D435's colour image. Wider: sees more beside the robot."""
+    near: float = 0.3
+    """Nearest distance on the floor at which a tag is found [m]: the D435's least depth. Larger: blind when pushing."""
+    far: float = 4.0
+    """Farthest one [m]: a tag of 10 cm is then some 16 pixels wide. Larger: objects are known earlier."""
+    rate: float = 30.0
+    """Frames per second [Hz]. Higher: less noise once filtered, more computing."""
+    delay: tuple[float, float] = (0.02, 0.04)
+    """Range from which the age of a frame on arrival is drawn for each robot [s]: exposure, transfer, finding tags.
+    Longer: poses of what moves are guessed further ahead."""
+    position_noise: float = 0.005 / 1.5
+    """Standard deviation of a detected position over distance [m/m]: 5 mm at 1.5 m. More: noisier poses and twists."""
+    yaw_noise: float = float(np.deg2rad(0.5)) / 1.5
+    """... of a detected yaw [rad/m]: 0.5 deg at 1.5 m."""
+    least_position_noise: float = 0.0015
+    """Least standard deviation of a position [m]: calibration and printing leave that however near the tag is."""
+    least_yaw_noise: float = float(np.deg2rad(0.15))
+    """... of a yaw [rad]."""
+    drop_out: float = 0.05
+    """Share of frames in which an object in sight is not found: blur and glare meet all its tags alike."""
+    burst: float = 0.005
+    """Chance per frame that an object stays lost for ``burst_time``. More: longer times without its pose."""
+    burst_time: float = 0.4
+    """[s]"""
+    objects_hide: bool = True
+    """Whether objects hide what is behind them."""
+
+    def __post_init__(self) -> None:
+        low, high = self.delay
+        rules = {
+            "field_of_view": (0 < self.field_of_view <= 2 * np.pi + 1e-9, "an angle above 0 and up to 360 deg"),
+            "near": (0 <= self.near < np.inf, "a distance of 0 m or more"),
+            "far": (self.near < self.far < np.inf, "a distance beyond 'near'"),
+            "rate": (0 < self.rate <= 100, "above 0 and up to 100 Hz"),
+            "delay": (0 <= low <= high <= 1, "two times from 0 to 1 s, the smaller one first"),
+            "drop_out": (0 <= self.drop_out <= 1, "a share from 0 to 1"),
+            "burst": (0 <= self.burst <= 1, "a chance from 0 to 1"),
+        }
+        never_negative = ("position_noise", "yaw_noise", "least_position_noise", "least_yaw_noise", "burst_time")
+        rules |= {name: (0 <= getattr(self, name) < np.inf, "a number of 0 or more") for name in never_negative}
+        for name, (possible, need) in rules.items():
+            if not possible:
+                raise ShmooError(f"Camera: {name} is {getattr(self, name)}; give {need}.")
+
+
+class Scenery(NamedTuple):
+    """What lines of sight depend on beside poses. W worlds, N objects, K walls."""
+
+    eye: Array
+    """``[W, 3]`` the camera in {R}: x, y, and height above the floor [m]."""
+    half_extents: Array
+    """``[W, N, 2]`` of the objects' footprints [m]."""
+    tops: Array
+    """``[W, N]`` the objects' heights [m]."""
+    wall_pose: Array
+    """``[W, K, 3]`` in {W}."""
+    wall_half: Array
+    """``[W, K, 2]`` [m]"""
+
+
+def scenery_of(scenes: list[Scene]) -> Scenery:
+    """The scenery of some worlds; where one has fewer walls than another, walls without size lie far away."""
+    most = max(len(s.wall_geoms) for s in scenes)
+    pose, half = np.full((len(scenes), most, 3), [1e6, 1e6, 0.0]), np.zeros((len(scenes), most, 2))
+    eyes = []
+    for i, scene in enumerate(scenes):
+        walls = sorted(scene.wall_geoms)
+        model = scene.model
+        pose[i, : len(walls), :2], half[i, : len(walls)] = model.geom_pos[walls, :2], model.geom_size[walls, :2]
+        pose[i, : len(walls), 2] = 2 * np.arctan2(model.geom_quat[walls, 3], model.geom_quat[walls, 0])
+        x, y, z = model.geom("robot/torso_camera").pos
+        eyes.append((x, y, z + model.geom("robot/ball").size[0]))
+    sizes = np.array([[c.size for c in s.conditions] for s in scenes], dtype=float).reshape(len(scenes), -1, 3)
+    return Scenery(np.array(eyes), sizes[..., :2] / 2, sizes[..., 2], pose, half)
+
+
+def in_sight(camera: Camera, scenery: Scenery, robot_pose: Array, object_pose: Array) -> Array:
+    """``[W, N]`` whether some tag of each object is in the field of view, in range and not hidden.
+
+    Args:
+        camera: its limits.
+        scenery: sizes and walls.
+        robot_pose: true ``[W, 3]`` in {W}.
+        object_pose: true ``[W, N, 3]`` in {W}.
+    """
+    xp = se2.array_module(robot_pose, object_pose)
+    worlds, count = object_pose.shape[:2]
+    if not count:
+        return xp.zeros((worlds, 0), dtype=bool)
+    eye = xp.concatenate([se2.transform_point(robot_pose, scenery.eye[:, :2]), scenery.eye[:, 2:]], axis=-1)
+    corners = se2.transform_point(object_pose[:, :, None], _INSET * scenery.half_extents[:, :, None] * _CORNERS)
+    height = xp.broadcast_to(scenery.tops[:, :, None, None], (*corners.shape[:-1], 1))
+    tags = xp.concatenate([corners, height], axis=-1).reshape(worlds, -1, 3)
+    offset = se2.rotate(tags[..., :2] - eye[:, None, :2], -robot_pose[:, None, 2])
+    far = xp.sqrt(xp.sum(offset * offset, axis=-1))
+    seen = (far >= camera.near) & (far <= camera.far)
+    seen &= xp.abs(xp.arctan2(offset[..., 1], offset[..., 0])) <= camera.field_of_view / 2
+    high = xp.full(scenery.wall_pose.shape[:2], xp.inf)
+    seen &= ~hidden(eye, tags, scenery.wall_pose, scenery.wall_half, high).any(axis=1)
+    seen = seen.reshape(worlds, count, 4)
+    if camera.objects_hide and count > 1:
+        by = hidden(eye, tags, object_pose, scenery.half_extents, scenery.tops).reshape(worlds, count, count, 4)
+        seen &= ~(by & ~np.eye(count, dtype=bool)[None, :, :, None]).any(axis=1)
+    return seen.any(axis=-1)
+
+
+def deviation(camera: Camera, distance: Array) -> Array:
+    """Standard deviations ``[..., 3]`` of a detected pose (x, y [m], yaw [rad]) at ``distance [...]`` [m]."""
+    xp = se2.array_module(distance)
+    position = xp.maximum(camera.position_noise * distance, camera.least_position_noise)
+    yaw = xp.maximum(camera.yaw_noise * distance, camera.least_yaw_noise)
+    return xp.stack([position, position, yaw], axis=-1)

@@ -1,0 +1,273 @@
+"""An engine behind a robot's senses: ``init() -> world``, ``step(world, command) -> world, what the robot perceives``.
+
+The world goes on while the controller computes: a command reaches the motors `Senses.computing` and the robot's own
+delay after the observation that it answers, and until then the last one is held.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Any, NamedTuple, Self
+
+import jax
+import numpy as np
+
+from shmoo_mjx import se2
+from shmoo_mjx.plant.engine_mujoco import MujocoEngine
+from shmoo_mjx.plant.lowlevel import Gains
+from shmoo_mjx.plant.scene import Scene
+from shmoo_mjx.sensing import senses as sensing
+from shmoo_mjx.sensing.camera import in_sight, scenery_of
+from shmoo_mjx.sensing.odometry import TICK
+from shmoo_mjx.sensing.senses import Mind, Noise, Senses
+from shmoo_mjx.sensing.touch import felt
+from shmoo_mjx.types import DT, Command, Observation
+
+__all__ = ["SensedEngine", "SensedWorld"]
+
+_NEVER = np.iinfo(np.int64).max
+
+
+class Shown(NamedTuple):
+    """What perfect senses remember: where each object was last in sight."""
+
+    pose: np.ndarray
+    """``[W, N, 3]``, NaN before."""
+    at: np.ndarray
+    """``[W, N]`` tick, -inf before."""
+
+
+class SensedWorld(NamedTuple):
+    """Complete state: the true worlds, the commands on their way, and what the senses remember."""
+
+    truth: Any
+    """The engine's own state."""
+    held: Command
+    """What the motors follow."""
+    pending: tuple[tuple[np.ndarray, Command], ...]
+    """(tick of arrival ``[W]``, command), in the order in which they were sent."""
+    mind: Mind | Shown
+    contact: np.ndarray
+    """``[W, N, 3]`` true mean wrench over the last sample, in {W}."""
+    ticks: int
+
+    @property
+    def physics(self) -> np.ndarray:
+        """``[W, n]`` MuJoCo's full physics state, for pictures."""
+        return np.asarray(self.truth.physics)
+
+    @property
+    def wall_contact(self) -> np.ndarray:
+        """``[W]`` whether the robot touched a wall in the last sample time."""
+        return np.asarray(self.truth.wall_contact)
+
+
+class SensedEngine:
+    """Steps W robots with their senses. Holds models, never state; leaving its ``with`` block closes it.
+
+    Args:
+        scenes: built with ``adjust=senses.adjust(seed)``.
+        senses: REAL, PERFECT or others.
+        seed: of the robot (body, delays, drift) and of all noise; a sequence gives each world a robot of its own.
+        gains: of the low-level control, which knows nominal values only.
+        threads: as for :class:`~shmoo_mjx.plant.engine_mujoco.MujocoEngine`.
+        told: whether the robot is told at the start where all objects stand, in sight or not.
+        backend: another engine in the place of C MuJoCo's, made of the same scenes.
+    """
+
+    def __init__(
+        self,
+        scenes: Sequence[Scene],
+        senses: Senses = sensing.REAL,
+        seed: int | Sequence[int] = 0,
+        gains: Gains | None = None,
+        threads: int = 1,
+        told: bool = False,
+        backend: Any = None,
+    ) -> None:
+        self.engine = backend or MujocoEngine(scenes, gains, threads)
+        self.senses, self.told = senses, told
+        seeds = [seed] * len(scenes) if isinstance(seed, int) else list(seed)
+        self.seeds = seeds
+        self._entropy = int(np.random.SeedSequence(seeds).generate_state(1)[0])
+        self._drawn = sensing.draw(senses, seeds)
+        self._know(scenes)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop the engine's threads."""
+        if isinstance(self.engine, MujocoEngine):
+            self.engine.close()
+
+    def change(self, scenes: Sequence[Scene]) -> None:
+        """Go on with other objects of the same structure, as the engine's own ``change`` does."""
+        self.engine.change(scenes)
+        self._know(scenes)
+
+    def _know(self, scenes: Sequence[Scene]) -> None:
+        self.scenes = list(scenes)
+        self._scenery = scenery_of(self.scenes)
+
+    def init(self) -> SensedWorld:
+        """All worlds at their scenes' starting configuration; the robot stands and has looked once."""
+        return self.begin(self.engine.init())
+
+    def begin(self, truth: Any, ticks: int = 0) -> SensedWorld:
+        """The senses' first state in worlds that are at rest as ``truth`` says, from tick ``ticks`` on."""
+        true = _numpy(self.engine.observe(truth))
+        control = truth.control
+        held = Command(np.zeros((len(true.robot_pose), 3)), true.robot_pose[:, 2], control.reach, control.hand_height)
+        noise = np.random.default_rng([5, self._entropy, ticks]).normal(size=true.object_pose.shape)
+        given = (self.senses, self._drawn, self._scenery, true.robot_pose, true.object_pose, noise)
+        mind: Mind | Shown
+        if self.senses.perfect:
+            known = np.full(true.object_pose.shape, np.nan)
+            at = np.full(known.shape[:2], -np.inf)
+            mind = Shown(np.where(self.told, true.object_pose, known), np.where(self.told, float(ticks), at))
+            mind = self._look(mind, true, ticks)
+        else:
+            mind = sensing.first_mind(*given, told=self.told, now=ticks)
+        return SensedWorld(truth, _numpy(held), (), mind, np.zeros_like(true.object_pose), ticks)
+
+    def observe(self, world: SensedWorld) -> Observation:
+        """What the robot believes, with no wrench and without new noise."""
+        true = _numpy(self.engine.observe(world.truth))
+        return self._perceived(world, true, np.zeros_like(true.wrench), 0.0)
+
+    def true_observation(self, world: SensedWorld) -> Observation:
+        """What the simulator knows, for scoring; the wrench is the contacts' own."""
+        return _numpy(self.engine.observe(world.truth))._replace(wrench=world.contact)
+
+    def fallen(self, world: SensedWorld) -> np.ndarray:
+        """``[W]`` whether the body leans more than 0.6 rad."""
+        return np.asarray(self.engine.fallen(world.truth))
+
+    def step(
+        self,
+        world: SensedWorld,
+        command: Command,
+        duration: float = DT,
+        push: np.ndarray | None = None,
+        computing: float | None = None,
+    ) -> tuple[SensedWorld, Observation]:
+        """Go on for ``duration`` seconds.
+
+        Args:
+            world: as it was when the robot perceived what ``command`` answers.
+            command: fields ``[W, ...]``; held until the next one arrives.
+            duration: a multiple of 10 ms.
+            push: ``[W, 6]`` outside disturbance, as for the engines.
+            computing: time that this command took to compute [s], if not the senses' own.
+        """
+        ticks = round(duration / TICK)
+        world = self._sent(world, command, self.senses.computing if computing is None else computing)
+        rng = np.random.default_rng([11, self._entropy, world.ticks])
+        worlds, objects = world.contact.shape[:2]
+        wrench, contact = np.zeros_like(world.contact), np.zeros_like(world.contact)
+        touched = np.zeros(worlds, dtype=bool)
+        if self.senses.perfect:
+            lengths = self._stretches(world, ticks)
+        else:
+            lengths = [1] * ticks
+            normal = rng.normal(size=(ticks, worlds, 6 + 3 * objects))
+            uniform = rng.random((ticks, worlds, objects, 2))
+        for i, length in enumerate(lengths):
+            world = _arrived(world)
+            held = world.held
+            if isinstance(world.mind, Mind):
+                held = held._replace(yaw=se2.wrap(held.yaw - sensing.heading_error(world.mind)))
+            truth, true = self.engine.step(world.truth, held, length * TICK, push)
+            true, now = _numpy(true), world.ticks + length
+            if isinstance(world.mind, Mind):
+                noise = Noise(normal[i, :, :6], normal[i, :, 6:].reshape(worlds, objects, 3), uniform[i])
+                mind = sensing.tick(
+                    self.senses, self._drawn, self._scenery, world.mind, true.robot_pose, true.object_pose, noise, now
+                )
+                world = world._replace(truth=truth, mind=mind, ticks=now)
+                wrench += self._felt(world, held) / ticks
+            else:
+                world = world._replace(truth=truth, ticks=now)
+            contact += true.wrench * (length / ticks)
+            touched |= np.asarray(truth.wall_contact)
+        if isinstance(world.mind, Shown):
+            world, wrench = world._replace(mind=self._look(world.mind, true, world.ticks)), contact
+        world = world._replace(contact=contact, truth=world.truth._replace(wall_contact=touched))
+        noisy = 0.0 if self.senses.perfect else self.senses.lean_noise * rng.normal(size=(2, *true.lean.shape))
+        return world, self._perceived(world, true, wrench, noisy)
+
+    def _sent(self, world: SensedWorld, command: Command, computing: float) -> SensedWorld:
+        """The command on its way; what would arrive after it is overtaken and never followed."""
+        late = round(computing / TICK) + self._drawn.command_delay
+        arrives = np.asarray(world.ticks + late, dtype=np.int64)
+        earlier = tuple((np.where(at >= arrives, _NEVER, at), other) for at, other in world.pending)
+        return world._replace(pending=(*earlier, (arrives, _numpy(command))))
+
+    def _stretches(self, world: SensedWorld, ticks: int) -> list[int]:
+        """Numbers of ticks between which no command arrives: without any delay one, of the whole sample."""
+        arrivals = {int(t) - world.ticks for at, _ in world.pending for t in np.unique(at) if t != _NEVER}
+        ends = [0, *sorted(t for t in arrivals if 0 < t < ticks), ticks]
+        return np.diff(ends).tolist()
+
+    def _look(self, mind: Shown, true: Observation, now: int) -> Shown:
+        """Perfect senses: what is in sight is known exactly."""
+        shown = in_sight(self.senses.camera, self._scenery, true.robot_pose, true.object_pose)
+        return Shown(np.where(shown[..., None], true.object_pose, mind.pose), np.where(shown, float(now), mind.at))
+
+    def _perceived(self, world: SensedWorld, true: Observation, wrench: np.ndarray, noise: Any) -> Observation:
+        """The observation; ``noise [2, W, 2]`` is that of the inertial unit."""
+        if isinstance(world.mind, Shown):
+            age = TICK * (world.ticks - world.mind.at)
+            now = age <= 0.5 * TICK
+            twist = np.where(now[..., None], true.object_twist, 0.0)
+            return true._replace(
+                object_pose=world.mind.pose, object_twist=twist, wrench=wrench, object_age=age, detected=now
+            )
+        found = sensing.believed(self.senses, self._drawn, world.mind, world.ticks, DT)
+        if np.ndim(noise):
+            true = true._replace(lean=true.lean + noise[0], lean_rate=true.lean_rate + 5 * noise[1])
+        return true._replace(wrench=wrench, **found._asdict())
+
+    def _felt(self, world: SensedWorld, held: Command) -> np.ndarray:
+        assert isinstance(world.mind, Mind)
+        if not world.contact.size:
+            return world.contact
+        believed = sensing.believed(self.senses, self._drawn, world.mind, world.ticks, DT)
+        robot = _numpy(self.engine.robot(world.truth))._replace(pose=believed.robot_pose)
+        torque = np.asarray(self.engine.torque(world.truth, held), dtype=float)[:, 3:]
+        reach = np.asarray(world.truth.control.reach, dtype=float)
+        return felt(self.senses.touch, robot, torque, reach, believed.object_pose)
+
+
+def _arrived(world: SensedWorld) -> SensedWorld:
+    """The commands that reach the motors by now are the ones held."""
+    held, waiting = world.held, []
+    for at, command in world.pending:
+        here = at <= world.ticks
+        if here.any():
+            held = jax.tree.map(lambda new, old, here=here: _chosen(here, new, old), command, held)
+            at = np.where(here, _NEVER, at)
+        if (at != _NEVER).any():
+            waiting.append((at, command))
+    return world._replace(held=held, pending=tuple(waiting))
+
+
+def _chosen(which: np.ndarray, new: np.ndarray, old: np.ndarray) -> np.ndarray:
+    return np.where(which.reshape(-1, *(1,) * (np.ndim(new) - 1)), new, old)
+
+
+def _numpy(tree: Any) -> Any:
+    """The same tree with NumPy arrays of doubles; flags stay flags."""
+
+    def one(leaf: Any) -> np.ndarray:
+        found = np.asarray(leaf)
+        return found if found.dtype == bool else found.astype(float)
+
+    return jax.tree.map(one, tree)

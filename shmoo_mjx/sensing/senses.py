@@ -1,0 +1,301 @@
+"""A robot's senses as one settings object, and their state: what is remembered between two readings.
+
+Everything here takes NumPy or JAX arrays of W worlds. Random numbers come in as arguments.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+
+from shmoo_mjx import se2
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.plant.body import Body, Imperfections, body_of, draw_body
+from shmoo_mjx.sensing import odometry, tracker
+from shmoo_mjx.sensing.camera import Camera, Scenery, deviation, in_sight
+from shmoo_mjx.sensing.odometry import TICK, Odometry, OdometryConfig, OdometryDraw
+from shmoo_mjx.sensing.touch import Touch
+from shmoo_mjx.sensing.tracker import TrackerConfig, Tracks
+
+__all__ = [
+    "PERFECT",
+    "REAL",
+    "Belief",
+    "Drawn",
+    "Mind",
+    "Noise",
+    "Senses",
+    "altered",
+    "believed",
+    "draw",
+    "first_mind",
+    "heading_error",
+    "senses_named",
+    "tick",
+]
+
+Array = Any
+
+
+@dataclass(frozen=True)
+class Senses:
+    """What a robot perceives, and the body that goes with it."""
+
+    name: str = "real"
+    """What runs record."""
+    perfect: bool = False
+    """True poses, twists and forces without delay, of what the camera has in sight; else everything below counts."""
+    camera: Camera = Camera()
+    odometry: OdometryConfig = OdometryConfig()
+    tracker: TrackerConfig = TrackerConfig()
+    touch: Touch = Touch()
+    lean_noise: float = float(np.deg2rad(0.1))
+    """Standard deviation of lean [rad] and, five times larger, of its rate [rad/s]: a MEMS inertial unit's attitude."""
+    computing: float = 0.03
+    """Time that the controller computes [s], which passes in the world: a command reaches the motors so much later. A
+    fixed budget keeps runs repeatable; the shipped controller takes 20 to 30 ms on two cores."""
+    body: Imperfections = Imperfections()
+    """How the robot's body differs from the one the control knows, and how late commands arrive."""
+
+    def __post_init__(self) -> None:
+        for name in ("lean_noise", "computing"):
+            if not 0 <= getattr(self, name) < np.inf:
+                raise ShmooError(f"Senses: {name} is {getattr(self, name)}; give a number of 0 or more.")
+
+    def robot(self, seed: int) -> Body:
+        """The body of the robot with this seed."""
+        return draw_body(self.body, seed)
+
+    def adjust(self, seed: int) -> Callable[[mujoco.MjSpec], None]:
+        """What :func:`~shmoo_mjx.plant.scene.build_scene` takes as ``adjust`` to build that body."""
+        return body_of(self.robot(seed))
+
+
+REAL = Senses()
+"""The default of every run."""
+
+PERFECT = Senses(
+    name="perfect",
+    perfect=True,
+    camera=Camera(field_of_view=2 * float(np.pi), near=0.0, far=3.5, objects_hide=False),
+    computing=0.0,
+    body=Imperfections.none(),
+)
+"""The nominal body; true poses of what is within 3.5 m all round and not behind a wall."""
+
+
+def senses_named(name: str) -> Senses:
+    """REAL or PERFECT.
+
+    Raises:
+        ShmooError: another name.
+    """
+    found = {s.name: s for s in (REAL, PERFECT)}
+    if name not in found:
+        raise ShmooError(f"senses {name!r} are unknown; choose real or perfect.")
+    return found[name]
+
+
+class Drawn(NamedTuple):
+    """What the seeds of W robots decide about their senses."""
+
+    odometry: OdometryDraw
+    frame_delay: Array
+    """``[W]`` int: age of a camera frame when it is taken in, in ticks; odometry of that time must have arrived too."""
+    command_delay: Array
+    """``[W]`` int: of commands on their way to the motors, in ticks."""
+
+
+class Noise(NamedTuple):
+    """Random numbers of one tick."""
+
+    odometry: Array
+    """``[W, 6]`` standard normal."""
+    camera: Array
+    """``[W, N, 3]`` standard normal."""
+    lost: Array
+    """``[W, N, 2]`` uniform from 0 to 1: drop-out, burst."""
+
+
+class Mind(NamedTuple):
+    """What the senses of W robots remember."""
+
+    odometry: Odometry
+    objects: Array
+    """``[W, L, N, 3]`` true object poses of the last ticks, the newest last: what the camera still has to report."""
+    lost_until: Array
+    """``[W, N]`` tick up to which each object's tags stay lost."""
+    tracks: Tracks
+
+
+class Belief(NamedTuple):
+    """Where the robot believes things are, in {W}, now."""
+
+    robot_pose: Array
+    robot_twist: Array
+    object_pose: Array
+    object_twist: Array
+    robot_age: Array
+    object_age: Array
+    detected: Array
+
+
+def draw(senses: Senses, seeds: list[int]) -> Drawn:
+    """The senses of the robots with these seeds."""
+    found = []
+    for seed in seeds:
+        rng = np.random.default_rng([13, seed])
+        moved = odometry.draw(senses.odometry, rng)
+        low, high = senses.camera.delay
+        frame = max(round((low + (high - low) * rng.random()) / TICK), int(moved.delay))
+        found.append((moved, frame, round(senses.robot(seed).delay / TICK)))
+    moves, frames, commands = zip(*found, strict=True)
+    return Drawn(
+        OdometryDraw(*(np.stack(column) for column in zip(*moves, strict=True))), np.array(frames), np.array(commands)
+    )
+
+
+def first_mind(
+    senses: Senses,
+    drawn: Drawn,
+    scenery: Scenery,
+    robot_pose: np.ndarray,
+    object_pose: np.ndarray,
+    noise: np.ndarray,
+    told: bool = False,
+    now: int = 0,
+) -> Mind:
+    """Before the first step, when the robot has stood there for a while: one frame of what is in sight has been taken.
+
+    Args:
+        senses: see there.
+        drawn: these robots.
+        scenery: sizes and walls.
+        robot_pose: true ``[W, 3]``; the robot is told where it starts.
+        object_pose: true ``[W, N, 3]``.
+        noise: ``[W, N, 3]`` standard normal.
+        told: whether it has been told of all objects too, as exactly as its camera would see them from there.
+        now: number of the tick.
+    """
+    worlds, objects = object_pose.shape[:2]
+    latest = max(senses.camera.delay[1], senses.odometry.delay[1], senses.odometry.fix_delay)
+    length = round(latest / TICK) + 2
+    mind = Mind(
+        odometry.init(robot_pose, length),
+        np.repeat(object_pose[:, None], length, axis=1),
+        np.zeros((worlds, objects)),
+        tracker.init(worlds, objects),
+    )
+    found = np.ones((worlds, objects), bool) if told else in_sight(senses.camera, scenery, robot_pose, object_pose)
+    none, start = np.zeros(worlds), np.full(worlds, float(now))
+    mind = mind._replace(tracks=mind.tracks._replace(at=start))
+    return _taken_in(senses, mind, robot_pose, object_pose, none, found, noise, start, start)
+
+
+def tick(
+    senses: Senses,
+    drawn: Drawn,
+    scenery: Scenery,
+    mind: Mind,
+    robot_pose: Array,
+    object_pose: Array,
+    noise: Noise,
+    now: Any,
+) -> Mind:
+    """One tick of odometry and, in the worlds where a frame arrives, of the camera.
+
+    Args:
+        senses: see there.
+        drawn: these robots.
+        scenery: sizes and walls.
+        mind: before the tick.
+        robot_pose: true ``[W, 3]`` after it.
+        object_pose: true ``[W, N, 3]``.
+        noise: of this tick.
+        now: its number.
+    """
+    moved = odometry.step(senses.odometry, drawn.odometry, mind.odometry, robot_pose, noise.odometry, now)
+    xp = se2.array_module(robot_pose, object_pose, mind.objects)
+    mind = mind._replace(odometry=moved, objects=xp.concatenate([mind.objects[:, 1:], object_pose[:, None]], axis=1))
+    taken = now - drawn.frame_delay
+    frames = TICK * senses.camera.rate
+    due = (xp.floor(taken * frames + 1e-6) > xp.floor((taken - 1) * frames + 1e-6)) & (taken > mind.tracks.at)
+    if xp is np and not np.any(due):
+        return mind
+    robot_then = odometry.ago(moved.true, drawn.frame_delay)
+    objects_then = odometry.ago(mind.objects, drawn.frame_delay)
+    burst = due[:, None] & (noise.lost[..., 1] < senses.camera.burst)
+    lost_until = xp.where(burst, taken[:, None] + senses.camera.burst_time / TICK, mind.lost_until)
+    found = due[:, None] & in_sight(senses.camera, scenery, robot_then, objects_then)
+    found &= (lost_until <= taken[:, None]) & (noise.lost[..., 0] >= senses.camera.drop_out)
+    mind = mind._replace(lost_until=lost_until)
+    seconds = xp.where(due, TICK * (taken - mind.tracks.at), 0.0)
+    return _taken_in(
+        senses, mind, robot_then, objects_then, seconds, found, noise.camera, taken, now + 0 * taken, drawn
+    )
+
+
+def _taken_in(
+    senses: Senses,
+    mind: Mind,
+    robot: Array,
+    objects: Array,
+    seconds: Array,
+    found: Array,
+    noise: Array,
+    taken: Array,
+    now: Array,
+    drawn: Drawn | None = None,
+) -> Mind:
+    """A frame's detections into the tracks: the camera measures from the robot, the tracks stand in {D}."""
+    xp = se2.array_module(robot, objects, noise)
+    measured = se2.relative(robot[:, None], objects)
+    spread = deviation(senses.camera, xp.sqrt(xp.sum(measured[..., :2] ** 2, axis=-1)))
+    measured = measured + spread * noise
+    stood = mind.odometry.pose[:, -1] if drawn is None else odometry.ago(mind.odometry.pose, drawn.frame_delay)
+    in_odometry = se2.compose(xp.broadcast_to(stood[:, None], measured.shape), measured)
+    tracks = tracker.update(senses.tracker, mind.tracks, in_odometry, spread, found, seconds, (taken, now))
+    return mind._replace(tracks=tracks)
+
+
+def believed(senses: Senses, drawn: Drawn, mind: Mind, now: Any, sample: float) -> Belief:
+    """What the robot publishes at tick ``now``, everything carried on to that time; ``sample`` is the sample time [s].
+
+    Robot and objects go through the same estimate of {D} in {W}: seen from the robot, an object is where the camera
+    has seen it, however far the robot has drifted.
+    """
+    xp = se2.array_module(mind.tracks.pose, mind.odometry.pose)
+    frame, tracks = mind.odometry.frame, mind.tracks
+    robot = se2.compose(frame, odometry.estimate(drawn.odometry, mind.odometry))
+    poses = tracker.ahead(tracks, TICK * (now - tracks.at))
+    poses = se2.compose(xp.broadcast_to(frame[:, None], poses.shape), poses)
+    return Belief(
+        robot_pose=_wrapped(xp, robot),
+        robot_twist=se2.rotate(mind.odometry.twist, frame[:, 2]),
+        object_pose=_wrapped(xp, poses),
+        object_twist=se2.rotate(tracks.rate, frame[:, None, 2]),
+        robot_age=TICK * drawn.odometry.delay,
+        object_age=TICK * (now - tracks.detected_at),
+        detected=tracks.arrived_at > now - sample / TICK,
+    )
+
+
+def heading_error(mind: Mind) -> Array:
+    """``[W]`` believed minus true yaw [rad]: the low-level control holds headings by what the robot believes."""
+    moved = mind.odometry
+    return se2.wrap(moved.frame[:, 2] + moved.pose[:, -1, 2] - moved.true[:, -1, 2])
+
+
+def _wrapped(xp: Any, pose: Array) -> Array:
+    return xp.concatenate([pose[..., :2], se2.wrap(pose[..., 2:])], axis=-1)
+
+
+def altered(senses: Senses, **changes: Any) -> Senses:
+    """The senses with some fields of their parts replaced, such as ``altered(REAL, camera={"drop_out": 0.0})``."""
+    parts = {k: dataclasses.replace(getattr(senses, k), **v) for k, v in changes.items()}
+    return dataclasses.replace(senses, **parts)

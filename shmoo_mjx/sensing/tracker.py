@@ -1,0 +1,158 @@
+"""One constant-velocity Kalman filter per object and axis (x, y, yaw of {O} in the odometry frame {D}).
+
+An object that is not detected is taken to come to rest. A detection far off what is expected is held back: if the next
+ones agree with it, the object has really been displaced and the filter starts again there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from shmoo_mjx import se2
+from shmoo_mjx.sensing.odometry import TICK
+
+__all__ = ["TrackerConfig", "Tracks", "ahead", "init", "known", "update"]
+
+Array = Any
+
+
+@dataclass(frozen=True)
+class TrackerConfig:
+    """Numbers of the filter. Noise of the detections comes with them."""
+
+    acceleration: float = 1.0
+    """Standard deviation of an object's acceleration between frames [m/s^2]: what pushes of ours reach. More: follows
+    faster, with noisier twists."""
+    yaw_acceleration: float = 2.0
+    """... of its yaw [rad/s^2]."""
+    first_speed: float = 0.1
+    """Standard deviation of an object's speed at first sight [m/s] ..."""
+    first_yaw_rate: float = 0.2
+    """... and of its yaw rate [rad/s]: nearly all stand still."""
+    fading: float = 0.3
+    """Time constant with which the twist of an object that is not detected fades [s]. Longer: carried on further."""
+    gate: float = 25.0
+    """Squared innovation over its variance, summed over the axes, above which a detection is held back: one in 65,000
+    is by chance. More: believes false jumps sooner."""
+    confirm: int = 3
+    """Detections in a row, agreeing with each other, after which a jump is believed. More: later."""
+    forget: float = 1.0
+    """Time without a detection after which the filter starts anew with the next one [s]: a twist made up from where the
+    object has meanwhile been put would be no twist."""
+    fastest: float = 1.5
+    """Speed up to which held-back detections can belong together [m/s]; in yaw, rad/s."""
+
+
+class Tracks(NamedTuple):
+    """W x N filters. Times are numbers of ticks."""
+
+    pose: Array
+    """``[W, N, 3]`` in {D}; NaN for an object that was never detected."""
+    rate: Array
+    """``[W, N, 3]``"""
+    variance: Array
+    """``[W, N, 3]`` of pose ..."""
+    covariance: Array
+    """``[W, N, 3]`` ... of pose and rate ..."""
+    rate_variance: Array
+    """``[W, N, 3]`` ... and of rate."""
+    at: Array
+    """``[W]`` time that the filters stand at: that of the last frame."""
+    detected_at: Array
+    """``[W, N]`` time of the last frame in which the object was detected (and believed); -inf before."""
+    arrived_at: Array
+    """``[W, N]`` when that frame arrived."""
+    odd: Array
+    """``[W, N, 3]`` the last detection that was held back."""
+    odds: Array
+    """``[W, N]`` how many in a row were, each near the one before."""
+
+
+def init(worlds: int, objects: int) -> Tracks:
+    """Nothing known yet."""
+    zero, flat = np.zeros((worlds, objects, 3)), np.zeros((worlds, objects))
+    never = np.full((worlds, objects), -np.inf)
+    return Tracks(zero + np.nan, zero, zero, zero, zero, np.zeros(worlds), never, never, zero, flat)
+
+
+def known(tracks: Tracks) -> Array:
+    """``[W, N]`` whether each object has ever been detected."""
+    xp = se2.array_module(tracks.pose)
+    return xp.isfinite(tracks.pose[..., 0])
+
+
+def ahead(tracks: Tracks, seconds: Array) -> Array:
+    """Poses ``[W, N, 3]`` in {D} ``seconds [W]`` after the filters' time."""
+    return tracks.pose + tracks.rate * seconds[:, None, None]
+
+
+def update(
+    config: TrackerConfig,
+    tracks: Tracks,
+    measured: Array,
+    deviation: Array,
+    found: Array,
+    seconds: Array,
+    time: tuple[Array, Array],
+) -> Tracks:
+    """Take in one frame of each world; a world without one passes 0 seconds and nothing found, and stays as it is.
+
+    Args:
+        config: of the filter.
+        tracks: as they were.
+        measured: ``[W, N, 3]`` detected poses in {D}.
+        deviation: ``[W, N, 3]`` their standard deviations.
+        found: ``[W, N]`` which were detected.
+        seconds: ``[W]`` since the frame before [s].
+        time: ``[W]`` numbers of the ticks at which the frame was taken and is taken in.
+    """
+    xp = se2.array_module(tracks.pose, measured, seconds)
+    dt = seconds[:, None, None]
+    pushed = dt**2 * np.array([config.acceleration, config.acceleration, config.yaw_acceleration]) ** 2
+    # White acceleration, constant over a frame.
+    variance = tracks.variance + 2 * dt * tracks.covariance + dt**2 * tracks.rate_variance + pushed * dt**2 / 4
+    covariance = tracks.covariance + dt * tracks.rate_variance + pushed * dt / 2
+    rate_variance = tracks.rate_variance + pushed
+    pose = tracks.pose + dt * tracks.rate
+
+    noise = deviation**2
+    innovation = _difference(measured, pose)
+    spread = variance + noise
+    distance = xp.sum(innovation**2 / xp.maximum(spread, 1e-12), axis=-1)
+    expected = found & (distance <= config.gate)
+    odd = found & ~expected & known(tracks)
+    near = xp.sum(_difference(measured, tracks.odd) ** 2 / (2 * noise + (config.fastest * dt) ** 2 + 1e-12), axis=-1)
+    odds = xp.where(odd, xp.where(near <= 9.0, tracks.odds + 1, 1.0), xp.where(expected, 0.0, tracks.odds))
+    long_ago = time[0][:, None] - tracks.detected_at > config.forget / TICK
+    restart = (found & (~known(tracks) | long_ago)) | (odd & (odds >= config.confirm))
+
+    gain, rate_gain = variance / xp.maximum(spread, 1e-12), covariance / xp.maximum(spread, 1e-12)
+    fading = xp.exp(-dt / config.fading)
+    first = np.array([config.first_speed, config.first_speed, config.first_yaw_rate]) ** 2
+
+    def choose(carried: Array, corrected: Array, fresh: Array) -> Array:
+        return xp.where(restart[..., None], fresh, xp.where(expected[..., None], corrected, carried))
+
+    pose = choose(pose, pose + gain * innovation, measured)
+    believed = expected | restart
+    taken, arrived = (xp.broadcast_to(t[:, None], believed.shape) for t in time)
+    return Tracks(
+        pose=xp.concatenate([pose[..., :2], se2.wrap(pose[..., 2:])], axis=-1),
+        rate=choose(tracks.rate * fading, tracks.rate + rate_gain * innovation, 0.0 * tracks.rate),
+        variance=choose(variance, (1 - gain) * variance, noise),
+        covariance=choose(covariance, (1 - gain) * covariance, 0.0 * covariance),
+        rate_variance=choose(rate_variance, rate_variance - rate_gain * covariance, first + 0.0 * rate_variance),
+        at=tracks.at + seconds / TICK,
+        detected_at=xp.where(believed, taken, tracks.detected_at),
+        arrived_at=xp.where(believed, arrived, tracks.arrived_at),
+        odd=xp.where(odd[..., None], measured, tracks.odd),
+        odds=xp.where(restart, 0.0, odds),
+    )
+
+
+def _difference(a: Array, b: Array) -> Array:
+    xp = se2.array_module(a, b)
+    return xp.concatenate([a[..., :2] - b[..., :2], se2.wrap(a[..., 2:] - b[..., 2:])], axis=-1)
