@@ -19,7 +19,7 @@ from shmoo_mjx.navigation.scenario import Scenario
 from shmoo_mjx.plant.objects import Condition, draw_condition
 from shmoo_mjx.plant.scene import Scene, build_scene
 from shmoo_mjx.report.trace import Trace
-from shmoo_mjx.sensing import SensedEngine, SensedWorld, Senses, senses_named
+from shmoo_mjx.sensing import PERFECT, SensedEngine, SensedWorld, Senses, senses_named
 from shmoo_mjx.types import DT, Command, Observation
 
 __all__ = ["Episode", "Hooks", "Recorded", "conditions_of", "navigator_of", "run_episode", "scene_of"]
@@ -86,7 +86,7 @@ def conditions_of(scenario: Scenario) -> list[Condition]:
     return [draw_condition(o.family, o.seed, o.properties) for o in scenario.objects]
 
 
-def scene_of(grid: OccupancyGrid, scenario: Scenario, conditions: list[Condition], senses: Senses) -> Scene:
+def scene_of(grid: OccupancyGrid, scenario: Scenario, conditions: list[Condition], senses: Senses = PERFECT) -> Scene:
     """The MuJoCo world: every wall of the map (a way round may lead anywhere), objects and the robot."""
     walls = occupied_rectangles(grid, unknown_borders=True)
     placed = [(c, o.pose) for c, o in zip(conditions, scenario.objects, strict=True)]
@@ -128,12 +128,12 @@ def run_episode(
         config: the navigator's settings.
         hooks: callbacks of the caller.
         first_status: what the robot takes each object to be when it first sees it; UNKNOWN if not given.
-        senses: real or perfect, or others; those of the scenario if not given.
+        senses: real or perfect, or others; if not given those of the scenario, or real.
         goals: ``(x, y)`` further goals in {W} [m], one after the other, in the world as the robot has left it and with
             all that it knows; the time limit is that of each.
         real_time: run against the wall clock. A command takes effect after the time it really took to compute.
     """
-    chosen = senses_named(scenario.senses if senses is None else senses) if not isinstance(senses, Senses) else senses
+    chosen = senses if isinstance(senses, Senses) else senses_named(senses or scenario.senses or "real")
     conditions = conditions_of(scenario)
     scene = scene_of(grid, scenario, conditions, chosen)
     navigator = navigator_of(grid, scenario, controller, chosen, config, first_status)

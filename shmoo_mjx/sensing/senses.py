@@ -59,11 +59,13 @@ class Senses:
     computing: float = 0.03
     """Time that the controller computes [s], which passes in the world: a command reaches the motors so much later. A
     fixed budget keeps runs repeatable; the shipped controller takes 20 to 30 ms on two cores."""
+    planning: float = 0.2
+    """Time that a global path or a planning stage takes to compute [s]; the robot goes on as it did meanwhile."""
     body: Imperfections = Imperfections()
     """How the robot's body differs from the one the control knows, and how late commands arrive."""
 
     def __post_init__(self) -> None:
-        for name in ("lean_noise", "computing"):
+        for name in ("lean_noise", "computing", "planning"):
             if not 0 <= getattr(self, name) < np.inf:
                 raise ShmooError(f"Senses: {name} is {getattr(self, name)}; give a number of 0 or more.")
 
@@ -84,6 +86,7 @@ PERFECT = Senses(
     perfect=True,
     camera=Camera(field_of_view=2 * float(np.pi), near=0.0, far=3.5, objects_hide=False),
     computing=0.0,
+    planning=0.0,
     body=Imperfections.none(),
 )
 """The nominal body; true poses of what is within 3.5 m all round and not behind a wall."""
