@@ -169,7 +169,7 @@ def _bounding_corners(polygon: shapely.Polygon) -> np.ndarray:
 
 def _window(cells: np.ndarray, pad: int, shape: tuple[int, ...]) -> tuple[slice, slice]:
     """The part of a map of this shape that holds ``cells [N, 2]`` (row, column) and ``pad`` cells round them."""
-    low = np.maximum(cells.min(axis=0) - pad, 0)
+    low = np.clip(cells.min(axis=0) - pad, 0, shape)
     high = np.maximum(np.minimum(cells.max(axis=0) + pad + 1, shape), low)
     return slice(int(low[0]), int(high[0])), slice(int(low[1]), int(high[1]))
 
