@@ -12,10 +12,20 @@ import shapely
 from shmoo_mjx import se2
 from shmoo_mjx.navigation.maps import OCCUPIED, ClearanceField, OccupancyGrid
 
-__all__ = ["add_obstacles", "footprint_corners", "footprint_polygon", "footprints_free", "register_obstacles"]
+__all__ = [
+    "add_obstacles",
+    "footprint_corners",
+    "footprint_polygon",
+    "footprints_free",
+    "polygon_distance",
+    "register_obstacles",
+    "window_near",
+]
 
 Array = Any
 
+_KEPT = 4
+"""So many fields with obstacles are remembered; the robot knows a handful of objects, and asks with and without."""
 _SIGNS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 
 
@@ -33,17 +43,70 @@ def footprint_polygon(pose: Array, half_extents: Array) -> shapely.Polygon:
 def add_obstacles(field: ClearanceField, polygons: Iterable[shapely.Polygon], reach: float = 1.5) -> ClearanceField:
     """The clearance field [m] with the distance to ``polygons`` (footprints in {W}) taken into account.
 
-    Exact up to ``reach`` [m] from a polygon; farther away the polygon is not looked at.
+    Exact up to ``reach`` [m] from a polygon; farther away the polygon is not looked at. The same polygons on the same
+    field give the same answer again without computing it: while objects stand still, every tick asks for it.
     """
-    frame = OccupancyGrid(np.zeros(np.shape(field.values), np.int8), float(field.resolution), tuple(field.origin))
+    polygons = tuple(polygons)
+    if not polygons:
+        return field
+    if not field.constant:
+        return _with_obstacles(field, polygons, reach)
+    kept: dict[Any, ClearanceField] = field.memo.setdefault("obstacles", {})
+    key = (reach, *(polygon.wkb for polygon in polygons))
+    if key not in kept:
+        while len(kept) >= _KEPT:
+            del kept[next(iter(kept))]
+        kept[key] = _with_obstacles(field, polygons, reach)
+    return kept[key]
+
+
+def _with_obstacles(field: ClearanceField, polygons: tuple[shapely.Polygon, ...], reach: float) -> ClearanceField:
     values = np.array(field.values)
     for polygon in polygons:
-        rows, cols = _cells_near(frame, polygon, reach)
-        centres = frame.cell_to_world(np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1))
-        distance = shapely.distance(polygon, shapely.points(centres))
-        window = np.ix_(rows, cols)
-        values[window] = np.minimum(values[window], np.where(distance < reach, distance, np.inf))
+        window = window_near(field, polygon, reach)
+        distance = polygon_distance(polygon, field.to_world(np.moveaxis(np.mgrid[window], 0, -1)))
+        np.minimum(values[window], distance, out=values[window], where=distance < reach)
+    values.flags.writeable = False
     return field._replace(values=values)
+
+
+def window_near(field: ClearanceField, polygon: shapely.Polygon, reach: float) -> tuple[slice, slice]:
+    """Rows and columns of the part of the field within ``reach`` [m] of the polygon's bounding box."""
+    cells = np.floor(field.to_cells(_bounding_corners(polygon)) + 0.5).astype(int)
+    return _window(cells, int(np.ceil(reach / float(field.resolution))) + 1, np.shape(field.values))
+
+
+def polygon_distance(polygon: shapely.Polygon, points: np.ndarray) -> np.ndarray:
+    """Distance ``[...]`` [m] of ``points [..., 2]`` in {W} to a polygon, zero inside; quick where it is convex."""
+    corners = _convex_corners(polygon)
+    if corners is None:
+        return shapely.distance(polygon, shapely.points(points))
+    flat = points.reshape(-1, 2)
+    sides = np.roll(corners, -1, axis=0) - corners
+    lengths = np.hypot(*sides.T)
+    along = sides / lengths[:, None]
+    outward = np.stack([along[:, 1], -along[:, 0]], axis=-1)
+    # The side whose line is farthest inwards of a point holds, or ends at, the point of the polygon nearest to it.
+    side = np.argmax(flat @ outward.T - np.einsum("ij,ij->i", outward, corners), axis=1)
+    offset = flat - corners[side]
+    off = np.einsum("ij,ij->i", offset, outward[side])
+    beside = np.einsum("ij,ij->i", offset, along[side])
+    beyond = beside - np.minimum(np.maximum(beside, 0.0), lengths[side])
+    return np.where(off > 0, np.hypot(off, beyond), 0.0).reshape(points.shape[:-1])
+
+
+def _convex_corners(polygon: shapely.Polygon) -> np.ndarray | None:
+    """Corners ``[E, 2]`` anticlockwise, without doubles; None if the polygon is not convex or has holes."""
+    ring = np.asarray(polygon.exterior.coords)[:, :2]
+    ring = ring[:-1][np.hypot(*np.diff(ring, axis=0).T) > 1e-9]
+    if len(ring) < 3 or len(polygon.interiors):
+        return None
+    sides = np.roll(ring, -1, axis=0) - ring
+    following = np.roll(sides, -1, axis=0)
+    turns = sides[:, 0] * following[:, 1] - sides[:, 1] * following[:, 0]
+    if (turns >= -1e-12).all():
+        return ring
+    return ring[::-1] if (turns <= 1e-12).all() else None
 
 
 def register_obstacles(grid: OccupancyGrid, polygons: Iterable[shapely.Polygon]) -> OccupancyGrid:
@@ -51,10 +114,9 @@ def register_obstacles(grid: OccupancyGrid, polygons: Iterable[shapely.Polygon])
     cells = grid.cells.copy()
     half = grid.resolution / 2
     for polygon in polygons:
-        rows, cols = _cells_near(grid, polygon, grid.resolution)
-        centres = grid.cell_to_world(np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1))
+        window = _window(grid.world_to_cell(_bounding_corners(polygon)), 2, cells.shape)
+        centres = grid.cell_to_world(np.moveaxis(np.mgrid[window], 0, -1))
         squares = shapely.polygons(footprint_corners(_with_yaw(centres, grid.origin[2]), (half, half)))
-        window = np.ix_(rows, cols)
         cells[window] = np.where(shapely.intersects(polygon, squares), OCCUPIED, cells[window])
     return replace(grid, cells=cells)
 
@@ -100,15 +162,16 @@ def _lattice(half_extents: np.ndarray, spacing: float) -> np.ndarray:
     return np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
 
 
-def _cells_near(grid: OccupancyGrid, polygon: shapely.Polygon, reach: float) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns of the part of the map within ``reach`` of the polygon's bounding box."""
+def _bounding_corners(polygon: shapely.Polygon) -> np.ndarray:
     x0, y0, x1, y1 = polygon.bounds
-    corners = np.array([[x0, y0], [x1, y0], [x0, y1], [x1, y1]])
-    cells = grid.world_to_cell(corners)
-    pad = int(np.ceil(reach / grid.resolution)) + 1
-    low = np.maximum(cells.min(axis=0) - pad, 0)
-    high = np.minimum(cells.max(axis=0) + pad + 1, grid.cells.shape)
-    return np.arange(low[0], max(low[0], high[0])), np.arange(low[1], max(low[1], high[1]))
+    return np.array([[x0, y0], [x1, y0], [x0, y1], [x1, y1]])
+
+
+def _window(cells: np.ndarray, pad: int, shape: tuple[int, ...]) -> tuple[slice, slice]:
+    """The part of a map of this shape that holds ``cells [N, 2]`` (row, column) and ``pad`` cells round them."""
+    low = np.clip(cells.min(axis=0) - pad, 0, shape)
+    high = np.maximum(np.minimum(cells.max(axis=0) + pad + 1, shape), low)
+    return slice(int(low[0]), int(high[0])), slice(int(low[1]), int(high[1]))
 
 
 def _with_yaw(points: np.ndarray, yaw: float) -> np.ndarray:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 import yaml
@@ -18,6 +18,7 @@ from scipy.ndimage import binary_dilation, distance_transform_edt
 
 from shmoo_mjx import se2
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.navigation.clearance import ClearanceField
 from shmoo_mjx.navigation.walls import cover_rectangles
 from shmoo_mjx.navigation.yaml_input import read_mapping, validated, write_whole
 
@@ -100,33 +101,6 @@ class OccupancyGrid:
         local = np.array([[0, 0], [width, 0], [0, height], [width, height]]) * self.resolution
         corners = se2.transform_point(np.asarray(self.origin), local)
         return (*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist())
-
-
-class ClearanceField(NamedTuple):
-    """Distance to what must not be touched, sampled at cell centres; a plain pytree."""
-
-    values: Array
-    """``[H, W]`` distance [m], row 0 at the bottom."""
-    origin: Array
-    """``[3]`` pose (x, y, yaw) in {W} of the lower-left corner."""
-    resolution: Array
-    """Side of a cell [m]."""
-
-    def at(self, points: Array) -> np.ndarray:
-        """Bilinear look-up [m] at ``points [..., 2]`` in {W}: ``[...]``, zero off the map."""
-        local = se2.inverse_transform_point(np.asarray(self.origin), np.asarray(points, dtype=float))
-        rc = local[..., ::-1] / self.resolution - 0.5
-        limit = np.array(self.values.shape) - 1
-        base = np.clip(np.floor(rc).astype(int), 0, np.maximum(limit - 1, 0))
-        row, col = base[..., 0], base[..., 1]
-        up, right = np.minimum(row + 1, limit[0]), np.minimum(col + 1, limit[1])
-        fraction = np.clip(rc - base, 0.0, 1.0)
-        fr, fc = fraction[..., 0], fraction[..., 1]
-        v = self.values
-        low = v[row, col] * (1 - fc) + v[row, right] * fc
-        high = v[up, col] * (1 - fc) + v[up, right] * fc
-        inside = ((rc >= -0.5) & (rc <= limit + 0.5)).all(axis=-1)
-        return np.where(inside, low * (1 - fr) + high * fr, 0.0)
 
 
 class _MapYaml(BaseModel):
@@ -248,8 +222,10 @@ def clearance(grid: OccupancyGrid) -> np.ndarray:
 
 
 def clearance_field(grid: OccupancyGrid) -> ClearanceField:
-    """``clearance`` with the frame that is needed to look it up at points of {W}."""
-    return ClearanceField(clearance(grid), np.array(grid.origin), grid.resolution)
+    """``clearance`` with the frame that is needed to look it up at points of {W}; its values can't be written to."""
+    values = clearance(grid)
+    values.flags.writeable = False
+    return ClearanceField(values, np.array(grid.origin), grid.resolution)
 
 
 def inflate(grid: OccupancyGrid, radius: float) -> np.ndarray:

@@ -15,7 +15,8 @@ from skimage.graph import MCP_Geometric
 
 from shmoo_mjx.navigation.footprints import add_obstacles, footprint_polygon, footprints_free
 from shmoo_mjx.navigation.maps import ClearanceField, OccupancyGrid, clearance_field
-from shmoo_mjx.navigation.path_shortening import PathConfig, metre_cost, shorten
+from shmoo_mjx.navigation.path_search import cell_costs, find_way
+from shmoo_mjx.navigation.path_shortening import PathConfig, shorten
 
 __all__ = [
     "Path",
@@ -69,20 +70,15 @@ def plan_path(
         discretisation, except where the start itself doesn't.
     """
     start, goal = np.asarray(start, dtype=float)[:2], np.asarray(goal, dtype=float)[:2]
-    field = add_obstacles(field if field is not None else clearance_field(grid), obstacles)
-    first, last = grid.world_to_cell(start), grid.world_to_cell(goal)
-    if not grid.inside(np.stack([first, last])).all():
+    if not grid.inside(grid.world_to_cell(np.stack([start, goal]))).all():
         return None
-    costs = _opened_at_ends(_cell_costs(field, robot_radius, cfg), grid, field, (start, goal), robot_radius, cfg)
-    if costs[tuple(first)] < 0 or costs[tuple(last)] < 0:
+    walls, obstacles = field if field is not None else clearance_field(grid), tuple(obstacles)
+    # Farther away a polygon costs nothing; two cells more, because the look-up is between the centres of cells.
+    around = add_obstacles(walls, obstacles, robot_radius + cfg.soft_clearance + 2 * float(walls.resolution))
+    cells = find_way(walls, around, obstacles, start, goal, robot_radius, cfg)
+    if cells is None:
         return None
-    search = MCP_Geometric(costs)
-    total, _ = search.find_costs([tuple(first)], [tuple(last)])
-    if not np.isfinite(total[tuple(last)]):
-        return None
-    cells = np.array(search.traceback(tuple(last)))
-    middle = grid.cell_to_world(cells[1:-1])
-    points = shorten(np.vstack([start, middle, goal]), field, robot_radius, cfg)
+    points = shorten(np.vstack([start, around.to_world(cells[1:-1]), goal]), around, robot_radius, cfg)
     return Path(points, path_length(points))
 
 
@@ -98,7 +94,7 @@ def cost_to_go(
     Infinite where no path exists. With ``soft_weight = 0`` it is the length of the shortest 8-connected path [m].
     """
     field = add_obstacles(clearance_field(grid), obstacles)
-    costs = _cell_costs(field, robot_radius, cfg)
+    costs = cell_costs(field.values, robot_radius, cfg)
     last = grid.world_to_cell(np.asarray(goal, dtype=float)[:2])
     if not grid.inside(last) or costs[tuple(last)] < 0:
         return np.full(grid.cells.shape, np.inf)
@@ -169,32 +165,3 @@ def path_blocked_by(
 def _part_after(path: Path, s: float) -> np.ndarray:
     along = arc_lengths(path.points)
     return np.vstack([point_at(path, s), path.points[along > s], path.points[-1]])
-
-
-def _cell_costs(field: ClearanceField, radius: float, cfg: PathConfig) -> np.ndarray:
-    """Cost of each cell ``[H, W]`` per metre; -1 where the disc can't be."""
-    values = np.asarray(field.values)
-    return np.where(values >= radius, metre_cost(values, radius, cfg), -1.0)
-
-
-def _opened_at_ends(
-    costs: np.ndarray,
-    grid: OccupancyGrid,
-    field: ClearanceField,
-    ends: tuple[Array, Array],
-    radius: float,
-    cfg: PathConfig,
-) -> np.ndarray:
-    """The costs with the cells added that the robot must be allowed to use because of where it starts or ends."""
-    start, goal = ends
-    values, costs = np.asarray(field.values), costs.copy()
-    last = tuple(grid.world_to_cell(goal))
-    if costs[last] < 0 and float(field.at(goal)) >= radius:  # the point is far enough though its cell's centre is not
-        costs[last] = 1.0 + cfg.soft_weight
-    here = float(field.at(start))
-    if here >= radius + grid.resolution:
-        return costs
-    # A robot that stands too near to something must get out, but not squeeze through where it is narrower still.
-    near = np.linalg.norm(grid.centres - start, axis=-1) <= cfg.escape_radius + grid.resolution
-    usable = near & (values > 0) & (values >= min(here, radius) - 0.5 * grid.resolution)
-    return np.where(usable & (costs < 0), 10.0 * (1.0 + cfg.soft_weight), costs)

@@ -1,0 +1,236 @@
+"""The search for a way through a clearance field: on a lattice where it is wide, cell by cell where it has to be.
+
+The ends of a way, where a robot may stand too near to something, are searched cell by cell in a small window, the part
+between them on the lattice. Where the lattice knows no way that surely keeps the radius, all cells are searched, so a
+way is found exactly if the cells have one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import shapely
+from scipy.ndimage import label
+from skimage.graph import MCP_Geometric
+
+from shmoo_mjx.navigation import lattice as lattices
+from shmoo_mjx.navigation.clearance import ClearanceField
+from shmoo_mjx.navigation.lattice import Lattice
+from shmoo_mjx.navigation.line_costs import PathConfig, metre_cost
+
+__all__ = ["cell_costs", "find_way"]
+
+Array = Any
+_KEPT = 8
+"""So many trees of ways to a goal are remembered for each lattice."""
+
+
+class _Task(NamedTuple):
+    """A query."""
+
+    field: ClearanceField
+    """Distance to walls and obstacles."""
+    start: np.ndarray
+    """(2,) in {W} [m]."""
+    goal: np.ndarray
+    radius: float
+    cfg: PathConfig
+
+    def cell(self, point: np.ndarray) -> tuple[int, int]:
+        """(row, column) of the cell that holds the point."""
+        row, col = np.floor(self.field.to_cells(point) + 0.5).astype(int)
+        return int(row), int(col)
+
+
+class _Window(NamedTuple):
+    """Cell by cell ways from one end to the cells round it."""
+
+    parts: tuple[slice, slice]
+    search: MCP_Geometric
+    cost: np.ndarray
+    """``[h, w]`` [m, near-wall metres counted more]."""
+
+    @property
+    def corner(self) -> np.ndarray:
+        return np.array([part.start for part in self.parts])
+
+    def costs_at(self, cells: np.ndarray) -> np.ndarray:
+        """Cost ``[M]`` of the cheapest way to ``cells [M, 2]`` of the window."""
+        rows, cols = (cells - self.corner).T
+        return self.cost[rows, cols]
+
+    def way_to(self, cell: Array) -> np.ndarray:
+        """Cells ``[K, 2]`` of that way, from the end outwards."""
+        return np.array(self.search.traceback(tuple(np.asarray(cell) - self.corner))) + self.corner
+
+
+def cell_costs(values: Array, radius: float, cfg: PathConfig) -> np.ndarray:
+    """Cost of each cell per metre, of the shape of ``values`` [m] of a clearance field; -1 where the disc can't be."""
+    values = np.asarray(values)
+    return np.where(values >= radius, metre_cost(values, radius, cfg), -1.0)
+
+
+def find_way(
+    walls: ClearanceField,
+    field: ClearanceField,
+    obstacles: Sequence[shapely.Polygon],
+    start: np.ndarray,
+    goal: np.ndarray,
+    radius: float,
+    cfg: PathConfig,
+) -> np.ndarray | None:
+    """The cheapest way, or nearly, of a disc from start to goal as cells, or None if there is none.
+
+    Args:
+        walls: distance to walls; what is derived from it is kept in its ``memo``.
+        field: the same with the obstacles.
+        obstacles: footprints in {W}.
+        start: (2,) in {W} [m], on the map.
+        goal: (2,) in {W} [m], on the map.
+        radius: of the disc [m].
+        cfg: see ``PathConfig``.
+
+    Returns:
+        (row, column) ``[N, 2]``; neighbours are neighbouring cells, or points of the lattice with a clear line between.
+    """
+    task = _Task(field, start, goal, radius, cfg)
+    near_start, near_goal = _window(task, start), _window(task, goal)
+    if near_start is None or near_goal is None:
+        return None
+    base = _lattice(walls, radius, cfg)
+    found = _on_lattice(task, base, obstacles, near_start, near_goal)
+    return _cell_by_cell(task) if found is None else found
+
+
+def _lattice(walls: ClearanceField, radius: float, cfg: PathConfig) -> Lattice:
+    if not walls.constant:
+        return lattices.build(walls, radius, cfg)
+    key = ("lattice", radius, cfg)
+    if key not in walls.memo:
+        walls.memo[key] = lattices.build(walls, radius, cfg)
+    return walls.memo[key]
+
+
+def _window(task: _Task, end: np.ndarray) -> _Window | None:
+    """Ways from an end of the query to all cells near it; None if the disc can't be there."""
+    cell, resolution = task.cell(end), float(task.field.resolution)
+    half = int(np.ceil(max(task.cfg.escape_radius / resolution, 3 * task.cfg.spacing / resolution))) + 2
+    shape = np.shape(task.field.values)
+    parts = tuple(slice(max(c - half, 0), min(c + half + 1, n)) for c, n in zip(cell, shape, strict=True))
+    costs = _opened_costs(task, parts)
+    local = tuple(c - part.start for c, part in zip(cell, parts, strict=True))
+    if costs[local] < 0:
+        return None
+    search = MCP_Geometric(costs)
+    total, _ = search.find_costs([local])
+    return _Window(parts, search, total * resolution)
+
+
+def _opened_costs(task: _Task, parts: tuple[slice, slice]) -> np.ndarray:
+    """The costs of some cells, with those added that the robot may use because of where it starts or ends."""
+    field, radius, cfg = task.field, task.radius, task.cfg
+    resolution = float(field.resolution)
+    values = np.asarray(field.values)[parts]
+    costs = cell_costs(values, radius, cfg)
+    last = tuple(c - part.start for c, part in zip(task.cell(task.goal), parts, strict=True))
+    inside = all(0 <= c < n for c, n in zip(last, costs.shape, strict=True))
+    if inside and costs[last] < 0 and float(field.at(task.goal)) >= radius:
+        costs[last] = 1.0 + cfg.soft_weight  # the point is far enough though its cell's centre is not
+    here = float(field.at(task.start))
+    if here >= radius + resolution:
+        return costs
+    # A robot that stands too near to something must get out, but not squeeze through where it is narrower still.
+    rows, cols = np.mgrid[parts]
+    row, col = field.to_cells(task.start)
+    near = np.hypot(rows - row, cols - col) * resolution <= cfg.escape_radius + resolution
+    usable = near & (values > 0) & (values >= min(here, radius) - 0.5 * resolution)
+    return np.where(usable & (costs < 0), 10.0 * (1.0 + cfg.soft_weight), costs)
+
+
+def _on_lattice(
+    task: _Task, base: Lattice, obstacles: Sequence[shapely.Polygon], near_start: _Window, near_goal: _Window
+) -> np.ndarray | None:
+    """Cells of the cheapest way over the lattice; None if none surely keeps the radius."""
+    lattice, changed = base, np.zeros(len(base.cells), dtype=bool)
+    if obstacles:
+        lattice, changed = lattices.with_obstacles(base, task.field, obstacles, task.radius, task.cfg)
+    entries, leave = (_entries(lattice, window) for window in (near_start, near_goal))
+    direct = _direct(task, near_start)
+    if not len(entries[0]) or not len(leave[0]):
+        return direct[1]
+    root = int(leave[0][np.argmin(leave[1])])
+    cost, route = _route(base, lattice, changed, entries, root)
+    if direct[0] <= cost + leave[1].min():
+        return direct[1]
+    if len(route) == 0 or _is_tight(lattice, route):
+        return None
+    first, last = lattice.cells[route[0]], lattice.cells[route[-1]]
+    return np.concatenate([near_start.way_to(first)[:-1], lattice.cells[route], near_goal.way_to(last)[-2::-1]])
+
+
+def _entries(lattice: Lattice, window: _Window) -> tuple[np.ndarray, np.ndarray]:
+    """Points ``[M]`` of the lattice that can be reached in a window, and at which cost ``[M]``."""
+    numbers = lattices.nodes_in(lattice, window.parts)
+    cost = window.costs_at(lattice.cells[numbers])
+    return numbers[np.isfinite(cost)], cost[np.isfinite(cost)]
+
+
+def _direct(task: _Task, near_start: _Window) -> tuple[float, np.ndarray | None]:
+    """Cost of the way that stays in the start's window, and its cells; infinite and None if there is none."""
+    last = np.array(task.cell(task.goal))
+    inside = ((last >= near_start.corner) & (last < near_start.corner + near_start.cost.shape)).all()
+    cost = float(near_start.costs_at(last[None])[0]) if inside else np.inf
+    return cost, near_start.way_to(last) if np.isfinite(cost) else None
+
+
+def _route(
+    base: Lattice, lattice: Lattice, changed: np.ndarray, entries: tuple[np.ndarray, np.ndarray], root: int
+) -> tuple[float, np.ndarray]:
+    """Cost [m] of the cheapest way from the start over a point it can reach to ``root``, and its points ``[K]``."""
+    cost, route = _follow(_tree(base, root), entries)
+    if not changed.any() or (len(route) and not changed[route].any()):
+        # Obstacles only ever make lines dearer: a way that they leave as it was is still the cheapest.
+        return cost, route
+    return _follow(lattices.costs_from(lattice, root), entries)
+
+
+def _tree(base: Lattice, root: int) -> tuple[np.ndarray, np.ndarray]:
+    return lattices.costs_from(base, root)
+
+
+def _follow(
+    tree: tuple[np.ndarray, np.ndarray], entries: tuple[np.ndarray, np.ndarray]
+) -> tuple[float, np.ndarray]:
+    total, following = tree
+    cost = entries[1] + total[entries[0]]
+    best = int(np.argmin(cost))
+    if not np.isfinite(cost[best]):
+        return np.inf, np.empty(0, dtype=int)
+    route = [int(entries[0][best])]
+    while following[route[-1]] >= 0:
+        route.append(int(following[route[-1]]))
+    return float(cost[best]), np.array(route)
+
+
+def _is_tight(lattice: Lattice, route: np.ndarray) -> bool:
+    graph = lattice.graph
+    for here, there in zip(route[:-1], route[1:], strict=True):
+        row = slice(graph.indptr[here], graph.indptr[here + 1])
+        if lattice.tight[row][graph.indices[row] == there].any():
+            return True
+    return False
+
+
+def _cell_by_cell(task: _Task) -> np.ndarray | None:
+    """The cheapest way over all cells of the map."""
+    height, width = np.shape(task.field.values)
+    costs = _opened_costs(task, (slice(0, height), slice(0, width)))
+    first, last = task.cell(task.start), task.cell(task.goal)
+    connected, _ = label(costs > 0, np.ones((3, 3)))
+    if connected[first] != connected[last]:
+        return None
+    search = MCP_Geometric(costs)
+    search.find_costs([first], [last])
+    return np.array(search.traceback(last))
