@@ -26,7 +26,7 @@ from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.plant import lowlevel
 from shmoo_mjx.plant.observe import observation, planar_wrench
 from shmoo_mjx.plant.robot import Readout, readout
-from shmoo_mjx.plant.scene import Scene
+from shmoo_mjx.plant.scene import PARTS, Scene
 from shmoo_mjx.types import DT, Command, Observation
 
 with contextlib.redirect_stdout(io.StringIO()):  # it prints that its optional Warp back end is missing
@@ -44,7 +44,9 @@ class MjxWorld(NamedTuple):
     """``[W, 1 + nq + nv]`` time, qpos, qvel: the layout of C MuJoCo's physics state."""
     control: lowlevel.LowLevelState
     wall_contact: Array
-    """``[W]`` whether the robot's body or a hand touched a wall in the last sample time."""
+    """``[W]`` whether any part of the robot touched a wall in the last sample time."""
+    wall_parts: Array
+    """``[W, P]`` which of scene.PARTS did."""
     warm_start: Array
     """``[W, nv]`` acceleration the solver starts from [m/s^2, rad/s^2]."""
 
@@ -105,9 +107,8 @@ class MjxEngine:
         self._single = put[id(first.model)]
         self._template = mjx.make_data(self._single)
         self._torso = first.model.body("robot/torso").id
-        self._kind = np.zeros(first.model.ngeom, dtype=int)
-        self._kind[list(first.robot_geoms)] = 1
-        self._kind[list(first.wall_geoms)] = 2
+        self._is_wall = np.zeros(first.model.ngeom, dtype=bool)
+        self._is_wall[list(first.wall_geoms)] = True
         if len(put) == 1:
             self._use(self._single, jax.tree.map(lambda _: None, self._single))
         else:
@@ -177,6 +178,7 @@ class MjxEngine:
             physics=jnp.asarray(physics, dtype=jnp.float32),
             control=lowlevel.init(jnp, (worlds,), TUCKED_REACH, TUCKED_HEIGHT),
             wall_contact=jnp.zeros(worlds, dtype=bool),
+            wall_parts=jnp.zeros((worlds, len(PARTS)), dtype=bool),
             warm_start=jnp.zeros((worlds, nv)),
         )
         # As committed to the device as every later state is; or the second step would compile again.
@@ -235,10 +237,10 @@ class MjxEngine:
             # Contact sensors belong to the configuration before the step.
             wrench = planar_wrench(self.scenes[0], qpos, after.sensordata)
             physics = jnp.concatenate([jnp.atleast_1d(after.time), after.qpos, after.qvel])
-            touched = carry.wall_contact | self._touches_wall(after)
-            return MjxWorld(physics, control, touched, after.qacc_warmstart), wrench
+            parts = carry.wall_parts | self._touched(after)
+            return MjxWorld(physics, control, parts.any(), parts, after.qacc_warmstart), wrench
 
-        start = world._replace(wall_contact=jnp.zeros_like(world.wall_contact))
+        start = world._replace(wall_parts=jnp.zeros_like(world.wall_parts))
         world, wrenches = jax.lax.scan(substep, start, None, length=substeps)
         seen = observation(self.scenes[0], world.physics[0], *self._split(world.physics), wrenches.mean(axis=0))
         return world, seen
@@ -260,12 +262,14 @@ class MjxEngine:
         nq = self.scenes[0].model.nq
         return physics[..., 1 : 1 + nq], physics[..., 1 + nq :]
 
-    def _touches_wall(self, data: mjx.Data) -> Array:
+    def _touched(self, data: mjx.Data) -> Array:
+        """``[P]`` which of PARTS touch a wall."""
         if not self.scenes[0].wall_geoms:
-            return jnp.zeros((), dtype=bool)
+            return jnp.zeros(len(PARTS), dtype=bool)
         contact = data._impl.contact
-        kinds = jnp.asarray(self._kind)[contact.geom]
-        return jnp.any((kinds.min(axis=-1) == 1) & (kinds.max(axis=-1) == 2) & (contact.dist < 0))
+        walls = jnp.asarray(self._is_wall)[contact.geom].any(axis=-1) & (contact.dist < 0)
+        part = jnp.asarray(self.scenes[0].part_of_geom)[contact.geom].max(axis=-1)
+        return jnp.any((part == np.arange(len(PARTS))[:, None]) & walls, axis=-1)
 
 
 def _put(model: mujoco.MjModel, dry: np.ndarray, iterations: int, line_search: int, tolerance: float) -> mjx.Model:

@@ -14,6 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 from mujoco.rollout import Rollout
@@ -23,23 +24,46 @@ from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.plant import lowlevel
 from shmoo_mjx.plant.observe import observation, planar_wrench
 from shmoo_mjx.plant.robot import Readout, readout
-from shmoo_mjx.plant.scene import Scene
+from shmoo_mjx.plant.scene import PARTS, Scene
 from shmoo_mjx.types import DT, Command, Observation
 
 __all__ = ["MujocoEngine", "World"]
+
+Array = Any
 
 _CONTROL_AND_FORCE = int(mujoco.mjtState.mjSTATE_CTRL) | int(mujoco.mjtState.mjSTATE_XFRC_APPLIED)
 
 
 @functools.cache
-def _compiled_control(gains: lowlevel.Gains, timestep: float) -> Callable[..., Any]:
-    """The low-level control, compiled once for all engines with these gains.
+def _compiled_control(gains: lowlevel.Gains, timestep: float) -> Callable[[Array, Array, Array], tuple[Array, Array]]:
+    """The low-level control, (memory, robot, command) -> (memory, torque), compiled once for all engines.
 
-    Compiled even for one world: some 80 small array operations cost NumPy ten times as much.
+    Compiled even for one world: some 80 small array operations cost NumPy ten times as much. Each argument is one
+    array, since to hand over every field by itself takes longer than the computation: ``memory [W, 10]``, qpos and qvel
+    of the robot ``[W, 32]``, ``command [W, 6]``; torque ``[W, 9]``.
     """
-    return jax.jit(
-        lambda state, qpos, qvel, command: lowlevel.control(gains, state, readout(qpos, qvel), command, timestep)
-    )
+
+    def control(memory: Array, robot: Array, command: Array) -> tuple[Array, Array]:
+        now = readout(robot[:, :17], robot[:, 17:])
+        wanted = Command(command[:, :3], *(command[:, i] for i in (3, 4, 5)))
+        state, torque = lowlevel.control(gains, _unpacked(memory), now, wanted, timestep)
+        return jnp.concatenate(_columns(state), axis=-1), torque
+
+    return jax.jit(control)
+
+
+def _unpacked(memory: Array) -> lowlevel.LowLevelState:
+    pairs, scalars = (memory[:, 2 * i : 2 * i + 2] for i in range(3)), (memory[:, i] for i in range(6, 10))
+    return lowlevel.LowLevelState(*pairs, *scalars)
+
+
+def _columns(fields: Sequence[Array]) -> list[Array]:
+    """Fields ``[W, n]`` or ``[W]`` as columns of one array."""
+    return [x if x.ndim == 2 else x[:, None] for x in fields]
+
+
+def _packed(fields: Sequence[Array]) -> np.ndarray:
+    return np.concatenate(_columns([np.asarray(x) for x in fields]), axis=-1).astype(np.float32)
 
 
 class World(NamedTuple):
@@ -49,7 +73,9 @@ class World(NamedTuple):
     """``[W, n]`` MuJoCo's full physics state."""
     control: lowlevel.LowLevelState
     wall_contact: np.ndarray
-    """``[W]`` whether the robot's body or a hand touched a wall in the last sample time (only kept for W = 1)."""
+    """``[W]`` whether any part of the robot touched a wall in the last sample time."""
+    wall_parts: np.ndarray
+    """``[W, P]`` which of scene.PARTS did."""
 
 
 class _Part(NamedTuple):
@@ -79,7 +105,6 @@ class MujocoEngine:
         self._pool = ThreadPoolExecutor(len(self._parts)) if len(self._parts) > 1 else None
         self._nq, self._nv = first.model.nq, first.model.nv
         self._torso = first.model.body("robot/torso").id
-        self._watched = self._robot_wall_table(first)
         self._control = _compiled_control(self.gains, self.timestep)
 
     def close(self) -> None:
@@ -101,7 +126,7 @@ class MujocoEngine:
             rows.append(row)
         batch = (len(rows),)
         control = lowlevel.init(np, batch, TUCKED_REACH, TUCKED_HEIGHT)
-        return World(np.array(rows), control, np.zeros(batch, dtype=bool))
+        return World(np.array(rows), control, np.zeros(batch, dtype=bool), np.zeros((*batch, len(PARTS)), dtype=bool))
 
     def change(self, scenes: Sequence[Scene]) -> None:
         """Go on with other scenes of the same structure: what an object weighs or which brakes are on changes mid-run.
@@ -142,25 +167,33 @@ class MujocoEngine:
         self, part: _Part, world: World, command: Command, push: np.ndarray | None, substeps: int
     ) -> tuple[World, np.ndarray]:
         """The part's worlds after ``substeps``, and their mean wrench ``[w, N, 3]``."""
-        physics, control = world.physics, world.control
-        wrench = np.zeros((len(physics), len(self.scenes[0].conditions), 3))
-        touched = np.zeros(len(physics), dtype=bool)
+        scene, physics = self.scenes[0], world.physics
+        memory, wanted = _packed(world.control), jnp.asarray(_packed(command))
+        felt: list[tuple[np.ndarray, np.ndarray]] = []
         for _ in range(substeps):
-            qpos, qvel = self._split(physics)
-            control, torque = self._control(control, qpos[:, :17], qvel[:, :15], command)
+            memory, torque = self._control(memory, self._robot_state(physics), wanted)
             state, sensors = self._advance(part, physics, np.asarray(torque, dtype=np.float64), push)
             if sensors.any():
                 # Contact sensors belong to the configuration before the step.
-                wrench += planar_wrench(self.scenes[0], qpos, sensors)
+                felt.append((self._split(physics)[0], sensors))
             physics = state
-            if len(self.scenes) == 1:
-                touched |= self._touches_wall(part.data[0])
-        return World(physics, control, touched), wrench / substeps
+        wrench, touched = np.zeros((len(physics), len(scene.conditions), 3)), np.zeros_like(world.wall_parts)
+        if felt:
+            qpos, sensors = (np.stack(column) for column in zip(*felt, strict=True))
+            wrench += planar_wrench(scene, qpos, sensors).sum(axis=0)
+            touched |= (sensors[..., scene.wall_sensor] > 0).any(axis=(0, -1))
+        control = _unpacked(np.asarray(memory))
+        return World(physics, control, touched.any(axis=-1), touched), wrench / substeps
 
     def torque(self, world: World, command: Command) -> np.ndarray:
         """Motor torques ``[W, 9]`` [N m] that the control asks for now; what a robot measures as motor currents."""
-        qpos, qvel = self._split(world.physics)
-        return np.asarray(self._control(world.control, qpos[:, :17], qvel[:, :15], command)[1], dtype=np.float64)
+        _, torque = self._control(_packed(world.control), self._robot_state(world.physics), _packed(command))
+        return np.asarray(torque, dtype=np.float64)
+
+    def _robot_state(self, physics: np.ndarray) -> np.ndarray:
+        """qpos and qvel of the robot ``[W, 32]``."""
+        first_velocity = 1 + self._nq
+        return np.concatenate([physics[:, 1:18], physics[:, first_velocity : first_velocity + 15]], axis=-1)
 
     def robot(self, world: World) -> Readout:
         """The robots' true state, batched ``[W, ...]``."""
@@ -187,19 +220,6 @@ class MujocoEngine:
 
     def _split(self, physics: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return physics[:, 1 : 1 + self._nq], physics[:, 1 + self._nq : 1 + self._nq + self._nv]
-
-    @staticmethod
-    def _robot_wall_table(scene: Scene) -> np.ndarray:
-        kind = np.zeros(scene.model.ngeom, dtype=int)
-        kind[list(scene.robot_geoms)] = 1
-        kind[list(scene.wall_geoms)] = 2
-        return kind
-
-    def _touches_wall(self, data: Any) -> bool:
-        if data.ncon == 0:
-            return False
-        kinds = self._watched[data.contact.geom]
-        return bool(np.any(kinds.sum(axis=1) * (kinds.min(axis=1) > 0) == 3))
 
     def fallen(self, world: World) -> np.ndarray:
         """``[W]`` whether the body leans more than 0.6 rad."""

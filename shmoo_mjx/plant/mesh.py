@@ -292,7 +292,7 @@ def own_spec(condition: Condition) -> mujoco.MjSpec:
     root.fullinertia = condition.mass * np.array(data["inertia_per_mass"])
     spec.add_mesh(name="hull", uservert=np.array(data["hull"]).ravel())
     root.add_geom(
-        name="hull", type=mujoco.mjtGeom.mjGEOM_MESH, meshname="hull", contype=4, conaffinity=6,
+        name="hull", type=mujoco.mjtGeom.mjGEOM_MESH, meshname="hull", contype=4, conaffinity=14,
         friction=[0.4, 0.005, 0.0001], mass=0, rgba=[0.45, 0.52, 0.60, 1],
     )  # fmt: skip
     if condition.payload > 0:

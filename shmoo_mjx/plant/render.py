@@ -77,7 +77,7 @@ def overview(scene: Scene, width: int = 1280, height: int = 720) -> np.ndarray:
     data.qpos[:] = scene.qpos0
     mujoco.mj_forward(model, data)
     # The floor is endless: what counts is where bodies and walls are.
-    places = np.concatenate([data.xpos[1:, :2], data.geom_xpos[sorted(scene.wall_geoms), :2]])
+    places = np.concatenate([data.xpos[model.body_weldid > 0, :2], data.geom_xpos[sorted(scene.wall_geoms), :2]])
     low, high = places.min(axis=0), places.max(axis=0)
     camera, options = mujoco.MjvCamera(), mujoco.MjvOption()
     camera.type, camera.elevation, camera.azimuth = mujoco.mjtCamera.mjCAMERA_FREE, -50.0, 115.0

@@ -14,9 +14,25 @@ from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH, hand_targets
 from shmoo_mjx.plant.objects import Condition, object_spec
 from shmoo_mjx.plant.robot import ROBOT, arm_angles, com_offset
 
-__all__ = ["Scene", "build_scene"]
+__all__ = ["PARTS", "WALL_HEIGHT", "Scene", "build_scene"]
+
+WALL_HEIGHT = 1.3
+"""How high a wall stands in the physics [m]: higher than the robot."""
 
 _HANDS = ("left_hand", "right_hand")
+# The geoms of each part that collide.
+_SHAPES = {
+    "torso": ("torso_hull",),
+    "ball": ("ball",),
+    "left_arm": ("left_upper_arm", "left_forearm"),
+    "right_arm": ("right_upper_arm", "right_forearm"),
+    "left_hand": ("left_hand",),
+    "right_hand": ("right_hand",),
+}
+PARTS = tuple(_SHAPES)
+"""Parts of the robot that a contact is told by; an arm is its upper arm and forearm."""
+_ARM_BIT = 8  # models_xml/shmoobot.xml says what each bit is for
+_FOUND = 1 << 0  # mjCONDATA bit: how many contacts
 _FORCE_TORQUE_POSITION = (1 << 1) | (1 << 2) | (1 << 4)  # mjCONDATA bits of a contact sensor: force, torque, pos
 _NET_FORCE = 3  # mjREDUCE: one wrench for all contacts of a pair, in {W}
 _FRAME = (1 << 5) | (1 << 6)  # mjCONDATA bits: normal, tangent
@@ -35,9 +51,12 @@ class Scene:
     """``[N]`` the same in qvel."""
     contact_sensor: np.ndarray
     """``[N, 2]`` first index in sensordata of (force, torque, position) of object x hand (left, right)."""
-    robot_geoms: frozenset[int]
-    """Geoms of the robot's body and hands."""
+    part_of_geom: np.ndarray
+    """``[ngeom]`` index into PARTS of each of the robot's shapes that collide, -1 for all other geoms."""
     wall_geoms: frozenset[int]
+    wall_sensor: np.ndarray
+    """``[P, 2]`` index in sensordata of how many contacts with walls each of PARTS has, for both of its geoms (the same
+    twice if it has one); ``[P, 0]`` without walls, and for MJX, whose sensors know no bodies."""
     qpos0: np.ndarray
     """``[nq]`` starting configuration."""
     framed: bool = False
@@ -70,9 +89,9 @@ def build_scene(
         robot_pose: (x, y, yaw) of {R} in {W} [m, rad].
         walls: boxes (centre x, centre y, half length x, half length y) in the map's axes [m].
         wall_yaw: yaw of the map's axes [rad]; centres are already in {W}.
-        wall_height: drawn and simulated height of the walls [m].
-        engine: which engine's contact sensors to build. The physics is the same until the robot falls or an object
-            topples: MJX, which computes every contact that could be, leaves out those of the bodies with the floor.
+        wall_height: to which the walls are drawn [m]; in the physics they are WALL_HEIGHT high.
+        engine: which engine's contact sensors to build. The physics is the same until the robot falls, an object
+            topples or an arm touches an object: MJX, which computes every contact that could be, leaves these out.
         adjust: last changes to the MJCF before it is compiled, in place (plant/body.py makes another robot this way).
     """
     framed = engine == "mjx"
@@ -84,31 +103,10 @@ def build_scene(
     )
     for i, (condition, _) in enumerate(objects):
         spec.attach(object_spec(condition), prefix=f"object{i}/", frame=spec.worldbody.add_frame())
-        for hand in _HANDS:
-            spec.add_sensor(
-                name=f"object{i}/{hand}",
-                type=mujoco.mjtSensor.mjSENS_CONTACT,
-                objtype=mujoco.mjtObj.mjOBJ_GEOM,
-                objname=f"robot/{hand}",
-                reftype=mujoco.mjtObj.mjOBJ_GEOM,
-                refname=f"object{i}/hull",
-                intprm=[
-                    _FORCE_TORQUE_POSITION | (_FRAME if framed else 0),
-                    _NEAREST if framed else _NET_FORCE,
-                    1,
-                ],
-            )
-    for i, (x, y, hx, hy) in enumerate(walls):
-        spec.worldbody.add_geom(
-            name=f"wall{i}",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=[x, y, wall_height / 2],
-            size=[hx, hy, wall_height / 2],
-            euler=[0, 0, wall_yaw],
-            contype=0,
-            conaffinity=6,
-            material="wall",
-        )
+        _add_hand_sensors(spec, i, framed)
+    _add_walls(spec, walls, wall_yaw, wall_height)
+    if walls and not framed:
+        _add_wall_sensors(spec)
     if framed:
         _drop_idle_contacts(spec)
     adjust(spec)
@@ -116,11 +114,68 @@ def build_scene(
     return _index(model, objects, robot_pose, len(walls), framed)
 
 
+def _add_hand_sensors(spec: mujoco.MjSpec, index: int, framed: bool) -> None:
+    """What object ``index`` feels of each arm: hand and arm together in C, the hand alone in MJX."""
+    for hand in _HANDS:
+        arm = hand.replace("hand", "upper_arm")
+        spec.add_sensor(
+            name=f"object{index}/{hand}",
+            type=mujoco.mjtSensor.mjSENS_CONTACT,
+            # An "xbody" is a body with all that hangs on it.
+            objtype=mujoco.mjtObj.mjOBJ_GEOM if framed else mujoco.mjtObj.mjOBJ_XBODY,
+            objname=f"robot/{hand if framed else arm}",
+            reftype=mujoco.mjtObj.mjOBJ_GEOM,
+            refname=f"object{index}/hull",
+            intprm=[
+                _FORCE_TORQUE_POSITION | (_FRAME if framed else 0),
+                _NEAREST if framed else _NET_FORCE,
+                1,
+            ],
+        )
+
+
+def _add_walls(
+    spec: mujoco.MjSpec, walls: Sequence[tuple[float, float, float, float]], yaw: float, drawn: float
+) -> None:
+    """Walls on a body of their own, which a sensor can name. They are drawn lower, so that one sees into the rooms."""
+    if not walls:
+        return
+    body = spec.worldbody.add_body(name="walls")
+    for i, (x, y, hx, hy) in enumerate(walls):
+        for name, height, affinity, group in ((f"wall{i}", WALL_HEIGHT, 14, 3), (f"wall{i}_drawn", drawn, 0, 0)):
+            body.add_geom(
+                name=name,
+                type=mujoco.mjtGeom.mjGEOM_BOX,
+                pos=[x, y, height / 2],
+                size=[hx, hy, height / 2],
+                euler=[0, 0, yaw],
+                contype=0,
+                conaffinity=affinity,
+                group=group,
+                material="wall",
+            )
+
+
+def _add_wall_sensors(spec: mujoco.MjSpec) -> None:
+    for shapes in _SHAPES.values():
+        for shape in shapes:
+            spec.add_sensor(
+                name=f"walls/{shape}",
+                type=mujoco.mjtSensor.mjSENS_CONTACT,
+                objtype=mujoco.mjtObj.mjOBJ_GEOM,
+                objname=f"robot/{shape}",
+                reftype=mujoco.mjtObj.mjOBJ_BODY,
+                refname="walls",
+                intprm=[_FOUND, 0, 1],
+            )
+
+
 def _drop_idle_contacts(spec: mujoco.MjSpec) -> None:
-    """Body against floor, hull against floor: 6 to 10 contacts that are open as long as everything stands."""
+    """Body against floor, hull against floor, arms against hull: contacts that are open in any ordinary push."""
     for geom in spec.geoms:
         if geom.name.endswith("hull"):
             geom.contype &= ~1
+            geom.conaffinity &= ~_ARM_BIT
 
 
 def _index(
@@ -133,6 +188,14 @@ def _index(
     joints = [model.joint(f"object{i}/object") for i in range(len(objects))]
     object_qpos = np.array([j.qposadr[0] for j in joints], dtype=int)
     sensors = [[model.sensor(f"object{i}/{hand}").adr[0] for hand in _HANDS] for i in range(len(objects))]
+    part_of_geom = np.full(model.ngeom, -1)
+    for part, shapes in enumerate(_SHAPES.values()):
+        part_of_geom[[model.geom(f"robot/{shape}").id for shape in shapes]] = part
+    touch = [
+        [model.sensor(f"walls/{shapes[i]}").adr[0] for i in (0, -1)]
+        for shapes in _SHAPES.values()
+        if walls and not framed
+    ]
     qpos0 = model.qpos0.copy()
     qpos0[11:17] = _folded_arms()
     scene = Scene(
@@ -141,8 +204,9 @@ def _index(
         object_qpos=object_qpos,
         object_qvel=np.array([j.dofadr[0] for j in joints], dtype=int),
         contact_sensor=np.array(sensors, dtype=int).reshape(-1, 2),
-        robot_geoms=frozenset(model.geom(f"robot/{name}").id for name in ("torso_hull", *_HANDS)),
+        part_of_geom=part_of_geom,
         wall_geoms=frozenset(model.geom(f"wall{i}").id for i in range(walls)),
+        wall_sensor=np.array(touch, dtype=int).reshape(len(PARTS), -1),
         qpos0=qpos0,
         framed=framed,
     )

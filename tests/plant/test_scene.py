@@ -5,9 +5,10 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.objects import draw_condition
-from shmoo_mjx.plant.scene import build_scene
+from shmoo_mjx.plant.scene import PARTS, build_scene
 from shmoo_mjx.plant.trials import command
 
 OBJECTS = [
@@ -56,6 +57,18 @@ def test_walls_turn_with_the_map() -> None:
     assert len(scene.wall_geoms) == 2
 
 
+def test_walls_are_higher_than_the_robot_though_drawn_low() -> None:
+    model = build_scene(walls=WALLS).model
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    torso, wall = model.geom("robot/torso_hull"), model.geom("wall0")
+    top = data.geom("robot/torso_hull").xpos[2] + torso.size[0] + torso.size[1]
+    assert data.geom("wall0").xpos[2] + wall.size[2] > top
+    drawn = model.geom("wall0_drawn")
+    assert 2 * drawn.size[2] == 0.6 and not drawn.conaffinity[0]
+    assert wall.group[0] > 2 >= drawn.group[0]
+
+
 def test_a_wall_stops_the_robot_and_is_noticed() -> None:
     scene = build_scene(walls=[(1.0, 0.0, 0.05, 1.0)])
     engine = MujocoEngine([scene])
@@ -70,10 +83,58 @@ def test_a_wall_stops_the_robot_and_is_noticed() -> None:
     assert seen.hands[0, :, 0].max() + seen.robot_pose[0, 0] < 0.96
 
 
-def test_arms_touch_nothing_but_objects_with_the_hands() -> None:
-    model = build_scene(OBJECTS[:1]).model
-    for name in ("left_upper_arm", "right_forearm"):
-        geom = model.geom(f"robot/{name}")
-        assert geom.contype[0] == 0 and geom.conaffinity[0] == 0
-    hand, hull = model.geom("robot/left_hand"), model.geom("object0/hull")
-    assert hand.contype[0] & hull.conaffinity[0]
+def test_arms_hands_torso_and_ball_collide_with_walls_and_objects_and_not_with_each_other() -> None:
+    model = build_scene(OBJECTS[:1], walls=WALLS).model
+
+    def collide(one: str, other: str) -> bool:
+        a, b = model.geom(one), model.geom(other)
+        return bool(a.contype[0] & b.conaffinity[0] or b.contype[0] & a.conaffinity[0])
+
+    arms = [f"{side}_{part}" for side in ("left", "right") for part in ("upper_arm", "forearm", "hand")]
+    shapes = [f"robot/{name}" for name in ("torso_hull", "ball", *arms)]
+    assert all(collide(shape, other) for shape in shapes for other in ("wall0", "wall1", "object0/hull"))
+    assert not any(collide(one, other) for one in shapes for other in shapes)
+    assert not any(collide(f"robot/{arm}", "floor") for arm in arms)
+
+
+def _touched(walls: list[tuple[float, float, float, float]], reach: float = TUCKED_REACH) -> set[str]:
+    """Parts that touch while the robot stands at the origin for 1 s."""
+    engine = MujocoEngine([build_scene(walls=walls)])
+    height = TUCKED_HEIGHT if reach == TUCKED_REACH else HAND_HEIGHT
+    world, _ = engine.step(engine.init(), command(1, reach=reach, hand_height=height), 1.0)
+    engine.close()
+    assert world.wall_contact[0] == world.wall_parts[0].any()
+    return {part for part, touched in zip(PARTS, world.wall_parts[0], strict=True) if touched}
+
+
+def test_a_wall_is_told_which_part_of_the_robot_touched_it() -> None:
+    assert _touched([(-0.25, 0.0, 0.08, 1.0)]) == {"torso"}
+    # Folded, the elbows stick out sideways and the hands ahead.
+    assert _touched([(0.0, 0.36, 0.3, 0.1)]) == {"left_arm"}
+    assert _touched([(0.32, 0.0, 0.1, 1.0)]) >= {"left_hand", "right_hand"}
+    assert _touched([(0.49, 0.0, 0.05, 1.0)], REACH) == {"left_hand", "right_hand"}
+    assert _touched([(0.49, -1.0, 0.05, 0.95)], REACH) == {"right_hand"}
+    assert _touched([(0.6, 0.0, 0.05, 1.0)]) == set()
+
+
+def test_every_world_of_a_batch_is_told_its_own_contacts() -> None:
+    walls = [[(x, 0.0, 0.05, 1.0)] for x in (0.49, 2.0, -0.22)]
+    for threads in (1, 2):
+        engine = MujocoEngine([build_scene(walls=w) for w in walls], threads=threads)
+        world, _ = engine.step(engine.init(), command(3, reach=REACH, hand_height=HAND_HEIGHT), 1.0)
+        engine.close()
+        assert world.wall_contact.tolist() == [True, False, True]
+        assert [PARTS[i] for i in np.nonzero(world.wall_parts[2])[0]] == ["torso"]
+
+
+def test_what_an_arm_pushes_with_its_side_is_felt() -> None:
+    # No hand touches, and the force is still counted: a folded elbow leans on a box that is too heavy to move.
+    condition = draw_condition("box", 1, {"mass": 200.0})
+    engine = MujocoEngine([build_scene([(condition, (-0.07, -0.3 - condition.half_extents[1], 0.0))])])
+    world, forces = engine.init(), []
+    for _ in range(25):
+        world, seen = engine.step(world, command(1, (0.0, -0.03)))
+        forces.append(seen.wrench[0, 0, 1])
+    engine.close()
+    assert min(forces) < -3.0
+    assert seen.robot_pose[0, 1] > -0.1
