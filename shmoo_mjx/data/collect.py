@@ -1,7 +1,8 @@
 """Scripted tele-operators drive every condition and record what the learners need (Sec. III-C, spec 2.1).
 
 Each world holds one object; a chunk of conditions of one family, several episodes each, advances as one batch. Chunks
-run in separate processes and each condition is written as soon as its chunk ends, so an interrupted run resumes.
+run in separate processes and each condition is written as soon as its chunk ends, so an interrupted run resumes
+and keeps whatever was written.
 """
 
 from __future__ import annotations
@@ -250,7 +251,8 @@ def collect(
     else:
         schema["names"] = [name for name, _, _ in rows]
     opened = store.create_or_open(directory, schema)
-    present = {name for name, _, _ in rows if opened.has(name)}
+    told = {name: condition.to_dict() | {"split": split} for name, split, condition in rows}
+    present = {name for name in told if opened.has(name) or store.adopt(opened, name, told[name])}
     chunks: list[tuple[int, list[tuple[str, str, Condition]]]] = []
     for number, start in enumerate(range(0, len(rows), config.chunk)):
         part = rows[start : start + config.chunk]
@@ -267,7 +269,9 @@ def collect(
             for number, part in chunks
         }
         for job in as_completed(jobs):
-            for (name, split, condition), arrays in zip(jobs[job], job.result(), strict=True):
-                store.write_condition(opened, name, arrays, condition.to_dict() | {"split": split})
+            for (name, _, _), arrays in zip(jobs[job], job.result(), strict=True):
+                # A chunk is driven as a whole; those of it that were recorded before the cut stay as they are.
+                if name not in present:
+                    store.write_condition(opened, name, arrays, told[name])
                 done += 1
                 progress(done, len(rows))
