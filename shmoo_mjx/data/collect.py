@@ -23,11 +23,12 @@ from shmoo_mjx.hands import HAND_HEIGHT, REACH
 from shmoo_mjx.plant.objects import FAMILIES, Condition, draw_condition
 from shmoo_mjx.plant.robot import ROBOT
 from shmoo_mjx.processes import process_pool
+from shmoo_mjx.seeds import MAX_SEED, UNSEEN_SEED
 from shmoo_mjx.types import DT, Command, Observation
 
 __all__ = ["SPLIT_SEEDS", "CollectConfig", "collect", "conditions", "record", "sample"]
 
-SPLIT_SEEDS = {"train": 0, "validation": 100_000, "test": 1_000_000}
+SPLIT_SEEDS = {"train": 0, "validation": 100_000, "test": UNSEEN_SEED}
 """First object seed of each split; training can't reach the test seeds."""
 
 
@@ -220,6 +221,10 @@ def _check(config: CollectConfig) -> None:
         raise ShmooError(
             f"collect: train, validation and test are {counts}; none may be negative, and one must be positive."
         )
+    borders = (*SPLIT_SEEDS.values(), MAX_SEED + 1)
+    for split, count, first, end in zip(SPLIT_SEEDS, counts, borders, borders[1:], strict=False):
+        if count > end - first:
+            raise ShmooError(f"collect: {split} is {count}; {end - first} is the most, or its seeds meet others.")
     if config.episodes < 1 or config.seconds < 1:
         raise ShmooError(
             f"collect: {config.episodes} episodes of {config.seconds:g} s; give at least one of at least 1 s."

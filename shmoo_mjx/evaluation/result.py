@@ -17,9 +17,9 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from shmoo_mjx.assets import asset
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.run import DEMO_WEIGHTS, versions
+from shmoo_mjx.seeds import MAX_CONDITION_SEED, UNSEEN_SEED, check_seed
 
 __all__ = [
-    "UNSEEN_SEED",
     "Ask",
     "ExperimentResult",
     "make_result",
@@ -30,9 +30,6 @@ __all__ = [
     "weights_id",
     "write_result",
 ]
-
-UNSEEN_SEED = 1_000_000
-"""First seed of the objects that no training can reach; each --condition-seed has 1,000 seeds of its own above it."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +54,10 @@ class Ask:
     """Folder for figures and what an interrupted experiment goes on from."""
     progress: Callable[[str, float], None] = lambda stage, fraction: None
     """Called with (stage, fraction done)."""
+
+    def __post_init__(self) -> None:
+        check_seed("--seed", self.seed)
+        check_seed("--condition-seed", self.condition_seed, MAX_CONDITION_SEED)
 
     @property
     def first_unseen(self) -> int:
