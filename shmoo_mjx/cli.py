@@ -14,6 +14,7 @@ from tyro.conf import Positional
 import shmoo_mjx
 from shmoo_mjx.environment import prepare_environment
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.seeds import UNSEEN_SEED, ConditionSeed, Seed, check_seed, seed_of
 from shmoo_mjx.talk import with_talk
 from shmoo_mjx.types import SENSES, SensesName
 
@@ -88,7 +89,7 @@ def collect(
     validation: int = 8,
     episodes: int = 8,
     seconds: float = 12.0,
-    seed: int = 0,
+    seed: Seed = 0,
     workers: int = 2,
 ) -> int:
     """Let scripted operators push randomised objects and record a data set; resumes where it was stopped.
@@ -119,7 +120,7 @@ def train(
     what: Positional[Literal["object", "robot"]],
     data: Positional[Path],
     out: Path = Path("weights.safetensors"),
-    seed: int = 0,
+    seed: Seed = 0,
 ) -> int:
     """Train the object model (DAIML) or the robot model on a data set; resumes where it was stopped.
 
@@ -201,7 +202,7 @@ def object_(
 
 def view(
     what: Positional[str] = "robot",
-    seed: int = 0,
+    seed: Seed = 0,
     record: Path | None = None,
     out: Path = Path("runs/view"),
     seconds: float = 8.0,
@@ -222,6 +223,8 @@ def view(
     from shmoo_mjx import teleop
     from shmoo_mjx import view as viewing
 
+    if record is not None:
+        check_seed("--record: --seed", seed, UNSEEN_SEED - 1)  # A drive is training data.
     scene = viewing.scene_named(what, seed)
     if window and viewing.has_display():
         print("\n".join(teleop.KEYS.values()))
@@ -236,8 +239,8 @@ def view(
 
 def experiment(
     name: Positional[str],
-    seed: int = 0,
-    condition_seed: int = 0,
+    seed: Seed = 0,
+    condition_seed: ConditionSeed = 0,
     json: Path | None = None,
     quick: bool = False,
     data: Path | None = None,
@@ -295,7 +298,7 @@ def bench(
     json: Path | None = None,
     quick: bool = False,
     peers_python: Path | None = None,
-    seed: int = 0,
+    seed: Seed = 0,
     out: Path = Path("runs/benchmarks"),
 ) -> int:
     """Measure how fast a part is: mppi (control step), daiml (training), plant, planner, startup, or all of them; or
@@ -420,14 +423,12 @@ def _senses(text: str) -> SensesName:
     return cast(SensesName, text)
 
 
-def _seeds(text: str) -> list[int]:
+def _seeds(text: str) -> range:
     first, dots, last = text.partition("..")
-    try:
-        seeds = list(range(int(first), int(last) + 1)) if dots else [int(first)]
-    except ValueError:
-        seeds = []
-    if not seeds or min(seeds) < 0:
-        raise ShmooError(f"--seed {text!r} must be a whole number or a range such as 0..19.")
+    start = seed_of("--seed", first)
+    seeds = range(start, (seed_of("--seed", last) if dots else start) + 1)
+    if not seeds:
+        raise ShmooError(f"--seed {text!r} must begin with its smallest number, as 0..19 does.")
     return seeds
 
 

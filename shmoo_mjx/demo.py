@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ __all__ = ["run_demo"]
 
 
 def run_demo(
-    seeds: list[int], out: Path, weights: Path | None = None, video: bool = True, senses: SensesName = "real"
+    seeds: Sequence[int], out: Path, weights: Path | None = None, video: bool = True, senses: SensesName = "real"
 ) -> int:
     """Run the demo for each seed and print the outcome, the success rate and the cause of each failure.
 

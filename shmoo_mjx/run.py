@@ -17,6 +17,7 @@ from shmoo_mjx.assets import asset
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.navigation.maps import OccupancyGrid, save_map
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Scenario, check_scenario, save_scenario
+from shmoo_mjx.seeds import check_seed
 from shmoo_mjx.types import DT, SensesName
 
 __all__ = ["DEMO_WEIGHTS", "load_inputs", "run_scenario", "versions"]
@@ -150,6 +151,9 @@ def load_inputs(
     chosen = map_path or (None if scenario.map is None else Path(scenario.map))
     if chosen is None:
         raise ShmooError(f"{scenario_path or 'navigate'}: field 'map' is missing; add it or give --map FILE.")
+    seeds = {"seed": scenario.seed} | {f"objects[{i}].seed": o.seed for i, o in enumerate(scenario.objects)}
+    for field, seed in seeds.items():
+        check_seed(f"{scenario_path}: field '{field}':", seed)
     return load_map(chosen), scenario
 
 

@@ -3,16 +3,104 @@
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 from safetensors import safe_open
 
-COLLECT = ("--train", "1", "--validation", "1", "--episodes", "2", "--seconds", "12", "--quiet")
+COLLECT = ("--train", "1", "--validation", "1", "--episodes", "2", "--seconds", "4", "--quiet")
+DYING = """
+import os
+import signal
+import sys
+
+from shmoo_mjx.cli import main
+
+
+def die_at(number, before):
+    # Every file is put in its place by os.replace; the process ends just before or after the given one.
+    place, done = os.replace, 0
+
+    def replace(source, target):
+        nonlocal done
+        done += 1
+        if not (before and done == number):
+            place(source, target)
+        if done == number:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    os.replace = replace
+
+
+if __name__ == "__main__":
+    die_at(int(sys.argv.pop(1)), before=False)
+    main()
+"""
+EVERYWHERE = """
+import contextlib
+import os
+import sys
+from concurrent.futures import Future
+from pathlib import Path
+
+import numpy as np
+
+from dying import die_at
+from shmoo_mjx.data import collect, store
+
+computed = []
+
+
+def made_up(config, seeds, number):
+    computed.append(seeds)
+    rng = np.random.default_rng([config.seed, number])
+    shapes = {key: (2, 5, *tail) for key, tail in store.FIELDS.items()} | {"face": (2, 4), "size": (2,)}
+    return [{key: rng.normal(size=shape) for key, shape in shapes.items()} for _ in seeds]
+
+
+class Here:
+    def submit(self, work, *arguments):
+        done = Future()
+        done.set_result(work(*arguments))
+        return done
+
+
+def run(directory):
+    collect.collect(directory, collect.CollectConfig(train=1, validation=1))
+
+
+def found(directory):
+    return {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in directory.glob("*.safetensors")}
+
+
+collect._run_chunk, collect.process_pool = made_up, lambda workers: contextlib.nullcontext(Here())
+folder, points = Path(sys.argv[1]), 0
+run(folder / "whole")
+whole = {path.name: content for path, (content, _) in found(folder / "whole").items()}
+# The first manifest, then a recording and a manifest for each of the six.
+for number in range(1, 2 * len(whole) + 2):
+    for before in (True, False):
+        directory = folder / f"{number}{before}"
+        child = os.fork()
+        if child == 0:
+            die_at(number, before)
+            run(directory)
+        assert os.WTERMSIG(os.waitpid(child, 0)[1]) == 9
+        kept, computed[:] = found(directory), []
+        run(directory)
+        end = found(directory)
+        assert all(end[path] == state for path, state in kept.items()), (number, before)
+        assert {path.name: content for path, (content, _) in end.items()} == whole, (number, before)
+        assert sorted(store.read(directory).names) == sorted(Path(name).stem for name in whole)
+        assert len(computed) == 3 - len(kept) // 2, (number, before)
+        assert {path.name for path in directory.iterdir()} == {*whole, "manifest.json"}, (number, before)
+        points += 1
+print(points)
+"""
 TRAIN = """
 import sys
 from pathlib import Path
@@ -46,8 +134,7 @@ def content(path: Path) -> Any:
 
 
 def files(directory: Path) -> dict[str, Any]:
-    """The data set; what a killed process was about to write (NAME.PID.tmp) is no part of it."""
-    return {path.name: content(path) for path in directory.iterdir() if path.suffix != ".tmp"}
+    return {path.name: content(path) for path in directory.iterdir()}
 
 
 @pytest.fixture(scope="module")
@@ -58,19 +145,24 @@ def collected(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_killed_collect_goes_on(collected: Path, tmp_path: Path) -> None:
+    (tmp_path / "dying.py").write_text(DYING)
     directory = tmp_path / "data"
-    process, deadline = shmoo_collect(directory), time.monotonic() + 120.0
-    while len(list(directory.glob("*.safetensors"))) < 3 and time.monotonic() < deadline:
-        time.sleep(0.005)
-    process.kill()
-    process.wait()
-    some = set(directory.glob("*.safetensors"))
-    assert 0 < len(some) < len(list(collected.glob("*.safetensors")))
-    before = {path: path.stat().st_mtime_ns for path in some}
+    # Its eighth file is the fourth recording, the second of a chunk, which no manifest names yet.
+    dying = subprocess.run([sys.executable, str(tmp_path / "dying.py"), "8", "collect", str(directory), *COLLECT])
+    assert dying.returncode == -signal.SIGKILL
+    before = {path: path.stat().st_mtime_ns for path in directory.glob("*.safetensors")}
+    assert len(before) == 4
     assert shmoo_collect(directory).wait() == 0
-    # The last one written may not have been in the manifest yet.
-    assert sum(path.stat().st_mtime_ns == then for path, then in before.items()) >= len(some) - 1
+    assert all(path.stat().st_mtime_ns == then for path, then in before.items())
     assert files(directory) == files(collected)
+
+
+def test_a_collect_loses_nothing_wherever_it_is_killed(tmp_path: Path) -> None:
+    (tmp_path / "dying.py").write_text(DYING)
+    (tmp_path / "everywhere.py").write_text(EVERYWHERE)
+    command = [sys.executable, str(tmp_path / "everywhere.py"), str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.stdout == "26\n", done.stderr
 
 
 def test_a_killed_training_goes_on(collected: Path, tmp_path: Path) -> None:

@@ -1,7 +1,8 @@
 """Scripted tele-operators drive every condition and record what the learners need (Sec. III-C, spec 2.1).
 
 Each world holds one object; a chunk of conditions of one family, several episodes each, advances as one batch. Chunks
-run in separate processes and each condition is written as soon as its chunk ends, so an interrupted run resumes.
+run in separate processes and each condition is written as soon as its chunk ends, so an interrupted run resumes
+and keeps whatever was written.
 """
 
 from __future__ import annotations
@@ -22,11 +23,12 @@ from shmoo_mjx.hands import HAND_HEIGHT, REACH
 from shmoo_mjx.plant.objects import FAMILIES, Condition, draw_condition
 from shmoo_mjx.plant.robot import ROBOT
 from shmoo_mjx.processes import process_pool
+from shmoo_mjx.seeds import MAX_SEED, UNSEEN_SEED
 from shmoo_mjx.types import DT, Command, Observation
 
 __all__ = ["SPLIT_SEEDS", "CollectConfig", "collect", "conditions", "record", "sample"]
 
-SPLIT_SEEDS = {"train": 0, "validation": 100_000, "test": 1_000_000}
+SPLIT_SEEDS = {"train": 0, "validation": 100_000, "test": UNSEEN_SEED}
 """First object seed of each split; training can't reach the test seeds."""
 
 
@@ -219,6 +221,10 @@ def _check(config: CollectConfig) -> None:
         raise ShmooError(
             f"collect: train, validation and test are {counts}; none may be negative, and one must be positive."
         )
+    borders = (*SPLIT_SEEDS.values(), MAX_SEED + 1)
+    for split, count, first, end in zip(SPLIT_SEEDS, counts, borders, borders[1:], strict=False):
+        if count > end - first:
+            raise ShmooError(f"collect: {split} is {count}; {end - first} is the most, or its seeds meet others.")
     if config.episodes < 1 or config.seconds < 1:
         raise ShmooError(
             f"collect: {config.episodes} episodes of {config.seconds:g} s; give at least one of at least 1 s."
@@ -250,7 +256,8 @@ def collect(
     else:
         schema["names"] = [name for name, _, _ in rows]
     opened = store.create_or_open(directory, schema)
-    present = {name for name, _, _ in rows if opened.has(name)}
+    told = {name: condition.to_dict() | {"split": split} for name, split, condition in rows}
+    present = {name for name in told if opened.has(name) or store.adopt(opened, name, told[name])}
     chunks: list[tuple[int, list[tuple[str, str, Condition]]]] = []
     for number, start in enumerate(range(0, len(rows), config.chunk)):
         part = rows[start : start + config.chunk]
@@ -267,7 +274,9 @@ def collect(
             for number, part in chunks
         }
         for job in as_completed(jobs):
-            for (name, split, condition), arrays in zip(jobs[job], job.result(), strict=True):
-                store.write_condition(opened, name, arrays, condition.to_dict() | {"split": split})
+            for (name, _, _), arrays in zip(jobs[job], job.result(), strict=True):
+                # A chunk is driven as a whole; those of it that were recorded before the cut stay as they are.
+                if name not in present:
+                    store.write_condition(opened, name, arrays, told[name])
                 done += 1
                 progress(done, len(rows))

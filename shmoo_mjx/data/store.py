@@ -1,7 +1,8 @@
 """A data set on disk: a directory with one safetensors file per condition and a manifest.
 
 The manifest names every file with its checksum and its condition. A file counts as recorded once the manifest names it,
-so collection that was cut short goes on where it stopped, and a file that changed afterwards is named, not read.
+so collection that was cut short goes on where it stopped, and a file that changed afterwards is named, not read. What
+was written whole just before the cut, and not named yet, is `adopt`ed. One process at a time may write a data set.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import numpy as np
 from shmoo_mjx import se2
 from shmoo_mjx.data import differentiate
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.files import write_whole
 from shmoo_mjx.types import DT, SystemState
 
 __all__ = [
@@ -27,6 +29,7 @@ __all__ = [
     "Dataset",
     "Samples",
     "Store",
+    "adopt",
     "create_or_open",
     "of_training",
     "read",
@@ -137,7 +140,7 @@ def create_or_open(directory: str | os.PathLike[str], schema: dict[str, Any]) ->
         return Store(directory, manifest)
     directory.mkdir(parents=True, exist_ok=True)
     manifest = {"schema_version": SCHEMA_VERSION, "schema": wanted, "versions": _versions(), "conditions": {}}
-    _write_whole(path, json.dumps(manifest, indent=1).encode())
+    write_whole(path, json.dumps(manifest, indent=1).encode())
     return Store(directory, manifest)
 
 
@@ -164,11 +167,34 @@ def write_condition(
     _check_condition(name, condition)
     typed = {k: np.ascontiguousarray(v, dtype=bool if k == "contact" else np.float32) for k, v in arrays.items()}
     path = store.directory / f"{name}.safetensors"
-    content = save(typed, metadata={"condition": json.dumps(condition)})
-    _write_whole(path, content)
-    entry = {"file": path.name, "sha256": hashlib.sha256(content).hexdigest(), "condition": condition}
-    store.manifest["conditions"][name] = json.loads(json.dumps(entry))
-    _write_whole(store.directory / MANIFEST, json.dumps(store.manifest, indent=1).encode())
+    content = save(typed, metadata={"condition": _origin(store, condition)})
+    write_whole(path, content)
+    _name(store, name, hashlib.sha256(content).hexdigest(), condition)
+
+
+def adopt(store: Store, name: str, condition: dict[str, Any]) -> bool:
+    """Name in the manifest the file of a condition that `write_condition` was stopped before it could name.
+
+    Returns:
+        Whether there was one: whole, of this condition, and of a data set with the same schema.
+    """
+    from safetensors import SafetensorError, safe_open
+    from safetensors.numpy import load
+
+    path = store.directory / f"{name}.safetensors"
+    if name in store.manifest["conditions"] or not path.is_file():
+        return False
+    content = path.read_bytes()
+    try:
+        with safe_open(path, framework="numpy") as file:
+            origin = (file.metadata() or {}).get("condition")
+        _check_arrays(name, load(content))
+    except (SafetensorError, ShmooError):
+        return False
+    if origin != _origin(store, condition):
+        return False
+    _name(store, name, hashlib.sha256(content).hexdigest(), condition)
+    return True
 
 
 def read(directory: str | os.PathLike[str], splits: tuple[str, ...] = SPLITS) -> Dataset:
@@ -247,6 +273,18 @@ def system_states(arrays: dict[str, np.ndarray]) -> Samples:
     )
 
 
+def _origin(store: Store, condition: dict[str, Any]) -> str:
+    """What a file says of itself. In one entry: safetensors writes several in any order, which changes the checksum."""
+    schema = json.dumps(store.manifest["schema"], sort_keys=True).encode()
+    return json.dumps(condition | {"schema_sha256": hashlib.sha256(schema).hexdigest()})
+
+
+def _name(store: Store, name: str, checksum: str, condition: dict[str, Any]) -> None:
+    entry = {"file": f"{name}.safetensors", "sha256": checksum, "condition": condition}
+    store.manifest["conditions"][name] = json.loads(json.dumps(entry))
+    write_whole(store.directory / MANIFEST, json.dumps(store.manifest, indent=1).encode())
+
+
 def _before(values: np.ndarray) -> np.ndarray:
     return np.concatenate([np.zeros_like(values[:, :1]), values[:, :-1]], axis=1)
 
@@ -296,15 +334,6 @@ def _read_manifest(path: Path) -> dict[str, Any]:
 
 def _checksum(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-def _write_whole(path: Path, content: bytes) -> None:
-    temporary = path.with_name(path.name + f".{os.getpid()}.tmp")
-    with open(temporary, "wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(temporary, path)
 
 
 def _versions() -> dict[str, str]:

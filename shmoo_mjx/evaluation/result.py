@@ -17,10 +17,10 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from shmoo_mjx.assets import asset
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.run import DEMO_WEIGHTS, versions
+from shmoo_mjx.seeds import MAX_CONDITION_SEED, UNSEEN_SEED, check_seed
 from shmoo_mjx.types import SensesName
 
 __all__ = [
-    "UNSEEN_SEED",
     "Ask",
     "ExperimentResult",
     "make_result",
@@ -31,9 +31,6 @@ __all__ = [
     "weights_id",
     "write_result",
 ]
-
-UNSEEN_SEED = 1_000_000
-"""First seed of the objects that no training can reach; each --condition-seed has 1,000 seeds of its own above it."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +57,10 @@ class Ask:
     """Called with (stage, fraction done)."""
     senses: SensesName = "real"
     """What the robot perceives with, where a simulated robot acts in the experiment."""
+
+    def __post_init__(self) -> None:
+        check_seed("--seed", self.seed)
+        check_seed("--condition-seed", self.condition_seed, MAX_CONDITION_SEED)
 
     @property
     def first_unseen(self) -> int:

@@ -12,6 +12,7 @@ import jax
 import numpy as np
 
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.files import write_whole
 
 __all__ = ["load_checkpoint", "load_tree", "read_notes", "save_checkpoint", "save_tree"]
 
@@ -26,12 +27,7 @@ def save_tree(path: str | os.PathLike[str], tree: Tree, notes: dict[str, Any]) -
     header = {"notes": json.dumps(notes), "sha256": _checksum(arrays)}
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp")
-    with open(temporary, "wb") as file:
-        file.write(save(arrays, metadata=header))
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(temporary, path)
+    write_whole(path, save(arrays, metadata=header))
 
 
 def read_notes(path: str | os.PathLike[str]) -> dict[str, Any]:

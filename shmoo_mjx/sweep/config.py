@@ -24,6 +24,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator,
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.navigation.yaml_input import closest_name, read_mapping, validated
 from shmoo_mjx.plant.objects import FAMILIES
+from shmoo_mjx.seeds import MAX_SEED, UNSEEN_SEED
 from shmoo_mjx.sweep.parameters import PARAMETERS
 
 __all__ = ["Controller", "Draw", "SweepConfig", "fingerprint", "load_sweep", "quick"]
@@ -112,13 +113,13 @@ class SweepConfig(_Strict):
 
     question: str = ""
     """What it is to answer; stands above figures and tables."""
-    seed: int = Field(default=0, ge=0)
+    seed: int = Field(default=0, ge=0, le=MAX_SEED)
     worlds: int = Field(default=256, ge=1, le=10_000_000)
     """Worlds per family and controller; world i of a family is the same for each controller."""
     families: tuple[str, ...] = Field(default=("box",), min_length=1)
     controllers: dict[str, Controller] = Field(default_factory=lambda: {"ours": Controller()}, min_length=1)
     vary: dict[str, Draw] = Field(default_factory=dict)
-    first_object: int = Field(default=1_000_000, ge=0)
+    first_object: int = Field(default=UNSEEN_SEED, ge=0, le=MAX_SEED)
     """Seed of world 0's object, world i has this plus i; those from 1,000,000 on take no part in training."""
     seconds: int = Field(default=20, ge=1, le=600)
     """Longest push, with 1 s in which the arms unfold."""

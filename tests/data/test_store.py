@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from shmoo_mjx import se2
+from shmoo_mjx import files, se2
 from shmoo_mjx.data import store
 from shmoo_mjx.errors import ShmooError
 
@@ -70,13 +70,41 @@ def test_an_interrupted_write_leaves_no_condition(tmp_path: Path, monkeypatch: p
     def stop(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(store.os, "replace", stop)
+    monkeypatch.setattr(files.os, "replace", stop)
     with pytest.raises(KeyboardInterrupt):
         store.write_condition(opened, "a", recording(), CONDITION)
     monkeypatch.undo()
     again = store.create_or_open(tmp_path, {})
     assert not again.has("a") and not (tmp_path / "a.safetensors").exists()
     assert json.loads((tmp_path / "manifest.json").read_text())["conditions"] == {}
+
+
+def cut_before_the_manifest(directory: Path, schema: dict[str, int]) -> None:
+    """What `write_condition` leaves when it is killed between the file of "a" and the manifest that names it."""
+    store.write_condition(store.create_or_open(directory, schema), "a", recording(), CONDITION)
+    (directory / "manifest.json").unlink()
+
+
+def test_a_whole_file_that_was_not_named_yet_is_adopted(tmp_path: Path) -> None:
+    cut_before_the_manifest(tmp_path, {"seed": 1})
+    written = (tmp_path / "a.safetensors").stat()
+    opened = store.create_or_open(tmp_path, {"seed": 1})
+    assert store.adopt(opened, "a", CONDITION) and opened.has("a")
+    assert store.read(tmp_path).names == ["a"] and (tmp_path / "a.safetensors").stat() == written
+    assert not store.adopt(opened, "a", CONDITION) and not store.adopt(opened, "b", CONDITION)
+
+
+def test_no_other_file_is_adopted(tmp_path: Path) -> None:
+    cut_before_the_manifest(tmp_path, {"seed": 1})
+    assert not store.adopt(store.create_or_open(tmp_path, {"seed": 2}), "a", CONDITION)
+    (tmp_path / "manifest.json").unlink()
+    opened = store.create_or_open(tmp_path, {"seed": 1})
+    assert not store.adopt(opened, "a", CONDITION | {"seed": 4})
+    content = (tmp_path / "a.safetensors").read_bytes()
+    for damaged in (content[:-4], content[:20], b""):
+        (tmp_path / "a.safetensors").write_bytes(damaged)
+        assert not store.adopt(opened, "a", CONDITION)
+    assert store.read(tmp_path).names == []
 
 
 @pytest.mark.parametrize(

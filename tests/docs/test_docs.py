@@ -101,7 +101,20 @@ def test_the_readme_begins_with_its_two_lines() -> None:
 
 
 LAYERS = (
-    {"se2", "types", "errors", "hands", "faces", "assets", "environment", "talk", "progress", "processes"},
+    {
+        "se2",
+        "types",
+        "errors",
+        "hands",
+        "faces",
+        "assets",
+        "environment",
+        "files",
+        "talk",
+        "progress",
+        "processes",
+        "seeds",
+    },
     {"plant", "dynamics"},
     {"sensing"},
     {"data"},

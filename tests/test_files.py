@@ -1,0 +1,35 @@
+"""Files are there whole or not at all, and what was not finished does not stay."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from shmoo_mjx import files
+
+
+def test_a_file_is_replaced_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.json"
+    files.write_whole(path, b"old")
+
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(files.os, "replace", stop)
+    with pytest.raises(KeyboardInterrupt):
+        files.write_whole(path, b"new")
+    assert path.read_bytes() == b"old" and list(tmp_path.iterdir()) == [path]
+
+
+def test_what_a_killed_process_left_is_removed_and_nothing_else(tmp_path: Path) -> None:
+    dead = subprocess.Popen([sys.executable, "-c", ""])
+    dead.wait()
+    stays = {"a.json", "a.json.tmp", "a.json.old.tmp", f"b.json.{dead.pid}.tmp", f"a.json.{os.getppid()}.tmp"}
+    for name in (*stays, f"a.json.{dead.pid}.tmp", f"a.json.{10**30}.tmp"):
+        (tmp_path / name).touch()
+    files.write_whole(tmp_path / "a.json", b"")
+    assert {path.name for path in tmp_path.iterdir()} == stays
