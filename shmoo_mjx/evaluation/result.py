@@ -57,6 +57,10 @@ class Ask:
     """Folder for figures and what an interrupted experiment goes on from."""
     progress: Callable[[str, float], None] = lambda stage, fraction: None
     """Called with (stage, fraction done)."""
+    senses: str = "real"
+    """What the robot perceives with: real or perfect."""
+    policies: tuple[str, ...] = ()
+    """For navigation: run these only; all if none is named."""
 
     @property
     def first_unseen(self) -> int:
