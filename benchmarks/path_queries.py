@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage
 
-from shmoo_mjx.evaluation.navigation import find_maps
+from shmoo_mjx.evaluation.navigation_places import find_maps
 from shmoo_mjx.navigation.maps import clearance_field, load_map
 from shmoo_mjx.navigation.path_shortening import PathConfig
 from shmoo_mjx.navigation.paths import plan_path

@@ -17,7 +17,7 @@ from shmoo_mjx.navigation.navigator import Navigator
 from shmoo_mjx.navigation.records import Mode, NavigatorConfig
 from shmoo_mjx.navigation.scenario import Scenario
 from shmoo_mjx.plant.objects import Condition, draw_condition
-from shmoo_mjx.plant.scene import Scene, build_scene
+from shmoo_mjx.plant.scene import PARTS, Scene, build_scene
 from shmoo_mjx.report.trace import Trace
 from shmoo_mjx.sensing import PERFECT, SensedEngine, SensedWorld, Senses, senses_named
 from shmoo_mjx.types import DT, Command, Observation
@@ -197,6 +197,8 @@ def _count_contacts(record: _Record, world: SensedWorld) -> None:
     touching = bool(world.wall_contact[0])
     if touching and not record.touching:
         record.wall_contacts += 1
+        for part in np.flatnonzero(world.wall_parts[0]):
+            record.wall_parts[PARTS[part]] = record.wall_parts.get(PARTS[part], 0) + 1
     record.touching = touching
 
 

@@ -6,7 +6,7 @@ controller may, and how far the object has gone is the truth that decisions are 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -21,12 +21,16 @@ from shmoo_mjx.plant.objects import Condition, draw_condition
 from shmoo_mjx.plant.scene import build_scene
 from shmoo_mjx.types import DT, Command, Observation
 
-__all__ = ["IMMOVABLE", "SteadyPush", "draw_immovable", "manipulable", "steady_push"]
+__all__ = ["BORDER", "IMMOVABLE", "SteadyPush", "draw_immovable", "manipulable", "near_border", "steady_push"]
 
 Array = Any
 
 IMMOVABLE = ("heavy", "brakes", "fixed")
 """Kinds of objects that a robot like this can't move: too heavy, two wheels locked, fixed to the floor."""
+
+
+BORDER = (0.2, 0.5)
+"""Displacements [m] that count as near the border of manipulability: the threshold 0.316 m, 1.6 times less or more."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +94,17 @@ def _lean(cfg: SteadyPush, seen: Observation, face: np.ndarray, last: np.ndarray
 def manipulable(condition: Condition, side: int = 0, cfg: SteadyPush = SteadyPush()) -> bool:
     """Whether the robot's steady push on face ``side`` moves the object."""
     return steady_push(condition, side, cfg) >= cfg.distance
+
+
+def near_border(condition: Condition, side: int = 0, cfg: SteadyPush = SteadyPush()) -> bool:
+    """Whether the steady push on face ``side`` moves the object by a distance within `BORDER`.
+
+    There a little more lean or time would have changed the verdict, so a wrong one says less than elsewhere.
+    """
+    if not manipulable(condition, side, cfg):
+        return steady_push(condition, side, cfg) >= BORDER[0]
+    # A push ends at the threshold; how far this one would have gone only a longer one tells.
+    return steady_push(condition, side, replace(cfg, distance=BORDER[1])) < BORDER[1]
 
 
 def draw_immovable(kind: str, family: str, seed: int) -> Condition:

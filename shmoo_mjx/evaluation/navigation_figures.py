@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from shmoo_mjx.evaluation.navigation_measures import OURS
 from shmoo_mjx.evaluation.scenarios import KINDS
 from shmoo_mjx.navigation.maps import OccupancyGrid, load_map
 from shmoo_mjx.report.figures import to_png
@@ -15,6 +16,9 @@ from shmoo_mjx.report.style import COLOURS, SERIES, object_colour, outline
 from shmoo_mjx.report.trace import write_bytes
 
 __all__ = ["draw_figures"]
+
+SHOWN = 8
+"""Scenarios in the picture of a map."""
 
 
 def draw_figures(folder: Path, rows: list[dict[str, Any]], maps: dict[str, Path]) -> None:
@@ -80,13 +84,16 @@ def _causes(rows: list[dict[str, Any]]) -> Any:
 def _runs(rows: list[dict[str, Any]], grid: OccupancyGrid) -> Any:
     """A row per scenario, a column per policy: driven path, objects before (dotted) and after.
 
-    Scenarios that one policy alone has run are shown if it failed.
+    Of many scenarios those are shown that ours failed, then those that others failed.
     """
     from matplotlib.figure import Figure
 
-    count = Counter(r["scenario"] for r in rows)
-    rows = [r for r in rows if count[r["scenario"]] > 1 or not r["success"]] or rows[:1]
-    policies, numbers = _policies(rows), sorted({r["scenario"] for r in rows})
+    failed = Counter[int]()
+    for row in rows:
+        failed[row["scenario"]] += (not row["success"]) * (100 if row["policy"] == OURS else 1)
+    numbers = sorted(sorted(failed, key=lambda n: (-failed[n], n))[:SHOWN])
+    rows = [r for r in rows if r["scenario"] in numbers]
+    policies = _policies(rows)
     figure = Figure(figsize=(3.2 * len(policies), 3.2 * len(numbers)), layout="constrained")
     panels = figure.subplots(len(numbers), len(policies), squeeze=False)
     for axes in panels.ravel():

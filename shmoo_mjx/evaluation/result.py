@@ -57,6 +57,8 @@ class Ask:
     """Called with (stage, fraction done)."""
     senses: SensesName = "real"
     """What the robot perceives with, where a simulated robot acts in the experiment."""
+    policies: tuple[str, ...] = ()
+    """For navigation: run these only; all if none is named."""
 
     def __post_init__(self) -> None:
         check_seed("--seed", self.seed)

@@ -19,7 +19,7 @@ from scipy import ndimage
 
 from shmoo_mjx import se2
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.evaluation.manipulable import IMMOVABLE, draw_immovable, manipulable
+from shmoo_mjx.evaluation.manipulable import IMMOVABLE, draw_immovable, manipulable, near_border
 from shmoo_mjx.faces import faces_of, heading, stand_off
 from shmoo_mjx.navigation.footprints import add_obstacles, footprint_polygon, footprints_free
 from shmoo_mjx.navigation.maps import FREE, OCCUPIED, ClearanceField, OccupancyGrid, clearance_field
@@ -27,13 +27,33 @@ from shmoo_mjx.navigation.paths import Path, path_blocked_by, plan_path, point_a
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Limits, ObjectEntry, Scenario
 from shmoo_mjx.plant.objects import FAMILIES, Condition, draw_condition
 
-__all__ = ["KINDS", "Generated", "Kind", "ScenarioConfig", "draw_scenario", "toy_scenario"]
+__all__ = [
+    "KINDS",
+    "PLANT",
+    "Generated",
+    "Kind",
+    "ScenarioConfig",
+    "Truth",
+    "draw_scenario",
+    "largest_room",
+    "toy_scenario",
+]
 
 Array = Any
 Kind = Literal["push only", "detour only", "either"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
-Moves = Callable[[Condition, int], bool]
-"""(condition, side) -> does the robot's push on that face move the object."""
+
+
+class Truth(NamedTuple):
+    """What is known about a push on a face of an object; each takes (condition, side)."""
+
+    moves: Callable[[Condition, int], bool]
+    """Does the robot's push move the object."""
+    near: Callable[[Condition, int], bool] = lambda condition, side: False
+    """Is it near the border between the two."""
+
+
+PLANT = Truth(manipulable, near_border)
 
 
 @dataclass(frozen=True)
@@ -53,9 +73,7 @@ class ScenarioConfig:
     ahead: tuple[float, float] = (1.6, 1.0)
     """How far a blocked place is from start and from goal, along the path."""
     objects: int = 4
-    """Most objects."""
-    bystanders: float = 0.5
-    """Chance of each further object that stands about and blocks nothing."""
+    """Most objects. How many there shall be is drawn evenly; what blocks nothing is added until there are so many."""
     margin: float = 0.04
     """Room between objects and walls."""
     reach: float = 2.5
@@ -79,6 +97,8 @@ class Generated(NamedTuple):
     """Length of the path past no object."""
     detour: float | None
     """Length of the path round all of them, if there is one."""
+    border: tuple[bool, ...] = ()
+    """Of each object: is it near the border of manipulability, so that the verdict hangs on little."""
 
 
 @dataclass
@@ -119,7 +139,7 @@ def draw_scenario(
     kind: Kind,
     rng: np.random.Generator,
     first_seed: int,
-    moves: Moves = manipulable,
+    truth: Truth = PLANT,
     cfg: ScenarioConfig = ScenarioConfig(),
 ) -> Generated:
     """Draw a scenario of ``kind``.
@@ -129,7 +149,7 @@ def draw_scenario(
         kind: push only, detour only or either.
         rng: consumed.
         first_seed: objects are drawn from the 1,000 seeds from it on.
-        moves: the truth about pushes.
+        truth: about pushes.
         cfg: what it shall look like.
 
     Raises:
@@ -137,20 +157,20 @@ def draw_scenario(
     """
     walls = clearance_field(grid)
     seeds = cycle(first_seed + rng.permutation(1000).astype(int))
-    room = _largest_room(np.asarray(walls.values), cfg.start_clearance)
+    room = largest_room(np.asarray(walls.values), cfg.start_clearance)
     for _ in range(cfg.attempts if len(room) else 0):
         site = _draw_site(grid, walls, room, rng, cfg)
-        if site is None or not _block(site, kind, rng, seeds, moves, cfg):
+        if site is None or not _block(site, kind, rng, seeds, truth, cfg):
             continue
-        _add_bystanders(site, rng, seeds, cfg)
-        found = _classify(site, moves, cfg)
+        _add_bystanders(site, rng, seeds, truth, cfg)
+        found = _classify(site, truth, cfg)
         if found is not None and found.kind == kind:
             return found._replace(scenario=found.scenario.model_copy(update={"seed": int(rng.integers(10**6))}))
     source = grid.source or "the map"
     raise ShmooError(f"{source}: no '{kind}' scenario was found in {cfg.attempts} draws; give another map.")
 
 
-def _largest_room(clearance: np.ndarray, radius: float) -> np.ndarray:
+def largest_room(clearance: np.ndarray, radius: float) -> np.ndarray:
     """Cells ``[N, 2]`` of the largest connected part in which a robot with this much room can go about."""
     labels, count = ndimage.label(clearance >= radius, np.ones((3, 3)))
     if count == 0:
@@ -208,11 +228,11 @@ def _narrow_places(site: _Site, path: Path, cfg: ScenarioConfig) -> list[_Narrow
 
 
 def _block(
-    site: _Site, kind: Kind, rng: np.random.Generator, seeds: Iterator[int], moves: Moves, cfg: ScenarioConfig
+    site: _Site, kind: Kind, rng: np.random.Generator, seeds: Iterator[int], truth: Truth, cfg: ScenarioConfig
 ) -> bool:
     """Put objects in the way until the kind of solution that is wanted is the one there is, so far as can be seen."""
     path, movable = site.path, kind != "detour only"
-    while _block_path(site, path, movable, rng, seeds, moves, cfg):
+    while _block_path(site, path, movable, rng, seeds, truth, cfg):
         around = site.way(site.start, site.polygons())
         if around is None:
             return kind == "push only"
@@ -232,7 +252,7 @@ def _block_path(
     movable: bool,
     rng: np.random.Generator,
     seeds: Iterator[int],
-    moves: Moves,
+    truth: Truth,
     cfg: ScenarioConfig,
 ) -> bool:
     """Put one object into a narrow place of ``path`` so that nobody gets past it there."""
@@ -240,7 +260,7 @@ def _block_path(
     for i in rng.permutation(len(places))[:6]:
         for _ in range(6):
             placed = _place(places[i], _draw_object(movable, rng, int(next(seeds))), movable, rng)
-            if _fits(site, placed, cfg) and _stops(path, places[i], placed) and _as_wanted(site, placed, moves, cfg):
+            if _fits(site, placed, cfg) and _stops(path, places[i], placed) and _as_wanted(site, placed, truth, cfg):
                 site.placed.append(placed)
                 return True
     return False
@@ -254,10 +274,12 @@ def _place(narrow: _Narrow, condition: Condition, movable: bool, rng: np.random.
 
 
 def _draw_object(movable: bool, rng: np.random.Generator, seed: int) -> Condition:
-    family = FAMILIES[rng.integers(3)]
-    if movable:
+    """One that may be of the wanted sort, as the plant has to say. A quarter of the immovable ones are drawn as any."""
+    family, sort = FAMILIES[rng.integers(3)], int(rng.integers(len(IMMOVABLE) + 1))
+    # Only these, which nothing was done to, can be so near the border that they nearly move.
+    if movable or sort == len(IMMOVABLE):
         return draw_condition(family, seed)
-    return draw_immovable(IMMOVABLE[rng.integers(3)], family, seed)
+    return draw_immovable(IMMOVABLE[sort], family, seed)
 
 
 def _fits(site: _Site, placed: _Placed, cfg: ScenarioConfig) -> bool:
@@ -276,11 +298,11 @@ def _stops(path: Path, narrow: _Narrow, placed: _Placed) -> bool:
     return widest < 2 * ROBOT_RADIUS and path_blocked_by(path, placed.polygon, ROBOT_RADIUS)[0]
 
 
-def _as_wanted(site: _Site, placed: _Placed, moves: Moves, cfg: ScenarioConfig) -> bool:
+def _as_wanted(site: _Site, placed: _Placed, truth: Truth, cfg: ScenarioConfig) -> bool:
     """Does the plant agree that it can be moved from a face where a push helps, or can't be from any in reach."""
     if placed.movable:
-        return any(moves(placed.condition, side) for side in _helpful_sides(site, placed, cfg))
-    return not any(moves(placed.condition, side) for side in _reachable_sides(site, placed))
+        return any(truth.moves(placed.condition, side) for side in _helpful_sides(site, placed, cfg))
+    return not any(truth.moves(placed.condition, side) for side in _reachable_sides(site, placed))
 
 
 def _reachable_sides(site: _Site, placed: _Placed) -> Iterator[int]:
@@ -313,10 +335,13 @@ def _helpful_sides(site: _Site, placed: _Placed, cfg: ScenarioConfig) -> Iterato
                 break
 
 
-def _add_bystanders(site: _Site, rng: np.random.Generator, seeds: Iterator[int], cfg: ScenarioConfig) -> None:
-    """Objects beside the path that block nothing."""
+def _add_bystanders(
+    site: _Site, rng: np.random.Generator, seeds: Iterator[int], truth: Truth, cfg: ScenarioConfig
+) -> None:
+    """Objects beside the path that block nothing, until there are as many as drawn."""
+    wanted = int(rng.integers(1, cfg.objects + 1))
     for _ in range(20):
-        if len(site.placed) >= cfg.objects or rng.random() > cfg.bystanders:
+        if len(site.placed) >= wanted:
             return
         movable = bool(rng.random() < 0.5)
         s, side = rng.uniform(0.0, site.path.length), rng.choice([-1.0, 1.0])
@@ -326,6 +351,7 @@ def _add_bystanders(site: _Site, rng: np.random.Generator, seeds: Iterator[int],
         placed = _Placed(condition, np.array([*place, rng.uniform(-np.pi, np.pi)]), movable, False)
         open_floor = _fits(site, placed, cfg) and not path_blocked_by(site.path, placed.polygon, ROBOT_RADIUS)[0]
         if open_floor and _leaves_ways(site, placed):
+            placed.movable = any(truth.moves(condition, face) for face in _reachable_sides(site, placed))
             site.placed.append(placed)
 
 
@@ -336,11 +362,11 @@ def _leaves_ways(site: _Site, placed: _Placed) -> bool:
     return after.length < before.length + 0.3
 
 
-def _classify(site: _Site, moves: Moves, cfg: ScenarioConfig) -> Generated | None:
+def _classify(site: _Site, truth: Truth, cfg: ScenarioConfig) -> Generated | None:
     """The finished scenario with its kind, or None if no solution is known."""
     around = site.way(site.start, site.polygons())
     pushes = any(
-        moves(p.condition, side)
+        truth.moves(p.condition, side)
         for p in site.placed
         if p.movable and p.blocking
         for side in _helpful_sides(site, p, cfg)
@@ -358,7 +384,17 @@ def _classify(site: _Site, moves: Moves, cfg: ScenarioConfig) -> Generated | Non
         limits=Limits(time_s=cfg.time_s),
     )
     movable, blocking = tuple(p.movable for p in site.placed), tuple(p.blocking for p in site.placed)
-    return Generated(scenario, kind, movable, blocking, site.path.length, detour)
+    border = tuple(_near_border(site, p, truth, cfg) for p in site.placed)
+    return Generated(scenario, kind, movable, blocking, site.path.length, detour, border)
+
+
+def _near_border(site: _Site, placed: _Placed, truth: Truth, cfg: ScenarioConfig) -> bool:
+    """Of what can be moved: is it so from no face without doubt. Of what can't: is there a face that raises a doubt."""
+    if placed.movable:
+        sides = _helpful_sides(site, placed, cfg) if placed.blocking else _reachable_sides(site, placed)
+        near = [truth.near(placed.condition, side) for side in sides if truth.moves(placed.condition, side)]
+        return bool(near) and all(near)
+    return any(truth.near(placed.condition, side) for side in _reachable_sides(site, placed))
 
 
 def _entry(placed: _Placed) -> ObjectEntry:

@@ -7,6 +7,7 @@ way is found exactly if the cells have one.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -200,9 +201,7 @@ def _tree(base: Lattice, root: int) -> tuple[np.ndarray, np.ndarray]:
     return lattices.costs_from(base, root)
 
 
-def _follow(
-    tree: tuple[np.ndarray, np.ndarray], entries: tuple[np.ndarray, np.ndarray]
-) -> tuple[float, np.ndarray]:
+def _follow(tree: tuple[np.ndarray, np.ndarray], entries: tuple[np.ndarray, np.ndarray]) -> tuple[float, np.ndarray]:
     total, following = tree
     cost = entries[1] + total[entries[0]]
     best = int(np.argmin(cost))
@@ -216,7 +215,7 @@ def _follow(
 
 def _is_tight(lattice: Lattice, route: np.ndarray) -> bool:
     graph = lattice.graph
-    for here, there in zip(route[:-1], route[1:], strict=True):
+    for here, there in itertools.pairwise(route):
         row = slice(graph.indptr[here], graph.indptr[here + 1])
         if lattice.tight[row][graph.indices[row] == there].any():
             return True

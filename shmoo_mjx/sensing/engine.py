@@ -62,6 +62,11 @@ class SensedWorld(NamedTuple):
         """``[W]`` whether the robot touched a wall in the last sample time."""
         return np.asarray(self.truth.wall_contact)
 
+    @property
+    def wall_parts(self) -> np.ndarray:
+        """``[W, P]`` which of scene.PARTS did."""
+        return np.asarray(self.truth.wall_parts)
+
 
 class SensedEngine:
     """Steps W robots with their senses. Holds models, never state; leaving its ``with`` block closes it.
@@ -172,7 +177,7 @@ class SensedEngine:
         rng = np.random.default_rng([11, self._entropy, world.ticks])
         worlds, objects = world.contact.shape[:2]
         wrench, contact = np.zeros_like(world.contact), np.zeros_like(world.contact)
-        touched = np.zeros(worlds, dtype=bool)
+        touched = np.zeros_like(world.truth.wall_parts)
         if self.senses.perfect:
             lengths = self._stretches(world, ticks)
         else:
@@ -196,10 +201,12 @@ class SensedEngine:
             else:
                 world = world._replace(truth=truth, ticks=now)
             contact += true.wrench * (length / ticks)
-            touched |= np.asarray(truth.wall_contact)
+            touched = touched | np.asarray(truth.wall_parts)
         if isinstance(world.mind, Shown):
             world, wrench = world._replace(mind=self._look(world.mind, true, world.ticks)), contact
-        world = world._replace(contact=contact, truth=world.truth._replace(wall_contact=touched))
+        world = world._replace(
+            contact=contact, truth=world.truth._replace(wall_contact=touched.any(axis=-1), wall_parts=touched)
+        )
         noisy = 0.0 if self.senses.perfect else self.senses.lean_noise * rng.normal(size=(2, *true.lean.shape))
         return world, self._perceived(world, true, wrench, noisy)
 

@@ -10,11 +10,15 @@ from hypothesis import strategies as st
 from shmoo_mjx import se2
 from shmoo_mjx.control import trim
 from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH
-from shmoo_mjx.navigation.moves import command
 from shmoo_mjx.plant.robot import ROBOT
-from shmoo_mjx.types import DT, Observation
+from shmoo_mjx.skills import batched
+from shmoo_mjx.types import DT, Command, Observation
 
 HANDS = np.array([[TUCKED_REACH, 0.1, TUCKED_HEIGHT], [TUCKED_REACH, -0.1, TUCKED_HEIGHT]])
+
+
+def command(lean: np.ndarray, gamma: float = 0.0) -> Command:
+    return batched(Command(np.append(lean, gamma), 0.0, TUCKED_REACH, TUCKED_HEIGHT))
 
 
 def seen(
@@ -65,7 +69,7 @@ def test_lean_is_counted_from_the_trim_both_ways() -> None:
     state = trim.init()._replace(lean=np.array([0.01, -0.02]))
     now = seen(0.0, 0.0, np.zeros(2), np.array([0.03, 0.0]), np.zeros(2))
     assert trim.with_trim(state, now).lean[0] == pytest.approx([0.02, 0.02])
-    applied = trim.trimmed(state, command(np.array([0.05, 0.0]), 0.1, 0.0, TUCKED_REACH, TUCKED_HEIGHT))
+    applied = trim.trimmed(state, command(np.array([0.05, 0.0]), 0.1))
     assert applied.u[0] == pytest.approx([0.06, -0.02, 0.1])
 
 
@@ -87,7 +91,7 @@ def test_a_robot_with_a_shifted_centre_of_mass_stands_still() -> None:
             if i == 60:
                 start = now.robot_pose[0, :2]
             lean = velocity_command(now, np.zeros(2))
-            world, _ = engine.step(world, trim.trimmed(state, command(lean, 0.0, 0.0, TUCKED_REACH, TUCKED_HEIGHT)))
+            world, _ = engine.step(world, trim.trimmed(state, command(lean)))
         drifts.append(float(np.linalg.norm(engine.observe(world).robot_pose[0, :2] - start)))
         engine.close()
     share = ROBOT.body_mass / ROBOT.upper_mass

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shmoo_mjx.evaluation.manipulable import SteadyPush, draw_immovable, steady_push
+from shmoo_mjx.evaluation.manipulable import SteadyPush, draw_immovable, manipulable, near_border, steady_push
 from shmoo_mjx.evaluation.object_planner import auc, draw_object, held_out_accuracy, measure, open_floor_scenario
 from shmoo_mjx.evaluation.trials import fingerprint, run_trials
 from shmoo_mjx.faces import faces_of, heading
@@ -41,6 +41,22 @@ def test_a_box_that_is_fixed_to_the_floor_stays() -> None:
 def test_objects_are_drawn_as_the_plant_has_them(index: int) -> None:
     condition, side, kind = draw_object(index, 1_000_000, SteadyPush())
     assert (steady_push(condition, side) >= SteadyPush().distance) == (kind == "drawn") == (index % 2 == 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("family", "seed", "side", "moves", "near"),
+    [("wheelchair", 5035, 3, False, True), ("wheelchair", 5020, 0, True, True), ("cart", 5031, 3, True, False)],
+)
+def test_near_the_border_lies_what_nearly_moves_or_only_just(
+    family: str, seed: int, side: int, moves: bool, near: bool
+) -> None:
+    condition = draw_condition(family, seed)
+    assert (manipulable(condition, side), near_border(condition, side)) == (moves, near)
+
+
+def test_what_is_fixed_is_not_near_the_border() -> None:
+    assert not near_border(draw_immovable("fixed", "box", 7), 2, QUICK)
 
 
 def test_kinds_differ_in_what_holds_them() -> None:

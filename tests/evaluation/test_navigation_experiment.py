@@ -1,98 +1,28 @@
-"""Measures of the experiment navigation, and how failures are sorted."""
+"""The experiment navigation: its order, what it keeps, what policies know, and where it takes place."""
 
 from __future__ import annotations
 
+import json
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.evaluation import navigation
-from shmoo_mjx.evaluation.navigation import POLICIES, cause_of, effort, find_maps, measure
+from shmoo_mjx.evaluation import navigation, navigation_places
+from shmoo_mjx.evaluation.navigation import POLICIES, chosen_policies
+from shmoo_mjx.evaluation.navigation_places import FLOOR_PLANS, find_maps, find_places, kept_scenario, kinds_of
 from shmoo_mjx.evaluation.result import Ask
-from shmoo_mjx.evaluation.scenarios import Generated, toy_scenario
+from shmoo_mjx.evaluation.scenarios import KINDS, Generated, ScenarioConfig, toy_scenario
 from shmoo_mjx.navigation.belief import Status
-from shmoo_mjx.navigation.maps import save_map
+from shmoo_mjx.navigation.maps import load_map, save_map
 
 
 def generated(*movable: bool) -> Generated:
-    return Generated(toy_scenario(1, True)[1], "push only", movable, (True,) * len(movable), 4.0, None)
-
-
-def test_effort_is_the_robots_share_of_all_mass_moved() -> None:
-    assert effort(40.0, 10.0, [5.0, 20.0], [0.0, 0.0]) == 1.0
-    assert effort(40.0, 10.0, [10.0, 20.0], [2.0, 4.0]) == pytest.approx(400.0 / 500.0)
-    assert effort(40.0, 0.0, [10.0], [1.0]) == 1.0
-
-
-def result(outcome: str, *states: str, judged: tuple[int, ...] = (), state: str = "push") -> dict[str, Any]:
-    return {
-        "outcome": outcome,
-        "reason": f"240 s were not enough; 1.00 m from the goal, state {state}",
-        "objects": [{"status": s} for s in states],
-        "decisions": [{"object": i, "manipulable": False} for i in judged],
-    }
-
-
-@pytest.mark.parametrize(
-    ("run", "movable", "cause"),
-    [
-        (result("success", "parked"), (True,), ""),
-        (result("fall", "unknown"), (True,), "fall"),
-        (result("wall contact", "parked"), (True,), "wall contact"),
-        (result("timeout", "unknown"), (True,), "out of time while to push"),
-        (result("blocked", "fixed", judged=(0,)), (True,), "a movable object was judged immovable"),
-        (result("blocked", "fixed"), (True,), "a movable object was given up"),
-        (
-            result("blocked", "fixed", "parked", judged=(0,)),
-            (False, True),
-            "an object was left where it blocks the way",
-        ),
-        (result("blocked", "fixed", judged=(0,)), (False,), "no way found past objects that can't be moved"),
-    ],
-)
-def test_failures_are_sorted_by_cause(run: dict[str, Any], movable: tuple[bool, ...], cause: str) -> None:
-    assert cause_of(run, generated(*movable)) == cause
-
-
-def row(scenario: int, policy: str, success: bool, kind: str = "push only", time: float = 50.0) -> dict[str, Any]:
-    numbers = {
-        "falls": 0,
-        "wall_contacts": 0,
-        "time_s": time,
-        "path_length_m": 8.0,
-        "effort": 0.9,
-        "displacement_m": 1.0,
-    }
-    names = {"map": "m", "scenario": scenario, "policy": policy, "kind": kind}
-    return names | numbers | {"success": success, "efficiency": 0.5 * success, "cause": "" if success else "fall"}
-
-
-def test_measures_of_every_policy_and_what_neither_baseline_can_do() -> None:
-    rows = [
-        *(row(0, p, p in ("ours", "always_push", "oracle")) for p in POLICIES),
-        *(row(1, p, p in ("ours", "always_avoid", "oracle"), "detour only", 70.0) for p in POLICIES),
-        *(row(2, p, p in ("ours", "oracle")) for p in POLICIES),
-        *(row(3, p, p == "oracle") for p in POLICIES),
-    ]
-    metrics = measure(rows, tuple(POLICIES))
-    assert metrics["success_rate"] == 0.75 and metrics["baseline_oracle_success_rate"] == 1.0
-    assert metrics["baseline_always_avoid_success_rate"] == metrics["baseline_always_push_success_rate"] == 0.25
-    assert metrics["time_s"] == pytest.approx((50 + 70 + 50) / 3) and metrics["efficiency"] == 0.375
-    assert metrics["success_rate_push_only"] == pytest.approx(2 / 3) and metrics["success_rate_detour_only"] == 1.0
-    assert metrics["success_rate_either"] is None
-    assert (metrics["scenarios"], metrics["neither_baseline"], metrics["neither_baseline_but_ours"]) == (4, 2, 1)
-
-
-def test_the_other_policies_are_compared_on_the_scenarios_that_they_ran() -> None:
-    rows = [*(row(0, p, p == "ours") for p in POLICIES), row(1, "ours", False), row(2, "ours", False)]
-    metrics = measure(rows, tuple(POLICIES))
-    assert metrics["success_rate"] == pytest.approx(1 / 3)
-    assert metrics["baseline_always_push_ours_success_rate"] == 1.0
-    assert (metrics["scenarios"], metrics["scenarios_compared"]) == (3, 1)
-    assert (metrics["neither_baseline"], metrics["neither_baseline_but_ours"]) == (1, 1)
+    many = (True,) * len(movable)
+    return Generated(toy_scenario(1, True)[1], "push only", movable, many, 4.0, None, (False,) * len(movable))
 
 
 def test_policies_know_what_they_are_meant_to_know() -> None:
@@ -104,6 +34,13 @@ def test_policies_know_what_they_are_meant_to_know() -> None:
     assert not POLICIES["always_push"].config.goes_round and POLICIES["ours"].config.goes_round
 
 
+def test_policies_run_in_their_own_order_and_unknown_ones_are_refused() -> None:
+    assert chosen_policies(Ask()) == ("ours", "oracle", "always_avoid", "always_push")
+    assert chosen_policies(Ask(policies=("always_push", "ours"))) == ("ours", "always_push")
+    with pytest.raises(ShmooError, match="--policies never"):
+        chosen_policies(Ask(policies=("never",)))
+
+
 def test_maps_are_found_below_a_folder(tmp_path: Path) -> None:
     grid, _ = toy_scenario(1, True)
     (tmp_path / "a").mkdir()
@@ -113,8 +50,107 @@ def test_maps_are_found_below_a_folder(tmp_path: Path) -> None:
     assert list(find_maps(tmp_path)) == ["a_one", "two"]
     with pytest.raises(ShmooError, match="holds no map_server YAML"):
         find_maps(tmp_path / "a" / "nothing")
-    with pytest.raises(ShmooError, match="needs --maps"):
-        find_maps(None)
+
+
+def test_without_maps_floor_plans_are_drawn(tmp_path: Path) -> None:
+    places = find_places(Ask(condition_seed=3), tmp_path, ScenarioConfig())
+    assert len(places.maps) == FLOOR_PLANS
+    cells = [load_map(path).cells for path in places.maps.values()]
+    assert any(a.shape != b.shape or (a != b).any() for a, b in pairwise(cells))
+    assert len(find_places(Ask(), tmp_path, ScenarioConfig(), most=2).maps) == 2
+
+
+def test_kinds_take_turns_and_so_do_those_that_stand_in() -> None:
+    for name in ("depot", "willow"):
+        orders = [kinds_of(name, n) for n in range(18)]
+        assert all(sorted(order) == sorted(KINDS) for order in orders)
+        for kind in KINDS:
+            replaced = [order[1] for order in orders if order[0] == kind]
+            assert len(replaced) == 6 and {replaced.count(other) for other in set(replaced)} == {3}
+
+
+def test_a_scenario_is_drawn_once_and_again_for_another_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[str] = []
+
+    def draw(grid: Any, kind: str, *rest: Any) -> Generated:
+        drawn.append(kind)
+        if kind != kinds_of("plan_0", 0)[1]:
+            raise ShmooError("no place.")
+        return generated(True)._replace(kind=kind)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(navigation_places, "draw_scenario", draw)
+    places = find_places(Ask(), tmp_path, ScenarioConfig())
+    grid = load_map(places.maps["plan_0"])
+    wanted, found = kept_scenario(places, grid, "plan_0", 0)
+    order = kinds_of("plan_0", 0)
+    assert drawn == order[:2] and wanted == order[0] and found is not None and found.kind == order[1]
+    assert kept_scenario(places, grid, "plan_0", 0) == (wanted, found) and len(drawn) == 2
+    kept_scenario(places, load_map(places.maps["plan_1"]), "plan_0", 0)
+    assert len(drawn) == 4
+
+
+class FakeTrace(NamedTuple):
+    robot_pose: Any = np.zeros((11, 3))
+    object_pose: Any = np.zeros((11, 1, 3))
+    force: Any = np.zeros((11, 2))
+
+
+class FakeEpisode(NamedTuple):
+    result: dict[str, Any]
+    trace: FakeTrace = FakeTrace()
+
+
+def fake_result(outcome: str) -> dict[str, Any]:
+    pose = [0.0, 0.0, 0.0]
+    item = {"start_pose": pose, "final_pose": pose, "half_extents": [0.3, 0.3], "status": "parked", "family": "box"}
+    numbers = {"falls": 0, "wall_contacts": 0, "time_s": 40.0, "path_length_m": 8.0}
+    lists: dict[str, Any] = {"decisions": [], "transitions": [], "events": []}
+    return numbers | lists | {"outcome": outcome, "reason": "state push", "objects": [item | {"id": 0}]}
+
+
+@pytest.fixture
+def fakes(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Stands for scenarios, runs, figures and films; the policies that have run, in order."""
+    ran: list[str] = []
+
+    def play(robot: Any, grid: Any, scenario: Any, config: Any, first_status: Any) -> FakeEpisode:
+        policy = next(name for name, p in POLICIES.items() if p.config == config)
+        ran.append(policy)
+        return FakeEpisode(fake_result("timeout" if policy == "ours" and ran.count("ours") == 2 else "success"))
+
+    monkeypatch.setattr(navigation, "play", play)
+    monkeypatch.setattr(navigation, "kept_scenario", lambda *args: ("either", generated(True)))
+    monkeypatch.setattr(navigation, "keep_failure", lambda store, name, episode: ran.append(f"kept {name}"))
+    monkeypatch.setattr(navigation, "NavigationTrials", one_worker(navigation.NavigationTrials))
+    monkeypatch.setattr("shmoo_mjx.evaluation.navigation_figures.draw_figures", lambda *args: None)
+    return ran
+
+
+def one_worker(settings: Any) -> Any:
+    def made(**given: Any) -> Any:
+        return settings(**{"workers": 1} | given)
+
+    return made
+
+
+def test_all_policies_run_on_all_scenarios_ours_first(tmp_path: Path, fakes: list[str]) -> None:
+    result = navigation.run(Ask(out=tmp_path, quick=True, senses="perfect"))
+    assert fakes == ["ours", "ours", "kept plan_1-0", *["oracle"] * 2, *["always_avoid"] * 2, *["always_push"] * 2]
+    assert result.metrics["success_rate"] == 0.5 and result.metrics["baseline_always_push_scenarios"] == 2
+    assert result.config["senses"] == "perfect" and result.config["generated_maps"] is True
+    assert {r["policy"] for r in result.rows} == set(POLICIES) and "driven" not in result.rows[0]
+    assert "out of time while to push (1)" in (tmp_path / "navigation" / "failures.md").read_text()
+
+
+def test_ours_alone_is_there_for_the_others_to_join(tmp_path: Path, fakes: list[str]) -> None:
+    ask = Ask(out=tmp_path, scenarios=1, policies=("ours",))
+    alone = navigation.run(ask)
+    assert fakes.count("ours") == FLOOR_PLANS and set(alone.config["policies"]) == {"ours"}
+    navigation.run(Ask(out=tmp_path, scenarios=1))
+    assert fakes.count("ours") == FLOOR_PLANS and fakes.count("always_push") == FLOOR_PLANS
+    # Other senses, other runs.
+    navigation.run(Ask(out=tmp_path, scenarios=1, policies=("ours",), senses="perfect"))
+    assert fakes.count("ours") == 2 * FLOOR_PLANS
 
 
 @pytest.mark.slow
@@ -127,8 +163,9 @@ def test_the_whole_experiment_on_a_floor_plan_and_again_from_its_files(
     save_map(draw_floorplan(np.random.default_rng(0)).grid, tmp_path / "maps" / "plan.yaml")
     ask = Ask(maps=tmp_path / "maps", scenarios=1, out=tmp_path / "out")
     first = navigation.run(ask)
-    assert first.metrics["falls"] == 0 and {r["policy"] for r in first.rows} == set(POLICIES)
+    assert first.metrics["falls"] == 0 and [r["policy"] for r in first.rows] == list(POLICIES)
+    assert all(0.0 <= r["ins"] <= 1.0 for r in first.rows) and json.dumps(first.metrics)
     assert (tmp_path / "out" / "navigation" / "success.png").is_file()
     assert (tmp_path / "out" / "navigation" / "runs-plan.png").is_file()
-    monkeypatch.setattr(navigation, "_run_one", lambda *args: pytest.fail("a run that was kept is run again"))
+    monkeypatch.setattr(navigation, "play", lambda *args: pytest.fail("a run that was kept is run again"))
     assert navigation.run(ask).metrics == first.metrics

@@ -9,7 +9,16 @@ import pytest
 import shapely
 
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.evaluation.scenarios import KINDS, Generated, Kind, ScenarioConfig, draw_scenario, entry_of, toy_scenario
+from shmoo_mjx.evaluation.scenarios import (
+    KINDS,
+    Generated,
+    Kind,
+    ScenarioConfig,
+    Truth,
+    draw_scenario,
+    entry_of,
+    toy_scenario,
+)
 from shmoo_mjx.navigation.floorplan import draw_floorplan
 from shmoo_mjx.navigation.footprints import footprint_polygon, footprints_free
 from shmoo_mjx.navigation.maps import FREE, OccupancyGrid, clearance_field
@@ -29,7 +38,7 @@ def moves(condition: Condition, side: int) -> bool:
 def drawn(kind: Kind, seed: int) -> tuple[OccupancyGrid, Generated]:
     rng = np.random.default_rng(seed)
     grid = draw_floorplan(rng).grid
-    return grid, draw_scenario(grid, kind, rng, 1_000_000, moves, CFG)
+    return grid, draw_scenario(grid, kind, rng, 1_000_000, Truth(moves), CFG)
 
 
 def way(grid: OccupancyGrid, found: Generated, without: tuple[int, ...] = ()) -> Path | None:
@@ -79,7 +88,7 @@ def test_objects_stand_free_and_the_scenario_is_sound(kind: Kind) -> None:
 def test_same_seed_same_scenario() -> None:
     rng = np.random.default_rng(0)
     grid = draw_floorplan(rng).grid
-    again = draw_scenario(grid, "either", rng, 1_000_000, moves, CFG)
+    again = draw_scenario(grid, "either", rng, 1_000_000, Truth(moves), CFG)
     assert again == drawn("either", 0)[1] and again != drawn("either", 1)[1]
 
 
@@ -88,14 +97,14 @@ def test_what_the_plant_says_decides() -> None:
     grid = draw_floorplan(rng).grid
     with pytest.raises(ShmooError, match="no 'push only' scenario was found"):
         draw_scenario(
-            grid, "push only", rng, 1_000_000, lambda c, s: False, ScenarioConfig(path=(3.0, 10.0), attempts=6)
+            grid, "push only", rng, 1_000_000, Truth(lambda c, s: False), ScenarioConfig(path=(3.0, 10.0), attempts=6)
         )
 
 
 def test_a_map_without_a_narrow_place_is_refused() -> None:
     hall = OccupancyGrid(np.full((200, 200), FREE, np.int8), 0.05)
     with pytest.raises(ShmooError, match="give another map"):
-        draw_scenario(hall, "either", np.random.default_rng(0), 1_000_000, moves, ScenarioConfig(attempts=5))
+        draw_scenario(hall, "either", np.random.default_rng(0), 1_000_000, Truth(moves), ScenarioConfig(attempts=5))
 
 
 def test_an_entry_spells_out_every_property() -> None:
@@ -113,3 +122,16 @@ def test_the_toy_scenario_blocks_one_of_its_doorways(doors: int) -> None:
     around = plan_path(grid, scenario.start, scenario.goal, [box], ROBOT_RADIUS)
     assert free is not None and (around is None) == (doors == 1)
     assert around is None or around.length > free.length + 0.3
+
+
+def test_what_is_near_the_border_is_kept_and_marked() -> None:
+    rng = np.random.default_rng(0)
+    grid = draw_floorplan(rng).grid
+    found = draw_scenario(grid, "push only", rng, 1_000_000, Truth(moves, lambda c, s: c.total_mass > 0.0), CFG)
+    assert found.border == (True,) * len(found.scenario.objects)
+    assert not any(drawn("push only", 0)[1].border)
+
+
+def test_scenarios_have_one_to_four_objects() -> None:
+    counts = {len(drawn(kind, seed)[1].scenario.objects) for kind in KINDS for seed in range(2)}
+    assert len(counts) >= 2 and max(counts) <= CFG.objects

@@ -1,0 +1,74 @@
+"""What is kept of failed runs, a film of each, and a list of them by cause."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from shmoo_mjx.navigation.yaml_input import write_whole
+from shmoo_mjx.report.trace import load_trace, save_trace
+
+if TYPE_CHECKING:
+    from shmoo_mjx.episode import Episode
+
+__all__ = ["keep_failure", "write_failures"]
+
+FPS, SPEED = 10.0, 4.0
+"""Frames per second of a film, and seconds of the run per second of film."""
+
+
+def keep_failure(store: Path, name: str, episode: Episode) -> None:
+    """Keep what a film of a failed run needs; a trace takes too much room to be kept of every run."""
+    folder = store / "failures"
+    folder.mkdir(parents=True, exist_ok=True)
+    save_trace(folder / f"{name}.npz", episode.trace)
+    write_whole(folder / f"{name}.json", json.dumps(episode.result, default=float).encode())
+    (folder / f"{name}.mp4").unlink(missing_ok=True)
+
+
+def write_failures(
+    folder: Path,
+    rows: list[dict[str, Any]],
+    store: Path,
+    progress: Callable[[str, float], None] = lambda stage, fraction: None,
+) -> Path:
+    """Write ``folder / failures.md``, the failed runs among ``rows`` by cause, with a film of each from above.
+
+    Args:
+        folder: of the experiment.
+        rows: of one policy; ``map``, ``scenario``, ``kind``, ``cause``, ``reason`` and ``time_s`` of each are used.
+        store: where `keep_failure` has put them; films go there, and those that are there are not drawn again.
+        progress: called with (stage, fraction of the films that is done).
+    """
+    failed = [row for row in rows if not row["success"]]
+    by_cause: dict[str, list[str]] = defaultdict(list)
+    for number, row in enumerate(failed):
+        name = f"{row['map']}-{row['scenario']}"
+        progress(f"film of {name}", number / len(failed))
+        film = _film(store / "failures", name)
+        title = name if film is None else f"[{name}]({film.relative_to(folder).as_posix()})"
+        mark = ", near the border of manipulability" if row.get("border") else ""
+        by_cause[row["cause"]].append(f"- {title}, {row['kind']}{mark}, {row['time_s']:.0f} s: {row['reason']}")
+    lines = [f"# {len(failed)} of {len(rows)} runs failed"]
+    for cause, items in sorted(by_cause.items(), key=lambda item: -len(item[1])):
+        lines += [f"## {cause} ({len(items)})", "\n".join(items)]
+    folder.mkdir(parents=True, exist_ok=True)
+    target = folder / "failures.md"
+    write_whole(target, ("\n\n".join(lines) + "\n").encode())
+    return target
+
+
+def _film(folder: Path, name: str) -> Path | None:
+    """The film of a failed run; None if nothing was kept of it."""
+    from shmoo_mjx.report.video import topdown_frames, write_video
+
+    film = folder / f"{name}.mp4"
+    if film.is_file():
+        return film
+    if not (folder / f"{name}.npz").is_file():
+        return None
+    result = json.loads((folder / f"{name}.json").read_text())
+    return write_video(film, topdown_frames(result, load_trace(folder / f"{name}.npz"), FPS, SPEED), FPS)

@@ -1,0 +1,129 @@
+"""Where the navigation experiments take place: maps that are given or generated, and the scenarios kept for them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+
+from shmoo_mjx.assets import asset
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.evaluation.manipulable import BORDER, SteadyPush
+from shmoo_mjx.evaluation.result import Ask
+from shmoo_mjx.evaluation.scenarios import KINDS, PLANT, Generated, Kind, ScenarioConfig, draw_scenario
+from shmoo_mjx.evaluation.trials import fingerprint
+from shmoo_mjx.navigation.floorplan import draw_floorplan
+from shmoo_mjx.navigation.maps import OccupancyGrid, save_map
+from shmoo_mjx.navigation.scenario import Scenario
+from shmoo_mjx.navigation.yaml_input import write_whole
+
+__all__ = ["FLOOR_PLANS", "Places", "find_maps", "find_places", "kept", "kept_scenario", "kinds_of"]
+
+FLOOR_PLANS = 5
+"""Generated where no maps are given."""
+
+
+@dataclass(frozen=True)
+class Places:
+    """Maps, and the folder of what is drawn on them."""
+
+    maps: dict[str, Path]
+    """Name to YAML."""
+    scenarios: Path
+    """Folder of the drawn scenarios. They take minutes to draw, and hang neither on policies nor on weights."""
+    first_unseen: int
+    """Seed of the first object."""
+    config: ScenarioConfig
+
+
+def find_places(ask: Ask, folder: Path, config: ScenarioConfig, most: int | None = None) -> Places:
+    """The maps of ``ask.maps``, or else generated floor plans, which are written into ``folder``; ``most`` of them.
+
+    Raises:
+        ShmooError: ``ask.maps`` holds none.
+    """
+    maps = _floor_plans(folder / "plans", ask.first_unseen) if ask.maps is None else find_maps(ask.maps)
+    return Places(dict(list(maps.items())[:most]), folder / "scenarios", ask.first_unseen, config)
+
+
+def find_maps(folder: Path) -> dict[str, Path]:
+    """Name to YAML of every map_server map below ``folder``.
+
+    Raises:
+        ShmooError: there is none.
+    """
+    found = sorted(p for p in folder.rglob("*.yaml") if "image:" in p.read_text(errors="replace"))
+    if not found:
+        raise ShmooError(f"--maps {folder}: holds no map_server YAML with the field 'image'; give a folder of maps.")
+    return {"_".join(p.relative_to(folder).with_suffix("").parts): p for p in found}
+
+
+def _floor_plans(folder: Path, first_unseen: int) -> dict[str, Path]:
+    folder.mkdir(parents=True, exist_ok=True)
+    files = {f"plan_{k}": folder / f"plan_{first_unseen}_{k}.yaml" for k in range(FLOOR_PLANS)}
+    for k, file in enumerate(files.values()):
+        save_map(draw_floorplan(np.random.default_rng([first_unseen, k])).grid, file)
+    return files
+
+
+def kinds_of(map_name: str, number: int) -> list[Kind]:
+    """The kind that scenario ``number`` of a map is to be, then the others in the order in which they may replace it.
+
+    The kinds take turns. Those that stand in for a kind that a map has no place for take turns as well.
+    """
+    first = (number + crc32(map_name.encode())) % len(KINDS)
+    others = [kind for kind in KINDS if kind != KINDS[first]]
+    return [KINDS[first], *(others if number // len(KINDS) % 2 else others[::-1])]
+
+
+def kept_scenario(places: Places, grid: OccupancyGrid, map_name: str, number: int) -> tuple[Kind, Generated | None]:
+    """The kind that scenario ``number`` of a map was to be, and the scenario; None if the map has no place for any."""
+
+    def draw() -> dict[str, Any] | None:
+        for turn, kind in enumerate(kinds_of(map_name, number)):
+            rng = np.random.default_rng([places.first_unseen, crc32(map_name.encode()), number, turn])
+            try:
+                found = draw_scenario(grid, kind, rng, places.first_unseen, PLANT, places.config)
+            except ShmooError:
+                continue
+            return found._asdict() | {"scenario": found.scenario.model_dump(mode="json")}
+        return None
+
+    data = kept(places, grid, f"{map_name}-{number}", draw)
+    wanted = kinds_of(map_name, number)[0]
+    return wanted, None if data is None else generated_from(data)
+
+
+def generated_from(data: dict[str, Any]) -> Generated:
+    """A scenario as it was written."""
+    lists = {name: tuple(data[name]) for name in ("movable", "blocking", "border")}
+    return Generated(**data | lists | {"scenario": Scenario.model_validate(data["scenario"])})
+
+
+def kept(places: Places, grid: OccupancyGrid, name: str, draw: Callable[[], Any]) -> Any:
+    """What ``draw`` returns, kept as a file that goes with map, settings, the truth about pushes and the plant."""
+    settings = {
+        "cells": hashlib.sha256(np.ascontiguousarray(grid.cells).tobytes()).hexdigest(),
+        "frame": [grid.resolution, *grid.origin],
+        "scenario": asdict(places.config),
+        "truth": [asdict(SteadyPush()), BORDER],
+        "first_unseen": places.first_unseen,
+        "plant": _plant(),
+    }
+    file = places.scenarios / f"{name}-{fingerprint(settings)}.json"
+    if not file.is_file():
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(file, (json.dumps(draw()) + "\n").encode())
+    return json.loads(file.read_text())
+
+
+@cache
+def _plant() -> str:
+    return fingerprint({}, *sorted(asset("models_xml").rglob("*.xml")))
