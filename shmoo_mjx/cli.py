@@ -56,6 +56,7 @@ def navigate(
     video: bool = True,
     record: bool = False,
     senses: str | None = None,
+    real_time: bool = False,
 ) -> int:
     """Run a scenario in any ROS map_server map.
 
@@ -71,6 +72,8 @@ def navigate(
         video: draw episode.mp4.
         record: write episode.rrd too, a 3-D recording to scrub through (needs the package rerun-sdk).
         senses: real or perfect; overrides the scenario's own (default: real).
+        real_time: run against the wall clock: what computing really takes passes in the world, and each missed
+            deadline is reported.
     """
     from shmoo_mjx import progress, run
 
@@ -78,9 +81,29 @@ def navigate(
     grid, task = run.load_inputs(map, scenario, start, goal)
     name = str(scenario) if scenario else "--start/--goal"
     with progress.stages() as report:
-        result = run.run_scenario(grid, task, out, weights, video, name, report, record, chosen)
+        result = run.run_scenario(grid, task, out, weights, video, name, report, record, chosen, real_time)
+    if real_time:
+        late = result["missed_deadlines"]
+        worst = f", the worst {max(d['ms'] for d in late)} ms in '{max(late, key=lambda d: d['ms'])['state']}'"
+        print(f"missed deadlines: {len(late)} of {round(result['time_s'] / 0.1)}{worst if late else ''}")
     print(f"{result['outcome']}: {result['reason']}; {out / 'report.html'}")
     return 0 if result["outcome"] == "success" else 1
+
+
+def replay(run: Positional[Path], weights: Path | None = None) -> int:
+    """Feed a run's recorded observations to the navigator again and compare its commands bit for bit.
+
+    Example: shmoo replay runs/demo-0
+
+    Args:
+        run: folder that demo or navigate has left.
+        weights: those of the run (default: the shipped ones).
+    """
+    from shmoo_mjx.replay import replay as compare
+
+    difference = compare(run, weights)
+    print(f"{run}: {difference or 'every command is the same, bit for bit'}")
+    return 0 if difference is None else 1
 
 
 def collect(
@@ -395,6 +418,7 @@ def completion(shell: Positional[Literal["bash", "zsh", "fish"]]) -> int:
 _COMMANDS: dict[str, Callable[..., int]] = {
     "demo": demo,
     "navigate": navigate,
+    "replay": replay,
     "collect": collect,
     "train": train,
     "map": map_,

@@ -41,6 +41,7 @@ def run_scenario(
     progress: Callable[[str, float], None] = lambda stage, fraction: None,
     record: bool = False,
     senses: SensesName | None = None,
+    real_time: bool = False,
 ) -> dict[str, Any]:
     """Run one scenario and write its folder ``out``.
 
@@ -54,6 +55,7 @@ def run_scenario(
         progress: called with (stage, fraction of its limit that has passed).
         record: also write episode.rrd, a 3-D recording for the Rerun viewer.
         senses: what the robot perceives with; if not given the scenario's, or real.
+        real_time: run against the wall clock, and report every missed deadline.
 
     Returns:
         The result, as in result.json.
@@ -68,6 +70,7 @@ def run_scenario(
     from shmoo_mjx.episode import Hooks, run_episode
     from shmoo_mjx.learning.weights import load_weights
     from shmoo_mjx.navigation.records import NavigatorConfig
+    from shmoo_mjx.replay import RECORDED, save_recorded
     from shmoo_mjx.report.html import write_report
     from shmoo_mjx.report.recording import require_viewer, write_recording
     from shmoo_mjx.report.trace import save_trace, write_bytes
@@ -80,12 +83,16 @@ def run_scenario(
     out.mkdir(parents=True, exist_ok=True)
     limit = scenario.limits.time_s
     hooks = Hooks(progress=lambda t, mode: progress(f"simulating: {mode}", t / limit))
-    episode = run_episode(grid, scenario, controller, config, hooks)
+    if real_time:
+        # What is compiled meanwhile would miss every deadline.
+        run_episode(grid, scenario, controller, config, Hooks(over=_has_pushed, progress=hooks.progress), senses=senses)
+    episode = run_episode(grid, scenario, controller, config, hooks, senses=senses, real_time=real_time)
     result = {"name": out.name, **episode.result, "versions": versions(), "weights": loaded.info}
     result["config"]["pushing"] = asdict(controller.config)
     save_map(grid, out / "map.yaml")
     save_scenario(scenario.model_copy(update={"map": "map.yaml"}), out / "scenario.yaml")
     save_trace(out / "trace.npz", episode.trace)
+    save_recorded(out / RECORDED, episode.recorded)
     write_bytes(out / "result.json", (json.dumps(result, indent=1, default=float) + "\n").encode())
     # The report shows the film that lies there: one of an earlier run must not.
     (out / "episode.mp4").unlink(missing_ok=True)
@@ -98,6 +105,10 @@ def run_scenario(
     write_report(out)
     progress("done", 1.0)
     return result
+
+
+def _has_pushed(navigator: Any) -> bool:
+    return any(transition.source == "push" for transition in navigator.transitions)
 
 
 def _check_objects(scenario: Scenario, name: str) -> None:

@@ -34,6 +34,7 @@ __all__ = [
     "object_name",
     "save_trace",
     "telling_decisions",
+    "write_arrays",
     "write_bytes",
 ]
 
@@ -98,6 +99,11 @@ def save_trace(path: str | Path, trace: Trace) -> Path:
             arrays |= {f"{name}.{i:04d}": np.asarray(item, dtype=np.float32) for i, item in enumerate(value)}
         else:
             arrays[name] = np.asarray(value)
+    return write_arrays(path, arrays)
+
+
+def write_arrays(path: str | Path, arrays: dict[str, np.ndarray]) -> Path:
+    """Writes the whole ``.npz`` file or leaves what was there."""
     target = Path(path)
     temporary = target.with_name(f".{target.name}.part")
     with temporary.open("wb") as stream:

@@ -1,0 +1,116 @@
+"""Replay: the observations recorded in a run, fed to the navigator again, give the same commands bit for bit.
+
+On another processor or with other versions they may not; then the first sample that differs says where to look.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from shmoo_mjx.assets import asset
+from shmoo_mjx.episode import Recorded, navigator_of
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.report.trace import load_result
+from shmoo_mjx.run import DEMO_WEIGHTS
+from shmoo_mjx.types import Command, Observation
+
+__all__ = ["RECORDED", "Difference", "differences", "load_recorded", "replay", "save_recorded"]
+
+RECORDED = "recorded.npz"
+_VERSION = 1
+"""Of the file's layout."""
+
+
+class Difference(NamedTuple):
+    """The first sample at which a replay gives another command."""
+
+    sample: int
+    time: float
+    """[s]"""
+    state: str
+    """What the navigator is doing there."""
+    field: str
+    """Of the command."""
+    recorded: np.ndarray
+    replayed: np.ndarray
+
+    def __str__(self) -> str:
+        values = f"{np.round(self.recorded, 6).tolist()} recorded, {np.round(self.replayed, 6).tolist()} now"
+        return f"sample {self.sample} ({self.time:.1f} s, {self.state}): {self.field} differs: {values}"
+
+
+def save_recorded(path: Path, recorded: Recorded) -> None:
+    """Write a run's observations and commands."""
+    from shmoo_mjx.report.trace import write_arrays
+
+    arrays = {f"observation.{k}": v for k, v in recorded.observations._asdict().items()}
+    arrays |= {f"command.{k}": v for k, v in recorded.commands._asdict().items()}
+    write_arrays(path, arrays | {"goals": recorded.goals, "version": np.array(_VERSION)})
+
+
+def load_recorded(path: Path) -> Recorded:
+    """Read them.
+
+    Raises:
+        ShmooError: the file is missing, damaged, or of another version.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+    except FileNotFoundError:
+        raise ShmooError(f"{path}: there is no recording here; give the folder of a finished run.") from None
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+        raise ShmooError(f"{path}: the recording is damaged; run the scenario again.") from None
+    names = {"goals", *(f"observation.{n}" for n in Observation._fields), *(f"command.{n}" for n in Command._fields)}
+    if int(arrays.get("version", np.array(-1))) != _VERSION or not names <= set(arrays):
+        raise ShmooError(f"{path}: the recording is of another version of shmoo_mjx; run the scenario again.")
+    return Recorded(
+        Observation(*(arrays[f"observation.{n}"] for n in Observation._fields)),
+        Command(*(arrays[f"command.{n}"] for n in Command._fields)),
+        arrays["goals"],
+    )
+
+
+def replay(run: Path, weights: Path | None = None) -> Difference | None:
+    """Feed the recording of the run in folder ``run`` to the navigator of this version.
+
+    Args:
+        run: folder that a run has left.
+        weights: those of the run; the shipped ones if not given.
+
+    Returns:
+        The first difference, or None if every command is the same.
+
+    Raises:
+        ShmooError: a file is missing, damaged or of another version, or the run was made with other weights.
+    """
+    from shmoo_mjx.control.pushing import PushController
+    from shmoo_mjx.learning.weights import load_weights
+    from shmoo_mjx.navigation.maps import load_map
+    from shmoo_mjx.navigation.scenario import load_scenario
+    from shmoo_mjx.sensing import senses_named
+
+    result, recorded = load_result(run / "result.json"), load_recorded(run / RECORDED)
+    loaded = load_weights(weights or asset(DEMO_WEIGHTS))
+    if result.get("weights") != loaded.info:
+        raise ShmooError(f"{run}: the run was made with other weights; give them with --weights.")
+    scenario = load_scenario(run / "scenario.yaml")
+    senses = senses_named(str(result.get("senses")))
+    navigator = navigator_of(load_map(run / "map.yaml"), scenario, PushController(loaded), senses)
+    return differences(navigator, recorded)
+
+
+def differences(navigator: Any, recorded: Recorded) -> Difference | None:
+    """The first sample at which ``navigator``, fresh from the start, gives another command than the recorded one."""
+    for i, time in enumerate(recorded.observations.time[:, 0]):
+        if i and not np.array_equal(recorded.goals[i], recorded.goals[i - 1]):
+            navigator.head_for(recorded.goals[i], float(time))
+        command = navigator.tick(Observation(*(field[i] for field in recorded.observations)))
+        for name, then, now in zip(Command._fields, recorded.commands, command, strict=True):
+            if not np.array_equal(then[i], now):
+                return Difference(i, float(time), str(navigator.mode), name, then[i], np.asarray(now))
+    return None
