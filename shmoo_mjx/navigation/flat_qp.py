@@ -8,6 +8,7 @@ Its variables are the control points' x, then their y, then one slack per sample
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import clarabel
@@ -17,7 +18,7 @@ from scipy.interpolate import BSpline
 
 from shmoo_mjx.navigation.flat_model import FlatModel
 
-__all__ = ["DEGREE", "Planner", "TrajectoryConfig", "init", "knot_vector", "solve"]
+__all__ = ["DEGREE", "Planner", "TrajectoryConfig", "basis_splines", "init", "knot_vector", "solve"]
 
 DEGREE = 5
 _ANGLES = np.arange(8) * np.pi / 4
@@ -151,11 +152,19 @@ def knot_vector(intervals: int, horizon: float) -> np.ndarray:
     return np.concatenate([np.zeros(DEGREE), inner, np.full(DEGREE, horizon)])
 
 
+@lru_cache(maxsize=8)
+def basis_splines(intervals: int, horizon: float) -> tuple[BSpline, ...]:
+    """The basis of S and of its first four derivatives, one column of coefficients per control point.
+
+    Remembered, because to derive them takes far longer than to evaluate them; not to be written to.
+    """
+    basis = BSpline(knot_vector(intervals, horizon), np.eye(intervals + DEGREE), DEGREE)
+    return (basis, *(basis.derivative(order) for order in range(1, 5)))
+
+
 def _basis(cfg: TrajectoryConfig, times: np.ndarray, order: int) -> np.ndarray:
     """``[len(times), n]``: control points to the derivative of S of this order."""
-    n = cfg.intervals + DEGREE
-    spline = BSpline(knot_vector(cfg.intervals, cfg.horizon), np.eye(n), DEGREE)
-    return (spline.derivative(order) if order else spline)(times)
+    return basis_splines(cfg.intervals, cfg.horizon)[order](times)
 
 
 def _tracking_weights(cfg: TrajectoryConfig, at_end: bool) -> np.ndarray:

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.interpolate import BSpline
 
 from shmoo_mjx.navigation.flat_model import FlatModel, rest_to_rest, rest_to_rest_time
-from shmoo_mjx.navigation.flat_qp import DEGREE, Planner, TrajectoryConfig, init, knot_vector, solve
+from shmoo_mjx.navigation.flat_qp import DEGREE, Planner, TrajectoryConfig, basis_splines, init, solve
 from shmoo_mjx.navigation.maps import ClearanceField
 from shmoo_mjx.navigation.paths import Path, point_at, project, tangent_at
 
@@ -106,8 +106,11 @@ def evaluate(trajectory: Trajectory, t: Array) -> TrajectorySample:
     t = np.asarray(t, dtype=float)
     after = (t > trajectory.horizon)[..., None]
     intervals = len(trajectory.control_points) - DEGREE
-    spline = BSpline(knot_vector(intervals, trajectory.horizon), trajectory.control_points, DEGREE)
-    s = [spline.derivative(k)(np.clip(t, 0.0, trajectory.horizon)) for k in range(5)]
+    within, points = np.clip(t, 0.0, trajectory.horizon), trajectory.control_points
+    s = [
+        BSpline.construct_fast(basis.t, basis.c @ points, basis.k)(within)
+        for basis in basis_splines(intervals, trajectory.horizon)
+    ]
     a, b, c = trajectory.model
     lag, tilt = b / c, a / c
     return TrajectorySample(

@@ -19,7 +19,7 @@ from shmoo_mjx.navigation.clearance import ClearanceField
 from shmoo_mjx.navigation.footprints import window_near
 from shmoo_mjx.navigation.line_costs import PathConfig, line_costs, metre_cost
 
-__all__ = ["Lattice", "build", "costs_from", "nodes_in", "with_obstacles"]
+__all__ = ["Lattice", "build", "costs_from", "is_tight", "nodes_in", "with_obstacles"]
 
 _HALF = ((0, 1), (1, 0), (1, 1), (1, -1))
 """Blocks (rows, columns) on to which a line leads; the other four are the same lines backwards."""
@@ -38,19 +38,17 @@ class Lattice(NamedTuple):
     """Cells along a block."""
     graph: sparse.csr_matrix
     """``[N, N]`` cost of the lines [m, near-wall metres counted more], infinite where something is in the way."""
-    tight: np.ndarray
-    """bool ``[E]``, in the order of ``graph.data``: comes nearer to something than the radius."""
 
 
 def build(field: ClearanceField, radius: float, cfg: PathConfig) -> Lattice:
     """The lattice of a field for a disc of ``radius`` [m]."""
-    side = max(1, round(cfg.spacing / float(field.resolution)))
+    side = _side(field, radius, cfg)
     blocks = tuple(-(-n // side) for n in np.shape(field.values))
     found, cells = _points(field, (slice(0, blocks[0]), slice(0, blocks[1])), side, radius, cfg)
     number = np.where(found, np.cumsum(found).reshape(found.shape) - 1, -1)
     cells = cells[found]
     starts, ends = _neighbours(number)
-    cost, tight = _lines(cells[starts], cells[ends], field, radius, cfg)
+    cost = _line_costs(cells[starts], cells[ends], field, radius, cfg)
     pairs = (np.concatenate([starts, ends]), np.concatenate([ends, starts]))
     order = np.lexsort(pairs[::-1])
     counts = np.bincount(pairs[0], minlength=len(cells))
@@ -58,7 +56,14 @@ def build(field: ClearanceField, radius: float, cfg: PathConfig) -> Lattice:
         (np.tile(cost, 2)[order], pairs[1][order], np.concatenate([[0], np.cumsum(counts)])),
         shape=(len(cells), len(cells)),
     )
-    return Lattice(cells, number, side, graph, np.tile(tight, 2)[order])
+    return Lattice(cells, number, side, graph)
+
+
+def _side(field: ClearanceField, radius: float, cfg: PathConfig) -> int:
+    """Cells along a block: few on a small map, where many points cost little, up to ``cfg.spacing`` on a large one."""
+    usable = int(np.count_nonzero(np.asarray(field.values) >= radius))
+    wanted = int(np.ceil(np.sqrt(usable / cfg.points)))
+    return max(1, min(wanted, round(cfg.spacing / float(field.resolution))))
 
 
 def with_obstacles(
@@ -73,7 +78,7 @@ def with_obstacles(
     Returns:
         The lattice, and bool ``[N]``: the points at which something is different.
     """
-    cells, data, tight = lattice.cells.copy(), lattice.graph.data.copy(), lattice.tight.copy()
+    cells, data = lattice.cells.copy(), lattice.graph.data.copy()
     touched = np.zeros(len(cells), dtype=bool)
     for polygon in polygons:
         blocks = _blocks_near(lattice, field, polygon, radius + cfg.soft_clearance)
@@ -84,11 +89,11 @@ def with_obstacles(
     graph = lattice.graph
     edges = np.flatnonzero(np.repeat(touched, np.diff(graph.indptr)))
     starts = np.searchsorted(graph.indptr, edges, side="right") - 1
-    data[edges], tight[edges] = _lines(cells[starts], cells[graph.indices[edges]], field, radius, cfg)
+    data[edges] = _line_costs(cells[starts], cells[graph.indices[edges]], field, radius, cfg)
     changed = np.zeros(len(cells), dtype=bool)
     changed[starts[~np.isclose(data[edges], graph.data[edges], rtol=1e-9)]] = True
     graph = sparse.csr_matrix((data, graph.indices, graph.indptr), shape=graph.shape)
-    return Lattice(cells, lattice.number, lattice.side, graph, tight), changed
+    return Lattice(cells, lattice.number, lattice.side, graph), changed
 
 
 def costs_from(lattice: Lattice, point: int) -> tuple[np.ndarray, np.ndarray]:
@@ -134,20 +139,29 @@ def _neighbours(number: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         there = number[rows:, max(0, cols) : width + min(0, cols)]
         both = (here >= 0) & (there >= 0)
         pairs.append((here[both], there[both]))
-    return tuple(np.concatenate(part) for part in zip(*pairs, strict=True))
+    starts, ends = (np.concatenate(part) for part in zip(*pairs, strict=True))
+    return starts, ends
 
 
-def _lines(
+def _line_costs(
     starts: np.ndarray, ends: np.ndarray, field: ClearanceField, radius: float, cfg: PathConfig
-) -> tuple[np.ndarray, np.ndarray]:
-    """Cost ``[M]`` of lines between cells, infinite where there is no way, and bool ``[M]``: nearer than the radius."""
+) -> np.ndarray:
+    """Cost ``[M]`` [m] of lines between cells ``[M, 2]``, infinite where there is no way."""
     if not len(starts):
-        return np.zeros(0), np.zeros(0, dtype=bool)
+        return np.zeros(0)
     lowest, cost = line_costs(starts.astype(float), ends.astype(float), field, radius, cfg)
-    tight = lowest < radius - 1e-9
-    cost = np.where(tight, _TIGHT * cost, cost)
+    tight = is_tight(starts, ends, lowest, radius)
+    cost[tight] *= _TIGHT
     # Between cell centres that are far enough the look-up may read up to half a cell less.
-    return np.where(lowest < radius - 0.5 * float(field.resolution), np.inf, cost), tight
+    cost[tight & (lowest < radius - 0.5 * float(field.resolution))] = np.inf
+    values = np.asarray(field.values)
+    cost[np.minimum(values[tuple(starts.T)], values[tuple(ends.T)]) < radius] = np.inf
+    return cost
+
+
+def is_tight(starts: np.ndarray, ends: np.ndarray, lowest: np.ndarray, radius: float) -> np.ndarray:
+    """bool ``[M]``: lines between cells that come nearer than the radius; neighbouring cells count as connected."""
+    return (lowest < radius - 1e-9) & (np.abs(ends - starts).max(axis=1) > 1)
 
 
 def _blocks_near(

@@ -7,7 +7,6 @@ way is found exactly if the cells have one.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -19,7 +18,7 @@ from skimage.graph import MCP_Geometric
 from shmoo_mjx.navigation import lattice as lattices
 from shmoo_mjx.navigation.clearance import ClearanceField
 from shmoo_mjx.navigation.lattice import Lattice
-from shmoo_mjx.navigation.line_costs import PathConfig, metre_cost
+from shmoo_mjx.navigation.line_costs import PathConfig, line_costs, metre_cost
 
 __all__ = ["cell_costs", "find_way"]
 
@@ -43,6 +42,22 @@ class _Task(NamedTuple):
         """(row, column) of the cell that holds the point."""
         row, col = np.floor(self.field.to_cells(point) + 0.5).astype(int)
         return int(row), int(col)
+
+
+class _Known(NamedTuple):
+    """What queries about the same walls share."""
+
+    lattice: Lattice
+    trees: dict[int, tuple[np.ndarray, np.ndarray]]
+    """By point of the lattice: the ways to it past walls alone, of the last few goals."""
+
+    def tree(self, root: int) -> tuple[np.ndarray, np.ndarray]:
+        """``costs_from`` the point ``root``."""
+        if root not in self.trees:
+            while len(self.trees) >= _KEPT:
+                del self.trees[next(iter(self.trees))]
+            self.trees[root] = lattices.costs_from(self.lattice, root)
+        return self.trees[root]
 
 
 class _Window(NamedTuple):
@@ -97,29 +112,31 @@ def find_way(
         (row, column) ``[N, 2]``; neighbours are neighbouring cells, or points of the lattice with a clear line between.
     """
     task = _Task(field, start, goal, radius, cfg)
-    near_start, near_goal = _window(task, start), _window(task, goal)
+    known = _known(walls, radius, cfg)
+    near_start, near_goal = (_window(task, end, known.lattice.side) for end in (start, goal))
     if near_start is None or near_goal is None:
         return None
-    base = _lattice(walls, radius, cfg)
-    found = _on_lattice(task, base, obstacles, near_start, near_goal)
+    found = _on_lattice(task, known, obstacles, near_start, near_goal)
     return _cell_by_cell(task) if found is None else found
 
 
-def _lattice(walls: ClearanceField, radius: float, cfg: PathConfig) -> Lattice:
-    if not walls.constant:
-        return lattices.build(walls, radius, cfg)
-    key = ("lattice", radius, cfg)
-    if key not in walls.memo:
-        walls.memo[key] = lattices.build(walls, radius, cfg)
+def _known(walls: ClearanceField, radius: float, cfg: PathConfig) -> _Known:
+    key = ("ways", radius, cfg)
+    if not walls.constant or key not in walls.memo:
+        known = _Known(lattices.build(walls, radius, cfg), {})
+        if not walls.constant:
+            return known
+        walls.memo[key] = known
     return walls.memo[key]
 
 
-def _window(task: _Task, end: np.ndarray) -> _Window | None:
+def _window(task: _Task, end: np.ndarray, side: int) -> _Window | None:
     """Ways from an end of the query to all cells near it; None if the disc can't be there."""
     cell, resolution = task.cell(end), float(task.field.resolution)
-    half = int(np.ceil(max(task.cfg.escape_radius / resolution, 3 * task.cfg.spacing / resolution))) + 2
+    half = max(int(np.ceil(task.cfg.escape_radius / resolution)), 2 * side) + 2
     shape = np.shape(task.field.values)
-    parts = tuple(slice(max(c - half, 0), min(c + half + 1, n)) for c, n in zip(cell, shape, strict=True))
+    rows, cols = (slice(max(c - half, 0), min(c + half + 1, n)) for c, n in zip(cell, shape, strict=True))
+    parts = (rows, cols)
     costs = _opened_costs(task, parts)
     local = tuple(c - part.start for c, part in zip(cell, parts, strict=True))
     if costs[local] < 0:
@@ -151,21 +168,21 @@ def _opened_costs(task: _Task, parts: tuple[slice, slice]) -> np.ndarray:
 
 
 def _on_lattice(
-    task: _Task, base: Lattice, obstacles: Sequence[shapely.Polygon], near_start: _Window, near_goal: _Window
+    task: _Task, known: _Known, obstacles: Sequence[shapely.Polygon], near_start: _Window, near_goal: _Window
 ) -> np.ndarray | None:
     """Cells of the cheapest way over the lattice; None if none surely keeps the radius."""
-    lattice, changed = base, np.zeros(len(base.cells), dtype=bool)
+    lattice, changed = known.lattice, np.zeros(len(known.lattice.cells), dtype=bool)
     if obstacles:
-        lattice, changed = lattices.with_obstacles(base, task.field, obstacles, task.radius, task.cfg)
-    entries, leave = (_entries(lattice, window) for window in (near_start, near_goal))
-    direct = _direct(task, near_start)
-    if not len(entries[0]) or not len(leave[0]):
-        return direct[1]
-    root = int(leave[0][np.argmin(leave[1])])
-    cost, route = _route(base, lattice, changed, entries, root)
-    if direct[0] <= cost + leave[1].min():
-        return direct[1]
-    if len(route) == 0 or _is_tight(lattice, route):
+        lattice, changed = lattices.with_obstacles(lattice, task.field, obstacles, task.radius, task.cfg)
+    entries, exits = (_entries(lattice, window) for window in (near_start, near_goal))
+    direct_cost, direct = _direct(task, near_start)
+    if not len(entries[0]) or not len(exits[0]):
+        return direct
+    root = int(exits[0][np.argmin(exits[1])])
+    cost, route = _route(known, lattice, changed, entries, root)
+    if direct_cost <= cost + exits[1].min():
+        return direct
+    if len(route) == 0 or _is_tight(task, lattice.cells[route]):
         return None
     first, last = lattice.cells[route[0]], lattice.cells[route[-1]]
     return np.concatenate([near_start.way_to(first)[:-1], lattice.cells[route], near_goal.way_to(last)[-2::-1]])
@@ -187,18 +204,17 @@ def _direct(task: _Task, near_start: _Window) -> tuple[float, np.ndarray | None]
 
 
 def _route(
-    base: Lattice, lattice: Lattice, changed: np.ndarray, entries: tuple[np.ndarray, np.ndarray], root: int
+    known: _Known, lattice: Lattice, changed: np.ndarray, entries: tuple[np.ndarray, np.ndarray], root: int
 ) -> tuple[float, np.ndarray]:
     """Cost [m] of the cheapest way from the start over a point it can reach to ``root``, and its points ``[K]``."""
-    cost, route = _follow(_tree(base, root), entries)
-    if not changed.any() or (len(route) and not changed[route].any()):
-        # Obstacles only ever make lines dearer: a way that they leave as it was is still the cheapest.
-        return cost, route
+    if not changed.any():
+        return _follow(known.tree(root), entries)
+    if root in known.trees:
+        cost, route = _follow(known.trees[root], entries)
+        if len(route) and not changed[route].any():
+            # Obstacles only ever make lines dearer: a way that they leave as it was is still the cheapest.
+            return cost, route
     return _follow(lattices.costs_from(lattice, root), entries)
-
-
-def _tree(base: Lattice, root: int) -> tuple[np.ndarray, np.ndarray]:
-    return lattices.costs_from(base, root)
 
 
 def _follow(tree: tuple[np.ndarray, np.ndarray], entries: tuple[np.ndarray, np.ndarray]) -> tuple[float, np.ndarray]:
@@ -213,13 +229,13 @@ def _follow(tree: tuple[np.ndarray, np.ndarray], entries: tuple[np.ndarray, np.n
     return float(cost[best]), np.array(route)
 
 
-def _is_tight(lattice: Lattice, route: np.ndarray) -> bool:
-    graph = lattice.graph
-    for here, there in itertools.pairwise(route):
-        row = slice(graph.indptr[here], graph.indptr[here + 1])
-        if lattice.tight[row][graph.indices[row] == there].any():
-            return True
-    return False
+def _is_tight(task: _Task, cells: np.ndarray) -> bool:
+    """Whether some line of a route ``[K, 2]`` comes nearer to something than the radius, by half a cell at most."""
+    if len(cells) < 2:
+        return False
+    starts, ends = cells[:-1], cells[1:]
+    lowest, _ = line_costs(starts.astype(float), ends.astype(float), task.field, task.radius, task.cfg)
+    return bool(lattices.is_tight(starts, ends, lowest, task.radius).any())
 
 
 def _cell_by_cell(task: _Task) -> np.ndarray | None:

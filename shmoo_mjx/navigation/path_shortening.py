@@ -13,6 +13,11 @@ _ANGLES = np.arange(8) * np.pi / 4
 _MOVES = np.vstack([[0.0, 0.0], np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=-1)])
 
 
+_AHEAD = np.unique(np.geomspace(1, 1e5, 48).astype(int))
+_STEPS = (0.30, 0.10, 0.04)
+"""How far corners are moved, in turn [m]."""
+
+
 def shorten(points: np.ndarray, field: ClearanceField, radius: float, cfg: PathConfig) -> np.ndarray:
     """Replaces parts of a polyline by straight lines, then moves the corners that are left to where they cost least.
 
@@ -26,19 +31,20 @@ def shorten(points: np.ndarray, field: ClearanceField, radius: float, cfg: PathC
         ``[M, 2]`` with the same ends, M <= N.
     """
     corners = _pull_taut(field.to_cells(points), field, radius, cfg)
-    for step in (0.32, 0.16, 0.08, 0.04):
+    for step in _STEPS:
         corners = _settle(corners, step / float(field.resolution), field, radius, cfg)
     inner = field.to_world(corners[1:-1])
     return np.vstack([points[:1], inner, points[-1:]])
 
 
 def _pull_taut(points: np.ndarray, field: ClearanceField, radius: float, cfg: PathConfig) -> np.ndarray:
-    edge_cost = line_costs(points[:-1], points[1:], field, radius, cfg)[1]
-    total = np.concatenate([[0.0], np.cumsum(edge_cost)])
+    """The polyline ``[M, 2]`` with straight lines in place of all parts that cost no less [cells]."""
+    total = np.concatenate([[0.0], np.cumsum(line_costs(points[:-1], points[1:], field, radius, cfg)[1])])
     kept, i, n = [0], 0, len(points)
     while i < n - 1:
         ends = _look_ahead(i, n)
-        lowest, straight = line_costs(np.broadcast_to(points[i], (len(ends), 2)), points[ends], field, radius, cfg)
+        here = np.broadcast_to(points[i], (len(ends), 2))
+        lowest, straight = line_costs(here, points[ends], field, radius, cfg)
         good = np.flatnonzero((lowest >= radius) & (straight <= 1.002 * (total[ends] - total[i])))
         i = int(ends[good[-1]]) if good.size else i + 1
         kept.append(i)
@@ -46,54 +52,58 @@ def _pull_taut(points: np.ndarray, field: ClearanceField, radius: float, cfg: Pa
 
 
 def _look_ahead(i: int, n: int) -> np.ndarray:
-    """Candidates for the end of a straight line from point i, spaced ever wider."""
-    return i + np.unique(np.geomspace(1, n - 1 - i, 24).astype(int))
+    """Candidates for the end of a straight line from point i, spaced ever wider, the last point among them."""
+    farthest = n - 1 - i
+    return i + np.append(_AHEAD[: np.searchsorted(_AHEAD, farthest)], farthest)
 
 
-def _settle(points: np.ndarray, step: float, field: ClearanceField, radius: float, cfg: PathConfig) -> np.ndarray:
-    """Sweeps over the corners, four at most, until none is dropped or moved by ``step`` [cells] any more."""
-    corners = list(points)
-    restless = [True] * len(corners)
-    for _ in range(4):
-        if not any(restless[1:-1]):
-            break
-        i = 1
-        while i < len(corners) - 1:
-            if not restless[i]:
-                i += 1
-                continue
-            restless[i] = False
-            better = _better(corners[i - 1], corners[i], corners[i + 1], step, field, radius, cfg)
-            if better is None:
-                i += 1
-                continue
-            restless[i - 1 : i + 2] = [True] * 3
-            if better.size:
-                corners[i] = better
-                i += 1
-            else:
-                del corners[i], restless[i]
-    return np.array(corners)
+def _settle(corners: np.ndarray, step: float, field: ClearanceField, radius: float, cfg: PathConfig) -> np.ndarray:
+    """Sweeps over the corners, four at most, until none is dropped or moved by ``step`` [cells] any more.
+
+    Every other corner is tried at once: between them lie corners that stay. One whose neighbours have stayed since it
+    was last tried is left out.
+    """
+    corners, restless = corners.copy(), np.ones(len(corners), dtype=bool)
+    for half in range(8):
+        tried = np.arange(1 + half % 2, len(corners) - 1, 2)
+        tried = tried[restless[tried]]
+        if not len(tried):
+            if not restless[1:-1].any():
+                break
+            continue
+        places, dropped = _better(corners, tried, step, field, radius, cfg)
+        moved = tried[dropped | (places != corners[tried]).any(axis=1)]
+        restless[tried] = False
+        restless[moved - 1] = restless[moved] = restless[moved + 1] = True
+        corners[tried] = places
+        if dropped.any():
+            kept = np.ones(len(corners), dtype=bool)
+            kept[tried[dropped]] = False
+            corners, restless = corners[kept], restless[kept]
+    return corners
 
 
 def _better(
-    before: np.ndarray,
-    corner: np.ndarray,
-    after: np.ndarray,
+    corners: np.ndarray,
+    tried: np.ndarray,
     step: float,
     field: ClearanceField,
     radius: float,
     cfg: PathConfig,
-) -> np.ndarray | None:
-    """A cheaper place ``[2]`` for the corner, an empty array if it is better dropped, or None if it is best there."""
-    candidates = corner + step * _MOVES
-    m = len(candidates)
-    starts = np.concatenate([np.broadcast_to(before, (m, 2)), candidates, before[None]])
-    ends = np.concatenate([candidates, np.broadcast_to(after, (m, 2)), after[None]])
+) -> tuple[np.ndarray, np.ndarray]:
+    """Cheaper places ``[K, 2]`` for the corners ``tried [K]``, and which of them are better dropped, bool ``[K]``."""
+    before, after = corners[tried - 1], corners[tried + 1]
+    candidates = corners[tried, None] + step * _MOVES
+    candidates = np.clip(candidates, 0.0, np.array(field.values.shape) - 1.0)
+    k, m = candidates.shape[:2]
+    flat = candidates.reshape(-1, 2)
+    starts = np.concatenate([np.repeat(before, m, axis=0), flat, before])
+    ends = np.concatenate([flat, np.repeat(after, m, axis=0), after])
     lowest, cost = line_costs(starts, ends, field, radius, cfg)
-    both = cost[:m] + cost[m : 2 * m]
-    if lowest[-1] >= radius and cost[-1] <= both[0] + 1e-9:
-        return np.empty(0)
-    safe = (lowest[:m] >= radius) & (lowest[m : 2 * m] >= radius)
-    best = int(np.argmin(np.where(safe, both, np.inf)))
-    return candidates[best] if safe[best] and both[best] < both[0] - 1e-6 else None
+    both = (cost[: k * m] + cost[k * m : 2 * k * m]).reshape(k, m)
+    safe = (np.minimum(lowest[: k * m], lowest[k * m : 2 * k * m]) >= radius).reshape(k, m)
+    dropped = (lowest[2 * k * m :] >= radius) & (cost[2 * k * m :] <= both[:, 0] + 1e-9)
+    allowed = np.where(safe, both, np.inf)
+    best = allowed.argmin(axis=1)
+    pays = allowed[np.arange(k), best] < both[:, 0] - 1e-6
+    return candidates[np.arange(k), np.where(pays, best, 0)], dropped

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import pickle
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -13,6 +15,7 @@ from scipy import ndimage, sparse
 from scipy.sparse.csgraph import dijkstra
 
 from shmoo_mjx.navigation import footprints, maps, paths
+from shmoo_mjx.navigation.line_costs import line_costs
 from shmoo_mjx.navigation.maps import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from shmoo_mjx.navigation.paths import Path, PathConfig, plan_path
 
@@ -72,6 +75,48 @@ def test_paths_are_safe_complete_and_not_longer_than_the_grid_allows(seed: int) 
     steps = np.arange(0.0, path.length, 0.02)
     distance = maps.clearance_field(grid).at(paths.point_at(path, steps))
     assert distance.min() >= radius - 0.5 * grid.resolution
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10**6))
+def test_a_sparse_lattice_finds_a_way_exactly_where_the_cells_have_one(seed: int) -> None:
+    """Blocks of three cells among clutter and obstacles: the answer to "is there a way" is that of all cells."""
+    grid, radius = random_grid(seed, (36, 40)), 0.12
+    rng = np.random.default_rng(seed)
+    boxes = [
+        paths.footprint_polygon((*grid.cell_to_world(rng.uniform(0, 36, 2)), rng.uniform(-3, 3)), (0.3, 0.2))
+        for _ in range(2)
+    ]
+    field = footprints.add_obstacles(maps.clearance_field(grid), boxes)
+    free = np.argwhere(field.values >= radius + 0.1)
+    assume(len(free) > 1)
+    ends = free[rng.choice(len(free), 2, replace=False)]
+    exact = shortest_by_dijkstra(field.values >= radius, tuple(ends[1]), grid.resolution)[tuple(ends[0])]
+    cfg = PathConfig(soft_weight=0.0, spacing=0.3, points=1)
+    path = plan_path(grid, *grid.cell_to_world(ends), boxes, robot_radius=radius, cfg=cfg)
+    assert (path is None) == np.isinf(exact)
+    if path is None:
+        return
+    steps = np.arange(0.0, path.length, 0.02)
+    assert field.at(paths.point_at(path, steps)).min() >= radius - 0.5 * grid.resolution
+    line = shapely.LineString(path.points)
+    assert min(line.distance(box) for box in boxes) >= radius - 0.5 * grid.resolution
+
+
+def test_answers_do_not_depend_on_what_was_asked_before() -> None:
+    grid = corridor()
+    field, start, goal = maps.clearance_field(grid), (1.0, 0.8), (7.0, 0.8)
+    box = paths.footprint_polygon((3.95, 1.5, 0.3), (0.2, 0.2))
+    elsewhere = paths.footprint_polygon((1.0, 3.0, 0.0), (0.2, 0.2))
+    queries: list[list[shapely.Polygon]] = [[], [box], [elsewhere], [], [box, elsewhere], [box]]
+    shared = [plan_path(grid, start, goal, obstacles, field=field) for obstacles in queries]
+    fresh = [plan_path(grid, start, goal, obstacles) for obstacles in queries]
+    for one, other in zip(shared, fresh, strict=True):
+        assert one is not None and other is not None
+        np.testing.assert_allclose(one.points, other.points)
+    assert shared[1] is not None and shared[0] is not None and shared[1].length > shared[0].length
+    wider = plan_path(grid, start, goal, robot_radius=0.4, field=field)
+    assert wider is not None and field.at(paths.point_at(wider, np.linspace(0, wider.length, 200))).min() > 0.35
 
 
 def corridor() -> OccupancyGrid:
@@ -201,6 +246,33 @@ def test_field_with_obstacle_is_the_distance_to_it(x: float, y: float, yaw: floa
     assert marked[distance == 0].all() and not marked[distance > 0.071].any()
 
 
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10**6), st.floats(0.0, 0.4), st.floats(-3, 3))
+def test_distance_to_a_polygon_is_that_of_shapely(seed: int, margin: float, yaw: float) -> None:
+    rng = np.random.default_rng(seed)
+    convex = paths.footprint_polygon((0.3, -0.2, yaw), rng.uniform(0.05, 1.0, 2))
+    shapes = [convex, convex.buffer(margin), convex.reverse(), shapely.MultiPoint(rng.normal(size=(9, 2))).convex_hull]
+    shapes.append(convex.union(paths.footprint_polygon((0.3, -0.2, yaw + 0.7), (1.2, 0.1))))  # not convex
+    points = rng.normal(0.0, 1.5, size=(60, 5, 2))
+    for shape in shapes:
+        exact = shapely.distance(shape, shapely.points(points))
+        np.testing.assert_allclose(footprints.polygon_distance(shape, points), exact, atol=1e-9)
+
+
+def test_fields_with_obstacles_are_remembered_and_never_mixed_up() -> None:
+    field = maps.clearance_field(corridor())
+    box, other = (paths.footprint_polygon((x, 2.0, 0.2), (0.3, 0.2)) for x in (1.5, 2.0))
+    first = footprints.add_obstacles(field, [box])
+    assert footprints.add_obstacles(field, [shapely.Polygon(box)]) is first
+    assert not np.array_equal(footprints.add_obstacles(field, [other]).values, first.values)
+    assert not np.array_equal(footprints.add_obstacles(field, [box], reach=0.5).values, first.values)
+    with pytest.raises(ValueError, match="read-only"):
+        first.values[0, 0] = 1.0
+    writable = field._replace(values=np.array(field.values))
+    assert footprints.add_obstacles(writable, [box]) is not footprints.add_obstacles(writable, [box])
+    assert pickle.loads(pickle.dumps(field)).memo == {} and field.memo
+
+
 REAL: list[FilePath | None] = [*sorted(REAL_MAPS.glob("*/*.yaml"))] or [None]
 
 
@@ -217,3 +289,26 @@ def test_plans_across_real_maps(file: FilePath | None) -> None:
     assert path is not None and path.length >= np.linalg.norm(goal - start)
     along = paths.point_at(path, np.arange(0.0, path.length, 0.05))
     assert field.at(along).min() >= 0.25
+
+
+GOLDEN = json.loads((FilePath(__file__).parent / "golden_paths.json").read_text())
+
+
+@pytest.mark.parametrize("name", sorted(GOLDEN))
+def test_paths_on_real_maps_are_as_good_as_a_search_of_all_cells(name: str) -> None:
+    """Lengths and costs that the search of every cell, with the same shortening, gave (30 random pairs a map)."""
+    files = [*REAL_MAPS.glob(f"{name}/*.yaml")]
+    if not files:
+        pytest.skip("real maps are not in shared/maps beside the repository")
+    grid = maps.load_map(files[0])
+    field, pairs = maps.clearance_field(grid), GOLDEN[name]
+    lengths, costs = [], []
+    for pair in pairs:
+        path = plan_path(grid, pair["start"], pair["goal"], robot_radius=0.26, field=field)
+        assert path is not None
+        assert field.at(paths.point_at(path, np.arange(0.0, path.length, 0.02))).min() >= 0.26 - 0.002
+        cells = field.to_cells(path.points)
+        costs.append(line_costs(cells[:-1], cells[1:], field, 0.26, PathConfig())[1].sum() / pair["cost"])
+        lengths.append(path.length / pair["length"])
+    assert np.mean(lengths) < 1.003 and max(lengths) < 1.03
+    assert np.mean(costs) < 1.005 and max(costs) < 1.08
