@@ -24,7 +24,17 @@ from shmoo_mjx.navigation.maps import OccupancyGrid, save_map
 from shmoo_mjx.navigation.scenario import Scenario
 from shmoo_mjx.navigation.yaml_input import write_whole
 
-__all__ = ["FLOOR_PLANS", "Places", "find_maps", "find_places", "kept", "kept_scenario", "kinds_of"]
+__all__ = [
+    "FLOOR_PLANS",
+    "Places",
+    "find_maps",
+    "find_places",
+    "generated_from",
+    "kept",
+    "kept_scenario",
+    "kinds_of",
+    "seed_of",
+]
 
 FLOOR_PLANS = 5
 """Generated where no maps are given."""
@@ -83,12 +93,17 @@ def kinds_of(map_name: str, number: int) -> list[Kind]:
     return [KINDS[first], *(others if number // len(KINDS) % 2 else others[::-1])]
 
 
+def seed_of(places: Places, map_name: str, number: int) -> list[int]:
+    """What fixes scenario ``number`` of a map; other maps beside it change nothing."""
+    return [places.first_unseen, crc32(map_name.encode()), number]
+
+
 def kept_scenario(places: Places, grid: OccupancyGrid, map_name: str, number: int) -> tuple[Kind, Generated | None]:
     """The kind that scenario ``number`` of a map was to be, and the scenario; None if the map has no place for any."""
 
     def draw() -> dict[str, Any] | None:
         for turn, kind in enumerate(kinds_of(map_name, number)):
-            rng = np.random.default_rng([places.first_unseen, crc32(map_name.encode()), number, turn])
+            rng = np.random.default_rng([*seed_of(places, map_name, number), turn])
             try:
                 found = draw_scenario(grid, kind, rng, places.first_unseen, PLANT, places.config)
             except ShmooError:

@@ -56,7 +56,7 @@ def _difference(result: ExperimentResult, key: str, more_is_better: bool) -> str
 
 def _maps(result: ExperimentResult) -> str:
     """How many scenarios of each kind each map has, and how many of each ours solves."""
-    rows = [r for r in result.rows if r["policy"] == OURS]
+    rows = [r for r in result.rows if r["policy"] == OURS and "wanted" in r]
     if not rows:
         return ""
     lines = [

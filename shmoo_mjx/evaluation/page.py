@@ -219,6 +219,28 @@ SECTIONS = {
         ("success.png", "causes.png"),
         "--maps DIR",
     ),
+    "lifelong": Section(
+        "One goal after the other",
+        "Five goals in a row in a world that stays as the robot has left it, with what it remembers of objects. A "
+        "sequence ends where the robot gives up, falls or runs out of time.",
+        ("ours",),
+        _single(
+            {
+                "success_rate": "all goals reached",
+                "goals_reached": "goals reached",
+                **{f"success_rate_goal{i}": f"goal {i} reached, of those begun" for i in range(1, 6)},
+                **{f"time_s_goal{i}": f"time to goal {i} [s]" for i in range(1, 6)},
+                **{f"efficiency_goal{i}": f"path efficiency to goal {i}" for i in range(1, 6)},
+                "falls": "falls",
+                "wall_contacts_per_100_goals": "wall contacts in 100 goals",
+                "effort": "effort efficiency, mass moved",
+                "effort_force": "effort efficiency, force",
+                "sequences": "sequences",
+            }
+        ),
+        (),
+        "--maps DIR",
+    ),
     "real_pushing": Section(
         "Real pushes (other people's data)",
         "Mean error of the final pose; published models of the same data beside ours.",

@@ -17,6 +17,7 @@ EXPERIMENTS = {
     "pushing": "shmoo_mjx.evaluation.pushing",
     "object_planner": "shmoo_mjx.evaluation.object_planner",
     "navigation": "shmoo_mjx.evaluation.navigation",
+    "lifelong": "shmoo_mjx.evaluation.lifelong",
     "real_pushing": "shmoo_mjx.evaluation.real_pushing",
 }
 """Name to module; spec section 9."""

@@ -1,0 +1,170 @@
+"""Experiment lifelong: five goals one after the other, in a world that stays as the robot has left it.
+
+What it has found out about objects and where it has put them is carried on from goal to goal, as is the drift of its
+senses. A robot that gives up, falls or runs out of time is given no further goal; those that are left count as not
+reached. A goal reached with a wall touched on the way does not count as reached either.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.evaluation.manipulable import BORDER
+from shmoo_mjx.evaluation.navigation import POLICIES, Robot, chosen_policies, play, robot_of, scores_of, trials_folder
+from shmoo_mjx.evaluation.navigation_failures import keep_failure, write_failures
+from shmoo_mjx.evaluation.navigation_measures import OURS, cause_of
+from shmoo_mjx.evaluation.navigation_places import Places, find_places, generated_from, kept, kinds_of, seed_of
+from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
+from shmoo_mjx.evaluation.scenarios import PLANT, ScenarioConfig
+from shmoo_mjx.evaluation.sequences import GoalSequence, draw_sequence
+from shmoo_mjx.evaluation.trials import run_trials
+from shmoo_mjx.navigation.maps import OccupancyGrid, load_map
+
+__all__ = ["LifelongTrials", "measure", "run"]
+
+
+@dataclass(frozen=True)
+class LifelongTrials:
+    """What is tried."""
+
+    sequences: int = 8
+    """Per map."""
+    goals: int = 5
+    """Per sequence."""
+    policies: tuple[str, ...] = (OURS,)
+    workers: int = 2
+    scenario: ScenarioConfig = ScenarioConfig()
+
+
+def run(ask: Ask) -> ExperimentResult:
+    """Run the experiment on the maps of ``ask.maps``; ``ask.scenarios`` is the number of sequences per map."""
+    folder = ask.out / "lifelong"
+    cfg = LifelongTrials(policies=chosen_policies(ask) if ask.policies else (OURS,))
+    if ask.quick:
+        cfg = replace(cfg, sequences=1, goals=2)
+    if ask.scenarios is not None:
+        cfg = replace(cfg, sequences=ask.scenarios)
+    places = find_places(ask, folder, cfg.scenario, most=1 if ask.quick else None)
+    store = trials_folder(ask, folder, cfg.scenario)
+    maps = list(places.maps)
+    names = [
+        f"{name}-{i}-{cfg.goals}-{policy}" for policy in cfg.policies for i in range(cfg.sequences) for name in maps
+    ]
+    rows = run_trials(names, partial(_trial, places, robot_of(ask), store), store, ask.progress, cfg.workers)
+    write_failures(folder, [r for r in rows if r["policy"] == OURS], store, ask.progress)
+    metrics = measure(rows, cfg.policies, cfg.goals)
+    about = {"senses": ask.senses, "maps": maps, "generated_maps": ask.maps is None, "border_m": BORDER}
+    return make_result("lifelong", ask, asdict(cfg) | about, metrics, {}, rows)
+
+
+def _trial(places: Places, robot: Robot, store: Path, name: str) -> list[dict[str, Any]]:
+    """One run through a sequence. No row if the map has no place for it."""
+    map_name, number, count, policy = name.rsplit("-", 3)
+    grid = load_map(places.maps[map_name])
+    sequence = _kept_sequence(places, grid, map_name, int(number), int(count))
+    if sequence is None:
+        return []
+    generated, chosen = sequence.generated, POLICIES[policy]
+    first = None if chosen.first_status is None else chosen.first_status(generated)
+    scenario = generated.scenario.model_copy(update={"seed": generated.scenario.seed + robot.seed})
+    episode = play(robot, grid, scenario, chosen.config, first, sequence.goals)
+    result = episode.result
+    row = {
+        "map": map_name,
+        "scenario": int(number),
+        "policy": policy,
+        "kind": generated.kind,
+        "movable": list(generated.movable),
+        "blocking": list(generated.blocking),
+        "success": result["outcome"] == "success" and _reached(result["legs"]) == len(sequence.goals),
+        "cause": cause_of(result, generated),
+        "reason": result["reason"],
+        "falls": result["falls"],
+        "wall_contacts": result["wall_contacts"],
+        "wall_parts": result.get("wall_parts", {}),
+        "time_s": result["time_s"],
+        "path_length_m": result["path_length_m"],
+        "goals_reached": _reached(result["legs"]),
+        "legs": _legs(result["legs"], sequence.shortest),
+        **{k: v for k, v in scores_of(episode, scenario, sum(sequence.shortest)).items() if k.startswith("effort")},
+    }
+    if policy == OURS and not row["success"]:
+        keep_failure(store, f"{map_name}-{number}", episode)
+    return [row]
+
+
+def _kept_sequence(places: Places, grid: OccupancyGrid, map_name: str, number: int, count: int) -> GoalSequence | None:
+    """Sequence ``number`` of a map, of the kind whose turn it is, or of another where the map has no place for it."""
+
+    def draw() -> dict[str, Any] | None:
+        for turn, kind in enumerate(kinds_of(map_name, number)):
+            rng = np.random.default_rng([*seed_of(places, map_name, number), turn, count])
+            try:
+                found = draw_sequence(grid, kind, rng, places.first_unseen, count, PLANT, places.config)
+            except ShmooError:
+                continue
+            world = found.generated
+            written = world._asdict() | {"scenario": world.scenario.model_dump(mode="json")}
+            return found._asdict() | {"generated": written}
+        return None
+
+    data = kept(places, grid, f"{map_name}-{number}-{count}", draw)
+    if data is None:
+        return None
+    goals = tuple((x, y) for x, y in data["goals"])
+    return GoalSequence(generated_from(data["generated"]), goals, tuple(data["shortest"]))
+
+
+def _reached(legs: list[dict[str, Any]]) -> int:
+    return sum(leg["outcome"] == "success" for leg in legs)
+
+
+def _legs(legs: list[dict[str, Any]], shortest: tuple[float, ...]) -> list[dict[str, Any]]:
+    """Of each goal that was begun: what became of it and how it compares with the shortest path past no object."""
+    names = ("outcome", "reason", "time_s", "path_length_m", "goal")
+    rows = []
+    for leg, length in zip(legs, shortest, strict=False):
+        efficiency = (leg["outcome"] == "success") * min(length / max(leg["path_length_m"], 1e-9), 1.0)
+        rows.append({name: leg[name] for name in names} | {"shortest_m": length, "efficiency": efficiency})
+    return rows
+
+
+def measure(rows: list[dict[str, Any]], policies: tuple[str, ...], goals: int) -> dict[str, Any]:
+    """Metrics of every policy, ours without a prefix; ``*_goal3`` is of the third goal, for example."""
+    metrics: dict[str, Any] = {}
+    for policy in policies:
+        prefix = "" if policy == OURS else f"baseline_{policy}_"
+        mine = [r for r in rows if r["policy"] == policy]
+        metrics |= {prefix + name: value for name, value in _of_policy(mine, goals).items()}
+    return metrics
+
+
+def _of_policy(rows: list[dict[str, Any]], goals: int) -> dict[str, Any]:
+    contacts = _mean([r["wall_contacts"] for r in rows])
+    metrics: dict[str, Any] = {
+        "success_rate": _mean([r["success"] for r in rows]),
+        "goals_reached": _mean([r["goals_reached"] / goals for r in rows]),
+        "falls": sum(r["falls"] for r in rows),
+        "wall_contacts": sum(r["wall_contacts"] for r in rows),
+        "wall_contacts_per_100_goals": None if contacts is None else 100.0 * contacts / goals,
+        "effort": _mean([r["effort"] for r in rows]),
+        "effort_force": _mean([r["effort_force"] for r in rows]),
+        "sequences": len(rows),
+    }
+    for number in range(goals):
+        begun = [r["legs"][number] for r in rows if len(r["legs"]) > number]
+        reached = [leg for leg in begun if leg["outcome"] == "success"]
+        metrics[f"success_rate_goal{number + 1}"] = _mean([leg["outcome"] == "success" for leg in begun])
+        metrics[f"time_s_goal{number + 1}"] = _mean([leg["time_s"] for leg in reached])
+        metrics[f"efficiency_goal{number + 1}"] = _mean([leg["efficiency"] for leg in reached])
+    return metrics
+
+
+def _mean(values: list[Any]) -> float | None:
+    return float(np.mean(values)) if values else None

@@ -1,0 +1,158 @@
+"""Sequences of goals in one world, and what is measured of runs through them."""
+
+from __future__ import annotations
+
+import inspect
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+import shapely
+
+from shmoo_mjx import episode
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.evaluation import lifelong, navigation
+from shmoo_mjx.evaluation.lifelong import measure
+from shmoo_mjx.evaluation.navigation import POLICIES, Robot, play
+from shmoo_mjx.evaluation.page import render
+from shmoo_mjx.evaluation.result import Ask
+from shmoo_mjx.evaluation.scenarios import Generated, ScenarioConfig, Truth, toy_scenario
+from shmoo_mjx.evaluation.sequences import GoalSequence, draw_sequence
+from shmoo_mjx.navigation.floorplan import draw_floorplan
+from shmoo_mjx.navigation.footprints import footprint_polygon
+from shmoo_mjx.navigation.maps import OccupancyGrid
+from shmoo_mjx.navigation.paths import path_blocked_by, plan_path
+from shmoo_mjx.navigation.scenario import ROBOT_RADIUS
+from shmoo_mjx.plant.objects import Condition, draw_condition
+
+
+def moves(condition: Condition, side: int) -> bool:
+    """A quick stand-in for the plant's truth."""
+    return condition.total_mass < 60.0 and condition.friction < 1.5 and sum(condition.locked) < 2
+
+
+@cache
+def drawn() -> tuple[OccupancyGrid, GoalSequence]:
+    rng = np.random.default_rng(0)
+    grid = draw_floorplan(rng).grid
+    return grid, draw_sequence(grid, "push only", rng, 1_000_000, 5, Truth(moves), ScenarioConfig(path=(3.0, 10.0)))
+
+
+def shapes(found: Generated) -> list[shapely.Polygon]:
+    entries = found.scenario.objects
+    return [footprint_polygon(o.pose, draw_condition(o.family, o.seed, o.properties).half_extents) for o in entries]
+
+
+def test_every_goal_can_be_reached_once_what_can_be_moved_is_gone() -> None:
+    grid, sequence = drawn()
+    found, objects = sequence.generated, shapes(sequence.generated)
+    staying = [s for s, m, b in zip(objects, found.movable, found.blocking, strict=True) if not (m and b)]
+    points = [found.scenario.start[:2], *sequence.goals]
+    assert sequence.goals[0] == found.scenario.goal and len(sequence.goals) == len(sequence.shortest) == 5
+    for start, goal, length in zip(points, points[1:], sequence.shortest, strict=False):
+        free, past = (plan_path(grid, start, goal, o, ROBOT_RADIUS) for o in ([], staying))
+        assert free is not None and past is not None and free.length == pytest.approx(length, abs=0.05)
+        assert all(s.distance(shapely.Point(goal)) > ROBOT_RADIUS for s in objects)
+
+
+def test_the_second_path_leads_through_an_object() -> None:
+    grid, sequence = drawn()
+    path = plan_path(grid, sequence.goals[0], sequence.goals[1], [], ROBOT_RADIUS)
+    assert path is not None
+    assert any(path_blocked_by(path, s, ROBOT_RADIUS)[0] for s in shapes(sequence.generated))
+
+
+def test_there_is_time_for_every_goal() -> None:
+    assert drawn()[1].generated.scenario.limits.time_s == 5 * ScenarioConfig().time_s
+
+
+class FakeTrace(NamedTuple):
+    object_pose: Any = np.zeros((11, 1, 3))
+    force: Any = np.zeros((11, 2))
+
+
+class FakeEpisode(NamedTuple):
+    result: dict[str, Any]
+    trace: FakeTrace = FakeTrace()
+
+
+def leg(outcome: str, time: float, path: float) -> dict[str, Any]:
+    return {"outcome": outcome, "reason": "why", "time_s": time, "path_length_m": path, "goal": [1.0, 2.0], "more": 0}
+
+
+def fake_run(outcome: str, legs: list[dict[str, Any]]) -> dict[str, Any]:
+    whole = {"outcome": outcome, "reason": "state push", "falls": 0, "wall_contacts": 1, "objects": [], "decisions": []}
+    return whole | {"time_s": 60.0, "path_length_m": 20.0, "legs": legs}
+
+
+def test_legs_are_measured_one_by_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    runs = [
+        fake_run("success", [leg("success", 30.0, 8.0), leg("success", 20.0, 4.0)]),
+        fake_run("timeout", [leg("success", 40.0, 8.0), leg("timeout", 240.0, 30.0)]),
+    ]
+    asked: list[Any] = []
+
+    def fake_play(robot: Any, grid: Any, scenario: Any, config: Any, first: Any, goals: Any) -> FakeEpisode:
+        asked.append((config, goals))
+        return FakeEpisode(runs[len(asked) - 1])
+
+    _, scenario = toy_scenario(1, True)
+    world = Generated(scenario, "push only", (True,), (True,), 4.0, None, (False,))
+    sequence = GoalSequence(world, ((5.0, 2.6), (1.2, 2.0)), (4.0, 4.0))
+    kept: list[str] = []
+    monkeypatch.setattr(lifelong, "play", fake_play)
+    monkeypatch.setattr(lifelong, "_kept_sequence", lambda *args: sequence)
+    monkeypatch.setattr(lifelong, "keep_failure", lambda store, name, episode: kept.append(name))
+    monkeypatch.setattr(
+        lifelong, "run_trials", lambda names, work, *rest: [row for name in names for row in work(name)]
+    )
+    result = lifelong.run(Ask(out=tmp_path, quick=True, scenarios=2, senses="perfect"))
+    assert asked == [(POLICIES["ours"].config, sequence.goals)] * 2 and kept == ["plan_0-1"]
+    metrics = result.metrics
+    assert (metrics["success_rate"], metrics["goals_reached"], metrics["sequences"]) == (0.5, 0.75, 2)
+    assert (metrics["success_rate_goal1"], metrics["success_rate_goal2"]) == (1.0, 0.5)
+    assert (metrics["time_s_goal1"], metrics["time_s_goal2"]) == (35.0, 20.0)
+    assert (metrics["efficiency_goal1"], metrics["efficiency_goal2"]) == (0.5, 1.0)
+    assert metrics["wall_contacts_per_100_goals"] == 50.0
+    assert result.config["senses"] == "perfect" and "more" not in result.rows[0]["legs"][0]
+    assert "out of time while to push (1)" in (tmp_path / "lifelong" / "failures.md").read_text()
+    assert "| goal 2 reached, of those begun | 0.5 |" in render({"lifelong": result}, {})
+
+
+def test_goals_that_were_not_begun_are_not_reached() -> None:
+    numbers = {"policy": "ours", "falls": 1, "wall_contacts": 0, "effort": 1.0, "effort_force": 1.0, "success": False}
+    row = numbers | {"goals_reached": 1, "legs": [leg("success", 9.0, 9.0) | {"efficiency": 1.0}]}
+    metrics = measure([row], ("ours",), 3)
+    assert metrics["goals_reached"] == pytest.approx(1 / 3) and metrics["success_rate_goal2"] is None
+
+
+def test_a_run_is_given_what_it_can_take(monkeypatch: pytest.MonkeyPatch) -> None:
+    grid, scenario = toy_scenario(1, True)
+    taken: list[dict[str, Any]] = []
+
+    def able(
+        grid: Any, scenario: Any, controller: Any, config: Any, first_status: Any, senses: str, goals: Any = ()
+    ) -> Any:
+        taken.append({"senses": senses, "goals": goals})
+
+    def unable(grid: Any, scenario: Any, controller: Any, config: Any, first_status: Any) -> Any:
+        taken.append({})
+
+    monkeypatch.setattr(navigation, "_controller", lambda weights: None)
+    robot, config = Robot(0, "perfect", Path("none")), POLICIES["ours"].config
+    monkeypatch.setattr(episode, "run_episode", able)
+    play(robot, grid, scenario, config, None, [(1.0, 2.0)])
+    play(robot, grid, scenario, config, None)
+    assert taken == [{"senses": "perfect", "goals": [(1.0, 2.0)]}, {"senses": "perfect", "goals": ()}]
+    monkeypatch.setattr(episode, "run_episode", unable)
+    with pytest.raises(ShmooError, match="several goals"):
+        play(robot, grid, scenario, config, None, [(1.0, 2.0)])
+
+
+@pytest.mark.slow
+@pytest.mark.skipif("goals" not in inspect.signature(episode.run_episode).parameters, reason="runs take one goal only")
+def test_two_goals_in_a_row(tmp_path: Path) -> None:
+    result = lifelong.run(Ask(out=tmp_path, quick=True))
+    assert len(result.rows) == 1 and result.metrics["falls"] == 0 and result.rows[0]["legs"]
