@@ -105,6 +105,11 @@ class MjxEngine:
         self._single = put[id(first.model)]
         self._template = mjx.make_data(self._single)
         self._torso = first.model.body("robot/torso").id
+        self._asked = jax.jit(
+            lambda world, command: lowlevel.control(
+                self.gains, world.control, self.robot(world), command, self.timestep
+            )[1]
+        )
         self._kind = np.zeros(first.model.ngeom, dtype=int)
         self._kind[list(first.robot_geoms)] = 1
         self._kind[list(first.wall_geoms)] = 2
@@ -250,7 +255,7 @@ class MjxEngine:
 
     def torque(self, world: MjxWorld, command: Command) -> Array:
         """Motor torques ``[W, 9]`` [N m] that the control asks for now; what a robot measures as motor currents."""
-        return lowlevel.control(self.gains, world.control, self.robot(world), command, self.timestep)[1]
+        return self._asked(world, command)
 
     def fallen(self, world: MjxWorld) -> Array:
         """``[W]`` whether the body leans more than 0.6 rad."""
