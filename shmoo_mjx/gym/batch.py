@@ -16,8 +16,9 @@ from shmoo_mjx.gym import EPISODE_STEPS
 from shmoo_mjx.gym.navigate import NavigateConfig, NavigateTask
 from shmoo_mjx.gym.push import PushConfig, PushTask
 from shmoo_mjx.gym.single import checked, space
-from shmoo_mjx.gym.task import Start, Task
+from shmoo_mjx.gym.task import Outcome, Start, Task
 from shmoo_mjx.plant.engine_mjx import MjxEngine, MjxWorld
+from shmoo_mjx.sensing import SensedEngine, SensedWorld, altered, senses_named
 from shmoo_mjx.types import Observation
 
 __all__ = ["NavigateVectorEnv", "PushVectorEnv", "ShmooVectorEnv"]
@@ -34,13 +35,16 @@ class ShmooVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012 (as Gymnasium declares it)
 
-    def __init__(self, task: Task, num_envs: int, max_episode_steps: int) -> None:
+    def __init__(self, task: Task, num_envs: int, max_episode_steps: int, senses: str = "real") -> None:
+        # MJX's state has no room for the motors' lag.
+        self.senses = altered(senses_named(senses), body={"motor_lag": 0.0})
         self.task, self.num_envs, self.limit = task, num_envs, max_episode_steps
         self.single_observation_space, self.single_action_space = space(task.observation), space(task.action)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._engine: MjxEngine | None = None
-        self._world: MjxWorld
+        self._sensed: SensedEngine
+        self._world: SensedWorld
         self._seen: Observation
         self._starts: list[Start]
         self._over = np.zeros(num_envs, dtype=bool)
@@ -55,7 +59,7 @@ class ShmooVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             first = int(self.np_random.integers(2**31)) if seed is None else seed
             self._rngs = [seeding.np_random(first + i)[0] for i in range(self.num_envs)]
             self._starts = [self.task.draw(rng) for rng in self._rngs]
-            self._build(self._starts)
+            self._build(self._starts, [int(rng.integers(2**31)) for rng in self._rngs])
             self._begin(np.ones(self.num_envs, dtype=bool), drawn=True)
         else:
             self._begin(np.ones(self.num_envs, dtype=bool))
@@ -66,18 +70,17 @@ class ShmooVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if self._engine is None:
             raise gymnasium.error.ResetNeeded("call reset before step")
         resetting = self._over
-        before = self.task.judge(self._context, self._seen)
         assert isinstance(self.action_space, gymnasium.spaces.Box)
         wanted = self.task.command(checked(actions, self.action_space), self._seen)
-        self._world, seen = self._engine.step(self._world, wanted)
-        self._seen = _numpy(seen)
+        before = self._judged()
+        self._world, self._seen = self._sensed.step(self._world, wanted)
         self._steps += 1
         if resetting.any():
             self._begin(resetting)
-        after, fallen = self.task.judge(self._context, self._seen), self._fallen() & ~resetting
+        after, fallen = self._judged(), self._sensed.fallen(self._world) & ~resetting
         success = after.success & ~fallen & ~resetting
         reward = after.progress - before.progress + self.task.bonus * success + self.task.fall * fallen
-        reward += self.task.bump * np.asarray(self._world.wall_contact)
+        reward += self.task.bump * self._world.wall_contact
         terminated = success | fallen
         truncated = (self._steps >= self.limit) & ~terminated
         self._over = terminated | truncated
@@ -89,12 +92,14 @@ class ShmooVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """How each world's present episode began: its objects' properties, which the observation does not tell."""
         return tuple(self._starts)
 
-    def _build(self, starts: list[Start]) -> None:
-        self._scenes = [start.scene("mjx") for start in starts]
+    def _build(self, starts: list[Start], robots: list[int]) -> None:
+        given = zip(starts, robots, strict=True)
+        self._scenes = [start.scene("mjx", self.senses.adjust(robot)) for start, robot in given]
         if self._engine is None:
             self._engine = MjxEngine(self._scenes)
         else:
             self._engine.change(self._scenes)
+        self._sensed = SensedEngine(self._scenes, self.senses, robots, told=self.task.told, backend=self._engine)
 
     def _begin(self, which: np.ndarray, drawn: bool = False) -> None:
         """Start episodes in the worlds ``which [W]``; ``drawn`` if their starts are new already."""
@@ -104,8 +109,11 @@ class ShmooVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
                 self._starts[i] = self.task.draw(self._rngs[i], self._starts[i])
         self._context = self.task.gather(self._starts)
         fresh, whole = self._fresh(), which.all()
-        self._world = fresh if whole else _merged(which, fresh, self._world)
-        still = _numpy(self._engine.observe(self._world))
+        if whole:
+            self._world = self._sensed.begin(fresh)
+        else:
+            self._world = self._sensed.restarted(self._world, _merged(which, fresh, self._world.truth), which)
+        still = self._sensed.observe(self._world)
         self._seen = still if whole else jax.tree.map(lambda new, old: _chosen(np, which, new, old), still, self._seen)
         self._steps = np.where(which, 0, self._steps)
         self._over = self._over & ~which
@@ -118,23 +126,18 @@ class ShmooVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         physics[:, 1 : 1 + len(qpos[0])] = np.stack(qpos)
         return world._replace(physics=jax.device_put(jnp.asarray(physics), world.physics.sharding))
 
-    def _fallen(self) -> np.ndarray:
-        assert self._engine is not None
-        return np.asarray(self._engine.fallen(self._world))
+    def _judged(self) -> Outcome:
+        return self.task.judge(self._context, self._sensed.true_observation(self._world))
 
     def _infos(self, fallen: np.ndarray) -> dict[str, Any]:
-        outcome = self.task.judge(self._context, self._seen)
+        outcome = self._judged()
         found = {
             "success": outcome.success & ~fallen,
             "distance": outcome.distance,
             "fallen": fallen,
-            "wall_contact": np.asarray(self._world.wall_contact),
+            "wall_contact": self._world.wall_contact,
         }
         return found | {f"_{name}": np.ones(self.num_envs, dtype=bool) for name in found}
-
-
-def _numpy(seen: Observation) -> Observation:
-    return Observation(*(np.asarray(field, dtype=np.float64) for field in seen))
 
 
 def _chosen(xp: Any, which: np.ndarray, new: Any, old: Any) -> Any:
@@ -155,8 +158,9 @@ class PushVectorEnv(ShmooVectorEnv):
         num_envs: int = 1,
         max_episode_steps: int = EPISODE_STEPS["ShmooPush-v0"],
         config: PushConfig | None = None,
+        senses: str = "real",
     ) -> None:
-        super().__init__(PushTask(config), num_envs, max_episode_steps)
+        super().__init__(PushTask(config), num_envs, max_episode_steps, senses)
 
 
 class NavigateVectorEnv(ShmooVectorEnv):
@@ -167,5 +171,6 @@ class NavigateVectorEnv(ShmooVectorEnv):
         num_envs: int = 1,
         max_episode_steps: int = EPISODE_STEPS["ShmooNavigate-v0"],
         config: NavigateConfig | None = None,
+        senses: str = "real",
     ) -> None:
-        super().__init__(NavigateTask(config), num_envs, max_episode_steps)
+        super().__init__(NavigateTask(config), num_envs, max_episode_steps, senses)

@@ -12,7 +12,6 @@ from scipy.ndimage import distance_transform_edt, map_coordinates
 from shmoo_mjx import se2
 from shmoo_mjx.gym.task import ACTIONS, BODY, Outcome, Part, Start, body, command, flat, in_robot
 from shmoo_mjx.navigation.floorplan import FloorplanConfig, demo_scenario
-from shmoo_mjx.navigation.footprints import footprint_corners
 from shmoo_mjx.navigation.maps import OccupancyGrid, occupied_rectangles
 from shmoo_mjx.navigation.path_shortening import PathConfig
 from shmoo_mjx.navigation.paths import cost_to_go
@@ -37,7 +36,7 @@ class NavigateConfig:
     """Choices of the task, SI units."""
 
     reach: float = 3.5
-    """How far walls and objects are perceived [m]."""
+    """Longest of the ranges [m]."""
     arrived: float = 0.25
     """Distance from the goal that counts as success [m] ..."""
     slow: float = 0.1
@@ -67,7 +66,7 @@ class Rooms(NamedTuple):
 
 def _object_parts(i: int) -> tuple[Part, ...]:
     return (
-        Part(f"object{i}_seen", 1, 0.0, 1.0, "1", "1 if the object is in range and in sight; else all about it is 0"),
+        Part(f"object{i}_seen", 1, 0.0, 1.0, "1", "1 if the object is detected; else all about it is 0"),
         Part(f"object{i}", 4, -10.0, 10.0, "m, 1", "its x, y, and cos and sin of its yaw"),
         Part(f"object{i}_twist", 3, -10.0, 10.0, "m/s, rad/s", "its velocity (x, y) and yaw rate"),
         Part(f"object{i}_wrench", 3, -500.0, 500.0, "N, N m", "of the hands on it about its centre, mean over 0.1 s"),
@@ -76,16 +75,17 @@ def _object_parts(i: int) -> tuple[Part, ...]:
 
 
 class NavigateTask:
-    """The robot knows the map, not what stands in it; it sees what is in range and in sight."""
+    """The robot knows the map, not what stands in it; it sees what its senses show."""
 
     observation: tuple[Part, ...] = (
         *BODY,
         Part("goal", 2, -20.0, 20.0, "m", "the goal's x and y"),
         Part("way", 3, -1.0, 40.0, "m, 1", "length of the way to the goal on the map; cos and sin of its direction"),
-        Part("ranges", _RAYS, 0.0, 3.5, "m", "to the nearest wall or object, every 11.25 deg from ahead to the left"),
+        Part("ranges", _RAYS, 0.0, 3.5, "m", "to the next wall or known object, each 11.25 deg from ahead to the left"),
         *(part for i in range(_OBJECTS) for part in _object_parts(i)),
     )  # fmt: skip
     action: tuple[Part, ...] = (*ACTIONS, Part("arms", 1, 0.0, 1.0, "1", "from folded (0) to extended in front (1)"))
+    told = False
 
     def __init__(self, config: NavigateConfig | None = None) -> None:
         self.config = config or NavigateConfig()
@@ -127,17 +127,18 @@ class NavigateTask:
         """See ``observation``."""
         yaw, position = seen.robot_pose[:, 2], seen.robot_pose[:, :2]
         rays = se2.rotate(self._rays[None], yaw[:, None])
-        pose = np.concatenate([context.wall_pose, seen.object_pose], axis=1)
+        known = np.isfinite(seen.object_pose)
+        pose = np.concatenate([context.wall_pose, np.where(known, seen.object_pose, _FAR)], axis=1)
         half = np.concatenate([context.wall_half, context.half_extents], axis=1)
         values = body(seen) | {
             "goal": se2.inverse_transform_point(seen.robot_pose, context.goal),
             "way": self._way(context, seen),
             "ranges": cast(position, rays, pose, half, self.config.reach),
         }
-        shown = self._visible(context, seen)
+        shown = np.asarray(seen.detected, dtype=bool)
         for i in range(_OBJECTS):
             about = {
-                "": in_robot(seen, seen.object_pose[:, i]),
+                "": in_robot(seen, np.where(shown[:, i, None], seen.object_pose[:, i], 0.0)),
                 "_twist": se2.rotate(seen.object_twist[:, i], -yaw),
                 "_wrench": se2.rotate(seen.wrench[:, i], -yaw),
                 "_half_extents": context.half_extents[:, i],
@@ -146,11 +147,11 @@ class NavigateTask:
             values |= {f"object{i}{name}": np.where(shown[:, i, None], value, 0.0) for name, value in about.items()}
         return flat(self.observation, values)
 
-    def judge(self, context: Rooms, seen: Observation) -> Outcome:
+    def judge(self, context: Rooms, true: Observation) -> Outcome:
         """The potential is minus the length of the way to the goal on the map, whatever stands in it."""
-        position = seen.robot_pose[:, :2]
+        position = true.robot_pose[:, :2]
         distance = np.linalg.norm(position - context.goal, axis=-1)
-        slow = np.linalg.norm(seen.robot_twist[:, :2], axis=-1) < self.config.slow
+        slow = np.linalg.norm(true.robot_twist[:, :2], axis=-1) < self.config.slow
         way = _look_up(context.way, position[:, None])[:, 0]
         return Outcome(-way, distance, (distance < self.config.arrived) & slow)
 
@@ -160,20 +161,6 @@ class NavigateTask:
         best = np.argmin(_look_up(context.way, points), axis=1)
         here = _look_up(context.way, seen.robot_pose[:, None, :2])
         return np.concatenate([here, se2.rotate(self._rays[best], -seen.robot_pose[:, 2])], axis=-1)
-
-    def _visible(self, context: Rooms, seen: Observation) -> np.ndarray:
-        """``[W, N]`` whether the middle or, nearly, a corner of an object is in range and not behind a wall."""
-        worlds, count = seen.object_pose.shape[:2]
-        corners = np.stack(
-            [[footprint_corners(p, 0.9 * h) for p, h in zip(*pair, strict=True)]
-             for pair in zip(seen.object_pose, context.half_extents, strict=True)]
-        )  # fmt: skip
-        points = np.concatenate([corners, seen.object_pose[..., None, :2]], axis=2)
-        offset = points.reshape(worlds, -1, 2) - seen.robot_pose[:, None, :2]
-        far = np.linalg.norm(offset, axis=-1)
-        free = cast(seen.robot_pose[:, :2], offset / np.maximum(far, 1e-9)[..., None], context.wall_pose,
-                    context.wall_half, _FAR)  # fmt: skip
-        return ((far <= self.config.reach) & (free >= far)).reshape(worlds, count, -1).any(axis=-1)
 
 
 def _way_to(grid: OccupancyGrid, goal: np.ndarray) -> np.ndarray:

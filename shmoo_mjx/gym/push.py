@@ -69,6 +69,7 @@ class PushTask:
     )
     action: tuple[Part, ...] = ACTIONS
     bump = 0.0
+    told = True
 
     def __init__(self, config: PushConfig | None = None) -> None:
         self.config = config or PushConfig()
@@ -112,13 +113,13 @@ class PushTask:
             },
         )
 
-    def judge(self, context: PushGoal, seen: Observation) -> Outcome:
+    def judge(self, context: PushGoal, true: Observation) -> Outcome:
         """The potential is minus the distance from the goal, yaw error and distance of the hands included."""
-        cfg, pose = self.config, seen.object_pose[:, 0]
+        cfg, pose = self.config, true.object_pose[:, 0]
         distance = np.linalg.norm(pose[:, :2] - context.goal[:, :2], axis=-1)
         turned = np.abs(se2.wrap(pose[:, 2] - context.goal[:, 2]))
-        thing = se2.inverse_transform_point(seen.robot_pose, pose[:, :2])
-        near = np.linalg.norm(seen.hands[..., :2].mean(axis=1) - thing, axis=-1)
-        speed = np.linalg.norm(seen.object_twist[:, 0, :2], axis=-1)
+        thing = se2.inverse_transform_point(true.robot_pose, pose[:, :2])
+        near = np.linalg.norm(true.hands[..., :2].mean(axis=1) - thing, axis=-1)
+        speed = np.linalg.norm(true.object_twist[:, 0, :2], axis=-1)
         success = (distance < cfg.arrived) & (turned < cfg.arrived_yaw) & (speed < cfg.at_rest)
         return Outcome(-distance - cfg.yaw_weight * turned - cfg.near_weight * near, distance, success)

@@ -11,7 +11,7 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.gym.navigate import NavigateConfig, NavigateTask
 from shmoo_mjx.gym.push import PushConfig, PushTask
 from shmoo_mjx.gym.task import Outcome, Part, Start, Task
-from shmoo_mjx.plant.engine_mujoco import MujocoEngine, World
+from shmoo_mjx.sensing import SensedEngine, SensedWorld, senses_named
 from shmoo_mjx.types import DT, Observation
 
 __all__ = ["NavigateEnv", "PushEnv", "ShmooEnv", "checked", "space"]
@@ -41,14 +41,14 @@ class _Episode(NamedTuple):
 
     start: Start
     context: Any
-    engine: MujocoEngine
-    world: World
+    engine: SensedEngine
+    world: SensedWorld
     seen: Observation
     outcome: Outcome
 
 
 class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
-    """A task in one world; every reset draws another one.
+    """A task in one world; every reset draws another one, and another robot if the senses are real ones.
 
     The reward of a step is what it has gained in the task's potential, plus what the task gives for success, for a fall
     and for contact with a wall. An episode ends with success or a fall.
@@ -57,10 +57,10 @@ class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     # As Gymnasium declares it.
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": round(1 / DT)}  # noqa: RUF012
 
-    def __init__(self, task: Task, render_mode: str | None = None) -> None:
+    def __init__(self, task: Task, render_mode: str | None = None, senses: str = "real") -> None:
         if render_mode not in (None, "rgb_array"):
             raise ShmooError(f"render_mode {render_mode!r} is not known; use 'rgb_array' or none.")
-        self.task, self.render_mode = task, render_mode
+        self.task, self.render_mode, self.senses = task, render_mode, senses_named(senses)
         self.observation_space, self.action_space = space(task.observation), space(task.action)
         self._now: _Episode | None = None
 
@@ -71,10 +71,12 @@ class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         super().reset(seed=seed)
         self._stop()
         start = self.task.draw(self.np_random)
-        engine, context = MujocoEngine([start.scene("mujoco")]), self.task.gather([start])
+        robot = int(self.np_random.integers(2**31))
+        scene, context = start.scene("mujoco", self.senses.adjust(robot)), self.task.gather([start])
+        engine = SensedEngine([scene], self.senses, robot, told=self.task.told)
         world = engine.init()
         seen = engine.observe(world)
-        outcome = self.task.judge(context, seen)
+        outcome = self.task.judge(context, engine.true_observation(world))
         self._now = _Episode(start, context, engine, world, seen, outcome)
         return self.task.observe(context, seen)[0], self._info(False)
 
@@ -83,7 +85,8 @@ class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         now = self._episode()
         wanted = self.task.command(checked(action, self._box)[None], now.seen)
         world, seen = now.engine.step(now.world, wanted)
-        outcome, fallen = self.task.judge(now.context, seen), bool(now.engine.fallen(world)[0])
+        outcome = self.task.judge(now.context, now.engine.true_observation(world))
+        fallen = bool(now.engine.fallen(world)[0])
         self._now = now._replace(world=world, seen=seen, outcome=outcome)
         success = bool(outcome.success[0]) and not fallen
         reward = float(outcome.progress[0] - now.outcome.progress[0])
@@ -137,12 +140,14 @@ class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 class PushEnv(ShmooEnv):
     """``ShmooPush-v0``."""
 
-    def __init__(self, config: PushConfig | None = None, render_mode: str | None = None) -> None:
-        super().__init__(PushTask(config), render_mode)
+    def __init__(self, config: PushConfig | None = None, render_mode: str | None = None, senses: str = "real") -> None:
+        super().__init__(PushTask(config), render_mode, senses)
 
 
 class NavigateEnv(ShmooEnv):
     """``ShmooNavigate-v0``."""
 
-    def __init__(self, config: NavigateConfig | None = None, render_mode: str | None = None) -> None:
-        super().__init__(NavigateTask(config), render_mode)
+    def __init__(
+        self, config: NavigateConfig | None = None, render_mode: str | None = None, senses: str = "real"
+    ) -> None:
+        super().__init__(NavigateTask(config), render_mode, senses)

@@ -7,9 +7,10 @@ rooms look alike from all sides.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple, Protocol
 
+import mujoco
 import numpy as np
 
 from shmoo_mjx import se2
@@ -31,6 +32,9 @@ __all__ = [
     "in_robot",
     "markdown_table",
 ]
+
+
+Adjust = Callable[[mujoco.MjSpec], None]
 
 
 class Part(NamedTuple):
@@ -75,10 +79,11 @@ class Start(NamedTuple):
     way: np.ndarray = np.zeros((0, 0))
     """``[H, W]`` length of the way to the goal from each cell of the map [m]."""
 
-    def scene(self, engine: Literal["mujoco", "mjx"]) -> Scene:
-        """The world in MuJoCo."""
+    def scene(self, engine: Literal["mujoco", "mjx"], adjust: Adjust = lambda spec: None) -> Scene:
+        """The world in MuJoCo; ``adjust``, as build_scene takes it, makes the robot's body."""
         placed = list(zip(self.conditions, self.object_poses, strict=True))
-        return build_scene(placed, self.robot_pose.tolist(), [tuple(w) for w in self.walls], engine=engine)
+        walls = [tuple(w) for w in self.walls]
+        return build_scene(placed, self.robot_pose.tolist(), walls, engine=engine, adjust=adjust)
 
 
 class Outcome(NamedTuple):
@@ -102,6 +107,8 @@ class Task(Protocol):
     """Reward of success, which ends the episode."""
     bump: float
     """Reward of 0.1 s in contact with a wall."""
+    told: bool
+    """Whether the robot knows from the start where the objects stand, in sight or not."""
 
     def draw(self, rng: np.random.Generator, same_world: Start | None = None) -> Start:
         """An episode; with ``same_world``, another one with the objects and walls of that one."""
@@ -115,8 +122,8 @@ class Task(Protocol):
     def observe(self, context: Any, seen: Observation) -> np.ndarray:
         """Observations ``[W, n]``, float32."""
 
-    def judge(self, context: Any, seen: Observation) -> Outcome:
-        """How far the worlds are."""
+    def judge(self, context: Any, true: Observation) -> Outcome:
+        """How far the worlds are, by the truth, whatever the robot perceives."""
 
 
 def command(actions: np.ndarray, seen: Observation, arms: np.ndarray | float = 1.0) -> Command:

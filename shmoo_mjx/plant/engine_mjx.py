@@ -109,6 +109,11 @@ class MjxEngine:
         self._torso = first.model.body("robot/torso").id
         self._is_wall = np.zeros(first.model.ngeom, dtype=bool)
         self._is_wall[list(first.wall_geoms)] = True
+        self._asked = jax.jit(
+            lambda world, command: lowlevel.control(
+                self.gains, world.control, self.robot(world), command, self.timestep
+            )[1]
+        )
         if len(put) == 1:
             self._use(self._single, jax.tree.map(lambda _: None, self._single))
         else:
@@ -252,7 +257,7 @@ class MjxEngine:
 
     def torque(self, world: MjxWorld, command: Command) -> Array:
         """Motor torques ``[W, 9]`` [N m] that the control asks for now; what a robot measures as motor currents."""
-        return lowlevel.control(self.gains, world.control, self.robot(world), command, self.timestep)[1]
+        return self._asked(world, command)
 
     def fallen(self, world: MjxWorld) -> Array:
         """``[W]`` whether the body leans more than 0.6 rad."""

@@ -50,22 +50,19 @@ class SensedWorld(NamedTuple):
     mind: Mind | Shown
     contact: np.ndarray
     """``[W, N, 3]`` true mean wrench over the last sample, in {W}."""
+    wall_parts: np.ndarray
+    """``[W, P]`` which of scene.PARTS touched a wall in the last sample time."""
     ticks: int
+
+    @property
+    def wall_contact(self) -> np.ndarray:
+        """``[W]`` whether any did."""
+        return np.asarray(self.wall_parts.any(axis=-1))
 
     @property
     def physics(self) -> np.ndarray:
         """``[W, n]`` MuJoCo's full physics state, for pictures."""
         return np.asarray(self.truth.physics)
-
-    @property
-    def wall_contact(self) -> np.ndarray:
-        """``[W]`` whether the robot touched a wall in the last sample time."""
-        return np.asarray(self.truth.wall_contact)
-
-    @property
-    def wall_parts(self) -> np.ndarray:
-        """``[W, P]`` which of scene.PARTS did."""
-        return np.asarray(self.truth.wall_parts)
 
 
 class SensedEngine:
@@ -140,7 +137,19 @@ class SensedEngine:
             mind = self._look(mind, true, ticks)
         else:
             mind = sensing.first_mind(*given, told=self.told, now=ticks)
-        return SensedWorld(truth, _numpy(held), (), mind, np.zeros_like(true.object_pose), ticks)
+        untouched = np.zeros_like(np.asarray(truth.wall_parts))
+        return SensedWorld(truth, _numpy(held), (), mind, np.zeros_like(true.object_pose), untouched, ticks)
+
+    def restarted(self, world: SensedWorld, truth: Any, which: np.ndarray) -> SensedWorld:
+        """The worlds ``which [W]`` begin anew, at rest as ``truth`` says of them; the others go on."""
+        fresh = self.begin(truth, world.ticks)
+        chosen = [
+            jax.tree.map(lambda new, old: _chosen(which, new, old), getattr(fresh, name), getattr(world, name))
+            for name in ("held", "mind", "contact", "wall_parts")
+        ]
+        held, mind, contact, touched = chosen
+        pending = tuple((np.where(which, _NEVER, at), command) for at, command in world.pending)
+        return SensedWorld(truth, held, pending, mind, contact, touched, world.ticks)
 
     def observe(self, world: SensedWorld) -> Observation:
         """What the robot believes, with no wrench and without new noise."""
@@ -204,9 +213,7 @@ class SensedEngine:
             touched = touched | np.asarray(truth.wall_parts)
         if isinstance(world.mind, Shown):
             world, wrench = world._replace(mind=self._look(world.mind, true, world.ticks)), contact
-        world = world._replace(
-            contact=contact, truth=world.truth._replace(wall_contact=touched.any(axis=-1), wall_parts=touched)
-        )
+        world = world._replace(contact=contact, wall_parts=touched)
         noisy = 0.0 if self.senses.perfect else self.senses.lean_noise * rng.normal(size=(2, *true.lean.shape))
         return world, self._perceived(world, true, wrench, noisy)
 

@@ -18,14 +18,14 @@ LIMIT = 5
 @pytest.fixture(scope="module")
 def pair() -> Any:
     """Two worlds with a box each, which compile once for this file."""
-    batch = gymnasium.make_vec("ShmooPush-v0", num_envs=2, max_episode_steps=LIMIT)
+    batch = gymnasium.make_vec("ShmooPush-v0", num_envs=2, max_episode_steps=LIMIT, senses="perfect")
     yield batch
     batch.close()
 
 
 def agree(batch: Any, name: str, steps: int) -> None:
     """The batch does what single environments of the same seeds do."""
-    singles = [gymnasium.make(name) for _ in range(batch.num_envs)]
+    singles = [gymnasium.make(name, senses="perfect") for _ in range(batch.num_envs)]
     seen, _ = batch.reset(seed=5)
     np.testing.assert_allclose(seen, [e.reset(seed=5 + i)[0] for i, e in enumerate(singles)], atol=1e-5)
     rng, high = np.random.default_rng(0), batch.single_action_space.high
@@ -83,8 +83,26 @@ def test_one_world_may_begin_anew_while_the_other_goes_on(pair: Any) -> None:
     np.testing.assert_allclose(after[1], seen[1], atol=0.3)
 
 
+def test_real_senses_in_a_batch() -> None:
+    batch = gymnasium.make_vec("ShmooPush-v0", num_envs=2, max_episode_steps=LIMIT)
+    first, _ = batch.reset(seed=5)
+    assert first in batch.observation_space
+    forward = np.array([[0.08, 0, 0, 0]] * 2, dtype=np.float32)
+    once = [batch.step(forward)[0] for _ in range(3)]
+    true = batch._sensed.true_observation(batch._world)
+    assert 1e-5 < np.abs(once[-1][:, :2] - true.lean).max() < 0.02
+    assert len({float(s.model.body("robot/torso").mass[0]) for s in batch._scenes}) == 2
+    batch.reset(seed=5)
+    for seen in once:
+        np.testing.assert_array_equal(batch.step(forward)[0], seen)
+    batch._over = np.array([True, False])
+    after, reward, *_ = batch.step(forward)
+    assert reward[0] == 0.0 and np.isfinite(after).all()
+    batch.close()
+
+
 @pytest.mark.slow
 def test_rooms_agree() -> None:
-    batch = gymnasium.make_vec("ShmooNavigate-v0", num_envs=2)
+    batch = gymnasium.make_vec("ShmooNavigate-v0", num_envs=2, senses="perfect")
     agree(batch, "ShmooNavigate-v0", 4)
     batch.close()

@@ -85,8 +85,10 @@ def test_the_page_holds_the_codes_tables(tables: tuple[task.Part, ...]) -> None:
     assert "\n\n" + task.markdown_table(tables) + "\n" in PAGE.read_text()
 
 
-def test_pushing_forward_pays_and_the_rewards_add_up() -> None:
-    env = gymnasium.make("ShmooPush-v0", config=PushConfig(distance=(1.5, 1.5), near_weight=0.0, yaw_weight=0.0))
+@pytest.mark.parametrize("senses", ["perfect", "real"])
+def test_pushing_forward_pays_and_the_rewards_add_up(senses: str) -> None:
+    config = PushConfig(distance=(1.5, 1.5), near_weight=0.0, yaw_weight=0.0)
+    env = gymnasium.make("ShmooPush-v0", config=config, senses=senses)
     _, info = env.reset(seed=3)
     far, total = info["distance"], 0.0
     for _ in range(60):
@@ -176,14 +178,17 @@ def demo_of(seed: int) -> tuple[OccupancyGrid, Scenario]:
 
 
 def test_what_is_behind_a_wall_is_not_seen() -> None:
-    env, counts, differ = gymnasium.make("ShmooNavigate-v0"), np.zeros((2, 2), dtype=int), 0
+    env = gymnasium.make("ShmooNavigate-v0", senses="perfect")
+    counts, differ = np.zeros((2, 2), dtype=int), 0
     for seed in range(12):
         observation, _ = env.reset(seed=seed)
         walls = clearance_field(demo_of(seed)[0])
         for i, condition in enumerate(start_of(env).conditions):
             shown = bool(part(env, observation, f"object{i}_seen")[0])
             counts[i, int(shown)] += 1
-            differ += shown != visible(env.unwrapped._now.seen, i, condition.half_extents, walls, 3.5)
+            now = env.unwrapped._now
+            true = now.engine.true_observation(now.world)
+            differ += shown != visible(true, i, condition.half_extents, walls, 3.5)
             assert part(env, observation, f"object{i}").any() == shown
     # The navigator looks along other lines: a corner that just shows may be seen by one alone.
     assert differ <= 1
@@ -191,8 +196,24 @@ def test_what_is_behind_a_wall_is_not_seen() -> None:
     env.close()
 
 
-def test_the_way_is_that_of_the_global_path() -> None:
+def test_real_senses_look_ahead_and_each_episode_has_a_robot_of_its_own() -> None:
     env = gymnasium.make("ShmooNavigate-v0")
+    masses = set()
+    for seed in range(3):
+        observation, _ = env.reset(seed=seed)
+        now = env.unwrapped._now
+        masses.add(float(now.engine.scenes[0].model.body("robot/torso").mass[0]))
+        for i in range(2):
+            place = part(env, observation, f"object{i}")[:2]
+            assert not place.any() or abs(np.arctan2(place[1], place[0])) < np.deg2rad(60)
+    assert len(masses) == 3
+    with pytest.raises(ShmooError, match="real or perfect"):
+        gymnasium.make("ShmooNavigate-v0", senses="keen")
+    env.close()
+
+
+def test_the_way_is_that_of_the_global_path() -> None:
+    env = gymnasium.make("ShmooNavigate-v0", senses="perfect")
     observation, _ = env.reset(seed=4)
     grid, scenario = demo_of(4)
     assert tuple(start_of(env).goal) == scenario.goal
