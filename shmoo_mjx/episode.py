@@ -103,7 +103,7 @@ def navigator_of(
     first_status: Sequence[Status] | None = None,
 ) -> Navigator:
     """The navigator of a run; what it has to compute takes as long as ``senses`` say."""
-    config = replace(config or NavigatorConfig(), planning_time=senses.planning)
+    config = replace(config or NavigatorConfig(), planning_time=senses.planning, latency=senses.latency)
     sizes = [c.half_extents for c in conditions_of(scenario)]
     return Navigator(grid, scenario.goal, sizes, controller, scenario.seed, config, first_status)
 

@@ -13,10 +13,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.control.governor import static_lean
 from shmoo_mjx.plant.robot import ROBOT, arm_angles, com_offset
 from shmoo_mjx.types import DT, Command, Observation
 
-__all__ = ["Trim", "TrimConfig", "arms_lean", "init", "step", "trimmed", "with_trim"]
+__all__ = ["Trim", "TrimConfig", "arms_lean", "foreseen", "init", "step", "trimmed", "with_trim"]
 
 Array = Any
 
@@ -74,6 +75,24 @@ def arms_lean(hands: Array) -> np.ndarray:
     """
     in_body = np.asarray(hands, dtype=float) - [0.0, 0.0, ROBOT.ball_radius]
     return np.asarray(com_offset(arm_angles(in_body))) / ROBOT.body_com_height
+
+
+def foreseen(seen: Observation, seconds: float) -> Observation:
+    """The robot and the objects ``seconds`` on: what the lean has beyond the felt force moves the robot (S'' of the flat
+    output), and objects keep their twist. ``seen`` counts the lean from where the robot balances."""
+    if not seconds:
+        return seen
+    a, _, c = ROBOT.flatness
+    yaw = seen.robot_pose[:, 2]
+    felt = static_lean(np.sum(seen.wrench[..., :2], axis=1))
+    push = c / a * (se2.rotate(seen.lean + arms_lean(seen.hands[0]), yaw) - felt)
+    twist, pose = np.array(seen.robot_twist, dtype=float), np.array(seen.robot_pose, dtype=float)
+    pose += seconds * twist
+    pose[:, :2] += 0.5 * seconds**2 * push
+    twist[:, :2] += seconds * push
+    objects = np.asarray(seen.object_pose, dtype=float) + seconds * np.asarray(seen.object_twist)
+    lean = seen.lean + seconds * seen.lean_rate
+    return seen._replace(robot_pose=pose, robot_twist=twist, lean=lean, object_pose=objects)
 
 
 def with_trim(state: Trim, seen: Observation) -> Observation:

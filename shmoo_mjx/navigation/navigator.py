@@ -86,7 +86,8 @@ def init(grid: OccupancyGrid, goal: Array, seed: int = 0) -> NavigatorState:
 def step(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[NavigatorState, Command, tuple[Event, ...]]:
     """One sample: the next state, the command (a batch of one) and what has happened."""
     state, seen = _perceive(setup, state, seen)
-    state, command = MODES[state.mode].act(setup, _settled(state, float(seen.time[0])), seen)
+    state = _settled(state, float(seen.time[0]))
+    state, command = MODES[state.mode].act(setup, state, trim.foreseen(seen, setup.config.latency))
     state = _consider(setup, state, seen)
     state = replace(state, last_u=np.asarray(command.u, dtype=float))
     return replace(state, events=()), trim.trimmed(state.trim, batched(command)), state.events

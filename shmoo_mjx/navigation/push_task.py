@@ -206,7 +206,8 @@ class PushTask:
         seen = self._seen = finite(seen, self._seen)
         self.belief, _ = self.belief.update(seen, self._setup.sizes, self._index)
         self.trim = trim.step(trim.TrimConfig(), self.trim, seen)
-        result = self._handlers[self.phase](trim.with_trim(self.trim, seen))
+        seen = trim.with_trim(self.trim, seen)
+        result = self._handlers[self.phase](trim.foreseen(seen, self.config.moves.latency))
         self._last_u = np.asarray(result.u, dtype=float)
         return trim.trimmed(self.trim, batched(result))
 

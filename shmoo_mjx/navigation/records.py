@@ -65,6 +65,8 @@ class NavigatorConfig:
     """Distance at which the goal counts as reached [m]; the scenario's own tolerance may be wider."""
     planning_time: float = 0.0
     """Time that a planning stage or a global path takes to compute [s]; the robot goes on as it did meanwhile."""
+    latency: float = 0.0
+    """Time from what a command answers to its effect [s]; the robot's motion is foreseen for so long."""
     act_within: float = 2.2
     """An object in the way is dealt with once the path's blocked point is this near [m]."""
     detour: float = 1.5

@@ -31,7 +31,7 @@ _SHAPES = {
 }
 PARTS = tuple(_SHAPES)
 """Parts of the robot that a contact is told by; an arm is its upper arm and forearm."""
-_ARM_BIT = 8  # models_xml/shmoobot.xml says what each bit is for
+_RARE_BIT = 8  # models_xml/shmoobot.xml says what each bit is for
 _FOUND = 1 << 0  # mjCONDATA bit: how many contacts
 _FORCE_TORQUE_POSITION = (1 << 1) | (1 << 2) | (1 << 4)  # mjCONDATA bits of a contact sensor: force, torque, pos
 _NET_FORCE = 3  # mjREDUCE: one wrench for all contacts of a pair, in {W}
@@ -91,7 +91,8 @@ def build_scene(
         wall_yaw: yaw of the map's axes [rad]; centres are already in {W}.
         wall_height: to which the walls are drawn [m]; in the physics they are WALL_HEIGHT high.
         engine: which engine's contact sensors to build. The physics is the same until the robot falls, an object
-            topples or an arm touches an object: MJX, which computes every contact that could be, leaves these out.
+            topples, or an arm or the ball touches an object: these contacts are left out for MJX, which computes every
+            contact that could be.
         adjust: last changes to the MJCF before it is compiled, in place (plant/body.py makes another robot this way).
     """
     framed = engine == "mjx"
@@ -171,11 +172,11 @@ def _add_wall_sensors(spec: mujoco.MjSpec) -> None:
 
 
 def _drop_idle_contacts(spec: mujoco.MjSpec) -> None:
-    """Body against floor, hull against floor, arms against hull: contacts that are open in any ordinary push."""
+    """Body and hull against floor, arms and ball against hull: contacts that are open in any ordinary push."""
     for geom in spec.geoms:
         if geom.name.endswith("hull"):
             geom.contype &= ~1
-            geom.conaffinity &= ~_ARM_BIT
+            geom.conaffinity &= ~_RARE_BIT
 
 
 def _index(

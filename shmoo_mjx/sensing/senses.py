@@ -69,6 +69,14 @@ class Senses:
             if not 0 <= getattr(self, name) < np.inf:
                 raise ShmooError(f"Senses: {name} is {getattr(self, name)}; give a number of 0 or more.")
 
+    @property
+    def latency(self) -> float:
+        """Time from what a command answers to its effect [s], as the robot itself knows it: with means of what is drawn."""
+        if self.perfect:
+            return 0.0
+        sensed = float(np.mean(self.odometry.delay)) + self.odometry.smoothing
+        return sensed + self.computing + float(np.mean(self.body.delay))
+
     def robot(self, seed: int) -> Body:
         """The body of the robot with this seed."""
         return draw_body(self.body, seed)

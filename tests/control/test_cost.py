@@ -16,6 +16,7 @@ from shmoo_mjx.control.cost import (
     PushCost,
     change,
     clearance_at,
+    clearance_near,
     clearance_penalty,
     effort,
     face_misalignment,
@@ -115,6 +116,31 @@ def test_clearance_penalty_counts_robot_and_outline_inside_their_margins() -> No
     np.testing.assert_allclose(clearance_penalty(coarse, traj, field, half), [0.2], rtol=1e-4)
     with pytest.raises(ValueError, match="half_extents"):
         push_cost(cfg, *args, field)
+
+
+@given(st.floats(0.06, 3.9), st.floats(0.06, 1.9), st.floats(-3, 3))
+@settings(max_examples=30, deadline=None)
+def test_near_clearance_is_that_of_the_cell(x: float, y: float, yaw: float) -> None:
+    field = ramp(yaw)
+    point = se2.transform_point(np.asarray(field.origin, dtype=float), np.array([x, y]))
+    assert float(clearance_near(field, point)) == pytest.approx(x + 0.1, abs=0.0501)
+    far = se2.transform_point(np.asarray(field.origin, dtype=float), np.array([-0.01, y]))
+    assert float(clearance_near(field, far)) == 0.0
+
+
+def test_a_hand_swept_into_a_wall_costs() -> None:
+    cfg = replace(BARE, object_margin=0.0, robot_margin=0.0, hand_margin=0.25)
+    field, half = ramp(), jnp.array([0.1, 0.1])
+    # Clearance grows with x. Looking back, the hands are REACH nearer to the wall than the robot's centre.
+    ahead, back = (rollouts(1, 10, robot_pose=[1.5, 0.0, yaw], object_pose=[2.5, 0.0, 0.0]) for yaw in (0.0, np.pi))
+    np.testing.assert_array_equal(clearance_penalty(cfg, ahead, field, half), [0.0])
+    depth = 0.25 - (1.5 - REACH - 1.0 + 0.1)
+    np.testing.assert_allclose(clearance_penalty(cfg, back, field, half), [depth], atol=0.0501)
+    # Steering puts the left hand forward, here towards the wall.
+    turned = rollouts(1, 10, robot_pose=[1.5, 0.0, np.pi], object_pose=[2.5, 0.0, 0.0], last_u=[0.0, 0.0, 0.4])
+    assert float(clearance_penalty(cfg, turned, field, half)[0]) > depth + 0.01
+    left_out = replace(cfg, hand_margin=0.0)
+    np.testing.assert_array_equal(clearance_penalty(left_out, back, field, half), [0.0])
 
 
 def test_face_misalignment_of_hands_and_heading() -> None:

@@ -1,0 +1,119 @@
+"""The robot seen from above as discs, arms included, and how far each part is from what is in the way.
+
+Seen from above the robot is wider than its body. Arms out, the hands are 0.46 m ahead; folded, the elbows are 0.28 m to
+the side, a little behind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from shmoo_mjx import se2
+from shmoo_mjx.hands import HAND_HEIGHT, HAND_RADIUS, REACH, TUCKED_HEIGHT, TUCKED_REACH, hand_targets
+from shmoo_mjx.plant.robot import ROBOT, arm_angles, com_offset
+
+__all__ = ["ARM_RADIUS", "Outline", "Room", "outline", "radius", "room"]
+
+Array = Any
+
+ARM_RADIUS = 0.025
+"""Radius of upper arms and forearms [m]."""
+_TORSO = (0.34, 0.82)
+"""Ends of the torso's axis above the ball's centre [m]."""
+_SPACING = 0.04
+"""Of the discs along an arm [m]."""
+
+
+class Outline(NamedTuple):
+    """Discs in {R}."""
+
+    torso: np.ndarray
+    """``[2, 2]`` centres [m], of radius ROBOT.radius; the torso leans, so that its ends differ."""
+    arms: np.ndarray
+    """``[A, 2]`` centres, of radius ARM_RADIUS."""
+    hands: np.ndarray
+    """``[2, 2]`` centres (left, right), of radius HAND_RADIUS."""
+
+
+class Room(NamedTuple):
+    """Distance of each part's surface from what is nearest ``[...]`` [m]; negative inside it."""
+
+    torso: np.ndarray
+    arms: np.ndarray
+    hands: np.ndarray
+
+    @property
+    def least(self) -> np.ndarray:
+        """``[...]`` of all parts."""
+        return np.minimum(np.minimum(self.torso, self.arms), self.hands)
+
+
+def outline(
+    reach: float = REACH, hand_height: float | None = None, gamma: float = 0.0, lean: tuple[float, float] | None = None
+) -> Outline:
+    """The discs of a robot that stands with its hands held there.
+
+    Args:
+        reach: x of the hands' midpoint in {R} [m].
+        hand_height: above the floor [m]; by default what goes with ``reach`` while the arms unfold.
+        gamma: steering angle [rad].
+        lean: of the body towards +x, +y of {R} [rad]; by default as it stands in balance, leant back a little.
+    """
+    folded = (REACH - reach) / (REACH - TUCKED_REACH)
+    height = HAND_HEIGHT + folded * (TUCKED_HEIGHT - HAND_HEIGHT) if hand_height is None else hand_height
+    flat = hand_targets(np.array(gamma), np.array(reach))
+    hands = np.concatenate([flat, np.full((2, 1), height - ROBOT.ball_radius)], axis=-1)
+    if lean is None:
+        # The arms' own CoM decides by how much; that with an upright body is near enough to start from.
+        lean = (-float(com_offset(arm_angles(hands))[0]) / ROBOT.body_com_height, 0.0)
+    body = _leant(*lean)
+    angles = arm_angles(hands @ body)
+    shoulders = np.array([ROBOT.shoulder, (ROBOT.shoulder[0], -ROBOT.shoulder[1], ROBOT.shoulder[2])])
+    yaw, pitch = angles[:, 0], angles[:, 1]
+    out, up = ROBOT.upper_arm * np.cos(pitch), -ROBOT.upper_arm * np.sin(pitch)
+    elbows = shoulders + np.stack([out * np.cos(yaw), out * np.sin(yaw), up], axis=-1)
+    shoulders, elbows = shoulders @ body.T, elbows @ body.T
+    segments = [*zip(shoulders, elbows, strict=True), *zip(elbows, hands, strict=True)]
+    torso = np.array([(0.0, 0.0, z) for z in _TORSO]) @ body.T
+    return Outline(torso[:, :2], np.concatenate([_along(a[:2], b[:2]) for a, b in segments]), flat)
+
+
+def _leant(x: float, y: float) -> np.ndarray:
+    """Body axes in {R} ``[3, 3]`` (columns) of a body that leans by these angles."""
+    (cx, sx), (cy, sy) = (np.cos(x), np.sin(x)), (np.cos(y), np.sin(y))
+    return np.array([[cx, 0, sx], [0, 1, 0], [-sx, 0, cx]]) @ np.array([[1, 0, 0], [0, cy, sy], [0, -sy, cy]])
+
+
+def _along(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    count = int(np.ceil(np.hypot(*(end - start)) / _SPACING)) + 1
+    return np.linspace(start, end, count)
+
+
+def radius(discs: Outline) -> float:
+    """Of the circle round the origin of {R} that holds all discs [m]: what the robot needs to turn on the spot."""
+    parts = zip(discs, (ROBOT.radius, ARM_RADIUS, HAND_RADIUS), strict=True)
+    return max(float(np.linalg.norm(centres, axis=-1).max()) + r for centres, r in parts)
+
+
+def room(
+    at: Callable[[np.ndarray], np.ndarray],
+    pose: Array,
+    reach: float | Sequence[float] = REACH,
+    gamma: float = 0.0,
+) -> Room:
+    """How far torso, arms and hands are from obstacles.
+
+    Args:
+        at: distance to the nearest obstacle [m] at points ``[..., 2]`` in {W}, such as ``ClearanceField.at``.
+        pose: ``[..., 3]`` of {R} in {W}.
+        reach: x of the hands' midpoint [m]; of several the worst counts, as while the arms unfold.
+        gamma: steering angle [rad].
+    """
+    pose = np.asarray(pose, dtype=float)
+    postures = [outline(r, gamma=gamma) for r in np.atleast_1d(np.asarray(reach, dtype=float))]
+    parts = [np.concatenate(discs) for discs in zip(*postures, strict=True)]
+    far = [np.asarray(at(se2.transform_point(pose[..., None, :], discs))).min(axis=-1) for discs in parts]
+    return Room(far[0] - ROBOT.radius, far[1] - ARM_RADIUS, far[2] - HAND_RADIUS)
