@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path as FilePath
 
 import numpy as np
 import pytest
 import shapely
 
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.evaluation.navigation_places import find_maps
 from shmoo_mjx.evaluation.scenarios import (
     KINDS,
     Generated,
@@ -21,12 +23,13 @@ from shmoo_mjx.evaluation.scenarios import (
 )
 from shmoo_mjx.navigation.floorplan import draw_floorplan
 from shmoo_mjx.navigation.footprints import footprint_polygon, footprints_free
-from shmoo_mjx.navigation.maps import FREE, OccupancyGrid, clearance_field
+from shmoo_mjx.navigation.maps import FREE, OccupancyGrid, clearance_field, load_map
 from shmoo_mjx.navigation.paths import Path, plan_path
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, check_scenario
 from shmoo_mjx.plant.objects import Condition, draw_condition
 
 CFG = ScenarioConfig(path=(3.0, 10.0))
+REAL_MAPS = FilePath(__file__).resolve().parents[3] / "shared" / "maps"
 
 
 def moves(condition: Condition, side: int) -> bool:
@@ -135,3 +138,15 @@ def test_what_is_near_the_border_is_kept_and_marked() -> None:
 def test_scenarios_have_one_to_four_objects() -> None:
     counts = {len(drawn(kind, seed)[1].scenario.objects) for kind in KINDS for seed in range(2)}
     assert len(counts) >= 2 and max(counts) <= CFG.objects
+
+
+@pytest.mark.slow
+def test_every_real_map_has_room_for_a_detour() -> None:
+    if not REAL_MAPS.is_dir():
+        pytest.skip("real maps are not in shared/maps beside the repository")
+    maps = find_maps(REAL_MAPS)
+    assert len(maps) == 5
+    for file in maps.values():
+        grid = load_map(file)
+        found = draw_scenario(grid, "detour only", np.random.default_rng(1), 1_000_000, Truth(moves))
+        check_scenario(grid, found.scenario, ROBOT_RADIUS)
