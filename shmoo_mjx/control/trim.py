@@ -78,8 +78,8 @@ def arms_lean(hands: Array) -> np.ndarray:
 
 
 def foreseen(seen: Observation, seconds: float) -> Observation:
-    """The robot and the objects ``seconds`` on: what the lean has beyond the felt force moves the robot (S'' of the flat
-    output), and objects keep their twist. ``seen`` counts the lean from where the robot balances."""
+    """The robot and the objects ``seconds`` on: what the lean has beyond the felt force moves the robot (S'' of the
+    flat output), and objects keep their twist. ``seen`` counts the lean from where the robot balances."""
     if not seconds:
         return seen
     a, _, c = ROBOT.flatness

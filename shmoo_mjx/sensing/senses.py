@@ -71,7 +71,7 @@ class Senses:
 
     @property
     def latency(self) -> float:
-        """Time from what a command answers to its effect [s], as the robot itself knows it: with means of what is drawn."""
+        """Time from what a command answers to its effect [s], as the robot knows it: with means of what is drawn."""
         if self.perfect:
             return 0.0
         sensed = float(np.mean(self.odometry.delay)) + self.odometry.smoothing
