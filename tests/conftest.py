@@ -19,6 +19,26 @@ if not os.environ.get("DISPLAY"):
     os.environ.setdefault("MUJOCO_GL", "egl")
 
 
+LONGEST = (
+    "test_killed",
+    "test_real_pushing",
+    "test_daiml",
+    "test_gym_batch",
+    "test_comparison_experiments",
+    "test_cli",
+)
+"""Files that take longest: they go first, so that no worker is left alone with one at the end."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    items.sort(key=lambda item: LONGEST.index(item.path.stem) if item.path.stem in LONGEST else len(LONGEST))
+
+
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
+    """Single files run in this process, where prints and debuggers work; more than that on every core."""
+    return 0 if all(Path(name.partition("::")[0]).suffix == ".py" for name in config.args) else None
+
+
 @pytest.fixture(scope="session")
 def shared() -> Path:
     """Folder of maps and data that are other people's and never committed."""

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -46,8 +49,19 @@ def test_the_suite_holds_all_and_keeps_each(monkeypatch: pytest.MonkeyPatch, tmp
 
 
 def test_help_is_there_within_half_a_second() -> None:
-    # Seconds of the processor, the least of some runs: neighbours can only add to it.
-    assert min(startup.help_seconds()[1] for _ in range(5)) < 0.5
+    # Seconds of the processor, the least of some runs. Neighbours slow even these (caches, shared cores), so that the
+    # import of the parser, measured between, says what half a second is worth just now; at rest it takes 0.2 s.
+    shown, parser = zip(
+        *((startup.help_seconds()[1], _processor_seconds("import tyro")) for _ in range(5)), strict=True
+    )
+    assert min(shown) < 0.5 * max(1.0, min(parser) / 0.2)
+
+
+def _processor_seconds(code: str) -> float:
+    before = os.times()
+    subprocess.run([sys.executable, "-c", code], check=True)
+    after = os.times()
+    return after.children_user - before.children_user + after.children_system - before.children_system
 
 
 @pytest.mark.slow
