@@ -165,7 +165,7 @@ def train(
 
 
 def map_(
-    action: Positional[Literal["show"]], map: Positional[Path], out: Path = Path("map.png"), radius: float = 0.26
+    action: Positional[Literal["show"]], map: Positional[Path], out: Path = Path("map.png"), radius: float = 0.29
 ) -> int:
     """Draw a map with the free space of a robot of the given radius.
 

@@ -94,7 +94,7 @@ class NavigatorConfig:
     second_chance: bool = True
     """Try each registered object once more before giving up."""
     planner: ObjectPlannerConfig = ObjectPlannerConfig(min_displacement=0.6)
-    trajectory: TrajectoryConfig = TrajectoryConfig(robot_radius=0.24)
+    trajectory: TrajectoryConfig = TrajectoryConfig(robot_radius=0.27)
     drive: drive.DriveConfig = drive.DriveConfig()
     skills: SkillConfig = SkillConfig()
 

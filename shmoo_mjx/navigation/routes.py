@@ -10,18 +10,20 @@ import numpy as np
 import shapely
 
 from shmoo_mjx.faces import stand_off
+from shmoo_mjx.hands import REACH, TUCKED_REACH
 from shmoo_mjx.navigation.belief import Belief, KnownObject, Status
 from shmoo_mjx.navigation.footprints import footprint_polygon, footprints_free
 from shmoo_mjx.navigation.maps import ClearanceField
 from shmoo_mjx.navigation.paths import Path, plan_path
+from shmoo_mjx.plant import outline
 
 if TYPE_CHECKING:
     from shmoo_mjx.navigation.records import NavigatorConfig
 
 __all__ = ["Routes"]
 
-_CREEPING_ROOM = 0.23
-"""Distance from walls that the robot keeps on its way from the stand-off pose to contact [m]: body and a reserve."""
+_REACHING_ROOM = 0.02
+"""Distance from walls and other objects that body, arms and hands keep from the stand-off pose to contact [m]."""
 _PASSING = 0.3
 """A pushed object is out of the way once passing it makes the path at most this much longer [m]."""
 _PATH_MARGIN = 0.05
@@ -91,12 +93,13 @@ class Routes:
         """Way to the nearest stand-off pose at ``face [4]`` of object ``index`` where the robot has room, and that
         pose's gap [m]; None if there is no room or no way. ``clearance`` is that of everything known."""
         known, obstacles = self.belief.objects[index], self.belief.polygons()
+        others = self.belief.clearance(without=index)
         for gap in (self.config.skills.contact_gap, *_WIDER_GAPS):
-            wanted, touching = (stand_off(known.pose, face, g)[:2] for g in (gap, 0.0))
-            creeps = np.linspace(wanted, touching, 5)
-            room = float(clearance.at(wanted)) >= self.config.robot_radius
-            if room and float(np.min(self.belief.walls.at(creeps))) >= _CREEPING_ROOM:
-                path = self._path(position, wanted, obstacles)
+            wanted = stand_off(known.pose, face, gap)
+            creeping = np.stack([stand_off(known.pose, face, g) for g in np.linspace(gap, 0.0, 4)])
+            room = outline.room(others.at, creeping, (TUCKED_REACH, REACH)).least
+            if float(clearance.at(wanted[:2])) >= self.config.robot_radius and float(np.min(room)) >= _REACHING_ROOM:
+                path = self._path(position, wanted[:2], obstacles)
                 return None if path is None else (path, gap)
         return None
 

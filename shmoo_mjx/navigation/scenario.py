@@ -41,7 +41,7 @@ __all__ = [
 ]
 
 FAMILIES = ("box", "cart", "wheelchair")
-ROBOT_RADIUS = 0.26
+ROBOT_RADIUS = 0.29
 """Radius of the disc that paths keep clear: body, folded hands and a reserve [m]."""
 Pose = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Property = bool | FiniteFloat
