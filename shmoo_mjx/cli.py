@@ -269,6 +269,7 @@ def experiment(
     data: Path | None = None,
     maps: Path | None = None,
     scenarios: int | None = None,
+    policies: tuple[str, ...] = (),
     weights: Path | None = None,
     pushes: Path | None = None,
     out: Path = Path("runs/experiments"),
@@ -288,6 +289,7 @@ def experiment(
         data: data set, for the experiments that take one (made if absent; real_pushing: a folder of recorded pushes).
         maps: folder with map_server maps, for navigation.
         scenarios: scenarios per map, for navigation.
+        policies: which policies run, for navigation (default: ours, oracle, always_avoid and always_push).
         weights: trained weights (default: the shipped ones).
         pushes: folder of recorded pushes, for real_pushing among all.
         out: folder for figures and what an interrupted experiment goes on from.
@@ -300,7 +302,7 @@ def experiment(
     from shmoo_mjx.evaluation.result import Ask, table, write_result
 
     with progress.stages() as report:
-        ask = Ask(seed, condition_seed, quick, data, maps, scenarios, weights, out, report, perceived)
+        ask = Ask(seed, condition_seed, quick, data, maps, scenarios, weights, out, report, perceived, policies)
         if name == "all":
             page, left_out = run_all(ask, pushes)
             for other, reason in left_out.items():

@@ -79,6 +79,8 @@ class _Record:
     wall_contacts: int = 0
     touching: bool = False
     wall_parts: dict[str, int] = field(default_factory=dict)
+    touches: list[dict[str, Any]] = field(default_factory=list)
+    """Contacts with walls, as events."""
 
 
 def conditions_of(scenario: Scenario) -> list[Condition]:
@@ -129,15 +131,17 @@ def run_episode(
         hooks: callbacks of the caller.
         first_status: what the robot takes each object to be when it first sees it; UNKNOWN if not given.
         senses: real or perfect, or others; if not given those of the scenario, or real.
-        goals: ``(x, y)`` further goals in {W} [m], one after the other, in the world as the robot has left it and with
-            all that it knows; the time limit is that of each.
+        goals: ``(x, y)`` in {W} [m], in place of the scenario's: one after the other, in the world as the robot has
+            left it and with all that it knows; the time limit is that of each.
         real_time: run against the wall clock. A command takes effect after the time it really took to compute.
     """
     chosen = senses if isinstance(senses, Senses) else senses_named(senses or scenario.senses or "real")
     conditions = conditions_of(scenario)
     scene = scene_of(grid, scenario, conditions, chosen)
-    navigator = navigator_of(grid, scenario, controller, chosen, config, first_status)
-    record, ahead = _Record(), [scenario.goal, *goals]
+    ahead = [tuple(goal) for goal in goals] or [scenario.goal]
+    first = scenario.model_copy(update={"goal": ahead[0]})
+    navigator = navigator_of(grid, first, controller, chosen, config, first_status)
+    record = _Record()
     with SensedEngine([scene], chosen, scenario.seed) as engine:
         world = engine.init()
         seen, true = engine.observe(world), engine.true_observation(world)
@@ -156,7 +160,7 @@ def run_episode(
                 world, spent = hooks.disturb(scene, world), time.perf_counter() - tick
                 world, seen = _advance(engine, world, command, spent if real_time else None, record, navigator)
                 true = engine.true_observation(world)
-                _count_contacts(record, world)
+                _count_contacts(record, world, float(true.time[0]), navigator)
                 record.falls += int(engine.fallen(world)[0])
                 if real_time:
                     time.sleep(max(0.0, DT - (time.perf_counter() - tick)))
@@ -192,13 +196,16 @@ def _advance(
     return world, seen._replace(detected=np.zeros_like(seen.detected))
 
 
-def _count_contacts(record: _Record, world: SensedWorld) -> None:
+def _count_contacts(record: _Record, world: SensedWorld, now: float, navigator: Navigator) -> None:
     """A contact counts once, however long it lasts."""
     touching = bool(world.wall_contact[0])
     if touching and not record.touching:
         record.wall_contacts += 1
-        for part in np.flatnonzero(world.wall_parts[0]):
-            record.wall_parts[PARTS[part]] = record.wall_parts.get(PARTS[part], 0) + 1
+        parts = [PARTS[i] for i in np.flatnonzero(world.wall_parts[0])]
+        for part in parts:
+            record.wall_parts[part] = record.wall_parts.get(part, 0) + 1
+        text = f"touches a wall with {' and '.join(parts)} while to {navigator.mode}"
+        record.touches.append({"t": round(now, 2), "what": text})
     record.touching = touching
 
 
@@ -336,7 +343,10 @@ def _result(
             }
             for d in navigator.decisions
         ],
-        "events": [{"t": round(note.t, 2), "what": note.text} for note in navigator.notes],
+        "events": sorted(
+            [*({"t": round(note.t, 2), "what": note.text} for note in navigator.notes), *record.touches],
+            key=lambda event: event["t"],
+        ),
         "objects": objects,
         "config": {
             "navigator": asdict(navigator.config),

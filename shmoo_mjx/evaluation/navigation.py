@@ -6,7 +6,6 @@ as we do. *always_avoid* takes every object for a wall. *always_push* pushes wha
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
@@ -192,12 +191,10 @@ def play(
     """
     from shmoo_mjx.episode import run_episode
 
-    options: dict[str, Any] = {"senses": robot.senses} | ({} if goals is None else {"goals": list(goals)})
-    known = inspect.signature(run_episode).parameters
-    if goals is not None and "goals" not in known:
-        raise ShmooError("experiment lifelong: a run can't have several goals in this version.")
-    options = {name: value for name, value in options.items() if name in known}
-    return run_episode(grid, scenario, _controller(robot.weights), config, first_status=first_status, **options)
+    controller = _controller(robot.weights)
+    return run_episode(
+        grid, scenario, controller, config, first_status=first_status, senses=robot.senses, goals=goals or ()
+    )
 
 
 def _row(episode: Episode, scenario: Scenario, generated: Generated) -> dict[str, Any]:
