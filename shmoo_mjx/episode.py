@@ -18,24 +18,14 @@ from shmoo_mjx.navigation.records import Mode, NavigatorConfig
 from shmoo_mjx.navigation.scenario import Scenario
 from shmoo_mjx.plant.objects import Condition, draw_condition
 from shmoo_mjx.plant.scene import PARTS, Scene, build_scene
+from shmoo_mjx.recorded import Recorded
 from shmoo_mjx.report.trace import Trace
 from shmoo_mjx.sensing import PERFECT, SensedEngine, SensedWorld, Senses, senses_named
 from shmoo_mjx.types import DT, Command, Observation
 
-__all__ = ["Episode", "Hooks", "Recorded", "conditions_of", "navigator_of", "run_episode", "scene_of"]
+__all__ = ["Episode", "Hooks", "conditions_of", "navigator_of", "run_episode", "scene_of"]
 
 Point = Sequence[float]
-
-
-class Recorded(NamedTuple):
-    """What went into the navigator and came out of it, sample by sample."""
-
-    observations: Observation
-    """Fields ``[T, 1, ...]``."""
-    commands: Command
-    """Fields ``[T, 1, ...]``."""
-    goals: np.ndarray
-    """``[T, 2]`` the goal it was given, in {W} [m]."""
 
 
 class Episode(NamedTuple):

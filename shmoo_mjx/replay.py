@@ -5,24 +5,20 @@ On another processor or with other versions they may not; then the first sample 
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from shmoo_mjx.assets import asset
-from shmoo_mjx.episode import Recorded, navigator_of
+from shmoo_mjx.episode import navigator_of
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.recorded import RECORDED, Recorded, load_recorded
 from shmoo_mjx.report.trace import load_result
 from shmoo_mjx.run import DEMO_WEIGHTS
 from shmoo_mjx.types import Command, Observation
 
-__all__ = ["RECORDED", "Difference", "differences", "load_recorded", "replay", "save_recorded"]
-
-RECORDED = "recorded.npz"
-_VERSION = 1
-"""Of the file's layout."""
+__all__ = ["Difference", "differences", "replay"]
 
 
 class Difference(NamedTuple):
@@ -41,38 +37,6 @@ class Difference(NamedTuple):
     def __str__(self) -> str:
         values = f"{np.round(self.recorded, 6).tolist()} recorded, {np.round(self.replayed, 6).tolist()} now"
         return f"sample {self.sample} ({self.time:.1f} s, {self.state}): {self.field} differs: {values}"
-
-
-def save_recorded(path: Path, recorded: Recorded) -> None:
-    """Write a run's observations and commands."""
-    from shmoo_mjx.report.trace import write_arrays
-
-    arrays = {f"observation.{k}": v for k, v in recorded.observations._asdict().items()}
-    arrays |= {f"command.{k}": v for k, v in recorded.commands._asdict().items()}
-    write_arrays(path, arrays | {"goals": recorded.goals, "version": np.array(_VERSION)})
-
-
-def load_recorded(path: Path) -> Recorded:
-    """Read them.
-
-    Raises:
-        ShmooError: the file is missing, damaged, or of another version.
-    """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-    except FileNotFoundError:
-        raise ShmooError(f"{path}: there is no recording here; give the folder of a finished run.") from None
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
-        raise ShmooError(f"{path}: the recording is damaged; run the scenario again.") from None
-    names = {"goals", *(f"observation.{n}" for n in Observation._fields), *(f"command.{n}" for n in Command._fields)}
-    if int(arrays.get("version", np.array(-1))) != _VERSION or not names <= set(arrays):
-        raise ShmooError(f"{path}: the recording is of another version of shmoo_mjx; run the scenario again.")
-    return Recorded(
-        Observation(*(arrays[f"observation.{n}"] for n in Observation._fields)),
-        Command(*(arrays[f"command.{n}"] for n in Command._fields)),
-        arrays["goals"],
-    )
 
 
 def replay(run: Path, weights: Path | None = None) -> Difference | None:

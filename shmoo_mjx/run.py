@@ -70,7 +70,7 @@ def run_scenario(
     from shmoo_mjx.episode import Hooks, run_episode
     from shmoo_mjx.learning.weights import load_weights
     from shmoo_mjx.navigation.records import NavigatorConfig
-    from shmoo_mjx.replay import RECORDED, save_recorded
+    from shmoo_mjx.recorded import RECORDED, save_recorded
     from shmoo_mjx.report.html import write_report
     from shmoo_mjx.report.recording import require_viewer, write_recording
     from shmoo_mjx.report.trace import save_trace, write_bytes

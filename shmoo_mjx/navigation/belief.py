@@ -13,7 +13,7 @@ import shapely
 from shmoo_mjx.learning.adaptation import AdaptState
 from shmoo_mjx.navigation.footprints import add_obstacles, footprint_polygon
 from shmoo_mjx.navigation.maps import ClearanceField, OccupancyGrid, clearance_field
-from shmoo_mjx.types import DT, Observation
+from shmoo_mjx.types import Observation
 
 __all__ = ["Belief", "KnownObject", "Status", "belief_of"]
 
@@ -21,8 +21,8 @@ Array = Any
 
 _DISPLACED = 0.15
 """An object that stands this far from where it was left has been moved by somebody else [m]."""
-_LOST = 2 * DT
-"""Age from which an object counts as not detected: a camera misses single frames [s]."""
+_LOST = 0.5
+"""Age from which an object counts as not detected [s]: a camera misses frames, and now and then half a second."""
 
 
 class Status(StrEnum):

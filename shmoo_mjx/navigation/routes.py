@@ -24,6 +24,8 @@ __all__ = ["Routes"]
 
 _REACHING_ROOM = 0.02
 """Distance from walls and other objects that body, arms and hands keep from the stand-off pose to contact [m]."""
+_OFF_WALLS = 0.15
+"""Largest speed away from a wall [m/s]: a faster robot would swing from one side of a doorway to the other."""
 _PASSING = 0.3
 """A pushed object is out of the way once passing it makes the path at most this much longer [m]."""
 _PATH_MARGIN = 0.05
@@ -116,5 +118,5 @@ class Routes:
         step = 0.05 * np.eye(2)
         walls = self.belief.walls
         slope = (walls.at(position + step) - walls.at(position - step)) / 0.1
-        depth = max(self.config.robot_radius + 0.12 - float(walls.at(position)), 0.0)
-        return 2.5 * depth * slope
+        depth = max(self.config.robot_radius + 0.04 - float(walls.at(position)), 0.0)
+        return min(2.5 * depth, _OFF_WALLS) * slope

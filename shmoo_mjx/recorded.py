@@ -1,0 +1,61 @@
+"""The recording of a run: what the navigator perceived and commanded, sample by sample."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.report.trace import write_arrays
+from shmoo_mjx.types import Command, Observation
+
+__all__ = ["RECORDED", "Recorded", "load_recorded", "save_recorded"]
+
+RECORDED = "recorded.npz"
+"""Its name in a run's folder."""
+_VERSION = 1
+"""Of the file's layout."""
+
+
+class Recorded(NamedTuple):
+    """What went into the navigator and came out of it, sample by sample."""
+
+    observations: Observation
+    """Fields ``[T, 1, ...]``."""
+    commands: Command
+    """Fields ``[T, 1, ...]``."""
+    goals: np.ndarray
+    """``[T, 2]`` the goal it was given, in {W} [m]."""
+
+
+def save_recorded(path: Path, recorded: Recorded) -> None:
+    """Write a run's observations and commands."""
+    arrays = {f"observation.{k}": v for k, v in recorded.observations._asdict().items()}
+    arrays |= {f"command.{k}": v for k, v in recorded.commands._asdict().items()}
+    write_arrays(path, arrays | {"goals": recorded.goals, "version": np.array(_VERSION)})
+
+
+def load_recorded(path: Path) -> Recorded:
+    """Read them.
+
+    Raises:
+        ShmooError: the file is missing, damaged, or of another version.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+    except FileNotFoundError:
+        raise ShmooError(f"{path}: there is no recording here; give the folder of a finished run.") from None
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+        raise ShmooError(f"{path}: the recording is damaged; run the scenario again.") from None
+    names = {"goals", *(f"observation.{n}" for n in Observation._fields), *(f"command.{n}" for n in Command._fields)}
+    if int(arrays.get("version", np.array(-1))) != _VERSION or not names <= set(arrays):
+        raise ShmooError(f"{path}: the recording is of another version of shmoo_mjx; run the scenario again.")
+    return Recorded(
+        Observation(*(arrays[f"observation.{n}"] for n in Observation._fields)),
+        Command(*(arrays[f"command.{n}"] for n in Command._fields)),
+        arrays["goals"],
+    )
