@@ -81,7 +81,7 @@ class NavigateTask:
         *BODY,
         Part("goal", 2, -20.0, 20.0, "m", "the goal's x and y"),
         Part("way", 3, -1.0, 40.0, "m, 1", "length of the way to the goal on the map; cos and sin of its direction"),
-        Part("ranges", _RAYS, 0.0, 3.5, "m", "to the next wall or known object, every 11.25 deg from ahead to the left"),
+        Part("ranges", _RAYS, 0.0, 3.5, "m", "to the next wall or known object, each 11.25 deg from ahead to the left"),
         *(part for i in range(_OBJECTS) for part in _object_parts(i)),
     )  # fmt: skip
     action: tuple[Part, ...] = (*ACTIONS, Part("arms", 1, 0.0, 1.0, "1", "from folded (0) to extended in front (1)"))
