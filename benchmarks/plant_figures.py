@@ -1,4 +1,4 @@
-"""Draws docs/figures/plant_*.png and prints the numbers that docs/plant.md quotes (about two minutes on one core).
+"""Draws docs/figures/plant_*.png and sensing_push.png, and prints the numbers that docs/plant.md quotes (two minutes).
 
 Run: python benchmarks/plant_figures.py
 """

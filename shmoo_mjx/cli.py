@@ -371,6 +371,7 @@ def sweep(
     jobs: int = 0,
     cluster: Literal["slurm", "local"] = "slurm",
     options: tuple[str, ...] = (),
+    senses: str | None = None,
 ) -> int:
     """Push objects in thousands of randomised MJX worlds and say when pushes succeed; goes on where it was stopped.
 
@@ -386,11 +387,15 @@ def sweep(
         jobs: so many jobs of a cluster share the work; 0 is this process alone.
         cluster: with --jobs: slurm, or local for processes of this machine.
         options: with --jobs: settings of submitit, such as timeout_min=60 gpus_per_node=1 slurm_partition=gpu.
+        senses: real or perfect; overrides the sweep's own (default: real).
     """
+    perceived = None if senses is None else _senses(senses)
     from shmoo_mjx import progress
     from shmoo_mjx.sweep.command import carry_out
 
-    made = carry_out(config, out, weights, quick, estimate, memory_gb, jobs, cluster, options, progress.stages)
+    made = carry_out(
+        config, out, weights, quick, estimate, memory_gb, jobs, cluster, options, progress.stages, perceived
+    )
     for path in made:
         print(path)
     return 0

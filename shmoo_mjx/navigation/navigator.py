@@ -19,7 +19,7 @@ import numpy as np
 
 from shmoo_mjx.control import trim
 from shmoo_mjx.control.pushing import Sighting
-from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH
+from shmoo_mjx.hands import REACH, TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.navigation import drive, flat_trajectory
 from shmoo_mjx.navigation.belief import Belief, Status, belief_of
 from shmoo_mjx.navigation.choices import look_ahead, replan
@@ -40,6 +40,7 @@ from shmoo_mjx.navigation.records import (
     Transition,
 )
 from shmoo_mjx.navigation.verdicts import judge, review, rolled
+from shmoo_mjx.plant import outline
 from shmoo_mjx.plant.robot import ROBOT
 from shmoo_mjx.sensing import finite
 from shmoo_mjx.skills import approach, batched, contact, hold, push, retreat
@@ -51,7 +52,7 @@ Array = Any
 
 _NO_TRAJECTORY = 3.0
 """Time without a local trajectory after which another path is sought [s]."""
-_LONGEST_RETREAT = 5.0
+_LONGEST_RETREAT = 6.0
 """[s]"""
 
 
@@ -235,10 +236,18 @@ def _push(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[Navig
 
 
 def _retreat(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[NavigatorState, Command]:
-    segment, now = state.current(), float(seen.time[0])
+    segment, now, pose = state.current(), float(seen.time[0]), seen.robot_pose[0]
+    if segment.back is None:
+        way = setup.routes(state).way_back(pose[:2], state.known().pose)
+        state = replace(state.in_segment(back=way), drive=drive.init())
+    lean = None
+    if state.current().back is not None:
+        state, lean = _drive(setup, state, seen, state.current().back)
     folded = bool(np.all(seen.hands[0, :, 0] < TUCKED_REACH + 0.06))
-    off_walls = setup.routes(state).off_walls(seen.robot_pose[0, :2])
-    move = retreat.step(setup.config.skills, Sighting.of(seen, segment.object), segment.face, folded, off_walls)
+    hands = float(np.clip(np.max(seen.hands[0, :, 0]), TUCKED_REACH, REACH))
+    room = float(outline.room(state.belief.walls.at, pose, (TUCKED_REACH, hands)).least) > 0.0
+    sighting = Sighting.of(seen, segment.object)
+    move = retreat.step(setup.config.skills, sighting, segment.face, folded, lean, room)
     if move.over or now - state.since > _LONGEST_RETREAT:
         state = replace(state, drive=drive.init())
         state = state.go(now, Mode.REPLAN, f"backed away from object {segment.object}")

@@ -331,8 +331,7 @@ class PushTask:
         leg, _ = self._current()
         now, sighting = float(seen.time[0]), Sighting.of(seen, self._index)
         folded = bool(np.all(seen.hands[0, :, 0] < TUCKED_REACH + 0.06))
-        off_walls = Routes(self.belief, self.goal[:2], self.config.moves).off_walls(seen.robot_pose[0, :2])
-        move = retreat.step(self.config.moves.skills, sighting, leg.face, folded, off_walls)
+        move = retreat.step(self.config.moves.skills, sighting, leg.face, folded)
         if move.over or now - self.since > _LONGEST_RETREAT:
             self.leg = None
             self._go(seen, Phase.CHOOSE, "backed away")

@@ -160,6 +160,8 @@ class Segment:
     around: LocalField
     contact: ContactState | None = None
     push: PushState | None = None
+    back: Path | None = None
+    """Away from the object, once the push is over."""
     reviewed: tuple[float, float] = (0.0, 0.0)
     """Time and contact time of the last planning stage [s]."""
 

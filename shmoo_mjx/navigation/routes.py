@@ -9,13 +9,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 import shapely
 
+from shmoo_mjx import se2
 from shmoo_mjx.faces import stand_off
 from shmoo_mjx.hands import REACH, TUCKED_REACH
 from shmoo_mjx.navigation.belief import Belief, KnownObject, Status
 from shmoo_mjx.navigation.footprints import footprint_polygon, footprints_free
 from shmoo_mjx.navigation.maps import ClearanceField
 from shmoo_mjx.navigation.paths import Path, plan_path
+from shmoo_mjx.navigation.scenario import ROBOT_RADIUS
 from shmoo_mjx.plant import outline
+from shmoo_mjx.plant.robot import ROBOT
 
 if TYPE_CHECKING:
     from shmoo_mjx.navigation.records import NavigatorConfig
@@ -24,8 +27,12 @@ __all__ = ["Routes"]
 
 _REACHING_ROOM = 0.02
 """Distance from walls and other objects that body, arms and hands keep from the stand-off pose to contact [m]."""
-_OFF_WALLS = 0.15
-"""Largest speed away from a wall [m/s]: a faster robot would swing from one side of a doorway to the other."""
+_BACK_ROOM = ROBOT_RADIUS + 0.03
+"""Distance from everything at which a retreat ends [m]."""
+_BACK_ANGLES = np.deg2rad([0, -20, 20, -40, 40, -60, 60])
+"""Directions in which a retreat may lead, from straight away from the object [rad]."""
+_BACK_LENGTHS = np.array([0.2, 0.3, 0.4, 0.55, 0.7])
+"""[m]"""
 _PASSING = 0.3
 """A pushed object is out of the way once passing it makes the path at most this much longer [m]."""
 _PATH_MARGIN = 0.05
@@ -113,10 +120,16 @@ class Routes:
         radius = self.config.robot_radius
         return plan_path(self.belief.grid, start, end, obstacles, radius, field=self.belief.walls)
 
-    def off_walls(self, position: np.ndarray) -> np.ndarray:
-        """Velocity ``[2]`` in {W} [m/s] away from a wall that is too near to back past; zero elsewhere."""
-        step = 0.05 * np.eye(2)
-        walls = self.belief.walls
-        slope = (walls.at(position + step) - walls.at(position - step)) / 0.1
-        depth = max(self.config.robot_radius + 0.04 - float(walls.at(position)), 0.0)
-        return min(2.5 * depth, _OFF_WALLS) * slope
+    def way_back(self, position: np.ndarray, object_pose: np.ndarray) -> Path | None:
+        """A short straight way to where the robot has room to turn and to fold its arms, away from an object that it
+        touches; None if there is none near by."""
+        away = np.arctan2(*(position - object_pose[:2])[::-1])
+        angles, lengths = (grid.ravel() for grid in np.meshgrid(away + _BACK_ANGLES, _BACK_LENGTHS, indexing="ij"))
+        ends = position + lengths[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+        room = np.asarray(self.belief.clearance().at(ends))
+        # The shortest with room, straight back before aslant; where none has room, the one with most.
+        cost = lengths + 0.15 * np.abs(se2.wrap(angles - away)) + 10.0 * np.maximum(_BACK_ROOM - room, 0.0)
+        best = int(np.argmin(cost))
+        if room[best] < ROBOT.radius:
+            return None
+        return Path(np.stack([position, ends[best]]), float(lengths[best]))

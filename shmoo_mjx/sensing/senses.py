@@ -175,11 +175,12 @@ def first_mind(
     senses: Senses,
     drawn: Drawn,
     scenery: Scenery,
-    robot_pose: np.ndarray,
-    object_pose: np.ndarray,
-    noise: np.ndarray,
+    robot_pose: Array,
+    object_pose: Array,
+    noise: Array,
     told: bool = False,
     now: int = 0,
+    remembers: float = 0.0,
 ) -> Mind:
     """Before the first step, when the robot has stood there for a while: one frame of what is in sight has been taken.
 
@@ -192,18 +193,20 @@ def first_mind(
         noise: ``[W, N, 3]`` standard normal.
         told: whether it has been told of all objects too, as exactly as its camera would see them from there.
         now: number of the tick.
+        remembers: for how long poses are kept at least [s], where frames may be older than the senses' own.
     """
+    xp = se2.array_module(robot_pose, object_pose, noise)
     worlds, objects = object_pose.shape[:2]
-    latest = max(senses.camera.delay[1], senses.odometry.delay[1], senses.odometry.fix_delay)
+    latest = max(senses.camera.delay[1], senses.odometry.delay[1], senses.odometry.fix_delay, remembers)
     length = round(latest / TICK) + 2
     mind = Mind(
         odometry.init(robot_pose, length),
-        np.repeat(object_pose[:, None], length, axis=1),
-        np.zeros((worlds, objects)),
+        xp.repeat(object_pose[:, None], length, axis=1),
+        xp.zeros((worlds, objects)),
         tracker.init(worlds, objects),
     )
-    found = np.ones((worlds, objects), bool) if told else in_sight(senses.camera, scenery, robot_pose, object_pose)
-    none, start = np.zeros(worlds), np.full(worlds, float(now))
+    found = xp.ones((worlds, objects), bool) if told else in_sight(senses.camera, scenery, robot_pose, object_pose)
+    none, start = xp.zeros(worlds), xp.full(worlds, float(now))
     mind = mind._replace(tracks=mind.tracks._replace(at=start))
     return _taken_in(senses, mind, robot_pose, object_pose, none, found, noise, start, start)
 
@@ -235,7 +238,7 @@ def tick(
     mind = mind._replace(odometry=moved, objects=xp.concatenate([mind.objects[:, 1:], object_pose[:, None]], axis=1))
     taken = now - drawn.frame_delay
     frames = TICK * senses.camera.rate
-    due = (xp.floor(taken * frames + 1e-6) > xp.floor((taken - 1) * frames + 1e-6)) & (taken > mind.tracks.at)
+    due = (xp.floor(taken * frames + 1e-3) > xp.floor((taken - 1) * frames + 1e-3)) & (taken > mind.tracks.at)
     if xp is np and not np.any(due):
         return mind
     robot_then = odometry.ago(moved.true, drawn.frame_delay)

@@ -22,7 +22,9 @@ _SLOW = 0.08
 """Speed below which the robot stands [m/s]."""
 
 
-def step(config: SkillConfig, now: Sighting, face: Array, folded: Array, off_walls: Array | None = None) -> Move:
+def step(
+    config: SkillConfig, now: Sighting, face: Array, folded: Array, lean: Array | None = None, room: Array = True
+) -> Move:
     """One sample; pure, on NumPy and JAX arrays alike. No memory: where robot and object are says what is next.
 
     Args:
@@ -30,18 +32,17 @@ def step(config: SkillConfig, now: Sighting, face: Array, folded: Array, off_wal
         now: robot and object.
         face: ``[4]`` as in :func:`~shmoo_mjx.faces.faces_of`.
         folded: whether the arms are folded.
-        off_walls: ``[2]`` velocity in {W} that keeps off walls [m/s]; none if not given.
+        lean: ``[2]`` that follows a way back [rad]; straight back from the face if not given.
+        room: whether the arms have room to fold.
     """
     xp = se2.array_module(now.object_pose, now.robot_pose)
     # The arms fold at rest: their centre of mass moves, and a robot under way would be carried along by it.
     clear = hands_to_face(now.object_pose, now.robot_pose, face) > config.retreat
-    back = xp.stack([xp.where(clear, 0.0, -_SPEED), xp.asarray(0.0)])
-    if off_walls is not None:
-        back = back + se2.rotate(off_walls, -now.robot_pose[2])
     slow = xp.hypot(now.robot_twist[0], now.robot_twist[1]) < _SLOW
     over = clear & folded & slow
-    lean = lean_for(now, xp.where(over, 0.0, 1.0) * back)
+    if lean is None:
+        lean = lean_for(now, xp.stack([xp.where(clear, 0.0, -_SPEED), xp.asarray(0.0)]))
     # A ball-balancing robot first rolls forwards when it is to go back: hands left out would push once more.
-    reach = xp.where(clear, TUCKED_REACH, REACH - config.withdraw)
+    reach = xp.where(clear & room, TUCKED_REACH, REACH - config.withdraw)
     command = Command(xp.concatenate([lean, np.zeros(1)]), now.robot_pose[2], reach, xp.asarray(HAND_HEIGHT))
     return Move(command, over)

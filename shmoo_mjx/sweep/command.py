@@ -12,6 +12,7 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.sweep.cluster import Cluster, submit
 from shmoo_mjx.sweep.config import SweepConfig, load_sweep, quick
 from shmoo_mjx.sweep.run import Runner, Sweep, duration, read_table
+from shmoo_mjx.types import SensesName
 
 __all__ = ["carry_out", "find"]
 
@@ -35,6 +36,7 @@ def carry_out(
     cluster: Cluster,
     options: tuple[str, ...],
     progress: Progress,
+    senses: SensesName | None = None,
 ) -> list[Path]:
     """Run a sweep, or go on with it; prints the estimate first and the answer last.
 
@@ -43,6 +45,8 @@ def carry_out(
     """
     given, path = _options(options), find(name)
     config = quick(load_sweep(path)) if short else load_sweep(path)
+    if senses is not None:
+        config = config.model_copy(update={"senses": senses})
     sweep = Sweep.open(config, out or Path("runs/sweeps") / f"{path.stem}{'-quick' if short else ''}", weights)
     there = len(sweep.shards) - len(sweep.missing())
     if there:

@@ -26,6 +26,7 @@ from shmoo_mjx.navigation.yaml_input import closest_name, read_mapping, validate
 from shmoo_mjx.plant.objects import FAMILIES
 from shmoo_mjx.seeds import MAX_SEED, UNSEEN_SEED
 from shmoo_mjx.sweep.parameters import PARAMETERS
+from shmoo_mjx.types import SensesName
 
 __all__ = ["Controller", "Draw", "SweepConfig", "fingerprint", "load_sweep", "quick"]
 
@@ -129,6 +130,8 @@ class SweepConfig(_Strict):
     """A push succeeds if the object ends this near to its goal ..."""
     tolerance_deg: float = Field(default=20.0, gt=0)
     """... turned by at most this much from the goal's yaw."""
+    senses: SensesName = "real"
+    """What the controller perceives: real senses (docs/sensing.md), or the truth; either with swept noise and delay."""
     shard: int = Field(default=256, ge=1)
     """Worlds per file of results: what is lost if the machine stops."""
     map: tuple[str, str] | None = None

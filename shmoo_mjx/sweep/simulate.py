@@ -25,12 +25,16 @@ from shmoo_mjx.navigation.push_task import PushTaskConfig
 from shmoo_mjx.plant.engine_mjx import MjxEngine, MjxWorld
 from shmoo_mjx.plant.lowlevel import Gains
 from shmoo_mjx.plant.randomize import perturbed
+from shmoo_mjx.sensing import Senses, odometry, senses_named
+from shmoo_mjx.sensing import senses as sensing
+from shmoo_mjx.sensing.odometry import TICK
+from shmoo_mjx.sensing.senses import Mind, Noise
 from shmoo_mjx.skills.settings import hands_to_face
 from shmoo_mjx.sweep import pushers
 from shmoo_mjx.sweep.config import SweepConfig
 from shmoo_mjx.sweep.parameters import MOST_DELAY
 from shmoo_mjx.sweep.rows import Tally, rows_of
-from shmoo_mjx.sweep.worlds import TICK, Drawn, Setup, draw, scene_of, setup
+from shmoo_mjx.sweep.worlds import Drawn, Setup, draw, scene_of, setup
 from shmoo_mjx.types import DT, Command
 
 __all__ = ["Batches", "State", "commands_ago"]
@@ -53,8 +57,8 @@ class State(NamedTuple):
     world: MjxWorld
     sent: Command
     """``[W, H, ...]`` the last commands, newest first."""
-    camera: Array
-    """``[W, C, 6]`` true pose and twist of the object in the last ticks, newest last."""
+    mind: Mind
+    """``[W, 1, ...]`` each: what the senses remember."""
     seen: Sighting
     memory: pushers.Memory
     samples: Array
@@ -84,6 +88,7 @@ class Batches:
         devices: Sequence[jax.Device] | None = None,
     ) -> None:
         self.config = config
+        self._senses = senses_named(config.senses)
         first = draw(config, family, 0)
         self.scene = scene_of(first)
         chosen = list(devices or jax.devices())
@@ -153,15 +158,20 @@ class Batches:
         physics = jnp.concatenate([jnp.zeros(1), given.qpos, jnp.zeros(self.scene.model.nv)])
         world = jax.tree.map(jnp.asarray, self._still)._replace(physics=physics)
         truth = self.engine.observe(world)
-        camera = jnp.concatenate([truth.object_pose[0], truth.object_twist[0]])
-        camera = jnp.broadcast_to(camera, (_MOST + 1, 6))
+        noise = jax.random.normal(jax.random.fold_in(given.key, 0), (1, 1, 3))
+        # It is told where the object stands.
+        mind = sensing.first_mind(
+            self._senses, given.sensing, given.scenery, truth.robot_pose[None], truth.object_pose[None], noise,
+            told=True, remembers=MOST_DELAY + TICK,
+        )  # fmt: skip
+        mind = jax.tree.map(lambda x: jnp.asarray(x, dtype=jnp.float32), mind)
         still = Command(jnp.zeros(3), truth.robot_pose[2], world.control.reach, world.control.hand_height)
         sent = jax.tree.map(lambda x: jnp.broadcast_to(x, (_MOST // _TICKS + 1, *jnp.shape(x))), still)
-        seen = _perceived(given, truth, camera, jnp.zeros(3), jnp.int32(0))
+        seen = _perceived(self._senses, given, truth, mind, jnp.zeros(3), jnp.int32(0))
         memory = pushers.remember(self._law, seen, _task(given), _controller_key(given))
         zero = jnp.float32(0.0)
         tally = Tally(zero, zero, zero, zero, truth.object_pose[0])
-        return State(world, sent, camera, seen, memory, jnp.int32(0), tally)
+        return State(world, sent, mind, seen, memory, jnp.int32(0), tally)
 
     def _second(self, nominal: Any, given: Setup, state: State) -> State:
         """All the device's worlds by one second."""
@@ -190,20 +200,38 @@ class Batches:
         gains = Gains(**given.gains)
         substeps = round(TICK / self.engine.timestep)
 
+        # Headings are held as the robot believes them.
+        turned = 0.0 if self._senses.perfect else sensing.heading_error(state.mind)[0]
+
         def tick(world: MjxWorld, number: Array) -> tuple[MjxWorld, Any]:
-            arrived = jax.tree.map(lambda x: x[commands_ago(given.delay[0], number)], sent)
+            arrived = jax.tree.map(lambda x: x[commands_ago(given.delay, number)], sent)
+            arrived = arrived._replace(yaw=arrived.yaw - turned)
             return self.engine.step_one(model, world, arrived, jnp.zeros(6), substeps, gains)
 
         world, track = jax.lax.scan(tick, state.world, jnp.arange(_TICKS))
-        frames = jnp.concatenate([track.object_pose[:, 0], track.object_twist[:, 0]], axis=-1)
-        camera = jnp.concatenate([state.camera[_TICKS:], frames])
+        mind = self._watched(given, state, track)
         truth = jax.tree.map(lambda x: x[-1], track)
         wrench = track.wrench[:, 0].mean(axis=0)
         samples = state.samples + 1
-        seen = _perceived(given, truth, camera, wrench, samples)
+        seen = _perceived(self._senses, given, truth, mind, wrench, samples)
         memory = memory._replace(phase=_phase(memory.phase, truth, world, given))
-        after = State(world, sent, camera, seen, memory, samples, _counted(state.tally, truth, wrench, samples))
+        after = State(world, sent, mind, seen, memory, samples, _counted(state.tally, truth, wrench, samples))
         return jax.tree.map(lambda a, b: jnp.where(state.memory.phase >= pushers.DONE, a, b), state, after)
+
+    def _watched(self, given: Setup, state: State, track: Any) -> Mind:
+        """The senses after the sample's ticks, of which ``track [T, ...]`` is the truth."""
+        key = jax.random.fold_in(jax.random.fold_in(given.key, 1_000_003), state.samples)
+        normal, uniform = jax.random.normal(key, (_TICKS, 9)), jax.random.uniform(key, (_TICKS, 1, 1, 2))
+
+        def look(mind: Mind, at: Any) -> tuple[Mind, None]:
+            robot, thing, drawn, chance, number = at
+            noise = Noise(drawn[None, :6], drawn[None, None, 6:], chance)
+            now = state.samples * _TICKS + number + 1
+            after = sensing.tick(self._senses, given.sensing, given.scenery, mind, robot[None], thing[None], noise, now)
+            return jax.tree.map(lambda new, old: new.astype(old.dtype), after, mind), None
+
+        ticks = (track.robot_pose, track.object_pose, normal, uniform, jnp.arange(_TICKS))
+        return jax.lax.scan(look, state.mind, ticks)[0]
 
 
 def commands_ago(delay: Array, tick: Array) -> Array:
@@ -219,14 +247,23 @@ def _controller_key(given: Setup) -> Array:
     return jax.random.fold_in(given.key, 0)
 
 
-def _perceived(given: Setup, truth: Any, camera: Array, wrench: Array, samples: Array) -> Sighting:
-    """What the robot's senses make of the truth: late, and with noise."""
+def _perceived(senses: Senses, given: Setup, truth: Any, mind: Mind, wrench: Array, samples: Array) -> Sighting:
+    """What the robot's senses make of the truth, with the swept noise; perfect ones see late at most."""
     error = given.noise * jax.random.normal(jax.random.fold_in(given.key, samples + 1), (11,))
-    frame = camera[_MOST - given.delay[1]] + error[4:10]
+    if senses.perfect:
+        late = given.sensing.frame_delay
+        pose, before = odometry.ago(mind.objects, late)[0, 0], odometry.ago(mind.objects, late + 1)[0, 0]
+        moved = jnp.concatenate([pose[:2] - before[:2], se2.wrap(pose[2:] - before[2:])])
+        robot, speed, frame = truth.robot_pose, truth.robot_twist, jnp.concatenate([pose, moved / TICK])
+    else:
+        found = sensing.believed(senses, given.sensing, mind, samples * _TICKS, DT)
+        robot, speed = found.robot_pose[0], found.robot_twist[0]
+        frame = jnp.concatenate([found.object_pose[0, 0], found.object_twist[0, 0]])
+    frame = frame + error[4:10]
     push = jnp.zeros(3).at[0].set(error[10])
     return Sighting(
-        robot_pose=truth.robot_pose,
-        robot_twist=truth.robot_twist,
+        robot_pose=robot,
+        robot_twist=speed,
         lean=truth.lean + error[:2],
         lean_rate=truth.lean_rate + error[2:4],
         object_pose=frame[:3],

@@ -22,15 +22,16 @@ from shmoo_mjx.faces import faces_of, stand_off
 from shmoo_mjx.plant.objects import Condition, draw_condition
 from shmoo_mjx.plant.randomize import Factors
 from shmoo_mjx.plant.scene import Scene, build_scene
+from shmoo_mjx.sensing import senses as sensing
+from shmoo_mjx.sensing import senses_named
+from shmoo_mjx.sensing.camera import Scenery, scenery_of
+from shmoo_mjx.sensing.odometry import TICK
 from shmoo_mjx.sweep.config import SweepConfig
 from shmoo_mjx.sweep.parameters import PARAMETERS
 
 __all__ = ["TICK", "Drawn", "Setup", "draw", "label", "scene_of", "setup"]
 
 Array = Any
-
-TICK = 0.01
-"""Resolution of delays [s]."""
 
 _OBJECT = "object."
 _FIELDS = (
@@ -56,6 +57,8 @@ class Drawn:
     """``[3]`` of the object in {W}; the object starts at the origin."""
     robot: np.ndarray
     """``[3]`` start pose of {R} in {W}."""
+    sensing: sensing.Drawn
+    """What the robot's seed decides about its senses, for one world."""
 
 
 class Setup(NamedTuple):
@@ -69,7 +72,11 @@ class Setup(NamedTuple):
     noise: Array
     """``[W, 11]`` standard deviations: lean (2), lean rate (2), object pose (3) and twist (3), force."""
     delay: Array
-    """``[W, 2]`` int, of commands and of the camera, in ticks."""
+    """``[W]`` int, of commands, in ticks."""
+    sensing: sensing.Drawn
+    """``[W, 1]`` each: a world is a batch of one to its senses."""
+    scenery: Scenery
+    """``[W, 1, ...]`` each."""
     qpos: Array
     """``[W, nq]`` starting configuration."""
     face: Array
@@ -99,6 +106,21 @@ def draw(config: SweepConfig, family: str, index: int) -> Drawn:
             values[name] = config.vary[name].at(rng, parameter.low, parameter.high)
         elif parameter.default is not None:
             values[name] = parameter.default
+    senses = senses_named(config.senses)
+    seed = int(np.random.default_rng([config.seed, named, index, zlib.crc32(b"senses")]).integers(2**31))
+    drawn = sensing.draw(senses, [seed])
+    if not senses.perfect:
+        # What a sweep says of delays and of lean goes before the senses' own.
+        own = {
+            "delay.camera": TICK * int(drawn.frame_delay[0]),
+            "delay.command": TICK * int(drawn.command_delay[0]) + senses.computing,
+            "noise.lean": senses.lean_noise,
+        }
+        values |= {name: value for name, value in own.items() if name not in config.vary}
+    frames = round(values["delay.camera"] / TICK)
+    # A frame waits for the odometry of its time.
+    frames = frames if senses.perfect else max(frames, int(drawn.odometry.delay[0]))
+    drawn = drawn._replace(frame_delay=np.array([frames]))
     condition = _condition(config, family, index, values)
     face = faces_of(condition.half_extents)[config.face]
     along = face[2] + values["goal.bearing"]
@@ -106,7 +128,7 @@ def draw(config: SweepConfig, family: str, index: int) -> Drawn:
     robot = stand_off(np.zeros(3), face, values["start.gap"], values["start.lateral"])
     robot[2] += values["start.yaw"]
     actual = values | {_OBJECT + k: v for k, v in _properties(condition).items()}
-    return Drawn(index, actual, condition, face, np.array([*goal, 2 * values["goal.bearing"]]), robot)
+    return Drawn(index, actual, condition, face, np.array([*goal, 2 * values["goal.bearing"]]), robot, drawn)
 
 
 def _condition(config: SweepConfig, family: str, index: int, values: dict[str, float]) -> Condition:
@@ -171,7 +193,9 @@ def setup(config: SweepConfig, worlds: Sequence[Drawn], nominal: Any, scene: Sce
         factors=_factors(column),
         gains={n.removeprefix("gains."): column(n) for n in gains},
         noise=np.concatenate([lean, lean, 5 * lean, 5 * lean, pose, twist, force], axis=1),
-        delay=np.round(column("delay.command", "delay.camera") / TICK).astype(np.int32),
+        delay=np.round(column("delay.command") / TICK).astype(np.int32),
+        sensing=_single([w.sensing for w in worlds]),
+        scenery=_single([scenery_of([s]) for s in scenes]),
         qpos=np.stack([s.qpos0 for s in scenes]).astype(np.float32),
         face=np.stack([w.face for w in worlds]).astype(np.float32),
         half_extents=np.array([w.condition.half_extents for w in worlds], dtype=np.float32),
@@ -192,6 +216,16 @@ def _factors(column: Any) -> Factors:
         torque_gain=column("robot.torque_gain"),
         object_friction=one,
     )
+
+
+def _single(each: list[Any]) -> Any:
+    """Trees of one world each as one tree ``[W, 1, ...]`` of float32 and int32."""
+
+    def stack(*leaves: Any) -> np.ndarray:
+        found = np.stack(leaves)
+        return found.astype(np.int32 if np.issubdtype(found.dtype, np.integer) else np.float32)
+
+    return jax.tree.map(stack, *each)
 
 
 def _keys(config: SweepConfig, indices: list[int]) -> Array:

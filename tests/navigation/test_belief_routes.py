@@ -138,8 +138,10 @@ def test_the_way_to_a_face_ends_at_its_stand_off_pose() -> None:
     assert fixed.plan(np.array([1.0, 3.0]), fixed.belief.polygons((Status.FIXED,))) is None
 
 
-def test_walls_push_a_retreat_away() -> None:
-    ways, _ = routes((3.0,), (3.0, 3.0, 0.0))
-    away = ways.off_walls(np.array([0.35, 3.0]))
-    assert away[0] > 0.05 and abs(away[1]) < 1e-6
-    assert np.all(ways.off_walls(np.array([1.5, 3.0])) == 0)
+def test_a_retreat_leads_away_from_the_object_to_where_there_is_room() -> None:
+    ways, known = routes((3.0,), (3.0, 3.0, 0.0))
+    back = ways.way_back(np.array([2.4, 3.0]), known.pose)
+    assert back is not None and back.points[-1][0] < 2.3
+    assert ways.belief.clearance().at(back.points[-1]) > 0.3
+    corner = ways.way_back(np.array([0.45, 0.45]), np.array([1.0, 0.5, 0.0]))
+    assert corner is not None and ways.belief.walls.at(corner.points[-1]) > 0.2
