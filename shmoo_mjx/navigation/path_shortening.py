@@ -14,7 +14,7 @@ _MOVES = np.vstack([[0.0, 0.0], np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axi
 
 
 _AHEAD = np.unique(np.geomspace(1, 1e5, 48).astype(int))
-_STEPS = (0.30, 0.10, 0.04)
+_STEPS = (0.20, 0.06)
 """How far corners are moved, in turn [m]."""
 
 

@@ -255,10 +255,11 @@ def _perceived(senses: Senses, given: Setup, truth: Any, mind: Mind, wrench: Arr
         pose, before = odometry.ago(mind.objects, late)[0, 0], odometry.ago(mind.objects, late + 1)[0, 0]
         moved = jnp.concatenate([pose[:2] - before[:2], se2.wrap(pose[2:] - before[2:])])
         robot, speed, frame = truth.robot_pose, truth.robot_twist, jnp.concatenate([pose, moved / TICK])
+        detected = jnp.bool_(True)
     else:
         found = sensing.believed(senses, given.sensing, mind, samples * _TICKS, DT)
         robot, speed = found.robot_pose[0], found.robot_twist[0]
-        frame = jnp.concatenate([found.object_pose[0, 0], found.object_twist[0, 0]])
+        frame, detected = jnp.concatenate([found.object_pose[0, 0], found.object_twist[0, 0]]), found.detected[0, 0]
     frame = frame + error[4:10]
     push = jnp.zeros(3).at[0].set(error[10])
     return Sighting(
@@ -269,6 +270,7 @@ def _perceived(senses: Senses, given: Setup, truth: Any, mind: Mind, wrench: Arr
         object_pose=frame[:3],
         object_twist=frame[3:],
         wrench=wrench + se2.rotate(push, truth.robot_pose[2]),
+        detected=detected,
     )
 
 
