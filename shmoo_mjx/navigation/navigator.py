@@ -52,6 +52,8 @@ Array = Any
 
 _NO_TRAJECTORY = 3.0
 """Time without a local trajectory after which another path is sought [s]."""
+_ARM_ROOM = 0.01
+"""Distance from walls at which the arms may unfold or fold [m]."""
 _LONGEST_RETREAT = 6.0
 """[s]"""
 
@@ -192,8 +194,9 @@ def _approach(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[N
     state, lean = _drive(setup, state, seen, segment.way)
     remaining = segment.way.length - project(segment.way, seen.robot_pose[0, :2])
     yaw = drive.yaw_ahead(setup.config.drive, seen, segment.way)
-    sighting = Sighting.of(seen, segment.object)
-    reached, move = approach.step(segment.approach, now, sighting, segment.face, lean, yaw, remaining)
+    sighting, pose = Sighting.of(seen, segment.object), seen.robot_pose[0]
+    room = float(outline.room(state.belief.walls.at, pose, (TUCKED_REACH, REACH)).least) > _ARM_ROOM
+    reached, move = approach.step(segment.approach, now, sighting, segment.face, lean, yaw, remaining, room)
     state = state.in_segment(approach=reached)
     if move.over:
         state = replace(state.in_segment(contact=contact.init(sighting)), drive=drive.init())
@@ -245,7 +248,7 @@ def _retreat(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[Na
         state, lean = _drive(setup, state, seen, state.current().back)
     folded = bool(np.all(seen.hands[0, :, 0] < TUCKED_REACH + 0.06))
     hands = float(np.clip(np.max(seen.hands[0, :, 0]), TUCKED_REACH, REACH))
-    room = float(outline.room(state.belief.walls.at, pose, (TUCKED_REACH, hands)).least) > 0.0
+    room = float(outline.room(state.belief.walls.at, pose, (TUCKED_REACH, hands)).least) > _ARM_ROOM
     sighting = Sighting.of(seen, segment.object)
     move = retreat.step(setup.config.skills, sighting, segment.face, folded, lean, room)
     if move.over or now - state.since > _LONGEST_RETREAT:

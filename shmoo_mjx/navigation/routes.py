@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -25,8 +26,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Routes"]
 
-_REACHING_ROOM = 0.02
-"""Distance from walls and other objects that body, arms and hands keep from the stand-off pose to contact [m]."""
+_REACHING_ROOM = (0.06, 0.01)
+"""Distance from walls and other objects that body, arms and hands keep from the stand-off pose to contact [m], where
+there is a way to; and where not."""
 _BACK_ROOM = ROBOT_RADIUS + 0.03
 """Distance from everything at which a retreat ends [m]."""
 _BACK_ANGLES = np.deg2rad([0, -20, 20, -40, 40, -60, 60])
@@ -103,11 +105,12 @@ class Routes:
         pose's gap [m]; None if there is no room or no way. ``clearance`` is that of everything known."""
         known, obstacles = self.belief.objects[index], self.belief.polygons()
         others = self.belief.clearance(without=index)
-        for gap in (self.config.skills.contact_gap, *_WIDER_GAPS):
+        gaps = (self.config.skills.contact_gap, *_WIDER_GAPS)
+        for reserve, gap in itertools.product(_REACHING_ROOM, gaps):
             wanted = stand_off(known.pose, face, gap)
             creeping = np.stack([stand_off(known.pose, face, g) for g in np.linspace(gap, 0.0, 4)])
             room = outline.room(others.at, creeping, (TUCKED_REACH, REACH)).least
-            if float(clearance.at(wanted[:2])) >= self.config.robot_radius and float(np.min(room)) >= _REACHING_ROOM:
+            if float(clearance.at(wanted[:2])) >= self.config.robot_radius and float(np.min(room)) >= reserve:
                 path = self._path(position, wanted[:2], obstacles)
                 return None if path is None else (path, gap)
         return None

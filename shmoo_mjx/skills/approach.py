@@ -44,7 +44,14 @@ def init(now: float, gap: float) -> ApproachState:
 
 
 def step(
-    state: ApproachState, time: float, now: Sighting, face: Array, lean: Array, yaw: float, remaining: float
+    state: ApproachState,
+    time: float,
+    now: Sighting,
+    face: Array,
+    lean: Array,
+    yaw: float,
+    remaining: float,
+    room: bool = True,
 ) -> tuple[ApproachState, Move]:
     """One sample.
 
@@ -56,12 +63,14 @@ def step(
         lean: ``[2]`` that follows the path to the stand-off pose [rad].
         yaw: heading along that path, in {W} [rad].
         remaining: length of the path still to go [m].
+        room: whether the arms have room to extend here.
     """
     wanted, pose = stand_off(now.object_pose, face, state.gap), now.robot_pose
     near = np.linalg.norm(pose[:2] - wanted[:2]) < 0.10
     slow = np.linalg.norm(now.robot_twist[:2]) < 0.08
     extended_at = state.extended_at
-    if extended_at is None and near and slow and abs(se2.wrap(pose[2] - wanted[2])) < 0.12:
+    room = room or time - state.started > _LIMIT / 2
+    if extended_at is None and near and slow and room and abs(se2.wrap(pose[2] - wanted[2])) < 0.12:
         extended_at = time
     over = extended_at is not None and time - extended_at > _UNFOLDING
     reach, height = (TUCKED_REACH, TUCKED_HEIGHT) if extended_at is None else (REACH, HAND_HEIGHT)

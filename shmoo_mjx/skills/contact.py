@@ -15,8 +15,9 @@ __all__ = ["ContactState", "init", "step"]
 
 Array = Any
 
-_NEAR = 0.05
-"""Distance of the hands from the face within which an object that moves was touched, and not moved by others [m]."""
+_NEAR = 0.08
+"""Distance of the hands from the face within which what is felt is the object, and not the arms that unfold, and within
+which an object that moves was touched, and not moved by others [m]."""
 _ASTRAY = (0.5, 0.3)
 """Distance of the hands from the face, and of the robot from the face's axis, at which contact has failed [m]."""
 
@@ -45,8 +46,8 @@ def step(config: SkillConfig, state: ContactState, now: Sighting, face: Array) -
     xp = se2.array_module(now.object_pose, now.robot_pose)
     local, away = in_face(now.object_pose, now.robot_pose, face), hands_to_face(now.object_pose, now.robot_pose, face)
     shift = now.object_pose[:2] - state.object_pose[:2]
-    gives_way = (away < _NEAR) & (xp.hypot(shift[0], shift[1]) > config.contact_shift)
-    over = touches(now.wrench) | gives_way
+    gives_way = xp.hypot(shift[0], shift[1]) > config.contact_shift
+    over = (away < _NEAR) & (touches(now.wrench) | gives_way)
     sideways = xp.clip(-0.8 * local[1], -0.1, 0.1)
     wish = xp.where(over, 0.0, se2.rotate(xp.stack([config.contact_speed + 0.0 * sideways, sideways]), -local[2]))
     lean = lean_for(now, wish)
