@@ -26,6 +26,8 @@ from shmoo_mjx.types import DT, Command, Observation
 
 __all__ = ["SensedEngine", "SensedWorld"]
 
+_TOUCH_EVERY = 2
+"""Ticks between two readings of the joint torques: 50 Hz."""
 _NEVER = np.iinfo(np.int64).max
 
 
@@ -185,7 +187,7 @@ class SensedEngine:
         world = self._sent(world, command, self.senses.computing if computing is None else computing)
         rng = np.random.default_rng([11, self._entropy, world.ticks])
         worlds, objects = world.contact.shape[:2]
-        wrench, contact = np.zeros_like(world.contact), np.zeros_like(world.contact)
+        contact, readings = np.zeros_like(world.contact), []
         touched = np.zeros_like(world.truth.wall_parts)
         if self.senses.perfect:
             lengths = self._stretches(world, ticks)
@@ -206,13 +208,15 @@ class SensedEngine:
                     self.senses, self._drawn, self._scenery, world.mind, true.robot_pose, true.object_pose, noise, now
                 )
                 world = world._replace(truth=truth, mind=mind, ticks=now)
-                wrench += self._felt(world, held) / ticks
+                if (ticks - 1 - i) % _TOUCH_EVERY == 0:
+                    readings.append(self._felt(world, held))
             else:
                 world = world._replace(truth=truth, ticks=now)
             contact += true.wrench * (length / ticks)
             touched = touched | np.asarray(truth.wall_parts)
+        wrench = np.mean(readings, axis=0) if readings else contact
         if isinstance(world.mind, Shown):
-            world, wrench = world._replace(mind=self._look(world.mind, true, world.ticks)), contact
+            world = world._replace(mind=self._look(world.mind, true, world.ticks))
         world = world._replace(contact=contact, wall_parts=touched)
         noisy = 0.0 if self.senses.perfect else self.senses.lean_noise * rng.normal(size=(2, *true.lean.shape))
         return world, self._perceived(world, true, wrench, noisy)
