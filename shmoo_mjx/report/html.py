@@ -128,7 +128,8 @@ def _tiles(result: dict[str, Any]) -> list[tuple[str, str]]:
         ("wall contacts", "wall_contacts", "{:.0f}"),
         ("seed", "seed", "{:.0f}"),
     )
-    return [(label, form.format(result[key])) for label, key, form in known if _is_number(result.get(key))]
+    tiles = [(label, form.format(result[key])) for label, key, form in known if _is_number(result.get(key))]
+    return [*tiles, ("senses", str(result["senses"]))] if result.get("senses") else tiles
 
 
 def _object_row(item: dict[str, Any]) -> dict[str, Any]:

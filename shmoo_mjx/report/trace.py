@@ -9,8 +9,8 @@
                     each with an optional "description"
 
 and, drawn where present: ``reason`` (of the outcome), ``name``, ``seed``, ``time_s``, ``path_length_m``,
-``goal_distance_m``, ``falls``, ``wall_contacts``, ``start`` and ``goal`` ([x, y, ...] in {W}), ``config`` and
-``versions``.
+``goal_distance_m``, ``falls``, ``wall_contacts``, ``senses``, ``start`` and ``goal`` ([x, y, ...] in {W}),
+``config`` and ``versions``.
 A decision's ``object`` is an object's ``id``; its roll-outs stand in the trace at the decision's index.
 """
 
