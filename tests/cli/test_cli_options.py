@@ -129,3 +129,14 @@ def test_a_reader_that_leaves_is_no_error(tmp_path: Path) -> None:
         assert process.stdout and process.stderr
         process.stdout.close()
         assert process.stderr.read() == b""
+
+
+@pytest.mark.parametrize(
+    "command", ["demo", "navigate --start 1,1,0 --goal 2,2", "experiment pushing", "sweep push_mass_friction"]
+)
+def test_unknown_senses_are_refused_in_one_sentence(
+    command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(f"{command} --senses keen", monkeypatch) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "'keen'" in said and "real or perfect" in said
