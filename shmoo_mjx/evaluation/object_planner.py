@@ -28,7 +28,7 @@ from shmoo_mjx.navigation.records import Mode, NavigatorConfig
 from shmoo_mjx.navigation.scenario import Limits, Scenario
 from shmoo_mjx.plant.objects import FAMILIES, Condition, draw_condition
 from shmoo_mjx.run import DEMO_WEIGHTS
-from shmoo_mjx.types import DT
+from shmoo_mjx.types import DT, SensesName
 
 __all__ = ["CRITERIA", "ObjectPlannerTrials", "auc", "held_out_accuracy", "run"]
 
@@ -63,14 +63,15 @@ def run(ask: Ask) -> ExperimentResult:
 
     cfg = QUICK if ask.quick else ObjectPlannerTrials()
     weights = ask.weights or asset(DEMO_WEIGHTS)
-    settings = asdict(replace(cfg, objects=0)) | {"seed": ask.seed, "navigator": asdict(navigator_config())}
+    about = {"seed": ask.seed, "senses": ask.senses, "navigator": asdict(navigator_config())}
+    settings = asdict(replace(cfg, objects=0)) | about
     folder = ask.out / "object_planner"
     # The trials of a quick run are the first ones of a full run.
     store = folder / f"trials-{fingerprint(settings | {'condition_seed': ask.condition_seed}, weights)}"
     names = [f"{i:03d}" for i in range(cfg.objects)]
-    work = partial(_trial, cfg, ask.first_unseen, ask.seed, weights)
+    work = partial(_trial, cfg, ask.first_unseen, ask.seed, weights, ask.senses)
     rows = run_trials(names, work, store, ask.progress, cfg.workers)
-    draw_figures(folder, rows, partial(fig5_episodes, weights, ask.seed))
+    draw_figures(folder, rows, partial(fig5_episodes, weights, ask.seed, ask.senses))
     return make_result("object_planner", ask, cfg, measure(rows), {}, rows)
 
 
@@ -121,7 +122,9 @@ def _seeds(index: int, first_seed: int) -> Iterator[int]:
     return itertools.chain.from_iterable(range(first, first + 8) for first in blocks)
 
 
-def _trial(cfg: ObjectPlannerTrials, first_seed: int, seed: int, weights: Path, name: str) -> list[dict[str, Any]]:
+def _trial(
+    cfg: ObjectPlannerTrials, first_seed: int, seed: int, weights: Path, senses: SensesName, name: str
+) -> list[dict[str, Any]]:
     from shmoo_mjx.episode import Hooks, run_episode
 
     condition, side, kind = draw_object(int(name), first_seed, cfg.truth)
@@ -134,7 +137,7 @@ def _trial(cfg: ObjectPlannerTrials, first_seed: int, seed: int, weights: Path, 
             evidence.update(_evidence(navigator, controller, cfg, scenario.seed))
         return navigator.belief.objects[0].manipulable is not None if navigator.belief.objects else False
 
-    episode = run_episode(open_floor(), scenario, controller, navigator_config(), Hooks(over=decided))
+    episode = run_episode(open_floor(), scenario, controller, navigator_config(), Hooks(over=decided), senses=senses)
     row = {"object": int(name), "family": condition.family, "kind": kind, "description": condition.describe()}
     row |= {"outcome": episode.result["outcome"], "transitions": len(episode.result["transitions"])}
     contacts = [t["t"] for t in episode.result["transitions"] if t["to"] == str(Mode.PROBE)]
@@ -168,9 +171,9 @@ def _moved(trace: Any, begin: float, end: float) -> float:
 
 def _evidence(navigator: Any, controller: Any, cfg: ObjectPlannerTrials, seed: int) -> dict[str, Any]:
     """The decision, and K again with coefficients drawn from their posterior."""
-    decision, push = navigator.decisions[0], navigator.push
+    decision, segment = navigator.decisions[0], navigator.segment
     known = navigator.belief.objects[decision.object]
-    adapt = push.state.adapt
+    adapt = segment.push.pusher.adapt
     rng = np.random.default_rng([seed, 11])
     # The square root by eigenvalues bears a covariance that rounding has made slightly indefinite.
     values, vectors = np.linalg.eigh(np.asarray(adapt.covariance, dtype=float))
@@ -178,12 +181,14 @@ def _evidence(navigator: Any, controller: Any, cfg: ObjectPlannerTrials, seed: i
     drawn = []
     for _ in range(cfg.draws):
         mean = np.asarray(adapt.mean) + (root @ rng.normal(size=len(values))).astype(np.float32)
-        state = push.state._replace(adapt=adapt._replace(mean=mean))
-        poses, _, costs = controller.planning_rollouts(state, decision.asked, push.around, np.array(known.half_extents))
+        state = segment.push.pusher._replace(adapt=adapt._replace(mean=mean))
+        poses, _, costs = controller.planning_rollouts(
+            state, decision.asked, segment.around, np.array(known.half_extents)
+        )
         drawn.append(_k(poses, costs, known.pose, navigator.config.planner.best))
     quantiles = np.quantile(drawn, [0.1, 0.5, 0.9])
     return {
-        "side": push.side,
+        "side": segment.side,
         "K_first": decision.K,
         "G_first": decision.G,
         "first_decided": decision.manipulable,
@@ -258,7 +263,7 @@ def _best_threshold(values: np.ndarray, truth: np.ndarray) -> float:
     return float(middles[np.lexsort((gaps, score))[-1]])
 
 
-def fig5_episodes(weights: Path, seed: int) -> list[tuple[str, dict[str, Any], Any]]:
+def fig5_episodes(weights: Path, seed: int, senses: SensesName = "real") -> list[tuple[str, dict[str, Any], Any]]:
     """(title, result, trace) of one probe of each object of the paper's Fig. 5, ended at its decision."""
     from shmoo_mjx.episode import Hooks, run_episode
 
@@ -272,7 +277,7 @@ def fig5_episodes(weights: Path, seed: int) -> list[tuple[str, dict[str, Any], A
         condition = draw_condition(family, 5, properties)
         scenario = open_floor_scenario(condition, 0, seed, 40.0)
         over = Hooks(over=lambda navigator: any(d.manipulable for d in navigator.decisions))
-        episode = run_episode(open_floor(), scenario, _controller(weights), navigator_config(), over)
+        episode = run_episode(open_floor(), scenario, _controller(weights), navigator_config(), over, senses=senses)
         episodes.append((title, episode.result, episode.trace))
     return episodes
 
