@@ -122,7 +122,7 @@ def run_episode(
         first_status: what the robot takes each object to be when it first sees it; UNKNOWN if not given.
         senses: real or perfect, or others; if not given those of the scenario, or real.
         goals: ``(x, y)`` in {W} [m], in place of the scenario's: one after the other, in the world as the robot has
-            left it and with all that it knows; the time limit is that of each.
+            left it and with all that it knows; the time limit is that of all.
         real_time: run against the wall clock. A command takes effect after the time it really took to compute.
     """
     chosen = senses if isinstance(senses, Senses) else senses_named(senses or scenario.senses or "real")
@@ -139,7 +139,7 @@ def run_episode(
             began = float(true.time[0])
             if number:
                 navigator.head_for(goal, began)
-            while not navigator.finished and float(true.time[0]) - began < scenario.limits.time_s and not record.falls:
+            while not navigator.finished and float(true.time[0]) < scenario.limits.time_s and not record.falls:
                 tick = time.perf_counter()
                 perceived = hooks.perceive(seen)
                 command = navigator.tick(perceived)
@@ -209,7 +209,7 @@ def _note(
 ) -> None:
     adapting = navigator.coefficients
     index = -1 if adapting is None else adapting[0]
-    wrench = seen.wrench[0, :, :2].sum(axis=0)
+    wrench = true.wrench[0, :, :2].sum(axis=0)
     record.qpos.append(qpos.copy())
     record.observations.append(seen)
     record.commands.append(command)
@@ -221,7 +221,7 @@ def _note(
             "lean": true.lean[0],
             "u": command.u[0],
             "object_pose": true.object_pose[0],
-            "force": se2.rotate(wrench, -seen.robot_pose[0, 2]),
+            "force": se2.rotate(wrench, -true.robot_pose[0, 2]),
             "coefficients": None if adapting is None else adapting[1],
             "coefficient_object": index,
             "state": list(Mode).index(navigator.mode),

@@ -29,7 +29,7 @@ SEPARATION = 0.36
 """Distance l between the hands when the arms are extended [m]."""
 HAND_HEIGHT = 0.38
 """Height of the hands above the floor while pushing [m]: low, so that boxes slide rather than topple."""
-TUCKED_HEIGHT = 0.70
+TUCKED_HEIGHT = 0.68
 """Their height when the arms are folded [m]: with the hands lower the elbows stick out beside the body."""
 HAND_RADIUS = 0.04
 """Radius of the spherical hand [m]; the contact surface is this far ahead of the hand's centre."""

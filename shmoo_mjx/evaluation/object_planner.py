@@ -148,8 +148,9 @@ def _trial(
     # An object that it had to touch again is timed from the first touch.
     begin, last = contacts[0], episode.result["decisions"][-1]
     span = (episode.trace.t >= begin) & (episode.trace.t <= last["t"])
-    impulse = float(np.hypot(*episode.trace.force[span].T).sum() * DT)
-    moved = _moved(episode.trace, begin, last["t"])
+    seen = episode.recorded.observations
+    impulse = float(np.hypot(*seen.wrench[span, 0, 0, :2].T).sum() * DT)
+    moved = _moved(episode.trace.t, seen.object_pose[:, 0, 0, :2], begin, last["t"])
     return [
         row
         | {
@@ -163,9 +164,9 @@ def _trial(
     ]
 
 
-def _moved(trace: Any, begin: float, end: float) -> float:
-    poses = trace.object_pose[:, 0, :2]
-    a, b = (int(np.searchsorted(trace.t, t - 1e-6)) for t in (begin, end))
+def _moved(times: np.ndarray, poses: np.ndarray, begin: float, end: float) -> float:
+    """How far the object has moved as the robot perceived it [m]."""
+    a, b = (int(np.searchsorted(times, t - 1e-6)) for t in (begin, end))
     return float(np.linalg.norm(poses[min(b, len(poses) - 1)] - poses[a]))
 
 

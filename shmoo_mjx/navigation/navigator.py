@@ -235,7 +235,8 @@ def _push(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[Navig
     state = state.in_segment(push=pushed)
     gave_way = known.gave_way or rolled(pushed, known.pose)
     state = state.of_object(segment.object, adapt=pushed.pusher.adapt, gave_way=gave_way)
-    return judge(setup, state, seen), command
+    state = judge(setup, state, seen)
+    return _retreat(setup, state, seen) if state.mode is Mode.RETREAT else (state, command)
 
 
 def _retreat(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[NavigatorState, Command]:

@@ -309,7 +309,7 @@ class PushTask:
             self._go(seen, Phase.RETREAT, text)
         else:
             self._end_of_push(seen, leg, pushed, known)
-        return command
+        return self._retreat(seen) if self.phase is Phase.RETREAT else command
 
     def _end_of_push(self, seen: Observation, leg: _Leg, pushed: push.PushState, known: KnownObject) -> None:
         """Give up a push that leads no further."""

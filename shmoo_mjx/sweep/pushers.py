@@ -138,15 +138,16 @@ def decide(law: Law, memory: Memory, now: Sighting, task: Task, key: Array, read
     coasts, _, let_go = lets_go(_SKILLS, law.coast(after, now), memory.coasts, now.object_pose, task.face, task.goal)
     phase = jnp.where(waiting & ready & creep.over, PUSH, memory.phase)
     phase = jnp.where(pushing_now & let_go, LET_GO, phase)
+    goes_on = pushing_now & ~let_go
     # Until the first push the controller's memory is ever a fresh one.
     kept = _choose(waiting, law.init(now, task, key), _choose(pushing_now, after, memory.law))
     moved = jnp.where(waiting, jnp.where(ready, creep.command.u, hold(now, True).u), back.command.u)
-    u = jnp.where(pushing_now, pushed, moved)
+    u = jnp.where(goes_on, pushed, moved)
     ahead, away = creep.command, back.command
     command = Command(
         u,
-        jnp.where(waiting | pushing_now, ahead.yaw, away.yaw),
-        jnp.where(waiting | pushing_now, ahead.reach, away.reach),
+        jnp.where(waiting | goes_on, ahead.yaw, away.yaw),
+        jnp.where(waiting | goes_on, ahead.reach, away.reach),
         jnp.asarray(ahead.hand_height, dtype=jnp.float32),
     )
     return command, Memory(kept, feeling, phase, u, jnp.where(pushing_now, coasts, 0.0))

@@ -42,7 +42,8 @@ def test_the_suite_holds_all_and_keeps_each(monkeypatch: pytest.MonkeyPatch, tmp
     assert result.metrics == {f"{name}_tick_ms": 2.0 for name in BENCHMARKS}
     assert {path.name for path in tmp_path.iterdir()} == {f"bench_{name}.json" for name in BENCHMARKS}
     assert [share for _, share in said] == sorted(share for _, share in said) and said[0][1] == 0.5 / len(BENCHMARKS)
-    assert result.config["mppi"] == {"size": 1, "condition_seed": 0, "quick": False, "weights": weights_id()}
+    asked = {"condition_seed": 0, "quick": False, "senses": "real", "weights": weights_id()}
+    assert result.config["mppi"] == {"size": 1} | asked
     text = describe(result)
     assert "a peer is absent" in text and f"{result.config['machine']['cores']} cores" in text
     json.dumps(result.model_dump())

@@ -125,7 +125,7 @@ def test_a_drive_leaves_its_folder(done: dict[str, Done], folder: Path) -> None:
     assert done["drive"].returncode == 0, done["drive"].stderr
     assert done["drive"].stdout.startswith("success: ")
     names = {path.name for path in (folder / "drive").iterdir()}
-    assert names == {"map.yaml", "map.png", "scenario.yaml", "trace.npz", "result.json", "report.html"}
+    assert names == {"map.yaml", "map.png", "scenario.yaml", "trace.npz", "recorded.npz", "result.json", "report.html"}
     result = json.loads((folder / "drive" / "result.json").read_text())
     assert result["outcome"] == "success" and result["goal_distance_m"] < 0.25
     assert result["falls"] == result["wall_contacts"] == 0

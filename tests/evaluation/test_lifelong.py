@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,7 +11,6 @@ import pytest
 import shapely
 
 from shmoo_mjx import episode
-from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import lifelong, navigation
 from shmoo_mjx.evaluation.lifelong import measure
 from shmoo_mjx.evaluation.navigation import POLICIES, Robot, play
@@ -137,22 +135,15 @@ def test_a_run_is_given_what_it_can_take(monkeypatch: pytest.MonkeyPatch) -> Non
     ) -> Any:
         taken.append({"senses": senses, "goals": goals})
 
-    def unable(grid: Any, scenario: Any, controller: Any, config: Any, first_status: Any) -> Any:
-        taken.append({})
-
     monkeypatch.setattr(navigation, "_controller", lambda weights: None)
     robot, config = Robot(0, "perfect", Path("none")), POLICIES["ours"].config
     monkeypatch.setattr(episode, "run_episode", able)
     play(robot, grid, scenario, config, None, [(1.0, 2.0)])
     play(robot, grid, scenario, config, None)
     assert taken == [{"senses": "perfect", "goals": [(1.0, 2.0)]}, {"senses": "perfect", "goals": ()}]
-    monkeypatch.setattr(episode, "run_episode", unable)
-    with pytest.raises(ShmooError, match="several goals"):
-        play(robot, grid, scenario, config, None, [(1.0, 2.0)])
 
 
 @pytest.mark.slow
-@pytest.mark.skipif("goals" not in inspect.signature(episode.run_episode).parameters, reason="runs take one goal only")
 def test_two_goals_in_a_row(tmp_path: Path) -> None:
     result = lifelong.run(Ask(out=tmp_path, quick=True))
     assert len(result.rows) == 1 and result.metrics["falls"] == 0 and result.rows[0]["legs"]

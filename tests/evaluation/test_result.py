@@ -36,7 +36,13 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     again = read_result(path)
     assert again == example()
     assert again.metrics == {"mse_after": 0.25, "mse_before": 1.0, "lost": None}
-    assert again.config == {"seeds": [1, 2], "condition_seed": 0, "quick": True, "weights": weights_id()}
+    assert again.config == {
+        "seeds": [1, 2],
+        "condition_seed": 0,
+        "quick": True,
+        "senses": "real",
+        "weights": weights_id(),
+    }
     assert again.rows == [{"condition": "box-1", "pose": [0.0, 0.0, 0.0], "ok": True}]
     assert "shmoo-mjx" in again.versions and [p.name for p in path.parent.iterdir()] == ["result.json"]
 

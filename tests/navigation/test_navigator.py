@@ -210,7 +210,7 @@ def test_only_what_stands_still_is_called_immovable_once_it_has_been_called_mova
             world.foreseen, world.movable = False, moves
 
     navigator, _ = run(1, happens=worsens)
-    assert ("is not manipulable" in reasons(navigator)) != moves
+    assert ("registered as an obstacle" in reasons(navigator)) != moves
     assert (navigator.mode is Mode.DONE) == moves
 
 

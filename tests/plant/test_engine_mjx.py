@@ -28,7 +28,7 @@ def _scene(family: str | None, seed: int, engine: str, gap: float = 0.02) -> Sce
     return build_scene([(condition, place)], engine=engine)  # type: ignore[arg-type]
 
 
-def _parity(family: str | None, seeds: tuple[int, ...], samples: int, arms_out: int = 6) -> float:
+def _parity(family: str | None, seeds: tuple[int, ...], samples: int, arms_out: int = 8) -> float:
     """Largest contact force seen; asserts agreement at every sample."""
     references = [_scene(family, s, "mujoco") for s in seeds]
     for reference in references:

@@ -110,7 +110,7 @@ def _touched(walls: list[tuple[float, float, float, float]], reach: float = TUCK
 def test_a_wall_is_told_which_part_of_the_robot_touched_it() -> None:
     assert _touched([(-0.25, 0.0, 0.08, 1.0)]) == {"torso"}
     # Folded, the elbows stick out sideways and the hands ahead.
-    assert _touched([(0.0, 0.36, 0.3, 0.1)]) == {"left_arm"}
+    assert _touched([(0.0, 0.33, 0.3, 0.1)]) == {"left_arm"}
     assert _touched([(0.32, 0.0, 0.1, 1.0)]) >= {"left_hand", "right_hand"}
     assert _touched([(0.49, 0.0, 0.05, 1.0)], REACH) == {"left_hand", "right_hand"}
     assert _touched([(0.49, -1.0, 0.05, 0.95)], REACH) == {"right_hand"}

@@ -53,8 +53,10 @@ def test_a_push_from_the_first_approach_to_letting_go() -> None:
 
     assert step(ready=False, gap=0.05).u[0] == 0.0  # the arms unfold
     assert step(gap=0.05).u[0] > 0.0 and memory.phase == pushers.APPROACH
-    assert step(gap=0.0, force=4.0).u[0] > 0.0 and memory.phase == pushers.APPROACH
-    assert step(force=6.0).u[0] == 6.0 and memory.phase == pushers.PUSH  # a fresh controller's first command
+    assert step(gap=0.0, force=1.5).u[0] > 0.0 and memory.phase == pushers.APPROACH
+    assert step(force=6.0).u[0] == 0.0 and memory.phase == pushers.PUSH
+    # A fresh controller's first command comes a sample later, when what it has begun with says something.
+    assert step(x=0.05, force=9.0).u[0] == 6.0
     assert step(x=0.1, force=9.0).u[0] == 7.0
     assert step(x=0.2, force=0.0).u[0] == 8.0 and memory.phase == pushers.PUSH  # contact may break
     let_go = step(x=0.99, force=6.0)
