@@ -22,6 +22,7 @@ GOOD = {
     ],
     "seed": 3,
     "limits": {"time_s": 120},
+    "senses": "perfect",
 }
 
 
@@ -57,6 +58,7 @@ def test_written_scenarios_come_back(tmp_path: Path) -> None:
         ({"goal": [0.0, "east"]}, ("'goal[1]'", "'east'")),
         ({"goal": [0.0, float("inf")]}, ("'goal[1]'", "finite")),
         ({"seed": -1}, ("'seed'", "-1")),
+        ({"senses": "keen"}, ("'senses'", "'keen'", "real or perfect")),
         ({"limits": {"time": 5}}, ("'limits.time'", "'time_s'")),
         ({"limits": {"time_s": -5}}, ("'limits.time_s'",)),
         ({"objects": [{"family": "sofa", "pose": [0, 0, 0]}]}, ("'objects[0].family'", "'sofa'", *FAMILIES)),
