@@ -19,7 +19,7 @@ import numpy as np
 
 from shmoo_mjx.control import trim
 from shmoo_mjx.control.pushing import Sighting
-from shmoo_mjx.hands import REACH, TUCKED_HEIGHT, TUCKED_REACH
+from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.navigation import drive, flat_trajectory
 from shmoo_mjx.navigation.belief import Belief, Status, belief_of
 from shmoo_mjx.navigation.choices import look_ahead, replan
@@ -52,8 +52,10 @@ Array = Any
 
 _NO_TRAJECTORY = 3.0
 """Time without a local trajectory after which another path is sought [s]."""
-_ARM_ROOM = 0.01
-"""Distance from walls at which the arms may unfold or fold [m]."""
+_ARM_ROOM = 0.05
+"""Distance from walls at which the arms may unfold or fold [m]: they swing a little."""
+_TURNING_ROOM = 0.05
+"""Distance from walls beyond the robot's radius at which it may turn on its way [m]: its elbows sweep a circle."""
 _LONGEST_RETREAT = 6.0
 """[s]"""
 
@@ -163,7 +165,26 @@ def _brake(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[Navi
     if state.drive.trajectory is None:
         return _rest(setup, state, seen)
     state, lean = _drive(setup, state, seen, None)
-    return state, Command(np.append(lean, 0.0), seen.robot_pose[0, 2], TUCKED_REACH, TUCKED_HEIGHT)
+    return state, Command(np.append(lean, 0.0), seen.robot_pose[0, 2], *_arms(setup, state, seen))
+
+
+def _arms(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[float, float]:
+    """Reach and height of the hands while driving: folded, or drawn back while walls leave no room to fold."""
+    hands = float(np.max(seen.hands[0, :, 0]))
+    if hands < TUCKED_REACH + 0.06 or _may_fold(state, seen, hands):
+        return TUCKED_REACH, TUCKED_HEIGHT
+    return REACH - setup.config.skills.withdraw, HAND_HEIGHT
+
+
+def _may_fold(state: NavigatorState, seen: Observation, hands: float) -> bool:
+    between = (TUCKED_REACH, float(np.clip(hands, TUCKED_REACH, REACH)))
+    return float(outline.room(state.belief.walls.at, seen.robot_pose[0], between).least) > _ARM_ROOM
+
+
+def _turned(setup: Setup, state: NavigatorState, seen: Observation, yaw: float) -> float:
+    """The heading ``yaw``, or the present one where walls leave no room to turn."""
+    room = float(state.belief.walls.at(seen.robot_pose[0, :2])) - setup.config.robot_radius
+    return yaw if room > _TURNING_ROOM else float(seen.robot_pose[0, 2])
 
 
 def _drive(
@@ -185,8 +206,8 @@ def _follow(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[Nav
     since = state.drive.failed_since
     if since is not None and now - since > _NO_TRAJECTORY:
         state = state.go(now, Mode.REPLAN, f"no local trajectory for {_NO_TRAJECTORY:g} s: {state.drive.reason}")
-    yaw = drive.yaw_ahead(cfg.drive, seen, path)
-    return state, Command(np.append(lean, 0.0), yaw, TUCKED_REACH, TUCKED_HEIGHT)
+    yaw = _turned(setup, state, seen, drive.yaw_ahead(cfg.drive, seen, path))
+    return state, Command(np.append(lean, 0.0), yaw, *_arms(setup, state, seen))
 
 
 def _approach(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[NavigatorState, Command]:
@@ -248,8 +269,7 @@ def _retreat(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[Na
     if state.current().back is not None:
         state, lean = _drive(setup, state, seen, state.current().back)
     folded = bool(np.all(seen.hands[0, :, 0] < TUCKED_REACH + 0.06))
-    hands = float(np.clip(np.max(seen.hands[0, :, 0]), TUCKED_REACH, REACH))
-    room = float(outline.room(state.belief.walls.at, pose, (TUCKED_REACH, hands)).least) > _ARM_ROOM
+    room = _may_fold(state, seen, float(np.max(seen.hands[0, :, 0])))
     sighting = Sighting.of(seen, segment.object)
     move = retreat.step(setup.config.skills, sighting, segment.face, folded, lean, room)
     if move.over or now - state.since > _LONGEST_RETREAT:

@@ -29,8 +29,8 @@ __all__ = ["Routes"]
 _REACHING_ROOM = (0.06, 0.01)
 """Distance from walls and other objects that body, arms and hands keep from the stand-off pose to contact [m], where
 there is a way to; and where not."""
-_BACK_ROOM = ROBOT_RADIUS + 0.03
-"""Distance from everything at which a retreat ends [m]."""
+_BACK_ROOM = ROBOT_RADIUS + 0.12
+"""Distance from everything at which a retreat ends where there is such a place [m]."""
 _BACK_ANGLES = np.deg2rad([0, -20, 20, -40, 40, -60, 60])
 """Directions in which a retreat may lead, from straight away from the object [rad]."""
 _BACK_LENGTHS = np.array([0.2, 0.3, 0.4, 0.55, 0.7])
@@ -131,7 +131,7 @@ class Routes:
         ends = position + lengths[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
         room = np.asarray(self.belief.clearance().at(ends))
         # The shortest with room, straight back before aslant; where none has room, the one with most.
-        cost = lengths + 0.15 * np.abs(se2.wrap(angles - away)) + 10.0 * np.maximum(_BACK_ROOM - room, 0.0)
+        cost = lengths + 0.15 * np.abs(se2.wrap(angles - away)) + 5.0 * np.maximum(_BACK_ROOM - room, 0.0)
         best = int(np.argmin(cost))
         if room[best] < ROBOT.radius:
             return None
