@@ -1,4 +1,6 @@
-"""Draws docs/figures/plant_*.png and sensing_push.png, and prints the numbers that docs/plant.md quotes (two minutes).
+"""Draws docs/figures/plant_*.png and sensing_push.png, and prints the numbers that docs/plant.md and sensing.md quote.
+
+It takes about two minutes on one core.
 
 Run: python benchmarks/plant_figures.py
 """
