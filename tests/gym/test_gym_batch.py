@@ -83,6 +83,7 @@ def test_one_world_may_begin_anew_while_the_other_goes_on(pair: Any) -> None:
     np.testing.assert_allclose(after[1], seen[1], atol=0.3)
 
 
+@pytest.mark.slow
 def test_real_senses_in_a_batch() -> None:
     batch = gymnasium.make_vec("ShmooPush-v0", num_envs=2, max_episode_steps=LIMIT)
     first, _ = batch.reset(seed=5)
