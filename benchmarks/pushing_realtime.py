@@ -25,21 +25,22 @@ def measure(seconds: float) -> dict[str, Any]:
     from shmoo_mjx.assets import asset
     from shmoo_mjx.control.pushing import PushController, Sighting, local_field
     from shmoo_mjx.faces import faces_of, heading, stand_off
-    from shmoo_mjx.hands import HAND_HEIGHT, REACH
+    from shmoo_mjx.hands import HAND_HEIGHT, REACH, touches
     from shmoo_mjx.learning.weights import load_weights
     from shmoo_mjx.navigation.maps import OccupancyGrid, clearance_field
-    from shmoo_mjx.navigation.moves import command
     from shmoo_mjx.navigation.push_task import pose_push_config
     from shmoo_mjx.plant.engine_mujoco import MujocoEngine
     from shmoo_mjx.plant.objects import draw_condition
     from shmoo_mjx.plant.scene import build_scene
+    from shmoo_mjx.skills import batched
+    from shmoo_mjx.types import Command
 
     thing = draw_condition("box", 2, {"mass": 5.0, "payload": 0.0, "friction": 0.4})
     half, face = np.array(thing.half_extents), faces_of(thing.half_extents)[0]
     engine = MujocoEngine([build_scene([(thing, (0.0, 0.0, 0.0))], stand_off(np.zeros(3), face, 0.05))])
     clearance = clearance_field(OccupancyGrid(np.zeros((100, 600), np.int8), 0.1, (-5.0, -5.0, 0.0)))
     controller = PushController(load_weights(asset("experiments/weights/demo.safetensors")), pose_push_config())
-    world, seen = engine.step(engine.init(), command(np.zeros(2), 0.0, 0.0, REACH, HAND_HEIGHT), 1.0)
+    world, seen = engine.step(engine.init(), batched(Command(np.zeros(3), 0.0, REACH, HAND_HEIGHT)), 1.0)
     state = controller.init(Sighting.of(seen, 0), face, half, jax.random.key(0))
     u, spent, touching, begin = np.zeros(3), [], 0, time.perf_counter()
     warm_up = 10
@@ -54,8 +55,8 @@ def measure(seconds: float) -> dict[str, Any]:
         u, state, _ = controller.step(state, now, u, pose + np.array([1.5, 0.0, -pose[2]]), around, half)
         controller.coast(state)
         spent.append(time.perf_counter() - start)
-        world, seen = engine.step(world, command(u[:2], u[2], float(heading(pose, face)), REACH, HAND_HEIGHT))
-        touching += bool(np.hypot(*now.wrench[:2]) > 2.0)
+        world, seen = engine.step(world, batched(Command(u, heading(pose, face), REACH, HAND_HEIGHT)))
+        touching += bool(touches(now.wrench))
     wall = time.perf_counter() - begin
     engine.close()
     control = 1000 * np.array(spent[warm_up:])
