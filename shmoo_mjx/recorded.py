@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.report.trace import write_arrays
+from shmoo_mjx.report.trace import read_arrays, write_arrays
 from shmoo_mjx.types import Command, Observation
 
 __all__ = ["RECORDED", "Recorded", "load_recorded", "save_recorded"]
@@ -44,13 +43,7 @@ def load_recorded(path: Path) -> Recorded:
     Raises:
         ShmooError: the file is missing, damaged, or of another version.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-    except FileNotFoundError:
-        raise ShmooError(f"{path}: there is no recording here; give the folder of a finished run.") from None
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
-        raise ShmooError(f"{path}: the recording is damaged; run the scenario again.") from None
+    arrays = read_arrays(path, "recording")
     names = {"goals", *(f"observation.{n}" for n in Observation._fields), *(f"command.{n}" for n in Command._fields)}
     if int(arrays.get("version", np.array(-1))) != _VERSION or not names <= set(arrays):
         raise ShmooError(f"{path}: the recording is of another version of shmoo_mjx; run the scenario again.")

@@ -32,6 +32,7 @@ __all__ = [
     "load_trace",
     "object_index",
     "object_name",
+    "read_arrays",
     "save_trace",
     "telling_decisions",
     "write_arrays",
@@ -112,6 +113,21 @@ def write_arrays(path: str | Path, arrays: dict[str, np.ndarray]) -> Path:
     return target
 
 
+def read_arrays(path: Path, what: str) -> dict[str, np.ndarray]:
+    """Reads an ``.npz`` file of a run; ``what`` names it in errors.
+
+    Raises:
+        ShmooError: the file is missing or damaged.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except FileNotFoundError:
+        raise ShmooError(f"{path}: there is no {what} here; give the folder of a finished run.") from None
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+        raise ShmooError(f"{path}: the {what} is damaged; run the scenario again.") from None
+
+
 def load_trace(path: str | Path) -> Trace:
     """Reads ``trace.npz``.
 
@@ -119,13 +135,7 @@ def load_trace(path: str | Path) -> Trace:
         ShmooError: the file is missing, damaged or lacks an entry.
     """
     source = Path(path)
-    try:
-        with np.load(source, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-    except FileNotFoundError:
-        raise ShmooError(f"{source}: there is no trace here; give the folder of a finished run.") from None
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
-        raise ShmooError(f"{source}: the trace is damaged; run the scenario again.") from None
+    arrays = read_arrays(source, "trace")
     fields: dict[str, Any] = {}
     for name in Trace._fields:
         if name in _RAGGED:
