@@ -27,11 +27,12 @@ class DriveConfig:
 
     replan_every: float = 0.5
     """Time between two local trajectories [s]."""
-    stiffness: float = 1.6
-    """Acceleration of the flat output per metre of error [1/s^2]."""
-    damping: float = 2.4
+    stiffness: float = 0.6
+    """Acceleration of the flat output per metre of error [1/s^2]; weak, since a new trajectory starts from where the
+    robot is before a correction has arrived: 2.5 doubles the deviation."""
+    damping: float = 0.8
     """Acceleration per m/s of error [1/s]."""
-    lead: float = 0.2
+    lead: float = 0.25
     """How far ahead the lean is read off the trajectory [s]: the lag of the lean loop."""
     lean_limit: float = 0.14
     """Largest commanded lean while driving [rad]."""
@@ -84,7 +85,8 @@ def follow(
             state = state._replace(failed_since=since, reason=found.reason)
     if state.trajectory is None:
         return state, velocity_command(seen, np.zeros(2))
-    return state, _track(cfg, planner, state, now, flat, yaw)
+    # The lean is commanded in {R}, which turns on until the body has got there.
+    return state, _track(cfg, planner, state, now, flat, yaw + cfg.lead * seen.robot_twist[0, 2])
 
 
 def _track(
