@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Literal, cast
 
@@ -12,6 +13,7 @@ import tyro
 from tyro.conf import Positional
 
 import shmoo_mjx
+from shmoo_mjx import options as bounded
 from shmoo_mjx.environment import prepare_environment
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.seeds import UNSEEN_SEED, ConditionSeed, Seed, check_seed, seed_of
@@ -108,12 +110,12 @@ def replay(run: Positional[Path], weights: Path | None = None) -> int:
 
 def collect(
     directory: Positional[Path],
-    train: int = 40,
-    validation: int = 8,
-    episodes: int = 8,
-    seconds: float = 12.0,
+    train: bounded.Train = 40,
+    validation: bounded.Validation = 8,
+    episodes: bounded.Episodes = 8,
+    seconds: bounded.Seconds = 12.0,
     seed: Seed = 0,
-    workers: int = 2,
+    workers: bounded.Workers = 2,
 ) -> int:
     """Let scripted operators push randomised objects and record a data set; resumes where it was stopped.
 
@@ -165,7 +167,10 @@ def train(
 
 
 def map_(
-    action: Positional[Literal["show"]], map: Positional[Path], out: Path = Path("map.png"), radius: float = 0.29
+    action: Positional[Literal["show"]],
+    map: Positional[Path],
+    out: Path = Path("map.png"),
+    radius: bounded.Radius = 0.29,
 ) -> int:
     """Draw a map with the free space of a robot of the given radius.
 
@@ -188,13 +193,13 @@ def map_(
 def object_(
     action: Positional[Literal["add"]],
     source: Positional[Path],
-    friction: float,
-    mass: float | None = None,
+    friction: bounded.Friction,
+    mass: bounded.Mass | None = None,
     wheels: Literal["none", "casters", "rear"] = "none",
-    wheel_radius: float = 0.04,
-    rolling: float = 0.02,
-    swivel_friction: float = 0.05,
-    scale: float = 1.0,
+    wheel_radius: bounded.WheelRadius = 0.04,
+    rolling: bounded.Rolling = 0.02,
+    swivel_friction: bounded.SwivelFriction = 0.05,
+    scale: bounded.Scale = 1.0,
     up: Literal["auto", "y", "z"] = "auto",
     hull: bool = False,
     out: Path | None = None,
@@ -228,7 +233,7 @@ def view(
     seed: Seed = 0,
     record: Path | None = None,
     out: Path = Path("runs/view"),
-    seconds: float = 8.0,
+    seconds: bounded.Seconds = 8.0,
     window: bool = True,
 ) -> int:
     """Show a scene and drive the robot with the keyboard; where no window can open, write a picture and a film.
@@ -268,7 +273,7 @@ def experiment(
     quick: bool = False,
     data: Path | None = None,
     maps: Path | None = None,
-    scenarios: int | None = None,
+    scenarios: bounded.Scenarios | None = None,
     policies: tuple[str, ...] = (),
     weights: Path | None = None,
     pushes: Path | None = None,
@@ -367,8 +372,8 @@ def sweep(
     weights: Path | None = None,
     quick: bool = False,
     estimate: bool = False,
-    memory_gb: float | None = None,
-    jobs: int = 0,
+    memory_gb: bounded.GigaBytes | None = None,
+    jobs: bounded.Jobs = 0,
     cluster: Literal["slurm", "local"] = "slurm",
     options: tuple[str, ...] = (),
     senses: str | None = None,
@@ -441,6 +446,14 @@ _COMMANDS: dict[str, Callable[..., int]] = {
 
 def _run(arguments: list[str] | None = None) -> int:
     """Run the command that the arguments name (default: those of this process)."""
+    given = sys.argv[1:] if arguments is None else arguments
+    if given == ["--version"]:
+        print(f"shmoo_mjx {shmoo_mjx.__version__}")
+        return 0
+    if given and not given[0].startswith("-") and given[0] not in _COMMANDS:
+        near = get_close_matches(given[0], _COMMANDS, 1)
+        hint = f"did you mean {near[0]}?" if near else f"choose from {', '.join(_COMMANDS)}."
+        raise ShmooError(f"there is no command {given[0]!r}; {hint}")
     commands = {name: with_talk(command) for name, command in _COMMANDS.items()}
     code: int = tyro.extras.subcommand_cli_from_dict(
         commands, prog="shmoo", description=shmoo_mjx.__doc__, args=arguments

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated
 
-from tyro.constructors import PrimitiveConstructorSpec
-
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.options import option
 
 __all__ = ["MAX_CONDITION_SEED", "MAX_SEED", "UNSEEN_SEED", "ConditionSeed", "Seed", "check_seed", "seed_of"]
 
@@ -48,19 +48,8 @@ def _refusal(name: str, given: str, highest: int) -> ShmooError:
     return ShmooError(f"{name} {shown!r} must be a whole number from 0 to {highest}.")
 
 
-def _option(name: str, highest: int) -> PrimitiveConstructorSpec[int]:
-    # A ShmooError passes through tyro, which would make a page of a ValueError.
-    return PrimitiveConstructorSpec(
-        nargs=1,
-        metavar="SEED",
-        instance_from_str=lambda texts: seed_of(name, texts[0], highest),
-        is_instance=lambda value: isinstance(value, int),
-        str_from_instance=lambda seed: [str(seed)],
-    )
-
-
-Seed = Annotated[int, _option("--seed", MAX_SEED)]
+Seed = Annotated[int, option(partial(seed_of, "--seed"), "SEED")]
 """The type of every --seed."""
 
-ConditionSeed = Annotated[int, _option("--condition-seed", MAX_CONDITION_SEED)]
+ConditionSeed = Annotated[int, option(partial(seed_of, "--condition-seed", highest=MAX_CONDITION_SEED), "SEED")]
 """The type of --condition-seed."""

@@ -84,6 +84,8 @@ def add_object(
         if not (np.isfinite(value) and low <= value <= high):
             raise ShmooError(f"{name}: --{what} {value:g} must lie between {low} and {high}.")
     size, centre = np.ptp(vertices, axis=0), (vertices.max(axis=0) + vertices.min(axis=0)) / 2
+    if wheels != "none" and not 0 < wheel_radius < min(size) / 2:
+        raise ShmooError(f"--wheel-radius {wheel_radius:g} must be below half the object's {min(size):.2f} m.")
     shift = np.array([centre[0], centre[1], vertices[:, 2].min()])
     vertices, com = vertices - shift, inertial["com"] - shift
     if wheels == "rear":

@@ -235,6 +235,8 @@ def _bad_mesh(kind: str, folder: Path) -> tuple[Path, dict[str, Any]]:
         return path, options
     elif kind == "mass":
         options = {"mass": -1.0}
+    elif kind == "wheels":
+        options = {"wheels": "rear", "wheel_radius": 0.3}
     elif kind == "topple":
         top = trimesh.creation.box((0.5, 0.5, 0.5), trimesh.transformations.translation_matrix((0.9, 0, 0.8)))
         mesh = trimesh.util.concatenate([mesh, top])
@@ -248,6 +250,7 @@ def _bad_mesh(kind: str, folder: Path) -> tuple[Path, dict[str, Any]]:
         ("scale", "--scale"), ("open", "--hull"), ("flat", "volume"), ("nan", "not finite"),
         ("point", "stands on a point"),
         ("format", "format"), ("missing", "does not exist"), ("rubbish", "thing.ply"), ("mass", "--mass"),
+        ("wheels", "--wheel-radius"),
         ("topple", "topple"),
     ],
 )  # fmt: skip

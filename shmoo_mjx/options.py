@@ -1,0 +1,86 @@
+"""Numbers as users give them on the command line: each option states its range, and refuses in one sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated, Any
+
+from tyro.constructors import PrimitiveConstructorSpec
+
+from shmoo_mjx.errors import ShmooError
+
+__all__ = [
+    "Episodes",
+    "Friction",
+    "GigaBytes",
+    "Jobs",
+    "Mass",
+    "Radius",
+    "Rolling",
+    "Scale",
+    "Scenarios",
+    "Seconds",
+    "SwivelFriction",
+    "Train",
+    "Validation",
+    "WheelRadius",
+    "Workers",
+    "option",
+]
+
+
+def option(parse: Callable[[str], Any], metavar: str) -> PrimitiveConstructorSpec[Any]:
+    """How tyro reads an option by ``parse``, whose ShmooError passes through; of a ValueError it would make a page."""
+    return PrimitiveConstructorSpec(
+        nargs=1,
+        metavar=metavar,
+        instance_from_str=lambda texts: parse(texts[0]),
+        is_instance=lambda value: isinstance(value, int | float),
+        str_from_instance=lambda value: [f"{value:g}" if isinstance(value, float) else str(value)],
+    )
+
+
+def _whole(name: str, low: int, high: int) -> PrimitiveConstructorSpec[Any]:
+    def parse(text: str) -> int:
+        # int() also takes "1_000", " 7" and other scripts' digits.
+        plain = text.isascii() and text.isdigit() and len(text) <= 20
+        if not plain or not low <= int(text) <= high:
+            raise ShmooError(f"{name} {_short(text)!r} must be a whole number from {low} to {high}.")
+        return int(text)
+
+    return option(parse, "INT")
+
+
+def _real(name: str, low: float, high: float, unit: str = "") -> PrimitiveConstructorSpec[Any]:
+    def parse(text: str) -> float:
+        try:
+            value = float(text) if text.isascii() and "_" not in text else None
+        except ValueError:
+            value = None
+        # Not a number compares false.
+        if value is None or not low <= value <= high:
+            raise ShmooError(f"{name} {_short(text)!r} must be a number from {low:g} to {high:g}{unit and f' {unit}'}.")
+        return value
+
+    return option(parse, "FLOAT")
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 40 else text[:40] + "..."
+
+
+Workers = Annotated[int, _whole("--workers", 1, 256)]
+Jobs = Annotated[int, _whole("--jobs", 0, 10_000)]
+Train = Annotated[int, _whole("--train", 0, 10_000_000)]
+Validation = Annotated[int, _whole("--validation", 0, 10_000_000)]
+Episodes = Annotated[int, _whole("--episodes", 1, 10_000)]
+Scenarios = Annotated[int, _whole("--scenarios", 1, 10_000)]
+Seconds = Annotated[float, _real("--seconds", 1.0, 3600.0, "s")]
+GigaBytes = Annotated[float, _real("--memory-gb", 0.1, 100_000.0, "GB")]
+Radius = Annotated[float, _real("--radius", 0.0, 10.0, "m")]
+Mass = Annotated[float, _real("--mass", 0.5, 500.0, "kg")]
+Friction = Annotated[float, _real("--friction", 0.05, 2.0)]
+WheelRadius = Annotated[float, _real("--wheel-radius", 0.01, 0.35, "m")]
+Rolling = Annotated[float, _real("--rolling", 0.0, 0.5)]
+SwivelFriction = Annotated[float, _real("--swivel-friction", 0.0, 5.0, "N m")]
+Scale = Annotated[float, _real("--scale", 1e-6, 1e3)]
