@@ -64,7 +64,7 @@ def run_scenario(
         ShmooError: the scenario does not fit the map, or the weights can't be read.
     """
     check_scenario(grid, scenario, ROBOT_RADIUS, name)
-    _check_objects(scenario, name)
+    _check_objects(grid, scenario, name)
     # Only now what takes seconds to import: bad input is answered at once.
     from shmoo_mjx.control.pushing import PushController
     from shmoo_mjx.episode import Hooks, run_episode
@@ -111,15 +111,18 @@ def _has_pushed(navigator: Any) -> bool:
     return any(transition.source == "push" for transition in navigator.transitions)
 
 
-def _check_objects(scenario: Scenario, name: str) -> None:
-    """Refuses properties no object can have, and says in which scenario."""
+def _check_objects(grid: OccupancyGrid, scenario: Scenario, name: str) -> None:
+    """Refuses properties that no object can have and places where none can stand, and says in which scenario."""
+    from shmoo_mjx.navigation.scenario import check_places
     from shmoo_mjx.plant.objects import draw_condition
 
+    sizes = []
     for i, entry in enumerate(scenario.objects):
         try:
-            draw_condition(entry.family, entry.seed, entry.properties)
+            sizes.append(draw_condition(entry.family, entry.seed, entry.properties).half_extents)
         except ShmooError as error:
             raise ShmooError(f"{name}: 'objects[{i}].properties': {error}") from None
+    check_places(grid, scenario, sizes, name)
 
 
 def _write_video(path: Path, result: dict[str, Any], episode: Any, progress: Callable[[str, float], None]) -> None:
@@ -154,6 +157,10 @@ def load_inputs(
     from shmoo_mjx.navigation.scenario import load_scenario
 
     if scenario_path is not None:
+        if start is not None or goal is not None:
+            raise ShmooError(
+                "--start and --goal have no effect beside --scenario; give them in the file or leave it out."
+            )
         scenario = load_scenario(scenario_path)
     elif start is not None and goal is not None:
         scenario = Scenario(start=_numbers("--start", start, 3), goal=_numbers("--goal", goal, 2))

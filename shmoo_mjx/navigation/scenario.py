@@ -16,9 +16,11 @@ senses: real              # or perfect
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator
 
@@ -35,6 +37,7 @@ __all__ = [
     "Limits",
     "ObjectEntry",
     "Scenario",
+    "check_places",
     "check_scenario",
     "load_scenario",
     "save_scenario",
@@ -43,9 +46,13 @@ __all__ = [
 FAMILIES = ("box", "cart", "wheelchair")
 ROBOT_RADIUS = 0.29
 """Radius of the disc that paths keep clear: body, folded hands and a reserve [m]."""
+MOST_OBJECTS = 50
+"""What a scene may hold: each is a body to simulate and to look for."""
 Pose = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Property = bool | FiniteFloat
 
+_OVERLAP = 1e-4
+"""Two footprints that share less touch each other [m^2]."""
 _NEVER_NEGATIVE = ("size", "mass", "payload", "friction", "rolling", "swivel_friction")
 """Properties of which a negative number makes no sense; the plant checks names and ranges."""
 
@@ -91,9 +98,9 @@ class ObjectEntry(_Strict):
 class Limits(_Strict):
     """When a run ends without success."""
 
-    time_s: FiniteFloat = Field(default=180.0, gt=0)
+    time_s: FiniteFloat = Field(default=180.0, ge=0.1, le=86_400)
     """Simulated time [s]."""
-    goal_tolerance_m: FiniteFloat = Field(default=0.25, gt=0)
+    goal_tolerance_m: FiniteFloat = Field(default=0.25, ge=0.05)
     """Distance from the goal that counts as reached [m]."""
 
 
@@ -106,7 +113,7 @@ class Scenario(_Strict):
     """(x, y, yaw) of the robot in {W} [m, m, rad]."""
     goal: tuple[FiniteFloat, FiniteFloat]
     """(x, y) in {W} [m]."""
-    objects: tuple[ObjectEntry, ...] = ()
+    objects: tuple[ObjectEntry, ...] = Field(default=(), max_length=MOST_OBJECTS)
     """What stands in the map and is not drawn in it."""
     seed: int = Field(default=0, ge=0)
     """Seeds everything random in the run."""
@@ -182,3 +189,41 @@ def check_scenario(grid: OccupancyGrid, scenario: Scenario, robot_radius: float,
             f"{name}: 'goal' {goal} can't be reached from 'start' on this map by a robot of radius "
             f"{robot_radius:.2f} m; choose a goal in the same connected free space."
         )
+
+
+def check_places(
+    grid: OccupancyGrid, scenario: Scenario, sizes: Sequence[tuple[float, float]], name: str = "scenario"
+) -> None:
+    """Checks that every object stands on free floor, beside the robot and beside the others.
+
+    Args:
+        grid: the map.
+        scenario: its objects' poses.
+        sizes: each object's half extents along {O} [m].
+        name: the scenario's file or option, for the error.
+
+    Raises:
+        ShmooError: names the first object that does not.
+    """
+    import shapely
+
+    from shmoo_mjx.navigation.footprints import footprint_polygon
+    from shmoo_mjx.navigation.maps import FREE
+    from shmoo_mjx.plant.robot import ROBOT
+
+    blocked = grid.cell_to_world(np.argwhere(grid.cells != FREE))
+    start = shapely.Point(scenario.start[:2])
+    before: list[shapely.Polygon] = []
+    for i, (entry, half) in enumerate(zip(scenario.objects, sizes, strict=True)):
+        polygon = footprint_polygon(entry.pose, half)
+        where = f"{name}: 'objects[{i}].pose' ({entry.pose[0]:g}, {entry.pose[1]:g})"
+        if not np.all(grid.inside(grid.world_to_cell(np.asarray(polygon.exterior.coords)))):
+            raise ShmooError(f"{where} lets the {Path(entry.family).stem} reach off the map; move it inwards.")
+        if shapely.contains_xy(polygon, blocked).any():
+            raise ShmooError(f"{where} puts the {Path(entry.family).stem} into a wall or unknown space; move it away.")
+        if polygon.distance(start) < ROBOT.radius:
+            raise ShmooError(f"{where} puts the {Path(entry.family).stem} where the robot starts; move one of them.")
+        for j, other in enumerate(before):
+            if polygon.intersection(other).area > _OVERLAP:
+                raise ShmooError(f"{where} puts the {Path(entry.family).stem} into objects[{j}]; move one of them.")
+        before.append(polygon)

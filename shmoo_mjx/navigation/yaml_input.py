@@ -20,6 +20,21 @@ _PLAIN_TERMS = {"tuple": "list", "Input": "it", "dictionary": "mapping of 'key: 
 """Python's and pydantic's words for what a YAML file has."""
 
 
+class _Loader(yaml.SafeLoader):
+    """Plain data, no key twice in one mapping: YAML would let the last one win in silence."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen: set[str] = set()
+        for key, _ in node.value:
+            if key.value in seen:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"the key '{key.value}' stands twice", key.start_mark
+                )
+            if isinstance(key.value, str):
+                seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+
 def read_mapping(path: str | Path, what: str) -> dict[str, Any]:
     """The top-level mapping of a YAML file.
 
@@ -32,7 +47,7 @@ def read_mapping(path: str | Path, what: str) -> dict[str, Any]:
     """
     path = Path(path)
     try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+        data = yaml.load(path.read_text(encoding="utf-8"), _Loader)
     except FileNotFoundError:
         raise ShmooError(f"{path}: there is no such {what} file; check the path.") from None
     except (OSError, UnicodeDecodeError) as error:
@@ -41,7 +56,11 @@ def read_mapping(path: str | Path, what: str) -> dict[str, Any]:
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f" at line {mark.line + 1}" if mark is not None else ""
+        if isinstance(error, yaml.constructor.ConstructorError) and "twice" in str(error.problem):
+            raise ShmooError(f"{path}: {error.problem}{where}; keep one of them.") from None
         raise ShmooError(f"{path}: this is not valid YAML{where}; correct the syntax there.") from None
+    except RecursionError:
+        raise ShmooError(f"{path}: brackets are nested too deeply; no {what} file needs more than a few.") from None
     if not isinstance(data, dict):
         raise ShmooError(f"{path}: a {what} file must be a mapping of 'key: value' lines; this one is not.")
     return data

@@ -212,6 +212,10 @@ def _check(c: Condition, drawn: Condition) -> None:
     what = f"{c.family} (seed {c.seed})"
     for name in ("size", "rolling", "locked", "caster_angle"):
         value, length = getattr(c, name), len(getattr(drawn, name))
+        if not length and value:
+            raise ShmooError(
+                f"{what}: it has no {'casters' if name == 'caster_angle' else 'wheels'}; leave out {name}."
+            )
         if not isinstance(value, tuple) or len(value) != length:
             raise ShmooError(f"{what}: {name} must be a list of {length} entries.")
     if _is_own(c.family) and c.size != drawn.size:
@@ -222,6 +226,18 @@ def _check(c: Condition, drawn: Condition) -> None:
         value = getattr(c, name)
         if isinstance(value, tuple) or not (np.isfinite(value) and low <= value <= high):
             raise ShmooError(f"{what}: {name} {value} must be a number between {low} and {high}.")
+    for name, values, low, high in (
+        ("rolling", c.rolling, 0.0, 0.5),
+        ("swivel_friction", (c.swivel_friction,), 0.0, 5.0),
+        ("caster_angle", c.caster_angle, -10.0, 10.0),
+        ("payload_x", (c.payload_x,), -c.size[0] / 2, c.size[0] / 2),
+        ("payload_y", (c.payload_y,), -c.size[1] / 2, c.size[1] / 2),
+    ):
+        for value in values:
+            if isinstance(value, bool | tuple) or not (np.isfinite(value) and low <= value <= high):
+                raise ShmooError(f"{what}: {name} {value} must lie between {low:.3g} and {high:.3g}.")
+    if not all(isinstance(on, bool | np.bool_) for on in c.locked):
+        raise ShmooError(f"{what}: locked {list(c.locked)} must be true or false for each wheel.")
 
 
 def object_spec(condition: Condition) -> mujoco.MjSpec:

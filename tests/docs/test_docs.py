@@ -114,6 +114,7 @@ LAYERS = (
         "progress",
         "processes",
         "seeds",
+        "options",
     },
     {"plant", "dynamics"},
     {"sensing"},

@@ -10,7 +10,7 @@ from shmoo_mjx.navigation.floorplan import demo_scenario, draw_floorplan
 from shmoo_mjx.navigation.footprints import footprint_polygon, footprints_free
 from shmoo_mjx.navigation.maps import clearance_field, occupied_rectangles
 from shmoo_mjx.navigation.paths import path_blocked_by, plan_path
-from shmoo_mjx.navigation.scenario import ObjectEntry, check_scenario
+from shmoo_mjx.navigation.scenario import ObjectEntry, check_places, check_scenario
 
 RADIUS = 0.25
 
@@ -29,6 +29,7 @@ def footprint(entry: ObjectEntry) -> shapely.Polygon:
 def test_the_way_is_blocked_until_the_box_is_moved(seed: int) -> None:
     grid, scenario = demo_scenario(seed)
     check_scenario(grid, scenario, RADIUS)
+    check_places(grid, scenario, [tuple(half_extents(entry)) for entry in scenario.objects])
     box, chair = map(footprint, scenario.objects)
     field = clearance_field(grid)
 

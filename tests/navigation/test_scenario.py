@@ -10,7 +10,15 @@ import yaml
 
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.navigation.maps import OCCUPIED, UNKNOWN, OccupancyGrid
-from shmoo_mjx.navigation.scenario import FAMILIES, ObjectEntry, Scenario, check_scenario, load_scenario, save_scenario
+from shmoo_mjx.navigation.scenario import (
+    FAMILIES,
+    ObjectEntry,
+    Scenario,
+    check_places,
+    check_scenario,
+    load_scenario,
+    save_scenario,
+)
 
 GOOD = {
     "map": "maps/office.yaml",
@@ -73,6 +81,9 @@ def test_written_scenarios_come_back(tmp_path: Path) -> None:
         ({"objects": [{"family": "box", "pose": [0, 0, 0], "properties": 3}]}, ("'objects[0].properties' is 3",)),
         ({"objects": {"family": "box"}}, ("'objects'", "list")),
         ({"limits": 4}, ("'limits' is 4", "mapping")),
+        ({"limits": {"goal_tolerance_m": 1e-12}}, ("'limits.goal_tolerance_m'", "0.05")),
+        ({"limits": {"time_s": 1e30}}, ("'limits.time_s'", "86400")),
+        ({"objects": [{"family": "box", "pose": [0, 0, 0]}] * 1000}, ("'objects'", "50 items")),
     ],
 )
 def test_faults_are_said_in_one_sentence(tmp_path: Path, change: dict, words: tuple[str, ...]) -> None:
@@ -117,3 +128,48 @@ def test_start_and_goal_are_checked_against_the_map(
 def test_a_good_scenario_passes_whatever_stands_about() -> None:
     entry = ObjectEntry(family="cart", pose=(1.5, 2.0, 0.0))
     check_scenario(two_rooms(), Scenario(start=(0.5, 1, 0), goal=(2.5, 3), objects=(entry,)), 0.25)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("start: [0, 0, 0]\ngoal: [1, 1]\nseed: 1\nseed: 2\n", ("'seed'", "twice", "line 4")),
+        ("start: [0, 0, 0]\ngoal: [1, 1]\nlimits: {time_s: 5, time_s: 6}\n", ("'time_s'", "twice")),
+        ("goal: " + "[" * 3000 + "]" * 3000, ("nested",)),
+        ("goal: [1, 1", ("YAML",)),
+    ],
+    ids=["key twice", "inner key twice", "3,000 brackets", "open bracket"],
+)
+def test_text_that_means_nothing_clear_is_refused(tmp_path: Path, text: str, words: tuple[str, ...]) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text(text)
+    with pytest.raises(ShmooError) as error:
+        load_scenario(path)
+    assert all(word in str(error.value) for word in (str(path), *words)) and "\n" not in str(error.value)
+
+
+BOX = ObjectEntry(family="box", pose=(1.5, 2.0, 0.3))
+
+
+@pytest.mark.parametrize(
+    ("pose", "words"),
+    [
+        ((3.0, 2.0, 0.0), ("into a wall",)),
+        ((2.8, 2.0, 0.0), ("into a wall",)),
+        ((5.5, 3.5, 0.0), ("into a wall or unknown",)),
+        ((0.1, 2.0, 0.0), ("off the map",)),
+        ((90.0, 2.0, 0.0), ("off the map",)),
+        ((0.8, 1.0, 0.0), ("where the robot starts",)),
+        ((1.9, 2.2, 0.0), ("into objects[0]",)),
+    ],
+)
+def test_an_object_where_none_can_stand_is_named(pose: tuple[float, float, float], words: tuple[str, ...]) -> None:
+    scenario = Scenario(start=(0.5, 1, 0), goal=(2.5, 3), objects=(BOX, BOX.model_copy(update={"pose": pose})))
+    with pytest.raises(ShmooError) as error:
+        check_places(two_rooms(), scenario, [(0.3, 0.3), (0.3, 0.3)], "scene.yaml")
+    assert all(word in str(error.value) for word in ("scene.yaml: 'objects[1].pose'", *words)), str(error.value)
+
+
+def test_objects_on_free_floor_pass() -> None:
+    scenario = Scenario(start=(0.5, 1, 0), goal=(2.5, 3), objects=(BOX, BOX.model_copy(update={"pose": (1.5, 3, 0)})))
+    check_places(two_rooms(), scenario, [(0.3, 0.3), (0.3, 0.3)])
