@@ -96,7 +96,7 @@ class PushTaskConfig:
     stall_distance: float = 0.03
     """An object that moved less than this ..."""
     stall_time: float = 4.0
-    """... in this much contact time has stalled."""
+    """... in this much of a push has stalled [s]."""
     push_limit: float = 40.0
     """Longest push."""
     arcs: ArcConfig = ArcConfig()

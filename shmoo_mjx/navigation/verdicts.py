@@ -21,8 +21,8 @@ _ROLLED = 0.10
 """An object that has moved this far under a probe gives way beyond doubt [m]."""
 _GIVES_WAY = 0.02
 """Way of the object's corners in the last second of contact from which it gives way [m]."""
-_STALL = (0.05, 5.0)
-"""An object that moved less than this [m] in this much contact time [s] has stalled."""
+_STALL = (0.05, 6.0)
+"""An object that moved less than this [m] in so much time of a push [s] has stalled."""
 _MOVED = 0.3
 """An object that a push has moved this far is not immovable, whatever holds it now: a wall, say [m]."""
 _PROBE_LIMIT = 2.5
@@ -66,17 +66,17 @@ def judge(setup: Setup, state: NavigatorState, seen: Observation) -> NavigatorSt
         return leave(f"contact with object {index} lost for {cfg.lost_after:g} s")
     travelled = push.travelled(_STALL[1])
     if travelled is not None and travelled < _STALL[0]:
-        text = f"object {index} moved less than {_STALL[0]:g} m in {_STALL[1]:g} s of contact"
+        text = f"object {index} moved less than {_STALL[0]:g} m in {_STALL[1]:g} s"
         return _stuck(setup, state, now, text)
     if now - push.started > cfg.push_limit:
         return leave(f"object {index} has been pushed for {cfg.push_limit:g} s")
     return state
 
 
-def _left(goal: np.ndarray, pose: np.ndarray, face: np.ndarray) -> float:
-    """Way left to ``goal`` along the push [m]."""
+def _left(goal: np.ndarray, pose: np.ndarray, face: np.ndarray) -> np.ndarray:
+    """Way left to ``goal [..., 3]`` along the push [m]."""
     ahead = heading(pose, face)
-    return float((goal[:2] - pose[:2]) @ np.array([np.cos(ahead), np.sin(ahead)]))
+    return np.asarray((goal[..., :2] - pose[:2]) @ np.array([np.cos(ahead), np.sin(ahead)]))
 
 
 def _rolls_ahead(setup: Setup, state: NavigatorState, now: float, push: PushState) -> bool:
@@ -121,8 +121,13 @@ def _planning_stage(setup: Setup, state: NavigatorState, seen: Observation, push
     path = routes.free_path(position, known)
     if path is not None and state.mode is Mode.PROBE:
         state = state.said(Planned(now, path.points))
-    check = routes.collision_free(position, known, state.belief.clearance(without=segment.object), path)
-    result = planning_stage(poses[:, -1], costs, known.pose, check, setup.config.planner)
+    free = routes.collision_free(position, known, state.belief.clearance(without=segment.object), path)
+
+    def reachable(ends: np.ndarray) -> np.ndarray:
+        # What a roll-out turns may end a little behind, and a goal there would be passed before it is pushed to.
+        return free(ends) & (_left(ends, known.pose, segment.face) > 0.0)
+
+    result = planning_stage(poses[:, -1], costs, known.pose, reachable, setup.config.planner)
     best = poses[np.argsort(costs)[:_SHOWN]][:, :, :2]
     state = state.said(
         Decision(

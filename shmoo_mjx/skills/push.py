@@ -70,10 +70,12 @@ class PushState:
         return float(np.linalg.norm(pose[:2] - start[:2]))
 
     def travelled(self, seconds: float) -> float | None:
-        """Extent of the object's way in the last ``seconds`` of contact [m]; None if there was less contact."""
-        if self.contact_time < seconds:
+        """Extent of the object's way in the last ``seconds`` of the push [m]; None if it is younger. Contact does not
+        count: what the pusher dares touch no more is as stuck as what does not move."""
+        count = round(seconds / DT)
+        if len(self.marks) < count:
             return None
-        return float(np.linalg.norm(np.ptp(self.recent(seconds)[:, :2], axis=0)))
+        return float(np.linalg.norm(np.ptp([m.pose[:2] for m in self.marks[-count:]], axis=0)))
 
     def recent(self, seconds: float) -> np.ndarray:
         """Object poses ``[n, 3]`` of the last ``seconds`` of contact, the yaw without jumps."""
