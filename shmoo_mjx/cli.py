@@ -14,7 +14,7 @@ from tyro.conf import Positional
 
 import shmoo_mjx
 from shmoo_mjx import options as bounded
-from shmoo_mjx.environment import prepare_environment
+from shmoo_mjx.environment import check_environment, prepare_environment
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.seeds import UNSEEN_SEED, ConditionSeed, Seed, check_seed, seed_of
 from shmoo_mjx.talk import with_talk
@@ -442,6 +442,7 @@ _COMMANDS: dict[str, Callable[..., int]] = {
     "doctor": doctor,
     "completion": completion,
 }
+_NEED_NO_DEVICE = ("doctor", "completion")
 
 
 def _run(arguments: list[str] | None = None) -> int:
@@ -454,6 +455,8 @@ def _run(arguments: list[str] | None = None) -> int:
         near = get_close_matches(given[0], _COMMANDS, 1)
         hint = f"did you mean {near[0]}?" if near else f"choose from {', '.join(_COMMANDS)}."
         raise ShmooError(f"there is no command {given[0]!r}; {hint}")
+    if given and given[0] in _COMMANDS and given[0] not in _NEED_NO_DEVICE and not {"--help", "-h"} & set(given):
+        check_environment()
     commands = {name: with_talk(command) for name, command in _COMMANDS.items()}
     code: int = tyro.extras.subcommand_cli_from_dict(
         commands, prog="shmoo", description=shmoo_mjx.__doc__, args=arguments

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import platform
 import sys
 import tempfile
@@ -10,6 +11,8 @@ from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
 from typing import NamedTuple
+
+from shmoo_mjx.environment import device_problem, graphics_problem
 
 __all__ = ["Check", "checks", "report"]
 
@@ -44,15 +47,19 @@ def _jax() -> Check:
 
 
 def _device() -> Check:
-    jax = importlib.import_module("jax")
-    try:
-        devices = jax.devices()
-    except RuntimeError as error:
-        return Check("JAX device", False, str(error).splitlines()[0], "unset JAX_PLATFORMS, or install the cuda extra")
-    return Check("JAX device", True, ", ".join(str(d) for d in devices), "")
+    jax, problem = importlib.import_module("jax"), device_problem()
+    if problem:
+        # The other checks have findings of their own.
+        jax.config.update("jax_platforms", "cpu")
+    found = problem or ", ".join(str(d) for d in jax.devices())
+    return Check("JAX device", not problem, found, "unset JAX_PLATFORMS, or install the cuda extra")
 
 
 def _renderer() -> Check:
+    problem = graphics_problem()
+    if problem:
+        os.environ["MUJOCO_GL"] = "disable"  # as above
+        return Check("3-D renderer", False, problem, "unset MUJOCO_GL, or set it to egl, glfw or disable")
     from shmoo_mjx.plant.render import can_render
 
     problem = can_render()

@@ -7,7 +7,9 @@ import sys
 import warnings
 from pathlib import Path
 
-__all__ = ["prepare_environment"]
+from shmoo_mjx.errors import ShmooError
+
+__all__ = ["check_environment", "device_problem", "graphics_problem", "prepare_environment"]
 
 
 def prepare_environment() -> None:
@@ -24,3 +26,41 @@ def prepare_environment() -> None:
         os.environ.setdefault("MUJOCO_GL", "egl")
     # JAX warns of any fork. The video encoder and the renderer's trial run call exec at once and share no lock with it.
     warnings.filterwarnings("ignore", message=r"os\.fork\(\) was called", category=RuntimeWarning)
+
+
+def check_environment() -> None:
+    """Try what the user's own settings name, before anything is computed.
+
+    Raises:
+        ShmooError: if JAX has no such device, or MuJoCo can't load such graphics.
+    """
+    for variable, problem in (("MUJOCO_GL", graphics_problem), ("JAX_PLATFORMS", device_problem)):
+        value = os.environ.get(variable, "")
+        why = problem() if value else ""
+        if why:
+            raise ShmooError(f"{variable}={value} can't be used here ({why}); unset it, or run shmoo doctor.")
+
+
+def graphics_problem() -> str:
+    """Empty if MuJoCo can be imported with the graphics that MUJOCO_GL names, else why not."""
+    try:
+        import mujoco  # noqa: F401
+    except Exception as error:  # whatever the graphics library does wrong
+        return _first_line(error)
+    return ""
+
+
+def device_problem() -> str:
+    """Empty if JAX finds a device, else why not."""
+    import jax
+
+    try:
+        jax.devices()
+    except (RuntimeError, AssertionError) as error:
+        return _first_line(error)
+    return ""
+
+
+def _first_line(error: Exception) -> str:
+    lines = str(error).splitlines()
+    return lines[0] if lines else "there is no such device"

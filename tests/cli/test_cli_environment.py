@@ -1,0 +1,32 @@
+"""Graphics and devices that the user's own settings name and this machine lacks."""
+
+import os
+import subprocess
+import sysconfig
+from pathlib import Path
+
+import pytest
+
+SETTINGS = {"MUJOCO_GL": "nonsense", "JAX_PLATFORMS": "nonsense"}
+
+
+def shmoo(arguments: str, folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    command = [str(Path(sysconfig.get_path("scripts")) / "shmoo"), *arguments.split()]
+    return subprocess.run(
+        command, cwd=folder, env=os.environ | environment, capture_output=True, text=True, timeout=120, check=False
+    )
+
+
+@pytest.mark.parametrize("variable", SETTINGS)
+def test_a_setting_that_names_nothing_here_gets_one_sentence(tmp_path: Path, variable: str) -> None:
+    done = shmoo("demo --quick", tmp_path, **{variable: SETTINGS[variable]})
+    assert done.returncode == 2, done.stderr
+    assert f"{variable}=nonsense can't be used here" in done.stderr and "shmoo doctor" in done.stderr
+    assert len(done.stderr.splitlines()) == 1 and not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("variable", SETTINGS)
+def test_the_doctor_names_that_setting_and_goes_on(tmp_path: Path, variable: str) -> None:
+    done = shmoo("doctor", tmp_path, **{variable: SETTINGS[variable]})
+    assert done.returncode == 1, done.stderr
+    assert f"unset {variable}" in done.stdout and "shipped weights: demo.safetensors" in done.stdout
