@@ -29,6 +29,8 @@ _ASK_AGAIN = 1.0
 """Time between two looks meanwhile [s]."""
 _SLACK = 0.03
 """By how much an object may come nearer to the path than the robot's radius before it blocks it [m]."""
+_FAILED_FACE = 5.0
+"""Way round that is taken rather than another face, for each face that has failed [m]: a try takes some 10 s."""
 _AVOIDED = (Status.PARKED, Status.FIXED)
 
 
@@ -67,17 +69,19 @@ def _on_path(state: NavigatorState, now: float, path: Path) -> NavigatorState:
 
 def _take_up_again(setup: Setup, state: NavigatorState, seen: Observation) -> NavigatorState:
     """A parked object that still costs a long way round may be pushed again, unless it has been too often."""
-    parked = [i for i, o in state.belief.objects.items() if o.status is Status.PARKED]
+    cfg, parked = setup.config, [i for i, o in state.belief.objects.items() if o.status is Status.PARKED]
     if not parked:
         return state
-    routes, position, cfg = setup.routes(state), seen.robot_pose[0, :2], setup.config
+    routes, position = setup.routes(state), seen.robot_pose[0, :2]
     around = routes.plan(position, state.belief.polygons(_AVOIDED))
     through = routes.plan(position, state.belief.polygons((Status.FIXED,)))
-    if through is None or (around is not None and around.length < through.length + cfg.detour):
+    if through is None:
         return state
+    longer = np.inf if around is None else around.length - through.length
     for index in parked:
         known = state.belief.objects[index]
-        if known.pushes < cfg.max_pushes and path_blocked_by(through, known.polygon, cfg.robot_radius)[0]:
+        worth = longer >= cfg.detour + _FAILED_FACE * len(known.failed_faces) and known.pushes < cfg.max_pushes
+        if worth and path_blocked_by(through, known.polygon, cfg.robot_radius)[0]:
             state = state.of_object(index, status=Status.UNKNOWN)
     return state
 
@@ -88,7 +92,7 @@ def _second_chance(setup: Setup, state: NavigatorState, seen: Observation) -> tu
     Not in the moment in which it was registered: what was out of reach then would be so still.
     """
     cfg, now, objects = setup.config, float(seen.time[0]), state.belief.objects
-    rested = [i for i, o in objects.items() if o.status is Status.FIXED and not o.retried and now - o.fixed_at > 1.0]
+    rested = [i for i, o in objects.items() if o.status in _AVOIDED and not o.retried and now - o.fixed_at > 1.0]
     if not cfg.second_chance or not rested:
         return state, False
     others = [o.polygon for i, o in objects.items() if i not in rested]
@@ -96,7 +100,9 @@ def _second_chance(setup: Setup, state: NavigatorState, seen: Observation) -> tu
     for index in rested:
         if through is not None and path_blocked_by(through, objects[index].polygon, cfg.robot_radius)[0]:
             pushes = min(objects[index].pushes, cfg.max_pushes - 1)
-            state = state.of_object(index, status=Status.UNKNOWN, retried=True, adapt=None, pushes=pushes)
+            state = state.of_object(
+                index, status=Status.UNKNOWN, retried=True, adapt=None, pushes=pushes, failed_faces=frozenset()
+            )
             text = f"every route is blocked: object {index}, registered as an obstacle, is tried once more"
             return state.said(Note(now, text)), True
     return state, False
@@ -148,9 +154,12 @@ def _start_push(
     faces, position, everything = faces_of(known.half_extents), seen.robot_pose[0, :2], state.belief.clearance()
     ways = {i: routes.way_to(position, index, face, everything) for i, face in enumerate(faces)}
     usable = {i: way for i, way in ways.items() if way is not None and way[0].length < longest}
-    usable = {i: way for i, way in usable.items() if i not in known.failed_faces} or usable
     if not usable:
         return _give_up(setup, state, seen, index, f"no face of object {index} can be reached on a way worth taking")
+    usable = {i: way for i, way in usable.items() if i not in known.failed_faces}
+    if not usable:
+        text = f"object {index} could not be moved from any face that can be reached"
+        return _give_up(setup, state, seen, index, text)
     around = state.belief.clearance(without=index)
     first = _first_goal(setup, state, seen, index, [heading(known.pose, faces[i]) for i in usable])
     if first.goal is None or first.direction is None:

@@ -185,18 +185,19 @@ def _gives_way(push: PushState, half_extents: tuple[float, float]) -> bool:
 
 
 def _stuck(setup: Setup, state: NavigatorState, now: float, why: str) -> NavigatorState:
-    """End a push that leads no further. Only what no push has moved counts as immovable; of what has given way before,
-    another face is tried."""
+    """End a push that leads no further. Only what no push has moved counts as immovable; what has given way before is
+    left where it is, and tried on another face where the way round is long enough for that."""
     segment, known = state.current(), state.known()
     assert segment.push is not None
-    moved, failed = segment.push.moved(known.pose), known.failed_faces | {segment.side}
+    moved = segment.push.moved(known.pose)
     if moved >= _MOVED:
         state = state.of_object(segment.object, status=Status.PARKED)
         return state.go(now, Mode.RETREAT, f"{why}; but it has been moved {moved:.2f} m, and is left where it is")
     if not setup.config.goes_round:
         return state.go(now, Mode.RETREAT, f"{why}; tried again, since going round is not allowed")
-    state = state.of_object(segment.object, failed_faces=failed)
-    if known.gave_way and len(failed) < 4:
-        return state.go(now, Mode.RETREAT, f"{why}; but it has given way before, so another face is tried")
+    state = state.of_object(segment.object, failed_faces=known.failed_faces | {segment.side})
+    if known.gave_way:
+        state = state.of_object(segment.object, status=Status.PARKED)
+        return state.go(now, Mode.RETREAT, f"{why}; but it has given way before, and is left where it is")
     state = state.of_object(segment.object, status=Status.FIXED, registered=known.pose, fixed_at=now)
     return state.go(now, Mode.RETREAT, f"{why}; registered as an obstacle")

@@ -547,13 +547,18 @@ def test_a_probe_that_lost_contact_does_not_plan_at_every_sample() -> None:
     assert len(times) > 1 and np.diff(times).min() >= 0.5 - 1e-6
 
 
-def test_what_has_given_way_before_is_tried_on_another_face_when_it_sticks() -> None:
+@pytest.mark.parametrize("doors", [1, 2])
+def test_what_has_given_way_before_and_sticks_is_not_tried_on_the_same_face_for_ever(doors: int) -> None:
+    """One face can be reached. With a way round it is pushed once, without one a second time."""
+
     def sticks(world: World, navigator: Navigator) -> None:
         if navigator.mode is Mode.PUSH and world.box[0] > 3.15:
             world.foreseen = world.movable = False
 
-    navigator, _ = run(1, happens=sticks, seconds=60.0)
-    assert "given way before, so another face is tried" in reasons(navigator)
+    navigator, _ = run(doors, happens=sticks, seconds=90.0, config=NavigatorConfig(detour=0.1))
+    assert "given way before, and is left where it is" in reasons(navigator)
+    assert navigator.mode is (Mode.FAILED if doors == 1 else Mode.DONE)
+    assert [t.target for t in navigator.transitions].count(Mode.PROBE) == 3 - doors
 
 
 def test_an_object_out_of_reach_is_not_given_up_twice_in_one_sample() -> None:
