@@ -16,26 +16,50 @@ __all__ = ["draw_map"]
 def draw_map(grid: OccupancyGrid, radius: float, path: Path) -> Path:
     """Write ``path`` (PNG): walls dark, unknown grey, floor white, and in blue where the robot's centre may be.
 
+    The axes are those of {W}, as in scenario files, with a grid, so that a start can be read off.
+
     Args:
         grid: the map.
         radius: radius of the robot [m].
         path: picture to write.
     """
     from matplotlib.figure import Figure
+    from matplotlib.patches import Patch
+    from matplotlib.transforms import Affine2D
 
-    picture = np.full((*grid.cells.shape, 3), 0.75)
-    picture[grid.free] = 1.0
-    picture[inflate(grid, radius)] = (0.80, 0.89, 0.97)
-    picture[grid.occupied] = 0.15
+    room = inflate(grid, radius)
+    share = room.sum() * grid.resolution**2
+    kinds = {
+        "unknown": (~grid.free & ~grid.occupied, (0.75, 0.75, 0.75)),
+        "floor": (grid.free, (1.0, 1.0, 1.0)),
+        f"room for a radius of {radius:g} m: {share:.0f} m²": (room, (0.72, 0.84, 0.95)),
+        "wall": (grid.occupied, (0.15, 0.15, 0.15)),
+    }
+    picture = np.ones((*grid.cells.shape, 3))
+    for where, colour in kinds.values():
+        picture[where] = colour
     height, width = grid.cells.shape
-    scale = 9.0 / max(height, width)
-    figure = Figure(figsize=(width * scale + 1.0, height * scale + 1.0), layout="constrained")
-    axes = figure.add_subplot()
-    extent = (0.0, width * grid.resolution, 0.0, height * grid.resolution)
-    axes.imshow(picture, origin="lower", extent=extent, interpolation="nearest")
     x, y, yaw = grid.origin
-    axes.set_xlabel(f"along the map's x axis [m]; corner at ({x:g}, {y:g}) m, yaw {yaw:g} rad in {{W}}")
-    axes.set_ylabel("along its y axis [m]")
-    share = inflate(grid, radius).sum() * grid.resolution**2
-    axes.set_title(f"{width} x {height} cells of {grid.resolution:g} m; {share:.0f} m² for a radius of {radius:g} m")
+    place = Affine2D().scale(grid.resolution).rotate(yaw).translate(x, y)
+    # Maps made by SLAM often lie in a wide frame of cells of which nothing is known.
+    rows, columns = np.nonzero(grid.free | grid.occupied)
+    if len(rows) == 0:
+        rows, columns = np.array([0, height - 1]), np.array([0, width - 1])
+    left, right, bottom, top = columns.min(), columns.max() + 1, rows.min(), rows.max() + 1
+    corners = place.transform([(left, bottom), (right, bottom), (right, top), (left, top)])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    size = (high - low) * 9.0 / (high - low).max()
+    figure = Figure(figsize=(max(size[0], 3.0) + 1.0, size[1] + 1.6), layout="constrained")
+    axes = figure.add_subplot()
+    image = axes.imshow(picture, origin="lower", extent=(0, width, 0, height), interpolation="nearest")
+    image.set_transform(place + axes.transData)
+    axes.set(
+        xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xlabel="x in {W} [m]", ylabel="y in {W} [m]"
+    )
+    axes.grid(color="0.5", lw=0.4, alpha=0.5)
+    axes.set_title(f"{width} x {height} cells of {grid.resolution:g} m", fontsize="medium")
+    patches = [Patch(facecolor=colour, edgecolor="0.5", label=name) for name, (_, colour) in kinds.items()]
+    figure.legend(
+        handles=patches, loc="outside lower center", ncols=4 if size[0] > 6 else 2, fontsize="small", frameon=False
+    )
     return write_bytes(path, to_png(figure))
