@@ -17,7 +17,8 @@ import numpy as np
 from shmoo_mjx.data import store
 from shmoo_mjx.evaluation import datasets, probe, scoring
 from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result, over_seeds
-from shmoo_mjx.evaluation.trials import fingerprint, run_trials
+from shmoo_mjx.evaluation.trials import run_trials
+from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning import daiml
 from shmoo_mjx.learning.baselines import Budget, Job, Predictor, Recordings, recordings
 from shmoo_mjx.learning.baselines.adaptive import daiml_config, from_fit
@@ -132,7 +133,7 @@ class _Work:
         config = daiml_config(job, DaimlConfig())
         # Variants that come to the same settings and data, as alpha_0.01 and the default do, share one training.
         data = variant if variant.startswith(("layout", "frame", "objects")) else "usual"
-        directory = self.folder / "training" / f"{data}-{fingerprint(asdict(config))}"
+        directory = self.folder / "training" / f"{data}-{fingerprint(__name__, asdict(config))}"
         fitted = daiml.fit_rows(train.rows, validation.rows, config, directory)
         predictor = from_world(from_fit(fitted, config)) if world else from_fit(fitted, config)
         scored = unseen_seen._replace(rows=unseen_seen.rows._replace(labels=unseen.rows.labels))
@@ -173,7 +174,7 @@ def run(ask: Ask, config: AblationsConfig | None = None) -> ExperimentResult:
     unseen = datasets.unseen_directory(ask, config.unseen)
     manifests = [directory / store.MANIFEST for directory in (train, unseen)]
     key = asdict(replace(config, workers=1, seeds=1, variants=())) | {"seed": ask.seed}
-    folder = ask.out / "ablations" / fingerprint(key, *manifests)
+    folder = ask.out / "ablations" / fingerprint(__name__, key, *manifests)
     names = ["raw-0", *(f"{variant}-{seed}" for variant in config.variants for seed in range(config.seeds))]
     rows = run_trials(
         names, _Work(train, unseen, folder, config, ask.seed), folder, ask.progress, workers=config.workers

@@ -16,7 +16,8 @@ import numpy as np
 from shmoo_mjx.data import store
 from shmoo_mjx.evaluation import datasets, replay, scoring
 from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result, over_seeds
-from shmoo_mjx.evaluation.trials import fingerprint, run_trials
+from shmoo_mjx.evaluation.trials import run_trials
+from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning.baselines import METHODS, REFERENCES, Budget, Job, recordings
 from shmoo_mjx.learning.baselines.adaptive import prior
 from shmoo_mjx.learning.baselines.protocol import Method, output_scale
@@ -128,7 +129,7 @@ def run(ask: Ask, config: BaselinesConfig | None = None) -> ExperimentResult:
     # Neither the number of processes nor of seeds changes what a fit gives, nor what it is compared with.
     key = asdict(replace(config, workers=1, seeds=1, methods=())) | {"seed": ask.seed}
     del key["references"]
-    folder = ask.out / "baselines" / fingerprint(key, *manifests)
+    folder = ask.out / "baselines" / fingerprint(__name__, key, *manifests)
     work = _Work(train, unseen, folder, config, ask.seed)
     methods = [METHODS[name] for name in config.methods]
     tried = _tune(methods, work, ask)

@@ -29,7 +29,8 @@ from shmoo_mjx.evaluation.navigation_measures import (
 from shmoo_mjx.evaluation.navigation_places import Places, find_places, kept_scenario
 from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
 from shmoo_mjx.evaluation.scenarios import Generated, ScenarioConfig
-from shmoo_mjx.evaluation.trials import fingerprint, run_trials
+from shmoo_mjx.evaluation.trials import run_trials
+from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.navigation.belief import Status
 from shmoo_mjx.navigation.maps import OccupancyGrid, load_map
 from shmoo_mjx.navigation.object_planner import ObjectPlannerConfig
@@ -149,7 +150,7 @@ def trials_folder(ask: Ask, folder: Path, scenario: ScenarioConfig) -> Path:
     settings: dict[str, Any] = {"seeds": [robot.seed, ask.condition_seed], "senses": robot.senses}
     settings["scenario"] = asdict(scenario)
     settings["policies"] = {name: asdict(policy.config) for name, policy in POLICIES.items()}
-    return folder / f"trials-{fingerprint(settings, robot.weights)}"
+    return folder / f"trials-{fingerprint(__name__, settings, robot.weights)}"
 
 
 def _trial(places: Places, robot: Robot, store: Path, name: str) -> list[dict[str, Any]]:

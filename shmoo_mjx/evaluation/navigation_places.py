@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -18,7 +16,7 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.manipulable import BORDER, SteadyPush
 from shmoo_mjx.evaluation.result import Ask
 from shmoo_mjx.evaluation.scenarios import KINDS, PLANT, Generated, Kind, ScenarioConfig, draw_scenario
-from shmoo_mjx.evaluation.trials import fingerprint
+from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.navigation.floorplan import draw_floorplan
 from shmoo_mjx.navigation.maps import OccupancyGrid, save_map
 from shmoo_mjx.navigation.scenario import Scenario
@@ -123,22 +121,17 @@ def generated_from(data: dict[str, Any]) -> Generated:
 
 
 def kept(places: Places, grid: OccupancyGrid, name: str, draw: Callable[[], Any]) -> Any:
-    """What ``draw`` returns, kept as a file that goes with map, settings, the truth about pushes and the plant."""
+    """What the function ``draw`` returns, kept as a file that goes with it, the map, the settings and the plant."""
     settings = {
-        "cells": hashlib.sha256(np.ascontiguousarray(grid.cells).tobytes()).hexdigest(),
         "frame": [grid.resolution, *grid.origin],
         "scenario": asdict(places.config),
         "truth": [asdict(SteadyPush()), BORDER],
         "first_unseen": places.first_unseen,
-        "plant": _plant(),
     }
-    file = places.scenarios / f"{name}-{fingerprint(settings)}.json"
+    plant = sorted(asset("models_xml").rglob("*.xml"))
+    mark = fingerprint(draw.__module__, settings, grid.cells, *plant)
+    file = places.scenarios / f"{name}-{mark}.json"
     if not file.is_file():
         file.parent.mkdir(parents=True, exist_ok=True)
         write_whole(file, (json.dumps(draw()) + "\n").encode())
     return json.loads(file.read_text())
-
-
-@cache
-def _plant() -> str:
-    return fingerprint({}, *sorted(asset("models_xml").rglob("*.xml")))

@@ -21,7 +21,8 @@ from shmoo_mjx.data import store
 from shmoo_mjx.evaluation import datasets, scoring
 from shmoo_mjx.evaluation.object_model_figures import draw_curve, draw_roll_outs
 from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result, spread
-from shmoo_mjx.evaluation.trials import fingerprint, run_trials
+from shmoo_mjx.evaluation.trials import run_trials
+from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning import adaptation, daiml, identification
 from shmoo_mjx.learning.adaptation import AdaptConfig
 from shmoo_mjx.learning.baselines import REFERENCES, Budget, Job, Recordings, first_rows, recordings
@@ -122,7 +123,7 @@ def run(ask: Ask, config: ObjectModelConfig | None = None) -> ExperimentResult:
     config = config or (QUICK if ask.quick else ObjectModelConfig())
     train, unseen = datasets.training_directory(ask), datasets.unseen_directory(ask, config.unseen)
     key = asdict(replace(config, workers=1, seeds=1)) | {"seed": ask.seed}
-    name = fingerprint(key, train / store.MANIFEST, unseen / store.MANIFEST)
+    name = fingerprint(__name__, key, train / store.MANIFEST, unseen / store.MANIFEST)
     out = ask.out / "object_model"
     work = _Work(train, unseen, out / name, config, ask.seed)
     names = [f"{method}-{i}" for method in ("psi", "mlp") for i in range(config.seeds)]

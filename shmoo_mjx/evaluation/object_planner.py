@@ -21,8 +21,9 @@ from shmoo_mjx.assets import asset
 from shmoo_mjx.evaluation.manipulable import IMMOVABLE, SteadyPush, draw_immovable, manipulable, steady_push
 from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
 from shmoo_mjx.evaluation.scenarios import entry_of
-from shmoo_mjx.evaluation.trials import fingerprint, run_trials
+from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.faces import faces_of
+from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.navigation.maps import OCCUPIED, OccupancyGrid
 from shmoo_mjx.navigation.records import Mode, NavigatorConfig
 from shmoo_mjx.navigation.scenario import Limits, Scenario
@@ -67,7 +68,8 @@ def run(ask: Ask) -> ExperimentResult:
     settings = asdict(replace(cfg, objects=0)) | about
     folder = ask.out / "object_planner"
     # The trials of a quick run are the first ones of a full run.
-    store = folder / f"trials-{fingerprint(settings | {'condition_seed': ask.condition_seed}, weights)}"
+    settings |= {"condition_seed": ask.condition_seed}
+    store = folder / f"trials-{fingerprint(__name__, settings, weights)}"
     names = [f"{i:03d}" for i in range(cfg.objects)]
     work = partial(_trial, cfg, ask.first_unseen, ask.seed, weights, ask.senses)
     rows = run_trials(names, work, store, ask.progress, cfg.workers)

@@ -7,7 +7,6 @@ file, so that an interrupted experiment goes on where it stopped.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 from collections.abc import Iterator
@@ -21,6 +20,7 @@ import numpy as np
 from shmoo_mjx.assets import asset
 from shmoo_mjx.evaluation.pushing_trials import METHODS, Runner, Trial, draw_trials, save_trial
 from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
+from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.processes import process_pool
 from shmoo_mjx.sensing import senses_named
 
@@ -142,11 +142,9 @@ def _fingerprint(ask: Ask, config: PushingConfig, weights: Path) -> str:
     from shmoo_mjx.control.pushing import PushConfig
     from shmoo_mjx.navigation.push_task import PushTaskConfig, pose_push_config
 
-    content = hashlib.sha256(weights.read_bytes()).hexdigest()
     settings: tuple[Any, ...] = (asdict(PushTaskConfig()), asdict(pose_push_config()), asdict(PushConfig()))
-    senses = senses_named(ask.senses)
-    text = repr((ask.seed, ask.condition_seed, config.time_limit, settings, content, senses))
-    return "trials-" + hashlib.sha256(text.encode()).hexdigest()[:12]
+    asked = (ask.seed, ask.condition_seed, config.time_limit, settings, senses_named(ask.senses))
+    return f"trials-{fingerprint(__name__, asked, weights)}"
 
 
 _RUNNER: dict[tuple[Path, str], Runner] = {}

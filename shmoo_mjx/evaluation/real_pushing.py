@@ -22,7 +22,8 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import push_learning, push_physics
 from shmoo_mjx.evaluation.push_learning import Prepared
 from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
-from shmoo_mjx.evaluation.trials import fingerprint, run_trials
+from shmoo_mjx.evaluation.trials import run_trials
+from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning.daiml import DaimlConfig
 
 __all__ = ["QUICK", "RealPushing", "errors", "linear", "measure", "run"]
@@ -100,7 +101,8 @@ def run(ask: Ask) -> ExperimentResult:
     data = real_pushes.load(ask.data)
     folder = ask.out / "real_pushing"
     settings = asdict(replace(cfg, seeds=0)) | {"condition_seed": ask.condition_seed}
-    store = folder / f"trials-{fingerprint(settings, *sorted(ask.data.glob('m*/pushes*.csv')))}"
+    pushes = sorted(ask.data.glob("m*/pushes*.csv"))
+    store = folder / f"trials-{fingerprint(__name__, settings, *pushes)}"
     trials = [trial for trial in PREFIXES if trial.partition("-")[0] in data]
     names = [f"{trial}-{seed}" for trial in trials for seed in range(ask.seed, ask.seed + cfg.seeds)]
     rows = run_trials(names, partial(_trial, cfg, ask.data, ask.condition_seed), store, ask.progress, cfg.workers)

@@ -23,7 +23,8 @@ from shmoo_mjx.data.collect import CollectConfig, record
 from shmoo_mjx.dynamics import core, features, robot_model
 from shmoo_mjx.dynamics.robot_model import RobotParams
 from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
-from shmoo_mjx.evaluation.trials import fingerprint, run_trials
+from shmoo_mjx.evaluation.trials import run_trials
+from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning import adaptation, robot_fit
 from shmoo_mjx.learning.robot_fit import RobotFitConfig, RobotRows
 from shmoo_mjx.learning.rows import rows_from_dataset
@@ -155,7 +156,7 @@ def run(ask: Ask, config: RobotFinetuneConfig | None = None) -> ExperimentResult
         "unseen": ask.first_unseen,
         "senses": senses_named(ask.senses),
     }
-    folder = ask.out / "robot_finetune" / fingerprint(key, weights)
+    folder = ask.out / "robot_finetune" / fingerprint(__name__, key, weights)
     work = _Work(weights, config, ask.seed, ask.first_unseen, ask.senses)
     names = [f"robot-{i}" for i in range(config.robots)]
     rows = run_trials(names, work, folder, ask.progress, config.workers)

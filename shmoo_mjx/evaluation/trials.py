@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 from collections.abc import Callable, Sequence
@@ -13,18 +12,10 @@ from typing import Any
 from shmoo_mjx.navigation.yaml_input import write_whole
 from shmoo_mjx.processes import process_pool
 
-__all__ = ["fingerprint", "run_trials"]
+__all__ = ["run_trials"]
 
 Work = Callable[[str], list[dict[str, Any]]]
 """Name of a trial -> its rows. Must be picklable."""
-
-
-def fingerprint(settings: dict[str, Any], *files: Path) -> str:
-    """Name for a folder of trials that were run with these settings and files, and with no others."""
-    digest = hashlib.sha256(json.dumps(settings, sort_keys=True, default=str).encode())
-    for file in files:
-        digest.update(file.read_bytes())
-    return digest.hexdigest()[:10]
 
 
 def run_trials(

@@ -27,6 +27,7 @@ import optax
 from shmoo_mjx.data import store
 from shmoo_mjx.dynamics import feet, mlp, object_model
 from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
+from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning import least_squares, multistep, training, training_bodies
 from shmoo_mjx.learning import rows as batches
 from shmoo_mjx.learning.identification import BodyPrior, IdentificationConfig
@@ -198,7 +199,7 @@ def fit_rows(
         ),
         chunks=config.chunks,
         patience=config.patience,
-        identity=training.fingerprint(config, train.inputs, train.labels),
+        identity=fingerprint(__name__, config, train.inputs, train.labels),
         directory=out_dir,
         progress=progress,
     )

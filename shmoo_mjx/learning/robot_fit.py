@@ -20,6 +20,7 @@ from shmoo_mjx.dynamics.core import CoreConfig
 from shmoo_mjx.dynamics.object_model import ObjectConfig
 from shmoo_mjx.dynamics.robot_model import LeanResponse, RobotConfig, RobotParams
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning import training
 from shmoo_mjx.types import DT, SystemState
 
@@ -170,7 +171,7 @@ def fit_rows(
         evaluate=lambda net: jnp.mean(scores(net)),
         chunks=config.chunks,
         patience=config.patience,
-        identity=training.fingerprint((config, start is None), train.inputs, train.labels),
+        identity=fingerprint(__name__, (config, start is None), train.inputs, train.labels),
         directory=out_dir,
         progress=progress,
     )

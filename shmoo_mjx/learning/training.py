@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +15,7 @@ import optax
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.learning import trees
 
-__all__ = ["Fitted", "Progress", "bounded_gradient", "fingerprint", "run"]
+__all__ = ["Fitted", "Progress", "bounded_gradient", "run"]
 
 Array = Any
 Tree = Any
@@ -50,14 +49,6 @@ class Fitted(NamedTuple):
     """(training loss, validation score) of each chunk."""
 
 
-def fingerprint(config: object, *arrays: Array) -> str:
-    """Identifies a training: its config and its data. A checkpoint of another one is not continued."""
-    digest = hashlib.sha256(repr(config).encode())
-    for array in arrays:
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()
-
-
 def bounded_gradient() -> optax.GradientTransformation:
     """Gradients of norm 1 at most; one that has overflowed, as through the roll-outs of an untrained model, as none."""
     return optax.chain(optax.clip_by_global_norm(1.0), optax.zero_nans())
@@ -83,7 +74,8 @@ def run(
         evaluate: validation score of what ``extract`` gave; lower is better.
         chunks: most chunks.
         patience: chunks without improvement before stopping.
-        identity: from `fingerprint`.
+        identity: what decides about the training (`shmoo_mjx.fingerprints`): its code, config and data. A checkpoint of
+            another one is not continued.
         directory: where the checkpoint is kept after each chunk; a training that was cut short goes on from it and
             gives what it would have given.
         progress: called after each chunk.

@@ -15,7 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from shmoo_mjx.dynamics import feet
-from shmoo_mjx.learning import identification, training, trees
+from shmoo_mjx.fingerprints import fingerprint
+from shmoo_mjx.learning import identification, trees
 from shmoo_mjx.learning.identification import BodyPrior, IdentificationConfig
 from shmoo_mjx.learning.rows import Rows, label_scale
 
@@ -43,7 +44,7 @@ def identified(
         out_dir: of the training; None keeps nothing.
     """
     measured = (train.inputs, train.labels, validation.inputs, validation.labels)
-    identity = training.fingerprint((config, fit_rows), *measured)
+    identity = fingerprint(__name__, (config, fit_rows), *measured)
     path = None if out_dir is None else Path(out_dir).parent / f"bodies-{identity[:10]}.safetensors"
     kept = None if path is None else trees.load_checkpoint(path, _empty(config, train, validation), identity)
     if kept is not None:

@@ -14,7 +14,6 @@ map: [object.mass, object.friction]   # axes of the map of successes
 
 from __future__ import annotations
 
-import hashlib
 import math
 from pathlib import Path
 from typing import Any, Literal
@@ -22,13 +21,14 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator, model_validator
 
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.navigation.yaml_input import closest_name, read_mapping, validated
 from shmoo_mjx.plant.objects import FAMILIES
 from shmoo_mjx.seeds import MAX_SEED, UNSEEN_SEED
 from shmoo_mjx.sweep.parameters import PARAMETERS
 from shmoo_mjx.types import SensesName
 
-__all__ = ["Controller", "Draw", "SweepConfig", "fingerprint", "load_sweep", "quick"]
+__all__ = ["Controller", "Draw", "SweepConfig", "load_sweep", "quick", "sweep_fingerprint"]
 
 _KINDS = ("fixed", "uniform", "log_uniform", "normal", "choice")
 
@@ -210,8 +210,8 @@ def quick(config: SweepConfig) -> SweepConfig:
     return config.model_copy(update={"controllers": fewer, **sizes})
 
 
-def fingerprint(config: SweepConfig, weights: Path) -> str:
+def sweep_fingerprint(config: SweepConfig, weights: Path) -> str:
     """What decides about a shard's rows: a folder of results with another one belongs to another sweep."""
     deciding = config.model_dump(exclude={"question", "map", "worlds"}, mode="json")
-    own = [hashlib.sha256(Path(f).read_bytes()).hexdigest() for f in config.families if f.endswith(".json")]
-    return hashlib.sha256(repr((deciding, own, weights.read_bytes())).encode()).hexdigest()[:16]
+    own = [Path(f) for f in config.families if f.endswith(".json")]
+    return fingerprint("shmoo_mjx.sweep.simulate", deciding, weights, *own)

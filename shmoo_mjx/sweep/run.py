@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, Protocol
 from shmoo_mjx.assets import asset
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.navigation.yaml_input import write_whole
-from shmoo_mjx.sweep.config import SweepConfig, fingerprint
+from shmoo_mjx.sweep.config import SweepConfig, sweep_fingerprint
 from shmoo_mjx.sweep.worlds import Drawn, draw, label
 
 __all__ = ["Estimate", "Runner", "Shard", "Simulator", "Sweep", "duration", "read_table"]
@@ -95,7 +95,7 @@ class Sweep:
             raise ShmooError(f"{sweep.weights}: there is no such weights file; give one that shmoo train made.")
         from shmoo_mjx.run import versions
 
-        notes, mark = out / "sweep.json", fingerprint(config, sweep.weights)
+        notes, mark = out / "sweep.json", sweep_fingerprint(config, sweep.weights)
         values = {"fingerprint": mark, "config": config.model_dump(mode="json"), "versions": versions()}
         found = json.loads(notes.read_text()) if notes.exists() else {}
         if found.get("fingerprint", mark) != mark:

@@ -110,6 +110,7 @@ LAYERS = (
         "assets",
         "environment",
         "files",
+        "fingerprints",
         "talk",
         "progress",
         "processes",

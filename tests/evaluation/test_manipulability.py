@@ -11,7 +11,7 @@ import pytest
 
 from shmoo_mjx.evaluation.manipulable import SteadyPush, draw_immovable, manipulable, near_border, steady_push
 from shmoo_mjx.evaluation.object_planner import auc, draw_object, held_out_accuracy, measure, open_floor_scenario
-from shmoo_mjx.evaluation.trials import fingerprint, run_trials
+from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.faces import faces_of, heading
 from shmoo_mjx.plant.objects import draw_condition
 
@@ -118,12 +118,3 @@ def test_trials_go_on_where_they_were_stopped(tmp_path: Path) -> None:
     rows = run_trials(["a", "b", "c"], work, tmp_path, silent, workers=1)
     assert calls == ["a", "b", "c", "c"] and [r["name"] for r in rows] == ["a", "b", "c"]
     assert json.loads((tmp_path / "b.json").read_text()) == [{"name": "b"}]
-
-
-def test_a_fingerprint_changes_with_settings_and_files(tmp_path: Path) -> None:
-    file = tmp_path / "weights"
-    file.write_bytes(b"one")
-    first = fingerprint({"a": 1, "b": 2}, file)
-    assert first == fingerprint({"b": 2, "a": 1}, file) != fingerprint({"a": 1, "b": 3}, file)
-    file.write_bytes(b"two")
-    assert fingerprint({"a": 1, "b": 2}, file) != first

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.sweep.config import Draw, SweepConfig, fingerprint, load_sweep, quick
+from shmoo_mjx.sweep.config import Draw, SweepConfig, load_sweep, quick, sweep_fingerprint
 from shmoo_mjx.sweep.parameters import PARAMETERS, markdown_table
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -82,12 +82,12 @@ def test_draws_stay_where_they_belong(seed: int, low: float, width: float) -> No
 def test_what_decides_about_the_rows_is_in_the_fingerprint(tmp_path: Path) -> None:
     plain = SweepConfig(vary={"object.mass": Draw(uniform=(2, 3))})
     same = plain.model_copy(update={"question": "why?", "worlds": 512})
-    assert fingerprint(plain, WEIGHTS) == fingerprint(same, WEIGHTS)
+    assert sweep_fingerprint(plain, WEIGHTS) == sweep_fingerprint(same, WEIGHTS)
     for change in ({"seed": 1}, {"seconds": 7}, {"tolerance_m": 0.1}, {"vary": {}}, {"first_object": 3}):
-        assert fingerprint(plain.model_copy(update=change), WEIGHTS) != fingerprint(plain, WEIGHTS)
+        assert sweep_fingerprint(plain.model_copy(update=change), WEIGHTS) != sweep_fingerprint(plain, WEIGHTS)
     other = tmp_path / "other"
     other.write_bytes(WEIGHTS.read_bytes() + b"x")
-    assert fingerprint(plain, other) != fingerprint(plain, WEIGHTS)
+    assert sweep_fingerprint(plain, other) != sweep_fingerprint(plain, WEIGHTS)
 
 
 def test_the_page_lists_the_parameters() -> None:

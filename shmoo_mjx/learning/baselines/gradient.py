@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import optax
 
 from shmoo_mjx.dynamics import mlp
+from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning import least_squares, multistep, training
 from shmoo_mjx.learning import rows as batches
 from shmoo_mjx.learning.baselines.protocol import Context, Fit, Job, Predictor, Recordings, output_scale
@@ -131,7 +132,7 @@ def meta_train(
         evaluate=lambda p: score(p, held_out.rows, held),
         chunks=budget.chunks,
         patience=budget.patience,
-        identity=training.fingerprint((name, job.setting, budget, job.seed, adapt_rows), rows.inputs, rows.labels),
+        identity=fingerprint(__name__, (name, job.setting, budget, job.seed, adapt_rows), rows.inputs, rows.labels),
         directory=job.directory,
     )
     return jax.tree.map(jnp.asarray, fitted.best)

@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from shmoo_mjx.dynamics import feet
-from shmoo_mjx.learning import identification, training, trees
+from shmoo_mjx.fingerprints import fingerprint
+from shmoo_mjx.learning import identification, trees
 from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, output_scale
 from shmoo_mjx.learning.identification import BodyPrior, IdentificationConfig
 
@@ -45,7 +46,7 @@ def _learned(job: Job, config: IdentificationConfig, scale: np.ndarray) -> tuple
     rows = job.train.rows
     if job.directory is None:
         return identification.learn_prior(config, scale, rows.inputs, rows.labels, rows.weights)
-    identity = training.fingerprint(config, rows.inputs, rows.labels)
+    identity = fingerprint(__name__, config, rows.inputs, rows.labels)
     path = job.directory.parent / f"bodies-{identity[:10]}.safetensors"
     groups, p, count = config.groups, len(feet.PARAMETERS), len(rows.inputs)
     shapes = BodyPrior(np.zeros((groups, p)), np.zeros((groups, p, p)), np.zeros(groups)), np.zeros((count, p))
