@@ -7,6 +7,7 @@ in {W} of the lower-left corner of the lower-left cell; with a yaw the map's axe
 from __future__ import annotations
 
 import io
+import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -41,6 +42,9 @@ Array = Any
 FREE = 0
 OCCUPIED = 100
 UNKNOWN = -1
+
+_MOST_CELLS = 25_000_000
+"""Largest map that is read: 250 m by 250 m at 0.05 m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,11 +151,22 @@ def _pixels(image_path: Path, yaml_path: Path) -> np.ndarray:
     import imageio.v3 as iio
 
     try:
-        image = np.atleast_2d(iio.imread(image_path))
-    except Exception:  # Pillow raises many kinds for damaged files, none of which says more to the user
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Pillow's, of large images
+            height, width = iio.improps(image_path).shape[:2]
+        image = np.zeros((0, 0)) if height * width > _MOST_CELLS else np.atleast_2d(iio.imread(image_path))
+    except Exception as error:  # Pillow raises many kinds for damaged files, none of which says more to the user
+        if type(error).__name__ != "DecompressionBombError":
+            raise ShmooError(
+                f"{yaml_path}: 'image' names {image_path.name}, which is no readable image; "
+                "give a whole PGM or PNG file."
+            ) from None
+        image = np.zeros((0, 0))
+    if not image.size:
         raise ShmooError(
-            f"{yaml_path}: 'image' names {image_path.name}, which is no readable image; give a whole PGM or PNG file."
-        ) from None
+            f"{yaml_path}: 'image' names {image_path.name}, which has more pixels than the {_MOST_CELLS // 10**6} "
+            "million that are read; crop it or make it coarser."
+        )
     if image.ndim > 3:
         raise ShmooError(f"{yaml_path}: 'image' names {image_path.name}, which holds several frames; give a still one.")
     scale = 1.0 if image.dtype == bool else float(np.iinfo(image.dtype).max)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -108,6 +110,22 @@ def test_faults_are_said_in_one_sentence(tmp_path: Path, fields: dict, words: tu
     text = str(error.value)
     assert str(path) in text and all(word in text for word in words), text
     assert "\n" not in text and text.endswith(".") and "pydantic" not in text
+
+
+@pytest.mark.parametrize("side", [6000, 14000])
+def test_an_image_of_too_many_pixels_is_not_read(tmp_path: Path, side: int) -> None:
+    """The larger one is too large for Pillow as well. Its header is enough."""
+    path = write_map(tmp_path, np.full((9, 9), 254, np.uint8))
+    (tmp_path / "m.png").write_bytes(png_header(side))
+    with pytest.raises(ShmooError, match="more pixels than the 25 million that are read"):
+        maps.load_map(path)
+
+
+def png_header(side: int) -> bytes:
+    head = b"IHDR" + struct.pack(">IIBBBBB", side, side, 8, 0, 0, 0, 0)
+    data = b"IDAT" + zlib.compress(b"")
+    chunks = [struct.pack(">I", len(part) - 4) + part + struct.pack(">I", zlib.crc32(part)) for part in (head, data)]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
 
 
 def test_damaged_files(tmp_path: Path) -> None:
