@@ -4,30 +4,49 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
-__all__ = ["write_whole"]
+__all__ = ["whole", "write_whole"]
 
 
-def write_whole(path: Path, content: bytes) -> None:
-    """Write ``content`` under a temporary name (NAME.PID.tmp), then rename it to ``path``.
+@contextmanager
+def whole(path: str | Path, suffix: str = "") -> Iterator[Path]:
+    """A temporary name (NAME.PID.tmp, with the ending that a library asks for) whose file becomes ``path`` at the end.
 
-    What a killed process was about to write in the same place is removed.
+    Missing folders are made. What a killed process was about to write in the same place is removed.
+
+    Raises:
+        OSError: with ``path`` as its file, whatever could not be written.
     """
-    _clear_abandoned(path)
-    temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp")
+    path = Path(path)
+    temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp{suffix}")
     try:
-        with open(temporary, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _clear_abandoned(path)
+        yield temporary
         os.replace(temporary, path)
+    except OSError as error:
+        if error.filename not in (None, temporary, str(temporary)):
+            raise
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def write_whole(path: str | Path, content: bytes) -> Path:
+    """Write ``content`` to ``path``, whole or not at all; returns the path."""
+    with whole(path) as temporary, open(temporary, "wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    return Path(path)
 
 
 def _clear_abandoned(path: Path) -> None:
-    pattern = re.compile(re.escape(path.name) + r"\.(\d+)\.tmp")
+    pattern = re.compile(re.escape(path.name) + r"\.(\d+)\.tmp(\.\w+)?")
     for other in path.parent.iterdir():
         found = pattern.fullmatch(other.name)
         if found and not _alive(int(found[1])):

@@ -15,6 +15,7 @@ import numpy as np
 
 from shmoo_mjx.assets import asset
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.files import write_whole
 from shmoo_mjx.navigation.maps import OccupancyGrid, save_map
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Scenario, check_scenario, save_scenario
 from shmoo_mjx.seeds import check_seed
@@ -73,7 +74,7 @@ def run_scenario(
     from shmoo_mjx.recorded import RECORDED, save_recorded
     from shmoo_mjx.report.html import write_report
     from shmoo_mjx.report.recording import require_viewer, write_recording
-    from shmoo_mjx.report.trace import save_trace, write_bytes
+    from shmoo_mjx.report.trace import save_trace
 
     if record:
         require_viewer()
@@ -93,7 +94,7 @@ def run_scenario(
     save_scenario(scenario.model_copy(update={"map": "map.yaml"}), out / "scenario.yaml")
     save_trace(out / "trace.npz", episode.trace)
     save_recorded(out / RECORDED, episode.recorded)
-    write_bytes(out / "result.json", (json.dumps(result, indent=1, default=float) + "\n").encode())
+    write_whole(out / "result.json", (json.dumps(result, indent=1, default=float) + "\n").encode())
     # The report shows the film that lies there: one of an earlier run must not.
     (out / "episode.mp4").unlink(missing_ok=True)
     (out / "episode.rrd").unlink(missing_ok=True)

@@ -33,3 +33,11 @@ def test_what_a_killed_process_left_is_removed_and_nothing_else(tmp_path: Path) 
         (tmp_path / name).touch()
     files.write_whole(tmp_path / "a.json", b"")
     assert {path.name for path in tmp_path.iterdir()} == stays
+
+
+def test_what_could_not_be_written_is_named_and_leaves_nothing(tmp_path: Path) -> None:
+    (tmp_path / "a.json").mkdir()
+    with pytest.raises(OSError) as error:
+        files.write_whole(tmp_path / "a.json", b"new")
+    assert error.value.filename == str(tmp_path / "a.json") and error.value.strerror
+    assert [path.name for path in tmp_path.iterdir()] == ["a.json"]

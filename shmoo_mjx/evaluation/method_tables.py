@@ -6,13 +6,13 @@ python -m shmoo_mjx.evaluation.method_tables docs/learning.md baselines.json abl
 from __future__ import annotations
 
 import math
-import os
 import re
 import sys
 from pathlib import Path
 
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.result import ExperimentResult, read_result
+from shmoo_mjx.files import write_whole
 
 __all__ = ["ablations_table", "baselines_table", "fill"]
 
@@ -105,9 +105,7 @@ def fill(page: Path, results: list[ExperimentResult]) -> None:
         table = tables[name](result)
         before, after = place.split(text, maxsplit=1)
         text = f"{before}<!-- {name} -->\n{table}\n<!-- end {name} -->{after}"
-    part = page.with_name(f"{page.name}.{os.getpid()}.part")
-    part.write_text(text)
-    os.replace(part, page)
+    write_whole(page, text.encode())
 
 
 def _number(value: float | None) -> str:

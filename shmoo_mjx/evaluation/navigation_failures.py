@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from shmoo_mjx.navigation.yaml_input import write_whole
+from shmoo_mjx.files import write_whole
 from shmoo_mjx.report.trace import load_trace, save_trace
 
 if TYPE_CHECKING:

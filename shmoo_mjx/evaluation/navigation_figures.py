@@ -10,10 +10,10 @@ import numpy as np
 
 from shmoo_mjx.evaluation.navigation_measures import OURS
 from shmoo_mjx.evaluation.scenarios import KINDS
+from shmoo_mjx.files import write_whole
 from shmoo_mjx.navigation.maps import OccupancyGrid, load_map
 from shmoo_mjx.report.figures import to_png
 from shmoo_mjx.report.style import COLOURS, SERIES, object_colour, outline
-from shmoo_mjx.report.trace import write_bytes
 
 __all__ = ["draw_figures"]
 
@@ -26,11 +26,11 @@ def draw_figures(folder: Path, rows: list[dict[str, Any]], maps: dict[str, Path]
     folder.mkdir(parents=True, exist_ok=True)
     if not rows:
         return
-    write_bytes(folder / "success.png", to_png(_success(rows)))
-    write_bytes(folder / "causes.png", to_png(_causes(rows)))
+    write_whole(folder / "success.png", to_png(_success(rows)))
+    write_whole(folder / "causes.png", to_png(_causes(rows)))
     for name in dict.fromkeys(r["map"] for r in rows):
         of = [r for r in rows if r["map"] == name]
-        write_bytes(folder / f"runs-{name}.png", to_png(_runs(of, load_map(maps[name]))))
+        write_whole(folder / f"runs-{name}.png", to_png(_runs(of, load_map(maps[name]))))
 
 
 def _policies(rows: list[dict[str, Any]]) -> list[str]:

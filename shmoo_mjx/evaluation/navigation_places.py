@@ -16,11 +16,11 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.manipulable import BORDER, SteadyPush
 from shmoo_mjx.evaluation.result import Ask
 from shmoo_mjx.evaluation.scenarios import KINDS, PLANT, Generated, Kind, ScenarioConfig, draw_scenario
+from shmoo_mjx.files import write_whole
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.navigation.floorplan import draw_floorplan
 from shmoo_mjx.navigation.maps import OccupancyGrid, save_map
 from shmoo_mjx.navigation.scenario import Scenario
-from shmoo_mjx.navigation.yaml_input import write_whole
 
 __all__ = [
     "FLOOR_PLANS",

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from shmoo_mjx.files import write_whole
 from shmoo_mjx.navigation.records import NavigatorConfig
 from shmoo_mjx.report.figures import draw_decision, to_png
 from shmoo_mjx.report.style import SERIES
-from shmoo_mjx.report.trace import write_bytes
 
 __all__ = ["draw_figures"]
 
@@ -20,9 +20,9 @@ def draw_figures(folder: Path, rows: list[dict[str, Any]], episodes: Callable[[]
     """Write K.png, confusion.png and planned_goals.png (the paper's Fig. 5) into ``folder``."""
     folder.mkdir(parents=True, exist_ok=True)
     found = [r for r in rows if r["decided"] is not None]
-    write_bytes(folder / "K.png", to_png(_histogram(found)))
-    write_bytes(folder / "confusion.png", to_png(_confusion(found)))
-    write_bytes(folder / "planned_goals.png", to_png(_planned_goals(episodes())))
+    write_whole(folder / "K.png", to_png(_histogram(found)))
+    write_whole(folder / "confusion.png", to_png(_confusion(found)))
+    write_whole(folder / "planned_goals.png", to_png(_planned_goals(episodes())))
 
 
 def _histogram(rows: list[dict[str, Any]]) -> Any:

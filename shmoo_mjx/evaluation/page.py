@@ -19,7 +19,7 @@ from shmoo_mjx.evaluation.method_tables import ablations_table, baselines_table
 from shmoo_mjx.evaluation.navigation_tables import navigation_tables
 from shmoo_mjx.evaluation.registry import EXPERIMENTS
 from shmoo_mjx.evaluation.result import ExperimentResult, read_result, weights_id
-from shmoo_mjx.navigation.yaml_input import write_whole
+from shmoo_mjx.files import write_whole
 
 __all__ = ["SECTIONS", "Section", "read_results", "render", "write_page"]
 

@@ -7,8 +7,6 @@ and what changes half-way: extra mass, a brake pressed on one wheel, or nothing.
 from __future__ import annotations
 
 import json
-import os
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,12 +14,14 @@ from typing import Any
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.files import write_whole
 from shmoo_mjx.learning.adaptation import AdaptState
 from shmoo_mjx.learning.weights import Weights
 from shmoo_mjx.navigation.maps import OccupancyGrid
 from shmoo_mjx.navigation.push_task import Pusher, PushTask, pose_push_config
 from shmoo_mjx.plant.objects import FAMILIES, Condition, draw_condition
 from shmoo_mjx.plant.scene import Scene, build_scene
+from shmoo_mjx.report.trace import write_arrays
 from shmoo_mjx.sensing import REAL, SensedEngine, Senses
 from shmoo_mjx.types import Observation
 
@@ -290,11 +290,5 @@ class _Log:
 def save_trial(folder: Path, row: dict[str, Any], track: dict[str, np.ndarray]) -> None:
     """One trial's files; the row comes last and makes the trial count as done."""
     stem = f"{row['method']}-{row['trial']}"
-    _whole(folder / f"{stem}.npz", lambda part: np.savez_compressed(part, **track))  # type: ignore[arg-type]
-    _whole(folder / f"{stem}.json", lambda part: part.write_text(json.dumps(row, default=float)))
-
-
-def _whole(path: Path, write: Callable[[Path], Any]) -> None:
-    part = path.with_name(f".{os.getpid()}.part{path.suffix}")
-    write(part)
-    os.replace(part, path)
+    write_arrays(folder / f"{stem}.npz", track)
+    write_whole(folder / f"{stem}.json", json.dumps(row, default=float).encode())

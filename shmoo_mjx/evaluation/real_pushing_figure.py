@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from shmoo_mjx.files import write_whole
 from shmoo_mjx.report.figures import to_png
 from shmoo_mjx.report.style import SERIES
-from shmoo_mjx.report.trace import write_bytes
 
 __all__ = ["draw_figure"]
 
@@ -49,4 +49,4 @@ def draw_figure(path: Path, rows: list[dict[str, Any]]) -> None:
         axes.set_ylabel(label)
     panels[1].set_xticks(range(len(conditions)), conditions, rotation=45, ha="right", fontsize=8)
     panels[0].legend(fontsize=8, ncols=2)
-    write_bytes(path, to_png(figure))
+    write_whole(path, to_png(figure))

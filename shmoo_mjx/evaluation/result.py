@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, is_dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from shmoo_mjx.assets import asset
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.files import write_whole
 from shmoo_mjx.run import DEMO_WEIGHTS, versions
 from shmoo_mjx.seeds import MAX_CONDITION_SEED, UNSEEN_SEED, check_seed
 from shmoo_mjx.types import SensesName
@@ -137,10 +137,7 @@ def over_seeds(measure: str, name: str, values: Any) -> dict[str, float]:
 
 def write_result(path: Path, result: ExperimentResult) -> None:
     """Write the JSON whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f"{path.name}.{os.getpid()}.part")
-    part.write_text(result.model_dump_json(indent=1) + "\n")
-    os.replace(part, path)
+    write_whole(path, (result.model_dump_json(indent=1) + "\n").encode())
 
 
 def read_result(path: Path) -> ExperimentResult:

@@ -9,7 +9,7 @@ from concurrent.futures import as_completed
 from pathlib import Path
 from typing import Any
 
-from shmoo_mjx.navigation.yaml_input import write_whole
+from shmoo_mjx.files import write_whole
 from shmoo_mjx.processes import process_pool
 
 __all__ = ["run_trials"]

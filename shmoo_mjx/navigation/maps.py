@@ -19,9 +19,10 @@ from scipy.ndimage import binary_dilation, distance_transform_edt
 
 from shmoo_mjx import se2
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.files import write_whole
 from shmoo_mjx.navigation.clearance import ClearanceField
 from shmoo_mjx.navigation.walls import cover_rectangles
-from shmoo_mjx.navigation.yaml_input import read_mapping, validated, write_whole
+from shmoo_mjx.navigation.yaml_input import read_mapping, validated
 
 __all__ = [
     "FREE",

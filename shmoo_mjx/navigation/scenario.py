@@ -25,7 +25,8 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator
 
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.navigation.yaml_input import read_mapping, validated, write_whole
+from shmoo_mjx.files import write_whole
+from shmoo_mjx.navigation.yaml_input import read_mapping, validated
 from shmoo_mjx.types import SENSES, SensesName
 
 if TYPE_CHECKING:

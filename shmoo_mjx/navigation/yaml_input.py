@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 
 from shmoo_mjx.errors import ShmooError
 
-__all__ = ["closest_name", "read_mapping", "validated", "write_whole"]
+__all__ = ["closest_name", "read_mapping", "validated"]
 
 
 _PLAIN_TERMS = {"tuple": "list", "Input": "it", "dictionary": "mapping of 'key: value' lines"}
@@ -83,18 +82,6 @@ def validated[Model: BaseModel](model: type[Model], data: dict[str, Any], path: 
         return model.model_validate(data)
     except ValidationError as error:
         raise ShmooError(_sentence(error, model, path)) from None
-
-
-def write_whole(path: str | Path, content: bytes) -> None:
-    """Writes a file under a temporary name and renames it, so that it is there whole or not at all."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        temporary.write_bytes(content)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _sentence(error: ValidationError, model: type[BaseModel], path: str | Path) -> str:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -18,6 +17,7 @@ import numpy as np
 import shapely
 
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.files import write_whole
 from shmoo_mjx.plant.mjcf_object import read_mjcf
 from shmoo_mjx.plant.objects import Condition
 
@@ -110,10 +110,7 @@ def add_object(
         "swivel_friction": swivel_friction,
     }
     target = Path(out) if out else Path(source.stem + ".json")
-    written = target.with_name(target.name + ".part")
-    written.write_text(json.dumps(data, indent=1))
-    os.replace(written, target)
-    return target
+    return write_whole(target, json.dumps(data, indent=1).encode())
 
 
 def _measure(mesh_file: Path, scale: float, up: str, hull: bool) -> tuple[np.ndarray, dict[str, np.ndarray]]:

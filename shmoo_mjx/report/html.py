@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from shmoo_mjx.files import write_whole
 from shmoo_mjx.report import figures
 from shmoo_mjx.report.trace import (
     Trace,
@@ -18,7 +19,6 @@ from shmoo_mjx.report.trace import (
     object_index,
     object_name,
     telling_decisions,
-    write_bytes,
 )
 
 __all__ = ["MAX_VIDEO_BYTES", "render_report", "succeeded", "summary", "write_report"]
@@ -38,7 +38,7 @@ def write_report(run_dir: str | Path) -> Path:
     result, trace = load_result(folder / "result.json"), load_trace(folder / "trace.npz")
     video = folder / "episode.mp4"
     page = render_report(result, trace, video if video.is_file() else None)
-    return write_bytes(folder / "report.html", page.encode("utf-8"))
+    return write_whole(folder / "report.html", page.encode("utf-8"))
 
 
 def render_report(result: dict[str, Any], trace: Trace, video: Path | None = None) -> str:

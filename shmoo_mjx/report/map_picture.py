@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from shmoo_mjx.files import write_whole
 from shmoo_mjx.navigation.maps import OccupancyGrid, inflate
 from shmoo_mjx.report.figures import to_png
-from shmoo_mjx.report.trace import write_bytes
 
 __all__ = ["draw_map"]
 
@@ -62,4 +62,4 @@ def draw_map(grid: OccupancyGrid, radius: float, path: Path) -> Path:
     figure.legend(
         handles=patches, loc="outside lower center", ncols=4 if size[0] > 6 else 2, fontsize="small", frameon=False
     )
-    return write_bytes(path, to_png(figure))
+    return write_whole(path, to_png(figure))

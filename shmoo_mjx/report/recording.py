@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.files import whole
 from shmoo_mjx.navigation.maps import OccupancyGrid, occupied_rectangles
 from shmoo_mjx.plant.robot import ROBOT
 from shmoo_mjx.report.style import COLOURS, object_colour
@@ -48,15 +48,14 @@ def write_recording(path: Path, result: dict[str, Any], trace: Trace) -> Path:
         ShmooError: the viewer's package is not installed.
     """
     rerun = require_viewer()
-    part = path.with_name(f".{path.name}.part")
-    stream = rerun.RecordingStream("shmoo_mjx")
-    stream.save(str(part))
-    _still_parts(rerun, stream, result, trace)
-    _motion(rerun, stream, result, trace)
-    _plans_and_evidence(rerun, stream, result, trace)
-    stream.flush()
-    stream.disconnect()
-    os.replace(part, path)
+    with whole(path) as part:
+        stream = rerun.RecordingStream("shmoo_mjx")
+        stream.save(str(part))
+        _still_parts(rerun, stream, result, trace)
+        _motion(rerun, stream, result, trace)
+        _plans_and_evidence(rerun, stream, result, trace)
+        stream.flush()
+        stream.disconnect()
     return path
 
 

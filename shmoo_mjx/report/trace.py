@@ -17,7 +17,6 @@ A decision's ``object`` is an object's ``id``; its roll-outs stand in the trace 
 from __future__ import annotations
 
 import json
-import os
 import zipfile
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,6 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.files import whole
 
 __all__ = [
     "Trace",
@@ -36,7 +36,6 @@ __all__ = [
     "save_trace",
     "telling_decisions",
     "write_arrays",
-    "write_bytes",
 ]
 
 Array = Any
@@ -83,15 +82,6 @@ class Trace(NamedTuple):
     """D sets of candidate goals ``[C_d, 3]``"""
 
 
-def write_bytes(path: str | Path, data: bytes) -> Path:
-    """Writes the whole file or leaves what was there."""
-    target = Path(path)
-    temporary = target.with_name(f".{target.name}.part")
-    temporary.write_bytes(data)
-    os.replace(temporary, target)
-    return target
-
-
 def save_trace(path: str | Path, trace: Trace) -> Path:
     """Writes ``trace.npz``; lists of arrays of unequal shape become numbered entries."""
     arrays: dict[str, np.ndarray] = {}
@@ -105,12 +95,9 @@ def save_trace(path: str | Path, trace: Trace) -> Path:
 
 def write_arrays(path: str | Path, arrays: dict[str, np.ndarray]) -> Path:
     """Writes the whole ``.npz`` file or leaves what was there."""
-    target = Path(path)
-    temporary = target.with_name(f".{target.name}.part")
-    with temporary.open("wb") as stream:
+    with whole(path) as temporary, temporary.open("wb") as stream:
         np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
-    os.replace(temporary, target)
-    return target
+    return Path(path)
 
 
 def read_arrays(path: Path, what: str) -> dict[str, np.ndarray]:

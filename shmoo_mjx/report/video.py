@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.files import whole
 from shmoo_mjx.report.style import COLOURS, object_colour, outline, window
 from shmoo_mjx.report.trace import Trace
 
@@ -53,10 +54,8 @@ def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float = 10.
     """
     import imageio.v2 as iio
 
-    target = Path(path)
-    temporary = target.with_name(f".{target.stem}.part.mp4")
-    writer = None
-    try:
+    with ExitStack() as end:
+        temporary, writer = end.enter_context(whole(path, ".mp4")), None
         for frame in frames:
             even = np.ascontiguousarray(frame[: frame.shape[0] // 2 * 2, : frame.shape[1] // 2 * 2, :3])
             if writer is None:
@@ -70,16 +69,11 @@ def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float = 10.
                     macro_block_size=2,
                     output_params=["-crf", "24", "-preset", "veryfast", "-movflags", "+faststart"],
                 )
+                end.callback(writer.close)
             writer.append_data(even)
         if writer is None:
             raise ValueError("a film needs at least one frame")
-        writer.close()
-        os.replace(temporary, target)
-    finally:
-        if writer is not None:
-            writer.close()
-        temporary.unlink(missing_ok=True)
-    return target
+    return Path(path)
 
 
 def top_down(result: dict[str, Any], trace: Trace, size: tuple[int, int] = (640, 480)) -> TopDown:

@@ -76,7 +76,7 @@ def _alone(sweep: Sweep, memory_gb: float | None, only_estimate: bool, progress:
 
 
 def _collected(config: SweepConfig, sweep: Sweep) -> list[Path]:
-    from shmoo_mjx.navigation.yaml_input import write_whole
+    from shmoo_mjx.files import write_whole
     from shmoo_mjx.sweep.figures import draw_figures, summary
 
     results = sweep.collect()

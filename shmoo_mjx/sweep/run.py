@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Protocol
 
 from shmoo_mjx.assets import asset
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.navigation.yaml_input import write_whole
+from shmoo_mjx.files import write_whole
 from shmoo_mjx.sweep.config import SweepConfig, sweep_fingerprint
 from shmoo_mjx.sweep.worlds import Drawn, draw, label
 
