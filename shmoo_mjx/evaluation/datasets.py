@@ -16,9 +16,7 @@ __all__ = [
     "UNSEEN_COUNTS",
     "collect_rows",
     "subset",
-    "training_data",
     "training_directory",
-    "unseen_data",
     "unseen_directory",
 ]
 
@@ -54,11 +52,6 @@ def training_directory(ask: Ask) -> Path:
     return directory
 
 
-def training_data(ask: Ask) -> store.Dataset:
-    """The train and validation conditions of `training_directory`."""
-    return store.of_training(training_directory(ask))
-
-
 def unseen_directory(ask: Ask, counts: Mapping[str, int] | None = None) -> Path:
     """The directory with recordings of unseen objects, collected once under ``ask.out``.
 
@@ -85,11 +78,6 @@ def collect_rows(ask: Ask, name: str, rows: list[tuple[str, str, Condition]]) ->
     config = CollectConfig(train=0, validation=0, seed=ask.first_unseen + ask.seed)
     collect(directory, config, progress=_report(ask, "collect unseen objects"), rows=rows)
     return directory
-
-
-def unseen_data(ask: Ask, counts: Mapping[str, int] | None = None) -> store.Dataset:
-    """The conditions of `unseen_directory`."""
-    return store.read(unseen_directory(ask, counts), splits=("test",))
 
 
 def subset(dataset: store.Dataset, per_family: int) -> store.Dataset:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import shapely
 
 from shmoo_mjx import se2
-from shmoo_mjx.navigation.maps import OCCUPIED, ClearanceField, OccupancyGrid
+from shmoo_mjx.navigation.maps import ClearanceField
 
 __all__ = [
     "add_obstacles",
@@ -18,7 +17,6 @@ __all__ = [
     "footprint_polygon",
     "footprints_free",
     "polygon_distance",
-    "register_obstacles",
     "window_near",
 ]
 
@@ -107,18 +105,6 @@ def _convex_corners(polygon: shapely.Polygon) -> np.ndarray | None:
     if (turns >= -1e-12).all():
         return ring
     return ring[::-1] if (turns <= 1e-12).all() else None
-
-
-def register_obstacles(grid: OccupancyGrid, polygons: Iterable[shapely.Polygon]) -> OccupancyGrid:
-    """The map with every cell that a polygon touches marked occupied (Algorithm 1, "register as obstacle on M")."""
-    cells = grid.cells.copy()
-    half = grid.resolution / 2
-    for polygon in polygons:
-        window = _window(grid.world_to_cell(_bounding_corners(polygon)), 2, cells.shape)
-        centres = grid.cell_to_world(np.moveaxis(np.mgrid[window], 0, -1))
-        squares = shapely.polygons(footprint_corners(_with_yaw(centres, grid.origin[2]), (half, half)))
-        cells[window] = np.where(shapely.intersects(polygon, squares), OCCUPIED, cells[window])
-    return replace(grid, cells=cells)
 
 
 def footprints_free(
