@@ -158,7 +158,3 @@ def _window(cells: np.ndarray, pad: int, shape: tuple[int, ...]) -> tuple[slice,
     low = np.clip(cells.min(axis=0) - pad, 0, shape)
     high = np.maximum(np.minimum(cells.max(axis=0) + pad + 1, shape), low)
     return slice(int(low[0]), int(high[0])), slice(int(low[1]), int(high[1]))
-
-
-def _with_yaw(points: np.ndarray, yaw: float) -> np.ndarray:
-    return np.concatenate([points, np.full((*points.shape[:-1], 1), yaw)], axis=-1)
