@@ -164,6 +164,8 @@ class Segment:
     """Away from the object, once the push is over."""
     reviewed: tuple[float, float] = (0.0, 0.0)
     """Time and contact time of the last planning stage [s]."""
+    straight_from: float | None = None
+    """Since when the object has been pushed straight ahead, wherever it was to go before it stuck [s]."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ import numpy as np
 from shmoo_mjx.faces import heading
 from shmoo_mjx.navigation.belief import Status
 from shmoo_mjx.navigation.object_planner import ObjectDecision, planning_stage
-from shmoo_mjx.navigation.records import Decision, Mode, NavigatorState, Planned, Setup
+from shmoo_mjx.navigation.records import Decision, Mode, NavigatorState, Note, Planned, Segment, Setup
 from shmoo_mjx.skills.push import PushState
 from shmoo_mjx.types import DT, Observation
 
@@ -65,7 +65,7 @@ def judge(setup: Setup, state: NavigatorState, seen: Observation) -> NavigatorSt
     if push.since_contact > cfg.lost_after and not _rolls_ahead(setup, state, now, push):
         return leave(f"contact with object {index} lost for {cfg.lost_after:g} s")
     travelled = push.travelled(_STALL[1])
-    if travelled is not None and travelled < _STALL[0]:
+    if travelled is not None and travelled < _STALL[0] and not _begins_anew(segment, now):
         text = f"object {index} moved less than {_STALL[0]:g} m in {_STALL[1]:g} s"
         return _stuck(setup, state, now, text)
     if now - push.started > cfg.push_limit:
@@ -141,11 +141,20 @@ def _planning_stage(setup: Setup, state: NavigatorState, seen: Observation, push
 def _asked(setup: Setup, state: NavigatorState) -> np.ndarray:
     """Where the roll-outs are to bring the object. K asks how far it can be moved: a goal that is nearly reached, or
     already behind the object, would say nothing about that, so a place ahead takes its part."""
-    segment, pose, reach = state.current(), state.known().pose, setup.config.planner.min_displacement
-    if _left(segment.goal, pose, segment.face) >= reach:
+    segment, pose = state.current(), state.known().pose
+    if _left(segment.goal, pose, segment.face) >= setup.config.planner.min_displacement:
         return segment.goal
-    ahead = heading(pose, segment.face)
+    return _straight_ahead(setup, segment, pose)
+
+
+def _straight_ahead(setup: Setup, segment: Segment, pose: np.ndarray) -> np.ndarray:
+    ahead, reach = heading(pose, segment.face), setup.config.planner.min_displacement
     return np.array([*(pose[:2] + reach * np.array([np.cos(ahead), np.sin(ahead)])), segment.goal[2]])
+
+
+def _begins_anew(segment: Segment, now: float) -> bool:
+    """Whether it is too early to judge a push straight ahead."""
+    return segment.straight_from is not None and now < segment.straight_from + _STALL[1]
 
 
 def _verdict(
@@ -157,10 +166,12 @@ def _verdict(
     if state.mode is Mode.PUSH and not result.manipulable and _gives_way(push, known.half_extents):
         # What moves can be moved. K is small here because walls leave the roll-outs no way on.
         return state
+    if not result.manipulable and _begins_anew(state.current(), now):
+        return state
     state = state.of_object(index, manipulable=result.manipulable)
     if not result.manipulable:
         return _stuck(setup, state, now, f"object {index} is not manipulable: {result.reason}")
-    if result.goal is not None:
+    if result.goal is not None and state.current().straight_from is None:
         state = state.in_segment(goal=result.goal)
     if state.mode is Mode.PROBE:
         state = state.go(now, Mode.PUSH, f"object {index} is manipulable: {result.reason}")
@@ -185,10 +196,16 @@ def _gives_way(push: PushState, half_extents: tuple[float, float]) -> bool:
 
 
 def _stuck(setup: Setup, state: NavigatorState, now: float, why: str) -> NavigatorState:
-    """End a push that leads no further. Only what no push has moved counts as immovable; what has given way before is
-    left where it is, and tried on another face where the way round is long enough for that."""
+    """What to do about a push that leads no further.
+
+    What has been called manipulable is pushed straight ahead once: on the way to its goal it may have to turn where
+    there is no room for that. If this does not help the push ends. Only what no push has moved counts as immovable;
+    what has given way before is left where it is, and tried on another face where the way round is long enough."""
     segment, known = state.current(), state.known()
     assert segment.push is not None
+    if state.mode is Mode.PUSH and segment.straight_from is None:
+        state = state.in_segment(goal=_straight_ahead(setup, segment, known.pose), straight_from=now)
+        return state.said(Note(now, f"{why}; pushes it straight ahead"))
     moved = segment.push.moved(known.pose)
     if moved >= _MOVED:
         state = state.of_object(segment.object, status=Status.PARKED)

@@ -561,6 +561,19 @@ def test_what_has_given_way_before_and_sticks_is_not_tried_on_the_same_face_for_
     assert [t.target for t in navigator.transitions].count(Mode.PROBE) == 3 - doors
 
 
+def test_an_object_that_sticks_on_the_way_to_its_goal_is_pushed_straight_ahead() -> None:
+    """It turns no further, say, but gives way straight ahead."""
+
+    def sticks(world: World, navigator: Navigator) -> None:
+        segment = navigator.segment
+        if navigator.mode is Mode.PUSH and segment is not None and world.box[0] > 3.15:
+            world.foreseen = world.movable = segment.straight_from is not None
+
+    navigator, world = run(1, happens=sticks, seconds=90.0)
+    assert "pushes it straight ahead" in said(navigator)
+    assert navigator.mode is Mode.DONE and world.box[0] > 3.3
+
+
 def test_an_object_out_of_reach_is_not_given_up_twice_in_one_sample() -> None:
     """It closes a corridor so that no face can be stood off from; the second try comes later, not at once."""
     cells = np.full((80, 120), OCCUPIED, dtype=np.int8)
