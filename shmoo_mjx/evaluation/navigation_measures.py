@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx.evaluation.paired import paired_difference
+from shmoo_mjx.evaluation.paired import difference_metrics
 from shmoo_mjx.evaluation.scenarios import KINDS, Generated
 
 __all__ = [
@@ -141,15 +141,8 @@ def _differences(policy: str, ours: dict[Any, Any], theirs: dict[Any, Any]) -> d
     metrics: dict[str, Any] = {}
     for name in COMPARED:
         pairs = solved if name == "time_s" else both
-        found = paired_difference([a[name] for a, _ in pairs], [b[name] for _, b in pairs])
-        if found is not None:
-            key = f"difference_{policy}_{name}"
-            metrics |= {
-                key: found.mean,
-                f"{key}_low": found.low,
-                f"{key}_high": found.high,
-                f"{key}_pairs": found.pairs,
-            }
+        key = f"difference_{policy}_{name}"
+        metrics |= difference_metrics(key, [a[name] for a, _ in pairs], [b[name] for _, b in pairs])
     return metrics
 
 

@@ -6,7 +6,7 @@ from collections import Counter
 from typing import Any
 
 from shmoo_mjx.evaluation.navigation_measures import COMPARED, OURS
-from shmoo_mjx.evaluation.paired import verdict
+from shmoo_mjx.evaluation.paired import difference_cell
 from shmoo_mjx.evaluation.result import ExperimentResult
 from shmoo_mjx.evaluation.scenarios import KINDS
 
@@ -40,18 +40,9 @@ def _differences(result: ExperimentResult) -> str:
         "|---" * (len(others) + 1) + "|",
     ]
     for name, more_is_better in COMPARED.items():
-        cells = [_difference(result, f"difference_{p}_{name}", more_is_better) for p in others]
+        cells = [difference_cell(result.metrics, f"difference_{p}_{name}", more_is_better) for p in others]
         lines.append(f"| {_LABELS[name]} | {' | '.join(cells)} |")
     return "\n".join(lines)
-
-
-def _difference(result: ExperimentResult, key: str, more_is_better: bool) -> str:
-    mean, low, high = (result.metrics.get(key + end) for end in ("", "_low", "_high"))
-    if mean is None or low is None or high is None:
-        return "-"
-    said = verdict(low, high, more_is_better)
-    pairs = f", {result.metrics[f'{key}_pairs']:.0f} pairs"
-    return f"{mean:+.3g} ({low:.3g} to {high:.3g}{pairs})" + (f" **{said}**" if said else "")
 
 
 def _maps(result: ExperimentResult) -> str:

@@ -1,8 +1,8 @@
 """Experiment ``pushing`` (Sec. VI-A, Fig. 7, spec 7.3): objects pushed to three goals.
 
-Three families, three goals, ten runs each; the object changes half-way. Every trial is also run with the coefficients
-frozen at the prior, with a quasi-static pusher, and with coefficients fitted in hindsight. Each finished trial is a
-file, so that an interrupted experiment goes on where it stopped.
+Two strata of trials: objects as drawn, three families, three goals, ten runs each; and objects that ask for adaptation,
+seven runs each. Every method runs every trial. Each finished trial is a file, so that an interrupted experiment goes on
+where it stopped.
 """
 
 from __future__ import annotations
@@ -11,25 +11,23 @@ import json
 import os
 from collections.abc import Iterator
 from concurrent.futures import as_completed
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from shmoo_mjx.assets import asset
-from shmoo_mjx.evaluation.pushing_trials import METHODS, Runner, Trial, draw_trials, save_trial
+from shmoo_mjx.evaluation.pushing_measures import metrics_of
+from shmoo_mjx.evaluation.pushing_trials import METHODS, STRATA, Runner, Trial, draw_trials, save_trial
 from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.processes import process_pool
 from shmoo_mjx.sensing import senses_named
 
-__all__ = ["PAPER", "PushingConfig", "enclosing_circle", "metrics_of", "run"]
+__all__ = ["PAPER", "PushingConfig", "run"]
 
 PAPER = {"offset_goal1_m": 0.067, "offset_goal2_m": 0.124, "offset_goal3_m": 0.164}
 """Sec. VI-A: mean final distance from the goal. The circles of Fig. 7 are printed as a picture only."""
 
-OURS = "ours"
 _WEIGHTS = "experiments/weights/demo.safetensors"
 
 
@@ -38,9 +36,9 @@ class PushingConfig:
     """Size of the experiment."""
 
     runs: int = 10
-    """Runs per family and goal."""
-    baseline_runs: int = 2
-    """The first so many of them are run with the other methods too."""
+    """Runs per family and goal, objects as drawn."""
+    demanding_runs: int = 7
+    """Runs per family and goal, objects that ask for adaptation."""
     goals: tuple[int, ...] = (1, 2, 3)
     methods: tuple[str, ...] = METHODS
     time_limit: float = 120.0
@@ -53,20 +51,25 @@ class PushingConfig:
 
 def config_for(quick: bool) -> PushingConfig:
     """The full experiment, or a short form: two trials per family."""
-    return PushingConfig(runs=1, goals=(1, 2), videos=False) if quick else PushingConfig()
+    return PushingConfig(runs=1, demanding_runs=1, goals=(1, 2), videos=False) if quick else PushingConfig()
 
 
 def run(ask: Ask) -> ExperimentResult:
     """Run what is not done yet and put the results together."""
     config = config_for(ask.quick)
     weights = Path(ask.weights or asset(_WEIGHTS))
-    trials = draw_trials(ask.first_unseen, ask.seed, config.runs, config.goals)
+    runs = dict(zip(STRATA, (config.runs, config.demanding_runs), strict=True))
+    trials = [t for s in STRATA for t in draw_trials(ask.first_unseen, ask.seed, runs[s], config.goals, s)]
     folder = ask.out / "pushing" / _fingerprint(ask, config, weights)
     folder.mkdir(parents=True, exist_ok=True)
-    wanted = [(t, m) for m in config.methods for t in trials if m == OURS or t.run < config.baseline_runs]
+    # Ours first, then the method that says most beside it: what an experiment that is stopped has run can be compared.
+    wanted = [(t, m) for m in sorted(config.methods, key=METHODS.index) for t in trials]
     todo = [(t, m) for t, m in wanted if not (folder / f"{m}-{t.name}.json").exists()]
     total = len(wanted)
-    for done, name in enumerate(_run_all(todo, weights, config, folder, ask.senses), total - len(todo) + 1):
+    needs_paper_form = any(m == "paper_form" for _, m in todo)
+    paper_form = _paper_form(ask, weights, folder) if needs_paper_form else None
+    job = _Job(weights, paper_form, config, folder, ask.senses)
+    for done, name in enumerate(_run_all(todo, job), total - len(todo) + 1):
         ask.progress(f"pushing: {name}", 0.95 * done / total)
     rows = [json.loads((folder / f"{m}-{t.name}.json").read_text()) for t, m in wanted]
     from shmoo_mjx.evaluation.pushing_figure import draw_figure, film
@@ -75,66 +78,10 @@ def run(ask: Ask) -> ExperimentResult:
     if config.videos:
         for family in dict.fromkeys(t.family for t in trials):
             ask.progress(f"film of a {family}", 0.97)
-            first = next(t for t in trials if t.family == family and t.goal == 2)
+            first = next(t for t in trials if t.family == family and t.goal == 2 and t.stratum == STRATA[0])
             film(ask.out / "pushing" / f"pushing-{family}.mp4", first, folder, senses_named(ask.senses))
     ask.progress("done", 1.0)
     return make_result("pushing", ask, config, metrics_of(rows), PAPER, rows)
-
-
-def metrics_of(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Flat metrics: ours by their names, the other methods as ``baseline_<name>_*``.
-
-    ``baseline_<name>_ours_*`` is what ours did on the trials of that method.
-    """
-    metrics: dict[str, Any] = {}
-    for method in dict.fromkeys(row["method"] for row in rows):
-        mine = [row for row in rows if row["method"] == method]
-        prefix = "" if method == OURS else f"baseline_{method}_"
-        metrics |= {prefix + name: value for name, value in _scores(mine).items()}
-        if method != OURS:
-            same = {row["trial"] for row in mine}
-            paired = _scores([row for row in rows if row["method"] == OURS and row["trial"] in same])
-            metrics |= {f"{prefix}ours_{name}": paired[name] for name in ("success_rate", "offset_m", "falls")}
-    return metrics
-
-
-def _scores(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    scores: dict[str, Any] = {}
-    for goal in sorted({row["goal"] for row in rows}):
-        there = [row for row in rows if row["goal"] == goal]
-        offsets = np.array([row["offset_m"] for row in there])
-        scores[f"offset_goal{goal}_m"] = float(offsets.mean())
-        scores[f"offset_goal{goal}_std_m"] = float(offsets.std())
-        scores[f"circle_goal{goal}_m"] = float(offsets.max())
-        finals = np.array([[row["final_x"], row["final_y"]] for row in there])
-        scores[f"radius_goal{goal}_m"] = enclosing_circle(finals)[1]
-    for family in dict.fromkeys(row["family"] for row in rows):
-        mine = [row for row in rows if row["family"] == family]
-        scores[f"success_rate_{family}"] = float(np.mean([row["success"] for row in mine]))
-        scores[f"offset_{family}_m"] = float(np.mean([row["offset_m"] for row in mine]))
-    scores["success_rate"] = float(np.mean([row["success"] for row in rows]))
-    scores["offset_m"] = float(np.mean([row["offset_m"] for row in rows]))
-    scores["offset_median_m"] = float(np.median([row["offset_m"] for row in rows]))
-    scores["yaw_error_deg"] = float(np.mean([row["yaw_error_deg"] for row in rows]))
-    scores["falls"] = int(sum(row["fell"] for row in rows))
-    scores["worst_lean_rad"] = max(row["worst_lean_rad"] for row in rows)
-    scores["least_arm_margin_rad"] = min(row["arm_margin_rad"] for row in rows)
-    scores["time_s"] = float(np.mean([row["time_s"] for row in rows]))
-    scores["pushes"] = float(np.mean([row["pushes"] for row in rows]))
-    scores["trials"] = len(rows)
-    return scores
-
-
-def enclosing_circle(points: np.ndarray) -> tuple[np.ndarray, float]:
-    """Centre ``[2]`` and radius [m] of the smallest circle round ``points [N, 2]``."""
-    import shapely
-
-    points = np.asarray(points, dtype=float)
-    if not np.ptp(points, axis=0).any():
-        return points[0], 0.0
-    cloud = shapely.MultiPoint(points)
-    centre = shapely.minimum_bounding_circle(cloud).centroid
-    return np.array([centre.x, centre.y]), float(shapely.minimum_bounding_radius(cloud))
 
 
 def _fingerprint(ask: Ask, config: PushingConfig, weights: Path) -> str:
@@ -145,6 +92,35 @@ def _fingerprint(ask: Ask, config: PushingConfig, weights: Path) -> str:
     settings: tuple[Any, ...] = (asdict(PushTaskConfig()), asdict(pose_push_config()), asdict(PushConfig()))
     asked = (ask.seed, ask.condition_seed, config.time_limit, settings, senses_named(ask.senses))
     return f"trials-{fingerprint(__name__, asked, weights)}"
+
+
+def _paper_form(ask: Ask, weights: Path, folder: Path) -> Path:
+    """The same weights with psi as the paper prints it, trained on our data; kept beside the trials."""
+    from shmoo_mjx.dynamics.object_model import ObjectConfig
+    from shmoo_mjx.evaluation.datasets import training_directory
+    from shmoo_mjx.learning import daiml
+    from shmoo_mjx.learning.weights import load_weights, save_weights, with_object
+
+    path = folder / "paper_form.safetensors"
+    if not path.exists():
+        data = training_directory(ask)
+        settings = daiml.DaimlConfig(object=ObjectConfig.paper(), seed=ask.seed)
+        settings = replace(settings, chunks=3) if ask.quick else settings
+        ask.progress("training psi as the paper prints it", 0.0)
+        fitted = daiml.train_object(data, folder / "paper_form.training" / "object", settings)
+        save_weights(path, with_object(load_weights(weights), fitted, settings.object))
+    return path
+
+
+@dataclass(frozen=True)
+class _Job:
+    """What the trials of an experiment have in common."""
+
+    weights: Path
+    paper_form: Path | None
+    config: PushingConfig
+    folder: Path
+    senses: str
 
 
 _RUNNER: dict[tuple[Path, str], Runner] = {}
@@ -159,25 +135,24 @@ def _worker() -> None:
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_cpu_multi_thread_eigen=false".strip()
 
 
-def _one(trial: Trial, method: str, weights: Path, config: PushingConfig, folder: Path, senses: str) -> str:
+def _one(trial: Trial, method: str, job: _Job) -> str:
     from shmoo_mjx.learning.weights import load_weights
 
-    key = (weights, senses)
+    key = (job.weights, job.senses)
     if key not in _RUNNER:
-        _RUNNER[key] = Runner(load_weights(weights), config.time_limit, senses_named(senses))
+        paper_form = None if job.paper_form is None else load_weights(job.paper_form)
+        _RUNNER[key] = Runner(load_weights(job.weights), job.config.time_limit, senses_named(job.senses), paper_form)
     row, track = _RUNNER[key].run(trial, method)
-    save_trial(folder, row, track)
+    save_trial(job.folder, row, track)
     return f"{method} {trial.name}"
 
 
-def _run_all(
-    todo: list[tuple[Trial, str]], weights: Path, config: PushingConfig, folder: Path, senses: str
-) -> Iterator[str]:
+def _run_all(todo: list[tuple[Trial, str]], job: _Job) -> Iterator[str]:
     """Runs the trials in processes; yields the name of each as it is done."""
     if not todo:
         return
-    workers = min(config.workers, len(todo))
+    workers = min(job.config.workers, len(todo))
     with process_pool(workers, _worker) as pool:
-        jobs = [pool.submit(_one, trial, method, weights, config, folder, senses) for trial, method in todo]
-        for job in as_completed(jobs):
-            yield job.result()
+        futures = [pool.submit(_one, trial, method, job) for trial, method in todo]
+        for future in as_completed(futures):
+            yield future.result()

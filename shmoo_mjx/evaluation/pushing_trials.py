@@ -28,6 +28,7 @@ from shmoo_mjx.types import Observation
 __all__ = [
     "GOALS",
     "METHODS",
+    "STRATA",
     "Runner",
     "Trial",
     "draw_trials",
@@ -39,8 +40,12 @@ __all__ = [
 
 Array = Any
 
-METHODS = ("ours", "frozen_prior", "quasi_static", "hindsight")
-"""Ours: MPPI while Eq. 8 adapts. The others run on the same trials."""
+METHODS = ("ours", "frozen_prior", "hindsight", "quasi_static", "paper_form")
+"""Ours: MPPI while Eq. 8 adapts. The others run the same trials, the last of them with psi as the paper prints it."""
+
+STRATA = ("drawn", "demanding")
+"""Objects and changes as drawn; and what adaptation is for: objects at the edge of training or beyond, all of which
+change on the way."""
 
 GOALS = ((1.2, 0.0), (1.3, 0.28), (1.7, -0.42))
 """Positions of the three goals in {W} [m]; an object starts near the origin, its x axis about along x of {W}. Straight
@@ -49,9 +54,17 @@ feasible; the yaw of a goal is therefore that at the end of the arc which starts
 -28 deg), on arcs that steering gives light and heavy objects alike (0.32 and 0.27 per metre)."""
 
 _GRAVITY = 9.81
-_MOST = 40.0
-"""Resistance up to which an object counts as movable, before and after the change [N]: half of what the robot can push
-with at its lean limit."""
+_MOST = {"drawn": 40.0, "demanding": 45.0}
+"""Resistance up to which an object counts as movable, before and after the change [N]: about half of what the robot can
+push with at its lean limit."""
+_LEAST_HEAVY = 25.0
+"""Resistance from which a demanding object counts as heavy [N]."""
+_DEMANDS = {
+    "box": ("off_centre", "heavy", "floor"),
+    "cart": ("off_centre", "heavy", "floor", "brake"),
+    "wheelchair": ("off_centre", "floor", "brake"),
+}
+"""What is demanding about an object; runs take turns."""
 
 
 @dataclass(frozen=True)
@@ -73,11 +86,16 @@ class Trial:
     robot_pose: tuple[float, float, float]
     seed: int
     """Of the robot's body, its senses and the controller."""
+    stratum: str = STRATA[0]
+    """One of STRATA."""
+    demand: str = ""
+    """What is demanding about the object: off_centre, heavy, floor or brake."""
 
     @property
     def name(self) -> str:
         """Short, unique in an experiment."""
-        return f"{self.family}-goal{self.goal}-{self.run:02d}"
+        prefix = "" if self.stratum == STRATA[0] else f"{self.stratum}-"
+        return f"{prefix}{self.family}-goal{self.goal}-{self.run:02d}"
 
     @property
     def goal_pose(self) -> np.ndarray:
@@ -94,21 +112,62 @@ def resistance(c: Condition) -> float:
     return float(np.mean(share)) * c.total_mass * _GRAVITY
 
 
-def _movable(family: str, first_seed: int, count: int) -> list[Condition]:
+def _movable(family: str, first_seed: int, count: int) -> list[tuple[Condition, str]]:
     """The first ``count`` objects from ``first_seed`` on that can be pushed and have no brake on yet."""
-    found: list[Condition] = []
+    found: list[tuple[Condition, str]] = []
     for seed in range(first_seed, first_seed + 1000):
         condition = draw_condition(family, seed)
-        if resistance(condition) <= 0.8 * _MOST and not any(condition.locked):
-            found.append(condition)
+        if resistance(condition) <= 0.8 * _MOST["drawn"] and not any(condition.locked):
+            found.append((condition, ""))
         if len(found) == count:
             break
     return found
 
 
-def _changed(rng: np.random.Generator, condition: Condition, kind: str) -> Condition:
-    """The object with more on it, or with a brake pressed on one wheel; it stays movable."""
-    room = _MOST - resistance(condition)
+def _demanding(family: str, first_seed: int, count: int) -> list[tuple[Condition, str]]:
+    """``count`` objects that ask for adaptation, with what each of them asks; what can't be made so is drawn again."""
+    found: list[tuple[Condition, str]] = []
+    # Other objects than those of `_movable`, of the same 1,000 seeds.
+    for seed in range(first_seed + 400, first_seed + 1000):
+        demand = _DEMANDS[family][len(found) % len(_DEMANDS[family])]
+        condition = draw_condition(family, seed)
+        if any(condition.locked):
+            continue
+        condition = _demand(np.random.default_rng([seed, 13]), condition, demand)
+        least = _LEAST_HEAVY if demand == "heavy" else 0.0
+        if least <= resistance(condition) <= 0.95 * _MOST["demanding"]:
+            found.append((condition, demand))
+        if len(found) == count:
+            break
+    return found
+
+
+def _demand(rng: np.random.Generator, condition: Condition, demand: str) -> Condition:
+    """The object with its load far off the centre, with 25 to 40 N of resistance, on another floor, or with a brake."""
+    length, width, _ = condition.size
+    if demand == "off_centre":
+        # A wheelchair's load stays ahead of its rear axle, or it would tip.
+        x = rng.uniform(0.25, 0.35) * length * (1 if condition.family == "wheelchair" else rng.choice([-1, 1]))
+        y = rng.uniform(0.25, 0.35) * width * rng.choice([-1, 1])
+        load = max(condition.payload, 0.7 * condition.mass)
+        return replace(condition, payload=round(load, 3), payload_x=round(float(x), 3), payload_y=round(float(y), 3))
+    if demand == "heavy":
+        wanted = rng.uniform(_LEAST_HEAVY + 1.0, 0.9 * _MOST["demanding"])
+        total = wanted * condition.total_mass / resistance(condition)
+        if total - condition.mass <= 80.0:
+            return replace(condition, payload=round(max(float(total) - condition.mass, 0.0), 3))
+        return condition
+    if demand == "floor":
+        # The laws of training, 0.25 to 0.65 for soles and 0.008 to 0.05 for wheels, halved or doubled.
+        factor = float(rng.choice([0.5, 2.0]))
+        rolling = tuple(round(factor * r, 5) for r in condition.rolling)
+        return replace(condition, friction=round(factor * condition.friction, 4), rolling=rolling)
+    return _changed(rng, condition, demand, _MOST["demanding"])
+
+
+def _changed(rng: np.random.Generator, condition: Condition, kind: str, most: float) -> Condition:
+    """The object with more on it, or with a brake pressed on one wheel; it resists with at most ``most`` [N]."""
+    room = most - resistance(condition)
     if kind == "mass":
         per_kilogram = resistance(condition) / condition.total_mass
         extra = min(float(rng.uniform(0.2, 0.5)) * condition.total_mass, 15.0, room / per_kilogram)
@@ -124,22 +183,28 @@ def _changed(rng: np.random.Generator, condition: Condition, kind: str) -> Condi
     return condition
 
 
-def draw_trials(first_unseen: int, seed: int, runs: int, goals: tuple[int, ...] = (1, 2, 3)) -> list[Trial]:
-    """All trials: three families x goals x runs. Run r of a family is the same object for each goal."""
+def draw_trials(
+    first_unseen: int, seed: int, runs: int, goals: tuple[int, ...] = (1, 2, 3), stratum: str = STRATA[0]
+) -> list[Trial]:
+    """All trials of a stratum: three families x goals x runs. Run r of a family is the same object for each goal."""
     trials = []
+    demanding = stratum == "demanding"
     for number, family in enumerate(FAMILIES):
-        for run, condition in enumerate(_movable(family, first_unseen, runs)):
+        objects = (_demanding if demanding else _movable)(family, first_unseen, runs)
+        for run, (condition, demand) in enumerate(objects):
             for goal in goals:
-                rng = np.random.default_rng([seed, first_unseen, number, goal, run])
-                kinds = ("none", "mass") if family == "box" else ("none", "mass", "brake")
+                rng = np.random.default_rng([seed, first_unseen, number, goal, run, *([1] if demanding else [])])
+                kinds: tuple[str, ...] = ("none", "mass") if family == "box" else ("none", "mass", "brake")
+                kinds = kinds[1:] if demanding else kinds
                 kind = str(rng.choice(kinds))
                 shift = rng.uniform([-0.1, -0.1, -np.deg2rad(8)], [0.1, 0.1, np.deg2rad(8)])
                 angle, far = rng.uniform(-np.pi, np.pi), rng.uniform(1.2, 1.9)
                 robot = (float(far * np.cos(angle)), float(far * np.sin(angle)), float(rng.uniform(-np.pi, np.pi)))
                 trials.append(
                     Trial(
-                        family, goal, run, condition, _changed(rng, condition, kind), kind,
+                        family, goal, run, condition, _changed(rng, condition, kind, _MOST[stratum]), kind,
                         float(rng.uniform(0.25, 0.6)), tuple(shift.tolist()), robot, int(rng.integers(2**31)),
+                        stratum, demand,
                     )
                 )  # fmt: skip
     return trials
@@ -157,7 +222,7 @@ def _pusher(method: str, weights: Weights) -> Pusher:
     config = pose_push_config()
     if method == "quasi_static":
         return QuasiStaticPusher(config.cost)
-    return PushController(weights, replace(config, adapts=method == "ours"))
+    return PushController(weights, replace(config, adapts=method in ("ours", "paper_form")))
 
 
 def hindsight(weights: Weights, condition: Condition, seed: int) -> AdaptState:
@@ -178,15 +243,20 @@ def hindsight(weights: Weights, condition: Condition, seed: int) -> AdaptState:
 class Runner:
     """Runs trials of every method in one process; each method's controller is compiled once."""
 
-    def __init__(self, weights: Weights, time_limit: float, senses: Senses = REAL) -> None:
+    def __init__(
+        self, weights: Weights, time_limit: float, senses: Senses = REAL, paper_form: Weights | None = None
+    ) -> None:
         self.weights = weights
+        self.paper_form = paper_form
         self.time_limit = time_limit
         self.senses = senses
         self._pushers: dict[str, Pusher] = {}
 
     def run(self, trial: Trial, method: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         """The trial's row and its track: t, object_pose, robot_pose (all true), phase, qpos."""
-        pusher = self._pushers.setdefault(method, _pusher(method, self.weights))
+        if method not in self._pushers:
+            self._pushers[method] = _pusher(method, self._weights_of(method))
+        pusher = self._pushers[method]
         scene = scene_of_trial(trial, trial.condition, self.senses)
         # It is told where the object stands, as it is told the goal: to find the object is not part of the task.
         engine = SensedEngine([scene], self.senses, trial.seed, told=True)
@@ -214,6 +284,13 @@ class Runner:
                 log.note(true, world.physics[0], str(task.phase), bool(engine.fallen(world)[0]))
         return self._row(trial, method, task, log, true, changed_at), log.track()
 
+    def _weights_of(self, method: str) -> Weights:
+        if method != "paper_form":
+            return self.weights
+        if self.paper_form is None:
+            raise ValueError("the method paper_form needs weights of its own")
+        return self.paper_form
+
     def _row(
         self, trial: Trial, method: str, task: PushTask, log: _Log, true: Observation, changed_at: float | None
     ) -> dict[str, Any]:
@@ -226,6 +303,8 @@ class Runner:
             "family": trial.family,
             "goal": trial.goal,
             "run": trial.run,
+            "stratum": trial.stratum,
+            "demand": trial.demand,
             "object_seed": trial.condition.seed,
             "object": trial.condition.describe(),
             "change": trial.change,

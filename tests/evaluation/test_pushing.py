@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from shmoo_mjx.evaluation import pushing
-from shmoo_mjx.evaluation.pushing import PushingConfig, enclosing_circle, metrics_of
+from shmoo_mjx.evaluation.pushing_measures import differences_table, enclosing_circle, metrics_of
 from shmoo_mjx.evaluation.pushing_trials import METHODS, draw_trials, resistance, save_trial
-from shmoo_mjx.evaluation.result import Ask
+from shmoo_mjx.evaluation.result import Ask, ExperimentResult
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.objects import draw_condition
 from shmoo_mjx.plant.scene import build_scene
@@ -44,6 +44,28 @@ def test_every_object_can_be_pushed_before_and_after_its_change() -> None:
         if trial.change == "brake":
             worse = np.array(trial.changed.rolling) > np.array(trial.condition.rolling)
             assert worse.sum() == 1
+
+
+def test_demanding_objects_ask_for_adaptation_and_all_change_on_the_way() -> None:
+    trials = draw_trials(1_000_000, 0, 7, stratum="demanding")
+    drawn = draw_trials(1_000_000, 0, 10)
+    assert len(trials) == 63
+    assert not {t.name for t in trials} & {t.name for t in drawn}
+    assert not {t.condition.seed for t in trials} & {t.condition.seed for t in drawn}
+    assert all(1_000_000 <= t.condition.seed < 1_001_000 for t in trials)
+    assert max(resistance(c) for t in trials for c in (t.condition, t.changed)) <= 45.0 + 0.1
+    assert all(t.change != "none" and t.changed != t.condition for t in trials)
+    by_demand = {d: [t for t in trials if t.demand == d] for d in ("off_centre", "heavy", "floor", "brake")}
+    assert all(by_demand.values())
+    assert sum(len(of) for of in by_demand.values()) == len(trials)
+    assert all(resistance(t.condition) >= 25.0 for t in by_demand["heavy"])
+    for trial in by_demand["off_centre"]:
+        assert abs(trial.condition.payload_x) >= 0.24 * trial.condition.size[0]
+        assert trial.condition.payload >= 0.69 * trial.condition.mass
+    for trial in by_demand["brake"]:
+        assert max(trial.condition.rolling) > 1.5 * np.median(trial.condition.rolling)
+    # Behind its rear axle a load would tip the chair.
+    assert all(t.condition.payload_x >= 0 for t in trials if t.family == "wheelchair")
 
 
 def test_start_poses_lie_all_round_the_object() -> None:
@@ -96,7 +118,7 @@ def _row(method: str, trial: str, goal: int, offset: float, yaw: float = 5.0, **
         "method": method, "trial": trial, "family": trial.split("-")[0], "goal": goal, "run": 0, "offset_m": offset,
         "yaw_error_deg": yaw, "success": offset <= 0.25 and yaw <= 20, "fell": False, "time_s": 40.0, "pushes": 1,
         "worst_lean_rad": 0.1, "arm_margin_rad": 0.3, "final_x": 1.0 + offset, "final_y": 0.0, "change": "none",
-        "object": "a box", "ended": "done",
+        "object": "a box", "ended": "done", "stratum": "drawn",
     }  # fmt: skip
     return row | more
 
@@ -117,29 +139,52 @@ def test_metrics_have_the_names_that_were_agreed() -> None:
     assert m["worst_lean_rad"] == 0.5
     assert m["baseline_frozen_prior_offset_goal1_m"] == 0.5
     assert m["baseline_frozen_prior_success_rate"] == 0.0
-    assert m["baseline_frozen_prior_ours_offset_m"] == 0.05
+    assert m["success_rate_drawn"] == pytest.approx(1 / 3)
+
+
+def test_differences_are_of_the_trials_that_both_ran() -> None:
+    rows = []
+    for i in range(8):
+        rows.append(_row("ours", f"box-goal1-{i:02d}", 1, 0.05 + 0.002 * i))
+        rows.append(_row("frozen_prior", f"box-goal1-{i:02d}", 1, 0.15 + 0.004 * i, change="mass"))
+        rows.append(_row("hindsight", f"box-goal1-{i:02d}", 1, 0.01))
+    rows.append(_row("ours", "cart-goal1-00", 1, 9.0))
+    m = metrics_of(rows)
+    assert m["difference_frozen_prior_offset_m"] == pytest.approx(-0.107)
+    assert m["difference_frozen_prior_offset_m_low"] < -0.107 < m["difference_frozen_prior_offset_m_high"] < 0
+    assert m["difference_frozen_prior_offset_m_pairs"] == 8
+    assert m["difference_frozen_prior_box_offset_m"] == pytest.approx(-0.107)
+    assert "difference_frozen_prior_cart_offset_m" not in m
+    assert m["way_to_hindsight"] == pytest.approx((0.164 - 0.057) / (0.164 - 0.01))
+    about = {"config": {"methods": list(METHODS)}, "versions": {}, "paper": {}}
+    result = ExperimentResult(experiment="pushing", seed=0, metrics=m, rows=rows, **about)
+    table = differences_table(result)
+    assert "-0.107" in table
+    assert "**better**" in table
+    assert "**worse**" in table
 
 
 def test_finished_trials_are_not_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
 
-    def fake(todo: Any, weights: Path, config: PushingConfig, folder: Path, senses: str) -> Any:
+    def fake(todo: Any, job: Any) -> Any:
         for trial, method in todo:
             asked.append(f"{method}-{trial.name}")
             way = np.linspace(trial.object_pose, trial.goal_pose, 5)
             track = {"t": np.arange(5.0), "object_pose": way, "robot_pose": way, "phase": np.array(["push"] * 5)}
-            row = _row(method, trial.name, trial.goal, 0.1, family=trial.family)
-            save_trial(folder, row, track | {"qpos": np.zeros((5, 3))})
+            row = _row(method, trial.name, trial.goal, 0.1, family=trial.family, stratum=trial.stratum)
+            save_trial(job.folder, row, track | {"qpos": np.zeros((5, 3))})
             if len(asked) == 5:
                 raise KeyboardInterrupt
             yield trial.name
 
     monkeypatch.setattr(pushing, "_run_all", fake)
+    monkeypatch.setattr(pushing, "_paper_form", lambda *_: tmp_path)
     ask = Ask(quick=True, out=tmp_path)
     with pytest.raises(KeyboardInterrupt):
         pushing.run(ask)
     result = pushing.run(ask)
-    total = 6 * len(METHODS)
+    total = 12 * len(METHODS)
     assert len(asked) == total == len(set(asked))
     assert len(result.rows) == total
     assert result.metrics["success_rate"] == 1.0
