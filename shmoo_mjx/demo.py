@@ -48,7 +48,7 @@ def run_demo(
 
 def _line(seed: int, result: dict[str, Any]) -> str:
     told = "; ".join(
-        f"object {d['object']} at {d['t']:.0f} s: K = {d['K']:.2f} m^2, {'' if d['manipulable'] else 'not '}manipulable"
+        f"object {d['object']} at {d['t']:.0f} s: K = {d['K']:.2f} m², {'' if d['manipulable'] else 'not '}manipulable"
         for d in result["decisions"]
     )
     measured = f"{result['time_s']:.0f} s, {result['path_length_m']:.1f} m, wall contacts {result['wall_contacts']}"

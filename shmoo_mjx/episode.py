@@ -16,7 +16,7 @@ from shmoo_mjx.navigation.maps import OccupancyGrid, occupied_rectangles
 from shmoo_mjx.navigation.navigator import Navigator
 from shmoo_mjx.navigation.records import Mode, NavigatorConfig
 from shmoo_mjx.navigation.scenario import Scenario
-from shmoo_mjx.plant.objects import Condition, draw_condition
+from shmoo_mjx.plant.objects import Condition
 from shmoo_mjx.plant.scene import PARTS, Scene, build_scene
 from shmoo_mjx.recorded import Recorded
 from shmoo_mjx.report.trace import Trace
@@ -75,7 +75,7 @@ class _Record:
 
 def conditions_of(scenario: Scenario) -> list[Condition]:
     """The objects' conditions, drawn from family and seed with the given properties replaced."""
-    return [draw_condition(o.family, o.seed, o.properties) for o in scenario.objects]
+    return [o.condition() for o in scenario.objects]
 
 
 def scene_of(grid: OccupancyGrid, scenario: Scenario, conditions: list[Condition], senses: Senses = PERFECT) -> Scene:

@@ -19,6 +19,7 @@ from shmoo_mjx.files import write_whole
 from shmoo_mjx.navigation.maps import OccupancyGrid, save_map
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Scenario, check_scenario, save_scenario
 from shmoo_mjx.seeds import check_seed
+from shmoo_mjx.talk import is_quiet
 from shmoo_mjx.types import DT, SensesName
 
 __all__ = ["DEMO_WEIGHTS", "load_inputs", "run_scenario", "versions"]
@@ -65,7 +66,10 @@ def run_scenario(
         ShmooError: the scenario does not fit the map, or the weights can't be read.
     """
     check_scenario(grid, scenario, ROBOT_RADIUS, name)
-    _check_objects(grid, scenario, name)
+    conditions = _checked_objects(grid, scenario, name)
+    if not is_quiet():
+        for i, condition in enumerate(conditions):
+            print(f"object {i}: {condition.describe()}")
     # Only now what takes seconds to import: bad input is answered at once.
     from shmoo_mjx.control.pushing import PushController
     from shmoo_mjx.episode import Hooks, run_episode
@@ -112,25 +116,25 @@ def _has_pushed(navigator: Any) -> bool:
     return any(transition.source == "push" for transition in navigator.transitions)
 
 
-def _check_objects(grid: OccupancyGrid, scenario: Scenario, name: str) -> None:
-    """Refuses properties that no object can have and places where none can stand, and says in which scenario."""
+def _checked_objects(grid: OccupancyGrid, scenario: Scenario, name: str) -> list[Any]:
+    """The objects; properties that none can have and places where none can stand are refused by name."""
     from shmoo_mjx.navigation.scenario import check_places
-    from shmoo_mjx.plant.objects import draw_condition
 
-    sizes = []
+    conditions = []
     for i, entry in enumerate(scenario.objects):
         try:
-            sizes.append(draw_condition(entry.family, entry.seed, entry.properties).half_extents)
+            conditions.append(entry.condition())
         except ShmooError as error:
             raise ShmooError(f"{name}: 'objects[{i}].properties': {error}") from None
-    check_places(grid, scenario, sizes, name)
+    check_places(grid, scenario, [c.half_extents for c in conditions], name)
+    return conditions
 
 
 def _write_video(path: Path, result: dict[str, Any], episode: Any, progress: Callable[[str, float], None]) -> None:
     from shmoo_mjx.plant.render import can_render, frames
     from shmoo_mjx.report import video
 
-    fps, speed = 15.0, 3.0
+    fps, speed = 15.0, video.SPEED
     stride = round(speed / fps / DT)
     if problem := can_render():
         progress(f"no 3-D renderer ({problem}), drawing from above", 0.0)

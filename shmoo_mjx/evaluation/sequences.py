@@ -13,7 +13,6 @@ from shmoo_mjx.navigation.footprints import footprint_polygon
 from shmoo_mjx.navigation.maps import ClearanceField, OccupancyGrid, clearance_field
 from shmoo_mjx.navigation.paths import Path, path_blocked_by, plan_path
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Limits
-from shmoo_mjx.plant.objects import draw_condition
 
 __all__ = ["GoalSequence", "draw_sequence"]
 
@@ -107,5 +106,5 @@ def _next_leg(
 
 
 def _shape(entry: Any) -> shapely.Polygon:
-    half = draw_condition(entry.family, entry.seed, entry.properties).half_extents
+    half = entry.condition().half_extents
     return footprint_polygon(entry.pose, half)

@@ -16,7 +16,6 @@ from shmoo_mjx.navigation.maps import OccupancyGrid, occupied_rectangles
 from shmoo_mjx.navigation.path_shortening import PathConfig
 from shmoo_mjx.navigation.paths import cost_to_go
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS
-from shmoo_mjx.plant.objects import draw_condition
 from shmoo_mjx.sensing.rays import cast
 from shmoo_mjx.types import Command, Observation
 
@@ -99,7 +98,7 @@ class NavigateTask:
             return same_world
         grid, scenario = demo_scenario(int(rng.integers(2**31)))
         return Start(
-            conditions=tuple(draw_condition(o.family, o.seed, o.properties) for o in scenario.objects),
+            conditions=tuple(o.condition() for o in scenario.objects),
             object_poses=np.array([o.pose for o in scenario.objects]),
             robot_pose=np.array(scenario.start),
             goal=np.array(scenario.goal),

@@ -156,15 +156,15 @@ def planning_stage(
     k = float(np.mean(_distance(best, pose) ** 2) * cfg.best)
     g = float(np.linalg.norm(best[:, :2].mean(axis=0) - pose[:2]))
     if k < cfg.threshold:
-        reason = f"K = {k:.3f} m^2 < {cfg.threshold:g} m^2: the best roll-outs hardly move the object"
+        reason = f"K = {k:.3f} m² < {cfg.threshold:g} m²: the best roll-outs hardly move the object"
         return ObjectDecision(False, k, g, None, empty, reason)
     buffer = ends[np.asarray(collision_free(ends), dtype=bool)]
     if not len(buffer):
         return ObjectDecision(
-            True, k, g, None, empty, f"K = {k:.3f} m^2, but none of {len(ends)} roll-outs ends collision-free"
+            True, k, g, None, empty, f"K = {k:.3f} m², but none of {len(ends)} roll-outs ends collision-free"
         )
     buffer = buffer[np.argsort(_distance(buffer, pose), kind="stable")]
-    reason = f"K = {k:.3f} m^2 >= {cfg.threshold:g} m^2; closest of {len(buffer)} reachable collision-free goals"
+    reason = f"K = {k:.3f} m² >= {cfg.threshold:g} m²; closest of {len(buffer)} reachable collision-free goals"
     return ObjectDecision(True, k, g, buffer[0], buffer, reason)
 
 

@@ -31,6 +31,7 @@ from shmoo_mjx.types import SENSES, SensesName
 
 if TYPE_CHECKING:
     from shmoo_mjx.navigation.maps import OccupancyGrid
+    from shmoo_mjx.plant.objects import Condition
 
 __all__ = [
     "FAMILIES",
@@ -70,9 +71,21 @@ class ObjectEntry(_Strict):
     pose: Pose
     """(x, y, yaw) of its centre in {W} [m, m, rad]."""
     seed: int = Field(default=0, ge=0)
-    """Draws every property that is not given."""
+    """Draws every property that is not given; where a mass is given and no load, there is none."""
     properties: dict[str, Property | list[Property]] = Field(default_factory=dict)
     """Properties given instead of drawn, in SI units; the plant checks their names."""
+
+    def condition(self) -> Condition:
+        """The object with all its properties.
+
+        Raises:
+            ShmooError: a property that no such object can have.
+        """
+        from shmoo_mjx.plant.objects import draw_condition
+
+        # Whoever says mass: 6 means 6 kg in all, not 6 kg and whatever load the seed puts on it.
+        load = {"payload": 0.0} if "mass" in self.properties else {}
+        return draw_condition(self.family, self.seed, load | self.properties)
 
     @field_validator("family", mode="before")
     @classmethod

@@ -20,11 +20,13 @@ from shmoo_mjx.report.trace import (
     object_name,
     telling_decisions,
 )
+from shmoo_mjx.report.video import SPEED
 
 __all__ = ["MAX_VIDEO_BYTES", "render_report", "succeeded", "summary", "write_report"]
 
 MAX_VIDEO_BYTES = 12_000_000
 """Larger films are linked, not embedded."""
+_FILM = f"{SPEED:g} times as fast as the run."
 _SUCCESS = ("success", "reached", "goal_reached", "goal reached", "done")
 
 
@@ -66,6 +68,7 @@ def render_report(result: dict[str, Any], trace: Trace, video: Path | None = Non
         coefficients_png=_coefficients(result, trace),
         timeline_png=_embed(figures.to_png(figures.timeline_figure(result, trace))),
         video=_video(video),
+        command=_command(result),
         versions=result.get("versions") or {},
         config=json.dumps(result["config"], indent=2, sort_keys=True) if result.get("config") else "",
     )
@@ -147,15 +150,21 @@ def _coefficients(result: dict[str, Any], trace: Trace) -> str:
     return _embed(figures.to_png(figures.coefficients_figure(result, trace)))
 
 
+def _command(result: dict[str, Any]) -> str:
+    """What runs it again, from where the run's folder lies; empty for a result without a name."""
+    name = str(result.get("name") or "")
+    return f"uv run shmoo navigate --scenario {name}/scenario.yaml --out {name}-again" if name else ""
+
+
 def _video(path: Path | None) -> dict[str, str] | None:
     if path is None:
         return None
     if path.stat().st_size >= MAX_VIDEO_BYTES:
         return {
             "source": path.name,
-            "note": f"The film is too large to embed; it lies beside this page as {path.name}.",
+            "note": f"{_FILM} It is too large to embed and lies beside this page as {path.name}.",
         }
-    return {"source": _embed(path.read_bytes(), "video/mp4"), "note": ""}
+    return {"source": _embed(path.read_bytes(), "video/mp4"), "note": _FILM}
 
 
 def _embed(data: bytes, kind: str = "image/png") -> str:

@@ -17,12 +17,24 @@ from shmoo_mjx.report.trace import Trace
 if TYPE_CHECKING:
     from PIL import Image, ImageFont
 
-__all__ = ["TopDown", "caption_at", "compose", "narrate", "top_down", "topdown_frames", "topdown_image", "write_video"]
+__all__ = [
+    "SPEED",
+    "TopDown",
+    "caption_at",
+    "compose",
+    "narrate",
+    "top_down",
+    "topdown_frames",
+    "topdown_image",
+    "write_video",
+]
 
 Array = Any
 
 _ROBOT_RADIUS = 0.19
 """Drawn radius of the robot's body [m]."""
+SPEED = 3.0
+"""Seconds of a run per second of its film."""
 _OVERSAMPLE = 2
 """The top-down view is drawn this much larger and reduced, which smooths its edges."""
 
@@ -143,7 +155,7 @@ def topdown_frames(
 def narrate(
     frames: Iterable[tuple[float, np.ndarray]], result: dict[str, Any], trace: Trace, inset_width: int = 360
 ) -> Iterator[np.ndarray]:
-    """3-D frames (time [s], uint8 ``[H, W, 3]``) with the top-down view beside and the caption below each."""
+    """3-D frames (time [s], uint8 ``[H, W, 3]``) with the top-down view beside and the caption above each."""
     view: TopDown | None = None
     for t, frame in frames:
         view = view or top_down(result, trace, (inset_width, frame.shape[0]))
@@ -151,7 +163,10 @@ def narrate(
 
 
 def compose(frame: np.ndarray, caption: tuple[str, str] = ("", ""), inset: np.ndarray | None = None) -> np.ndarray:
-    """A frame with ``inset`` to its right and ``caption`` (headline, detail) in a strip below, of even size."""
+    """A frame with ``inset`` to its right and ``caption`` (headline, detail) in a strip above, of even size.
+
+    A player's controls lie over the lower edge.
+    """
     from PIL import Image, ImageDraw
 
     height = frame.shape[0]
@@ -159,14 +174,14 @@ def compose(frame: np.ndarray, caption: tuple[str, str] = ("", ""), inset: np.nd
     big, small = max(14, height // 26), max(11, height // 34)
     strip = round(2.0 * big + 3.0 * small)
     canvas = Image.new("RGB", ((width + 1) // 2 * 2, (height + strip + 1) // 2 * 2), "#1f2430")
-    canvas.paste(Image.fromarray(np.ascontiguousarray(frame[..., :3])), (0, 0))
+    canvas.paste(Image.fromarray(np.ascontiguousarray(frame[..., :3])), (0, strip))
     if inset is not None:
-        canvas.paste(Image.fromarray(np.ascontiguousarray(inset[..., :3])), (frame.shape[1] + 4, 0))
+        canvas.paste(Image.fromarray(np.ascontiguousarray(inset[..., :3])), (frame.shape[1] + 4, strip))
     draw = ImageDraw.Draw(canvas)
     left = big // 2
-    draw.text((left, height + 0.3 * big), caption[0], fill="white", font=_font(big))
+    draw.text((left, 0.3 * big), caption[0], fill="white", font=_font(big))
     for row, line in enumerate(_lines(caption[1], _font(small), width - 2 * left)):
-        draw.text((left, height + 1.8 * big + 1.35 * row * small), line, fill="#c5cad6", font=_font(small))
+        draw.text((left, 1.8 * big + 1.35 * row * small), line, fill="#c5cad6", font=_font(small))
     return np.asarray(canvas)
 
 

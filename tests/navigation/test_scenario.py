@@ -173,3 +173,14 @@ def test_an_object_where_none_can_stand_is_named(pose: tuple[float, float, float
 def test_objects_on_free_floor_pass() -> None:
     scenario = Scenario(start=(0.5, 1, 0), goal=(2.5, 3), objects=(BOX, BOX.model_copy(update={"pose": (1.5, 3, 0)})))
     check_places(two_rooms(), scenario, [(0.3, 0.3), (0.3, 0.3)])
+
+
+def test_a_mass_alone_is_the_whole_objects_mass() -> None:
+    """The seed draws a load for every other box; 6 kg are 6 kg all the same."""
+    seeds = [s for s in range(20) if ObjectEntry(family="box", pose=(0, 0, 0), seed=s).condition().payload > 0]
+    assert seeds
+    for seed in seeds:
+        entry = ObjectEntry(family="box", pose=(0, 0, 0), seed=seed, properties={"mass": 6.0})
+        assert entry.condition().total_mass == 6.0
+        loaded = entry.model_copy(update={"properties": {"mass": 6.0, "payload": 2.0}})
+        assert loaded.condition().total_mass == 8.0
