@@ -15,7 +15,7 @@ try:
     import gymnasium
 except ModuleNotFoundError:
     raise ShmooError(
-        "shmoo_mjx.gym needs the package gymnasium, which is not installed; pip install 'shmoo-mjx[gym]'."
+        "shmoo_mjx.gym needs the package gymnasium, which is not installed; in a clone, pip install '.[gym]'."
     ) from None
 
 __all__ = ["EPISODE_STEPS"]

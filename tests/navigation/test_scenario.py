@@ -12,6 +12,7 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.navigation.maps import OCCUPIED, UNKNOWN, OccupancyGrid
 from shmoo_mjx.navigation.scenario import (
     FAMILIES,
+    ROBOT_RADIUS,
     ObjectEntry,
     Scenario,
     check_places,
@@ -19,7 +20,9 @@ from shmoo_mjx.navigation.scenario import (
     load_scenario,
     save_scenario,
 )
+from shmoo_mjx.run import load_inputs
 
+ROOT = Path(__file__).resolve().parents[2]
 GOOD = {
     "map": "maps/office.yaml",
     "start": [1.0, 1.0, 0.0],
@@ -184,3 +187,10 @@ def test_a_mass_alone_is_the_whole_objects_mass() -> None:
         assert entry.condition().total_mass == 6.0
         loaded = entry.model_copy(update={"properties": {"mass": 6.0, "payload": 2.0}})
         assert loaded.condition().total_mass == 8.0
+
+
+@pytest.mark.parametrize("name", ["box_in_doorway", "locked_wheelchair", "cart_and_cabinet"])
+def test_the_scenarios_that_come_with_the_package_fit_their_map(name: str) -> None:
+    grid, scenario = load_inputs(None, ROOT / "experiments" / "scenarios" / f"{name}.yaml", None, None)
+    check_scenario(grid, scenario, ROBOT_RADIUS)
+    check_places(grid, scenario, [o.condition().half_extents for o in scenario.objects], name)
