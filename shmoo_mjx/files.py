@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all, whenever the process that writes them is stopped."""
+"""Files that are there whole or not at all, whenever their writer is stopped, in folders that one process keeps."""
 
 from __future__ import annotations
 
@@ -8,7 +8,35 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-__all__ = ["whole", "write_whole"]
+from shmoo_mjx.errors import ShmooError
+
+__all__ = ["claimed", "whole", "write_whole"]
+
+
+@contextmanager
+def claimed(folder: str | Path) -> Iterator[None]:
+    """Keep a folder to this process while it writes there; made if absent, and gone again if nothing was written.
+
+    Without POSIX's ``flock`` it is only made.
+
+    Raises:
+        ShmooError: another process keeps it.
+    """
+    folder = Path(folder)
+    made = not folder.exists()
+    folder.mkdir(parents=True, exist_ok=True)
+    # The folder itself is locked: nothing is left in it, and the lock ends with the process, however that ends.
+    descriptor = os.open(folder, os.O_RDONLY) if os.name == "posix" else None
+    try:
+        if descriptor is not None:
+            _lock(descriptor, folder)
+        yield
+    finally:
+        if descriptor is not None:
+            os.close(descriptor)
+        if made:
+            with suppress(OSError):
+                folder.rmdir()
 
 
 @contextmanager
@@ -43,6 +71,15 @@ def write_whole(path: str | Path, content: bytes) -> Path:
         file.flush()
         os.fsync(file.fileno())
     return Path(path)
+
+
+def _lock(descriptor: int, folder: Path) -> None:
+    import fcntl
+
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise ShmooError(f"{folder}: another process writes there; wait for it, or name another folder.") from None
 
 
 def _clear_abandoned(path: Path) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from shmoo_mjx.assets import asset
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.files import write_whole
+from shmoo_mjx.files import claimed, write_whole
 from shmoo_mjx.navigation.maps import OccupancyGrid, save_map
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Scenario, check_scenario, save_scenario
 from shmoo_mjx.seeds import check_seed
@@ -85,31 +85,32 @@ def run_scenario(
     config = NavigatorConfig()
     loaded = load_weights(weights or asset(DEMO_WEIGHTS))
     controller = PushController(loaded)
-    out.mkdir(parents=True, exist_ok=True)
-    limit = scenario.limits.time_s
-    hooks = Hooks(progress=lambda t, mode: progress(f"simulating: {mode}", t / limit))
-    if real_time:
-        # What is compiled meanwhile would miss every deadline.
-        run_episode(grid, scenario, controller, config, Hooks(over=_has_pushed, progress=hooks.progress), senses=senses)
-    episode = run_episode(grid, scenario, controller, config, hooks, senses=senses, real_time=real_time)
-    result = {"name": out.name, **episode.result, "versions": versions(), "weights": loaded.info}
-    result["config"]["pushing"] = asdict(controller.config)
-    save_map(grid, out / "map.yaml")
-    save_scenario(scenario.model_copy(update={"map": "map.yaml"}), out / "scenario.yaml")
-    save_trace(out / "trace.npz", episode.trace)
-    save_recorded(out / RECORDED, episode.recorded)
-    write_whole(out / "result.json", (json.dumps(result, indent=1, default=float) + "\n").encode())
-    # The report shows the film that lies there: one of an earlier run must not.
-    (out / "episode.mp4").unlink(missing_ok=True)
-    (out / "episode.rrd").unlink(missing_ok=True)
-    if record:
-        write_recording(out / "episode.rrd", result, episode.trace)
-    if video:
-        _write_video(out / "episode.mp4", result, episode, progress)
-    progress("writing the report", 0.9)
-    write_report(out)
-    progress("done", 1.0)
-    return result
+    with claimed(out):
+        limit = scenario.limits.time_s
+        hooks = Hooks(progress=lambda t, mode: progress(f"simulating: {mode}", t / limit))
+        if real_time:
+            # What is compiled meanwhile would miss every deadline.
+            until_pushed = Hooks(over=_has_pushed, progress=hooks.progress)
+            run_episode(grid, scenario, controller, config, until_pushed, senses=senses)
+        episode = run_episode(grid, scenario, controller, config, hooks, senses=senses, real_time=real_time)
+        result = {"name": out.name, **episode.result, "versions": versions(), "weights": loaded.info}
+        result["config"]["pushing"] = asdict(controller.config)
+        save_map(grid, out / "map.yaml")
+        save_scenario(scenario.model_copy(update={"map": "map.yaml"}), out / "scenario.yaml")
+        save_trace(out / "trace.npz", episode.trace)
+        save_recorded(out / RECORDED, episode.recorded)
+        write_whole(out / "result.json", (json.dumps(result, indent=1, default=float) + "\n").encode())
+        # The report shows the film that lies there: one of an earlier run must not.
+        (out / "episode.mp4").unlink(missing_ok=True)
+        (out / "episode.rrd").unlink(missing_ok=True)
+        if record:
+            write_recording(out / "episode.rrd", result, episode.trace)
+        if video:
+            _write_video(out / "episode.mp4", result, episode, progress)
+        progress("writing the report", 0.9)
+        write_report(out)
+        progress("done", 1.0)
+        return result
 
 
 def _has_pushed(navigator: Any) -> bool:

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from shmoo_mjx import files
+from shmoo_mjx.errors import ShmooError
 
 
 def test_a_file_is_replaced_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -41,3 +42,21 @@ def test_what_could_not_be_written_is_named_and_leaves_nothing(tmp_path: Path) -
         files.write_whole(tmp_path / "a.json", b"new")
     assert error.value.filename == str(tmp_path / "a.json") and error.value.strerror
     assert [path.name for path in tmp_path.iterdir()] == ["a.json"]
+
+
+def test_a_folder_that_another_process_keeps_is_refused_and_free_again_once_that_is_gone(tmp_path: Path) -> None:
+    folder = tmp_path / "runs" / "a"
+    code = "import sys\nfrom shmoo_mjx.files import claimed\n"
+    code += f"with claimed({str(folder)!r}):\n    print('kept', flush=True)\n    sys.stdin.read()"
+    other = subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert other.stdout is not None and other.stdout.readline() == "kept\n"
+    with pytest.raises(ShmooError, match="another process writes there"), files.claimed(folder):
+        pass
+    with files.claimed(folder.with_name("b")):
+        pass
+    assert [path.name for path in folder.parent.iterdir()] == ["a"]
+    other.kill()
+    other.wait()
+    for _ in range(2):
+        with files.claimed(folder):
+            assert not list(folder.iterdir())

@@ -19,6 +19,7 @@ import numpy as np
 from shmoo_mjx import se2
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.faces import faces_of, heading, stand_off
+from shmoo_mjx.files import claimed
 from shmoo_mjx.hands import HAND_HEIGHT, REACH
 from shmoo_mjx.plant.objects import FAMILIES, Condition, draw_condition
 from shmoo_mjx.plant.robot import ROBOT
@@ -247,6 +248,17 @@ def collect(
         progress: called with (conditions done, conditions in all).
         rows: (name, split, condition) of each condition; by default those that ``config`` counts.
     """
+    with claimed(directory):
+        _collect(directory, config, workers, progress, rows)
+
+
+def _collect(
+    directory: Path,
+    config: CollectConfig,
+    workers: int,
+    progress: Callable[[int, int], None],
+    rows: list[tuple[str, str, Condition]] | None,
+) -> None:
     from shmoo_mjx.data import store
 
     schema: dict[str, Any] = {"config": dataclasses.asdict(config), "dt": DT}

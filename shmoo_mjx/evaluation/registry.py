@@ -6,6 +6,7 @@ from importlib import import_module
 
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.result import Ask, ExperimentResult
+from shmoo_mjx.files import claimed
 
 __all__ = ["EXPERIMENTS", "run_experiment"]
 
@@ -24,8 +25,9 @@ EXPERIMENTS = {
 
 
 def run_experiment(name: str, ask: Ask) -> ExperimentResult:
-    """Run one experiment."""
+    """Run one experiment, in a folder of its own below ``ask.out``."""
     if name not in EXPERIMENTS:
         raise ShmooError(f"experiment {name!r} is not known; choose one of {', '.join(EXPERIMENTS)}.")
-    result: ExperimentResult = import_module(EXPERIMENTS[name]).run(ask)
+    with claimed(ask.out / name):
+        result: ExperimentResult = import_module(EXPERIMENTS[name]).run(ask)
     return result

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
+from shmoo_mjx.files import claimed
 from shmoo_mjx.learning import daiml, robot_fit, weights
 from shmoo_mjx.learning.training import Progress
 
@@ -33,17 +34,19 @@ def train_part(
     Returns:
         The score on the validation conditions.
     """
-    old = weights.load_weights(out) if out.exists() else None
-    checkpoints = out.with_name(f"{out.name}.training") / what
-    if what == "object":
-        config = daiml.DaimlConfig(seed=seed)
-        fit = daiml.train_object(data, checkpoints, config, progress)
-        new = weights.with_object(old or weights.untrained(), fit, config.object)
-        score = float(fit.score)
-    else:
-        settings = robot_fit.RobotFitConfig(seed=seed)
-        robot = robot_fit.train_robot(data, checkpoints, settings, progress)
-        new = weights.with_robot(old or weights.untrained(), robot, settings.robot)
-        score = float(robot.score)
-    weights.save_weights(out, new)
-    return score
+    kept = out.with_name(f"{out.name}.training")
+    checkpoints = kept / what
+    with claimed(kept):
+        old = weights.load_weights(out) if out.exists() else None
+        if what == "object":
+            config = daiml.DaimlConfig(seed=seed)
+            fit = daiml.train_object(data, checkpoints, config, progress)
+            new = weights.with_object(old or weights.untrained(), fit, config.object)
+            score = float(fit.score)
+        else:
+            settings = robot_fit.RobotFitConfig(seed=seed)
+            robot = robot_fit.train_robot(data, checkpoints, settings, progress)
+            new = weights.with_robot(old or weights.untrained(), robot, settings.robot)
+            score = float(robot.score)
+        weights.save_weights(out, new)
+        return score

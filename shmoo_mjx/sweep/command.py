@@ -9,6 +9,7 @@ from typing import Any
 
 from shmoo_mjx.assets import asset
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.files import claimed
 from shmoo_mjx.sweep.cluster import Cluster, submit
 from shmoo_mjx.sweep.config import SweepConfig, load_sweep, quick
 from shmoo_mjx.sweep.run import Runner, Sweep, duration, read_table
@@ -70,7 +71,7 @@ def _alone(sweep: Sweep, memory_gb: float | None, only_estimate: bool, progress:
     print(f"about {duration(seconds)} in all on {_devices()}", flush=True)
     if only_estimate:
         return False
-    with progress() as report:
+    with claimed(sweep.out), progress() as report:
         runner.run(report)
     return True
 
