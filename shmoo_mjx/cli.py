@@ -294,7 +294,7 @@ def experiment(
         data: data set, for the experiments that take one (made if absent; real_pushing: a folder of recorded pushes).
         maps: folder with map_server maps, for navigation.
         scenarios: scenarios per map, for navigation.
-        policies: which policies run, for navigation (default: ours, oracle, always_avoid and always_push).
+        policies: which policies (navigation, lifelong) or methods (pushing) run, by their names (default: all).
         weights: trained weights (default: the shipped ones).
         pushes: folder of recorded pushes, for real_pushing among all.
         out: folder for figures and what an interrupted experiment goes on from.

@@ -33,6 +33,8 @@ def run_all(ask: Ask, pushes: Path | None) -> tuple[Path, dict[str, str]]:
             ask.progress(f"{name}: {stage}", (i + fraction) / len(EXPERIMENTS))
 
         own = replace(ask, progress=report, data=pushes if name == "real_pushing" else ask.data)
+        # Methods of pushing have other names than the policies of navigation.
+        own = replace(own, policies=() if name == "pushing" else ask.policies)
         try:
             done[name] = run_experiment(name, own)
         except ShmooError as error:

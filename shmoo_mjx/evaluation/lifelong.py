@@ -16,7 +16,7 @@ import numpy as np
 
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.manipulable import BORDER
-from shmoo_mjx.evaluation.navigation import POLICIES, Robot, chosen_policies, play, robot_of, scores_of, trials_folder
+from shmoo_mjx.evaluation.navigation import POLICIES, Robot, play, robot_of, scores_of, trials_folder
 from shmoo_mjx.evaluation.navigation_failures import keep_failure, write_failures
 from shmoo_mjx.evaluation.navigation_measures import OURS, cause_of
 from shmoo_mjx.evaluation.navigation_places import Places, find_places, generated_from, kept, kinds_of, seed_of
@@ -45,7 +45,7 @@ class LifelongTrials:
 def run(ask: Ask) -> ExperimentResult:
     """Run the experiment on the maps of ``ask.maps``; ``ask.scenarios`` is the number of sequences per map."""
     folder = ask.out / "lifelong"
-    cfg = LifelongTrials(policies=chosen_policies(ask) if ask.policies else (OURS,))
+    cfg = LifelongTrials(policies=ask.chosen(POLICIES) if ask.policies else (OURS,))
     if ask.quick:
         cfg = replace(cfg, sequences=1, goals=2)
     if ask.scenarios is not None:

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from shmoo_mjx.assets import asset
-from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.manipulable import BORDER
 from shmoo_mjx.evaluation.navigation_failures import keep_failure, write_failures
 from shmoo_mjx.evaluation.navigation_measures import (
@@ -47,7 +46,6 @@ __all__ = [
     "NavigationTrials",
     "Policy",
     "Robot",
-    "chosen_policies",
     "play",
     "robot_of",
     "run",
@@ -117,7 +115,7 @@ def run(ask: Ask) -> ExperimentResult:
     from shmoo_mjx.evaluation.navigation_figures import draw_figures
 
     folder = ask.out / "navigation"
-    cfg = NavigationTrials(policies=chosen_policies(ask))
+    cfg = NavigationTrials(policies=ask.chosen(POLICIES))
     count = 1 if ask.quick else cfg.scenarios if ask.maps else cfg.generated_scenarios
     cfg = replace(cfg, scenarios=count if ask.scenarios is None else ask.scenarios)
     places = find_places(ask, folder, cfg.scenario, most=2 if ask.quick else None)
@@ -130,18 +128,6 @@ def run(ask: Ask) -> ExperimentResult:
     metrics = measure(rows, cfg.policies)
     about = {"senses": ask.senses, "maps": list(places.maps), "generated_maps": ask.maps is None, "border_m": BORDER}
     return make_result("navigation", ask, asdict(cfg) | about, metrics, {}, [_light(row) for row in rows])
-
-
-def chosen_policies(ask: Ask) -> tuple[str, ...]:
-    """Those that are asked for, or all, in the order in which they run.
-
-    Raises:
-        ShmooError: one is not known.
-    """
-    for name in ask.policies:
-        if name not in POLICIES:
-            raise ShmooError(f"--policies {name}: is not known; choose from {', '.join(POLICIES)}.")
-    return tuple(name for name in POLICIES if not ask.policies or name in ask.policies)
 
 
 def trials_folder(ask: Ask, folder: Path, scenario: ScenarioConfig) -> Path:

@@ -56,14 +56,14 @@ def config_for(quick: bool) -> PushingConfig:
 
 def run(ask: Ask) -> ExperimentResult:
     """Run what is not done yet and put the results together."""
-    config = config_for(ask.quick)
+    config = replace(config_for(ask.quick), methods=ask.chosen(METHODS))
     weights = Path(ask.weights or asset(_WEIGHTS))
     runs = dict(zip(STRATA, (config.runs, config.demanding_runs), strict=True))
     trials = [t for s in STRATA for t in draw_trials(ask.first_unseen, ask.seed, runs[s], config.goals, s)]
     folder = ask.out / "pushing" / _fingerprint(ask, config, weights)
     folder.mkdir(parents=True, exist_ok=True)
     # Ours first, then the method that says most beside it: what an experiment that is stopped has run can be compared.
-    wanted = [(t, m) for m in sorted(config.methods, key=METHODS.index) for t in trials]
+    wanted = [(t, m) for m in config.methods for t in trials]
     todo = [(t, m) for t, m in wanted if not (folder / f"{m}-{t.name}.json").exists()]
     total = len(wanted)
     needs_paper_form = any(m == "paper_form" for _, m in todo)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -58,11 +58,23 @@ class Ask:
     senses: SensesName = "real"
     """What the robot perceives with, where a simulated robot acts in the experiment."""
     policies: tuple[str, ...] = ()
-    """For navigation: run these only; all if none is named."""
+    """Policies (navigation) or methods (pushing) that run; all if none is named."""
 
     def __post_init__(self) -> None:
         check_seed("--seed", self.seed)
         check_seed("--condition-seed", self.condition_seed, MAX_CONDITION_SEED)
+
+    def chosen(self, known: Iterable[str]) -> tuple[str, ...]:
+        """Those of the ``known`` policies or methods that are asked for, or all, in the order in which they run.
+
+        Raises:
+            ShmooError: one is not known.
+        """
+        known = tuple(known)
+        for name in self.policies:
+            if name not in known:
+                raise ShmooError(f"--policies {name}: is not known; choose from {', '.join(known)}.")
+        return tuple(name for name in known if not self.policies or name in self.policies)
 
     @property
     def first_unseen(self) -> int:

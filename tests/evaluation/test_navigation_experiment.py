@@ -12,7 +12,7 @@ import pytest
 
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import navigation, navigation_places
-from shmoo_mjx.evaluation.navigation import POLICIES, chosen_policies
+from shmoo_mjx.evaluation.navigation import POLICIES
 from shmoo_mjx.evaluation.navigation_places import FLOOR_PLANS, find_maps, find_places, kept_scenario, kinds_of
 from shmoo_mjx.evaluation.result import Ask
 from shmoo_mjx.evaluation.scenarios import KINDS, Generated, ScenarioConfig, toy_scenario
@@ -35,10 +35,10 @@ def test_policies_know_what_they_are_meant_to_know() -> None:
 
 
 def test_policies_run_in_their_own_order_and_unknown_ones_are_refused() -> None:
-    assert chosen_policies(Ask()) == ("ours", "oracle", "always_avoid", "always_push")
-    assert chosen_policies(Ask(policies=("always_push", "ours"))) == ("ours", "always_push")
+    assert Ask().chosen(POLICIES) == ("ours", "oracle", "always_avoid", "always_push")
+    assert Ask(policies=("always_push", "ours")).chosen(POLICIES) == ("ours", "always_push")
     with pytest.raises(ShmooError, match="--policies never"):
-        chosen_policies(Ask(policies=("never",)))
+        Ask(policies=("never",)).chosen(POLICIES)
 
 
 def test_maps_are_found_below_a_folder(tmp_path: Path) -> None:
