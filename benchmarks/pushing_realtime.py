@@ -22,7 +22,7 @@ def measure(seconds: float) -> dict[str, Any]:
     """Push a box for ``seconds`` of simulated time."""
     import jax
 
-    from shmoo_mjx.assets import asset
+    from shmoo_mjx.assets import WEIGHTS, asset
     from shmoo_mjx.control.pushing import PushController, Sighting, local_field
     from shmoo_mjx.faces import faces_of, heading, stand_off
     from shmoo_mjx.hands import HAND_HEIGHT, REACH, touches
@@ -39,7 +39,7 @@ def measure(seconds: float) -> dict[str, Any]:
     half, face = np.array(thing.half_extents), faces_of(thing.half_extents)[0]
     engine = MujocoEngine([build_scene([(thing, (0.0, 0.0, 0.0))], stand_off(np.zeros(3), face, 0.05))])
     clearance = clearance_field(OccupancyGrid(np.zeros((100, 600), np.int8), 0.1, (-5.0, -5.0, 0.0)))
-    controller = PushController(load_weights(asset("experiments/weights/demo.safetensors")), pose_push_config())
+    controller = PushController(load_weights(asset(WEIGHTS)), pose_push_config())
     world, seen = engine.step(engine.init(), batched(Command(np.zeros(3), 0.0, REACH, HAND_HEIGHT)), 1.0)
     state = controller.init(Sighting.of(seen, 0), face, half, jax.random.key(0))
     u, spent, touching, begin = np.zeros(3), [], 0, time.perf_counter()

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-__all__ = ["asset"]
+__all__ = ["WEIGHTS", "asset"]
+
+WEIGHTS = "experiments/weights/demo.safetensors"
+"""The weights that come with the package (docs/training.md says how they are made)."""
 
 _PACKAGE = Path(__file__).resolve().parent
 

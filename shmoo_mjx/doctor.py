@@ -85,12 +85,11 @@ def _encoder() -> Check:
 
 
 def _weights() -> Check:
-    from shmoo_mjx.assets import asset
+    from shmoo_mjx.assets import WEIGHTS, asset
     from shmoo_mjx.errors import ShmooError
     from shmoo_mjx.learning.weights import load_weights
-    from shmoo_mjx.run import DEMO_WEIGHTS
 
-    path = asset(DEMO_WEIGHTS)
+    path = asset(WEIGHTS)
     remedy = "reinstall, or make them anew: shmoo collect, shmoo train (docs/training.md)"
     try:
         load_weights(path)

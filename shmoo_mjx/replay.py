@@ -10,12 +10,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from shmoo_mjx.assets import asset
+from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.episode import navigator_of
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.recorded import RECORDED, Recorded, load_recorded
 from shmoo_mjx.report.trace import load_result
-from shmoo_mjx.run import DEMO_WEIGHTS
 from shmoo_mjx.types import Command, Observation
 
 __all__ = ["Difference", "differences", "replay"]
@@ -59,7 +58,7 @@ def replay(run: Path, weights: Path | None = None) -> Difference | None:
     from shmoo_mjx.sensing import senses_named
 
     result, recorded = load_result(run / "result.json"), load_recorded(run / RECORDED)
-    loaded = load_weights(weights or asset(DEMO_WEIGHTS))
+    loaded = load_weights(weights or asset(WEIGHTS))
     if result.get("weights") != loaded.info:
         raise ShmooError(f"{run}: the run was made with other weights; give them with --weights.")
     scenario = load_scenario(run / "scenario.yaml")

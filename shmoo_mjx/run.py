@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx.assets import asset
+from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.files import claimed, write_whole
 from shmoo_mjx.navigation.maps import OccupancyGrid, save_map
@@ -22,9 +22,7 @@ from shmoo_mjx.seeds import check_seed
 from shmoo_mjx.talk import is_quiet
 from shmoo_mjx.types import DT, SensesName
 
-__all__ = ["DEMO_WEIGHTS", "load_inputs", "run_scenario", "versions"]
-
-DEMO_WEIGHTS = "experiments/weights/demo.safetensors"
+__all__ = ["load_inputs", "run_scenario", "versions"]
 
 
 def versions() -> dict[str, str]:
@@ -83,7 +81,7 @@ def run_scenario(
     if record:
         require_viewer()
     config = NavigatorConfig()
-    loaded = load_weights(weights or asset(DEMO_WEIGHTS))
+    loaded = load_weights(weights or asset(WEIGHTS))
     controller = PushController(loaded)
     with claimed(out):
         limit = scenario.limits.time_s

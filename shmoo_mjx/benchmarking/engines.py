@@ -23,13 +23,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from shmoo_mjx.assets import asset
+from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.benchmarking import mppi_problem as work
 from shmoo_mjx.benchmarking.peers import serve
 from shmoo_mjx.control import cost, mppi, pushing
 from shmoo_mjx.dynamics import CoreConfig, ObjectConfig, RobotConfig, core
 from shmoo_mjx.learning import weights as weights_file
-from shmoo_mjx.run import DEMO_WEIGHTS
 from shmoo_mjx.types import SystemState
 
 __all__ = ["batch", "main", "ours", "plain_jax"]
@@ -69,7 +68,7 @@ def ours(samples: int, horizon: int, activation: str, seed: int, paper: bool) ->
         weights = weights_file.untrained(CoreConfig(robot=RobotConfig(activation=activation), object=body), seed)
         config = pushing.PushConfig(cost=cost.PushCost())
     else:
-        weights, config = weights_file.load_weights(asset(DEMO_WEIGHTS)), pushing.PushConfig()
+        weights, config = weights_file.load_weights(asset(WEIGHTS)), pushing.PushConfig()
     config = replace(config, control=replace(config.control, samples=samples, horizon=horizon))
     controller = pushing.PushController(weights, config)
     rng = np.random.default_rng(seed)
@@ -127,7 +126,7 @@ def plain_jax(samples: int, horizon: int, activation: str, seed: int) -> Callabl
 
 def batch(samples: int, horizon: int, problems: int, seed: int) -> Callable[[], Any]:
     """Plans for ``problems`` states at once, with Eq. 9 as the cost; the samples of each shared out as in one plan."""
-    weights = weights_file.load_weights(asset(DEMO_WEIGHTS))
+    weights = weights_file.load_weights(asset(WEIGHTS))
     cfg = replace(pushing.PushConfig().control, samples=samples, horizon=horizon)
     mesh = mppi.sample_mesh(samples)
 

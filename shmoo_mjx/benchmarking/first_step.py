@@ -19,12 +19,11 @@ def main() -> None:
     import json
     import sys
 
-    from shmoo_mjx.assets import asset
+    from shmoo_mjx.assets import WEIGHTS, asset
     from shmoo_mjx.control.pushing import PushController
     from shmoo_mjx.episode import Hooks, run_episode
     from shmoo_mjx.learning.weights import load_weights
     from shmoo_mjx.navigation.floorplan import demo_scenario
-    from shmoo_mjx.run import DEMO_WEIGHTS
 
     seconds: dict[str, float] = {}
 
@@ -32,7 +31,7 @@ def main() -> None:
         kind = "push" if mode == "probe" else "drive"
         seconds.setdefault(kind, time.perf_counter() - _BEGAN)
 
-    controller = PushController(load_weights(asset(DEMO_WEIGHTS)))
+    controller = PushController(load_weights(asset(WEIGHTS)))
     run_episode(*demo_scenario(int(sys.argv[1])), controller, hooks=Hooks(note, over=lambda _: "push" in seconds))
     print(json.dumps(seconds))
 

@@ -88,13 +88,12 @@ def run(ask: BenchAsk) -> ExperimentResult:
 
 def _ticks(cfg: BenchConfig, grid: OccupancyGrid, scenario: Scenario, ask: BenchAsk) -> dict[str, list[float]]:
     """Seconds of every tick of the second run, by state."""
-    from shmoo_mjx.assets import asset
+    from shmoo_mjx.assets import WEIGHTS, asset
     from shmoo_mjx.control.pushing import PushController
     from shmoo_mjx.episode import Hooks, run_episode
     from shmoo_mjx.learning.weights import load_weights
-    from shmoo_mjx.run import DEMO_WEIGHTS
 
-    controller = PushController(load_weights(asset(DEMO_WEIGHTS)))
+    controller = PushController(load_weights(asset(WEIGHTS)))
     for name in ("first run, which compiles", "second run"):
         clock = _Clock()
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from shmoo_mjx.assets import asset
+from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.evaluation.manipulable import BORDER
 from shmoo_mjx.evaluation.navigation_failures import keep_failure, write_failures
 from shmoo_mjx.evaluation.navigation_measures import (
@@ -36,7 +36,6 @@ from shmoo_mjx.navigation.object_planner import ObjectPlannerConfig
 from shmoo_mjx.navigation.records import NavigatorConfig
 from shmoo_mjx.navigation.scenario import Scenario
 from shmoo_mjx.plant.robot import ROBOT
-from shmoo_mjx.run import DEMO_WEIGHTS
 
 if TYPE_CHECKING:
     from shmoo_mjx.episode import Episode
@@ -94,7 +93,7 @@ class Robot:
 
 def robot_of(ask: Ask) -> Robot:
     """The robot that is asked for."""
-    return Robot(ask.seed, ask.senses, ask.weights or asset(DEMO_WEIGHTS))
+    return Robot(ask.seed, ask.senses, ask.weights or asset(WEIGHTS))
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from shmoo_mjx import se2
-from shmoo_mjx.assets import asset
+from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.evaluation.manipulable import IMMOVABLE, SteadyPush, draw_immovable, manipulable, steady_push
 from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
 from shmoo_mjx.evaluation.scenarios import entry_of
@@ -28,7 +28,6 @@ from shmoo_mjx.navigation.maps import OCCUPIED, OccupancyGrid
 from shmoo_mjx.navigation.records import Mode, NavigatorConfig
 from shmoo_mjx.navigation.scenario import Limits, Scenario
 from shmoo_mjx.plant.objects import FAMILIES, Condition, draw_condition
-from shmoo_mjx.run import DEMO_WEIGHTS
 from shmoo_mjx.types import DT, SensesName
 
 __all__ = ["CRITERIA", "ObjectPlannerTrials", "auc", "held_out_accuracy", "run"]
@@ -63,7 +62,7 @@ def run(ask: Ask) -> ExperimentResult:
     from shmoo_mjx.evaluation.object_planner_figures import draw_figures
 
     cfg = QUICK if ask.quick else ObjectPlannerTrials()
-    weights = ask.weights or asset(DEMO_WEIGHTS)
+    weights = ask.weights or asset(WEIGHTS)
     about = {"seed": ask.seed, "senses": ask.senses, "navigator": asdict(navigator_config())}
     settings = asdict(replace(cfg, objects=0)) | about
     folder = ask.out / "object_planner"

@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from shmoo_mjx.assets import asset
+from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.evaluation.pushing_measures import metrics_of
 from shmoo_mjx.evaluation.pushing_trials import METHODS, STRATA, Runner, Trial, draw_trials, save_trial
 from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
@@ -27,8 +27,6 @@ __all__ = ["PAPER", "PushingConfig", "run"]
 
 PAPER = {"offset_goal1_m": 0.067, "offset_goal2_m": 0.124, "offset_goal3_m": 0.164}
 """Sec. VI-A: mean final distance from the goal. The circles of Fig. 7 are printed as a picture only."""
-
-_WEIGHTS = "experiments/weights/demo.safetensors"
 
 
 @dataclass(frozen=True)
@@ -57,7 +55,7 @@ def config_for(quick: bool) -> PushingConfig:
 def run(ask: Ask) -> ExperimentResult:
     """Run what is not done yet and put the results together."""
     config = replace(config_for(ask.quick), methods=ask.chosen(METHODS))
-    weights = Path(ask.weights or asset(_WEIGHTS))
+    weights = Path(ask.weights or asset(WEIGHTS))
     runs = dict(zip(STRATA, (config.runs, config.demanding_runs), strict=True))
     trials = [t for s in STRATA for t in draw_trials(ask.first_unseen, ask.seed, runs[s], config.goals, s)]
     folder = ask.out / "pushing" / _fingerprint(ask, config, weights)

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from shmoo_mjx.assets import asset
+from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.files import write_whole
-from shmoo_mjx.run import DEMO_WEIGHTS, versions
+from shmoo_mjx.run import versions
 from shmoo_mjx.seeds import MAX_CONDITION_SEED, UNSEEN_SEED, check_seed
 from shmoo_mjx.types import SensesName
 
@@ -124,7 +124,7 @@ def make_result(
 
 def weights_id(weights: Path | None = None) -> str:
     """The first digits of a weights file's SHA-256 (default: of the shipped one)."""
-    return hashlib.sha256((weights or asset(DEMO_WEIGHTS)).read_bytes()).hexdigest()[:10]
+    return hashlib.sha256((weights or asset(WEIGHTS)).read_bytes()).hexdigest()[:10]
 
 
 def spread(values: Any) -> dict[str, float]:

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from shmoo_mjx.assets import asset
+from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.data import store
 from shmoo_mjx.data.collect import CollectConfig, record
 from shmoo_mjx.dynamics import core, features, robot_model
@@ -30,7 +30,6 @@ from shmoo_mjx.learning.robot_fit import RobotFitConfig, RobotRows
 from shmoo_mjx.learning.rows import rows_from_dataset
 from shmoo_mjx.learning.weights import Weights, known_from, load_weights
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
-from shmoo_mjx.run import DEMO_WEIGHTS
 from shmoo_mjx.sensing import SensedEngine, senses_named
 from shmoo_mjx.types import SystemState
 
@@ -150,7 +149,7 @@ class _Work:
 def run(ask: Ask, config: RobotFinetuneConfig | None = None) -> ExperimentResult:
     """Record, fine-tune and score each robot; goes on from ``ask.out`` after a stop."""
     config = config or (QUICK if ask.quick else RobotFinetuneConfig())
-    weights = ask.weights or asset(DEMO_WEIGHTS)
+    weights = ask.weights or asset(WEIGHTS)
     key = asdict(replace(config, workers=1, robots=1)) | {
         "seed": ask.seed,
         "unseen": ask.first_unseen,

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.dynamics import core, object_model
 from shmoo_mjx.dynamics.core import CoreConfig, Params
 from shmoo_mjx.dynamics.object_model import ObjectConfig
@@ -123,12 +124,13 @@ def save_weights(path: str | os.PathLike[str], weights: Weights) -> None:
     trees.save_tree(path, _arrays(weights), notes)
 
 
-def load_weights(path: str | os.PathLike[str]) -> Weights:
-    """Read what `save_weights` wrote.
+def load_weights(path: str | os.PathLike[str] | None = None) -> Weights:
+    """Read what `save_weights` wrote, by default the weights that come with the package.
 
     Raises:
         ShmooError: no such file, truncated, garbled, of another schema, or arrays that do not fit its config.
     """
+    path = asset(WEIGHTS) if path is None else path
     notes = trees.read_notes(path)
     version = notes.get("schema_version")
     if version != SCHEMA_VERSION:

@@ -12,15 +12,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
-from shmoo_mjx.assets import asset
+from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.files import write_whole
 from shmoo_mjx.sweep.config import SweepConfig, sweep_fingerprint
 from shmoo_mjx.sweep.worlds import Drawn, draw, label
 
 __all__ = ["Estimate", "Runner", "Shard", "Simulator", "Sweep", "duration", "read_table"]
-
-_WEIGHTS = "experiments/weights/demo.safetensors"
 
 
 class Shard(NamedTuple):
@@ -90,7 +88,7 @@ class Sweep:
             ShmooError: pyarrow is missing, or ``out`` holds another sweep.
         """
         _pyarrow()
-        sweep = cls(config, out, Path(weights or asset(_WEIGHTS)))
+        sweep = cls(config, out, Path(weights or asset(WEIGHTS)))
         if not sweep.weights.is_file():
             raise ShmooError(f"{sweep.weights}: there is no such weights file; give one that shmoo train made.")
         from shmoo_mjx.run import versions

@@ -13,10 +13,9 @@ import numpy as np
 import pytest
 import yaml
 
-from shmoo_mjx.assets import asset
+from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.cli import main
 from shmoo_mjx.navigation.maps import OCCUPIED, OccupancyGrid, save_map
-from shmoo_mjx.run import DEMO_WEIGHTS
 
 Done = subprocess.CompletedProcess[str]
 
@@ -71,7 +70,7 @@ def write_inputs(folder: Path) -> None:
     }
     for name, data in (maps | scenarios).items():
         (folder / f"{name}.yaml").write_text(yaml.safe_dump(data))
-    weights = asset(DEMO_WEIGHTS).read_bytes()
+    weights = asset(WEIGHTS).read_bytes()
     (folder / "cut.safetensors").write_bytes(weights[: len(weights) // 2])
 
 
