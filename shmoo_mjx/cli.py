@@ -443,6 +443,8 @@ _COMMANDS: dict[str, Callable[..., int]] = {
     "completion": completion,
 }
 _NEED_NO_DEVICE = ("doctor", "completion")
+_GO_ON = ("collect", "train", "experiment", "sweep")
+"""Commands that go on where they were stopped."""
 
 
 def _run(arguments: list[str] | None = None) -> int:
@@ -459,7 +461,7 @@ def _run(arguments: list[str] | None = None) -> int:
         check_environment()
     commands = {name: with_talk(command) for name, command in _COMMANDS.items()}
     code: int = tyro.extras.subcommand_cli_from_dict(
-        commands, prog="shmoo", description=shmoo_mjx.__doc__, args=arguments
+        commands, prog="shmoo", description=str(shmoo_mjx.__doc__).partition("\n")[0], args=arguments
     )
     return code
 
@@ -498,6 +500,7 @@ def main() -> None:
         )
         code = 2
     except KeyboardInterrupt:
-        print("shmoo: stopped; run the same command again to go on.", file=sys.stderr)
+        goes_on = {*_GO_ON} & {*sys.argv[1:2]}
+        print(f"shmoo: stopped{'; run the same command again to go on' if goes_on else ''}.", file=sys.stderr)
         code = 130
     sys.exit(code)

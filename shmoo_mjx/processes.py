@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -27,13 +28,17 @@ def process_pool(workers: int, prepare: Callable[[], None] | None = None) -> Ite
     try:
         yield pool
     except BaseException:
-        # Otherwise every job that still waits would be run first.
+        # Otherwise every job that still waits would be run first, and those under way to their end.
         pool.shutdown(wait=False, cancel_futures=True)
+        for worker in multiprocessing.active_children():
+            worker.terminate()
         raise
     pool.shutdown()
 
 
 def _begin(prepare: Callable[[], None] | None) -> None:
+    # Ctrl-C reaches every process of the terminal; the parent decides what it means.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if prepare is not None:
         prepare()

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ DYING = """
 import os
 import signal
 import sys
+import time
 
 from shmoo_mjx.cli import main
 
@@ -44,6 +47,7 @@ EVERYWHERE = """
 import contextlib
 import os
 import sys
+import time
 from concurrent.futures import Future
 from pathlib import Path
 
@@ -103,6 +107,7 @@ print(points)
 """
 TRAIN = """
 import sys
+import time
 from pathlib import Path
 
 from shmoo_mjx.data import store
@@ -183,3 +188,18 @@ def test_a_killed_training_goes_on(collected: Path, tmp_path: Path) -> None:
     rest = train("cut").communicate()[0].split()
     assert rest and rest[0] > "2" and rest[-1] == "4"
     assert content(tmp_path / "whole" / "fitted.safetensors") == content(tmp_path / "cut" / "fitted.safetensors")
+
+
+def test_ctrl_c_ends_at_once_with_one_sentence(tmp_path: Path) -> None:
+    """A terminal sends it to the whole group: neither the workers' tracebacks nor their jobs are waited for."""
+    code = "from shmoo_mjx.cli import main; main()"
+    command = [sys.executable, "-c", code, "collect", str(tmp_path / "data"), *COLLECT]
+    running = subprocess.Popen(command, start_new_session=True, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 60.0
+    while not (tmp_path / "data" / "manifest.json").exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    time.sleep(1.0)
+    os.killpg(running.pid, signal.SIGINT)
+    _, said = running.communicate(timeout=10.0)
+    assert running.returncode == 130
+    assert said == "shmoo: stopped; run the same command again to go on.\n"
