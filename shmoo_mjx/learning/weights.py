@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.dynamics import core, object_model
@@ -128,7 +129,8 @@ def load_weights(path: str | os.PathLike[str] | None = None) -> Weights:
     """Read what `save_weights` wrote, by default the weights that come with the package.
 
     Raises:
-        ShmooError: no such file, truncated, garbled, of another schema, or arrays that do not fit its config.
+        ShmooError: no such file, truncated, garbled, of another schema, arrays that do not fit its config, or values
+            that are not finite.
     """
     path = asset(WEIGHTS) if path is None else path
     notes = trees.read_notes(path)
@@ -143,8 +145,23 @@ def load_weights(path: str | os.PathLike[str] | None = None) -> Weights:
         raise ShmooError(f"{path}: field 'config' can not be read ({error}); train again.") from None
     like = jax.eval_shape(lambda: _arrays(untrained(config)))
     tree, _ = trees.load_tree(path, like)
+    _check_values(path, tree)
     arrays = jax.tree.map(jnp.asarray, tree)
     return Weights(**arrays, config=config, info=notes["info"])
+
+
+def _check_values(path: str | os.PathLike[str], tree: dict[str, Any]) -> None:
+    """Refuses numbers that no training gives, which would otherwise surface as a robot that does not move."""
+    for key, leaf in jax.tree_util.tree_leaves_with_path(tree):
+        if not np.isfinite(leaf).all():
+            name = jax.tree_util.keystr(key, simple=True, separator=".")
+            raise ShmooError(f"{path}: field '{name}' holds values that are not finite; train again.")
+    if not (tree["params"].object.label_scale > 0).all():
+        raise ShmooError(f"{path}: field 'params.object.label_scale' must be positive; train again.")
+    for name in ("prior_covariance", "noise"):
+        # Rounding to single precision may cost the last millionth.
+        if np.linalg.eigvalsh(np.asarray(tree[name], float)).min() < -1e-5 * np.abs(tree[name]).max():
+            raise ShmooError(f"{path}: field '{name}' is no covariance (it has a negative eigenvalue); train again.")
 
 
 def _arrays(weights: Weights) -> dict[str, Any]:

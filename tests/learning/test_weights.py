@@ -70,3 +70,19 @@ def test_missing_old_or_of_another_shape(path: Path) -> None:
     trees.save_tree(path, whole, notes)
     with pytest.raises(ShmooError, match=r"has shape \(28, 9\) where \(28, 8\)"):
         weights.load_weights(path)
+
+
+def test_values_that_no_training_gives_are_refused(tmp_path: Path) -> None:
+    made = weights.untrained(CONFIG)
+    thing = made.params.object
+    broken = {
+        "not finite": made._replace(noise=made.noise.at[0, 0].set(jnp.nan)),
+        "label_scale": made._replace(
+            params=made.params._replace(object=thing._replace(label_scale=-thing.label_scale))
+        ),
+        "negative eigenvalue": made._replace(prior_covariance=made.prior_covariance.at[0, 0].set(-1.0)),
+    }
+    for said, wrong in broken.items():
+        weights.save_weights(tmp_path / "w.safetensors", wrong)
+        with pytest.raises(ShmooError, match=said):
+            weights.load_weights(tmp_path / "w.safetensors")

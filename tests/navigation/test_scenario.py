@@ -189,7 +189,7 @@ def test_a_mass_alone_is_the_whole_objects_mass() -> None:
         assert loaded.condition().total_mass == 8.0
 
 
-@pytest.mark.parametrize("name", ["box_in_doorway", "locked_wheelchair", "cart_and_cabinet"])
+@pytest.mark.parametrize("name", ["box_in_doorway", "locked_wheelchair", "three_objects"])
 def test_the_scenarios_that_come_with_the_package_fit_their_map(name: str) -> None:
     grid, scenario = load_inputs(None, ROOT / "experiments" / "scenarios" / f"{name}.yaml", None, None)
     check_scenario(grid, scenario, ROBOT_RADIUS)
