@@ -99,6 +99,8 @@ def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         with safe_open(path, framework="numpy") as file:
             header = file.metadata() or {}
             arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no iterator of its own
+        if not {"notes", "sha256"} <= header.keys():
+            raise ShmooError(f"{path}: another program's safetensors file; give one that shmoo train wrote.")
         notes = json.loads(header["notes"])
         intact = header["sha256"] == _checksum(arrays)
     except (SafetensorError, KeyError, ValueError, OSError) as error:

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from safetensors.numpy import save_file
 
 from shmoo_mjx.dynamics import CoreConfig, ObjectConfig, RobotConfig
 from shmoo_mjx.errors import ShmooError
@@ -86,3 +87,9 @@ def test_values_that_no_training_gives_are_refused(tmp_path: Path) -> None:
         weights.save_weights(tmp_path / "w.safetensors", wrong)
         with pytest.raises(ShmooError, match=said):
             weights.load_weights(tmp_path / "w.safetensors")
+
+
+def test_another_programs_file_is_called_so(tmp_path: Path) -> None:
+    save_file({"layer.weight": np.zeros((2, 2), np.float32)}, tmp_path / "w.safetensors")
+    with pytest.raises(ShmooError, match="another program's"):
+        weights.load_weights(tmp_path / "w.safetensors")
