@@ -11,6 +11,7 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.gym.navigate import NavigateConfig, NavigateTask
 from shmoo_mjx.gym.push import PushConfig, PushTask
 from shmoo_mjx.gym.task import Outcome, Part, Start, Task
+from shmoo_mjx.plant.render import can_render, frames
 from shmoo_mjx.sensing import SensedEngine, SensedWorld, senses_named
 from shmoo_mjx.types import DT, Observation
 
@@ -60,6 +61,12 @@ class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     def __init__(self, task: Task, render_mode: str | None = None, senses: str = "real") -> None:
         if render_mode not in (None, "rgb_array"):
             raise ShmooError(f"render_mode {render_mode!r} is not known; use 'rgb_array' or none.")
+        # Asked before the first picture: a GL library without a display ends the whole process.
+        if render_mode and (problem := can_render()):
+            raise ShmooError(
+                f"render_mode {render_mode!r}: MuJoCo can't draw here ({problem}); set MUJOCO_GL=egl before Python "
+                "starts, or leave the mode out."
+            )
         self.task, self.render_mode, self.senses = task, render_mode, senses_named(senses)
         self.observation_space, self.action_space = space(task.observation), space(task.action)
         self._now: _Episode | None = None
@@ -95,8 +102,6 @@ class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     def render(self) -> np.ndarray | None:  # type: ignore[override]
         """The world from behind and above the robot, uint8 ``[480, 640, 3]``."""
-        from shmoo_mjx.plant.render import frames
-
         if self.render_mode is None:
             return None
         now = self._episode()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 
 import mujoco
 import numpy as np
@@ -25,6 +26,7 @@ with mujoco.Renderer(model, 16, 16) as renderer:
 """
 
 
+@cache
 def can_render() -> str:
     """Empty if MuJoCo can draw here, else why not.
 

@@ -18,7 +18,7 @@ gymnasium = pytest.importorskip("gymnasium", reason="the extra gym (gymnasium) i
 import shmoo_mjx.gym
 from shmoo_mjx import se2
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.gym import navigate, task
+from shmoo_mjx.gym import navigate, single, task
 from shmoo_mjx.gym.push import PushConfig, PushTask
 from shmoo_mjx.navigation.floorplan import demo_scenario
 from shmoo_mjx.navigation.footprints import footprint_polygon
@@ -262,3 +262,9 @@ def test_without_gymnasium_one_sentence_says_so(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setitem(sys.modules, "gymnasium", None)
     with pytest.raises(ShmooError, match=r"shmoo-mjx\[gym\]"):
         importlib.reload(shmoo_mjx.gym)
+
+
+def test_a_machine_that_cannot_draw_says_so_in_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(single, "can_render", lambda: "no display")
+    with pytest.raises(ShmooError, match=r"can't draw here \(no display\); set MUJOCO_GL=egl before"):
+        gymnasium.make("ShmooPush-v0", render_mode="rgb_array")
