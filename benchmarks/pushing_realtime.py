@@ -23,7 +23,7 @@ def measure(seconds: float) -> dict[str, Any]:
     import jax
 
     from shmoo_mjx.assets import WEIGHTS, asset
-    from shmoo_mjx.control.pushing import PushController, Sighting, local_field
+    from shmoo_mjx.control.pushing import PushController, Sighting, local_distance_field
     from shmoo_mjx.faces import faces_of, heading, stand_off
     from shmoo_mjx.hands import HAND_HEIGHT, REACH, touches
     from shmoo_mjx.learning.weights import load_weights
@@ -49,7 +49,7 @@ def measure(seconds: float) -> dict[str, Any]:
             compiled, begin = time.perf_counter() - begin, time.perf_counter()
         pose = seen.object_pose[0, 0]
         if i % 50 == 0:
-            around = local_field(clearance, pose)
+            around = local_distance_field(clearance, pose)
         start = time.perf_counter()
         now = Sighting.of(seen, 0)
         u, state, _ = controller.step(state, now, u, pose + np.array([1.5, 0.0, -pose[2]]), around, half)

@@ -17,8 +17,8 @@ from shmoo_mjx import options as bounded
 from shmoo_mjx.environment import check_environment, prepare_environment
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.seeds import UNSEEN_SEED, ConditionSeed, Seed, check_seed, seed_of
-from shmoo_mjx.talk import with_talk
 from shmoo_mjx.types import SENSES, SensesName
+from shmoo_mjx.verbosity import with_verbosity
 
 __all__ = ["main"]
 
@@ -459,7 +459,7 @@ def _run(arguments: list[str] | None = None) -> int:
         raise ShmooError(f"there is no command {given[0]!r}; {hint}")
     if given and given[0] in _COMMANDS and given[0] not in _NEED_NO_DEVICE and not {"--help", "-h"} & set(given):
         check_environment()
-    commands = {name: with_talk(command) for name, command in _COMMANDS.items()}
+    commands = {name: with_verbosity(command) for name, command in _COMMANDS.items()}
     code: int = tyro.extras.subcommand_cli_from_dict(
         commands, prog="shmoo", description=str(shmoo_mjx.__doc__).partition("\n")[0], args=arguments
     )

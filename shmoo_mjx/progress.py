@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from shmoo_mjx.talk import LOG, is_quiet, is_verbose
+from shmoo_mjx.verbosity import LOG, is_quiet, is_verbose
 
 __all__ = ["counter", "stages", "training"]
 

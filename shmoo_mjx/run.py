@@ -19,8 +19,8 @@ from shmoo_mjx.files import claimed, write_whole
 from shmoo_mjx.navigation.maps import OccupancyGrid, save_map
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Scenario, check_scenario, save_scenario
 from shmoo_mjx.seeds import check_seed
-from shmoo_mjx.talk import is_quiet
 from shmoo_mjx.types import DT, SensesName
+from shmoo_mjx.verbosity import is_quiet
 
 __all__ = ["load_inputs", "run_scenario", "versions"]
 

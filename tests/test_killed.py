@@ -112,7 +112,7 @@ from pathlib import Path
 
 from shmoo_mjx.data import store
 from shmoo_mjx.dynamics import ObjectConfig
-from shmoo_mjx.learning import daiml, trees
+from shmoo_mjx.learning import daiml, serialisation
 
 if __name__ == "__main__":
     data, out = map(Path, sys.argv[1:])
@@ -121,7 +121,7 @@ if __name__ == "__main__":
         chunks=4, chunk_updates=100, fit_rows=100,
     )
     fitted = daiml.train_object(store.of_training(data), out, config, lambda p: print(p.chunk, flush=True))
-    trees.save_checkpoint(out / "fitted.safetensors", fitted.params, {"history": fitted.history})
+    serialisation.save_checkpoint(out / "fitted.safetensors", fitted.params, {"history": fitted.history})
 """
 
 

@@ -73,7 +73,7 @@ def ours(samples: int, horizon: int, activation: str, seed: int, paper: bool) ->
     controller = pushing.PushController(weights, config)
     rng = np.random.default_rng(seed)
     state = controller.init(_sighting(rng), FACE, HALF_EXTENTS, jax.random.key(seed))
-    around = pushing.local_field(_Corridor(), np.zeros(2))
+    around = pushing.local_distance_field(_Corridor(), np.zeros(2))
     u = np.zeros(3)
 
     def step() -> Any:

@@ -29,7 +29,7 @@ __all__ = [
     "face_misalignment",
     "footprint_points",
     "hand_points",
-    "haste",
+    "overspeed",
     "pose_distance",
     "push_cost",
     "terminal_speed",
@@ -71,11 +71,11 @@ class PushCost:
     object towards its goal pays only after the horizon's end. Where the yaw counts, see ``aim_error``."""
     speed_weight: float = 0.0
     """Per m/s of the object at the end [s]: pushing can't brake what rolls."""
-    haste_weight: float = 0.0
+    overspeed_weight: float = 0.0
     """Per m/s of the robot above ``speed_limit``, averaged over the roll-out [s]."""
     speed_limit: float = 0.4
     """Speed of the robot that is free of charge [m/s]."""
-    creep: float = 0.0
+    terminal_speed: float = 0.0
     """... at the goal [m/s]: pushing can't brake, so that what rolls has to arrive slowly."""
     slow_down: float = 0.0
     """By how much more per metre from the goal, up to ``speed_limit`` [1/s]; 0 leaves the limit the same everywhere."""
@@ -216,10 +216,10 @@ def allowed_speed(cfg: PushCost, distance: Array) -> Array:
     """Speed of the robot that is free of charge [m/s] where the object is ``distance [...]`` [m] from its goal."""
     if not cfg.slow_down:
         return cfg.speed_limit + 0.0 * distance
-    return se2.array_module(distance).minimum(cfg.creep + cfg.slow_down * distance, cfg.speed_limit)
+    return se2.array_module(distance).minimum(cfg.terminal_speed + cfg.slow_down * distance, cfg.speed_limit)
 
 
-def haste(traj: SystemState, limit: Array) -> Array:
+def overspeed(traj: SystemState, limit: Array) -> Array:
     """Speed of the robot above ``limit [S, T]`` or ``[]`` [m/s], mean over the roll-out ``[S]`` [m/s]."""
     return jnp.mean(jnp.maximum(jnp.linalg.norm(traj.robot_twist[..., :2], axis=-1) - limit, 0.0), axis=-1)
 
@@ -261,7 +261,7 @@ def push_cost(
         cost = cost + cfg.aim_weight * aim_error(goal, traj, with_yaw=cfg.yaw_weight > 0)
     if cfg.speed_weight:
         cost = cost + cfg.speed_weight * terminal_speed(traj)
-    if cfg.haste_weight:
+    if cfg.overspeed_weight:
         distance = jnp.linalg.norm(goal[..., :2] - traj.object_pose[..., :2], axis=-1)
-        cost = cost + cfg.haste_weight * haste(traj, allowed_speed(cfg, distance))
+        cost = cost + cfg.overspeed_weight * overspeed(traj, allowed_speed(cfg, distance))
     return cost

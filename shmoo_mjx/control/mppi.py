@@ -5,7 +5,7 @@ Everything is pure: ``jax.jit(partial(plan, cfg, rollout_fn, cost_fn))`` compile
 ``jax.vmap`` of it over ``x0`` and the state plans a batch of problems in one call.
 
 XLA runs small matrix products on one core. Where JAX was started with several CPU devices (`sample_mesh`), ``plan`` and
-``improve`` take a mesh and share the samples out among them, and ``compiled`` jits a function that does.
+``update`` take a mesh and share the samples out among them, and ``compiled`` jits a function that does.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ __all__ = [
     "Plan",
     "compiled",
     "importance_weights",
-    "improve",
     "init",
     "plan",
     "replicated",
     "sample_controls",
     "sample_mesh",
     "shift",
+    "update",
 ]
 
 Array = Any
@@ -179,7 +179,7 @@ def compiled(function: Callable[..., Any], mesh: Mesh | None) -> Callable[..., A
     return jax.jit(function) if mesh is None else jax.jit(function, in_shardings=NamedSharding(mesh, PartitionSpec()))
 
 
-def improve(
+def update(
     cfg: MppiConfig,
     rollout_fn: RolloutFn,
     cost_fn: CostFn,
@@ -196,7 +196,7 @@ def improve(
         rollout_fn: the model, (x0, U [S, T, m]) -> trajectory pytree [S, T, ...].
         cost_fn: (trajectory, U, last_u) -> cost [S].
         x0: present state, any pytree.
-        nominal: control sequence to improve.
+        nominal: control sequence to update.
         last_u: control applied last [m], for costs on the change of control.
         key: random key.
         mesh: devices to share the samples out among; both functions then see a part of the samples each time.
@@ -233,10 +233,10 @@ def plan(
     """The control to apply now ``[m]``, the state for the next call, and the plan (Sec. III-E).
 
     If every roll-out is invalid the control is zero (clipped to the bounds), ``Plan.ok`` is False and the next warm
-    start is zero control too. The arguments are those of `improve`.
+    start is zero control too. The arguments are those of `update`.
     """
     key, use = jax.random.split(state.key)
-    result = improve(cfg, rollout_fn, cost_fn, x0, state.nominal, state.last_u, use, mesh)
+    result = update(cfg, rollout_fn, cost_fn, x0, state.nominal, state.last_u, use, mesh)
     nominal = result.nominal
     if mesh is not None:
         nominal = jax.lax.with_sharding_constraint(nominal, NamedSharding(mesh, PartitionSpec()))

@@ -21,18 +21,18 @@ from shmoo_mjx.control.governor import forward_lean, govern
 from shmoo_mjx.dynamics import core, features, feet, object_model
 from shmoo_mjx.hands import touches
 from shmoo_mjx.learning import adaptation
-from shmoo_mjx.learning.weights import Weights, untouched
+from shmoo_mjx.learning.weights import Weights, prior_state
 from shmoo_mjx.types import DT, Observation, SystemState
 
 __all__ = [
-    "LocalField",
+    "LocalDistanceField",
     "PushConfig",
     "PushController",
     "PushState",
     "Sighting",
     "coast",
     "control_step",
-    "local_field",
+    "local_distance_field",
     "start",
 ]
 
@@ -65,7 +65,7 @@ class PushConfig:
         heading_weight=0.1,
         aim_weight=2.0,
         speed_weight=1.0,
-        haste_weight=15.0,
+        overspeed_weight=15.0,
         speed_limit=0.25,
     )
     adapt: adaptation.AdaptConfig = field(default_factory=adaptation.AdaptConfig)
@@ -86,7 +86,7 @@ class PushConfig:
     """Deceleration that any object has on any floor, whatever the model says [m/s^2]: a rolling resistance of 0.008."""
 
 
-class LocalField(NamedTuple):
+class LocalDistanceField(NamedTuple):
     """Clearance round the object on a grid of fixed size, so that one compiled controller serves every map."""
 
     values: Array
@@ -140,7 +140,9 @@ class _Transition(NamedTuple):
     valid: Array
 
 
-def local_field(clearance: Any, centre: Array, size: float = 7.0, resolution: float = 0.05) -> LocalField:
+def local_distance_field(
+    clearance: Any, centre: Array, size: float = 7.0, resolution: float = 0.05
+) -> LocalDistanceField:
     """Cut a square of ``size`` metres round ``centre`` out of a clearance field with a method ``at(points)``."""
     n = round(size / resolution)
     corner = np.asarray(centre, dtype=float)[:2] - size / 2
@@ -148,7 +150,7 @@ def local_field(clearance: Any, centre: Array, size: float = 7.0, resolution: fl
     points = np.stack(np.meshgrid(corner[0] + ticks, corner[1] + ticks, indexing="xy"), axis=-1)
     values = np.asarray(clearance.at(points), dtype=np.float32)
     origin = np.array([corner[0], corner[1], 0.0], dtype=np.float32)
-    return LocalField(values, origin, np.float32(resolution))
+    return LocalDistanceField(values, origin, np.float32(resolution))
 
 
 class PushController:
@@ -167,7 +169,7 @@ class PushController:
         self, now: Sighting, face: Array, half_extents: Array, key: Array, adapt: adaptation.AdaptState | None = None
     ) -> PushState:
         """Start a push on ``face [4]``; ``adapt`` carries over what was learned of this object before."""
-        adapt = adapt or untouched(self.weights, self.config.adapt.body)
+        adapt = adapt or prior_state(self.weights, self.config.adapt.body)
         return start(self.config, adapt, now, face, half_extents, key)
 
     def step(
@@ -176,7 +178,7 @@ class PushController:
         now: Sighting,
         last_u: Array,
         goal: Array,
-        around: LocalField,
+        around: LocalDistanceField,
         half_extents: Array,
         governor_room: float | None = None,
     ) -> tuple[np.ndarray, PushState, mppi.Plan]:
@@ -208,7 +210,7 @@ class PushController:
         return u, state._replace(adapt=adapt, plan=plan_state, before=system, detected=now.detected), plan
 
     def planning_rollouts(
-        self, state: PushState, goal: Array, around: LocalField, half_extents: Array
+        self, state: PushState, goal: Array, around: LocalDistanceField, half_extents: Array
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The planning stage's roll-outs (T = 50) from the state of the last step.
 
@@ -339,7 +341,7 @@ def _functions(
     core_config: Any,
     params: core.Params,
     goal: Array,
-    around: LocalField | None,
+    around: LocalDistanceField | None,
     half_extents: Array,
     lean: Array | None = None,
 ) -> Any:
@@ -363,7 +365,7 @@ def _step(
     system: SystemState,
     transition: _Transition,
     goal: Array,
-    around: LocalField | None,
+    around: LocalDistanceField | None,
     half_extents: Array,
     lean: Array,
 ) -> tuple[Array, adaptation.AdaptState, mppi.MppiState, mppi.Plan]:
@@ -385,7 +387,7 @@ def _planning_rollouts(
     plan_state: mppi.MppiState,
     system: SystemState,
     goal: Array,
-    around: LocalField,
+    around: LocalDistanceField,
     half_extents: Array,
 ) -> tuple[Array, Array, Array]:
     longer = replace(config.control, horizon=config.planning_horizon)
@@ -393,7 +395,7 @@ def _planning_rollouts(
     nominal = jnp.concatenate([plan_state.nominal, jnp.repeat(plan_state.nominal[-1:], extra, axis=0)])
     rollout_fn, cost_fn = _functions(config, core_config, _with_coefficients(params, adapt), goal, around, half_extents)
     key = jax.random.fold_in(plan_state.key, 1)
-    plan = mppi.improve(longer, rollout_fn, cost_fn, system, nominal, plan_state.last_u, key, mesh)
+    plan = mppi.update(longer, rollout_fn, cost_fn, system, nominal, plan_state.last_u, key, mesh)
     return plan.trajectories.object_pose, plan.trajectories.robot_pose[..., :2], plan.costs
 
 

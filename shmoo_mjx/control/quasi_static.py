@@ -16,7 +16,7 @@ import numpy as np
 from shmoo_mjx import se2
 from shmoo_mjx.control.cost import PushCost, allowed_speed
 from shmoo_mjx.control.governor import forward_lean
-from shmoo_mjx.control.pushing import LocalField, Sighting
+from shmoo_mjx.control.pushing import LocalDistanceField, Sighting
 from shmoo_mjx.hands import REACH
 from shmoo_mjx.learning.adaptation import AdaptState
 from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
@@ -73,7 +73,7 @@ class QuasiStaticPusher:
         now: Sighting,
         last_u: Array,
         goal: Array,
-        around: LocalField,
+        around: LocalDistanceField,
         half_extents: Array,
     ) -> tuple[np.ndarray, QuasiStaticState, None]:
         """The command ``[3]`` for the next sample; arguments as for the controller it stands in for."""

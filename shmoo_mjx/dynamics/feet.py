@@ -46,7 +46,7 @@ the front and left feet; all else over half the diagonal of the footprint: radiu
 half distances of the feet [log], and the point in the middle of them."""
 
 GRAVITY = 9.81
-SWEEPS = 5
+GAUSS_SEIDEL_ITERATIONS = 5
 """Over the four feet: what one holds changes what the others have to hold."""
 FEET = ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0))
 
@@ -107,6 +107,6 @@ def acceleration(parameters: Array, inputs: Array) -> Array:
         moved = (ux + inverse_mass * dx, uy + inverse_mass * dy, turn + inverse_inertia * (lx * dy - ly * dx))
         return (moved, impulses.at[foot].set(after)), None
 
-    order = jnp.tile(jnp.arange(4), SWEEPS)
+    order = jnp.tile(jnp.arange(4), GAUSS_SEIDEL_ITERATIONS)
     ((ux, uy, turn), _), _ = jax.lax.scan(hold, (pushed, jnp.zeros_like(limit)), order)
     return jnp.stack([ux + turn * y - vx, uy - turn * x - vy, turn - spin]) / DT

@@ -195,7 +195,7 @@ def _online(
     """The coefficients ``[m, K]`` and the body ``[p]`` after each of the M rows that count."""
     keep = np.asarray(w) > 0
     params, shape = jax.tree.map(jnp.asarray, fitted.params), config.object
-    body = identification.untouched(adapt.body, fitted.body_prior, params.label_scale) if shape.body else None
+    body = identification.prior_state(adapt.body, fitted.body_prior, params.label_scale) if shape.body else None
     start = adaptation.init(fitted.prior_mean, fitted.prior_covariance, fitted.noise, body)
 
     def one(state: Any, row: Any) -> tuple[Any, Any]:

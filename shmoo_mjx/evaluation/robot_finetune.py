@@ -28,7 +28,7 @@ from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning import adaptation, robot_fit
 from shmoo_mjx.learning.robot_fit import RobotFitConfig, RobotRows
 from shmoo_mjx.learning.rows import rows_from_dataset
-from shmoo_mjx.learning.weights import Weights, known_from, load_weights
+from shmoo_mjx.learning.weights import Weights, load_weights, posterior_from_recording
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 from shmoo_mjx.sensing import SensedEngine, senses_named
 from shmoo_mjx.types import SystemState
@@ -198,7 +198,7 @@ def _roll_outs(weights: Weights, dataset: store.Dataset) -> dict[str, float]:
     rollout = jax.jit(lambda p, s, u: core.rollout(p, s, u, config)[0])
     square: dict[str, list[float]] = {"contact": [], "free": []}
     for i, arrays in enumerate(dataset.arrays):
-        known = known_from(weights, rows.inputs[i], rows.labels[i], rows.weights[i])
+        known = posterior_from_recording(weights, rows.inputs[i], rows.labels[i], rows.weights[i])
         found = {"coefficients": known.mean.reshape(params.coefficients.shape), "body": adaptation.body_of(known)}
         samples = store.system_states(arrays)
         starts = np.arange(1, samples.u.shape[1] - STEPS, 10)

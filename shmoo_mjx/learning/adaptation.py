@@ -70,7 +70,7 @@ def init(prior_mean: Array, prior_covariance: Array, noise: Array, body: BodySta
         prior_mean: ``[3, K]`` or ``[n]``.
         prior_covariance: ``[n, n]``, P at the start.
         noise: ``[3, 3]`` covariance of a sample's residual.
-        body: from `identification.untouched`, if psi sees a body.
+        body: from `identification.prior_state`, if psi sees a body.
     """
     mean = jnp.asarray(prior_mean, dtype=jnp.float32).reshape(-1)
     covariance = jnp.asarray(prior_covariance, dtype=jnp.float32)

@@ -31,7 +31,7 @@ __all__ = [
     "identify",
     "learn_prior",
     "observe",
-    "untouched",
+    "prior_state",
 ]
 
 Array = Any
@@ -99,7 +99,7 @@ class BodyState(NamedTuple):
     """``[G]``"""
 
 
-def untouched(config: OnlineConfig, prior: BodyPrior, scale: Array) -> BodyState:
+def prior_state(config: OnlineConfig, prior: BodyPrior, scale: Array) -> BodyState:
     """Before anything is felt."""
     prior = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), prior)
     w = config.window

@@ -13,7 +13,7 @@ import numpy as np
 import optax
 
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.learning import trees
+from shmoo_mjx.learning import serialisation
 
 __all__ = ["Fitted", "Progress", "bounded_gradient", "run"]
 
@@ -88,7 +88,7 @@ def run(
     path = None if directory is None else Path(directory) / CHECKPOINT
     best = extract(state)
     score, history = float("inf"), list[tuple[float, float]]()
-    loaded = None if path is None else trees.load_checkpoint(path, {"state": state, "best": best}, identity)
+    loaded = None if path is None else serialisation.load_checkpoint(path, {"state": state, "best": best}, identity)
     if loaded is not None:
         tree, notes = loaded
         state, best, score = tree["state"], tree["best"], notes["score"]
@@ -103,7 +103,7 @@ def run(
         history.append((float(loss), value))
         if path is not None:
             notes = {"score": score, "history": history, "identity": identity}
-            trees.save_checkpoint(path, {"state": state, "best": best}, notes)
+            serialisation.save_checkpoint(path, {"state": state, "best": best}, notes)
         if progress is not None:
             pace = (time.monotonic() - begun) / (len(history) - first)
             left = pace * (chunks - len(history))

@@ -16,7 +16,7 @@ import numpy as np
 
 from shmoo_mjx.dynamics import feet
 from shmoo_mjx.fingerprints import fingerprint
-from shmoo_mjx.learning import identification, trees
+from shmoo_mjx.learning import identification, serialisation
 from shmoo_mjx.learning.identification import BodyPrior, IdentificationConfig
 from shmoo_mjx.learning.rows import Rows, label_scale
 
@@ -46,7 +46,7 @@ def identified(
     measured = (train.inputs, train.labels, validation.inputs, validation.labels)
     identity = fingerprint(__name__, (config, fit_rows), *measured)
     path = None if out_dir is None else Path(out_dir).parent / f"bodies-{identity[:10]}.safetensors"
-    kept = None if path is None else trees.load_checkpoint(path, _empty(config, train, validation), identity)
+    kept = None if path is None else serialisation.load_checkpoint(path, _empty(config, train, validation), identity)
     if kept is not None:
         return _single(kept[0])
     scale = label_scale(train)
@@ -55,7 +55,7 @@ def identified(
     bodies = identification.from_stretches(config, prior, scale, tuple(train[:3]), STRETCHES)
     found = prior, bodies, on_first_rows(config, prior, scale, validation, fit_rows)
     if path is not None:
-        trees.save_checkpoint(path, found, {"identity": identity})
+        serialisation.save_checkpoint(path, found, {"identity": identity})
     return found
 
 

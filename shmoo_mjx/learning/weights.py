@@ -17,7 +17,7 @@ from shmoo_mjx.dynamics.core import CoreConfig, Params
 from shmoo_mjx.dynamics.object_model import ObjectConfig
 from shmoo_mjx.dynamics.robot_model import RobotConfig
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.learning import adaptation, identification, least_squares, trees
+from shmoo_mjx.learning import adaptation, identification, least_squares, serialisation
 from shmoo_mjx.learning.adaptation import AdaptState
 from shmoo_mjx.learning.daiml import ObjectFit
 from shmoo_mjx.learning.identification import BodyPrior, IdentificationConfig, OnlineConfig
@@ -26,10 +26,10 @@ from shmoo_mjx.learning.robot_fit import RobotFit
 __all__ = [
     "SCHEMA_VERSION",
     "Weights",
-    "known_from",
     "load_weights",
+    "posterior_from_recording",
+    "prior_state",
     "save_weights",
-    "untouched",
     "untrained",
     "with_object",
     "with_robot",
@@ -67,16 +67,16 @@ def untrained(config: CoreConfig | None = None, seed: int = 0) -> Weights:
     return Weights(params, jnp.eye(n), jnp.eye(3), prior, config, {})
 
 
-def untouched(weights: Weights, config: OnlineConfig | None = None) -> AdaptState:
+def prior_state(weights: Weights, config: OnlineConfig | None = None) -> AdaptState:
     """What is known of an object before it is touched, to be adapted by Eq. 8."""
     body = None
     if weights.config.object.body:
         scale = weights.params.object.label_scale
-        body = identification.untouched(config or OnlineConfig(), weights.body_prior, scale)
+        body = identification.prior_state(config or OnlineConfig(), weights.body_prior, scale)
     return adaptation.init(weights.params.coefficients, weights.prior_covariance, weights.noise, body)
 
 
-def known_from(weights: Weights, inputs: Array, labels: Array, row_weights: Array) -> AdaptState:
+def posterior_from_recording(weights: Weights, inputs: Array, labels: Array, row_weights: Array) -> AdaptState:
     """What a recording tells of its object, all rows at once: a* of Eq. 5, given the prior, and the body.
 
     Args:
@@ -85,7 +85,7 @@ def known_from(weights: Weights, inputs: Array, labels: Array, row_weights: Arra
         labels: ``[N, 3]``.
         row_weights: ``[N]``.
     """
-    state, shape, params = untouched(weights), weights.config.object, weights.params
+    state, shape, params = prior_state(weights), weights.config.object, weights.params
     if state.body is not None:
         settings = OnlineConfig().fit
         rows = (inputs, labels, row_weights)
@@ -122,7 +122,7 @@ def save_weights(path: str | os.PathLike[str], weights: Weights) -> None:
         "info": weights.info,
         "versions": {"shmoo-mjx": metadata.version("shmoo-mjx"), "jax": jax.__version__},
     }
-    trees.save_tree(path, _arrays(weights), notes)
+    serialisation.save_tree(path, _arrays(weights), notes)
 
 
 def load_weights(path: str | os.PathLike[str] | None = None) -> Weights:
@@ -133,7 +133,7 @@ def load_weights(path: str | os.PathLike[str] | None = None) -> Weights:
             that are not finite.
     """
     path = asset(WEIGHTS) if path is None else path
-    notes = trees.read_notes(path)
+    notes = serialisation.read_notes(path)
     version = notes.get("schema_version")
     if version != SCHEMA_VERSION:
         raise ShmooError(
@@ -144,7 +144,7 @@ def load_weights(path: str | os.PathLike[str] | None = None) -> Weights:
     except (KeyError, TypeError) as error:
         raise ShmooError(f"{path}: field 'config' can not be read ({error}); train again.") from None
     like = jax.eval_shape(lambda: _arrays(untrained(config)))
-    tree, _ = trees.load_tree(path, like)
+    tree, _ = serialisation.load_tree(path, like)
     _check_values(path, tree)
     arrays = jax.tree.map(jnp.asarray, tree)
     return Weights(**arrays, config=config, info=notes["info"])

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from shmoo_mjx.control.pushing import local_field
+from shmoo_mjx.control.pushing import local_distance_field
 from shmoo_mjx.faces import faces_of, heading
 from shmoo_mjx.navigation import drive
 from shmoo_mjx.navigation.belief import Status
@@ -167,7 +167,7 @@ def _start_push(
     side = list(usable)[first.direction]
     way, gap = usable[side]
     segment = Segment(
-        index, side, faces[side], first.goal, way, approach.init(now, gap), local_field(around, known.pose)
+        index, side, faces[side], first.goal, way, approach.init(now, gap), local_distance_field(around, known.pose)
     )
     state = replace(state, segment=segment, drive=drive.init())
     state = state.of_object(index, pushes=known.pushes + 1, registered=known.pose)

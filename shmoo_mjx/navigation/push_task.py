@@ -17,7 +17,7 @@ import numpy as np
 from shmoo_mjx import se2
 from shmoo_mjx.control import trim
 from shmoo_mjx.control.cost import PushCost
-from shmoo_mjx.control.pushing import LocalField, PushConfig, Sighting, local_field
+from shmoo_mjx.control.pushing import LocalDistanceField, PushConfig, Sighting, local_distance_field
 from shmoo_mjx.faces import faces_of
 from shmoo_mjx.hands import TUCKED_REACH
 from shmoo_mjx.learning.adaptation import AdaptState
@@ -62,8 +62,8 @@ def pose_push_config() -> PushConfig:
     """The pushing controller's settings where the object's yaw counts and it has to stop at its goal."""
     base = PushConfig()
     cost: PushCost = replace(
-        base.cost, yaw_weight=0.6, aim_weight=0.7, lateral_weight=0.8, creep=0.07, slow_down=0.25, speed_limit=0.16,
-        haste_weight=3.0, speed_weight=0.3, change=0.03,
+        base.cost, yaw_weight=0.6, aim_weight=0.7, lateral_weight=0.8, terminal_speed=0.07, slow_down=0.25,
+        speed_limit=0.16, overspeed_weight=3.0, speed_weight=0.3, change=0.03,
     )  # fmt: skip
     # Small, slow noise: a plan that jumps about shakes what rolls off the hands.
     control = replace(
@@ -114,7 +114,7 @@ class _Leg:
     way: Path
     """To the stand-off pose."""
     approach: approach.ApproachState
-    around: LocalField
+    around: LocalDistanceField
     contact: contact.ContactState | None = None
     push: push.PushState | None = None
     """Once there is contact."""
@@ -253,7 +253,7 @@ class PushTask:
         chosen = ways[choice.side]
         assert chosen is not None
         begun = approach.init(float(seen.time[0]), chosen[1])
-        field = local_field(around, known.pose)
+        field = local_distance_field(around, known.pose)
         self.leg = _Leg(choice.side, faces[choice.side], choice.goal, chosen[0], begun, field)
         self.pushes, self._drive = self.pushes + 1, drive.init()
         final = "" if np.array_equal(choice.goal, self.goal) else " to a place on the way"

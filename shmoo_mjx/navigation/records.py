@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from shmoo_mjx.control import trim
-from shmoo_mjx.control.pushing import LocalField
+from shmoo_mjx.control.pushing import LocalDistanceField
 from shmoo_mjx.navigation import drive
 from shmoo_mjx.navigation.belief import Belief, KnownObject, Status
 from shmoo_mjx.navigation.flat_trajectory import Planner, TrajectoryConfig
@@ -157,7 +157,7 @@ class Segment:
     way: Path
     """To the stand-off pose."""
     approach: ApproachState
-    around: LocalField
+    around: LocalDistanceField
     contact: ContactState | None = None
     push: PushState | None = None
     back: Path | None = None

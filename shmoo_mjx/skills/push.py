@@ -9,7 +9,7 @@ import numpy as np
 
 from shmoo_mjx import se2
 from shmoo_mjx.control.mppi import Plan
-from shmoo_mjx.control.pushing import LocalField, Sighting
+from shmoo_mjx.control.pushing import LocalDistanceField, Sighting
 from shmoo_mjx.faces import heading
 from shmoo_mjx.hands import HAND_HEIGHT, REACH, touches
 from shmoo_mjx.learning.adaptation import AdaptState
@@ -31,7 +31,7 @@ class Pusher(Protocol):
         """Start a push."""
 
     def step(
-        self, state: Any, now: Sighting, last_u: Array, goal: Array, around: LocalField, half_extents: Array
+        self, state: Any, now: Sighting, last_u: Array, goal: Array, around: LocalDistanceField, half_extents: Array
     ) -> tuple[np.ndarray, Any, Plan | None]:
         """One 10 Hz step."""
 
@@ -99,7 +99,7 @@ def step(
     face: Array,
     last_u: Array,
     goal: Array,
-    around: LocalField,
+    around: LocalDistanceField,
     half_extents: Array,
     governor_room: float | None = None,
 ) -> tuple[PushState, Command]:

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 
 from shmoo_mjx.control import pushing, quasi_static
 from shmoo_mjx.control.pushing import PushConfig, Sighting
-from shmoo_mjx.learning.weights import Weights, untouched
+from shmoo_mjx.learning.weights import Weights, prior_state
 from shmoo_mjx.navigation.push_task import PushTaskConfig, pose_push_config
 from shmoo_mjx.skills import SkillConfig, contact, hold, retreat
 from shmoo_mjx.skills.push import lets_go
@@ -96,7 +96,7 @@ def law_of(controller: Controller, weights: Weights) -> Law:
     core, params = weights.config, weights.params
 
     def init(now: Sighting, task: Task, key: Array) -> Any:
-        adapt = untouched(weights, config.adapt.body)
+        adapt = prior_state(weights, config.adapt.body)
         return pushing.start(config, adapt, now, task.face, task.half_extents, key)
 
     def step(state: Any, now: Sighting, last_u: Array, task: Task) -> tuple[Array, Any]:

@@ -14,7 +14,7 @@ import pytest
 import tyro
 
 from shmoo_mjx import cli, progress
-from shmoo_mjx.talk import LOG, with_talk
+from shmoo_mjx.verbosity import LOG, with_verbosity
 
 HEAVY = {"jax", "mujoco", "numpy", "scipy", "shapely", "matplotlib", "pydantic", "yaml", "rich", "gymnasium", "PIL"}
 
@@ -53,7 +53,7 @@ def test_every_commands_help_has_an_example_that_parses(
     command = cli._COMMANDS[name]
     stand_in.__signature__ = inspect.signature(command)  # type: ignore[attr-defined]
     stand_in.__annotations__ = inspect.get_annotations(command, eval_str=True)
-    commands = {name: with_talk(stand_in), "other": with_talk(cli.doctor)}
+    commands = {name: with_verbosity(stand_in), "other": with_verbosity(cli.doctor)}
     for example in examples:
         arguments = shlex.split(example.partition(" > ")[0])
         assert tyro.extras.subcommand_cli_from_dict(commands, prog="shmoo", args=arguments) == 0

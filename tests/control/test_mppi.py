@@ -48,7 +48,7 @@ def optimum(extra: np.ndarray | None = None) -> np.ndarray:
 
 def converge(cfg: mppi.MppiConfig, sweeps: int = 300) -> np.ndarray:
     def sweep(nominal: Any, key: Any) -> tuple[Any, Any]:
-        better = mppi.improve(cfg, integrate, quadratic, X0, nominal, jnp.zeros(3), key).nominal
+        better = mppi.update(cfg, integrate, quadratic, X0, nominal, jnp.zeros(3), key).nominal
         return better, better
 
     keys = jax.random.split(jax.random.key(0), sweeps)
@@ -123,7 +123,7 @@ def test_one_nan_rollout_changes_nothing_but_its_own_weight() -> None:
             costs = quadratic(traj, controls, last_u)
             return costs.at[7].set(jnp.nan if bad else 1e6)  # a roll-out so dear weighs nothing either
 
-        return mppi.improve(CFG, integrate, cost, X0, jnp.zeros((6, 3)), jnp.zeros(3), jax.random.key(2))
+        return mppi.update(CFG, integrate, cost, X0, jnp.zeros((6, 3)), jnp.zeros(3), jax.random.key(2))
 
     clean, broken = plan(False), plan(True)
     assert int(clean.invalid) == 0 and int(broken.invalid) == 1 and bool(broken.ok)
@@ -138,7 +138,7 @@ def test_invalid_rollouts_are_ignored_and_counted() -> None:
         seen = integrate(x0, controls)
         return {"seen": seen, "hidden": jnp.where(controls[:, :1, :1] > 0, jnp.nan, seen)}
 
-    plan = mppi.improve(
+    plan = mppi.update(
         CFG,
         broken,
         lambda t, c, last: quadratic(t["seen"], c, last),

@@ -43,7 +43,7 @@ def test_turning_the_wrong_way_costs_more_than_turning_the_right_way() -> None:
 @settings(deadline=None)
 @given(st.floats(0, 5), st.floats(0, 5))
 def test_speed_falls_towards_the_goal_and_stays_under_its_limit(near: float, far: float) -> None:
-    cfg = PushCost(creep=0.07, slow_down=0.25, speed_limit=0.2)
+    cfg = PushCost(terminal_speed=0.07, slow_down=0.25, speed_limit=0.2)
     near, far = sorted((near, far))
     slow, fast = float(allowed_speed(cfg, near)), float(allowed_speed(cfg, far))
     assert 0.07 <= slow <= fast <= 0.2

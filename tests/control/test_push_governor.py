@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from shmoo_mjx import se2
 from shmoo_mjx.control.cost import PushCost
 from shmoo_mjx.control.governor import forward_lean, govern, static_lean
-from shmoo_mjx.control.pushing import LocalField, Sighting
+from shmoo_mjx.control.pushing import LocalDistanceField, Sighting
 from shmoo_mjx.control.quasi_static import QuasiStaticPusher
 from shmoo_mjx.faces import faces_of, stand_off
 from shmoo_mjx.hands import HAND_HEIGHT
@@ -65,7 +65,7 @@ def test_the_quasi_static_pusher_steers_towards_its_goal(side: int, turn: float)
     goal = np.array([*(pose[:2] + np.array([np.cos(direction), np.sin(direction)])), pose[2] + turn])
     pusher = QuasiStaticPusher(PushCost(speed_limit=0.15))
     now = _sighting(pose, face)
-    nowhere = LocalField(np.ones((4, 4)), np.zeros(3), np.float32(1.0))
+    nowhere = LocalDistanceField(np.ones((4, 4)), np.zeros(3), np.float32(1.0))
     u, state, _ = pusher.step(pusher.init(now, face, None, None), now, np.zeros(3), goal, nowhere, None)
     # A left turn takes the right hand forward (negative gamma) and the hands to the right (negative lean along y).
     assert np.sign(u[2]) == -np.sign(turn)

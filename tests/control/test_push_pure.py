@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from shmoo_mjx.control import pushing
-from shmoo_mjx.control.pushing import LocalField, PushController, Sighting
+from shmoo_mjx.control.pushing import LocalDistanceField, PushController, Sighting
 from shmoo_mjx.dynamics import feet
 from shmoo_mjx.faces import faces_of, stand_off
-from shmoo_mjx.learning.weights import load_weights, untouched, untrained
+from shmoo_mjx.learning.weights import load_weights, prior_state, untrained
 from shmoo_mjx.navigation.push_task import pose_push_config
 from shmoo_mjx.types import DT
 
@@ -44,10 +44,10 @@ def test_two_mapped_pushes_are_the_two_controllers() -> None:
     base = pose_push_config()
     config = replace(base, control=replace(base.control, samples=40, horizon=6))
     controller = PushController(weights, config)
-    open_floor = LocalField(np.full((4, 4), 9.0, np.float32), np.full(3, -20, np.float32), np.float32(10.0))
+    open_floor = LocalDistanceField(np.full((4, 4), 9.0, np.float32), np.full(3, -20, np.float32), np.float32(10.0))
     keys = jax.random.split(jax.random.key(3), 2)
     alone = [controller.init(sighting(w, 0), FACE, HALF, keys[w]) for w in range(2)]
-    prior = untouched(weights)
+    prior = prior_state(weights)
     stacked = jax.tree.map(lambda *x: jnp.stack(x), *(sighting(w, 0) for w in range(2)))
     together = jax.vmap(lambda now, key: pushing.start(config, prior, now, FACE, HALF, key))(stacked, keys)
     step = jax.jit(jax.vmap(partial(pushing.control_step, config, weights.config), in_axes=(None, 0, 0, 0, 0, None)))
@@ -73,7 +73,7 @@ def test_two_mapped_pushes_are_the_two_controllers() -> None:
 def test_what_is_let_go_coasts_as_far_as_the_friction_of_its_body_lets_it(friction: float, speed: float) -> None:
     weights, config, heading = untrained(), pose_push_config(), 0.7
     shift = float(np.log(friction) - feet.PARAMETERS["log_friction_x"][0])
-    adapt = untouched(weights)
+    adapt = prior_state(weights)
     assert adapt.body is not None
     adapt = adapt._replace(
         body=adapt.body._replace(found=jax.vmap(lambda p: feet.with_friction(p, shift))(adapt.body.found))

@@ -16,7 +16,7 @@ import pytest
 import tyro
 
 from shmoo_mjx import cli
-from shmoo_mjx.talk import with_talk
+from shmoo_mjx.verbosity import with_verbosity
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ["README.md", "CONTRIBUTING.md", *(f"docs/{p.name}" for p in sorted((ROOT / "docs").glob("*.md")))]
@@ -97,7 +97,7 @@ def test_the_pages_commands_are_ones(page: str) -> None:
 
         stand_in.__signature__ = inspect.signature(cli._COMMANDS[name])  # type: ignore[attr-defined]
         stand_in.__annotations__ = inspect.get_annotations(cli._COMMANDS[name], eval_str=True)
-        return with_talk(stand_in)
+        return with_verbosity(stand_in)
 
     stand_ins = {name: stand_in_for(name) for name in cli._COMMANDS}
     for line in commands(page):

@@ -111,7 +111,7 @@ LAYERS = (
         "environment",
         "files",
         "fingerprints",
-        "talk",
+        "verbosity",
         "progress",
         "processes",
         "seeds",

@@ -65,7 +65,7 @@ def test_online_it_comes_close_and_forgets() -> None:
     """Sample by sample; then the same object with four times the friction."""
     rng = np.random.default_rng(3)
     online = OnlineConfig(window=80, memory=3.0, fit=CONFIG)
-    state = identification.untouched(online, identification.broad_prior(), SCALE)
+    state = identification.prior_state(online, identification.broad_prior(), SCALE)
     observe = jax.jit(lambda state, x, y: identification.observe(online, state, x, y))
     friction = NAMES.index("log_friction_x")
     for log_friction in (-1.5, -0.2):
@@ -77,7 +77,7 @@ def test_online_it_comes_close_and_forgets() -> None:
 
 def test_a_bad_sample_changes_nothing() -> None:
     online = OnlineConfig(window=5, fit=CONFIG)
-    state = identification.untouched(online, identification.broad_prior(), SCALE)
+    state = identification.prior_state(online, identification.broad_prior(), SCALE)
     x, y = jnp.full(13, 0.4), jnp.ones(3)
     for bad in ((x.at[0].set(jnp.nan), y, True), (x, y.at[1].set(jnp.inf), True), (x, y, False)):
         after = identification.observe(online, state, *bad)

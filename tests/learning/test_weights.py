@@ -10,7 +10,7 @@ from safetensors.numpy import save_file
 
 from shmoo_mjx.dynamics import CoreConfig, ObjectConfig, RobotConfig
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.learning import daiml, robot_fit, trees, weights
+from shmoo_mjx.learning import daiml, robot_fit, serialisation, weights
 
 CONFIG = CoreConfig(robot=RobotConfig(hidden=(8, 8)), object=ObjectConfig(hidden=(8,), per_axis=True), open_gap=0.05)
 
@@ -59,16 +59,16 @@ def test_missing_old_or_of_another_shape(path: Path) -> None:
     with pytest.raises(ShmooError, match="no such file"):
         weights.load_weights(path.with_name("x"))
     tree = {"params": weights.untrained(CONFIG).params}
-    notes = trees.read_notes(path)
-    trees.save_tree(path, tree, notes | {"schema_version": 0})
+    notes = serialisation.read_notes(path)
+    serialisation.save_tree(path, tree, notes | {"schema_version": 0})
     with pytest.raises(ShmooError, match="schema_version"):
         weights.load_weights(path)
-    trees.save_tree(path, tree, notes)
+    serialisation.save_tree(path, tree, notes)
     with pytest.raises(ShmooError, match=r"'body_prior\.mean' is missing"):
         weights.load_weights(path)
     wide = weights.untrained(CoreConfig(robot=RobotConfig(hidden=(9, 8)), object=CONFIG.object))
     whole = {k: getattr(wide, k) for k in ("params", "prior_covariance", "noise", "body_prior")}
-    trees.save_tree(path, whole, notes)
+    serialisation.save_tree(path, whole, notes)
     with pytest.raises(ShmooError, match=r"has shape \(28, 9\) where \(28, 8\)"):
         weights.load_weights(path)
 

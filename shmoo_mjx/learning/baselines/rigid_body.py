@@ -11,7 +11,7 @@ import numpy as np
 
 from shmoo_mjx.dynamics import feet
 from shmoo_mjx.fingerprints import fingerprint
-from shmoo_mjx.learning import identification, trees
+from shmoo_mjx.learning import identification, serialisation
 from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, output_scale
 from shmoo_mjx.learning.identification import BodyPrior, IdentificationConfig
 
@@ -50,9 +50,9 @@ def _learned(job: Job, config: IdentificationConfig, scale: np.ndarray) -> tuple
     path = job.directory.parent / f"bodies-{identity[:10]}.safetensors"
     groups, p, count = config.groups, len(feet.PARAMETERS), len(rows.inputs)
     shapes = BodyPrior(np.zeros((groups, p)), np.zeros((groups, p, p)), np.zeros(groups)), np.zeros((count, p))
-    kept = trees.load_checkpoint(path, shapes, identity)
+    kept = serialisation.load_checkpoint(path, shapes, identity)
     if kept is not None:
         return kept[0]
     found = identification.learn_prior(config, scale, rows.inputs, rows.labels, rows.weights)
-    trees.save_checkpoint(path, found, {"identity": identity})
+    serialisation.save_checkpoint(path, found, {"identity": identity})
     return found

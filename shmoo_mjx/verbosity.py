@@ -19,7 +19,7 @@ from tyro.conf import FlagCreatePairsOff
 
 from shmoo_mjx.errors import ShmooError
 
-__all__ = ["LOG", "is_quiet", "is_verbose", "with_talk"]
+__all__ = ["LOG", "is_quiet", "is_verbose", "with_verbosity"]
 
 LOG = logging.getLogger("shmoo_mjx")
 
@@ -39,7 +39,7 @@ def is_verbose() -> bool:
     return LOG.getEffectiveLevel() <= logging.INFO
 
 
-def with_talk(command: Callable[..., int]) -> Callable[..., int]:
+def with_verbosity(command: Callable[..., int]) -> Callable[..., int]:
     """The command with the two options that all commands share, for a parser that reads signature and docstring."""
 
     def run(*arguments: Any, quiet: bool = False, verbose: bool = False, **options: Any) -> int:
