@@ -77,10 +77,10 @@ def random_pairs(field: ClearanceField, pairs: int) -> np.ndarray:
     return room[np.random.default_rng(0).integers(len(room), size=(pairs, 2))]
 
 
-def timed[T](ask: Callable[[], T]) -> tuple[float, T]:
+def timed[T](options: Callable[[], T]) -> tuple[float, T]:
     """How much processor time it takes [ms], and the answer; both engines work in the one thread that asks."""
     begin = time.thread_time()
-    answer = ask()
+    answer = options()
     return 1e3 * (time.thread_time() - begin), answer
 
 

@@ -304,17 +304,19 @@ def experiment(
     from shmoo_mjx import progress
     from shmoo_mjx.evaluation.everything import run_all
     from shmoo_mjx.evaluation.registry import run_experiment
-    from shmoo_mjx.evaluation.result import Ask, table, write_result
+    from shmoo_mjx.evaluation.result import ExperimentOptions, table, write_result
 
     with progress.stages() as report:
-        ask = Ask(seed, condition_seed, quick, data, maps, scenarios, weights, out, report, perceived, policies)
+        options = ExperimentOptions(
+            seed, condition_seed, quick, data, maps, scenarios, weights, out, report, perceived, policies
+        )
         if name == "all":
-            page, left_out = run_all(ask, pushes)
+            page, left_out = run_all(options, pushes)
             for other, reason in left_out.items():
                 print(f"{other} was left out: {reason}")
             print(page)
             return 0
-        result = run_experiment(name, ask)
+        result = run_experiment(name, options)
     target = json or out / f"{name}.json"
     write_result(target, result)
     print(table(result))
@@ -349,7 +351,7 @@ def bench(
     """
     from shmoo_mjx import progress
     from shmoo_mjx.benchmarking.compare import compare_files
-    from shmoo_mjx.benchmarking.registry import BenchAsk, describe, run_all, run_benchmark
+    from shmoo_mjx.benchmarking.registry import BenchOptions, describe, run_all, run_benchmark
     from shmoo_mjx.evaluation.result import write_result
 
     if name == "compare":
@@ -357,8 +359,8 @@ def bench(
         print(text)
         return int(slower)
     with progress.stages() as report:
-        ask = BenchAsk(quick, peers_python, seed, report)
-        result = run_all(ask, out) if name == "all" else run_benchmark(name, ask)
+        options = BenchOptions(quick, peers_python, seed, report)
+        result = run_all(options, out) if name == "all" else run_benchmark(name, options)
     target = json or out / f"bench_{name}.json"
     write_result(target, result)
     print(describe(result))

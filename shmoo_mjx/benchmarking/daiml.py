@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx.benchmarking.registry import BenchAsk
+from shmoo_mjx.benchmarking.registry import BenchOptions
 from shmoo_mjx.benchmarking.workers import usable_cores
 from shmoo_mjx.data import store
 from shmoo_mjx.evaluation.datasets import TRAINING
-from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
+from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.processes import process_pool
 
 __all__ = ["BenchConfig", "run"]
@@ -163,9 +163,9 @@ def whole_training(data: Path) -> Row:
     }
 
 
-def run(ask: BenchAsk) -> ExperimentResult:
+def run(options: BenchOptions) -> ExperimentResult:
     """All rows. The shipped training needs data/train, takes minutes, and is left out of a quick run."""
-    config = BenchConfig.quick() if ask.quick else BenchConfig()
+    config = BenchConfig.quick() if options.quick else BenchConfig()
     jobs: list[tuple[Callable[[], None], Callable[..., Row], tuple[Any, ...]]] = [
         (_one_thread, neural_fly_epoch, (config.epochs,))
     ]
@@ -174,8 +174,10 @@ def run(ask: BenchAsk) -> ExperimentResult:
         jobs.append((_any_threads, whole_training, (TRAINING,)))
     rows = []
     for done, (prepare, work, arguments) in enumerate(jobs):
-        ask.progress(work.__name__, done / len(jobs))
+        options.progress(work.__name__, done / len(jobs))
         rows.append(_fresh(prepare, work, *arguments))
     metrics = {f"{row['name']}_{key}": value for row in rows for key, value in row.items() if key != "name"}
     settings = vars(config) | {"device": "cpu", "cores": usable_cores()}
-    return make_result("bench_daiml", Ask(seed=ask.seed, quick=ask.quick), settings, metrics, REFERENCE, rows)
+    return make_result(
+        "bench_daiml", ExperimentOptions(seed=options.seed, quick=options.quick), settings, metrics, REFERENCE, rows
+    )

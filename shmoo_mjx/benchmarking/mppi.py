@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from shmoo_mjx.benchmarking import mppi_problem, workers
-from shmoo_mjx.benchmarking.registry import BenchAsk
+from shmoo_mjx.benchmarking.registry import BenchOptions
 from shmoo_mjx.benchmarking.workers import Worker, busy_neighbour, usable_cores
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
+from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 
 __all__ = ["BenchConfig", "run"]
 
@@ -60,19 +60,19 @@ class BenchConfig:
 Row = dict[str, Any]
 
 
-def run(ask: BenchAsk) -> ExperimentResult:
+def run(options: BenchOptions) -> ExperimentResult:
     """Measure; peers that are not installed are null, with a row that says why."""
-    cfg = BenchConfig.quick() if ask.quick else BenchConfig()
-    python = ask.peers_python or Path(sys.executable)
-    turns, about = _take_turns(cfg, _starters(cfg, ask.seed, python), ask.progress)
+    cfg = BenchConfig.quick() if options.quick else BenchConfig()
+    python = options.peers_python or Path(sys.executable)
+    turns, about = _take_turns(cfg, _starters(cfg, options.seed, python), options.progress)
     medians = {name: 1e3 * float(np.median(s)) for name, s in turns.items() if s}
-    worst = [_worst_case(cfg, ask, busy) for busy in (False, True)]
-    sweep = _sweeps(cfg, ask)
+    worst = [_worst_case(cfg, options, busy) for busy in (False, True)]
+    sweep = _sweeps(cfg, options)
     metrics = _metrics(cfg, medians, about, worst)
     rows = [_row(name, seconds, about[name]) for name, seconds in turns.items()]
     setup = {"peers_python": str(python), "cores": usable_cores(), "device": about["ours"]["device"]}
     settings = vars(cfg) | setup | {"flop": mppi_problem.flop(cfg.samples, cfg.horizon)}
-    asked = Ask(seed=ask.seed, quick=ask.quick)
+    asked = ExperimentOptions(seed=options.seed, quick=options.quick)
     return make_result("bench_mppi", asked, settings, metrics, {}, [*rows, *worst, *sweep])
 
 
@@ -129,16 +129,16 @@ def _take_turns(
     return turns, about
 
 
-def _worst_case(cfg: BenchConfig, ask: BenchAsk, busy: bool) -> Row:
+def _worst_case(cfg: BenchConfig, options: BenchOptions, busy: bool) -> Row:
     """Many steps of ours in a row, and beside a busy neighbour plain JAX too, for the case of one free core."""
     name = "busy" if busy else "quiet"
-    ours, plain = workers.ours(_spec(cfg, ask.seed, engine="ours")), None
+    ours, plain = workers.ours(_spec(cfg, options.seed, engine="ours")), None
     try:
         if not busy:
-            return _many(cfg, ask, ours, name)
-        plain = workers.ours(_spec(cfg, ask.seed, engine="plain_jax"), 1)
+            return _many(cfg, options, ours, name)
+        plain = workers.ours(_spec(cfg, options.seed, engine="plain_jax"), 1)
         with busy_neighbour():
-            row = _many(cfg, ask, ours, name)
+            row = _many(cfg, options, ours, name)
             return row | {"plain_jax_ms": 1e3 * float(np.median(plain.seconds(max(cfg.steps // 20, 20))[0]))}
     finally:
         ours.close()
@@ -146,11 +146,11 @@ def _worst_case(cfg: BenchConfig, ask: BenchAsk, busy: bool) -> Row:
             plain.close()
 
 
-def _many(cfg: BenchConfig, ask: BenchAsk, worker: Worker, name: str) -> Row:
+def _many(cfg: BenchConfig, options: BenchOptions, worker: Worker, name: str) -> Row:
     seconds: list[float] = []
     chunk = max(cfg.steps // 20, 1)
     while len(seconds) < cfg.steps:
-        ask.progress(f"{cfg.steps} steps, {name}", len(seconds) / cfg.steps)
+        options.progress(f"{cfg.steps} steps, {name}", len(seconds) / cfg.steps)
         some, compiled = worker.seconds(chunk)
         seconds += some
         if compiled:
@@ -161,15 +161,15 @@ def _many(cfg: BenchConfig, ask: BenchAsk, worker: Worker, name: str) -> Row:
     return row | {"p99_ms": np.quantile(ms, 0.99), "over_50_ms": over, "recompilations": compiled}
 
 
-def _sweeps(cfg: BenchConfig, ask: BenchAsk) -> list[Row]:
+def _sweeps(cfg: BenchConfig, options: BenchOptions) -> list[Row]:
     """Cost against samples, horizon and the number of problems planned at once."""
     wanted = [("samples", {"engine": "ours", "samples": s}) for s in cfg.sample_sweep]
     wanted += [("horizon", {"engine": "ours", "horizon": t}) for t in cfg.horizon_sweep]
     wanted += [("problems", {"engine": "batch", "problems": p}) for p in cfg.problem_sweep]
     rows = []
     for i, (kind, changes) in enumerate(wanted):
-        ask.progress("sweeps", i / len(wanted))
-        worker = workers.ours(_spec(cfg, ask.seed, **changes))
+        options.progress("sweeps", i / len(wanted))
+        worker = workers.ours(_spec(cfg, options.seed, **changes))
         try:
             once = min(worker.seconds(1)[0])
             calls = int(np.clip(3.0 / once, 3, 2 * cfg.calls))

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx.benchmarking.registry import BenchAsk
-from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
+from shmoo_mjx.benchmarking.registry import BenchOptions
+from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.navigation.floorplan import demo_scenario
 from shmoo_mjx.navigation.maps import OccupancyGrid, clearance_field
 from shmoo_mjx.navigation.paths import plan_path
@@ -65,12 +65,12 @@ class _Clock:
         return False
 
 
-def run(ask: BenchAsk) -> ExperimentResult:
+def run(options: BenchOptions) -> ExperimentResult:
     """Run, then count."""
-    cfg = BenchConfig.quick() if ask.quick else BenchConfig()
-    grid, scenario = demo_scenario(ask.seed)
+    cfg = BenchConfig.quick() if options.quick else BenchConfig()
+    grid, scenario = demo_scenario(options.seed)
     scenario = scenario.model_copy(update={"limits": Limits(time_s=cfg.time_s)})
-    ticks = _ticks(cfg, grid, scenario, ask)
+    ticks = _ticks(cfg, grid, scenario, options)
     rows = [_row(name, seconds) for name, seconds in ticks.items()]
     rows += _paths(cfg, grid, scenario)
     every = np.concatenate([np.array(s) for s in ticks.values()])
@@ -83,10 +83,12 @@ def run(ask: BenchAsk) -> ExperimentResult:
     }
     ours, peer = metrics["global_path_ms"], metrics["pyastar2d_ms"]
     metrics["ratio_to_pyastar2d"] = ours / peer if peer else None
-    return make_result("bench_planner", Ask(seed=ask.seed, quick=ask.quick), cfg, metrics, {}, rows)
+    return make_result(
+        "bench_planner", ExperimentOptions(seed=options.seed, quick=options.quick), cfg, metrics, {}, rows
+    )
 
 
-def _ticks(cfg: BenchConfig, grid: OccupancyGrid, scenario: Scenario, ask: BenchAsk) -> dict[str, list[float]]:
+def _ticks(cfg: BenchConfig, grid: OccupancyGrid, scenario: Scenario, options: BenchOptions) -> dict[str, list[float]]:
     """Seconds of every tick of the second run, by state."""
     from shmoo_mjx.assets import WEIGHTS, asset
     from shmoo_mjx.control.pushing import PushController
@@ -99,7 +101,7 @@ def _ticks(cfg: BenchConfig, grid: OccupancyGrid, scenario: Scenario, ask: Bench
 
         def after(now: float, mode: str, clock: _Clock = clock, name: str = name) -> None:
             clock.after(now, mode)
-            ask.progress(f"{name}: {mode}", (now / cfg.time_s + (name == "second run")) / 2)
+            options.progress(f"{name}: {mode}", (now / cfg.time_s + (name == "second run")) / 2)
 
         hooks = Hooks(progress=after, perceive=clock.before, over=clock.note)
         run_episode(grid, scenario, controller, hooks=hooks)

@@ -16,9 +16,9 @@ import mujoco
 import numpy as np
 from mujoco.rollout import Rollout
 
-from shmoo_mjx.benchmarking.registry import BenchAsk
+from shmoo_mjx.benchmarking.registry import BenchOptions
 from shmoo_mjx.benchmarking.workers import usable_cores
-from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
+from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.hands import HAND_HEIGHT, REACH
 from shmoo_mjx.plant.engine_mjx import MjxEngine
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
@@ -51,22 +51,22 @@ class BenchConfig:
         return cls(scenes=("robot", "box"), batches=(16,), seconds=0.3)
 
 
-def run(ask: BenchAsk) -> ExperimentResult:
+def run(options: BenchOptions) -> ExperimentResult:
     """Every scene on both engines. The scenes are fixed; the seed draws nothing."""
-    cfg = BenchConfig.quick() if ask.quick else BenchConfig()
+    cfg = BenchConfig.quick() if options.quick else BenchConfig()
     rows: list[Row] = []
     for done, name in enumerate(cfg.scenes):
-        ask.progress(f"C MuJoCo, {name}", done / len(cfg.scenes))
+        options.progress(f"C MuJoCo, {name}", done / len(cfg.scenes))
         here = c_rows(name, usable_cores(), cfg.seconds)
         rates = {(row["state"], row["threads"]): row["steps_per_s"] for row in here}
         # Six objects cost a CPU the same time in every world: 512 worlds hold it up for over ten minutes.
         batches = cfg.batches[:1] if name == "room" and jax.default_backend() == "cpu" else cfg.batches
         for i, batch in enumerate(batches):
-            ask.progress(f"MJX, {name}, {batch} worlds", (done + (i + 1) / (len(batches) + 1)) / len(cfg.scenes))
+            options.progress(f"MJX, {name}, {batch} worlds", (done + (i + 1) / (len(batches) + 1)) / len(cfg.scenes))
             here += mjx_rows(name, batch, cfg.seconds, rates)
         rows += here
     metrics = {key: value for row in rows for key, value in _metrics(row).items()}
-    return make_result("bench_plant", Ask(seed=ask.seed, quick=ask.quick), cfg, metrics, {}, rows)
+    return make_result("bench_plant", ExperimentOptions(seed=options.seed, quick=options.quick), cfg, metrics, {}, rows)
 
 
 def _metrics(row: Row) -> dict[str, float]:

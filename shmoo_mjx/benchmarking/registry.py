@@ -1,4 +1,4 @@
-"""The benchmarks by name. Each module has ``run(ask) -> ExperimentResult`` and is imported only when asked for."""
+"""The benchmarks by name. Each module has ``run(options) -> ExperimentResult`` and is imported only when asked for."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from typing import Any
 
 from shmoo_mjx.benchmarking.workers import usable_cores
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result, table, write_result
+from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result, table, write_result
 
-__all__ = ["BENCHMARKS", "BenchAsk", "describe", "machine", "run_all", "run_benchmark"]
+__all__ = ["BENCHMARKS", "BenchOptions", "describe", "machine", "run_all", "run_benchmark"]
 
 BENCHMARKS = {
     "startup": "shmoo_mjx.benchmarking.startup",
@@ -26,7 +26,7 @@ BENCHMARKS = {
 
 
 @dataclass(frozen=True)
-class BenchAsk:
+class BenchOptions:
     """What the command line asks of a benchmark."""
 
     quick: bool = False
@@ -39,16 +39,16 @@ class BenchAsk:
     """Called with (stage, fraction done)."""
 
 
-def run_benchmark(name: str, ask: BenchAsk) -> ExperimentResult:
+def run_benchmark(name: str, options: BenchOptions) -> ExperimentResult:
     """Run one benchmark; its config says on which machine."""
     if name not in BENCHMARKS:
         names = ", ".join(BENCHMARKS)
         raise ShmooError(f"benchmark {name!r} is not known; choose one of {names}, all or compare.")
-    result: ExperimentResult = import_module(BENCHMARKS[name]).run(ask)
+    result: ExperimentResult = import_module(BENCHMARKS[name]).run(options)
     return result.model_copy(update={"config": result.config | {"machine": machine()}})
 
 
-def run_all(ask: BenchAsk, out: Path) -> ExperimentResult:
+def run_all(options: BenchOptions, out: Path) -> ExperimentResult:
     """Every benchmark in turn, each with its own file in ``out``; the result holds them all, names before metrics."""
     metrics: dict[str, float | None] = {}
     paper: dict[str, float] = {}
@@ -57,16 +57,18 @@ def run_all(ask: BenchAsk, out: Path) -> ExperimentResult:
     for done, name in enumerate(BENCHMARKS):
 
         def report(stage: str, fraction: float, name: str = name, done: int = done) -> None:
-            ask.progress(f"{name}: {stage}", (done + fraction) / len(BENCHMARKS))
+            options.progress(f"{name}: {stage}", (done + fraction) / len(BENCHMARKS))
 
-        one = run_benchmark(name, replace(ask, progress=report))
+        one = run_benchmark(name, replace(options, progress=report))
         write_result(out / f"bench_{name}.json", one)
         metrics |= {f"{name}_{key}": value for key, value in one.metrics.items()}
         paper |= {f"{name}_{key}": value for key, value in one.paper.items()}
         rows += [{"benchmark": name} | row for row in one.rows]
         settings[name] = one.config
     whole = settings | {"machine": machine()}
-    return make_result("bench_all", Ask(seed=ask.seed, quick=ask.quick), whole, metrics, paper, rows)
+    return make_result(
+        "bench_all", ExperimentOptions(seed=options.seed, quick=options.quick), whole, metrics, paper, rows
+    )
 
 
 def describe(result: ExperimentResult) -> str:

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx.benchmarking.registry import BenchAsk
-from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
+from shmoo_mjx.benchmarking.registry import BenchOptions
+from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 
 __all__ = ["BenchConfig", "help_seconds", "run"]
 
@@ -45,17 +45,17 @@ def help_seconds() -> tuple[float, float]:
     return took, own
 
 
-def run(ask: BenchAsk) -> ExperimentResult:
+def run(options: BenchOptions) -> ExperimentResult:
     """Start each some times, in processes of their own."""
-    cfg = BenchConfig.quick() if ask.quick else BenchConfig()
+    cfg = BenchConfig.quick() if options.quick else BenchConfig()
     rows: list[dict[str, Any]] = []
     for i in range(cfg.helps):
-        ask.progress("shmoo --help", 0.2 * i / cfg.helps)
+        options.progress("shmoo --help", 0.2 * i / cfg.helps)
         clock, processor = help_seconds()
         rows.append({"name": "help", "s": clock, "processor_s": processor})
     for i in range(cfg.demos + 1):
-        ask.progress("first control steps of the demo", 0.2 + 0.8 * i / (cfg.demos + 1))
-        rows.append({"name": "demo", "cache": "warm" if i else "as found"} | _first_steps(ask.seed))
+        options.progress("first control steps of the demo", 0.2 + 0.8 * i / (cfg.demos + 1))
+        rows.append({"name": "demo", "cache": "warm" if i else "as found"} | _first_steps(options.seed))
     shown = [row for row in rows if row["name"] == "help"]
     warm = [row for row in rows if row.get("cache") == "warm"]
     metrics = {
@@ -64,7 +64,9 @@ def run(ask: BenchAsk) -> ExperimentResult:
         "first_command_s": np.median([row["drive_s"] for row in warm]),
         "first_push_command_s": np.median([row["push_s"] for row in warm]),
     }
-    return make_result("bench_startup", Ask(seed=ask.seed, quick=ask.quick), cfg, metrics, {}, rows)
+    return make_result(
+        "bench_startup", ExperimentOptions(seed=options.seed, quick=options.quick), cfg, metrics, {}, rows
+    )
 
 
 def _first_steps(seed: int) -> dict[str, float]:

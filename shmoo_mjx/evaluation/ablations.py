@@ -16,7 +16,7 @@ import numpy as np
 
 from shmoo_mjx.data import store
 from shmoo_mjx.evaluation import datasets, probe, scoring
-from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result, over_seeds
+from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result, over_seeds
 from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning import daiml
@@ -167,20 +167,20 @@ class _Work:
         return round(seconds / DT)
 
 
-def run(ask: Ask, config: AblationsConfig | None = None) -> ExperimentResult:
-    """Train and score every variant; goes on from ``ask.out`` after a stop."""
-    config = config or (QUICK if ask.quick else AblationsConfig())
-    train = datasets.training_directory(ask)
-    unseen = datasets.unseen_directory(ask, config.unseen)
+def run(options: ExperimentOptions, config: AblationsConfig | None = None) -> ExperimentResult:
+    """Train and score every variant; goes on from ``options.out`` after a stop."""
+    config = config or (QUICK if options.quick else AblationsConfig())
+    train = datasets.training_directory(options)
+    unseen = datasets.unseen_directory(options, config.unseen)
     manifests = [directory / store.MANIFEST for directory in (train, unseen)]
-    key = asdict(replace(config, workers=1, seeds=1, variants=())) | {"seed": ask.seed}
-    folder = ask.out / "ablations" / fingerprint(__name__, key, *manifests)
+    key = asdict(replace(config, workers=1, seeds=1, variants=())) | {"seed": options.seed}
+    folder = options.out / "ablations" / fingerprint(__name__, key, *manifests)
     names = ["raw-0", *(f"{variant}-{seed}" for variant in config.variants for seed in range(config.seeds))]
     rows = run_trials(
-        names, _Work(train, unseen, folder, config, ask.seed), folder, ask.progress, workers=config.workers
+        names, _Work(train, unseen, folder, config, options.seed), folder, options.progress, workers=config.workers
     )
-    result = make_result("ablations", ask, config, _metrics(rows, config), {}, rows)
-    _figure(result, ask.out / "ablations" / "domain_invariance.png")
+    result = make_result("ablations", options, config, _metrics(rows, config), {}, rows)
+    _figure(result, options.out / "ablations" / "domain_invariance.png")
     return result
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from shmoo_mjx.data import store
 from shmoo_mjx.evaluation import datasets, replay, scoring
-from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result, over_seeds
+from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result, over_seeds
 from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning.baselines import METHODS, REFERENCES, Budget, Job, recordings
@@ -120,19 +120,19 @@ class _Work:
         return _rows(objects, found, {"method": REPLAY, "run": 0, "setting": {}})
 
 
-def run(ask: Ask, config: BaselinesConfig | None = None) -> ExperimentResult:
-    """Tune, train and score every method; goes on from ``ask.out`` after a stop."""
-    config = config or (QUICK if ask.quick else BaselinesConfig())
-    train = datasets.training_directory(ask)
-    unseen = datasets.unseen_directory(ask, config.unseen)
+def run(options: ExperimentOptions, config: BaselinesConfig | None = None) -> ExperimentResult:
+    """Tune, train and score every method; goes on from ``options.out`` after a stop."""
+    config = config or (QUICK if options.quick else BaselinesConfig())
+    train = datasets.training_directory(options)
+    unseen = datasets.unseen_directory(options, config.unseen)
     manifests = [directory / store.MANIFEST for directory in (train, unseen)]
     # Neither the number of processes nor of seeds changes what a fit gives, nor what it is compared with.
-    key = asdict(replace(config, workers=1, seeds=1, methods=())) | {"seed": ask.seed}
+    key = asdict(replace(config, workers=1, seeds=1, methods=())) | {"seed": options.seed}
     del key["references"]
-    folder = ask.out / "baselines" / fingerprint(__name__, key, *manifests)
-    work = _Work(train, unseen, folder, config, ask.seed)
+    folder = options.out / "baselines" / fingerprint(__name__, key, *manifests)
+    work = _Work(train, unseen, folder, config, options.seed)
     methods = [METHODS[name] for name in config.methods]
-    tried = _tune(methods, work, ask)
+    tried = _tune(methods, work, options)
     chosen = {
         name: min(rows, key=lambda row: row["validation_fvu"])["number"] if rows else 0 for name, rows in tried.items()
     }
@@ -140,18 +140,18 @@ def run(ask: Ask, config: BaselinesConfig | None = None) -> ExperimentResult:
         f"final-{m.name}-{chosen[m.name]}-{seed}" for m in methods for seed in range(config.seeds if m.trained else 1)
     ]
     final += [f"final-{name}-0-0" for name in config.references]
-    rows = run_trials(final, work, folder, ask.progress, config.workers)
+    rows = run_trials(final, work, folder, options.progress, config.workers)
     tuning = [row for name in tried for row in tried[name]]
-    result = make_result("baselines", ask, config, _metrics(rows), PAPER, [*tuning, *rows])
-    _figure(result, ask.out / "baselines" / "baselines.png")
+    result = make_result("baselines", options, config, _metrics(rows), PAPER, [*tuning, *rows])
+    _figure(result, options.out / "baselines" / "baselines.png")
     return result
 
 
-def _tune(methods: list[Method], work: _Work, ask: Ask) -> dict[str, list[dict[str, Any]]]:
+def _tune(methods: list[Method], work: _Work, options: ExperimentOptions) -> dict[str, list[dict[str, Any]]]:
     """What each setting of each method gave on the validation conditions; nothing where there is only one to try."""
     counts = {m.name: min(work.config.settings, len(m.settings)) for m in methods}
     names = [f"tune-{name}-{i}" for name, count in counts.items() if count > 1 for i in range(count)]
-    rows = run_trials(names, work, work.folder, ask.progress, work.config.workers)
+    rows = run_trials(names, work, work.folder, options.progress, work.config.workers)
     numbered = [row | {"number": int(name.split("-")[2])} for name, row in zip(names, rows, strict=True)]
     return {m.name: [row for row in numbered if row["tuned"] == m.name] for m in methods}
 

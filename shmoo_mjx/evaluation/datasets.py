@@ -9,7 +9,7 @@ from pathlib import Path
 from shmoo_mjx.data import store
 from shmoo_mjx.data.collect import SPLIT_SEEDS, CollectConfig, collect
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.evaluation.result import Ask
+from shmoo_mjx.evaluation.result import ExperimentOptions
 from shmoo_mjx.plant.objects import FAMILIES, Condition, draw_condition
 
 __all__ = [
@@ -30,37 +30,37 @@ QUICK = CollectConfig(train=8, validation=3)
 """Collected for a quick experiment where no training set lies at hand."""
 
 
-def training_directory(ask: Ask) -> Path:
-    """The directory of the training set: ``ask.data`` or data/train, collected if it is absent.
+def training_directory(options: ExperimentOptions) -> Path:
+    """The directory of the training set: ``options.data`` or data/train, collected if it is absent.
 
     A collection that was stopped is continued. Without a set at hand, a quick experiment collects a small one.
 
     Raises:
         ShmooError: the directory holds a damaged data set.
     """
-    directory = ask.data or TRAINING
+    directory = options.data or TRAINING
     config = CollectConfig()
-    if ask.quick and not (directory / store.MANIFEST).exists():
-        directory, config = ask.data or ask.out / "data" / "train-quick", QUICK
+    if options.quick and not (directory / store.MANIFEST).exists():
+        directory, config = options.data or options.out / "data" / "train-quick", QUICK
     if (directory / store.MANIFEST).exists():
         manifest = json.loads((directory / store.MANIFEST).read_text())
         recorded = manifest.get("schema", {}).get("config")
         if recorded is None or len(manifest["conditions"]) >= _count(CollectConfig(**recorded)):
             return directory
         config = CollectConfig(**recorded)
-    collect(directory, config, progress=_report(ask, "collect training objects"))
+    collect(directory, config, progress=_report(options, "collect training objects"))
     return directory
 
 
-def unseen_directory(ask: Ask, counts: Mapping[str, int] | None = None) -> Path:
-    """The directory with recordings of unseen objects, collected once under ``ask.out``.
+def unseen_directory(options: ExperimentOptions, counts: Mapping[str, int] | None = None) -> Path:
+    """The directory with recordings of unseen objects, collected once under ``options.out``.
 
     Args:
-        ask: its condition_seed draws the objects, its seed the operators that push them.
+        options: its condition_seed draws the objects, its seed the operators that push them.
         counts: objects per family (default: UNSEEN_COUNTS).
     """
     counts = UNSEEN_COUNTS if counts is None else counts
-    first = ask.first_unseen
+    first = options.first_unseen
     assert first >= SPLIT_SEEDS["test"], "an unseen object would have a training seed"
     rows = [
         (f"test-{family}-{first + i}", "test", draw_condition(family, first + i))
@@ -68,15 +68,15 @@ def unseen_directory(ask: Ask, counts: Mapping[str, int] | None = None) -> Path:
         for i in range(count)
     ]
     name = "-".join(str(n) for n in counts.values())
-    return collect_rows(ask, f"unseen-{first}-{name}", rows)
+    return collect_rows(options, f"unseen-{first}-{name}", rows)
 
 
-def collect_rows(ask: Ask, name: str, rows: list[tuple[str, str, Condition]]) -> Path:
-    """The directory ``name`` under ``ask.out`` with recordings of these (name, split, condition), collected once."""
-    directory = ask.out / "data" / f"{name}-seed{ask.seed}"
+def collect_rows(options: ExperimentOptions, name: str, rows: list[tuple[str, str, Condition]]) -> Path:
+    """Directory ``name`` under ``options.out`` with recordings of these (name, split, condition), collected once."""
+    directory = options.out / "data" / f"{name}-seed{options.seed}"
     # Operators of their own: those of the training set start from small seeds.
-    config = CollectConfig(train=0, validation=0, seed=ask.first_unseen + ask.seed)
-    collect(directory, config, progress=_report(ask, "collect unseen objects"), rows=rows)
+    config = CollectConfig(train=0, validation=0, seed=options.first_unseen + options.seed)
+    collect(directory, config, progress=_report(options, "collect unseen objects"), rows=rows)
     return directory
 
 
@@ -107,5 +107,5 @@ def _count(config: CollectConfig) -> int:
     return len(FAMILIES) * (config.train + config.validation + config.test)
 
 
-def _report(ask: Ask, stage: str) -> Callable[[int, int], None]:
-    return lambda done, total: ask.progress(stage, done / max(total, 1))
+def _report(options: ExperimentOptions, stage: str) -> Callable[[int, int], None]:
+    return lambda done, total: options.progress(stage, done / max(total, 1))

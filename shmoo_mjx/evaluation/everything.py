@@ -8,40 +8,40 @@ from pathlib import Path
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import page
 from shmoo_mjx.evaluation.registry import EXPERIMENTS, run_experiment
-from shmoo_mjx.evaluation.result import Ask, write_result
+from shmoo_mjx.evaluation.result import ExperimentOptions, write_result
 
 __all__ = ["run_all"]
 
 
-def run_all(ask: Ask, pushes: Path | None) -> tuple[Path, dict[str, str]]:
-    """Run every experiment, each with its JSON in ``ask.out``; the page grows with each of them.
+def run_all(options: ExperimentOptions, pushes: Path | None) -> tuple[Path, dict[str, str]]:
+    """Run every experiment, each with its JSON in ``options.out``; the page grows with each of them.
 
     An experiment that lacks something (maps, recorded pushes) is left out.
 
     Args:
-        ask: as for one experiment; ``data`` is the training data.
+        options: as for one experiment; ``data`` is the training data.
         pushes: folder of recorded pushes, for `real_pushing`.
 
     Returns:
         The page, and why each experiment that was left out was.
     """
-    target, left_out = ask.out / "results.md", dict[str, str]()
+    target, left_out = options.out / "results.md", dict[str, str]()
     done = dict[str, page.ExperimentResult]()
     for i, name in enumerate(EXPERIMENTS):
 
         def report(stage: str, fraction: float, name: str = name, i: int = i) -> None:
-            ask.progress(f"{name}: {stage}", (i + fraction) / len(EXPERIMENTS))
+            options.progress(f"{name}: {stage}", (i + fraction) / len(EXPERIMENTS))
 
-        own = replace(ask, progress=report, data=pushes if name == "real_pushing" else ask.data)
+        own = replace(options, progress=report, data=pushes if name == "real_pushing" else options.data)
         # Methods of pushing have other names than the policies of navigation.
-        own = replace(own, policies=() if name == "pushing" else ask.policies)
+        own = replace(own, policies=() if name == "pushing" else options.policies)
         try:
             done[name] = run_experiment(name, own)
         except ShmooError as error:
             left_out[name] = str(error)
             continue
-        write_result(ask.out / f"{name}.json", done[name])
-        page.write_page(done, ask.out, target)
+        write_result(options.out / f"{name}.json", done[name])
+        page.write_page(done, options.out, target)
     if not done:
         raise ShmooError("experiment all: nothing could be run. " + " ".join(left_out.values()))
     return target, left_out

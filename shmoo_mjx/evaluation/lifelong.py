@@ -20,7 +20,7 @@ from shmoo_mjx.evaluation.navigation import POLICIES, Robot, play, robot_of, sco
 from shmoo_mjx.evaluation.navigation_failures import keep_failure, write_failures
 from shmoo_mjx.evaluation.navigation_measures import OURS, cause_of
 from shmoo_mjx.evaluation.navigation_places import Places, find_places, generated_from, kept, kinds_of, seed_of
-from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
+from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.evaluation.scenarios import PLANT, ScenarioConfig
 from shmoo_mjx.evaluation.sequences import GoalSequence, draw_sequence
 from shmoo_mjx.evaluation.trials import run_trials
@@ -42,25 +42,25 @@ class LifelongTrials:
     scenario: ScenarioConfig = ScenarioConfig()
 
 
-def run(ask: Ask) -> ExperimentResult:
-    """Run the experiment on the maps of ``ask.maps``; ``ask.scenarios`` is the number of sequences per map."""
-    folder = ask.out / "lifelong"
-    cfg = LifelongTrials(policies=ask.chosen(POLICIES) if ask.policies else (OURS,))
-    if ask.quick:
+def run(options: ExperimentOptions) -> ExperimentResult:
+    """Run the experiment on the maps of ``options.maps``; ``options.scenarios`` is the number of sequences per map."""
+    folder = options.out / "lifelong"
+    cfg = LifelongTrials(policies=options.chosen(POLICIES) if options.policies else (OURS,))
+    if options.quick:
         cfg = replace(cfg, sequences=1, goals=2)
-    if ask.scenarios is not None:
-        cfg = replace(cfg, sequences=ask.scenarios)
-    places = find_places(ask, folder, cfg.scenario, most=1 if ask.quick else None)
-    store = trials_folder(ask, folder, cfg.scenario)
+    if options.scenarios is not None:
+        cfg = replace(cfg, sequences=options.scenarios)
+    places = find_places(options, folder, cfg.scenario, most=1 if options.quick else None)
+    store = trials_folder(options, folder, cfg.scenario)
     maps = list(places.maps)
     names = [
         f"{name}-{i}-{cfg.goals}-{policy}" for policy in cfg.policies for i in range(cfg.sequences) for name in maps
     ]
-    rows = run_trials(names, partial(_trial, places, robot_of(ask), store), store, ask.progress, cfg.workers)
-    write_failures(folder, [r for r in rows if r["policy"] == OURS], store, ask.progress)
+    rows = run_trials(names, partial(_trial, places, robot_of(options), store), store, options.progress, cfg.workers)
+    write_failures(folder, [r for r in rows if r["policy"] == OURS], store, options.progress)
     metrics = measure(rows, cfg.policies, cfg.goals)
-    about = {"senses": ask.senses, "maps": maps, "generated_maps": ask.maps is None, "border_m": BORDER}
-    return make_result("lifelong", ask, asdict(cfg) | about, metrics, {}, rows)
+    about = {"senses": options.senses, "maps": maps, "generated_maps": options.maps is None, "border_m": BORDER}
+    return make_result("lifelong", options, asdict(cfg) | about, metrics, {}, rows)
 
 
 def _trial(places: Places, robot: Robot, store: Path, name: str) -> list[dict[str, Any]]:

@@ -26,7 +26,7 @@ from shmoo_mjx.evaluation.navigation_measures import (
     measure,
 )
 from shmoo_mjx.evaluation.navigation_places import Places, find_places, kept_scenario
-from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
+from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.evaluation.scenarios import Generated, ScenarioConfig
 from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.fingerprints import fingerprint
@@ -91,9 +91,9 @@ class Robot:
     weights: Path
 
 
-def robot_of(ask: Ask) -> Robot:
+def robot_of(options: ExperimentOptions) -> Robot:
     """The robot that is asked for."""
-    return Robot(ask.seed, ask.senses, ask.weights or asset(WEIGHTS))
+    return Robot(options.seed, options.senses, options.weights or asset(WEIGHTS))
 
 
 @dataclass(frozen=True)
@@ -109,30 +109,35 @@ class NavigationTrials:
     scenario: ScenarioConfig = ScenarioConfig()
 
 
-def run(ask: Ask) -> ExperimentResult:
-    """Run the experiment on the maps of ``ask.maps``; scenarios, trials and figures go to ``ask.out / navigation``."""
+def run(options: ExperimentOptions) -> ExperimentResult:
+    """Run the experiment on the maps of ``options.maps``; all it makes goes to ``options.out / navigation``."""
     from shmoo_mjx.evaluation.navigation_figures import draw_figures
 
-    folder = ask.out / "navigation"
-    cfg = NavigationTrials(policies=ask.chosen(POLICIES))
-    count = 1 if ask.quick else cfg.scenarios if ask.maps else cfg.generated_scenarios
-    cfg = replace(cfg, scenarios=count if ask.scenarios is None else ask.scenarios)
-    places = find_places(ask, folder, cfg.scenario, most=2 if ask.quick else None)
-    store = trials_folder(ask, folder, cfg.scenario)
+    folder = options.out / "navigation"
+    cfg = NavigationTrials(policies=options.chosen(POLICIES))
+    count = 1 if options.quick else cfg.scenarios if options.maps else cfg.generated_scenarios
+    cfg = replace(cfg, scenarios=count if options.scenarios is None else options.scenarios)
+    places = find_places(options, folder, cfg.scenario, most=2 if options.quick else None)
+    store = trials_folder(options, folder, cfg.scenario)
     names = [f"{name}-{i}-{policy}" for policy in cfg.policies for i in range(cfg.scenarios) for name in places.maps]
-    work = partial(_trial, places, robot_of(ask), store)
-    rows = run_trials(names, work, store, ask.progress, cfg.workers)
+    work = partial(_trial, places, robot_of(options), store)
+    rows = run_trials(names, work, store, options.progress, cfg.workers)
     draw_figures(folder, rows, places.maps)
-    write_failures(folder, [r for r in rows if r["policy"] == OURS], store, ask.progress)
+    write_failures(folder, [r for r in rows if r["policy"] == OURS], store, options.progress)
     metrics = measure(rows, cfg.policies)
-    about = {"senses": ask.senses, "maps": list(places.maps), "generated_maps": ask.maps is None, "border_m": BORDER}
-    return make_result("navigation", ask, asdict(cfg) | about, metrics, {}, [_light(row) for row in rows])
+    about = {
+        "senses": options.senses,
+        "maps": list(places.maps),
+        "generated_maps": options.maps is None,
+        "border_m": BORDER,
+    }
+    return make_result("navigation", options, asdict(cfg) | about, metrics, {}, [_light(row) for row in rows])
 
 
-def trials_folder(ask: Ask, folder: Path, scenario: ScenarioConfig) -> Path:
+def trials_folder(options: ExperimentOptions, folder: Path, scenario: ScenarioConfig) -> Path:
     """Where runs are kept: one folder for what they all share, whichever policies and how many scenarios are asked."""
-    robot = robot_of(ask)
-    settings: dict[str, Any] = {"seeds": [robot.seed, ask.condition_seed], "senses": robot.senses}
+    robot = robot_of(options)
+    settings: dict[str, Any] = {"seeds": [robot.seed, options.condition_seed], "senses": robot.senses}
     settings["scenario"] = asdict(scenario)
     settings["policies"] = {name: asdict(policy.config) for name, policy in POLICIES.items()}
     return folder / f"trials-{fingerprint(__name__, settings, robot.weights)}"

@@ -14,7 +14,7 @@ import numpy as np
 from shmoo_mjx.assets import asset
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.manipulable import BORDER, SteadyPush
-from shmoo_mjx.evaluation.result import Ask
+from shmoo_mjx.evaluation.result import ExperimentOptions
 from shmoo_mjx.evaluation.scenarios import KINDS, PLANT, Generated, Kind, ScenarioConfig, draw_scenario
 from shmoo_mjx.files import write_whole
 from shmoo_mjx.fingerprints import fingerprint
@@ -51,14 +51,14 @@ class Places:
     config: ScenarioConfig
 
 
-def find_places(ask: Ask, folder: Path, config: ScenarioConfig, most: int | None = None) -> Places:
-    """The maps of ``ask.maps``, or else generated floor plans, which are written into ``folder``; ``most`` of them.
+def find_places(options: ExperimentOptions, folder: Path, config: ScenarioConfig, most: int | None = None) -> Places:
+    """The maps of ``options.maps``, or else generated floor plans, which are written into ``folder``; ``most`` of them.
 
     Raises:
-        ShmooError: ``ask.maps`` holds none.
+        ShmooError: ``options.maps`` holds none.
     """
-    maps = _floor_plans(folder / "plans", ask.first_unseen) if ask.maps is None else find_maps(ask.maps)
-    return Places(dict(list(maps.items())[:most]), folder / "scenarios", ask.first_unseen, config)
+    maps = _floor_plans(folder / "plans", options.first_unseen) if options.maps is None else find_maps(options.maps)
+    return Places(dict(list(maps.items())[:most]), folder / "scenarios", options.first_unseen, config)
 
 
 def find_maps(folder: Path) -> dict[str, Path]:

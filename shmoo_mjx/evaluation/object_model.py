@@ -20,7 +20,7 @@ import numpy as np
 from shmoo_mjx.data import store
 from shmoo_mjx.evaluation import datasets, scoring
 from shmoo_mjx.evaluation.object_model_figures import draw_curve, draw_roll_outs
-from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result, spread
+from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result, spread
 from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning import adaptation, daiml, identification
@@ -118,24 +118,24 @@ class _Work:
         return {method: REFERENCES[method].fit(job)}
 
 
-def run(ask: Ask, config: ObjectModelConfig | None = None) -> ExperimentResult:
-    """Train, adapt and score; goes on from ``ask.out`` after a stop."""
-    config = config or (QUICK if ask.quick else ObjectModelConfig())
-    train, unseen = datasets.training_directory(ask), datasets.unseen_directory(ask, config.unseen)
-    key = asdict(replace(config, workers=1, seeds=1)) | {"seed": ask.seed}
+def run(options: ExperimentOptions, config: ObjectModelConfig | None = None) -> ExperimentResult:
+    """Train, adapt and score; goes on from ``options.out`` after a stop."""
+    config = config or (QUICK if options.quick else ObjectModelConfig())
+    train, unseen = datasets.training_directory(options), datasets.unseen_directory(options, config.unseen)
+    key = asdict(replace(config, workers=1, seeds=1)) | {"seed": options.seed}
     name = fingerprint(__name__, key, train / store.MANIFEST, unseen / store.MANIFEST)
-    out = ask.out / "object_model"
-    work = _Work(train, unseen, out / name, config, ask.seed)
+    out = options.out / "object_model"
+    work = _Work(train, unseen, out / name, config, options.seed)
     names = [f"{method}-{i}" for method in ("psi", "mlp") for i in range(config.seeds)]
-    rows = run_trials([*names, *(f"{r}-0" for r in REFERENCES)], work, out / name, ask.progress, config.workers)
+    rows = run_trials([*names, *(f"{r}-0" for r in REFERENCES)], work, out / name, options.progress, config.workers)
     metrics = _metrics(rows)
-    ask.progress("online adaptation", 0.95)
+    options.progress("online adaptation", 0.95)
     fitted, daiml_settings = work.fit(0)
     objects = store.read(unseen, splits=("test",))
     recorded = recordings(objects)
     scale = output_scale(work.job(0).train.rows)
     shares = gap_closed(fitted, daiml_settings, config.adapt, recorded, scale)
-    metrics |= _curve_metrics(shares) | _brake_metrics(ask, config, fitted, daiml_settings, scale)
+    metrics |= _curve_metrics(shares) | _brake_metrics(options, config, fitted, daiml_settings, scale)
     curve = [
         {"curve": "gap_closed", "condition": condition, "contact_s": s, "share": shares[i, k]}
         for i, condition in enumerate(objects.names)
@@ -143,7 +143,7 @@ def run(ask: Ask, config: ObjectModelConfig | None = None) -> ExperimentResult:
     ]
     draw_curve(SECONDS, shares, out / "adaptation.png")
     draw_roll_outs(from_fit(fitted, daiml_settings), prior_of(fitted, daiml_settings), objects, out / "roll_outs.png")
-    return make_result("object_model", ask, config, metrics, PAPER, [*rows, *curve])
+    return make_result("object_model", options, config, metrics, PAPER, [*rows, *curve])
 
 
 def gap_closed(
@@ -246,14 +246,14 @@ def _curve_metrics(shares: np.ndarray) -> dict[str, float]:
 
 
 def _brake_metrics(
-    ask: Ask, config: ObjectModelConfig, fitted: ObjectFit, settings: DaimlConfig, scale: np.ndarray
+    options: ExperimentOptions, config: ObjectModelConfig, fitted: ObjectFit, settings: DaimlConfig, scale: np.ndarray
 ) -> dict[str, float]:
     """What a brake that is put on costs: error on the braked object when it is not yet felt, and when it is known.
 
     And seconds of contact until Eq. 8 has covered 60 % of the way between the two, where there is a way to go.
     """
     count = max(config.unseen.get("wheelchair", 0), 1)
-    seeds = range(ask.first_unseen + 500, ask.first_unseen + 500 + count)
+    seeds = range(options.first_unseen + 500, options.first_unseen + 500 + count)
     free = {"locked": (False, False, False, False)}
     braked = {"locked": (True, False, False, False)}
     rows = [
@@ -261,7 +261,7 @@ def _brake_metrics(
         for state, properties in (("free", free), ("braked", braked))
         for seed in seeds
     ]
-    directory = datasets.collect_rows(ask, f"brake-{seeds[0]}-{count}", rows)
+    directory = datasets.collect_rows(options, f"brake-{seeds[0]}-{count}", rows)
     recorded = recordings(store.read(directory, splits=("test",)))
     after = from_fit(fitted, settings)
     times, unaware, known = [], [], []

@@ -19,7 +19,7 @@ import numpy as np
 from shmoo_mjx import se2
 from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.evaluation.manipulable import IMMOVABLE, SteadyPush, draw_immovable, manipulable, steady_push
-from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
+from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.evaluation.scenarios import entry_of
 from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.faces import faces_of
@@ -57,23 +57,23 @@ class ObjectPlannerTrials:
 QUICK = ObjectPlannerTrials(objects=8)
 
 
-def run(ask: Ask) -> ExperimentResult:
-    """Run the experiment; figures go to ``ask.out / object_planner``."""
+def run(options: ExperimentOptions) -> ExperimentResult:
+    """Run the experiment; figures go to ``options.out / object_planner``."""
     from shmoo_mjx.evaluation.object_planner_figures import draw_figures
 
-    cfg = QUICK if ask.quick else ObjectPlannerTrials()
-    weights = ask.weights or asset(WEIGHTS)
-    about = {"seed": ask.seed, "senses": ask.senses, "navigator": asdict(navigator_config())}
+    cfg = QUICK if options.quick else ObjectPlannerTrials()
+    weights = options.weights or asset(WEIGHTS)
+    about = {"seed": options.seed, "senses": options.senses, "navigator": asdict(navigator_config())}
     settings = asdict(replace(cfg, objects=0)) | about
-    folder = ask.out / "object_planner"
+    folder = options.out / "object_planner"
     # The trials of a quick run are the first ones of a full run.
-    settings |= {"condition_seed": ask.condition_seed}
+    settings |= {"condition_seed": options.condition_seed}
     store = folder / f"trials-{fingerprint(__name__, settings, weights)}"
     names = [f"{i:03d}" for i in range(cfg.objects)]
-    work = partial(_trial, cfg, ask.first_unseen, ask.seed, weights, ask.senses)
-    rows = run_trials(names, work, store, ask.progress, cfg.workers)
-    draw_figures(folder, rows, partial(fig5_episodes, weights, ask.seed, ask.senses))
-    return make_result("object_planner", ask, cfg, measure(rows), {}, rows)
+    work = partial(_trial, cfg, options.first_unseen, options.seed, weights, options.senses)
+    rows = run_trials(names, work, store, options.progress, cfg.workers)
+    draw_figures(folder, rows, partial(fig5_episodes, weights, options.seed, options.senses))
+    return make_result("object_planner", options, cfg, measure(rows), {}, rows)
 
 
 def navigator_config() -> NavigatorConfig:

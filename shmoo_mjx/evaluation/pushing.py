@@ -18,7 +18,7 @@ from typing import Any
 from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.evaluation.pushing_measures import metrics_of
 from shmoo_mjx.evaluation.pushing_trials import METHODS, STRATA, Runner, Trial, draw_trials, save_trial
-from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
+from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.processes import process_pool
 from shmoo_mjx.sensing import senses_named
@@ -52,47 +52,47 @@ def config_for(quick: bool) -> PushingConfig:
     return PushingConfig(runs=1, demanding_runs=1, goals=(1, 2), videos=False) if quick else PushingConfig()
 
 
-def run(ask: Ask) -> ExperimentResult:
+def run(options: ExperimentOptions) -> ExperimentResult:
     """Run what is not done yet and put the results together."""
-    config = replace(config_for(ask.quick), methods=ask.chosen(METHODS))
-    weights = Path(ask.weights or asset(WEIGHTS))
+    config = replace(config_for(options.quick), methods=options.chosen(METHODS))
+    weights = Path(options.weights or asset(WEIGHTS))
     runs = dict(zip(STRATA, (config.runs, config.demanding_runs), strict=True))
-    trials = [t for s in STRATA for t in draw_trials(ask.first_unseen, ask.seed, runs[s], config.goals, s)]
-    folder = ask.out / "pushing" / _fingerprint(ask, config, weights)
+    trials = [t for s in STRATA for t in draw_trials(options.first_unseen, options.seed, runs[s], config.goals, s)]
+    folder = options.out / "pushing" / _fingerprint(options, config, weights)
     folder.mkdir(parents=True, exist_ok=True)
     # Ours first, then the method that says most beside it: what an experiment that is stopped has run can be compared.
     wanted = [(t, m) for m in config.methods for t in trials]
     todo = [(t, m) for t, m in wanted if not (folder / f"{m}-{t.name}.json").exists()]
     total = len(wanted)
     needs_paper_form = any(m == "paper_form" for _, m in todo)
-    paper_form = _paper_form(ask, weights, folder) if needs_paper_form else None
-    job = _Job(weights, paper_form, config, folder, ask.senses)
+    paper_form = _paper_form(options, weights, folder) if needs_paper_form else None
+    job = _Job(weights, paper_form, config, folder, options.senses)
     for done, name in enumerate(_run_all(todo, job), total - len(todo) + 1):
-        ask.progress(f"pushing: {name}", 0.95 * done / total)
+        options.progress(f"pushing: {name}", 0.95 * done / total)
     rows = [json.loads((folder / f"{m}-{t.name}.json").read_text()) for t, m in wanted]
     from shmoo_mjx.evaluation.pushing_figure import draw_figure, film
 
-    draw_figure(ask.out / "pushing" / "pushing.png", rows, folder)
+    draw_figure(options.out / "pushing" / "pushing.png", rows, folder)
     if config.videos:
         for family in dict.fromkeys(t.family for t in trials):
-            ask.progress(f"film of a {family}", 0.97)
+            options.progress(f"film of a {family}", 0.97)
             first = next(t for t in trials if t.family == family and t.goal == 2 and t.stratum == STRATA[0])
-            film(ask.out / "pushing" / f"pushing-{family}.mp4", first, folder, senses_named(ask.senses))
-    ask.progress("done", 1.0)
-    return make_result("pushing", ask, config, metrics_of(rows), PAPER, rows)
+            film(options.out / "pushing" / f"pushing-{family}.mp4", first, folder, senses_named(options.senses))
+    options.progress("done", 1.0)
+    return make_result("pushing", options, config, metrics_of(rows), PAPER, rows)
 
 
-def _fingerprint(ask: Ask, config: PushingConfig, weights: Path) -> str:
+def _fingerprint(options: ExperimentOptions, config: PushingConfig, weights: Path) -> str:
     """Folder of the trials: other seeds, settings or weights must not be mixed up with these."""
     from shmoo_mjx.control.pushing import PushConfig
     from shmoo_mjx.navigation.push_task import PushTaskConfig, pose_push_config
 
     settings: tuple[Any, ...] = (asdict(PushTaskConfig()), asdict(pose_push_config()), asdict(PushConfig()))
-    asked = (ask.seed, ask.condition_seed, config.time_limit, settings, senses_named(ask.senses))
+    asked = (options.seed, options.condition_seed, config.time_limit, settings, senses_named(options.senses))
     return f"trials-{fingerprint(__name__, asked, weights)}"
 
 
-def _paper_form(ask: Ask, weights: Path, folder: Path) -> Path:
+def _paper_form(options: ExperimentOptions, weights: Path, folder: Path) -> Path:
     """The same weights with psi as the paper prints it, trained on our data; kept beside the trials."""
     from shmoo_mjx.dynamics.object_model import ObjectConfig
     from shmoo_mjx.evaluation.datasets import training_directory
@@ -101,10 +101,10 @@ def _paper_form(ask: Ask, weights: Path, folder: Path) -> Path:
 
     path = folder / "paper_form.safetensors"
     if not path.exists():
-        data = training_directory(ask)
-        settings = daiml.DaimlConfig(object=ObjectConfig.paper(), seed=ask.seed)
-        settings = replace(settings, chunks=3) if ask.quick else settings
-        ask.progress("training psi as the paper prints it", 0.0)
+        data = training_directory(options)
+        settings = daiml.DaimlConfig(object=ObjectConfig.paper(), seed=options.seed)
+        settings = replace(settings, chunks=3) if options.quick else settings
+        options.progress("training psi as the paper prints it", 0.0)
         fitted = daiml.train_object(data, folder / "paper_form.training" / "object", settings)
         save_weights(path, with_object(load_weights(weights), fitted, settings.object))
     return path

@@ -21,7 +21,7 @@ from shmoo_mjx.dynamics.object_model import ObjectConfig
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import push_learning, push_physics
 from shmoo_mjx.evaluation.push_learning import Prepared
-from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
+from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning.daiml import DaimlConfig
@@ -87,27 +87,29 @@ QUICK = RealPushing(
 )
 
 
-def run(ask: Ask) -> ExperimentResult:
-    """Run the experiment; the figure goes to ``ask.out / real_pushing``.
+def run(options: ExperimentOptions) -> ExperimentResult:
+    """Run the experiment; the figure goes to ``options.out / real_pushing``.
 
     Raises:
         ShmooError: no --data, or no data set of a known layout in it.
     """
     from shmoo_mjx.evaluation.real_pushing_figure import draw_figure
 
-    if ask.data is None:
+    if options.data is None:
         raise ShmooError("real_pushing needs --data: give the folder that holds mit_push or mlab_triangle.")
-    cfg = QUICK if ask.quick else RealPushing()
-    data = real_pushes.load(ask.data)
-    folder = ask.out / "real_pushing"
-    settings = asdict(replace(cfg, seeds=0)) | {"condition_seed": ask.condition_seed}
-    pushes = sorted(ask.data.glob("m*/pushes*.csv"))
+    cfg = QUICK if options.quick else RealPushing()
+    data = real_pushes.load(options.data)
+    folder = options.out / "real_pushing"
+    settings = asdict(replace(cfg, seeds=0)) | {"condition_seed": options.condition_seed}
+    pushes = sorted(options.data.glob("m*/pushes*.csv"))
     store = folder / f"trials-{fingerprint(__name__, settings, *pushes)}"
     trials = [trial for trial in PREFIXES if trial.partition("-")[0] in data]
-    names = [f"{trial}-{seed}" for trial in trials for seed in range(ask.seed, ask.seed + cfg.seeds)]
-    rows = run_trials(names, partial(_trial, cfg, ask.data, ask.condition_seed), store, ask.progress, cfg.workers)
+    names = [f"{trial}-{seed}" for trial in trials for seed in range(options.seed, options.seed + cfg.seeds)]
+    rows = run_trials(
+        names, partial(_trial, cfg, options.data, options.condition_seed), store, options.progress, cfg.workers
+    )
     draw_figure(folder / "real_pushing.png", rows)
-    return make_result("real_pushing", ask, cfg, measure(rows), {}, rows)
+    return make_result("real_pushing", options, cfg, measure(rows), {}, rows)
 
 
 def measure(rows: list[dict[str, Any]]) -> dict[str, float]:

@@ -1,11 +1,11 @@
-"""The experiments by name. Each module has ``run(ask) -> ExperimentResult`` and is imported only when asked for."""
+"""The experiments by name. Each module has ``run(options) -> ExperimentResult`` and is imported only when asked for."""
 
 from __future__ import annotations
 
 from importlib import import_module
 
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.evaluation.result import Ask, ExperimentResult
+from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult
 from shmoo_mjx.files import claimed
 
 __all__ = ["EXPERIMENTS", "run_experiment"]
@@ -24,10 +24,10 @@ EXPERIMENTS = {
 """Name to module; spec section 9."""
 
 
-def run_experiment(name: str, ask: Ask) -> ExperimentResult:
-    """Run one experiment, in a folder of its own below ``ask.out``."""
+def run_experiment(name: str, options: ExperimentOptions) -> ExperimentResult:
+    """Run one experiment, in a folder of its own below ``options.out``."""
     if name not in EXPERIMENTS:
         raise ShmooError(f"experiment {name!r} is not known; choose one of {', '.join(EXPERIMENTS)}.")
-    with claimed(ask.out / name):
-        result: ExperimentResult = import_module(EXPERIMENTS[name]).run(ask)
+    with claimed(options.out / name):
+        result: ExperimentResult = import_module(EXPERIMENTS[name]).run(options)
     return result

@@ -21,7 +21,7 @@ from shmoo_mjx.seeds import MAX_CONDITION_SEED, UNSEEN_SEED, check_seed
 from shmoo_mjx.types import SensesName
 
 __all__ = [
-    "Ask",
+    "ExperimentOptions",
     "ExperimentResult",
     "make_result",
     "over_seeds",
@@ -34,7 +34,7 @@ __all__ = [
 
 
 @dataclass(frozen=True)
-class Ask:
+class ExperimentOptions:
     """What the command line asks of an experiment."""
 
     seed: int = 0
@@ -101,19 +101,24 @@ class ExperimentResult(BaseModel):
 
 
 def make_result(
-    experiment: str, ask: Ask, config: Any, metrics: dict[str, Any], paper: dict[str, float], rows: list[dict[str, Any]]
+    experiment: str,
+    options: ExperimentOptions,
+    config: Any,
+    metrics: dict[str, Any],
+    paper: dict[str, float],
+    rows: list[dict[str, Any]],
 ) -> ExperimentResult:
     """Assemble a result; numpy numbers become plain ones and what is not finite becomes null."""
     settings = asdict(config) if is_dataclass(config) and not isinstance(config, type) else dict(config)
     asked = {
-        "condition_seed": ask.condition_seed,
-        "quick": ask.quick,
-        "weights": weights_id(ask.weights),
-        "senses": ask.senses,
+        "condition_seed": options.condition_seed,
+        "quick": options.quick,
+        "weights": weights_id(options.weights),
+        "senses": options.senses,
     }
     return ExperimentResult(
         experiment=experiment,
-        seed=ask.seed,
+        seed=options.seed,
         config=_plain(settings | asked),
         versions=versions(),
         metrics=_plain(metrics),

@@ -22,7 +22,7 @@ from shmoo_mjx.data import store
 from shmoo_mjx.data.collect import CollectConfig, record
 from shmoo_mjx.dynamics import core, features, robot_model
 from shmoo_mjx.dynamics.robot_model import RobotParams
-from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result
+from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning import adaptation, robot_fit
@@ -146,21 +146,21 @@ class _Work:
         return store.Dataset(names, conditions, arrays, {})
 
 
-def run(ask: Ask, config: RobotFinetuneConfig | None = None) -> ExperimentResult:
-    """Record, fine-tune and score each robot; goes on from ``ask.out`` after a stop."""
-    config = config or (QUICK if ask.quick else RobotFinetuneConfig())
-    weights = ask.weights or asset(WEIGHTS)
+def run(options: ExperimentOptions, config: RobotFinetuneConfig | None = None) -> ExperimentResult:
+    """Record, fine-tune and score each robot; goes on from ``options.out`` after a stop."""
+    config = config or (QUICK if options.quick else RobotFinetuneConfig())
+    weights = options.weights or asset(WEIGHTS)
     key = asdict(replace(config, workers=1, robots=1)) | {
-        "seed": ask.seed,
-        "unseen": ask.first_unseen,
-        "senses": senses_named(ask.senses),
+        "seed": options.seed,
+        "unseen": options.first_unseen,
+        "senses": senses_named(options.senses),
     }
-    folder = ask.out / "robot_finetune" / fingerprint(__name__, key, weights)
-    work = _Work(weights, config, ask.seed, ask.first_unseen, ask.senses)
+    folder = options.out / "robot_finetune" / fingerprint(__name__, key, weights)
+    work = _Work(weights, config, options.seed, options.first_unseen, options.senses)
     names = [f"robot-{i}" for i in range(config.robots)]
-    rows = run_trials(names, work, folder, ask.progress, config.workers)
-    result = make_result("robot_finetune", ask, config, _metrics(rows), PAPER, rows)
-    _figure(result, ask.out / "robot_finetune" / "robot_finetune.png")
+    rows = run_trials(names, work, folder, options.progress, config.workers)
+    result = make_result("robot_finetune", options, config, _metrics(rows), PAPER, rows)
+    _figure(result, options.out / "robot_finetune" / "robot_finetune.png")
     return result
 
 

@@ -13,7 +13,7 @@ import pytest
 from shmoo_mjx.benchmarking import mppi as bench
 from shmoo_mjx.benchmarking import mppi_problem as work
 from shmoo_mjx.benchmarking import workers
-from shmoo_mjx.benchmarking.registry import BenchAsk, run_benchmark
+from shmoo_mjx.benchmarking.registry import BenchOptions, run_benchmark
 from shmoo_mjx.errors import ShmooError
 
 
@@ -52,7 +52,7 @@ def test_an_absent_peer_says_so() -> None:
     with pytest.raises(ShmooError, match="no-such-python"):
         workers.peer(Path("no-such-python"), "numpy", 10, 2, "relu", 0)
     with pytest.raises(ShmooError, match="choose one of startup"):
-        run_benchmark("nonsense", BenchAsk())
+        run_benchmark("nonsense", BenchOptions())
 
 
 def test_a_worker_times_what_it_is_asked_to() -> None:
@@ -72,7 +72,7 @@ def test_the_whole_benchmark_in_small(monkeypatch: pytest.MonkeyPatch) -> None:
         problem_sweep=(2,),
     )  # fmt: skip
     monkeypatch.setattr(bench.BenchConfig, "quick", classmethod(lambda cls: small))
-    result = run_benchmark("mppi", BenchAsk(quick=True))
+    result = run_benchmark("mppi", BenchOptions(quick=True))
     assert result.experiment == "bench_mppi"
     assert result.metrics["pytorch_mppi_eager_ms"] is None and any("absent" in row for row in result.rows)
     absent = {"pytorch_mppi_eager_ms", "pytorch_mppi_compiled_ms", "ratio_to_pytorch_mppi_eager"}

@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 
 from shmoo_mjx.benchmarking import registry, startup
-from shmoo_mjx.benchmarking.registry import BENCHMARKS, BenchAsk, describe, run_all, run_benchmark
-from shmoo_mjx.evaluation.result import Ask, make_result, weights_id
+from shmoo_mjx.benchmarking.registry import BENCHMARKS, BenchOptions, describe, run_all, run_benchmark
+from shmoo_mjx.evaluation.result import ExperimentOptions, make_result, weights_id
 
 
 def test_every_name_leads_to_a_module_that_runs() -> None:
@@ -27,18 +27,18 @@ def small(monkeypatch: pytest.MonkeyPatch, name: str, **sizes: Any) -> Any:
     config = import_module(BENCHMARKS[name]).BenchConfig
     tiny = replace(config.quick(), **sizes)
     monkeypatch.setattr(config, "quick", classmethod(lambda cls: tiny))
-    return run_benchmark(name, BenchAsk(quick=True))
+    return run_benchmark(name, BenchOptions(quick=True))
 
 
 def test_the_suite_holds_all_and_keeps_each(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    def fake(name: str, ask: BenchAsk) -> Any:
-        ask.progress("half", 0.5)
+    def fake(name: str, options: BenchOptions) -> Any:
+        options.progress("half", 0.5)
         row = {"absent": "a peer is absent: it is not installed"} if name == "mppi" else {"name": "engine"}
-        return make_result(f"bench_{name}", Ask(), {"size": 1}, {"tick_ms": 2.0}, {}, [row])
+        return make_result(f"bench_{name}", ExperimentOptions(), {"size": 1}, {"tick_ms": 2.0}, {}, [row])
 
     monkeypatch.setattr(registry, "run_benchmark", fake)
     said: list[tuple[str, float]] = []
-    result = run_all(BenchAsk(progress=lambda stage, share: said.append((stage, share))), tmp_path)
+    result = run_all(BenchOptions(progress=lambda stage, share: said.append((stage, share))), tmp_path)
     assert result.metrics == {f"{name}_tick_ms": 2.0 for name in BENCHMARKS}
     assert {path.name for path in tmp_path.iterdir()} == {f"bench_{name}.json" for name in BENCHMARKS}
     assert [share for _, share in said] == sorted(share for _, share in said) and said[0][1] == 0.5 / len(BENCHMARKS)

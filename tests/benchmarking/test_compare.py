@@ -10,7 +10,7 @@ import pytest
 from shmoo_mjx.benchmarking.compare import compare_files, compare_results
 from shmoo_mjx.benchmarking.registry import machine
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.evaluation.result import Ask, make_result, write_result
+from shmoo_mjx.evaluation.result import ExperimentOptions, make_result, write_result
 
 BEFORE = {
     "tick_ms": 10.0,
@@ -24,7 +24,7 @@ BEFORE = {
 
 def saved(folder: Path, name: str, metrics: dict[str, Any], quick: bool = False, **config: Any) -> Path:
     settings = {"machine": machine()} | config
-    write_result(folder / name, make_result("bench_mppi", Ask(quick=quick), settings, metrics, {}, []))
+    write_result(folder / name, make_result("bench_mppi", ExperimentOptions(quick=quick), settings, metrics, {}, []))
     return folder / name
 
 
@@ -69,7 +69,7 @@ def test_wrong_files_are_named(tmp_path: Path) -> None:
         compare_files([old])
     with pytest.raises(ShmooError, match=r"absent\.json: does not exist"):
         compare_files([old, tmp_path / "absent.json"])
-    other = make_result("pushing", Ask(), {}, {"tick_ms": 1.0}, {}, [])
+    other = make_result("pushing", ExperimentOptions(), {}, {"tick_ms": 1.0}, {}, [])
     write_result(tmp_path / "pushing.json", other)
     with pytest.raises(ShmooError, match=r"pushing\.json: is no benchmark"):
         compare_files([old, tmp_path / "pushing.json"])

@@ -15,7 +15,7 @@ import yaml
 from shmoo_mjx import cli, seeds
 from shmoo_mjx.data.collect import SPLIT_SEEDS
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.evaluation.result import Ask
+from shmoo_mjx.evaluation.result import ExperimentOptions
 from shmoo_mjx.plant.objects import draw_condition
 
 BAD = ("-1", str(2**31), str(2**63), "1e30", "12345678901234567890", "9" * 6000, "1.0", "one", "1_000", "\u0663", "")
@@ -97,13 +97,13 @@ def test_unseen_objects_are_never_those_of_training(
     code, said = run(["experiment", "object_model", "--condition-seed", str(seed)], monkeypatch, capsys)
     assert code == 2 and said.startswith(f"shmoo: --condition-seed '{seed}' ")
     with pytest.raises(ShmooError, match="--condition-seed"):
-        Ask(condition_seed=seed)
+        ExperimentOptions(condition_seed=seed)
 
 
 def test_seeds_that_are_taken_lie_above_those_of_training() -> None:
     training = SPLIT_SEEDS["test"]
-    assert Ask().first_unseen == training
-    last = Ask(seed=seeds.MAX_SEED, condition_seed=seeds.MAX_CONDITION_SEED).first_unseen
+    assert ExperimentOptions().first_unseen == training
+    last = ExperimentOptions(seed=seeds.MAX_SEED, condition_seed=seeds.MAX_CONDITION_SEED).first_unseen
     assert training < last and last + 999 <= seeds.MAX_SEED
     assert draw_condition("box", seeds.MAX_SEED).seed == seeds.MAX_SEED
 

@@ -15,7 +15,7 @@ from shmoo_mjx.evaluation import lifelong, navigation
 from shmoo_mjx.evaluation.lifelong import measure
 from shmoo_mjx.evaluation.navigation import POLICIES, Robot, play
 from shmoo_mjx.evaluation.page import render
-from shmoo_mjx.evaluation.result import Ask
+from shmoo_mjx.evaluation.result import ExperimentOptions
 from shmoo_mjx.evaluation.scenarios import Generated, ScenarioConfig, Truth, toy_scenario
 from shmoo_mjx.evaluation.sequences import GoalSequence, draw_sequence
 from shmoo_mjx.navigation.floorplan import draw_floorplan
@@ -106,7 +106,7 @@ def test_legs_are_measured_one_by_one(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr(
         lifelong, "run_trials", lambda names, work, *rest: [row for name in names for row in work(name)]
     )
-    result = lifelong.run(Ask(out=tmp_path, quick=True, scenarios=2, senses="perfect"))
+    result = lifelong.run(ExperimentOptions(out=tmp_path, quick=True, scenarios=2, senses="perfect"))
     assert asked == [(POLICIES["ours"].config, sequence.goals)] * 2 and kept == ["plan_0-1"]
     metrics = result.metrics
     assert (metrics["success_rate"], metrics["goals_reached"], metrics["sequences"]) == (0.5, 0.75, 2)
@@ -145,5 +145,5 @@ def test_a_run_is_given_what_it_can_take(monkeypatch: pytest.MonkeyPatch) -> Non
 
 @pytest.mark.slow
 def test_two_goals_in_a_row(tmp_path: Path) -> None:
-    result = lifelong.run(Ask(out=tmp_path, quick=True))
+    result = lifelong.run(ExperimentOptions(out=tmp_path, quick=True))
     assert len(result.rows) == 1 and result.metrics["falls"] == 0 and result.rows[0]["legs"]

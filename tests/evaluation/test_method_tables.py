@@ -10,7 +10,7 @@ import pytest
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import method_tables
 from shmoo_mjx.evaluation.baselines import REPLAY
-from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result, over_seeds
+from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result, over_seeds
 from shmoo_mjx.learning.baselines import METHODS, REFERENCES
 
 
@@ -23,7 +23,7 @@ def result() -> ExperimentResult:
     }
     metrics |= {"ratio_linear": 2.0, "fvu_std_ours": 0.01}
     rows = [{"method": "ours", "setting": {}}, {"method": "linear", "setting": {"ridge": 10.0}}]
-    return make_result("baselines", Ask(seed=4), config, metrics, {"ratio_linear": 1.5}, rows)
+    return make_result("baselines", ExperimentOptions(seed=4), config, metrics, {"ratio_linear": 1.5}, rows)
 
 
 def test_tables_are_replaced_and_the_rest_stays(tmp_path: Path) -> None:
@@ -42,7 +42,7 @@ def test_tables_are_replaced_and_the_rest_stays(tmp_path: Path) -> None:
 def test_a_method_that_runs_away_is_last_and_says_so() -> None:
     metrics = over_seeds("mse", "linear", [1.0, np.inf]) | over_seeds("mse", "ours", [1.0, 2.0])
     metrics |= over_seeds("pos_rmse_3s_m", "ours", [np.nan, np.nan])
-    made = make_result("baselines", Ask(), {"unseen": {"box": 2}, "seeds": 2}, metrics, {}, [])
+    made = make_result("baselines", ExperimentOptions(), {"unseen": {"box": 2}, "seeds": 2}, metrics, {}, [])
     ours, linear = [line.split("|") for line in method_tables.baselines_table(made).splitlines()[2:4]]
     assert ours[1:3] == [" ours ", " 1.5 +- 0.5 "] and ours[7] == " - "
     assert linear[2] == " runs away "
@@ -59,5 +59,7 @@ def test_every_method_has_a_line() -> None:
     config = {"unseen": {"box": 2}, "seeds": 3}
     compared = [*METHODS, *REFERENCES, REPLAY, "prior"]
     metrics = {f"mse_{name}": 1.0 + i for i, name in enumerate(compared)}
-    lines = method_tables.baselines_table(make_result("baselines", Ask(), config, metrics, {}, [])).splitlines()
+    lines = method_tables.baselines_table(
+        make_result("baselines", ExperimentOptions(), config, metrics, {}, [])
+    ).splitlines()
     assert len([line for line in lines if line.startswith("| ")]) == 1 + len(compared)

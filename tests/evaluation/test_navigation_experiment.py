@@ -14,7 +14,7 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import navigation, navigation_places
 from shmoo_mjx.evaluation.navigation import POLICIES
 from shmoo_mjx.evaluation.navigation_places import FLOOR_PLANS, find_maps, find_places, kept_scenario, kinds_of
-from shmoo_mjx.evaluation.result import Ask
+from shmoo_mjx.evaluation.result import ExperimentOptions
 from shmoo_mjx.evaluation.scenarios import KINDS, Generated, ScenarioConfig, toy_scenario
 from shmoo_mjx.navigation.belief import Status
 from shmoo_mjx.navigation.maps import load_map, save_map
@@ -35,10 +35,10 @@ def test_policies_know_what_they_are_meant_to_know() -> None:
 
 
 def test_policies_run_in_their_own_order_and_unknown_ones_are_refused() -> None:
-    assert Ask().chosen(POLICIES) == ("ours", "oracle", "always_avoid", "always_push")
-    assert Ask(policies=("always_push", "ours")).chosen(POLICIES) == ("ours", "always_push")
+    assert ExperimentOptions().chosen(POLICIES) == ("ours", "oracle", "always_avoid", "always_push")
+    assert ExperimentOptions(policies=("always_push", "ours")).chosen(POLICIES) == ("ours", "always_push")
     with pytest.raises(ShmooError, match="--policies never"):
-        Ask(policies=("never",)).chosen(POLICIES)
+        ExperimentOptions(policies=("never",)).chosen(POLICIES)
 
 
 def test_maps_are_found_below_a_folder(tmp_path: Path) -> None:
@@ -53,11 +53,11 @@ def test_maps_are_found_below_a_folder(tmp_path: Path) -> None:
 
 
 def test_without_maps_floor_plans_are_drawn(tmp_path: Path) -> None:
-    places = find_places(Ask(condition_seed=3), tmp_path, ScenarioConfig())
+    places = find_places(ExperimentOptions(condition_seed=3), tmp_path, ScenarioConfig())
     assert len(places.maps) == FLOOR_PLANS
     cells = [load_map(path).cells for path in places.maps.values()]
     assert any(a.shape != b.shape or (a != b).any() for a, b in pairwise(cells))
-    assert len(find_places(Ask(), tmp_path, ScenarioConfig(), most=2).maps) == 2
+    assert len(find_places(ExperimentOptions(), tmp_path, ScenarioConfig(), most=2).maps) == 2
 
 
 def test_kinds_take_turns_and_so_do_those_that_stand_in() -> None:
@@ -79,7 +79,7 @@ def test_a_scenario_is_drawn_once_and_again_for_another_map(tmp_path: Path, monk
         return generated(True)._replace(kind=kind)  # type: ignore[arg-type]
 
     monkeypatch.setattr(navigation_places, "draw_scenario", draw)
-    places = find_places(Ask(), tmp_path, ScenarioConfig())
+    places = find_places(ExperimentOptions(), tmp_path, ScenarioConfig())
     grid = load_map(places.maps["plan_0"])
     wanted, found = kept_scenario(places, grid, "plan_0", 0)
     order = kinds_of("plan_0", 0)
@@ -134,7 +134,7 @@ def one_worker(settings: Any) -> Any:
 
 
 def test_all_policies_run_on_all_scenarios_ours_first(tmp_path: Path, fakes: list[str]) -> None:
-    result = navigation.run(Ask(out=tmp_path, quick=True, senses="perfect"))
+    result = navigation.run(ExperimentOptions(out=tmp_path, quick=True, senses="perfect"))
     assert fakes == ["ours", "ours", "kept plan_1-0", *["oracle"] * 2, *["always_avoid"] * 2, *["always_push"] * 2]
     assert result.metrics["success_rate"] == 0.5 and result.metrics["baseline_always_push_scenarios"] == 2
     assert result.config["senses"] == "perfect" and result.config["generated_maps"] is True
@@ -143,13 +143,13 @@ def test_all_policies_run_on_all_scenarios_ours_first(tmp_path: Path, fakes: lis
 
 
 def test_ours_alone_is_there_for_the_others_to_join(tmp_path: Path, fakes: list[str]) -> None:
-    ask = Ask(out=tmp_path, scenarios=1, policies=("ours",))
-    alone = navigation.run(ask)
+    options = ExperimentOptions(out=tmp_path, scenarios=1, policies=("ours",))
+    alone = navigation.run(options)
     assert fakes.count("ours") == FLOOR_PLANS and set(alone.config["policies"]) == {"ours"}
-    navigation.run(Ask(out=tmp_path, scenarios=1))
+    navigation.run(ExperimentOptions(out=tmp_path, scenarios=1))
     assert fakes.count("ours") == FLOOR_PLANS and fakes.count("always_push") == FLOOR_PLANS
     # Other senses, other runs.
-    navigation.run(Ask(out=tmp_path, scenarios=1, policies=("ours",), senses="perfect"))
+    navigation.run(ExperimentOptions(out=tmp_path, scenarios=1, policies=("ours",), senses="perfect"))
     assert fakes.count("ours") == 2 * FLOOR_PLANS
 
 
@@ -161,11 +161,11 @@ def test_the_whole_experiment_on_a_floor_plan_and_again_from_its_files(
 
     (tmp_path / "maps").mkdir()
     save_map(draw_floorplan(np.random.default_rng(0)).grid, tmp_path / "maps" / "plan.yaml")
-    ask = Ask(maps=tmp_path / "maps", scenarios=1, out=tmp_path / "out")
-    first = navigation.run(ask)
+    options = ExperimentOptions(maps=tmp_path / "maps", scenarios=1, out=tmp_path / "out")
+    first = navigation.run(options)
     assert first.metrics["falls"] == 0 and [r["policy"] for r in first.rows] == list(POLICIES)
     assert all(0.0 <= r["ins"] <= 1.0 for r in first.rows) and json.dumps(first.metrics)
     assert (tmp_path / "out" / "navigation" / "success.png").is_file()
     assert (tmp_path / "out" / "navigation" / "runs-plan.png").is_file()
     monkeypatch.setattr(navigation, "play", lambda *args: pytest.fail("a run that was kept is run again"))
-    assert navigation.run(ask).metrics == first.metrics
+    assert navigation.run(options).metrics == first.metrics

@@ -20,7 +20,7 @@ from shmoo_mjx.evaluation.navigation_measures import (
 from shmoo_mjx.evaluation.navigation_tables import navigation_tables
 from shmoo_mjx.evaluation.page import render
 from shmoo_mjx.evaluation.paired import paired_difference, verdict
-from shmoo_mjx.evaluation.result import Ask, make_result
+from shmoo_mjx.evaluation.result import ExperimentOptions, make_result
 from shmoo_mjx.evaluation.scenarios import Generated, toy_scenario
 from shmoo_mjx.report.trace import Trace
 
@@ -166,7 +166,9 @@ def test_some_policies_alone_are_measured_as_well() -> None:
 def test_the_page_says_better_by_interval_and_which_kinds_a_map_lacks() -> None:
     many = [r | {"scenario": 4 * k + r["scenario"]} for k in range(8) for r in ROWS]
     metrics = measure(many, tuple(POLICIES))
-    found = make_result("navigation", Ask(senses="perfect"), {"policies": tuple(POLICIES)}, metrics, {}, many)
+    found = make_result(
+        "navigation", ExperimentOptions(senses="perfect"), {"policies": tuple(POLICIES)}, metrics, {}, many
+    )
     text = navigation_tables(found)
     assert "| success | -0.25 (" in text and "**worse**" in text and "**better**" in text
     assert "| m | 16 / 24 | 8 / 8 | - | push only: 8 |" in text

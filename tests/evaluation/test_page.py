@@ -10,10 +10,10 @@ import pytest
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import everything, page
 from shmoo_mjx.evaluation.registry import EXPERIMENTS
-from shmoo_mjx.evaluation.result import Ask, ExperimentResult, make_result, read_result
+from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result, read_result
 
 
-def result_of(name: str, ask: Ask) -> ExperimentResult:
+def result_of(name: str, options: ExperimentOptions) -> ExperimentResult:
     """A result with every metric that the page shows."""
     metrics = {metric: 0.25 for _, names in page.SECTIONS[name].lines for metric in names if metric}
     if name == "object_model":
@@ -23,23 +23,23 @@ def result_of(name: str, ask: Ask) -> ExperimentResult:
     if name == "ablations":
         metrics = {"mse_default": 0.5, "probe_inputs": 0.1, "probe_inputs_without_size": 0.1, "chance": 0.01}
     paper = {"mse_before": 1.3131, "mse_after": 0.4271} if name == "object_model" else {}
-    return make_result(name, ask, {"unseen": {"box": 1}, "seeds": 1}, metrics, paper, [])
+    return make_result(name, options, {"unseen": {"box": 1}, "seeds": 1}, metrics, paper, [])
 
 
-def run_fake(name: str, ask: Ask) -> ExperimentResult:
+def run_fake(name: str, options: ExperimentOptions) -> ExperimentResult:
     """Stands for an experiment, with a figure."""
-    if name == "navigation" and ask.maps is None:
+    if name == "navigation" and options.maps is None:
         raise ShmooError("experiment navigation needs --maps DIR.")
-    if name == "real_pushing" and ask.data is None:
+    if name == "real_pushing" and options.data is None:
         raise ShmooError("real_pushing needs --data.")
     for figure in page.SECTIONS[name].figures[:1]:
-        target = ask.out / name / figure
+        target = options.out / name / figure
         target.parent.mkdir(parents=True, exist_ok=True)
         import matplotlib.image
 
         matplotlib.image.imsave(target, np.zeros((2, 2, 3)))
-    ask.progress("half", 0.5)
-    return result_of(name, ask)
+    options.progress("half", 0.5)
+    return result_of(name, options)
 
 
 def test_every_experiment_has_a_section() -> None:
@@ -47,7 +47,7 @@ def test_every_experiment_has_a_section() -> None:
 
 
 def test_a_result_of_other_weights_says_so() -> None:
-    result = result_of("pushing", Ask())
+    result = result_of("pushing", ExperimentOptions())
     warning = "Measured before the weights that are shipped now"
     assert warning not in page.render({"pushing": result}, {})
     result.config["weights"] = "0123456789"
@@ -55,7 +55,7 @@ def test_a_result_of_other_weights_says_so() -> None:
     del result.config["weights"]
     assert warning in page.render({"pushing": result}, {})
     # Its psi, for other inputs, is trained on the spot.
-    other = result_of("real_pushing", Ask())
+    other = result_of("real_pushing", ExperimentOptions())
     other.config["weights"] = "0123456789"
     assert warning not in page.render({"real_pushing": other}, {})
 
@@ -63,8 +63,10 @@ def test_a_result_of_other_weights_says_so() -> None:
 def test_everything_is_on_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(everything, "run_experiment", run_fake)
     seen: list[float] = []
-    ask = Ask(seed=3, out=tmp_path, quick=True, progress=lambda stage, fraction: seen.append(fraction))
-    target, left_out = everything.run_all(ask, None)
+    options = ExperimentOptions(
+        seed=3, out=tmp_path, quick=True, progress=lambda stage, fraction: seen.append(fraction)
+    )
+    target, left_out = everything.run_all(options, None)
     assert set(left_out) == {"navigation", "real_pushing"} and "--maps" in left_out["navigation"]
     text, html = target.read_text(), target.with_suffix(".html").read_text()
     assert "| MSE of the acceleration | 0.25 | 0.134 +- 0.0021 | 0.25 | 0.25 | 0.25 | 1.31 / 0.427 |" in text
@@ -77,17 +79,17 @@ def test_everything_is_on_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 
 def test_page_kept_apart_from_the_run_copies_its_figures(tmp_path: Path) -> None:
-    run_fake("pushing", Ask(out=tmp_path / "run"))
-    results = {"pushing": result_of("pushing", Ask())}
+    run_fake("pushing", ExperimentOptions(out=tmp_path / "run"))
+    results = {"pushing": result_of("pushing", ExperimentOptions())}
     page.write_page(results, tmp_path / "run", tmp_path / "docs" / "results.md", tmp_path / "docs" / "figures")
     assert "(figures/pushing.png)" in (tmp_path / "docs" / "results.md").read_text()
     assert (tmp_path / "docs" / "figures" / "pushing.png").is_file()
 
 
 def test_nothing_could_be_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(name: str, ask: Ask) -> ExperimentResult:
+    def refuse(name: str, options: ExperimentOptions) -> ExperimentResult:
         raise ShmooError("no.")
 
     monkeypatch.setattr(everything, "run_experiment", refuse)
     with pytest.raises(ShmooError, match="nothing could be run"):
-        everything.run_all(Ask(out=tmp_path), None)
+        everything.run_all(ExperimentOptions(out=tmp_path), None)

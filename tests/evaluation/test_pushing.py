@@ -11,7 +11,7 @@ import pytest
 from shmoo_mjx.evaluation import pushing
 from shmoo_mjx.evaluation.pushing_measures import differences_table, enclosing_circle, metrics_of
 from shmoo_mjx.evaluation.pushing_trials import METHODS, draw_trials, resistance, save_trial
-from shmoo_mjx.evaluation.result import Ask, ExperimentResult
+from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.objects import draw_condition
 from shmoo_mjx.plant.scene import build_scene
@@ -180,19 +180,19 @@ def test_finished_trials_are_not_run_again(tmp_path: Path, monkeypatch: pytest.M
 
     monkeypatch.setattr(pushing, "_run_all", fake)
     monkeypatch.setattr(pushing, "_paper_form", lambda *_: tmp_path)
-    ask = Ask(quick=True, out=tmp_path)
+    options = ExperimentOptions(quick=True, out=tmp_path)
     with pytest.raises(KeyboardInterrupt):
-        pushing.run(ask)
-    result = pushing.run(ask)
+        pushing.run(options)
+    result = pushing.run(options)
     total = 12 * len(METHODS)
     assert len(asked) == total == len(set(asked))
     assert len(result.rows) == total
     assert result.metrics["success_rate"] == 1.0
     assert result.paper["offset_goal1_m"] == 0.067
     assert (tmp_path / "pushing" / "pushing.png").stat().st_size > 10_000
-    pushing.run(ask)
+    pushing.run(options)
     assert len(asked) == total
-    pushing.run(Ask(quick=True, out=tmp_path, seed=1))
+    pushing.run(ExperimentOptions(quick=True, out=tmp_path, seed=1))
     assert len(asked) == 2 * total
 
 

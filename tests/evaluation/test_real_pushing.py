@@ -13,7 +13,7 @@ from shmoo_mjx import se2
 from shmoo_mjx.data import real_pushes
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import push_learning, push_outline, push_physics, real_pushing
-from shmoo_mjx.evaluation.result import Ask
+from shmoo_mjx.evaluation.result import ExperimentOptions
 
 SQUARE = np.array([[-0.05, -0.04], [0.05, -0.04], [0.05, 0.04], [-0.05, 0.04]])
 RADIUS = 0.00475
@@ -90,7 +90,7 @@ def test_says_what_is_missing(tmp_path: Path) -> None:
     with pytest.raises(ShmooError, match="holds neither mit_push"):
         real_pushes.load(tmp_path)
     with pytest.raises(ShmooError, match="--data"):
-        real_pushing.run(Ask(out=tmp_path))
+        real_pushing.run(ExperimentOptions(out=tmp_path))
 
 
 def test_outline_from_noisy_touches() -> None:
@@ -163,8 +163,8 @@ def test_experiment_beats_the_poor_guess_and_resumes(
     quick = real_pushing.QUICK
     short = replace(quick, workers=1, daiml=replace(quick.daiml, chunks=1), naive=replace(quick.naive, chunks=1))
     monkeypatch.setattr(real_pushing, "QUICK", short)
-    ask = Ask(quick=True, data=folder, out=tmp_path)
-    result = real_pushing.run(ask)
+    options = ExperimentOptions(quick=True, data=folder, out=tmp_path)
+    result = real_pushing.run(options)
     metrics = result.metrics
     assert len(result.rows) == 12 and (tmp_path / "real_pushing" / "real_pushing.png").is_file()
     assert metrics["pos_error_mm"] < 0.5 * metrics["published_pos_error_mm"]
@@ -174,7 +174,7 @@ def test_experiment_beats_the_poor_guess_and_resumes(
     shape_out = [row for row in result.rows if row["trial"].endswith("shape_out")]
     assert all(not name.endswith(row["condition"].split("/")[1]) for row in shape_out for name in row["trained_on"])
     monkeypatch.delattr(real_pushing, "_predictions")  # a trial done again would need it
-    assert real_pushing.run(ask).metrics == metrics
+    assert real_pushing.run(options).metrics == metrics
 
 
 @pytest.mark.skipif(not (SHARED / "mit_push").is_dir(), reason="the recorded pushes are not beside the repository")

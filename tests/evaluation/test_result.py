@@ -13,7 +13,7 @@ from shmoo_mjx.assets import asset
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.registry import EXPERIMENTS, run_experiment
 from shmoo_mjx.evaluation.result import (
-    Ask,
+    ExperimentOptions,
     ExperimentResult,
     make_result,
     read_result,
@@ -27,7 +27,9 @@ from shmoo_mjx.evaluation.result import (
 def example() -> ExperimentResult:
     metrics = {"mse_after": np.float32(0.25), "mse_before": 1.0, "lost": math.nan}
     rows = [{"condition": "box-1", "pose": np.zeros(3), "ok": np.bool_(True)}]
-    return make_result("object_model", Ask(seed=3, quick=True), {"seeds": (1, 2)}, metrics, {"mse_after": 0.4271}, rows)
+    return make_result(
+        "object_model", ExperimentOptions(seed=3, quick=True), {"seeds": (1, 2)}, metrics, {"mse_after": 0.4271}, rows
+    )
 
 
 def test_what_is_written_is_read_back(tmp_path: Path) -> None:
@@ -72,9 +74,9 @@ def test_another_file_is_refused_in_one_sentence(tmp_path: Path, text: str) -> N
 
 def test_an_unknown_experiment_names_the_known_ones() -> None:
     with pytest.raises(ShmooError, match="object_planner"):
-        run_experiment("nonsense", Ask())
+        run_experiment("nonsense", ExperimentOptions())
     assert set(EXPERIMENTS) >= {"object_model", "baselines", "pushing", "navigation"}
 
 
 def test_condition_seeds_do_not_meet() -> None:
-    assert Ask(condition_seed=1).first_unseen - Ask().first_unseen == 1000
+    assert ExperimentOptions(condition_seed=1).first_unseen - ExperimentOptions().first_unseen == 1000

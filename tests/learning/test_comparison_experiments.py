@@ -11,7 +11,7 @@ import pytest
 from shmoo_mjx.data import store
 from shmoo_mjx.evaluation import ablations, baselines, datasets, method_tables
 from shmoo_mjx.evaluation.registry import EXPERIMENTS
-from shmoo_mjx.evaluation.result import Ask
+from shmoo_mjx.evaluation.result import ExperimentOptions
 from shmoo_mjx.learning.baselines import Budget
 
 TINY = {
@@ -26,18 +26,20 @@ TINY = {
 
 
 @pytest.fixture
-def ask(synthetic_dataset: store.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ask:
+def options(synthetic_dataset: store.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ExperimentOptions:
     """The synthetic data set in the place of collected ones."""
     opened = store.create_or_open(tmp_path / "data", {"kind": "synthetic"})
     entries = zip(synthetic_dataset.names, synthetic_dataset.arrays, synthetic_dataset.conditions, strict=True)
     for name, arrays, condition in entries:
         store.write_condition(opened, name, arrays, condition)
-    monkeypatch.setattr(datasets, "training_directory", lambda ask: tmp_path / "data")
-    monkeypatch.setattr(datasets, "unseen_directory", lambda ask, counts: tmp_path / "data")
-    return Ask(out=tmp_path / "out")
+    monkeypatch.setattr(datasets, "training_directory", lambda options: tmp_path / "data")
+    monkeypatch.setattr(datasets, "unseen_directory", lambda options, counts: tmp_path / "data")
+    return ExperimentOptions(out=tmp_path / "out")
 
 
-def test_baselines_are_tuned_trained_scored_and_kept(ask: Ask, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_baselines_are_tuned_trained_scored_and_kept(
+    options: ExperimentOptions, monkeypatch: pytest.MonkeyPatch
+) -> None:
     config = baselines.BaselinesConfig(
         methods=("linear", "trigonometric", "mlp"),
         references=("zero", "constant_velocity"),
@@ -48,7 +50,7 @@ def test_baselines_are_tuned_trained_scored_and_kept(ask: Ask, monkeypatch: pyte
         fit_seconds=10.0,
         workers=1,
     )
-    result = baselines.run(ask, config)
+    result = baselines.run(options, config)
     found = result.metrics
     assert found["fvu_linear"] < 0.05 < found["fvu_trigonometric"]  # type: ignore[operator]
     assert found["mse_std_mlp"] > 0 and found["mse_std_linear"] == 0  # type: ignore[operator]
@@ -58,7 +60,7 @@ def test_baselines_are_tuned_trained_scored_and_kept(ask: Ask, monkeypatch: pyte
     assert len(scored) == 2 * 3 and {row["run"] for row in scored} == {0, 1}
     best = min((row for row in tuned if row["tuned"] == "linear"), key=lambda row: row["validation_fvu"])
     assert all(row["setting"] == best["setting"] for row in result.rows if row.get("method") == "linear")
-    assert (ask.out / "baselines" / "baselines.png").stat().st_size > 5000
+    assert (options.out / "baselines" / "baselines.png").stat().st_size > 5000
     assert "| zero" not in method_tables.baselines_table(result) and "no acceleration" in method_tables.baselines_table(
         result
     )
@@ -67,24 +69,24 @@ def test_baselines_are_tuned_trained_scored_and_kept(ask: Ask, monkeypatch: pyte
         raise AssertionError(f"{name} was run again")
 
     monkeypatch.setattr(baselines._Work, "__call__", never)
-    assert baselines.run(ask, config).metrics == found
+    assert baselines.run(options, config).metrics == found
 
 
 @pytest.mark.slow
-def test_ablations_vary_one_thing_and_probe(ask: Ask, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ablations_vary_one_thing_and_probe(options: ExperimentOptions, monkeypatch: pytest.MonkeyPatch) -> None:
     one_step = TINY | {"horizon": 1, "open_loop": False}
     variants = {"default": TINY, "alpha_0.1": TINY | {"alpha": 0.1}, "layout_past_3": one_step, "frame_world": one_step}
     monkeypatch.setattr(ablations, "VARIANTS", variants)
     monkeypatch.setattr(ablations, "OBJECTS", {"objects_2": 2})
     config = ablations.AblationsConfig((*variants, "objects_2"), Budget(1, 4, 1), 1, (2.0, 10.0), 1, 20, workers=1)
-    result = ablations.run(ask, config)
+    result = ablations.run(options, config)
     found = result.metrics
     for name in ("default", "default_2s", "alpha_0.1", "layout_past_3", "frame_world", "objects_2"):
         assert np.isfinite(found[f"fvu_{name}"])  # type: ignore[arg-type]
     assert "pos_rmse_3s_m_default" in found and "pos_rmse_3s_m_frame_world" not in found
     assert found["chance"] == pytest.approx(1 / 12) and found["mse_objects_2"] != found["mse_default"]
     assert 0 <= found["probe_psi_alpha_0.1"] <= 1  # type: ignore[operator]
-    assert (ask.out / "ablations" / "domain_invariance.png").stat().st_size > 5000
+    assert (options.out / "ablations" / "domain_invariance.png").stat().st_size > 5000
     assert "| alpha_0.1 |" in method_tables.ablations_table(result)
 
 
