@@ -65,9 +65,6 @@ def run_scenario(
     """
     check_scenario(grid, scenario, ROBOT_RADIUS, name)
     conditions = _checked_objects(grid, scenario, name)
-    if not is_quiet():
-        for i, condition in enumerate(conditions):
-            print(f"object {i}: {condition.describe()}")
     # Only now what takes seconds to import: bad input is answered at once.
     from shmoo_mjx.control.pushing import PushController
     from shmoo_mjx.episode import Hooks, run_episode
@@ -84,6 +81,9 @@ def run_scenario(
     loaded = load_weights(weights or asset(WEIGHTS))
     controller = PushController(loaded)
     with claimed(out):
+        if not is_quiet():
+            for i, condition in enumerate(conditions):
+                print(f"object {i}: {condition.describe()}")
         limit = scenario.limits.time_s
         hooks = Hooks(progress=lambda t, mode: progress(f"simulating: {mode}", t / limit))
         if real_time:
