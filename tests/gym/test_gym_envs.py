@@ -260,7 +260,7 @@ def test_driving_into_a_wall_is_felt_and_costs() -> None:
 
 def test_without_gymnasium_one_sentence_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "gymnasium", None)
-    with pytest.raises(ShmooError, match=r"shmoo-mjx\[gym\]"):
+    with pytest.raises(ShmooError, match=r"pip install '\.\[gym\]'"):
         importlib.reload(shmoo_mjx.gym)
 
 

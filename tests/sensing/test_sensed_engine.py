@@ -65,18 +65,18 @@ def moved(engine: SensedEngine, world: SensedWorld, index: int, by: tuple[float,
 def test_perfect_senses_are_the_truth_and_no_slower() -> None:
     seen, _ = push(PERFECT, samples=12)
     with SensedEngine([build_scene([(BOX, AHEAD)])], PERFECT) as engine:
-        bare, took = MujocoEngine([build_scene([(BOX, AHEAD)])]), {}
-        for name, it in (("sensed", engine), ("bare", bare), ("sensed", engine), ("bare", bare)):
+        bare, took = MujocoEngine([build_scene([(BOX, AHEAD)])]), {"sensed": [], "bare": []}
+        for name, it in (("sensed", engine), ("bare", bare)) * 4:  # other processes slow some down: the fastest counts
             world, began = it.init(), time.perf_counter()
             for i in range(12):
                 lean = 0.1 if i >= 6 else 0.0
                 wanted = command(1, (lean, 0.0), 0.1, reach=REACH, hand_height=HAND_HEIGHT)
                 world, plain = it.step(world, wanted)
-            took[name] = time.perf_counter() - began
+            took[name].append(time.perf_counter() - began)
         bare.close()
     for name in Observation._fields:
         np.testing.assert_array_equal(getattr(seen, name)[-1], getattr(plain, name)[0], err_msg=name)
-    assert took["sensed"] < 1.5 * took["bare"]
+    assert min(took["sensed"]) < 1.5 * min(took["bare"])
 
 
 def test_perfect_senses_end_at_walls_and_at_their_range() -> None:
