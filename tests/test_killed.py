@@ -193,7 +193,8 @@ def test_a_killed_training_goes_on(collected: Path, tmp_path: Path) -> None:
 def test_ctrl_c_ends_at_once_with_one_sentence(tmp_path: Path) -> None:
     """A terminal sends it to the whole group: neither the workers' tracebacks nor their jobs are waited for."""
     code = "from shmoo_mjx.cli import main; main()"
-    command = [sys.executable, "-c", code, "collect", str(tmp_path / "data"), *COLLECT]
+    longer = [*COLLECT, "--episodes", "60"]  # so that it can't have ended by itself
+    command = [sys.executable, "-c", code, "collect", str(tmp_path / "data"), *longer]
     running = subprocess.Popen(command, start_new_session=True, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 60.0
     while not (tmp_path / "data" / "manifest.json").exists() and time.monotonic() < deadline:
