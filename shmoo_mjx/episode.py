@@ -1,29 +1,28 @@
-"""One run of a scenario: the simulated world on one side, the navigator on the other, and a record of both."""
+"""One run of a scenario, from its start to its end: what came of it, and its record."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from shmoo_mjx import se2
 from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.navigation.belief import Status
-from shmoo_mjx.navigation.maps import OccupancyGrid, occupied_rectangles
+from shmoo_mjx.navigation.maps import OccupancyGrid
 from shmoo_mjx.navigation.navigator import Navigator
 from shmoo_mjx.navigation.records import Mode, NavigatorConfig
 from shmoo_mjx.navigation.scenario import Scenario
-from shmoo_mjx.plant.objects import Condition
-from shmoo_mjx.plant.scene import PARTS, Scene, build_scene
+from shmoo_mjx.plant.scene import Scene
 from shmoo_mjx.recorded import Recorded
 from shmoo_mjx.report.trace import Trace
-from shmoo_mjx.sensing import PERFECT, SensedEngine, SensedWorld, Senses, senses_named
-from shmoo_mjx.types import DT, Command, Observation
+from shmoo_mjx.sensing import SensedWorld, Senses, senses_named
+from shmoo_mjx.simulation import Simulation
+from shmoo_mjx.types import DT, Observation
 
-__all__ = ["Episode", "Hooks", "conditions_of", "navigator_of", "run_episode", "scene_of"]
+__all__ = ["Episode", "Hooks", "result_of", "run_episode", "trace_of"]
 
 Point = Sequence[float]
 
@@ -55,51 +54,6 @@ class Hooks(NamedTuple):
     """Ends the run before the navigator does."""
 
 
-@dataclass
-class _Record:
-    rows: list[dict[str, Any]] = field(default_factory=list)
-    qpos: list[np.ndarray] = field(default_factory=list)
-    observations: list[Observation] = field(default_factory=list)
-    commands: list[Command] = field(default_factory=list)
-    goals: list[np.ndarray] = field(default_factory=list)
-    legs: list[dict[str, Any]] = field(default_factory=list)
-    late: list[dict[str, Any]] = field(default_factory=list)
-    """Missed deadlines, against the wall clock."""
-    falls: int = 0
-    wall_contacts: int = 0
-    touching: bool = False
-    wall_parts: dict[str, int] = field(default_factory=dict)
-    touches: list[dict[str, Any]] = field(default_factory=list)
-    """Contacts with walls, as events."""
-
-
-def conditions_of(scenario: Scenario) -> list[Condition]:
-    """The objects' conditions, drawn from family and seed with the given properties replaced."""
-    return [o.condition() for o in scenario.objects]
-
-
-def scene_of(grid: OccupancyGrid, scenario: Scenario, conditions: list[Condition], senses: Senses = PERFECT) -> Scene:
-    """The MuJoCo world: every wall of the map (a way round may lead anywhere), objects and the robot."""
-    walls = occupied_rectangles(grid, unknown_borders=True)
-    placed = [(c, o.pose) for c, o in zip(conditions, scenario.objects, strict=True)]
-    adjust = senses.adjust(scenario.seed)
-    return build_scene(placed, scenario.start, walls, float(grid.origin[2]), adjust=adjust)
-
-
-def navigator_of(
-    grid: OccupancyGrid,
-    scenario: Scenario,
-    controller: PushController,
-    senses: Senses,
-    config: NavigatorConfig | None = None,
-    first_status: Sequence[Status] | None = None,
-) -> Navigator:
-    """The navigator of a run; what it has to compute takes as long as ``senses`` say."""
-    config = replace(config or NavigatorConfig(), planning_time=senses.planning, latency=senses.latency)
-    sizes = [c.half_extents for c in conditions_of(scenario)]
-    return Navigator(grid, scenario.goal, sizes, controller, scenario.seed, config, first_status)
-
-
 def run_episode(
     grid: OccupancyGrid,
     scenario: Scenario,
@@ -126,106 +80,37 @@ def run_episode(
         real_time: run against the wall clock. A command takes effect after the time it really took to compute.
     """
     chosen = senses if isinstance(senses, Senses) else senses_named(senses or scenario.senses or "real")
-    conditions = conditions_of(scenario)
-    scene = scene_of(grid, scenario, conditions, chosen)
     ahead = [tuple(goal) for goal in goals] or [scenario.goal]
     first = scenario.model_copy(update={"goal": ahead[0]})
-    navigator = navigator_of(grid, first, controller, chosen, config, first_status)
-    record = _Record()
-    with SensedEngine([scene], chosen, scenario.seed) as engine:
-        world = engine.init()
-        seen, true = engine.observe(world), engine.true_observation(world)
+    legs: list[dict[str, Any]] = []
+    with Simulation(grid, first, controller, config, first_status, chosen) as simulation:
+        navigator = simulation.navigator
         for number, goal in enumerate(ahead):
-            began = float(true.time[0])
+            began = simulation.time
             if number:
                 navigator.head_for(goal, began)
-            while not navigator.finished and float(true.time[0]) < scenario.limits.time_s and not record.falls:
+            while not navigator.finished and simulation.time < scenario.limits.time_s and not simulation.record.falls:
                 tick = time.perf_counter()
-                perceived = hooks.perceive(seen)
-                command = navigator.tick(perceived)
-                hooks.progress(float(true.time[0]), str(navigator.mode))
-                _note(record, navigator, perceived, true, command, world.physics[0, 1 : 1 + scene.model.nq])
+                command = simulation.decide(hooks.perceive)
+                hooks.progress(simulation.time, str(navigator.mode))
                 if hooks.over(navigator):
                     break
-                world, spent = hooks.disturb(scene, world), time.perf_counter() - tick
-                world, seen = _advance(engine, world, command, spent if real_time else None, record, navigator)
-                true = engine.true_observation(world)
-                _count_contacts(record, world, float(true.time[0]), navigator)
-                record.falls += int(engine.fallen(world)[0])
+                simulation.world = hooks.disturb(simulation.scene, simulation.world)
+                simulation.advance(command, time.perf_counter() - tick if real_time else None)
                 if real_time:
                     time.sleep(max(0.0, DT - (time.perf_counter() - tick)))
-            record.legs.append(_leg(scenario, navigator, record, true, goal, began))
-            if not record.legs[-1]["success"]:
+            legs.append(_leg(simulation, goal, began))
+            if not legs[-1]["success"]:
                 break
+    simulation.scenario = scenario
+    record = simulation.record
     return Episode(
-        _result(scenario, conditions, navigator, record, true, chosen, len(ahead)),
-        _trace(grid, navigator, record),
-        scene,
+        result_of(simulation, legs, len(ahead)),
+        trace_of(simulation),
+        simulation.scene,
         np.array(record.qpos),
         navigator,
         Recorded(_stacked(record.observations), _stacked(record.commands), np.array(record.goals)),
-    )
-
-
-def _advance(
-    engine: SensedEngine,
-    world: SensedWorld,
-    command: Command,
-    spent: float | None,
-    record: _Record,
-    navigator: Navigator,
-) -> tuple[SensedWorld, Observation]:
-    """The world after a sample, or after as many as computing has really taken."""
-    world, seen = engine.step(world, command, computing=spent)
-    if spent is None or spent <= DT:
-        return world, seen
-    record.late.append({"t": round(float(seen.time[0]), 1), "state": str(navigator.mode), "ms": round(1e3 * spent)})
-    for _ in range(int(spent / DT)):
-        world, seen = engine.step(world, command, computing=0.0)
-    # The controller's samples are DT apart: what spans a longer time teaches nothing.
-    return world, seen._replace(detected=np.zeros_like(seen.detected))
-
-
-def _count_contacts(record: _Record, world: SensedWorld, now: float, navigator: Navigator) -> None:
-    """A contact counts once, however long it lasts."""
-    touching = bool(world.wall_contact[0])
-    if touching and not record.touching:
-        record.wall_contacts += 1
-        parts = [PARTS[i] for i in np.flatnonzero(world.wall_parts[0])]
-        for part in parts:
-            record.wall_parts[part] = record.wall_parts.get(part, 0) + 1
-        text = f"touches a wall with {' and '.join(parts)} while to {navigator.mode}"
-        record.touches.append({"t": round(now, 2), "what": text})
-    record.touching = touching
-
-
-def _note(
-    record: _Record,
-    navigator: Navigator,
-    seen: Observation,
-    true: Observation,
-    command: Command,
-    qpos: np.ndarray,
-) -> None:
-    adapting = navigator.coefficients
-    index = -1 if adapting is None else adapting[0]
-    wrench = true.wrench[0, :, :2].sum(axis=0)
-    record.qpos.append(qpos.copy())
-    record.observations.append(seen)
-    record.commands.append(command)
-    record.goals.append(navigator.state.goal)
-    record.rows.append(
-        {
-            "t": float(true.time[0]),
-            "robot_pose": true.robot_pose[0],
-            "lean": true.lean[0],
-            "u": command.u[0],
-            "object_pose": true.object_pose[0],
-            "force": se2.rotate(wrench, -true.robot_pose[0, 2]),
-            "coefficients": None if adapting is None else adapting[1],
-            "coefficient_object": index,
-            "state": list(Mode).index(navigator.mode),
-        }
     )
 
 
@@ -234,7 +119,10 @@ def _stacked(rows: Sequence[Any]) -> Any:
     return type(rows[0])(*(np.stack([np.asarray(v) for v in column]) for column in zip(*rows, strict=True)))
 
 
-def _trace(grid: OccupancyGrid, navigator: Navigator, record: _Record) -> Trace:
+def trace_of(simulation: Simulation) -> Trace:
+    """What has happened so far as arrays."""
+    grid, navigator, record = simulation.grid, simulation.navigator, simulation.record
+
     def column(name: str) -> np.ndarray:
         return np.array([row[name] for row in record.rows])
 
@@ -256,39 +144,38 @@ def _trace(grid: OccupancyGrid, navigator: Navigator, record: _Record) -> Trace:
     )
 
 
-def _leg(
-    scenario: Scenario, navigator: Navigator, record: _Record, true: Observation, goal: Point, began: float
-) -> dict[str, Any]:
+def _leg(simulation: Simulation, goal: Point, began: float) -> dict[str, Any]:
     """How one goal was reached, or not."""
-    distance = float(np.linalg.norm(true.robot_pose[0, :2] - np.asarray(goal)[:2]))
-    outcome, reason = _outcome(scenario, navigator, record, distance)
-    path = np.array([row["robot_pose"][:2] for row in record.rows if row["t"] >= began - 1e-6])
+    distance = float(np.linalg.norm(simulation.true.robot_pose[0, :2] - np.asarray(goal)[:2]))
+    outcome, reason = _outcome(simulation, distance)
+    path = np.array([row["robot_pose"][:2] for row in simulation.record.rows if row["t"] >= began - 1e-6])
     return {
         "goal": _floats(np.asarray(goal, dtype=float)),
         "outcome": outcome,
         "reason": reason,
         "success": outcome == "success",
-        "time_s": round(float(true.time[0]) - began, 2),
+        "time_s": round(simulation.time - began, 2),
         "path_length_m": round(float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()), 3),
         "goal_distance_m": round(distance, 3),
     }
 
 
-def _result(
-    scenario: Scenario,
-    conditions: list[Condition],
-    navigator: Navigator,
-    record: _Record,
-    seen: Observation,
-    senses: Senses,
-    goals: int,
-) -> dict[str, Any]:
-    last = record.legs[-1]
+def result_of(simulation: Simulation, legs: Sequence[dict[str, Any]] = (), goals: int = 1) -> dict[str, Any]:
+    """What has happened so far, JSON-able (report/trace.py lists the keys).
+
+    Args:
+        simulation: at the end, or at any time.
+        legs: how each goal was reached, if there were several one after the other.
+        goals: how many there were.
+    """
+    scenario, navigator, record = simulation.scenario, simulation.navigator, simulation.record
+    legs = list(legs) or [_leg(simulation, navigator.state.goal.tolist(), 0.0)]
+    last, seen, senses = legs[-1], simulation.true, simulation.senses
     path = np.array([row["robot_pose"][:2] for row in record.rows])
-    reached = sum(leg["success"] for leg in record.legs)
+    reached = sum(leg["success"] for leg in legs)
     outcome = last["outcome"] if reached < goals else "success"
     objects = []
-    for i, (entry, condition) in enumerate(zip(scenario.objects, conditions, strict=True)):
+    for i, (entry, condition) in enumerate(zip(scenario.objects, simulation.conditions, strict=True)):
         known = navigator.belief.objects.get(i)
         objects.append(
             {
@@ -313,7 +200,7 @@ def _result(
         "falls": record.falls,
         "wall_contacts": record.wall_contacts,
         "wall_parts": record.wall_parts,
-        "legs": record.legs,
+        "legs": legs,
         "missed_deadlines": record.late,
         "start": list(scenario.start),
         "goal": list(scenario.goal),
@@ -347,7 +234,8 @@ def _result(
     }
 
 
-def _outcome(scenario: Scenario, navigator: Navigator, record: _Record, distance: float) -> tuple[str, str]:
+def _outcome(simulation: Simulation, distance: float) -> tuple[str, str]:
+    scenario, navigator, record = simulation.scenario, simulation.navigator, simulation.record
     if record.falls:
         return "fall", f"the robot fell while it was to {navigator.mode}"
     if navigator.mode is Mode.FAILED:

@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from shmoo_mjx.assets import WEIGHTS, asset
-from shmoo_mjx.episode import navigator_of
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.recorded import RECORDED, Recorded, load_recorded
 from shmoo_mjx.report.trace import load_result
+from shmoo_mjx.simulation import navigator_of
 from shmoo_mjx.types import Command, Observation
 
 __all__ = ["Difference", "differences", "replay"]

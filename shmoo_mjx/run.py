@@ -22,7 +22,7 @@ from shmoo_mjx.seeds import check_seed
 from shmoo_mjx.types import DT, SensesName
 from shmoo_mjx.verbosity import is_quiet
 
-__all__ = ["load_inputs", "run_scenario", "versions"]
+__all__ = ["load_inputs", "run_scenario", "save_run", "versions"]
 
 
 def versions() -> dict[str, str]:
@@ -73,13 +73,11 @@ def run_scenario(
     from shmoo_mjx.recorded import RECORDED, save_recorded
     from shmoo_mjx.report.html import write_report
     from shmoo_mjx.report.recording import require_viewer, write_recording
-    from shmoo_mjx.report.trace import save_trace
 
     if record:
         require_viewer()
     config = NavigatorConfig()
-    loaded = load_weights(weights or asset(WEIGHTS))
-    controller = PushController(loaded)
+    controller = PushController(load_weights(weights or asset(WEIGHTS)))
     with claimed(out):
         if not is_quiet():
             for i, condition in enumerate(conditions):
@@ -91,13 +89,8 @@ def run_scenario(
             until_pushed = Hooks(over=_has_pushed, progress=hooks.progress)
             run_episode(grid, scenario, controller, config, until_pushed, senses=senses)
         episode = run_episode(grid, scenario, controller, config, hooks, senses=senses, real_time=real_time)
-        result = {"name": out.name, **episode.result, "versions": versions(), "weights": loaded.info}
-        result["config"]["pushing"] = asdict(controller.config)
-        save_map(grid, out / "map.yaml")
-        save_scenario(scenario.model_copy(update={"map": "map.yaml"}), out / "scenario.yaml")
-        save_trace(out / "trace.npz", episode.trace)
+        result = save_run(out, grid, scenario, episode.result, episode.trace, controller)
         save_recorded(out / RECORDED, episode.recorded)
-        write_whole(out / "result.json", (json.dumps(result, indent=1, default=float) + "\n").encode())
         # The report shows the film that lies there: one of an earlier run must not.
         (out / "episode.mp4").unlink(missing_ok=True)
         (out / "episode.rrd").unlink(missing_ok=True)
@@ -109,6 +102,34 @@ def run_scenario(
         write_report(out)
         progress("done", 1.0)
         return result
+
+
+def save_run(
+    out: Path, grid: OccupancyGrid, scenario: Scenario, result: dict[str, Any], trace: Any, controller: Any
+) -> dict[str, Any]:
+    """Write what a report is made of into the folder ``out``: map, scenario, trace.npz and result.json.
+
+    Args:
+        out: folder; made if absent.
+        grid: the map.
+        scenario: what was to be done in it.
+        result: from :func:`~shmoo_mjx.episode.result_of`.
+        trace: a :class:`~shmoo_mjx.report.trace.Trace`.
+        controller: the :class:`~shmoo_mjx.control.pushing.PushController` that pushed.
+
+    Returns:
+        The result as it is written, with the versions, weights and settings that it depends on.
+    """
+    from shmoo_mjx.report.trace import save_trace
+
+    whole = {"name": out.name, **result, "versions": versions(), "weights": controller.weights.info}
+    whole["config"] = result["config"] | {"pushing": asdict(controller.config)}
+    out.mkdir(parents=True, exist_ok=True)
+    save_map(grid, out / "map.yaml")
+    save_scenario(scenario.model_copy(update={"map": "map.yaml"}), out / "scenario.yaml")
+    save_trace(out / "trace.npz", trace)
+    write_whole(out / "result.json", (json.dumps(whole, indent=1, default=float) + "\n").encode())
+    return whole
 
 
 def _has_pushed(navigator: Any) -> bool:

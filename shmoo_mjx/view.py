@@ -37,9 +37,9 @@ def scene_named(what: str, seed: int) -> Scene:
     if what in FAMILIES or what.endswith(".json"):
         condition = draw_condition(what, seed)
         return build_scene([(condition, (REACH + HAND_RADIUS + 0.1 + condition.half_extents[0], 0.0, 0.0))])
-    from shmoo_mjx.episode import conditions_of, scene_of
     from shmoo_mjx.navigation.floorplan import demo_scenario
     from shmoo_mjx.run import load_inputs
+    from shmoo_mjx.simulation import conditions_of, scene_of
 
     if what == "demo":
         grid, scenario = demo_scenario(seed)

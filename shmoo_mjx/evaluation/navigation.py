@@ -219,7 +219,7 @@ def _row(episode: Episode, scenario: Scenario, generated: Generated) -> dict[str
 
 def scores_of(episode: Episode, scenario: Scenario, shortest: float) -> dict[str, float]:
     """Path efficiency, both parts of effort efficiency, and the interactive navigation score of a run."""
-    from shmoo_mjx.episode import conditions_of
+    from shmoo_mjx.simulation import conditions_of
 
     result, trace, robot = episode.result, episode.trace, ROBOT.upper_mass + ROBOT.ball_mass
     driven = result["path_length_m"]

@@ -331,6 +331,11 @@ class Navigator:
         state = replace(self.state, goal=np.asarray(goal, dtype=float)[:2], path=None, drive=drive.init())
         self.state = replace(state, mode=Mode.REPLAN, since=now, segment=None, pending=None, waits_from=None)
 
+    def expect(self, sizes: Sequence[tuple[float, float]]) -> None:
+        """There are more objects, or others: half extents of each [m]. What is being computed is dropped."""
+        self.setup = self.setup._replace(sizes=sizes)
+        self.state = replace(self.state, last_seen=None, pending=None)
+
     @property
     def config(self) -> NavigatorConfig:
         """The settings."""

@@ -18,10 +18,12 @@ from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.lowlevel import Gains
 from shmoo_mjx.plant.scene import Scene
 from shmoo_mjx.sensing import senses as sensing
+from shmoo_mjx.sensing import tracker
 from shmoo_mjx.sensing.camera import in_sight, scenery_of
 from shmoo_mjx.sensing.odometry import TICK
 from shmoo_mjx.sensing.senses import Mind, Noise, Senses
 from shmoo_mjx.sensing.touch import felt
+from shmoo_mjx.sensing.tracker import Tracks
 from shmoo_mjx.types import DT, Command, Observation
 
 __all__ = ["SensedEngine", "SensedWorld"]
@@ -153,6 +155,38 @@ class SensedEngine:
         pending = tuple((np.where(which, _NEVER, at), command) for at, command in world.pending)
         return SensedWorld(truth, held, pending, mind, contact, touched, world.ticks)
 
+    def taken_over(self, world: SensedWorld, before: Scene) -> SensedWorld:
+        """One world, as an engine of the scene ``before`` has left it, for this engine to go on with.
+
+        The objects of ``before`` are the first of this engine's, with other properties perhaps. What comes after them
+        stands where this engine's scene says, at rest, and has not been seen yet.
+        """
+        (scene,), fresh, old = self.scenes, self.engine.init(), world.truth.physics
+        (nq, nv), first_velocity = (before.model.nq, before.model.nv), 1 + scene.model.nq
+        physics = np.array(fresh.physics)
+        physics[:, : 1 + nq] = old[:, : 1 + nq]
+        physics[:, first_velocity : first_velocity + nv] = old[:, 1 + nq : 1 + nq + nv]
+        truth = world.truth._replace(physics=physics)
+        started = self.begin(truth, world.ticks)
+        mind: Mind | Shown
+        if isinstance(world.mind, Shown) and isinstance(started.mind, Shown):
+            nothing = Shown(np.full_like(started.mind.pose, np.nan), np.full_like(started.mind.at, -np.inf))
+            mind = Shown(*(_first(new, then, 1) for new, then in zip(nothing, world.mind, strict=True)))
+        else:
+            assert isinstance(world.mind, Mind) and isinstance(started.mind, Mind)
+            none = tracker.init(1, len(scene.conditions))
+            tracks = {
+                name: then if name == "at" else _first(getattr(none, name), then, 1)
+                for name, then in world.mind.tracks._asdict().items()
+            }
+            mind = world.mind._replace(
+                objects=_first(started.mind.objects, world.mind.objects, 2),
+                lost_until=_first(started.mind.lost_until, world.mind.lost_until, 1),
+                tracks=Tracks(**tracks),
+            )
+        contact = _first(np.zeros_like(started.contact), world.contact, 1)
+        return world._replace(truth=truth, mind=mind, contact=contact)
+
     def observe(self, world: SensedWorld) -> Observation:
         """What the robot believes, with no wrench and without new noise."""
         true = _numpy(self.engine.observe(world.truth))
@@ -275,6 +309,13 @@ def _arrived(world: SensedWorld) -> SensedWorld:
         if (at != _NEVER).any():
             waiting.append((at, command))
     return world._replace(held=held, pending=tuple(waiting))
+
+
+def _first(new: np.ndarray, old: np.ndarray, axis: int) -> np.ndarray:
+    """``new`` with ``old`` in the place of its first entries along ``axis``."""
+    out = np.array(new, dtype=float)
+    out[(slice(None),) * axis + (slice(old.shape[axis]),)] = old
+    return out
 
 
 def _chosen(which: np.ndarray, new: np.ndarray, old: np.ndarray) -> np.ndarray:

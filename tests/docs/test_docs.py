@@ -125,11 +125,11 @@ LAYERS = (
     {"skills"},
     {"navigation"},
     {"report"},
-    {"recorded"},
+    {"recorded", "simulation"},
     {"episode", "teleop"},
     {"run"},
     {"demo", "doctor", "replay", "view", "evaluation", "gym"},
-    {"benchmarking", "sweep"},
+    {"benchmarking", "sweep", "live"},
     {"cli"},
 )
 

@@ -1,0 +1,231 @@
+"""A scenario sample by sample: the simulated world, the robot's senses and its navigator, and a record of what happens.
+
+``run_episode`` lets one run to its end; the live page steps one, and changes the world between samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from shmoo_mjx import se2
+from shmoo_mjx.control.pushing import PushController
+from shmoo_mjx.navigation.belief import Status
+from shmoo_mjx.navigation.maps import OccupancyGrid, occupied_rectangles
+from shmoo_mjx.navigation.navigator import Navigator
+from shmoo_mjx.navigation.records import Mode, NavigatorConfig
+from shmoo_mjx.navigation.scenario import Scenario
+from shmoo_mjx.plant.objects import Condition
+from shmoo_mjx.plant.scene import PARTS, Scene, build_scene
+from shmoo_mjx.sensing import PERFECT, REAL, SensedEngine, SensedWorld, Senses
+from shmoo_mjx.types import DT, Command, Observation
+
+__all__ = ["Record", "Simulation", "conditions_of", "navigator_of", "scene_of"]
+
+Point = Sequence[float]
+
+
+@dataclass
+class Record:
+    """What has happened so far, a row per sample."""
+
+    rows: list[dict[str, Any]] = field(default_factory=list)
+    qpos: list[np.ndarray] = field(default_factory=list)
+    observations: list[Observation] = field(default_factory=list)
+    commands: list[Command] = field(default_factory=list)
+    goals: list[np.ndarray] = field(default_factory=list)
+    late: list[dict[str, Any]] = field(default_factory=list)
+    """Missed deadlines, against the wall clock."""
+    falls: int = 0
+    wall_contacts: int = 0
+    touching: bool = False
+    wall_parts: dict[str, int] = field(default_factory=dict)
+    touches: list[dict[str, Any]] = field(default_factory=list)
+    """Contacts with walls, as events."""
+
+
+def conditions_of(scenario: Scenario) -> list[Condition]:
+    """The objects' conditions, drawn from family and seed with the given properties replaced."""
+    return [o.condition() for o in scenario.objects]
+
+
+def scene_of(grid: OccupancyGrid, scenario: Scenario, conditions: list[Condition], senses: Senses = PERFECT) -> Scene:
+    """The MuJoCo world: every wall of the map (a way round may lead anywhere), objects and the robot."""
+    walls = occupied_rectangles(grid, unknown_borders=True)
+    placed = [(c, o.pose) for c, o in zip(conditions, scenario.objects, strict=True)]
+    adjust = senses.adjust(scenario.seed)
+    return build_scene(placed, scenario.start, walls, float(grid.origin[2]), adjust=adjust)
+
+
+def navigator_of(
+    grid: OccupancyGrid,
+    scenario: Scenario,
+    controller: PushController,
+    senses: Senses,
+    config: NavigatorConfig | None = None,
+    first_status: Sequence[Status] | None = None,
+) -> Navigator:
+    """The navigator of a run; what it has to compute takes as long as ``senses`` say."""
+    config = replace(config or NavigatorConfig(), planning_time=senses.planning, latency=senses.latency)
+    sizes = [c.half_extents for c in conditions_of(scenario)]
+    return Navigator(grid, scenario.goal, sizes, controller, scenario.seed, config, first_status)
+
+
+class Simulation:
+    """One scenario sample by sample. Leaving its ``with`` block closes it.
+
+    Args:
+        grid: the map.
+        scenario: start, goal and objects.
+        controller: the adaptive pushing controller.
+        config: the navigator's settings.
+        first_status: what the robot takes each object to be when it first sees it; UNKNOWN if not given.
+        senses: what it perceives with.
+    """
+
+    def __init__(
+        self,
+        grid: OccupancyGrid,
+        scenario: Scenario,
+        controller: PushController,
+        config: NavigatorConfig | None = None,
+        first_status: Sequence[Status] | None = None,
+        senses: Senses = REAL,
+    ) -> None:
+        self.grid, self.scenario, self.senses = grid, scenario, senses
+        self.conditions = conditions_of(scenario)
+        self.scene = scene_of(grid, scenario, self.conditions, senses)
+        self.navigator = navigator_of(grid, scenario, controller, senses, config, first_status)
+        self.record = Record()
+        self.engine = SensedEngine([self.scene], senses, scenario.seed)
+        self.world: SensedWorld = self.engine.init()
+        self.seen = self.engine.observe(self.world)
+        self.true = self.engine.true_observation(self.world)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop the engine's threads."""
+        self.engine.close()
+
+    @property
+    def time(self) -> float:
+        """Simulated time [s]."""
+        return float(self.true.time[0])
+
+    @property
+    def qpos(self) -> np.ndarray:
+        """``[nq]`` of the world now, for pictures."""
+        return np.array(self.world.physics[0, 1 : 1 + self.scene.model.nq])
+
+    def decide(self, perceive: Callable[[Observation], Observation] = lambda seen: seen) -> Command:
+        """What the robot does next, by what it perceives now; ``perceive`` may add a fault."""
+        perceived = perceive(self.seen)
+        command = self.navigator.tick(perceived)
+        self._note(perceived, command)
+        return command
+
+    def advance(self, command: Command, spent: float | None = None) -> None:
+        """The world goes on for a sample, or for as many as computing has really taken.
+
+        Args:
+            command: what the robot does.
+            spent: wall-clock time that it took to compute [s], if that is to pass in the world.
+        """
+        self.world, self.seen = self.engine.step(self.world, command, computing=spent)
+        if spent is not None and spent > DT:
+            late = {"t": round(float(self.seen.time[0]), 1), "state": str(self.navigator.mode)}
+            self.record.late.append(late | {"ms": round(1e3 * spent)})
+            for _ in range(int(spent / DT)):
+                self.world, self.seen = self.engine.step(self.world, command, computing=0.0)
+            # The controller's samples are DT apart: what spans a longer time teaches nothing.
+            self.seen = self.seen._replace(detected=np.zeros_like(self.seen.detected))
+        self.true = self.engine.true_observation(self.world)
+        self._count_contacts()
+        self.record.falls += int(self.engine.fallen(self.world)[0])
+
+    def change(self, scenario: Scenario) -> None:
+        """Go on with more objects at the end of the list, or with other properties of those that are there.
+
+        New objects appear at rest at their poses; all others stay where they are.
+
+        Args:
+            scenario: its objects begin with those of the present one, each of the same family.
+        """
+        engine, before = self.engine, self.scene
+        self.conditions = conditions_of(scenario)
+        self.scene = scene_of(self.grid, scenario, self.conditions, self.senses)
+        self.engine = SensedEngine([self.scene], self.senses, scenario.seed)
+        self.world = self.engine.taken_over(self.world, before)
+        engine.close()
+        self.scenario = scenario
+        self.navigator.expect([c.half_extents for c in self.conditions])
+        self.seen = self.engine.observe(self.world)
+        self.true = self.engine.true_observation(self.world)
+        added = len(self.conditions) - len(before.conditions)
+        if added:
+            self._widen(added)
+
+    def place(self, index: int, pose: Point) -> None:
+        """Somebody puts object ``index`` to the pose (x, y, yaw) in {W}, where it rests."""
+        physics, scene = self.world.truth.physics.copy(), self.scene
+        poses = [*self.true.object_pose[0]]
+        poses[index] = np.asarray(pose, dtype=float)
+        q, v = 1 + scene.object_qpos[index], 1 + scene.model.nq + scene.object_qvel[index]
+        physics[0, q : q + 7] = scene.placed(self.true.robot_pose[0], poses)[q - 1 : q + 6]
+        ends = [*scene.object_qvel[index + 1 :], scene.model.nv]
+        physics[0, v : 1 + scene.model.nq + ends[0]] = 0.0
+        self.world = self.world._replace(truth=self.world.truth._replace(physics=physics))
+        self.true = self.engine.true_observation(self.world)
+
+    def _note(self, seen: Observation, command: Command) -> None:
+        adapting, true, record = self.navigator.coefficients, self.true, self.record
+        index = -1 if adapting is None else adapting[0]
+        wrench = true.wrench[0, :, :2].sum(axis=0)
+        record.qpos.append(self.qpos)
+        record.observations.append(seen)
+        record.commands.append(command)
+        record.goals.append(self.navigator.state.goal)
+        record.rows.append(
+            {
+                "t": float(true.time[0]),
+                "robot_pose": true.robot_pose[0],
+                "lean": true.lean[0],
+                "u": command.u[0],
+                "object_pose": true.object_pose[0],
+                "force": se2.rotate(wrench, -true.robot_pose[0, 2]),
+                "coefficients": None if adapting is None else adapting[1],
+                "coefficient_object": index,
+                "state": list(Mode).index(self.navigator.mode),
+            }
+        )
+
+    def _count_contacts(self) -> None:
+        """A contact counts once, however long it lasts."""
+        record, touching = self.record, bool(self.world.wall_contact[0])
+        if touching and not record.touching:
+            record.wall_contacts += 1
+            parts = [PARTS[i] for i in np.flatnonzero(self.world.wall_parts[0])]
+            for part in parts:
+                record.wall_parts[part] = record.wall_parts.get(part, 0) + 1
+            text = f"touches a wall with {' and '.join(parts)} while to {self.navigator.mode}"
+            record.touches.append({"t": round(self.time, 2), "what": text})
+        record.touching = touching
+
+    def _widen(self, added: int) -> None:
+        """Room for new objects in the record: nowhere before now, and for pictures where they appeared."""
+        rows, now = self.record.rows, self.qpos
+        nowhere = np.full((added, 3), np.nan)
+        for i, row in enumerate(rows):
+            rows[i] = row | {"object_pose": np.concatenate([row["object_pose"], nowhere])}
+        self.record.qpos = [np.concatenate([q, now[len(q) :]]) for q in self.record.qpos]
