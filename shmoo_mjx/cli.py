@@ -92,6 +92,33 @@ def navigate(
     return 0 if result["outcome"] == "success" else 1
 
 
+def live(
+    scene: Positional[str] = "demo 0",
+    host: str = "127.0.0.1",
+    port: bounded.Port = 8080,
+    senses: str = "real",
+    weights: Path | None = None,
+    out: Path = Path("runs/live"),
+    seconds: bounded.Seconds | None = None,
+) -> int:
+    """Watch the robot think in the browser, set its goals, and move things in its way (needs viser and mjviser).
+
+    Example: shmoo live "demo 3"
+
+    Args:
+        scene: "demo SEED", a scenario of the package such as box_in_doorway, or a scenario file.
+        host: network interface to listen on. Whoever reaches it can use the page.
+        port: where the page is; the next free one if it is in use.
+        senses: real or perfect.
+        weights: trained weights (default: the shipped ones).
+        out: folder for scenes and reports that are saved on the page.
+        seconds: end after this wall-clock time [s] (default: when Ctrl-C is pressed).
+    """
+    from shmoo_mjx.live.command import run_live
+
+    return run_live(scene, host, port, _senses(senses), weights, out, seconds)
+
+
 def replay(run: Positional[Path], weights: Path | None = None) -> int:
     """Feed a run's recorded observations to the navigator again and compare its commands bit for bit.
 
@@ -432,6 +459,7 @@ def completion(shell: Positional[Literal["bash", "zsh", "fish"]]) -> int:
 _COMMANDS: dict[str, Callable[..., int]] = {
     "demo": demo,
     "navigate": navigate,
+    "live": live,
     "replay": replay,
     "collect": collect,
     "train": train,

@@ -15,6 +15,7 @@ __all__ = [
     "GigaBytes",
     "Jobs",
     "Mass",
+    "Port",
     "Radius",
     "Rolling",
     "Scale",
@@ -75,6 +76,7 @@ Train = Annotated[int, _whole("--train", 0, 10_000_000)]
 Validation = Annotated[int, _whole("--validation", 0, 10_000_000)]
 Episodes = Annotated[int, _whole("--episodes", 1, 10_000)]
 Scenarios = Annotated[int, _whole("--scenarios", 1, 10_000)]
+Port = Annotated[int, _whole("--port", 1, 65_535)]
 Seconds = Annotated[float, _real("--seconds", 1.0, 3600.0, "s")]
 GigaBytes = Annotated[float, _real("--memory-gb", 1e-6, 100_000.0, "GB")]
 Radius = Annotated[float, _real("--radius", 0.0, 10.0, "m")]

@@ -22,7 +22,7 @@ from shmoo_mjx.seeds import check_seed
 from shmoo_mjx.types import DT, SensesName
 from shmoo_mjx.verbosity import is_quiet
 
-__all__ = ["load_inputs", "run_scenario", "save_run", "versions"]
+__all__ = ["checked_objects", "load_inputs", "run_scenario", "save_run", "versions"]
 
 
 def versions() -> dict[str, str]:
@@ -64,7 +64,7 @@ def run_scenario(
         ShmooError: the scenario does not fit the map, or the weights can't be read.
     """
     check_scenario(grid, scenario, ROBOT_RADIUS, name)
-    conditions = _checked_objects(grid, scenario, name)
+    conditions = checked_objects(grid, scenario, name)
     # Only now what takes seconds to import: bad input is answered at once.
     from shmoo_mjx.control.pushing import PushController
     from shmoo_mjx.episode import Hooks, run_episode
@@ -136,7 +136,7 @@ def _has_pushed(navigator: Any) -> bool:
     return any(transition.source == "push" for transition in navigator.transitions)
 
 
-def _checked_objects(grid: OccupancyGrid, scenario: Scenario, name: str) -> list[Any]:
+def checked_objects(grid: OccupancyGrid, scenario: Scenario, name: str) -> list[Any]:
     """The objects; properties that none can have and places where none can stand are refused by name."""
     from shmoo_mjx.navigation.scenario import check_places
 

@@ -16,7 +16,7 @@ senses: real              # or perfect
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -35,11 +35,14 @@ if TYPE_CHECKING:
 
 __all__ = [
     "FAMILIES",
+    "MOST_OBJECTS",
     "ROBOT_RADIUS",
     "Limits",
     "ObjectEntry",
     "Scenario",
+    "check_place",
     "check_places",
+    "check_point",
     "check_scenario",
     "load_scenario",
     "save_scenario",
@@ -180,29 +183,38 @@ def check_scenario(grid: OccupancyGrid, scenario: Scenario, robot_radius: float,
     Raises:
         ShmooError: the start or goal is off the map or too near a wall, or no route joins them.
     """
-    from shmoo_mjx.navigation.maps import clearance_field
     from shmoo_mjx.navigation.paths import plan_path
 
-    field = clearance_field(grid)
     for label, point in (("start", scenario.start[:2]), ("goal", scenario.goal)):
-        where = f"{name}: '{label}' ({point[0]:g}, {point[1]:g})"
-        if not bool(grid.inside(grid.world_to_cell(point))):
-            x0, y0, x1, y1 = grid.bounds
-            span = f"x {x0:.2f} to {x1:.2f} and y {y0:.2f} to {y1:.2f} m"
-            raise ShmooError(f"{where} lies off the map; choose a point within {span}.")
-        if grid.values_at(point) != 0:
-            kind = "unknown space" if grid.values_at(point) < 0 else "a wall"
-            raise ShmooError(f"{where} lies inside {kind}; choose a point on free floor.")
-        distance = float(field.at(point))
-        if distance < robot_radius:
-            need = f"{distance:.2f} m from a wall, but the robot needs {robot_radius:.2f} m"
-            raise ShmooError(f"{where} is only {need}; move it away from the wall.")
+        check_point(grid, point, robot_radius, f"{name}: '{label}'")
     if plan_path(grid, scenario.start[:2], scenario.goal, robot_radius=robot_radius) is None:
         goal = f"({scenario.goal[0]:g}, {scenario.goal[1]:g})"
         raise ShmooError(
             f"{name}: 'goal' {goal} can't be reached from 'start' on this map by a robot of radius "
             f"{robot_radius:.2f} m; choose a goal in the same connected free space."
         )
+
+
+def check_point(grid: OccupancyGrid, point: Sequence[float], robot_radius: float, name: str) -> None:
+    """Checks that a robot has room at ``point`` (x, y) in {W} [m], which the error calls ``name``.
+
+    Raises:
+        ShmooError: the point is off the map or too near a wall.
+    """
+    from shmoo_mjx.navigation.maps import clearance_field
+
+    where = f"{name} ({point[0]:g}, {point[1]:g})"
+    if not bool(grid.inside(grid.world_to_cell(point))):
+        x0, y0, x1, y1 = grid.bounds
+        span = f"x {x0:.2f} to {x1:.2f} and y {y0:.2f} to {y1:.2f} m"
+        raise ShmooError(f"{where} lies off the map; choose a point within {span}.")
+    if grid.values_at(point) != 0:
+        kind = "unknown space" if grid.values_at(point) < 0 else "a wall"
+        raise ShmooError(f"{where} lies inside {kind}; choose a point on free floor.")
+    distance = float(clearance_field(grid).at(point))
+    if distance < robot_radius:
+        need = f"{distance:.2f} m from a wall, but the robot needs {robot_radius:.2f} m"
+        raise ShmooError(f"{where} is only {need}; move it away from the wall.")
 
 
 def check_places(
@@ -219,25 +231,48 @@ def check_places(
     Raises:
         ShmooError: names the first object that does not.
     """
+    before: dict[str, tuple[Sequence[float], tuple[float, float]]] = {}
+    for i, (entry, half) in enumerate(zip(scenario.objects, sizes, strict=True)):
+        what = f"{name}: 'objects[{i}].pose' ({entry.pose[0]:g}, {entry.pose[1]:g}): the {Path(entry.family).stem}"
+        check_place(grid, what, entry.pose, half, scenario.start[:2], before)
+        before[f"objects[{i}]"] = (entry.pose, half)
+
+
+def check_place(
+    grid: OccupancyGrid,
+    what: str,
+    pose: Sequence[float],
+    half_extents: tuple[float, float],
+    robot: Sequence[float],
+    others: Mapping[str, tuple[Sequence[float], tuple[float, float]]],
+) -> None:
+    """Checks that an object at ``pose`` (x, y, yaw) stands on free floor, beside the robot and beside the others.
+
+    Args:
+        grid: the map.
+        what: the object's name, for the error.
+        pose: in {W}.
+        half_extents: of its footprint along {O} [m].
+        robot: (x, y) of the robot in {W} [m].
+        others: pose and half extents of each other object, by its name.
+
+    Raises:
+        ShmooError: it does not.
+    """
     import shapely
 
     from shmoo_mjx.navigation.footprints import footprint_polygon
     from shmoo_mjx.navigation.maps import FREE
     from shmoo_mjx.plant.robot import ROBOT
 
+    polygon = footprint_polygon(pose, half_extents)
+    if not np.all(grid.inside(grid.world_to_cell(np.asarray(polygon.exterior.coords)))):
+        raise ShmooError(f"{what} reaches off the map; move it inwards.")
     blocked = grid.cell_to_world(np.argwhere(grid.cells != FREE))
-    start = shapely.Point(scenario.start[:2])
-    before: list[shapely.Polygon] = []
-    for i, (entry, half) in enumerate(zip(scenario.objects, sizes, strict=True)):
-        polygon = footprint_polygon(entry.pose, half)
-        where = f"{name}: 'objects[{i}].pose' ({entry.pose[0]:g}, {entry.pose[1]:g})"
-        if not np.all(grid.inside(grid.world_to_cell(np.asarray(polygon.exterior.coords)))):
-            raise ShmooError(f"{where} lets the {Path(entry.family).stem} reach off the map; move it inwards.")
-        if shapely.contains_xy(polygon, blocked).any():
-            raise ShmooError(f"{where} puts the {Path(entry.family).stem} into a wall or unknown space; move it away.")
-        if polygon.distance(start) < ROBOT.radius:
-            raise ShmooError(f"{where} puts the {Path(entry.family).stem} where the robot starts; move one of them.")
-        for j, other in enumerate(before):
-            if polygon.intersection(other).area > _OVERLAP:
-                raise ShmooError(f"{where} puts the {Path(entry.family).stem} into objects[{j}]; move one of them.")
-        before.append(polygon)
+    if shapely.contains_xy(polygon, blocked).any():
+        raise ShmooError(f"{what} stands in a wall or in unknown space; move it away.")
+    if polygon.distance(shapely.Point(robot)) < ROBOT.radius:
+        raise ShmooError(f"{what} stands where the robot is; move one of them.")
+    for name, (place, half) in others.items():
+        if polygon.intersection(footprint_polygon(place, half)).area > _OVERLAP:
+            raise ShmooError(f"{what} stands in {name}; move one of them.")

@@ -166,6 +166,7 @@ class SensedEngine:
         physics = np.array(fresh.physics)
         physics[:, : 1 + nq] = old[:, : 1 + nq]
         physics[:, first_velocity : first_velocity + nv] = old[:, 1 + nq : 1 + nq + nv]
+        physics[:, first_velocity + scene.model.nv :] = old[:, 1 + nq + nv :]  # the robot's motors
         truth = world.truth._replace(physics=physics)
         started = self.begin(truth, world.ticks)
         mind: Mind | Shown

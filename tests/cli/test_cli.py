@@ -26,7 +26,7 @@ BAD_INPUT: dict[str, tuple[str, tuple[str, ...]]] = {
     "goal unreachable": ("navigate --scenario split.yaml", ("split.yaml", "'goal'", "can't be reached")),
     "unknown object family": ("navigate --scenario family.yaml", ("'objects[0].family'", "'sofa'", "wheelchair")),
     "negative mass": ("navigate --scenario mass.yaml", ("mass.yaml", "'objects[0].properties'", "mass", "negative")),
-    "object in a wall": ("navigate --scenario box_in_wall.yaml", ("'objects[0].pose'", "into a wall")),
+    "object in a wall": ("navigate --scenario box_in_wall.yaml", ("'objects[0].pose'", "in a wall")),
     "load beside its box": ("navigate --scenario load.yaml", ("'objects[0].properties'", "payload_x")),
     "start beside a scenario": ("navigate --scenario good.yaml --start 1,1,0", ("--start", "no effect")),
     "property of another shape": ("navigate --scenario shape.yaml", ("shape.yaml", "'objects[0].properties'", "size")),

@@ -1,0 +1,87 @@
+"""``shmoo live``: steps the session in real time, and the page with it."""
+
+from __future__ import annotations
+
+import time
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from shmoo_mjx.assets import WEIGHTS, asset
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.types import DT, SensesName
+
+if TYPE_CHECKING:
+    from shmoo_mjx.live.page import Page
+
+__all__ = ["go_on", "run_live"]
+
+_AT_HOME = ("127.0.0.1", "localhost", "::1")
+_IDLE = 0.02
+"""Time between two looks at what is wanted while the world stands still [s]."""
+
+
+def run_live(
+    scene: str,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    senses: SensesName = "real",
+    weights: Path | None = None,
+    out: Path = Path("runs/live"),
+    seconds: float | None = None,
+) -> int:
+    """Open the page and go on until Ctrl-C, or for ``seconds`` of wall-clock time.
+
+    Args:
+        scene: "demo SEED", a scenario of the package or of ``out`` by its name, or a scenario file.
+        host: network interface to listen on.
+        port: where the page is.
+        senses: what the robot perceives with.
+        weights: trained weights; the shipped ones if not given.
+        out: folder for what is saved on the page.
+        seconds: when to end.
+
+    Returns:
+        0.
+    """
+    missing = [name for name in ("viser", "mjviser") if find_spec(name) is None]
+    if missing:
+        names = " and ".join(missing)
+        raise ShmooError(f"shmoo live needs {names}, not installed here; in a clone, pip install '.[live]'.")
+    from shmoo_mjx.learning.weights import load_weights
+    from shmoo_mjx.live.page import Page
+    from shmoo_mjx.live.session import Session, scene_named
+
+    session = Session(load_weights(weights or asset(WEIGHTS)), partial(scene_named, scene, out), senses, out)
+    try:
+        page = Page(session, host, port)
+    except OSError as error:
+        raise ShmooError(f"--host {host}: the page can't be served there ({error.strerror or error}).") from None
+    if host not in _AT_HOME:
+        print(f"Everybody who reaches {host} can use this page; it asks for no password.")
+    print(f"{page.url}   (Ctrl-C ends it)", flush=True)
+    try:
+        go_on(page, seconds)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        page.close()
+        session.close()
+    return 0
+
+
+def go_on(page: Page, seconds: float | None = None) -> None:
+    """Step the page's session in real time, or as the page sets it, for ``seconds`` of wall-clock time."""
+    began = time.perf_counter()
+    due = began
+    while seconds is None or time.perf_counter() - began < seconds:
+        if not page.carry_out():
+            time.sleep(_IDLE)
+            due = time.perf_counter()
+            continue
+        page.session.step()
+        page.show()
+        # What was late is not caught up with: a world in a hurry would be another one.
+        due = max(due + (DT / page.speed if page.speed else 0.0), time.perf_counter() - DT)
+        time.sleep(max(0.0, due - time.perf_counter()))

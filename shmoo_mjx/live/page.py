@@ -1,0 +1,426 @@
+"""The live page: a viser server that draws a :class:`~shmoo_mjx.live.session.Session` and takes what a person wants.
+
+The page's callbacks come in threads of the server. They only put what is wanted into a queue; whoever runs the session
+carries it out between two samples (:meth:`Page.carry_out`), so that nothing changes under the simulation's feet.
+Pictures are drawn by a thread of their own, between the last two samples, smoothly whatever a sample takes.
+"""
+
+from __future__ import annotations
+
+import io
+import queue
+import threading
+import time
+from collections.abc import Callable
+from contextlib import redirect_stdout
+from functools import partial
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+import viser
+import viser.uplot
+from mjviser import ViserMujocoScene
+from pydantic import ValidationError
+
+from shmoo_mjx import se2
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.live import overlay
+from shmoo_mjx.live.session import Session, scenes
+from shmoo_mjx.navigation import flat_trajectory
+from shmoo_mjx.navigation.scenario import FAMILIES
+from shmoo_mjx.types import DT
+
+__all__ = ["PICTURES", "Page"]
+
+PICTURES = 20.0
+"""Pictures that are sent each second."""
+_SPEEDS = {"0.25 x": 0.25, "0.5 x": 0.5, "1 x": 1.0, "2 x": 2.0, "as fast as it goes": 0.0}
+_GOAL, _NEW = "sets the goal", "puts down the new object"
+_KEPT = 30.0
+"""Time that the curves show [s]."""
+
+
+class _World(NamedTuple):
+    """What pictures are drawn of."""
+
+    number: int
+    """Session.started when it was made."""
+    scene: ViserMujocoScene
+    model: mujoco.MjModel
+    data: mujoco.MjData
+
+
+class Page:
+    """A page in the browser on ``http://host:port``.
+
+    Args:
+        session: what is shown; stepped by the caller.
+        host: network interface that is listened on.
+        port: number; another one is taken if it is in use.
+    """
+
+    def __init__(self, session: Session, host: str = "127.0.0.1", port: int = 8080) -> None:
+        self.session = session
+        with redirect_stdout(io.StringIO()):  # its banner
+            self.server = viser.ViserServer(host=host, port=port, label="shmoo live", verbose=False)
+        self.paused, self.speed, self.pictures = False, 1.0, 0
+        self._wanted: queue.SimpleQueue[Callable[[], str | None]] = queue.SimpleQueue()
+        self._single = False
+        self._lock = threading.RLock()
+        self._closed = threading.Event()
+        self._world: _World | None = None
+        self._samples: tuple[np.ndarray, np.ndarray, float] | None = None
+        self._handles: list[Any] = []
+        self._history: list[tuple[float, float, float]] = []
+        # Its button to share a page would hand this one to a server elsewhere.
+        self.server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
+        self.server.scene.set_up_direction("+z")
+        self._build()
+        self._redraw()
+        self.server.scene.on_click()(self._clicked)
+        self._drawing = threading.Thread(target=self._draw, name="pictures", daemon=True)
+        self._drawing.start()
+
+    @property
+    def url(self) -> str:
+        """Where the page is."""
+        return f"http://{self.server.get_host()}:{self.server.get_port()}"
+
+    def close(self) -> None:
+        """Stop the server."""
+        self._closed.set()
+        self._drawing.join(timeout=2.0)
+        with redirect_stdout(io.StringIO()):
+            self.server.stop()
+
+    def carry_out(self) -> bool:
+        """Do what was asked for on the page since the last call; whether a sample is due then."""
+        while True:
+            try:
+                wanted = self._wanted.get_nowait()
+            except queue.Empty:
+                break
+            try:
+                self._say(wanted() or "")
+            except ShmooError as error:
+                self._say(str(error), refused=True)
+            except (ValidationError, ValueError, OSError) as error:
+                self._say(f"That can't be done: {error}", refused=True)
+        due, self._single = not self.paused or self._single, False
+        return due
+
+    def show(self) -> None:
+        """Take in the session's last sample: lines, words and curves at once, the world from now on."""
+        session = self.session
+        if self._world is None or self._world.number != session.started:
+            self._redraw()
+        now = session.simulation.qpos
+        with self._lock:
+            before = now if self._samples is None or len(self._samples[1]) != len(now) else self._samples[1]
+            self._samples = (before, now, time.perf_counter())
+        self._draw_lines()
+        self._tell()
+
+    def _ask(self, wanted: Callable[[], str | None]) -> None:
+        self._wanted.put(wanted)
+
+    def _say(self, text: str, refused: bool = False) -> None:
+        if text:
+            self._message.content = f"**{'Refused' if refused else 'Done'}.** {text}"
+
+    # The panel.
+
+    def _build(self) -> None:
+        gui = self.server.gui
+        self._state = gui.add_markdown("")
+        self._message = gui.add_markdown("")
+        self._objects = gui.add_markdown("")
+        empty = np.zeros(1)
+        curves = (
+            viser.uplot.Series(label="t [s]"),
+            viser.uplot.Series(label="lean [deg]", stroke="#0072B2", width=2),
+            viser.uplot.Series(label="force [N / 10]", stroke="#D55E00", width=2),
+        )
+        self._curves = gui.add_uplot((empty, empty, empty), curves, aspect=2.2, scales={"x": {"time": False}})
+        with gui.add_folder("Run"):
+            pause = gui.add_checkbox("paused", False)
+            step = gui.add_button("one sample of 0.1 s")
+            speed = gui.add_dropdown("speed", tuple(_SPEEDS), initial_value="1 x")
+            reset = gui.add_button("begin again")
+        with gui.add_folder("Scene", expand_by_default=False):
+            self._scene = gui.add_dropdown("scene", tuple(scenes(self.session.out)))
+            load = gui.add_button("load it")
+            name = gui.add_text("name", "mine")
+            save = gui.add_button("save the scene as it is now")
+            report = gui.add_button("save the run as a report")
+        with gui.add_folder("Goal and new objects"):
+            self._click = gui.add_dropdown("a click on the floor", (_GOAL, _NEW))
+            goal = gui.add_vector2("goal x, y [m]", self.session.scenario.goal, step=0.05)
+            go = gui.add_button("go there")
+            family = gui.add_dropdown("family", FAMILIES)
+            mass = gui.add_slider("mass [kg]", 1.0, 80.0, 0.5, 8.0)
+            load_mass = gui.add_slider("load [kg]", 0.0, 100.0, 1.0, 0.0)
+            friction = gui.add_slider("friction", 0.1, 1.2, 0.01, 0.4)
+            braked = gui.add_checkbox("brakes on", False)
+            where = gui.add_vector3("x, y [m], heading [deg]", (0.0, 0.0, 0.0), step=0.05)
+            put = gui.add_button("put it there")
+        with gui.add_folder("An object that is there"):
+            self._which = gui.add_dropdown("object", ("none",))
+            heavier = gui.add_slider("load [kg]", 0.0, 100.0, 1.0, 0.0)
+            slippery = gui.add_slider("friction", 0.1, 1.2, 0.01, 0.4)
+            brakes = gui.add_checkbox("brakes on", False)
+            alter = gui.add_button_group("now", ("set load", "set friction", "set brakes"))
+            self._drag = gui.add_checkbox("drag objects by handles", False)
+        with gui.add_folder("Show", expand_by_default=False):
+            names = ("path", "roll-outs", "camera", "what it believes")
+            self._shown = {name: gui.add_checkbox(name, True) for name in names}
+        session = self.session
+        pause.on_update(lambda _: setattr(self, "paused", bool(pause.value)))
+        step.on_click(lambda _: self._ask(self._one_sample))
+        speed.on_update(lambda _: setattr(self, "speed", _SPEEDS[speed.value]))
+        reset.on_click(lambda _: self._ask(self._reset))
+        load.on_click(lambda _: self._ask(partial(self._load, self._scene.value)))
+        save.on_click(lambda _: self._ask(partial(self._save, name.value)))
+        report.on_click(lambda _: self._ask(partial(self._report, name.value)))
+        go.on_click(lambda _: self._ask(partial(self._head_for, *goal.value)))
+
+        def new(x: float, y: float) -> Callable[[], str]:
+            properties = {"mass": mass.value, "payload": load_mass.value, "friction": friction.value}
+            pose = (float(x), float(y), float(np.deg2rad(where.value[2])))
+            return partial(self._add, family.value, pose, properties, braked.value)
+
+        def change(_: Any) -> None:
+            values = {"set load": heavier.value, "set friction": slippery.value, "set brakes": brakes.value}
+            self._ask(partial(self._alter, self._which.value, alter.value, values[alter.value]))
+
+        self._new = new
+        put.on_click(lambda _: self._ask(new(*where.value[:2])))
+        alter.on_click(change)
+        self._drag.on_update(lambda _: self._ask(self._handles_anew))
+        for box in self._shown.values():
+            box.on_update(lambda _: self._ask(self._draw_lines))
+        session.out.mkdir(parents=True, exist_ok=True)
+
+    def _clicked(self, event: viser.SceneClickEvent) -> None:
+        start, along = np.asarray(event.ray_origin), np.asarray(event.ray_direction)
+        if abs(along[2]) < 1e-6 or -start[2] / along[2] <= 0:
+            return
+        x, y = (start - start[2] / along[2] * along)[:2].tolist()
+        self._ask(partial(self._head_for, x, y) if self._click.value == _GOAL else self._new(x, y))
+
+    # What is asked for, carried out between samples.
+
+    def _one_sample(self) -> None:
+        self._single = True
+
+    def _reset(self) -> str:
+        self.session.reset()
+        self._history.clear()
+        return "The scene begins again."
+
+    def _load(self, name: str) -> str:
+        found = scenes(self.session.out)
+        if name not in found:
+            raise ShmooError(f"There is no scene {name!r} any more.")
+        self.session.load(found[name])
+        self._history.clear()
+        return f"Loaded {name}."
+
+    def _save(self, name: str) -> str:
+        path = self.session.save_scenario(name)
+        self._scene.options = tuple(scenes(self.session.out))
+        return f"Saved {path}; shmoo navigate --scenario {path}"
+
+    def _report(self, name: str) -> str:
+        return f"Saved {self.session.save_report(name)}."
+
+    def _head_for(self, x: float, y: float) -> str:
+        self.session.head_for(x, y)
+        return f"It heads for ({x:.2f}, {y:.2f})."
+
+    def _add(self, family: str, pose: tuple[float, float, float], properties: dict[str, float], braked: bool) -> str:
+        session, index = self.session, len(self.session.scenario.objects)
+        session.add(family, pose, properties)
+        if session.simulation.conditions[index].locked:
+            session.brake(index, braked)
+        return f"Object {index}: {session.simulation.conditions[index].describe()}."
+
+    def _alter(self, which: str, what: str, value: Any) -> str:
+        if not which.isdigit():
+            raise ShmooError("There is no object yet; put one down first.")
+        index, session = int(which), self.session
+        if what == "set brakes":
+            session.brake(index, bool(value))
+        else:
+            session.alter(index, **{"set load": {"payload": value}, "set friction": {"friction": value}}[what])
+        return f"Object {index}: {session.simulation.conditions[index].describe()}."
+
+    def _place(self, index: int, pose: tuple[float, float, float]) -> str:
+        try:
+            self.session.place(index, pose)
+        finally:
+            self._handles_anew()
+        return f"Object {index} stands at ({pose[0]:.2f}, {pose[1]:.2f})."
+
+    def _handles_anew(self) -> None:
+        """A handle on every object, where it stands now."""
+        for handle in self._handles:
+            handle.remove()
+        self._handles = []
+        if not self._drag.value:
+            return
+        for index, pose in enumerate(self.session.simulation.true.object_pose[0]):
+            handle = self.server.scene.add_transform_controls(
+                f"/handles/{index}",
+                scale=0.7,
+                active_axes=(True, True, False),
+                position=(pose[0], pose[1], 0.05),
+                wxyz=(np.cos(pose[2] / 2), 0.0, 0.0, np.sin(pose[2] / 2)),
+                depth_test=False,
+            )
+
+            def dropped(_: Any, index: int = index, handle: Any = handle) -> None:
+                yaw = 2 * np.arctan2(handle.wxyz[3], handle.wxyz[0])
+                place = (float(handle.position[0]), float(handle.position[1]), float(se2.wrap(yaw)))
+                self._ask(partial(self._place, index, place))
+
+            handle.on_drag_end(dropped)
+            self._handles.append(handle)
+
+    # Pictures.
+
+    def _redraw(self) -> None:
+        """Another world, or the same with other objects: all of it is drawn anew."""
+        session = self.session
+        with self._lock, self.server.atomic():
+            self.server.scene.reset()
+            model = session.simulation.scene.model
+            scene = ViserMujocoScene(self.server, model, num_envs=1)
+            scene.camera_tracking_enabled = False
+            self._lay_floor()
+            fresh = self._world is None
+            self._world = _World(session.started, scene, model, mujoco.MjData(model))
+            now = session.simulation.qpos
+            self._samples = (now, now, time.perf_counter())
+        self._handles = []
+        count = len(session.scenario.objects)
+        self._which.options = tuple(str(i) for i in range(count)) or ("none",)
+        self._handles_anew()
+        self._draw_lines()
+        self._tell()
+        if fresh:
+            centre, size = self._extent()
+            reach, camera = max(size), self.server.initial_camera
+            x = centre[0] + 0.12 * reach  # to the right of the map's middle stands the panel
+            camera.position, camera.look_at = (x, centre[1] - 0.5 * reach, 0.75 * reach), (x, centre[1], 0.0)
+
+    def _extent(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Centre and size of the map in {W} [m]."""
+        low_x, low_y, high_x, high_y = self.session.simulation.grid.bounds
+        return ((low_x + high_x) / 2, (low_y + high_y) / 2), (high_x - low_x, high_y - low_y)
+
+    def _lay_floor(self) -> None:
+        """A pale floor as large as the map, with a line each metre, in the place of an endless one."""
+        for name in ("/fixed_bodies/world/floor", "/fixed_bodies/world/None"):
+            if endless := self.server.scene.get_handle_by_name(name):
+                endless.visible = False
+        centre, size = self._extent()
+        self.server.scene.add_grid(
+            "/floor", width=size[0], height=size[1], cell_size=1.0, section_size=1.0, cell_color=(225, 226, 230),
+            section_color=(225, 226, 230), section_thickness=1.0, position=(*centre, 0.0), plane_color=(250, 250, 248),
+            plane_opacity=1.0, shadow_opacity=0.15,
+        )  # fmt: skip
+
+    def _draw(self) -> None:
+        """Pictures between the last two samples."""
+        while not self._closed.wait(1.0 / PICTURES):
+            with self._lock:
+                if self._world is None or self._samples is None:
+                    continue
+                before, now, since = self._samples
+                length = DT / self.speed if self.speed else DT / 2
+                part = float(np.clip((time.perf_counter() - since) / length, 0.0, 1.0))
+                world = self._world
+                world.data.qpos[:] = before + part * (now - before)
+                mujoco.mj_normalizeQuat(world.model, world.data.qpos)
+                mujoco.mj_kinematics(world.model, world.data)
+                with self.server.atomic():
+                    world.scene.update_from_mjdata(world.data)
+                self.pictures += 1
+
+    def _draw_lines(self) -> None:
+        session = self.session
+        simulation, state = session.simulation, session.simulation.navigator.state
+        way, trajectory = state.path, state.drive.trajectory
+        if state.segment is not None:
+            way = state.segment.way if str(state.mode) == "approach" else None
+        local = None
+        if trajectory is not None:
+            local = flat_trajectory.evaluate(trajectory, np.linspace(0.0, trajectory.horizon, 25)).position
+        goal = np.append(state.goal, 0.0)
+        sizes = [c.half_extents for c in simulation.conditions]
+        drawn = {
+            "path": (overlay.path(None if way is None else way.points), 0.03),
+            "path/local": (overlay.path(local, "#CC79A7"), 0.05),
+            "roll-outs": (overlay.rollouts(session.plan), 0.008),
+            "camera": (overlay.field_of_view(session.senses.camera, simulation.true.robot_pose[0]), 0.015),
+            "what it believes": (overlay.believed(simulation.navigator, simulation.seen, sizes), 0.03),
+        }
+        with self.server.atomic():
+            for name, (lines, thickness) in drawn.items():
+                shown = self._shown[name.partition("/")[0]].value and len(lines.points) > 0
+                self.server.scene.add_line_segments(
+                    f"/lines/{name}",
+                    lines.points if shown else np.zeros((1, 2, 3)),
+                    lines.colours if shown else np.zeros((1, 2, 3), dtype=np.uint8),
+                    thickness=thickness,
+                    visible=bool(shown),
+                )
+            self.server.scene.add_icosphere("/lines/goal", 0.12, color=(0, 158, 115), position=tuple(goal))
+
+    # Words.
+
+    def _tell(self) -> None:
+        session = self.session
+        simulation, navigator = session.simulation, session.simulation.navigator
+        true, force = simulation.true, 0.0
+        if true.wrench.size:
+            force = float(np.linalg.norm(true.wrench[0, :, :2].sum(axis=0)))
+        lean = float(np.rad2deg(np.linalg.norm(true.lean[0])))
+        said = navigator.transitions[-1].reason if navigator.transitions else "it looks for a way"
+        state = f"{navigator.mode}" if not simulation.record.falls else "fallen; begin again"
+        spent = 1e3 * np.array(session.spent or [0.0])
+        self._state.content = (
+            f"### {state}\n{said}\n\n"
+            f"{simulation.time:.1f} s, lean {lean:.1f}°, force {force:.0f} N, senses {session.senses.name}\n\n"
+            f"control step: median {np.median(spent):.0f} ms, worst {spent.max():.0f} ms of the last {len(spent)}; "
+            f"{session.late} longer than {1e3 * DT:.0f} ms"
+        )
+        if not self._history or simulation.time > self._history[-1][0]:
+            self._history.append((simulation.time, lean, force / 10))
+            self._history = [row for row in self._history if row[0] > simulation.time - _KEPT]
+        if round(simulation.time / DT) % 5 == 0:
+            self._objects.content = self._table()
+            t, leans, forces = (np.array(column) for column in zip(*self._history, strict=True))
+            self._curves.data = (t, leans, forces)
+
+    def _table(self) -> str:
+        """What the robot thinks of each object, as Markdown."""
+        navigator = self.session.simulation.navigator
+        rows = ["| object | status | verdict | moves | learned |", "|---|---|---|---|---|"]
+        for index, condition in enumerate(self.session.simulation.conditions):
+            known = navigator.belief.objects.get(index)
+            if known is None:
+                rows.append(f"| {index} {condition.family} | not seen yet | | | |")
+                continue
+            verdicts = [d for d in navigator.decisions if d.object == index]
+            last = f"K = {verdicts[-1].K:.2f} m²" if verdicts else "not touched"
+            moves = {None: "?", True: "yes", False: "no"}[known.manipulable]
+            learned = ""
+            if known.adapt is not None:
+                away = np.asarray(known.adapt.mean - known.adapt.prior_mean)
+                spread = np.diagonal(np.asarray(known.adapt.prior_covariance))
+                learned = f"{np.sqrt(np.mean(away**2 / spread)):.1f} sigma from the prior"
+            rows.append(f"| {index} {condition.family} | {known.status} | {last} | {moves} | {learned} |")
+        return "\n".join(rows)

@@ -1,0 +1,256 @@
+"""What the live page shows and changes, without the page: a simulation, and what a person does to its world.
+
+Whatever is asked for and can't be is refused with a :class:`~shmoo_mjx.errors.ShmooError`, before anything changes.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shmoo_mjx.assets import asset
+from shmoo_mjx.control.mppi import Plan
+from shmoo_mjx.control.pushing import PushController
+from shmoo_mjx.episode import result_of, trace_of
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.learning.weights import Weights
+from shmoo_mjx.navigation.floorplan import demo_scenario
+from shmoo_mjx.navigation.maps import OccupancyGrid, load_map, save_map
+from shmoo_mjx.navigation.scenario import (
+    MOST_OBJECTS,
+    ROBOT_RADIUS,
+    ObjectEntry,
+    Scenario,
+    check_place,
+    check_point,
+    check_scenario,
+    load_scenario,
+    save_scenario,
+)
+from shmoo_mjx.navigation.yaml_input import validated
+from shmoo_mjx.run import checked_objects, save_run
+from shmoo_mjx.seeds import seed_of
+from shmoo_mjx.sensing import Senses, senses_named
+from shmoo_mjx.simulation import Simulation
+from shmoo_mjx.types import DT, SensesName
+
+__all__ = ["Scene", "Session", "scene_named", "scenes"]
+
+Scene = Callable[[], tuple[OccupancyGrid, Scenario]]
+"""Loads a map and what stands in it."""
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,60}")
+_DEMOS = 20
+
+
+def scenes(own: Path) -> dict[str, Scene]:
+    """What can be loaded, by name: the demo's floor plans, the scenarios of the package, and those saved in ``own``."""
+    found: dict[str, Scene] = {f"demo {seed}": partial(demo_scenario, seed) for seed in range(_DEMOS)}
+    files = [*sorted(asset("experiments/scenarios").glob("*.yaml")), *sorted(own.glob("*.yaml"))]
+    return found | {path.stem: partial(_from_file, path) for path in files if not path.stem.endswith(".map")}
+
+
+def scene_named(name: str, own: Path) -> tuple[OccupancyGrid, Scenario]:
+    """Load the scene of that name, a demo of any seed, or a scenario file."""
+    known = scenes(own)
+    if name in known:
+        return known[name]()
+    if name.startswith("demo ") and name[5:].isdigit():
+        return demo_scenario(seed_of("the scene's seed", name[5:]))
+    if name.endswith((".yaml", ".yml")):
+        return _from_file(Path(name))
+    others = ", ".join(known_name for known_name in known if not known_name.startswith("demo "))
+    raise ShmooError(f"{name!r} is no scene; choose 'demo SEED', a scenario file (*.yaml), or one of {others}.")
+
+
+def _from_file(path: Path) -> tuple[OccupancyGrid, Scenario]:
+    scenario = load_scenario(path)
+    if scenario.map is None:
+        raise ShmooError(f"{path}: field 'map' is missing; add it.")
+    grid = load_map(Path(scenario.map))
+    check_scenario(grid, scenario, ROBOT_RADIUS, str(path))
+    checked_objects(grid, scenario, str(path))
+    return grid, scenario
+
+
+class _Watched(PushController):
+    """A controller whose last plan can be looked at."""
+
+    last_plan: Plan | None = None
+
+    def step(self, *given: Any, **more: Any) -> tuple[np.ndarray, Any, Plan]:
+        u, state, plan = super().step(*given, **more)
+        self.last_plan = plan
+        return u, state, plan
+
+
+class Session:
+    """A world that goes on until it is closed, whatever its goals.
+
+    Args:
+        weights: of the learned model.
+        load: the first scene.
+        senses: real or perfect.
+        out: folder for what is saved.
+    """
+
+    def __init__(self, weights: Weights, load: Scene, senses: SensesName = "real", out: Path = Path("runs/live")):
+        self.controller = _Watched(weights)
+        self.senses: Senses = senses_named(senses)
+        self.out = out
+        self.simulation: Simulation
+        self.spent: deque[float] = deque(maxlen=100)
+        """Wall-clock time of the last control steps [s]."""
+        self.late = 0
+        """Samples that took longer to compute than they last."""
+        self.started = 0
+        """How many worlds there have been: a page draws a new one anew, and one with other objects too."""
+        self._start = load()
+        self._begin(*self._start)
+
+    @property
+    def scenario(self) -> Scenario:
+        """What stands in the world, as it was put there."""
+        return self.simulation.scenario
+
+    @property
+    def plan(self) -> Plan | None:
+        """The roll-outs of the last control step, while an object is being pushed."""
+        return self.controller.last_plan if self.simulation.navigator.coefficients is not None else None
+
+    def close(self) -> None:
+        """Stop the simulation's threads."""
+        self.simulation.close()
+
+    def load(self, scene: Scene) -> None:
+        """Another map and scenario."""
+        loaded = scene()
+        self._begin(*loaded)
+        self._start = loaded
+
+    def reset(self) -> None:
+        """The scene as it was loaded."""
+        self._begin(*self._start)
+
+    def _begin(self, grid: OccupancyGrid, scenario: Scenario) -> None:
+        fresh = Simulation(grid, scenario, self.controller, senses=self.senses)
+        if hasattr(self, "simulation"):
+            self.simulation.close()
+        self.simulation, self.controller.last_plan = fresh, None
+        self.spent.clear()
+        self.late, self.started = 0, self.started + 1
+
+    def step(self) -> None:
+        """One sample of 0.1 s. A robot that has fallen lies there."""
+        if self.simulation.record.falls:
+            return
+        began = time.perf_counter()
+        command = self.simulation.decide()
+        spent = time.perf_counter() - began
+        self.simulation.advance(command)
+        self.spent.append(spent)
+        self.late += spent > DT
+
+    def head_for(self, x: float, y: float) -> None:
+        """Another goal in {W} [m]."""
+        simulation = self.simulation
+        if not np.isfinite((x, y)).all():
+            raise ShmooError(f"the goal ({x}, {y}) must be two finite numbers.")
+        check_point(simulation.grid, (x, y), ROBOT_RADIUS, "the goal")
+        simulation.scenario = self.scenario.model_copy(update={"goal": (float(x), float(y))})
+        simulation.navigator.head_for(np.array([x, y]), simulation.time)
+
+    def add(self, family: str, pose: tuple[float, float, float], properties: Mapping[str, Any], seed: int = 0) -> None:
+        """Another object at ``pose`` (x, y, yaw) in {W}; what is not among ``properties`` is drawn by ``seed``."""
+        if len(self.scenario.objects) >= MOST_OBJECTS:
+            raise ShmooError(f"There are {MOST_OBJECTS} objects already; reset the scene.")
+        given = {"family": family, "pose": pose, "properties": dict(properties), "seed": seed}
+        entry = validated(ObjectEntry, given, Path("the new object"))
+        self._check_free(f"the {family}", pose, entry.condition().half_extents)
+        self._change((*self.scenario.objects, entry))
+
+    def place(self, index: int, pose: tuple[float, float, float]) -> None:
+        """Put object ``index`` to ``pose`` in {W}, as somebody would who carries it there."""
+        entry = self._entry(index)
+        self._check_free(f"object {index}", pose, self.simulation.conditions[index].half_extents, index)
+        self.simulation.place(index, pose)
+        objects = list(self.scenario.objects)
+        objects[index] = entry.model_copy(update={"pose": tuple(float(v) for v in pose)})
+        self.simulation.scenario = self.scenario.model_copy(update={"objects": tuple(objects)})
+
+    def alter(self, index: int, **properties: Any) -> None:
+        """Other ``properties`` (docs/scenario.md) of object ``index``, at once: a load, brakes, friction."""
+        entry, objects = self._entry(index), list(self.scenario.objects)
+        objects[index] = entry.model_copy(update={"properties": {**entry.properties, **properties}})
+        self._change(tuple(objects))
+
+    def brake(self, index: int, on: bool) -> None:
+        """Press or release all of an object's brakes; a wheelchair's are on its rear wheels."""
+        family = self._entry(index).family
+        count = len(self.simulation.conditions[index].locked)
+        if not count:
+            raise ShmooError(f"Object {index}, a {Path(family).stem}, has no wheels to brake.")
+        braked = 2 if family == "wheelchair" else count
+        self.alter(index, locked=[on] * braked + [False] * (count - braked))
+
+    def _change(self, objects: tuple[ObjectEntry, ...]) -> None:
+        self.simulation.change(self.scenario.model_copy(update={"objects": objects}))
+        self.started += 1
+
+    def _entry(self, index: int) -> ObjectEntry:
+        if not 0 <= index < len(self.scenario.objects):
+            raise ShmooError(f"There is no object {index}; add one first.")
+        return self.scenario.objects[index]
+
+    def _check_free(
+        self, what: str, pose: tuple[float, float, float], half_extents: tuple[float, float], index: int = -1
+    ) -> None:
+        true = self.simulation.true
+        others = {
+            f"object {i}": (true.object_pose[0, i], c.half_extents)
+            for i, c in enumerate(self.simulation.conditions)
+            if i != index
+        }
+        check_place(self.simulation.grid, what, pose, half_extents, true.robot_pose[0, :2], others)
+
+    def as_it_stands(self) -> Scenario:
+        """The scenario that begins with the world as it is now."""
+        true = self.simulation.true
+        poses = true.object_pose[0].tolist()
+        objects = tuple(
+            o.model_copy(update={"pose": tuple(p)}) for o, p in zip(self.scenario.objects, poses, strict=True)
+        )
+        return self.scenario.model_copy(update={"start": tuple(true.robot_pose[0].tolist()), "objects": objects})
+
+    def save_scenario(self, name: str) -> Path:
+        """Write the present scene and its map as NAME.yaml and NAME.map.yaml into the session's folder."""
+        path = self.out / f"{_checked(name)}.yaml"
+        self.out.mkdir(parents=True, exist_ok=True)
+        save_map(self.simulation.grid, path.with_suffix(".map.yaml"))
+        save_scenario(self.as_it_stands().model_copy(update={"map": f"{name}.map.yaml"}), path)
+        return path
+
+    def save_report(self, name: str) -> Path:
+        """Write the run so far as a report into the folder NAME; the page report.html."""
+        from shmoo_mjx.report.html import write_report
+
+        folder, simulation = self.out / _checked(name), self.simulation
+        if not simulation.record.rows:
+            raise ShmooError("Nothing has happened yet; let the robot run first.")
+        save_run(folder, simulation.grid, self.scenario, result_of(simulation), trace_of(simulation), self.controller)
+        (folder / "episode.mp4").unlink(missing_ok=True)
+        write_report(folder)
+        return folder / "report.html"
+
+
+def _checked(name: str) -> str:
+    if not _NAME.fullmatch(name):
+        raise ShmooError(f"{name!r} is no name for a file here; use letters, digits, '_', '-' and '.'.")
+    return name

@@ -1,0 +1,173 @@
+"""What a person does to the world while the robot is in it: it happens, nothing else changes, and what can't be is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.learning.weights import load_weights
+from shmoo_mjx.live.session import Session, scene_named, scenes
+from shmoo_mjx.navigation.scenario import load_scenario
+from shmoo_mjx.report.trace import load_result
+from shmoo_mjx.run import load_inputs
+
+pytest.importorskip("viser")
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Iterator[Session]:
+    made = Session(load_weights(), lambda: scene_named("box_in_doorway", tmp_path), "real", tmp_path)
+    yield made
+    made.close()
+
+
+def run(session: Session, samples: int) -> None:
+    for _ in range(samples):
+        session.step()
+
+
+def free_place(session: Session) -> tuple[float, float, float]:
+    """Ahead of the robot, in its camera's sight."""
+    x, y, yaw = session.simulation.true.robot_pose[0]
+    return float(x + 1.2 * np.cos(yaw)), float(y + 1.2 * np.sin(yaw)), 0.3
+
+
+def test_the_same_world_goes_on_as_if_nothing_had_been_changed(session: Session) -> None:
+    run(session, 8)
+    simulation = session.simulation
+    command = simulation.decide()
+    before, physics = simulation.world, simulation.world.truth.physics.copy()
+    simulation.change(session.scenario)
+    np.testing.assert_array_equal(simulation.world.truth.physics, physics)
+    after, seen = simulation.engine.step(simulation.world, command)
+    same, also_seen = simulation.engine.step(before, command)
+    np.testing.assert_array_equal(after.truth.physics, same.truth.physics)
+    for one, other in zip(seen, also_seen, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_what_is_put_down_stands_there_is_seen_and_nothing_else_moves(session: Session) -> None:
+    run(session, 5)
+    before, pose = session.simulation.true, free_place(session)
+    session.add("cart", pose, {"mass": 12.0, "payload": 5.0, "friction": 0.6})
+    simulation = session.simulation
+    np.testing.assert_allclose(simulation.true.object_pose[0, -1], pose, atol=1e-6)
+    np.testing.assert_array_equal(simulation.true.object_pose[0, :-1], before.object_pose[0])
+    np.testing.assert_array_equal(simulation.true.robot_pose, before.robot_pose)
+    assert simulation.conditions[-1].total_mass == pytest.approx(17.0) and simulation.time == float(before.time[0])
+    assert np.isnan(simulation.seen.object_pose[0, -1]).all()
+    run(session, 5)
+    assert np.linalg.norm(session.simulation.seen.object_pose[0, -1, :2] - pose[:2]) < 0.1
+    assert len(simulation.navigator.belief.objects) >= 1 and not simulation.record.falls
+
+
+def test_an_object_is_carried_elsewhere_and_rests_there(session: Session) -> None:
+    run(session, 3)
+    pose = free_place(session)
+    session.place(0, pose)
+    np.testing.assert_allclose(session.simulation.true.object_pose[0, 0], pose, atol=1e-9)
+    run(session, 5)
+    np.testing.assert_allclose(session.simulation.true.object_pose[0, 0], pose, atol=0.01)
+
+
+def test_loads_and_brakes_reach_the_physics(session: Session) -> None:
+    session.add("wheelchair", free_place(session), {"mass": 10.0})
+    index = len(session.scenario.objects) - 1
+
+    def weight() -> float:
+        model = session.simulation.scene.model
+        return float(model.body_subtreemass[model.body(f"object{index}/object").id])
+
+    light = weight()
+    session.alter(index, payload=40.0)
+    assert weight() - light == pytest.approx(40.0)
+    session.brake(index, True)
+    assert session.simulation.conditions[index].locked == (True, True, False, False)
+    session.brake(index, False)
+    assert not any(session.simulation.conditions[index].locked)
+
+
+@pytest.mark.parametrize("pose", ["wall", "robot", "other", "outside"])
+def test_places_where_nothing_can_stand_are_refused_and_nothing_changes(session: Session, pose: str) -> None:
+    simulation, (x0, y0, _, _) = session.simulation, session.simulation.grid.bounds
+    places = {
+        "wall": (x0 + 0.3, y0 + 0.02, 0.0),
+        "robot": (*simulation.true.robot_pose[0, :2], 0.0),
+        "other": tuple(simulation.true.object_pose[0, 0]),
+        "outside": (x0 - 5.0, y0, 0.0),
+    }
+    before, number = session.scenario, session.started
+    with pytest.raises(ShmooError):
+        session.add("box", places[pose], {"mass": 5.0})
+    assert session.scenario is before and session.started == number and session.simulation is simulation
+
+
+def test_what_makes_no_sense_is_refused(session: Session) -> None:
+    x, y, yaw = free_place(session)
+    for bad in (
+        lambda: session.add("sofa", (x, y, yaw), {}),
+        lambda: session.add("box", (x, y, float("nan")), {}),
+        lambda: session.add("box", (x, y, yaw), {"mass": -1.0}),
+        lambda: session.alter(7, payload=1.0),
+        lambda: session.alter(0, payload=float("inf")),
+        lambda: session.brake(0, True),
+        lambda: session.head_for(float("inf"), 0.0),
+        lambda: session.head_for(*session.simulation.grid.bounds[:2]),
+        lambda: session.save_scenario("../elsewhere"),
+        lambda: session.save_report("no time has passed"),
+        lambda: scene_named("no such scene", session.out),
+    ):
+        number = session.started
+        with pytest.raises(ShmooError):
+            bad()
+        assert session.started == number
+
+
+def test_another_goal_is_headed_for(session: Session) -> None:
+    run(session, 3)
+    x, y, yaw = session.simulation.true.robot_pose[0]
+    goal = (float(x + 0.5 * np.cos(yaw)), float(y + 0.5 * np.sin(yaw)))
+    session.head_for(*goal)
+    run(session, 70)
+    assert np.linalg.norm(session.simulation.true.robot_pose[0, :2] - goal) < 0.25
+
+
+def test_a_saved_scene_is_a_scenario_and_a_saved_run_a_report(session: Session, tmp_path: Path) -> None:
+    run(session, 4)
+    session.add("box", free_place(session), {"mass": 5.0})
+    run(session, 4)
+    path = session.save_scenario("mine")
+    _, scenario = load_inputs(None, path, None, None)
+    assert len(scenario.objects) == len(session.scenario.objects) and "mine" in scenes(tmp_path)
+    true = session.simulation.true
+    np.testing.assert_allclose(scenario.start, true.robot_pose[0])
+    np.testing.assert_allclose([o.pose for o in scenario.objects], true.object_pose[0])
+    session.load(lambda: scene_named("mine", tmp_path))
+    np.testing.assert_allclose(session.simulation.true.robot_pose[0], scenario.start, atol=1e-6)
+
+    run(session, 3)
+    page = session.save_report("run")
+    assert page.stat().st_size > 10_000
+    assert len(load_result(page.parent / "result.json")["objects"]) == len(scenario.objects)
+    assert load_scenario(page.parent / "scenario.yaml").objects
+
+
+def test_a_run_in_which_objects_came_makes_a_report(session: Session) -> None:
+    run(session, 4)
+    session.add("box", free_place(session), {"mass": 5.0})
+    run(session, 3)
+    assert session.save_report("later").exists()
+    assert np.isnan(np.array(session.simulation.record.rows[0]["object_pose"])[-1]).all()
+
+
+def test_begin_again_is_the_scene_as_it_was_loaded(session: Session) -> None:
+    start = session.simulation.true.robot_pose.copy()
+    run(session, 10)
+    session.add("box", free_place(session), {"mass": 5.0})
+    session.reset()
+    np.testing.assert_array_equal(session.simulation.true.robot_pose, start)
+    assert len(session.scenario.objects) == 1 and session.simulation.time == 0.0
