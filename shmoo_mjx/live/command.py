@@ -72,10 +72,10 @@ def run_live(
 
 
 def go_on(page: Page, seconds: float | None = None) -> None:
-    """Step the page's session in real time, or as the page sets it, for ``seconds`` of wall-clock time."""
+    """Step the page's session at the speed it is set to, until it is closed or for ``seconds`` of wall-clock time."""
     began = time.perf_counter()
     due = began
-    while seconds is None or time.perf_counter() - began < seconds:
+    while not page.closed and (seconds is None or time.perf_counter() - began < seconds):
         if not page.carry_out():
             time.sleep(_IDLE)
             due = time.perf_counter()

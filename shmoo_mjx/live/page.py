@@ -64,7 +64,7 @@ class Page:
         self.session = session
         with redirect_stdout(io.StringIO()):  # its banner
             self.server = viser.ViserServer(host=host, port=port, label="shmoo live", verbose=False)
-        self.paused, self.speed, self.pictures = False, 1.0, 0
+        self.speed, self.pictures = 1.0, 0
         self._wanted: queue.SimpleQueue[Callable[[], str | None]] = queue.SimpleQueue()
         self._single = False
         self._lock = threading.RLock()
@@ -86,6 +86,20 @@ class Page:
     def url(self) -> str:
         """Where the page is."""
         return f"http://{self.server.get_host()}:{self.server.get_port()}"
+
+    @property
+    def paused(self) -> bool:
+        """Whether the world stands still, as the page's box says."""
+        return bool(self._pause.value)
+
+    @paused.setter
+    def paused(self, stands: bool) -> None:
+        self._pause.value = stands
+
+    @property
+    def closed(self) -> bool:
+        """Whether it has been closed."""
+        return self._closed.is_set()
 
     def close(self) -> None:
         """Stop the server."""
@@ -113,6 +127,8 @@ class Page:
     def show(self) -> None:
         """Take in the session's last sample: lines, words and curves at once, the world from now on."""
         session = self.session
+        if self.closed:
+            return
         if self._world is None or self._world.number != session.started:
             self._redraw()
         now = session.simulation.qpos
@@ -144,7 +160,7 @@ class Page:
         )
         self._curves = gui.add_uplot((empty, empty, empty), curves, aspect=2.2, scales={"x": {"time": False}})
         with gui.add_folder("Run"):
-            pause = gui.add_checkbox("paused", False)
+            self._pause = gui.add_checkbox("paused", False)
             step = gui.add_button("one sample of 0.1 s")
             speed = gui.add_dropdown("speed", tuple(_SPEEDS), initial_value="1 x")
             reset = gui.add_button("begin again")
@@ -156,14 +172,14 @@ class Page:
             report = gui.add_button("save the run as a report")
         with gui.add_folder("Goal and new objects"):
             self._click = gui.add_dropdown("a click on the floor", (_GOAL, _NEW))
-            goal = gui.add_vector2("goal x, y [m]", self.session.scenario.goal, step=0.05)
+            self._goal = gui.add_vector2("goal x, y [m]", self.session.scenario.goal, step=0.05)
             go = gui.add_button("go there")
             family = gui.add_dropdown("family", FAMILIES)
             mass = gui.add_slider("mass [kg]", 1.0, 80.0, 0.5, 8.0)
             load_mass = gui.add_slider("load [kg]", 0.0, 100.0, 1.0, 0.0)
             friction = gui.add_slider("friction", 0.1, 1.2, 0.01, 0.4)
             braked = gui.add_checkbox("brakes on", False)
-            where = gui.add_vector3("x, y [m], heading [deg]", (0.0, 0.0, 0.0), step=0.05)
+            self._where = gui.add_vector3("x, y [m], heading [deg]", (0.0, 0.0, 0.0), step=0.05)
             put = gui.add_button("put it there")
         with gui.add_folder("An object that is there"):
             self._which = gui.add_dropdown("object", ("none",))
@@ -176,18 +192,17 @@ class Page:
             names = ("path", "roll-outs", "camera", "what it believes")
             self._shown = {name: gui.add_checkbox(name, True) for name in names}
         session = self.session
-        pause.on_update(lambda _: setattr(self, "paused", bool(pause.value)))
         step.on_click(lambda _: self._ask(self._one_sample))
         speed.on_update(lambda _: setattr(self, "speed", _SPEEDS[speed.value]))
         reset.on_click(lambda _: self._ask(self._reset))
         load.on_click(lambda _: self._ask(partial(self._load, self._scene.value)))
         save.on_click(lambda _: self._ask(partial(self._save, name.value)))
         report.on_click(lambda _: self._ask(partial(self._report, name.value)))
-        go.on_click(lambda _: self._ask(partial(self._head_for, *goal.value)))
+        go.on_click(lambda _: self._ask(partial(self._head_for, *self._goal.value)))
 
         def new(x: float, y: float) -> Callable[[], str]:
             properties = {"mass": mass.value, "payload": load_mass.value, "friction": friction.value}
-            pose = (float(x), float(y), float(np.deg2rad(where.value[2])))
+            pose = (float(x), float(y), float(np.deg2rad(self._where.value[2])))
             return partial(self._add, family.value, pose, properties, braked.value)
 
         def change(_: Any) -> None:
@@ -195,7 +210,7 @@ class Page:
             self._ask(partial(self._alter, self._which.value, alter.value, values[alter.value]))
 
         self._new = new
-        put.on_click(lambda _: self._ask(new(*where.value[:2])))
+        put.on_click(lambda _: self._ask(new(*self._where.value[:2])))
         alter.on_click(change)
         self._drag.on_update(lambda _: self._ask(self._handles_anew))
         for box in self._shown.values():

@@ -1,4 +1,4 @@
-"""What a person does to the world while the robot is in it: it happens, nothing else changes, and what can't be is refused."""
+"""What a person does to the world happens, nothing else changes, and what can't be is refused."""
 
 from __future__ import annotations
 

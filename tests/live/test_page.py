@@ -1,0 +1,196 @@
+"""The live page: what is asked for on it happens between samples; and in a real browser, where there is one."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("viser")
+pytest.importorskip("mjviser")
+
+from shmoo_mjx.learning.weights import load_weights
+from shmoo_mjx.live.command import go_on
+from shmoo_mjx.live.page import PICTURES, Page
+from shmoo_mjx.live.session import Session, scene_named
+
+
+def free_port() -> int:
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return int(one.getsockname()[1])
+
+
+@pytest.fixture
+def page(tmp_path: Path) -> Iterator[Page]:
+    session = Session(load_weights(), lambda: scene_named("box_in_doorway", tmp_path), "perfect", tmp_path)
+    made = Page(session, port=free_port())
+    yield made
+    made.close()
+    session.close()
+
+
+def said(page: Page) -> str:
+    return str(page._message.content)
+
+
+def test_it_listens_at_home_only_goes_on_and_sends_pictures(page: Page) -> None:
+    assert page.url.startswith("http://127.0.0.1:")
+    page.speed = 0.0
+    before, began = page.pictures, time.perf_counter()
+    go_on(page, 3.0)
+    spent = time.perf_counter() - began
+    assert page.session.simulation.time > 0.3
+    assert page.pictures - before > 0.5 * PICTURES * spent
+    assert str(page.session.simulation.navigator.mode) in page._state.content
+
+
+def test_what_is_asked_for_happens_and_what_can_t_be_is_refused_with_a_sentence(page: Page) -> None:
+    count = len(page.session.scenario.objects)
+    x, y, yaw = page.session.simulation.true.robot_pose[0]
+    place = (float(x + 1.2 * np.cos(yaw)), float(y + 1.2 * np.sin(yaw)))
+    page._ask(page._new(*place))
+    page.carry_out()
+    page.show()
+    assert len(page.session.scenario.objects) == count + 1 and said(page).startswith("**Done.** Object 1: box")
+    assert page._which.options == ("0", "1")
+    for wanted in (
+        page._new(*place),
+        page._new(float("nan"), 0.0),
+        lambda: page._alter("none", "set load", 3.0),
+        lambda: page._alter("1", "set load", -3.0),
+        lambda: page._alter("1", "set brakes", True),
+        lambda: page._head_for(1e9, 0.0),
+        lambda: page._save("../../etc/passwd"),
+        lambda: page._load("gone"),
+    ):
+        page._message.content = ""
+        page._ask(wanted)
+        page.carry_out()
+        assert said(page).startswith("**Refused.**") and len(page.session.scenario.objects) == count + 1
+    page._ask(page._reset)
+    page.carry_out()
+    page.show()
+    assert len(page.session.scenario.objects) == count
+
+
+def test_paused_it_stands_still_but_for_single_samples(page: Page) -> None:
+    page.paused = True
+    go_on(page, 0.3)
+    assert page.session.simulation.time == 0.0
+    page._ask(page._one_sample)
+    go_on(page, 0.5)
+    assert page.session.simulation.time == pytest.approx(0.1)
+
+
+def test_what_it_can_t_show_is_said_in_one_sentence(tmp_path: Path) -> None:
+    code = "from shmoo_mjx.cli import main; main()"
+    for scene, more in (("nonsense", ()), ("gone.yaml", ()), ("demo 0", ("--port", "0")), ("demo -1", ())):
+        command = [sys.executable, "-c", code, "live", scene, *more]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode == 2 and done.stderr.startswith("shmoo: ") and len(done.stderr.splitlines()) == 1
+
+
+def browser() -> Any:
+    webdriver = pytest.importorskip("selenium.webdriver")
+    found = next((p for name in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(name))), None)
+    driver = shutil.which("chromedriver")
+    if found is None or driver is None:
+        pytest.skip("no Chromium with its chromedriver is installed")
+    options = webdriver.ChromeOptions()
+    options.binary_location = found
+    for argument in (
+        "--headless=new", "--no-sandbox", "--window-size=1000,700", "--disable-dev-shm-usage",
+        "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist",
+    ):  # fmt: skip
+        options.add_argument(argument)
+    return webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
+
+
+def wait_for(done: Any, seconds: float) -> Any:
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        if result := done():
+            return result
+        time.sleep(0.2)
+    raise AssertionError(f"not within {seconds} s")
+
+
+@pytest.mark.slow
+def test_in_a_browser_goal_and_object_are_set_and_the_robot_arrives(tmp_path: Path) -> None:
+    from selenium.webdriver.common.by import By
+    from selenium.webdriver.common.keys import Keys
+
+    session = Session(load_weights(), lambda: scene_named("box_in_doorway", tmp_path), "real", tmp_path)
+    page = Page(session, port=free_port())
+    page.speed, page.paused = 0.0, True
+    runner = threading.Thread(target=go_on, args=(page, 240.0), daemon=True)
+    runner.start()
+    chrome = browser()
+
+    def press(text: str) -> None:
+        button = wait_for(lambda: chrome.find_elements(By.XPATH, f"//button[contains(., '{text}')]"), 60)[0]
+        chrome.execute_script("arguments[0].click()", button)
+
+    def enter(label: str, *values: float) -> None:
+        row = f"//label[contains(., '{label}')]/ancestor::*[.//input][1]"
+        fields = chrome.find_elements(By.XPATH, f"{row}//input[not(@type='hidden')]")
+        for field, value in zip(fields[-len(values) :], values, strict=True):
+            field.send_keys(Keys.CONTROL, "a")
+            field.send_keys(str(value), Keys.ENTER)
+        handle = page._goal if "goal" in label else page._where
+        wait_for(lambda: np.allclose(handle.value, values), 20)
+
+    try:
+        chrome.get(page.url)
+        wait_for(lambda: "shmoo live" in chrome.find_element(By.TAG_NAME, "body").text, 60)
+        x, y, yaw = session.simulation.true.robot_pose[0]
+        side, goal = (float(x), float(y + 1.0)), (float(x + 0.8 * np.cos(yaw)), float(y + 0.8 * np.sin(yaw)))
+        enter("x, y [m], heading", *(round(v, 2) for v in side), 0)
+        press("put it there")
+        wait_for(lambda: len(session.scenario.objects) == 2, 60)
+        enter("goal x, y", *(round(v, 2) for v in goal))
+        press("go there")
+        assert np.linalg.norm(np.array(session.scenario.objects[1].pose[:2]) - side) < 0.01
+        wait_for(lambda: np.allclose(session.scenario.goal, goal, atol=0.01), 20)
+        chrome.find_element(By.XPATH, "//label[contains(., 'paused')]/ancestor::*[.//input][1]//input").click()
+        wait_for(lambda: not page.paused, 20)
+        wait_for(lambda: str(session.simulation.navigator.mode) == "done", 120)
+        assert np.linalg.norm(session.simulation.true.robot_pose[0, :2] - goal) < 0.25
+        wait_for(lambda: re.search(r"done", chrome.find_element(By.TAG_NAME, "body").text), 20)
+        picture = tmp_path / "page.png"
+        chrome.save_screenshot(str(picture))
+        assert picture.stat().st_size > 20_000
+        chrome.quit()
+        time_then = session.simulation.time
+        wait_for(lambda: session.simulation.time > time_then, 30)
+    finally:
+        chrome.quit()
+        page.close()
+        runner.join(timeout=30.0)
+        session.close()
+
+
+@pytest.mark.slow
+def test_the_command_runs_and_ends_by_ctrl_c(tmp_path: Path) -> None:
+    code, port = "from shmoo_mjx.cli import main; main()", free_port()
+    command = [sys.executable, "-c", code, "live", "demo 1", "--port", str(port), "--out", str(tmp_path)]
+    running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert running.stdout is not None
+    assert f"http://127.0.0.1:{port}" in running.stdout.readline()
+    time.sleep(3.0)
+    os.kill(running.pid, signal.SIGINT)
+    _, errors = running.communicate(timeout=20)
+    assert running.returncode == 0 and not errors
