@@ -66,9 +66,10 @@ def run_scenario(
     check_scenario(grid, scenario, ROBOT_RADIUS, name)
     conditions = checked_objects(grid, scenario, name)
     # Only now what takes seconds to import: bad input is answered at once.
-    from shmoo_mjx.control.pushing import PushController
+    from shmoo_mjx.control.pushing import PushController, local_distance_field
     from shmoo_mjx.episode import Hooks, run_episode
     from shmoo_mjx.learning.weights import load_weights
+    from shmoo_mjx.navigation.maps import clearance_field
     from shmoo_mjx.navigation.records import NavigatorConfig
     from shmoo_mjx.recorded import RECORDED, save_recorded
     from shmoo_mjx.report.html import write_report
@@ -86,8 +87,7 @@ def run_scenario(
         hooks = Hooks(progress=lambda t, mode: progress(f"simulating: {mode}", t / limit))
         if real_time:
             # What is compiled meanwhile would miss every deadline.
-            until_pushed = Hooks(over=_has_pushed, progress=hooks.progress)
-            run_episode(grid, scenario, controller, config, until_pushed, senses=senses)
+            controller.compile(local_distance_field(clearance_field(grid), scenario.start))
         episode = run_episode(grid, scenario, controller, config, hooks, senses=senses, real_time=real_time)
         result = save_run(out, grid, scenario, episode.result, episode.trace, controller)
         save_recorded(out / RECORDED, episode.recorded)
@@ -130,10 +130,6 @@ def save_run(
     save_trace(out / "trace.npz", trace)
     write_whole(out / "result.json", (json.dumps(whole, indent=1, default=float) + "\n").encode())
     return whole
-
-
-def _has_pushed(navigator: Any) -> bool:
-    return any(transition.source == "push" for transition in navigator.transitions)
 
 
 def checked_objects(grid: OccupancyGrid, scenario: Scenario, name: str) -> list[Any]:

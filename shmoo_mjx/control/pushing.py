@@ -19,6 +19,7 @@ from shmoo_mjx import se2
 from shmoo_mjx.control import cost, models, mppi
 from shmoo_mjx.control.governor import forward_lean, govern
 from shmoo_mjx.dynamics import core, features, feet, object_model
+from shmoo_mjx.faces import faces_of
 from shmoo_mjx.hands import touches
 from shmoo_mjx.learning import adaptation
 from shmoo_mjx.learning.weights import Weights, prior_state
@@ -171,6 +172,15 @@ class PushController:
         """Start a push on ``face [4]``; ``adapt`` carries over what was learned of this object before."""
         adapt = adapt or prior_state(self.weights, self.config.adapt.body)
         return start(self.config, adapt, now, face, half_extents, key)
+
+    def compile(self, around: LocalDistanceField) -> None:
+        """Compile all that a push needs, for which the first contact waits otherwise; any ``around`` will do."""
+        zero, flat, half = np.zeros(3), np.zeros(2), np.full(2, 0.3)
+        still = Sighting(zero, zero, flat, flat, np.array([0.9, 0.0, 0.0]), zero, zero)
+        state = self.init(still, faces_of((0.3, 0.3))[0], half, jax.random.key(0))
+        _, state, _ = self.step(state, still, zero, np.array([1.9, 0.0, 0.0]), around, half)
+        self.planning_rollouts(state, np.array([1.9, 0.0, 0.0]), around, half)
+        self.coast(state)
 
     def step(
         self,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from functools import partial
 from importlib.util import find_spec
@@ -61,6 +62,7 @@ def run_live(
     if host not in _AT_HOME:
         print(f"Everybody who reaches {host} can use this page; it asks for no password.")
     print(f"{page.url}   (Ctrl-C ends it)", flush=True)
+    threading.Thread(target=session.compile, name="compile", daemon=True).start()
     try:
         go_on(page, seconds)
     except KeyboardInterrupt:

@@ -55,8 +55,11 @@ def path(points: Array | None, colour: str = COLOURS["plan"]) -> Lines:
     return _lines(np.zeros((1, 2)) if points is None else points, _rgb(colour))
 
 
-def rollouts(plan: Plan | None) -> Lines:
-    """Where the object would go, roll-out by roll-out, from the dearest (dark) to the cheapest (bright)."""
+def rollouts(plan: Plan | None, top: float = 0.0) -> Lines:
+    """Where the object would go, roll-out by roll-out, from the dearest (dark) to the cheapest (bright).
+
+    They are drawn above ``top`` [m], the object's height: on the floor it would hide them.
+    """
     if plan is None:
         return path(None)
     costs = np.asarray(plan.costs)
@@ -66,7 +69,7 @@ def rollouts(plan: Plan | None) -> Lines:
     order = fit[np.argsort(-costs[fit])]
     chosen = order[np.unique(np.linspace(0, len(order) - 1, _SHOWN).astype(int))]
     places = np.asarray(plan.trajectories.object_pose)[chosen, :, :2]
-    height = _FLOOR + 0.02 * np.linspace(0.0, 1.0, len(chosen))[:, None, None]
+    height = top + _FLOOR + 0.05 * np.linspace(0.0, 1.0, len(chosen))[:, None, None]
     points = np.concatenate([places, np.broadcast_to(height, (*places.shape[:-1], 1))], axis=-1)
     return _lines(points, matplotlib.colormaps["plasma"](np.linspace(0.05, 0.95, len(chosen))))
 

@@ -160,7 +160,7 @@ class Page:
         )
         self._curves = gui.add_uplot((empty, empty, empty), curves, aspect=2.2, scales={"x": {"time": False}})
         with gui.add_folder("Run"):
-            self._pause = gui.add_checkbox("paused", False)
+            self._pause: Any = gui.add_checkbox("paused", False)
             step = gui.add_button("one sample of 0.1 s")
             speed = gui.add_dropdown("speed", tuple(_SPEEDS), initial_value="1 x")
             reset = gui.add_button("begin again")
@@ -378,7 +378,7 @@ class Page:
         drawn = {
             "path": (overlay.path(None if way is None else way.points), 0.03),
             "path/local": (overlay.path(local, "#CC79A7"), 0.05),
-            "roll-outs": (overlay.rollouts(session.plan), 0.008),
+            "roll-outs": (overlay.rollouts(session.plan, self._top()), 0.012),
             "camera": (overlay.field_of_view(session.senses.camera, simulation.true.robot_pose[0]), 0.015),
             "what it believes": (overlay.believed(simulation.navigator, simulation.seen, sizes), 0.03),
         }
@@ -393,6 +393,11 @@ class Page:
                     visible=bool(shown),
                 )
             self.server.scene.add_icosphere("/lines/goal", 0.12, color=(0, 158, 115), position=tuple(goal))
+
+    def _top(self) -> float:
+        """Height of the object that is dealt with [m]."""
+        segment, conditions = self.session.simulation.navigator.segment, self.session.simulation.conditions
+        return 0.0 if segment is None else conditions[segment.object].size[2]
 
     # Words.
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from shmoo_mjx.assets import asset
 from shmoo_mjx.control.mppi import Plan
-from shmoo_mjx.control.pushing import PushController
+from shmoo_mjx.control.pushing import PushController, local_distance_field
 from shmoo_mjx.episode import result_of, trace_of
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.learning.weights import Weights
@@ -124,6 +124,11 @@ class Session:
     def plan(self) -> Plan | None:
         """The roll-outs of the last control step, while an object is being pushed."""
         return self.controller.last_plan if self.simulation.navigator.coefficients is not None else None
+
+    def compile(self) -> None:
+        """Compile what the first push needs; in a thread, it is done by the time that the robot touches an object."""
+        belief, pose = self.simulation.navigator.belief, self.simulation.true.robot_pose[0]
+        self.controller.compile(local_distance_field(belief.clearance(), pose))
 
     def close(self) -> None:
         """Stop the simulation's threads."""
