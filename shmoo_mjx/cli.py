@@ -59,6 +59,7 @@ def navigate(
     record: bool = False,
     senses: str | None = None,
     real_time: bool = False,
+    policy: str | None = None,
 ) -> int:
     """Run a scenario in any ROS map_server map.
 
@@ -76,6 +77,7 @@ def navigate(
         senses: real or perfect; overrides the scenario's own (default: real).
         real_time: run against the wall clock: what computing really takes passes in the world, and each missed
             deadline is reported.
+        policy: package.module:Name of your own navigation policy, in the place of ours.
     """
     from shmoo_mjx import progress, run
 
@@ -83,7 +85,7 @@ def navigate(
     grid, task = run.load_inputs(map, scenario, start, goal)
     name = str(scenario) if scenario else "--start/--goal"
     with progress.stages() as report:
-        result = run.run_scenario(grid, task, out, weights, video, name, report, record, chosen, real_time)
+        result = run.run_scenario(grid, task, out, weights, video, name, report, record, chosen, real_time, policy)
     if real_time:
         late = result["missed_deadlines"]
         worst = f", the worst {max(d['ms'] for d in late)} ms in '{max(late, key=lambda d: d['ms'])['state']}'"
@@ -321,7 +323,8 @@ def experiment(
         data: data set, for the experiments that take one (made if absent; real_pushing: a folder of recorded pushes).
         maps: folder with map_server maps, for navigation.
         scenarios: scenarios per map, for navigation.
-        policies: which policies (navigation, lifelong) or methods (pushing) run, by their names (default: all).
+        policies: which policies (navigation, lifelong) or methods (pushing) run, by their names (default: all);
+            for navigation also one of your own, as package.module:Name.
         weights: trained weights (default: the shipped ones).
         pushes: folder of recorded pushes, for real_pushing among all.
         out: folder for figures and what an interrupted experiment goes on from.

@@ -64,6 +64,7 @@ def run_episode(
     senses: str | Senses | None = None,
     goals: Sequence[Point] = (),
     real_time: bool = False,
+    policy: str | None = None,
 ) -> Episode:
     """Run ``scenario`` until the navigator ends, the robot falls or time is up.
 
@@ -78,12 +79,13 @@ def run_episode(
         goals: ``(x, y)`` in {W} [m], in place of the scenario's: one after the other, in the world as the robot has
             left it and with all that it knows; the time limit is that of all.
         real_time: run against the wall clock. A command takes effect after the time it really took to compute.
+        policy: "package.module:Name" of what drives in the place of our navigator (docs/own_policy.md).
     """
     chosen = senses if isinstance(senses, Senses) else senses_named(senses or scenario.senses or "real")
     ahead = [tuple(goal) for goal in goals] or [scenario.goal]
     first = scenario.model_copy(update={"goal": ahead[0]})
     legs: list[dict[str, Any]] = []
-    with Simulation(grid, first, controller, config, first_status, chosen) as simulation:
+    with Simulation(grid, first, controller, config, first_status, chosen, policy) as simulation:
         navigator = simulation.navigator
         for number, goal in enumerate(ahead):
             began = simulation.time
@@ -193,6 +195,7 @@ def result_of(simulation: Simulation, legs: Sequence[dict[str, Any]] = (), goals
         "outcome": outcome,
         "reason": last["reason"],
         "senses": senses.name,
+        "policy": simulation.policy,
         "seed": scenario.seed,
         "time_s": round(float(seen.time[0]), 2),
         "path_length_m": round(float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()), 3),
@@ -244,6 +247,8 @@ def _outcome(simulation: Simulation, distance: float) -> tuple[str, str]:
         if record.wall_contacts:
             return "wall contact", f"goal reached, but the robot touched a wall {record.wall_contacts} times"
         return "success", f"goal reached to {distance:.2f} m"
+    if navigator.finished:
+        return "stopped short", f"it stopped {distance:.2f} m from the goal"
     return (
         "timeout",
         f"{scenario.limits.time_s:g} s were not enough; {distance:.2f} m from the goal, state {navigator.mode}",

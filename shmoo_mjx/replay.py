@@ -63,7 +63,9 @@ def replay(run: Path, weights: Path | None = None) -> Difference | None:
         raise ShmooError(f"{run}: the run was made with other weights; give them with --weights.")
     scenario = load_scenario(run / "scenario.yaml")
     senses = senses_named(str(result.get("senses")))
-    navigator = navigator_of(load_map(run / "map.yaml"), scenario, PushController(loaded), senses)
+    navigator = navigator_of(
+        load_map(run / "map.yaml"), scenario, PushController(loaded), senses, policy=result.get("policy")
+    )
     return differences(navigator, recorded)
 
 

@@ -42,6 +42,7 @@ def run_scenario(
     record: bool = False,
     senses: SensesName | None = None,
     real_time: bool = False,
+    policy: str | None = None,
 ) -> dict[str, Any]:
     """Run one scenario and write its folder ``out``.
 
@@ -56,6 +57,7 @@ def run_scenario(
         record: also write episode.rrd, a 3-D recording for the Rerun viewer.
         senses: what the robot perceives with; if not given the scenario's, or real.
         real_time: run against the wall clock, and report every missed deadline.
+        policy: "package.module:Name" of what drives in the place of our navigator.
 
     Returns:
         The result, as in result.json.
@@ -88,7 +90,9 @@ def run_scenario(
         if real_time:
             # What is compiled meanwhile would miss every deadline.
             controller.compile(local_distance_field(clearance_field(grid), scenario.start))
-        episode = run_episode(grid, scenario, controller, config, hooks, senses=senses, real_time=real_time)
+        episode = run_episode(
+            grid, scenario, controller, config, hooks, senses=senses, real_time=real_time, policy=policy
+        )
         result = save_run(out, grid, scenario, episode.result, episode.trace, controller)
         save_recorded(out / RECORDED, episode.recorded)
         # The report shows the film that lies there: one of an earlier run must not.

@@ -17,6 +17,7 @@ from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.navigation.belief import Status
 from shmoo_mjx.navigation.maps import OccupancyGrid, occupied_rectangles
 from shmoo_mjx.navigation.navigator import Navigator
+from shmoo_mjx.navigation.policy import PolicyNavigator, policy_named
 from shmoo_mjx.navigation.records import Mode, NavigatorConfig
 from shmoo_mjx.navigation.scenario import Scenario
 from shmoo_mjx.plant.objects import Condition
@@ -68,10 +69,17 @@ def navigator_of(
     senses: Senses,
     config: NavigatorConfig | None = None,
     first_status: Sequence[Status] | None = None,
+    policy: str | None = None,
 ) -> Navigator:
-    """The navigator of a run; what it has to compute takes as long as ``senses`` say."""
+    """The navigator of a run, or the ``policy`` "package.module:Name" in its place.
+
+    What it has to compute takes as long as ``senses`` say.
+    """
     config = replace(config or NavigatorConfig(), planning_time=senses.planning, latency=senses.latency)
     sizes = [c.half_extents for c in conditions_of(scenario)]
+    if policy is not None:
+        maker = policy_named(policy)
+        return PolicyNavigator(policy, maker, grid, scenario.goal, sizes, controller, scenario.seed, config)
     return Navigator(grid, scenario.goal, sizes, controller, scenario.seed, config, first_status)
 
 
@@ -85,6 +93,7 @@ class Simulation:
         config: the navigator's settings.
         first_status: what the robot takes each object to be when it first sees it; UNKNOWN if not given.
         senses: what it perceives with.
+        policy: "package.module:Name" of what drives in the place of our navigator.
     """
 
     def __init__(
@@ -95,11 +104,12 @@ class Simulation:
         config: NavigatorConfig | None = None,
         first_status: Sequence[Status] | None = None,
         senses: Senses = REAL,
+        policy: str | None = None,
     ) -> None:
-        self.grid, self.scenario, self.senses = grid, scenario, senses
+        self.grid, self.scenario, self.senses, self.policy = grid, scenario, senses, policy
         self.conditions = conditions_of(scenario)
         self.scene = scene_of(grid, scenario, self.conditions, senses)
-        self.navigator = navigator_of(grid, scenario, controller, senses, config, first_status)
+        self.navigator = navigator_of(grid, scenario, controller, senses, config, first_status, policy)
         self.record = Record()
         self.engine = SensedEngine([self.scene], senses, scenario.seed)
         self.world: SensedWorld = self.engine.init()

@@ -6,6 +6,7 @@ as we do. *always_avoid* takes every object for a wall. *always_push* pushes wha
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
@@ -33,6 +34,7 @@ from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.navigation.belief import Status
 from shmoo_mjx.navigation.maps import OccupancyGrid, load_map
 from shmoo_mjx.navigation.object_planner import ObjectPlannerConfig
+from shmoo_mjx.navigation.policy import source_of
 from shmoo_mjx.navigation.records import NavigatorConfig
 from shmoo_mjx.navigation.scenario import Scenario
 from shmoo_mjx.plant.robot import ROBOT
@@ -60,6 +62,8 @@ class Policy:
     config: NavigatorConfig
     first_status: Callable[[Generated], list[Status]] | None = None
     """What the robot takes each object to be from the start."""
+    name: str | None = None
+    """ "package.module:Name" of what drives in the place of our navigator."""
 
 
 def _all_fixed(generated: Generated) -> list[Status]:
@@ -78,6 +82,16 @@ POLICIES = {
     "always_push": Policy(NavigatorConfig(goes_round=False, planner=_ALL_MOVABLE)),
 }
 """In the order in which they run: of an experiment that is stopped, ours is there first."""
+
+
+def _policy(name: str) -> Policy:
+    return POLICIES.get(name) or Policy(NavigatorConfig(), name=name)
+
+
+def _kept_as(name: str) -> str:
+    """The policy's part in the name of a trial: that of somebody else goes with the file that it stands in."""
+    source = None if name in POLICIES else source_of(name)
+    return name if source is None else f"{name}@{hashlib.sha256(source.read_bytes()).hexdigest()[:8]}"
 
 
 @dataclass(frozen=True)
@@ -114,12 +128,13 @@ def run(options: ExperimentOptions) -> ExperimentResult:
     from shmoo_mjx.evaluation.navigation_figures import draw_figures
 
     folder = options.out / "navigation"
-    cfg = NavigationTrials(policies=options.chosen(POLICIES))
+    cfg = NavigationTrials(policies=options.chosen(POLICIES, others=True))
     count = 1 if options.quick else cfg.scenarios if options.maps else cfg.generated_scenarios
     cfg = replace(cfg, scenarios=count if options.scenarios is None else options.scenarios)
     places = find_places(options, folder, cfg.scenario, most=2 if options.quick else None)
     store = trials_folder(options, folder, cfg.scenario)
-    names = [f"{name}-{i}-{policy}" for policy in cfg.policies for i in range(cfg.scenarios) for name in places.maps]
+    kept = [_kept_as(policy) for policy in cfg.policies]
+    names = [f"{name}-{i}-{policy}" for policy in kept for i in range(cfg.scenarios) for name in places.maps]
     work = partial(_trial, places, robot_of(options), store)
     rows = run_trials(names, work, store, options.progress, cfg.workers)
     draw_figures(folder, rows, places.maps)
@@ -145,17 +160,18 @@ def trials_folder(options: ExperimentOptions, folder: Path, scenario: ScenarioCo
 
 def _trial(places: Places, robot: Robot, store: Path, name: str) -> list[dict[str, Any]]:
     """One run: of one policy in one scenario. No row if the map has no place for that scenario."""
-    rest, _, policy = name.rpartition("-")
+    rest, _, kept = name.rpartition("-")
+    policy = kept.partition("@")[0]
     map_name, _, number = rest.rpartition("-")
     grid = load_map(places.maps[map_name])
     wanted, generated = kept_scenario(places, grid, map_name, int(number))
     if generated is None:
         return []
     about = {"map": map_name, "scenario": int(number), "policy": policy, "kind": generated.kind, "wanted": wanted}
-    chosen = POLICIES[policy]
+    chosen = _policy(policy)
     first = None if chosen.first_status is None else chosen.first_status(generated)
     scenario = generated.scenario.model_copy(update={"seed": generated.scenario.seed + robot.seed})
-    episode = play(robot, grid, scenario, chosen.config, first)
+    episode = play(robot, grid, scenario, chosen.config, first, policy=chosen.name)
     row = about | _row(episode, scenario, generated)
     if policy == OURS and not row["success"]:
         keep_failure(store, f"{map_name}-{number}", episode)
@@ -169,6 +185,7 @@ def play(
     config: NavigatorConfig,
     first_status: Sequence[Status] | None,
     goals: Sequence[tuple[float, float]] | None = None,
+    policy: str | None = None,
 ) -> Episode:
     """One episode.
 
@@ -179,12 +196,20 @@ def play(
         config: the navigator's settings.
         first_status: what the robot takes each object to be from the start.
         goals: several goals, one after the other, in place of the scenario's.
+        policy: what drives in the place of our navigator.
     """
     from shmoo_mjx.episode import run_episode
 
     controller = _controller(robot.weights)
     return run_episode(
-        grid, scenario, controller, config, first_status=first_status, senses=robot.senses, goals=goals or ()
+        grid,
+        scenario,
+        controller,
+        config,
+        first_status=first_status,
+        senses=robot.senses,
+        goals=goals or (),
+        policy=policy,
     )
 
 

@@ -58,23 +58,27 @@ class ExperimentOptions:
     senses: SensesName = "real"
     """What the robot perceives with, where a simulated robot acts in the experiment."""
     policies: tuple[str, ...] = ()
-    """Policies (navigation) or methods (pushing) that run; all if none is named."""
+    """Policies (navigation; one's own as package.module:Name) or methods (pushing) that run; all if none is named."""
 
     def __post_init__(self) -> None:
         check_seed("--seed", self.seed)
         check_seed("--condition-seed", self.condition_seed, MAX_CONDITION_SEED)
 
-    def chosen(self, known: Iterable[str]) -> tuple[str, ...]:
+    def chosen(self, known: Iterable[str], others: bool = False) -> tuple[str, ...]:
         """Those of the ``known`` policies or methods that are asked for, or all, in the order in which they run.
+
+        With ``others``, "package.module:Name" stands for one of the user's own and comes after them.
 
         Raises:
             ShmooError: one is not known.
         """
         known = tuple(known)
+        own = tuple(dict.fromkeys(name for name in self.policies if others and ":" in name))
         for name in self.policies:
-            if name not in known:
-                raise ShmooError(f"--policies {name}: is not known; choose from {', '.join(known)}.")
-        return tuple(name for name in known if not self.policies or name in self.policies)
+            if name not in known and name not in own:
+                more = " and your own as package.module:Name" if others else ""
+                raise ShmooError(f"--policies {name}: is not known; choose from {', '.join(known)}{more}.")
+        return (*(name for name in known if not self.policies or name in self.policies), *own)
 
     @property
     def first_unseen(self) -> int:

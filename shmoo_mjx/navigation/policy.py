@@ -1,0 +1,136 @@
+"""A navigation policy of somebody else in the place of our navigator: the same observations, the same commands."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+import traceback
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.navigation.maps import OccupancyGrid
+from shmoo_mjx.navigation.navigator import Navigator
+from shmoo_mjx.navigation.records import Mode, NavigatorConfig, Transition
+from shmoo_mjx.types import Command, Observation
+
+__all__ = ["Policy", "PolicyMaker", "PolicyNavigator", "policy_named", "source_of"]
+
+Array = Any
+
+
+class Policy(Protocol):
+    """What drives the robot."""
+
+    finished: bool
+    """Whether it has done what it could; a run counts as a success if the robot then stands at the goal."""
+
+    def tick(self, seen: Observation) -> Command:
+        """The command for the next 0.1 s from what the robot perceives, both of one world (a batch of one)."""
+
+
+PolicyMaker = Callable[[OccupancyGrid, Array, Sequence[tuple[float, float]], Any, NavigatorConfig], Policy]
+"""Takes the map, the goal ``[2]`` in {W} [m], half extents of each object [m], a
+:class:`~shmoo_mjx.control.pushing.PushController` for whoever wants one, and settings that state the latency."""
+
+
+def policy_named(name: str) -> PolicyMaker:
+    """The class or function that "package.module:Name" says; modules in the present folder are found too.
+
+    Raises:
+        ShmooError: there is none, or its module can't be imported.
+    """
+    module_name, _, attribute = name.partition(":")
+    if str(Path.cwd()) not in sys.path:
+        sys.path.append(str(Path.cwd()))
+    try:
+        module = importlib.import_module(module_name)
+    except ModuleNotFoundError as error:
+        raise ShmooError(f"policy {name}: there is no module {error.name!r}; run from its folder.") from None
+    except Exception as error:
+        raise ShmooError(f"policy {name}: its module can't be imported: {_told(error)}.") from error
+    maker = getattr(module, attribute, None)
+    if not callable(maker):
+        raise ShmooError(f"policy {name}: {module_name} has no class or function {attribute!r}.")
+    made: PolicyMaker = maker
+    return made
+
+
+def source_of(name: str) -> Path | None:
+    """The file that the policy stands in."""
+    file = sys.modules[policy_named(name).__module__].__file__
+    return None if file is None else Path(file)
+
+
+class PolicyNavigator(Navigator):
+    """A navigator that does what a policy says. It knows where objects are; what they are is the policy's to find out.
+
+    Args:
+        name: of the policy, for errors.
+        maker: makes it.
+        grid: the map.
+        goal: ``[2]`` in {W} [m].
+        sizes: half extents of each object [m].
+        controller: handed on to the policy.
+        seed: of the run.
+        config: handed on to the policy.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        maker: PolicyMaker,
+        grid: OccupancyGrid,
+        goal: Array,
+        sizes: Sequence[tuple[float, float]],
+        controller: Any,
+        seed: int = 0,
+        config: NavigatorConfig | None = None,
+    ) -> None:
+        super().__init__(grid, goal, sizes, controller, seed, config)
+        self._name = name
+        self._make = lambda: maker(grid, self.state.goal, self.setup.sizes, controller, self.setup.config)
+        self._policy = self._asked(self._make)
+
+    def tick(self, seen: Observation) -> Command:
+        """One decision of the policy."""
+        now = float(seen.time[0])
+        belief, _ = self.state.belief.update(seen, self.setup.sizes)
+        self.state = replace(self.state, belief=belief)
+        command = self._asked(lambda: self._policy.tick(seen))
+        if not isinstance(command, Command) or np.shape(command.u) != (1, 3):
+            raise ShmooError(f"policy {self._name}: tick must give a Command whose u is [1, 3]; it gave {command!r}.")
+        if not all(np.isfinite(np.asarray(value, dtype=float)).all() for value in command):
+            raise ShmooError(f"policy {self._name}: its command at {now:.1f} s is not finite: {command!r}.")
+        if self._policy.finished:
+            self._go(now, Mode.DONE, "the policy has finished")
+        elif self.mode is not Mode.FOLLOW:
+            self._go(now, Mode.FOLLOW, f"{self._name} drives")
+        return command
+
+    def head_for(self, goal: Array, now: float) -> None:
+        """The policy begins anew, with another goal."""
+        super().head_for(goal, now)
+        self._policy = self._asked(self._make)
+
+    def _go(self, now: float, target: Mode, reason: str) -> None:
+        self.events.append(Transition(now, self.mode, target, reason))
+        self.state = replace(self.state, mode=target, since=now)
+
+    def _asked(self, ask: Callable[[], Any]) -> Any:
+        try:
+            return ask()
+        except ShmooError:
+            raise
+        except Exception as error:
+            raise ShmooError(f"policy {self._name}: {_told(error)}.") from error
+
+
+def _told(error: Exception) -> str:
+    """What went wrong, and in which line."""
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__} in {Path(last.filename).name}, line {last.lineno}: {error}"
