@@ -170,6 +170,7 @@ def test_a_collect_loses_nothing_wherever_it_is_killed(tmp_path: Path) -> None:
     assert done.stdout == "26\n", done.stderr
 
 
+@pytest.mark.slow
 def test_a_killed_training_goes_on(collected: Path, tmp_path: Path) -> None:
     (tmp_path / "train.py").write_text(TRAIN)
 

@@ -64,6 +64,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[int, dict[str, np.
     return found
 
 
+@pytest.mark.slow
 def test_one_and_two_devices_give_the_same_plans(results: dict[int, dict[str, np.ndarray]]) -> None:
     assert [int(results[n]["devices"]) for n in (1, 2)] == [1, 2]
     assert [int(results[n]["parts"]) for n in (1, 2)] == [1, 2]
@@ -73,6 +74,7 @@ def test_one_and_two_devices_give_the_same_plans(results: dict[int, dict[str, np
     assert np.abs(np.diff(results[1]["trail"], axis=0)).max() > 1e-3
 
 
+@pytest.mark.slow
 def test_samples_that_do_not_divide_take_fewer_devices(results: dict[int, dict[str, np.ndarray]]) -> None:
     assert int(results[7]["devices"]) == 6
     np.testing.assert_allclose(results[7]["trail"], results[1]["trail"], rtol=1e-5, atol=1e-5)

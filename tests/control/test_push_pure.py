@@ -39,6 +39,7 @@ def sighting(world: int, sample: int) -> Sighting:
     )
 
 
+@pytest.mark.slow
 def test_two_mapped_pushes_are_the_two_controllers() -> None:
     weights = load_weights(ROOT / "experiments/weights/demo.safetensors")
     base = pose_push_config()

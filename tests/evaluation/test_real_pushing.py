@@ -157,6 +157,7 @@ def test_labels_turn_back_into_motions(folder: Path) -> None:
     assert np.allclose(prepared.base + push_learning.unscaled(prepared, prepared.labels), condition.motion, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_experiment_beats_the_poor_guess_and_resumes(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

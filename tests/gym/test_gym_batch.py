@@ -40,6 +40,7 @@ def agree(batch: Any, name: str, steps: int) -> None:
         assert info["_distance"].all()
 
 
+@pytest.mark.slow
 def test_pushes_agree_and_episodes_follow_each_other_in_the_same_world(pair: Any) -> None:
     agree(pair, "ShmooPush-v0", LIMIT - 2)
     still = np.zeros(pair.action_space.shape, dtype=np.float32)

@@ -37,6 +37,7 @@ def options(synthetic_dataset: store.Dataset, tmp_path: Path, monkeypatch: pytes
     return ExperimentOptions(out=tmp_path / "out")
 
 
+@pytest.mark.slow
 def test_baselines_are_tuned_trained_scored_and_kept(
     options: ExperimentOptions, monkeypatch: pytest.MonkeyPatch
 ) -> None:
