@@ -18,6 +18,7 @@ import numpy as np
 
 from shmoo_mjx import se2
 from shmoo_mjx.data import differentiate
+from shmoo_mjx.data.mirror import with_mirror_images
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.files import write_whole
 from shmoo_mjx.types import DT, SystemState
@@ -227,7 +228,7 @@ def read(directory: str | os.PathLike[str], splits: tuple[str, ...] = SPLITS) ->
 
 
 def of_training(data: str | os.PathLike[str] | Dataset) -> Dataset:
-    """The train and validation conditions of a data set given as a directory or already read.
+    """The train and validation conditions of a data set, given as a directory or read already, and their mirror images.
 
     Raises:
         ShmooError: as `read`; or one of the two splits is empty.
@@ -237,7 +238,7 @@ def of_training(data: str | os.PathLike[str] | Dataset) -> Dataset:
         if not dataset.split(split).names:
             where = "the data set" if isinstance(data, Dataset) else os.fspath(data)
             raise ShmooError(f"{where}: field 'split' is '{split}' for no condition; collect some for training.")
-    return dataset
+    return with_mirror_images(dataset)
 
 
 def system_states(arrays: dict[str, np.ndarray]) -> Samples:
