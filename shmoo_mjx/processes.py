@@ -6,11 +6,15 @@ import multiprocessing
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 
 __all__ = ["process_pool"]
+
+_PATIENCE = 5.0
+"""Longest time that ending the workers may take [s]."""
 
 
 @contextmanager
@@ -30,8 +34,12 @@ def process_pool(workers: int, prepare: Callable[[], None] | None = None) -> Ite
     except BaseException:
         # Otherwise every job that still waits would be run first, and those under way to their end.
         pool.shutdown(wait=False, cancel_futures=True)
-        for worker in multiprocessing.active_children():
-            worker.terminate()
+        # One may just be starting.
+        until = time.monotonic() + _PATIENCE
+        while (left := multiprocessing.active_children()) and time.monotonic() < until:
+            for worker in left:
+                worker.kill()
+            left[0].join(timeout=0.1)
         raise
     pool.shutdown()
 

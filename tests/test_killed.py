@@ -202,6 +202,6 @@ def test_ctrl_c_ends_at_once_with_one_sentence(tmp_path: Path) -> None:
         time.sleep(0.05)
     time.sleep(1.0)
     os.killpg(running.pid, signal.SIGINT)
-    _, said = running.communicate(timeout=10.0)
+    _, said = running.communicate(timeout=20.0)
     assert running.returncode == 130
     assert said == "shmoo: stopped; run the same command again to go on.\n"

@@ -131,7 +131,14 @@ def test_a_run_is_given_what_it_can_take(monkeypatch: pytest.MonkeyPatch) -> Non
     taken: list[dict[str, Any]] = []
 
     def able(
-        grid: Any, scenario: Any, controller: Any, config: Any, first_status: Any, senses: str, goals: Any = ()
+        grid: Any,
+        scenario: Any,
+        controller: Any,
+        config: Any,
+        first_status: Any,
+        senses: str,
+        goals: Any = (),
+        policy: Any = None,
     ) -> Any:
         taken.append({"senses": senses, "goals": goals})
 

@@ -113,7 +113,7 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Stands for scenarios, runs, figures and films; the policies that have run, in order."""
     ran: list[str] = []
 
-    def play(robot: Any, grid: Any, scenario: Any, config: Any, first_status: Any) -> FakeEpisode:
+    def play(robot: Any, grid: Any, scenario: Any, config: Any, first_status: Any, policy: Any) -> FakeEpisode:
         policy = next(name for name, p in POLICIES.items() if p.config == config)
         ran.append(policy)
         return FakeEpisode(fake_result("timeout" if policy == "ours" and ran.count("ours") == 2 else "success"))

@@ -157,13 +157,13 @@ BOX = ObjectEntry(family="box", pose=(1.5, 2.0, 0.3))
 @pytest.mark.parametrize(
     ("pose", "words"),
     [
-        ((3.0, 2.0, 0.0), ("into a wall",)),
-        ((2.8, 2.0, 0.0), ("into a wall",)),
-        ((5.5, 3.5, 0.0), ("into a wall or unknown",)),
+        ((3.0, 2.0, 0.0), ("in a wall",)),
+        ((2.8, 2.0, 0.0), ("in a wall",)),
+        ((5.5, 3.5, 0.0), ("in a wall or in unknown",)),
         ((0.1, 2.0, 0.0), ("off the map",)),
         ((90.0, 2.0, 0.0), ("off the map",)),
-        ((0.8, 1.0, 0.0), ("where the robot starts",)),
-        ((1.9, 2.2, 0.0), ("into objects[0]",)),
+        ((0.8, 1.0, 0.0), ("where the robot is",)),
+        ((1.9, 2.2, 0.0), ("in objects[0]",)),
     ],
 )
 def test_an_object_where_none_can_stand_is_named(pose: tuple[float, float, float], words: tuple[str, ...]) -> None:
