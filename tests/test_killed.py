@@ -193,7 +193,9 @@ def test_a_killed_training_goes_on(collected: Path, tmp_path: Path) -> None:
 
 def test_ctrl_c_ends_at_once_with_one_sentence(tmp_path: Path) -> None:
     """A terminal sends it to the whole group: neither the workers' tracebacks nor their jobs are waited for."""
-    code = "from shmoo_mjx.cli import main; main()"
+    # What a shell runs in the background ignores Ctrl-C, and so do its children.
+    code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+    code += "from shmoo_mjx.cli import main; main()"
     longer = [*COLLECT, "--episodes", "60"]  # so that it can't have ended by itself
     command = [sys.executable, "-c", code, "collect", str(tmp_path / "data"), *longer]
     running = subprocess.Popen(command, start_new_session=True, stderr=subprocess.PIPE, text=True)

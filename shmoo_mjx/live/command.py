@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 import time
 from functools import partial
@@ -50,15 +51,13 @@ def run_live(
     if missing:
         names = " and ".join(missing)
         raise ShmooError(f"shmoo live needs {names}, not installed here; in a clone, pip install '.[live]'.")
+    _check_host(host)
     from shmoo_mjx.learning.weights import load_weights
     from shmoo_mjx.live.page import Page
     from shmoo_mjx.live.session import Session, scene_named
 
     session = Session(load_weights(weights or asset(WEIGHTS)), partial(scene_named, scene, out), senses, out)
-    try:
-        page = Page(session, host, port)
-    except OSError as error:
-        raise ShmooError(f"--host {host}: the page can't be served there ({error.strerror or error}).") from None
+    page = Page(session, host, port)
     if host not in _AT_HOME:
         print(f"Everybody who reaches {host} can use this page; it asks for no password.")
     print(f"{page.url}   (Ctrl-C ends it)", flush=True)
@@ -71,6 +70,14 @@ def run_live(
         page.close()
         session.close()
     return 0
+
+
+def _check_host(host: str) -> None:
+    """The server would wait for ever for an address that is not this machine's."""
+    try:
+        socket.create_server((host, 0), family=socket.AF_INET6 if ":" in host else socket.AF_INET).close()
+    except OSError:
+        raise ShmooError(f"--host {host!r} is no address of this machine; choose 127.0.0.1 or 0.0.0.0.") from None
 
 
 def go_on(page: Page, seconds: float | None = None) -> None:

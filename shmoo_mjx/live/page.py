@@ -191,7 +191,6 @@ class Page:
         with gui.add_folder("Show", expand_by_default=False):
             names = ("path", "roll-outs", "camera", "what it believes")
             self._shown = {name: gui.add_checkbox(name, True) for name in names}
-        session = self.session
         step.on_click(lambda _: self._ask(self._one_sample))
         speed.on_update(lambda _: setattr(self, "speed", _SPEEDS[speed.value]))
         reset.on_click(lambda _: self._ask(self._reset))
@@ -215,7 +214,6 @@ class Page:
         self._drag.on_update(lambda _: self._ask(self._handles_anew))
         for box in self._shown.values():
             box.on_update(lambda _: self._ask(self._draw_lines))
-        session.out.mkdir(parents=True, exist_ok=True)
 
     def _clicked(self, event: viser.SceneClickEvent) -> None:
         start, along = np.asarray(event.ray_origin), np.asarray(event.ray_direction)

@@ -97,7 +97,13 @@ def test_paused_it_stands_still_but_for_single_samples(page: Page) -> None:
 
 def test_what_it_can_t_show_is_said_in_one_sentence(tmp_path: Path) -> None:
     code = "from shmoo_mjx.cli import main; main()"
-    for scene, more in (("nonsense", ()), ("gone.yaml", ()), ("demo 0", ("--port", "0")), ("demo -1", ())):
+    for scene, more in (
+        ("nonsense", ()),
+        ("gone.yaml", ()),
+        ("demo 0", ("--port", "0")),
+        ("demo -1", ()),
+        ("demo 0", ("--host", "192.0.2.1")),
+    ):
         command = [sys.executable, "-c", code, "live", scene, *more]
         done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
         assert done.returncode == 2 and done.stderr.startswith("shmoo: ") and len(done.stderr.splitlines()) == 1
@@ -185,7 +191,9 @@ def test_in_a_browser_goal_and_object_are_set_and_the_robot_arrives(tmp_path: Pa
 
 @pytest.mark.slow
 def test_the_command_runs_and_ends_by_ctrl_c(tmp_path: Path) -> None:
-    code, port = "from shmoo_mjx.cli import main; main()", free_port()
+    # What a shell runs in the background ignores Ctrl-C, and so do its children.
+    code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+    code, port = code + "from shmoo_mjx.cli import main; main()", free_port()
     command = [sys.executable, "-c", code, "live", "demo 1", "--port", str(port), "--out", str(tmp_path)]
     running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert running.stdout is not None
