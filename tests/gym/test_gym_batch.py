@@ -62,6 +62,7 @@ def test_pushes_agree_and_episodes_follow_each_other_in_the_same_world(pair: Any
     assert pair._engine._batched._cache_size() == 1
 
 
+@pytest.mark.slow
 def test_other_objects_move_otherwise(pair: Any) -> None:
     agree(pair, "ShmooPush-v0", 2)
     world, seen = pair._world, pair.step(np.full((2, 4), 0.05, np.float32))[0]
