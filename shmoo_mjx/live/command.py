@@ -61,7 +61,8 @@ def run_live(
     if host not in _AT_HOME:
         print(f"Everybody who reaches {host} can use this page; it asks for no password.")
     print(f"{page.url}   (Ctrl-C ends it)", flush=True)
-    threading.Thread(target=session.compile, name="compile", daemon=True).start()
+    compiling = threading.Thread(target=session.compile, name="compile")
+    compiling.start()
     try:
         go_on(page, seconds)
     except KeyboardInterrupt:
@@ -69,6 +70,7 @@ def run_live(
     finally:
         page.close()
         session.close()
+        compiling.join()  # a process that ends under the compiler crashes
     return 0
 
 

@@ -205,7 +205,7 @@ def test_a_trial_with_real_senses_stays_within_its_limits(method: str) -> None:
 
     trial = next(t for t in draw_trials(500_000, 0, 1) if t.family == "box" and t.goal == 1)
     weights = load_weights(asset("experiments/weights/demo.safetensors"))
-    row, track = Runner(weights, 60.0).run(trial, method)
+    row, track = Runner(weights, 120.0).run(trial, method)
     assert not row["fell"]
     assert row["worst_lean_rad"] < 0.2
     assert row["arm_margin_rad"] > 0.0
