@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import socket
-import threading
 import time
 from functools import partial
 from importlib.util import find_spec
@@ -57,12 +56,11 @@ def run_live(
     from shmoo_mjx.live.session import Session, scene_named
 
     session = Session(load_weights(weights or asset(WEIGHTS)), partial(scene_named, scene, out), senses, out)
+    session.compile()
     page = Page(session, host, port)
     if host not in _AT_HOME:
         print(f"Everybody who reaches {host} can use this page; it asks for no password.")
     print(f"{page.url}   (Ctrl-C ends it)", flush=True)
-    compiling = threading.Thread(target=session.compile, name="compile")
-    compiling.start()
     try:
         go_on(page, seconds)
     except KeyboardInterrupt:
@@ -70,7 +68,6 @@ def run_live(
     finally:
         page.close()
         session.close()
-        compiling.join()  # a process that ends under the compiler crashes
     return 0
 
 

@@ -126,7 +126,7 @@ class Session:
         return self.controller.last_plan if self.simulation.navigator.coefficients is not None else None
 
     def compile(self) -> None:
-        """Compile what the first push needs; in a thread, it is done by the time that the robot touches an object."""
+        """Compile what the first push needs, or the world stands still for seconds when it begins."""
         belief, pose = self.simulation.navigator.belief, self.simulation.true.robot_pose[0]
         self.controller.compile(local_distance_field(belief.clearance(), pose))
 
