@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import asdict
 from typing import Any, NamedTuple
 
@@ -85,7 +86,7 @@ def run_episode(
     ahead = [tuple(goal) for goal in goals] or [scenario.goal]
     first = scenario.model_copy(update={"goal": ahead[0]})
     legs: list[dict[str, Any]] = []
-    with Simulation(grid, first, controller, config, first_status, chosen, policy) as simulation:
+    with closing(Simulation(grid, first, controller, config, first_status, chosen, policy)) as simulation:
         navigator = simulation.navigator
         for number, goal in enumerate(ahead):
             began = simulation.time
@@ -104,7 +105,7 @@ def run_episode(
             legs.append(_leg(simulation, goal, began))
             if not legs[-1]["success"]:
                 break
-    simulation.scenario = scenario
+    simulation.scenario = scenario  # the result tells of the goal that it names, whichever goals were taken
     record = simulation.record
     return Episode(
         result_of(simulation, legs, len(ahead)),

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -84,7 +83,7 @@ def navigator_of(
 
 
 class Simulation:
-    """One scenario sample by sample. Leaving its ``with`` block closes it.
+    """One scenario sample by sample; to be closed at the end (``contextlib.closing``).
 
     Args:
         grid: the map.
@@ -115,14 +114,6 @@ class Simulation:
         self.world: SensedWorld = self.engine.init()
         self.seen = self.engine.observe(self.world)
         self.true = self.engine.true_observation(self.world)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Stop the engine's threads."""
@@ -172,13 +163,15 @@ class Simulation:
         Args:
             scenario: its objects begin with those of the present one, each of the same family.
         """
-        engine, before = self.engine, self.scene
-        self.conditions = conditions_of(scenario)
-        self.scene = scene_of(self.grid, scenario, self.conditions, self.senses)
-        self.engine = SensedEngine([self.scene], self.senses, scenario.seed)
-        self.world = self.engine.taken_over(self.world, before)
-        engine.close()
-        self.scenario = scenario
+        before = self.scene
+        # All that may fail comes first: what is refused has changed nothing.
+        conditions = conditions_of(scenario)
+        scene = scene_of(self.grid, scenario, conditions, self.senses)
+        engine = SensedEngine([scene], self.senses, scenario.seed)
+        world = engine.taken_over(self.world, before)
+        self.engine.close()
+        self.scenario, self.conditions, self.scene = scenario, conditions, scene
+        self.engine, self.world = engine, world
         self.navigator.expect([c.half_extents for c in self.conditions])
         self.seen = self.engine.observe(self.world)
         self.true = self.engine.true_observation(self.world)

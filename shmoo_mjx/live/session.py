@@ -41,18 +41,18 @@ from shmoo_mjx.sensing import Senses, senses_named
 from shmoo_mjx.simulation import Simulation
 from shmoo_mjx.types import DT, SensesName
 
-__all__ = ["Scene", "Session", "scene_named", "scenes"]
+__all__ = ["SceneLoader", "Session", "scene_named", "scenes"]
 
-Scene = Callable[[], tuple[OccupancyGrid, Scenario]]
+SceneLoader = Callable[[], tuple[OccupancyGrid, Scenario]]
 """Loads a map and what stands in it."""
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,60}")
 _DEMOS = 20
 
 
-def scenes(own: Path) -> dict[str, Scene]:
+def scenes(own: Path) -> dict[str, SceneLoader]:
     """What can be loaded, by name: the demo's floor plans, the scenarios of the package, and those saved in ``own``."""
-    found: dict[str, Scene] = {f"demo {seed}": partial(demo_scenario, seed) for seed in range(_DEMOS)}
+    found: dict[str, SceneLoader] = {f"demo {seed}": partial(demo_scenario, seed) for seed in range(_DEMOS)}
     files = [*sorted(asset("experiments/scenarios").glob("*.yaml")), *sorted(own.glob("*.yaml"))]
     return found | {path.stem: partial(_from_file, path) for path in files if not path.stem.endswith(".map")}
 
@@ -101,7 +101,7 @@ class Session:
         out: folder for what is saved.
     """
 
-    def __init__(self, weights: Weights, load: Scene, senses: SensesName = "real", out: Path = Path("runs/live")):
+    def __init__(self, weights: Weights, load: SceneLoader, senses: SensesName = "real", out: Path = Path("runs/live")):
         self.controller = _Watched(weights)
         self.senses: Senses = senses_named(senses)
         self.out = out
@@ -134,7 +134,7 @@ class Session:
         """Stop the simulation's threads."""
         self.simulation.close()
 
-    def load(self, scene: Scene) -> None:
+    def load(self, scene: SceneLoader) -> None:
         """Another map and scenario."""
         loaded = scene()
         self._begin(*loaded)

@@ -8,7 +8,7 @@ import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 
@@ -56,13 +56,13 @@ def policy_named(name: str) -> PolicyMaker:
     maker = getattr(module, attribute, None)
     if not callable(maker):
         raise ShmooError(f"policy {name}: {module_name} has no class or function {attribute!r}.")
-    made: PolicyMaker = maker
-    return made
+    return cast(PolicyMaker, maker)
 
 
 def source_of(name: str) -> Path | None:
-    """The file that the policy stands in."""
-    file = sys.modules[policy_named(name).__module__].__file__
+    """The file of the module that ``name`` names."""
+    policy_named(name)
+    file = sys.modules[name.partition(":")[0]].__file__
     return None if file is None else Path(file)
 
 

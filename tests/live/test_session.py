@@ -121,10 +121,11 @@ def test_what_makes_no_sense_is_refused(session: Session) -> None:
         lambda: session.save_report("no time has passed"),
         lambda: scene_named("no such scene", session.out),
     ):
-        number = session.started
+        number, conditions, scene = session.started, session.simulation.conditions, session.simulation.scene
         with pytest.raises(ShmooError):
             bad()
         assert session.started == number
+        assert session.simulation.conditions is conditions and session.simulation.scene is scene
 
 
 def test_another_goal_is_headed_for(session: Session) -> None:
