@@ -2,7 +2,8 @@
 
 Robot and floor are the same on both sides, so that a mirrored recording is one that could have been made, of the
 mirrored object. A learner that sees both has no reason to prefer a side; one that doesn't takes the chance
-preponderance of some objects' loads for a law, and steers against it.
+preponderance of some objects' loads for a law, and steers against it. R and psi have no side by their form
+(`dynamics.equivariant`); the baselines' networks and the prior of bodies have not.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from shmoo_mjx.dynamics import features, feet, mlp, object_model, robot_model
+from shmoo_mjx.dynamics import equivariant, features, feet, object_model, robot_model
 from shmoo_mjx.dynamics.features import Contact, Facing
 from shmoo_mjx.dynamics.layout import channels_first, channels_last, inward, outward
 from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
@@ -62,7 +62,7 @@ class Params(NamedTuple):
 class _Models(NamedTuple):
     """Params made ready for `_advance`, once per roll-out."""
 
-    robot: mlp.Layers
+    robot: equivariant.Layers
     object: object_model.Folded
     """With the coefficients in it: O of Eq. 3, not psi."""
     lean: LeanResponse
@@ -151,7 +151,7 @@ def _advance(models: _Models, state: SystemState, u: Array, config: CoreConfig) 
     face = features.facing(state)
     before, touch = features.contact(face, state.last_u[2]), features.contact(face, u[2])
     inputs = features.stacked_robot_inputs(state, face, before, u)
-    said = mlp.forward(models.robot, inputs, config.robot.activation)
+    said = models.robot.forward(inputs, config.robot.activation)
     force = jnp.where(_out_of_reach(state, touch, config), 0.0, said[3:])
     wrench = _wrench(state, face, touch, force, config)
     twist = face.yaw.back(state.object_twist)

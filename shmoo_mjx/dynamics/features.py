@@ -8,6 +8,8 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
+from scipy.linalg import block_diag
 
 from shmoo_mjx import se2
 from shmoo_mjx.dynamics.layout import Turn, channels_first, channels_last, inward, once
@@ -28,6 +30,7 @@ __all__ = [
     "last_sample",
     "markdown_table",
     "object_inputs",
+    "reflection",
     "robot_inputs",
     "slices",
     "stacked_robot_inputs",
@@ -48,41 +51,73 @@ class Entry(NamedTuple):
     frame: str
     unit: str
     meaning: str
+    reflected: tuple[int, ...]
+    """Signs of its channels in the mirror of the x-z plane."""
+    sides: bool = False
+    """Whether its two channels are of the left and the right hand, which the mirror exchanges."""
 
 
 ROBOT_INPUTS: tuple[Entry, ...] = (
-    Entry("base_twist", 3, "R", "m/s, rad/s", "twist of the base"),
-    Entry("lean", 2, "R", "rad", "lean towards +x and +y"),
-    Entry("lean_rate", 2, "R", "rad/s", "rates of the lean"),
-    Entry("face_pose", 3, "R", "m, rad", "centre of the pushed face; its inward normal against the heading, wrapped"),
-    Entry("relative_twist", 3, "R", "m/s, rad/s", "object's motion at the face's centre as the robot sees it"),
-    Entry("gap", 2, "O", "m", "left and right hand: gap to the face along its inward normal, clipped"),
-    Entry("offset", 2, "O", "1", "left and right hand: offset from the face's centre over half its width, clipped"),
-    Entry("gap_rate", 2, "O", "m/s", "rates of the two gaps with the hands at rest in {R}"),
-    Entry("last_force", 2, "R", "N", "mean force of the hands on the object over the last sample"),
-    Entry("last_u", 3, "R", "rad", "command of the last sample"),
-    Entry("u", 3, "R", "rad", "command of this sample"),
-    Entry("half_width", 1, "O", "m", "half the width of the pushed face"),
+    Entry("base_twist", 3, "R", "m/s, rad/s", "twist of the base", (1, -1, -1)),
+    Entry("lean", 2, "R", "rad", "lean towards +x and +y", (1, -1)),
+    Entry("lean_rate", 2, "R", "rad/s", "rates of the lean", (1, -1)),
+    Entry(
+        "face_pose",
+        3,
+        "R",
+        "m, rad",
+        "centre of the pushed face; its inward normal against the heading, wrapped",
+        (1, -1, -1),
+    ),
+    Entry(
+        "relative_twist", 3, "R", "m/s, rad/s", "object's motion at the face's centre as the robot sees it", (1, -1, -1)
+    ),
+    Entry(
+        "gap", 2, "O", "m", "left and right hand: gap to the face along its inward normal, clipped", (1, 1), sides=True
+    ),
+    Entry(
+        "offset",
+        2,
+        "O",
+        "1",
+        "left and right hand: offset from the face's centre over half its width, clipped",
+        (-1, -1),
+        sides=True,
+    ),
+    Entry("gap_rate", 2, "O", "m/s", "rates of the two gaps with the hands at rest in {R}", (1, 1), sides=True),
+    Entry("last_force", 2, "R", "N", "mean force of the hands on the object over the last sample", (1, -1)),
+    Entry("last_u", 3, "R", "rad", "command of the last sample", (1, -1, -1)),
+    Entry("u", 3, "R", "rad", "command of this sample", (1, -1, -1)),
+    Entry("half_width", 1, "O", "m", "half the width of the pushed face", (1,)),
 )
 """The 28 inputs of R."""
 
 ROBOT_OUTPUTS: tuple[Entry, ...] = (
-    Entry("base_acceleration", 3, "R", "m/s^2, rad/s^2", "mean acceleration of the base over the sample"),
-    Entry("force", 2, "R", "N", "mean planar force of the hands on the object over the sample"),
+    Entry("base_acceleration", 3, "R", "m/s^2, rad/s^2", "mean acceleration of the base over the sample", (1, -1, -1)),
+    Entry("force", 2, "R", "N", "mean planar force of the hands on the object over the sample", (1, -1)),
 )
 """The 5 outputs of R."""
 
 OBJECT_INPUTS: tuple[Entry, ...] = (
-    Entry("object_twist", 3, "O", "m/s, rad/s", "twist of the object"),
-    Entry("wrench", 3, "O", "N, N m", "mean wrench of the hands about the object's centre over the sample"),
-    Entry("last_object_twist", 3, "O", "m/s, rad/s", "twist one sample earlier, in {O} of that time"),
-    Entry("size", 1, "O", "m", "half the diagonal of the footprint"),
-    Entry("last_wrench", 3, "O", "N, N m", "wrench one sample earlier, in {O} of that time"),
+    Entry("object_twist", 3, "O", "m/s, rad/s", "twist of the object", (1, -1, -1)),
+    Entry(
+        "wrench", 3, "O", "N, N m", "mean wrench of the hands about the object's centre over the sample", (1, -1, -1)
+    ),
+    Entry("last_object_twist", 3, "O", "m/s, rad/s", "twist one sample earlier, in {O} of that time", (1, -1, -1)),
+    Entry("size", 1, "O", "m", "half the diagonal of the footprint", (1,)),
+    Entry("last_wrench", 3, "O", "N, N m", "wrench one sample earlier, in {O} of that time", (1, -1, -1)),
 )
 """The 13 inputs of psi; the paper has 10, and the last entry is not among them."""
 
 OBJECT_OUTPUTS: tuple[Entry, ...] = (
-    Entry("object_acceleration", 3, "O", "m/s^2, rad/s^2", "mean acceleration of the object over the sample: psi a"),
+    Entry(
+        "object_acceleration",
+        3,
+        "O",
+        "m/s^2, rad/s^2",
+        "mean acceleration of the object over the sample: psi a",
+        (1, -1, -1),
+    ),
 )
 """The 3 outputs of O = psi a."""
 
@@ -129,6 +164,15 @@ def slices(table: tuple[Entry, ...]) -> dict[str, slice]:
         found[entry.name] = slice(start, start + entry.width)
         start += entry.width
     return found
+
+
+def reflection(table: tuple[Entry, ...]) -> np.ndarray:
+    """The matrix ``[n, n]`` that makes the vector of the table what it is in the mirror of the x-z plane."""
+    blocks = []
+    for entry in table:
+        block = np.diag(np.array(entry.reflected, np.float32))
+        blocks.append(block[::-1] if entry.sides else block)
+    return block_diag(*blocks)
 
 
 def markdown_table(table: tuple[Entry, ...]) -> str:

@@ -46,7 +46,7 @@ the front and left feet; all else over half the diagonal of the footprint: radiu
 half distances of the feet [log], and the point in the middle of them."""
 
 GRAVITY = 9.81
-GAUSS_SEIDEL_ITERATIONS = 5
+GAUSS_SEIDEL_SWEEPS = 5
 """Over the four feet: what one holds changes what the others have to hold."""
 FEET = ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0))
 
@@ -83,12 +83,14 @@ def acceleration(parameters: Array, inputs: Array) -> Array:
     tip = HAND_HEIGHT / (mass * GRAVITY)
     load_x = jnp.clip((tip * fx - mid_x) / half_x, -0.98, 0.98)
     load_y = jnp.clip((tip * fy - mid_y) / half_y, -0.98, 0.98)
-    signs = jnp.array(FEET).reshape(4, 2, *(1,) * size.ndim)
-    lever = jnp.stack([mid_x + signs[:, 0] * half_x, mid_y + signs[:, 1] * half_y], axis=1)
-    weight = DT * mass * GRAVITY / 4 * (1 + signs[:, 0] * load_x) * (1 + signs[:, 1] * load_y)
-    grip = jnp.exp(signs[:, 0] * named["grip_x"] + signs[:, 1] * named["grip_y"])
-    limit = jnp.stack([weight * grip * jnp.exp(named[f"log_friction_{axis}"]) for axis in "xy"], axis=1)
-    step = 1.0 / (inverse_mass + jnp.sum(lever**2, axis=1) * inverse_inertia)
+    rub_x, rub_y = jnp.exp(named["log_friction_x"]), jnp.exp(named["log_friction_y"])
+    feet = []
+    for front, left in FEET:
+        lx, ly = mid_x + front * half_x, mid_y + left * half_y
+        weight = DT * mass * GRAVITY / 4 * (1 + front * load_x) * (1 + left * load_y)
+        most = weight * jnp.exp(front * named["grip_x"] + left * named["grip_y"])
+        stiffness = 1.0 / (inverse_mass + (lx**2 + ly**2) * inverse_inertia)
+        feet.append((lx, ly, 1.0 / (most * rub_x), 1.0 / (most * rub_y), stiffness))
     # Twist of the centre of mass after the push alone; then the feet take from it what they hold.
     pushed = (
         vx - spin * y + DT * inverse_mass * fx,
@@ -96,17 +98,21 @@ def acceleration(parameters: Array, inputs: Array) -> Array:
         spin + DT * inverse_inertia * (torque - x * fy + y * fx),
     )
 
-    def hold(carry: tuple[Any, Array], foot: Array) -> tuple[tuple[Any, Array], None]:
-        """One foot: the impulse that would stop it, cut to what its load allows."""
+    def sweep(carry: tuple[Any, Any], _: None) -> tuple[tuple[Any, Any], None]:
+        """Foot by foot: the impulse that would stop it, cut to what its load allows."""
         (ux, uy, turn), impulses = carry
-        (lx, ly), most, before = lever[foot], limit[foot], impulses[foot]
-        slip = jnp.stack([ux - turn * ly, uy + turn * lx])
-        wanted = before - step[foot] * slip
-        after = wanted * jax.lax.rsqrt(jnp.maximum(1.0, jnp.sum((wanted / most) ** 2, axis=0)))
-        dx, dy = after - before
-        moved = (ux + inverse_mass * dx, uy + inverse_mass * dy, turn + inverse_inertia * (lx * dy - ly * dx))
-        return (moved, impulses.at[foot].set(after)), None
+        held = []
+        for (lx, ly, per_x, per_y, stiffness), (old_x, old_y) in zip(feet, impulses, strict=True):
+            new_x, new_y = old_x - stiffness * (ux - turn * ly), old_y - stiffness * (uy + turn * lx)
+            share = jax.lax.rsqrt(jnp.maximum(1.0, (new_x * per_x) ** 2 + (new_y * per_y) ** 2))
+            new_x, new_y = new_x * share, new_y * share
+            dx, dy = new_x - old_x, new_y - old_y
+            ux, uy = ux + inverse_mass * dx, uy + inverse_mass * dy
+            turn = turn + inverse_inertia * (lx * dy - ly * dx)
+            held.append((new_x, new_y))
+        return ((ux, uy, turn), tuple(held)), None
 
-    order = jnp.tile(jnp.arange(4), GAUSS_SEIDEL_ITERATIONS)
-    ((ux, uy, turn), _), _ = jax.lax.scan(hold, (pushed, jnp.zeros_like(limit)), order)
+    none = jnp.zeros_like(pushed[0])
+    start = (pushed, ((none, none),) * len(FEET))
+    ((ux, uy, turn), _), _ = jax.lax.scan(sweep, start, length=GAUSS_SEIDEL_SWEEPS)
     return jnp.stack([ux + turn * y - vx, uy - turn * x - vy, turn - spin]) / DT

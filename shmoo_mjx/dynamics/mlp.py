@@ -16,7 +16,6 @@ __all__ = [
     "apply",
     "cap_spectral_norm",
     "fold",
-    "forward",
     "init",
     "power_iterate",
     "with_normaliser",
@@ -51,6 +50,25 @@ class Layers(NamedTuple):
     skip: Array | None = None
     """``[n_last, n_0]`` a linear map of the input that is added to the output."""
 
+    def then(self, linear: Callable[[Array], Array]) -> Layers:
+        """The network followed by a linear map of its outputs, ``[n_last, ...]`` -> ``[m, ...]``."""
+        weights, biases = ((*x[:-1], linear(x[-1])) for x in (self.weights, self.biases))
+        return self._replace(weights=weights, biases=biases)
+
+    def plus(self, skip: Array | None, bias: Array) -> Layers:
+        """The network with ``skip [n_last, n_0]`` times its input and ``bias [n_last]`` added to its output."""
+        return self._replace(biases=(*self.biases[:-1], self.biases[-1] + bias), skip=skip)
+
+    def forward(self, x: Array, activation: str = "tanh") -> Array:
+        """What `apply` gives, with channels first: ``[n_last, ...]`` for ``x [n_0, ...]``."""
+        function = ACTIVATIONS[activation]
+        ones = (1,) * (x.ndim - 1)
+        h = x
+        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            h = jnp.tensordot(weight, h, axes=1) + bias.reshape(-1, *ones)
+            h = function(h) if i + 1 < len(self.weights) else h
+        return h if self.skip is None else h + jnp.tensordot(self.skip, x, axes=1)
+
 
 def init(key: Array, widths: Sequence[int]) -> MLP:
     """Fresh weights (LeCun normal, zero bias) for layers of ``widths``, e.g. (28, 128, 128, 50, 5)."""
@@ -77,21 +95,10 @@ def apply(mlp: MLP, x: Array, activation: str = "tanh") -> Array:
 
 
 def fold(mlp: MLP) -> Layers:
-    """Prepare a network for `forward`; once per plan, so that its steps need not."""
+    """Prepare a network for `Layers.forward`; once per plan, so that its steps need not."""
     first = mlp.weights[0].T / mlp.scale
     biases = (mlp.biases[0] - first @ mlp.mean, *mlp.biases[1:])
     return Layers((first, *(w.T for w in mlp.weights[1:])), biases)
-
-
-def forward(layers: Layers, x: Array, activation: str = "tanh") -> Array:
-    """What `apply` gives, with channels first: ``[n_last, ...]`` for ``x [n_0, ...]``."""
-    function = ACTIVATIONS[activation]
-    ones = (1,) * (x.ndim - 1)
-    h = x
-    for i, (weight, bias) in enumerate(zip(layers.weights, layers.biases, strict=True)):
-        h = jnp.tensordot(weight, h, axes=1) + bias.reshape(-1, *ones)
-        h = function(h) if i + 1 < len(layers.weights) else h
-    return h if layers.skip is None else h + jnp.tensordot(layers.skip, x, axes=1)
 
 
 def power_iterate(weight: Array, vector: Array, steps: int = 1) -> tuple[Array, Array]:

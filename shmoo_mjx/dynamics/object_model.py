@@ -7,23 +7,29 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from scipy.linalg import block_diag
 
-from shmoo_mjx.dynamics import features, feet, mlp
+from shmoo_mjx.dynamics import equivariant, features, feet, mlp
 
 __all__ = [
     "Folded",
     "ObjectConfig",
     "ObjectParams",
     "basis",
+    "coefficient_signs",
     "design_matrix",
     "fold",
     "forward",
     "init",
     "network_inputs",
     "predict",
+    "reflections",
 ]
 
 Array = Any
+
+Layers = mlp.Layers | equivariant.Layers
 
 ANSWER_LIMIT = 20.0
 """Cap on the body's answers, in standard deviations of the labels."""
@@ -53,11 +59,16 @@ class ObjectConfig:
     body: bool = True
     """psi also sees what a body on four feet (`feet`), identified from what was felt of the object, says of the same
     push and, with ``last_wrench``, by how much it was wrong a sample ago; not in the paper."""
+    equivariant: bool = True
+    """No preferred side by construction (`equivariant`); not in the paper."""
 
     @classmethod
     def paper(cls) -> ObjectConfig:
         """psi as the paper prints it: widths [10, 128, 128, 50, 6], the six functions shared by the axes."""
-        return cls(functions=6, activation="tanh", per_axis=False, linear_terms=False, last_wrench=False, body=False)
+        return cls(
+            functions=6, activation="tanh", per_axis=False, linear_terms=False, last_wrench=False, body=False,
+            equivariant=False,
+        )  # fmt: skip
 
 
 class ObjectParams(NamedTuple):
@@ -73,7 +84,7 @@ class ObjectParams(NamedTuple):
 class Folded(NamedTuple):
     """O with its coefficients, made ready for roll-outs."""
 
-    layers: mlp.Layers
+    layers: Layers
     body: Array
     """``[p]``, unused unless config.body."""
     label_scale: Array
@@ -87,7 +98,8 @@ def init(key: Array, config: ObjectConfig | None = None, n_in: int | None = None
     n_out = config.functions * (n_axes if config.per_axis else 1)
     net_key, linear_key = jax.random.split(key)
     linear = jax.random.normal(linear_key, (n_seen, n_out)) / jnp.sqrt(n_seen) * float(config.linear_terms)
-    net = mlp.init(net_key, (n_seen, *config.hidden, n_out))
+    network = equivariant if config.equivariant else mlp
+    net = network.init(net_key, (n_seen, *config.hidden, n_out))
     return ObjectParams(net, linear, jnp.ones(n_axes))
 
 
@@ -118,9 +130,12 @@ def basis(params: ObjectParams, inputs: Array, config: ObjectConfig, body: Array
     ``body [p]`` as `feet.PARAMETERS` lists them; ignored unless config.body.
     """
     seen = network_inputs(params.label_scale, inputs, config, body)
-    out = mlp.apply(params.net, seen, config.activation)
+    if config.equivariant:
+        out = equivariant.apply(params.net, seen, reflections(config), config.activation)
+    else:
+        out = mlp.apply(params.net, seen, config.activation)
     if config.linear_terms:
-        out = out + ((seen - params.net.mean) / params.net.scale) @ params.linear
+        out = out + ((seen - params.net.mean) / params.net.scale) @ _linear(params, config)
     return _by_axis(params, out, config)
 
 
@@ -143,21 +158,53 @@ def fold(params: ObjectParams, coefficients: Array, config: ObjectConfig, body: 
     psi a is linear in the last layer's output, so a goes into that layer's weights, and psi itself is never formed.
     """
 
-    def weigh(columns: Array) -> Array:
-        return jnp.sum(_by_axis(params, columns, config) * coefficients, axis=-1) * params.label_scale
+    def weigh(rows: Array) -> Array:
+        said = _by_axis(params, rows.T, config) * coefficients
+        return (jnp.sum(said, axis=-1) * params.label_scale).T
 
-    net = mlp.fold(params.net)
-    last, bias = weigh(params.net.weights[-1]).T, weigh(params.net.biases[-1])
-    skip = None
+    layers: Layers
+    if config.equivariant:
+        layers = equivariant.fold(params.net, reflections(config)).then(weigh)
+    else:
+        layers = mlp.fold(params.net).then(weigh)
     if config.linear_terms:
-        skip = weigh(params.linear).T / params.net.scale
-        bias = bias - skip @ params.net.mean
-    return Folded(mlp.Layers((*net.weights[:-1], last), (*net.biases[:-1], bias), skip), body, params.label_scale)
+        skip = weigh(_linear(params, config).T) / params.net.scale
+        layers = layers.plus(skip, -skip @ params.net.mean)
+    return Folded(layers, body, params.label_scale)
 
 
 def forward(folded: Folded, inputs: Array, config: ObjectConfig) -> Array:
     """What `predict` gives, with channels first: ``[3, ...]`` for ``inputs [13, ...]``."""
-    return mlp.forward(folded.layers, _seen(folded.label_scale, inputs, config, folded.body), config.activation)
+    seen = _seen(folded.label_scale, inputs, config, folded.body)
+    return folded.layers.forward(seen, config.activation)
+
+
+def coefficient_signs(config: ObjectConfig) -> np.ndarray:
+    """``[3, K]`` what a mirrored object's coefficients are multiplied with; a symmetrical object has none that change.
+
+    Every third function is for what tells left from right: a load off the centre, one braked wheel.
+    """
+    signs = np.where(np.arange(config.functions) % 3 == 2, -1.0, 1.0).astype(np.float32)
+    axes = np.diag(features.reflection(features.OBJECT_OUTPUTS))
+    return np.broadcast_to(signs, (3, config.functions)) if config.per_axis else axes[:, None] * signs
+
+
+def reflections(config: ObjectConfig) -> tuple[np.ndarray, np.ndarray]:
+    """The mirror's matrices for what psi's network sees and for what it says."""
+    seen, axes = features.reflection(features.OBJECT_INPUTS), features.reflection(features.OBJECT_OUTPUTS)
+    if not config.last_wrench:
+        seen = seen[:-3, :-3]
+    answers = (len(FRICTION_SHIFTS) + config.last_wrench) * config.body
+    said = np.diag(axes)[:, None] * coefficient_signs(config)
+    return block_diag(seen, *[axes] * answers), np.diag(said.reshape(-1) if config.per_axis else said[0])
+
+
+def _linear(params: ObjectParams, config: ObjectConfig) -> Array:
+    """The linear part ``[seen, n]``, of which only what has no preferred side counts if config.equivariant."""
+    if not config.equivariant:
+        return params.linear
+    seen, said = reflections(config)
+    return (params.linear + seen @ params.linear @ said) / 2
 
 
 def _by_axis(params: ObjectParams, out: Array, config: ObjectConfig) -> Array:

@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.linalg import expm
 
-from shmoo_mjx.dynamics import features, mlp
+from shmoo_mjx.dynamics import equivariant, features
+from shmoo_mjx.dynamics.mlp import MLP
 from shmoo_mjx.types import DT
 
 __all__ = [
@@ -24,6 +25,10 @@ __all__ = [
 ]
 
 Array = Any
+
+
+REFLECTIONS = (features.reflection(features.ROBOT_INPUTS), features.reflection(features.ROBOT_OUTPUTS))
+"""The mirror's matrices for R's inputs and outputs."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +52,8 @@ class LeanResponse(NamedTuple):
 class RobotParams(NamedTuple):
     """Everything learned about the robot."""
 
-    net: mlp.MLP
+    net: MLP
+    """Without a preferred side (`equivariant`)."""
     output_mean: Array
     """``[5]`` in the units of ROBOT_OUTPUTS."""
     output_scale: Array
@@ -60,7 +66,7 @@ def init(key: Array, config: RobotConfig | None = None) -> RobotParams:
     config = config or RobotConfig()
     n_in, n_out = features.width(features.ROBOT_INPUTS), features.width(features.ROBOT_OUTPUTS)
     return RobotParams(
-        net=mlp.init(key, (n_in, *config.hidden, n_out)),
+        net=equivariant.init(key, (n_in, *config.hidden, n_out)),
         output_mean=jnp.zeros(n_out),
         output_scale=jnp.ones(n_out),
         lean=lag(8.0, 0.9),
@@ -69,16 +75,19 @@ def init(key: Array, config: RobotConfig | None = None) -> RobotParams:
 
 def predict(params: RobotParams, inputs: Array, config: RobotConfig) -> tuple[Array, Array]:
     """R of Eq. 2 for ``inputs [..., 28]``: base acceleration ``[..., 3]`` and hand force ``[..., 2]``, both in {R}."""
-    out = mlp.apply(params.net, inputs, config.activation) * params.output_scale + params.output_mean
+    out = normalised(params.net, inputs, config) * params.output_scale + params.output_mean
     return out[..., :3], out[..., 3:]
 
 
-def fold(params: RobotParams) -> mlp.Layers:
-    """R made ready for roll-outs: `mlp.forward` of it gives ``[5, ...]`` in the units of ROBOT_OUTPUTS."""
-    net = mlp.fold(params.net)
-    last = net.weights[-1] * params.output_scale[:, None]
-    bias = net.biases[-1] * params.output_scale + params.output_mean
-    return net._replace(weights=(*net.weights[:-1], last), biases=(*net.biases[:-1], bias))
+def normalised(net: MLP, inputs: Array, config: RobotConfig) -> Array:
+    """R's outputs ``[..., 5]`` in units of their spread in training."""
+    return equivariant.apply(net, inputs, REFLECTIONS, config.activation)
+
+
+def fold(params: RobotParams) -> equivariant.Layers:
+    """R made ready for roll-outs: its `forward` gives ``[5, ...]`` in the units of ROBOT_OUTPUTS."""
+    net = equivariant.fold(params.net, REFLECTIONS)
+    return net.then(lambda rows: (rows.T * params.output_scale).T).plus(None, params.output_mean)
 
 
 def lag(frequency: float, damping: float, dt: float = DT) -> LeanResponse:

@@ -25,7 +25,7 @@ import jax.numpy as jnp
 import optax
 
 from shmoo_mjx.data import store
-from shmoo_mjx.dynamics import feet, mlp, object_model
+from shmoo_mjx.dynamics import equivariant, feet, mlp, object_model
 from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning import least_squares, multistep, training, training_bodies
@@ -168,7 +168,9 @@ def fit(
     Inputs of an unknown meaning can not be fed back, so it is teacher-forced, and no body can answer to them.
     """
     config = config or DaimlConfig()
-    config = replace(config, open_loop=False, object=replace(config.object, last_wrench=True, body=False))
+    config = replace(
+        config, open_loop=False, object=replace(config.object, last_wrench=True, body=False, equivariant=False)
+    )
     return fit_rows(rows_from_arrays(train), rows_from_arrays(validation), config, out_dir, progress)
 
 
@@ -271,7 +273,12 @@ def _init(config: DaimlConfig, rows: Rows, bodies: Array) -> _State:
     params = params._replace(label_scale=jnp.asarray(label_scale(rows), jnp.float32))
     see = jax.jit(jax.vmap(lambda x, body: object_model.network_inputs(params.label_scale, x, config.object, body)))
     seen = see(jnp.asarray(rows.inputs), bodies[:, -1])
-    params = params._replace(net=mlp.with_normaliser(params.net, seen[jnp.asarray(rows.weights) > 0]))
+    seen = seen[jnp.asarray(rows.weights) > 0]
+    if config.object.equivariant:
+        net = equivariant.with_normaliser(params.net, seen, object_model.reflections(config.object)[0])
+    else:
+        net = mlp.with_normaliser(params.net, seen)
+    params = params._replace(net=net)
     mean = 0.3 * jax.random.normal(mean_key, (n_axes, config.object.functions))
     n = mean.size
     model = _Model(params, mean, jnp.eye(n), jnp.full(n_axes, jnp.log(0.5)))
@@ -297,10 +304,15 @@ def _learned(model: _Model) -> tuple[Any, ...]:
     return net.weights, net.biases, params.linear, model.mean, model.factor, model.log_noise
 
 
-def _with_learned(model: _Model, learned: tuple[Any, ...], linear_terms: bool) -> _Model:
+def _with_learned(model: _Model, learned: tuple[Any, ...], config: ObjectConfig) -> _Model:
     weights, biases, linear, mean, factor, log_noise = learned
     net = model.params.net._replace(weights=weights, biases=biases)
-    params = model.params._replace(net=net, linear=linear if linear_terms else model.params.linear)
+    params = model.params._replace(net=net, linear=linear if config.linear_terms else model.params.linear)
+    if config.equivariant:
+        # An object not yet touched is as likely as its mirror image.
+        signs = object_model.coefficient_signs(config)
+        mean = jnp.where(signs > 0, mean, 0.0)
+        factor = jnp.where(signs.reshape(-1, 1) == signs.reshape(-1), factor, 0.0)
     return _Model(params, mean, factor, log_noise)
 
 
@@ -329,14 +341,14 @@ def _chunk(config: DaimlConfig, rows: Rows, bodies: Array, sampler: Sampler, sta
         body = bodies[batch.condition, which]
 
         def loss_of(learned: tuple[Any, ...]) -> tuple[Array, tuple[Array, Array]]:
-            model = _with_learned(state.model, learned, config.object.linear_terms)
+            model = _with_learned(state.model, learned, config.object)
             return _loss(config, model, state.discriminator, batch, body)
 
         gradient, (loss, psi) = jax.grad(loss_of, has_aux=True)(_learned(state.model))
         learned = _learned(state.model)
         change, model_opt = optimiser.update(gradient, state.model_opt, learned)
         learned = optax.apply_updates(learned, change)
-        model = _with_learned(state.model, learned, config.object.linear_terms)
+        model = _with_learned(state.model, learned, config.object)
         net, vectors = mlp.cap_spectral_norm(model.params.net, state.vectors, config.spectral_cap)
         model = model._replace(params=model.params._replace(net=net))
         new = state._replace(model=model, model_opt=model_opt, vectors=vectors, key=jax.random.key_data(key))

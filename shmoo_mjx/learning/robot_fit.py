@@ -15,7 +15,7 @@ import optax
 
 from shmoo_mjx import se2
 from shmoo_mjx.data import store
-from shmoo_mjx.dynamics import core, features, mlp, robot_model
+from shmoo_mjx.dynamics import core, equivariant, features, mlp, robot_model
 from shmoo_mjx.dynamics.core import CoreConfig
 from shmoo_mjx.dynamics.object_model import ObjectConfig
 from shmoo_mjx.dynamics.robot_model import LeanResponse, RobotConfig, RobotParams
@@ -197,8 +197,8 @@ def _prepared(config: RobotFitConfig, rows: RobotRows) -> RobotParams:
     """Untrained parameters with the rows' normalisation."""
     params = robot_model.init(jax.random.key(config.seed + 1), config.robot)
     return params._replace(
-        net=mlp.with_normaliser(params.net, jnp.asarray(rows.inputs)),
-        output_mean=jnp.mean(jnp.asarray(rows.labels), axis=0),
+        net=equivariant.with_normaliser(params.net, jnp.asarray(rows.inputs), robot_model.REFLECTIONS[0]),
+        output_mean=equivariant.parts(robot_model.REFLECTIONS[1])[0] @ jnp.mean(jnp.asarray(rows.labels), axis=0),
         output_scale=jnp.maximum(jnp.std(jnp.asarray(rows.labels), axis=0), 1e-3),
     )
 
@@ -226,7 +226,7 @@ def _chunk(
 
         def loss_of(learned: tuple[Any, Any]) -> Array:
             net = state.net._replace(weights=learned[0], biases=learned[1])
-            loss = jnp.mean((mlp.apply(net, x, config.robot.activation) - y) ** 2)
+            loss = jnp.mean((robot_model.normalised(net, x, config.robot) - y) ** 2)
             if config.horizon > 0:
                 model = params._replace(net=net)
                 loss = loss + config.rolled * _rolled_out(config, model, rows, starts[picked])

@@ -37,7 +37,7 @@ __all__ = [
 
 Array = Any
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 """Raised whenever a field of the file changes its meaning."""
 
 

@@ -27,11 +27,14 @@ class DriveConfig:
 
     replan_every: float = 0.5
     """Time between two local trajectories [s]."""
-    stiffness: float = 0.6
-    """Acceleration of the flat output per metre of error [1/s^2]; weak, since a new trajectory starts from where the
-    robot is before a correction has arrived: 2.5 doubles the deviation."""
-    damping: float = 0.8
+    stiffness: float = 1.0
+    """Acceleration of the flat output per metre of error [1/s^2]; with the delays of real senses 2.5 is unstable."""
+    damping: float = 1.6
     """Acceleration per m/s of error [1/s]."""
+    strayed: tuple[float, float] = (0.15, 0.3)
+    """Deviation in place [m] and in speed [m/s] beyond which a new trajectory starts from where the robot is. Otherwise
+    from where the last one has got to: planned from measurements that lag behind the commands, trajectories circle
+    round their end for as long as one waits."""
     lead: float = 0.25
     """How far ahead the lean is read off the trajectory [s]: the lag of the lean loop."""
     lean_limit: float = 0.14
@@ -77,7 +80,7 @@ def follow(
         position, velocity, se2.rotate(seen.lean[0], yaw), se2.rotate(seen.lean_rate[0], yaw)
     )
     if path is not None and now - state.start >= cfg.replan_every - 1e-6:
-        found = flat_trajectory.plan(planner, flat, path, clearance())
+        found = flat_trajectory.plan(planner, _begin(cfg, planner, state, now, flat), path, clearance())
         if found.ok:
             state = DriveState(found, now, None, "")
         else:
@@ -87,6 +90,17 @@ def follow(
         return state, velocity_command(seen, np.zeros(2))
     # The lean is commanded in {R}, which turns on until the body has got there.
     return state, _track(cfg, planner, state, now, flat, yaw + cfg.lead * seen.robot_twist[0, 2])
+
+
+def _begin(cfg: DriveConfig, planner: Planner, state: DriveState, now: float, flat: np.ndarray) -> np.ndarray:
+    """The flat state ``[4, 2]`` that the next trajectory starts from: where the last one has got to, if the robot is
+    near it."""
+    if state.trajectory is None:
+        return flat
+    at = flat_trajectory.evaluate(state.trajectory, now - state.start)
+    planned = planner.model.flat_state(at.position, at.velocity, at.lean, at.lean_rate)
+    strayed = np.linalg.norm(flat[:2] - planned[:2], axis=1)
+    return flat if strayed[0] > cfg.strayed[0] or strayed[1] > cfg.strayed[1] else planned
 
 
 def _track(

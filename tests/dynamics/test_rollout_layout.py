@@ -9,7 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from shmoo_mjx.dynamics import CoreConfig, ObjectConfig, Params, RobotConfig, core, features, mlp, object_model
+from shmoo_mjx.dynamics import CoreConfig, ObjectConfig, Params, RobotConfig, core, features, object_model, robot_model
+from shmoo_mjx.dynamics.equivariant import parts
+from shmoo_mjx.dynamics.mlp import MLP
 from shmoo_mjx.hands import HAND_RADIUS, hand_targets
 from shmoo_mjx.types import DT, SystemState
 
@@ -18,14 +20,18 @@ def random_params(config: CoreConfig) -> Params:
     """Untrained networks with a normaliser, biases and scales that are not trivial."""
     params, keys = core.init(jax.random.key(0), config), iter(jax.random.split(jax.random.key(1), 20))
 
-    def dress(net: mlp.MLP) -> mlp.MLP:
+    def dress(net: MLP, kept: np.ndarray) -> MLP:
         biases = tuple(0.1 * jax.random.normal(next(keys), b.shape) for b in net.biases)
-        mean = 0.1 * jax.random.normal(next(keys), net.mean.shape)
-        return net._replace(biases=biases, mean=mean, scale=1.0 + 0.5 * jax.random.uniform(next(keys), net.scale.shape))
+        mean = kept @ (0.1 * jax.random.normal(next(keys), net.mean.shape))
+        scale = np.abs(kept) @ (1.0 + 0.5 * jax.random.uniform(next(keys), net.scale.shape))
+        return net._replace(biases=biases, mean=mean, scale=jnp.where(scale > 0, scale, 1.0))
 
     scale = jnp.array([1.0, 1.0, 0.5, 20.0, 10.0])
-    robot = params.robot._replace(net=dress(params.robot.net), output_scale=scale, output_mean=0.1 * scale)
-    body = params.object._replace(net=dress(params.object.net), label_scale=jnp.array([1.0, 0.7, 2.0]))
+    robot_net = dress(params.robot.net, parts(robot_model.REFLECTIONS[0])[0])
+    robot = params.robot._replace(net=robot_net, output_scale=scale, output_mean=0.1 * scale)
+    seen = len(params.object.net.mean)
+    kept = parts(object_model.reflections(config.object)[0])[0] if config.object.equivariant else np.eye(seen)
+    body = params.object._replace(net=dress(params.object.net, kept), label_scale=jnp.array([1.0, 0.7, 2.0]))
     return Params(robot, body, 0.2 * jax.random.normal(next(keys), params.coefficients.shape), params.body)
 
 
@@ -53,7 +59,7 @@ def plain_step(params: Params, state: SystemState, u: np.ndarray, config: CoreCo
     into = lambda a, v: np.array([*(rot(a) @ v[:2]), *v[2:]])  # noqa: E731
     heading, yaw, face = s["robot_pose"][2], s["object_pose"][2], s["face"]
     inputs = np.asarray(features.robot_inputs(state, u.astype(np.float32)), float)
-    out = np.asarray(mlp.apply(params.robot.net, inputs.astype(np.float32), config.robot.activation), float)
+    out = np.asarray(robot_model.normalised(params.robot.net, inputs.astype(np.float32), config.robot), float)
     out = out * np.asarray(params.robot.output_scale) + np.asarray(params.robot.output_mean)
     base, force = out[:3], out[3:]
 
@@ -169,7 +175,7 @@ def test_folding_changes_no_prediction(config: CoreConfig) -> None:
     expected = object_model.predict(params.object, params.coefficients, x, config.object, params.body)
     folded = object_model.fold(params.object, params.coefficients, config.object, params.body)
     np.testing.assert_allclose(object_model.forward(folded, x.T, config.object).T, expected, atol=1e-5)
-    assert folded.layers.weights[-1].shape[0] == 3
+    assert folded.layers.biases[-1].shape == (3,)
 
 
 def test_the_state_s_own_batch_and_the_controls_combine() -> None:

@@ -66,10 +66,10 @@ def test_missing_old_or_of_another_shape(path: Path) -> None:
     serialisation.save_tree(path, tree, notes)
     with pytest.raises(ShmooError, match=r"'body_prior\.mean' is missing"):
         weights.load_weights(path)
-    wide = weights.untrained(CoreConfig(robot=RobotConfig(hidden=(9, 8)), object=CONFIG.object))
+    wide = weights.untrained(CoreConfig(robot=RobotConfig(hidden=(10, 8)), object=CONFIG.object))
     whole = {k: getattr(wide, k) for k in ("params", "prior_covariance", "noise", "body_prior")}
     serialisation.save_tree(path, whole, notes)
-    with pytest.raises(ShmooError, match=r"has shape \(28, 9\) where \(28, 8\)"):
+    with pytest.raises(ShmooError, match=r"has shape \(56, 5\) where \(56, 4\)"):
         weights.load_weights(path)
 
 
