@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx import se2
+from shmoo_mjx import own, se2
 from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.navigation.belief import Status
 from shmoo_mjx.navigation.maps import OccupancyGrid, occupied_rectangles
 from shmoo_mjx.navigation.navigator import Navigator
-from shmoo_mjx.navigation.policy import PolicyNavigator, policy_named
+from shmoo_mjx.navigation.policy import PolicyNavigator
 from shmoo_mjx.navigation.records import Mode, NavigatorConfig
 from shmoo_mjx.navigation.scenario import Scenario
 from shmoo_mjx.plant.objects import Condition
@@ -77,7 +77,7 @@ def navigator_of(
     config = replace(config or NavigatorConfig(), planning_time=senses.planning, latency=senses.latency)
     sizes = [c.half_extents for c in conditions_of(scenario)]
     if policy is not None:
-        maker = policy_named(policy)
+        maker = own.named("policy", policy)
         return PolicyNavigator(policy, maker, grid, scenario.goal, sizes, controller, scenario.seed, config)
     return Navigator(grid, scenario.goal, sizes, controller, scenario.seed, config, first_status)
 

@@ -6,7 +6,6 @@ as we do. *always_avoid* takes every object for a wall. *always_push* pushes wha
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from shmoo_mjx import own
 from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.evaluation.manipulable import BORDER
 from shmoo_mjx.evaluation.navigation_failures import keep_failure, write_failures
@@ -34,7 +34,6 @@ from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.navigation.belief import Status
 from shmoo_mjx.navigation.maps import OccupancyGrid, load_map
 from shmoo_mjx.navigation.object_planner import ObjectPlannerConfig
-from shmoo_mjx.navigation.policy import source_of
 from shmoo_mjx.navigation.records import NavigatorConfig
 from shmoo_mjx.navigation.scenario import Scenario
 from shmoo_mjx.plant.robot import ROBOT
@@ -88,12 +87,6 @@ def _policy(name: str) -> Policy:
     return POLICIES.get(name) or Policy(NavigatorConfig(), name=name)
 
 
-def _kept_as(name: str) -> str:
-    """The policy's part in the name of a trial: that of somebody else goes with the file that it stands in."""
-    source = None if name in POLICIES else source_of(name)
-    return name if source is None else f"{name}@{hashlib.sha256(source.read_bytes()).hexdigest()[:8]}"
-
-
 @dataclass(frozen=True)
 class Robot:
     """With what every policy runs."""
@@ -133,7 +126,7 @@ def run(options: ExperimentOptions) -> ExperimentResult:
     cfg = replace(cfg, scenarios=count if options.scenarios is None else options.scenarios)
     places = find_places(options, folder, cfg.scenario, most=2 if options.quick else None)
     store = trials_folder(options, folder, cfg.scenario)
-    kept = [_kept_as(policy) for policy in cfg.policies]
+    kept = [own.kept_as("policy", policy, POLICIES) for policy in cfg.policies]
     names = [f"{name}-{i}-{policy}" for policy in kept for i in range(cfg.scenarios) for name in places.maps]
     work = partial(_trial, places, robot_of(options), store)
     rows = run_trials(names, work, store, options.progress, cfg.workers)

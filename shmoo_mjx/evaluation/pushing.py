@@ -15,9 +15,10 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from shmoo_mjx import own
 from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.evaluation.pushing_measures import metrics_of
-from shmoo_mjx.evaluation.pushing_trials import METHODS, STRATA, Runner, Trial, draw_trials, save_trial
+from shmoo_mjx.evaluation.pushing_trials import METHODS, OWN, STRATA, Runner, Trial, draw_trials, save_trial
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.processes import process_pool
@@ -54,22 +55,23 @@ def config_for(quick: bool) -> PushingConfig:
 
 def run(options: ExperimentOptions) -> ExperimentResult:
     """Run what is not done yet and put the results together."""
-    config = replace(config_for(options.quick), methods=options.chosen(METHODS))
+    config = replace(config_for(options.quick), methods=options.chosen(METHODS, others=True))
     weights = Path(options.weights or asset(WEIGHTS))
     runs = dict(zip(STRATA, (config.runs, config.demanding_runs), strict=True))
     trials = [t for s in STRATA for t in draw_trials(options.first_unseen, options.seed, runs[s], config.goals, s)]
     folder = options.out / "pushing" / _fingerprint(options, config, weights)
     folder.mkdir(parents=True, exist_ok=True)
     # Ours first, then the method that says most beside it: what an experiment that is stopped has run can be compared.
+    kept = {m: own.kept_as(OWN, m, METHODS) for m in config.methods}
     wanted = [(t, m) for m in config.methods for t in trials]
-    todo = [(t, m) for t, m in wanted if not (folder / f"{m}-{t.name}.json").exists()]
+    todo = [(t, m) for t, m in wanted if not (folder / f"{kept[m]}-{t.name}.json").exists()]
     total = len(wanted)
     needs_paper_form = any(m == "paper_form" for _, m in todo)
     paper_form = _paper_form(options, weights, folder) if needs_paper_form else None
-    job = _Job(weights, paper_form, config, folder, options.senses)
+    job = _Job(weights, paper_form, config, folder, options.senses, kept)
     for done, name in enumerate(_run_all(todo, job), total - len(todo) + 1):
         options.progress(f"pushing: {name}", 0.95 * done / total)
-    rows = [json.loads((folder / f"{m}-{t.name}.json").read_text()) for t, m in wanted]
+    rows = [json.loads((folder / f"{kept[m]}-{t.name}.json").read_text()) for t, m in wanted]
     from shmoo_mjx.evaluation.pushing_figure import draw_figure, film
 
     draw_figure(options.out / "pushing" / "pushing.png", rows, folder)
@@ -119,6 +121,8 @@ class _Job:
     config: PushingConfig
     folder: Path
     senses: str
+    kept: dict[str, str]
+    """By what name each method's trials are kept."""
 
 
 _RUNNER: dict[tuple[Path, str], Runner] = {}
@@ -141,7 +145,7 @@ def _one(trial: Trial, method: str, job: _Job) -> str:
         paper_form = None if job.paper_form is None else load_weights(job.paper_form)
         _RUNNER[key] = Runner(load_weights(job.weights), job.config.time_limit, senses_named(job.senses), paper_form)
     row, track = _RUNNER[key].run(trial, method)
-    save_trial(job.folder, row, track)
+    save_trial(job.folder, f"{job.kept[method]}-{trial.name}", row, track)
     return f"{method} {trial.name}"
 
 

@@ -13,6 +13,7 @@ from shmoo_mjx.sensing import Senses
 
 __all__ = ["draw_figure", "film"]
 
+_OWN = "0.45"
 _COLOUR = dict(zip(METHODS, (SERIES[0], SERIES[3], SERIES[2], SERIES[1], SERIES[4]), strict=True))
 
 
@@ -77,9 +78,9 @@ def _offsets(axis: Any, rows: list[dict[str, Any]]) -> None:
             offsets = np.array([r["offset_m"] for r in rows if r["method"] == method and r["goal"] == goal])
             x = goal - 0.4 + (i + 0.5) * width
             jitter = np.linspace(-0.3, 0.3, len(offsets)) * width
-            axis.plot(x + jitter, np.minimum(offsets, 1.5), ".", ms=3, alpha=0.6, color=_COLOUR[method])
+            axis.plot(x + jitter, np.minimum(offsets, 1.5), ".", ms=3, alpha=0.6, color=_COLOUR.get(method, _OWN))
             label = method.replace("_", " ") if goal == min(r["goal"] for r in rows) else None
-            axis.bar(x, offsets.mean(), 0.9 * width, color=_COLOUR[method], alpha=0.45, label=label)
+            axis.bar(x, offsets.mean(), 0.9 * width, color=_COLOUR.get(method, _OWN), alpha=0.45, label=label)
     for goal in sorted({row["goal"] for row in rows}):
         label = "paper" if goal == 1 else None
         axis.hlines(PAPER[f"offset_goal{goal}_m"], goal - 0.45, goal + 0.45, color="black", lw=1.2, label=label)

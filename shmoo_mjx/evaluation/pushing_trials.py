@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
-from shmoo_mjx import se2
+from shmoo_mjx import own, se2
 from shmoo_mjx.files import write_whole
 from shmoo_mjx.learning.adaptation import AdaptState
 from shmoo_mjx.learning.weights import Weights
@@ -41,6 +42,8 @@ __all__ = [
 Array = Any
 
 METHODS = ("ours", "frozen_prior", "hindsight", "quasi_static", "paper_form")
+OWN = "pushing controller"
+"""What a method of the user's own is called in errors."""
 """Ours: MPPI while Eq. 8 adapts. The others run the same trials, the last of them with psi as the paper prints it."""
 
 STRATA = ("drawn", "demanding")
@@ -220,6 +223,9 @@ def _pusher(method: str, weights: Weights) -> Pusher:
     from shmoo_mjx.control.quasi_static import QuasiStaticPusher
 
     config = pose_push_config()
+    if method not in METHODS:
+        make = own.named(OWN, method)
+        return cast(Pusher, own.asked(OWN, method, lambda: make(weights, config)))
     if method == "quasi_static":
         return QuasiStaticPusher(config.cost)
     return PushController(weights, replace(config, adapts=method in ("ours", "paper_form")))
@@ -278,7 +284,8 @@ class Runner:
                     engine.change([scene_of_trial(trial, trial.changed, self.senses)])
                     if adapt_after is not None:
                         task.know(adapt_after)
-                command = task.tick(seen)
+                tick = partial(task.tick, seen)
+                command = tick() if method in METHODS else own.asked(OWN, method, tick)
                 world, seen = engine.step(world, command)
                 true = engine.true_observation(world)
                 log.note(true, world.physics[0], str(task.phase), bool(engine.fallen(world)[0]))
@@ -366,8 +373,7 @@ class _Log:
         }
 
 
-def save_trial(folder: Path, row: dict[str, Any], track: dict[str, np.ndarray]) -> None:
+def save_trial(folder: Path, stem: str, row: dict[str, Any], track: dict[str, np.ndarray]) -> None:
     """One trial's files; the row comes last and makes the trial count as done."""
-    stem = f"{row['method']}-{row['trial']}"
     write_arrays(folder / f"{stem}.npz", track)
     write_whole(folder / f"{stem}.json", json.dumps(row, default=float).encode())

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import importlib
-import sys
-import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any, Protocol
 
 import numpy as np
 
+from shmoo_mjx import own
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.navigation.maps import OccupancyGrid
 from shmoo_mjx.navigation.navigator import Navigator
 from shmoo_mjx.navigation.records import Mode, NavigatorConfig, Transition
 from shmoo_mjx.types import Command, Observation
 
-__all__ = ["Policy", "PolicyMaker", "PolicyNavigator", "policy_named", "source_of"]
+__all__ = ["Policy", "PolicyMaker", "PolicyNavigator"]
 
 Array = Any
 
@@ -36,34 +33,6 @@ class Policy(Protocol):
 PolicyMaker = Callable[[OccupancyGrid, Array, Sequence[tuple[float, float]], Any, NavigatorConfig], Policy]
 """Takes the map, the goal ``[2]`` in {W} [m], half extents of each object [m], a
 :class:`~shmoo_mjx.control.pushing.PushController` for whoever wants one, and settings that state the latency."""
-
-
-def policy_named(name: str) -> PolicyMaker:
-    """The class or function that "package.module:Name" says; modules in the present folder are found too.
-
-    Raises:
-        ShmooError: there is none, or its module can't be imported.
-    """
-    module_name, _, attribute = name.partition(":")
-    if str(Path.cwd()) not in sys.path:
-        sys.path.append(str(Path.cwd()))
-    try:
-        module = importlib.import_module(module_name)
-    except ModuleNotFoundError as error:
-        raise ShmooError(f"policy {name}: there is no module {error.name!r}; run from its folder.") from None
-    except Exception as error:
-        raise ShmooError(f"policy {name}: its module can't be imported: {_told(error)}.") from error
-    maker = getattr(module, attribute, None)
-    if not callable(maker):
-        raise ShmooError(f"policy {name}: {module_name} has no class or function {attribute!r}.")
-    return cast(PolicyMaker, maker)
-
-
-def source_of(name: str) -> Path | None:
-    """The file of the module that ``name`` names."""
-    policy_named(name)
-    file = sys.modules[name.partition(":")[0]].__file__
-    return None if file is None else Path(file)
 
 
 class PolicyNavigator(Navigator):
@@ -94,14 +63,14 @@ class PolicyNavigator(Navigator):
         super().__init__(grid, goal, sizes, controller, seed, config)
         self._name = name
         self._make = lambda: maker(grid, self.state.goal, self.setup.sizes, controller, self.setup.config)
-        self._policy = self._asked(self._make)
+        self._policy = own.asked("policy", self._name, self._make)
 
     def tick(self, seen: Observation) -> Command:
         """One decision of the policy."""
         now = float(seen.time[0])
         belief, _ = self.state.belief.update(seen, self.setup.sizes)
         self.state = replace(self.state, belief=belief)
-        command = self._asked(lambda: self._policy.tick(seen))
+        command = own.asked("policy", self._name, lambda: self._policy.tick(seen))
         if not isinstance(command, Command) or np.shape(command.u) != (1, 3):
             raise ShmooError(f"policy {self._name}: tick must give a Command whose u is [1, 3]; it gave {command!r}.")
         if not all(np.isfinite(np.asarray(value, dtype=float)).all() for value in command):
@@ -115,22 +84,8 @@ class PolicyNavigator(Navigator):
     def head_for(self, goal: Array, now: float) -> None:
         """The policy begins anew, with another goal."""
         super().head_for(goal, now)
-        self._policy = self._asked(self._make)
+        self._policy = own.asked("policy", self._name, self._make)
 
     def _go(self, now: float, target: Mode, reason: str) -> None:
         self.events.append(Transition(now, self.mode, target, reason))
         self.state = replace(self.state, mode=target, since=now)
-
-    def _asked(self, ask: Callable[[], Any]) -> Any:
-        try:
-            return ask()
-        except ShmooError:
-            raise
-        except Exception as error:
-            raise ShmooError(f"policy {self._name}: {_told(error)}.") from error
-
-
-def _told(error: Exception) -> str:
-    """What went wrong, and in which line."""
-    last = traceback.extract_tb(error.__traceback__)[-1]
-    return f"{type(error).__name__} in {Path(last.filename).name}, line {last.lineno}: {error}"

@@ -116,6 +116,7 @@ LAYERS = (
         "processes",
         "seeds",
         "options",
+        "own",
     },
     {"plant", "dynamics"},
     {"sensing"},

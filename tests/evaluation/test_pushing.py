@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import pushing
 from shmoo_mjx.evaluation.pushing_measures import differences_table, enclosing_circle, metrics_of
 from shmoo_mjx.evaluation.pushing_trials import METHODS, draw_trials, resistance, save_trial
@@ -173,7 +174,7 @@ def test_finished_trials_are_not_run_again(tmp_path: Path, monkeypatch: pytest.M
             way = np.linspace(trial.object_pose, trial.goal_pose, 5)
             track = {"t": np.arange(5.0), "object_pose": way, "robot_pose": way, "phase": np.array(["push"] * 5)}
             row = _row(method, trial.name, trial.goal, 0.1, family=trial.family, stratum=trial.stratum)
-            save_trial(job.folder, row, track | {"qpos": np.zeros((5, 3))})
+            save_trial(job.folder, f"{row['method']}-{row['trial']}", row, track | {"qpos": np.zeros((5, 3))})
             if len(asked) == 5:
                 raise KeyboardInterrupt
             yield trial.name
@@ -211,3 +212,26 @@ def test_a_trial_with_real_senses_stays_within_its_limits(method: str) -> None:
     assert row["arm_margin_rad"] > 0.0
     assert row["offset_m"] < 0.25
     assert len(track["t"]) == len(track["qpos"])
+
+
+def test_a_controller_of_ones_own_pushes_in_the_place_of_ours(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from shmoo_mjx.evaluation.pushing_trials import Runner
+    from shmoo_mjx.learning.weights import load_weights
+
+    page = (Path(__file__).resolve().parents[2] / "docs/own_policy.md").read_text()
+    example = page.split("```python\n# my_pusher.py\n")[1].partition("```")[0]
+    (tmp_path / "my_pusher.py").write_text(example)
+    (tmp_path / "my_broken.py").write_text(
+        "from my_pusher import LeansOn\n\n\nclass Broken(LeansOn):\n    step = None\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    trial = next(t for t in draw_trials(500_000, 0, 1) if t.family == "box" and t.goal == 1)
+    runner = Runner(load_weights(), 14.0)
+    row, track = runner.run(trial, "my_pusher:LeansOn")
+    assert row["method"] == "my_pusher:LeansOn" and not row["fell"]
+    assert np.hypot(*(track["object_pose"][-1] - track["object_pose"][0])[:2]) > 0.1
+    with pytest.raises(ShmooError, match="pushing controller my_broken:Broken: TypeError"):
+        runner.run(trial, "my_broken:Broken")
+    with pytest.raises(ShmooError, match="has no class or function 'Nothing'"):
+        runner.run(trial, "my_pusher:Nothing")

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from shmoo_mjx import own
 from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.episode import run_episode
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.learning.weights import load_weights
 from shmoo_mjx.navigation.maps import OCCUPIED, OccupancyGrid, save_map
-from shmoo_mjx.navigation.policy import policy_named
 from shmoo_mjx.navigation.scenario import Limits, ObjectEntry, Scenario, save_scenario
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs/own_policy.md").read_text()
@@ -129,4 +129,4 @@ def test_the_command_runs_it_and_replays_it(tmp_path: Path, monkeypatch: pytest.
 
 
 def test_the_maker_is_what_the_name_says() -> None:
-    assert policy_named("bad:Fails") is sys.modules["bad"].Fails
+    assert own.named("policy", "bad:Fails") is sys.modules["bad"].Fails
