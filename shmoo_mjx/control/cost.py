@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from jax.scipy.ndimage import map_coordinates
 
 from shmoo_mjx import se2
+from shmoo_mjx.dynamics.layout import Turn, once
 from shmoo_mjx.hands import REACH, hand_targets
 from shmoo_mjx.types import DT, SystemState
 
@@ -123,16 +124,14 @@ def change(controls: Array, last_u: Array) -> Array:
 
 def clearance_at(field: Clearance, points: Array) -> Array:
     """Clearance ``[...]`` [m] at ``points [..., 2]`` in {W}, bilinear; zero off the grid."""
-    local = se2.inverse_transform_point(jnp.asarray(field.origin), points) / field.resolution - 0.5
-    return map_coordinates(
-        jnp.asarray(field.values), [local[..., 1], local[..., 0]], order=1, mode="constant", cval=0.0
-    )
+    i, j = _on_grid(field, points)
+    return map_coordinates(jnp.asarray(field.values), [j - 0.5, i - 0.5], order=1, mode="constant", cval=0.0)
 
 
 def footprint_points(pose: Array, half_extents: Array) -> Array:
     """Corners and edge midpoints ``[..., 8, 2]`` in {W} of a rectangle with ``half_extents [2]`` [m] at ``pose``."""
     unit = jnp.array([[1, 0], [1, 1], [0, 1], [-1, 1], [-1, 0], [-1, -1], [0, -1], [1, -1]], dtype=float)
-    return se2.transform_point(pose[..., None, :], unit * jnp.asarray(half_extents))
+    return _placed(pose, unit * jnp.asarray(half_extents))
 
 
 def clearance_near(field: Clearance, points: Array) -> Array:
@@ -142,8 +141,7 @@ def clearance_near(field: Clearance, points: Array) -> Array:
     """
     values = jnp.asarray(field.values)
     rows, columns = values.shape
-    local = jnp.floor(se2.inverse_transform_point(jnp.asarray(field.origin), points) / field.resolution).astype(int)
-    i, j = local[..., 0], local[..., 1]
+    i, j = (jnp.floor(cells).astype(int) for cells in _on_grid(field, points))
     inside = (i >= 0) & (j >= 0) & (i < columns) & (j < rows)
     found = values.ravel()[jnp.clip(j, 0, rows - 1) * columns + jnp.clip(i, 0, columns - 1)]
     return jnp.where(inside, found, 0.0)
@@ -151,7 +149,21 @@ def clearance_near(field: Clearance, points: Array) -> Array:
 
 def hand_points(robot_pose: Array, gamma: Array) -> Array:
     """Centres of the extended hands ``[..., 2, 2]`` (left, right) in {W}; poses ``[..., 3]``, gamma ``[...]``."""
-    return se2.transform_point(robot_pose[..., None, :], hand_targets(gamma))
+    return _placed(robot_pose, hand_targets(gamma))
+
+
+def _placed(pose: Array, points: Array) -> Array:
+    """``points [..., P, 2]`` of bodies at ``pose [..., 3]``, in {W}."""
+    turn, x, y = once(Turn.by(pose[..., 2:])), points[..., 0], points[..., 1]
+    return jnp.stack([pose[..., :1] + turn.c * x - turn.s * y, pose[..., 1:2] + turn.s * x + turn.c * y], axis=-1)
+
+
+def _on_grid(field: Clearance, points: Array) -> tuple[Array, Array]:
+    """Column and row ``[...]``, in cells from the grid's corner, of ``points [..., 2]`` in {W}."""
+    origin = jnp.asarray(field.origin)
+    turn = once(Turn.by(origin[2]))
+    x, y = (points[..., 0] - origin[0]) / field.resolution, (points[..., 1] - origin[1]) / field.resolution
+    return turn.c * x + turn.s * y, turn.c * y - turn.s * x
 
 
 def clearance_penalty(cfg: PushCost, traj: SystemState, field: Clearance, half_extents: Array) -> Array:
@@ -180,12 +192,13 @@ def face_misalignment(traj: SystemState, reach: float = REACH) -> tuple[Array, A
         ``[S]`` distance of the hands' midpoint from the face's centre line [m], and ``[S]`` angle between the robot's
         heading and the face's inward normal [rad].
     """
-    ahead = jnp.array([reach, 0.0])
-    hands = se2.transform_point(traj.robot_pose, jnp.broadcast_to(ahead, (*traj.robot_pose.shape[:-1], 2)))
-    centre = se2.transform_point(traj.object_pose, traj.face[..., :2])
     normal = traj.object_pose[..., 2] + traj.face[..., 2]
-    lateral = se2.rotate(hands - centre, -normal)[..., 1]
     heading = se2.wrap(traj.robot_pose[..., 2] - normal)
+    turn, error = once((Turn.by(normal), Turn.by(heading)))
+    x, y = (traj.robot_pose[..., i] - traj.object_pose[..., i] for i in range(2))
+    # In a frame along the normal: hands less the face's centre, which stands still in it.
+    centre = se2.rotate(traj.face[..., :1, :2], -traj.face[..., :1, 2])[..., 1]
+    lateral = turn.c * y - turn.s * x + reach * error.s - centre
     return jnp.mean(jnp.abs(lateral), axis=-1), jnp.mean(jnp.abs(heading), axis=-1)
 
 
@@ -203,8 +216,8 @@ def aim_error(goal: Array, traj: SystemState, with_yaw: bool = False) -> Array:
         lead = se2.wrap(bearing - goal[..., 2] - traj.face[..., 2])
         # Behind the goal the bearing says nothing about the yaw.
         angle = angle - jnp.where(jnp.abs(lead) < jnp.pi / 2, jnp.clip(lead, -0.6, 0.6), 0.0)
-    normal = jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=-1)
-    return jnp.mean(jnp.abs(se2.cross(normal, offset)), axis=-1)
+    normal = once(Turn.by(angle))
+    return jnp.mean(jnp.abs(normal.c * offset[..., 1] - normal.s * offset[..., 0]), axis=-1)
 
 
 def terminal_speed(traj: SystemState) -> Array:
