@@ -207,7 +207,7 @@ def contact(face: Facing, gamma: Array) -> Contact:
     """How the hands, held at the targets for steering angle ``gamma [...]`` [rad], stand against the face."""
     n = face.normal
     (left_x, left_y), (right_x, right_y) = hand_components(gamma)
-    x, y = jnp.stack([left_x, right_x]), jnp.stack([left_y, right_y])
+    x, y = once((jnp.stack([left_x, right_x]), jnp.stack([left_y, right_y])))
     away_x, away_y = face.pose[0] - x, face.pose[1] - y
     along = away_y * n.c - away_x * n.s
     touch = Contact(

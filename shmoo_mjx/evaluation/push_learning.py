@@ -120,7 +120,7 @@ def trained(
     return daiml.fit(arrays([n for n in train if n not in validation]), arrays(validation), config)
 
 
-def adapted(fitted: daiml.ObjectFit, prepared: Prepared, known: Array, config: daiml.DaimlConfig) -> np.ndarray:
+def adapted(fitted: daiml.ObjectFit, prepared: Prepared, known: Array) -> np.ndarray:
     """Motions ``[N, 3]`` in the object's frame, with a fitted on the pushes ``known`` (outliers counting less)."""
     import jax.numpy as jnp
 
@@ -128,7 +128,7 @@ def adapted(fitted: daiml.ObjectFit, prepared: Prepared, known: Array, config: d
     from shmoo_mjx.learning import least_squares
 
     inputs = jnp.asarray(prepared.inputs, jnp.float32)
-    phi = object_model.design_matrix(fitted.params, inputs, config.object, feet.guess())
+    phi = object_model.design_matrix(fitted.params, inputs, fitted.config, feet.guess())
     labels = jnp.asarray(_clipped(prepared.labels[known]), jnp.float32)
     weights, prior = jnp.ones(len(known)), (fitted.prior_mean.reshape(-1), fitted.prior_covariance)
     for _ in range(3):

@@ -108,7 +108,7 @@ def _paper_form(options: ExperimentOptions, weights: Path, folder: Path) -> Path
         settings = replace(settings, chunks=3) if options.quick else settings
         options.progress("training psi as the paper prints it", 0.0)
         fitted = daiml.train_object(data, folder / "paper_form.training" / "object", settings)
-        save_weights(path, with_object(load_weights(weights), fitted, settings.object))
+        save_weights(path, with_object(load_weights(weights), fitted))
     return path
 
 

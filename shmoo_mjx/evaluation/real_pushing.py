@@ -201,10 +201,10 @@ def _predictions(
         )
     fits, naive_fits = learned[tuple(train)]
     return {
-        "ours": np.mean([push_learning.adapted(f, prepared, known, cfg.daiml) for f in fits], axis=0),
+        "ours": np.mean([push_learning.adapted(f, prepared, known) for f in fits], axis=0),
         **condition.published,
         "physics": prepared.base,
-        "naive": push_learning.adapted(naive_fits[0], naive, known, cfg.naive),
+        "naive": push_learning.adapted(naive_fits[0], naive, known),
         "linear": linear(condition, known),
         "no_motion": np.zeros_like(condition.motion),
     }

@@ -110,7 +110,9 @@ class ObjectFit(NamedTuple):
     """Best validation score (see `validation_scores`; one-step and open-loop shares averaged)."""
     history: list[tuple[float, float]]
     body_prior: BodyPrior
-    """What bodies on four feet the training objects are like; of no use unless config.object.body."""
+    """What bodies on four feet the training objects are like; of no use unless config.body."""
+    config: ObjectConfig
+    """What psi is; `fit` leaves out of what it was asked for whatever needs inputs of a known meaning."""
 
 
 class _Model(NamedTuple):
@@ -208,7 +210,8 @@ def fit_rows(
     model: _Model = jax.tree.map(jnp.asarray, fitted.best)
     mean, covariance, noise = prior(device, bodies, model)
     shape = model.mean.shape
-    return ObjectFit(model.params, mean.reshape(shape), covariance, noise, fitted.score, fitted.history, body_prior)
+    known = mean.reshape(shape), covariance, noise
+    return ObjectFit(model.params, *known, fitted.score, fitted.history, body_prior, config.object)
 
 
 def bodies_seen(config: DaimlConfig, fitted: ObjectFit, rows: Rows) -> Array:

@@ -41,7 +41,7 @@ def train_part(
         if what == "object":
             config = daiml.DaimlConfig(seed=seed)
             fit = daiml.train_object(data, checkpoints, config, progress)
-            new = weights.with_object(old or weights.untrained(), fit, config.object)
+            new = weights.with_object(old or weights.untrained(), fit)
             score = float(fit.score)
         else:
             settings = robot_fit.RobotFitConfig(seed=seed)

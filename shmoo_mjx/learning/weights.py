@@ -104,13 +104,13 @@ def with_robot(weights: Weights, fit: RobotFit, config: RobotConfig | None = Non
     return weights._replace(params=params, config=core_config, info=info)
 
 
-def with_object(weights: Weights, fit: ObjectFit, config: ObjectConfig | None = None) -> Weights:
-    """The same weights with a newly trained psi of the given shape (by default the shape it had) and its prior."""
+def with_object(weights: Weights, fit: ObjectFit) -> Weights:
+    """The same weights with a newly trained psi and its prior."""
     prior = jax.tree.map(jnp.asarray, fit.body_prior)
     body = prior.mean[jnp.argmax(prior.log_weight)]
     params = weights.params._replace(object=fit.params, coefficients=jnp.asarray(fit.prior_mean), body=body)
     info = weights.info | {"object_score": float(fit.score)}
-    core_config = _replace(weights.config, object=config or weights.config.object)
+    core_config = _replace(weights.config, object=fit.config)
     return Weights(params, jnp.asarray(fit.prior_covariance), jnp.asarray(fit.noise), prior, core_config, info)
 
 

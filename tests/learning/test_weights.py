@@ -32,7 +32,9 @@ def test_round_trip(path: Path) -> None:
 def test_parts_are_put_together() -> None:
     made, other = weights.untrained(CONFIG), weights.untrained(CONFIG, seed=1)
     mean = jnp.ones_like(other.params.coefficients)
-    body = daiml.ObjectFit(other.params.object, mean, 2 * jnp.eye(mean.size), 3 * jnp.eye(3), 0.2, [], other.body_prior)
+    body = daiml.ObjectFit(
+        other.params.object, mean, 2 * jnp.eye(mean.size), 3 * jnp.eye(3), 0.2, [], other.body_prior, CONFIG.object
+    )
     robot = robot_fit.RobotFit(other.params.robot, 0.1, np.zeros(5), [])
     both = weights.with_robot(weights.with_object(made, body), robot)
     assert both.info == {"object_score": 0.2, "robot_score": 0.1} and both.config == CONFIG
