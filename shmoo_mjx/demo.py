@@ -47,8 +47,9 @@ def run_demo(
 
 
 def _line(seed: int, result: dict[str, Any]) -> str:
+    words = {True: "can be moved", False: "can't be moved"}
     told = "; ".join(
-        f"object {d['object']} at {d['t']:.0f} s: K = {d['K']:.2f} m², {'' if d['manipulable'] else 'not '}manipulable"
+        f"object {d['object']} at {d['t']:.0f} s: {words[d['manipulable']]}, P = {d['probability']:.2f}"
         for d in result["decisions"]
     )
     measured = f"{result['time_s']:.0f} s, {result['path_length_m']:.1f} m, wall contacts {result['wall_contacts']}"

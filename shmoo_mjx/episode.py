@@ -218,6 +218,7 @@ def result_of(simulation: Simulation, legs: Sequence[dict[str, Any]] = (), goals
                 "object": d.object,
                 "K": round(d.K, 4),
                 "G": round(d.G, 4),
+                "probability": round(d.probability, 4),
                 "manipulable": d.manipulable,
                 "goal": None if d.goal is None else _floats(d.goal),
                 "reason": d.reason,

@@ -86,7 +86,7 @@ def _wrong_verdict(result: dict[str, Any], generated: Generated) -> str:
         given_up = result["objects"][number]["status"] == "fixed"
         if generated.movable[number] and not decided and given_up:
             return "a movable object was judged immovable"
-        if decided and not generated.movable[number]:
+        if decided and not generated.movable[number] and not given_up:
             return "an immovable object was judged movable"
     return ""
 

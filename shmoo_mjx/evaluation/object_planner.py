@@ -1,8 +1,8 @@
 """Experiment object_planner: can the robot tell, within seconds of touching it, whether an object can be moved?
 
 Unseen objects, half of them not manipulable, stand alone on open floor in the robot's way. The navigator runs as it is,
-from the approach to the first planning stage of Algorithm 1; the truth is the plant's (``manipulable``). Beside the
-paper's K other criteria are measured on the same touches.
+from the approach to its verdict; the truth is the plant's (``manipulable``). What the paper's rule would have said, K
+after one second of contact, is measured on the same touches.
 """
 
 from __future__ import annotations
@@ -18,26 +18,37 @@ import numpy as np
 
 from shmoo_mjx import se2
 from shmoo_mjx.assets import WEIGHTS, asset
-from shmoo_mjx.evaluation.manipulable import IMMOVABLE, SteadyPush, draw_immovable, manipulable, steady_push
+from shmoo_mjx.evaluation.manipulable import (
+    IMMOVABLE,
+    SteadyPush,
+    draw_immovable,
+    manipulable,
+    near_border,
+    steady_push,
+)
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.evaluation.scenarios import entry_of
 from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.faces import faces_of
 from shmoo_mjx.fingerprints import fingerprint
+from shmoo_mjx.navigation import mobility
 from shmoo_mjx.navigation.maps import OCCUPIED, OccupancyGrid
+from shmoo_mjx.navigation.object_planner import planning_stage
 from shmoo_mjx.navigation.records import Mode, NavigatorConfig
 from shmoo_mjx.navigation.scenario import Limits, Scenario
 from shmoo_mjx.plant.objects import FAMILIES, Condition, draw_condition
-from shmoo_mjx.types import DT, SensesName
+from shmoo_mjx.types import SensesName
 
-__all__ = ["CRITERIA", "ObjectPlannerTrials", "auc", "held_out_accuracy", "run"]
+__all__ = ["CRITERIA", "ObjectPlannerTrials", "auc", "calibration", "run"]
 
 Array = Any
 
-CRITERIA = ("K", "K_first", "K_posterior", "moved_m", "mobility")
-"""K of Algorithm 1 when the verdict fell; after the first second, as the paper has it; then the median K over draws of
-the coefficients from their posterior; how far the probe has moved the object; that over the impulse of the hands. The
-last two need no model."""
+CRITERIA = ("probability", "K", "moved_m")
+"""After the first second of contact: the probability by which the navigator decides, K of Algorithm 1, and how far the
+object has come."""
+
+_BINS = 5
+"""Of the calibration error."""
 
 
 @dataclass(frozen=True)
@@ -48,8 +59,6 @@ class ObjectPlannerTrials:
     """Half of them manipulable."""
     time_s: float = 40.0
     """Longest trial [s]."""
-    draws: int = 16
-    """Draws of the coefficients from their posterior."""
     workers: int = 2
     truth: SteadyPush = SteadyPush()
 
@@ -130,112 +139,94 @@ def _trial(
 
     condition, side, kind = draw_object(int(name), first_seed, cfg.truth)
     scenario = open_floor_scenario(condition, side, 1000 * seed + int(name), cfg.time_s)
-    controller = _controller(weights)
-    evidence: dict[str, Any] = {}
+    controller = controller_of(weights)
+    first: dict[str, Any] = {}
 
     def decided(navigator: Any) -> bool:
-        if navigator.decisions and not evidence:
-            evidence.update(_evidence(navigator, controller, cfg, scenario.seed))
+        if not first and _touched(navigator):
+            first.update(_after_a_second(navigator, controller))
         return navigator.belief.objects[0].manipulable is not None if navigator.belief.objects else False
 
     episode = run_episode(open_floor(), scenario, controller, navigator_config(), Hooks(over=decided), senses=senses)
     row = {"object": int(name), "family": condition.family, "kind": kind, "description": condition.describe()}
     row |= {"outcome": episode.result["outcome"], "transitions": len(episode.result["transitions"])}
     contacts = [t["t"] for t in episode.result["transitions"] if t["to"] == str(Mode.PROBE)]
-    truth = steady_push(condition, evidence.get("side", side), cfg.truth)
-    row |= {"side": side, "manipulable": truth >= cfg.truth.distance, "truth_m": truth, "decided": None} | evidence
-    if episode.navigator.belief.objects[0].manipulable is None:
+    side = first.get("side", side)
+    truth = steady_push(condition, side, cfg.truth)
+    row |= {"side": side, "manipulable": truth >= cfg.truth.distance, "truth_m": truth, "decided": None} | first
+    row |= {"border": near_border(condition, side, cfg.truth)}
+    known, segment = episode.navigator.belief.objects[0], episode.navigator.segment
+    if known.manipulable is None or segment is None or segment.push is None:
         return [row]
     # An object that it had to touch again is timed from the first touch.
-    begin, last = contacts[0], episode.result["decisions"][-1]
-    span = (episode.trace.t >= begin) & (episode.trace.t <= last["t"])
-    seen = episode.recorded.observations
-    impulse = float(np.hypot(*seen.wrench[span, 0, 0, :2].T).sum() * DT)
-    moved = _moved(episode.trace.t, seen.object_pose[:, 0, 0, :2], begin, last["t"])
-    return [
-        row
-        | {
-            "decided": last["manipulable"],
-            "K": last["K"],
-            "decision_time_s": last["t"] - begin,
-            "moved_m": moved,
-            "impulse_Ns": impulse,
-            "mobility": moved / max(impulse, 1.0),
-        }
-    ]
+    taken = episode.result["transitions"][-1]["t"] - contacts[0]
+    moved, impulse = segment.push.moved(known.pose), segment.push.impulse
+    verdict = {"decided": known.manipulable, "probability": mobility.probability(moved, impulse)}
+    return [row | verdict | {"decision_time_s": taken, "moved_m": moved, "impulse_Ns": impulse}]
 
 
-def _moved(times: np.ndarray, poses: np.ndarray, begin: float, end: float) -> float:
-    """How far the object has moved as the robot perceived it [m]."""
-    a, b = (int(np.searchsorted(times, t - 1e-6)) for t in (begin, end))
-    return float(np.linalg.norm(poses[min(b, len(poses) - 1)] - poses[a]))
+def _touched(navigator: Any) -> bool:
+    """Whether the first second of contact is over."""
+    push = navigator.segment.push if navigator.segment is not None else None
+    return push is not None and (push.contact_time >= navigator.config.probe_time or bool(navigator.decisions))
 
 
-def _evidence(navigator: Any, controller: Any, cfg: ObjectPlannerTrials, seed: int) -> dict[str, Any]:
-    """The decision, and K again with coefficients drawn from their posterior."""
-    decision, segment = navigator.decisions[0], navigator.segment
-    known = navigator.belief.objects[decision.object]
-    adapt = segment.push.pusher.adapt
-    rng = np.random.default_rng([seed, 11])
-    # The square root by eigenvalues bears a covariance that rounding has made slightly indefinite.
-    values, vectors = np.linalg.eigh(np.asarray(adapt.covariance, dtype=float))
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    drawn = []
-    for _ in range(cfg.draws):
-        mean = np.asarray(adapt.mean) + (root @ rng.normal(size=len(values))).astype(np.float32)
-        state = segment.push.pusher._replace(adapt=adapt._replace(mean=mean))
-        poses, _, costs = controller.planning_rollouts(
-            state, decision.asked, segment.around, np.array(known.half_extents)
-        )
-        drawn.append(_k(poses, costs, known.pose, navigator.config.planner.best))
-    quantiles = np.quantile(drawn, [0.1, 0.5, 0.9])
+def _after_a_second(navigator: Any, controller: Any) -> dict[str, Any]:
+    """What the touch has shown so far, and K as the planning stage would find it now."""
+    segment, planner = navigator.segment, navigator.config.planner
+    push, known = segment.push, navigator.belief.objects[segment.object]
+    poses, _, costs = controller.planning_rollouts(
+        push.pusher, segment.goal, segment.around, np.array(known.half_extents)
+    )
+    stage = planning_stage(poses[:, -1], costs, known.pose, lambda ends: np.ones(len(ends), dtype=bool), planner)
+    moved = push.moved(known.pose)
     return {
         "side": segment.side,
-        "K_first": decision.K,
-        "G_first": decision.G,
-        "first_decided": decision.manipulable,
-        "K_posterior_10": quantiles[0],
-        "K_posterior": quantiles[1],
-        "K_posterior_90": quantiles[2],
-        "asked_m": float(np.linalg.norm(decision.asked[:2] - known.pose[:2])),
-        "fastest_rollout": float(np.linalg.norm(np.diff(decision.rollouts[:3], axis=1), axis=-1).max() / 0.1),
+        "K_first": stage.K,
+        "moved_m_first": moved,
+        "impulse_Ns_first": push.impulse,
+        "probability_first": mobility.probability(moved, push.impulse),
     }
-
-
-def _k(poses: np.ndarray, costs: np.ndarray, pose: np.ndarray, count: int) -> float:
-    finite = np.isfinite(costs) & np.isfinite(poses).all(axis=(1, 2))
-    if not finite.any():
-        return 0.0
-    best = poses[finite][np.argsort(costs[finite])[:count], -1, :2]
-    return float(np.sum((best - pose[:2]) ** 2))
 
 
 def measure(rows: list[dict[str, Any]]) -> dict[str, float]:
     """Accuracy, times and the comparison of the criteria."""
     found = [r for r in rows if r["decided"] is not None]
     right = [r["decided"] == r["manipulable"] for r in found]
+    clear = [r["decided"] == r["manipulable"] for r in rows if not r["border"]]
     times = np.array([r["decision_time_s"] for r in found])
+    touched = [r for r in rows if "K_first" in r]
+    truths, threshold = np.array([r["manipulable"] for r in touched]), NavigatorConfig().planner.threshold
+    likely = np.array([r["probability_first"] for r in touched])
     metrics = {
         # An object that no decision was made about counts as a mistake.
         "accuracy": sum(right) / len(rows),
-        "accuracy_after_1s": sum(r.get("first_decided") == r["manipulable"] for r in rows) / len(rows),
+        "accuracy_clear": float(np.mean(clear)) if clear else np.nan,
+        "near_border": len(rows) - len(clear),
+        "accuracy_after_1s": float(np.sum((likely >= 0.5) == truths)) / len(rows),
+        "accuracy_of_K_after_1s": sum((r["K_first"] >= threshold) == r["manipulable"] for r in touched) / len(rows),
+        "calibration_error_after_1s": calibration(likely, truths),
         "undecided": len(rows) - len(found),
         "decision_time_s": float(np.median(times)),
         "decision_time_90_s": float(np.quantile(times, 0.9)),
         "decided_within_3s": float(np.mean(times <= 3.0)),
-        "K_threshold": NavigatorConfig().planner.threshold,
+        "K_threshold": threshold,
     }
     for truth, name in ((True, "manipulable"), (False, "immovable")):
         of = [r for r in found if r["manipulable"] == truth]
         metrics[f"{name}_called_manipulable"] = sum(r["decided"] for r in of)
         metrics[f"{name}_called_immovable"] = sum(not r["decided"] for r in of)
-        metrics[f"{name}_K_median"] = float(np.median([r["K"] for r in of])) if of else np.nan
-    truths = np.array([r["manipulable"] for r in found])
     for criterion in CRITERIA:
-        values = np.array([r[criterion] for r in found], dtype=float)
-        metrics[f"auc_{criterion}"] = auc(values, truths)
-        metrics[f"accuracy_best_threshold_{criterion}"] = held_out_accuracy(values, truths)
+        values = np.array([r[f"{criterion}_first"] for r in touched], dtype=float)
+        metrics[f"auc_{criterion}_after_1s"] = auc(values, truths)
     return metrics
+
+
+def calibration(probability: Array, truth: Array) -> float:
+    """Expected calibration error of ``probability [N]`` of ``truth [N]``, in five bins of equal width."""
+    p, truth = np.asarray(probability, dtype=float), np.asarray(truth, dtype=bool)
+    place = np.minimum((p * _BINS).astype(int), _BINS - 1)
+    return float(sum(abs(np.sum(p[place == b] - truth[place == b])) for b in range(_BINS)) / max(len(p), 1))
 
 
 def auc(values: np.ndarray, truth: np.ndarray) -> float:
@@ -245,24 +236,6 @@ def auc(values: np.ndarray, truth: np.ndarray) -> float:
         return float("nan")
     above = (positive[:, None] > negative).mean() + 0.5 * (positive[:, None] == negative).mean()
     return float(above)
-
-
-def held_out_accuracy(values: np.ndarray, truth: np.ndarray) -> float:
-    """Accuracy of a threshold on ``values``, chosen for each object on all the others."""
-    right = []
-    for i in range(len(values)):
-        others = np.arange(len(values)) != i
-        right.append((values[i] >= _best_threshold(values[others], truth[others])) == truth[i])
-    return float(np.mean(right)) if right else float("nan")
-
-
-def _best_threshold(values: np.ndarray, truth: np.ndarray) -> float:
-    """Midway between the two neighbours that part the classes best; the widest gap of those equally good."""
-    order = np.sort(values)
-    middles = np.concatenate([[order[0] - 1e-9], 0.5 * (order[1:] + order[:-1]), [order[-1] + 1e-9]])
-    gaps = np.concatenate([[0.0], np.diff(order), [0.0]])
-    score = [np.mean((values >= m) == truth) for m in middles]
-    return float(middles[np.lexsort((gaps, score))[-1]])
 
 
 def fig5_episodes(weights: Path, seed: int, senses: SensesName = "real") -> list[tuple[str, dict[str, Any], Any]]:
@@ -279,13 +252,14 @@ def fig5_episodes(weights: Path, seed: int, senses: SensesName = "real") -> list
         condition = draw_condition(family, 5, properties)
         scenario = open_floor_scenario(condition, 0, seed, 40.0)
         over = Hooks(over=lambda navigator: any(d.manipulable for d in navigator.decisions))
-        episode = run_episode(open_floor(), scenario, _controller(weights), navigator_config(), over, senses=senses)
+        episode = run_episode(open_floor(), scenario, controller_of(weights), navigator_config(), over, senses=senses)
         episodes.append((title, episode.result, episode.trace))
     return episodes
 
 
 @cache
-def _controller(weights: Path) -> Any:
+def controller_of(weights: Path) -> Any:
+    """The pushing controller of a weights file, compiled once."""
     from shmoo_mjx.control.pushing import PushController
     from shmoo_mjx.learning.weights import load_weights
 

@@ -10,36 +10,49 @@ import numpy as np
 
 from shmoo_mjx.files import write_whole
 from shmoo_mjx.navigation.records import NavigatorConfig
-from shmoo_mjx.report.figures import draw_decision, to_png
+from shmoo_mjx.report.figures import draw_decision, evidence, to_png
 from shmoo_mjx.report.style import SERIES
 
 __all__ = ["draw_figures"]
 
 
 def draw_figures(folder: Path, rows: list[dict[str, Any]], episodes: Callable[[], list[tuple[str, Any, Any]]]) -> None:
-    """Write K.png, confusion.png and planned_goals.png (the paper's Fig. 5) into ``folder``."""
+    """Write reliability.png, confusion.png and planned_goals.png (the paper's Fig. 5) into ``folder``."""
     folder.mkdir(parents=True, exist_ok=True)
     found = [r for r in rows if r["decided"] is not None]
-    write_whole(folder / "K.png", to_png(_histogram(found)))
+    write_whole(folder / "reliability.png", to_png(_reliability([r for r in rows if "K_first" in r])))
     write_whole(folder / "confusion.png", to_png(_confusion(found)))
     write_whole(folder / "planned_goals.png", to_png(_planned_goals(episodes())))
 
 
-def _histogram(rows: list[dict[str, Any]]) -> Any:
+def _reliability(rows: list[dict[str, Any]]) -> Any:
+    """Left: how often what is said comes true. Right: both criteria after a second, by truth."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(7.0, 3.6), layout="constrained")
-    axes = figure.subplots()
-    bins = np.geomspace(1e-4, 1e2, 37).tolist()
-    for truth, label, colour in ((False, "not manipulable", SERIES[5]), (True, "manipulable", SERIES[0])):
-        values = [r["K"] for r in rows if r["manipulable"] == truth]
-        axes.hist(np.clip(values, bins[0], bins[-1]), bins, alpha=0.65, color=colour, label=f"{label} ({len(values)})")
+    figure = Figure(figsize=(9.6, 3.6), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    p = np.array([r["probability_first"] for r in rows])
+    truth = np.array([r["manipulable"] for r in rows], dtype=bool)
+    place = np.minimum((p * 5).astype(int), 4)
+    left.plot((0, 1), (0, 1), color="black", lw=1.0, ls="--")
+    for b in np.unique(place):
+        said, came, count = p[place == b].mean(), truth[place == b].mean(), int(np.sum(place == b))
+        left.plot(said, came, "o", color=SERIES[0], ms=6)
+        left.annotate(f"{count} objects", (said, came), (6, -4), textcoords="offset points", fontsize=8)
+    left.set_xlabel("probability of being manipulable, after 1 s of contact")
+    left.set_ylabel("share that is")
+    for value, label, colour in ((False, "not manipulable", SERIES[5]), (True, "manipulable", SERIES[0])):
+        of = [r for r in rows if r["manipulable"] == value]
+        k = np.clip([r["K_first"] for r in of], 1e-4, 1e2)
+        name = f"{label} ({len(of)})"
+        right.plot([r["probability_first"] for r in of], k, "o", ms=4, alpha=0.7, color=colour, label=name)
     limit = NavigatorConfig().planner.threshold
-    axes.axvline(limit, color="black", lw=1.4, ls="--", label=f"K = {limit:g} m²")
-    axes.set_xscale("log")
-    axes.set_xlabel("K when the verdict fell [m²]; the plant says which objects are manipulable")
-    axes.set_ylabel("objects")
-    axes.legend(fontsize=8)
+    right.axhline(limit, color="black", lw=1.4, ls="--", label=f"K = {limit:g} m², the paper's rule")
+    right.axvline(0.5, color="black", lw=1.0)
+    right.set_yscale("log")
+    right.set_xlabel("probability after 1 s of contact")
+    right.set_ylabel("K after 1 s of contact [m²]")
+    right.legend(fontsize=8)
     return figure
 
 
@@ -57,7 +70,7 @@ def _confusion(rows: list[dict[str, Any]]) -> Any:
         axes.text(j, i, str(count), ha="center", va="center", fontsize=15, color="white" if i == j else "black")
     axes.set_xticks((0, 1), names)
     axes.set_yticks((0, 1), names, rotation=90, va="center")
-    axes.set_xlabel("the robot's decision (K)")
+    axes.set_xlabel("the robot's decision")
     axes.set_ylabel("the plant's truth")
     return figure
 
@@ -70,7 +83,7 @@ def _planned_goals(episodes: list[tuple[str, Any, Any]]) -> Any:
         if result["decisions"]:
             last = len(result["decisions"]) - 1
             draw_decision(axes, result, trace, last)
-            axes.set_title(f"{title}: K = {result['decisions'][last]['K']:.2f} m²", fontsize=11)
+            axes.set_title(f"{title}: {evidence(result['decisions'][last])}", fontsize=11)
         else:
             axes.set_title(f"{title}: no decision", fontsize=11)
     return figure

@@ -179,7 +179,11 @@ SECTIONS = {
         _single(
             {
                 "accuracy": "accuracy",
-                "accuracy_after_1s": "accuracy of K after 1 s",
+                "accuracy_clear": "accuracy, objects near the border left out",
+                "near_border": "objects near the border of manipulability",
+                "accuracy_after_1s": "accuracy after 1 s of contact",
+                "accuracy_of_K_after_1s": "... of the paper's rule, K after 1 s",
+                "calibration_error_after_1s": "calibration error of the probability after 1 s",
                 "decision_time_s": "median time from the first touch [s]",
                 "decided_within_3s": "decided within 3 s",
                 "manipulable_called_manipulable": "manipulable, called so",
@@ -187,13 +191,12 @@ SECTIONS = {
                 "immovable_called_immovable": "immovable, called so",
                 "immovable_called_manipulable": "immovable, called manipulable",
                 "undecided": "no verdict",
-                "auc_K": "area under the ROC curve: K",
-                "auc_K_posterior": "... K over the posterior",
-                "auc_moved_m": "... distance moved",
-                "auc_mobility": "... distance over impulse",
+                "auc_probability_after_1s": "area under the ROC curve after 1 s: probability",
+                "auc_K_after_1s": "... K",
+                "auc_moved_m_after_1s": "... distance moved",
             }
         ),
-        ("K.png", "confusion.png", "planned_goals.png"),
+        ("reliability.png", "confusion.png", "planned_goals.png"),
     ),
     "navigation": Section(
         "Interactive navigation (VI-B)",

@@ -433,7 +433,7 @@ class Page:
                 rows.append(f"| {index} {condition.family} | not seen yet | | | |")
                 continue
             verdicts = [d for d in navigator.decisions if d.object == index]
-            last = f"K = {verdicts[-1].K:.2f} m²" if verdicts else "not touched"
+            last = f"P = {verdicts[-1].probability:.2f}, K = {verdicts[-1].K:.2f} m²" if verdicts else "not touched"
             moves = {None: "?", True: "yes", False: "no"}[known.manipulable]
             learned = ""
             if known.adapt is not None:

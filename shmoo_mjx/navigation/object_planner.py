@@ -127,6 +127,7 @@ def planning_stage(
     object_pose: Array,
     collision_free: CollisionFree,
     cfg: ObjectPlannerConfig | None = None,
+    manipulable: bool | None = None,
 ) -> ObjectDecision:
     """Algorithm 1, lines 7-16: can the object be moved, and if so, to which pose that the model says it can reach.
 
@@ -139,6 +140,7 @@ def planning_stage(
         object_pose: x^o_t ``[3]`` in {W}.
         collision_free: check of footprint poses against map and path.
         cfg: settings.
+        manipulable: whether the object can be moved, if something else than K has told.
 
     Returns:
         The decision with K, G and the candidates.
@@ -150,21 +152,23 @@ def planning_stage(
     ends, cost = ends[finite], cost[finite]
     empty = np.zeros((0, 3))
     if not len(ends):
-        return ObjectDecision(False, math.nan, math.nan, None, empty, "no roll-out of the model is finite")
+        reason = "no roll-out of the model is finite"
+        return ObjectDecision(bool(manipulable), math.nan, math.nan, None, empty, reason)
     best = ends[np.argsort(cost, kind="stable")[: cfg.best]]
     # With fewer finite roll-outs than K sums over, those there stand for the missing ones.
     k = float(np.mean(_distance(best, pose) ** 2) * cfg.best)
     g = float(np.linalg.norm(best[:, :2].mean(axis=0) - pose[:2]))
-    if k < cfg.threshold:
-        reason = f"K = {k:.3f} m² < {cfg.threshold:g} m²: the best roll-outs hardly move the object"
-        return ObjectDecision(False, k, g, None, empty, reason)
+    said = f"K = {k:.3f} m²"
+    if manipulable is None:
+        manipulable = k >= cfg.threshold
+        said += f" {'>=' if manipulable else '<'} {cfg.threshold:g} m²"
+    if not manipulable:
+        return ObjectDecision(False, k, g, None, empty, said)
     buffer = ends[np.asarray(collision_free(ends), dtype=bool)]
     if not len(buffer):
-        return ObjectDecision(
-            True, k, g, None, empty, f"K = {k:.3f} m², but none of {len(ends)} roll-outs ends collision-free"
-        )
+        return ObjectDecision(True, k, g, None, empty, f"{said}, but none of {len(ends)} roll-outs ends collision-free")
     buffer = buffer[np.argsort(_distance(buffer, pose), kind="stable")]
-    reason = f"K = {k:.3f} m² >= {cfg.threshold:g} m²; closest of {len(buffer)} reachable collision-free goals"
+    reason = f"{said}; closest of {len(buffer)} reachable collision-free goals"
     return ObjectDecision(True, k, g, buffer[0], buffer, reason)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -75,12 +75,15 @@ class NavigatorConfig:
     """How far the probe's lean may stay below what the governor grants, while the object has not moved yet [rad]: a
     verdict on what was only touched gently would be worth little. 1 leaves the lean to the plan."""
     probe_time: float = 1.0
-    """Contact time before the planning stage (Algorithm 1) [s]."""
-    doubt_time: float = 3.0
-    """Contact time before K is believed [s]: in the first second the lean still grows, and friction that holds against
-    that says little about a firm push. What has rolled away needs no more time to count as manipulable."""
-    doubt_limit: float = 6.0
-    """The same while the object gives way under the push [s]."""
+    """Contact time before the planning stage (Algorithm 1) [s]; what has rolled away by then is not waited for."""
+    decides_by: Literal["mobility", "K"] = "mobility"
+    """What tells whether an object can be moved: how far it has come for what the hands have spent on it, or K of its
+    first planning stage, as in the paper."""
+    sure: float = 0.95
+    """Probability from which a verdict by mobility falls before ``decide_after``; nearer to 1 it is later, and more
+    often right."""
+    decide_after: float = 3.0
+    """Contact time after which it falls whatever its probability [s]."""
     push_limit: float = 45.0
     """Longest push [s]."""
     lost_after: float = 1.5
@@ -124,6 +127,8 @@ class Decision(NamedTuple):
     """``[C, 3]``"""
     asked: np.ndarray
     """``[3]`` where the roll-outs were to bring the object, in {W}."""
+    probability: float
+    """That the object can be moved, by what the push has shown so far."""
 
 
 class Note(NamedTuple):
@@ -162,8 +167,8 @@ class Segment:
     push: PushState | None = None
     back: Path | None = None
     """Away from the object, once the push is over."""
-    reviewed: tuple[float, float] = (0.0, 0.0)
-    """Time and contact time of the last planning stage [s]."""
+    reviewed: float = 0.0
+    """Contact time at the last planning stage [s]."""
     straight_from: float | None = None
     """Since when the object has been pushed straight ahead, wherever it was to go before it stuck [s]."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from shmoo_mjx.faces import heading
+from shmoo_mjx.navigation import mobility
 from shmoo_mjx.navigation.belief import Status
 from shmoo_mjx.navigation.object_planner import ObjectDecision, planning_stage
 from shmoo_mjx.navigation.records import Decision, Mode, NavigatorState, Note, Planned, Segment, Setup
@@ -19,17 +20,10 @@ _PASSED = -0.08
 """Way left to the goal along the push at which it has been passed [m]."""
 _ROLLED = 0.10
 """An object that has moved this far under a probe gives way beyond doubt [m]."""
-_GIVES_WAY = 0.02
-"""Way of the object's corners in the last second of contact from which it gives way [m]."""
 _STALL = (0.05, 6.0)
 """An object that moved less than this [m] in so much time of a push [s] has stalled."""
 _MOVED = 0.3
 """An object that a push has moved this far is not immovable, whatever holds it now: a wall, say [m]."""
-_PROBE_LIMIT = 2.5
-"""Time since the first contact at which the planning stage comes, however short the contacts were, for an object that
-rolls ahead of the hands after a short touch [s]."""
-_DOUBT_EVERY = 0.5
-"""Least time, and contact time of a probe, between two planning stages [s]."""
 _REVIEW_EVERY = 2.0
 """Contact time between two planning stages of a push [s]."""
 _CLEAR_EVERY = 5
@@ -62,7 +56,7 @@ def judge(setup: Setup, state: NavigatorState, seen: Observation) -> NavigatorSt
         return leave(f"object {index} is at its goal")
     if pushing and _left(segment.goal, known.pose, segment.face) < _PASSED:
         return leave(f"object {index} has gone past its goal, and can't be pulled")
-    if push.since_contact > cfg.lost_after and not _rolls_ahead(setup, state, now, push):
+    if push.since_contact > cfg.lost_after:
         return leave(f"contact with object {index} lost for {cfg.lost_after:g} s")
     travelled = push.travelled(_STALL[1])
     if travelled is not None and travelled < _STALL[0] and not _begins_anew(segment, now):
@@ -79,12 +73,6 @@ def _left(goal: np.ndarray, pose: np.ndarray, face: np.ndarray) -> np.ndarray:
     return np.asarray((goal[..., :2] - pose[:2]) @ np.array([np.cos(ahead), np.sin(ahead)]))
 
 
-def _rolls_ahead(setup: Setup, state: NavigatorState, now: float, push: PushState) -> bool:
-    """Whether a probe still waits for what rolls ahead of the hands to be looked at."""
-    waits = now - push.started < _PROBE_LIMIT + setup.config.lost_after
-    return state.mode is Mode.PROBE and waits and rolled(push, state.known().pose)
-
-
 def review(setup: Setup, state: NavigatorState, seen: Observation) -> NavigatorState | None:
     """Look whether the path is clear, or hold the planning stage of Algorithm 1, where either is due."""
     now, push = float(seen.time[0]), state.current().push
@@ -94,26 +82,30 @@ def review(setup: Setup, state: NavigatorState, seen: Observation) -> NavigatorS
         index = state.current().object
         state = state.of_object(index, status=Status.PARKED)
         return state.go(now, Mode.RETREAT, f"object {index} no longer blocks the path")
-    if not _due(setup, state, now, push):
+    if not _due(setup, state, push):
         return None
     return _planning_stage(setup, state, seen, push)
 
 
-def _due(setup: Setup, state: NavigatorState, now: float, push: PushState) -> bool:
-    last, last_contact = state.current().reviewed
+def _due(setup: Setup, state: NavigatorState, push: PushState) -> bool:
     if state.mode is Mode.PUSH:
-        return push.contact_time >= last_contact + _REVIEW_EVERY
-    if now < last + _DOUBT_EVERY:
+        return push.contact_time >= state.current().reviewed + _REVIEW_EVERY
+    cfg, pose = setup.config, state.known().pose
+    if push.contact_time < cfg.probe_time and not rolled(push, pose):
         return False
-    late = now - push.started >= _PROBE_LIMIT and rolled(push, state.known().pose)
-    again = last_contact + _DOUBT_EVERY if last_contact else 0.0
-    return late or push.contact_time >= max(setup.config.probe_time, again)
+    p = _probability(push, pose)
+    sure = max(p, 1.0 - p) > cfg.sure or push.contact_time >= cfg.decide_after
+    return sure or cfg.decides_by == "K"
+
+
+def _probability(push: PushState, pose: np.ndarray) -> float:
+    return mobility.probability(push.moved(pose), push.impulse)
 
 
 def _planning_stage(setup: Setup, state: NavigatorState, seen: Observation, push: PushState) -> NavigatorState:
     """The planning stage of Algorithm 1 on the roll-outs of the adapted model."""
     now, segment, known = float(seen.time[0]), state.current(), state.known()
-    state = state.in_segment(reviewed=(now, push.contact_time))
+    state = state.in_segment(reviewed=push.contact_time)
     asked = _asked(setup, state)
     half = np.array(known.half_extents)
     poses, _, costs = setup.controller.planning_rollouts(push.pusher, asked, segment.around, half)
@@ -127,15 +119,22 @@ def _planning_stage(setup: Setup, state: NavigatorState, seen: Observation, push
         # What a roll-out turns may end a little behind, and a goal there would be passed before it is pushed to.
         return free(ends) & (_left(ends, known.pose, segment.face) > 0.0)
 
-    result = planning_stage(poses[:, -1], costs, known.pose, reachable, setup.config.planner)
+    # What a push moves has been judged: walls that leave its roll-outs no way on don't make it immovable.
+    p = _probability(push, known.pose)
+    by_k = setup.config.decides_by == "K" and state.mode is Mode.PROBE
+    moves = None if by_k else state.mode is Mode.PUSH or p >= 0.5
+    result = planning_stage(poses[:, -1], costs, known.pose, reachable, setup.config.planner, moves)
+    if not by_k:
+        way = f"it has moved {push.moved(known.pose):.2f} m for {push.impulse:.0f} N s: P = {p:.2f}"
+        result = result._replace(reason=f"{way}; {result.reason}")
     best = poses[np.argsort(costs)[:_SHOWN]][:, :, :2]
     state = state.said(
         Decision(
             now, segment.object, result.K, result.G, result.manipulable, result.goal, result.reason, best,
-            result.candidates, asked,
+            result.candidates, asked, p,
         )
     )  # fmt: skip
-    return _verdict(setup, state, now, push, result)
+    return _verdict(setup, state, now, result)
 
 
 def _asked(setup: Setup, state: NavigatorState) -> np.ndarray:
@@ -157,17 +156,8 @@ def _begins_anew(segment: Segment, now: float) -> bool:
     return segment.straight_from is not None and now < segment.straight_from + _STALL[1]
 
 
-def _verdict(
-    setup: Setup, state: NavigatorState, now: float, push: PushState, result: ObjectDecision
-) -> NavigatorState:
-    index, known = state.current().object, state.known()
-    if state.mode is Mode.PROBE and _in_doubt(setup, push, known.pose, known.half_extents, result.manipulable):
-        return state
-    if state.mode is Mode.PUSH and not result.manipulable and _gives_way(push, known.half_extents):
-        # What moves can be moved. K is small here because walls leave the roll-outs no way on.
-        return state
-    if not result.manipulable and _begins_anew(state.current(), now):
-        return state
+def _verdict(setup: Setup, state: NavigatorState, now: float, result: ObjectDecision) -> NavigatorState:
+    index = state.current().object
     state = state.of_object(index, manipulable=result.manipulable)
     if not result.manipulable:
         return _stuck(setup, state, now, f"object {index} is not manipulable: {result.reason}")
@@ -176,23 +166,6 @@ def _verdict(
     if state.mode is Mode.PROBE:
         state = state.go(now, Mode.PUSH, f"object {index} is manipulable: {result.reason}")
     return state
-
-
-def _in_doubt(
-    setup: Setup, push: PushState, pose: np.ndarray, half_extents: tuple[float, float], manipulable: bool
-) -> bool:
-    """Whether the verdict of a planning stage of the probe has to wait for more contact."""
-    cfg = setup.config
-    if manipulable:
-        # What has hardly moved so far may hold against a firmer push as well, whatever the roll-outs expect of it.
-        return not rolled(push, pose) and push.contact_time < cfg.doubt_time
-    return push.contact_time < (cfg.doubt_limit if _gives_way(push, half_extents) else cfg.doubt_time)
-
-
-def _gives_way(push: PushState, half_extents: tuple[float, float]) -> bool:
-    """Whether the object has moved or turned in the last second of contact."""
-    x, y, yaw = np.ptp(push.recent(1.0), axis=0)
-    return bool(np.hypot(x, y) + np.hypot(*half_extents) * yaw > _GIVES_WAY)
 
 
 def _stuck(setup: Setup, state: NavigatorState, now: float, why: str) -> NavigatorState:
@@ -216,5 +189,5 @@ def _stuck(setup: Setup, state: NavigatorState, now: float, why: str) -> Navigat
     if known.gave_way:
         state = state.of_object(segment.object, status=Status.PARKED)
         return state.go(now, Mode.RETREAT, f"{why}; but it has given way before, and is left where it is")
-    state = state.of_object(segment.object, status=Status.FIXED, registered=known.pose, fixed_at=now)
+    state = state.of_object(segment.object, status=Status.FIXED, manipulable=False, registered=known.pose, fixed_at=now)
     return state.go(now, Mode.RETREAT, f"{why}; registered as an obstacle")

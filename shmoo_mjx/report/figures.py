@@ -101,9 +101,15 @@ def draw_decision(axes: Axes, result: dict[str, Any], trace: Trace, number: int)
     axes.plot(*robot[:2], "o", color=COLOURS["robot"], ms=9, label="robot")
     verdict = "can be moved" if decision["manipulable"] else "can't be moved"
     known, name = _number(decision.get("K")), object_name(result, decision["object"])
-    says = f"{verdict}, K = {decision['K']:.2f} m²" if known else "first goal, dynamics not known yet"
+    says = f"{verdict}, {evidence(decision)}" if known else "first goal, dynamics not known yet"
     axes.set_title(f"{number + 1}. At {float(decision['t']):.1f} s, {name}: {says}", fontsize=10)
     axes.legend(loc="best", fontsize=7, framealpha=0.9)
+
+
+def evidence(decision: dict[str, Any]) -> str:
+    """What a verdict rests on: the probability, or K in runs of a version that had none."""
+    known = _number(decision.get("probability"))
+    return f"P = {decision['probability']:.2f}" if known else f"K = {decision['K']:.2f} m²"
 
 
 def coefficients_figure(result: dict[str, Any], trace: Trace) -> Figure:
@@ -216,7 +222,7 @@ def _mark_decision(axes: Axes, result: dict[str, Any], trace: Trace, number: int
     pose = _pose_at(result, trace, index, decision["t"])
     top = pose[1] if index is None else outline(pose, result["objects"][index]["half_extents"])[:, 1].max()
     colour = COLOURS["goal"] if decision["manipulable"] else COLOURS["decision"]
-    text = f"K = {decision['K']:.2f} m²" if _number(decision.get("K")) else "first goal"
+    text = evidence(decision) if _number(decision.get("K")) else "first goal"
     axes.annotate(
         f"{number + 1}: {text}",
         (float(pose[0]), float(top)),

@@ -4,7 +4,7 @@
 
     outcome         str, "success" or the word for what went wrong
     transitions     [{"t", "from", "to", "reason"}]
-    decisions       [{"t", "object", "K", "G", "manipulable", "goal": [x, y, yaw] or null, "reason"}]
+    decisions       [{"t", "object", "probability", "K", "G", "manipulable", "goal": [x, y, yaw] or null, "reason"}]
     objects         [{"id", "family", "start_pose", "final_pose", "half_extents", "registered"}], in the trace's order,
                     each with an optional "description"
 

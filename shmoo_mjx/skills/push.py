@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from shmoo_mjx.learning.adaptation import AdaptState
 from shmoo_mjx.skills.settings import SkillConfig, hold
 from shmoo_mjx.types import DT, Command
 
-__all__ = ["Mark", "PushState", "Pusher", "init", "lets_go", "step"]
+__all__ = ["PushState", "Pusher", "init", "lets_go", "step"]
 
 Array = Any
 
@@ -39,15 +39,6 @@ class Pusher(Protocol):
         """Where the object comes to rest if it is let go now."""
 
 
-class Mark(NamedTuple):
-    """One sample of a push."""
-
-    contact_time: float
-    """Time in contact so far [s]."""
-    pose: np.ndarray
-    """``[3]`` of the object in {W}."""
-
-
 @dataclass(frozen=True, eq=False)
 class PushState:
     """Memory of one push."""
@@ -60,28 +51,25 @@ class PushState:
     """Time in contact so far [s]."""
     since_contact: float = 0.0
     """Time since the hands last touched the object [s]."""
-    marks: tuple[Mark, ...] = ()
+    impulse: float = 0.0
+    """What the hands have spent on the object so far [N s]."""
+    poses: tuple[np.ndarray, ...] = ()
+    """``[3]`` of the object in {W}, one of each sample."""
     ok: bool = True
     """Whether the last plan had a finite roll-out."""
 
     def moved(self, pose: np.ndarray) -> float:
         """How far the object has come since the push began [m]."""
-        start = self.marks[0].pose if self.marks else pose
+        start = self.poses[0] if self.poses else pose
         return float(np.linalg.norm(pose[:2] - start[:2]))
 
     def travelled(self, seconds: float) -> float | None:
         """Extent of the object's way in the last ``seconds`` of the push [m]; None if it is younger. Contact does not
         count: what the pusher dares touch no more is as stuck as what does not move."""
         count = round(seconds / DT)
-        if len(self.marks) < count:
+        if len(self.poses) < count:
             return None
-        return float(np.linalg.norm(np.ptp([m.pose[:2] for m in self.marks[-count:]], axis=0)))
-
-    def recent(self, seconds: float) -> np.ndarray:
-        """Object poses ``[n, 3]`` of the last ``seconds`` of contact, the yaw without jumps."""
-        poses = np.array([m.pose for m in self.marks if m.contact_time > self.contact_time - seconds])
-        poses[:, 2] = np.unwrap(poses[:, 2])
-        return poses
+        return float(np.linalg.norm(np.ptp([pose[:2] for pose in self.poses[-count:]], axis=0)))
 
 
 def init(
@@ -119,14 +107,14 @@ def step(
     more = () if governor_room is None else (governor_room,)
     u, own, plan = pusher.step(state.pusher, now, last_u, goal, around, np.asarray(half_extents), *more)
     touching = bool(touches(now.wrench))
-    contact_time = state.contact_time + (DT if touching else 0.0)
     ok = (plan is None or bool(plan.ok)) and bool(np.isfinite(u).all())
     state = replace(
         state,
         pusher=own,
-        contact_time=contact_time,
+        contact_time=state.contact_time + (DT if touching else 0.0),
         since_contact=0.0 if touching else state.since_contact + DT,
-        marks=(*state.marks, Mark(contact_time, np.array(now.object_pose))),
+        impulse=state.impulse + (float(np.hypot(*now.wrench[:2])) * DT if touching else 0.0),
+        poses=(*state.poses, np.array(now.object_pose)),
         ok=ok,
     )
     command = Command(np.asarray(u), heading(now.object_pose, face), REACH, HAND_HEIGHT)

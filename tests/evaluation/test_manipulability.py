@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from shmoo_mjx.evaluation.manipulable import SteadyPush, draw_immovable, manipulable, near_border, steady_push
-from shmoo_mjx.evaluation.object_planner import auc, draw_object, held_out_accuracy, measure, open_floor_scenario
+from shmoo_mjx.evaluation.object_planner import auc, calibration, draw_object, measure, open_floor_scenario
 from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.faces import faces_of, heading
 from shmoo_mjx.plant.objects import draw_condition
@@ -74,31 +74,40 @@ def test_the_open_floor_shows_the_chosen_face() -> None:
         assert abs(heading(np.array(scenario.objects[0].pose), face)) < 0.16
 
 
-def test_auc_and_held_out_threshold() -> None:
+def test_auc() -> None:
     truth = np.array([False] * 5 + [True] * 5)
     apart = np.array([0.0, 0.1, 0.2, 0.1, 0.0, 1.0, 2.0, 1.5, 3.0, 1.2])
-    assert auc(apart, truth) == 1.0 and held_out_accuracy(apart, truth) == 1.0
+    assert auc(apart, truth) == 1.0
     assert auc(-apart, truth) == 0.0
     assert auc(np.ones(10), truth) == 0.5
-    # A value that only one object has can't be told by a threshold found on the others.
-    assert held_out_accuracy(np.where(np.arange(10) == 5, -1.0, apart), truth) == 0.9
     assert np.isnan(auc(apart[:5], truth[:5]))
 
 
 def row(manipulable: bool, decided: bool | None, k: float = 1.0, seconds: float = 1.0) -> dict[str, Any]:
-    found = {"manipulable": manipulable, "decided": decided, "first_decided": decided}
-    numbers = {"K": k, "K_first": k, "K_posterior": k, "moved_m": k, "mobility": k, "decision_time_s": seconds}
-    return found if decided is None else found | numbers
+    found = {"manipulable": manipulable, "decided": decided, "border": k == 0.1}
+    numbers = {"K": k, "moved_m": k, "probability": min(k, 1.0)}
+    first = {f"{name}_first": value for name, value in numbers.items()}
+    return found if decided is None else found | numbers | first | {"decision_time_s": seconds}
 
 
 def test_measures_count_undecided_objects_as_mistakes() -> None:
     rows = [row(True, True, 2.0), row(True, False, 0.1, 4.0), row(False, False, 0.01), row(False, None)]
     metrics = measure(rows)
     assert metrics["accuracy"] == 0.5 and metrics["undecided"] == 1
+    assert metrics["accuracy_clear"] == pytest.approx(2 / 3) and metrics["near_border"] == 1
+    assert metrics["accuracy_after_1s"] == metrics["accuracy_of_K_after_1s"] == 0.5
     assert metrics["decision_time_s"] == 1.0 and metrics["decided_within_3s"] == pytest.approx(2 / 3)
     assert metrics["manipulable_called_manipulable"] == 1 and metrics["manipulable_called_immovable"] == 1
     assert metrics["immovable_called_immovable"] == 1 and metrics["immovable_called_manipulable"] == 0
-    assert metrics["auc_K"] == 1.0
+    assert metrics["auc_K_after_1s"] == 1.0
+
+
+def test_calibration_is_the_mean_gap_between_what_is_said_and_what_is() -> None:
+    truth = np.arange(10) < 7
+    assert calibration(np.full(10, 0.7), truth) == pytest.approx(0.0)
+    assert calibration(np.full(10, 0.9), truth) == pytest.approx(0.2)
+    # Gaps of different bins do not make up for each other.
+    assert calibration(np.where(truth, 0.9, 0.1), truth) == pytest.approx(0.1)
 
 
 def test_trials_go_on_where_they_were_stopped(tmp_path: Path) -> None:

@@ -1,0 +1,29 @@
+"""How probable it is that an object can be moved, told by what the hands have spent on it and how far it has come.
+
+A logistic regression on two numbers of the push so far. Neither the learned model nor K is asked: they tell the two
+classes apart less well, above all in the first second (docs/navigation.md).
+"""
+
+from __future__ import annotations
+
+import math
+
+__all__ = ["features", "probability"]
+
+# Fitted to touches of objects of training: python benchmarks/fit_mobility.py FOLDER
+_BIAS = 21.0
+_SLOPES = (4.04, -2.87)
+
+_LEAST_MOVED = 0.02
+"""So that the camera's noise on an object that stands still says nothing [m]."""
+
+
+def features(moved: float, impulse: float) -> tuple[float, float]:
+    """What the regression sees of a push that has moved its object by ``moved`` [m] for ``impulse`` [N s]."""
+    return math.log(moved + _LEAST_MOVED), math.log(impulse + 1.0)
+
+
+def probability(moved: float, impulse: float) -> float:
+    """P(manipulable) of an object that has come ``moved`` [m] while the hands spent ``impulse`` [N s] on it."""
+    z = _BIAS + sum(slope * x for slope, x in zip(_SLOPES, features(moved, impulse), strict=True))
+    return 1.0 / (1.0 + math.exp(-z))
