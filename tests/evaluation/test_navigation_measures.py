@@ -76,7 +76,8 @@ def result(outcome: str, *states: str, judged: dict[int, bool] | None = None, st
             "out of time while to push, and an immovable object was judged movable",
         ),
         (result("blocked", "fixed", judged={0: False}), (True,), "a movable object was judged immovable"),
-        (result("blocked", "fixed", judged={0: True}), (False,), "an immovable object was judged movable"),
+        (result("blocked", "parked", judged={0: True}), (False,), "an immovable object was judged movable"),
+        (result("blocked", "fixed", judged={0: True}), (False,), "no way found past objects that can't be moved"),
         (result("blocked", "fixed"), (True,), "a movable object was given up"),
         (
             result("blocked", "fixed", "parked", judged={0: False}),
