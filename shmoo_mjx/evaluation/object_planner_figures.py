@@ -38,7 +38,8 @@ def _reliability(rows: list[dict[str, Any]]) -> Any:
     for b in np.unique(place):
         said, came, count = p[place == b].mean(), truth[place == b].mean(), int(np.sum(place == b))
         left.plot(said, came, "o", color=SERIES[0], ms=6)
-        left.annotate(f"{count} objects", (said, came), (6, -4), textcoords="offset points", fontsize=8)
+        away = {"xytext": (-7, -4), "ha": "right"} if said > 0.8 else {"xytext": (7, -4), "ha": "left"}
+        left.annotate(f"{count} objects", (said, came), textcoords="offset points", fontsize=8, **away)
     left.set_xlabel("probability of being manipulable, after 1 s of contact")
     left.set_ylabel("share that is")
     for value, label, colour in ((False, "not manipulable", SERIES[5]), (True, "manipulable", SERIES[0])):
