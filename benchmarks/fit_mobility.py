@@ -62,7 +62,7 @@ def main() -> None:
 
 
 def touch(cfg: ObjectPlannerTrials, name: str) -> list[dict[str, Any]]:
-    """(distance moved, impulse) of one object at each of `LOOKS`; none if it was not touched for a second."""
+    """(distance moved, impulse) of one object at each of `LOOKS`; none if it was never touched."""
     first, index = (int(part) for part in name.split("-"))
     condition, side, _ = draw_object(index, first, cfg.truth)
     never = replace(navigator_config(), sure=1.0, decide_after=cfg.time_s)
@@ -70,6 +70,7 @@ def touch(cfg: ObjectPlannerTrials, name: str) -> list[dict[str, Any]]:
 
     def over(navigator: Any) -> bool:
         push = navigator.segment.push if navigator.segment is not None else None
+        # A touch that was lost and taken up again counts once it has lasted longer than the one before.
         if push is not None and (not samples or push.contact_time >= samples[-1][0]):
             moved = push.moved(navigator.belief.objects[0].pose)
             samples.append((push.contact_time, moved, push.impulse))

@@ -153,7 +153,8 @@ def hand_points(robot_pose: Array, gamma: Array) -> Array:
 
 
 def _placed(pose: Array, points: Array) -> Array:
-    """``points [..., P, 2]`` of bodies at ``pose [..., 3]``, in {W}."""
+    """``points [..., P, 2]`` of bodies at ``pose [..., 3]``, in {W}: `se2.transform_point`, but for computing each sine
+    once and not once a point."""
     turn, x, y = once(Turn.by(pose[..., 2:])), points[..., 0], points[..., 1]
     return jnp.stack([pose[..., :1] + turn.c * x - turn.s * y, pose[..., 1:2] + turn.s * x + turn.c * y], axis=-1)
 

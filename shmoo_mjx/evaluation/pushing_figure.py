@@ -13,7 +13,7 @@ from shmoo_mjx.sensing import Senses
 
 __all__ = ["draw_figure", "film"]
 
-_OWN = "0.45"
+_OWN = "0.45"  # Grey, for every method of the user's own.
 _COLOUR = dict(zip(METHODS, (SERIES[0], SERIES[3], SERIES[2], SERIES[1], SERIES[4]), strict=True))
 
 

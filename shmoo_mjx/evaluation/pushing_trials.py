@@ -42,9 +42,10 @@ __all__ = [
 Array = Any
 
 METHODS = ("ours", "frozen_prior", "hindsight", "quasi_static", "paper_form")
+"""Ours: MPPI while Eq. 8 adapts. The others run the same trials, the last of them with psi as the paper prints it."""
+
 OWN = "pushing controller"
 """What a method of the user's own is called in errors."""
-"""Ours: MPPI while Eq. 8 adapts. The others run the same trials, the last of them with psi as the paper prints it."""
 
 STRATA = ("drawn", "demanding")
 """Objects and changes as drawn; and what adaptation is for: objects at the edge of training or beyond, all of which

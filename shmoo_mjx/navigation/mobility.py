@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 
+from scipy.special import expit
+
 __all__ = ["features", "probability"]
 
 # Fitted to touches of objects of training: python benchmarks/fit_mobility.py FOLDER
@@ -25,5 +27,4 @@ def features(moved: float, impulse: float) -> tuple[float, float]:
 
 def probability(moved: float, impulse: float) -> float:
     """P(manipulable) of an object that has come ``moved`` [m] while the hands spent ``impulse`` [N s] on it."""
-    z = _BIAS + sum(slope * x for slope, x in zip(_SLOPES, features(moved, impulse), strict=True))
-    return 1.0 / (1.0 + math.exp(-z))
+    return float(expit(_BIAS + sum(slope * x for slope, x in zip(_SLOPES, features(moved, impulse), strict=True))))

@@ -88,14 +88,16 @@ def review(setup: Setup, state: NavigatorState, seen: Observation) -> NavigatorS
 
 
 def _due(setup: Setup, state: NavigatorState, push: PushState) -> bool:
+    """Whether a planning stage is due: in a probe the one with the verdict, in a push one every so often."""
     if state.mode is Mode.PUSH:
         return push.contact_time >= state.current().reviewed + _REVIEW_EVERY
     cfg, pose = setup.config, state.known().pose
     if push.contact_time < cfg.probe_time and not rolled(push, pose):
         return False
+    if cfg.decides_by == "K" or push.contact_time >= cfg.decide_after:
+        return True
     p = _probability(push, pose)
-    sure = max(p, 1.0 - p) > cfg.sure or push.contact_time >= cfg.decide_after
-    return sure or cfg.decides_by == "K"
+    return max(p, 1.0 - p) > cfg.sure
 
 
 def _probability(push: PushState, pose: np.ndarray) -> float:
