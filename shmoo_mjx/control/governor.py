@@ -2,21 +2,36 @@
 
 An object that sticks makes a planner lean harder until it breaks away, and then the robot falls forward with it: what
 rolls can't be braked by pushing. The governor keeps the lean near that of the cascade's velocity loop (Sec. III), so
-that the speed stays where it was allowed and the hands stay on the object, whatever the model believes. For one robot,
-on NumPy and JAX arrays alike; vmap for more.
+that the speed stays where it was allowed and the hands stay on the object, whatever the model believes. Like any
+velocity loop it has an integral: what sticks just below the lean that balances what is felt would be stuck for good.
+For one robot, on NumPy and JAX arrays alike; vmap for more.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 from shmoo_mjx import se2
-from shmoo_mjx.hands import HAND_HEIGHT
+from shmoo_mjx.hands import HAND_HEIGHT, touches
 from shmoo_mjx.plant.robot import ROBOT
+from shmoo_mjx.types import DT
 
-__all__ = ["forward_lean", "govern", "static_lean"]
+__all__ = ["GovernorConfig", "forward_lean", "govern", "static_lean"]
 
 Array = Any
+
+
+@dataclass(frozen=True)
+class GovernorConfig:
+    """Gains of the velocity loop."""
+
+    gain: float = 0.25
+    """Lean per m/s left to the speed allowed [rad s/m]; 0 switches the governor off."""
+    patience: float = 0.1
+    """Lean per metre by which the robot lags behind the speed allowed [rad/m]."""
+    most: float = 0.04
+    """Most lean that comes of lagging behind [rad]: 18 N."""
 
 
 def static_lean(force: Array) -> Array:
@@ -25,28 +40,37 @@ def static_lean(force: Array) -> Array:
 
 
 def forward_lean(
-    robot_pose: Array, robot_twist: Array, lean_rate: Array, wrench: Array, limit: Array, gain: float
-) -> Array:
-    """Lean ``[]`` [rad] that brings the robot to the speed ``limit`` against what it feels.
+    config: GovernorConfig,
+    robot_pose: Array,
+    robot_twist: Array,
+    lean_rate: Array,
+    wrench: Array,
+    limit: Array,
+    more: Array,
+) -> tuple[Array, Array]:
+    """Lean ``[]`` [rad] that brings the robot to the speed ``limit`` against what it feels, and the next ``more``.
 
     At rest the whole felt force counts as resistance, at the speed allowed less than a third of it: by then most of it
     may be what accelerates the object, and leaning into that would run away.
 
     Args:
+        config: gains.
         robot_pose: ``[3]`` of {R} in {W}.
         robot_twist: ``[3]`` in {W}.
         lean_rate: ``[2]`` [rad/s].
         wrench: ``[3]`` felt on the object, in {W}.
         limit: speed allowed [m/s].
-        gain: lean per speed left to the limit [rad s/m].
+        more: lean for what lags behind so far in this push [rad]; 0 at its start.
     """
-    xp, yaw = se2.array_module(robot_pose, robot_twist, lean_rate, wrench, limit), robot_pose[2]
+    xp, yaw = se2.array_module(robot_pose, robot_twist, lean_rate, wrench, limit, more), robot_pose[2]
     a, b, _ = ROBOT.flatness
     # Speed of the flat output: the base first moves the wrong way when the lean changes.
     speed = se2.rotate(robot_twist[:2], -yaw)[0] + b / a * lean_rate[0]
+    behind = xp.where(touches(wrench), limit - speed, 0.0) * DT
+    more = xp.clip(more + config.patience * behind, 0.0, config.most)
     force = xp.maximum(se2.rotate(wrench[:2], -yaw)[0], 0.0)
     share = 1.0 - 0.7 * xp.clip(speed / limit, 0.0, 1.0)
-    return share * static_lean(force) + gain * (limit - speed)
+    return share * static_lean(force) + config.gain * (limit - speed) + more, more
 
 
 def govern(u: Array, low: Array, high: Array) -> Array:

@@ -17,7 +17,7 @@ import numpy as np
 
 from shmoo_mjx import se2
 from shmoo_mjx.control import cost, models, mppi
-from shmoo_mjx.control.governor import forward_lean, govern
+from shmoo_mjx.control.governor import GovernorConfig, forward_lean, govern
 from shmoo_mjx.dynamics import core, features, feet, object_model
 from shmoo_mjx.faces import faces_of
 from shmoo_mjx.hands import touches
@@ -74,8 +74,8 @@ class PushConfig:
     """Speed of the object from which a sample without contact teaches as well: how it coasts [m/s]."""
     adapts: bool = True
     """Eq. 8 is at work; False leaves the coefficients as they are, for comparison."""
-    governor: float = 0.25
-    """Lean per m/s left to the speed allowed that the governor grants beyond balance [rad s/m]; 0 switches it off."""
+    governor: GovernorConfig = GovernorConfig()
+    """What the forward lean may be."""
     governor_room: float = 1.0
     """By how much the plan may stay below that lean [rad]; 1 is no bound."""
     foresees_governor: bool = False
@@ -129,6 +129,8 @@ class PushState(NamedTuple):
     """State one sample ago, with the memory it had then."""
     detected: Array
     """Whether the object was detected in that sample."""
+    more: Array
+    """Lean that the governor grants for lagging behind [rad]."""
 
 
 class _Transition(NamedTuple):
@@ -204,7 +206,7 @@ class PushController:
             governor_room: in place of the configuration's, for this step.
         """
         state, system, transition = _perceive(self.config, state, now, last_u, half_extents)
-        lean = _governor(self.config, now, np.asarray(goal, dtype=float), governor_room)
+        lean, more = _governor(self.config, now, np.asarray(goal, dtype=float), state.more, governor_room)
         u, adapt, plan_state, plan = self._step(
             self._params,
             state.adapt,
@@ -217,7 +219,8 @@ class PushController:
             _f32(lean),
         )
         u = govern(np.asarray(u, dtype=float), *lean)
-        return u, state._replace(adapt=adapt, plan=plan_state, before=system, detected=now.detected), plan
+        state = state._replace(adapt=adapt, plan=plan_state, before=system, detected=now.detected, more=more)
+        return u, state, plan
 
     def planning_rollouts(
         self, state: PushState, goal: Array, around: LocalDistanceField, half_extents: Array
@@ -243,7 +246,8 @@ def start(
     """The state with which a push on ``face [4]`` begins; pure."""
     zero = np.zeros(3)
     before = _system_state(now, zero, zero, zero[:2], zero, face, half_extents)
-    return PushState(adapt, mppi.init(config.control, key), before, se2.array_module(now.wrench).asarray(now.detected))
+    xp = se2.array_module(now.wrench)
+    return PushState(adapt, mppi.init(config.control, key), before, xp.asarray(now.detected), xp.zeros(()))
 
 
 def control_step(
@@ -259,7 +263,7 @@ def control_step(
     """:meth:`PushController.step` on a floor without obstacles as one pure function, for jit and vmap over worlds."""
     open_floor = replace(config, cost=replace(config.cost, clearance_weight=0.0))
     state, system, transition = _perceive(config, state, now, last_u, half_extents)
-    lean = _governor(config, now, goal)
+    lean, more = _governor(config, now, goal, state.more)
     u, adapt, plan_state, _ = _step(
         open_floor,
         core_config,
@@ -275,7 +279,8 @@ def control_step(
         lean,
     )
     detected = jnp.asarray(now.detected)
-    return govern(u, *lean), state._replace(adapt=adapt, plan=plan_state, before=system, detected=detected)
+    state = state._replace(adapt=adapt, plan=plan_state, before=system, detected=detected, more=more)
+    return govern(u, *lean), state
 
 
 def _perceive(
@@ -296,20 +301,22 @@ def _perceive(
     return state, system, _Transition(_f32(inputs), _f32(label), valid)
 
 
-def _governor(config: PushConfig, now: Sighting, goal: Array, room: float | None = None) -> Array:
-    """``[2]`` least and largest forward lean that may be commanded now [rad]."""
+def _governor(
+    config: PushConfig, now: Sighting, goal: Array, more: Array, room: float | None = None
+) -> tuple[Array, Array]:
+    """``[2]`` least and largest forward lean that may be commanded now, and what it grants for lagging behind [rad]."""
     low, high = config.control.low[0], config.control.high[0]
     offset = goal[:2] - now.object_pose[:2]
     xp = se2.array_module(now.wrench, offset)
-    if not config.governor:
-        return xp.asarray([low, high])
+    if not config.governor.gain:
+        return xp.asarray([low, high]), more
     limit = cost.allowed_speed(config.cost, xp.hypot(offset[0], offset[1]))
-    lean = forward_lean(now.robot_pose, now.robot_twist, now.lean_rate, now.wrench, limit, config.governor)
+    lean, more = forward_lean(config.governor, now.robot_pose, now.robot_twist, now.lean_rate, now.wrench, limit, more)
     lean, room = xp.clip(lean, low, high), config.governor_room if room is None else room
     if room < 1.0:
         # What sticks is leant into until it breaks away, whatever the model believes.
         room = room * xp.clip(xp.hypot(now.robot_twist[0], now.robot_twist[1]) / limit, 0.0, 1.0)
-    return xp.stack([lean - room, lean])
+    return xp.stack([lean - room, lean]), more
 
 
 def _f32(x: Array) -> Array:

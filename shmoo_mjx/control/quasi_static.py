@@ -15,7 +15,7 @@ import numpy as np
 
 from shmoo_mjx import se2
 from shmoo_mjx.control.cost import PushCost, allowed_speed
-from shmoo_mjx.control.governor import forward_lean
+from shmoo_mjx.control.governor import GovernorConfig, forward_lean
 from shmoo_mjx.control.pushing import LocalDistanceField, Sighting
 from shmoo_mjx.hands import REACH
 from shmoo_mjx.learning.adaptation import AdaptState
@@ -40,8 +40,8 @@ class QuasiStaticConfig:
     """Sideways speed per metre that the hands are off the face's centre [1/s]."""
     shift: float = 0.5
     """Metres that the hands are shifted along the face per rad of heading error [m/rad]."""
-    gain: float = 0.25
-    """Lean per m/s left to the speed allowed [rad s/m]."""
+    governor: GovernorConfig = GovernorConfig()
+    """What the forward lean is."""
     lean_limit: float = 0.12
     """[rad]"""
 
@@ -52,6 +52,8 @@ class QuasiStaticState(NamedTuple):
     face: np.ndarray
     pose: np.ndarray
     adapt: AdaptState | None
+    more: Array
+    """Lean that the governor grants for lagging behind [rad]."""
 
 
 class QuasiStaticPusher:
@@ -65,7 +67,7 @@ class QuasiStaticPusher:
         self, now: Sighting, face: Array, half_extents: Array, key: Array, adapt: AdaptState | None = None
     ) -> QuasiStaticState:
         """Start a push on ``face [4]``."""
-        return QuasiStaticState(np.asarray(face), now.object_pose, adapt)
+        return QuasiStaticState(np.asarray(face), now.object_pose, adapt, np.zeros(()))
 
     def step(
         self,
@@ -77,16 +79,21 @@ class QuasiStaticPusher:
         half_extents: Array,
     ) -> tuple[np.ndarray, QuasiStaticState, None]:
         """The command ``[3]`` for the next sample; arguments as for the controller it stands in for."""
-        u = law(self.config, self.cost, state.face, now, np.asarray(goal, dtype=float))
-        return u, state._replace(pose=now.object_pose), None
+        u, more = law(self.config, self.cost, state.face, now, np.asarray(goal, dtype=float), state.more)
+        return u, state._replace(pose=now.object_pose, more=more), None
 
     def coast(self, state: QuasiStaticState) -> np.ndarray:
         """Quasi-static objects don't."""
         return state.pose
 
 
-def law(cfg: QuasiStaticConfig, cost: PushCost, face: Array, now: Sighting, goal: Array) -> Array:
-    """The command ``[3]`` [rad] for ``face [4]`` and ``goal [3]`` in {W}: pure, on NumPy and JAX arrays alike."""
+def law(
+    cfg: QuasiStaticConfig, cost: PushCost, face: Array, now: Sighting, goal: Array, more: Array
+) -> tuple[Array, Array]:
+    """The command ``[3]`` [rad] for ``face [4]`` and ``goal [3]`` in {W}, and the governor's next ``more``.
+
+    Pure, on NumPy and JAX arrays alike.
+    """
     pose, xp = now.object_pose, se2.array_module(now.object_pose, now.robot_pose)
     offset = goal[:2] - pose[:2]
     bearing = xp.arctan2(offset[1], offset[0])
@@ -102,9 +109,9 @@ def law(cfg: QuasiStaticConfig, cost: PushCost, face: Array, now: Sighting, goal
     velocity = se2.rotate(now.robot_twist[:2], -now.robot_pose[2])
     lean = velocity_to_lean(Gains(), velocity, now.lean_rate, xp.stack([0.0 * sideways, sideways]))
     limit = allowed_speed(cost, distance)
-    forward = forward_lean(now.robot_pose, now.robot_twist, now.lean_rate, now.wrench, limit, cfg.gain)
+    forward, more = forward_lean(cfg.governor, now.robot_pose, now.robot_twist, now.lean_rate, now.wrench, limit, more)
     forward = xp.clip(forward, -cfg.lean_limit, cfg.lean_limit)
-    return xp.stack([forward, lean[1], xp.clip(cfg.steer * error, -cfg.steer_limit, cfg.steer_limit)])
+    return xp.stack([forward, lean[1], xp.clip(cfg.steer * error, -cfg.steer_limit, cfg.steer_limit)]), more
 
 
 def _sideways(cfg: QuasiStaticConfig, face: Array, now: Sighting, error: Array) -> Array:

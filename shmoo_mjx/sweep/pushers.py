@@ -86,10 +86,9 @@ def law_of(controller: Controller, weights: Weights) -> Law:
     if controller.kind == "quasi_static":
         settings = quasi_static.QuasiStaticConfig()
         return Law(
-            init=lambda now, task, key: (),
-            step=lambda state, now, last_u, task: (
-                quasi_static.law(settings, config.cost, task.face, now, task.goal),
-                state,
+            init=lambda now, task, key: jnp.zeros(()),
+            step=lambda more, now, last_u, task: quasi_static.law(
+                settings, config.cost, task.face, now, task.goal, more
             ),
             coast=lambda state, now: now.object_pose,
         )
@@ -110,7 +109,7 @@ def push_config(c: Controller) -> PushConfig:
     base = pose_push_config()
     control = replace(base.control, samples=c.samples, horizon=c.horizon, temperature=c.temperature)
     cost = replace(base.cost, speed_limit=c.speed_limit)
-    return replace(base, control=control, cost=cost, adapts=c.adapts, governor=c.governor)
+    return replace(base, control=control, cost=cost, adapts=c.adapts, governor=replace(base.governor, gain=c.governor))
 
 
 def remember(law: Law, now: Sighting, task: Task, key: Array) -> Memory:

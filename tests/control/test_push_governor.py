@@ -7,26 +7,43 @@ from hypothesis import strategies as st
 
 from shmoo_mjx import se2
 from shmoo_mjx.control.cost import PushCost
-from shmoo_mjx.control.governor import forward_lean, govern, static_lean
+from shmoo_mjx.control.governor import GovernorConfig, forward_lean, govern, static_lean
 from shmoo_mjx.control.pushing import LocalDistanceField, Sighting
 from shmoo_mjx.control.quasi_static import QuasiStaticPusher
 from shmoo_mjx.faces import faces_of, stand_off
 from shmoo_mjx.hands import HAND_HEIGHT
 from shmoo_mjx.plant.robot import ROBOT
+from shmoo_mjx.types import DT
 
 REST = np.zeros(2)
 
 
+def lean_at(twist: np.ndarray, wrench: np.ndarray, limit: float, more: float = 0.0) -> tuple[float, float]:
+    return forward_lean(GovernorConfig(), np.zeros(3), twist, REST, wrench, limit, more)
+
+
 def test_a_stuck_object_gets_all_the_lean_it_resists_and_some_more() -> None:
-    at_rest = forward_lean(np.zeros(3), np.zeros(3), REST, np.array([40.0, 0.0, 0.0]), 0.2, 0.25)
-    assert at_rest == pytest.approx(40.0 * HAND_HEIGHT / ROBOT.flatness[2] + 0.25 * 0.2)
+    at_rest, _ = lean_at(np.zeros(3), np.array([40.0, 0.0, 0.0]), 0.2)
+    assert at_rest == pytest.approx(40.0 * HAND_HEIGHT / ROBOT.flatness[2] + 0.25 * 0.2 + 0.1 * 0.2 * DT)
     assert at_rest > static_lean(40.0)
+
+
+def test_what_feels_too_little_does_not_stay_stuck_but_is_leant_into_no_harder_than_allowed() -> None:
+    more, leans = 0.0, []
+    for _ in range(60):
+        lean, more = lean_at(np.zeros(3), np.array([30.0, 0.0, 0.0]), 0.1, more)
+        leans.append(lean)
+    assert leans[30] > static_lean(30.0) + 0.25 * 0.1 + 0.02
+    assert more == pytest.approx(GovernorConfig().most)
+    # Nothing touched: nothing to lean into. Faster than allowed: it goes back.
+    assert lean_at(np.zeros(3), np.zeros(3), 0.1, 0.02)[1] == pytest.approx(0.02)
+    assert lean_at(np.array([0.3, 0.0, 0.0]), np.array([30.0, 0.0, 0.0]), 0.1, 0.02)[1] < 0.02
 
 
 @settings(deadline=None)
 @given(st.floats(0, 60), st.floats(0.16, 0.6))
 def test_above_the_speed_allowed_the_lean_never_sustains_the_force(force: float, speed: float) -> None:
-    lean = forward_lean(np.zeros(3), np.array([speed, 0, 0]), REST, np.array([force, 0, 0]), 0.15, 0.25)
+    lean, _ = lean_at(np.array([speed, 0, 0]), np.array([force, 0, 0]), 0.15)
     assert lean <= 0.3 * static_lean(force) + 1e-9
 
 
@@ -35,7 +52,7 @@ def test_above_the_speed_allowed_the_lean_never_sustains_the_force(force: float,
 def test_only_the_frame_of_the_robot_counts(yaw: float) -> None:
     def lean(angle: float) -> float:
         turned = [se2.rotate(np.array(v), angle) for v in ([0.1, 0.05, 0.2], [20.0, 5.0, 1.0])]
-        return forward_lean(np.array([1.0, 2.0, angle]), turned[0], REST, turned[1], 0.2, 0.25)
+        return forward_lean(GovernorConfig(), np.array([1.0, 2.0, angle]), turned[0], REST, turned[1], 0.2, 0.0)[0]
 
     assert lean(yaw) == pytest.approx(lean(0.0), abs=1e-9)
 

@@ -1,6 +1,9 @@
-"""The lean trim: found while driving, left alone in contact, and a robot with a shifted centre of mass stands still."""
+"""Trim: found while driving, left alone in contact; a robot with a shifted centre of mass stands still, and one whose
+arms' motors are weaker than it thinks learns how hard it pushes."""
 
 from __future__ import annotations
+
+import dataclasses
 
 import numpy as np
 import pytest
@@ -9,8 +12,12 @@ from hypothesis import strategies as st
 
 from shmoo_mjx import se2
 from shmoo_mjx.control import trim
-from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH
+from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
+from shmoo_mjx.plant.body import Imperfections, body_of, draw_body
+from shmoo_mjx.plant.objects import draw_condition
 from shmoo_mjx.plant.robot import ROBOT
+from shmoo_mjx.plant.scene import build_scene
+from shmoo_mjx.sensing import REAL, SensedEngine
 from shmoo_mjx.skills import batched
 from shmoo_mjx.types import DT, Command, Observation
 
@@ -75,9 +82,7 @@ def test_lean_is_counted_from_the_trim_both_ways() -> None:
 
 def test_a_robot_with_a_shifted_centre_of_mass_stands_still() -> None:
     from shmoo_mjx.navigation.drive import velocity_command
-    from shmoo_mjx.plant.body import Imperfections, body_of, draw_body
     from shmoo_mjx.plant.engine_mujoco import MujocoEngine
-    from shmoo_mjx.plant.scene import build_scene
 
     body = draw_body(Imperfections(), 3)._replace(com=(0.004, -0.005, 0.0))
     drifts = []
@@ -97,3 +102,23 @@ def test_a_robot_with_a_shifted_centre_of_mass_stands_still() -> None:
     share = ROBOT.body_mass / ROBOT.upper_mass
     assert state.lean == pytest.approx(-share * np.array(body.com[:2]) / ROBOT.body_com_height, abs=2e-3)
     assert drifts[0] > 0.1 and drifts[1] < 0.25 * drifts[0]
+
+
+@pytest.mark.parametrize("gain", [0.8, 1.2])
+def test_learns_how_hard_it_pushes_by_what_it_leans_against(gain: float) -> None:
+    """Forces are felt as the torque asked of the arms' motors, and these give more or less."""
+    box = draw_condition("box", 1, {"mass": 60.0, "payload": 0.0, "friction": 0.6})
+    ahead = (REACH + 0.04 + 0.05 + box.half_extents[0], 0.0, 0.0)
+    body = draw_body(Imperfections.none(), 0)._replace(arm_gain=(gain,) * 6)
+    senses = dataclasses.replace(REAL, body=Imperfections.none())
+    with SensedEngine([build_scene([(box, ahead)], adjust=body_of(body))], senses) as engine:
+        world, state, corrected, true = engine.init(), trim.init(), [], []
+        for i in range(80):
+            lean = np.array([0.07 if i >= 6 else 0.0, 0.0])
+            world, now = engine.step(world, batched(Command(np.append(lean, 0.0), 0.0, REACH, HAND_HEIGHT)))
+            state = trim.step(trim.TrimConfig(), state, now)
+            corrected.append(trim.with_trim(state, now).wrench[0, 0, 0])
+            true.append(engine.true_observation(world).wrench[0, 0, 0])
+    assert np.mean(true[60:]) > 20
+    assert state.touch == pytest.approx(gain, abs=0.08)
+    assert np.mean(corrected[60:]) == pytest.approx(np.mean(true[60:]), rel=0.08)

@@ -87,10 +87,13 @@ def test_the_quasi_static_law_is_the_same_on_both_kinds_of_arrays() -> None:
     for _ in range(20):
         values = [rng.normal(size=n) * 0.3 for n in (3, 3, 2, 2, 3, 3)] + [rng.normal(size=3) * 20]
         goal = rng.normal(size=3)
-        plain = law(QuasiStaticConfig(), cost, FACE, Sighting(*values), goal)
-        traced = law(QuasiStaticConfig(), cost, FACE, Sighting(*map(jnp.asarray, values)), jnp.asarray(goal))
+        plain, more = law(QuasiStaticConfig(), cost, FACE, Sighting(*values), goal, np.float64(0.01))
+        traced, later = law(
+            QuasiStaticConfig(), cost, FACE, Sighting(*map(jnp.asarray, values)), jnp.asarray(goal), jnp.float32(0.01)
+        )
         assert isinstance(plain, np.ndarray) and isinstance(traced, jax.Array)
         np.testing.assert_allclose(traced, plain, atol=2e-5)
+        np.testing.assert_allclose(later, more, atol=2e-5)
 
 
 def test_a_sweeps_settings_reach_the_controller() -> None:
