@@ -129,13 +129,13 @@ def trace_of(simulation: Simulation) -> Trace:
     def column(name: str) -> np.ndarray:
         return np.array([row[name] for row in record.rows])
 
-    width = next((len(r["coefficients"]) for r in record.rows if r["coefficients"] is not None), 18)
-    blank = np.full(width, np.nan)
-    coefficients = np.array([blank if r["coefficients"] is None else r["coefficients"] for r in record.rows])
-    names = ("t", "robot_pose", "lean", "u", "object_pose", "force", "coefficient_object", "state")
+    learned = next((tuple(row["learned"]) for row in record.rows if row["learned"]), ())
+    blank = dict.fromkeys(learned, np.nan)
+    names = ("t", "robot_pose", "lean", "u", "object_pose", "force", "learned_object", "state")
     return Trace(
         **{name: column(name) for name in names},
-        coefficients=coefficients,
+        learned=np.array([[*(row["learned"] or blank).values()] for row in record.rows]),
+        learned_names=learned,
         state_names=tuple(str(m) for m in Mode),
         map_cells=grid.cells,
         map_origin=np.asarray(grid.origin, dtype=float),

@@ -192,8 +192,8 @@ class Simulation:
         self.true = self.engine.true_observation(self.world)
 
     def _note(self, seen: Observation, command: Command) -> None:
-        adapting, true, record = self.navigator.coefficients, self.true, self.record
-        index = -1 if adapting is None else adapting[0]
+        learned, true, record = self.navigator.learned, self.true, self.record
+        index = -1 if learned is None else learned[0]
         wrench = true.wrench[0, :, :2].sum(axis=0)
         record.qpos.append(self.qpos)
         record.observations.append(seen)
@@ -207,8 +207,8 @@ class Simulation:
                 "u": command.u[0],
                 "object_pose": true.object_pose[0],
                 "force": se2.rotate(wrench, -true.robot_pose[0, 2]),
-                "coefficients": None if adapting is None else adapting[1],
-                "coefficient_object": index,
+                "learned": None if learned is None else learned[1],
+                "learned_object": index,
                 "state": list(Mode).index(self.navigator.mode),
             }
         )

@@ -1,4 +1,4 @@
-"""Adaptive pushing (Sec. III-E, spec 7.2): MPPI on the learned core while Eq. 8 adapts the object's coefficients.
+"""Adaptive pushing (Sec. III-E, spec 7.2): MPPI on the learned core while the object's dynamics are learned.
 
 ``PushController`` compiles the two functions a push needs, once for every map and object: the 10 Hz step (adapt, plan,
 command) and the planning stage's roll-outs, which the object planner judges. All memory is in ``PushState``. ``start``,
@@ -73,7 +73,7 @@ class PushConfig:
     moving: float = float("inf")
     """Speed of the object from which a sample without contact teaches as well: how it coasts [m/s]."""
     adapts: bool = True
-    """Eq. 8 is at work; False leaves the coefficients as they are, for comparison."""
+    """False leaves what is known of the object as it is, for comparison."""
     governor: GovernorConfig = GovernorConfig()
     """What the forward lean may be."""
     governor_room: float = 1.0
@@ -134,7 +134,7 @@ class PushState(NamedTuple):
 
 
 class _Transition(NamedTuple):
-    """What Eq. 8 takes from the sample that just ended."""
+    """What is learned from: the sample that just ended."""
 
     inputs: Array
     """``[13]`` inputs of psi at its start, measured wrench included."""

@@ -56,7 +56,7 @@ class ObjectModelConfig:
     """Per family; None takes all that the training set has."""
     unseen: dict[str, int] = field(default_factory=lambda: dict(datasets.UNSEEN_COUNTS))
     """Unseen objects per family."""
-    adapt: AdaptConfig = field(default_factory=AdaptConfig)
+    adapt: AdaptConfig = AdaptConfig(coefficients=True)
     """Gains of the online adaptation."""
     workers: int = 1
     """Processes; a training keeps both cores busy by itself, and two of them hinder each other."""

@@ -65,7 +65,7 @@ _OPEN_LOOP = {
     "yaw_rmse_3s_deg": "yaw after 3 s [deg]",
 }
 
-_PUSHERS = ("frozen_prior", "quasi_static", "hindsight", "paper_form")
+_PUSHERS = ("frozen_prior", "eq8", "quasi_static", "hindsight", "paper_form")
 
 SECTIONS = {
     "object_model": Section(
@@ -168,7 +168,7 @@ SECTIONS = {
                 },
                 _PUSHERS,
             ),
-            ("way from the prior's offset to hindsight's", ("way_to_hindsight", "", "", "", "")),
+            ("way from the prior's offset to hindsight's", ("way_to_hindsight", "", "", "", "", "")),
         ),
         ("pushing.png",),
     ),

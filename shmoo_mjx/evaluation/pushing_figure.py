@@ -14,7 +14,7 @@ from shmoo_mjx.sensing import Senses
 __all__ = ["draw_figure", "film"]
 
 _OWN = "0.45"  # Grey, for every method of the user's own.
-_COLOUR = dict(zip(METHODS, (SERIES[0], SERIES[3], SERIES[2], SERIES[1], SERIES[4]), strict=True))
+_COLOUR = dict(zip(METHODS, (SERIES[0], SERIES[3], SERIES[5], SERIES[2], SERIES[1], SERIES[4]), strict=True))
 
 
 def draw_figure(path: Path, rows: list[dict[str, Any]], folder: Path) -> Path:

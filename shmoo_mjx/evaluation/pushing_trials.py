@@ -41,8 +41,9 @@ __all__ = [
 
 Array = Any
 
-METHODS = ("ours", "frozen_prior", "hindsight", "quasi_static", "paper_form")
-"""Ours: MPPI while Eq. 8 adapts. The others run the same trials, the last of them with psi as the paper prints it."""
+METHODS = ("ours", "frozen_prior", "eq8", "hindsight", "quasi_static", "paper_form")
+"""Ours: MPPI while the object's body is identified. The others run the same trials: with Eq. 8 on top, for one, and the
+last with psi as the paper prints it."""
 
 OWN = "pushing controller"
 """What a method of the user's own is called in errors."""
@@ -229,7 +230,8 @@ def _pusher(method: str, weights: Weights) -> Pusher:
         return cast(Pusher, own.asked(OWN, method, lambda: make(weights, config)))
     if method == "quasi_static":
         return QuasiStaticPusher(config.cost)
-    return PushController(weights, replace(config, adapts=method in ("ours", "paper_form")))
+    adapt = replace(config.adapt, coefficients=method == "eq8")
+    return PushController(weights, replace(config, adapt=adapt, adapts=method in ("ours", "eq8", "paper_form")))
 
 
 def hindsight(weights: Weights, condition: Condition, seed: int) -> AdaptState:

@@ -1,4 +1,8 @@
-"""Eq. 8: the coefficients of the object at hand, updated after every sample.
+"""What is learned of the object at hand, after every sample: the body that it looks like, or coefficients by Eq. 8.
+
+A psi that sees an identified body learns by identifying it, and its coefficients stay where training left them: with
+real senses Eq. 8 on top of that made pushes end turned by some degrees more, for accelerations are differences of noisy
+twists. A psi without a body, the paper's, learns by Eq. 8.
 
 The discrete form of Neural-Fly's supplement: propagate, then update by a Kalman gain with Joseph's form of the
 covariance, which stays positive definite where plain Euler steps of P do not. Units: a is in units of psi's inverse
@@ -12,6 +16,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from shmoo_mjx.dynamics import feet, object_model
 from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
@@ -19,7 +24,7 @@ from shmoo_mjx.learning import identification
 from shmoo_mjx.learning.identification import BodyState, OnlineConfig
 from shmoo_mjx.types import DT
 
-__all__ = ["AdaptConfig", "AdaptState", "body_of", "init", "observe", "step"]
+__all__ = ["AdaptConfig", "AdaptState", "body_of", "init", "learned", "observe", "step"]
 
 Array = Any
 
@@ -28,6 +33,8 @@ Array = Any
 class AdaptConfig:
     """Gains of Eq. 8."""
 
+    coefficients: bool = False
+    """Eq. 8 is at work even where a body is identified."""
     decay: float = 0.01
     """lambda [1/s]: forgetting, towards the prior or towards zero."""
     to_prior: bool = True
@@ -57,8 +64,6 @@ class AdaptState(NamedTuple):
     """``[..., n, n]``"""
     noise: Array
     """``[..., 3, 3]`` covariance of a sample's residual [(m/s^2)^2, (rad/s^2)^2]."""
-    samples: Array
-    """``[...]`` int, samples used so far."""
     body: BodyState | None = None
     """The body on four feet that the object looks like, if psi sees one."""
 
@@ -75,7 +80,7 @@ def init(prior_mean: Array, prior_covariance: Array, noise: Array, body: BodySta
     mean = jnp.asarray(prior_mean, dtype=jnp.float32).reshape(-1)
     covariance = jnp.asarray(prior_covariance, dtype=jnp.float32)
     noise = jnp.asarray(noise, dtype=jnp.float32)
-    return AdaptState(mean, covariance, mean, covariance, noise, jnp.zeros((), jnp.int32), body)
+    return AdaptState(mean, covariance, mean, covariance, noise, body)
 
 
 def observe(
@@ -87,7 +92,7 @@ def observe(
     label: Array,
     valid: Array | bool = True,
 ) -> AdaptState:
-    """One sample of the object: the body is identified anew, then Eq. 8 on psi that sees it.
+    """One sample of the object: the body is identified anew, or Eq. 8, or one after the other.
 
     Args:
         config: gains; static.
@@ -99,7 +104,10 @@ def observe(
         valid: False without contact, with stale or missing poses.
     """
     if state.body is not None:
-        state = state._replace(body=identification.observe(config.body, state.body, inputs, label, valid))
+        body = identification.observe(config.body, state.body, inputs, label, valid)
+        if not config.coefficients:
+            return state._replace(body=body)
+        state = state._replace(body=body)
     phi = object_model.design_matrix(params, inputs, shape, body_of(state))
     return step(config, state, phi, label, valid)
 
@@ -107,6 +115,13 @@ def observe(
 def body_of(state: AdaptState) -> Array:
     """Parameters ``[p]`` of the body that the object looks like; the first guess if psi sees none."""
     return feet.guess() if state.body is None else identification.best(state.body)
+
+
+def learned(state: AdaptState) -> dict[str, float]:
+    """What adapts, by name: the body's parameters, or a1 ... an of a psi that sees none. Not for jit."""
+    if state.body is not None:
+        return dict(zip(feet.PARAMETERS, np.asarray(identification.best(state.body)).tolist(), strict=True))
+    return {f"a{k + 1}": a for k, a in enumerate(np.asarray(state.mean).tolist())}
 
 
 def step(
@@ -153,7 +168,7 @@ def step(
     # Joseph's form is positive definite but for float32's rounding, which huge features bring to light; a millionth of
     # each variance outweighs that and is far below the process noise.
     new_covariance = 0.5 * (new_covariance + new_covariance.T) + 1e-6 * jnp.diag(jnp.diag(new_covariance))
-    new = state._replace(mean=new_mean, covariance=new_covariance, samples=state.samples + 1)
+    new = state._replace(mean=new_mean, covariance=new_covariance)
     # Finite inputs can still overflow float32; such a sample is dropped as well.
     use &= jnp.all(jnp.isfinite(new_mean)) & jnp.all(jnp.isfinite(new_covariance))
     return jax.tree.map(lambda a, b: jnp.where(use, a, b), new, state)._replace(body=rest_of_state)

@@ -68,7 +68,7 @@ def untrained(config: CoreConfig | None = None, seed: int = 0) -> Weights:
 
 
 def prior_state(weights: Weights, config: OnlineConfig | None = None) -> AdaptState:
-    """What is known of an object before it is touched, to be adapted by Eq. 8."""
+    """What is known of an object before it is touched, to be adapted."""
     body = None
     if weights.config.object.body:
         scale = weights.params.object.label_scale

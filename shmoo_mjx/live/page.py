@@ -25,6 +25,7 @@ from pydantic import ValidationError
 
 from shmoo_mjx import se2
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.learning import adaptation
 from shmoo_mjx.live import overlay
 from shmoo_mjx.live.session import Session, scenes
 from shmoo_mjx.navigation import flat_trajectory
@@ -435,10 +436,14 @@ class Page:
             verdicts = [d for d in navigator.decisions if d.object == index]
             last = f"P = {verdicts[-1].probability:.2f}, K = {verdicts[-1].K:.2f} m²" if verdicts else "not touched"
             moves = {None: "?", True: "yes", False: "no"}[known.manipulable]
-            learned = ""
-            if known.adapt is not None:
-                away = np.asarray(known.adapt.mean - known.adapt.prior_mean)
-                spread = np.diagonal(np.asarray(known.adapt.prior_covariance))
-                learned = f"{np.sqrt(np.mean(away**2 / spread)):.1f} sigma from the prior"
+            learned = "" if known.adapt is None else _in_words(adaptation.learned(known.adapt))
             rows.append(f"| {index} {condition.family} | {known.status} | {last} | {moves} | {learned} |")
         return "\n".join(rows)
+
+
+def _in_words(learned: dict[str, float]) -> str:
+    """What was learned of an object, as far as it is told in a few words."""
+    if "log_mass" not in learned:
+        return "coefficients"
+    rubs = np.exp([learned["log_friction_x"], learned["log_friction_y"]])
+    return f"moves like {np.exp(learned['log_mass']):.0f} kg, friction {rubs[0]:.2f} along, {rubs[1]:.2f} across"

@@ -123,7 +123,7 @@ class Session:
     @property
     def plan(self) -> Plan | None:
         """The roll-outs of the last control step, while an object is being pushed."""
-        return self.controller.last_plan if self.simulation.navigator.coefficients is not None else None
+        return self.controller.last_plan if self.simulation.navigator.learned is not None else None
 
     def compile(self) -> None:
         """Compile what the first push needs, or the world stands still for seconds when it begins."""

@@ -32,7 +32,7 @@ from shmoo_mjx.navigation.routes import Routes
 from shmoo_mjx.sensing import finite
 from shmoo_mjx.skills import approach, batched, contact, hold, push, retreat
 from shmoo_mjx.skills.push import Pusher
-from shmoo_mjx.types import Command, Observation
+from shmoo_mjx.types import DT, Command, Observation
 
 __all__ = ["Phase", "PushTask", "PushTaskConfig", "pose_push_config"]
 
@@ -93,10 +93,10 @@ class PushTaskConfig:
     """Speed below which the object counts as resting [m/s]."""
     lost_after: float = 2.5
     """Time without contact after which contact counts as lost: longer than the hands need to catch up [s]."""
-    stall_distance: float = 0.03
-    """An object that moved less than this ..."""
+    stall_gain: float = 0.03
+    """A push that brought the object less nearer to its goal than this [m of error] ..."""
     stall_time: float = 4.0
-    """... in this much of a push has stalled [s]."""
+    """... in this much time has stalled [s]."""
     push_limit: float = 40.0
     """Longest push."""
     arcs: ArcConfig = ArcConfig()
@@ -313,17 +313,19 @@ class PushTask:
 
     def _end_of_push(self, seen: Observation, leg: _Leg, pushed: push.PushState, known: KnownObject) -> None:
         """Give up a push that leads no further."""
-        cfg = self.config
-        travelled = pushed.travelled(cfg.stall_time)
+        cfg, count = self.config, round(self.config.stall_time / DT)
+        errors = residual(
+            np.array([pushed.poses[0], pushed.poses[-count:][0], known.pose]), leg.goal, cfg.arcs.yaw_weight
+        )
         if pushed.since_contact > cfg.lost_after:
             self._go(seen, Phase.RETREAT, f"contact lost for {cfg.lost_after:g} s")
         elif known.age > cfg.moves.blind_limit:
             self._go(seen, Phase.RETREAT, f"the object has not been detected for {cfg.moves.blind_limit:g} s")
-        elif travelled is not None and travelled < cfg.stall_distance:
-            if pushed.moved(known.pose) < 0.1:
+        elif len(pushed.poses) >= count and errors[1] - errors[2] < cfg.stall_gain:
+            if errors[0] - errors[2] < 0.1:
                 failed = known.failed_faces | {leg.side}
                 self.belief = self.belief.with_object(self._index, failed_faces=failed)
-            self._go(seen, Phase.RETREAT, f"moved less than {cfg.stall_distance:g} m in {cfg.stall_time:g} s")
+            self._go(seen, Phase.RETREAT, f"hardly nearer to its goal after {cfg.stall_time:g} s")
         elif float(seen.time[0]) - pushed.started > cfg.push_limit:
             self._go(seen, Phase.RETREAT, f"pushed for {cfg.push_limit:g} s")
 

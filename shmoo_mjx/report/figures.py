@@ -16,12 +16,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["coefficients_figure", "decision_figure", "draw_decision", "map_figure", "timeline_figure", "to_png"]
+__all__ = ["decision_figure", "draw_decision", "learned_figure", "map_figure", "timeline_figure", "to_png"]
 
 Array = Any
 
 _MOST_COLUMNS = 5
-"""Pushes that fit beside each other in the figure of the coefficients."""
+"""Pushes that fit beside each other in the figure of what was learned."""
 _CONTACT_FORCE = 1.0
 """Force from which the hands count as touching, for the marks in the figures only [N]."""
 
@@ -112,27 +112,27 @@ def evidence(decision: dict[str, Any]) -> str:
     return f"P = {decision['probability']:.2f}" if known else f"K = {decision['K']:.2f} m²"
 
 
-def coefficients_figure(result: dict[str, Any], trace: Trace) -> Figure:
-    """Coefficients while they adapt: a row per axis of SE(2), a column per push, each over its own largest value."""
-    values = np.asarray(trace.coefficients, dtype=float)
-    values = values.reshape(len(values), -1)
-    scale = np.max(np.abs(np.nan_to_num(values)), axis=0, initial=0.0)
-    shown = values / np.where(scale > 0, scale, 1.0)
-    pushes = _pushes(trace)[:_MOST_COLUMNS] or [slice(0, len(values))]
+def learned_figure(result: dict[str, Any], trace: Trace) -> Figure:
+    """What was learned of each object while it was pushed: a row per property, a column per push."""
+    panels = _panels(trace)
+    pushes = _pushes(trace)[:_MOST_COLUMNS] or [slice(0, len(trace.t))]
     spans = [float(trace.t[p][-1] - trace.t[p][0]) for p in pushes]
     widths = np.maximum(np.array(spans), 0.35 * max(spans) + 1e-6)
     figure = _figure(9.0, 5.8)
-    grid = figure.subplots(3, len(pushes), sharex="col", sharey=True, squeeze=False, width_ratios=widths)
+    grid = figure.subplots(len(panels), len(pushes), sharex="col", sharey="row", squeeze=False, width_ratios=widths)
     for column, push in enumerate(pushes):
-        index = int(trace.coefficient_object[push.start])
+        index = int(trace.learned_object[push.start])
         name = object_name(result, result["objects"][index]["id"]) if 0 <= index < len(result["objects"]) else ""
         grid[0, column].set_title(name, fontsize=10)
-        grid[2, column].set_xlabel("time [s]")
-        for axes, group in zip(grid[:, column], np.array_split(np.arange(values.shape[1]), 3), strict=True):
-            _draw_coefficients(axes, result, trace, shown, push, group)
-    for axes, name in zip(grid[:, 0], ("x", "y", "yaw"), strict=True):
-        axes.set_ylabel(f"{name} axis\n(normalised)", fontsize=9)
-    figure.legend(*_named_once(grid.ravel()), loc="outside upper center", ncols=8, fontsize=8, frameon=False)
+        grid[-1, column].set_xlabel("time [s]")
+        for axes, (_, curves) in zip(grid[:, column], panels, strict=True):
+            _draw_learned(axes, result, trace, curves, push)
+    for row, (name, curves) in zip(grid, panels, strict=True):
+        row[0].set_ylabel(name, fontsize=9)
+        if len(curves) > 1:
+            row[-1].legend(*_named_once([row[-1]], *curves), fontsize=7, framealpha=0.8)
+    marks = _named_once(grid.ravel(), "contact begins", "decision")
+    figure.legend(*marks, loc="outside upper center", ncols=2, fontsize=8, frameon=False)
     return figure
 
 
@@ -266,11 +266,28 @@ def _merged(spans: list[tuple[float, float]]) -> list[tuple[float, float]]:
     return out
 
 
-def _draw_coefficients(
-    axes: Axes, result: dict[str, Any], trace: Trace, shown: np.ndarray, push: slice, group: np.ndarray
-) -> None:
-    for k, column in enumerate(group):
-        axes.plot(trace.t[push], shown[push, column], lw=1.4, color=SERIES[k % len(SERIES)], label=f"a{k + 1}")
+def _panels(trace: Trace) -> list[tuple[str, dict[str, np.ndarray]]]:
+    """Rows of the figure: name with unit, and its curves ``[T]`` by name."""
+    values = np.asarray(trace.learned, dtype=float)
+    known = dict(zip(trace.learned_names, values.T, strict=True))
+    if "log_mass" in known:
+        return [
+            ("mass [kg]", {"mass": np.exp(known["log_mass"])}),
+            ("friction [1]", {f"along {axis}": np.exp(known[f"log_friction_{axis}"]) for axis in "xy"}),
+            ("centre of mass\n[half diagonals]", {axis: known[f"centre_{axis}"] for axis in "xy"}),
+        ]
+    most = np.max(np.abs(np.nan_to_num(values)), axis=0, initial=0.0)
+    shown = values / np.where(most > 0, most, 1.0)
+    thirds = np.array_split(np.arange(values.shape[1]), 3)
+    return [
+        (f"{name} axis\n(normalised)", {trace.learned_names[k]: shown[:, k] for k in third})
+        for name, third in zip(("x", "y", "yaw"), thirds, strict=True)
+    ]
+
+
+def _draw_learned(axes: Axes, result: dict[str, Any], trace: Trace, curves: dict[str, np.ndarray], push: slice) -> None:
+    for k, (name, values) in enumerate(curves.items()):
+        axes.plot(trace.t[push], values[push], lw=1.4, color=SERIES[k % len(SERIES)], label=name)
     begin, end = float(trace.t[push][0]), float(trace.t[push][-1])
     for t in _contact_begins(trace):
         if begin - 0.2 <= t <= end:
@@ -278,22 +295,22 @@ def _draw_coefficients(
     for decision in result["decisions"]:
         if begin <= decision["t"] <= end:
             axes.axvline(decision["t"], color=COLOURS["decision"], lw=1.4, ls="--", label="decision")
-    axes.set_ylim(-1.1, 1.1)
     axes.grid(alpha=0.25)
 
 
-def _named_once(panels: Iterable[Axes]) -> tuple[list[Any], list[str]]:
-    """Handles and labels of a legend for all panels together."""
+def _named_once(panels: Iterable[Axes], *names: str) -> tuple[list[Any], list[str]]:
+    """Handles and labels of a legend for all panels together, of curves with these names only."""
     found: dict[str, Any] = {}
     for axes in panels:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-            found.setdefault(label, handle)
+            if label in names:
+                found.setdefault(label, handle)
     return list(found.values()), list(found)
 
 
 def _pushes(trace: Trace) -> list[slice]:
-    """Stretches of samples in which the coefficients of one object adapt."""
-    which = np.asarray(trace.coefficient_object).astype(int)
+    """Stretches of samples in which one object is pushed."""
+    which = np.asarray(trace.learned_object).astype(int)
     edges = [0, *(np.flatnonzero(np.diff(which)) + 1).tolist(), len(which)]
     return [slice(a, b) for a, b in pairwise(edges) if which[a] >= 0 and b - a > 1]
 

@@ -65,7 +65,7 @@ def render_report(result: dict[str, Any], trace: Trace, video: Path | None = Non
             (i, _embed(figures.to_png(figures.decision_figure(result, trace, i), dpi=100)))
             for i in telling_decisions(result)
         ],
-        coefficients_png=_coefficients(result, trace),
+        learned_png=_learned(result, trace),
         timeline_png=_embed(figures.to_png(figures.timeline_figure(result, trace))),
         video=_video(video),
         command=_command(result),
@@ -144,10 +144,10 @@ def _moved(item: dict[str, Any]) -> float:
     return float(np.linalg.norm(final[:2] - start[:2]))
 
 
-def _coefficients(result: dict[str, Any], trace: Trace) -> str:
-    if not np.isfinite(np.asarray(trace.coefficients, dtype=float)).any():
+def _learned(result: dict[str, Any], trace: Trace) -> str:
+    if not (np.asarray(trace.learned_object) >= 0).any():
         return ""
-    return _embed(figures.to_png(figures.coefficients_figure(result, trace)))
+    return _embed(figures.to_png(figures.learned_figure(result, trace)))
 
 
 def _command(result: dict[str, Any]) -> str:

@@ -107,8 +107,8 @@ def _motion(rr: Any, stream: Any, result: dict[str, Any], trace: Trace) -> None:
                 stream.log(f"world/objects/{number}", _placed(rr, where, (0, 0, 1), float(pose[2])))
         stream.log("curves/lean_deg", rr.Scalars(np.degrees(lean)))
         stream.log("curves/force_N", rr.Scalars(np.asarray(trace.force[i], dtype=float)))
-        if np.isfinite(trace.coefficients[i]).all():
-            stream.log("curves/coefficients", rr.Scalars(np.asarray(trace.coefficients[i], dtype=float)))
+        if trace.learned_object[i] >= 0:
+            stream.log("curves/learned", rr.Scalars(np.asarray(trace.learned[i], dtype=float)))
         if trace.state[i] != state:
             state = trace.state[i]
             stream.log("states", rr.TextLog(trace.state_names[int(state)]))

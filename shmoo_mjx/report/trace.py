@@ -59,10 +59,12 @@ class Trace(NamedTuple):
     """``[T, N, 3]``; NaN where an object's pose is not known"""
     force: Array
     """``[T, 2]`` force of the hands on the object in {R} [N]"""
-    coefficients: Array
-    """``[T, n]`` estimate of a (n = 18: six each for x, y, yaw); NaN while nothing adapts"""
-    coefficient_object: Array
-    """int ``[T]`` index of the object that the coefficients belong to, -1 for none"""
+    learned: Array
+    """``[T, n]`` what has been learned of the object that is pushed; NaN where none is"""
+    learned_names: tuple[str, ...]
+    """n names of `adaptation.learned`"""
+    learned_object: Array
+    """int ``[T]`` index of that object, -1 for none"""
     state: Array
     """int ``[T]`` index into ``state_names``"""
     state_names: tuple[str, ...]
@@ -131,7 +133,8 @@ def load_trace(path: str | Path) -> Trace:
             fields[name] = arrays[name]
         else:
             raise ShmooError(f"{source}: entry '{name}' is missing; run the scenario again with this version.")
-    fields["state_names"] = tuple(str(name) for name in fields["state_names"])
+    for names in ("state_names", "learned_names"):
+        fields[names] = tuple(str(name) for name in fields[names])
     fields["map_resolution"] = float(fields["map_resolution"])
     return Trace(**fields)
 

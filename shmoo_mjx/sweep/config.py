@@ -102,7 +102,7 @@ class Controller(_Strict):
     temperature: FiniteFloat = Field(default=0.7, gt=0)
     """lambda of MPPI."""
     adapts: bool = True
-    """Eq. 8 is at work; false leaves the coefficients at the prior."""
+    """False leaves what is known of the object at the prior."""
     governor: FiniteFloat = Field(default=0.25, ge=0)
     """Gain of the governor on the lean [rad s/m]; 0 switches it off."""
     speed_limit: FiniteFloat = Field(default=0.16, gt=0, le=1)

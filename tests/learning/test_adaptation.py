@@ -1,4 +1,4 @@
-"""Eq. 8 in its discrete form."""
+"""Eq. 8 in its discrete form, and what learns by it."""
 
 import jax
 import jax.numpy as jnp
@@ -7,8 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shmoo_mjx.learning import adaptation
+from shmoo_mjx.dynamics import feet, object_model
+from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
+from shmoo_mjx.learning import adaptation, identification
 from shmoo_mjx.learning.adaptation import AdaptConfig, AdaptState
+from shmoo_mjx.learning.identification import OnlineConfig
 
 N = 6
 
@@ -36,7 +39,6 @@ def test_no_forgetting_is_batch_bayes() -> None:
     mean, covariance = least_squares.posterior(phi, y, state.mean, state.covariance, state.noise)
     np.testing.assert_allclose(end.mean, mean, atol=2e-3)
     np.testing.assert_allclose(end.covariance, covariance, atol=1e-4)
-    assert int(end.samples) == 40
 
 
 def test_ten_samples_move_most_of_the_way() -> None:
@@ -119,3 +121,30 @@ def test_covariance_stays_positive_definite(seed: int, size: float, config: Adap
     covariance = np.asarray(end.covariance, float)
     scale = 1 / np.sqrt(np.diag(covariance))
     assert np.all(np.linalg.eigvalsh(covariance * np.outer(scale, scale)) > 0)
+
+
+@pytest.mark.parametrize("coefficients", [False, True])
+def test_a_psi_with_a_body_learns_by_it_and_by_eq_8_only_if_told(coefficients: bool) -> None:
+    config, params, prior = psi_and_prior(body=True)
+    inputs, label = jnp.full(13, 0.3).at[3].set(30.0), jnp.array([0.4, 0.0, 0.1])
+    adapt = AdaptConfig(coefficients=coefficients)
+    end = jax.jit(lambda: adaptation.observe(adapt, prior, params, config, inputs, label))()
+    assert not np.allclose(adaptation.body_of(end), adaptation.body_of(prior))
+    assert np.allclose(end.mean, prior.mean) != coefficients
+    assert adaptation.learned(end) == pytest.approx(
+        dict(zip(feet.PARAMETERS, np.asarray(adaptation.body_of(end)), strict=True))
+    )
+
+
+def test_a_psi_without_a_body_learns_by_eq_8() -> None:
+    config, params, prior = psi_and_prior(body=False)
+    end = adaptation.observe(AdaptConfig(), prior, params, config, jnp.full(13, 0.3), jnp.array([0.4, 0.0, 0.1]))
+    assert not np.allclose(end.mean, prior.mean)
+    assert list(adaptation.learned(end).values()) == pytest.approx(np.asarray(end.mean).tolist())
+
+
+def psi_and_prior(body: bool) -> tuple[ObjectConfig, ObjectParams, AdaptState]:
+    config = ObjectConfig(hidden=(8,), functions=3, body=body)
+    params = object_model.init(jax.random.key(0), config)
+    seen = identification.prior_state(OnlineConfig(window=4), identification.broad_prior(), np.ones(3))
+    return config, params, adaptation.init(jnp.ones(9), jnp.eye(9), 0.1 * jnp.eye(3), seen if body else None)

@@ -27,11 +27,11 @@ def test_everything_that_happened_is_in_the_recording(tmp_path: Path, trace: Tra
     chunks = pytest.importorskip("rerun.chunk", reason="this rerun-sdk can't read recordings")
     short = trace._replace(
         **{n: getattr(trace, n)[:150] for n in ("t", "robot_pose", "lean", "u", "object_pose", "force", "state")},
-        coefficients=trace.coefficients[:150],
-        coefficient_object=trace.coefficient_object[:150],
+        learned=trace.learned[:150],
+        learned_object=trace.learned_object[:150],
     )
     path = write_recording(tmp_path / "episode.rrd", result, short)
     assert path.stat().st_size > 10_000 and list(tmp_path.iterdir()) == [path]
     columns = {str(chunk.entity_path) for chunk in chunks.RrdReader(path).stream()}
     wanted = {"/world/walls", "/world/robot", "/world/robot/lean", "/world/objects/1", "/world/plan", "/world/rollouts"}
-    assert wanted | {"/states", "/reasons", "/curves/force_N", "/curves/coefficients"} <= columns
+    assert wanted | {"/states", "/reasons", "/curves/force_N", "/curves/learned"} <= columns

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from shmoo_mjx.dynamics import feet
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.report import html
 from shmoo_mjx.report.trace import Trace, load_result, load_trace, object_index, save_trace, telling_decisions
@@ -26,7 +27,7 @@ def test_trace_round_trip_keeps_lists_of_unequal_arrays(tmp_path: Path, trace: T
     back = load_trace(save_trace(tmp_path / "trace.npz", trace))
     for name, value in trace._asdict().items():
         kept = getattr(back, name)
-        if isinstance(value, tuple) and name != "state_names":
+        if isinstance(value, tuple) and not name.endswith("_names"):
             assert len(kept) == len(value)
             for a, b in zip(kept, value, strict=True):
                 assert a.shape == np.shape(b)
@@ -120,12 +121,13 @@ def test_report_of_a_run_that_ended_at_once(tmp_path: Path, trace: Trace, result
     }
     short = trace._replace(**sampled)._replace(
         object_pose=np.zeros((1, 0, 3)),
-        coefficients=np.full((1, 18), np.nan),
+        learned=np.zeros((1, 0)),
+        learned_names=(),
         plans=(),
         plan_times=np.zeros(0),
         decision_rollouts=(),
         decision_candidates=(),
-        coefficient_object=np.array([-1]),
+        learned_object=np.array([-1]),
     )
     write_run(tmp_path, bare, short)
     page = html.write_report(tmp_path).read_text(encoding="utf-8")
@@ -162,15 +164,27 @@ def test_figures_show_where_things_are(trace: Trace, result: dict[str, Any]) -> 
     assert any("registered" in label for label in labels)
 
 
-def test_coefficients_have_a_column_per_push(trace: Trace, result: dict[str, Any]) -> None:
+def test_what_was_learned_has_a_column_per_push(trace: Trace, result: dict[str, Any]) -> None:
     from shmoo_mjx.report import figures
 
-    panels = figures.coefficients_figure(result, trace).axes
+    panels = figures.learned_figure(result, trace).axes
     assert len(panels) == 3 * 2
     assert [p.get_title() for p in panels[:2]] == ["box box-1", "wheelchair chair-2"]
-    drawn = [line for line in panels[0].lines if str(line.get_label()).startswith("a")]
+    drawn = [line for line in panels[2].lines if str(line.get_label()).startswith("along")]
     x = np.asarray(drawn[0].get_xdata(), dtype=float)
-    assert len(drawn) == 6 and 12.0 < x[0] < 12.3 and 19.8 < x[-1] < 20.1
+    assert len(drawn) == 2 and 12.0 < x[0] < 12.3 and 19.8 < x[-1] < 20.1
+    rubs = trace.learned[:, list(feet.PARAMETERS).index("log_friction_x")]
+    np.testing.assert_allclose(np.asarray(drawn[0].get_ydata(), dtype=float)[0], np.exp(rubs[trace.t > 12.0][0]))
+
+
+def test_coefficients_are_drawn_where_they_are_what_adapts(trace: Trace, result: dict[str, Any]) -> None:
+    from shmoo_mjx.report import figures
+
+    plain = trace._replace(
+        learned=np.tile(trace.learned[:, :1], 18), learned_names=tuple(f"a{k + 1}" for k in range(18))
+    )
+    drawn = [line for line in figures.learned_figure(result, plain).axes[0].lines if str(line.get_label())[0] == "a"]
+    assert len(drawn) == 6
     assert max(np.abs(np.asarray(line.get_ydata(), dtype=float)).max() for line in drawn) <= 1.0
 
 
@@ -179,7 +193,7 @@ def test_figures_are_png_images(trace: Trace, result: dict[str, Any]) -> None:
 
     from shmoo_mjx.report import figures
 
-    for figure in (figures.coefficients_figure(result, trace), figures.timeline_figure(result, trace)):
+    for figure in (figures.learned_figure(result, trace), figures.timeline_figure(result, trace)):
         image = Image.open(io.BytesIO(figures.to_png(figure, dpi=50)))
         assert image.format == "PNG" and image.size[0] == 450
     assert object_index(result, "chair-2") == 1 and object_index(result, "none") is None
