@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import jax
@@ -43,6 +44,8 @@ CostFn = Callable[[Any, Array, Array], Array]
 
 
 _AXIS = "samples"
+_SPARE = 4096
+"""By how many sequences the list of noise is longer than what a plan takes of it."""
 
 
 @dataclass(frozen=True)
@@ -131,9 +134,15 @@ def init(cfg: MppiConfig, key: Array, u0: Array | None = None) -> MppiState:
 
 
 def sample_controls(cfg: MppiConfig, key: Array, nominal: Array) -> Array:
-    """Controls ``[S, T, m]`` around ``nominal [T, m]``: coloured noise, clipped to the bounds."""
-    white = jax.random.normal(key, (cfg.samples, cfg.horizon, cfg.controls))
-    noise = jnp.einsum("tk,skm->stm", jnp.asarray(_noise_factor(cfg)), white) * jnp.asarray(cfg.sigma)
+    """Controls ``[S, T, m]`` around ``nominal [T, m]``: coloured noise, clipped to the bounds.
+
+    The noise is taken in a row from a list that is drawn once, the key says from where on, and each sequence comes with
+    its mirror image: what happens to be on one side of zero in the list would else pull each plan there.
+    """
+    half = (cfg.samples + 1) // 2
+    first = jax.random.randint(key, (), 0, _SPARE)
+    noise = jax.lax.dynamic_slice_in_dim(jnp.asarray(_noises(cfg)), first, half)
+    noise = jnp.concatenate([noise, -noise])[: cfg.samples]
     if cfg.include_nominal:
         noise = noise.at[0].set(0.0)
     controls = _clip(cfg, nominal + noise)
@@ -250,6 +259,13 @@ def shift(nominal: Array) -> Array:
 
 def _clip(cfg: MppiConfig, u: Array) -> Array:
     return jnp.clip(u, jnp.asarray(cfg.low), jnp.asarray(cfg.high))
+
+
+@lru_cache(maxsize=8)
+def _noises(cfg: MppiConfig) -> np.ndarray:
+    """Coloured noise ``[(S + 1) // 2 + _SPARE, T, m]``: a tenth of a plan's time if drawn anew."""
+    white = np.random.default_rng(0).standard_normal(((cfg.samples + 1) // 2 + _SPARE, cfg.horizon, cfg.controls))
+    return np.asarray(np.einsum("tk,skm->stm", _noise_factor(cfg), white) * cfg.sigma, dtype=np.float32)
 
 
 def _noise_factor(cfg: MppiConfig) -> np.ndarray:

@@ -95,7 +95,7 @@ class PushTaskConfig:
     """Time without contact after which contact counts as lost: longer than the hands need to catch up [s]."""
     stall_gain: float = 0.03
     """A push that brought the object less nearer to its goal than this [m of error] ..."""
-    stall_time: float = 4.0
+    stall_time: float = 6.0
     """... in this much time has stalled [s]."""
     push_limit: float = 40.0
     """Longest push."""

@@ -1,7 +1,7 @@
 """The pushing controllers as pure functions of one world, to be mapped over many (Sec. III-E).
 
-The paper's controller is the one that runs everywhere else (control/pushing.py): MPPI on the learned core, adaptation and
-the governor. What the pushing task does round it is here as well, for one push on one face: creep forward until the
+The paper's controller is the one that runs everywhere else (control/pushing.py): MPPI on the learned core, adaptation
+and the governor. What the pushing task does round it is here as well, for one push on one face: creep forward until the
 hands feel the object, push, let go in time for the object to coast into its goal, back away.
 """
 

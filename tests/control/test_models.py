@@ -48,12 +48,17 @@ def test_models_that_start_from_a_state(model: Any) -> None:
 
 
 def test_mppi_pushes_the_rigid_body_forward() -> None:
-    run = jax.jit(partial(mppi.plan, CFG, MODELS["rigid"], COST))
-    state, now = mppi.init(CFG, jax.random.key(2)), start()
-    for _ in range(8):
-        u, state, _ = run(now, state)
-        now = jax.tree.map(lambda x: x[0, 0], MODELS["rigid"](now, u[None, None]))
-    assert float(now.object_pose[0] - start().object_pose[0]) > 0.05
+    def pushed(key: Any) -> Any:
+        def sample(carry: Any, _: None) -> Any:
+            now, state = carry
+            u, state, _ = mppi.plan(CFG, MODELS["rigid"], COST, now, state)
+            return (jax.tree.map(lambda x: x[0, 0], MODELS["rigid"](now, u[None, None])), state), None
+
+        (now, _), _ = jax.lax.scan(sample, (start(), mppi.init(CFG, key)), length=8)
+        return now.object_pose[0] - start().object_pose[0]
+
+    # Few roll-outs make some plans poor.
+    assert float(np.mean(jax.jit(jax.vmap(pushed))(jax.random.split(jax.random.key(2), 8)))) > 0.06
 
 
 def test_the_simulator_is_a_model_too() -> None:
