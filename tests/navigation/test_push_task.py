@@ -153,7 +153,7 @@ def test_what_can_not_be_moved_ends_the_task() -> None:
     task = _task(np.array([1.0, 0.0, 0.0]))
     _run(task, world)
     assert task.finished
-    assert "moved less than" in _reasons(task)
+    assert "hardly nearer to its goal" in _reasons(task)
     assert task.belief.objects[0].failed_faces
 
 
