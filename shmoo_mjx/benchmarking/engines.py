@@ -65,7 +65,8 @@ def ours(samples: int, horizon: int, activation: str, seed: int, paper: bool) ->
     """The control step of a push; each call goes on from the last one's state."""
     if paper:
         body = replace(ObjectConfig.paper(), activation=activation)
-        weights = weights_file.untrained(CoreConfig(robot=RobotConfig(activation=activation), object=body), seed)
+        robot = replace(RobotConfig.paper(), activation=activation)
+        weights = weights_file.untrained(CoreConfig(robot=robot, object=body), seed)
         config = pushing.PushConfig(cost=cost.PushCost())
     else:
         weights, config = weights_file.load_weights(asset(WEIGHTS)), pushing.PushConfig()
@@ -164,7 +165,8 @@ def _state(rng: np.random.Generator) -> SystemState:
         "face": FACE,
         "size": 0.39,
     }
-    return SystemState(**{k: v for k, v in seen._asdict().items() if k != "wrench"}, **memory)
+    perceived = {k: v for k, v in seen._asdict().items() if k in SystemState._fields}
+    return SystemState(**perceived, **memory)
 
 
 def main() -> None:
