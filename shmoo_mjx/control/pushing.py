@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 
 from shmoo_mjx import se2
 from shmoo_mjx.control import cost, models, mppi
@@ -120,6 +121,11 @@ class Sighting(NamedTuple):
         return cls(*(np.asarray(v[0]) for v in robot), *(np.asarray(v[0, index]) for v in of_object))
 
 
+_ZERO, _FLAT = np.zeros(3), np.zeros(2)
+_STILL = Sighting(_ZERO, _ZERO, _FLAT, _FLAT, np.array([0.9, 0.0, 0.0]), _ZERO, _ZERO, np.array(True))
+"""Robot and object at rest; for compiling."""
+
+
 class PushState(NamedTuple):
     """Memory of one push."""
 
@@ -143,6 +149,19 @@ class _Transition(NamedTuple):
     valid: Array
 
 
+class _Given(NamedTuple):
+    """What a step is given of the world: some seventy numbers, which reach the compiled step as one array."""
+
+    system: SystemState
+    transition: _Transition
+    goal: Array
+    """``[3]``"""
+    half_extents: Array
+    """``[2]``"""
+    lean: Array
+    """``[2]`` bounds on the forward lean, from the governor."""
+
+
 def local_distance_field(
     clearance: Any, centre: Array, size: float = 7.0, resolution: float = 0.05
 ) -> LocalDistanceField:
@@ -164,7 +183,12 @@ class PushController:
         self.weights = weights
         self._mesh = mppi.sample_mesh(self.config.control.samples)
         self._params = mppi.replicated(self._mesh, weights.params)
-        self._step = mppi.compiled(partial(_step, self.config, weights.config, self._mesh), self._mesh)
+        _, restored = ravel_pytree(self._example())
+
+        def step(params: core.Params, adapt: Any, plan: mppi.MppiState, numbers: Array, around: Any) -> Any:
+            return _step(self.config, weights.config, self._mesh, params, adapt, plan, restored(numbers), around)
+
+        self._step = mppi.compiled(step, self._mesh)
         self._rollouts = mppi.compiled(partial(_planning_rollouts, self.config, weights.config, self._mesh), self._mesh)
         self._coast = jax.jit(partial(coast, self.config, weights.config))
 
@@ -177,12 +201,17 @@ class PushController:
 
     def compile(self, around: LocalDistanceField) -> None:
         """Compile all that a push needs, for which the first contact waits otherwise; any ``around`` will do."""
-        zero, flat, half = np.zeros(3), np.zeros(2), np.full(2, 0.3)
-        still = Sighting(zero, zero, flat, flat, np.array([0.9, 0.0, 0.0]), zero, zero)
-        state = self.init(still, faces_of((0.3, 0.3))[0], half, jax.random.key(0))
-        _, state, _ = self.step(state, still, zero, np.array([1.9, 0.0, 0.0]), around, half)
-        self.planning_rollouts(state, np.array([1.9, 0.0, 0.0]), around, half)
+        goal, half = np.array([1.9, 0.0, 0.0]), np.full(2, 0.3)
+        state = self.init(_STILL, faces_of((0.3, 0.3))[0], half, jax.random.key(0))
+        _, state, _ = self.step(state, _STILL, np.zeros(3), goal, around, half)
+        self.planning_rollouts(state, goal, around, half)
         self.coast(state)
+
+    def _example(self) -> _Given:
+        """What a step may be given; its shapes are those of all."""
+        half = np.full(2, 0.3)
+        state = self.init(_STILL, faces_of((0.3, 0.3))[0], half, jax.random.key(0))
+        return _given(self.config, state, _STILL, np.zeros(3), np.zeros(3), half)[0]
 
     def step(
         self,
@@ -205,21 +234,12 @@ class PushController:
             half_extents: ``[2]`` of the object's footprint [m].
             governor_room: in place of the configuration's, for this step.
         """
-        state, system, transition = _perceive(self.config, state, now, last_u, half_extents)
-        lean, more = _governor(self.config, now, np.asarray(goal, dtype=float), state.more, governor_room)
-        u, adapt, plan_state, plan = self._step(
-            self._params,
-            state.adapt,
-            state.plan,
-            system,
-            transition,
-            _f32(goal),
-            around,
-            _f32(half_extents),
-            _f32(lean),
-        )
-        u = govern(np.asarray(u, dtype=float), *lean)
-        state = state._replace(adapt=adapt, plan=plan_state, before=system, detected=now.detected, more=more)
+        goal = np.asarray(goal, dtype=float)
+        given, more = _given(self.config, state, now, last_u, goal, half_extents, governor_room)
+        numbers = np.concatenate([np.ravel(x) for x in jax.tree.leaves(given)], dtype=np.float32)
+        u, adapt, plan_state, plan = self._step(self._params, state.adapt, state.plan, numbers, around)
+        u = govern(np.asarray(u, dtype=float), *given.lean)
+        state = PushState(adapt, plan_state, given.system, np.asarray(now.detected), more)
         return u, state, plan
 
     def planning_rollouts(
@@ -262,30 +282,29 @@ def control_step(
 ) -> tuple[Array, PushState]:
     """:meth:`PushController.step` on a floor without obstacles as one pure function, for jit and vmap over worlds."""
     open_floor = replace(config, cost=replace(config.cost, clearance_weight=0.0))
-    state, system, transition = _perceive(config, state, now, last_u, half_extents)
-    lean, more = _governor(config, now, goal, state.more)
-    u, adapt, plan_state, _ = _step(
-        open_floor,
-        core_config,
-        None,
-        params,
-        state.adapt,
-        state.plan,
-        system,
-        transition,
-        goal,
-        None,
-        half_extents,
-        lean,
-    )
-    detected = jnp.asarray(now.detected)
-    state = state._replace(adapt=adapt, plan=plan_state, before=system, detected=detected, more=more)
-    return govern(u, *lean), state
+    given, more = _given(config, state, now, last_u, goal, half_extents)
+    u, adapt, plan_state, _ = _step(open_floor, core_config, None, params, state.adapt, state.plan, given, None)
+    return govern(u, *given.lean), PushState(adapt, plan_state, given.system, jnp.asarray(now.detected), more)
+
+
+def _given(
+    config: PushConfig,
+    state: PushState,
+    now: Sighting,
+    last_u: Array,
+    goal: Array,
+    half_extents: Array,
+    room: float | None = None,
+) -> tuple[_Given, Array]:
+    """What the step is given, and the lean that the governor grants next for lagging behind [rad]."""
+    system, transition = _perceive(config, state, now, last_u, half_extents)
+    lean, more = _governor(config, now, goal, state.more, room)
+    return _Given(system, transition, _f32(goal), _f32(half_extents), lean), more
 
 
 def _perceive(
     config: PushConfig, state: PushState, now: Sighting, last_u: Array, half_extents: Array
-) -> tuple[PushState, SystemState, _Transition]:
+) -> tuple[SystemState, _Transition]:
     before, xp = state.before, se2.array_module(now.wrench)
     twist_before = se2.rotate(before.object_twist, -before.object_pose[2])
     wrench = se2.rotate(now.wrench, -before.object_pose[2])
@@ -297,8 +316,7 @@ def _perceive(
     measured = xp.asarray(now.detected) & xp.asarray(state.detected)
     valid = xp.asarray(config.adapts & (touches(now.wrench) | coasts) & measured)
     system = _system_state(now, twist_before, wrench, force, last_u, before.face, half_extents)
-    state = state._replace(plan=state.plan._replace(last_u=_f32(last_u)))
-    return state, system, _Transition(_f32(inputs), _f32(label), valid)
+    return system, _Transition(_f32(inputs), _f32(label), valid)
 
 
 def _governor(
@@ -379,19 +397,14 @@ def _step(
     params: core.Params,
     adapt: adaptation.AdaptState,
     plan_state: mppi.MppiState,
-    system: SystemState,
-    transition: _Transition,
-    goal: Array,
+    given: _Given,
     around: LocalDistanceField | None,
-    half_extents: Array,
-    lean: Array,
 ) -> tuple[Array, adaptation.AdaptState, mppi.MppiState, mppi.Plan]:
-    adapt = adaptation.observe(
-        config.adapt, adapt, params.object, core_config.object, transition.inputs, transition.label, transition.valid
-    )
+    adapt = adaptation.observe(config.adapt, adapt, params.object, core_config.object, *given.transition)
     params = _with_coefficients(params, adapt)
-    rollout_fn, cost_fn = _functions(config, core_config, params, goal, around, half_extents, lean)
-    u, plan_state, plan = mppi.plan(config.control, rollout_fn, cost_fn, system, plan_state, mesh)
+    rollout_fn, cost_fn = _functions(config, core_config, params, given.goal, around, given.half_extents, given.lean)
+    plan_state = plan_state._replace(last_u=given.system.last_u)
+    u, plan_state, plan = mppi.plan(config.control, rollout_fn, cost_fn, given.system, plan_state, mesh)
     return u, adapt, plan_state, plan
 
 
