@@ -219,6 +219,33 @@ def map_(
     return 0
 
 
+def scenarios(
+    action: Positional[Literal["make"]],
+    out: Path,
+    maps: Path | None = None,
+    condition_seed: tuple[ConditionSeed, ...] = (0,),
+    per_map: bounded.PerMap = 4,
+) -> int:
+    """Draw scenarios on your maps and write them into one file, so that others can compare on the same ones.
+
+    Example: shmoo scenarios make --maps maps --condition-seed 7 --out set.json
+
+    Args:
+        action: make.
+        out: file to write: maps, scenarios, and what is known about each.
+        maps: folder with map_server maps (default: five floor plans are generated for each seed).
+        condition_seed: one or several; each draws scenarios of its own on every map.
+        per_map: scenarios on each map for each seed.
+    """
+    from shmoo_mjx import progress
+    from shmoo_mjx.evaluation.scenario_set import make_set
+
+    with progress.stages() as report:
+        count = make_set(out, maps, condition_seed, per_map, report)
+    print(f"{out}: {count} scenario{'s' * (count != 1)}")
+    return 0
+
+
 def object_(
     action: Positional[Literal["add"]],
     source: Positional[Path],
@@ -302,7 +329,7 @@ def experiment(
     quick: bool = False,
     data: Path | None = None,
     maps: Path | None = None,
-    scenarios: bounded.Scenarios | None = None,
+    scenarios: bounded.ScenariosOrSet | None = None,
     policies: tuple[str, ...] = (),
     weights: Path | None = None,
     pushes: Path | None = None,
@@ -322,7 +349,8 @@ def experiment(
         quick: a short form of the same shape.
         data: data set, for the experiments that take one (made if absent; real_pushing: a folder of recorded pushes).
         maps: folder with map_server maps, for navigation.
-        scenarios: scenarios per map, for navigation.
+        scenarios: scenarios per map, for navigation; or a scenario set in the place of maps: a file made by shmoo
+            scenarios make, or floor_plans, the shipped one.
         policies: which policies (navigation, lifelong) or methods (pushing) run, by their names (default: all);
             for navigation also one of your own, as package.module:Name.
         weights: trained weights (default: the shipped ones).
@@ -336,9 +364,16 @@ def experiment(
     from shmoo_mjx.evaluation.registry import run_experiment
     from shmoo_mjx.evaluation.result import ExperimentOptions, table, write_result
 
+    count, scenario_set = (None, scenarios) if isinstance(scenarios, Path) else (scenarios, None)
+    if scenario_set is not None:
+        from shmoo_mjx.evaluation.scenario_set import find_set
+
+        if name != "navigation" or maps is not None:
+            raise ShmooError(f"--scenarios {scenario_set}: a scenario set is for navigation alone, without --maps.")
+        scenario_set = find_set(scenario_set)
     with progress.stages() as report:
         options = ExperimentOptions(
-            seed, condition_seed, quick, data, maps, scenarios, weights, out, report, perceived, policies
+            seed, condition_seed, quick, data, maps, count, scenario_set, weights, out, report, perceived, policies
         )
         if name == "all":
             page, left_out = run_all(options, pushes)
@@ -467,6 +502,7 @@ _COMMANDS: dict[str, Callable[..., int]] = {
     "collect": collect,
     "train": train,
     "map": map_,
+    "scenarios": scenarios,
     "object": object_,
     "view": view,
     "experiment": experiment,
@@ -476,7 +512,7 @@ _COMMANDS: dict[str, Callable[..., int]] = {
     "completion": completion,
 }
 _NEED_NO_DEVICE = ("doctor", "completion")
-_GO_ON = ("collect", "train", "experiment", "sweep")
+_GO_ON = ("collect", "train", "scenarios", "experiment", "sweep")
 """Commands that go on where they were stopped."""
 
 

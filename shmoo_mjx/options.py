@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 from typing import Annotated, Any
 
 from tyro.constructors import PrimitiveConstructorSpec
@@ -15,11 +18,12 @@ __all__ = [
     "GigaBytes",
     "Jobs",
     "Mass",
+    "PerMap",
     "Port",
     "Radius",
     "Rolling",
     "Scale",
-    "Scenarios",
+    "ScenariosOrSet",
     "Seconds",
     "SwivelFriction",
     "Train",
@@ -36,20 +40,27 @@ def option(parse: Callable[[str], Any], metavar: str) -> PrimitiveConstructorSpe
         nargs=1,
         metavar=metavar,
         instance_from_str=lambda texts: parse(texts[0]),
-        is_instance=lambda value: isinstance(value, int | float),
+        is_instance=lambda value: isinstance(value, int | float | Path),
         str_from_instance=lambda value: [f"{value:g}" if isinstance(value, float) else str(value)],
     )
 
 
-def _whole(name: str, low: int, high: int) -> PrimitiveConstructorSpec[Any]:
-    def parse(text: str) -> int:
-        # int() also takes "1_000", " 7" and other scripts' digits.
-        plain = text.isascii() and text.isdigit() and len(text) <= 20
-        if not plain or not low <= int(text) <= high:
-            raise ShmooError(f"{name} {_short(text)!r} must be a whole number from {low} to {high}.")
-        return int(text)
+def _whole_number(name: str, low: int, high: int, text: str) -> int:
+    # int() also takes "1_000", " 7" and other scripts' digits.
+    plain = text.isascii() and text.isdigit() and len(text) <= 20
+    if not plain or not low <= int(text) <= high:
+        raise ShmooError(f"{name} {_short(text)!r} must be a whole number from {low} to {high}.")
+    return int(text)
 
-    return option(parse, "INT")
+
+def _whole(name: str, low: int, high: int) -> PrimitiveConstructorSpec[Any]:
+    return option(partial(_whole_number, name, low, high), "INT")
+
+
+def _scenarios(text: str) -> int | Path:
+    """A number, or the name of a file."""
+    number = re.fullmatch(r"[+-]?[\d_.]+", text.strip())
+    return _whole_number("--scenarios", 1, 10_000, text) if number else Path(text)
 
 
 def _real(name: str, low: float, high: float, unit: str = "") -> PrimitiveConstructorSpec[Any]:
@@ -75,7 +86,8 @@ Jobs = Annotated[int, _whole("--jobs", 0, 10_000)]
 Train = Annotated[int, _whole("--train", 0, 10_000_000)]
 Validation = Annotated[int, _whole("--validation", 0, 10_000_000)]
 Episodes = Annotated[int, _whole("--episodes", 1, 10_000)]
-Scenarios = Annotated[int, _whole("--scenarios", 1, 10_000)]
+ScenariosOrSet = Annotated[int | Path, option(_scenarios, "INT|FILE")]
+PerMap = Annotated[int, _whole("--per-map", 1, 10_000)]
 Port = Annotated[int, _whole("--port", 1, 65_535)]
 Seconds = Annotated[float, _real("--seconds", 1.0, 3600.0, "s")]
 GigaBytes = Annotated[float, _real("--memory-gb", 1e-6, 100_000.0, "GB")]

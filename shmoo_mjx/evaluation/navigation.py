@@ -27,7 +27,8 @@ from shmoo_mjx.evaluation.navigation_measures import (
     measure,
 )
 from shmoo_mjx.evaluation.navigation_places import Places, find_places, kept_scenario
-from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
+from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, file_id, make_result
+from shmoo_mjx.evaluation.scenario_set import open_set
 from shmoo_mjx.evaluation.scenarios import Generated, ScenarioConfig
 from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.fingerprints import fingerprint
@@ -117,17 +118,25 @@ class NavigationTrials:
 
 
 def run(options: ExperimentOptions) -> ExperimentResult:
-    """Run the experiment on the maps of ``options.maps``; all it makes goes to ``options.out / navigation``."""
+    """Run the experiment on the maps of ``options.maps`` or on a scenario set; its files go to ``out / navigation``."""
     from shmoo_mjx.evaluation.navigation_figures import draw_figures
 
     folder = options.out / "navigation"
     cfg = NavigationTrials(policies=options.chosen(POLICIES, others=True))
     count = 1 if options.quick else cfg.scenarios if options.maps else cfg.generated_scenarios
     cfg = replace(cfg, scenarios=count if options.scenarios is None else options.scenarios)
-    places = find_places(options, folder, cfg.scenario, most=2 if options.quick else None)
+    most = 2 if options.quick else None
+    if options.scenario_set is None:
+        places = find_places(options, folder, cfg.scenario, most)
+    else:
+        places, count = open_set(options.scenario_set, folder / "set")
+        places = replace(places, maps=dict(list(places.maps.items())[:most]))
+        cfg = replace(cfg, scenarios=1 if options.quick else count)
     store = trials_folder(options, folder, cfg.scenario)
     kept = [own.kept_as("policy", policy, POLICIES) for policy in cfg.policies]
-    names = [f"{name}-{i}-{policy}" for policy in kept for i in range(cfg.scenarios) for name in places.maps]
+    numbered = [f"{name}-{i}" for i in range(cfg.scenarios) for name in places.maps]
+    there = [name for name in numbered if places.given is None or name in places.given]
+    names = [f"{name}-{policy}" for policy in kept for name in there]
     work = partial(_trial, places, robot_of(options), store)
     rows = run_trials(names, work, store, options.progress, cfg.workers)
     draw_figures(folder, rows, places.maps)
@@ -136,8 +145,9 @@ def run(options: ExperimentOptions) -> ExperimentResult:
     about = {
         "senses": options.senses,
         "maps": list(places.maps),
-        "generated_maps": options.maps is None,
+        "generated_maps": options.maps is None and options.scenario_set is None,
         "border_m": BORDER,
+        "scenario_set": options.scenario_set and file_id(options.scenario_set),
     }
     return make_result("navigation", options, asdict(cfg) | about, metrics, {}, [_light(row) for row in rows])
 
@@ -148,7 +158,8 @@ def trials_folder(options: ExperimentOptions, folder: Path, scenario: ScenarioCo
     settings: dict[str, Any] = {"seeds": [robot.seed, options.condition_seed], "senses": robot.senses}
     settings["scenario"] = asdict(scenario)
     settings["policies"] = {name: asdict(policy.config) for name, policy in POLICIES.items()}
-    return folder / f"trials-{fingerprint(__name__, settings, robot.weights)}"
+    given = () if options.scenario_set is None else (options.scenario_set,)
+    return folder / f"trials-{fingerprint(__name__, settings, robot.weights, *given)}"
 
 
 def _trial(places: Places, robot: Robot, store: Path, name: str) -> list[dict[str, Any]]:

@@ -49,6 +49,8 @@ class Places:
     first_unseen: int
     """Seed of the first object."""
     config: ScenarioConfig
+    given: dict[str, dict[str, Any]] | None = None
+    """Scenarios of a scenario set, by MAP-NUMBER, in the place of what would be drawn."""
 
 
 def find_places(options: ExperimentOptions, folder: Path, config: ScenarioConfig, most: int | None = None) -> Places:
@@ -98,6 +100,9 @@ def seed_of(places: Places, map_name: str, number: int) -> list[int]:
 
 def kept_scenario(places: Places, grid: OccupancyGrid, map_name: str, number: int) -> tuple[Kind, Generated | None]:
     """The kind that scenario ``number`` of a map was to be, and the scenario; None if the map has no place for any."""
+    if places.given is not None:
+        entry = dict(places.given[f"{map_name}-{number}"])
+        return entry.pop("wanted"), generated_from(entry)
 
     def draw() -> dict[str, Any] | None:
         for turn, kind in enumerate(kinds_of(map_name, number)):

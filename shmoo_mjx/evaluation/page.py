@@ -356,6 +356,7 @@ def _about(results: Mapping[str, ExperimentResult]) -> str:
 def _command(result: ExperimentResult, section: Section) -> str:
     # Navigation goes without maps as well, on floor plans of its own.
     options = "" if result.config.get("generated_maps") else section.options
+    options = "--scenarios FILE" if result.config.get("scenario_set") else options
     words = ["shmoo experiment", result.experiment, options]
     words += [f"--seed {result.seed}", f"--condition-seed {result.config.get('condition_seed', 0)}"]
     words += ["--senses perfect"] if result.config.get("senses") == "perfect" else []

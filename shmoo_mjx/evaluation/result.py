@@ -23,6 +23,7 @@ from shmoo_mjx.types import SensesName
 __all__ = [
     "ExperimentOptions",
     "ExperimentResult",
+    "file_id",
     "make_result",
     "over_seeds",
     "read_result",
@@ -49,6 +50,8 @@ class ExperimentOptions:
     """Folder with map_server maps, for navigation."""
     scenarios: int | None = None
     """Scenarios per map, for navigation."""
+    scenario_set: Path | None = None
+    """File with maps and scenarios that others have, for navigation, in the place of ``maps``."""
     weights: Path | None = None
     """Trained weights (default: the shipped ones)."""
     out: Path = Path("runs/experiments")
@@ -132,8 +135,13 @@ def make_result(
 
 
 def weights_id(weights: Path | None = None) -> str:
-    """The first digits of a weights file's SHA-256 (default: of the shipped one)."""
-    return hashlib.sha256((weights or asset(WEIGHTS)).read_bytes()).hexdigest()[:10]
+    """`file_id` of a weights file (default: of the shipped one)."""
+    return file_id(weights or asset(WEIGHTS))
+
+
+def file_id(file: Path) -> str:
+    """The first digits of a file's SHA-256."""
+    return hashlib.sha256(file.read_bytes()).hexdigest()[:10]
 
 
 def spread(values: Any) -> dict[str, float]:

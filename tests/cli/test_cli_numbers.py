@@ -16,6 +16,7 @@ BAD = ("-1", "-1000000", "nan", "inf", "-inf", "1e30", "9" * 6000, "one", "", "1
 POSITIONAL = {
     "map": "show map.yaml",
     "object": "add chair.stl",
+    "scenarios": "make --out set.json",
     "experiment": "navigation",
     "bench": "mppi",
     "train": "object data",

@@ -1,0 +1,171 @@
+"""A scenario set: maps, scenarios on them and what is known about each in one file, for others to compare on."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from shmoo_mjx.assets import asset
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.evaluation.navigation_places import Places, find_places, kept_scenario
+from shmoo_mjx.evaluation.result import ExperimentOptions
+from shmoo_mjx.evaluation.scenarios import Kind, ScenarioConfig
+from shmoo_mjx.evaluation.trials import run_trials
+from shmoo_mjx.files import write_whole
+from shmoo_mjx.navigation.maps import load_map, save_map
+from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Scenario, check_scenario
+from shmoo_mjx.navigation.yaml_input import validated
+from shmoo_mjx.run import checked_objects
+
+__all__ = ["find_set", "make_set", "open_set"]
+
+
+class _Map(BaseModel):
+    """The two files of a map_server map."""
+
+    model_config = ConfigDict(extra="forbid")
+    yaml: str
+    png: str
+    """Base64."""
+
+
+class _Entry(BaseModel):
+    """One scenario; the fields after ``wanted`` are those of :class:`~shmoo_mjx.evaluation.scenarios.Generated`."""
+
+    model_config = ConfigDict(extra="forbid")
+    map: str
+    number: int = Field(ge=0)
+    wanted: Kind
+    scenario: Scenario
+    kind: Kind
+    movable: tuple[bool, ...]
+    blocking: tuple[bool, ...]
+    shortest: float = Field(gt=0)
+    detour: float | None
+    border: tuple[bool, ...]
+
+
+class _Set(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    format: Literal["shmoo_mjx scenario set 1"] = "shmoo_mjx scenario set 1"
+    condition_seeds: tuple[int, ...]
+    maps: dict[str, _Map] = Field(min_length=1)
+    scenarios: tuple[_Entry, ...] = Field(min_length=1)
+
+
+def make_set(
+    out: Path,
+    maps: Path | None = None,
+    condition_seeds: Sequence[int] = (0,),
+    per_map: int = 4,
+    progress: Callable[[str, float], None] = lambda stage, fraction: None,
+    drawn: Path = Path("runs/scenarios"),
+) -> int:
+    """Draw scenarios and write them with their maps into ``out``; how many there are.
+
+    Args:
+        out: file to write.
+        maps: folder of map_server maps; without it, floor plans are generated for each seed.
+        condition_seeds: each draws ``per_map`` scenarios on every map.
+        per_map: scenarios.
+        progress: called with (stage, fraction done).
+        drawn: folder that keeps each scenario, so that a stopped command goes on.
+
+    Raises:
+        ShmooError: there are no maps, or they have no place for any scenario.
+    """
+    written: dict[str, _Map] = {}
+    entries: list[_Entry] = []
+    for turn, seed in enumerate(dict.fromkeys(condition_seeds)):
+        places = find_places(ExperimentOptions(condition_seed=seed, maps=maps), drawn, ScenarioConfig())
+        named = {name: f"{name}_{seed}" if maps is None else name for name in places.maps}
+        written |= {named[name]: _packed(path, named[name]) for name, path in places.maps.items()}
+        trials = [f"{name}-{i}" for name in places.maps for i in range(per_map)]
+        # What is kept of a scenario goes with its map; this list of them goes with nothing.
+        with TemporaryDirectory() as scratch:
+            for row in run_trials(trials, partial(_drawn, places), Path(scratch), progress):
+                number = row["number"] + turn * per_map * (maps is not None)
+                entries.append(_Entry(**row | {"map": named[row["map"]], "number": number}))
+    if not entries:
+        raise ShmooError(f"--maps {maps}: has no place for any scenario; give maps with doorways or corridors.")
+    found = _Set(condition_seeds=tuple(condition_seeds), maps=written, scenarios=tuple(entries))
+    lines = json.dumps(found.model_dump(mode="json"), separators=(",", ":"))
+    write_whole(out, (lines.replace('{"map":', '\n{"map":') + "\n").encode())
+    return len(entries)
+
+
+def _packed(path: Path, name: str) -> _Map:
+    with TemporaryDirectory() as scratch:
+        file = Path(scratch) / f"{name}.yaml"
+        save_map(load_map(path), file)
+        return _Map(yaml=file.read_text(), png=base64.b64encode(file.with_suffix(".png").read_bytes()).decode())
+
+
+def _drawn(places: Places, trial: str) -> list[dict[str, Any]]:
+    """No row if the map has no place for that scenario."""
+    name, _, number = trial.rpartition("-")
+    wanted, found = kept_scenario(places, load_map(places.maps[name]), name, int(number))
+    return [] if found is None else [_row(name, int(number), wanted, found)]
+
+
+def _row(name: str, number: int, wanted: Kind, found: Any) -> dict[str, Any]:
+    scenario = found.scenario.model_dump(mode="json")
+    return {"map": name, "number": number, "wanted": wanted} | found._asdict() | {"scenario": scenario}
+
+
+def find_set(name: Path) -> Path:
+    """The file of that name, or the shipped set that is called so (``floor_plans``)."""
+    shipped = asset(f"experiments/scenario_sets/{name}.json")
+    return shipped if not name.exists() and shipped.is_file() else name
+
+
+def _read(file: Path) -> dict[str, Any]:
+    try:
+        data = json.loads(file.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ShmooError(f"{file}: there is no such scenario set; make one by shmoo scenarios make.") from None
+    except (ValueError, IsADirectoryError):
+        data = None
+    if not isinstance(data, dict):
+        raise ShmooError(f"{file}: this is no scenario set; make one by shmoo scenarios make.")
+    return data
+
+
+def open_set(file: Path, folder: Path) -> tuple[Places, int]:
+    """Where its scenarios take place, and how many the map with the most of them has; maps are written to ``folder``.
+
+    Raises:
+        ShmooError: the file is missing or damaged, or a scenario does not fit its map.
+    """
+    found = validated(_Set, _read(file), file)
+    maps = {name: folder / f"{name}.yaml" for name in found.maps}
+    for name, packed in found.maps.items():
+        if not re.fullmatch(r"\w[\w.-]*", name):
+            raise ShmooError(f"{file}: 'maps' has {name!r}; name maps by letters, digits, '_', '-' and '.'.")
+        try:
+            image = base64.b64decode(packed.png, validate=True)
+        except ValueError:
+            raise ShmooError(f"{file}: 'maps.{name}.png' is no base64 text; get the file again.") from None
+        write_whole(folder / f"{name}.png", image)
+        write_whole(maps[name], packed.yaml.encode())
+    given = {}
+    for i, entry in enumerate(found.scenarios):
+        where = f"{file}: 'scenarios[{i}]'"
+        if entry.map not in maps:
+            raise ShmooError(f"{where} is on {entry.map!r}, which is not among its maps; add the map.")
+        grid = load_map(maps[entry.map])
+        check_scenario(grid, entry.scenario, ROBOT_RADIUS, where)
+        count = len(checked_objects(grid, entry.scenario, where))
+        if not len(entry.movable) == len(entry.blocking) == len(entry.border) == count:
+            raise ShmooError(f"{where} must say 'movable', 'blocking' and 'border' of each of its {count} objects.")
+        given[f"{entry.map}-{entry.number}"] = entry.model_dump(mode="json", exclude={"map", "number"})
+    most = 1 + max(entry.number for entry in found.scenarios)
+    return Places(maps, folder, 0, ScenarioConfig(), given), most

@@ -1,0 +1,140 @@
+"""A scenario set: made from maps by the command, opened again as it was, and refused in a sentence when damaged."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from shmoo_mjx.assets import asset
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.evaluation import navigation, navigation_places, scenario_set
+from shmoo_mjx.evaluation.navigation_places import kept_scenario
+from shmoo_mjx.evaluation.result import ExperimentOptions, file_id
+from shmoo_mjx.evaluation.scenario_set import find_set, make_set, open_set
+from shmoo_mjx.evaluation.scenarios import KINDS, Generated, toy_scenario
+from shmoo_mjx.navigation.maps import load_map, save_map
+
+SHIPPED = find_set(Path("floor_plans"))
+
+
+def shmoo(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    code = "from shmoo_mjx.cli import main; main()"
+    return subprocess.run(
+        [sys.executable, "-c", code, *arguments], cwd=folder, capture_output=True, text=True, check=False
+    )
+
+
+def drawn_quickly(grid: Any, kind: str, *rest: Any) -> Generated:
+    scenario = toy_scenario(1, True)[1]
+    return Generated(scenario, kind, (True,), (True,), 4.0, None, (False,))  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(navigation_places, "draw_scenario", drawn_quickly)
+    monkeypatch.setattr(scenario_set, "run_trials", lambda names, work, *rest: [row for n in names for row in work(n)])
+    (tmp_path / "maps").mkdir()
+    for name in ("one", "two"):
+        save_map(toy_scenario(1, True)[0], tmp_path / "maps" / f"{name}.yaml")
+    count = make_set(tmp_path / "set.json", tmp_path / "maps", (7, 8), per_map=2, drawn=tmp_path / "drawn")
+    assert count == 8
+    return tmp_path / "set.json"
+
+
+def test_a_set_is_opened_as_it_was_made_wherever_it_is(made: Path, tmp_path: Path) -> None:
+    places, count = open_set(made, tmp_path / "elsewhere")
+    assert count == 4 and set(places.maps) == {"one", "two"}
+    grid = toy_scenario(1, True)[0]
+    opened = load_map(places.maps["one"])
+    assert np.array_equal(opened.cells, grid.cells) and opened.resolution == grid.resolution
+    wanted, found = kept_scenario(places, opened, "two", 3)
+    assert wanted in KINDS and found is not None and found.scenario.objects == toy_scenario(1, True)[1].objects
+    text = made.read_text()
+    assert str(tmp_path) not in text and json.loads(text)["condition_seeds"] == [7, 8]
+
+
+def test_navigation_runs_the_set_and_says_which(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ran: list[str] = []
+
+    def trial(places: Any, robot: Any, store: Path, name: str) -> list[dict[str, Any]]:
+        ran.append(name)
+        return []
+
+    monkeypatch.setattr(navigation, "_trial", trial)
+    monkeypatch.setattr(navigation, "run_trials", lambda names, work, *rest: [row for n in names for row in work(n)])
+    monkeypatch.setattr(navigation, "measure", lambda *given: {})
+    monkeypatch.setattr(navigation, "write_failures", lambda *given: None)
+    monkeypatch.setattr("shmoo_mjx.evaluation.navigation_figures.draw_figures", lambda *given: None)
+    options = ExperimentOptions(out=tmp_path, scenario_set=made, policies=("ours",))
+    result = navigation.run(options)
+    assert sorted(ran) == sorted(f"{name}-{i}-ours" for name in ("one", "two") for i in range(4))
+    assert result.config["scenario_set"] == file_id(made) and result.config["generated_maps"] is False
+    other = navigation.trials_folder(ExperimentOptions(out=tmp_path), tmp_path, navigation.NavigationTrials().scenario)
+    assert navigation.trials_folder(options, tmp_path, navigation.NavigationTrials().scenario) != other
+
+
+def test_the_shipped_set_has_20_scenarios_of_every_kind_that_fit_their_maps(tmp_path: Path) -> None:
+    assert asset("experiments/scenario_sets/floor_plans.json") == SHIPPED and SHIPPED.stat().st_size < 200_000
+    places, _ = open_set(SHIPPED, tmp_path)
+    assert places.given is not None and len(places.given) == 20 and len(places.maps) == 5
+    assert {entry["kind"] for entry in places.given.values()} == set(KINDS)
+
+
+@pytest.mark.parametrize(
+    ("harm", "says"),
+    [
+        (lambda d: d["scenarios"][0].update(map="gone"), "'scenarios\\[0\\]' is on 'gone'"),
+        (lambda d: d["scenarios"][1].update(movable=[]), "'scenarios\\[1\\]' must say 'movable'"),
+        (lambda d: d["scenarios"][0]["scenario"].update(goal=[900.0, 0.0]), "'goal' \\(900, 0\\) lies off the map"),
+        (lambda d: d["scenarios"][0].update(kind="odd"), "'scenarios\\[0\\].kind'"),
+        (lambda d: d["maps"].update({"../x": d["maps"]["one"]}), "name maps by letters"),
+        (lambda d: d["maps"]["one"].update(png="?"), "'maps.one.png' is no base64"),
+        (lambda d: d.update(scenarios=[]), "'scenarios'"),
+        (lambda d: d.update(format="other"), "'format'"),
+    ],
+)
+def test_a_damaged_set_is_refused_with_its_field(
+    made: Path, tmp_path: Path, harm: Callable[[dict[str, Any]], None], says: str
+) -> None:
+    data = json.loads(made.read_text())
+    harm(data)
+    made.write_text(json.dumps(data))
+    with pytest.raises(ShmooError, match=says):
+        open_set(made, tmp_path / "elsewhere")
+
+
+def test_bad_input_is_one_sentence_with_exit_code_2(tmp_path: Path) -> None:
+    (tmp_path / "none").mkdir()
+    (tmp_path / "odd.json").write_text("[1]")
+    for command, says in (
+        (("scenarios", "make", "--maps", "none", "--out", "x.json"), "holds no map_server YAML"),
+        (("scenarios", "make", "--out", "x.json", "--condition-seed", "-1"), "--condition-seed"),
+        (("scenarios", "make", "--out", "x.json", "--per-map", "0"), "--per-map"),
+        (("experiment", "navigation", "--scenarios", "gone.json"), "there is no such scenario set"),
+        (("experiment", "navigation", "--scenarios", "odd.json"), "this is no scenario set"),
+        (("experiment", "navigation", "--scenarios", "none"), "this is no scenario set"),
+        (("experiment", "navigation", "--scenarios", "-3"), "--scenarios '-3' must be a whole number"),
+        (("experiment", "pushing", "--scenarios", "odd.json"), "for navigation alone"),
+        (("experiment", "navigation", "--maps", "none", "--scenarios", "odd.json"), "without --maps"),
+    ):
+        done = shmoo(tmp_path, *command)
+        assert done.returncode == 2 and len(done.stderr.splitlines()) == 1, done.stderr
+        assert done.stderr.startswith("shmoo: ") and says in done.stderr
+
+
+@pytest.mark.slow
+def test_the_command_draws_a_set_that_is_the_same_again(tmp_path: Path) -> None:
+    for folder in (tmp_path / "a", tmp_path / "b"):
+        (folder / "maps").mkdir(parents=True)
+        save_map(toy_scenario(2, True)[0], folder / "maps" / "rooms.yaml")
+        done = shmoo(folder, "scenarios", "make", "--maps", "maps", "--out", "set.json", "--per-map", "1")
+        assert done.returncode == 0 and "set.json: 1 scenario" in done.stdout, done.stderr
+    assert (tmp_path / "a" / "set.json").read_bytes() == (tmp_path / "b" / "set.json").read_bytes()
+    assert open_set(tmp_path / "a" / "set.json", tmp_path / "opened")[1] == 1
