@@ -108,7 +108,7 @@ def live(
     Example: shmoo live "demo 3"
 
     Args:
-        scene: "demo SEED", a scenario of the package such as box_in_doorway, or a scenario file.
+        scene: "demo SEED", a scenario of the package such as box_in_doorway, or a scenario or map file.
         host: network interface to listen on. Whoever reaches it can use the page.
         port: where the page is; the next free one if it is in use.
         senses: real or perfect.

@@ -10,15 +10,20 @@ import numpy as np
 
 from shmoo_mjx.control.mppi import Plan
 from shmoo_mjx.navigation.belief import Status
+from shmoo_mjx.navigation.clearance import ClearanceField
 from shmoo_mjx.navigation.navigator import Navigator
 from shmoo_mjx.report.style import COLOURS, outline
 from shmoo_mjx.sensing.camera import Camera
 from shmoo_mjx.types import Observation
 
-__all__ = ["Lines", "believed", "field_of_view", "path", "rollouts"]
+__all__ = ["Lines", "believed", "clearance_picture", "field_of_view", "legend", "path", "rollouts"]
 
 Array = Any
 
+_CAMERA, _LOCAL, _REMEMBERED = "#56B4E9", "#CC79A7", "#777777"
+_COSTS = matplotlib.colormaps["plasma"]
+_CLEAR = 1.2
+"""Clearance from which on the picture is white [m]."""
 _SHOWN = 60
 """Roll-outs that are drawn, evenly over the costs."""
 _FLOOR = 0.015
@@ -50,8 +55,12 @@ def _rgb(colour: str) -> np.ndarray:
     return np.array(matplotlib.colors.to_rgb(colour))
 
 
-def path(points: Array | None, colour: str = COLOURS["plan"]) -> Lines:
-    """A way ``[N, 2]`` in {W}; nothing without one."""
+def path(points: Array | None, local: bool = False) -> Lines:
+    """A way ``[N, 2]`` in {W}; nothing without one. ``local`` is in the colour of the local trajectory."""
+    return _coloured(points, _LOCAL if local else COLOURS["plan"])
+
+
+def _coloured(points: Array | None, colour: str) -> Lines:
     return _lines(np.zeros((1, 2)) if points is None else points, _rgb(colour))
 
 
@@ -71,7 +80,7 @@ def rollouts(plan: Plan | None, top: float = 0.0) -> Lines:
     places = np.asarray(plan.trajectories.object_pose)[chosen, :, :2]
     height = top + _FLOOR + 0.05 * np.linspace(0.0, 1.0, len(chosen))[:, None, None]
     points = np.concatenate([places, np.broadcast_to(height, (*places.shape[:-1], 1))], axis=-1)
-    return _lines(points, matplotlib.colormaps["plasma"](np.linspace(0.05, 0.95, len(chosen))))
+    return _lines(points, _COSTS(np.linspace(0.05, 0.95, len(chosen))))
 
 
 def field_of_view(camera: Camera, pose: Array) -> Lines:
@@ -80,7 +89,7 @@ def field_of_view(camera: Camera, pose: Array) -> Lines:
     angles = float(pose[2]) + np.linspace(-half, half, 25)
     rays = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     near, far = (np.asarray(pose)[:2] + distance * rays for distance in (camera.near, camera.far))
-    return _lines(np.concatenate([near[:1], far, near[::-1]]), _rgb("#56B4E9"))
+    return _lines(np.concatenate([near[:1], far, near[::-1]]), _rgb(_CAMERA))
 
 
 def believed(navigator: Navigator, seen: Observation, sizes: Sequence[tuple[float, float]]) -> Lines:
@@ -89,8 +98,33 @@ def believed(navigator: Navigator, seen: Observation, sizes: Sequence[tuple[floa
     for index, known in navigator.belief.objects.items():
         if index >= len(sizes):
             continue
-        colour = COLOURS["robot"] if bool(seen.detected[0, index]) else "#777777"
+        colour = COLOURS["robot"] if bool(seen.detected[0, index]) else _REMEMBERED
         colour = COLOURS["registered"] if known.status is Status.FIXED else colour
         corners = outline(known.pose, np.asarray(sizes[index]) + 0.03)
-        parts.append(path(np.concatenate([corners, corners[:1]]), colour))
+        parts.append(_coloured(np.concatenate([corners, corners[:1]]), colour))
     return Lines(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def clearance_picture(field: ClearanceField) -> np.ndarray:
+    """The distance to walls and known objects as a picture ``[H, W, 3]`` uint8, row 0 at the bottom of the map."""
+    near = np.clip(np.asarray(field.values) / _CLEAR, 0.0, 1.0)
+    return (255 * matplotlib.colormaps["YlGnBu_r"](0.15 + 0.85 * near)[..., :3]).astype(np.uint8)
+
+
+def legend(plan: Plan | None) -> str:
+    """What the colours mean, as HTML; with the costs of the roll-outs in ``plan``."""
+    costs = np.zeros(0) if plan is None else np.asarray(plan.costs)
+    costs = costs[np.isfinite(costs)]
+    ends = (f"{costs.max():.1f}", f"{costs.min():.1f}") if len(costs) else ("", "")
+    shades = ", ".join(matplotlib.colors.to_hex(_COSTS(x)) for x in np.linspace(0.05, 0.95, 7))
+    bar = f"<div style='height: 9px; border-radius: 4px; background: linear-gradient(90deg, {shades})'></div>"
+    names = {
+        COLOURS["plan"]: "global path", _LOCAL: "local trajectory", _CAMERA: "camera's field of view",
+        COLOURS["robot"]: "object, seen now", _REMEMBERED: "object, remembered", COLOURS["registered"]: "obstacle",
+    }  # fmt: skip
+    lines = "".join(f"<span style='color: {c}; font-weight: bold'>&#9473;</span> {n} &ensp;" for c, n in names.items())
+    return (
+        f"<div style='font-size: 0.8em; line-height: 1.5; margin: 0 0.8em 0.6em'>roll-outs by cost{bar}"
+        f"<div style='display: flex; justify-content: space-between'><span>dearest {ends[0]}</span>"
+        f"<span>cheapest {ends[1]}</span></div>{lines}</div>"
+    )

@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable
 from contextlib import redirect_stdout
 from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import mujoco
@@ -27,9 +28,10 @@ from shmoo_mjx import se2
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.learning import adaptation
 from shmoo_mjx.live import overlay
-from shmoo_mjx.live.session import Session, scenes
+from shmoo_mjx.live.session import Session, object_files, scenes
 from shmoo_mjx.navigation import flat_trajectory
 from shmoo_mjx.navigation.scenario import FAMILIES
+from shmoo_mjx.plant.objects import draw_condition
 from shmoo_mjx.types import DT
 
 __all__ = ["PICTURES", "Page"]
@@ -73,7 +75,8 @@ class Page:
         self._world: _World | None = None
         self._samples: tuple[np.ndarray, np.ndarray, float] | None = None
         self._handles: list[Any] = []
-        self._history: list[tuple[float, float, float]] = []
+        self._history: list[tuple[float, float, float, float]] = []
+        self._clearance: Any = None
         # Its button to share a page would hand this one to a server elsewhere.
         self.server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
         self.server.scene.set_up_direction("+z")
@@ -153,6 +156,7 @@ class Page:
         self._state = gui.add_markdown("")
         self._message = gui.add_markdown("")
         self._objects = gui.add_markdown("")
+        self._legend = gui.add_html("")
         empty = np.zeros(1)
         curves = (
             viser.uplot.Series(label="t [s]"),
@@ -160,6 +164,9 @@ class Page:
             viser.uplot.Series(label="force [N / 10]", stroke="#D55E00", width=2),
         )
         self._curves = gui.add_uplot((empty, empty, empty), curves, aspect=2.2, scales={"x": {"time": False}})
+        chance = (curves[0], viser.uplot.Series(label="P(can be moved)", stroke="#009E73", width=2))
+        scales: dict[str, Any] = {"x": {"time": False}, "y": {"auto": False, "range": (-0.05, 1.05)}}
+        self._chance = gui.add_uplot((empty, empty), chance, aspect=3.2, scales=scales)
         with gui.add_folder("Run"):
             self._pause: Any = gui.add_checkbox("paused", False)
             step = gui.add_button("one sample of 0.1 s")
@@ -175,10 +182,10 @@ class Page:
             self._click = gui.add_dropdown("a click on the floor", (_GOAL, _NEW))
             self._goal = gui.add_vector2("goal x, y [m]", self.session.scenario.goal, step=0.05)
             go = gui.add_button("go there")
-            family = gui.add_dropdown("family", FAMILIES)
-            mass = gui.add_slider("mass [kg]", 1.0, 80.0, 0.5, 8.0)
-            load_mass = gui.add_slider("load [kg]", 0.0, 100.0, 1.0, 0.0)
-            friction = gui.add_slider("friction", 0.1, 1.2, 0.01, 0.4)
+            self._family = gui.add_dropdown("family", FAMILIES)
+            mass: Any = gui.add_slider("mass [kg]", 1.0, 80.0, 0.5, 8.0)
+            load_mass: Any = gui.add_slider("load [kg]", 0.0, 100.0, 1.0, 0.0)
+            friction: Any = gui.add_slider("friction", 0.1, 1.2, 0.01, 0.4)
             braked = gui.add_checkbox("brakes on", False)
             self._where = gui.add_vector3("x, y [m], heading [deg]", (0.0, 0.0, 0.0), step=0.05)
             put = gui.add_button("put it there")
@@ -190,8 +197,8 @@ class Page:
             alter = gui.add_button_group("now", ("set load", "set friction", "set brakes"))
             self._drag = gui.add_checkbox("drag objects by handles", False)
         with gui.add_folder("Show", expand_by_default=False):
-            names = ("path", "roll-outs", "camera", "what it believes")
-            self._shown = {name: gui.add_checkbox(name, True) for name in names}
+            names = ("path", "roll-outs", "camera", "what it believes", "clearance")
+            self._shown = {name: gui.add_checkbox(name, name != "clearance") for name in names}
         step.on_click(lambda _: self._ask(self._one_sample))
         speed.on_update(lambda _: setattr(self, "speed", _SPEEDS[speed.value]))
         reset.on_click(lambda _: self._ask(self._reset))
@@ -200,10 +207,18 @@ class Page:
         report.on_click(lambda _: self._ask(partial(self._report, name.value)))
         go.on_click(lambda _: self._ask(partial(self._head_for, *self._goal.value)))
 
+        def own_object(_: Any) -> None:
+            # An object of one's own has a mass and friction already.
+            if path := object_files(self.session.out).get(self._family.value):
+                known = draw_condition(str(path), 0)
+                mass.value, load_mass.value, friction.value = known.mass, 0.0, known.friction
+
+        self._family.on_update(own_object)
+
         def new(x: float, y: float) -> Callable[[], str]:
             properties = {"mass": mass.value, "payload": load_mass.value, "friction": friction.value}
             pose = (float(x), float(y), float(np.deg2rad(self._where.value[2])))
-            return partial(self._add, family.value, pose, properties, braked.value)
+            return partial(self._add, self._family.value, pose, properties, braked.value)
 
         def change(_: Any) -> None:
             values = {"set load": heavier.value, "set friction": slippery.value, "set brakes": brakes.value}
@@ -215,6 +230,16 @@ class Page:
         self._drag.on_update(lambda _: self._ask(self._handles_anew))
         for box in self._shown.values():
             box.on_update(lambda _: self._ask(self._draw_lines))
+        self.server.on_client_connect(lambda _: self._ask(self._look_for_files))
+
+    def _look_for_files(self) -> None:
+        """What has been made meanwhile is there to choose when the page is loaded anew."""
+        for menu, names in (
+            (self._scene, scenes(self.session.out)),
+            (self._family, [*FAMILIES, *object_files(self.session.out)]),
+        ):
+            if menu.options != tuple(names):
+                menu.options = tuple(names)
 
     def _clicked(self, event: viser.SceneClickEvent) -> None:
         start, along = np.asarray(event.ray_origin), np.asarray(event.ray_direction)
@@ -255,7 +280,7 @@ class Page:
 
     def _add(self, family: str, pose: tuple[float, float, float], properties: dict[str, float], braked: bool) -> str:
         session, index = self.session, len(self.session.scenario.objects)
-        session.add(family, pose, properties)
+        session.add(str(object_files(session.out).get(family, family)), pose, properties)
         if session.simulation.conditions[index].locked:
             session.brake(index, braked)
         return f"Object {index}: {session.simulation.conditions[index].describe()}."
@@ -309,6 +334,7 @@ class Page:
         session = self.session
         with self._lock, self.server.atomic():
             self.server.scene.reset()
+            self._clearance = None
             model = session.simulation.scene.model
             scene = ViserMujocoScene(self.server, model, num_envs=1)
             scene.camera_tracking_enabled = False
@@ -376,7 +402,7 @@ class Page:
         sizes = [c.half_extents for c in simulation.conditions]
         drawn = {
             "path": (overlay.path(None if way is None else way.points), 0.03),
-            "path/local": (overlay.path(local, "#CC79A7"), 0.05),
+            "path/local": (overlay.path(local, local=True), 0.05),
             "roll-outs": (overlay.rollouts(session.plan, self._top()), 0.012),
             "camera": (overlay.field_of_view(session.senses.camera, simulation.true.robot_pose[0]), 0.015),
             "what it believes": (overlay.believed(simulation.navigator, simulation.seen, sizes), 0.03),
@@ -392,6 +418,25 @@ class Page:
                     visible=bool(shown),
                 )
             self.server.scene.add_icosphere("/lines/goal", 0.12, color=(0, 158, 115), position=tuple(goal))
+            self._draw_clearance()
+
+    def _draw_clearance(self) -> None:
+        """The distance field as a picture on the floor, anew when an object is taken to be elsewhere."""
+        shown = self._shown["clearance"].value
+        field = self.session.simulation.navigator.belief.clearance() if shown else None
+        if field is self._clearance:
+            return
+        self._clearance = field
+        if field is None:
+            self.server.scene.remove_by_name("/clearance")
+            return
+        height, width = (n * float(field.resolution) for n in field.values.shape)
+        yaw = float(field.origin[2])
+        centre = se2.transform_point(np.asarray(field.origin), np.array([width / 2, height / 2]))
+        self.server.scene.add_image(
+            "/clearance", overlay.clearance_picture(field), width, height, format="png", cast_shadow=False,
+            receive_shadow=False, position=(*centre, 0.008), wxyz=_lying(yaw),
+        )  # fmt: skip
 
     def _top(self) -> float:
         """Height of the object that is dealt with [m]."""
@@ -409,41 +454,53 @@ class Page:
         lean = float(np.rad2deg(np.linalg.norm(true.lean[0])))
         said = navigator.transitions[-1].reason if navigator.transitions else "it looks for a way"
         state = f"{navigator.mode}" if not simulation.record.falls else "fallen; begin again"
+        p = session.probability
+        chance = "" if p is None else f", P(can be moved) **{p:.2f}**"
         spent = 1e3 * np.array(session.spent or [0.0])
         self._state.content = (
             f"### {state}\n{said}\n\n"
-            f"{simulation.time:.1f} s, lean {lean:.1f}°, force {force:.0f} N, senses {session.senses.name}\n\n"
+            f"{simulation.time:.1f} s, lean {lean:.1f}°, force {force:.0f} N, senses {session.senses.name}{chance}\n\n"
             f"control step: median {np.median(spent):.0f} ms, worst {spent.max():.0f} ms of the last {len(spent)}; "
             f"{session.late} longer than {1e3 * DT:.0f} ms"
         )
         if not self._history or simulation.time > self._history[-1][0]:
-            self._history.append((simulation.time, lean, force / 10))
+            self._history.append((simulation.time, lean, force / 10, np.nan if p is None else p))
             self._history = [row for row in self._history if row[0] > simulation.time - _KEPT]
         if round(simulation.time / DT) % 5 == 0:
             self._objects.content = self._table()
-            t, leans, forces = (np.array(column) for column in zip(*self._history, strict=True))
-            self._curves.data = (t, leans, forces)
+            t, leans, forces, chances = (np.array(column) for column in zip(*self._history, strict=True))
+            self._curves.data, self._chance.data = (t, leans, forces), (t, chances)
+            self._legend.content = overlay.legend(session.plan)
 
     def _table(self) -> str:
         """What the robot thinks of each object, as Markdown."""
         navigator = self.session.simulation.navigator
         rows = ["| object | status | verdict | moves | learned |", "|---|---|---|---|---|"]
         for index, condition in enumerate(self.session.simulation.conditions):
-            known = navigator.belief.objects.get(index)
+            known, name = navigator.belief.objects.get(index), f"{index} {Path(condition.family).stem}"
             if known is None:
-                rows.append(f"| {index} {condition.family} | not seen yet | | | |")
+                rows.append(f"| {name} | not seen yet | | | |")
                 continue
             verdicts = [d for d in navigator.decisions if d.object == index]
             last = f"P = {verdicts[-1].probability:.2f}, K = {verdicts[-1].K:.2f} m²" if verdicts else "not touched"
             moves = {None: "?", True: "yes", False: "no"}[known.manipulable]
-            learned = "" if known.adapt is None else _in_words(adaptation.learned(known.adapt))
-            rows.append(f"| {index} {condition.family} | {known.status} | {last} | {moves} | {learned} |")
+            learned = "" if known.adapt is None else _in_words(adaptation.learned(known.adapt), self.session.prior)
+            rows.append(f"| {name} | {known.status} | {last} | {moves} | {learned} |")
         return "\n".join(rows)
 
 
-def _in_words(learned: dict[str, float]) -> str:
-    """What was learned of an object, as far as it is told in a few words."""
+def _in_words(learned: dict[str, float], prior: dict[str, float]) -> str:
+    """What was learned of an object against what it was taken to be at first, as far as it is told in a few words."""
     if "log_mass" not in learned:
         return "coefficients"
-    rubs = np.exp([learned["log_friction_x"], learned["log_friction_y"]])
-    return f"moves like {np.exp(learned['log_mass']):.0f} kg, friction {rubs[0]:.2f} along, {rubs[1]:.2f} across"
+    now, first = ({name: np.exp(value) for name, value in of.items() if "log" in name} for of in (learned, prior))
+    return (
+        f"moves like {now['log_mass']:.0f} kg (at first {first['log_mass']:.0f}), "
+        f"friction {now['log_friction_x']:.2f} ({first['log_friction_x']:.2f}) along, "
+        f"{now['log_friction_y']:.2f} ({first['log_friction_y']:.2f}) across"
+    )
+
+
+def _lying(yaw: float) -> tuple[float, float, float, float]:
+    """Quaternion of a picture that lies on the floor, turned by ``yaw``."""
+    return float(np.cos(yaw / 2)), 0.0, 0.0, float(np.sin(yaw / 2))

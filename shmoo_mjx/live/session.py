@@ -9,7 +9,7 @@ import re
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +20,12 @@ from shmoo_mjx.control.mppi import Plan
 from shmoo_mjx.control.pushing import PushController, local_distance_field
 from shmoo_mjx.episode import result_of, trace_of
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.learning.weights import Weights
+from shmoo_mjx.learning import adaptation
+from shmoo_mjx.learning.weights import Weights, prior_state
+from shmoo_mjx.navigation import mobility
 from shmoo_mjx.navigation.floorplan import demo_scenario
-from shmoo_mjx.navigation.maps import OccupancyGrid, load_map, save_map
+from shmoo_mjx.navigation.maps import OccupancyGrid, clearance_field, load_map, save_map
+from shmoo_mjx.navigation.records import Mode
 from shmoo_mjx.navigation.scenario import (
     MOST_OBJECTS,
     ROBOT_RADIUS,
@@ -34,27 +37,51 @@ from shmoo_mjx.navigation.scenario import (
     load_scenario,
     save_scenario,
 )
-from shmoo_mjx.navigation.yaml_input import validated
+from shmoo_mjx.navigation.yaml_input import read_mapping, validated
 from shmoo_mjx.run import checked_objects, save_run
 from shmoo_mjx.seeds import seed_of
 from shmoo_mjx.sensing import Senses, senses_named
 from shmoo_mjx.simulation import Simulation
 from shmoo_mjx.types import DT, SensesName
 
-__all__ = ["SceneLoader", "Session", "scene_named", "scenes"]
+__all__ = ["SceneLoader", "Session", "object_files", "scene_named", "scenes"]
 
 SceneLoader = Callable[[], tuple[OccupancyGrid, Scenario]]
 """Loads a map and what stands in it."""
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,60}")
 _DEMOS = 20
+_TELLING = 0.3
+"""Contact time from which on a push says something of its object [s]."""
+_OBJECT_FILE = 100_000
+"""Object files are smaller than this [bytes]."""
 
 
 def scenes(own: Path) -> dict[str, SceneLoader]:
-    """What can be loaded, by name: the demo's floor plans, the scenarios of the package, and those saved in ``own``."""
+    """What can be loaded, by name: the demo's floor plans, and scenarios and maps that are found.
+
+    They are looked for in the package, in ``own`` and in the present folder; a map is an empty scene.
+    """
     found: dict[str, SceneLoader] = {f"demo {seed}": partial(demo_scenario, seed) for seed in range(_DEMOS)}
-    files = [*sorted(asset("experiments/scenarios").glob("*.yaml")), *sorted(own.glob("*.yaml"))]
-    return found | {path.stem: partial(_from_file, path) for path in files if not path.stem.endswith(".map")}
+    shipped = [asset(f"experiments/{kind}") for kind in ("scenarios", "maps")]
+    for path in (path for folder in (*shipped, *_own_folders(own)) for path in sorted(folder.glob("*.yaml"))):
+        text = path.read_text(errors="replace")
+        if "image:" in text:
+            found[f"map {path.stem.removesuffix('.map')}"] = partial(_from_file, path)
+        elif "start:" in text:
+            found[path.stem] = partial(_from_file, path)
+    return found
+
+
+def object_files(own: Path) -> dict[str, Path]:
+    """What ``shmoo object add`` has made in the present folder or in ``own``, by name."""
+    files = (path for folder in _own_folders(own) for path in sorted(folder.glob("*.json")))
+    small = (path for path in files if path.stat().st_size < _OBJECT_FILE)
+    return {path.stem: path.resolve() for path in small if '"hull"' in path.read_text(errors="replace")}
+
+
+def _own_folders(own: Path) -> tuple[Path, Path]:
+    return own, Path()
 
 
 def scene_named(name: str, own: Path) -> tuple[OccupancyGrid, Scenario]:
@@ -67,10 +94,12 @@ def scene_named(name: str, own: Path) -> tuple[OccupancyGrid, Scenario]:
     if name.endswith((".yaml", ".yml")):
         return _from_file(Path(name))
     others = ", ".join(known_name for known_name in known if not known_name.startswith("demo "))
-    raise ShmooError(f"{name!r} is no scene; choose 'demo SEED', a scenario file (*.yaml), or one of {others}.")
+    raise ShmooError(f"{name!r} is no scene; choose 'demo SEED', a scenario or map file (*.yaml), or one of {others}.")
 
 
 def _from_file(path: Path) -> tuple[OccupancyGrid, Scenario]:
+    if "image" in read_mapping(path, "map or scenario"):
+        return _empty(load_map(path))
     scenario = load_scenario(path)
     if scenario.map is None:
         raise ShmooError(f"{path}: field 'map' is missing; add it.")
@@ -78,6 +107,15 @@ def _from_file(path: Path) -> tuple[OccupancyGrid, Scenario]:
     check_scenario(grid, scenario, ROBOT_RADIUS, str(path))
     checked_objects(grid, scenario, str(path))
     return grid, scenario
+
+
+def _empty(grid: OccupancyGrid) -> tuple[OccupancyGrid, Scenario]:
+    """The map with the robot where it has the most room, at its goal."""
+    room = np.asarray(clearance_field(grid).values)
+    if room.max() < ROBOT_RADIUS:
+        raise ShmooError(f"{grid.source}: has no room for a robot of radius {ROBOT_RADIUS:.2f} m; give another map.")
+    x, y = (round(float(v), 3) for v in grid.cell_to_world(np.unravel_index(room.argmax(), room.shape)))
+    return grid, Scenario(start=(x, y, 0.0), goal=(x, y))
 
 
 class _Watched(PushController):
@@ -124,6 +162,20 @@ class Session:
     def plan(self) -> Plan | None:
         """The roll-outs of the last control step, while an object is being pushed."""
         return self.controller.last_plan if self.simulation.navigator.learned is not None else None
+
+    @property
+    def probability(self) -> float | None:
+        """P that the object at hand can be moved, by what the push has come to; None while there is no telling."""
+        state = self.simulation.navigator.state
+        push = None if state.segment is None or state.mode not in (Mode.PROBE, Mode.PUSH) else state.segment.push
+        if push is None or push.contact_time < _TELLING:
+            return None
+        return mobility.probability(push.moved(state.known().pose), push.impulse)
+
+    @cached_property
+    def prior(self) -> dict[str, float]:
+        """What an object is taken to be before it is touched (`adaptation.learned`)."""
+        return adaptation.learned(prior_state(self.controller.weights, self.controller.config.adapt.body))
 
     def compile(self) -> None:
         """Compile what the first push needs, or the world stands still for seconds when it begins."""

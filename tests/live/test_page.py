@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 
 pytest.importorskip("viser")
 pytest.importorskip("mjviser")
@@ -25,6 +26,7 @@ from shmoo_mjx.learning.weights import load_weights
 from shmoo_mjx.live.command import go_on
 from shmoo_mjx.live.page import PICTURES, Page
 from shmoo_mjx.live.session import Session, scene_named
+from shmoo_mjx.plant.mesh import add_object
 
 
 def free_port() -> int:
@@ -107,6 +109,34 @@ def test_what_it_can_t_show_is_said_in_one_sentence(tmp_path: Path) -> None:
         command = [sys.executable, "-c", code, "live", scene, *more]
         done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
         assert done.returncode == 2 and done.stderr.startswith("shmoo: ") and len(done.stderr.splitlines()) == 1
+
+
+def test_the_clearance_is_drawn_when_asked_for_and_objects_of_ones_own_are_offered(page: Page, tmp_path: Path) -> None:
+    drawn = page.server.scene.get_handle_by_name
+    page.show()
+    assert drawn("/clearance") is None
+    page._shown["clearance"].value = True
+    page.show()
+    picture = drawn("/clearance")
+    assert picture is not None and picture.image.shape == (*page.session.simulation.grid.cells.shape, 3)
+    shades = picture.image.astype(int).sum(axis=-1)
+    assert shades[page.session.simulation.grid.occupied].max() < shades.max() - 200  # walls are dark
+    page._load("three_objects")
+    page.show()
+    assert drawn("/clearance") is not None
+    page._shown["clearance"].value = False
+    page.show()
+    assert drawn("/clearance") is None
+    trimesh.creation.cylinder(radius=0.25, height=0.6).export(tmp_path / "stool.stl")
+    add_object(tmp_path / "stool.stl", mass=5.0, friction=0.35, out=tmp_path / "stool.json")
+    page._look_for_files()
+    page._family.value = "stool"
+    x, y, _ = page.session.simulation.true.robot_pose[0]
+    page._ask(page._new(float(x), float(y - 1.0)))
+    page.carry_out()
+    page.show()
+    assert said(page).startswith("**Done.** Object 3: stool 0.50 x 0.50 x 0.60 m, 5.0 kg, mu 0.35")
+    assert "3 stool" in page._table() and "roll-outs by cost" in page._legend.content
 
 
 def browser() -> Any:

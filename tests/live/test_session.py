@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.learning.weights import load_weights
-from shmoo_mjx.live.session import Session, scene_named, scenes
+from shmoo_mjx.live.session import Session, object_files, scene_named, scenes
+from shmoo_mjx.navigation.maps import FREE, OccupancyGrid, save_map
 from shmoo_mjx.navigation.scenario import load_scenario
+from shmoo_mjx.plant.mesh import add_object
 from shmoo_mjx.report.trace import load_result
 from shmoo_mjx.run import load_inputs
 
@@ -172,3 +176,49 @@ def test_begin_again_is_the_scene_as_it_was_loaded(session: Session) -> None:
     session.reset()
     np.testing.assert_array_equal(session.simulation.true.robot_pose, start)
     assert len(session.scenario.objects) == 1 and session.simulation.time == 0.0
+
+
+def test_while_it_pushes_it_says_how_probable_it_is_that_the_object_can_be_moved(tmp_path: Path) -> None:
+    said: dict[str, float | None] = {}
+    for name in ("box_in_doorway", "locked_wheelchair"):
+        session = Session(load_weights(), partial(scene_named, name, tmp_path), "perfect", tmp_path)
+        assert session.probability is None
+        while not session.simulation.navigator.decisions and session.simulation.time < 40.0:
+            session.step()
+            said[name] = said.get(name) if session.probability is None else session.probability
+        session.close()
+    box, wheelchair = said.values()
+    assert box is not None and box > 0.9 and wheelchair is not None and wheelchair < 0.3
+
+
+def test_objects_and_maps_of_ones_own_are_found_by_name(
+    session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    here = tmp_path / "here"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    trimesh.creation.cylinder(radius=0.25, height=0.6).export("stool.stl")
+    add_object(Path("stool.stl"), mass=5.0, friction=0.35)
+    Path("other.json").write_text("{}")
+    Path("compose.yaml").write_text("services: {}\n")
+    save_map(session.simulation.grid, "floor.yaml")
+    assert object_files(session.out) == {"stool": here / "stool.json"}
+    found = scenes(session.out)
+    assert {"map floor", "map office", "three_objects"} <= set(found) and "compose" not in found
+    for load in (found["map floor"], partial(scene_named, "floor.yaml", session.out)):
+        session.load(load)
+        run(session, 5)
+        assert session.simulation.navigator.finished and not session.scenario.objects
+    x, y, _ = session.simulation.true.robot_pose[0]
+    session.head_for(x + 0.6, y)
+    session.add(str(here / "stool.json"), (x, y + 1.2, 0.0), {"payload": 2.0})
+    run(session, 3)
+    assert not session.simulation.navigator.finished and session.simulation.conditions[0].mass == 5.0
+    again = scene_named(str(session.save_scenario("kept")), session.out)[1]
+    assert again.objects[0].condition() == session.simulation.conditions[0]
+
+
+def test_a_map_without_room_is_refused(tmp_path: Path) -> None:
+    save_map(OccupancyGrid(np.full((9, 9), FREE, dtype=np.int8), 0.05), tmp_path / "tiny.yaml")
+    with pytest.raises(ShmooError, match="has no room for a robot"):
+        scene_named(str(tmp_path / "tiny.yaml"), tmp_path)
