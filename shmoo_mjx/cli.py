@@ -137,6 +137,37 @@ def replay(run: Positional[Path], weights: Path | None = None) -> int:
     return 0 if difference is None else 1
 
 
+def report(
+    source: Positional[Path],
+    size: tuple[bounded.Side, bounded.Side] | None = None,
+    out: Path = Path("runs/report"),
+    weights: Path | None = None,
+) -> int:
+    """Make the report of a recording of your own robot: what was learned of the object, and whether it can be moved.
+
+    Example: shmoo report log.csv --size 0.5 0.4
+
+    Args:
+        source: CSV or Parquet file (docs/own_log.md lists its columns); or the folder of a run, to draw it again.
+        size: length and width of the object's footprint [m].
+        out: folder for report.html, result.json and trace.npz.
+        weights: trained weights, for what objects are like (default: the shipped ones).
+    """
+    if source.is_dir():
+        from shmoo_mjx.report.html import write_report
+
+        print(write_report(source))
+        return 0
+    if size is None:
+        raise ShmooError(f"{source}: give the object's --size LENGTH WIDTH in m.")
+    from shmoo_mjx.assets import WEIGHTS, asset
+    from shmoo_mjx.learning.weights import load_weights
+    from shmoo_mjx.own_log import write_run
+
+    print(write_run(source, size, out, load_weights(weights or asset(WEIGHTS))))
+    return 0
+
+
 def collect(
     directory: Positional[Path],
     train: bounded.Train = 40,
@@ -499,6 +530,7 @@ _COMMANDS: dict[str, Callable[..., int]] = {
     "navigate": navigate,
     "live": live,
     "replay": replay,
+    "report": report,
     "collect": collect,
     "train": train,
     "map": map_,

@@ -25,6 +25,7 @@ __all__ = [
     "Scale",
     "ScenariosOrSet",
     "Seconds",
+    "Side",
     "SwivelFriction",
     "Train",
     "Validation",
@@ -97,4 +98,5 @@ Friction = Annotated[float, _real("--friction", 0.05, 2.0)]
 WheelRadius = Annotated[float, _real("--wheel-radius", 0.01, 0.35, "m")]
 Rolling = Annotated[float, _real("--rolling", 0.0, 0.5)]
 SwivelFriction = Annotated[float, _real("--swivel-friction", 0.0, 5.0, "N m")]
+Side = Annotated[float, _real("--size", 0.05, 5.0, "m")]
 Scale = Annotated[float, _real("--scale", 1e-6, 1e3)]

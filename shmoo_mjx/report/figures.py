@@ -138,25 +138,31 @@ def learned_figure(result: dict[str, Any], trace: Trace) -> Figure:
 
 def timeline_figure(result: dict[str, Any], trace: Trace) -> Figure:
     """State of the navigator, speed, lean with its command, and force of the hands, over time."""
-    figure = _figure(9.0, 7.4)
-    states, speed, lean, force = figure.subplots(4, 1, sharex=True, height_ratios=[1.4, 1, 1, 1])
+    # Of somebody else's robot lean or pose may not be known.
+    leans, velocity = np.isfinite(trace.lean).any(), _speed(trace)
+    drives = np.isfinite(velocity).any()
+    figure = _figure(9.0, 2.6 + 1.6 * (1 + leans + drives))
+    panels = list(figure.subplots(2 + leans + drives, 1, sharex=True, height_ratios=[1.4] + [1] * (1 + leans + drives)))
+    states, force, t = panels[0], panels[-1], trace.t
     _draw_states(states, trace)
-    t, velocity = trace.t, _speed(trace)
-    speed.plot(t, velocity, color=COLOURS["robot"], lw=1.3)
-    speed.set_ylabel("speed [m/s]")
-    for axis, name, colour in ((0, "x", SERIES[0]), (1, "y", SERIES[1])):
-        lean.plot(t, np.degrees(trace.lean[:, axis]), color=colour, lw=1.3, label=f"lean {name}")
-        lean.plot(t, np.degrees(trace.u[:, axis]), color=colour, lw=0.9, ls=":", label=f"command {name}")
-    lean.set_ylabel("lean [deg]")
-    lean.legend(ncols=4, fontsize=7, loc="upper right", framealpha=0.8)
+    if drives:
+        panels[1].plot(t, velocity, color=COLOURS["robot"], lw=1.3)
+        panels[1].set_ylabel("speed [m/s]")
+    if leans:
+        lean = panels[-2]
+        for axis, name, colour in ((0, "x", SERIES[0]), (1, "y", SERIES[1])):
+            lean.plot(t, np.degrees(trace.lean[:, axis]), color=colour, lw=1.3, label=f"lean {name}")
+            lean.plot(t, np.degrees(trace.u[:, axis]), color=colour, lw=0.9, ls=":", label=f"command {name}")
+        lean.set_ylabel("lean [deg]")
+        lean.legend(ncols=4, fontsize=7, loc="upper right", framealpha=0.8)
     for axis, name, colour in ((0, "forward", SERIES[0]), (1, "sideways", SERIES[1])):
         force.plot(t, trace.force[:, axis], color=colour, lw=1.2, label=name)
     force.set_ylabel("force of hands [N]")
     force.legend(ncols=2, fontsize=7, loc="upper right", framealpha=0.8)
     force.set_xlabel("time [s]")
-    for axes in (speed, lean, force):
+    for axes in panels[1:]:
         axes.grid(alpha=0.25)
-    for axes in (states, speed, lean, force):
+    for axes in panels:
         for decision in result["decisions"]:
             axes.axvline(decision["t"], color=COLOURS["decision"], lw=1.0, alpha=0.8)
     return figure
@@ -193,7 +199,7 @@ def _draw_driven(figure: Figure, axes: Axes, trace: Trace) -> None:
     from matplotlib.collections import LineCollection
 
     points = np.asarray(trace.robot_pose)[:, :2]
-    if len(points) < 2:
+    if len(points) < 2 or not np.isfinite(points).any():
         return
     lines = LineCollection(list(np.stack([points[:-1], points[1:]], axis=1)), cmap="viridis", lw=2.6, zorder=3)
     lines.set_array(np.asarray(trace.t)[1:])
@@ -222,7 +228,8 @@ def _mark_decision(axes: Axes, result: dict[str, Any], trace: Trace, number: int
     pose = _pose_at(result, trace, index, decision["t"])
     top = pose[1] if index is None else outline(pose, result["objects"][index]["half_extents"])[:, 1].max()
     colour = COLOURS["goal"] if decision["manipulable"] else COLOURS["decision"]
-    text = evidence(decision) if _number(decision.get("K")) else "first goal"
+    told = _number(decision.get("K")) or _number(decision.get("probability"))
+    text = evidence(decision) if told else "first goal"
     axes.annotate(
         f"{number + 1}: {text}",
         (float(pose[0]), float(top)),
@@ -239,7 +246,8 @@ def _mark_decision(axes: Axes, result: dict[str, Any], trace: Trace, number: int
 
 def _mark_ends(axes: Axes, result: dict[str, Any], trace: Trace) -> None:
     start = result.get("start") or trace.robot_pose[0]
-    axes.plot(*np.asarray(start, dtype=float)[:2], "o", color=COLOURS["robot"], ms=9, zorder=5, label="start")
+    if np.isfinite(np.asarray(start, dtype=float)).all():
+        axes.plot(*np.asarray(start, dtype=float)[:2], "o", color=COLOURS["robot"], ms=9, zorder=5, label="start")
     if result.get("goal") is not None:
         goal = np.asarray(result["goal"], dtype=float)
         axes.plot(*goal[:2], "*", color=COLOURS["goal"], ms=16, mec="white", zorder=5, label="goal")

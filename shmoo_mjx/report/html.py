@@ -51,12 +51,14 @@ def render_report(result: dict[str, Any], trace: Trace, video: Path | None = Non
     environment.filters["number"] = _number
     environment.filters["pose"] = _pose
     environment.filters["object_name"] = lambda name: object_name(result, name)
+    recorded = "summary" in result  # of somebody's own robot (own_log.py)
     source = resources.files("shmoo_mjx.report").joinpath("report.html.j2").read_text(encoding="utf-8")
     return environment.from_string(source).render(
         title=result.get("name") or "run",
-        good=succeeded(result),
+        good=succeeded(result) or recorded,
+        recorded=recorded,
         outcome=str(result["outcome"]).replace("_", " "),
-        summary=summary(result),
+        summary=result.get("summary") or summary(result),
         tiles=_tiles(result),
         result=result,
         objects=[_object_row(item) for item in result["objects"]],
@@ -64,6 +66,7 @@ def render_report(result: dict[str, Any], trace: Trace, video: Path | None = Non
         decision_pngs=[
             (i, _embed(figures.to_png(figures.decision_figure(result, trace, i), dpi=100)))
             for i in telling_decisions(result)
+            if not recorded
         ],
         learned_png=_learned(result, trace),
         timeline_png=_embed(figures.to_png(figures.timeline_figure(result, trace))),
@@ -153,6 +156,8 @@ def _learned(result: dict[str, Any], trace: Trace) -> str:
 def _command(result: dict[str, Any]) -> str:
     """What runs it again, from where the run's folder lies; empty for a result without a name."""
     name = str(result.get("name") or "")
+    if result.get("command"):
+        return str(result["command"])
     return f"uv run shmoo navigate --scenario {name}/scenario.yaml --out {name}-again" if name else ""
 
 

@@ -129,7 +129,7 @@ LAYERS = (
     {"recorded", "simulation"},
     {"episode", "teleop"},
     {"run"},
-    {"demo", "doctor", "replay", "view", "evaluation", "gym"},
+    {"demo", "doctor", "own_log", "replay", "view", "evaluation", "gym"},
     {"benchmarking", "sweep", "live"},
     {"cli"},
 )

@@ -1,0 +1,330 @@
+"""A recording of somebody's own robot, as a run that the report draws: what is learned of the object, and verdicts.
+
+The same identification and the same probability as on the robot, sample by sample: a sample tells nothing of what
+comes after it. Only twists are found with hindsight, by a parabola through the poses of 0.15 s before and after.
+"""
+
+from __future__ import annotations
+
+import json
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from shmoo_mjx import se2
+from shmoo_mjx.data.differentiate import body_acceleration
+from shmoo_mjx.dynamics import object_model
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.files import write_whole
+from shmoo_mjx.hands import touches
+from shmoo_mjx.learning import adaptation, identification
+from shmoo_mjx.learning.weights import Weights, prior_state
+from shmoo_mjx.navigation import mobility
+from shmoo_mjx.navigation.records import NavigatorConfig
+from shmoo_mjx.navigation.yaml_input import closest_name
+from shmoo_mjx.report.trace import Trace, save_trace
+from shmoo_mjx.run import versions
+from shmoo_mjx.types import DT
+
+__all__ = ["OPTIONAL", "REQUIRED", "Log", "read_log", "run_of_log", "write_run"]
+
+Array = Any
+
+REQUIRED = ("t", "object_x", "object_y", "object_yaw", "force_x", "force_y")
+OPTIONAL = ("torque", "robot_x", "robot_y", "robot_yaw")
+
+_WINDOW = 0.15
+"""Poses so far before and after a sample's start give its twist [s]."""
+_SLOWEST = 0.12
+"""Longest usual time between two rows [s]."""
+_FASTEST = (5.0, 10.0)
+"""Speed [m/s] and yaw rate [rad/s] above which numbers are in other units."""
+_LOST = 1.0
+"""A push ends when the hands have not touched for so long [s]."""
+_TOLD = 0.05
+"""What has moved less tells nothing of its mass and friction [m]."""
+_ROLLED = 0.10
+"""An object that has come this far is judged at once [m]."""
+
+
+class Log(NamedTuple):
+    """The recording at 10 Hz: T samples. {W}, SI units; NaN where a pose is not known."""
+
+    t: np.ndarray
+    """``[T]`` start of each sample [s]"""
+    object_pose: np.ndarray
+    """``[T, 3]``"""
+    object_twist: np.ndarray
+    """``[T, 3]``"""
+    wrench: np.ndarray
+    """``[T, 3]`` of the hands on the object about its centre, mean over the sample"""
+    robot_pose: np.ndarray
+    """``[T, 3]``"""
+
+
+def read_log(path: str | Path) -> Log:
+    """The recording in a CSV or Parquet file (docs/own_log.md lists its columns), as samples of 0.1 s.
+
+    Raises:
+        ShmooError: the file can't be read, a column is missing, or its numbers can't be what they should.
+    """
+    file = Path(path)
+    columns = _columns(file)
+    t = columns["t"]
+    back = np.flatnonzero(np.diff(t) <= 0)
+    if not np.isfinite(t).all() or back.size:
+        row = int(back[0]) + 2 if back.size else int(np.flatnonzero(~np.isfinite(t))[0]) + 1
+        raise ShmooError(f"{file}: the column 't' must grow from row to row, in s; row {row} does not.")
+    if len(t) < 10 or t[-1] - t[0] < 1.0 or np.median(np.diff(t)) > _SLOWEST:
+        raise ShmooError(f"{file}: give at least 1 s with 10 rows each second; 't' has {len(t)} from {t[0]:g} s on.")
+    pose = np.stack([columns[f"object_{name}"] for name in ("x", "y", "yaw")], axis=-1)
+    robot = np.stack([columns.get(f"robot_{name}", np.full(len(t), np.nan)) for name in ("x", "y", "yaw")], axis=-1)
+    grid = np.arange(t[0], t[-1] - DT, DT)
+    object_pose, object_twist = _smoothed(t, pose, grid)
+    fast = np.hypot(object_twist[:, 0], object_twist[:, 1]), np.abs(object_twist[:, 2])
+    for values, name, unit, limit in zip(fast, ("object_x", "object_yaw"), ("m", "rad"), _FASTEST, strict=True):
+        if np.nanquantile(np.r_[values, 0.0], 0.98) > limit:
+            raise ShmooError(f"{file}: '{name}' changes by more than {limit:g} {unit}/s; give it in {unit}.")
+    force = np.stack([columns[name] if name in columns else 0 * t for name in ("force_x", "force_y", "torque")], -1)
+    wrench = _means(t, force, grid)
+    if not touches(wrench).any():
+        raise ShmooError(f"{file}: 'force_x' and 'force_y' never reach 2 N, so nothing was pushed; give them in N.")
+    return Log(grid - grid[0], object_pose, object_twist, wrench, _smoothed(t, robot, grid)[0])
+
+
+def _columns(file: Path) -> dict[str, np.ndarray]:
+    import pyarrow
+    from pyarrow import csv, parquet
+
+    if not file.is_file():
+        raise ShmooError(f"{file}: there is no such file; give a log as CSV or Parquet.")
+    try:
+        table = parquet.read_table(file) if file.suffix.lower() in (".parquet", ".pq") else csv.read_csv(file)
+    except (pyarrow.ArrowException, OSError):
+        raise ShmooError(f"{file}: this is no CSV with a header, and no Parquet file (*.parquet).") from None
+    names = table.column_names
+    for name in REQUIRED:
+        if name not in names:
+            near = closest_name(name, names) if names else ""
+            hint = near if near.startswith("did") else f"there are {', '.join(names)[:120]}."
+            raise ShmooError(f"{file}: the column '{name}' is missing; {hint}")
+    given = [name for name in (*REQUIRED, *OPTIONAL) if name in names]
+    for name in given:
+        kind = table.schema.field(name).type
+        if not (pyarrow.types.is_floating(kind) or pyarrow.types.is_integer(kind) or pyarrow.types.is_null(kind)):
+            first = next((str(v) for v in table[name].to_pylist() if not _is_number(v)), "")
+            raise ShmooError(
+                f"{file}: the column '{name}' holds {first[:40]!r}; give numbers, or nothing where unknown."
+            )
+    return {name: table[name].cast(pyarrow.float64()).to_numpy(zero_copy_only=False) for name in given}
+
+
+def _is_number(value: Any) -> bool:
+    try:
+        float(value or 0.0)
+    except (TypeError, ValueError):
+        return False
+    return True
+
+
+def _smoothed(t: np.ndarray, pose: np.ndarray, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pose and twist ``[T, 3]`` at the times ``grid`` of parabolas through the poses near each; NaN with too few."""
+    known = np.isfinite(pose).all(axis=1)
+    t, pose = t[known], pose[known].copy()
+    pose[:, 2] = np.unwrap(pose[:, 2])
+    values, slopes = np.full((len(grid), 3), np.nan), np.full((len(grid), 3), np.nan)
+    first, last = np.searchsorted(t, grid - _WINDOW - 1e-9), np.searchsorted(t, grid + _WINDOW + 1e-9)
+    for k, (a, b) in enumerate(zip(first, last, strict=True)):
+        near = t[a:b] - grid[k]
+        if b - a < 3 or np.ptp(near) < _WINDOW:
+            continue
+        fit = np.linalg.lstsq(np.stack([near**0, near, near**2], axis=-1), pose[a:b], rcond=None)[0]
+        values[k], slopes[k] = fit[0], fit[1]
+    values[:, 2] = se2.wrap(values[:, 2])
+    return values, slopes
+
+
+def _means(t: np.ndarray, values: np.ndarray, grid: np.ndarray) -> np.ndarray:
+    """Means over [grid, grid + DT) of what changes linearly between the rows; what is not known is taken as zero."""
+    values = np.nan_to_num(values)
+    area = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(t)[:, None], axis=0)])
+
+    def until(times: np.ndarray) -> np.ndarray:
+        k = np.clip(np.searchsorted(t, times, side="right") - 1, 0, len(t) - 2)
+        step = (times - t[k])[:, None]
+        slope = (values[k + 1] - values[k]) / np.diff(t)[k][:, None]
+        return area[k] + values[k] * step + 0.5 * slope * step**2
+
+    return (until(grid + DT) - until(grid)) / DT
+
+
+def run_of_log(log: Log, half_extents: tuple[float, float], weights: Weights) -> tuple[dict[str, Any], Trace]:
+    """What the report draws of a recording: `result.json` and the trace."""
+    learned, names, prior, errors = _learned(log, half_extents, weights)
+    known = np.isfinite(log.object_pose).all(axis=1)
+    pushes = [p for p in _pushes(log) if known[p].any()]
+    decisions = [d for d in (_verdict(log, push) for push in pushes) if d is not None]
+    poses = log.object_pose[known]
+    which = np.full(len(log.t), -1)
+    for push in pushes:
+        which[push] = 0
+    facing = log.robot_pose[:, 2] if np.isfinite(log.robot_pose).all() else log.object_pose[:, 2]
+    cells, origin, resolution = _floor(np.concatenate([poses[:, :2], log.robot_pose[:, :2]]), max(half_extents))
+    nothing = np.full((len(log.t), 3), np.nan)
+    trace = Trace(
+        log.t, log.robot_pose, nothing[:, :2], nothing, log.object_pose[:, None],
+        np.nan_to_num(se2.rotate(log.wrench[:, :2], -facing)), np.where(which[:, None] >= 0, learned, np.nan), names,
+        which, (which >= 0).astype(int), ("free", "push"), cells, origin, resolution, np.zeros(0), (),
+        tuple(np.zeros((0, 1, 2)) for _ in decisions), tuple(np.zeros((0, 3)) for _ in decisions),
+    )  # fmt: skip
+    moves = [d["manipulable"] for d in decisions]
+    item = {
+        "id": 0,
+        "family": "object",
+        "half_extents": list(half_extents),
+        "registered": bool(moves) and not moves[-1],
+    }
+    item["description"] = f"{2 * half_extents[0]:g} x {2 * half_extents[1]:g} m"
+    ends = {"start_pose": poses[0].tolist(), "final_pose": poses[-1].tolist()}
+    result = {
+        "outcome": "log", "summary": _summary(log, pushes, moves, learned[-1], names, prior, errors),
+        "transitions": [], "decisions": decisions, "objects": [item | ends], "time_s": float(log.t[-1]),
+        "learned": dict(zip(names, learned[-1].tolist(), strict=True)), "prior": prior, "unexplained": errors,
+        "versions": versions(),
+    }  # fmt: skip
+    return result, trace
+
+
+def _learned(
+    log: Log, half_extents: tuple[float, float], weights: Weights
+) -> tuple[np.ndarray, tuple[str, ...], dict[str, float], dict[str, float]]:
+    """What is known after each sample ``[T, n]``, the names, the prior, and how much of the accelerations is left
+    unexplained by the prior and by what each sample's forerunners have taught."""
+    config, shape, params = adaptation.AdaptConfig(), weights.config.object, weights.params.object
+    yaw = log.object_pose[:, 2]
+    twist, wrench = se2.rotate(log.object_twist, -yaw), se2.rotate(log.wrench, -yaw)
+    before = np.concatenate([np.zeros((1, 3)), twist[:-1]]), np.concatenate([np.zeros((1, 3)), wrench[:-1]])
+    size = np.full((len(log.t), 1), np.hypot(*half_extents))
+    inputs = np.concatenate([twist, wrench, before[0], size, before[1]], axis=-1)
+    labels = np.concatenate([body_acceleration(log.object_pose, log.object_twist), np.full((1, 3), np.nan)])
+    moving = np.hypot(twist[:, 0], twist[:, 1]) > 0.03
+    valid = (touches(log.wrench) | moving) & np.isfinite(inputs).all(axis=1)
+    start = prior_state(weights, config.body)
+
+    def predicted(state: adaptation.AdaptState, x: Array) -> Array:
+        coefficients = state.mean.reshape(weights.params.coefficients.shape)
+        return object_model.predict(params, coefficients, x, shape, adaptation.body_of(state))
+
+    def told(state: adaptation.AdaptState) -> Array:
+        return state.mean if state.body is None else identification.best(state.body)
+
+    def step(state: adaptation.AdaptState, sample: Any) -> tuple[adaptation.AdaptState, tuple[Array, Array]]:
+        x, label, use = sample
+        guess = predicted(state, x)
+        state = adaptation.observe(config, state, params, shape, x, label, use)
+        return state, (told(state), guess)
+
+    rows = (np.nan_to_num(inputs).astype(np.float32), labels.astype(np.float32), valid)
+    _, (learned, guesses) = jax.jit(partial(jax.lax.scan, step))(start, rows)
+    first = jax.vmap(partial(predicted, start))(rows[0])
+    use = valid & np.isfinite(labels).all(axis=1)
+    spread = np.sum((labels[use] / np.asarray(params.label_scale)) ** 2)
+    errors = {
+        name: float(np.sum(((np.asarray(p)[use] - labels[use]) / np.asarray(params.label_scale)) ** 2) / spread)
+        for name, p in (("prior", first), ("learned", guesses))
+    }
+    prior = adaptation.learned(start)
+    return np.asarray(learned, dtype=float), tuple(prior), prior, errors
+
+
+def _pushes(log: Log) -> list[slice]:
+    """Stretches in which the hands touch, but for short losses."""
+    touching = np.flatnonzero(touches(log.wrench))
+    parts = np.split(touching, np.flatnonzero(np.diff(touching) * DT > _LOST) + 1)
+    return [slice(int(part[0]), int(part[-1]) + 1) for part in parts]
+
+
+def _verdict(log: Log, push: slice) -> dict[str, Any] | None:
+    """When it would have been decided whether the object can be moved, and how; None of a push that was too short."""
+    cfg, contact, impulse = NavigatorConfig(), 0.0, 0.0
+    poses = log.object_pose[push]
+    start = poses[np.isfinite(poses).all(axis=1)][0]
+    for k in range(push.start, push.stop):
+        if touches(log.wrench[k]):
+            contact, impulse = contact + DT, impulse + float(np.hypot(*log.wrench[k, :2])) * DT
+        # The sample's force acts until its end, where the next one begins.
+        moved = float(np.linalg.norm((log.object_pose[min(k + 1, len(log.t) - 1)] - start)[:2]))
+        if not np.isfinite(moved) or (contact < cfg.probe_time - 1e-6 and moved <= _ROLLED):
+            continue
+        p = mobility.probability(moved, impulse)
+        if max(p, 1.0 - p) > cfg.sure or contact >= cfg.decide_after - 1e-6:
+            verdict = "can be moved" if p >= 0.5 else "can't be moved"
+            reason = f"it had moved {moved:.2f} m for {impulse:.0f} N s after {contact:.1f} s of contact: {verdict}"
+            told = {"t": float(log.t[k] + DT), "object": 0, "probability": p, "manipulable": p >= 0.5}
+            return told | {"K": None, "G": None, "goal": None, "reason": reason}
+    return None
+
+
+def _floor(points: np.ndarray, margin: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """Free cells under all ``points [N, 2]``, for want of a map: cells, origin and resolution."""
+    points = points[np.isfinite(points).all(axis=1)]
+    low, high, cell = points.min(axis=0) - margin - 1.0, points.max(axis=0) + margin + 1.0, 0.1
+    width, height = np.ceil((high - low) / cell).astype(int)
+    return np.zeros((height, width), np.int8), np.array([*low, 0.0]), cell
+
+
+def _summary(
+    log: Log, pushes: list[slice], moves: list[bool], learned: np.ndarray, names: tuple[str, ...],
+    prior: dict[str, float], errors: dict[str, float],
+) -> str:  # fmt: skip
+    force = np.hypot(*log.wrench[:, :2].T).max()
+    count = f"{len(pushes)} push{'es' * (len(pushes) != 1)}"
+    sentences = [f"A recording of {log.t[-1]:.0f} s with {count} of up to {force:.0f} N."]
+    if moves:
+        sentences.append(
+            "The last verdict: the object can be moved." if moves[-1] else "The last verdict: it can't be moved."
+        )
+    else:
+        sentences.append("No push was long enough for a verdict: 1 s of contact, or 0.1 m.")
+    poses = log.object_pose[np.isfinite(log.object_pose).all(axis=1), :2]
+    if np.linalg.norm(poses - poses[0], axis=1).max() < _TOLD:
+        return " ".join([*sentences, f"It moved less than {_TOLD:g} m, too little to tell its mass and friction."])
+    if "log_mass" in prior:
+        now = dict(zip(names, learned, strict=True))
+        (mass, along, across), before = (
+            [float(np.exp(of[name])) for name in ("log_mass", "log_friction_x", "log_friction_y")]
+            for of in (now, prior)
+        )
+        sentences.append(
+            f"It moves like {mass:.1f} kg with a friction of {along:.2f} along and {across:.2f} across; before it was "
+            f"touched, {before[0]:.1f} kg, {before[1]:.2f} and {before[2]:.2f} were expected."
+        )
+    sentences.append(
+        f"Of its accelerations, {errors['learned']:.0%} of the variance is left unexplained by what the samples before "
+        f"each had taught, {errors['prior']:.0%} by what was expected."
+    )
+    return " ".join(sentences)
+
+
+def write_run(file: Path, size: tuple[float, float], out: Path, weights: Weights) -> Path:
+    """Write what `run_of_log` makes of ``file`` into ``out``, and the page; the page.
+
+    Args:
+        file: the recording.
+        size: length and width of the object's footprint [m].
+        out: folder.
+        weights: trained weights, for what objects are like.
+
+    Raises:
+        ShmooError: as `read_log`.
+    """
+    from shmoo_mjx.report.html import write_report
+
+    result, trace = run_of_log(read_log(file), (size[0] / 2, size[1] / 2), weights)
+    command = f"uv run shmoo report {file.name} --size {size[0]:g} {size[1]:g}"
+    save_trace(out / "trace.npz", trace)
+    write_whole(out / "result.json", (json.dumps(result | {"name": file.stem, "command": command}) + "\n").encode())
+    return write_report(out)
