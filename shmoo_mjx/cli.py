@@ -337,11 +337,12 @@ def view(
     """
     from shmoo_mjx import teleop
     from shmoo_mjx import view as viewing
+    from shmoo_mjx.plant.render import has_display
 
     if record is not None:
         check_seed("--record: --seed", seed, UNSEEN_SEED - 1)  # A drive is training data.
     scene = viewing.scene_named(what, seed)
-    if window and viewing.has_display():
+    if window and has_display():
         print("\n".join(teleop.KEYS.values()))
         viewing.interactive(scene, record)
         return 0

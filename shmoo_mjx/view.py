@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import queue
 import time
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 from shmoo_mjx.plant.scene import Scene, build_scene
 from shmoo_mjx.types import DT
 
-__all__ = ["film", "has_display", "interactive", "scene_named"]
+__all__ = ["film", "interactive", "scene_named"]
 
 
 def scene_named(what: str, seed: int) -> Scene:
@@ -49,15 +48,6 @@ def scene_named(what: str, seed: int) -> Scene:
         names = ", ".join(("robot", "demo", *FAMILIES))
         raise ShmooError(f"view {what!r}: choose one of {names}, an object file (*.json) or a scenario file (*.yaml).")
     return scene_of(grid, scenario, conditions_of(scenario))
-
-
-def has_display() -> bool:
-    """Whether a window can be opened here."""
-    import glfw
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return bool(glfw.init())
 
 
 def interactive(scene: Scene, record: Path | None = None) -> None:

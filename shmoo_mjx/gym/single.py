@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -11,7 +13,7 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.gym.navigate import NavigateConfig, NavigateTask
 from shmoo_mjx.gym.push import PushConfig, PushTask
 from shmoo_mjx.gym.task import Outcome, Part, Start, Task
-from shmoo_mjx.plant.render import can_render, frames
+from shmoo_mjx.plant.render import can_render, frames, has_display
 from shmoo_mjx.sensing import SensedEngine, SensedWorld, senses_named
 from shmoo_mjx.types import DT, Observation
 
@@ -56,13 +58,15 @@ class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """
 
     # As Gymnasium declares it.
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": round(1 / DT)}  # noqa: RUF012
+    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": round(1 / DT)}  # noqa: RUF012
 
     def __init__(self, task: Task, render_mode: str | None = None, senses: str = "real") -> None:
-        if render_mode not in (None, "rgb_array"):
-            raise ShmooError(f"render_mode {render_mode!r} is not known; use 'rgb_array' or none.")
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise ShmooError(f"render_mode {render_mode!r} is not known; use 'human', 'rgb_array' or none.")
+        if render_mode == "human" and not has_display():
+            raise ShmooError("render_mode 'human': no window can be opened here; use 'rgb_array', or leave it out.")
         # Asked before the first picture: a GL library without a display ends the whole process.
-        if render_mode and (problem := can_render()):
+        if render_mode == "rgb_array" and (problem := can_render()):
             raise ShmooError(
                 f"render_mode {render_mode!r}: MuJoCo can't draw here ({problem}); set MUJOCO_GL=egl before Python "
                 "starts, or leave the mode out."
@@ -70,6 +74,7 @@ class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self.task, self.render_mode, self.senses = task, render_mode, senses_named(senses)
         self.observation_space, self.action_space = space(task.observation), space(task.action)
         self._now: _Episode | None = None
+        self._window: Any = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -85,6 +90,7 @@ class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         seen = engine.observe(world)
         outcome = self.task.judge(context, engine.true_observation(world))
         self._now = _Episode(start, context, engine, world, seen, outcome)
+        self._show()
         return self.task.observe(context, seen)[0], self._info(False)
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
@@ -95,21 +101,45 @@ class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         outcome = self.task.judge(now.context, now.engine.true_observation(world))
         fallen = bool(now.engine.fallen(world)[0])
         self._now = now._replace(world=world, seen=seen, outcome=outcome)
+        self._show()
         success = bool(outcome.success[0]) and not fallen
         reward = float(outcome.progress[0] - now.outcome.progress[0])
         reward += success * self.task.bonus + fallen * self.task.fall + bool(world.wall_contact[0]) * self.task.bump
         return self.task.observe(now.context, seen)[0], reward, success or fallen, False, self._info(fallen)
 
     def render(self) -> np.ndarray | None:  # type: ignore[override]
-        """The world from behind and above the robot, uint8 ``[480, 640, 3]``."""
-        if self.render_mode is None:
+        """The world from behind and above the robot, uint8 ``[480, 640, 3]``; in the mode human a window shows it."""
+        if self.render_mode != "rgb_array":
             return None
         now = self._episode()
         scene = now.engine.scenes[0]
         return next(iter(frames(scene, now.world.physics[:, 1 : 1 + scene.model.nq])))
 
+    def _show(self) -> None:
+        """In the mode human: the world in MuJoCo's viewer, in real time. A window that is closed stays closed."""
+        if self.render_mode != "human":
+            return
+        import mujoco
+        import mujoco.viewer
+
+        now = self._episode()
+        model = now.engine.scenes[0].model
+        if self._window is None:
+            data = mujoco.MjData(model)
+            others = threading.enumerate()
+            viewer = mujoco.viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False)
+            drawing = [thread for thread in threading.enumerate() if thread not in others]
+            self._window = (viewer, data, time.monotonic(), drawing)
+        viewer, data, last, drawing = self._window
+        if viewer.is_running():
+            data.qpos[:] = now.world.physics[0, 1 : 1 + model.nq]
+            mujoco.mj_forward(model, data)
+            viewer.sync()
+            time.sleep(max(0.0, last + DT - time.monotonic()))
+        self._window = (viewer, data, time.monotonic(), drawing)
+
     def close(self) -> None:
-        """Stop the engine."""
+        """Stop the engine, and close the window."""
         self._stop()
 
     @property
@@ -137,6 +167,13 @@ class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         }
 
     def _stop(self) -> None:
+        if self._window is not None:
+            viewer, _, _, drawing = self._window
+            self._window = None
+            viewer.close()
+            # A process that ends while the window is being closed would crash.
+            for thread in drawing:
+                thread.join(timeout=5.0)
         if self._now is not None:
             self._now.engine.close()
             self._now = None

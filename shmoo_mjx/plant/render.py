@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import warnings
 from collections.abc import Iterator
 from functools import cache
 
@@ -12,7 +13,7 @@ import numpy as np
 
 from shmoo_mjx.plant.scene import Scene
 
-__all__ = ["can_render", "frames", "overview"]
+__all__ = ["can_render", "frames", "has_display", "overview"]
 
 
 _PROBE = """
@@ -37,6 +38,15 @@ def can_render() -> str:
         return ""
     errors = [line for line in done.stderr.splitlines() if "Error" in line]
     return errors[-1].strip() if errors else f"the renderer ended with code {done.returncode}"
+
+
+def has_display() -> bool:
+    """Whether a window can be opened here."""
+    import glfw
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return bool(glfw.init())
 
 
 def frames(

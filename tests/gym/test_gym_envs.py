@@ -27,7 +27,7 @@ from shmoo_mjx.navigation.path_shortening import PathConfig
 from shmoo_mjx.navigation.paths import plan_path
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Scenario
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
-from shmoo_mjx.plant.render import can_render
+from shmoo_mjx.plant.render import can_render, has_display
 from shmoo_mjx.types import Observation
 
 NAMES = list(shmoo_mjx.gym.EPISODE_STEPS)
@@ -67,7 +67,7 @@ def test_gymnasiums_checker_has_nothing_to_say(name: str) -> None:
     env = gymnasium.make(f"shmoo_mjx.gym:{name}")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        check_env(env.unwrapped, skip_render_check=bool(can_render()))
+        check_env(env.unwrapped, skip_render_check=bool(can_render()) or not has_display())
     env.close()
 
 
@@ -268,3 +268,34 @@ def test_a_machine_that_cannot_draw_says_so_in_one_sentence(monkeypatch: pytest.
     monkeypatch.setattr(single, "can_render", lambda: "no display")
     with pytest.raises(ShmooError, match=r"can't draw here \(no display\); set MUJOCO_GL=egl before"):
         gymnasium.make("ShmooPush-v0", render_mode="rgb_array")
+
+
+def test_human_shows_every_step_in_a_window_or_says_in_one_sentence_that_none_can_be_opened(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(single, "has_display", lambda: False)
+    with pytest.raises(ShmooError, match="no window can be opened here"):
+        gymnasium.make("ShmooPush-v0", render_mode="human")
+    shown: list[np.ndarray] = []
+
+    class Window:
+        def __init__(self, model: Any, data: Any, **settings: Any) -> None:
+            self.data = data
+
+        def is_running(self) -> bool:
+            return True
+
+        def sync(self) -> None:
+            shown.append(self.data.qpos.copy())
+
+        def close(self) -> None:
+            shown.append(np.zeros(0))
+
+    monkeypatch.setattr(single, "has_display", lambda: True)
+    monkeypatch.setattr("mujoco.viewer.launch_passive", Window)
+    env = gymnasium.make("ShmooPush-v0", render_mode="human")
+    env.reset(seed=0)
+    for _ in range(2):
+        env.step(np.array([0.1, 0.0, 0.0, 0.0], dtype=np.float32))
+    env.close()
+    assert [len(q) > 0 for q in shown] == [True, True, True, False] and not np.array_equal(shown[0], shown[2])
