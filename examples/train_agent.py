@@ -2,8 +2,8 @@
 
     uv run --with cma python examples/train_agent.py
 
-The policy is linear: 27 observations, 4 actions, 112 numbers. CMA-ES (the package cma) needs no gradients and no GPU; any
-other library that takes Gymnasium environments works as well, such as Stable-Baselines3.
+The policy is linear: 27 observations, 4 actions, 112 numbers. CMA-ES (the package cma) needs no gradients and no GPU;
+any other library that takes Gymnasium environments works as well, such as Stable-Baselines3.
 """
 
 from __future__ import annotations
@@ -27,12 +27,11 @@ HELD_OUT = range(900, 912)
 def episode(weights: np.ndarray, seed: int) -> tuple[float, float]:
     """Return and final distance of the object from its goal [m] of one episode."""
     env = gymnasium.make("shmoo_mjx.gym:ShmooPush-v0", senses="perfect", max_episode_steps=STEPS)
-    env = gymnasium.wrappers.RescaleAction(env, -1.0, 1.0)
-    policy = weights.reshape(4, -1)
+    policy, limit = weights.reshape(4, -1), env.action_space.high
     seen, _ = env.reset(seed=seed)
     total, over = 0.0, False
     while not over:
-        action = np.tanh(policy @ np.append(seen / SCALE, 1.0)).astype(np.float32)
+        action = (limit * np.tanh(policy @ np.append(seen / SCALE, 1.0))).astype(np.float32)
         seen, reward, terminated, truncated, info = env.step(action)
         total, over = total + float(reward), terminated or truncated
     env.close()
@@ -57,7 +56,7 @@ def train(minutes: float, out: Path, workers: int, seed: int) -> list[tuple[floa
             mean = scores(pool, [search.mean], HELD_OUT)[0]
             curve.append(((time.monotonic() - began) / 60, *mean.tolist()))
             print(f"{curve[-1][0]:5.1f} min  return {mean[0]:+.2f}  final distance {mean[1]:.2f} m", flush=True)
-            for _ in range(5):
+            for _ in range(3):
                 candidates = search.ask()
                 seeds = rng.integers(1000, 100_000, 3).tolist()  # the same for all: what differs is the policy
                 search.tell(candidates, (-scores(pool, candidates, seeds)[:, 0]).tolist())

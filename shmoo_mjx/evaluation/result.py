@@ -33,6 +33,9 @@ __all__ = [
     "write_result",
 ]
 
+_UNITS = ("m", "mm", "deg", "rad", "s", "ms", "kg", "N")
+"""That names of metrics end with."""
+
 
 @dataclass(frozen=True)
 class ExperimentOptions:
@@ -187,13 +190,22 @@ def read_result(path: Path) -> ExperimentResult:
 
 def table(result: ExperimentResult) -> str:
     """The metrics beside the paper's numbers, as text."""
-    width = max(map(len, result.metrics), default=0)
+    labels = {name: _label(name) for name in result.metrics}
+    width = max(map(len, labels.values()), default=0)
     lines = [f"{'metric':{width}}  {'ours':>10}  {'paper':>10}"]
     for name, value in result.metrics.items():
         ours = "-" if value is None else f"{value:.4g}"
         paper = f"{result.paper[name]:.4g}" if name in result.paper else ""
-        lines.append(f"{name:{width}}  {ours:>10}  {paper:>10}".rstrip())
+        lines.append(f"{labels[name]:{width}}  {ours:>10}  {paper:>10}".rstrip())
     return "\n".join(lines)
+
+
+def _label(name: str) -> str:
+    """A metric's name as words, with its unit at the end: "time_s_low" is "time low [s]"."""
+    words = name.split("_")
+    units = [i for i, word in enumerate(words) if i and word in _UNITS and not words[i - 1].isdigit()]
+    unit = f" [{words.pop(units[-1])}]" if units else ""
+    return " ".join(words) + unit
 
 
 def _plain(value: Any) -> Any:

@@ -54,9 +54,15 @@ def test_the_committed_schema_is_that_of_the_code() -> None:
 
 
 def test_the_table_has_the_papers_number_beside_ours() -> None:
-    lines = {line.split()[0]: line.split()[1:] for line in table(example()).splitlines()}
-    assert lines["mse_after"] == ["0.25", "0.4271"]
-    assert lines["lost"] == ["-"]
+    lines = [line.split() for line in table(example()).splitlines()]
+    assert ["mse", "after", "0.25", "0.4271"] in lines and ["lost", "-"] in lines
+
+
+def test_the_table_has_words_and_units() -> None:
+    metrics = {"difference_oracle_time_s_low": 1.0, "right_after_1_s": 0.5, "offset_m": 0.1, "s": 1.0}
+    made = table(example().model_copy(update={"metrics": metrics}))
+    for label in ("difference oracle time low [s] ", "right after 1 s ", "offset [m] ", "s "):
+        assert f"\n{label}" in made
 
 
 def test_spread_leaves_out_what_is_not_finite() -> None:
