@@ -2,16 +2,18 @@
 
 python -m shmoo_mjx.evaluation.page runs/experiments docs/results.md
 
-Nothing on the page is typed by hand: numbers, spreads, versions and commands come from the experiments' JSON.
+Numbers, spreads, versions and commands come from the experiments' JSON, of which compressed copies are kept
+beside the page; a test makes each of their sections anew. Sections of experiments that are not in the folder stay as they are.
 """
 
 from __future__ import annotations
 
 import base64
+import gzip
 import html
 import shutil
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,10 +21,10 @@ from shmoo_mjx.evaluation.method_tables import ablations_table, baselines_table
 from shmoo_mjx.evaluation.navigation_tables import navigation_tables
 from shmoo_mjx.evaluation.pushing_measures import differences_table
 from shmoo_mjx.evaluation.registry import EXPERIMENTS
-from shmoo_mjx.evaluation.result import ExperimentResult, read_result, weights_id
+from shmoo_mjx.evaluation.result import ExperimentResult, as_json, read_result, weights_id
 from shmoo_mjx.files import write_whole
 
-__all__ = ["SECTIONS", "Section", "read_results", "render", "write_page"]
+__all__ = ["SECTIONS", "Section", "read_results", "render", "section_of", "write_page"]
 
 
 @dataclass(frozen=True)
@@ -137,7 +139,7 @@ SECTIONS = {
         "The proxy robot pushes unseen objects to three goals. Objects as drawn, of which many change on the way, and "
         "demanding ones, which all do: load far off the centre, 25 to 45 N of resistance, half or twice the friction "
         "of training, a brake pressed from the start. Every method runs every trial.",
-        ("ours", "frozen prior", "quasi-static", "hindsight a*", "psi as printed"),
+        ("ours", "frozen prior", "and Eq. 8", "quasi-static", "hindsight a*", "psi as printed"),
         (
             *_of_methods(
                 {
@@ -282,33 +284,40 @@ SECTIONS = {
 
 
 def read_results(folder: Path) -> dict[str, ExperimentResult]:
-    """The experiments' JSON files that are in a folder."""
-    files = {name: folder / f"{name}.json" for name in EXPERIMENTS}
-    return {name: read_result(file) for name, file in files.items() if file.is_file()}
+    """The experiments' JSON files that are in a folder, compressed or not."""
+    files = {name: [folder / f"{name}.json", folder / f"{name}.json.gz"] for name in EXPERIMENTS}
+    found = {name: [file for file in either if file.is_file()] for name, either in files.items()}
+    return {name: read_result(either[0]) for name, either in found.items() if either}
 
 
-def render(results: Mapping[str, ExperimentResult], figures: Mapping[str, list[str]]) -> str:
+def render(results: Mapping[str, ExperimentResult], figures: Mapping[str, list[str]], before: str = "") -> str:
     """The page as Markdown.
 
     Args:
         results: by name; those of `EXPERIMENTS` that are missing are named as not run.
         figures: for each, paths as the page is to name them.
+        before: the page as it was, whose sections stay where there is no result.
     """
+    kept = {title: text.strip() for title, _, text in (part.partition("\n") for part in before.split("\n## ")[1:])}
     parts = ["# Results", _about(results)]
     for name, section in SECTIONS.items():
-        parts.append(f"## {section.title}")
-        result = results.get(name)
-        if result is None:
-            parts.append(
-                f"Not run. `shmoo experiment {name}{' ' * bool(section.options)}{section.options}` measures it."
-            )
-            continue
-        parts += [section.what, f"`{_command(result, section)}`"]
-        if result.config.get("weights") != weights_id() and not section.own_psi:
-            parts.append("**Measured before the weights that are shipped now, or with others.**")
-        parts.append(_table(result, section))
-        parts += [f"![{Path(path).stem.replace('_', ' ')}]({path})" for path in figures.get(name, [])]
+        if name in results:
+            parts.append(section_of(results[name], figures.get(name, [])))
+        else:
+            command = " ".join(["shmoo experiment", name, *section.options.split()])
+            parts.append(f"## {section.title}\n\n{kept.get(section.title, f'Not run. `{command}` measures it.')}")
     return "\n\n".join(parts) + "\n"
+
+
+def section_of(result: ExperimentResult, figures: Sequence[str]) -> str:
+    """The part of the page that shows one experiment."""
+    section = SECTIONS[result.experiment]
+    parts = [f"## {section.title}", section.what, f"`{_command(result, section)}`"]
+    if result.config.get("weights") != weights_id() and not section.own_psi:
+        parts.append("**Measured before the weights that are shipped now, or with others.**")
+    parts.append(_table(result, section))
+    parts += [f"![{Path(path).stem.replace('_', ' ')}]({path})" for path in figures]
+    return "\n\n".join(parts)
 
 
 def write_page(results: Mapping[str, ExperimentResult], made_in: Path, page: Path, copies: Path | None = None) -> None:
@@ -318,7 +327,7 @@ def write_page(results: Mapping[str, ExperimentResult], made_in: Path, page: Pat
         results: by name.
         made_in: folder of the experiments' figures.
         page: the Markdown file.
-        copies: copy the figures there, for a page that is kept apart from the run.
+        copies: copy the figures there, and the results into ``results`` beside the page, which is kept apart from the run.
     """
     found = {name: [p for p in (made_in / name / f for f in SECTIONS[name].figures) if p.is_file()] for name in results}
     page.parent.mkdir(parents=True, exist_ok=True)
@@ -331,7 +340,14 @@ def write_page(results: Mapping[str, ExperimentResult], made_in: Path, page: Pat
                 shutil.copyfile(source, target)
             files = kept
         named[name] = [Path(f).resolve().relative_to(page.parent.resolve()).as_posix() for f in files]
-    text = render(results, named)
+    before = ""
+    if copies is not None:
+        kept_results = page.parent / "results"
+        kept_results.mkdir(exist_ok=True)
+        for name, result in results.items():
+            write_whole(kept_results / f"{name}.json.gz", gzip.compress(as_json(result), mtime=0))
+        before = page.read_text() if page.is_file() else ""
+    text = render(results, named, before)
     write_whole(page, text.encode())
     if copies is None:
         write_whole(page.with_suffix(".html"), _as_html(text, page.parent).encode())
@@ -369,14 +385,16 @@ def _table(result: ExperimentResult, section: Section) -> str:
         return baselines_table(result)
     if result.experiment == "ablations":
         return ablations_table(result)
+    # Methods that did not run have no column.
+    columns = [i for i in range(len(section.columns)) if any(names[i] in result.metrics for _, names in section.lines)]
     lines = [
-        f"| | {' | '.join(section.columns)} | paper |",
-        "|---" * (len(section.columns) + 2) + "|",
+        f"| | {' | '.join(section.columns[i] for i in columns)} | paper |",
+        "|---" * (len(columns) + 2) + "|",
     ]
     for label, names in section.lines:
         if not any(name in result.metrics for name in names):
             continue
-        cells = [_cell(result, name) for name in names]
+        cells = [_cell(result, names[i]) for i in columns]
         paper = " / ".join(f"{result.paper[name]:.3g}" for name in names if name in result.paper)
         lines.append(f"| {label} | {' | '.join(cells)} | {paper} |")
     if result.experiment == "navigation":

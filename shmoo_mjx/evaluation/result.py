@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gzip
 import hashlib
 import json
 import math
+import zlib
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, is_dataclass
 from pathlib import Path
@@ -23,6 +25,7 @@ from shmoo_mjx.types import SensesName
 __all__ = [
     "ExperimentOptions",
     "ExperimentResult",
+    "as_json",
     "file_id",
     "make_result",
     "over_seeds",
@@ -167,20 +170,27 @@ def over_seeds(measure: str, name: str, values: Any) -> dict[str, float]:
     return {f"{measure}_{name}": float(x.mean()), f"{measure}_std_{name}": std}
 
 
+def as_json(result: ExperimentResult) -> bytes:
+    """What a result's file holds."""
+    return (result.model_dump_json(indent=1) + "\n").encode()
+
+
 def write_result(path: Path, result: ExperimentResult) -> None:
     """Write the JSON whole or not at all."""
-    write_whole(path, (result.model_dump_json(indent=1) + "\n").encode())
+    write_whole(path, as_json(result))
 
 
 def read_result(path: Path) -> ExperimentResult:
-    """Read an experiment's JSON back.
+    """Read an experiment's JSON back, from a compressed file too.
 
     Raises:
         ShmooError: the file is no such JSON.
     """
     try:
-        return ExperimentResult.model_validate(json.loads(path.read_text()))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        data = path.read_bytes()
+        text = (gzip.decompress(data) if path.suffix == ".gz" else data).decode()
+        return ExperimentResult.model_validate(json.loads(text))
+    except (json.JSONDecodeError, UnicodeDecodeError, EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise ShmooError(f"{path}: is not JSON ({error}); give a file that shmoo experiment --json wrote.") from None
     except ValidationError as error:
         first = error.errors()[0]

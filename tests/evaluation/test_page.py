@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -84,6 +85,31 @@ def test_page_kept_apart_from_the_run_copies_its_figures(tmp_path: Path) -> None
     page.write_page(results, tmp_path / "run", tmp_path / "docs" / "results.md", tmp_path / "docs" / "figures")
     assert "(figures/pushing.png)" in (tmp_path / "docs" / "results.md").read_text()
     assert (tmp_path / "docs" / "figures" / "pushing.png").is_file()
+
+
+def test_a_section_without_a_result_stays_and_results_are_kept_beside_the_page(tmp_path: Path) -> None:
+    docs, run = tmp_path / "docs", tmp_path / "run"
+    run_fake("pushing", ExperimentOptions(out=run))
+    run_fake("object_model", ExperimentOptions(out=run))
+    page.write_page({"pushing": result_of("pushing", ExperimentOptions())}, run, docs / "results.md", docs / "figures")
+    first = (docs / "results.md").read_text()
+    other = {"object_model": result_of("object_model", ExperimentOptions())}
+    page.write_page(other, run, docs / "results.md", docs / "figures")
+    pushing = page.section_of(read_result(docs / "results" / "pushing.json.gz"), ["figures/pushing.png"])
+    assert pushing in first and pushing in (docs / "results.md").read_text()
+    assert set(page.read_results(docs / "results")) == {"pushing", "object_model"}
+
+
+def test_the_committed_page_says_what_the_committed_results_say() -> None:
+    docs = Path(__file__).parents[2] / "docs"
+    text = (docs / "results.md").read_text()
+    results = page.read_results(docs / "results")
+    assert results
+    for name, result in results.items():
+        shown = text[text.index(f"## {page.SECTIONS[name].title}") :].split("\n## ")[0]
+        figures = re.findall(r"\]\((figures/.+)\)", shown)
+        assert all((docs / figure).is_file() for figure in figures)
+        assert page.section_of(result, figures) in text, f"{name}: make docs/results.md anew"
 
 
 def test_nothing_could_be_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
