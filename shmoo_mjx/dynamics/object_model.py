@@ -43,7 +43,7 @@ class ObjectConfig:
     """Shape of psi."""
 
     hidden: tuple[int, ...] = (64, 64)
-    """Widths of the hidden layers, about half of the paper's: pushes end as near to their goals, in less time to plan."""
+    """Widths of the hidden layers, half of the paper's: pushes end as near to their goals, and plans take less time."""
     functions: int = 12
     """K, number of basis functions (and coefficients) per axis; 6 in the paper. One psi serves objects that slide and
     objects that roll, and the learned prior keeps many coefficients from needing many samples."""

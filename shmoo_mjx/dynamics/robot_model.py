@@ -36,7 +36,7 @@ class RobotConfig:
     """Shape of R."""
 
     hidden: tuple[int, ...] = (64, 64)
-    """Widths of the hidden layers, about half of the paper's: pushes end as near to their goals, in less time to plan."""
+    """Widths of the hidden layers, half of the paper's: pushes end as near to their goals, and plans take less time."""
     activation: str = "relu"
 
     @classmethod

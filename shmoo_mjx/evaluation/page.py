@@ -2,8 +2,8 @@
 
 python -m shmoo_mjx.evaluation.page runs/experiments docs/results.md
 
-Numbers, spreads, versions and commands come from the experiments' JSON, of which compressed copies are kept
-beside the page; a test makes each of their sections anew. Sections of experiments that are not in the folder stay as they are.
+Numbers, spreads, versions and commands come from the experiments' JSON, of which compressed copies are kept beside
+the page; a test makes each of their sections anew. Sections of experiments that are not in the folder stay as they are.
 """
 
 from __future__ import annotations
@@ -327,7 +327,7 @@ def write_page(results: Mapping[str, ExperimentResult], made_in: Path, page: Pat
         results: by name.
         made_in: folder of the experiments' figures.
         page: the Markdown file.
-        copies: copy the figures there, and the results into ``results`` beside the page, which is kept apart from the run.
+        copies: copy the figures there and the results into ``results`` beside the page, which is apart from the run.
     """
     found = {name: [p for p in (made_in / name / f for f in SECTIONS[name].figures) if p.is_file()] for name in results}
     page.parent.mkdir(parents=True, exist_ok=True)
