@@ -116,7 +116,7 @@ class _Work:
         if variant == "raw":
             raw = {"inputs": train.rows.inputs, "inputs_without_size": probe.raw_without_size(train.rows)}
             found = {f"probe_{what}": self._probe(values, train.rows.weights) for what, values in raw.items()}
-            return [label | found | {"chance": 1 / len(train.properties)}]
+            return [label | found | {"chance": 1 / len(train.rows.inputs)}]
         layout = LAYOUTS.get(variant.removeprefix("layout_"), LAYOUTS["default"])
         world = variant == "frame_world"
         train, validation, unseen_seen = (

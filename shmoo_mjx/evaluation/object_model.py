@@ -159,7 +159,7 @@ def gap_closed(
     """
     after, before = from_fit(fitted, config), prior_of(fitted, config)
     marks = np.round(np.array(SECONDS) / DT).astype(int)
-    shares = np.full((len(recorded.properties), len(SECONDS)), np.nan)
+    shares = np.full((len(recorded.rows.inputs), len(SECONDS)), np.nan)
     for i in range(len(shares)):
         known = first_rows(recorded, i, config.fit_rows)
         error = _error_of(after, recorded, i, scale, config.fit_rows)

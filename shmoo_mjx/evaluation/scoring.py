@@ -71,7 +71,7 @@ def score(
         for a roll-out.
     """
     first = fit_rows if from_row is None else from_row
-    count = len(recorded.properties)
+    count = len(recorded.rows.inputs)
     states = [predictor.adapt(jax.tree.map(jnp.asarray, first_rows(recorded, i, fit_rows))) for i in range(count)]
     state = jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves]), *states)
 

@@ -19,11 +19,11 @@ def result() -> ExperimentResult:
     metrics = {
         f"{m}_{n}": v
         for m in ("fvu", "fvu_median", "mse", "pos_rmse_3s_m", "yaw_rmse_3s_deg")
-        for n, v in (("ours", 0.25), ("linear", 0.5))
+        for n, v in (("ours", 0.25), ("residual", 0.5))
     }
-    metrics |= {"ratio_linear": 2.0, "fvu_std_ours": 0.01}
-    rows = [{"method": "ours", "setting": {}}, {"method": "linear", "setting": {"ridge": 10.0}}]
-    return make_result("baselines", ExperimentOptions(seed=4), config, metrics, {"ratio_linear": 1.5}, rows)
+    metrics |= {"ratio_residual": 2.0, "fvu_std_ours": 0.01}
+    rows = [{"method": "ours", "setting": {}}, {"method": "residual", "setting": {"ridge": 10.0}}]
+    return make_result("baselines", ExperimentOptions(seed=4), config, metrics, {"ratio_residual": 1.5}, rows)
 
 
 def test_tables_are_replaced_and_the_rest_stays(tmp_path: Path) -> None:
@@ -32,20 +32,20 @@ def test_tables_are_replaced_and_the_rest_stays(tmp_path: Path) -> None:
     method_tables.fill(page, [result()])
     once = page.read_text()
     assert "| ours | 0.25 | 1 |  | 0.25 +- 0.01 | 0.25 | 0.25 | 0.25 | default |" in once
-    assert "| linear basis, ridge towards zero | 0.5 | 2 | 1.5 | 0.5 | 0.5 | 0.5 | 0.5 | ridge 10.0 |" in once
+    assert "| adaptive residual | 0.5 | 2 | 1.5 | 0.5 | 0.5 | 0.5 | 0.5 | ridge 10.0 |" in once
     assert "--seed 4" in once and "old" not in once
-    assert once.index("| ours") < once.index("| linear") and once.startswith("before") and once.endswith("after\n")
+    assert once.index("| ours") < once.index("| adaptive") and once.startswith("before") and once.endswith("after\n")
     method_tables.fill(page, [result()])
     assert page.read_text() == once
 
 
 def test_a_method_that_runs_away_is_last_and_says_so() -> None:
-    metrics = over_seeds("mse", "linear", [1.0, np.inf]) | over_seeds("mse", "ours", [1.0, 2.0])
+    metrics = over_seeds("mse", "residual", [1.0, np.inf]) | over_seeds("mse", "ours", [1.0, 2.0])
     metrics |= over_seeds("pos_rmse_3s_m", "ours", [np.nan, np.nan])
     made = make_result("baselines", ExperimentOptions(), {"unseen": {"box": 2}, "seeds": 2}, metrics, {}, [])
-    ours, linear = [line.split("|") for line in method_tables.baselines_table(made).splitlines()[2:4]]
+    ours, residual = [line.split("|") for line in method_tables.baselines_table(made).splitlines()[2:4]]
     assert ours[1:3] == [" ours ", " 1.5 +- 0.5 "] and ours[7] == " - "
-    assert linear[2] == " runs away "
+    assert residual[2] == " runs away "
 
 
 def test_a_page_without_a_place_is_named(tmp_path: Path) -> None:

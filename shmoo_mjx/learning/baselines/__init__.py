@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from shmoo_mjx.learning.baselines import adaptive, fixed, linear, networks, rigid_body
-from shmoo_mjx.learning.baselines.alpaca import alpaca
+from shmoo_mjx.learning.baselines import adaptive, fixed, linear, networks
 from shmoo_mjx.learning.baselines.gradient import fed_back
 from shmoo_mjx.learning.baselines.protocol import (
     Budget,
@@ -37,8 +36,6 @@ _DAIML: tuple[Setting, ...] = ({}, {"one_step": 4.0}, {"functions": 6}, {"learni
 # Trained for one step alone, a residual has no weight between that and a roll-out to choose.
 _ON_RESIDUAL: tuple[Setting, ...] = ({}, {"learning_rate": 1e-3}, {"functions": 6}, {"learning_rate": 8e-3})
 _PAPER: tuple[Setting, ...] = ({}, {"learning_rate": 1e-3}, {"ridge": 3.0}, {"learning_rate": 8e-3})
-_BODIES = tuple({"noise": noise, "groups": groups} for noise in (1.5, 0.75) for groups in (3, 1))
-_ALPACA = tuple({"learning_rate": rate, "features": d} for rate in (1e-3, 3e-3) for d in (16, 32))
 _NETS = tuple({"learning_rate": rate, "decay": decay} for rate in (3e-3, 8e-3) for decay in (0.0, 0.1))
 
 METHODS: dict[str, Method] = {
@@ -48,23 +45,11 @@ METHODS: dict[str, Method] = {
         Method("ours_paper", adaptive.paper_form, _PAPER),
         Method("trigonometric", linear.trigonometric, _RIDGES, trained=False),
         Method("residual", adaptive.residual, _ON_RESIDUAL),
-        Method("linear", linear.linear, _RIDGES, trained=False),
-        Method("linear_prior", linear.linear_prior, _PRIORS, trained=False),
-        Method("physics", linear.physics, _PRIORS, trained=False),
-        Method("rigid_body", rigid_body.rigid_body, _BODIES, trained=False),
-        Method("no_body", seeing(adaptive.ours, body=False), _DAIML),
-        Method("alpaca", alpaca, _ALPACA),
-        Method("gru", networks.gru, _NETS),
         Method("mlp", networks.mlp, _NETS),
-        Method("told", networks.told, _NETS),
         Method("residual_body", seeing(adaptive.residual, body=True), _ON_RESIDUAL),
         Method("linear_prior_body", seeing(linear.linear_prior, body=True), _PRIORS, trained=False),
-        Method("alpaca_body", seeing(alpaca, body=True), _ALPACA),
         Method("gru_body", seeing(networks.gru, body=True), _NETS),
-        Method("mlp_body", seeing(networks.mlp, body=True), _NETS),
-        Method("told_body", seeing(networks.told, body=True), _NETS),
         Method("gru_fed_back", fed_back(seeing(networks.gru, body=True)), _NETS),
-        Method("told_fed_back", fed_back(seeing(networks.told, body=True)), _NETS),
     )
 }
 """Every method that is tuned, by the name its metrics carry."""

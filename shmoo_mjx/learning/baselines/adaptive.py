@@ -90,7 +90,7 @@ def residual(job: Job) -> Predictor:
 
     def left(recorded: Recordings, bodies: Array) -> daiml.Rows:
         rows = recorded.rows
-        contexts = Context(*rows[:3], recorded.time, recorded.properties, bodies)
+        contexts = Context(*rows[:3], recorded.time, bodies)
         return rows._replace(labels=rows.labels - np.asarray(jax.jit(jax.vmap(predicted))(contexts)))
 
     rows, held_out = left(job.train, bodies[:, -1]), left(job.validation, held_bodies)

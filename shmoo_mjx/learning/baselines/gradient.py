@@ -71,7 +71,6 @@ def meta_train(
     predictor: Callable[[Tree], Predictor],
     name: str,
     sees: Sight,
-    loss: Callable[[Tree, Task], Array] | None = None,
     adapt_rows: int = 100,
 ) -> Tree:
     """Train ``params`` until the budget is spent or the validation conditions get no better.
@@ -83,7 +82,6 @@ def meta_train(
         predictor: parameters -> the predictor they make.
         name: of the method, part of the checkpoint's identity.
         sees: the training conditions' bodies, of which a task's context has one drawn at random, well or badly known.
-        loss: (params, task) -> loss; by default that of Eq. 4 after adapting.
         adapt_rows: most rows of a task's context.
 
     Returns:
@@ -94,7 +92,7 @@ def meta_train(
     windows, horizon = (WINDOWS, HORIZON) if feed_back else (ROWS, 1)
     sampler = batches.sampler(rows, horizon, FLOOR)
     optimiser = _optimiser(job)
-    task_loss = loss or _eq4(predictor, scale, feed_back)
+    task_loss = _eq4(predictor, scale, feed_back)
 
     _, bodies, held_bodies = sees.found
 
@@ -112,24 +110,23 @@ def meta_train(
         return state, jnp.mean(losses)
 
     @jax.jit
-    def score(params: Tree, rows: Rows, known: tuple[Array, Array]) -> Array:
+    def score(params: Tree, rows: Rows, bodies: Array) -> Array:
         made = predictor(params)
 
-        def adapted(x: Array, y: Array, w: Array, known: tuple[Array, Array]) -> multistep.Predict:
-            return _known(made, Context(x, y, w, jnp.zeros_like(w), *known))
+        def adapted(x: Array, y: Array, w: Array, body: Array) -> multistep.Predict:
+            return _known(made, Context(x, y, w, jnp.zeros_like(w), body))
 
-        shares = multistep.scores(rows, known, adapted, scale, job.fit_rows, horizon if feed_back else 0, FLOOR)
+        shares = multistep.scores(rows, bodies, adapted, scale, job.fit_rows, horizon if feed_back else 0, FLOOR)
         return jnp.mean(jnp.minimum(jnp.stack(shares), least_squares.WORST))
 
     device, held_out = jax.tree.map(jnp.asarray, (job.train, job.validation))
-    held = held_out.properties, held_bodies
     run_chunk = jax.jit(chunk)
     key = jax.random.fold_in(jax.random.key(job.seed), 1)
     fitted = training.run(
         _State(params, optimiser.init(params), jax.random.key_data(key)),
         lambda state: run_chunk(device, bodies, sampler, state),
         extract=lambda state: state.params,
-        evaluate=lambda p: score(p, held_out.rows, held),
+        evaluate=lambda p: score(p, held_out.rows, held_bodies),
         chunks=budget.chunks,
         patience=budget.patience,
         identity=fingerprint(__name__, (name, job.setting, budget, job.seed, adapt_rows), rows.inputs, rows.labels),
@@ -145,10 +142,7 @@ def _optimiser(job: Job) -> optax.GradientTransformation:
 
 
 def fed_back(fit: Fit) -> Fit:
-    """The same method trained by psi's loss: H steps with its predictions fed back, and one step.
-
-    For methods that leave `meta_train` its default loss; one of their own, as ALPaCA's likelihood, is kept.
-    """
+    """The same method trained by psi's loss: H steps with its predictions fed back, and one step."""
 
     def fitted(job: Job) -> Predictor:
         return fit(replace(job, setting=job.setting | {"feed_back": True}))
@@ -179,5 +173,5 @@ def _draw(
     x, y, w = batch.adapt
     which = jax.random.randint(body_key, batch.condition.shape, 0, bodies.shape[1])
     body = bodies[batch.condition, which]
-    context = Context(x, y, w, jnp.zeros_like(w), train.properties[batch.condition], body)
+    context = Context(x, y, w, jnp.zeros_like(w), body)
     return Task(context, batch.windows, batch.precision)

@@ -1,4 +1,4 @@
-"""Least squares on functions made by hand: of time (the paper's baseline), of the inputs, and of physics."""
+"""Least squares on functions made by hand: of time (the paper's baseline), and of the inputs."""
 
 from __future__ import annotations
 
@@ -10,21 +10,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from shmoo_mjx import se2
-from shmoo_mjx.dynamics import features
 from shmoo_mjx.learning import least_squares
 from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, output_scale
 from shmoo_mjx.learning.baselines.sight import Sight, sight
-from shmoo_mjx.types import DT
 
-__all__ = ["Prior", "fit_prior", "linear", "linear_prior", "physics", "physics_functions", "trigonometric"]
+__all__ = ["Prior", "fit_prior", "linear_prior", "trigonometric"]
 
 Array = Any
 Basis = Callable[[Array, Array, Array], Array]
 """(inputs ``[..., n]``, time ``[...]``, body ``[p]``) -> functions ``[..., d]``."""
-
-SLOW = 0.03
-"""Speeds below this count as sliding that has hardly begun [m/s]."""
 
 
 class Prior(NamedTuple):
@@ -48,58 +42,10 @@ def trigonometric(job: Job) -> Predictor:
     return _ridge(basis, job, sight(job))
 
 
-def linear(job: Job) -> Predictor:
-    """The inputs themselves and a constant; setting["ridge"] draws towards zero."""
-    sees = sight(job)
-    return _ridge(_seen(sees), job, sees)
-
-
 def linear_prior(job: Job) -> Predictor:
     """The inputs and a constant, drawn towards what the training conditions say."""
     sees = sight(job)
     return _towards_prior(_seen(sees), job, sees)
-
-
-def physics(job: Job) -> Predictor:
-    """Functions that rigid bodies with friction and wheels suggest, drawn towards the training conditions."""
-    x = jnp.asarray(job.train.rows.inputs[job.train.rows.weights > 0])
-    spread = jnp.maximum(jnp.std(physics_functions(x), axis=0), 1e-3)
-    return _towards_prior(lambda x, time, body: physics_functions(x) / spread, job, sight(job))
-
-
-def physics_functions(x: Array) -> Array:
-    """Functions ``[..., 31]`` of the inputs of psi ``[..., n]``, none of which needs the object's parameters.
-
-    Wrench over mass and inertia; viscous, Coulomb and quadratic friction; Coulomb friction at the four corners;
-    stiction, which takes back the wrench on an object at rest; Coriolis terms; and the last acceleration and wrench,
-    which tell the friction of the moment.
-    """
-    where = features.slices(features.OBJECT_INPUTS)
-    twist, wrench, last = (x[..., where[name]] for name in ("object_twist", "wrench", "last_object_twist"))
-    size = x[..., where["size"]]
-    velocity, spin = twist[..., :2], twist[..., 2:]
-    speed = jnp.sqrt(jnp.sum(velocity**2, axis=-1, keepdims=True) + SLOW**2)
-    turning = jnp.sqrt((size * spin) ** 2 + SLOW**2)
-    rest = SLOW**2 / (speed**2 + turning**2 - SLOW**2)
-    before = se2.rotate(last, -last[..., 2] * DT)
-    parts = [
-        jnp.ones_like(size),
-        wrench,
-        wrench * rest,
-        twist,
-        velocity / speed,
-        size * spin / turning,
-        _corner_friction(twist, size),
-        velocity * speed,
-        spin * jnp.abs(spin),
-        spin * velocity,
-        spin * speed,
-        (twist - before) / DT,
-        jnp.sign(wrench[..., :2]) * jnp.abs(wrench[..., :2]) ** 0.5,
-        wrench[..., 2:] * size,
-        x[..., where["last_wrench"]],
-    ]
-    return jnp.concatenate(parts, axis=-1)
 
 
 def fit_prior(functions: np.ndarray, labels: np.ndarray, weights: np.ndarray, rounds: int = 30) -> Prior:
@@ -187,13 +133,3 @@ def _weighted(basis: Basis, scale: Array, state: tuple[Array, Array], x: Array, 
     """The prediction from coefficients ``[m, d]`` and a body."""
     a, body = state
     return basis(x, time, body) @ a.T * scale
-
-
-def _corner_friction(twist: Array, size: Array) -> Array:
-    """Direction of Coulomb friction at four feet, and its moment, summed ``[..., 3]``."""
-    lever = size[..., None] / jnp.sqrt(2.0) * jnp.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
-    around = jnp.stack([-lever[..., 1], lever[..., 0]], axis=-1)
-    velocity = twist[..., None, :2] + twist[..., None, 2:] * around
-    direction = velocity / jnp.sqrt(jnp.sum(velocity**2, axis=-1, keepdims=True) + SLOW**2)
-    moment = jnp.sum(around * direction, axis=-1, keepdims=True)
-    return jnp.sum(jnp.concatenate([direction, moment], axis=-1), axis=-2) / 4

@@ -1,4 +1,4 @@
-"""Plain networks over all conditions: without adaptation, told the true properties, and a GRU that adapts."""
+"""Plain networks over all conditions: an MLP without adaptation, and a GRU that adapts."""
 
 from __future__ import annotations
 
@@ -6,13 +6,12 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from shmoo_mjx.learning.baselines.gradient import Layers, dense, layers, meta_train
 from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, output_scale
 from shmoo_mjx.learning.baselines.sight import sight
 
-__all__ = ["gru", "mlp", "told"]
+__all__ = ["gru", "mlp"]
 
 Array = Any
 
@@ -32,13 +31,14 @@ class _Gru(NamedTuple):
 
 
 def mlp(job: Job) -> Predictor:
-    """One network for all conditions; it knows nothing of the one at hand."""
-    return _network(job, "mlp", told=False)
+    """One network for all conditions; of the one at hand it knows at most the identified body (`sight`)."""
+    sees, scale = sight(job), output_scale(job.train.rows)
+    start = layers(jax.random.key(job.seed), sees.mean.shape[0], *HIDDEN, scale.shape[0])
 
+    def predictor(params: Layers) -> Predictor:
+        return Predictor(sees.body, lambda body, x, time: dense(params, sees(x, body)) * scale)
 
-def told(job: Job) -> Predictor:
-    """The same network, told the true mass, size, friction, wheels and brakes of each condition."""
-    return _network(job, "told", told=True)
+    return predictor(meta_train(job, start, predictor, "mlp", sees, adapt_rows=8))
 
 
 def gru(job: Job) -> Predictor:
@@ -70,29 +70,6 @@ def gru(job: Job) -> Predictor:
         return Predictor(jax.jit(adapt), predict)
 
     return predictor(meta_train(job, start, predictor, "gru", sees, adapt_rows=CONTEXT_ROWS))
-
-
-def _network(job: Job, name: str, told: bool) -> Predictor:
-    sees, scale = sight(job), output_scale(job.train.rows)
-    known = job.train.properties
-    centre, width = known.mean(axis=0), np.maximum(known.std(axis=0), 1e-3)
-    extra = known.shape[-1] if told else 0
-    start = layers(jax.random.key(job.seed), sees.mean.shape[0] + extra, *HIDDEN, scale.shape[0])
-
-    def predictor(params: Layers) -> Predictor:
-        def adapt(context: Context) -> tuple[Array, Array]:
-            return (context.properties - centre) / width, sees.body(context)
-
-        def predict(state: tuple[Array, Array], x: Array, time: Array) -> Array:
-            properties, body = state
-            seen = sees(x, body)
-            if told:
-                seen = jnp.concatenate([seen, jnp.broadcast_to(properties, (*x.shape[:-1], extra))], axis=-1)
-            return dense(params, seen) * scale
-
-        return Predictor(jax.jit(adapt), predict)
-
-    return predictor(meta_train(job, start, predictor, name, sees, adapt_rows=8))
 
 
 def _read(params: _Gru, memory: Array, row: Array, weight: Array) -> Array:

@@ -15,7 +15,6 @@ import numpy as np
 
 from shmoo_mjx.data import store
 from shmoo_mjx.learning.rows import Rows, label_scale, rows_from_dataset
-from shmoo_mjx.plant.objects import FAMILIES
 from shmoo_mjx.types import DT
 
 __all__ = [
@@ -35,9 +34,6 @@ Array = Any
 State = Any
 Setting = dict[str, Any]
 
-PROPERTIES = ("mass", "payload", "payload_x", "payload_y", "friction", "swivel_friction")
-WHEELS = 4
-
 
 class Recordings(NamedTuple):
     """C conditions as arrays."""
@@ -47,8 +43,6 @@ class Recordings(NamedTuple):
     """``[C, N]`` since the recording began, gaps between episodes left out [s]."""
     pose: Array
     """``[C, N, 3]`` of the object in {W} at the start of each row."""
-    properties: Array
-    """``[C, p]`` the true properties, which only the told network sees: family, size, mass, friction, wheels."""
 
 
 class Context(NamedTuple):
@@ -62,8 +56,6 @@ class Context(NamedTuple):
     """``[N]`` 0 where a row does not count."""
     time: Array
     """``[N]`` [s]"""
-    properties: Array
-    """``[p]``"""
     body: Array | None = None
     """Parameters of the body that the condition looks like, where they are known already (`sight`)."""
 
@@ -130,31 +122,16 @@ def recordings(dataset: store.Dataset) -> Recordings:
         time = DT * np.arange(pose.shape[0] * pose.shape[1]).reshape(pose.shape[:2])[:, :-1].reshape(-1)
         poses.append(np.pad(pose[:, :-1].reshape(-1, 3), ((0, n - count), (0, 0))))
         times.append(np.pad(time, (0, n - count), mode="edge"))
-    known = np.stack([_properties(c) for c in dataset.conditions])
-    return Recordings(rows, np.stack(times).astype(np.float32), np.stack(poses).astype(np.float32), known)
+    return Recordings(rows, np.stack(times).astype(np.float32), np.stack(poses).astype(np.float32))
 
 
 def first_rows(recorded: Recordings, condition: int, count: int) -> Context:
     """The first ``count`` rows of one condition, at most half of them."""
     rows, n = recorded.rows, min(count, recorded.rows.inputs.shape[1] // 2)
     i = condition
-    known = recorded.properties[i]
-    return Context(rows.inputs[i, :n], rows.labels[i, :n], rows.weights[i, :n], recorded.time[i, :n], known)
+    return Context(rows.inputs[i, :n], rows.labels[i, :n], rows.weights[i, :n], recorded.time[i, :n])
 
 
 def output_scale(rows: Rows) -> np.ndarray:
     """The unit ``[m]`` in which methods predict."""
     return np.asarray(label_scale(rows), np.float32)
-
-
-def _properties(condition: dict[str, Any]) -> np.ndarray:
-    """``[p]``: numbers for what is fixed in a condition; where casters point at the start is not."""
-    family = [float(condition["family"] == f) for f in FAMILIES]
-    size = list(condition.get("size", (0.0, 0.0, 0.0)))
-    plain = [float(condition.get(name, 0.0)) for name in PROPERTIES]
-    wheels = [_padded(condition.get(name, ())) for name in ("rolling", "locked")]
-    return np.array([*family, *size, *plain, *wheels[0], *wheels[1]], np.float32)
-
-
-def _padded(values: Any) -> list[float]:
-    return ([float(v) for v in values] + [0.0] * WHEELS)[:WHEELS]
