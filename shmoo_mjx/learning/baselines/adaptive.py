@@ -109,7 +109,8 @@ def residual(job: Job) -> Predictor:
 
 def from_fit(fitted: ObjectFit, config: DaimlConfig) -> Predictor:
     """A trained psi: a* given the learned prior, or by a plain ridge where the config says so."""
-    fitted = jax.tree.map(jnp.asarray, fitted)
+    arrays = ("params", "prior_mean", "prior_covariance", "noise", "body_prior")
+    fitted = fitted._replace(**{name: jax.tree.map(jnp.asarray, getattr(fitted, name)) for name in arrays})
     params, mean = fitted.params, fitted.prior_mean
 
     def adapt(context: Context) -> tuple[Array, Array]:
