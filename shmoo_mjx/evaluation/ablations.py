@@ -1,8 +1,6 @@
 """Experiment `ablations`: what each choice in learning psi brings, one changed at a time, and how much psi gives away.
 
 Trainings of psi as long as the shipped one, a few seeds each, scored on unseen objects by the protocol of `scoring`.
-Layouts of the inputs and the world's frame are trained and scored one step ahead, because their past can not be fed
-back.
 """
 
 from __future__ import annotations
@@ -22,15 +20,11 @@ from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning import daiml
 from shmoo_mjx.learning.baselines import Budget, Job, Predictor, Recordings, recordings
 from shmoo_mjx.learning.baselines.adaptive import daiml_config, from_fit
-from shmoo_mjx.learning.baselines.layouts import LAYOUTS, from_world, in_world
 from shmoo_mjx.learning.baselines.protocol import output_scale
 from shmoo_mjx.learning.daiml import DaimlConfig
 from shmoo_mjx.types import DT
 
 __all__ = ["VARIANTS", "AblationsConfig", "run"]
-
-ONE_STEP = {"horizon": 1, "open_loop": False, "body": False}
-"""For other inputs: they can not be fed back, and a body needs the usual ones."""
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "default": {},
@@ -38,15 +32,12 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "horizon_5": {"horizon": 5},
     "horizon_15": {"horizon": 15},
     "horizon_30": {"horizon": 30},
-    "horizon_5_forced": {"horizon": 5, "open_loop": False},
     "horizon_15_forced": {"horizon": 15, "open_loop": False},
-    "loss_on_acceleration": {"loss_on_twist": False},
     "plain_ridge": {"coupled": False},
     "shared_functions": {"per_axis": False},
     "no_linear_terms": {"linear_terms": False},
     "no_body": {"body": False},
     "no_last_wrench": {"last_wrench": False},
-    "no_body_nor_last_wrench": {"body": False, "last_wrench": False},
     "functions_3": {"functions": 3},
     "functions_6": {"functions": 6},
     "functions_24": {"functions": 24},
@@ -54,19 +45,15 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "alpha_0.01": {"alpha": 0.01},
     "alpha_0.1": {"alpha": 0.1},
     "alpha_1": {"alpha": 1.0},
-    **{f"layout_{name}": ONE_STEP for name in LAYOUTS},
-    "frame_world": ONE_STEP,
 }
 """Name -> what differs from the shipped settings of DAIML."""
-OBJECTS = {"objects_10": 10, "objects_20": 20}
-"""Name -> training objects per family, with the shipped settings; the validation objects stay the same."""
 
 
 @dataclass(frozen=True)
 class AblationsConfig:
     """What is varied and how long each variant trains."""
 
-    variants: tuple[str, ...] = (*VARIANTS, *OBJECTS)
+    variants: tuple[str, ...] = tuple(VARIANTS)
     budget: Budget = field(default_factory=lambda: Budget(24, 150, 12))
     """As long as the shipped training: shorter ones prefer settings that a long one does not."""
     seeds: int = 2
@@ -83,7 +70,7 @@ class AblationsConfig:
 
 
 QUICK = AblationsConfig(
-    variants=("default", "horizon_5_forced", "functions_3", "alpha_0", "alpha_0.1", "layout_no_past", "layout_past_3"),
+    variants=("default", "horizon_15_forced", "functions_3", "alpha_0", "alpha_0.1"),
     budget=Budget(2, 100, 2),
     seeds=1,
     probes=1,
@@ -107,9 +94,8 @@ class _Work:
         variant, number = name.rsplit("-", 1)
         dataset = store.of_training(self.train)
         scale = output_scale(recordings(dataset.split("train")).rows)
-        count = OBJECTS.get(variant, self.config.training_objects)
-        if count is not None:
-            dataset = datasets.subset(dataset, count)
+        if self.config.training_objects is not None:
+            dataset = datasets.subset(dataset, self.config.training_objects)
         parts = [dataset.split("train"), dataset.split("validation"), store.read(self.unseen, splits=("test",))]
         train, validation, unseen = (recordings(part) for part in parts)
         label = {"variant": variant, "run": int(number)}
@@ -117,27 +103,19 @@ class _Work:
             raw = {"inputs": train.rows.inputs, "inputs_without_size": probe.raw_without_size(train.rows)}
             found = {f"probe_{what}": self._probe(values, train.rows.weights) for what, values in raw.items()}
             return [label | found | {"chance": 1 / len(train.rows.inputs)}]
-        layout = LAYOUTS.get(variant.removeprefix("layout_"), LAYOUTS["default"])
-        world = variant == "frame_world"
-        train, validation, unseen_seen = (
-            in_world(part) if world else part._replace(rows=layout(part.rows)) for part in (train, validation, unseen)
-        )
         job = Job(
             train,
             validation,
-            VARIANTS.get(variant, {}),
+            VARIANTS[variant],
             self.config.budget,
             self.seed + int(number),
             self._rows(max(self.config.fit_seconds)),
         )
         config = daiml_config(job, DaimlConfig())
-        # Variants that come to the same settings and data, as alpha_0.01 and the default do, share one training.
-        data = variant if variant.startswith(("layout", "frame", "objects")) else "usual"
-        directory = self.folder / "training" / f"{data}-{fingerprint(__name__, asdict(config))}"
+        # Variants that come to the same settings, as alpha_0.01 and the default do, share one training.
+        directory = self.folder / "training" / fingerprint(__name__, asdict(config))
         fitted = daiml.fit_rows(train.rows, validation.rows, config, directory)
-        predictor = from_world(from_fit(fitted, config)) if world else from_fit(fitted, config)
-        scored = unseen_seen._replace(rows=unseen_seen.rows._replace(labels=unseen.rows.labels))
-        rows = self._scored(predictor, scored, scale, label, variant)
+        rows = self._scored(from_fit(fitted, config), unseen, scale, label, variant)
         if variant.startswith("alpha"):
             psi = probe.psi_of(fitted, config, train.rows)
             rows[0]["probe_psi"] = self._probe(psi, train.rows.weights)
@@ -149,10 +127,9 @@ class _Work:
         """One row for each time to adapt; the variants but the default take the longest only."""
         longest = max(self.config.fit_seconds)
         times = self.config.fit_seconds if variant == "default" else (longest,)
-        roll_outs = not variant.startswith(("layout", "frame"))
         rows = []
         for seconds in times:
-            scores = scoring.score(predictor, recorded, scale, self._rows(seconds), self._rows(longest), roll_outs)
+            scores = scoring.score(predictor, recorded, scale, self._rows(seconds), self._rows(longest))
             # The mean hangs on objects that hardly move.
             median = {"fvu_median": float(np.nanmedian(scores["fvu"]))}
             rows.append(label | {"fit_seconds": seconds} | scoring.average(scores) | median)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from shmoo_mjx.data import store
-from shmoo_mjx.dynamics import features, feet, object_model
+from shmoo_mjx.dynamics import feet, object_model
 from shmoo_mjx.dynamics.object_model import ObjectConfig
 from shmoo_mjx.evaluation import scoring
 from shmoo_mjx.learning import least_squares, training_bodies
@@ -23,7 +23,6 @@ from shmoo_mjx.learning.baselines import (
     Predictor,
     Recordings,
     first_rows,
-    layouts,
     linear,
     networks,
     recordings,
@@ -165,26 +164,3 @@ def test_the_prior_agrees_with_expectation_maximisation_on_rows() -> None:
     np.testing.assert_allclose(ours.covariance, covariance, atol=0.03)
     np.testing.assert_allclose(ours.noise, noise, rtol=0.02)
     np.testing.assert_allclose(ours.mean, [1.0, -0.5], atol=0.25)
-
-
-def test_the_past_stops_at_an_episodes_start(job: Job) -> None:
-    rows = job.train.rows
-    longer = layouts.with_past(rows, 3)
-    n = rows.inputs.shape[-1]
-    assert longer.inputs.shape[-1] == n + 12
-    where = features.slices(features.OBJECT_INPUTS)
-    np.testing.assert_array_equal(longer.inputs[:, 2, n : n + 3], rows.inputs[:, 0, where["object_twist"]])
-    np.testing.assert_array_equal(longer.inputs[:, 3, n + 9 :], rows.inputs[:, 0, where["wrench"]])
-    starts = np.flatnonzero(np.diff(rows.run[0]) > 0) + 1
-    assert len(starts) == 3
-    assert not longer.inputs[0, starts + 1, n:].any() and not longer.inputs[0, starts + 2, n + 6 :].any()
-
-
-def test_the_worlds_frame_and_back(job: Job) -> None:
-    world = layouts.in_world(job.train)
-    where = features.slices(features.OBJECT_INPUTS)
-    push = Predictor(lambda c: jnp.mean(c.labels, axis=0), lambda s, x, t: s + 0.1 * x[..., where["wrench"]])
-    back = layouts.from_world(push)
-    x = jnp.asarray(world.rows.inputs[0, :50])
-    predicted = back.predict(jnp.zeros(3), x, jnp.zeros(50))
-    np.testing.assert_allclose(predicted, 0.1 * job.train.rows.inputs[0, :50, where["wrench"]], atol=1e-4)

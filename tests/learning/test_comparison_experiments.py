@@ -79,17 +79,15 @@ def test_baselines_are_tuned_trained_scored_and_kept(
 
 @pytest.mark.slow
 def test_ablations_vary_one_thing_and_probe(options: ExperimentOptions, monkeypatch: pytest.MonkeyPatch) -> None:
-    one_step = TINY | {"horizon": 1, "open_loop": False}
-    variants = {"default": TINY, "alpha_0.1": TINY | {"alpha": 0.1}, "layout_past_3": one_step, "frame_world": one_step}
+    variants = {"default": TINY, "alpha_0.1": TINY | {"alpha": 0.1}, "functions_3": TINY | {"functions": 3}}
     monkeypatch.setattr(ablations, "VARIANTS", variants)
-    monkeypatch.setattr(ablations, "OBJECTS", {"objects_2": 2})
-    config = ablations.AblationsConfig((*variants, "objects_2"), Budget(1, 4, 1), 1, (2.0, 10.0), 1, 20, workers=1)
+    config = ablations.AblationsConfig(tuple(variants), Budget(1, 4, 1), 1, (2.0, 10.0), 1, 20, workers=1)
     result = ablations.run(options, config)
     found = result.metrics
-    for name in ("default", "default_2s", "alpha_0.1", "layout_past_3", "frame_world", "objects_2"):
+    for name in ("default", "default_2s", "alpha_0.1", "functions_3"):
         assert np.isfinite(found[f"fvu_{name}"])  # type: ignore[arg-type]
-    assert "pos_rmse_3s_m_default" in found and "pos_rmse_3s_m_frame_world" not in found
-    assert found["chance"] == pytest.approx(1 / 12) and found["mse_objects_2"] != found["mse_default"]
+    assert "pos_rmse_3s_m_default" in found
+    assert found["chance"] == pytest.approx(1 / 24) and found["mse_functions_3"] != found["mse_default"]
     assert 0 <= found["probe_psi_alpha_0.1"] <= 1  # type: ignore[operator]
     assert (options.out / "ablations" / "domain_invariance.png").stat().st_size > 5000
     assert "| alpha_0.1 |" in method_tables.ablations_table(result)
@@ -103,5 +101,5 @@ def test_every_shipped_variant_is_a_configuration() -> None:
     made = {n: daiml_config(Job(None, None, s), DaimlConfig()) for n, s in ablations.VARIANTS.items()}  # type: ignore[arg-type]
     assert made["functions_3"].object.functions == 3 and made["alpha_1"].alpha == 1.0
     assert set(ablations.QUICK.variants) <= set(made)
-    assert set(ablations.AblationsConfig().variants) == {*made, *ablations.OBJECTS}
+    assert set(ablations.AblationsConfig().variants) == set(made)
     assert {"baselines", "ablations"} <= set(EXPERIMENTS)
