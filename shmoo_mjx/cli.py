@@ -505,6 +505,44 @@ def sweep(
     return 0
 
 
+def faults(
+    runs: bounded.Runs = 20,
+    only: tuple[str, ...] = (),
+    seed: Seed = 900,
+    json: Path | None = None,
+    weights: Path | None = None,
+    out: Path = Path("runs/faults"),
+    workers: bounded.Workers = 2,
+) -> int:
+    """Run each fault of docs/reliability.md in the demo's scenes and print what came out; goes on where it was stopped.
+
+    Example: shmoo faults --runs 2 --only camera_gone person_walks
+
+    Args:
+        runs: of each fault.
+        only: these faults (default: all), by their names.
+        seed: of the first demo; the others follow.
+        json: file for the result (default: OUT/faults.json).
+        weights: trained weights (default: the shipped ones).
+        out: folder that keeps each run.
+        workers: processes.
+    """
+    from shmoo_mjx import progress
+    from shmoo_mjx.evaluation import faults as matrix
+    from shmoo_mjx.evaluation.result import ExperimentOptions, write_result
+    from shmoo_mjx.files import claimed
+
+    with progress.stages() as report, claimed(out):
+        options = ExperimentOptions(seed, weights=weights, out=out, progress=report)
+        result = matrix.run(options, runs, only, workers)
+    target = json or out / "faults.json"
+    write_result(target, result)
+    print(matrix.summary(result))
+    falls, silent = (round(result.metrics[name] or 0) for name in ("falls", "silent_wrong_successes"))
+    print(f"falls {falls}, silent wrong successes {silent}; {target}")
+    return 0
+
+
 def doctor() -> int:
     """Check versions, device, renderer and video encoder, and say what to do about each failure.
 
@@ -541,11 +579,12 @@ _COMMANDS: dict[str, Callable[..., int]] = {
     "experiment": experiment,
     "bench": bench,
     "sweep": sweep,
+    "faults": faults,
     "doctor": doctor,
     "completion": completion,
 }
 _NEED_NO_DEVICE = ("doctor", "completion")
-_GO_ON = ("collect", "train", "scenarios", "experiment", "sweep")
+_GO_ON = ("collect", "train", "scenarios", "experiment", "sweep", "faults")
 """Commands that go on where they were stopped."""
 
 

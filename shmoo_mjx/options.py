@@ -22,6 +22,7 @@ __all__ = [
     "Port",
     "Radius",
     "Rolling",
+    "Runs",
     "Scale",
     "ScenariosOrSet",
     "Seconds",
@@ -89,6 +90,7 @@ Validation = Annotated[int, _whole("--validation", 0, 10_000_000)]
 Episodes = Annotated[int, _whole("--episodes", 1, 10_000)]
 ScenariosOrSet = Annotated[int | Path, option(_scenarios, "INT|FILE")]
 PerMap = Annotated[int, _whole("--per-map", 1, 10_000)]
+Runs = Annotated[int, _whole("--runs", 1, 10_000)]
 Port = Annotated[int, _whole("--port", 1, 65_535)]
 Seconds = Annotated[float, _real("--seconds", 1.0, 3600.0, "s")]
 GigaBytes = Annotated[float, _real("--memory-gb", 1e-6, 100_000.0, "GB")]

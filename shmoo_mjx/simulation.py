@@ -136,11 +136,11 @@ class Simulation:
         self._note(perceived, command)
         return command
 
-    def advance(self, command: Command, spent: float | None = None) -> None:
+    def advance(self, command: Command | None, spent: float | None = None) -> None:
         """The world goes on for a sample, or for as many as computing has really taken.
 
         Args:
-            command: what the robot does.
+            command: what the robot does; None if the command got lost on its way.
             spent: wall-clock time that it took to compute [s], if that is to pass in the world.
         """
         self.world, self.seen = self.engine.step(self.world, command, computing=spent)

@@ -15,7 +15,7 @@ import numpy as np
 
 from shmoo_mjx import se2
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
-from shmoo_mjx.plant.lowlevel import Gains
+from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
 from shmoo_mjx.plant.scene import Scene
 from shmoo_mjx.sensing import senses as sensing
 from shmoo_mjx.sensing import tracker
@@ -31,6 +31,8 @@ __all__ = ["SensedEngine", "SensedWorld"]
 _TOUCH_EVERY = 2
 """Ticks between two readings of the joint torques: 50 Hz."""
 _NEVER = np.iinfo(np.int64).max
+_WATCHDOG = 0.3
+"""Time without a command after which the low-level control brings the robot to rest by itself [s]."""
 
 
 class Shown(NamedTuple):
@@ -57,6 +59,8 @@ class SensedWorld(NamedTuple):
     wall_parts: np.ndarray
     """``[W, P]`` which of scene.PARTS touched a wall in the last sample time."""
     ticks: int
+    silent: int = 0
+    """Ticks since the last command ended."""
 
     @property
     def wall_contact(self) -> np.ndarray:
@@ -204,7 +208,7 @@ class SensedEngine:
     def step(
         self,
         world: SensedWorld,
-        command: Command,
+        command: Command | None,
         duration: float = DT,
         push: np.ndarray | None = None,
         computing: float | None = None,
@@ -213,13 +217,16 @@ class SensedEngine:
 
         Args:
             world: as it was when the robot perceived what ``command`` answers.
-            command: fields ``[W, ...]``; held until the next one arrives.
+            command: fields ``[W, ...]``; held until the next one arrives. None is a sample in which none was sent: the
+                last one is held on, and after 0.3 s of that a watchdog brings the robot to rest.
             duration: a multiple of 10 ms.
             push: ``[W, 6]`` outside disturbance, as for the engines.
             computing: time that this command took to compute [s], if not the senses' own.
         """
         ticks = round(duration / TICK)
-        world = self._sent(world, command, self.senses.computing if computing is None else computing)
+        if command is not None:
+            world = self._sent(world, command, self.senses.computing if computing is None else computing)
+        world = world._replace(silent=0 if command is not None else world.silent + ticks)
         rng = np.random.default_rng([11, self._entropy, world.ticks])
         worlds, objects = world.contact.shape[:2]
         contact, readings = np.zeros_like(world.contact), []
@@ -232,6 +239,8 @@ class SensedEngine:
             uniform = rng.random((ticks, worlds, objects, 2))
         for i, length in enumerate(lengths):
             world = _arrived(world)
+            if TICK * world.silent > _WATCHDOG + 1e-6:
+                world = world._replace(held=self._to_rest(world))
             held = world.held
             if isinstance(world.mind, Mind):
                 held = held._replace(yaw=se2.wrap(held.yaw - sensing.heading_error(world.mind)))
@@ -262,6 +271,13 @@ class SensedEngine:
         arrives = np.asarray(world.ticks + late, dtype=np.int64)
         earlier = tuple((np.where(at >= arrives, _NEVER, at), other) for at, other in world.pending)
         return world._replace(pending=(*earlier, (arrives, _numpy(command))))
+
+    def _to_rest(self, world: SensedWorld) -> Command:
+        """Brake and stand; heading and hands stay where they are held."""
+        robot, held = self.engine.robot(world.truth), world.held
+        moving = se2.rotate(np.asarray(robot.twist)[:, :2], -np.asarray(robot.pose)[:, 2])
+        lean = velocity_to_lean(Gains(), moving, np.asarray(robot.lean_rate), np.zeros_like(moving))
+        return held._replace(u=np.concatenate([lean, held.u[:, 2:]], axis=-1))
 
     def _stretches(self, world: SensedWorld, ticks: int) -> list[int]:
         """Numbers of ticks between which no command arrives: without any delay one, of the whole sample."""

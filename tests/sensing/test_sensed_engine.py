@@ -307,3 +307,22 @@ def test_real_senses_are_quick() -> None:
                 world, _ = engine.step(world, stand())
             took[senses.name] = time.process_time() - began
     assert took["real"] < 5.0 * took["perfect"]
+
+
+def test_the_watchdog_brings_the_robot_to_rest_where_commands_stop() -> None:
+    for senses in (PERFECT, REAL):
+        with SensedEngine([build_scene()], senses) as engine:
+            world = engine.init()
+            for _ in range(8):
+                world, _ = engine.step(world, command(1, (0.06, 0.0)))
+            fast = np.abs(engine.true_observation(world).robot_twist[0, :2]).max()
+            for _ in range(3):
+                world, _ = engine.step(world, None)
+            # A lost command or two is not yet a stop: the last one is held.
+            np.testing.assert_allclose(world.held.u[0, :2], (0.06, 0.0))
+            for _ in range(80):
+                world, _ = engine.step(world, None)
+            assert fast > 0.2 and np.abs(engine.true_observation(world).robot_twist[0, :2]).max() < 0.05
+            world, _ = engine.step(world, command(1, (0.02, 0.0)))
+            world, _ = engine.step(world, command(1, (0.02, 0.0)))
+            np.testing.assert_allclose(world.held.u[0, :2], (0.02, 0.0))

@@ -1,0 +1,332 @@
+"""The fault matrix: each fault in the demo's scenes, and whether the robot recovers, stops safely or fails.
+
+Faults are put in between the world, the senses, the navigator and the motors; none of them is told. What came out is
+judged by the true state: a run in which the robot says that it is there and is not counts as a silent wrong success.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shmoo_mjx import se2
+from shmoo_mjx.assets import WEIGHTS, asset
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
+from shmoo_mjx.evaluation.trials import run_trials
+from shmoo_mjx.fingerprints import fingerprint
+from shmoo_mjx.navigation.floorplan import demo_scenario
+from shmoo_mjx.navigation.maps import clearance_field
+from shmoo_mjx.navigation.records import Mode
+from shmoo_mjx.navigation.scenario import ObjectEntry
+from shmoo_mjx.simulation import Simulation
+from shmoo_mjx.types import DT, Command, Observation
+
+__all__ = ["FAULTS", "OUTCOMES", "Fault", "play", "run", "summary"]
+
+OUTCOMES = ("recovered", "stopped safely", "failed", "did not occur")
+_AWAY = (-50.0, -50.0, 0.0)
+"""Where what does not stand in the scene yet waits, and what was taken away is."""
+_EXTRA: dict[str, dict[str, Any]] = {
+    "door": {"size": [0.5, 0.8, 0.7], "mass": 40.0, "friction": 0.65},
+    "person": {"size": [0.45, 0.45, 0.75], "mass": 40.0, "friction": 0.65},
+    "box": {"size": [0.5, 0.5, 0.6], "mass": 4.0, "friction": 0.4},
+}
+
+
+@dataclass
+class _Trial:
+    """A run with one fault in it."""
+
+    simulation: Simulation
+    began: float | None = None
+    first: Observation | None = None
+    """What was perceived when the fault began."""
+    walker: Any = None
+    """``[3]`` where a person starts to walk, and where to."""
+    walked: float = 0.0
+    """[m]"""
+
+    @property
+    def since(self) -> float:
+        return self.simulation.time - (self.began or 0.0)
+
+    @property
+    def robot(self) -> np.ndarray:
+        return np.asarray(self.simulation.true.robot_pose[0])
+
+    def ahead(self, distance: float) -> Any:
+        """The pose on free floor nearest to straight ahead."""
+        clearance = clearance_field(self.simulation.grid)
+        turns = np.deg2rad([0, 20, -20, 40, -40, 60, -60, 90, -90, 180])
+        poses = [se2.compose(self.robot, np.array([distance * np.cos(a), distance * np.sin(a), a])) for a in turns]
+        return next((pose for pose in poses if float(clearance.at(pose[:2])) > 0.4), poses[0])
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What goes wrong, when and for how long."""
+
+    what: str
+    on: str = "push"
+    """Begins 1 s after this: "start", "follow path" for 2 s, or "push"."""
+    lasts: float = np.inf
+    """[s]"""
+    perceive: Callable[[_Trial, Observation], Observation] | None = None
+    once: Callable[[_Trial], None] | None = None
+    """Done to the world or to the robot when it begins."""
+    each: Callable[[_Trial], None] | None = None
+    """Done in every sample."""
+    loses_commands: bool = False
+    extra: str | None = None
+    """What else will stand in the scene."""
+
+
+def _blind(trial: _Trial, seen: Observation) -> Observation:
+    assert trial.first is not None
+    first, none = trial.first, np.zeros_like(seen.object_twist)
+    return seen._replace(
+        object_pose=first.object_pose,
+        object_twist=none,
+        object_age=np.asarray(first.object_age) + trial.since,
+        detected=np.zeros_like(seen.detected),
+    )
+
+
+def _swapped(trial: _Trial, seen: Observation) -> Observation:
+    names = ("object_pose", "object_twist", "object_age", "detected", "wrench")
+    return seen._replace(**{name: np.asarray(getattr(seen, name))[:, [1, 0]] for name in names})
+
+
+def _ghost(trial: _Trial, seen: Observation) -> Observation:
+    """The last object is reported 1 m ahead."""
+    pose, age, found = (np.array(v) for v in (seen.object_pose, seen.object_age, seen.detected))
+    pose[0, -1] = se2.compose(np.asarray(seen.robot_pose[0]), np.array([1.0, 0.0, 0.0]))
+    age[0, -1], found[0, -1] = 0.03, True
+    return seen._replace(object_pose=pose, object_age=age, detected=found)
+
+
+def _frozen(trial: _Trial, seen: Observation) -> Observation:
+    assert trial.first is not None
+    stuck, pose = np.asarray(trial.first.robot_pose), np.asarray(seen.robot_pose)
+    relative = se2.relative(pose[:, None], np.asarray(seen.object_pose))
+    moved = se2.compose(np.broadcast_to(stuck[:, None], relative.shape), relative)
+    return seen._replace(robot_pose=stuck, robot_twist=np.zeros_like(seen.robot_twist), object_pose=moved)
+
+
+def _stuck_wrench(trial: _Trial, seen: Observation) -> Observation:
+    assert trial.first is not None
+    return seen._replace(wrench=trial.first.wrench)
+
+
+def _no_wrench(trial: _Trial, seen: Observation) -> Observation:
+    return seen._replace(wrench=np.full_like(seen.wrench, np.nan))
+
+
+def _turned_wrench(trial: _Trial, seen: Observation) -> Observation:
+    return seen._replace(wrench=-np.asarray(seen.wrench))
+
+
+def _jump(trial: _Trial) -> None:
+    """The estimate of {D} in {W} is 0.3 m off; the localiser has to bring it back."""
+    world = trial.simulation.world
+    mind: Any = world.mind
+    frame = np.array(mind.odometry.frame)
+    frame[:, :2] += 0.3 * np.array([np.cos(2.0), np.sin(2.0)])
+    odometry = mind.odometry._replace(frame=frame)
+    trial.simulation.world = world._replace(mind=mind._replace(odometry=odometry))
+
+
+def _dead_motor(trial: _Trial) -> None:
+    trial.simulation.scene.model.actuator_gear[4] = 0.0  # the left shoulder's pitch
+
+
+def _slow(trial: _Trial) -> None:
+    simulation = trial.simulation
+    senses, setup = simulation.senses, simulation.navigator.setup
+    simulation.engine.senses = replace(senses, computing=3 * senses.computing)
+    config = replace(setup.config, planning_time=3 * setup.config.planning_time)
+    simulation.navigator.setup = setup._replace(config=config)
+
+
+def _slippery(trial: _Trial) -> None:
+    model = trial.simulation.scene.model
+    for i in range(model.ngeom):
+        name = model.geom(i).name
+        if name in ("floor", "robot/ball") or any(part in name for part in ("sole", "wheel", "foot")):
+            model.geom_friction[i, 0] *= 0.5
+
+
+def _pushed_object(trial: _Trial) -> int:
+    segment = trial.simulation.navigator.state.segment
+    return 0 if segment is None else segment.object
+
+
+def _take_away(trial: _Trial) -> None:
+    trial.simulation.place(_pushed_object(trial), _AWAY)
+
+
+def _shove(trial: _Trial) -> None:
+    """0.8 m/s to the robot's left."""
+    simulation = trial.simulation
+    physics, scene = simulation.world.truth.physics.copy(), simulation.scene
+    speed = 1 + scene.model.nq + scene.object_qvel[_pushed_object(trial)]
+    yaw = trial.robot[2] + np.pi / 2
+    physics[0, speed : speed + 2] += 0.8 * np.array([np.cos(yaw), np.sin(yaw)])
+    simulation.world = simulation.world._replace(truth=simulation.world.truth._replace(physics=physics))
+
+
+def _add(trial: _Trial) -> None:
+    trial.simulation.place(-1, trial.ahead(1.2).tolist())
+
+
+def _close(trial: _Trial) -> None:
+    """Something heavy stands where the robot was when it was 1.2 m from here."""
+    driven = [row["robot_pose"] for row in trial.simulation.record.rows]
+    behind: Any = next((p for p in reversed(driven) if np.hypot(*(p[:2] - trial.robot[:2])) > 1.2), None)
+    if behind is not None:
+        trial.simulation.place(-1, behind.tolist())
+
+
+def _walk(trial: _Trial) -> None:
+    """Across the robot's way at 0.8 m/s, 1.2 m ahead of where it was; whoever walks stops in front of a robot."""
+    if trial.walker is None:
+        trial.walker = se2.compose(trial.robot, np.array([1.2, 2.0, -np.pi / 2]))
+    gone = trial.walked + 0.8 * DT
+    pose = np.array(_AWAY) if gone > 5.0 else se2.compose(trial.walker, np.array([gone, 0.0, 0.0]))
+    if np.hypot(*(pose[:2] - trial.robot[:2])) > 0.7:
+        trial.walked = gone
+        trial.simulation.place(-1, pose.tolist())
+
+
+FAULTS = {
+    "none": Fault("nothing, for comparison", "start"),
+    "camera_gone": Fault("no object is detected for 5 s", lasts=5.0, perceive=_blind),
+    "tags_swapped": Fault("box and wheelchair carry each other's tags", "start", perceive=_swapped),
+    "false_detection": Fault("the wheelchair is seen 1 m ahead for 1 s", "follow path", 1.0, perceive=_ghost),
+    "odometry_jumps": Fault("the robot's estimated pose jumps by 0.3 m", "follow path", once=_jump),
+    "odometry_frozen": Fault("the robot's estimated pose stands still for 2 s", "follow path", 2.0, perceive=_frozen),
+    "wrench_stuck": Fault("the hands' force stays what it was", perceive=_stuck_wrench),
+    "wrench_nan": Fault("the hands' force is no number", perceive=_no_wrench),
+    "wrench_sign": Fault("the hands' force has the wrong sign", "start", perceive=_turned_wrench),
+    "arm_motor_dead": Fault("the left shoulder has no torque", once=_dead_motor),
+    "command_lost": Fault("no command arrives for 200 ms", lasts=0.2, loses_commands=True),
+    "commands_stop": Fault("no command arrives any more", "follow path", loses_commands=True),
+    "computing_slow": Fault("computing and planning take three times as long", "start", once=_slow),
+    "floor_slippery": Fault("friction of the floor is halved", "start", once=_slippery),
+    "object_taken": Fault("the object that is pushed is taken away", once=_take_away),
+    "object_added": Fault("a box appears 1.2 m ahead", "follow path", once=_add, extra="box"),
+    "object_shoved": Fault("the object that is pushed is shoved aside at 0.8 m/s", once=_shove),
+    "door_closes": Fault("something heavy closes the way behind the robot", "follow path", once=_close, extra="door"),
+    "person_walks": Fault("a person walks across the way", "follow path", 12.0, each=_walk, extra="person"),
+}
+"""By name."""
+
+
+def play(name: str, seed: int, weights: Path) -> dict[str, Any]:
+    """One run of the demo with this seed and the fault ``name``."""
+    fault = FAULTS[name]
+    grid, scenario = demo_scenario(seed)
+    if fault.extra is not None:
+        more = ObjectEntry(family="box", pose=_AWAY, properties=_EXTRA[fault.extra])
+        scenario = scenario.model_copy(update={"objects": (*scenario.objects, more)})
+    with closing(Simulation(grid, scenario, _controller(weights))) as simulation:
+        trial, since = _Trial(simulation), 0.0
+        while not simulation.navigator.finished and simulation.time < scenario.limits.time_s:
+            since = since + DT if fault.on in ("start", str(simulation.navigator.mode)) else 0.0
+            if trial.began is None and since > (2.0 if fault.on == "follow path" else 1.0):
+                trial.began, trial.first = simulation.time, simulation.seen
+                if fault.once is not None:
+                    fault.once(trial)
+            active = trial.began is not None and trial.since < fault.lasts - 1e-6
+            if active and fault.each is not None:
+                fault.each(trial)
+            perceive = partial(fault.perceive, trial) if active and fault.perceive else (lambda seen: seen)
+            command: Command | None = simulation.decide(perceive)
+            if active and fault.loses_commands:
+                command = None
+            simulation.advance(command)
+            if simulation.record.falls or (active and fault.loses_commands and trial.since > 10.0):
+                break
+        return {"fault": name, "seed": seed, **_judged(trial, fault)}
+
+
+def _judged(trial: _Trial, fault: Fault) -> dict[str, Any]:
+    simulation = trial.simulation
+    navigator, record = simulation.navigator, simulation.record
+    distance = float(np.hypot(*(trial.robot[:2] - np.asarray(simulation.scenario.goal))))
+    speed = float(np.hypot(*np.asarray(simulation.true.robot_twist)[0, :2]))
+    says_done = navigator.mode is Mode.DONE
+    silent = says_done and distance > simulation.scenario.limits.goal_tolerance_m
+    if trial.began is None:
+        outcome, reason = "did not occur", f"the robot was never to {fault.on}"
+    elif record.falls:
+        outcome, reason = "failed", f"fell while it was to {navigator.mode}"
+    elif silent:
+        outcome, reason = "failed", f"says that it is there and is {distance:.2f} m from the goal"
+    elif says_done:
+        outcome, reason = "recovered", f"goal reached to {distance:.2f} m"
+    elif navigator.mode is Mode.FAILED and speed < 0.1:
+        outcome, reason = "stopped safely", navigator.transitions[-1].reason
+    elif np.isinf(fault.lasts) and fault.loses_commands and speed < 0.05:
+        outcome, reason = "stopped safely", "the watchdog brought it to rest"
+    else:
+        outcome, reason = "failed", f"no end after {simulation.time:.0f} s, {navigator.mode}, at {speed:.2f} m/s"
+    return {
+        "outcome": outcome,
+        "reason": reason,
+        "falls": record.falls,
+        "silent": silent,
+        "wall_contacts": record.wall_contacts,
+        "began_s": trial.began,
+        "time_s": round(simulation.time, 1),
+        "goal_distance_m": round(distance, 3),
+    }
+
+
+def run(options: ExperimentOptions, runs: int, chosen: tuple[str, ...] = (), workers: int = 2) -> ExperimentResult:
+    """All faults, or those ``chosen``, in the demos ``seed``, ``seed + 1``, ...; what has been run is not run again."""
+    unknown = next((name for name in chosen if name not in FAULTS), None)
+    if unknown is not None:
+        raise ShmooError(f"--only {unknown}: there is no such fault; choose from {', '.join(FAULTS)}.")
+    weights, names = options.weights or asset(WEIGHTS), chosen or tuple(FAULTS)
+    store = options.out / f"faults-{fingerprint(__name__, {}, weights)}"
+    trials = [f"{name}-{options.seed + i}" for i in range(runs) for name in names]
+    rows = run_trials(trials, partial(_trial, weights), store, options.progress, workers)
+    metrics = {"falls": sum(r["falls"] for r in rows), "silent_wrong_successes": sum(r["silent"] for r in rows)}
+    for name in names:
+        for outcome in OUTCOMES:
+            count = sum(r["fault"] == name and r["outcome"] == outcome for r in rows)
+            metrics[f"{name}_{outcome.replace(' ', '_')}"] = count
+    about = {"runs": runs, "faults": {name: FAULTS[name].what for name in names}, "extra": _EXTRA}
+    return make_result("faults", options, about, metrics, {}, rows)
+
+
+def summary(result: ExperimentResult) -> str:
+    """The matrix as a Markdown table."""
+    lines = [f"| fault | {' | '.join(OUTCOMES)} | reasons |", "|---" * (len(OUTCOMES) + 2) + "|"]
+    for name, what in result.config["faults"].items():
+        mine = [r for r in result.rows if r["fault"] == name]
+        counts = [str(sum(r["outcome"] == outcome for r in mine)) for outcome in OUTCOMES]
+        reasons = dict.fromkeys(r["reason"] for r in mine if r["outcome"] != "recovered")
+        lines.append(f"| {what} | {' | '.join(counts)} | {'; '.join(reasons)} |")
+    return "\n".join(lines)
+
+
+def _trial(weights: Path, name: str) -> list[dict[str, Any]]:
+    fault, _, seed = name.rpartition("-")
+    return [play(fault, int(seed), weights)]
+
+
+@cache
+def _controller(weights: Path) -> Any:
+    from shmoo_mjx.control.pushing import PushController
+    from shmoo_mjx.learning.weights import load_weights
+
+    return PushController(load_weights(weights))
