@@ -46,7 +46,7 @@ def moving(episodes: int = 6, length: int = 80, seed: int = 0) -> Recordings:
         twist = se2.rotate(twist + labels[i] * DT, -move[2])
     run = np.tile(np.arange(length, 0, -1), episodes)
     rows = Rows(inputs[None], labels[None], np.ones((1, n)), run[None])
-    return Recordings(rows, DT * np.arange(n)[None], poses[None], np.zeros((1, 1)))
+    return Recordings(rows, DT * np.arange(n)[None], poses[None])
 
 
 @pytest.fixture(scope="module")
