@@ -38,8 +38,6 @@ __all__ = [
     "write_condition",
 ]
 
-Array = Any
-
 SCHEMA_VERSION = 1
 """Raised whenever a field of a condition's file changes its meaning."""
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
 
 import numpy as np
 
@@ -22,8 +21,6 @@ from shmoo_mjx.plant.scene import build_scene
 from shmoo_mjx.types import DT, Command, Observation
 
 __all__ = ["BORDER", "IMMOVABLE", "SteadyPush", "draw_immovable", "manipulable", "near_border", "steady_push"]
-
-Array = Any
 
 IMMOVABLE = ("heavy", "brakes", "fixed")
 """Kinds of objects that a robot like this can't move: too heavy, two wheels locked, fixed to the floor."""

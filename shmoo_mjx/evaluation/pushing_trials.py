@@ -39,8 +39,6 @@ __all__ = [
     "scene_of_trial",
 ]
 
-Array = Any
-
 METHODS = ("ours", "frozen_prior", "eq8", "hindsight", "quasi_static", "paper_form")
 """Ours: MPPI while the object's body is identified. The others run the same trials: with Eq. 8 on top, for one, and the
 last with psi as the paper prints it."""

@@ -13,8 +13,6 @@ from shmoo_mjx.report.style import SERIES
 
 __all__ = ["draw_figure"]
 
-Array = Any
-
 _BARS = (
     ("pair_out", "ours", "ours, pair left out", SERIES[0]),
     ("shape_out", "ours", "ours, shape left out", SERIES[4]),

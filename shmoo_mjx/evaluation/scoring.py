@@ -29,7 +29,7 @@ from shmoo_mjx.dynamics import features
 from shmoo_mjx.learning.baselines.protocol import Predictor, Recordings, first_rows
 from shmoo_mjx.types import DT
 
-__all__ = ["FIT_ROWS", "NAMES", "average", "by_family", "roll_out", "score"]
+__all__ = ["FIT_ROWS", "NAMES", "average", "roll_out", "score"]
 
 Array = Any
 
@@ -119,11 +119,6 @@ def roll_out(predictor: Predictor, state: Any, inputs: Array, time: Array) -> Ar
 def average(scores: Mapping[str, np.ndarray]) -> dict[str, float]:
     """Mean of each measure over the conditions."""
     return {name: float(np.nanmean(values)) for name, values in scores.items()}
-
-
-def by_family(values: np.ndarray, families: list[str]) -> dict[str, float]:
-    """Mean over the conditions of each family."""
-    return {f: float(np.nanmean(values[[g == f for g in families]])) for f in dict.fromkeys(families)}
 
 
 def stretches(run: Array, weights: Array, first: int, steps: int) -> tuple[np.ndarray, Array]:

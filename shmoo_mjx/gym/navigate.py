@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt, map_coordinates
@@ -20,8 +20,6 @@ from shmoo_mjx.sensing.rays import cast
 from shmoo_mjx.types import Command, Observation
 
 __all__ = ["NavigateConfig", "NavigateTask", "Rooms"]
-
-Array = Any
 
 _OBJECTS = 2
 """The demo's box and wheelchair."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -35,8 +34,6 @@ class Progress(NamedTuple):
     """Score on the validation conditions; lower is better."""
     best: float
     """Best score so far."""
-    seconds_left: float
-    """At the speed so far, if not stopped early [s]."""
 
 
 class Fitted(NamedTuple):
@@ -93,7 +90,6 @@ def run(
         tree, notes = loaded
         state, best, score = tree["state"], tree["best"], notes["score"]
         history = [(float(a), float(b)) for a, b in notes["history"]]
-    begun, first = time.monotonic(), len(history)
     while len(history) < chunks and not _stale(history, patience):
         state, loss = chunk(state)
         candidate = extract(state)
@@ -105,9 +101,7 @@ def run(
             notes = {"score": score, "history": history, "identity": identity}
             serialisation.save_checkpoint(path, {"state": state, "best": best}, notes)
         if progress is not None:
-            pace = (time.monotonic() - begun) / (len(history) - first)
-            left = pace * (chunks - len(history))
-            progress(Progress(len(history), chunks, float(loss), value, score, left))
+            progress(Progress(len(history), chunks, float(loss), value, score))
     if not np.isfinite(score):
         raise ShmooError(
             f"training: none of {len(history)} chunks had a finite validation score; check the data for values that "

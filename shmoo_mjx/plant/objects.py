@@ -19,12 +19,9 @@ import numpy as np
 from shmoo_mjx.assets import asset
 from shmoo_mjx.errors import ShmooError
 
-__all__ = ["FAMILIES", "WHEELS", "Condition", "draw_condition", "object_spec"]
+__all__ = ["FAMILIES", "Condition", "draw_condition", "object_spec"]
 
 FAMILIES = ("box", "cart", "wheelchair")
-WHEELS = {"box": 0, "cart": 4, "wheelchair": 4}
-"""Wheels per family; cart: casters front left, front right, rear left, rear right; wheelchair: fixed rear left, rear
-right, then casters front left, front right."""
 _CASTER_RADIUS = {"cart": 0.05, "wheelchair": 0.08}
 _REAR_RADIUS = 0.28
 _REAR_AXLE = -0.12

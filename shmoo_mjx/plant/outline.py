@@ -15,7 +15,7 @@ from shmoo_mjx import se2
 from shmoo_mjx.hands import HAND_HEIGHT, HAND_RADIUS, REACH, TUCKED_HEIGHT, TUCKED_REACH, hand_targets
 from shmoo_mjx.plant.robot import ROBOT, arm_angles, com_offset
 
-__all__ = ["ARM_RADIUS", "Outline", "Room", "outline", "radius", "room"]
+__all__ = ["ARM_RADIUS", "Outline", "Room", "outline", "room"]
 
 Array = Any
 
@@ -90,12 +90,6 @@ def _leant(x: float, y: float) -> np.ndarray:
 def _along(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     count = int(np.ceil(np.hypot(*(end - start)) / _SPACING)) + 1
     return np.linspace(start, end, count)
-
-
-def radius(discs: Outline) -> float:
-    """Of the circle round the origin of {R} that holds all discs [m]: what the robot needs to turn on the spot."""
-    parts = zip(discs, (ROBOT.radius, ARM_RADIUS, HAND_RADIUS), strict=True)
-    return max(float(np.linalg.norm(centres, axis=-1).max()) + r for centres, r in parts)
 
 
 def room(

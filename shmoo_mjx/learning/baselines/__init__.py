@@ -46,10 +46,10 @@ METHODS: dict[str, Method] = {
         Method("trigonometric", linear.trigonometric, _RIDGES, trained=False),
         Method("residual", adaptive.residual, _ON_RESIDUAL),
         Method("mlp", networks.mlp, _NETS),
-        Method("residual_body", seeing(adaptive.residual, body=True), _ON_RESIDUAL),
-        Method("linear_prior_body", seeing(linear.linear_prior, body=True), _PRIORS, trained=False),
-        Method("gru_body", seeing(networks.gru, body=True), _NETS),
-        Method("gru_fed_back", fed_back(seeing(networks.gru, body=True)), _NETS),
+        Method("residual_body", seeing(adaptive.residual), _ON_RESIDUAL),
+        Method("linear_prior_body", seeing(linear.linear_prior), _PRIORS, trained=False),
+        Method("gru_body", seeing(networks.gru), _NETS),
+        Method("gru_fed_back", fed_back(seeing(networks.gru)), _NETS),
     )
 }
 """Every method that is tuned, by the name its metrics carry."""

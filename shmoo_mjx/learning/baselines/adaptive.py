@@ -56,20 +56,17 @@ def daiml_config(job: Job, config: DaimlConfig) -> DaimlConfig:
 
 def ours(job: Job) -> Predictor:
     """psi as shipped."""
-    config = daiml_config(job, DaimlConfig())
-    return from_fit(daiml.fit_rows(job.train.rows, job.validation.rows, config, job.directory), config)
+    return from_fit(*_trained(job, DaimlConfig()))
 
 
 def paper_form(job: Job) -> Predictor:
     """psi as printed: a* by Eq. 5 with a ridge."""
-    config = daiml_config(job, paper_config())
-    return from_fit(daiml.fit_rows(job.train.rows, job.validation.rows, config, job.directory), config)
+    return from_fit(*_trained(job, paper_config()))
 
 
 def prior(job: Job) -> Predictor:
     """psi as shipped, with the coefficients of an object that has not been touched."""
-    config = daiml_config(job, DaimlConfig())
-    return prior_of(daiml.fit_rows(job.train.rows, job.validation.rows, config, job.directory), config)
+    return prior_of(*_trained(job, DaimlConfig()))
 
 
 def residual(job: Job) -> Predictor:
@@ -137,6 +134,11 @@ def prior_of(fitted: ObjectFit, config: DaimlConfig) -> Predictor:
     prior = fitted.body_prior
     known = jnp.asarray(fitted.prior_mean), jnp.asarray(prior.mean[np.argmax(prior.log_weight)])
     return from_fit(fitted, config)._replace(adapt=lambda context: known)
+
+
+def _trained(job: Job, config: DaimlConfig) -> tuple[ObjectFit, DaimlConfig]:
+    config = daiml_config(job, config)
+    return daiml.fit_rows(job.train.rows, job.validation.rows, config, job.directory), config
 
 
 def _beside(job: Job, part: str) -> Path | None:

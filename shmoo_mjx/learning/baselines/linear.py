@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -12,13 +10,11 @@ import numpy as np
 
 from shmoo_mjx.learning import least_squares
 from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, output_scale
-from shmoo_mjx.learning.baselines.sight import Sight, sight
+from shmoo_mjx.learning.baselines.sight import sight
 
 __all__ = ["Prior", "fit_prior", "linear_prior", "trigonometric"]
 
 Array = Any
-Basis = Callable[[Array, Array, Array], Array]
-"""(inputs ``[..., n]``, time ``[...]``, body ``[p]``) -> functions ``[..., d]``."""
 
 
 class Prior(NamedTuple):
@@ -33,19 +29,53 @@ class Prior(NamedTuple):
 
 
 def trigonometric(job: Job) -> Predictor:
-    """psi(t) = [sin t, sin 2t, sin 3t, cos t, cos 2t, cos 3t] (Sec. V-B)."""
+    """psi(t) = [sin t, sin 2t, sin 3t, cos t, cos 2t, cos 3t] (Sec. V-B), a ridge towards zero for each condition."""
+    scale = output_scale(job.train.rows)
 
-    def basis(x: Array, time: Array, body: Array) -> Array:
+    def basis(time: Array) -> Array:
         angles = jnp.asarray(time)[..., None] * jnp.arange(1.0, 4.0)
         return jnp.concatenate([jnp.sin(angles), jnp.cos(angles)], axis=-1)
 
-    return _ridge(basis, job, sight(job))
+    def adapt(context: Context) -> Array:
+        f = basis(context.time)
+        psi = jnp.broadcast_to(f[:, None, :], (f.shape[0], scale.shape[0], f.shape[-1]))
+        start = jnp.zeros(psi.shape[1:])
+        return least_squares.ridge(psi, context.labels / scale, start, job.setting["ridge"], context.weights)
+
+    return Predictor(jax.jit(adapt), lambda a, x, time: basis(time) @ a.T * scale)
 
 
 def linear_prior(job: Job) -> Predictor:
-    """The inputs and a constant, drawn towards what the training conditions say."""
-    sees = sight(job)
-    return _towards_prior(_seen(sees), job, sees)
+    """The inputs and a constant, drawn towards what the training conditions say.
+
+    setting["noise"] inflates the noise, whose samples are correlated in truth. setting["coupled"] keeps the prior's
+    covariances between coefficients; otherwise only their variances.
+    """
+    sees, scale, rows = sight(job), output_scale(job.train.rows), job.train.rows
+
+    def basis(x: Array, body: Array) -> Array:
+        return jnp.concatenate([sees(x, body), jnp.ones((*x.shape[:-1], 1))], axis=-1)
+
+    functions = jax.jit(jax.vmap(basis))(rows.inputs, sees.found[1][:, -1])
+    prior = fit_prior(np.asarray(functions), rows.labels / scale, rows.weights)
+    covariance = prior.covariance if job.setting["coupled"] else np.diag(np.diag(prior.covariance))
+    factor = jnp.asarray(np.linalg.cholesky(covariance), jnp.float32)
+    mean, noise = jnp.asarray(prior.mean, jnp.float32), jnp.asarray(prior.noise * job.setting["noise"], jnp.float32)
+    axes = scale.shape[0]
+
+    def adapt(context: Context) -> tuple[Array, Array]:
+        body = sees.body(context)
+        f = basis(context.inputs, body)
+        phi = (f[:, None, None, :] * jnp.eye(axes)[:, :, None]).reshape(f.shape[0], axes, -1)
+        labels = context.labels / scale
+        a, _ = least_squares.posterior_from_factor(phi, labels, mean, factor, noise, context.weights)
+        return a.reshape(axes, -1), body
+
+    def predict(state: tuple[Array, Array], x: Array, time: Array) -> Array:
+        a, body = state
+        return basis(x, body) @ a.T * scale
+
+    return Predictor(jax.jit(adapt), predict)
 
 
 def fit_prior(functions: np.ndarray, labels: np.ndarray, weights: np.ndarray, rounds: int = 30) -> Prior:
@@ -83,53 +113,3 @@ def fit_prior(functions: np.ndarray, labels: np.ndarray, weights: np.ndarray, ro
         # Laws without noise exist in tests only; single precision does not bear them.
         prior = Prior(mean, covariance, 0.5 * (noise + noise.T) + 1e-4 * np.eye(axes))
     return prior
-
-
-def _seen(sees: Sight) -> Basis:
-    """What the method sees, and a constant."""
-    return lambda x, time, body: jnp.concatenate([sees(x, body), jnp.ones((*x.shape[:-1], 1))], axis=-1)
-
-
-def _ridge(basis: Basis, job: Job, sees: Sight) -> Predictor:
-    """Each condition by itself, drawn towards zero."""
-    scale = output_scale(job.train.rows)
-
-    def adapt(context: Context) -> tuple[Array, Array]:
-        body = sees.body(context)
-        f = basis(context.inputs, context.time, body)
-        psi = jnp.broadcast_to(f[:, None, :], (f.shape[0], scale.shape[0], f.shape[-1]))
-        start = jnp.zeros(psi.shape[1:])
-        a = least_squares.ridge(psi, context.labels / scale, start, job.setting["ridge"], context.weights)
-        return a, body
-
-    return Predictor(jax.jit(adapt), partial(_weighted, basis, scale))
-
-
-def _towards_prior(basis: Basis, job: Job, sees: Sight) -> Predictor:
-    """Each condition given the prior; setting["noise"] inflates the noise, whose samples are correlated in truth.
-
-    setting["coupled"] keeps the prior's covariances between coefficients; otherwise only their variances.
-    """
-    scale, rows = output_scale(job.train.rows), job.train.rows
-    functions = jax.jit(jax.vmap(basis))(rows.inputs, job.train.time, sees.found[1][:, -1])
-    prior = fit_prior(np.asarray(functions), rows.labels / scale, rows.weights)
-    covariance = prior.covariance if job.setting["coupled"] else np.diag(np.diag(prior.covariance))
-    factor = jnp.asarray(np.linalg.cholesky(covariance), jnp.float32)
-    mean, noise = jnp.asarray(prior.mean, jnp.float32), jnp.asarray(prior.noise * job.setting["noise"], jnp.float32)
-    axes = scale.shape[0]
-
-    def adapt(context: Context) -> tuple[Array, Array]:
-        body = sees.body(context)
-        f = basis(context.inputs, context.time, body)
-        phi = (f[:, None, None, :] * jnp.eye(axes)[:, :, None]).reshape(f.shape[0], axes, -1)
-        labels = context.labels / scale
-        a, _ = least_squares.posterior_from_factor(phi, labels, mean, factor, noise, context.weights)
-        return a.reshape(axes, -1), body
-
-    return Predictor(jax.jit(adapt), partial(_weighted, basis, scale))
-
-
-def _weighted(basis: Basis, scale: Array, state: tuple[Array, Array], x: Array, time: Array) -> Array:
-    """The prediction from coefficients ``[m, d]`` and a body."""
-    a, body = state
-    return basis(x, time, body) @ a.T * scale

@@ -73,10 +73,10 @@ def sight(job: Job) -> Sight:
     return Sight(config, fit, found, scale, jnp.mean(seen, axis=0), spread)
 
 
-def seeing(fit: Fit, body: bool) -> Fit:
-    """The same method with the identified body among what it sees, or without."""
+def seeing(fit: Fit) -> Fit:
+    """The same method with the identified body among what it sees."""
 
     def fitted(job: Job) -> Predictor:
-        return fit(replace(job, setting=job.setting | {"body": body}))
+        return fit(replace(job, setting=job.setting | {"body": True}))
 
     return fitted
