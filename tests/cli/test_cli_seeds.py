@@ -29,6 +29,7 @@ COMMANDS = {
     "experiment": "experiment object_model --seed",
     "objects of an experiment": "experiment object_model --condition-seed",
     "bench": "bench mppi --seed",
+    "faults": "faults --seed",
 }
 
 
