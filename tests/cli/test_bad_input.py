@@ -189,7 +189,7 @@ def cases(good: Path) -> st.SearchStrategy[tuple[list[str], dict[str, bytes]]]:
     add = ["object", "add", "chair.obj", "--mass", "4", "--friction", "0.4"]
     weights = asset(WEIGHTS).read_bytes()
     starts = st.lists(TEXTS, min_size=1, max_size=4).map(",".join)
-    point = [*("navigate", "--no-video", "--out", "out", "--map", "room.yaml", "--goal", "4,2", "--start")]
+    point = [*("navigate", "--no-video", "--out", "out", "--map", "room.yaml", "--goal", "4,2")]
     return st.one_of(
         documents(SCENARIO).map(lambda content: (drive, {"scenario.yaml": content})),
         documents(SCENARIO).map(lambda content: (drive, {"scenario.yaml": content})),
@@ -201,7 +201,7 @@ def cases(good: Path) -> st.SearchStrategy[tuple[list[str], dict[str, bytes]]]:
         files(b'{"experiment": "x", "rows": []}').map(
             lambda content: (["bench", "compare", "a.json", "a.json"], {"a.json": content})
         ),
-        starts.map(lambda text: ([*point, text.replace("\x00", "")], {})),
+        starts.map(lambda text: ([*point, f"--start={text}".replace("\x00", "")], {})),
     )
 
 
@@ -209,7 +209,7 @@ def ended(words: list[str], monkeypatch: pytest.MonkeyPatch) -> tuple[int | None
     """Exit code, None where the work would have begun, and what stands on stderr."""
     said = io.StringIO()
     monkeypatch.setattr(sys, "argv", ["shmoo", *words])
-    began = time.monotonic()
+    began = time.process_time()  # a busy neighbour is no hang
     with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
         try:
             cli.main()
@@ -217,7 +217,7 @@ def ended(words: list[str], monkeypatch: pytest.MonkeyPatch) -> tuple[int | None
             code: int | None = int(end.code or 0)
         except AcceptedError:
             code = None
-    assert time.monotonic() - began < LONGEST, words
+    assert time.process_time() - began < LONGEST, words
     return code, said.getvalue()
 
 
