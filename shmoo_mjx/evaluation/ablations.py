@@ -6,7 +6,8 @@ Trainings of psi as long as the shipped one, a few seeds each, scored on unseen 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,11 @@ import numpy as np
 from shmoo_mjx.data import store
 from shmoo_mjx.evaluation import datasets, probe, scoring
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result, over_seeds
+from shmoo_mjx.evaluation.trainings import Trainings, prepare
 from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning import daiml
-from shmoo_mjx.learning.baselines import Budget, Job, Predictor, Recordings, recordings
+from shmoo_mjx.learning.baselines import Budget, recordings
 from shmoo_mjx.learning.baselines.adaptive import daiml_config, from_fit
 from shmoo_mjx.learning.baselines.protocol import output_scale
 from shmoo_mjx.learning.daiml import DaimlConfig
@@ -80,85 +82,49 @@ QUICK = AblationsConfig(
 )
 
 
-@dataclass(frozen=True)
-class _Work:
-    """One variant with one seed; called with "VARIANT-SEED", or "raw-SEED" for probes on the inputs themselves."""
-
-    train: Path
-    unseen: Path
-    folder: Path
-    config: AblationsConfig
-    seed: int
-
-    def __call__(self, name: str) -> list[dict[str, Any]]:
-        variant, number = name.rsplit("-", 1)
-        dataset = store.of_training(self.train)
-        scale = output_scale(recordings(dataset.split("train")).rows)
-        if self.config.training_objects is not None:
-            dataset = datasets.subset(dataset, self.config.training_objects)
-        parts = [dataset.split("train"), dataset.split("validation"), store.read(self.unseen, splits=("test",))]
-        train, validation, unseen = (recordings(part) for part in parts)
-        label = {"variant": variant, "run": int(number)}
-        if variant == "raw":
-            raw = {"inputs": train.rows.inputs, "inputs_without_size": probe.raw_without_size(train.rows)}
-            found = {f"probe_{what}": self._probe(values, train.rows.weights) for what, values in raw.items()}
-            return [label | found | {"chance": 1 / len(train.rows.inputs)}]
-        job = Job(
-            train,
-            validation,
-            VARIANTS[variant],
-            self.config.budget,
-            self.seed + int(number),
-            self._rows(max(self.config.fit_seconds)),
-        )
-        config = daiml_config(job, DaimlConfig())
-        # Variants that come to the same settings, as alpha_0.01 and the default do, share one training.
-        directory = self.folder / "training" / fingerprint(__name__, asdict(config))
-        fitted = daiml.fit_rows(train.rows, validation.rows, config, directory)
-        rows = self._scored(from_fit(fitted, config), unseen, scale, label, variant)
-        if variant.startswith("alpha"):
-            psi = probe.psi_of(fitted, config, train.rows)
-            rows[0]["probe_psi"] = self._probe(psi, train.rows.weights)
-        return rows
-
-    def _scored(
-        self, predictor: Predictor, recorded: Recordings, scale: np.ndarray, label: dict[str, Any], variant: str
-    ) -> list[dict[str, Any]]:
-        """One row for each time to adapt; the variants but the default take the longest only."""
-        longest = max(self.config.fit_seconds)
-        times = self.config.fit_seconds if variant == "default" else (longest,)
-        rows = []
-        for seconds in times:
-            scores = scoring.score(predictor, recorded, scale, self._rows(seconds), self._rows(longest))
-            # The mean hangs on objects that hardly move.
-            median = {"fvu_median": float(np.nanmedian(scores["fvu"]))}
-            rows.append(label | {"fit_seconds": seconds} | scoring.average(scores) | median)
-        return rows
-
-    def _probe(self, values: Any, weights: Any) -> float:
-        probes = range(self.config.probes)
-        return float(np.mean([probe.accuracy(values, weights, seed, self.config.probe_updates) for seed in probes]))
-
-    @staticmethod
-    def _rows(seconds: float) -> int:
-        return round(seconds / DT)
-
-
 def run(options: ExperimentOptions, config: AblationsConfig | None = None) -> ExperimentResult:
     """Train and score every variant; goes on from ``options.out`` after a stop."""
     config = config or (QUICK if options.quick else AblationsConfig())
-    train = datasets.training_directory(options)
-    unseen = datasets.unseen_directory(options, config.unseen)
-    manifests = [directory / store.MANIFEST for directory in (train, unseen)]
-    key = asdict(replace(config, workers=1, seeds=1, variants=())) | {"seed": options.seed}
-    folder = options.out / "ablations" / fingerprint(__name__, key, *manifests)
-    names = ["raw-0", *(f"{variant}-{seed}" for variant in config.variants for seed in range(config.seeds))]
-    rows = run_trials(
-        names, _Work(train, unseen, folder, config, options.seed), folder, options.progress, workers=config.workers
-    )
+    shared = prepare(__name__, "ablations", options, config, {"seeds": 1, "variants": ()})
+    trials = {f"{variant}-{i}": (variant, i) for variant in config.variants for i in range(config.seeds)}
+    trials = {"raw-0": ("raw", 0)} | trials
+    rows = run_trials(trials, partial(_trained, shared, config), shared.folder, options.progress, config.workers)
     result = make_result("ablations", options, config, _metrics(rows, config), {}, rows)
     _figure(result, options.out / "ablations" / "domain_invariance.png")
     return result
+
+
+def _trained(shared: Trainings, config: AblationsConfig, trial: tuple[str, int]) -> list[dict[str, Any]]:
+    """One variant with one seed; ``raw`` stands for probes on the inputs themselves."""
+    variant, number = trial
+    label = {"variant": variant, "run": number}
+    fit_rows = round(max(config.fit_seconds) / DT)
+    job = shared.job(variant, number, config.budget, fit_rows, VARIANTS.get(variant))
+    rows = job.train.rows
+    if variant == "raw":
+        raw = {"inputs": rows.inputs, "inputs_without_size": probe.raw_without_size(rows)}
+        found = {f"probe_{what}": _probe(config, values, rows.weights) for what, values in raw.items()}
+        return [label | found | {"chance": 1 / len(rows.inputs)}]
+    settings = daiml_config(job, DaimlConfig())
+    # Variants that come to the same settings, as alpha_0.01 and the default do, share one training.
+    directory = shared.folder / "training" / fingerprint(__name__, asdict(settings))
+    fitted = daiml.fit_rows(rows, job.validation.rows, settings, directory)
+    predictor, unseen = from_fit(fitted, settings), recordings(shared.objects())
+    scale = output_scale(recordings(store.of_training(shared.train).split("train")).rows)
+    found_rows = []
+    for seconds in config.fit_seconds if variant == "default" else (max(config.fit_seconds),):
+        scores = scoring.score(predictor, unseen, scale, round(seconds / DT), fit_rows)
+        # The mean hangs on objects that hardly move.
+        median = {"fvu_median": float(np.nanmedian(scores["fvu"]))}
+        found_rows.append(label | {"fit_seconds": seconds} | scoring.average(scores) | median)
+    if variant.startswith("alpha"):
+        found_rows[0]["probe_psi"] = _probe(config, probe.psi_of(fitted, settings, rows), rows.weights)
+    return found_rows
+
+
+def _probe(config: AblationsConfig, values: Any, weights: Any) -> float:
+    probes = range(config.probes)
+    return float(np.mean([probe.accuracy(values, weights, seed, config.probe_updates) for seed in probes]))
 
 
 def _metrics(rows: list[dict[str, Any]], config: AblationsConfig) -> dict[str, float]:

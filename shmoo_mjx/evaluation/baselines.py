@@ -7,18 +7,19 @@ trained anew with three seeds and scored on unseen objects. All see the same inp
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from shmoo_mjx.data import store
 from shmoo_mjx.evaluation import datasets, replay, scoring
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result, over_seeds
+from shmoo_mjx.evaluation.trainings import Trainings, prepare
 from shmoo_mjx.evaluation.trials import run_trials
-from shmoo_mjx.fingerprints import fingerprint
-from shmoo_mjx.learning.baselines import METHODS, REFERENCES, Budget, Job, recordings
+from shmoo_mjx.learning.baselines import METHODS, REFERENCES, Budget, recordings
 from shmoo_mjx.learning.baselines.adaptive import prior
 from shmoo_mjx.learning.baselines.protocol import Method, output_scale
 from shmoo_mjx.learning.rows import rows_from_dataset
@@ -74,86 +75,80 @@ QUICK = BaselinesConfig(
 )
 
 
-@dataclass(frozen=True)
-class _Work:
-    """One fit in a process of its own; called with "tune-METHOD-SETTING" or "final-METHOD-SETTING-SEED"."""
+class _Fit(NamedTuple):
+    """One fit of one method."""
 
-    train: Path
-    unseen: Path
-    folder: Path
-    config: BaselinesConfig
-    seed: int
+    stage: str
+    """tune or final."""
+    method: str
+    setting: int = 0
+    """Place among the method's settings."""
+    number: int = 0
+    """Training with this setting."""
 
-    def __call__(self, name: str) -> list[dict[str, Any]]:
-        stage, method_name, setting, *rest = name.split("-")
-        if method_name == REPLAY:
-            return self._replay()
-        method, number = (METHODS | REFERENCES)[method_name], int(rest[0]) if rest else 0
-        dataset = store.of_training(self.train)
-        if self.config.training_objects is not None:
-            dataset = datasets.subset(dataset, self.config.training_objects)
-        job = Job(
-            recordings(dataset.split("train")),
-            recordings(dataset.split("validation")),
-            method.settings[int(setting)],
-            self.config.tuning if stage == "tune" else self.config.final,
-            self.seed + number,
-            round(self.config.fit_seconds / DT),
-            self.folder / "training" / name,
-        )
-        return _tuned(method, job) if stage == "tune" else self._final(method, job, number)
-
-    def _final(self, method: Method, job: Job, number: int) -> list[dict[str, Any]]:
-        objects = store.read(self.unseen, splits=("test",))
-        recorded, scale = recordings(objects), output_scale(job.train.rows)
-        fits = {method.name: method.fit} | ({"prior": prior} if method.name == "ours" else {})
-        rows = []
-        for name, fit in fits.items():
-            found = scoring.score(fit(job), recorded, scale, job.fit_rows)
-            rows += _rows(objects, found, {"method": name, "run": number, "setting": job.setting})
-        return rows
-
-    def _replay(self) -> list[dict[str, Any]]:
-        objects = store.read(self.unseen, splits=("test",))
-        scale = output_scale(rows_from_dataset(store.of_training(self.train).split("train")))
-        found = replay.score(objects, scale, round(self.config.fit_seconds / DT))
-        return _rows(objects, found, {"method": REPLAY, "run": 0, "setting": {}})
+    @property
+    def name(self) -> str:
+        return "-".join(map(str, self))
 
 
 def run(options: ExperimentOptions, config: BaselinesConfig | None = None) -> ExperimentResult:
     """Tune, train and score every method; goes on from ``options.out`` after a stop."""
     config = config or (QUICK if options.quick else BaselinesConfig())
-    train = datasets.training_directory(options)
-    unseen = datasets.unseen_directory(options, config.unseen)
-    manifests = [directory / store.MANIFEST for directory in (train, unseen)]
-    # Neither the number of processes nor of seeds changes what a fit gives, nor what it is compared with.
-    key = asdict(replace(config, workers=1, seeds=1, methods=())) | {"seed": options.seed}
-    del key["references"]
-    folder = options.out / "baselines" / fingerprint(__name__, key, *manifests)
-    work = _Work(train, unseen, folder, config, options.seed)
+    # How many there are, of what, changes neither what a fit gives nor what it is compared with.
+    shared = prepare(__name__, "baselines", options, config, {"seeds": 1, "methods": (), "references": ()})
     methods = [METHODS[name] for name in config.methods]
-    tried = _tune(methods, work, options)
+    tried = _tune(methods, shared, config, options)
     chosen = {
         name: min(rows, key=lambda row: row["validation_fvu"])["number"] if rows else 0 for name, rows in tried.items()
     }
-    final = [
-        f"final-{m.name}-{chosen[m.name]}-{seed}" for m in methods for seed in range(config.seeds if m.trained else 1)
+    fits = [
+        _Fit("final", m.name, chosen[m.name], seed) for m in methods for seed in range(config.seeds if m.trained else 1)
     ]
-    final += [f"final-{name}-0-0" for name in config.references]
-    rows = run_trials(final, work, folder, options.progress, config.workers)
+    fits += [_Fit("final", name) for name in config.references]
+    rows = _run(fits, shared, config, options)
     tuning = [row for name in tried for row in tried[name]]
     result = make_result("baselines", options, config, _metrics(rows), PAPER, [*tuning, *rows])
     _figure(result, options.out / "baselines" / "baselines.png")
     return result
 
 
-def _tune(methods: list[Method], work: _Work, options: ExperimentOptions) -> dict[str, list[dict[str, Any]]]:
+def _tune(
+    methods: list[Method], shared: Trainings, config: BaselinesConfig, options: ExperimentOptions
+) -> dict[str, list[dict[str, Any]]]:
     """What each setting of each method gave on the validation conditions; nothing where there is only one to try."""
-    counts = {m.name: min(work.config.settings, len(m.settings)) for m in methods}
-    names = [f"tune-{name}-{i}" for name, count in counts.items() if count > 1 for i in range(count)]
-    rows = run_trials(names, work, work.folder, options.progress, work.config.workers)
-    numbered = [row | {"number": int(name.split("-")[2])} for name, row in zip(names, rows, strict=True)]
+    counts = {m.name: min(config.settings, len(m.settings)) for m in methods}
+    fits = [_Fit("tune", name, i) for name, count in counts.items() if count > 1 for i in range(count)]
+    rows = _run(fits, shared, config, options)
+    numbered = [row | {"number": fit.setting} for fit, row in zip(fits, rows, strict=True)]
     return {m.name: [row for row in numbered if row["tuned"] == m.name] for m in methods}
+
+
+def _run(
+    fits: list[_Fit], shared: Trainings, config: BaselinesConfig, options: ExperimentOptions
+) -> list[dict[str, Any]]:
+    named = {fit.name: fit for fit in fits}
+    return run_trials(named, partial(_scored, shared, config), shared.folder, options.progress, config.workers)
+
+
+def _scored(shared: Trainings, config: BaselinesConfig, fit: _Fit) -> list[dict[str, Any]]:
+    """The rows of one fit."""
+    fit_rows = round(config.fit_seconds / DT)
+    if fit.method == REPLAY:
+        scale = output_scale(rows_from_dataset(store.of_training(shared.train).split("train")))
+        found = replay.score(shared.objects(), scale, fit_rows)
+        return _rows(shared.objects(), found, {"method": REPLAY, "run": 0, "setting": {}})
+    method = (METHODS | REFERENCES)[fit.method]
+    budget = config.tuning if fit.stage == "tune" else config.final
+    job = shared.job(fit.name, fit.number, budget, fit_rows, method.settings[fit.setting])
+    scale = output_scale(job.train.rows)
+    if fit.stage == "tune":
+        found = scoring.score(method.fit(job), job.validation, scale, fit_rows)
+        return [{"tuned": method.name, "setting": job.setting, "validation_fvu": float(np.mean(found["fvu"]))}]
+    rows, recorded = [], recordings(shared.objects())
+    for name, trained in ({method.name: method.fit} | ({"prior": prior} if method.name == "ours" else {})).items():
+        found = scoring.score(trained(job), recorded, scale, fit_rows)
+        rows += _rows(shared.objects(), found, {"method": name, "run": fit.number, "setting": job.setting})
+    return rows
 
 
 def _rows(objects: store.Dataset, found: Mapping[str, np.ndarray], about: dict[str, Any]) -> list[dict[str, Any]]:
@@ -165,11 +160,6 @@ def _rows(objects: store.Dataset, found: Mapping[str, np.ndarray], about: dict[s
         | {measure: float(found.get(measure, none)[i]) for measure in scoring.NAMES}
         for i, (condition, described) in enumerate(zip(objects.names, objects.conditions, strict=True))
     ]
-
-
-def _tuned(method: Method, job: Job) -> list[dict[str, Any]]:
-    found = scoring.score(method.fit(job), job.validation, output_scale(job.train.rows), job.fit_rows)
-    return [{"tuned": method.name, "setting": job.setting, "validation_fvu": float(np.mean(found["fvu"]))}]
 
 
 def _metrics(rows: list[dict[str, Any]]) -> dict[str, float]:

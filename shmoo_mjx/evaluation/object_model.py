@@ -9,8 +9,8 @@ long it takes to notice a brake.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import jax
@@ -21,12 +21,12 @@ from shmoo_mjx.data import store
 from shmoo_mjx.evaluation import datasets, scoring
 from shmoo_mjx.evaluation.object_model_figures import draw_curve, draw_roll_outs
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result, spread
+from shmoo_mjx.evaluation.trainings import Trainings, prepare
 from shmoo_mjx.evaluation.trials import run_trials
-from shmoo_mjx.fingerprints import fingerprint
-from shmoo_mjx.learning import adaptation, daiml, identification
+from shmoo_mjx.learning import adaptation, identification
 from shmoo_mjx.learning.adaptation import AdaptConfig
 from shmoo_mjx.learning.baselines import REFERENCES, Budget, Job, Recordings, first_rows, recordings
-from shmoo_mjx.learning.baselines.adaptive import daiml_config, from_fit, prior_of
+from shmoo_mjx.learning.baselines.adaptive import from_fit, prior_of, trained
 from shmoo_mjx.learning.baselines.networks import mlp
 from shmoo_mjx.learning.baselines.protocol import Predictor, output_scale
 from shmoo_mjx.learning.daiml import DaimlConfig, ObjectFit
@@ -67,83 +67,57 @@ QUICK = ObjectModelConfig(
 )
 
 
-@dataclass(frozen=True)
-class _Work:
-    """One training and its scores, in a process of its own; called with "psi-SEED" or "mlp-SEED" or a reference."""
-
-    train: Path
-    unseen: Path
-    folder: Path
-    config: ObjectModelConfig
-    seed: int
-
-    def __call__(self, name: str) -> list[dict[str, Any]]:
-        method, _, number = name.partition("-")
-        objects = store.read(self.unseen, splits=("test",))
-        job = self.job(int(number))
-        rows: list[dict[str, Any]] = []
-        for label, predictor in self._predictors(method, job).items():
-            found = scoring.score(predictor, recordings(objects), output_scale(job.train.rows), job.fit_rows)
-            rows += [
-                {"predictor": label, "run": int(number), "condition": condition, "family": about["family"]}
-                | {measure: float(values[i]) for measure, values in found.items()}
-                for i, (condition, about) in enumerate(zip(objects.names, objects.conditions, strict=True))
-            ]
-        return rows
-
-    def job(self, number: int) -> Job:
-        """The training with this number."""
-        dataset = store.of_training(self.train)
-        if self.config.training_objects is not None:
-            dataset = datasets.subset(dataset, self.config.training_objects)
-        data = (recordings(dataset.split("train")), recordings(dataset.split("validation")))
-        rows = round(self.config.fit_seconds / DT)
-        folder = self.folder / "training" / f"psi-{number}"
-        return Job(*data, {}, self.config.budget, self.seed + number, rows, folder)
-
-    def fit(self, number: int) -> tuple[ObjectFit, DaimlConfig]:
-        """psi number ``number``: trained, or read from its checkpoint if it has been."""
-        job = self.job(number)
-        config = daiml_config(job, DaimlConfig())
-        return daiml.fit_rows(job.train.rows, job.validation.rows, config, job.directory), config
-
-    def _predictors(self, method: str, job: Job) -> dict[str, Predictor]:
-        if method == "psi":
-            fitted = self.fit(job.seed - self.seed)
-            return {"after": from_fit(*fitted), "before": prior_of(*fitted)}
-        if method == "mlp":
-            return {
-                "mlp": mlp(replace(job, setting={"learning_rate": 1e-3}, directory=self.folder / f"mlp-{job.seed}"))
-            }
-        return {method: REFERENCES[method].fit(job)}
-
-
 def run(options: ExperimentOptions, config: ObjectModelConfig | None = None) -> ExperimentResult:
     """Train, adapt and score; goes on from ``options.out`` after a stop."""
     config = config or (QUICK if options.quick else ObjectModelConfig())
-    train, unseen = datasets.training_directory(options), datasets.unseen_directory(options, config.unseen)
-    key = asdict(replace(config, workers=1, seeds=1)) | {"seed": options.seed}
-    name = fingerprint(__name__, key, train / store.MANIFEST, unseen / store.MANIFEST)
-    out = options.out / "object_model"
-    work = _Work(train, unseen, out / name, config, options.seed)
-    names = [f"{method}-{i}" for method in ("psi", "mlp") for i in range(config.seeds)]
-    rows = run_trials([*names, *(f"{r}-0" for r in REFERENCES)], work, out / name, options.progress, config.workers)
+    shared = prepare(__name__, "object_model", options, config, {"seeds": 1})
+    trials = {f"{method}-{i}": (method, i) for method in ("psi", "mlp") for i in range(config.seeds)}
+    trials |= {name: (name, 0) for name in REFERENCES}
+    rows = run_trials(trials, partial(_scored, shared, config), shared.folder, options.progress, config.workers)
     metrics = _metrics(rows)
     options.progress("online adaptation", 0.95)
-    fitted, daiml_settings = work.fit(0)
-    objects = store.read(unseen, splits=("test",))
-    recorded = recordings(objects)
-    scale = output_scale(work.job(0).train.rows)
-    shares = gap_closed(fitted, daiml_settings, config.adapt, recorded, scale)
+    job = _job(shared, config, 0)
+    fitted, daiml_settings = trained(job, DaimlConfig())
+    objects, scale = shared.objects(), output_scale(job.train.rows)
+    shares = gap_closed(fitted, daiml_settings, config.adapt, recordings(objects), scale)
     metrics |= _curve_metrics(shares) | _brake_metrics(options, config, fitted, daiml_settings, scale)
     curve = [
         {"curve": "gap_closed", "condition": condition, "contact_s": s, "share": shares[i, k]}
         for i, condition in enumerate(objects.names)
         for k, s in enumerate(SECONDS)
     ]
+    out = options.out / "object_model"
     draw_curve(SECONDS, shares, out / "adaptation.png")
     draw_roll_outs(from_fit(fitted, daiml_settings), prior_of(fitted, daiml_settings), objects, out / "roll_outs.png")
     return make_result("object_model", options, config, metrics, PAPER, [*rows, *curve])
+
+
+def _job(shared: Trainings, config: ObjectModelConfig, number: int) -> Job:
+    return shared.job(f"psi-{number}", number, config.budget, round(config.fit_seconds / DT))
+
+
+def _scored(shared: Trainings, config: ObjectModelConfig, trial: tuple[str, int]) -> list[dict[str, Any]]:
+    """One training, "psi" or "mlp", or a reference, and its scores."""
+    method, number = trial
+    job, objects = _job(shared, config, number), shared.objects()
+    predictors: dict[str, Predictor]
+    if method == "psi":
+        fitted = trained(job, DaimlConfig())
+        predictors = {"after": from_fit(*fitted), "before": prior_of(*fitted)}
+    elif method == "mlp":
+        directory = shared.folder / "training" / f"mlp-{number}"
+        predictors = {"mlp": mlp(replace(job, setting={"learning_rate": 1e-3}, directory=directory))}
+    else:
+        predictors = {method: REFERENCES[method].fit(job)}
+    rows: list[dict[str, Any]] = []
+    for label, predictor in predictors.items():
+        found = scoring.score(predictor, recordings(objects), output_scale(job.train.rows), job.fit_rows)
+        rows += [
+            {"predictor": label, "run": number, "condition": condition, "family": about["family"]}
+            | {measure: float(values[i]) for measure, values in found.items()}
+            for i, (condition, about) in enumerate(zip(objects.names, objects.conditions, strict=True))
+        ]
+    return rows
 
 
 def gap_closed(

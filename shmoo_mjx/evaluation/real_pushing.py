@@ -104,9 +104,10 @@ def run(options: ExperimentOptions) -> ExperimentResult:
     pushes = sorted(options.data.glob("m*/pushes*.csv"))
     store = folder / f"trials-{fingerprint(__name__, settings, *pushes)}"
     trials = [trial for trial in PREFIXES if trial.partition("-")[0] in data]
-    names = [f"{trial}-{seed}" for trial in trials for seed in range(options.seed, options.seed + cfg.seeds)]
+    seeds = range(options.seed, options.seed + cfg.seeds)
+    named = {f"{trial}-{seed}": (trial, seed) for trial in trials for seed in seeds}
     rows = run_trials(
-        names, partial(_trial, cfg, options.data, options.condition_seed), store, options.progress, cfg.workers
+        named, partial(_trial, cfg, options.data, options.condition_seed), store, options.progress, cfg.workers
     )
     draw_figure(folder / "real_pushing.png", rows)
     return make_result("real_pushing", options, cfg, measure(rows), {}, rows)
@@ -151,10 +152,11 @@ def linear(condition: Condition, known: Array) -> np.ndarray:
     return np.asarray(x @ min(fitted, key=lambda f: f[0])[1])
 
 
-def _trial(cfg: RealPushing, directory: Path, condition_seed: int, name: str) -> list[dict[str, Any]]:
+def _trial(cfg: RealPushing, directory: Path, condition_seed: int, trial: tuple[str, int]) -> list[dict[str, Any]]:
     """Every condition left out once: one row each."""
-    data_set, protocol, number = name.split("-")
-    data, seed = real_pushes.load(directory)[data_set], int(number)
+    name, seed = trial
+    data_set, _, protocol = name.partition("-")
+    data = real_pushes.load(directory)[data_set]
     learned: dict[tuple[str, ...], Any] = {}
     rows = []
     for i, (left_out, condition) in enumerate(data.items()):
@@ -165,7 +167,7 @@ def _trial(cfg: RealPushing, directory: Path, condition_seed: int, name: str) ->
         count = round(cfg.share * len(order))
         known, scored = order[:count], order[count:]
         predicted = _predictions(cfg, directory, data_set, left_out, train, known, seed, learned)
-        row: dict[str, Any] = {"trial": f"{data_set}-{protocol}", "seed": seed, "condition": left_out}
+        row: dict[str, Any] = {"trial": name, "seed": seed, "condition": left_out}
         row |= {"adapted_on": len(known), "scored": len(scored), "trained_on": train}
         row["outline_from"] = [left_out, *_same_shape(data, train, condition)]
         for predictor, motion in predicted.items():

@@ -85,7 +85,7 @@ MODELS = ("before", "after", "more")
 
 @dataclass(frozen=True)
 class _Work:
-    """One robot in a process of its own; called with "robot-NUMBER"."""
+    """One robot in a process of its own; called with its number."""
 
     weights: Path
     config: RobotFinetuneConfig
@@ -93,8 +93,7 @@ class _Work:
     first_unseen: int
     senses: str
 
-    def __call__(self, name: str) -> list[dict[str, Any]]:
-        number = int(name.partition("-")[2])
+    def __call__(self, number: int) -> list[dict[str, Any]]:
         weights, config = load_weights(self.weights), self.config
         robot_seed = self.first_unseen + 10 * self.seed + number
         train, test = self._record(robot_seed, config.train_episodes), self._record(robot_seed, None)
@@ -157,8 +156,7 @@ def run(options: ExperimentOptions, config: RobotFinetuneConfig | None = None) -
     }
     folder = options.out / "robot_finetune" / fingerprint(__name__, key, weights)
     work = _Work(weights, config, options.seed, options.first_unseen, options.senses)
-    names = [f"robot-{i}" for i in range(config.robots)]
-    rows = run_trials(names, work, folder, options.progress, config.workers)
+    rows = run_trials({f"robot-{i}": i for i in range(config.robots)}, work, folder, options.progress, config.workers)
     result = make_result("robot_finetune", options, config, _metrics(rows), PAPER, rows)
     _figure(result, options.out / "robot_finetune" / "robot_finetune.png")
     return result

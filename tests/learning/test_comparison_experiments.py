@@ -70,10 +70,10 @@ def test_baselines_are_tuned_trained_scored_and_kept(
         result
     )
 
-    def never(self: Any, name: str) -> list[dict[str, Any]]:
-        raise AssertionError(f"{name} was run again")
+    def never(shared: Any, config: Any, fit: Any) -> list[dict[str, Any]]:
+        raise AssertionError(f"{fit} was run again")
 
-    monkeypatch.setattr(baselines._Work, "__call__", never)
+    monkeypatch.setattr(baselines, "_scored", never)
     assert baselines.run(options, config).metrics == found
 
 

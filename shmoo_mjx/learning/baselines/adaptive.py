@@ -27,6 +27,7 @@ __all__ = [
     "prior",
     "prior_of",
     "residual",
+    "trained",
 ]
 
 Array = Any
@@ -56,17 +57,17 @@ def daiml_config(job: Job, config: DaimlConfig) -> DaimlConfig:
 
 def ours(job: Job) -> Predictor:
     """psi as shipped."""
-    return from_fit(*_trained(job, DaimlConfig()))
+    return from_fit(*trained(job, DaimlConfig()))
 
 
 def paper_form(job: Job) -> Predictor:
     """psi as printed: a* by Eq. 5 with a ridge."""
-    return from_fit(*_trained(job, paper_config()))
+    return from_fit(*trained(job, paper_config()))
 
 
 def prior(job: Job) -> Predictor:
     """psi as shipped, with the coefficients of an object that has not been touched."""
-    return prior_of(*_trained(job, DaimlConfig()))
+    return prior_of(*trained(job, DaimlConfig()))
 
 
 def residual(job: Job) -> Predictor:
@@ -136,7 +137,8 @@ def prior_of(fitted: ObjectFit, config: DaimlConfig) -> Predictor:
     return from_fit(fitted, config)._replace(adapt=lambda context: known)
 
 
-def _trained(job: Job, config: DaimlConfig) -> tuple[ObjectFit, DaimlConfig]:
+def trained(job: Job, config: DaimlConfig) -> tuple[ObjectFit, DaimlConfig]:
+    """psi trained by these settings under the job's, or read from its checkpoint, and all settings."""
     config = daiml_config(job, config)
     return daiml.fit_rows(job.train.rows, job.validation.rows, config, job.directory), config
 

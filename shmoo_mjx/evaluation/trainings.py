@@ -1,0 +1,58 @@
+"""What the trainings of one experiment share: training set, unseen objects, and where their results are kept."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from shmoo_mjx.data import store
+from shmoo_mjx.evaluation import datasets
+from shmoo_mjx.evaluation.result import ExperimentOptions
+from shmoo_mjx.fingerprints import fingerprint
+from shmoo_mjx.learning.baselines import Budget, Job, recordings
+
+__all__ = ["Trainings", "prepare"]
+
+
+@dataclass(frozen=True)
+class Trainings:
+    """One experiment's data. Picklable, so that a training can run in a process of its own."""
+
+    train: Path
+    """Directory of the training set."""
+    unseen: Path
+    """Directory with the recordings of unseen objects."""
+    folder: Path
+    """What an interrupted experiment goes on from."""
+    training_objects: int | None
+    """Per family; None takes all that the training set has."""
+    seed: int
+
+    def job(self, name: str, number: int, budget: Budget, fit_rows: int, setting: dict[str, Any] | None = None) -> Job:
+        """Training ``number``, whose checkpoint is kept under ``name``; each number has a seed of its own."""
+        dataset = store.of_training(self.train)
+        if self.training_objects is not None:
+            dataset = datasets.subset(dataset, self.training_objects)
+        parts = recordings(dataset.split("train")), recordings(dataset.split("validation"))
+        return Job(*parts, setting or {}, budget, self.seed + number, fit_rows, self.folder / "training" / name)
+
+    def objects(self) -> store.Dataset:
+        """The unseen objects."""
+        return store.read(self.unseen, splits=("test",))
+
+
+def prepare(code: str, name: str, options: ExperimentOptions, config: Any, neutral: dict[str, Any]) -> Trainings:
+    """Collect the data that is not at hand, and find the folder that belongs to these settings and no others.
+
+    Args:
+        code: the experiment's module, ``__name__`` of the caller.
+        name: of the experiment.
+        options: what the command line asks for.
+        config: of the experiment, with ``unseen`` and ``training_objects``.
+        neutral: values for the fields of ``config`` that change no single training.
+    """
+    train, unseen = datasets.training_directory(options), datasets.unseen_directory(options, config.unseen)
+    key = asdict(replace(config, workers=1, **neutral)) | {"seed": options.seed}
+    folder = options.out / name / fingerprint(code, key, train / store.MANIFEST, unseen / store.MANIFEST)
+    return Trainings(train, unseen, folder, config.training_objects, options.seed)
