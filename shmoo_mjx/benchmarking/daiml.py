@@ -14,14 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx.benchmarking.registry import BenchOptions
+from shmoo_mjx.benchmarking.registry import BenchOptions, Measured
 from shmoo_mjx.benchmarking.workers import usable_cores
 from shmoo_mjx.data import store
 from shmoo_mjx.evaluation.datasets import TRAINING
-from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.processes import process_pool
 
-__all__ = ["BenchConfig", "run"]
+__all__ = ["FULL", "QUICK", "DaimlSizes", "run"]
 
 Row = dict[str, Any]
 
@@ -32,7 +31,7 @@ REFERENCE = {"neural_fly_epoch_ms": 33.0}
 
 
 @dataclass(frozen=True)
-class BenchConfig:
+class DaimlSizes:
     """Sizes of the benchmark."""
 
     epochs: int = 200
@@ -42,10 +41,9 @@ class BenchConfig:
     whole: bool = True
     """Train the shipped psi from start to end."""
 
-    @classmethod
-    def quick(cls) -> BenchConfig:
-        """Without the whole training."""
-        return cls(epochs=50, conditions=(12, 120), whole=False)
+
+FULL = DaimlSizes()
+QUICK = DaimlSizes(epochs=50, conditions=(12, 120), whole=False)
 
 
 def _one_thread() -> None:
@@ -163,9 +161,8 @@ def whole_training(data: Path) -> Row:
     }
 
 
-def run(options: BenchOptions) -> ExperimentResult:
+def run(config: DaimlSizes, options: BenchOptions) -> Measured:
     """All rows. The shipped training needs data/train, takes minutes, and is left out of a quick run."""
-    config = BenchConfig.quick() if options.quick else BenchConfig()
     jobs: list[tuple[Callable[[], None], Callable[..., Row], tuple[Any, ...]]] = [
         (_one_thread, neural_fly_epoch, (config.epochs,))
     ]
@@ -177,7 +174,4 @@ def run(options: BenchOptions) -> ExperimentResult:
         options.progress(work.__name__, done / len(jobs))
         rows.append(_fresh(prepare, work, *arguments))
     metrics = {f"{row['name']}_{key}": value for row in rows for key, value in row.items() if key != "name"}
-    settings = vars(config) | {"device": "cpu", "cores": usable_cores()}
-    return make_result(
-        "bench_daiml", ExperimentOptions(seed=options.seed, quick=options.quick), settings, metrics, REFERENCE, rows
-    )
+    return Measured(metrics, rows, {"device": "cpu", "cores": usable_cores()}, REFERENCE)

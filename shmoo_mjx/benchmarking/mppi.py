@@ -16,16 +16,15 @@ from typing import Any
 import numpy as np
 
 from shmoo_mjx.benchmarking import mppi_problem, workers
-from shmoo_mjx.benchmarking.registry import BenchOptions
+from shmoo_mjx.benchmarking.registry import BenchOptions, Measured
 from shmoo_mjx.benchmarking.workers import Worker, busy_neighbour, usable_cores
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 
-__all__ = ["BenchConfig", "run"]
+__all__ = ["FULL", "QUICK", "MppiSizes", "run"]
 
 
 @dataclass(frozen=True)
-class BenchConfig:
+class MppiSizes:
     """Sizes of the benchmark."""
 
     samples: int = 500
@@ -43,26 +42,19 @@ class BenchConfig:
     horizon_sweep: tuple[int, ...] = (10, 30, 50, 100)
     problem_sweep: tuple[int, ...] = (1, 4, 16, 64)
 
-    @classmethod
-    def quick(cls) -> BenchConfig:
-        """The same in half a minute on two quiet cores."""
-        return cls(
-            rounds=3,
-            calls=10,
-            gemm=2048,
-            steps=200,
-            sample_sweep=(100, 500),
-            horizon_sweep=(10, 30),
-            problem_sweep=(1, 4),
-        )
+
+FULL = MppiSizes()
+QUICK = MppiSizes(
+    rounds=3, calls=10, gemm=2048, steps=200, sample_sweep=(100, 500), horizon_sweep=(10, 30), problem_sweep=(1, 4)
+)
+"""Half a minute on two quiet cores."""
 
 
 Row = dict[str, Any]
 
 
-def run(options: BenchOptions) -> ExperimentResult:
+def run(cfg: MppiSizes, options: BenchOptions) -> Measured:
     """Measure; peers that are not installed are null, with a row that says why."""
-    cfg = BenchConfig.quick() if options.quick else BenchConfig()
     python = options.peers_python or Path(sys.executable)
     turns, about = _take_turns(cfg, _starters(cfg, options.seed, python), options.progress)
     medians = {name: 1e3 * float(np.median(s)) for name, s in turns.items() if s}
@@ -71,12 +63,11 @@ def run(options: BenchOptions) -> ExperimentResult:
     metrics = _metrics(cfg, medians, about, worst)
     rows = [_row(name, seconds, about[name]) for name, seconds in turns.items()]
     setup = {"peers_python": str(python), "cores": usable_cores(), "device": about["ours"]["device"]}
-    settings = vars(cfg) | setup | {"flop": mppi_problem.flop(cfg.samples, cfg.horizon)}
-    asked = ExperimentOptions(seed=options.seed, quick=options.quick)
-    return make_result("bench_mppi", asked, settings, metrics, {}, [*rows, *worst, *sweep])
+    setup |= {"flop": mppi_problem.flop(cfg.samples, cfg.horizon)}
+    return Measured(metrics, [*rows, *worst, *sweep], setup)
 
 
-def _starters(cfg: BenchConfig, seed: int, python: Path) -> dict[str, Callable[[], Worker]]:
+def _starters(cfg: MppiSizes, seed: int, python: Path) -> dict[str, Callable[[], Worker]]:
     """How to start each engine."""
 
     def own(engine: str, devices: int | None = None) -> Callable[[], Worker]:
@@ -96,13 +87,13 @@ def _starters(cfg: BenchConfig, seed: int, python: Path) -> dict[str, Callable[[
     }
 
 
-def _spec(cfg: BenchConfig, seed: int, **changes: Any) -> Row:
+def _spec(cfg: MppiSizes, seed: int, **changes: Any) -> Row:
     spec = {"samples": cfg.samples, "horizon": cfg.horizon, "activation": cfg.activation, "problems": 1, "seed": seed}
     return spec | changes
 
 
 def _take_turns(
-    cfg: BenchConfig, starters: dict[str, Callable[[], Worker]], progress: Callable[[str, float], None]
+    cfg: MppiSizes, starters: dict[str, Callable[[], Worker]], progress: Callable[[str, float], None]
 ) -> tuple[dict[str, list[float]], dict[str, Row]]:
     """Seconds of every step of each engine, by interleaved rounds; an absent peer has none and says why."""
     running: dict[str, Worker] = {}
@@ -129,7 +120,7 @@ def _take_turns(
     return turns, about
 
 
-def _worst_case(cfg: BenchConfig, options: BenchOptions, busy: bool) -> Row:
+def _worst_case(cfg: MppiSizes, options: BenchOptions, busy: bool) -> Row:
     """Many steps of ours in a row, and beside a busy neighbour plain JAX too, for the case of one free core."""
     name = "busy" if busy else "quiet"
     ours, plain = workers.ours(_spec(cfg, options.seed, engine="ours")), None
@@ -146,7 +137,7 @@ def _worst_case(cfg: BenchConfig, options: BenchOptions, busy: bool) -> Row:
             plain.close()
 
 
-def _many(cfg: BenchConfig, options: BenchOptions, worker: Worker, name: str) -> Row:
+def _many(cfg: MppiSizes, options: BenchOptions, worker: Worker, name: str) -> Row:
     seconds: list[float] = []
     chunk = max(cfg.steps // 20, 1)
     while len(seconds) < cfg.steps:
@@ -161,7 +152,7 @@ def _many(cfg: BenchConfig, options: BenchOptions, worker: Worker, name: str) ->
     return row | {"p99_ms": np.quantile(ms, 0.99), "over_50_ms": over, "recompilations": compiled}
 
 
-def _sweeps(cfg: BenchConfig, options: BenchOptions) -> list[Row]:
+def _sweeps(cfg: MppiSizes, options: BenchOptions) -> list[Row]:
     """Cost against samples, horizon and the number of problems planned at once."""
     wanted = [("samples", {"engine": "ours", "samples": s}) for s in cfg.sample_sweep]
     wanted += [("horizon", {"engine": "ours", "horizon": t}) for t in cfg.horizon_sweep]
@@ -187,7 +178,7 @@ def _row(name: str, seconds: list[float], about: Row) -> Row:
     return row | {"median_ms": np.median(ms), "min_ms": ms.min(), "p90_ms": np.quantile(ms, 0.9)}
 
 
-def _metrics(cfg: BenchConfig, medians: dict[str, float], about: dict[str, Row], worst: list[Row]) -> Row:
+def _metrics(cfg: MppiSizes, medians: dict[str, float], about: dict[str, Row], worst: list[Row]) -> Row:
     rate = 2 * cfg.gemm**3 / (1e-3 * medians["gemm"])
     ours, ideal = medians["ours"], 1e3 * mppi_problem.flop(cfg.samples, cfg.horizon) / rate
     eager, compiled = medians.get("pytorch_mppi_eager"), medians.get("pytorch_mppi_compiled")

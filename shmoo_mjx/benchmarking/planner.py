@@ -14,21 +14,20 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx.benchmarking.registry import BenchOptions
-from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
+from shmoo_mjx.benchmarking.registry import BenchOptions, Measured
 from shmoo_mjx.navigation.floorplan import demo_scenario
 from shmoo_mjx.navigation.maps import OccupancyGrid, clearance_field
 from shmoo_mjx.navigation.paths import plan_path
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Limits, Scenario
 from shmoo_mjx.types import DT, Observation
 
-__all__ = ["BenchConfig", "run"]
+__all__ = ["FULL", "QUICK", "PlannerSizes", "run"]
 
 PLANNING = "planning stage"
 
 
 @dataclass(frozen=True)
-class BenchConfig:
+class PlannerSizes:
     """Sizes of the benchmark."""
 
     time_s: float = 180.0
@@ -36,10 +35,10 @@ class BenchConfig:
     paths: int = 30
     """Global paths."""
 
-    @classmethod
-    def quick(cls) -> BenchConfig:
-        """Until a little after the first touch."""
-        return cls(time_s=16.0, paths=5)
+
+FULL = PlannerSizes()
+QUICK = PlannerSizes(time_s=16.0, paths=5)
+"""Until a little after the first touch."""
 
 
 @dataclass
@@ -65,9 +64,8 @@ class _Clock:
         return False
 
 
-def run(options: BenchOptions) -> ExperimentResult:
+def run(cfg: PlannerSizes, options: BenchOptions) -> Measured:
     """Run, then count."""
-    cfg = BenchConfig.quick() if options.quick else BenchConfig()
     grid, scenario = demo_scenario(options.seed)
     scenario = scenario.model_copy(update={"limits": Limits(time_s=cfg.time_s)})
     ticks = _ticks(cfg, grid, scenario, options)
@@ -83,12 +81,10 @@ def run(options: BenchOptions) -> ExperimentResult:
     }
     ours, peer = metrics["global_path_ms"], metrics["pyastar2d_ms"]
     metrics["ratio_to_pyastar2d"] = ours / peer if peer else None
-    return make_result(
-        "bench_planner", ExperimentOptions(seed=options.seed, quick=options.quick), cfg, metrics, {}, rows
-    )
+    return Measured(metrics, rows)
 
 
-def _ticks(cfg: BenchConfig, grid: OccupancyGrid, scenario: Scenario, options: BenchOptions) -> dict[str, list[float]]:
+def _ticks(cfg: PlannerSizes, grid: OccupancyGrid, scenario: Scenario, options: BenchOptions) -> dict[str, list[float]]:
     """Seconds of every tick of the second run, by state."""
     from shmoo_mjx.assets import WEIGHTS, asset
     from shmoo_mjx.control.pushing import PushController
@@ -108,7 +104,7 @@ def _ticks(cfg: BenchConfig, grid: OccupancyGrid, scenario: Scenario, options: B
     return dict(clock.ticks)
 
 
-def _paths(cfg: BenchConfig, grid: OccupancyGrid, scenario: Scenario) -> list[dict[str, Any]]:
+def _paths(cfg: PlannerSizes, grid: OccupancyGrid, scenario: Scenario) -> list[dict[str, Any]]:
     """A global path from start to goal, ours and pyastar2d's on the same map."""
     walls = clearance_field(grid)
     start, goal = np.array(scenario.start[:2]), np.array(scenario.goal)

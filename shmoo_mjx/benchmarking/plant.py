@@ -16,9 +16,8 @@ import mujoco
 import numpy as np
 from mujoco.rollout import Rollout
 
-from shmoo_mjx.benchmarking.registry import BenchOptions
+from shmoo_mjx.benchmarking.registry import BenchOptions, Measured
 from shmoo_mjx.benchmarking.workers import usable_cores
-from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.hands import HAND_HEIGHT, REACH
 from shmoo_mjx.plant.engine_mjx import MjxEngine
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
@@ -26,7 +25,7 @@ from shmoo_mjx.plant.objects import draw_condition
 from shmoo_mjx.plant.scene import Scene, build_scene
 from shmoo_mjx.plant.trials import command
 
-__all__ = ["SCENES", "BenchConfig", "c_rows", "mjx_rows", "run", "scene_of"]
+__all__ = ["FULL", "QUICK", "SCENES", "PlantSizes", "c_rows", "mjx_rows", "run", "scene_of"]
 
 Row = dict[str, Any]
 
@@ -36,7 +35,7 @@ WORLDS = 256
 
 
 @dataclass(frozen=True)
-class BenchConfig:
+class PlantSizes:
     """Sizes of the benchmark."""
 
     scenes: tuple[str, ...] = SCENES
@@ -45,15 +44,13 @@ class BenchConfig:
     seconds: float = 3.0
     """For which each rate is measured, at least."""
 
-    @classmethod
-    def quick(cls) -> BenchConfig:
-        """Two scenes, one small batch."""
-        return cls(scenes=("robot", "box"), batches=(16,), seconds=0.3)
+
+FULL = PlantSizes()
+QUICK = PlantSizes(scenes=("robot", "box"), batches=(16,), seconds=0.3)
 
 
-def run(options: BenchOptions) -> ExperimentResult:
+def run(cfg: PlantSizes, options: BenchOptions) -> Measured:
     """Every scene on both engines. The scenes are fixed; the seed draws nothing."""
-    cfg = BenchConfig.quick() if options.quick else BenchConfig()
     rows: list[Row] = []
     for done, name in enumerate(cfg.scenes):
         options.progress(f"C MuJoCo, {name}", done / len(cfg.scenes))
@@ -66,7 +63,7 @@ def run(options: BenchOptions) -> ExperimentResult:
             here += mjx_rows(name, batch, cfg.seconds, rates)
         rows += here
     metrics = {key: value for row in rows for key, value in _metrics(row).items()}
-    return make_result("bench_plant", ExperimentOptions(seed=options.seed, quick=options.quick), cfg, metrics, {}, rows)
+    return Measured(metrics, rows)
 
 
 def _metrics(row: Row) -> dict[str, float]:

@@ -1,10 +1,13 @@
-"""The benchmarks by name. Each module has ``run(options) -> ExperimentResult`` and is imported only when asked for."""
+"""The benchmarks by name. A benchmark is a module with three names, imported only when asked for.
+
+``FULL`` and ``QUICK`` are its sizes, and ``run(config, options) -> Measured`` measures.
+"""
 
 from __future__ import annotations
 
 import platform
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -13,7 +16,7 @@ from shmoo_mjx.benchmarking.workers import usable_cores
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result, table, write_result
 
-__all__ = ["BENCHMARKS", "BenchOptions", "describe", "machine", "run_all", "run_benchmark"]
+__all__ = ["BENCHMARKS", "BenchOptions", "Measured", "describe", "machine", "run_all", "run_benchmark"]
 
 BENCHMARKS = {
     "startup": "shmoo_mjx.benchmarking.startup",
@@ -39,13 +42,27 @@ class BenchOptions:
     """Called with (stage, fraction done)."""
 
 
+@dataclass(frozen=True)
+class Measured:
+    """What a benchmark has found."""
+
+    metrics: dict[str, Any]
+    rows: list[dict[str, Any]]
+    setup: dict[str, Any] = field(default_factory=dict)
+    """What the result's config holds beside the sizes."""
+    paper: dict[str, float] = field(default_factory=dict)
+    """Numbers of others, by the names of the metrics that they compare with."""
+
+
 def run_benchmark(name: str, options: BenchOptions) -> ExperimentResult:
     """Run one benchmark; its config says on which machine."""
     if name not in BENCHMARKS:
         names = ", ".join(BENCHMARKS)
         raise ShmooError(f"benchmark {name!r} is not known; choose one of {names}, all or compare.")
-    result: ExperimentResult = import_module(BENCHMARKS[name]).run(options)
-    return result.model_copy(update={"config": result.config | {"machine": machine()}})
+    module = import_module(BENCHMARKS[name])
+    config = module.QUICK if options.quick else module.FULL
+    found: Measured = module.run(config, options)
+    return _result(name, options, asdict(config) | found.setup, found.metrics, found.paper, found.rows)
 
 
 def run_all(options: BenchOptions, out: Path) -> ExperimentResult:
@@ -65,10 +82,12 @@ def run_all(options: BenchOptions, out: Path) -> ExperimentResult:
         paper |= {f"{name}_{key}": value for key, value in one.paper.items()}
         rows += [{"benchmark": name} | row for row in one.rows]
         settings[name] = one.config
-    whole = settings | {"machine": machine()}
-    return make_result(
-        "bench_all", ExperimentOptions(seed=options.seed, quick=options.quick), whole, metrics, paper, rows
-    )
+    return _result("all", options, settings, metrics, paper, rows)
+
+
+def _result(name: str, options: BenchOptions, settings: dict[str, Any], *found: Any) -> ExperimentResult:
+    asked = ExperimentOptions(seed=options.seed, quick=options.quick)
+    return make_result(f"bench_{name}", asked, settings | {"machine": machine()}, *found)
 
 
 def describe(result: ExperimentResult) -> str:

@@ -12,17 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx.benchmarking.registry import BenchOptions
-from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
+from shmoo_mjx.benchmarking.registry import BenchOptions, Measured
 
-__all__ = ["BenchConfig", "help_seconds", "run"]
+__all__ = ["FULL", "QUICK", "StartupSizes", "help_seconds", "run"]
 
 HELP = [sys.executable, "-c", "from shmoo_mjx.cli import main; main()", "--help"]
 """What the script ``shmoo --help`` does."""
 
 
 @dataclass(frozen=True)
-class BenchConfig:
+class StartupSizes:
     """Sizes of the benchmark."""
 
     helps: int = 15
@@ -30,10 +29,9 @@ class BenchConfig:
     demos: int = 3
     """Starts of the demo, after one that fills the cache."""
 
-    @classmethod
-    def quick(cls) -> BenchConfig:
-        """One start of the demo."""
-        return cls(helps=5, demos=1)
+
+FULL = StartupSizes()
+QUICK = StartupSizes(helps=5, demos=1)
 
 
 def help_seconds() -> tuple[float, float]:
@@ -45,9 +43,8 @@ def help_seconds() -> tuple[float, float]:
     return took, own
 
 
-def run(options: BenchOptions) -> ExperimentResult:
+def run(cfg: StartupSizes, options: BenchOptions) -> Measured:
     """Start each some times, in processes of their own."""
-    cfg = BenchConfig.quick() if options.quick else BenchConfig()
     rows: list[dict[str, Any]] = []
     for i in range(cfg.helps):
         options.progress("shmoo --help", 0.2 * i / cfg.helps)
@@ -64,9 +61,7 @@ def run(options: BenchOptions) -> ExperimentResult:
         "first_command_s": np.median([row["drive_s"] for row in warm]),
         "first_push_command_s": np.median([row["push_s"] for row in warm]),
     }
-    return make_result(
-        "bench_startup", ExperimentOptions(seed=options.seed, quick=options.quick), cfg, metrics, {}, rows
-    )
+    return Measured(metrics, rows)
 
 
 def _first_steps(seed: int) -> dict[str, float]:

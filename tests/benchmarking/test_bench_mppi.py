@@ -67,11 +67,11 @@ def test_a_worker_times_what_it_is_asked_to() -> None:
 
 @pytest.mark.slow
 def test_the_whole_benchmark_in_small(monkeypatch: pytest.MonkeyPatch) -> None:
-    small = bench.BenchConfig(
+    small = bench.MppiSizes(
         samples=20, horizon=3, rounds=2, calls=3, gemm=256, steps=40, sample_sweep=(20,), horizon_sweep=(3,),
         problem_sweep=(2,),
     )  # fmt: skip
-    monkeypatch.setattr(bench.BenchConfig, "quick", classmethod(lambda cls: small))
+    monkeypatch.setattr(bench, "QUICK", small)
     result = run_benchmark("mppi", BenchOptions(quick=True))
     assert result.experiment == "bench_mppi"
     assert result.metrics["pytorch_mppi_eager_ms"] is None and any("absent" in row for row in result.rows)

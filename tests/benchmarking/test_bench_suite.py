@@ -24,9 +24,8 @@ def test_every_name_leads_to_a_module_that_runs() -> None:
 
 def small(monkeypatch: pytest.MonkeyPatch, name: str, **sizes: Any) -> Any:
     """Run one benchmark with these sizes."""
-    config = import_module(BENCHMARKS[name]).BenchConfig
-    tiny = replace(config.quick(), **sizes)
-    monkeypatch.setattr(config, "quick", classmethod(lambda cls: tiny))
+    module = import_module(BENCHMARKS[name])
+    monkeypatch.setattr(module, "QUICK", replace(module.QUICK, **sizes))
     return run_benchmark(name, BenchOptions(quick=True))
 
 
