@@ -514,7 +514,7 @@ def faults(
     out: Path = Path("runs/faults"),
     workers: bounded.Workers = 2,
 ) -> int:
-    """Run each fault of docs/reliability.md in the demo's scenes and print what came out; goes on where it was stopped.
+    """Run each fault of docs/results.md in the demo's scenes and print what came out; goes on where it was stopped.
 
     Example: shmoo faults --runs 2 --only camera_gone person_walks
 

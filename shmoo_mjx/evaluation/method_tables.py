@@ -1,6 +1,7 @@
-"""The tables of docs/learning.md, filled in from the JSON of `baselines` and `ablations`; none is typed by hand.
+"""The tables of `baselines` and `ablations` in docs/results.md, made from their JSON; none is typed by hand.
 
-python -m shmoo_mjx.evaluation.method_tables docs/learning.md baselines.json ablations.json
+python -m shmoo_mjx.evaluation.method_tables PAGE baselines.json ablations.json fills them into any page that has a
+place for them (`fill`).
 """
 
 from __future__ import annotations
@@ -22,14 +23,14 @@ _NAMES = {
     "trigonometric": "trigonometric functions of time",
     "residual": "adaptive residual",
     "mlp": "one MLP, no adaptation",
-    "residual_body": "adaptive residual that sees the body",
-    "linear_prior_body": "linear basis that sees the body, towards the prior",
-    "gru_body": "GRU in context that sees the body",
-    "gru_fed_back": "GRU in context that sees the body, trained by our loss",
-    "prior": "ours before it touches the object",
+    "residual_body": "adaptive residual, with contact model",
+    "linear_prior_body": "linear basis, with contact model, ridge to the prior",
+    "gru_body": "GRU, with contact model",
+    "gru_fed_back": "GRU, with contact model, our loss",
+    "prior": "ours, before contact (prior)",
     "zero": "no acceleration (a = 0)",
     "constant_velocity": "constant twist in {O}",
-    "replay": "the simulator, told everything, under each sample's mean wrench",
+    "replay": "simulator with true parameters, mean wrench",
 }
 
 

@@ -3,7 +3,8 @@
 python -m shmoo_mjx.evaluation.page runs/experiments docs/results.md
 
 Numbers, spreads, versions and commands come from the experiments' JSON, of which compressed copies are kept beside
-the page; a test makes each of their sections anew. Sections of experiments that are not in the folder stay as they are.
+the page; a test makes each of their sections anew. Sections of experiments that are not in the folder stay as they are,
+and so do sections of any other title: written by hand, they stay before or behind those of the experiments.
 """
 
 from __future__ import annotations
@@ -105,7 +106,7 @@ SECTIONS = {
     ),
     "ablations": Section(
         "One choice at a time",
-        "Trainings that differ in one choice; a fresh probe shows what psi gives away of the condition.",
+        "Trainings that differ in one choice; a fresh probe measures how well psi identifies the condition.",
         figures=("domain_invariance.png",),
     ),
     "robot_finetune": Section(
@@ -136,9 +137,9 @@ SECTIONS = {
     ),
     "pushing": Section(
         "Pushing to a pose (VI-A, Fig. 7)",
-        "The proxy robot pushes unseen objects to three goals. Objects as drawn, of which many change on the way, and "
-        "demanding ones, which all do: load far off the centre, 25 to 45 N of resistance, half or twice the friction "
-        "of training, a brake pressed from the start. Every method runs every trial.",
+        "The proxy robot pushes unseen objects to three goals. Two strata: objects as drawn, and demanding ones (load far "
+        "off the centre, 25 to 45 N of resistance, half or twice the friction of training, a brake from the start). "
+        "Every method runs every trial.",
         ("ours", "frozen prior", "and Eq. 8", "quasi-static", "hindsight a*", "psi as printed"),
         (
             *_of_methods(
@@ -176,7 +177,7 @@ SECTIONS = {
     ),
     "object_planner": Section(
         "Can it be moved? (IV-B, Algorithm 1, Fig. 5)",
-        "The navigator approaches unseen objects, half or more of which can't be moved, and gives its verdict.",
+        "The navigator probes unseen objects, at least half of which are immovable, and decides.",
         ("ours",),
         _single(
             {
@@ -202,9 +203,8 @@ SECTIONS = {
     ),
     "navigation": Section(
         "Interactive navigation (VI-B)",
-        "Generated scenarios, all of them run by every policy. Effort efficiency is 1 if nothing is pushed; the "
-        "interactive navigation score is that of Interactive Gibson, half path and half effort efficiency. Aims are "
-        "those for ours.",
+        "Generated scenarios. Effort efficiency is 1 if nothing is pushed; the interactive navigation score is that of "
+        "Interactive Gibson, half path and half effort efficiency. Aims are those for ours.",
         ("ours", "always avoid", "always push", "oracle"),
         (
             *_of_methods(
@@ -299,14 +299,17 @@ def render(results: Mapping[str, ExperimentResult], figures: Mapping[str, list[s
         before: the page as it was, whose sections stay where there is no result.
     """
     kept = {title: text.strip() for title, _, text in (part.partition("\n") for part in before.split("\n## ")[1:])}
-    parts = ["# Results", _about(results)]
+    titles, made = list(kept), {section.title for section in SECTIONS.values()}
+    first = next((i for i, title in enumerate(titles) if title in made), len(titles))
+    written = [(i < first, f"## {title}\n\n{kept[title]}") for i, title in enumerate(titles) if title not in made]
+    parts = ["# Results", _about(results), *(text for is_before, text in written if is_before)]
     for name, section in SECTIONS.items():
         if name in results:
             parts.append(section_of(results[name], figures.get(name, [])))
         else:
             command = " ".join(["shmoo experiment", name, *section.options.split()])
             parts.append(f"## {section.title}\n\n{kept.get(section.title, f'Not run. `{command}` measures it.')}")
-    return "\n\n".join(parts) + "\n"
+    return "\n\n".join([*parts, *(text for is_before, text in written if not is_before)]) + "\n"
 
 
 def section_of(result: ExperimentResult, figures: Sequence[str]) -> str:
@@ -314,7 +317,7 @@ def section_of(result: ExperimentResult, figures: Sequence[str]) -> str:
     section = SECTIONS[result.experiment]
     parts = [f"## {section.title}", section.what, f"`{_command(result, section)}`"]
     if result.config.get("weights") != weights_id() and not section.own_psi:
-        parts.append("**Measured before the weights that are shipped now, or with others.**")
+        parts.append("**Measured with other weights than those shipped now.**")
     parts.append(_table(result, section))
     parts += [f"![{Path(path).stem.replace('_', ' ')}]({path})" for path in figures]
     return "\n\n".join(parts)
@@ -359,8 +362,8 @@ def _about(results: Mapping[str, ExperimentResult]) -> str:
     versions = {k: v for r in results.values() for k, v in r.versions.items()}
     quick = sorted(name for name, r in results.items() if r.config.get("quick"))
     lines = [
-        "Measured in simulation, on objects and scenarios that training can't reach; the real pushes are others' "
-        "recordings. Numbers after +- are standard deviations over the seeds. The paper's numbers come from its own "
+        "Measured in simulation, on objects and scenarios outside the training seeds; the real pushes are others' "
+        "recordings. Numbers after +- are standard deviations over seeds. The paper's numbers come from its own "
         "simulator, objects and robot.",
         "Versions: " + ", ".join(f"{k} {v}" for k, v in versions.items()) + ".",
     ]

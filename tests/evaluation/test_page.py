@@ -49,7 +49,7 @@ def test_every_experiment_has_a_section() -> None:
 
 def test_a_result_of_other_weights_says_so() -> None:
     result = result_of("pushing", ExperimentOptions())
-    warning = "Measured before the weights that are shipped now"
+    warning = "Measured with other weights than those shipped now"
     assert warning not in page.render({"pushing": result}, {})
     result.config["weights"] = "0123456789"
     assert warning in page.render({"pushing": result}, {})
@@ -98,6 +98,15 @@ def test_a_section_without_a_result_stays_and_results_are_kept_beside_the_page(t
     pushing = page.section_of(read_result(docs / "results" / "pushing.json.gz"), ["figures/pushing.png"])
     assert pushing in first and pushing in (docs / "results.md").read_text()
     assert set(page.read_results(docs / "results")) == {"pushing", "object_model"}
+
+
+def test_sections_written_by_hand_stay_where_they_are() -> None:
+    before = f"# Results\n\nold\n\n## Caveats\n\none\n\n## {page.SECTIONS['lifelong'].title}\n\nkept\n\n## Faults\n\ntwo\n"
+    text = page.render({"pushing": result_of("pushing", ExperimentOptions())}, {}, before)
+    titles = re.findall("^## (.+)$", text, re.MULTILINE)
+    assert titles == ["Caveats", *(section.title for section in page.SECTIONS.values()), "Faults"]
+    assert "\n\none\n\n" in text and "\n\nkept\n\n" in text and text.endswith("\n\ntwo\n") and "old" not in text
+    assert page.render({}, {}, text).count("## Caveats") == 1
 
 
 def test_the_committed_page_says_what_the_committed_results_say() -> None:
