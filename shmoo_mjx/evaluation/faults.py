@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from shmoo_mjx import se2
 from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
-from shmoo_mjx.evaluation.trials import run_trials
+from shmoo_mjx.evaluation.trials import controller_of, run_trials
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.navigation.floorplan import demo_scenario
 from shmoo_mjx.navigation.maps import clearance_field
@@ -236,7 +236,7 @@ def play(name: str, seed: int, weights: Path) -> dict[str, Any]:
     if fault.extra is not None:
         more = ObjectEntry(family="box", pose=_AWAY, properties=_EXTRA[fault.extra])
         scenario = scenario.model_copy(update={"objects": (*scenario.objects, more)})
-    with closing(Simulation(grid, scenario, _controller(weights))) as simulation:
+    with closing(Simulation(grid, scenario, controller_of(weights))) as simulation:
         trial, since = _Trial(simulation), 0.0
         while not simulation.navigator.finished and simulation.time < scenario.limits.time_s:
             since = since + DT if fault.on in ("start", str(simulation.navigator.mode)) else 0.0
@@ -297,7 +297,7 @@ def run(options: ExperimentOptions, runs: int, chosen: tuple[str, ...] = (), wor
         raise ShmooError(f"--only {unknown}: there is no such fault; choose from {', '.join(FAULTS)}.")
     weights, names = options.weights or asset(WEIGHTS), chosen or tuple(FAULTS)
     store = options.out / f"faults-{fingerprint(__name__, {}, weights)}"
-    trials = [f"{name}-{options.seed + i}" for i in range(runs) for name in names]
+    trials = {f"{name}-{options.seed + i}": (name, options.seed + i) for i in range(runs) for name in names}
     rows = run_trials(trials, partial(_trial, weights), store, options.progress, workers)
     metrics = {"falls": sum(r["falls"] for r in rows), "silent_wrong_successes": sum(r["silent"] for r in rows)}
     for name in names:
@@ -319,14 +319,5 @@ def summary(result: ExperimentResult) -> str:
     return "\n".join(lines)
 
 
-def _trial(weights: Path, name: str) -> list[dict[str, Any]]:
-    fault, _, seed = name.rpartition("-")
-    return [play(fault, int(seed), weights)]
-
-
-@cache
-def _controller(weights: Path) -> Any:
-    from shmoo_mjx.control.pushing import PushController
-    from shmoo_mjx.learning.weights import load_weights
-
-    return PushController(load_weights(weights))
+def _trial(weights: Path, trial: tuple[str, int]) -> list[dict[str, Any]]:
+    return [play(*trial, weights)]

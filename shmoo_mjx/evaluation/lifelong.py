@@ -16,10 +16,10 @@ import numpy as np
 
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.manipulable import BORDER
-from shmoo_mjx.evaluation.navigation import POLICIES, Robot, play, robot_of, scores_of, trials_folder
+from shmoo_mjx.evaluation.navigation import POLICIES, Robot, play, robot_of, scores_of, told_of, trials_folder
 from shmoo_mjx.evaluation.navigation_failures import keep_failure, write_failures
-from shmoo_mjx.evaluation.navigation_measures import OURS, cause_of
-from shmoo_mjx.evaluation.navigation_places import Places, find_places, generated_from, kept, kinds_of, seed_of
+from shmoo_mjx.evaluation.navigation_measures import OURS
+from shmoo_mjx.evaluation.navigation_places import Places, as_data, find_places, generated_from, kept, kinds_of, seed_of
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.evaluation.scenarios import PLANT, ScenarioConfig
 from shmoo_mjx.evaluation.sequences import GoalSequence, draw_sequence
@@ -53,47 +53,34 @@ def run(options: ExperimentOptions) -> ExperimentResult:
     places = find_places(options, folder, cfg.scenario, most=1 if options.quick else None)
     store = trials_folder(options, folder, cfg.scenario)
     maps = list(places.maps)
-    names = [
-        f"{name}-{i}-{cfg.goals}-{policy}" for policy in cfg.policies for i in range(cfg.sequences) for name in maps
-    ]
-    rows = run_trials(names, partial(_trial, places, robot_of(options), store), store, options.progress, cfg.workers)
+    trials = {
+        f"{name}-{i}-{cfg.goals}-{policy}": (name, i, policy)
+        for policy in cfg.policies
+        for i in range(cfg.sequences)
+        for name in maps
+    }
+    work = partial(_trial, places, robot_of(options), store, cfg.goals)
+    rows = run_trials(trials, work, store, options.progress, cfg.workers)
     write_failures(folder, [r for r in rows if r["policy"] == OURS], store, options.progress)
     metrics = measure(rows, cfg.policies, cfg.goals)
     about = {"senses": options.senses, "maps": maps, "generated_maps": options.maps is None, "border_m": BORDER}
     return make_result("lifelong", options, asdict(cfg) | about, metrics, {}, rows)
 
 
-def _trial(places: Places, robot: Robot, store: Path, name: str) -> list[dict[str, Any]]:
+def _trial(places: Places, robot: Robot, store: Path, goals: int, trial: tuple[str, int, str]) -> list[dict[str, Any]]:
     """One run through a sequence. No row if the map has no place for it."""
-    map_name, number, count, policy = name.rsplit("-", 3)
+    map_name, number, policy = trial
     grid = load_map(places.maps[map_name])
-    sequence = _kept_sequence(places, grid, map_name, int(number), int(count))
+    sequence = _kept_sequence(places, grid, map_name, number, goals)
     if sequence is None:
         return []
-    generated, chosen = sequence.generated, POLICIES[policy]
-    first = None if chosen.first_status is None else chosen.first_status(generated)
-    scenario = generated.scenario.model_copy(update={"seed": generated.scenario.seed + robot.seed})
-    episode = play(robot, grid, scenario, chosen.config, first, sequence.goals)
-    result = episode.result
-    row = {
-        "map": map_name,
-        "scenario": int(number),
-        "policy": policy,
-        "kind": generated.kind,
-        "movable": list(generated.movable),
-        "blocking": list(generated.blocking),
-        "success": result["outcome"] == "success" and _reached(result["legs"]) == len(sequence.goals),
-        "cause": cause_of(result, generated),
-        "reason": result["reason"],
-        "falls": result["falls"],
-        "wall_contacts": result["wall_contacts"],
-        "wall_parts": result.get("wall_parts", {}),
-        "time_s": result["time_s"],
-        "path_length_m": result["path_length_m"],
-        "goals_reached": _reached(result["legs"]),
-        "legs": _legs(result["legs"], sequence.shortest),
-        **{k: v for k, v in scores_of(episode, scenario, sum(sequence.shortest)).items() if k.startswith("effort")},
-    }
+    generated = sequence.generated
+    episode = play(robot, grid, generated, policy, sequence.goals)
+    legs, reached = episode.result["legs"], _reached(episode.result["legs"])
+    scores = scores_of(episode, generated.scenario, sum(sequence.shortest))
+    row = {"map": map_name, "scenario": number, "policy": policy, "kind": generated.kind} | told_of(episode, generated)
+    row |= {"success": row["success"] and reached == len(sequence.goals), "goals_reached": reached}
+    row |= {"legs": _legs(legs, sequence.shortest)} | {k: scores[k] for k in ("effort", "effort_force")}
     if policy == OURS and not row["success"]:
         keep_failure(store, f"{map_name}-{number}", episode)
     return [row]
@@ -109,9 +96,7 @@ def _kept_sequence(places: Places, grid: OccupancyGrid, map_name: str, number: i
                 found = draw_sequence(grid, kind, rng, places.first_unseen, count, PLANT, places.config)
             except ShmooError:
                 continue
-            world = found.generated
-            written = world._asdict() | {"scenario": world.scenario.model_dump(mode="json")}
-            return found._asdict() | {"generated": written}
+            return found._asdict() | {"generated": as_data(found.generated)}
         return None
 
     data = kept(places, grid, f"{map_name}-{number}-{count}", draw)

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -30,7 +30,7 @@ from shmoo_mjx.evaluation.navigation_places import Places, find_places, kept_sce
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, file_id, make_result
 from shmoo_mjx.evaluation.scenario_set import open_set
 from shmoo_mjx.evaluation.scenarios import Generated, ScenarioConfig
-from shmoo_mjx.evaluation.trials import run_trials
+from shmoo_mjx.evaluation.trials import controller_of, run_trials
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.navigation.belief import Status
 from shmoo_mjx.navigation.maps import OccupancyGrid, load_map
@@ -51,19 +51,17 @@ __all__ = [
     "robot_of",
     "run",
     "scores_of",
+    "told_of",
     "trials_folder",
 ]
 
 
-@dataclass(frozen=True)
-class Policy:
+class Policy(NamedTuple):
     """How objects are dealt with."""
 
     config: NavigatorConfig
     first_status: Callable[[Generated], list[Status]] | None = None
     """What the robot takes each object to be from the start."""
-    name: str | None = None
-    """ "package.module:Name" of what drives in the place of our navigator."""
 
 
 def _all_fixed(generated: Generated) -> list[Status]:
@@ -82,10 +80,6 @@ POLICIES = {
     "always_push": Policy(NavigatorConfig(goes_round=False, planner=_ALL_MOVABLE)),
 }
 """In the order in which they run: of an experiment that is stopped, ours is there first."""
-
-
-def _policy(name: str) -> Policy:
-    return POLICIES.get(name) or Policy(NavigatorConfig(), name=name)
 
 
 @dataclass(frozen=True)
@@ -133,12 +127,15 @@ def run(options: ExperimentOptions) -> ExperimentResult:
         places = replace(places, maps=dict(list(places.maps.items())[:most]))
         cfg = replace(cfg, scenarios=1 if options.quick else count)
     store = trials_folder(options, folder, cfg.scenario)
-    kept = [own.kept_as("policy", policy, POLICIES) for policy in cfg.policies]
-    numbered = [f"{name}-{i}" for i in range(cfg.scenarios) for name in places.maps]
-    there = [name for name in numbered if places.given is None or name in places.given]
-    names = [f"{name}-{policy}" for policy in kept for name in there]
+    there = {f"{name}-{i}": (name, i) for i in range(cfg.scenarios) for name in places.maps}
+    trials = {
+        f"{scenario}-{own.kept_as('policy', policy, POLICIES)}": (*place, policy)
+        for policy in cfg.policies
+        for scenario, place in there.items()
+        if places.given is None or scenario in places.given
+    }
     work = partial(_trial, places, robot_of(options), store)
-    rows = run_trials(names, work, store, options.progress, cfg.workers)
+    rows = run_trials(trials, work, store, options.progress, cfg.workers)
     draw_figures(folder, rows, places.maps)
     write_failures(folder, [r for r in rows if r["policy"] == OURS], store, options.progress)
     metrics = measure(rows, cfg.policies)
@@ -162,87 +159,75 @@ def trials_folder(options: ExperimentOptions, folder: Path, scenario: ScenarioCo
     return folder / f"trials-{fingerprint(__name__, settings, robot.weights, *given)}"
 
 
-def _trial(places: Places, robot: Robot, store: Path, name: str) -> list[dict[str, Any]]:
+def _trial(places: Places, robot: Robot, store: Path, trial: tuple[str, int, str]) -> list[dict[str, Any]]:
     """One run: of one policy in one scenario. No row if the map has no place for that scenario."""
-    rest, _, kept = name.rpartition("-")
-    policy = kept.partition("@")[0]
-    map_name, _, number = rest.rpartition("-")
+    map_name, number, policy = trial
     grid = load_map(places.maps[map_name])
-    wanted, generated = kept_scenario(places, grid, map_name, int(number))
+    wanted, generated = kept_scenario(places, grid, map_name, number)
     if generated is None:
         return []
-    about = {"map": map_name, "scenario": int(number), "policy": policy, "kind": generated.kind, "wanted": wanted}
-    chosen = _policy(policy)
-    first = None if chosen.first_status is None else chosen.first_status(generated)
-    scenario = generated.scenario.model_copy(update={"seed": generated.scenario.seed + robot.seed})
-    episode = play(robot, grid, scenario, chosen.config, first, policy=chosen.name)
-    row = about | _row(episode, scenario, generated)
+    about = {"map": map_name, "scenario": number, "policy": policy, "kind": generated.kind, "wanted": wanted}
+    episode = play(robot, grid, generated, policy)
+    row = about | _row(episode, generated)
     if policy == OURS and not row["success"]:
         keep_failure(store, f"{map_name}-{number}", episode)
     return [row]
 
 
 def play(
-    robot: Robot,
-    grid: OccupancyGrid,
-    scenario: Scenario,
-    config: NavigatorConfig,
-    first_status: Sequence[Status] | None,
-    goals: Sequence[tuple[float, float]] | None = None,
-    policy: str | None = None,
+    robot: Robot, grid: OccupancyGrid, generated: Generated, policy: str, goals: Sequence[tuple[float, float]] = ()
 ) -> Episode:
-    """One episode.
+    """One run through a generated scenario.
 
     Args:
-        robot: senses and weights.
+        robot: seed, senses and weights.
         grid: the map.
-        scenario: start, objects, limits, and the goal.
-        config: the navigator's settings.
-        first_status: what the robot takes each object to be from the start.
+        generated: start, objects, limits, and the goal.
+        policy: one of POLICIES, or "package.module:Name" of what drives in the place of our navigator.
         goals: several goals, one after the other, in place of the scenario's.
-        policy: what drives in the place of our navigator.
     """
     from shmoo_mjx.episode import run_episode
 
-    controller = _controller(robot.weights)
+    config, first_status = POLICIES.get(policy, POLICIES[OURS])
     return run_episode(
         grid,
-        scenario,
-        controller,
+        generated.scenario.model_copy(update={"seed": generated.scenario.seed + robot.seed}),
+        controller_of(robot.weights),
         config,
-        first_status=first_status,
+        first_status=None if first_status is None else first_status(generated),
         senses=robot.senses,
-        goals=goals or (),
-        policy=policy,
+        goals=goals,
+        policy=None if policy in POLICIES else policy,
     )
 
 
-def _row(episode: Episode, scenario: Scenario, generated: Generated) -> dict[str, Any]:
-    result, trace = episode.result, episode.trace
-    blocking = zip(generated.border, generated.blocking, strict=True)
+def told_of(episode: Episode, generated: Generated) -> dict[str, Any]:
+    """What a row says of a run, however many goals it had."""
+    names = ("reason", "falls", "wall_contacts", "wall_parts", "time_s", "path_length_m")
     return {
         "movable": list(generated.movable),
         "blocking": list(generated.blocking),
+        "success": episode.result["outcome"] == "success",
+        "cause": cause_of(episode.result, generated),
+        **{name: episode.result[name] for name in names},
+    }
+
+
+def _row(episode: Episode, generated: Generated) -> dict[str, Any]:
+    result, trace = episode.result, episode.trace
+    blocking = zip(generated.border, generated.blocking, strict=True)
+    return {
+        **told_of(episode, generated),
         "border": any(near and in_the_way for near, in_the_way in blocking),
-        "success": result["outcome"] == "success",
         "outcome": result["outcome"],
-        "cause": cause_of(result, generated),
-        "reason": result["reason"],
-        "falls": result["falls"],
-        "wall_contacts": result["wall_contacts"],
-        "wall_parts": result.get("wall_parts", {}),
-        "time_s": result["time_s"],
-        "path_length_m": result["path_length_m"],
         "shortest_m": generated.shortest,
         "detour_m": generated.detour,
-        **scores_of(episode, scenario, generated.shortest),
+        **scores_of(episode, generated.scenario, generated.shortest),
         "displacement_m": float(sum(map(_displacement, result["objects"]))),
         "decisions": [{k: d[k] for k in ("t", "object", "K", "manipulable")} for d in result["decisions"]],
-        "transitions": result["transitions"],
-        "events": result["events"],
         "objects": result["objects"],
         "driven": np.round(trace.robot_pose[::5, :2], 2).tolist(),
-        "scenario_file": scenario.model_dump(mode="json"),
+        "goal": list(generated.scenario.goal),
     }
 
 
@@ -272,13 +257,5 @@ def _travelled(path: np.ndarray) -> float:
 
 def _light(row: dict[str, Any]) -> dict[str, Any]:
     """The row without what only figures need."""
-    heavy = ("driven", "scenario_file", "transitions", "events", "objects")
+    heavy = ("driven", "goal", "objects")
     return {name: value for name, value in row.items() if name not in heavy}
-
-
-@cache
-def _controller(weights: Path) -> Any:
-    from shmoo_mjx.control.pushing import PushController
-    from shmoo_mjx.learning.weights import load_weights
-
-    return PushController(load_weights(weights))

@@ -115,7 +115,7 @@ def _draw_run(axes: Any, row: dict[str, Any], grid: OccupancyGrid) -> None:
     image.set_transform(Affine2D().scale(grid.resolution).rotate(yaw).translate(x, y) + axes.transData)
     driven = np.array(row["driven"])
     axes.plot(*driven.T, color=COLOURS["robot"], lw=1.5)
-    goal = np.array(row["scenario_file"]["goal"])
+    goal = np.array(row["goal"])
     axes.plot(*goal, "*", color=COLOURS["goal"], ms=11)
     axes.plot(*driven[0], "o", color=COLOURS["robot"], ms=5)
     corners = [driven, goal[None]]

@@ -25,6 +25,7 @@ from shmoo_mjx.navigation.scenario import Scenario
 __all__ = [
     "FLOOR_PLANS",
     "Places",
+    "as_data",
     "find_maps",
     "find_places",
     "generated_from",
@@ -111,12 +112,17 @@ def kept_scenario(places: Places, grid: OccupancyGrid, map_name: str, number: in
                 found = draw_scenario(grid, kind, rng, places.first_unseen, PLANT, places.config)
             except ShmooError:
                 continue
-            return found._asdict() | {"scenario": found.scenario.model_dump(mode="json")}
+            return as_data(found)
         return None
 
     data = kept(places, grid, f"{map_name}-{number}", draw)
     wanted = kinds_of(map_name, number)[0]
     return wanted, None if data is None else generated_from(data)
+
+
+def as_data(found: Generated) -> dict[str, Any]:
+    """A scenario as it is written."""
+    return found._asdict() | {"scenario": found.scenario.model_dump(mode="json")}
 
 
 def generated_from(data: dict[str, Any]) -> Generated:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ from shmoo_mjx.evaluation.manipulable import (
 )
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.evaluation.scenarios import entry_of
-from shmoo_mjx.evaluation.trials import run_trials
+from shmoo_mjx.evaluation.trials import controller_of, run_trials
 from shmoo_mjx.faces import faces_of
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.navigation import mobility
@@ -78,9 +78,9 @@ def run(options: ExperimentOptions) -> ExperimentResult:
     # The trials of a quick run are the first ones of a full run.
     settings |= {"condition_seed": options.condition_seed}
     store = folder / f"trials-{fingerprint(__name__, settings, weights)}"
-    names = [f"{i:03d}" for i in range(cfg.objects)]
+    trials = {f"{i:03d}": i for i in range(cfg.objects)}
     work = partial(_trial, cfg, options.first_unseen, options.seed, weights, options.senses)
-    rows = run_trials(names, work, store, options.progress, cfg.workers)
+    rows = run_trials(trials, work, store, options.progress, cfg.workers)
     draw_figures(folder, rows, partial(fig5_episodes, weights, options.seed, options.senses))
     return make_result("object_planner", options, cfg, measure(rows), {}, rows)
 
@@ -133,12 +133,12 @@ def _seeds(index: int, first_seed: int) -> Iterator[int]:
 
 
 def _trial(
-    cfg: ObjectPlannerTrials, first_seed: int, seed: int, weights: Path, senses: SensesName, name: str
+    cfg: ObjectPlannerTrials, first_seed: int, seed: int, weights: Path, senses: SensesName, number: int
 ) -> list[dict[str, Any]]:
     from shmoo_mjx.episode import Hooks, run_episode
 
-    condition, side, kind = draw_object(int(name), first_seed, cfg.truth)
-    scenario = open_floor_scenario(condition, side, 1000 * seed + int(name), cfg.time_s)
+    condition, side, kind = draw_object(number, first_seed, cfg.truth)
+    scenario = open_floor_scenario(condition, side, 1000 * seed + number, cfg.time_s)
     controller = controller_of(weights)
     first: dict[str, Any] = {}
 
@@ -148,7 +148,7 @@ def _trial(
         return navigator.belief.objects[0].manipulable is not None if navigator.belief.objects else False
 
     episode = run_episode(open_floor(), scenario, controller, navigator_config(), Hooks(over=decided), senses=senses)
-    row = {"object": int(name), "family": condition.family, "kind": kind, "description": condition.describe()}
+    row = {"object": number, "family": condition.family, "kind": kind, "description": condition.describe()}
     row |= {"outcome": episode.result["outcome"], "transitions": len(episode.result["transitions"])}
     contacts = [t["t"] for t in episode.result["transitions"] if t["to"] == str(Mode.PROBE)]
     side = first.get("side", side)
@@ -255,12 +255,3 @@ def fig5_episodes(weights: Path, seed: int, senses: SensesName = "real") -> list
         episode = run_episode(open_floor(), scenario, controller_of(weights), navigator_config(), over, senses=senses)
         episodes.append((title, episode.result, episode.trace))
     return episodes
-
-
-@cache
-def controller_of(weights: Path) -> Any:
-    """The pushing controller of a weights file, compiled once."""
-    from shmoo_mjx.control.pushing import PushController
-    from shmoo_mjx.learning.weights import load_weights
-
-    return PushController(load_weights(weights))

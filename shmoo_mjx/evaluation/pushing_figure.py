@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from shmoo_mjx.evaluation.pushing_measures import PAPER
 from shmoo_mjx.evaluation.pushing_trials import GOALS, METHODS, Trial, scene_of_trial
 from shmoo_mjx.report.style import COLOURS, SERIES, outline
 from shmoo_mjx.sensing import Senses
@@ -69,8 +70,6 @@ def _goals(axis: Any, rows: list[dict[str, Any]], circles: bool) -> None:
 
 def _offsets(axis: Any, rows: list[dict[str, Any]]) -> None:
     """Final offsets per goal and method beside the paper's means."""
-    from shmoo_mjx.evaluation.pushing import PAPER
-
     methods = list(dict.fromkeys(row["method"] for row in rows))
     width = 0.8 / len(methods)
     for i, method in enumerate(methods):

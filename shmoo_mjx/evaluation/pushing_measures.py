@@ -9,8 +9,10 @@ import numpy as np
 from shmoo_mjx.evaluation.paired import difference_cell, difference_metrics
 from shmoo_mjx.evaluation.result import ExperimentResult
 
-__all__ = ["COMPARED", "OURS", "differences_table", "enclosing_circle", "metrics_of"]
+__all__ = ["COMPARED", "OURS", "PAPER", "differences_table", "enclosing_circle", "metrics_of"]
 
+PAPER = {"offset_goal1_m": 0.067, "offset_goal2_m": 0.124, "offset_goal3_m": 0.164}
+"""Sec. VI-A: mean final distance from the goal. The circles of Fig. 7 are printed as a picture only."""
 OURS = "ours"
 COMPARED = {
     "offset_m": ("final offset [m]", False),

@@ -6,23 +6,19 @@ and what changes half-way: extra mass, a brake pressed on one wheel, or nothing.
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
 from shmoo_mjx import own, se2
-from shmoo_mjx.files import write_whole
 from shmoo_mjx.learning.adaptation import AdaptState
 from shmoo_mjx.learning.weights import Weights
 from shmoo_mjx.navigation.maps import OccupancyGrid
 from shmoo_mjx.navigation.push_task import Pusher, PushTask, pose_push_config
 from shmoo_mjx.plant.objects import FAMILIES, Condition, draw_condition
 from shmoo_mjx.plant.scene import Scene, build_scene
-from shmoo_mjx.report.trace import write_arrays
 from shmoo_mjx.sensing import REAL, SensedEngine, Senses
 from shmoo_mjx.types import Observation
 
@@ -35,7 +31,6 @@ __all__ = [
     "draw_trials",
     "hindsight",
     "resistance",
-    "save_trial",
     "scene_of_trial",
 ]
 
@@ -372,9 +367,3 @@ class _Log:
             "phase": np.array(phase),
             "qpos": np.array(qpos, dtype=np.float32),
         }
-
-
-def save_trial(folder: Path, stem: str, row: dict[str, Any], track: dict[str, np.ndarray]) -> None:
-    """One trial's files; the row comes last and makes the trial count as done."""
-    write_arrays(folder / f"{stem}.npz", track)
-    write_whole(folder / f"{stem}.json", json.dumps(row, default=float).encode())

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from shmoo_mjx.assets import asset
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.evaluation.navigation_places import Places, find_places, kept_scenario
+from shmoo_mjx.evaluation.navigation_places import Places, as_data, find_places, kept_scenario
 from shmoo_mjx.evaluation.result import ExperimentOptions
 from shmoo_mjx.evaluation.scenarios import Kind, ScenarioConfig
 from shmoo_mjx.evaluation.trials import run_trials
@@ -88,7 +88,7 @@ def make_set(
         places = find_places(ExperimentOptions(condition_seed=seed, maps=maps), drawn, ScenarioConfig())
         named = {name: f"{name}_{seed}" if maps is None else name for name in places.maps}
         written |= {named[name]: _packed(path, named[name]) for name, path in places.maps.items()}
-        trials = [f"{name}-{i}" for name in places.maps for i in range(per_map)]
+        trials = {f"{name}-{i}": (name, i) for name in places.maps for i in range(per_map)}
         # What is kept of a scenario goes with its map; this list of them goes with nothing.
         with TemporaryDirectory() as scratch:
             for row in run_trials(trials, partial(_drawn, places), Path(scratch), progress):
@@ -109,16 +109,11 @@ def _packed(path: Path, name: str) -> _Map:
         return _Map(yaml=file.read_text(), png=base64.b64encode(file.with_suffix(".png").read_bytes()).decode())
 
 
-def _drawn(places: Places, trial: str) -> list[dict[str, Any]]:
+def _drawn(places: Places, trial: tuple[str, int]) -> list[dict[str, Any]]:
     """No row if the map has no place for that scenario."""
-    name, _, number = trial.rpartition("-")
-    wanted, found = kept_scenario(places, load_map(places.maps[name]), name, int(number))
-    return [] if found is None else [_row(name, int(number), wanted, found)]
-
-
-def _row(name: str, number: int, wanted: Kind, found: Any) -> dict[str, Any]:
-    scenario = found.scenario.model_dump(mode="json")
-    return {"map": name, "number": number, "wanted": wanted} | found._asdict() | {"scenario": scenario}
+    name, number = trial
+    wanted, found = kept_scenario(places, load_map(places.maps[name]), name, number)
+    return [] if found is None else [{"map": name, "number": number, "wanted": wanted} | as_data(found)]
 
 
 def find_set(name: Path) -> Path:

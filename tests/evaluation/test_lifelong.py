@@ -13,7 +13,7 @@ import shapely
 from shmoo_mjx import episode
 from shmoo_mjx.evaluation import lifelong, navigation
 from shmoo_mjx.evaluation.lifelong import measure
-from shmoo_mjx.evaluation.navigation import POLICIES, Robot, play
+from shmoo_mjx.evaluation.navigation import Robot, play
 from shmoo_mjx.evaluation.page import render
 from shmoo_mjx.evaluation.result import ExperimentOptions
 from shmoo_mjx.evaluation.scenarios import Generated, ScenarioConfig, Truth, toy_scenario
@@ -81,7 +81,15 @@ def leg(outcome: str, time: float, path: float) -> dict[str, Any]:
 
 
 def fake_run(outcome: str, legs: list[dict[str, Any]]) -> dict[str, Any]:
-    whole = {"outcome": outcome, "reason": "state push", "falls": 0, "wall_contacts": 1, "objects": [], "decisions": []}
+    whole = {
+        "outcome": outcome,
+        "reason": "state push",
+        "falls": 0,
+        "wall_contacts": 1,
+        "wall_parts": {},
+        "objects": [],
+        "decisions": [],
+    }
     return whole | {"time_s": 60.0, "path_length_m": 20.0, "legs": legs}
 
 
@@ -92,8 +100,8 @@ def test_legs_are_measured_one_by_one(tmp_path: Path, monkeypatch: pytest.Monkey
     ]
     asked: list[Any] = []
 
-    def fake_play(robot: Any, grid: Any, scenario: Any, config: Any, first: Any, goals: Any) -> FakeEpisode:
-        asked.append((config, goals))
+    def fake_play(robot: Any, grid: Any, generated: Any, policy: str, goals: Any) -> FakeEpisode:
+        asked.append((policy, goals))
         return FakeEpisode(runs[len(asked) - 1])
 
     _, scenario = toy_scenario(1, True)
@@ -104,10 +112,10 @@ def test_legs_are_measured_one_by_one(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr(lifelong, "_kept_sequence", lambda *args: sequence)
     monkeypatch.setattr(lifelong, "keep_failure", lambda store, name, episode: kept.append(name))
     monkeypatch.setattr(
-        lifelong, "run_trials", lambda names, work, *rest: [row for name in names for row in work(name)]
+        lifelong, "run_trials", lambda trials, work, *rest: [row for t in trials.values() for row in work(t)]
     )
     result = lifelong.run(ExperimentOptions(out=tmp_path, quick=True, scenarios=2, senses="perfect"))
-    assert asked == [(POLICIES["ours"].config, sequence.goals)] * 2 and kept == ["plan_0-1"]
+    assert asked == [("ours", sequence.goals)] * 2 and kept == ["plan_0-1"]
     metrics = result.metrics
     assert (metrics["success_rate"], metrics["goals_reached"], metrics["sequences"]) == (0.5, 0.75, 2)
     assert (metrics["success_rate_goal1"], metrics["success_rate_goal2"]) == (1.0, 0.5)
@@ -128,6 +136,7 @@ def test_goals_that_were_not_begun_are_not_reached() -> None:
 
 def test_a_run_is_given_what_it_can_take(monkeypatch: pytest.MonkeyPatch) -> None:
     grid, scenario = toy_scenario(1, True)
+    world = Generated(scenario, "push only", (True,), (True,), 4.0, None, (False,))
     taken: list[dict[str, Any]] = []
 
     def able(
@@ -142,11 +151,11 @@ def test_a_run_is_given_what_it_can_take(monkeypatch: pytest.MonkeyPatch) -> Non
     ) -> Any:
         taken.append({"senses": senses, "goals": goals})
 
-    monkeypatch.setattr(navigation, "_controller", lambda weights: None)
-    robot, config = Robot(0, "perfect", Path("none")), POLICIES["ours"].config
+    monkeypatch.setattr(navigation, "controller_of", lambda weights: None)
+    robot = Robot(0, "perfect", Path("none"))
     monkeypatch.setattr(episode, "run_episode", able)
-    play(robot, grid, scenario, config, None, [(1.0, 2.0)])
-    play(robot, grid, scenario, config, None)
+    play(robot, grid, world, "ours", [(1.0, 2.0)])
+    play(robot, grid, world, "ours")
     assert taken == [{"senses": "perfect", "goals": [(1.0, 2.0)]}, {"senses": "perfect", "goals": ()}]
 
 

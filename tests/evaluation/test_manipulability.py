@@ -122,9 +122,10 @@ def test_trials_go_on_where_they_were_stopped(tmp_path: Path) -> None:
     def silent(stage: str, fraction: float) -> None:
         return None
 
+    names = {name: name for name in "abc"}
     with pytest.raises(KeyboardInterrupt):
-        run_trials(["a", "b", "c"], work, tmp_path, silent, workers=1)
-    rows = run_trials(["a", "b", "c"], work, tmp_path, silent, workers=1)
+        run_trials(names, work, tmp_path, silent, workers=1)
+    rows = run_trials(names, work, tmp_path, silent, workers=1)
     assert calls == ["a", "b", "c", "c"] and [r["name"] for r in rows] == ["a", "b", "c"]
     assert json.loads((tmp_path / "b.json").read_text()) == [{"name": "b"}]
     given = run_trials({"a": 1, "d": ("x", 2)}, lambda trial: [{"given": trial}], tmp_path, silent, workers=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import pytest
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import pushing
 from shmoo_mjx.evaluation.pushing_measures import differences_table, enclosing_circle, metrics_of
-from shmoo_mjx.evaluation.pushing_trials import METHODS, draw_trials, resistance, save_trial
+from shmoo_mjx.evaluation.pushing_trials import METHODS, draw_trials, resistance
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.objects import draw_condition
@@ -167,19 +168,20 @@ def test_differences_are_of_the_trials_that_both_ran() -> None:
 
 def test_finished_trials_are_not_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
+    stops = [5]
 
-    def fake(todo: Any, job: Any) -> Any:
-        for trial, method in todo:
+    class Fake:
+        def run(self, trial: Any, method: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+            if stops and len(asked) == stops[0]:
+                stops.clear()
+                raise KeyboardInterrupt
             asked.append(f"{method}-{trial.name}")
             way = np.linspace(trial.object_pose, trial.goal_pose, 5)
-            track = {"t": np.arange(5.0), "object_pose": way, "robot_pose": way, "phase": np.array(["push"] * 5)}
             row = _row(method, trial.name, trial.goal, 0.1, family=trial.family, stratum=trial.stratum)
-            save_trial(job.folder, f"{row['method']}-{row['trial']}", row, track | {"qpos": np.zeros((5, 3))})
-            if len(asked) == 5:
-                raise KeyboardInterrupt
-            yield trial.name
+            return row, {"object_pose": way}
 
-    monkeypatch.setattr(pushing, "_run_all", fake)
+    monkeypatch.setattr(pushing, "_runner", lambda *_: Fake())
+    monkeypatch.setattr(pushing, "QUICK", replace(pushing.QUICK, workers=1))
     monkeypatch.setattr(pushing, "_paper_form", lambda *_: tmp_path)
     options = ExperimentOptions(quick=True, out=tmp_path)
     with pytest.raises(KeyboardInterrupt):

@@ -36,10 +36,14 @@ def drawn_quickly(grid: Any, kind: str, *rest: Any) -> Generated:
     return Generated(scenario, kind, (True,), (True,), 4.0, None, (False,))  # type: ignore[arg-type]
 
 
+def at_once(trials: dict[str, Any], work: Callable[[Any], list[Any]], *rest: Any) -> list[Any]:
+    return [row for given in trials.values() for row in work(given)]
+
+
 @pytest.fixture
 def made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(navigation_places, "draw_scenario", drawn_quickly)
-    monkeypatch.setattr(scenario_set, "run_trials", lambda names, work, *rest: [row for n in names for row in work(n)])
+    monkeypatch.setattr(scenario_set, "run_trials", at_once)
     (tmp_path / "maps").mkdir()
     for name in ("one", "two"):
         save_map(toy_scenario(1, True)[0], tmp_path / "maps" / f"{name}.yaml")
@@ -63,12 +67,12 @@ def test_a_set_is_opened_as_it_was_made_wherever_it_is(made: Path, tmp_path: Pat
 def test_navigation_runs_the_set_and_says_which(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ran: list[str] = []
 
-    def trial(places: Any, robot: Any, store: Path, name: str) -> list[dict[str, Any]]:
-        ran.append(name)
+    def trial(places: Any, robot: Any, store: Path, given: tuple[str, int, str]) -> list[dict[str, Any]]:
+        ran.append("-".join(map(str, given)))
         return []
 
     monkeypatch.setattr(navigation, "_trial", trial)
-    monkeypatch.setattr(navigation, "run_trials", lambda names, work, *rest: [row for n in names for row in work(n)])
+    monkeypatch.setattr(navigation, "run_trials", at_once)
     monkeypatch.setattr(navigation, "measure", lambda *given: {})
     monkeypatch.setattr(navigation, "write_failures", lambda *given: None)
     monkeypatch.setattr("shmoo_mjx.evaluation.navigation_figures.draw_figures", lambda *given: None)
