@@ -137,8 +137,8 @@ SECTIONS = {
     ),
     "pushing": Section(
         "Pushing to a pose (VI-A, Fig. 7)",
-        "The proxy robot pushes unseen objects to three goals. Two strata: objects as drawn, and demanding ones (load far "
-        "off the centre, 25 to 45 N of resistance, half or twice the friction of training, a brake from the start). "
+        "The proxy robot pushes unseen objects to three goals. Two strata: objects as drawn, and demanding ones (load "
+        "far off the centre, 25 to 45 N of resistance, half or twice the friction, a brake from the start). "
         "Every method runs every trial.",
         ("ours", "frozen prior", "and Eq. 8", "quasi-static", "hindsight a*", "psi as printed"),
         (

@@ -101,7 +101,8 @@ def test_a_section_without_a_result_stays_and_results_are_kept_beside_the_page(t
 
 
 def test_sections_written_by_hand_stay_where_they_are() -> None:
-    before = f"# Results\n\nold\n\n## Caveats\n\none\n\n## {page.SECTIONS['lifelong'].title}\n\nkept\n\n## Faults\n\ntwo\n"
+    lifelong = page.SECTIONS["lifelong"].title
+    before = f"# Results\n\nold\n\n## Caveats\n\none\n\n## {lifelong}\n\nkept\n\n## Faults\n\ntwo\n"
     text = page.render({"pushing": result_of("pushing", ExperimentOptions())}, {}, before)
     titles = re.findall("^## (.+)$", text, re.MULTILINE)
     assert titles == ["Caveats", *(section.title for section in page.SECTIONS.values()), "Faults"]
