@@ -59,21 +59,26 @@ def test_the_paper_map_names_functions_that_exist() -> None:
 
 
 def test_the_paper_map_names_settings_that_exist() -> None:
-    readings = read("docs/paper_map.md").partition("## Readings")[2]
-    cells = [line.split("|")[-2] for line in readings.splitlines() if line.startswith("|")]
-    wanted = {name for cell in cells for name in re.findall(r"`(?:\w+\.)?(\w+)`", cell)}
+    deviations = read("docs/paper_map.md").partition("## Deviations")[2]
+    bracketed = re.findall(r"\((`[^)]*`)\)", deviations)
+    wanted = {name for names in bracketed for name in re.findall(r"`(\w+)`", names)}
     known: set[str] = set()
     for source in (ROOT / "shmoo_mjx").rglob("*.py"):
-        for node in ast.walk(ast.parse(source.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
-                known.add(node.target.id)
-            elif isinstance(node, ast.FunctionDef | ast.ClassDef):
-                known.add(node.name)
-    assert len(wanted) > 25 and wanted <= known
+        tree = ast.parse(source.read_text(encoding="utf-8"))
+        known |= names_in(source)
+        annotated = [n.target for n in ast.walk(tree) if isinstance(n, ast.AnnAssign)]
+        known |= {target.id for target in annotated if isinstance(target, ast.Name)}
+    assert len(wanted) > 90 and not wanted - known
+
+
+def test_the_deviations_are_one_numbered_list() -> None:
+    deviations = read("docs/paper_map.md").partition("## Deviations")[2]
+    numbers = [int(n) for n in re.findall(r"^(\d+)\. ", deviations, re.MULTILINE)]
+    assert numbers == list(range(1, len(numbers) + 1)) and len(numbers) > 60
 
 
 def test_every_equation_and_figure_of_the_paper_has_a_row() -> None:
-    page = read("docs/paper_map.md").partition("## Readings")[0]
+    page = read("docs/paper_map.md").partition("## Deviations")[0]
     first_cells = " ".join(line.split("|")[1] for line in page.splitlines() if line.startswith("|"))
     for item in [f"Eq. {n}" for n in range(1, 10)] + [f"Fig. {n}" for n in range(1, 9)] + ["Algorithm 1"]:
         assert re.search(rf"{re.escape(item)}(?!\d)", first_cells), item
