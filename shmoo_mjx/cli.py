@@ -148,7 +148,7 @@ def report(
     Example: shmoo report log.csv --size 0.5 0.4
 
     Args:
-        source: CSV or Parquet file (docs/own_log.md lists its columns); or the folder of a run, to draw it again.
+        source: CSV or Parquet file (docs/make_your_own.md lists its columns); or the folder of a run, to draw it again.
         size: length and width of the object's footprint [m].
         out: folder for report.html, result.json and trace.npz.
         weights: trained weights, for what objects are like (default: the shipped ones).

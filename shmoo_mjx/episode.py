@@ -80,7 +80,7 @@ def run_episode(
         goals: ``(x, y)`` in {W} [m], in place of the scenario's: one after the other, in the world as the robot has
             left it and with all that it knows; the time limit is that of all.
         real_time: run against the wall clock. A command takes effect after the time it really took to compute.
-        policy: "package.module:Name" of what drives in the place of our navigator (docs/own_policy.md).
+        policy: "package.module:Name" of what drives in the place of our navigator (docs/make_your_own.md).
     """
     chosen = senses if isinstance(senses, Senses) else senses_named(senses or scenario.senses or "real")
     ahead = [tuple(goal) for goal in goals] or [scenario.goal]

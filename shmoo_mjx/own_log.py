@@ -66,7 +66,7 @@ class Log(NamedTuple):
 
 
 def read_log(path: str | Path) -> Log:
-    """The recording in a CSV or Parquet file (docs/own_log.md lists its columns), as samples of 0.1 s.
+    """The recording in a CSV or Parquet file (docs/make_your_own.md lists its columns), as samples of 0.1 s.
 
     Raises:
         ShmooError: the file can't be read, a column is missing, or its numbers can't be what they should.

@@ -19,12 +19,21 @@ from shmoo_mjx import cli
 from shmoo_mjx.verbosity import with_verbosity
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = ["README.md", "CONTRIBUTING.md", *(f"docs/{p.name}" for p in sorted((ROOT / "docs").glob("*.md")))]
+OWN = "docs/make_your_own.md"
+SECTIONS = re.findall(r"^## (.+)$", (ROOT / OWN).read_text(encoding="utf-8"), re.MULTILINE)
+WHOLE = sorted({f"docs/{p.name}" for p in (ROOT / "docs").glob("*.md")} - {OWN})
+PAGES = ["README.md", "CONTRIBUTING.md", *WHOLE, *(f"{OWN}#{title}" for title in SECTIONS)]
+"""Pages, and the sections of one of which each stands alone."""
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.DOTALL | re.MULTILINE)
-PRINTS = {"docs/own_cost.md": "turned by", "docs/own_robot.md": "pushed away by", "docs/own_object.md": "pushed by"}
+PRINTS = {
+    "README.md": "->",
+    f"{OWN}#Cost or model": "turned by",
+    f"{OWN}#Robot": "pushed away by",
+    f"{OWN}#Object": "pushed by",
+}
 NEEDS = {"docs/gym.md": "gymnasium"}
-LINES_OF_OWN_COST = 32
-TRAINS = ("docs/training.md", "docs/own_learner.md")
+LINES_OF_A_TASK = 32
+TRAINS = ("docs/training.md", f"{OWN}#Learner")
 """Pages whose examples train or record for half a minute."""
 
 
@@ -33,8 +42,15 @@ class Block(NamedTuple):
     text: str
 
 
+def text_of(page: str) -> str:
+    """A page, or the section of it that stands behind a #."""
+    name, _, title = page.partition("#")
+    text = (ROOT / name).read_text(encoding="utf-8")
+    return text.partition(f"\n## {title}\n")[2].partition("\n## ")[0] if title else text
+
+
 def blocks(page: str) -> list[Block]:
-    return [Block(*found) for found in FENCE.findall((ROOT / page).read_text(encoding="utf-8"))]
+    return [Block(*found) for found in FENCE.findall(text_of(page))]
 
 
 def python_of(page: str) -> str:
@@ -43,7 +59,7 @@ def python_of(page: str) -> str:
 
 def commands(page: str) -> list[str]:
     """Every shmoo command of the page's shell blocks and indented blocks."""
-    text = (ROOT / page).read_text(encoding="utf-8").replace("\\\n", " ")
+    text = text_of(page).replace("\\\n", " ")
     fenced = [match[2] for match in FENCE.finditer(text) if match[1] == "bash"]
     lines = [line for block in fenced for line in block.splitlines()]
     lines += [line.strip() for line in FENCE.sub("", text).splitlines() if line.startswith("    ")]
@@ -58,8 +74,8 @@ WITH_COMMANDS = [page for page in PAGES if commands(page)]
 
 
 def test_the_pages_are_found() -> None:
-    how_to = {f"docs/own_{what}.md" for what in ("object", "scenario", "learner", "cost", "robot")}
-    assert {*how_to, "docs/tutorial.md", "docs/gym.md", "docs/training.md"} <= set(WITH_PYTHON)
+    assert {f"{OWN}#{title}" for title in SECTIONS} <= set(WITH_PYTHON)
+    assert {"README.md", "docs/tutorial.md", "docs/gym.md", "docs/training.md"} <= set(WITH_PYTHON)
     assert {"README.md", "docs/tutorial.md", "docs/gpu.md", "docs/sweeps.md"} <= set(WITH_COMMANDS)
 
 
@@ -83,7 +99,7 @@ def test_the_pages_python_runs(
 
 
 def test_a_whole_task_is_short() -> None:
-    assert len([line for line in python_of("docs/own_cost.md").splitlines() if line.strip()]) <= LINES_OF_OWN_COST
+    assert len([line for line in python_of(f"{OWN}#Cost or model").splitlines() if line.strip()]) <= LINES_OF_A_TASK
 
 
 @pytest.mark.parametrize("page", WITH_COMMANDS)

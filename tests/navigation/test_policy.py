@@ -18,7 +18,7 @@ from shmoo_mjx.learning.weights import load_weights
 from shmoo_mjx.navigation.maps import OCCUPIED, OccupancyGrid, save_map
 from shmoo_mjx.navigation.scenario import Limits, ObjectEntry, Scenario, save_scenario
 
-PAGE = (Path(__file__).resolve().parents[2] / "docs/own_policy.md").read_text()
+PAGE = (Path(__file__).resolve().parents[2] / "docs/make_your_own.md").read_text().partition("## Navigation policy")[2]
 GO_ROUND, STRAIGHT = (part.partition("```")[0] for part in PAGE.split("```python\n")[1:3])
 BAD = """
 import numpy as np
