@@ -7,7 +7,7 @@ from pathlib import Path
 __all__ = ["WEIGHTS", "asset"]
 
 WEIGHTS = "experiments/weights/demo.safetensors"
-"""The weights that come with the package (docs/training.md says how they are made)."""
+"""The weights that come with the package (docs/models.md says how they are made)."""
 
 _PACKAGE = Path(__file__).resolve().parent
 

@@ -90,7 +90,7 @@ def _weights() -> Check:
     from shmoo_mjx.learning.weights import load_weights
 
     path = asset(WEIGHTS)
-    remedy = "reinstall, or make them anew: shmoo collect, shmoo train (docs/training.md)"
+    remedy = "reinstall, or make them anew: shmoo collect, shmoo train (docs/models.md)"
     try:
         load_weights(path)
     except ShmooError as error:
