@@ -10,7 +10,7 @@ import pytest
 
 import shmoo_mjx
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "public_api.md"
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "architecture.md"
 
 
 @pytest.mark.parametrize("name", shmoo_mjx.__all__)

@@ -1,7 +1,7 @@
 """How probable it is that an object can be moved, told by what the hands have spent on it and how far it has come.
 
 A logistic regression on two numbers of the push so far. Neither the learned model nor K is asked: they tell the two
-classes apart less well, above all in the first second (docs/navigation.md).
+classes apart less well, above all in the first second (docs/results.md).
 """
 
 from __future__ import annotations
