@@ -76,7 +76,7 @@ WITH_COMMANDS = [page for page in PAGES if commands(page)]
 def test_the_pages_are_found() -> None:
     assert {f"{OWN}#{title}" for title in SECTIONS} <= set(WITH_PYTHON)
     assert {"README.md", "docs/tutorial.md", "docs/gym.md", "docs/models.md"} <= set(WITH_PYTHON)
-    assert {"README.md", "docs/tutorial.md", "docs/gpu.md", "docs/sweeps.md"} <= set(WITH_COMMANDS)
+    assert {"README.md", "docs/tutorial.md", "docs/performance.md", "docs/sweeps.md"} <= set(WITH_COMMANDS)
 
 
 @pytest.mark.parametrize(
