@@ -25,6 +25,7 @@ from shmoo_mjx.navigation.floorplan import demo_scenario
 from shmoo_mjx.navigation.maps import clearance_field
 from shmoo_mjx.navigation.records import Mode
 from shmoo_mjx.navigation.scenario import ObjectEntry
+from shmoo_mjx.report.tables import markdown_table
 from shmoo_mjx.simulation import Simulation
 from shmoo_mjx.types import DT, Command, Observation
 
@@ -310,13 +311,13 @@ def run(options: ExperimentOptions, runs: int, chosen: tuple[str, ...] = (), wor
 
 def summary(result: ExperimentResult) -> str:
     """The matrix as a Markdown table."""
-    lines = [f"| fault | {' | '.join(OUTCOMES)} | reasons |", "|---" * (len(OUTCOMES) + 2) + "|"]
+    lines = []
     for name, what in result.config["faults"].items():
         mine = [r for r in result.rows if r["fault"] == name]
         counts = [str(sum(r["outcome"] == outcome for r in mine)) for outcome in OUTCOMES]
         reasons = dict.fromkeys(r["reason"] for r in mine if r["outcome"] != "recovered")
-        lines.append(f"| {what} | {' | '.join(counts)} | {'; '.join(reasons)} |")
-    return "\n".join(lines)
+        lines.append([what, *counts, "; ".join(reasons)])
+    return markdown_table(["fault", *OUTCOMES, "reasons"], lines)
 
 
 def _trial(weights: Path, trial: tuple[str, int]) -> list[dict[str, Any]]:

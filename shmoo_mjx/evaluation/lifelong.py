@@ -18,8 +18,8 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.manipulable import BORDER
 from shmoo_mjx.evaluation.navigation import POLICIES, Robot, play, robot_of, scores_of, told_of, trials_folder
 from shmoo_mjx.evaluation.navigation_failures import keep_failure, write_failures
-from shmoo_mjx.evaluation.navigation_measures import OURS
 from shmoo_mjx.evaluation.navigation_places import Places, as_data, find_places, generated_from, kept, kinds_of, seed_of
+from shmoo_mjx.evaluation.paired import OURS, metrics_by_method
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.evaluation.scenarios import PLANT, ScenarioConfig
 from shmoo_mjx.evaluation.sequences import GoalSequence, draw_sequence
@@ -122,15 +122,11 @@ def _legs(legs: list[dict[str, Any]], shortest: tuple[float, ...]) -> list[dict[
 
 def measure(rows: list[dict[str, Any]], policies: tuple[str, ...], goals: int) -> dict[str, Any]:
     """Metrics of every policy, ours without a prefix; ``*_goal3`` is of the third goal, for example."""
-    metrics: dict[str, Any] = {}
-    for policy in policies:
-        prefix = "" if policy == OURS else f"baseline_{policy}_"
-        mine = [r for r in rows if r["policy"] == policy]
-        metrics |= {prefix + name: value for name, value in _of_policy(mine, goals).items()}
-    return metrics
+    of = {policy: dict(enumerate(r for r in rows if r["policy"] == policy)) for policy in policies}
+    return metrics_by_method(of, partial(_of_policy, goals), lambda policy, pairs: {})
 
 
-def _of_policy(rows: list[dict[str, Any]], goals: int) -> dict[str, Any]:
+def _of_policy(goals: int, rows: list[dict[str, Any]]) -> dict[str, Any]:
     contacts = _mean([r["wall_contacts"] for r in rows])
     metrics: dict[str, Any] = {
         "success_rate": _mean([r["success"] for r in rows]),

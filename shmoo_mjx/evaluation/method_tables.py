@@ -1,21 +1,13 @@
-"""The tables of `baselines` and `ablations` in docs/results.md, made from their JSON; none is typed by hand.
-
-python -m shmoo_mjx.evaluation.method_tables PAGE baselines.json ablations.json fills them into any page that has a
-place for them (`fill`).
-"""
+"""The tables of `baselines` and `ablations` in docs/results.md, made from their JSON; none is typed by hand."""
 
 from __future__ import annotations
 
 import math
-import re
-import sys
-from pathlib import Path
 
-from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.evaluation.result import ExperimentResult, read_result
-from shmoo_mjx.files import write_whole
+from shmoo_mjx.evaluation.result import ExperimentResult
+from shmoo_mjx.report.tables import markdown_table
 
-__all__ = ["ablations_table", "baselines_table", "fill"]
+__all__ = ["ablations_table", "baselines_table"]
 
 _NAMES = {
     "ours": "ours",
@@ -33,19 +25,19 @@ _NAMES = {
     "replay": "simulator with true parameters, mean wrench",
 }
 
+_AFTER_3S = ("3 s position [m]", "3 s yaw [deg]")
+
 
 def baselines_table(result: ExperimentResult) -> str:
     """One line per method, the least MSE first: errors after adapting, spread over seeds, ratios to ours."""
     found = result.metrics
     names = [name for name in _NAMES if f"mse_{name}" in found]
-    lines = [
-        "| method | MSE | MSE / ours | paper | FVU | FVU, median object | 3 s position [m] | 3 s yaw [deg] | setting |",
-        "|---|---|---|---|---|---|---|---|---|",
-    ]
+    head = ("method", "MSE", "MSE / ours", "paper", "FVU", "FVU, median object", *_AFTER_3S, "setting")
+    rows = []
     settings = {row["method"]: row["setting"] for row in result.rows if "method" in row}
     for name in sorted(names, key=lambda n: math.inf if (mse := found[f"mse_{n}"]) is None else mse):
         paper = result.paper.get(f"ratio_{name}")
-        cells = [
+        row = [
             _NAMES[name],
             _spread(found, "mse", name),
             _number(1.0 if name == "ours" else found.get(f"ratio_{name}")),
@@ -56,45 +48,22 @@ def baselines_table(result: ExperimentResult) -> str:
             _spread(found, "yaw_rmse_3s_deg", name),
             ", ".join(f"{key} {value}" for key, value in settings.get(name, {}).items()) or "default",
         ]
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join([*lines, "", _source(result)])
+        rows.append(row)
+    return f"{markdown_table(head, rows)}\n\n{_source(result)}"
 
 
 def ablations_table(result: ExperimentResult) -> str:
     """One line per variant: error on unseen objects, and how well a fresh probe tells the condition from psi."""
     found = result.metrics
     names = [key.removeprefix("mse_") for key in found if key.startswith("mse_") and not key.startswith("mse_std_")]
-    lines = [
-        "| variant | MSE | FVU | FVU, median object | 3 s position [m] | 3 s yaw [deg] | probe on psi |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    for name in names:
-        measures = ("mse", "fvu", "fvu_median", "pos_rmse_3s_m", "yaw_rmse_3s_deg", "probe_psi")
-        cells = [name, *(_spread(found, measure, name) for measure in measures)]
-        lines.append(f"| {' | '.join(cells)} |")
+    head = ("variant", "MSE", "FVU", "FVU, median object", *_AFTER_3S, "probe on psi")
+    measures = ("mse", "fvu", "fvu_median", "pos_rmse_3s_m", "yaw_rmse_3s_deg", "probe_psi")
+    rows = [[name, *(_spread(found, measure, name) for measure in measures)] for name in names]
     probes = (
         f"The same probe on the raw inputs: {_number(found['probe_inputs'])}; without the size: "
         f"{_number(found['probe_inputs_without_size'])}; chance: {_number(found['chance'])}."
     )
-    return "\n".join([*lines, "", probes, "", _source(result)])
-
-
-def fill(page: Path, results: list[ExperimentResult]) -> None:
-    """Put each result's table between the page's comments <!-- NAME --> and <!-- end NAME -->.
-
-    Raises:
-        ShmooError: the page has no such place.
-    """
-    text, tables = page.read_text(), {"baselines": baselines_table, "ablations": ablations_table}
-    for result in results:
-        name = result.experiment
-        place = re.compile(rf"<!-- {re.escape(name)} -->\n.*?<!-- end {re.escape(name)} -->", re.DOTALL)
-        if name not in tables or not place.search(text):
-            raise ShmooError(f"{page}: has no place for {name!r}; write <!-- {name} --> and <!-- end {name} --> there.")
-        table = tables[name](result)
-        before, after = place.split(text, maxsplit=1)
-        text = f"{before}<!-- {name} -->\n{table}\n<!-- end {name} -->{after}"
-    write_whole(page, text.encode())
+    return f"{markdown_table(head, rows)}\n\n{probes}\n\n{_source(result)}"
 
 
 def _number(value: float | None) -> str:
@@ -120,7 +89,3 @@ def _source(result: ExperimentResult) -> str:
         f"`shmoo experiment {result.experiment}{quick} --seed {result.seed} --condition-seed "
         f"{config['condition_seed']}`: {objects} unseen objects, {config['seeds']} seeds."
     )
-
-
-if __name__ == "__main__":
-    fill(Path(sys.argv[1]), [read_result(Path(argument)) for argument in sys.argv[2:]])

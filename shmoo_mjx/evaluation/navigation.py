@@ -19,7 +19,6 @@ from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.evaluation.manipulable import BORDER
 from shmoo_mjx.evaluation.navigation_failures import keep_failure, write_failures
 from shmoo_mjx.evaluation.navigation_measures import (
-    OURS,
     cause_of,
     effort_by_force,
     effort_by_mass,
@@ -27,6 +26,7 @@ from shmoo_mjx.evaluation.navigation_measures import (
     measure,
 )
 from shmoo_mjx.evaluation.navigation_places import Places, find_places, kept_scenario
+from shmoo_mjx.evaluation.paired import OURS
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, file_id, make_result
 from shmoo_mjx.evaluation.scenario_set import open_set
 from shmoo_mjx.evaluation.scenarios import Generated, ScenarioConfig

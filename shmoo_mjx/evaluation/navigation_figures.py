@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx.evaluation.navigation_measures import OURS
+from shmoo_mjx.evaluation.paired import OURS
 from shmoo_mjx.evaluation.scenarios import KINDS
 from shmoo_mjx.files import write_whole
 from shmoo_mjx.navigation.maps import OccupancyGrid, load_map

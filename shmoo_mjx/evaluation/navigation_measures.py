@@ -7,12 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx.evaluation.paired import difference_metrics
+from shmoo_mjx.evaluation.paired import OURS, difference_metrics, metrics_by_method
 from shmoo_mjx.evaluation.scenarios import KINDS, Generated
 
 __all__ = [
     "COMPARED",
-    "OURS",
     "cause_of",
     "effort_by_force",
     "effort_by_mass",
@@ -20,16 +19,15 @@ __all__ = [
     "measure",
 ]
 
-OURS = "ours"
 COMPARED = {
-    "success": True,
-    "time_s": False,
-    "efficiency": True,
-    "effort": True,
-    "effort_force": True,
-    "ins": True,
+    "success": ("success", True),
+    "time_s": ("time, of scenarios that both solve [s]", False),
+    "efficiency": ("path efficiency", True),
+    "effort": ("effort efficiency, mass moved", True),
+    "effort_force": ("effort efficiency, force", True),
+    "ins": ("interactive navigation score", True),
 }
-"""What policies are compared by, scenario by scenario, and whether more of it is better."""
+"""What policies are compared by, scenario by scenario: label, and whether more of it is better."""
 _GRAVITY = 9.81
 
 
@@ -97,13 +95,8 @@ def measure(rows: list[dict[str, Any]], policies: tuple[str, ...]) -> dict[str, 
     ``baseline_NAME_*`` is what policy NAME reaches; ``difference_NAME_METRIC`` with ``_low``, ``_high`` and ``_pairs``
     the mean difference with its 95 % interval and the number of scenarios, for time those that both solve.
     """
-    metrics: dict[str, Any] = {}
     of = {policy: {(r["map"], r["scenario"]): r for r in rows if r["policy"] == policy} for policy in policies}
-    for policy in policies:
-        prefix = "" if policy == OURS else f"baseline_{policy}_"
-        metrics |= {prefix + name: value for name, value in _of_policy(list(of[policy].values())).items()}
-        if policy != OURS and OURS in of:
-            metrics |= _differences(policy, of[OURS], of[policy])
+    metrics = metrics_by_method(of, _of_policy, _differences)
     if {OURS, "oracle"} <= set(of):
         metrics["time_over_oracle"] = _time_ratio(of[OURS], of["oracle"])
     return metrics | _what_neither_can(of) | _of_scenarios(rows)
@@ -114,35 +107,27 @@ def _of_policy(rows: list[dict[str, Any]]) -> dict[str, Any]:
         return float(np.mean([r[name] for r in of])) if of else None
 
     good = [r for r in rows if r["success"]]
+    parts = {_key(kind): [r for r in rows if r["kind"] == kind] for kind in KINDS}
+    parts |= {name: [r for r in rows if r["border"] is near] for name, near in (("border", True), ("clear", False))}
     metrics = {"success_rate": mean("success", rows)}
-    for kind in KINDS:
-        metrics[f"success_rate_{_key(kind)}"] = mean("success", [r for r in rows if r["kind"] == kind])
-    for name, near in (("border", True), ("clear", False)):
-        metrics[f"success_rate_{name}"] = mean("success", [r for r in rows if r["border"] is near])
+    metrics |= {f"success_rate_{name}": mean("success", of) for name, of in parts.items()}
     contacts = mean("wall_contacts", rows)
-    return metrics | {
+    return {
+        **metrics,
         "falls": sum(r["falls"] for r in rows),
         "wall_contacts": sum(r["wall_contacts"] for r in rows),
         "wall_contacts_per_100": None if contacts is None else 100.0 * contacts,
-        "time_s": mean("time_s", good),
-        "path_length_m": mean("path_length_m", good),
-        "displacement_m": mean("displacement_m", rows),
-        "efficiency": mean("efficiency", rows),
-        "effort": mean("effort", rows),
-        "effort_force": mean("effort_force", rows),
-        "ins": mean("ins", rows),
+        **{name: mean(name, good) for name in ("time_s", "path_length_m")},
+        **{name: mean(name, rows) for name in ("displacement_m", "efficiency", "effort", "effort_force", "ins")},
         "scenarios": len(rows),
     }
 
 
-def _differences(policy: str, ours: dict[Any, Any], theirs: dict[Any, Any]) -> dict[str, Any]:
-    both = [(ours[key], theirs[key]) for key in ours if key in theirs]
-    solved = [(a, b) for a, b in both if a["success"] and b["success"]]
+def _differences(policy: str, pairs: list[tuple[dict[str, Any], dict[str, Any]]]) -> dict[str, Any]:
+    solved = [(a, b) for a, b in pairs if a["success"] and b["success"]]
     metrics: dict[str, Any] = {}
     for name in COMPARED:
-        pairs = solved if name == "time_s" else both
-        key = f"difference_{policy}_{name}"
-        metrics |= difference_metrics(key, [a[name] for a, _ in pairs], [b[name] for _, b in pairs])
+        metrics |= difference_metrics(f"difference_{policy}_{name}", name, solved if name == "time_s" else pairs)
     return metrics
 
 

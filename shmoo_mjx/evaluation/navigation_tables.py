@@ -5,21 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from typing import Any
 
-from shmoo_mjx.evaluation.navigation_measures import COMPARED, OURS
-from shmoo_mjx.evaluation.paired import difference_cell
+from shmoo_mjx.evaluation.navigation_measures import COMPARED
+from shmoo_mjx.evaluation.paired import OURS, differences_table
 from shmoo_mjx.evaluation.result import ExperimentResult
 from shmoo_mjx.evaluation.scenarios import KINDS
+from shmoo_mjx.report.tables import markdown_table
 
 __all__ = ["navigation_tables"]
-
-_LABELS = {
-    "success": "success",
-    "time_s": "time, of scenarios that both solve [s]",
-    "efficiency": "path efficiency",
-    "effort": "effort efficiency, mass moved",
-    "effort_force": "effort efficiency, force",
-    "ins": "interactive navigation score",
-}
 
 
 def navigation_tables(result: ExperimentResult) -> str:
@@ -32,17 +24,8 @@ def _differences(result: ExperimentResult) -> str:
     others = [p for p in result.config.get("policies", []) if f"difference_{p}_success" in result.metrics]
     if not others:
         return ""
-    lines = [
-        "Ours minus each other policy over the same scenarios, with 95 % bootstrap intervals over scenarios; better "
-        "and worse are said where the interval excludes zero.",
-        "",
-        f"| | {' | '.join('- ' + p.replace('_', ' ') for p in others)} |",
-        "|---" * (len(others) + 1) + "|",
-    ]
-    for name, more_is_better in COMPARED.items():
-        cells = [difference_cell(result.metrics, f"difference_{p}_{name}", more_is_better) for p in others]
-        lines.append(f"| {_LABELS[name]} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+    lines = [(label, name, more) for name, (label, more) in COMPARED.items()]
+    return differences_table(result.metrics, others, lines, "policy", "scenarios")
 
 
 def _maps(result: ExperimentResult) -> str:
@@ -50,18 +33,16 @@ def _maps(result: ExperimentResult) -> str:
     rows = [r for r in result.rows if r["policy"] == OURS and "wanted" in r]
     if not rows:
         return ""
-    lines = [
-        "Scenarios by map (solved by ours / there are). A map that has no place for a kind gets others in its stead.",
-        "",
-        f"| map | {' | '.join(KINDS)} | no place for |",
-        "|---" * (len(KINDS) + 2) + "|",
-    ]
+    lines = []
     for name in dict.fromkeys(r["map"] for r in rows):
         here = [r for r in rows if r["map"] == name]
         lacking = [f"{kind}: {_lacking(here, kind)}" for kind in KINDS if _lacking(here, kind)]
         cells = [_solved([r for r in here if r["kind"] == kind]) for kind in KINDS]
-        lines.append(f"| {name} | {' | '.join(cells)} | {', '.join(lacking)} |")
-    return "\n".join(lines)
+        lines.append([name, *cells, ", ".join(lacking)])
+    return (
+        "Scenarios by map (solved by ours / there are). A map that has no place for a kind gets others in its stead."
+        f"\n\n{markdown_table(['map', *KINDS, 'no place for'], lines)}"
+    )
 
 
 def _lacking(rows: list[dict[str, Any]], kind: str) -> int:
@@ -74,17 +55,12 @@ def _objects(result: ExperimentResult) -> str:
     if not rows:
         return ""
     counts = sorted({len(r["movable"]) for r in rows})
-    head = " | ".join(f"{n} object{'s' * (n > 1)}" for n in counts)
-    groups = {
-        "all": lambda r, n: len(r["movable"]) == n,
-        "in the way": lambda r, n: sum(r["blocking"]) == n,
-    }
-    lines = ["Scenarios by number of objects (solved by ours / there are).", "", f"| | {head} |"]
-    lines.append("|---" * (len(counts) + 1) + "|")
-    for label, belongs in groups.items():
-        cells = [_solved([r for r in rows if belongs(r, n)]) for n in counts]
-        lines.append(f"| {label} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+    groups = {"all": lambda r: len(r["movable"]), "in the way": lambda r: sum(r["blocking"])}
+    table = markdown_table(
+        ["", *(f"{n} object{'s' * (n > 1)}" for n in counts)],
+        [[label, *(_solved([r for r in rows if of(r) == n]) for n in counts)] for label, of in groups.items()],
+    )
+    return f"Scenarios by number of objects (solved by ours / there are).\n\n{table}"
 
 
 def _solved(rows: list[dict[str, Any]]) -> str:

@@ -20,10 +20,11 @@ from pathlib import Path
 
 from shmoo_mjx.evaluation.method_tables import ablations_table, baselines_table
 from shmoo_mjx.evaluation.navigation_tables import navigation_tables
-from shmoo_mjx.evaluation.pushing_measures import differences_table
+from shmoo_mjx.evaluation.pushing_measures import pushing_differences
 from shmoo_mjx.evaluation.registry import EXPERIMENTS
 from shmoo_mjx.evaluation.result import ExperimentResult, as_json, read_result, weights_id
 from shmoo_mjx.files import write_whole
+from shmoo_mjx.report.tables import markdown_table
 
 __all__ = ["SECTIONS", "Section", "read_results", "render", "section_of", "write_page"]
 
@@ -47,28 +48,19 @@ class Section:
     """It says nothing about the shipped psi, whose inputs and settings it does not share."""
 
 
-def _of_methods(labels: Mapping[str, str], names: tuple[str, ...]) -> tuple[tuple[str, tuple[str, ...]], ...]:
+def _lines(labels: Mapping[str, str], *columns: str) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    """A line for each metric of ``labels``, which every column names in its own way, "{}_after" for example."""
+    return tuple((label, tuple(c.format(metric) for c in columns or ("{}",))) for metric, label in labels.items())
+
+
+def _of_methods(labels: Mapping[str, str], *names: str) -> tuple[tuple[str, tuple[str, ...]], ...]:
     """Lines whose columns are ours and the baselines ``names``."""
-    prefixes = ("", *(f"baseline_{name}_" for name in names))
-    return tuple((label, tuple(prefix + metric for prefix in prefixes)) for metric, label in labels.items())
+    return _lines(labels, "{}", *(f"baseline_{name}_{{}}" for name in names))
 
 
-def _suffixed(labels: Mapping[str, str], suffixes: tuple[str, ...]) -> tuple[tuple[str, tuple[str, ...]], ...]:
-    return tuple((label, tuple(metric + suffix for suffix in suffixes)) for metric, label in labels.items())
-
-
-def _single(labels: Mapping[str, str]) -> tuple[tuple[str, tuple[str, ...]], ...]:
-    return tuple((label, (metric,)) for metric, label in labels.items())
-
-
-_OPEN_LOOP = {
-    "pos_rmse_1s_m": "position after 1 s open loop [m]",
-    "yaw_rmse_1s_deg": "yaw after 1 s [deg]",
-    "pos_rmse_3s_m": "position after 3 s [m]",
-    "yaw_rmse_3s_deg": "yaw after 3 s [deg]",
-}
-
-_PUSHERS = ("frozen_prior", "eq8", "quasi_static", "hindsight", "paper_form")
+_FAMILIES = ("box", "cart", "wheelchair")
+_PUSH_MODELS = ("", "physics_", "published_", "published_quadratic_", "linear_", "no_motion_")
+_LEFT_OUT = {"": "pair left out", "shape_out_": "shape left out", "mlab_": "triangle's support left out"}
 
 SECTIONS = {
     "object_model": Section(
@@ -76,26 +68,39 @@ SECTIONS = {
         "psi adapts on the first 25 s of each unseen object and is scored on later rows.",
         ("prior", "after 25 s", "zero", "constant velocity", "one MLP"),
         (
-            *(
-                (label, tuple(f"{metric}_{name}" for name in ("before", "after", "zero", "constant_velocity", "mlp")))
-                for metric, label in (
-                    ("mse", "MSE of the acceleration"),
-                    ("fvu", "variance unexplained"),
-                    ("fvu_median", "... of the median object"),
-                )
+            *_lines(
+                {
+                    "mse": "MSE of the acceleration",
+                    "fvu": "variance unexplained",
+                    "fvu_median": "... of the median object",
+                },
+                *("{}_before", "{}_after", "{}_zero", "{}_constant_velocity", "{}_mlp"),
             ),
             *(
                 (f"variance unexplained, {family}", (f"fvu_before_{family}", f"fvu_after_{family}", "", "", ""))
-                for family in ("box", "cart", "wheelchair")
+                for family in _FAMILIES
             ),
-            *_suffixed(_OPEN_LOOP, ("_before", "", "_zero", "_constant_velocity", "_mlp")),
-            ("MSE after / before", ("", "ratio_after_before", "", "", "")),
-            ("MSE after / best without adaptation", ("", "ratio_after_best_nonadaptive", "", "", "")),
-            ("gap closed after 1 s of contact, median", ("", "gap_closed_1s_median", "", "", "")),
-            ("gap closed after 1 s, lower quartile", ("", "gap_closed_1s_q25", "", "", "")),
-            ("gap closed after 5 s, median", ("", "gap_closed_5s_median", "", "", "")),
-            ("variance unexplained, a brake just put on, median", ("", "brake_fvu_unaware_median", "", "", "")),
-            ("... and felt for 25 s, median", ("", "brake_fvu_known_median", "", "", "")),
+            *_lines(
+                {
+                    "pos_rmse_1s_m": "position after 1 s open loop [m]",
+                    "yaw_rmse_1s_deg": "yaw after 1 s [deg]",
+                    "pos_rmse_3s_m": "position after 3 s [m]",
+                    "yaw_rmse_3s_deg": "yaw after 3 s [deg]",
+                },
+                *("{}_before", "{}", "{}_zero", "{}_constant_velocity", "{}_mlp"),
+            ),
+            *_lines(
+                {
+                    "ratio_after_before": "MSE after / before",
+                    "ratio_after_best_nonadaptive": "MSE after / best without adaptation",
+                    "gap_closed_1s_median": "gap closed after 1 s of contact, median",
+                    "gap_closed_1s_q25": "gap closed after 1 s, lower quartile",
+                    "gap_closed_5s_median": "gap closed after 5 s, median",
+                    "brake_fvu_unaware_median": "variance unexplained, a brake just put on, median",
+                    "brake_fvu_known_median": "... and felt for 25 s, median",
+                },
+                *("", "{}", "", "", ""),
+            ),
         ),
         ("roll_outs.png", "adaptation.png"),
     ),
@@ -114,7 +119,7 @@ SECTIONS = {
         "R is trained further on 5 minutes of the proxy robot, and on 40, and scored on 2 other minutes.",
         ("before", "after", "after 40 minutes"),
         (
-            *_suffixed(
+            *_lines(
                 {
                     "mse": "MSE, all outputs",
                     "mse_contact": "MSE in contact",
@@ -122,15 +127,18 @@ SECTIONS = {
                     "pos_rmse_3s_contact_m": "position after 3 s in contact [m]",
                     "pos_rmse_3s_free_m": "position after 3 s without contact [m]",
                 },
-                ("_before", "_after", "_more"),
+                *("{}_before", "{}_after", "{}_more"),
             ),
-            ("reduction of the MSE [%]", ("", "reduction_percent", "reduction_percent_more")),
-            *(
-                (
-                    f"... of {name.replace('_', ' ')} [%]",
-                    ("", f"reduction_percent_{name}", f"reduction_percent_{name}_more"),
-                )
-                for name in ("acceleration_x", "acceleration_y", "acceleration_yaw", "force_x", "force_y")
+            *_lines(
+                {
+                    "": "reduction of the MSE [%]",
+                    "_acceleration_x": "... of acceleration x [%]",
+                    "_acceleration_y": "... of acceleration y [%]",
+                    "_acceleration_yaw": "... of acceleration yaw [%]",
+                    "_force_x": "... of force x [%]",
+                    "_force_y": "... of force y [%]",
+                },
+                *("", "reduction_percent{}", "reduction_percent{}_more"),
             ),
         ),
         ("robot_finetune.png",),
@@ -147,17 +155,10 @@ SECTIONS = {
                     **{f"offset_goal{i}_m": f"offset, goal {i} [m]" for i in (1, 2, 3)},
                     **{f"radius_goal{i}_m": f"enclosing circle, goal {i} [m]" for i in (1, 2, 3)},
                     "success_rate": "success",
-                    **{
-                        f"success_rate_{group}": f"success, {label}"
-                        for group, label in (
-                            ("drawn", "as drawn"),
-                            ("demanding", "demanding"),
-                            ("box", "box"),
-                            ("cart", "cart"),
-                            ("wheelchair", "wheelchair"),
-                            ("change_brake", "a brake pressed on the way"),
-                        )
-                    },
+                    "success_rate_drawn": "success, as drawn",
+                    "success_rate_demanding": "success, demanding",
+                    **{f"success_rate_{family}": f"success, {family}" for family in _FAMILIES},
+                    "success_rate_change_brake": "success, a brake pressed on the way",
                     "offset_m": "offset, mean [m]",
                     "offset_drawn_m": "offset, mean, as drawn [m]",
                     "offset_demanding_m": "offset, mean, demanding [m]",
@@ -169,7 +170,7 @@ SECTIONS = {
                     "pushes": "pushes",
                     "trials": "trials",
                 },
-                _PUSHERS,
+                *("frozen_prior", "eq8", "quasi_static", "hindsight", "paper_form"),
             ),
             ("way from the prior's offset to hindsight's", ("way_to_hindsight", "", "", "", "", "")),
         ),
@@ -179,7 +180,7 @@ SECTIONS = {
         "Can it be moved? (IV-B, Algorithm 1, Fig. 5)",
         "The navigator probes unseen objects, at least half of which are immovable, and decides.",
         ("ours",),
-        _single(
+        _lines(
             {
                 "accuracy": "accuracy",
                 "accuracy_clear": "accuracy, objects near the border left out",
@@ -226,7 +227,7 @@ SECTIONS = {
                     "ins": "interactive navigation score",
                     "scenarios": "scenarios",
                 },
-                ("always_avoid", "always_push", "oracle"),
+                *("always_avoid", "always_push", "oracle"),
             ),
             ("time over the oracle's, where both succeed (aim 1.2)", ("time_over_oracle", "", "", "")),
             ("scenarios that neither baseline can do", ("neither_baseline", "", "", "")),
@@ -240,7 +241,7 @@ SECTIONS = {
         "Five goals in a row in a world that stays as the robot has left it, with what it remembers of objects. A "
         "sequence ends where the robot gives up, falls or runs out of time.",
         ("ours",),
-        _single(
+        _lines(
             {
                 "success_rate": "all goals reached",
                 "goals_reached": "goals reached",
@@ -262,18 +263,8 @@ SECTIONS = {
         "Mean error of the final pose; published models of the same data beside ours.",
         ("ours", "physics alone", "4th-order, published", "quadratic, published", "linear", "no motion"),
         tuple(
-            (
-                f"{place}, {unit}",
-                tuple(
-                    f"{prefix}{method}{metric}"
-                    for method in ("", "physics_", "published_", "published_quadratic_", "linear_", "no_motion_")
-                ),
-            )
-            for place, prefix in (
-                ("pair left out", ""),
-                ("shape left out", "shape_out_"),
-                ("triangle's support left out", "mlab_"),
-            )
+            (f"{place}, {unit}", tuple(f"{prefix}{method}{metric}" for method in _PUSH_MODELS))
+            for prefix, place in _LEFT_OUT.items()
             for metric, unit in (("pos_error_mm", "mm"), ("angle_error_deg", "deg"))
         ),
         ("real_pushing.png",),
@@ -389,22 +380,23 @@ def _table(result: ExperimentResult, section: Section) -> str:
     if result.experiment == "ablations":
         return ablations_table(result)
     # Methods that did not run have no column.
-    columns = [i for i in range(len(section.columns)) if any(names[i] in result.metrics for _, names in section.lines)]
-    lines = [
-        f"| | {' | '.join(section.columns[i] for i in columns)} | paper |",
-        "|---" * (len(columns) + 2) + "|",
+    shown = [(label, names) for label, names in section.lines if any(name in result.metrics for name in names)]
+    columns = [i for i in range(len(section.columns)) if any(names[i] in result.metrics for _, names in shown)]
+    papers = [" / ".join(f"{result.paper[n]:.3g}" for n in names if n in result.paper) for _, names in shown]
+    parts = [
+        markdown_table(
+            ["", *(section.columns[i] for i in columns), "paper"],
+            [
+                [label, *(_cell(result, names[i]) for i in columns), paper]
+                for (label, names), paper in zip(shown, papers, strict=True)
+            ],
+        )
     ]
-    for label, names in section.lines:
-        if not any(name in result.metrics for name in names):
-            continue
-        cells = [_cell(result, names[i]) for i in columns]
-        paper = " / ".join(f"{result.paper[name]:.3g}" for name in names if name in result.paper)
-        lines.append(f"| {label} | {' | '.join(cells)} | {paper} |")
     if result.experiment == "navigation":
-        lines += ["", navigation_tables(result)]
+        parts.append(navigation_tables(result))
     if result.experiment == "pushing":
-        lines += ["", differences_table(result)]
-    return "\n".join(lines)
+        parts.append(pushing_differences(result))
+    return "\n\n".join(parts)
 
 
 def _cell(result: ExperimentResult, name: str) -> str:

@@ -1,13 +1,27 @@
-"""Differences between two methods over the trials that both have run, with bootstrap intervals over trials."""
+"""Ours beside other methods on the same trials: scores of each, and paired differences with bootstrap intervals."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-__all__ = ["Difference", "difference_cell", "difference_metrics", "paired_difference", "verdict"]
+from shmoo_mjx.report.tables import markdown_table
+
+__all__ = [
+    "OURS",
+    "Difference",
+    "difference_metrics",
+    "differences_table",
+    "metrics_by_method",
+    "paired_difference",
+    "verdict",
+]
+
+OURS = "ours"
+
+Row = dict[str, Any]
 
 
 class Difference(NamedTuple):
@@ -40,16 +54,67 @@ def paired_difference(ours: Sequence[float], theirs: Sequence[float], resamples:
     return Difference(float(differences.mean()), float(found.low), float(found.high), int(differences.size))
 
 
-def difference_metrics(key: str, ours: Sequence[float], theirs: Sequence[float]) -> dict[str, float]:
-    """`paired_difference` as flat metrics ``key``, ``key_low``, ``key_high``, ``key_pairs``; none for too few pairs."""
-    found = paired_difference(ours, theirs)
+def difference_metrics(key: str, name: str, pairs: Sequence[tuple[Row, Row]]) -> dict[str, float]:
+    """`paired_difference` of the rows' field ``name`` as flat metrics; none for too few pairs.
+
+    They are called ``key``, ``key_low``, ``key_high`` and ``key_pairs``.
+    """
+    found = paired_difference([ours[name] for ours, _ in pairs], [theirs[name] for _, theirs in pairs])
     if found is None:
         return {}
     return {key: found.mean, f"{key}_low": found.low, f"{key}_high": found.high, f"{key}_pairs": found.pairs}
 
 
-def difference_cell(metrics: Mapping[str, Any], key: str, more_is_better: bool) -> str:
-    """What a table shows of `difference_metrics`; "-" where there are none."""
+def metrics_by_method(
+    of: Mapping[str, Mapping[Any, Row]],
+    scores: Callable[[list[Row]], dict[str, Any]],
+    differences: Callable[[str, list[tuple[Row, Row]]], dict[str, Any]],
+) -> dict[str, Any]:
+    """Ours by their names, the other methods' as ``baseline_METHOD_*``, and what ``differences`` says of each.
+
+    Args:
+        of: method -> trial -> row.
+        scores: metrics of one method's rows.
+        differences: metrics of (method, rows of ours and of it on the trials that both have run).
+    """
+    metrics: dict[str, Any] = {}
+    for method, mine in of.items():
+        prefix = "" if method == OURS else f"baseline_{method}_"
+        metrics |= {prefix + name: value for name, value in scores(list(mine.values())).items()}
+        if method != OURS and OURS in of:
+            metrics |= differences(method, [(row, mine[trial]) for trial, row in of[OURS].items() if trial in mine])
+    return metrics
+
+
+def differences_table(
+    metrics: Mapping[str, Any],
+    others: Sequence[str],
+    lines: Iterable[tuple[str, str, bool]],
+    method: str = "method",
+    trials: str = "trials",
+) -> str:
+    """Ours minus each other method as Markdown.
+
+    Args:
+        metrics: with ``difference_METHOD_NAME`` as `difference_metrics` calls them; "-" is shown where they are absent.
+        others: the methods.
+        lines: (label, NAME, whether more of it is better) of each line.
+        method: what a method is called here.
+        trials: and what trials are.
+    """
+    return (
+        f"Ours minus each other {method} over the same {trials}, with 95 % bootstrap intervals over {trials}; better "
+        "and worse are said where the interval excludes zero.\n\n"
+    ) + markdown_table(
+        ["", *(f"- {other.replace('_', ' ')}" for other in others)],
+        [
+            [label, *(_cell(metrics, f"difference_{other}_{name}", more_is_better) for other in others)]
+            for label, name, more_is_better in lines
+        ],
+    )
+
+
+def _cell(metrics: Mapping[str, Any], key: str, more_is_better: bool) -> str:
     mean, low, high = (metrics.get(key + end) for end in ("", "_low", "_high"))
     if mean is None or low is None or high is None:
         return "-"

@@ -6,14 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx.evaluation.paired import difference_cell, difference_metrics
+from shmoo_mjx.evaluation.paired import OURS, difference_metrics, differences_table, metrics_by_method
 from shmoo_mjx.evaluation.result import ExperimentResult
 
-__all__ = ["COMPARED", "OURS", "PAPER", "differences_table", "enclosing_circle", "metrics_of"]
+__all__ = ["COMPARED", "PAPER", "enclosing_circle", "metrics_of", "pushing_differences"]
 
 PAPER = {"offset_goal1_m": 0.067, "offset_goal2_m": 0.124, "offset_goal3_m": 0.164}
 """Sec. VI-A: mean final distance from the goal. The circles of Fig. 7 are printed as a picture only."""
-OURS = "ours"
 COMPARED = {
     "offset_m": ("final offset [m]", False),
     "success": ("success", True),
@@ -33,14 +32,8 @@ def metrics_of(rows: Rows) -> dict[str, Any]:
     that both ran, with its 95 % interval; a group (stratum or family) stands in front of ``what``. ``way_to_hindsight``
     is how much of the frozen prior's offset that hindsight saves is saved by ours.
     """
-    metrics: dict[str, Any] = {}
     of = {method: {r["trial"]: r for r in rows if r["method"] == method} for method in _values(rows, "method")}
-    for method, mine in of.items():
-        prefix = "" if method == OURS else f"baseline_{method}_"
-        metrics |= {prefix + name: value for name, value in _scores(list(mine.values())).items()}
-        if method != OURS and OURS in of:
-            metrics |= _differences(method, of[OURS], mine)
-    return metrics | _way_to_hindsight(of)
+    return metrics_by_method(of, _scores, _differences) | _way_to_hindsight(of)
 
 
 def _values(rows: Rows, key: str) -> list[Any]:
@@ -53,16 +46,14 @@ def _groups(rows: Rows) -> dict[str, tuple[str, Any]]:
     return {prefix + value: (key, value) for key, prefix in named.items() for value in _values(rows, key)}
 
 
-def _differences(method: str, ours: dict[str, Any], theirs: dict[str, Any]) -> dict[str, float]:
-    pairs = [(ours[trial], theirs[trial]) for trial in ours if trial in theirs]
-    metrics: dict[str, float] = {}
+def _differences(method: str, pairs: list[tuple[dict[str, Any], dict[str, Any]]]) -> dict[str, float]:
     parts = {"": pairs}
-    for group, (key, value) in _groups([a for a, _ in pairs]).items():
-        parts[f"{group}_"] = [(a, b) for a, b in pairs if a[key] == value]
+    for group, (key, value) in _groups([ours for ours, _ in pairs]).items():
+        parts[f"{group}_"] = [pair for pair in pairs if pair[0][key] == value]
+    metrics: dict[str, float] = {}
     for group, there in parts.items():
         for name in COMPARED:
-            metric = f"difference_{method}_{group}{name}"
-            metrics |= difference_metrics(metric, [a[name] for a, _ in there], [b[name] for _, b in there])
+            metrics |= difference_metrics(f"difference_{method}_{group}{name}", name, there)
     return metrics
 
 
@@ -80,8 +71,11 @@ def _way_to_hindsight(of: dict[str, dict[str, Any]]) -> dict[str, float]:
 
 
 def _scores(rows: Rows) -> dict[str, Any]:
+    def mean(name: str, of: Rows = rows) -> float:
+        return float(np.mean([row[name] for row in of]))
+
     scores: dict[str, Any] = {}
-    for goal in sorted({row["goal"] for row in rows}):
+    for goal in sorted(_values(rows, "goal")):
         there = [row for row in rows if row["goal"] == goal]
         offsets = np.array([row["offset_m"] for row in there])
         scores[f"offset_goal{goal}_m"] = float(offsets.mean())
@@ -91,19 +85,19 @@ def _scores(rows: Rows) -> dict[str, Any]:
         scores[f"radius_goal{goal}_m"] = enclosing_circle(finals)[1]
     for name, (key, value) in _groups(rows).items():
         there = [row for row in rows if row[key] == value]
-        scores[f"success_rate_{name}"] = float(np.mean([row["success"] for row in there]))
-        scores[f"offset_{name}_m"] = float(np.mean([row["offset_m"] for row in there]))
-    scores["success_rate"] = float(np.mean([row["success"] for row in rows]))
-    scores["offset_m"] = float(np.mean([row["offset_m"] for row in rows]))
-    scores["offset_median_m"] = float(np.median([row["offset_m"] for row in rows]))
-    scores["yaw_error_deg"] = float(np.mean([row["yaw_error_deg"] for row in rows]))
-    scores["falls"] = int(sum(row["fell"] for row in rows))
-    scores["worst_lean_rad"] = max(row["worst_lean_rad"] for row in rows)
-    scores["least_arm_margin_rad"] = min(row["arm_margin_rad"] for row in rows)
-    scores["time_s"] = float(np.mean([row["time_s"] for row in rows]))
-    scores["pushes"] = float(np.mean([row["pushes"] for row in rows]))
-    scores["trials"] = len(rows)
-    return scores
+        scores |= {f"success_rate_{name}": mean("success", there), f"offset_{name}_m": mean("offset_m", there)}
+    return scores | {
+        "success_rate": mean("success"),
+        "offset_m": mean("offset_m"),
+        "offset_median_m": float(np.median([row["offset_m"] for row in rows])),
+        "yaw_error_deg": mean("yaw_error_deg"),
+        "falls": sum(row["fell"] for row in rows),
+        "worst_lean_rad": max(row["worst_lean_rad"] for row in rows),
+        "least_arm_margin_rad": min(row["arm_margin_rad"] for row in rows),
+        "time_s": mean("time_s"),
+        "pushes": mean("pushes"),
+        "trials": len(rows),
+    }
 
 
 def enclosing_circle(points: np.ndarray) -> tuple[np.ndarray, float]:
@@ -118,23 +112,14 @@ def enclosing_circle(points: np.ndarray) -> tuple[np.ndarray, float]:
     return np.array([centre.x, centre.y]), float(shapely.minimum_bounding_radius(cloud))
 
 
-def differences_table(result: ExperimentResult) -> str:
+def pushing_differences(result: ExperimentResult) -> str:
     """Ours minus each other method: every measure over all trials, and offset and success by stratum and family."""
     others = [m for m in result.config.get("methods", []) if f"difference_{m}_offset_m" in result.metrics]
     if not others:
         return ""
-    lines = [
-        "Ours minus each other method over the same trials, with 95 % bootstrap intervals over trials; better and "
-        "worse are said where the interval excludes zero.",
-        "",
-        f"| | {' | '.join('- ' + m.replace('_', ' ') for m in others)} |",
-        "|---" * (len(others) + 1) + "|",
-    ]
-    wanted = [("", name) for name in COMPARED]
-    wanted += [(group, name) for group in _groups(result.rows) for name in ("offset_m", "success")]
-    for group, name in wanted:
-        label, more_is_better = COMPARED[name]
-        keys = [f"difference_{m}_{group}{'_' * bool(group)}{name}" for m in others]
-        cells = [difference_cell(result.metrics, key, more_is_better) for key in keys]
-        lines.append(f"| {label}{', ' * bool(group)}{group.replace('_', ' ')} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+    lines = [(label, name, more) for name, (label, more) in COMPARED.items()]
+    for group in _groups(result.rows):
+        for name in ("offset_m", "success"):
+            label, more = COMPARED[name]
+            lines.append((f"{label}, {group.replace('_', ' ')}", f"{group}_{name}", more))
+    return differences_table(result.metrics, others, lines)

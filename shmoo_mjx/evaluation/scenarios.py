@@ -22,7 +22,7 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.manipulable import IMMOVABLE, draw_immovable, manipulable, near_border
 from shmoo_mjx.faces import faces_of, heading, stand_off
 from shmoo_mjx.navigation.footprints import add_obstacles, footprint_polygon, footprints_free
-from shmoo_mjx.navigation.maps import FREE, OCCUPIED, ClearanceField, OccupancyGrid, clearance_field
+from shmoo_mjx.navigation.maps import ClearanceField, OccupancyGrid, clearance_field
 from shmoo_mjx.navigation.paths import Path, path_blocked_by, plan_path, point_at, tangent_at
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Limits, ObjectEntry, Scenario
 from shmoo_mjx.plant.objects import FAMILIES, Condition, draw_condition
@@ -36,7 +36,6 @@ __all__ = [
     "Truth",
     "draw_scenario",
     "largest_room",
-    "toy_scenario",
 ]
 
 Array = Any
@@ -410,17 +409,3 @@ def entry_of(condition: Condition, pose: Array) -> ObjectEntry:
 
 def _rounded(values: Array) -> Any:
     return tuple(round(float(v), 3) for v in values)
-
-
-def toy_scenario(doors: int, movable: bool) -> tuple[OccupancyGrid, Scenario]:
-    """Two rooms, one or two doorways, one box in the first: the smallest scenario of each kind, for tests."""
-    cells = np.full((80, 120), FREE, dtype=np.int8)
-    cells[:2] = cells[-2:] = cells[:, :2] = cells[:, -2:] = OCCUPIED
-    cells[:, 59:61] = OCCUPIED
-    for row in (40, 12)[:doors]:
-        cells[row - 10 : row + 11, 59:61] = FREE
-    weight = {"mass": 3.0, "payload": 0.0, "friction": 0.4} if movable else {"mass": 80.0, "friction": 0.6}
-    properties: dict[str, Any] = {"size": [0.5, 0.55, 0.6], **weight}
-    box = ObjectEntry(family="box", pose=(3.0, 2.025, 0.0), seed=1, properties=properties)
-    scenario = Scenario(start=(1.2, 2.0, 0.0), goal=(5.0, 2.6), objects=(box,), limits=Limits(time_s=120))
-    return OccupancyGrid(cells, 0.05), scenario

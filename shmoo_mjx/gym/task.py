@@ -30,7 +30,6 @@ __all__ = [
     "command",
     "flat",
     "in_robot",
-    "markdown_table",
 ]
 
 
@@ -158,14 +157,3 @@ def in_robot(seen: Observation, poses: np.ndarray) -> np.ndarray:
     robot = seen.robot_pose.reshape(len(seen.robot_pose), *(1,) * (poses.ndim - 2), 3)
     local = se2.relative(robot, poses)
     return np.concatenate([local[..., :2], np.cos(local[..., 2:]), np.sin(local[..., 2:])], axis=-1)
-
-
-def markdown_table(parts: Sequence[Part]) -> str:
-    """The parts as docs/gym.md lists them."""
-    lines = ["| index | name | unit | range | meaning |", "|---|---|---|---|---|"]
-    first = 0
-    for part in parts:
-        index = str(first) if part.size == 1 else f"{first}-{first + part.size - 1}"
-        lines.append(f"| {index} | {part.name} | {part.unit} | {part.low:g} to {part.high:g} | {part.meaning} |")
-        first += part.size
-    return "\n".join(lines)

@@ -32,6 +32,7 @@ from shmoo_mjx.live.session import Session, object_files, scenes
 from shmoo_mjx.navigation import flat_trajectory
 from shmoo_mjx.navigation.scenario import FAMILIES
 from shmoo_mjx.plant.objects import draw_condition
+from shmoo_mjx.report.tables import markdown_table
 from shmoo_mjx.types import DT
 
 __all__ = ["PICTURES", "Page"]
@@ -475,18 +476,18 @@ class Page:
     def _table(self) -> str:
         """What the robot thinks of each object, as Markdown."""
         navigator = self.session.simulation.navigator
-        rows = ["| object | status | verdict | moves | learned |", "|---|---|---|---|---|"]
+        rows = []
         for index, condition in enumerate(self.session.simulation.conditions):
             known, name = navigator.belief.objects.get(index), f"{index} {Path(condition.family).stem}"
             if known is None:
-                rows.append(f"| {name} | not seen yet | | | |")
+                rows.append((name, "not seen yet", "", "", ""))
                 continue
             verdicts = [d for d in navigator.decisions if d.object == index]
             last = f"P = {verdicts[-1].probability:.2f}, K = {verdicts[-1].K:.2f} m²" if verdicts else "not touched"
             moves = {None: "?", True: "yes", False: "no"}[known.manipulable]
             learned = "" if known.adapt is None else _in_words(adaptation.learned(known.adapt), self.session.prior)
-            rows.append(f"| {name} | {known.status} | {last} | {moves} | {learned} |")
-        return "\n".join(rows)
+            rows.append((name, str(known.status), last, moves, learned))
+        return markdown_table(("object", "status", "verdict", "moves", "learned"), rows)
 
 
 def _in_words(learned: dict[str, float], prior: dict[str, float]) -> str:

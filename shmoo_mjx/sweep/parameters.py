@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from shmoo_mjx.plant.lowlevel import Gains
 
-__all__ = ["MOST_DELAY", "PARAMETERS", "RESISTANCE", "Parameter", "markdown_table"]
+__all__ = ["MOST_DELAY", "PARAMETERS", "RESISTANCE", "Parameter"]
 
 MOST_DELAY = 0.3
 """Longest delay of commands and of the camera [s]."""
@@ -66,14 +66,3 @@ PARAMETERS: dict[str, Parameter] = {
     "goal.distance": Parameter(1.0, "m", 0.1, 4.0, "from the object's start to its goal"),
     "goal.bearing": Parameter(0.0, "rad", -1.0, 1.0, "of the goal off the push; its yaw is twice that, as on an arc"),
 }
-
-
-def markdown_table() -> str:
-    """The parameters as docs/sweeps.md lists them."""
-    lines = ["| parameter | what it is | unit | nominal | between |", "|---|---|---|---|---|"]
-    for name, p in PARAMETERS.items():
-        nominal = "the object's seed" if p.default is None else f"{p.default:g}"
-        bounds = f"{p.low:g} and {p.high:g}" if math.isfinite(p.high) else f"from {p.low:g} on"
-        text = p.text if not name.startswith("gains.") else name.removeprefix("gains.").replace("_", " ")
-        lines.append(f"| `{name}` | {text} | {p.unit} | {nominal} | {bounds} |")
-    return "\n".join(lines)

@@ -9,13 +9,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from toy import toy_scenario
 
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import navigation, navigation_places
 from shmoo_mjx.evaluation.navigation import POLICIES
 from shmoo_mjx.evaluation.navigation_places import FLOOR_PLANS, find_maps, find_places, kept_scenario, kinds_of
 from shmoo_mjx.evaluation.result import ExperimentOptions
-from shmoo_mjx.evaluation.scenarios import KINDS, Generated, ScenarioConfig, toy_scenario
+from shmoo_mjx.evaluation.scenarios import KINDS, Generated, ScenarioConfig
 from shmoo_mjx.navigation.belief import Status
 from shmoo_mjx.navigation.maps import load_map, save_map
 

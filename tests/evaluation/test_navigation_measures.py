@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from toy import toy_scenario
 
 from shmoo_mjx.evaluation.navigation import POLICIES
 from shmoo_mjx.evaluation.navigation_failures import keep_failure, write_failures
@@ -21,7 +22,7 @@ from shmoo_mjx.evaluation.navigation_tables import navigation_tables
 from shmoo_mjx.evaluation.page import render
 from shmoo_mjx.evaluation.paired import paired_difference, verdict
 from shmoo_mjx.evaluation.result import ExperimentOptions, make_result
-from shmoo_mjx.evaluation.scenarios import Generated, toy_scenario
+from shmoo_mjx.evaluation.scenarios import Generated
 from shmoo_mjx.report.trace import Trace
 
 

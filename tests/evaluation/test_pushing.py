@@ -11,7 +11,7 @@ import pytest
 
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import pushing
-from shmoo_mjx.evaluation.pushing_measures import differences_table, enclosing_circle, metrics_of
+from shmoo_mjx.evaluation.pushing_measures import enclosing_circle, metrics_of, pushing_differences
 from shmoo_mjx.evaluation.pushing_trials import METHODS, draw_trials, resistance
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
@@ -160,7 +160,7 @@ def test_differences_are_of_the_trials_that_both_ran() -> None:
     assert m["way_to_hindsight"] == pytest.approx((0.164 - 0.057) / (0.164 - 0.01))
     about = {"config": {"methods": list(METHODS)}, "versions": {}, "paper": {}}
     result = ExperimentResult(experiment="pushing", seed=0, metrics=m, rows=rows, **about)
-    table = differences_table(result)
+    table = pushing_differences(result)
     assert "-0.107" in table
     assert "**better**" in table
     assert "**worse**" in table

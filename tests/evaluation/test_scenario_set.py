@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from toy import toy_scenario
 
 from shmoo_mjx.assets import asset
 from shmoo_mjx.errors import ShmooError
@@ -18,7 +19,7 @@ from shmoo_mjx.evaluation import navigation, navigation_places, scenario_set
 from shmoo_mjx.evaluation.navigation_places import kept_scenario
 from shmoo_mjx.evaluation.result import ExperimentOptions, file_id
 from shmoo_mjx.evaluation.scenario_set import find_set, make_set, open_set
-from shmoo_mjx.evaluation.scenarios import KINDS, Generated, toy_scenario
+from shmoo_mjx.evaluation.scenarios import KINDS, Generated
 from shmoo_mjx.navigation.maps import load_map, save_map
 
 SHIPPED = find_set(Path("floor_plans"))

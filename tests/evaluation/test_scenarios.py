@@ -8,6 +8,7 @@ from pathlib import Path as FilePath
 import numpy as np
 import pytest
 import shapely
+from toy import toy_scenario
 
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.navigation_places import find_maps
@@ -19,7 +20,6 @@ from shmoo_mjx.evaluation.scenarios import (
     Truth,
     draw_scenario,
     entry_of,
-    toy_scenario,
 )
 from shmoo_mjx.navigation.floorplan import draw_floorplan
 from shmoo_mjx.navigation.footprints import footprint_polygon, footprints_free

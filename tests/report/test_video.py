@@ -10,10 +10,8 @@ import imageio.v2 as iio
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
-from PIL import Image
 
 from shmoo_mjx.report import video
-from shmoo_mjx.report.animation import animate
 from shmoo_mjx.report.style import COLOURS
 from shmoo_mjx.report.trace import Trace
 
@@ -34,15 +32,6 @@ def test_film_is_h264_and_keeps_the_pictures(tmp_path: Path) -> None:
     assert len(back) == 8
     np.testing.assert_allclose(back[5].mean(axis=(0, 1)), [100, 40, 100], atol=12)
     assert [p.name for p in tmp_path.iterdir()] == ["episode.mp4"]
-
-
-def test_a_film_becomes_a_moving_picture(tmp_path: Path) -> None:
-    frames = [np.full((48, 64, 3), (20 * k, 40, 200 - 20 * k), dtype=np.uint8) for k in range(9)]
-    film = video.write_video(tmp_path / "episode.mp4", iter(frames), fps=4)
-    with Image.open(animate(film, tmp_path / "demo.webp", width=32, every=4)) as picture:
-        assert (picture.n_frames, picture.size) == (3, (32, 24))
-        picture.seek(2)
-        np.testing.assert_allclose(np.asarray(picture.convert("RGB")).mean(axis=(0, 1)), [160, 40, 40], atol=12)
 
 
 def test_interrupted_film_leaves_nothing(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.report.tables import markdown_table
 from shmoo_mjx.sweep.config import Draw, SweepConfig, load_sweep, quick, sweep_fingerprint
-from shmoo_mjx.sweep.parameters import PARAMETERS, markdown_table
+from shmoo_mjx.sweep.parameters import PARAMETERS
 
 ROOT = Path(__file__).resolve().parents[2]
 WEIGHTS = ROOT / "experiments/weights/demo.safetensors"
@@ -90,9 +92,19 @@ def test_what_decides_about_the_rows_is_in_the_fingerprint(tmp_path: Path) -> No
     assert sweep_fingerprint(plain, other) != sweep_fingerprint(plain, WEIGHTS)
 
 
+def table() -> str:
+    rows = []
+    for name, p in PARAMETERS.items():
+        nominal = "the object's seed" if p.default is None else f"{p.default:g}"
+        bounds = f"{p.low:g} and {p.high:g}" if math.isfinite(p.high) else f"from {p.low:g} on"
+        text = p.text if not name.startswith("gains.") else name.removeprefix("gains.").replace("_", " ")
+        rows.append((f"`{name}`", text, p.unit, nominal, bounds))
+    return markdown_table(("parameter", "what it is", "unit", "nominal", "between"), rows)
+
+
 def test_the_page_lists_the_parameters() -> None:
     page = (ROOT / "docs/sweeps.md").read_text()
-    assert f"\n\n{markdown_table()}\n\n" in page
+    assert f"\n\n{table()}\n\n" in page
     example = page.partition("    question: Over")[2].partition("    map:")[0]
     text = "\n".join(line[4:] for line in ("    question: Over" + example).splitlines())
     assert SweepConfig.model_validate(yaml.safe_load(text)).varied
