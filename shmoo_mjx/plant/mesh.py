@@ -343,5 +343,6 @@ def _add_wheels(root: Any, c: Condition, data: Mapping[str, Any]) -> None:
             name=f"wheel{i}", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0],
             contype=1, conaffinity=0, condim=6, priority=1, mass=share,
             friction=[c.friction, 0.002, c.rolling[i] * radius],
+            solimp=[0.985, 0.985, 0.001, 0.5, 2],  # cart.xml says why
             rgba=[0.8, 0.1, 0.1, 1] if c.locked[i] else [0.12, 0.12, 0.13, 1],
         )  # fmt: skip

@@ -109,6 +109,18 @@ def test_cart_rolls_straight_against_its_rolling_resistance() -> None:
     assert np.abs(track.pose[-1, 1:]).max() < 0.01
 
 
+@pytest.mark.parametrize("rolling", [0.008, 0.03])
+def test_rolling_resistance_does_not_fall_with_speed(rolling: float) -> None:
+    model = object_alone(_cart(0, payload=35.0, rolling=(rolling,) * 4, swivel_friction=0.02))
+    data = settled(model)
+    data.qvel[0] = 0.15
+    track = pushed(model, data, np.zeros(3), 2.0)
+    speed = np.hypot(*track.twist[:, :2].T)
+    began, ended = np.argmax(speed < 0.07), np.argmax(speed < 0.04)
+    slowing = (speed[began] - speed[ended]) / (track.time[ended] - track.time[began])
+    assert slowing == pytest.approx(rolling * G, rel=0.15)
+
+
 def test_cart_turns() -> None:
     model = object_alone(_cart(0))
     track = pushed(model, settled(model), np.array([30.0, 0.0, 6.0]), 1.5, follow=True)
