@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 from collections.abc import Callable
 from difflib import get_close_matches
@@ -543,6 +544,44 @@ def faults(
     return 0
 
 
+def soak(
+    minutes: bounded.Minutes = 60.0,
+    buildings: bounded.Buildings = 10,
+    seed: Seed = 950,
+    json: Path | None = None,
+    weights: Path | None = None,
+    out: Path = Path("runs/soak"),
+    workers: bounded.Workers = 2,
+) -> int:
+    """Send the robot on errand after errand for hours while others move objects, and count what goes wrong; goes on
+    where it was stopped.
+
+    Example: shmoo soak --minutes 10 --buildings 2
+
+    Args:
+        minutes: simulated time in each building.
+        buildings: how many.
+        seed: of the first building; the others follow.
+        json: file for the result (default: OUT/soak.json).
+        weights: trained weights (default: the shipped ones).
+        out: folder that keeps what is done.
+        workers: processes.
+    """
+    from shmoo_mjx import progress
+    from shmoo_mjx.evaluation import soak as errands
+    from shmoo_mjx.evaluation.result import ExperimentOptions, write_result
+    from shmoo_mjx.files import claimed
+
+    with progress.stages() as report, claimed(out):
+        options = ExperimentOptions(seed, weights=weights, out=out, progress=report)
+        result = errands.run(options, errands.SoakTrials(minutes, buildings), workers)
+    target = json or out / "soak.json"
+    write_result(target, result)
+    print(errands.summary(result))
+    print(target)
+    return 0
+
+
 def doctor() -> int:
     """Check versions, device, renderer and video encoder, and say what to do about each failure.
 
@@ -580,17 +619,18 @@ _COMMANDS: dict[str, Callable[..., int]] = {
     "bench": bench,
     "sweep": sweep,
     "faults": faults,
+    "soak": soak,
     "doctor": doctor,
     "completion": completion,
 }
 _NEED_NO_DEVICE = ("doctor", "completion")
-_GO_ON = ("collect", "train", "scenarios", "experiment", "sweep", "faults")
+_GO_ON = ("collect", "train", "scenarios", "experiment", "sweep", "faults", "soak")
 """Commands that go on where they were stopped."""
 
 
 def _run(arguments: list[str] | None = None) -> int:
     """Run the command that the arguments name (default: those of this process)."""
-    given = sys.argv[1:] if arguments is None else arguments
+    given = _joined(sys.argv[1:] if arguments is None else arguments)
     if given == ["--version"]:
         print(f"shmoo_mjx {shmoo_mjx.__version__}")
         return 0
@@ -602,9 +642,20 @@ def _run(arguments: list[str] | None = None) -> int:
         check_environment()
     commands = {name: with_verbosity(command) for name, command in _COMMANDS.items()}
     code: int = tyro.extras.subcommand_cli_from_dict(
-        commands, prog="shmoo", description=str(shmoo_mjx.__doc__).partition("\n")[0], args=arguments
+        commands, prog="shmoo", description=str(shmoo_mjx.__doc__).partition("\n")[0], args=given
     )
     return code
+
+
+def _joined(given: list[str]) -> list[str]:
+    """``--start -1,2,0`` as ``--start=-1,2,0``: a place may begin with a minus without being an option."""
+    joined: list[str] = []
+    for word in given:
+        if joined and joined[-1] in ("--start", "--goal") and re.match(r"-[\d.]", word):
+            joined[-1] += f"={word}"
+        else:
+            joined.append(word)
+    return joined
 
 
 def _senses(text: str) -> SensesName:

@@ -13,11 +13,13 @@ from tyro.constructors import PrimitiveConstructorSpec
 from shmoo_mjx.errors import ShmooError
 
 __all__ = [
+    "Buildings",
     "Episodes",
     "Friction",
     "GigaBytes",
     "Jobs",
     "Mass",
+    "Minutes",
     "PerMap",
     "Port",
     "Radius",
@@ -33,6 +35,7 @@ __all__ = [
     "WheelRadius",
     "Workers",
     "option",
+    "shortened",
 ]
 
 
@@ -51,7 +54,7 @@ def _whole_number(name: str, low: int, high: int, text: str) -> int:
     # int() also takes "1_000", " 7" and other scripts' digits.
     plain = text.isascii() and text.isdigit() and len(text) <= 20
     if not plain or not low <= int(text) <= high:
-        raise ShmooError(f"{name} {_short(text)!r} must be a whole number from {low} to {high}.")
+        raise ShmooError(f"{name} {shortened(text)!r} must be a whole number from {low} to {high}.")
     return int(text)
 
 
@@ -73,13 +76,16 @@ def _real(name: str, low: float, high: float, unit: str = "") -> PrimitiveConstr
             value = None
         # Not a number compares false.
         if value is None or not low <= value <= high:
-            raise ShmooError(f"{name} {_short(text)!r} must be a number from {low:g} to {high:g}{unit and f' {unit}'}.")
+            raise ShmooError(
+                f"{name} {shortened(text)!r} must be a number from {low:g} to {high:g}{unit and f' {unit}'}."
+            )
         return value
 
     return option(parse, "FLOAT")
 
 
-def _short(text: str) -> str:
+def shortened(text: str) -> str:
+    """What was typed, as an error message quotes it."""
     return text if len(text) <= 40 else text[:40] + "..."
 
 
@@ -90,9 +96,11 @@ Validation = Annotated[int, _whole("--validation", 0, 10_000_000)]
 Episodes = Annotated[int, _whole("--episodes", 1, 10_000)]
 ScenariosOrSet = Annotated[int | Path, option(_scenarios, "INT|FILE")]
 PerMap = Annotated[int, _whole("--per-map", 1, 10_000)]
+Buildings = Annotated[int, _whole("--buildings", 1, 10_000)]
 Runs = Annotated[int, _whole("--runs", 1, 10_000)]
 Port = Annotated[int, _whole("--port", 1, 65_535)]
 Seconds = Annotated[float, _real("--seconds", 1.0, 3600.0, "s")]
+Minutes = Annotated[float, _real("--minutes", 0.5, 10_000.0, "min")]
 GigaBytes = Annotated[float, _real("--memory-gb", 1e-6, 100_000.0, "GB")]
 Radius = Annotated[float, _real("--radius", 0.0, 10.0, "m")]
 Mass = Annotated[float, _real("--mass", 0.5, 500.0, "kg")]

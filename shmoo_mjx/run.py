@@ -18,6 +18,7 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.files import claimed, write_whole
 from shmoo_mjx.navigation.maps import OccupancyGrid, save_map
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Scenario, check_scenario, save_scenario
+from shmoo_mjx.options import shortened
 from shmoo_mjx.seeds import check_seed
 from shmoo_mjx.types import DT, SensesName
 from shmoo_mjx.verbosity import is_quiet
@@ -206,5 +207,5 @@ def _numbers(option: str, text: str, count: int) -> Any:
     except ValueError:
         values = ()
     if len(values) != count or not all(map(math.isfinite, values)):
-        raise ShmooError(f"{option} {text!r} must be {count} finite numbers separated by commas.")
+        raise ShmooError(f"{option} {shortened(text)!r} must be {count} finite numbers separated by commas.")
     return values

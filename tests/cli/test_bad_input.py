@@ -188,7 +188,7 @@ def cases(good: Path) -> st.SearchStrategy[tuple[list[str], dict[str, bytes]]]:
     show = ["map", "show", "room.yaml", "--out", "map.png"]
     add = ["object", "add", "chair.obj", "--mass", "4", "--friction", "0.4"]
     weights = asset(WEIGHTS).read_bytes()
-    starts = st.lists(TEXTS, min_size=1, max_size=4).map(",".join)
+    starts = st.lists(TEXTS, min_size=1, max_size=4).map(",".join) | st.just("9" * 700)
     point = [*("navigate", "--no-video", "--out", "out", "--map", "room.yaml", "--goal", "4,2")]
     return st.one_of(
         documents(SCENARIO).map(lambda content: (drive, {"scenario.yaml": content})),

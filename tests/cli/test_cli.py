@@ -34,6 +34,11 @@ BAD_INPUT: dict[str, tuple[str, tuple[str, ...]]] = {
     "truncated weights": ("navigate --scenario good.yaml --weights cut.safetensors", ("cut.safetensors", "damaged")),
     "seed that is no number": ("demo --seed one", ("--seed", "'one'")),
     "start that is no place": ("navigate --map room.yaml --start nan,1,0 --goal 2,1", ("--start", "3 finite numbers")),
+    "negative start that is no place": (
+        "navigate --map room.yaml --start -1,x,0 --goal 2,1",
+        ("--start", "3 finite numbers"),
+    ),
+    "start off the map": ("navigate --map room.yaml --start -90,1,0 --goal -2,1", ("-90",)),
     "neither scenario nor start": ("navigate --map room.yaml", ("--scenario", "--start", "--goal")),
     "training without data": ("train object nothing_here", ("nothing_here", "shmoo collect")),
 }

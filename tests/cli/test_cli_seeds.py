@@ -30,6 +30,7 @@ COMMANDS = {
     "objects of an experiment": "experiment object_model --condition-seed",
     "bench": "bench mppi --seed",
     "faults": "faults --seed",
+    "soak": "soak --seed",
 }
 
 

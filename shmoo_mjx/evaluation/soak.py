@@ -1,0 +1,194 @@
+"""Soak: errand after errand in one building, for hours, with objects that others move meanwhile.
+
+What is looked for is what a single run can't show: a fall after an hour, a state that is left and entered again without
+end, memory that grows, files that stay open. An errand that fails is given up for the next one, and its reason is kept.
+"""
+
+from __future__ import annotations
+
+from contextlib import closing
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import shapely
+
+from shmoo_mjx.assets import WEIGHTS, asset
+from shmoo_mjx.control.pushing import PushController
+from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
+from shmoo_mjx.evaluation.scenarios import largest_room
+from shmoo_mjx.evaluation.trials import run_trials
+from shmoo_mjx.fingerprints import fingerprint
+from shmoo_mjx.learning.weights import load_weights
+from shmoo_mjx.navigation.floorplan import draw_floorplan
+from shmoo_mjx.navigation.footprints import footprint_polygon
+from shmoo_mjx.navigation.maps import clearance_field
+from shmoo_mjx.navigation.records import Mode, Transition
+from shmoo_mjx.navigation.scenario import Limits, ObjectEntry, Scenario
+from shmoo_mjx.plant.objects import FAMILIES
+from shmoo_mjx.simulation import Record, Simulation
+
+__all__ = ["SoakTrials", "livelocks", "play", "run", "summary"]
+
+
+@dataclass(frozen=True)
+class SoakTrials:
+    """What is done in the building."""
+
+    minutes: float = 60.0
+    """Simulated time in each building."""
+    buildings: int = 10
+    moved_every: float = 90.0
+    """Time after which somebody puts one object elsewhere [s]."""
+    errand: float = 180.0
+    """Time after which an errand is given up [s]."""
+    apart: float = 1.0
+    """Least distance between the robot and what somebody moves, before and after [m]."""
+
+
+def run(options: ExperimentOptions, trials: SoakTrials, workers: int = 2) -> ExperimentResult:
+    """Buildings ``options.seed``, ``options.seed + 1``, ...; one that is done is not gone through again."""
+    weights = options.weights or asset(WEIGHTS)
+    plant = sorted(asset("models_xml").rglob("*.xml"))
+    store = options.out / f"soak-{fingerprint(__name__, asdict(trials), weights, *plant)}"
+    names = {f"seed-{options.seed + i}": options.seed + i for i in range(trials.buildings)}
+    rows = run_trials(names, partial(_trial, trials, weights), store, options.progress, workers)
+    totals = ("falls", "livelocks", "open_files_left", "wall_contacts", "errands", "done")
+    metrics: dict[str, Any] = {name: sum(r[name] for r in rows) for name in totals}
+    metrics["hours"] = sum(r["simulated_s"] for r in rows) / 3600
+    metrics["memory_growth"] = max(r["memory_growth"] for r in rows)
+    return make_result("soak", options, asdict(trials), metrics, {}, rows)
+
+
+def summary(result: ExperimentResult) -> str:
+    """The buildings as a Markdown table, and why errands were given up."""
+    names = ("seed", "errands", "done", "falls", "livelocks", "wall_contacts", "memory_growth", "open_files_left")
+    lines = [f"| {' | '.join(name.replace('_', ' ') for name in names)} |", "|---" * len(names) + "|"]
+    lines += [f"| {' | '.join(str(row[name]) for name in names)} |" for row in result.rows]
+    reasons = [reason for row in result.rows for reason in row["given_up"]]
+    counted = [f"{reasons.count(reason)} x {reason}" for reason in dict.fromkeys(reasons)]
+    return "\n".join([*lines, *counted])
+
+
+def play(trials: SoakTrials, seed: int, controller: PushController) -> dict[str, Any]:
+    """Errands in one building until time is up or the robot has fallen."""
+    rng = np.random.default_rng([seed, 0x50A4])
+    grid = draw_floorplan(rng).grid
+    clearance = clearance_field(grid)
+    cells = largest_room(np.asarray(clearance.values), 0.55)
+    places = grid.cell_to_world(cells)
+    chosen = places[_apart(places, rng, 2 + len(FAMILIES))]
+    objects = tuple(
+        ObjectEntry(family=family, seed=1_000_000 + seed, pose=(*pose, float(rng.uniform(-np.pi, np.pi))))
+        for family, pose in zip(FAMILIES, chosen[2:].tolist(), strict=True)
+    )
+    start, goal = (tuple(p) for p in chosen[:2].tolist())
+    scenario = Scenario(start=(*start, 0.0), goal=goal, objects=objects, seed=seed, limits=Limits(time_s=3600.0))
+    this = psutil.Process()
+    files = this.num_fds()
+    memory: list[int] = []
+    row: dict[str, Any] = {"seed": seed, "errands": 0, "done": 0, "given_up": [], "livelocks": 0}
+    totals = {"falls": 0, "wall_contacts": 0, "moved": 0}
+    with closing(Simulation(grid, scenario, controller)) as simulation:
+        moved = 0.0
+        while simulation.time < 60 * trials.minutes and not totals["falls"]:
+            began = simulation.time
+            while not _over(simulation, began + trials.errand):
+                simulation.advance(simulation.decide())
+                if simulation.time - moved > trials.moved_every:
+                    moved = simulation.time
+                    totals["moved"] += _move_one(simulation, places, trials, rng)
+            row["errands"] += 1
+            row["done"] += simulation.navigator.mode is Mode.DONE
+            row["livelocks"] += livelocks(simulation.navigator.transitions, simulation.record)
+            if simulation.navigator.mode is not Mode.DONE:
+                row["given_up"].append(_reason(simulation, trials))
+            totals["falls"] += simulation.record.falls
+            totals["wall_contacts"] += simulation.record.wall_contacts
+            memory.append(this.memory_info().rss)
+            # What has been is of no more use; a record of hours would be all that grows.
+            simulation.record = Record(touching=simulation.record.touching)
+            simulation.navigator.events.clear()
+            simulation.navigator.head_for(_next_goal(simulation, places, rng), simulation.time)
+        row["simulated_s"] = round(simulation.time, 1)
+    warm = memory[len(memory) // 4]
+    growth = round(memory[-1] / warm - 1, 3)
+    return row | totals | {"memory_growth": growth, "open_files_left": max(0, this.num_fds() - files)}
+
+
+def livelocks(transitions: list[Transition], record: Record) -> int:
+    """How often a state was entered twice within a second for the same reason while nothing moved by 2 cm."""
+    count = 0
+    for i, later in enumerate(transitions):
+        for earlier in reversed(transitions[:i]):
+            if later.t - earlier.t > 1.0:
+                break
+            if (earlier.target, earlier.reason) == (later.target, later.reason):
+                poses = [
+                    np.concatenate([row["robot_pose"][None], row["object_pose"]])[:, :2]
+                    for row in record.rows
+                    if earlier.t - 1e-6 <= row["t"] <= later.t + 1e-6
+                ]
+                count += not poses or float(np.abs(poses[-1] - poses[0]).max()) < 0.02
+                break
+    return count
+
+
+def _over(simulation: Simulation, until: float) -> bool:
+    return simulation.navigator.finished or simulation.time >= until or simulation.record.falls > 0
+
+
+def _reason(simulation: Simulation, trials: SoakTrials) -> str:
+    navigator = simulation.navigator
+    if simulation.record.falls:
+        return f"fell while it was to {navigator.mode}"
+    if navigator.mode is Mode.FAILED:
+        return str(navigator.transitions[-1].reason)
+    return f"{trials.errand:g} s were not enough, at last to {navigator.mode}"
+
+
+def _apart(places: np.ndarray, rng: np.random.Generator, count: int) -> list[int]:
+    """Indices of places at least a metre from each other."""
+    found: list[int] = []
+    for index in rng.permutation(len(places)):
+        if all(np.hypot(*(places[index] - places[other])) > 1.2 for other in found):
+            found.append(int(index))
+            if len(found) == count:
+                break
+    return found
+
+
+def _shapes(simulation: Simulation) -> list[Any]:
+    poses = simulation.true.object_pose[0]
+    return [footprint_polygon(p, c.half_extents) for p, c in zip(poses, simulation.conditions, strict=True)]
+
+
+def _next_goal(simulation: Simulation, places: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """A place that no object stands on, more than a metre away."""
+    free = shapely.distance(shapely.MultiPolygon(_shapes(simulation)), shapely.points(places)) > 0.45
+    away = np.hypot(*(places - simulation.true.robot_pose[0, :2]).T) > 1.0
+    return np.asarray(places[rng.choice(np.flatnonzero(free & away))])
+
+
+def _move_one(simulation: Simulation, places: np.ndarray, trials: SoakTrials, rng: np.random.Generator) -> int:
+    """Somebody puts one object to another place, unless the robot is near; returns how many were moved."""
+    index = int(rng.integers(len(simulation.conditions)))
+    robot, goal = simulation.true.robot_pose[0, :2], simulation.navigator.state.goal
+    half = float(np.hypot(*simulation.conditions[index].half_extents))
+    others = [shape for i, shape in enumerate(_shapes(simulation)) if i != index]
+    clear = shapely.distance(shapely.MultiPolygon(others), shapely.points(places)) > half + 0.05
+    for taken in (robot, goal):
+        clear &= np.hypot(*(places - taken).T) > trials.apart + half
+    near = np.hypot(*(simulation.true.object_pose[0, index, :2] - robot)) < trials.apart + half
+    if near or not clear.any():
+        return 0
+    place = places[rng.choice(np.flatnonzero(clear))]
+    simulation.place(index, (*place, float(rng.uniform(-np.pi, np.pi))))
+    return 1
+
+
+def _trial(trials: SoakTrials, weights: Path, seed: int) -> list[dict[str, Any]]:
+    return [play(trials, seed, PushController(load_weights(weights)))]
