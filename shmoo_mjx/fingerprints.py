@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from shmoo_mjx.assets import asset
+
 __all__ = ["code_hash", "fingerprint"]
 
 _PACKAGE = "shmoo_mjx"
@@ -36,7 +38,10 @@ def fingerprint(code: str, settings: object, *parts: Any) -> str:
 
 @cache
 def code_hash(module: str) -> str:
-    """Hash of a module's code and of all that it imports from this package, now or later; comments don't count."""
+    """Hash of a module's code and of all that it imports from this package, now or later; comments don't count.
+
+    Who imports the plant depends on its MJCF as well.
+    """
     trees, todo = dict[str, str](), [module]
     while todo:
         name = todo.pop()
@@ -45,6 +50,9 @@ def code_hash(module: str) -> str:
         tree = ast.parse(_source(name).read_text(encoding="utf-8"))
         trees[name] = ast.dump(tree)
         todo += _imported(tree)
+    if f"{_PACKAGE}.plant" in trees:
+        models = asset("models_xml")
+        trees |= {str(p.relative_to(models)): p.read_text(encoding="utf-8") for p in models.rglob("*.xml")}
     return hashlib.sha256(json.dumps(trees, sort_keys=True).encode()).hexdigest()
 
 

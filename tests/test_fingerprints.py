@@ -60,3 +60,20 @@ def test_code_that_is_not_imported_does_not_count(copy: Path) -> None:
     (copy / "navigation" / "verdicts.py").write_text("CHANGED = 1\n")
     code_hash.cache_clear()
     assert code_hash("shmoo_mjx.learning.daiml") == before
+
+
+def test_a_changed_plant_counts_for_what_imports_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    models = tmp_path / "models_xml"
+    shutil.copytree(fingerprints.asset("models_xml"), models)
+    monkeypatch.setattr(fingerprints, "asset", lambda path: tmp_path / path)
+
+    def hashes() -> tuple[str, str]:
+        code_hash.cache_clear()
+        return code_hash("shmoo_mjx.evaluation.pushing"), code_hash("shmoo_mjx.se2")
+
+    before = hashes()
+    cart = models / "objects" / "cart.xml"
+    cart.write_text(cart.read_text().replace("0.985", "0.95"))
+    after = hashes()
+    assert before[0] != after[0] and before[1] == after[1]
+    code_hash.cache_clear()

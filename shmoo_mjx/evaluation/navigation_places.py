@@ -11,7 +11,6 @@ from zlib import crc32
 
 import numpy as np
 
-from shmoo_mjx.assets import asset
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.manipulable import BORDER, SteadyPush
 from shmoo_mjx.evaluation.result import ExperimentOptions
@@ -139,8 +138,7 @@ def kept(places: Places, grid: OccupancyGrid, name: str, draw: Callable[[], Any]
         "truth": [asdict(SteadyPush()), BORDER],
         "first_unseen": places.first_unseen,
     }
-    plant = sorted(asset("models_xml").rglob("*.xml"))
-    mark = fingerprint(draw.__module__, settings, grid.cells, *plant)
+    mark = fingerprint(draw.__module__, settings, grid.cells)
     file = places.scenarios / f"{name}-{mark}.json"
     if not file.is_file():
         file.parent.mkdir(parents=True, exist_ok=True)

@@ -52,8 +52,7 @@ class SoakTrials:
 def run(options: ExperimentOptions, trials: SoakTrials, workers: int = 2) -> ExperimentResult:
     """Buildings ``options.seed``, ``options.seed + 1``, ...; one that is done is not gone through again."""
     weights = options.weights or asset(WEIGHTS)
-    plant = sorted(asset("models_xml").rglob("*.xml"))
-    store = options.out / f"soak-{fingerprint(__name__, asdict(trials), weights, *plant)}"
+    store = options.out / f"soak-{fingerprint(__name__, asdict(trials), weights)}"
     names = {f"seed-{options.seed + i}": options.seed + i for i in range(trials.buildings)}
     rows = run_trials(names, partial(_trial, trials, weights), store, options.progress, workers)
     totals = ("falls", "livelocks", "open_files_left", "wall_contacts", "errands", "done")
