@@ -95,16 +95,21 @@ def test_what_decides_about_the_rows_is_in_the_fingerprint(tmp_path: Path) -> No
 def table() -> str:
     rows = []
     for name, p in PARAMETERS.items():
+        if name.startswith("gains."):
+            continue
         nominal = "the object's seed" if p.default is None else f"{p.default:g}"
         bounds = f"{p.low:g} and {p.high:g}" if math.isfinite(p.high) else f"from {p.low:g} on"
-        text = p.text if not name.startswith("gains.") else name.removeprefix("gains.").replace("_", " ")
-        rows.append((f"`{name}`", text, p.unit, nominal, bounds))
+        rows.append((f"`{name}`", p.text, p.unit, nominal, bounds))
     return markdown_table(("parameter", "what it is", "unit", "nominal", "between"), rows)
 
 
 def test_the_page_lists_the_parameters() -> None:
     page = (ROOT / "docs/sweeps.md").read_text()
-    assert f"\n\n{table()}\n\n" in page
+    assert f"
+
+{table()}
+
+" in page and "`gains.NAME`" in page
     example = page.partition("    question: Over")[2].partition("    map:")[0]
     text = "\n".join(line[4:] for line in ("    question: Over" + example).splitlines())
     assert SweepConfig.model_validate(yaml.safe_load(text)).varied
