@@ -105,11 +105,7 @@ def table() -> str:
 
 def test_the_page_lists_the_parameters() -> None:
     page = (ROOT / "docs/sweeps.md").read_text()
-    assert f"
-
-{table()}
-
-" in page and "`gains.NAME`" in page
+    assert f"\n\n{table()}\n\n" in page and "`gains.NAME`" in page
     example = page.partition("    question: Over")[2].partition("    map:")[0]
     text = "\n".join(line[4:] for line in ("    question: Over" + example).splitlines())
     assert SweepConfig.model_validate(yaml.safe_load(text)).varied
