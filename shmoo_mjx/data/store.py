@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -88,12 +89,14 @@ class Dataset(NamedTuple):
 
     def split(self, name: str) -> Dataset:
         """The conditions of one split: train, validation or test."""
-        keep = [i for i, condition in enumerate(self.conditions) if condition["split"] == name]
-        return Dataset(
-            [self.names[i] for i in keep],
-            [self.conditions[i] for i in keep],
-            [self.arrays[i] for i in keep],
-            self.schema,
+        return self.chosen([i for i, condition in enumerate(self.conditions) if condition["split"] == name])
+
+    def chosen(self, indices: Sequence[int]) -> Dataset:
+        """Some of the conditions, by their places."""
+        return self._replace(
+            names=[self.names[i] for i in indices],
+            conditions=[self.conditions[i] for i in indices],
+            arrays=[self.arrays[i] for i in indices],
         )
 
 

@@ -24,6 +24,7 @@ from shmoo_mjx.learning.baselines import Budget, recordings
 from shmoo_mjx.learning.baselines.adaptive import daiml_config, from_fit
 from shmoo_mjx.learning.baselines.protocol import output_scale
 from shmoo_mjx.learning.daiml import DaimlConfig
+from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
 from shmoo_mjx.types import DT
 
 __all__ = ["VARIANTS", "AblationsConfig", "run"]
@@ -145,28 +146,22 @@ def _metrics(rows: list[dict[str, Any]], config: AblationsConfig) -> dict[str, f
 
 def _figure(result: ExperimentResult, path: Path) -> None:
     """Accuracy of the probe, and error on unseen objects, over the adversary's weight alpha."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
     found = result.metrics
     names = [name for name in VARIANTS if name.startswith("alpha") and f"probe_psi_{name}" in found]
     places = range(len(names))
-    figure, (left, right) = pyplot.subplots(1, 2, figsize=(8.0, 3.2), constrained_layout=True)
+    figure = blank_figure(8.0, 3.2)
+    left, right = figure.subplots(1, 2)
     for axes, measure in ((left, "probe_psi"), (right, "fvu_median")):
         means, spread = ([found[f"{measure}{kind}_{name}"] or 0.0 for name in names] for kind in ("", "_std"))
-        axes.errorbar(places, means, spread, marker="o", capsize=3, color="#0072B2", label="psi")
+        axes.errorbar(places, means, spread, marker="o", capsize=3, color=SERIES[0], label="psi")
         axes.set(xticks=places, xticklabels=[n.removeprefix("alpha_") for n in names], xlabel="alpha")
     for name, label, style in (
         ("probe_inputs", "raw inputs", "-"),
         ("probe_inputs_without_size", "raw inputs without size", "--"),
         ("chance", "chance", ":"),
     ):
-        left.axhline(found[name] or 0.0, color="#555555", linestyle=style, linewidth=1.0, label=label)
+        left.axhline(found[name] or 0.0, color=SERIES[7], linestyle=style, linewidth=1.0, label=label)
     left.set(ylabel="conditions told by a fresh probe", ylim=(0, None))
     left.legend(fontsize=7)
     right.set(ylabel="fraction of variance unexplained", ylim=(0, None), title="the median unseen object")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=130)
-    pyplot.close(figure)
+    save_figure(path, figure, 130)

@@ -17,12 +17,13 @@ import numpy as np
 from shmoo_mjx.data import store
 from shmoo_mjx.evaluation import datasets, replay, scoring
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result, over_seeds
-from shmoo_mjx.evaluation.trainings import Trainings, prepare
+from shmoo_mjx.evaluation.trainings import Trainings, prepare, rows_of
 from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.learning.baselines import METHODS, REFERENCES, Budget, recordings
 from shmoo_mjx.learning.baselines.adaptive import prior
 from shmoo_mjx.learning.baselines.protocol import Method, output_scale
 from shmoo_mjx.learning.rows import rows_from_dataset
+from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
 from shmoo_mjx.types import DT
 
 __all__ = ["PAPER", "BaselinesConfig", "run"]
@@ -136,7 +137,7 @@ def _scored(shared: Trainings, config: BaselinesConfig, fit: _Fit) -> list[dict[
     if fit.method == REPLAY:
         scale = output_scale(rows_from_dataset(store.of_training(shared.train).split("train")))
         found = replay.score(shared.objects(), scale, fit_rows)
-        return _rows(shared.objects(), found, {"method": REPLAY, "run": 0, "setting": {}})
+        return rows_of(shared.objects(), found, {"method": REPLAY, "run": 0, "setting": {}})
     method = (METHODS | REFERENCES)[fit.method]
     budget = config.tuning if fit.stage == "tune" else config.final
     job = shared.job(fit.name, fit.number, budget, fit_rows, method.settings[fit.setting])
@@ -147,19 +148,8 @@ def _scored(shared: Trainings, config: BaselinesConfig, fit: _Fit) -> list[dict[
     rows, recorded = [], recordings(shared.objects())
     for name, trained in ({method.name: method.fit} | ({"prior": prior} if method.name == "ours" else {})).items():
         found = scoring.score(trained(job), recorded, scale, fit_rows)
-        rows += _rows(shared.objects(), found, {"method": name, "run": fit.number, "setting": job.setting})
+        rows += rows_of(shared.objects(), found, {"method": name, "run": fit.number, "setting": job.setting})
     return rows
-
-
-def _rows(objects: store.Dataset, found: Mapping[str, np.ndarray], about: dict[str, Any]) -> list[dict[str, Any]]:
-    """One row for each unseen object; measures that a method has none of are NaN."""
-    none = np.full(len(objects.names), np.nan)
-    return [
-        about
-        | {"condition": condition, "family": described["family"]}
-        | {measure: float(found.get(measure, none)[i]) for measure in scoring.NAMES}
-        for i, (condition, described) in enumerate(zip(objects.names, objects.conditions, strict=True))
-    ]
 
 
 def _metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
@@ -191,11 +181,6 @@ def _figure(result: ExperimentResult, path: Path) -> None:
 
     Not the mean: a condition that hardly moves has next to no variance, and may leave hundreds of times as much.
     """
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
     rows = [row for row in result.rows if "method" in row]
     medians: dict[str, list[float]] = {}
     for name in dict.fromkeys(row["method"] for row in rows):
@@ -203,10 +188,11 @@ def _figure(result: ExperimentResult, path: Path) -> None:
         of_runs = [[row["fvu"] for row in rows if row["method"] == name and row["run"] == run] for run in runs]
         medians[name] = [float(np.nanmedian(values)) for values in of_runs]
     names = sorted(medians, key=lambda name: -np.mean(medians[name]))
-    figure, axes = pyplot.subplots(figsize=(7.0, 0.32 * len(names) + 1.2), constrained_layout=True)
+    figure = blank_figure(7.0, 0.32 * len(names) + 1.2)
+    axes = figure.subplots()
     for place, name in enumerate(names):
         spread = np.std(medians[name])
-        colour = "#0072B2" if name.startswith("ours") else "#999999"
+        colour = SERIES[0] if name.startswith("ours") else "#999999"
         axes.barh(place, np.mean(medians[name]), xerr=spread, color=colour, height=0.62, error_kw={"elinewidth": 1.2})
         dots = [row["fvu"] for row in rows if row["method"] == name and row["run"] == 0]
         axes.plot(np.clip(dots, 0, 2), np.full(len(dots), place), "k.", markersize=3, alpha=0.5)
@@ -214,6 +200,4 @@ def _figure(result: ExperimentResult, path: Path) -> None:
     axes.set(yticks=range(len(names)), yticklabels=names, ylim=(-0.6, len(names) - 0.4))
     axes.set(xlim=(0, 2), xlabel="fraction of variance unexplained")
     axes.set_title("unseen objects, one step, after 25 s: median, a dot per object (over 2: at the edge)", fontsize=9)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=130)
-    pyplot.close(figure)
+    save_figure(path, figure, 130)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import defaultdict
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -52,14 +53,11 @@ def training_directory(options: ExperimentOptions) -> Path:
     return directory
 
 
-def unseen_directory(options: ExperimentOptions, counts: Mapping[str, int] | None = None) -> Path:
-    """The directory with recordings of unseen objects, collected once under ``options.out``.
+def unseen_directory(options: ExperimentOptions, counts: Mapping[str, int]) -> Path:
+    """The directory with recordings of unseen objects, so many of each family, collected once under ``options.out``.
 
-    Args:
-        options: its condition_seed draws the objects, its seed the operators that push them.
-        counts: objects per family (default: UNSEEN_COUNTS).
+    The condition_seed draws the objects, the seed the operators that push them.
     """
-    counts = UNSEEN_COUNTS if counts is None else counts
     first = options.first_unseen
     assert first >= SPLIT_SEEDS["test"], "an unseen object would have a training seed"
     rows = [
@@ -86,21 +84,12 @@ def subset(dataset: store.Dataset, per_family: int) -> store.Dataset:
     Raises:
         ShmooError: nothing is left.
     """
-    kept: list[int] = []
-    seen: dict[tuple[str, str], int] = {}
+    groups: dict[tuple[str, str], list[int]] = defaultdict(list)
     for i, condition in enumerate(dataset.conditions):
-        group = (condition["family"], condition["split"])
-        seen[group] = seen.get(group, 0) + 1
-        if seen[group] <= per_family:
-            kept.append(i)
-    if not kept:
+        groups[condition["family"], condition["split"]].append(i)
+    if not groups:
         raise ShmooError("data set: field 'conditions' is empty; collect some conditions first.")
-    return store.Dataset(
-        [dataset.names[i] for i in kept],
-        [dataset.conditions[i] for i in kept],
-        [dataset.arrays[i] for i in kept],
-        dataset.schema,
-    )
+    return dataset.chosen(sorted(i for group in groups.values() for i in group[:per_family]))
 
 
 def _count(config: CollectConfig) -> int:

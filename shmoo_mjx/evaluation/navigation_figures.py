@@ -10,10 +10,8 @@ import numpy as np
 
 from shmoo_mjx.evaluation.paired import OURS
 from shmoo_mjx.evaluation.scenarios import KINDS
-from shmoo_mjx.files import write_whole
 from shmoo_mjx.navigation.maps import OccupancyGrid, load_map
-from shmoo_mjx.report.figures import to_png
-from shmoo_mjx.report.style import COLOURS, SERIES, object_colour, outline
+from shmoo_mjx.report.style import COLOURS, SERIES, blank_figure, object_colour, outline, save_figure, show_cells
 
 __all__ = ["draw_figures"]
 
@@ -23,14 +21,13 @@ SHOWN = 8
 
 def draw_figures(folder: Path, rows: list[dict[str, Any]], maps: dict[str, Path]) -> None:
     """Write success.png, causes.png and one picture of the runs per map into ``folder``."""
-    folder.mkdir(parents=True, exist_ok=True)
     if not rows:
         return
-    write_whole(folder / "success.png", to_png(_success(rows)))
-    write_whole(folder / "causes.png", to_png(_causes(rows)))
+    save_figure(folder / "success.png", _success(rows))
+    save_figure(folder / "causes.png", _causes(rows))
     for name in dict.fromkeys(r["map"] for r in rows):
         of = [r for r in rows if r["map"] == name]
-        write_whole(folder / f"runs-{name}.png", to_png(_runs(of, load_map(maps[name]))))
+        save_figure(folder / f"runs-{name}.png", _runs(of, load_map(maps[name])))
 
 
 def _policies(rows: list[dict[str, Any]]) -> list[str]:
@@ -39,9 +36,7 @@ def _policies(rows: list[dict[str, Any]]) -> list[str]:
 
 def _success(rows: list[dict[str, Any]]) -> Any:
     """Share of successes by policy, a group of bars per kind of scenario."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.5, 3.6), layout="constrained")
+    figure = blank_figure(7.5, 3.6)
     axes = figure.subplots()
     policies = _policies(rows)
     groups = [kind for kind in KINDS if any(r["kind"] == kind for r in rows)]
@@ -61,13 +56,12 @@ def _success(rows: list[dict[str, Any]]) -> Any:
 
 def _causes(rows: list[dict[str, Any]]) -> Any:
     """Failures by cause, a colour per policy."""
-    from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
 
     policies = _policies(rows)
     counts = Counter((r["cause"], r["policy"]) for r in rows if not r["success"])
     causes = [c for c, _ in Counter(r["cause"] for r in rows if not r["success"]).most_common()][::-1]
-    figure = Figure(figsize=(8.0, 1.2 + 0.4 * max(len(causes), 1)), layout="constrained")
+    figure = blank_figure(8.0, 1.2 + 0.4 * max(len(causes), 1))
     axes = figure.subplots()
     left = np.zeros(len(causes))
     for k, policy in enumerate(policies):
@@ -86,15 +80,13 @@ def _runs(rows: list[dict[str, Any]], grid: OccupancyGrid) -> Any:
 
     Of many scenarios those are shown that ours failed, then those that others failed.
     """
-    from matplotlib.figure import Figure
-
     failed = Counter[int]()
     for row in rows:
         failed[row["scenario"]] += (not row["success"]) * (100 if row["policy"] == OURS else 1)
     numbers = sorted(sorted(failed, key=lambda n: (-failed[n], n))[:SHOWN])
     rows = [r for r in rows if r["scenario"] in numbers]
     policies = _policies(rows)
-    figure = Figure(figsize=(3.2 * len(policies), 3.2 * len(numbers)), layout="constrained")
+    figure = blank_figure(3.2 * len(policies), 3.2 * len(numbers))
     panels = figure.subplots(len(numbers), len(policies), squeeze=False)
     for axes in panels.ravel():
         axes.set_axis_off()
@@ -105,14 +97,9 @@ def _runs(rows: list[dict[str, Any]], grid: OccupancyGrid) -> Any:
 
 
 def _draw_run(axes: Any, row: dict[str, Any], grid: OccupancyGrid) -> None:
-    from matplotlib.transforms import Affine2D
-
     shade = np.full((*grid.cells.shape, 3), 0.85)
     shade[grid.free], shade[grid.occupied] = 1.0, 0.25
-    height, width = grid.cells.shape
-    image = axes.imshow(shade, origin="lower", extent=(0, width, 0, height), interpolation="nearest")
-    x, y, yaw = grid.origin
-    image.set_transform(Affine2D().scale(grid.resolution).rotate(yaw).translate(x, y) + axes.transData)
+    show_cells(axes, shade, grid.resolution, grid.origin)
     driven = np.array(row["driven"])
     axes.plot(*driven.T, color=COLOURS["robot"], lw=1.5)
     goal = np.array(row["goal"])
@@ -126,9 +113,7 @@ def _draw_run(axes: Any, row: dict[str, Any], grid: OccupancyGrid) -> None:
             corners.append(shape)
             axes.fill(*shape.T, facecolor="none" if style == ":" else colour, edgecolor=colour, ls=style, alpha=0.8)
     low, high = np.concatenate(corners).min(axis=0) - 1.0, np.concatenate(corners).max(axis=0) + 1.0
-    half = 0.5 * max(high - low)
-    middle = 0.5 * (low + high)
-    axes.set_xlim(middle[0] - half, middle[0] + half)
-    axes.set_ylim(middle[1] - half, middle[1] + half)
+    half, middle = 0.5 * max(high - low), 0.5 * (low + high)
+    axes.set(xlim=middle[0] + np.array([-half, half]), ylim=middle[1] + np.array([-half, half]))
     verdict = f"{row['time_s']:.0f} s" if row["success"] else row["cause"]
     axes.set_title(f"{row['policy']}, {row['kind']}\n{verdict}", fontsize=8)

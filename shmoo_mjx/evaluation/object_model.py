@@ -21,7 +21,7 @@ from shmoo_mjx.data import store
 from shmoo_mjx.evaluation import datasets, scoring
 from shmoo_mjx.evaluation.object_model_figures import draw_curve, draw_roll_outs
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result, spread
-from shmoo_mjx.evaluation.trainings import Trainings, prepare
+from shmoo_mjx.evaluation.trainings import Trainings, prepare, rows_of
 from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.learning import adaptation, identification
 from shmoo_mjx.learning.adaptation import AdaptConfig
@@ -112,11 +112,7 @@ def _scored(shared: Trainings, config: ObjectModelConfig, trial: tuple[str, int]
     rows: list[dict[str, Any]] = []
     for label, predictor in predictors.items():
         found = scoring.score(predictor, recordings(objects), output_scale(job.train.rows), job.fit_rows)
-        rows += [
-            {"predictor": label, "run": number, "condition": condition, "family": about["family"]}
-            | {measure: float(values[i]) for measure, values in found.items()}
-            for i, (condition, about) in enumerate(zip(objects.names, objects.conditions, strict=True))
-        ]
+        rows += rows_of(objects, found, {"predictor": label, "run": number})
     return rows
 
 

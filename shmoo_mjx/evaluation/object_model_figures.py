@@ -13,7 +13,7 @@ from shmoo_mjx.data import store
 from shmoo_mjx.evaluation.scoring import FIT_ROWS, roll_out
 from shmoo_mjx.learning.baselines import first_rows, recordings
 from shmoo_mjx.learning.baselines.protocol import Predictor
-from shmoo_mjx.report.style import SERIES, outline
+from shmoo_mjx.report.style import SERIES, blank_figure, outline, save_figure
 
 __all__ = ["draw_curve", "draw_roll_outs"]
 
@@ -25,7 +25,6 @@ STEPS = 30
 
 def draw_roll_outs(after: Predictor, before: Predictor, objects: store.Dataset, path: Path, count: int = 8) -> None:
     """Eight objects, pushed for 3 s after the 25 s of adaptation: where each went, and where psi says it would go."""
-    pyplot = _pyplot()
     recorded = recordings(objects)
     # One family after the other, so that the eight show them all.
     by_family: dict[str, list[int]] = {}
@@ -33,15 +32,14 @@ def draw_roll_outs(after: Predictor, before: Predictor, objects: store.Dataset, 
         by_family.setdefault(condition["family"], []).append(i)
     most = max(len(v) for v in by_family.values())
     chosen = [v[k] for k in range(most) for v in by_family.values() if k < len(v)][:count]
-    figure, axes = pyplot.subplots(
-        2, (len(chosen) + 1) // 2, figsize=(12.5, 6.2), constrained_layout=True, squeeze=False
-    )
+    figure = blank_figure(12.5, 6.2)
+    axes = figure.subplots(2, (len(chosen) + 1) // 2, squeeze=False)
     for axis, i in zip(axes.flat, chosen, strict=False):
         _draw_one(axis, after, before, recorded, i, objects)
     axes.flat[0].legend(fontsize=7, loc="best")
     for axis in axes.flat[len(chosen) :]:
         axis.axis("off")
-    _save(pyplot, figure, path)
+    save_figure(path, figure, 130)
 
 
 def _draw_one(axis: Any, after: Predictor, before: Predictor, recorded: Any, i: int, objects: store.Dataset) -> None:
@@ -79,9 +77,9 @@ def _outline(axis: Any, pose: np.ndarray, condition: dict[str, Any], colour: str
 
 def draw_curve(seconds: Sequence[float], shares: np.ndarray, path: Path) -> None:
     """Share of the way from the prior's error to that of a* against seconds of contact: median and quartiles."""
-    pyplot = _pyplot()
     q25, median, q75 = np.nanquantile(shares, [0.25, 0.5, 0.75], axis=0)
-    figure, axis = pyplot.subplots(figsize=(5.5, 3.4), constrained_layout=True)
+    figure = blank_figure(5.5, 3.4)
+    axis = figure.subplots()
     axis.fill_between(seconds, q25, q75, color=AFTER, alpha=0.2, label="quartiles")
     axis.plot(seconds, median, color=AFTER, marker="o", label="median over the objects")
     axis.axhline(0.6, color="black", linestyle=":", linewidth=0.8, label="60 %")
@@ -89,19 +87,4 @@ def draw_curve(seconds: Sequence[float], shares: np.ndarray, path: Path) -> None
     axis.set_xticks(list(seconds), [f"{s:g}" for s in seconds])
     axis.minorticks_off()
     axis.legend(fontsize=8)
-    _save(pyplot, figure, path)
-
-
-def _pyplot() -> Any:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    return pyplot
-
-
-def _save(pyplot: Any, figure: Any, path: Path) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=130)
-    pyplot.close(figure)
+    save_figure(path, figure, 130)

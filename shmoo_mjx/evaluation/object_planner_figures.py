@@ -8,28 +8,24 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx.files import write_whole
 from shmoo_mjx.navigation.records import NavigatorConfig
-from shmoo_mjx.report.figures import draw_decision, evidence, to_png
-from shmoo_mjx.report.style import SERIES
+from shmoo_mjx.report.figures import draw_decision, evidence
+from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
 
 __all__ = ["draw_figures"]
 
 
 def draw_figures(folder: Path, rows: list[dict[str, Any]], episodes: Callable[[], list[tuple[str, Any, Any]]]) -> None:
     """Write reliability.png, confusion.png and planned_goals.png (the paper's Fig. 5) into ``folder``."""
-    folder.mkdir(parents=True, exist_ok=True)
     found = [r for r in rows if r["decided"] is not None]
-    write_whole(folder / "reliability.png", to_png(_reliability([r for r in rows if "K_first" in r])))
-    write_whole(folder / "confusion.png", to_png(_confusion(found)))
-    write_whole(folder / "planned_goals.png", to_png(_planned_goals(episodes())))
+    save_figure(folder / "reliability.png", _reliability([r for r in rows if "K_first" in r]))
+    save_figure(folder / "confusion.png", _confusion(found))
+    save_figure(folder / "planned_goals.png", _planned_goals(episodes()))
 
 
 def _reliability(rows: list[dict[str, Any]]) -> Any:
     """Left: how often what is said comes true. Right: both criteria after a second, by truth."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9.6, 3.6), layout="constrained")
+    figure = blank_figure(9.6, 3.6)
     left, right = figure.subplots(1, 2)
     p = np.array([r["probability_first"] for r in rows])
     truth = np.array([r["manipulable"] for r in rows], dtype=bool)
@@ -58,13 +54,11 @@ def _reliability(rows: list[dict[str, Any]]) -> Any:
 
 
 def _confusion(rows: list[dict[str, Any]]) -> Any:
-    from matplotlib.figure import Figure
-
     names = ("not manipulable", "manipulable")
     table = np.zeros((2, 2), dtype=int)
     for r in rows:
         table[int(r["manipulable"]), int(r["decided"])] += 1
-    figure = Figure(figsize=(4.4, 3.6), layout="constrained")
+    figure = blank_figure(4.4, 3.6)
     axes = figure.subplots()
     axes.imshow(table, cmap="Blues", vmin=0, vmax=max(int(table.sum()) / 2, 1))
     for (i, j), count in np.ndenumerate(table):
@@ -77,9 +71,7 @@ def _confusion(rows: list[dict[str, Any]]) -> Any:
 
 
 def _planned_goals(episodes: list[tuple[str, Any, Any]]) -> Any:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(5.2 * len(episodes), 5.4), layout="constrained")
+    figure = blank_figure(5.2 * len(episodes), 5.4)
     for axes, (title, result, trace) in zip(figure.subplots(1, len(episodes)), episodes, strict=True):
         if result["decisions"]:
             last = len(result["decisions"]) - 1

@@ -9,7 +9,7 @@ import numpy as np
 
 from shmoo_mjx.evaluation.pushing_measures import PAPER
 from shmoo_mjx.evaluation.pushing_trials import GOALS, METHODS, Trial, scene_of_trial
-from shmoo_mjx.report.style import COLOURS, SERIES, outline
+from shmoo_mjx.report.style import COLOURS, SERIES, blank_figure, outline, save_figure
 from shmoo_mjx.sensing import Senses
 
 __all__ = ["draw_figure", "film"]
@@ -18,16 +18,13 @@ _OWN = "0.45"  # Grey, for every method of the user's own.
 _COLOUR = dict(zip(METHODS, (SERIES[0], SERIES[3], SERIES[5], SERIES[2], SERIES[1], SERIES[4]), strict=True))
 
 
-def draw_figure(path: Path, rows: list[dict[str, Any]], folder: Path) -> Path:
+def draw_figure(path: Path, rows: list[dict[str, Any]], folder: Path) -> None:
     """One panel per family with the objects' ways under our controller, one with where every object ended."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
     from matplotlib.collections import LineCollection
 
     families = list(dict.fromkeys(row["family"] for row in rows))
-    figure, axes = plt.subplots(1, len(families) + 1, figsize=(4.4 * (len(families) + 1), 4.4), layout="constrained")
+    figure = blank_figure(4.4 * (len(families) + 1), 4.4)
+    axes = figure.subplots(1, len(families) + 1)
     lines = None
     for axis, family in zip(axes, families, strict=False):
         for row in rows:
@@ -43,10 +40,7 @@ def draw_figure(path: Path, rows: list[dict[str, Any]], folder: Path) -> Path:
     if lines is not None:
         figure.colorbar(lines, ax=axes[: len(families)].tolist(), label="share of the trial's time", shrink=0.7)
     _offsets(axes[-1], rows)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
-    return path
+    save_figure(path, figure, 130)
 
 
 def _goals(axis: Any, rows: list[dict[str, Any]], circles: bool) -> None:

@@ -7,9 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx.files import write_whole
-from shmoo_mjx.report.figures import to_png
-from shmoo_mjx.report.style import SERIES
+from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
 
 __all__ = ["draw_figure"]
 
@@ -23,10 +21,8 @@ _BARS = (
 
 def draw_figure(path: Path, rows: list[dict[str, Any]]) -> None:
     """Bars of the mean error by condition, with the range over the seeds."""
-    from matplotlib.figure import Figure
-
     conditions = list(dict.fromkeys(row["condition"] for row in rows))
-    figure = Figure(figsize=(10.0, 6.0), layout="constrained")
+    figure = blank_figure(10.0, 6.0)
     panels = figure.subplots(2, 1, sharex=True)
     for axes, unit, label in zip(
         panels, ("pos_error_mm", "angle_error_deg"), ("position error [mm]", "angle error [deg]"), strict=True
@@ -47,4 +43,4 @@ def draw_figure(path: Path, rows: list[dict[str, Any]]) -> None:
         axes.set_ylabel(label)
     panels[1].set_xticks(range(len(conditions)), conditions, rotation=45, ha="right", fontsize=8)
     panels[0].legend(fontsize=8, ncols=2)
-    write_whole(path, to_png(figure))
+    save_figure(path, figure)

@@ -30,6 +30,7 @@ from shmoo_mjx.learning.robot_fit import RobotFitConfig, RobotRows
 from shmoo_mjx.learning.rows import rows_from_dataset
 from shmoo_mjx.learning.weights import Weights, load_weights, posterior_from_recording
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
+from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
 from shmoo_mjx.sensing import SensedEngine, senses_named
 from shmoo_mjx.types import SystemState
 
@@ -131,13 +132,8 @@ class _Work:
         for k, family in enumerate(FAMILIES):
             seeds = [self.first_unseen + 100 * (1 + int(test)) + i for i in range(count)]
             chunk = [draw_condition(family, seed) for seed in seeds]
-            recorded = record(
-                settings,
-                chunk,
-                k,
-                senses.adjust(robot_seed),
-                partial(SensedEngine, senses=senses, seed=robot_seed, told=True),
-            )
+            engine = partial(SensedEngine, senses=senses, seed=robot_seed, told=True)
+            recorded = record(settings, chunk, k, senses.adjust(robot_seed), engine)
             for condition, values in zip(chunk, recorded, strict=True):
                 names.append(f"{family}-{condition.seed}")
                 conditions.append(condition.to_dict() | {"split": "test"})
@@ -167,12 +163,7 @@ def _episodes(dataset: store.Dataset, part: slice) -> store.Dataset:
     chosen = [
         i for family in FAMILIES for i in [k for k, c in enumerate(dataset.conditions) if c["family"] == family][part]
     ]
-    return store.Dataset(
-        [dataset.names[i] for i in chosen],
-        [dataset.conditions[i] for i in chosen],
-        [dataset.arrays[i] for i in chosen],
-        dataset.schema,
-    )
+    return dataset.chosen(chosen)
 
 
 def _one_step(weights: Weights, dataset: store.Dataset) -> dict[str, float]:
@@ -231,22 +222,16 @@ def _metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
 
 def _figure(result: ExperimentResult, path: Path) -> None:
     """Error of each output with each R."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    figure, axis = pyplot.subplots(figsize=(7.0, 3.2), constrained_layout=True)
+    figure = blank_figure(7.0, 3.2)
+    axis = figure.subplots()
     names = (*OUTPUTS, "contact", "free")
     place = np.arange(len(names))
     labels = ("before fine-tuning", "after", "after, on more data")
-    for shift, model, colour, label in zip((-1, 0, 1), MODELS, ("#E69F00", "#0072B2", "#56B4E9"), labels, strict=True):
+    for shift, model, colour, label in zip((-1, 0, 1), MODELS, (SERIES[1], SERIES[0], SERIES[4]), labels, strict=True):
         if f"mse_{model}" in result.metrics:
             heights = [result.metrics[f"mse_{name}_{model}"] or 0.0 for name in names]
             axis.bar(place + 0.27 * shift, heights, width=0.27, color=colour, label=label)
     axis.set_xticks(place, [name.replace("_", "\n") for name in names], fontsize=8)
     axis.set_ylabel("squared error over variance")
     axis.legend(fontsize=8)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=130)
-    pyplot.close(figure)
+    save_figure(path, figure, 130)

@@ -116,10 +116,15 @@ class _Placed:
 
 @dataclass
 class _Site:
-    """Map, start and goal, and what has been put there."""
+    """A scenario in the making: map, start and goal, what has been put there, and what more is drawn by."""
 
     grid: OccupancyGrid
     walls: ClearanceField
+    rng: np.random.Generator
+    seeds: Iterator[int]
+    """Of the objects."""
+    truth: Truth
+    cfg: ScenarioConfig
     start: np.ndarray
     goal: np.ndarray
     path: Path
@@ -158,11 +163,14 @@ def draw_scenario(
     seeds = cycle(first_seed + rng.permutation(1000).astype(int))
     room = largest_room(np.asarray(walls.values), cfg.start_clearance)
     for _ in range(cfg.attempts if len(room) else 0):
-        site = _draw_site(grid, walls, room, rng, cfg)
-        if site is None or not _block(site, kind, rng, seeds, truth, cfg):
+        ends = _draw_ends(grid, walls, room, rng, cfg)
+        if ends is None:
             continue
-        _add_bystanders(site, rng, seeds, truth, cfg)
-        found = _classify(site, truth, cfg)
+        site = _Site(grid, walls, rng, seeds, truth, cfg, *ends)
+        if not _block(site, kind):
+            continue
+        _add_bystanders(site)
+        found = _classify(site)
         if found is not None and found.kind == kind:
             return found._replace(scenario=found.scenario.model_copy(update={"seed": int(rng.integers(10**6))}))
     source = grid.source or "the map"
@@ -179,9 +187,9 @@ def largest_room(clearance: np.ndarray, radius: float) -> np.ndarray:
     return np.argwhere((labels > 0) & (connected == sizes.argmax()))
 
 
-def _draw_site(
+def _draw_ends(
     grid: OccupancyGrid, walls: ClearanceField, room: np.ndarray, rng: np.random.Generator, cfg: ScenarioConfig
-) -> _Site | None:
+) -> tuple[np.ndarray, np.ndarray, Path] | None:
     start = grid.cell_to_world(room[rng.integers(len(room))])
     centres = grid.cell_to_world(room)
     distance = np.linalg.norm(centres - start, axis=1)
@@ -192,7 +200,7 @@ def _draw_site(
     path = plan_path(grid, start, goal, robot_radius=ROBOT_RADIUS, field=walls)
     if path is None or not cfg.path[0] <= path.length <= cfg.path[1]:
         return None
-    return _Site(grid, walls, start, goal, path)
+    return start, goal, path
 
 
 class _Narrow(NamedTuple):
@@ -206,8 +214,9 @@ class _Narrow(NamedTuple):
     """From wall to wall [m]."""
 
 
-def _narrow_places(site: _Site, path: Path, cfg: ScenarioConfig) -> list[_Narrow]:
+def _narrow_places(site: _Site, path: Path) -> list[_Narrow]:
     """Doorways and corridors of ``path`` that one object could block."""
+    cfg = site.cfg
     s = np.arange(cfg.ahead[0], path.length - cfg.ahead[1], 0.1)
     if not s.size:
         return []
@@ -226,12 +235,10 @@ def _narrow_places(site: _Site, path: Path, cfg: ScenarioConfig) -> list[_Narrow
     return [_Narrow(*place) for place in zip(middle, along, width[good], strict=True)]
 
 
-def _block(
-    site: _Site, kind: Kind, rng: np.random.Generator, seeds: Iterator[int], truth: Truth, cfg: ScenarioConfig
-) -> bool:
+def _block(site: _Site, kind: Kind) -> bool:
     """Put objects in the way until the kind of solution that is wanted is the one there is, so far as can be seen."""
-    path, movable = site.path, kind != "detour only"
-    while _block_path(site, path, movable, rng, seeds, truth, cfg):
+    path, movable, cfg = site.path, kind != "detour only", site.cfg
+    while _block_path(site, path, movable):
         around = site.way(site.start, site.polygons())
         if around is None:
             return kind == "push only"
@@ -245,21 +252,13 @@ def _block(
     return False
 
 
-def _block_path(
-    site: _Site,
-    path: Path,
-    movable: bool,
-    rng: np.random.Generator,
-    seeds: Iterator[int],
-    truth: Truth,
-    cfg: ScenarioConfig,
-) -> bool:
+def _block_path(site: _Site, path: Path, movable: bool) -> bool:
     """Put one object into a narrow place of ``path`` so that nobody gets past it there."""
-    places = _narrow_places(site, path, cfg)
-    for i in rng.permutation(len(places))[:6]:
+    places = _narrow_places(site, path)
+    for i in site.rng.permutation(len(places))[:6]:
         for _ in range(6):
-            placed = _place(places[i], _draw_object(movable, rng, int(next(seeds))), movable, rng)
-            if _fits(site, placed, cfg) and _stops(path, places[i], placed) and _as_wanted(site, placed, truth, cfg):
+            placed = _place(places[i], _draw_object(site, movable), movable, site.rng)
+            if _fits(site, placed) and _stops(path, places[i], placed) and _as_wanted(site, placed):
                 site.placed.append(placed)
                 return True
     return False
@@ -272,8 +271,9 @@ def _place(narrow: _Narrow, condition: Condition, movable: bool, rng: np.random.
     return _Placed(condition, pose, movable, True)
 
 
-def _draw_object(movable: bool, rng: np.random.Generator, seed: int) -> Condition:
+def _draw_object(site: _Site, movable: bool) -> Condition:
     """One that may be of the wanted sort, as the plant has to say. A quarter of the immovable ones are drawn as any."""
+    seed, rng = int(next(site.seeds)), site.rng
     family, sort = FAMILIES[rng.integers(3)], int(rng.integers(len(IMMOVABLE) + 1))
     # Only these, which nothing was done to, can be so near the border that they nearly move.
     if movable or sort == len(IMMOVABLE):
@@ -281,10 +281,10 @@ def _draw_object(movable: bool, rng: np.random.Generator, seed: int) -> Conditio
     return draw_immovable(IMMOVABLE[sort], family, seed)
 
 
-def _fits(site: _Site, placed: _Placed, cfg: ScenarioConfig) -> bool:
+def _fits(site: _Site, placed: _Placed) -> bool:
     """Clear of walls, of the other objects, and of start and goal."""
     others = add_obstacles(site.walls, site.polygons())
-    free = footprints_free(others, placed.pose, placed.condition.half_extents, wall_clearance=cfg.margin)[0]
+    free = footprints_free(others, placed.pose, placed.condition.half_extents, wall_clearance=site.cfg.margin)[0]
     ends = shapely.MultiPoint([site.start, site.goal])
     return bool(free) and placed.polygon.distance(ends) > ROBOT_RADIUS + 0.15
 
@@ -297,11 +297,10 @@ def _stops(path: Path, narrow: _Narrow, placed: _Placed) -> bool:
     return widest < 2 * ROBOT_RADIUS and path_blocked_by(path, placed.polygon, ROBOT_RADIUS)[0]
 
 
-def _as_wanted(site: _Site, placed: _Placed, truth: Truth, cfg: ScenarioConfig) -> bool:
+def _as_wanted(site: _Site, placed: _Placed) -> bool:
     """Does the plant agree that it can be moved from a face where a push helps, or can't be from any in reach."""
-    if placed.movable:
-        return any(truth.moves(placed.condition, side) for side in _helpful_sides(site, placed, cfg))
-    return not any(truth.moves(placed.condition, side) for side in _reachable_sides(site, placed))
+    sides = _helpful_sides(site, placed) if placed.movable else _reachable_sides(site, placed)
+    return any(site.truth.moves(placed.condition, side) for side in sides) == placed.movable
 
 
 def _reachable_sides(site: _Site, placed: _Placed) -> Iterator[int]:
@@ -313,7 +312,7 @@ def _reachable_sides(site: _Site, placed: _Placed) -> Iterator[int]:
             yield side
 
 
-def _helpful_sides(site: _Site, placed: _Placed, cfg: ScenarioConfig) -> Iterator[int]:
+def _helpful_sides(site: _Site, placed: _Placed) -> Iterator[int]:
     """Faces from which a straight push through free space opens the way to the goal."""
     others = site.polygons(placed)
     room = add_obstacles(site.walls, others)
@@ -321,9 +320,9 @@ def _helpful_sides(site: _Site, placed: _Placed, cfg: ScenarioConfig) -> Iterato
     for side in _reachable_sides(site, placed):
         face = faces_of(half)[side]
         direction = heading(placed.pose, face)
-        steps = np.arange(0.1, cfg.reach, 0.1)
+        steps = np.arange(0.1, site.cfg.reach, 0.1)
         poses = placed.pose + steps[:, None] * np.array([np.cos(direction), np.sin(direction), 0.0])
-        free = footprints_free(room, poses, half, wall_clearance=cfg.margin)
+        free = footprints_free(room, poses, half, wall_clearance=site.cfg.margin)
         count = len(steps) if free.all() else int(np.argmin(free))
         for pose in poses[2:count:3]:
             robot = stand_off(pose, face, 0.12)[:2]
@@ -334,11 +333,10 @@ def _helpful_sides(site: _Site, placed: _Placed, cfg: ScenarioConfig) -> Iterato
                 break
 
 
-def _add_bystanders(
-    site: _Site, rng: np.random.Generator, seeds: Iterator[int], truth: Truth, cfg: ScenarioConfig
-) -> None:
+def _add_bystanders(site: _Site) -> None:
     """Objects beside the path that block nothing, until there are as many as drawn."""
-    wanted = int(rng.integers(1, cfg.objects + 1))
+    rng = site.rng
+    wanted = int(rng.integers(1, site.cfg.objects + 1))
     for _ in range(20):
         if len(site.placed) >= wanted:
             return
@@ -346,11 +344,11 @@ def _add_bystanders(
         s, side = rng.uniform(0.0, site.path.length), rng.choice([-1.0, 1.0])
         along = tangent_at(site.path, s)
         place = point_at(site.path, s) + side * rng.uniform(0.8, 1.8) * np.array([-along[1], along[0]])
-        condition = _draw_object(movable, rng, int(next(seeds)))
+        condition = _draw_object(site, movable)
         placed = _Placed(condition, np.array([*place, rng.uniform(-np.pi, np.pi)]), movable, False)
-        open_floor = _fits(site, placed, cfg) and not path_blocked_by(site.path, placed.polygon, ROBOT_RADIUS)[0]
+        open_floor = _fits(site, placed) and not path_blocked_by(site.path, placed.polygon, ROBOT_RADIUS)[0]
         if open_floor and _leaves_ways(site, placed):
-            placed.movable = any(truth.moves(condition, face) for face in _reachable_sides(site, placed))
+            placed.movable = any(site.truth.moves(condition, face) for face in _reachable_sides(site, placed))
             site.placed.append(placed)
 
 
@@ -361,16 +359,11 @@ def _leaves_ways(site: _Site, placed: _Placed) -> bool:
     return after.length < before.length + 0.3
 
 
-def _classify(site: _Site, truth: Truth, cfg: ScenarioConfig) -> Generated | None:
+def _classify(site: _Site) -> Generated | None:
     """The finished scenario with its kind, or None if no solution is known."""
     around = site.way(site.start, site.polygons())
-    pushes = any(
-        truth.moves(p.condition, side)
-        for p in site.placed
-        if p.movable and p.blocking
-        for side in _helpful_sides(site, p, cfg)
-    )
-    detour = None if around is None or around.length > cfg.longest else around.length
+    pushes = any(_as_wanted(site, p) for p in site.placed if p.movable and p.blocking)
+    detour = None if around is None or around.length > site.cfg.longest else around.length
     if detour is None and not pushes:
         return None
     kind: Kind = "detour only" if not pushes else "push only" if around is None else "either"
@@ -379,25 +372,22 @@ def _classify(site: _Site, truth: Truth, cfg: ScenarioConfig) -> Generated | Non
     scenario = Scenario(
         start=_rounded(start),
         goal=_rounded(site.goal),
-        objects=tuple(_entry(p) for p in site.placed),
-        limits=Limits(time_s=cfg.time_s),
+        objects=tuple(entry_of(p.condition, p.pose) for p in site.placed),
+        limits=Limits(time_s=site.cfg.time_s),
     )
     movable, blocking = tuple(p.movable for p in site.placed), tuple(p.blocking for p in site.placed)
-    border = tuple(_near_border(site, p, truth, cfg) for p in site.placed)
+    border = tuple(_near_border(site, p) for p in site.placed)
     return Generated(scenario, kind, movable, blocking, site.path.length, detour, border)
 
 
-def _near_border(site: _Site, placed: _Placed, truth: Truth, cfg: ScenarioConfig) -> bool:
+def _near_border(site: _Site, placed: _Placed) -> bool:
     """Of what can be moved: is it so from no face without doubt. Of what can't: is there a face that raises a doubt."""
+    truth = site.truth
     if placed.movable:
-        sides = _helpful_sides(site, placed, cfg) if placed.blocking else _reachable_sides(site, placed)
+        sides = _helpful_sides(site, placed) if placed.blocking else _reachable_sides(site, placed)
         near = [truth.near(placed.condition, side) for side in sides if truth.moves(placed.condition, side)]
         return bool(near) and all(near)
     return any(truth.near(placed.condition, side) for side in _reachable_sides(site, placed))
-
-
-def _entry(placed: _Placed) -> ObjectEntry:
-    return entry_of(placed.condition, placed.pose)
 
 
 def entry_of(condition: Condition, pose: Array) -> ObjectEntry:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from shmoo_mjx.data import store
-from shmoo_mjx.evaluation import datasets
+from shmoo_mjx.evaluation import datasets, scoring
 from shmoo_mjx.evaluation.result import ExperimentOptions
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning.baselines import Budget, Job, recordings
 
-__all__ = ["Trainings", "prepare"]
+__all__ = ["Trainings", "prepare", "rows_of"]
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,17 @@ class Trainings:
     def objects(self) -> store.Dataset:
         """The unseen objects."""
         return store.read(self.unseen, splits=("test",))
+
+
+def rows_of(objects: store.Dataset, found: Mapping[str, np.ndarray], about: dict[str, Any]) -> list[dict[str, Any]]:
+    """One row for each unseen object: ``about``, the object, and its `scoring.NAMES`, NaN where not found."""
+    none = np.full(len(objects.names), np.nan)
+    return [
+        about
+        | {"condition": condition, "family": described["family"]}
+        | {measure: float(found.get(measure, none)[i]) for measure in scoring.NAMES}
+        for i, (condition, described) in enumerate(zip(objects.names, objects.conditions, strict=True))
+    ]
 
 
 def prepare(code: str, name: str, options: ExperimentOptions, config: Any, neutral: dict[str, Any]) -> Trainings:

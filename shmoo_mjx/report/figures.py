@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterable
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from shmoo_mjx.report.style import COLOURS, SERIES, object_colour, outline, window
+from shmoo_mjx.report.style import COLOURS, SERIES, blank_figure, object_colour, outline, show_cells, window
 from shmoo_mjx.report.trace import Trace, object_index, object_name, telling_decisions
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["decision_figure", "draw_decision", "learned_figure", "map_figure", "timeline_figure", "to_png"]
+__all__ = ["decision_figure", "draw_decision", "learned_figure", "map_figure", "timeline_figure"]
 
 Array = Any
 
@@ -26,18 +25,11 @@ _CONTACT_FORCE = 1.0
 """Force from which the hands count as touching, for the marks in the figures only [N]."""
 
 
-def to_png(figure: Figure, dpi: int = 110) -> bytes:
-    """The figure as a PNG file."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=dpi, facecolor="white")
-    return buffer.getvalue()
-
-
 def map_figure(result: dict[str, Any], trace: Trace) -> Figure:
     """Map, planned paths, driven path, objects where they were and are, and the telling decisions with their K."""
     box = window(result, trace)
     width, height = box[1] - box[0], box[3] - box[2]
-    figure = _figure(9.0, min(max(9.0 * height / width, 3.0), 11.0))
+    figure = blank_figure(9.0, min(max(9.0 * height / width, 3.0), 11.0))
     axes = figure.subplots()
     _draw_map(axes, trace, box)
     for number, path in enumerate(trace.plans):
@@ -65,7 +57,7 @@ def map_figure(result: dict[str, Any], trace: Trace) -> Figure:
 
 def decision_figure(result: dict[str, Any], trace: Trace, number: int) -> Figure:
     """Roll-outs, candidate goals and the goal chosen for decision ``number``, round the object."""
-    figure = _figure(5.6, 5.2)
+    figure = blank_figure(5.6, 5.2)
     draw_decision(figure.subplots(), result, trace, number)
     return figure
 
@@ -118,7 +110,7 @@ def learned_figure(result: dict[str, Any], trace: Trace) -> Figure:
     pushes = _pushes(trace)[:_MOST_COLUMNS] or [slice(0, len(trace.t))]
     spans = [float(trace.t[p][-1] - trace.t[p][0]) for p in pushes]
     widths = np.maximum(np.array(spans), 0.35 * max(spans) + 1e-6)
-    figure = _figure(9.0, 5.8)
+    figure = blank_figure(9.0, 5.8)
     grid = figure.subplots(len(panels), len(pushes), sharex="col", sharey="row", squeeze=False, width_ratios=widths)
     for column, push in enumerate(pushes):
         index = int(trace.learned_object[push.start])
@@ -141,7 +133,7 @@ def timeline_figure(result: dict[str, Any], trace: Trace) -> Figure:
     # Of somebody else's robot lean or pose may not be known.
     leans, velocity = np.isfinite(trace.lean).any(), _speed(trace)
     drives = np.isfinite(velocity).any()
-    figure = _figure(9.0, 2.6 + 1.6 * (1 + leans + drives))
+    figure = blank_figure(9.0, 2.6 + 1.6 * (1 + leans + drives))
     panels = list(figure.subplots(2 + leans + drives, 1, sharex=True, height_ratios=[1.4] + [1] * (1 + leans + drives)))
     states, force, t = panels[0], panels[-1], trace.t
     _draw_states(states, trace)
@@ -168,31 +160,14 @@ def timeline_figure(result: dict[str, Any], trace: Trace) -> Figure:
     return figure
 
 
-def _figure(width: float, height: float) -> Figure:
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout="constrained")
-
-
 def _draw_map(axes: Axes, trace: Trace, box: tuple[float, float, float, float]) -> None:
     from matplotlib.colors import ListedColormap
-    from matplotlib.transforms import Affine2D
 
     cells = np.asarray(trace.map_cells)
     kind = np.where(cells >= 65, 2, np.where(cells == 0, 0, 1))
-    height, width = kind.shape
-    x, y, yaw = np.asarray(trace.map_origin, dtype=float)
-    place = Affine2D().scale(trace.map_resolution).rotate(yaw).translate(x, y)
     palette = ListedColormap([COLOURS["free"], COLOURS["unknown"], COLOURS["wall"]])
-    image = axes.imshow(
-        kind, cmap=palette, vmin=0, vmax=2, origin="lower", interpolation="nearest", extent=(0, width, 0, height)
-    )
-    image.set_transform(place + axes.transData)
-    axes.set_xlim(box[0], box[1])
-    axes.set_ylim(box[2], box[3])
-    axes.set_aspect("equal")
-    axes.set_xlabel("x [m]")
-    axes.set_ylabel("y [m]")
+    show_cells(axes, kind, trace.map_resolution, trace.map_origin, cmap=palette, vmin=0, vmax=2)
+    axes.set(xlim=box[:2], ylim=box[2:], aspect="equal", xlabel="x [m]", ylabel="y [m]")
 
 
 def _draw_driven(figure: Figure, axes: Axes, trace: Trace) -> None:

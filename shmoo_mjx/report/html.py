@@ -12,6 +12,7 @@ import numpy as np
 
 from shmoo_mjx.files import write_whole
 from shmoo_mjx.report import figures
+from shmoo_mjx.report.style import to_png
 from shmoo_mjx.report.trace import (
     Trace,
     load_result,
@@ -62,14 +63,14 @@ def render_report(result: dict[str, Any], trace: Trace, video: Path | None = Non
         tiles=_tiles(result),
         result=result,
         objects=[_object_row(item) for item in result["objects"]],
-        map_png=_embed(figures.to_png(figures.map_figure(result, trace))),
+        map_png=_embed(to_png(figures.map_figure(result, trace))),
         decision_pngs=[
-            (i, _embed(figures.to_png(figures.decision_figure(result, trace, i), dpi=100)))
+            (i, _embed(to_png(figures.decision_figure(result, trace, i), dpi=100)))
             for i in telling_decisions(result)
             if not recorded
         ],
         learned_png=_learned(result, trace),
-        timeline_png=_embed(figures.to_png(figures.timeline_figure(result, trace))),
+        timeline_png=_embed(to_png(figures.timeline_figure(result, trace))),
         video=_video(video),
         command=_command(result),
         versions=result.get("versions") or {},
@@ -150,7 +151,7 @@ def _moved(item: dict[str, Any]) -> float:
 def _learned(result: dict[str, Any], trace: Trace) -> str:
     if not (np.asarray(trace.learned_object) >= 0).any():
         return ""
-    return _embed(figures.to_png(figures.learned_figure(result, trace)))
+    return _embed(to_png(figures.learned_figure(result, trace)))
 
 
 def _command(result: dict[str, Any]) -> str:

@@ -6,9 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from shmoo_mjx.files import write_whole
 from shmoo_mjx.navigation.maps import OccupancyGrid, inflate
-from shmoo_mjx.report.figures import to_png
+from shmoo_mjx.report.style import blank_figure, save_figure, show_cells
 
 __all__ = ["draw_map"]
 
@@ -23,9 +22,7 @@ def draw_map(grid: OccupancyGrid, radius: float, path: Path) -> Path:
         radius: radius of the robot [m].
         path: picture to write.
     """
-    from matplotlib.figure import Figure
     from matplotlib.patches import Patch
-    from matplotlib.transforms import Affine2D
 
     room = inflate(grid, radius)
     share = room.sum() * grid.resolution**2
@@ -39,8 +36,9 @@ def draw_map(grid: OccupancyGrid, radius: float, path: Path) -> Path:
     for where, colour in kinds.values():
         picture[where] = colour
     height, width = grid.cells.shape
-    x, y, yaw = grid.origin
-    place = Affine2D().scale(grid.resolution).rotate(yaw).translate(x, y)
+    figure = blank_figure(1.0, 1.0)
+    axes = figure.add_subplot()
+    place = show_cells(axes, picture, grid.resolution, grid.origin)
     # Maps made by SLAM often lie in a wide frame of cells of which nothing is known.
     rows, columns = np.nonzero(grid.free | grid.occupied)
     if len(rows) == 0:
@@ -49,10 +47,7 @@ def draw_map(grid: OccupancyGrid, radius: float, path: Path) -> Path:
     corners = place.transform([(left, bottom), (right, bottom), (right, top), (left, top)])
     low, high = corners.min(axis=0), corners.max(axis=0)
     size = (high - low) * 9.0 / (high - low).max()
-    figure = Figure(figsize=(max(size[0], 3.0) + 1.0, size[1] + 1.6), layout="constrained")
-    axes = figure.add_subplot()
-    image = axes.imshow(picture, origin="lower", extent=(0, width, 0, height), interpolation="nearest")
-    image.set_transform(place + axes.transData)
+    figure.set_size_inches(max(size[0], 3.0) + 1.0, size[1] + 1.6)
     axes.set(
         xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xlabel="x in {W} [m]", ylabel="y in {W} [m]"
     )
@@ -62,4 +57,4 @@ def draw_map(grid: OccupancyGrid, radius: float, path: Path) -> Path:
     figure.legend(
         handles=patches, loc="outside lower center", ncols=4 if size[0] > 6 else 2, fontsize="small", frameon=False
     )
-    return write_whole(path, to_png(figure))
+    return save_figure(path, figure)

@@ -1,15 +1,32 @@
-"""Colours and geometry that figures and films share."""
+"""Colours, geometry and files that figures and films share."""
 
 from __future__ import annotations
 
-from typing import Any
+import io
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.files import write_whole
 from shmoo_mjx.report.trace import Trace
 
-__all__ = ["COLOURS", "SERIES", "object_colour", "outline", "window"]
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "COLOURS",
+    "SERIES",
+    "blank_figure",
+    "object_colour",
+    "outline",
+    "save_figure",
+    "show_cells",
+    "to_png",
+    "window",
+]
 
 Array = Any
 
@@ -31,6 +48,45 @@ COLOURS = {
 }
 _FAMILIES = {"box": "#E69F00", "cart": "#CC79A7", "wheelchair": "#8E5BB5"}
 _SIGNS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+
+
+def blank_figure(width: float, height: float) -> Figure:
+    """An empty figure [inches], apart from pyplot and whatever display it would look for."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def to_png(figure: Figure, dpi: int = 110) -> bytes:
+    """The figure as a PNG file."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=dpi, facecolor="white")
+    return buffer.getvalue()
+
+
+def save_figure(path: Path, figure: Figure, dpi: int = 110) -> Path:
+    """Write the figure as PNG, whole or not at all; missing folders are made."""
+    return write_whole(path, to_png(figure, dpi))
+
+
+def show_cells(axes: Axes, picture: Array, resolution: float, origin: Array, **options: Any) -> Any:
+    """Draw a map's cells ``[H, W]`` or ``[H, W, 3]`` where they lie in {W}; where a cell's corner (column, row) is.
+
+    Args:
+        axes: drawn in.
+        picture: row 0 at the bottom.
+        resolution: side of a cell [m].
+        origin: ``(x, y, yaw)`` of the lower-left corner in {W}.
+        options: of matplotlib's imshow.
+    """
+    from matplotlib.transforms import Affine2D
+
+    height, width = picture.shape[:2]
+    x, y, yaw = np.asarray(origin, dtype=float)
+    place = Affine2D().scale(resolution).rotate(yaw).translate(x, y)
+    image = axes.imshow(picture, origin="lower", extent=(0, width, 0, height), interpolation="nearest", **options)
+    image.set_transform(place + axes.transData)
+    return place
 
 
 def object_colour(item: dict[str, Any], number: int) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx.report.style import SERIES
+from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
 from shmoo_mjx.sweep.config import SweepConfig
 from shmoo_mjx.sweep.parameters import PARAMETERS, RESISTANCE
 
@@ -118,9 +118,6 @@ def cells(axes: tuple[str, str], table: Table, mine: Array) -> tuple[Array, Arra
 
 def draw_figures(config: SweepConfig, table: Table, out: Path) -> list[Path]:
     """``parameters.png``, and ``map.png`` if the sweep has a map."""
-    import matplotlib
-
-    matplotlib.use("Agg")
     paths = []
     if config.varied:
         paths.append(_draw_parameters(config, table, out / "parameters.png"))
@@ -131,14 +128,11 @@ def draw_figures(config: SweepConfig, table: Table, out: Path) -> list[Path]:
 
 def _draw_parameters(config: SweepConfig, table: Table, path: Path) -> Path:
     """One panel a parameter: how often pushes succeed (solid) and robots fall (dashed)."""
-    from matplotlib import pyplot as plt
-
     names = [RESISTANCE, *config.varied]
     columns = min(len(names), _COLUMNS)
     rows = -(-len(names) // columns)
-    figure, axes = plt.subplots(
-        rows, columns, figsize=(2.6 * columns + 0.8, 2.4 * rows + 0.9), squeeze=False, sharey=True, layout="constrained"
-    )
+    figure = blank_figure(2.6 * columns + 0.8, 2.4 * rows + 0.9)
+    axes = figure.subplots(rows, columns, squeeze=False, sharey=True)
     for axis, name in zip(axes.flat, names, strict=False):
         for number, ((family, controller), mine) in enumerate(groups_of(table).items()):
             colour = SERIES[number % len(SERIES)]
@@ -155,9 +149,7 @@ def _draw_parameters(config: SweepConfig, table: Table, path: Path) -> Path:
     figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=7, frameon=False)
     figure.suptitle(config.question or "by parameter", fontsize=10)
     figure.supylabel("share of worlds, with 95 % intervals", fontsize=8)
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
-    return path
+    return save_figure(path, figure, 130)
 
 
 def _scale(axes: Any, which: str, logarithmic: bool) -> None:
@@ -186,11 +178,9 @@ def _draw_rate(axis: Any, table: Table, name: str, what: str, mine: Array, colou
 
 def _draw_map(config: SweepConfig, names: tuple[str, str], table: Table, path: Path) -> Path:
     """Each world as a mark on the shares of success."""
-    from matplotlib import pyplot as plt
-
     groups = groups_of(table)
-    size = (4.4 * len(groups) + 1.0, 4.6)
-    figure, axes = plt.subplots(1, len(groups), figsize=size, squeeze=False, layout="constrained")
+    figure = blank_figure(4.4 * len(groups) + 1.0, 4.6)
+    axes = figure.subplots(1, len(groups), squeeze=False)
     shown: Any = None
     for axis, (pair, mine) in zip(axes[0], groups.items(), strict=True):
         x, y, successes, trials = cells(names, table, mine)
@@ -205,9 +195,7 @@ def _draw_map(config: SweepConfig, names: tuple[str, str], table: Table, path: P
     axes[0, 0].set_ylabel(f"{names[1]} [{PARAMETERS[names[1]].unit}]")
     figure.colorbar(shown, ax=axes[0].tolist(), label="share of successes")
     figure.suptitle(config.question, fontsize=10)
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
-    return path
+    return save_figure(path, figure, 130)
 
 
 def _draw_outcomes(axis: Any, names: tuple[str, str], table: Table, mine: Array) -> None:

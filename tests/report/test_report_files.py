@@ -15,6 +15,7 @@ import pytest
 from shmoo_mjx.dynamics import feet
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.report import html
+from shmoo_mjx.report.style import to_png
 from shmoo_mjx.report.trace import Trace, load_result, load_trace, object_index, save_trace, telling_decisions
 
 
@@ -194,6 +195,6 @@ def test_figures_are_png_images(trace: Trace, result: dict[str, Any]) -> None:
     from shmoo_mjx.report import figures
 
     for figure in (figures.learned_figure(result, trace), figures.timeline_figure(result, trace)):
-        image = Image.open(io.BytesIO(figures.to_png(figure, dpi=50)))
+        image = Image.open(io.BytesIO(to_png(figure, dpi=50)))
         assert image.format == "PNG" and image.size[0] == 450
     assert object_index(result, "chair-2") == 1 and object_index(result, "none") is None
