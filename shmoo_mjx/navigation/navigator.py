@@ -59,6 +59,8 @@ _TURNING_ROOM = 0.05
 """Distance from walls beyond the robot's radius at which it may turn on its way [m]: its elbows sweep a circle."""
 _LONGEST_RETREAT = 6.0
 """[s]"""
+_LONGEST_CONTACT = 10.0
+"""Time to feel the object after which something else must hold the hands [s]; two are usual."""
 
 
 class _Mode(NamedTuple):
@@ -243,6 +245,9 @@ def _contact(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[Na
         state = state.go(now, Mode.PROBE, f"contact with object {segment.object}")
     elif move.failed:
         state = state.go(now, Mode.REPLAN, "drifted off the face while making contact")
+    elif now - state.since > _LONGEST_CONTACT:
+        text = f"object {segment.object} was not felt in {_LONGEST_CONTACT:g} s of reaching for it"
+        state = replace(state, drive=drive.init()).go(now, Mode.RETREAT, text)
     return state, move.command
 
 
@@ -294,7 +299,7 @@ MODES: dict[Mode, _Mode] = {
     Mode.REPLAN: _Mode(_brake, replan, (Mode.FOLLOW, Mode.FAILED)),
     Mode.FOLLOW: _Mode(_follow, look_ahead, (Mode.FOLLOW, Mode.APPROACH, Mode.REPLAN, Mode.DONE, Mode.FAILED)),
     Mode.APPROACH: _Mode(_approach, _nothing, (Mode.CONTACT, Mode.REPLAN)),
-    Mode.CONTACT: _Mode(_contact, _nothing, (Mode.PROBE, Mode.REPLAN)),
+    Mode.CONTACT: _Mode(_contact, _nothing, (Mode.PROBE, Mode.REPLAN, Mode.RETREAT)),
     Mode.PROBE: _Mode(_push, review, (Mode.PUSH, Mode.RETREAT)),
     Mode.PUSH: _Mode(_push, review, (Mode.RETREAT,)),
     Mode.RETREAT: _Mode(_retreat, _nothing, (Mode.REPLAN,)),

@@ -265,6 +265,17 @@ def test_with_no_way_left_it_says_so_after_one_more_try_and_stands_still() -> No
     assert np.linalg.norm(world.velocity) < 0.15
 
 
+def test_what_holds_the_hands_and_is_never_felt_is_given_up() -> None:
+    """As where two objects carry each other's tags: what is felt is said of the other one."""
+
+    def numb(seen: Observation) -> Observation:
+        return seen._replace(wrench=np.zeros_like(seen.wrench))
+
+    navigator, _ = run(1, movable=False, sees=numb)
+    assert navigator.mode is Mode.FAILED
+    assert Mode.PROBE not in visited(navigator) and "was not felt" in reasons(navigator)
+
+
 @pytest.mark.parametrize("held", [0.0, 1.3])
 def test_the_verdict_waits_for_what_holds_at_first(held: float) -> None:
     """The roll-outs foresee motion all along; the box holds for a while."""
