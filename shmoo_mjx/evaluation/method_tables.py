@@ -73,12 +73,12 @@ def _number(value: float | None) -> str:
 def _spread(found: dict[str, float | None], measure: str, name: str) -> str:
     """Mean and, where there is more than one seed, the standard deviation over seeds.
 
-    A measure that is there without a number is infinite (`result.over_seeds`): some object's roll-out ran away.
+    A measure that is there without a number is infinite (`result.over_seeds`): some object's roll-out diverged.
     """
     if found.get(f"{measure}_{name}", 0.0) is None:
-        return "runs away"
+        return "diverges"
     std = found.get(f"{measure}_std_{name}")
-    return _number(found.get(f"{measure}_{name}")) + (f" +- {std:.2g}" if std else "")
+    return _number(found.get(f"{measure}_{name}")) + (f"±{std:.2g}" if std else "")
 
 
 def _source(result: ExperimentResult) -> str:

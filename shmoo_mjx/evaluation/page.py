@@ -354,7 +354,7 @@ def _about(results: Mapping[str, ExperimentResult]) -> str:
     quick = sorted(name for name, r in results.items() if r.config.get("quick"))
     lines = [
         "Measured in simulation, on objects and scenarios outside the training seeds; the real pushes are others' "
-        "recordings. Numbers after +- are standard deviations over seeds. The paper's numbers come from its own "
+        "recordings. Numbers after ± are standard deviations over seeds. The paper's numbers come from its own "
         "simulator, objects and robot.",
         "Versions: " + ", ".join(f"{k} {v}" for k, v in versions.items()) + ".",
     ]
@@ -405,7 +405,7 @@ def _cell(result: ExperimentResult, name: str) -> str:
     value, std = result.metrics[name], result.metrics.get(f"{name}_std")
     if value is None:
         return "-"
-    return f"{value:.3g}" + (f" +- {std:.2g}" if std else "")
+    return f"{value:.3g}" + (f"±{std:.2g}" if std else "")
 
 
 def _as_html(text: str, folder: Path) -> str:

@@ -24,18 +24,18 @@ def result() -> ExperimentResult:
 
 def test_a_line_says_what_a_method_reaches_with_which_setting_the_best_first() -> None:
     table = method_tables.baselines_table(result())
-    assert "| ours | 0.25 | 1 |  | 0.25 +- 0.01 | 0.25 | 0.25 | 0.25 | default |" in table
+    assert "| ours | 0.25 | 1 |  | 0.25±0.01 | 0.25 | 0.25 | 0.25 | default |" in table
     assert "| adaptive residual | 0.5 | 2 | 1.5 | 0.5 | 0.5 | 0.5 | 0.5 | ridge 10.0 |" in table
     assert "--seed 4" in table and table.index("| ours") < table.index("| adaptive")
 
 
-def test_a_method_that_runs_away_is_last_and_says_so() -> None:
+def test_a_method_that_diverges_is_last_and_says_so() -> None:
     metrics = over_seeds("mse", "residual", [1.0, np.inf]) | over_seeds("mse", "ours", [1.0, 2.0])
     metrics |= over_seeds("pos_rmse_3s_m", "ours", [np.nan, np.nan])
     made = make_result("baselines", ExperimentOptions(), {"unseen": {"box": 2}, "seeds": 2}, metrics, {}, [])
     ours, residual = [line.split("|") for line in method_tables.baselines_table(made).splitlines()[2:4]]
-    assert ours[1:3] == [" ours ", " 1.5 +- 0.5 "] and ours[7] == " - "
-    assert residual[2] == " runs away "
+    assert ours[1:3] == [" ours ", " 1.5±0.5 "] and ours[7] == " - "
+    assert residual[2] == " diverges "
 
 
 def test_every_method_has_a_line() -> None:
