@@ -84,8 +84,4 @@ def _spread(found: dict[str, float | None], measure: str, name: str) -> str:
 def _source(result: ExperimentResult) -> str:
     config = result.config
     objects = sum(config["unseen"].values())
-    quick = " --quick" if config["quick"] else ""
-    return (
-        f"`shmoo experiment {result.experiment}{quick} --seed {result.seed} --condition-seed "
-        f"{config['condition_seed']}`: {objects} unseen objects, {config['seeds']} seeds."
-    )
+    return f"{objects} unseen objects, {config['seeds']} seeds."
