@@ -26,7 +26,7 @@ def test_a_line_says_what_a_method_reaches_with_which_setting_the_best_first() -
     table = method_tables.baselines_table(result())
     assert "| ours | 0.25 | 1 |  | 0.25±0.01 | 0.25 | 0.25 | 0.25 | default |" in table
     assert "| adaptive residual | 0.5 | 2 | 1.5 | 0.5 | 0.5 | 0.5 | 0.5 | ridge 10.0 |" in table
-    assert "--seed 4" in table and table.index("| ours") < table.index("| adaptive")
+    assert "2 unseen objects, 3 seeds." in table and table.index("| ours") < table.index("| adaptive")
 
 
 def test_a_method_that_diverges_is_last_and_says_so() -> None:
