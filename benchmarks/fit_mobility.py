@@ -24,13 +24,12 @@ from shmoo_mjx.evaluation.manipulable import manipulable
 from shmoo_mjx.evaluation.object_planner import (
     ObjectPlannerTrials,
     calibration,
-    controller_of,
     draw_object,
     navigator_config,
     open_floor,
     open_floor_scenario,
 )
-from shmoo_mjx.evaluation.trials import run_trials
+from shmoo_mjx.evaluation.trials import controller_of, run_trials
 from shmoo_mjx.navigation.mobility import features
 from shmoo_mjx.types import DT
 
@@ -47,9 +46,9 @@ would be called certain."""
 def main() -> None:
     """Print the coefficients, and how well those of all other objects tell each object."""
     folder, cfg = Path(sys.argv[1]), ObjectPlannerTrials()
-    names = [f"{first}-{index:03d}" for first in FIRST_SEEDS for index in range(OBJECTS)]
+    objects = {f"{first}-{index:03d}": (first, index) for first in FIRST_SEEDS for index in range(OBJECTS)}
     rows = run_trials(
-        names, partial(touch, cfg), folder, lambda stage, done: print(f"{stage}: {done:.0%}"), cfg.workers
+        objects, partial(touch, cfg), folder, lambda stage, done: print(f"{stage}: {done:.0%}"), cfg.workers
     )
     rows = [r for r in rows if r["looks"]]
     truth = np.array([r["manipulable"] for r in rows])
@@ -61,9 +60,9 @@ def main() -> None:
         print(f"after {look:.2f} s: {right:.3f} right, calibration error {calibration(p, truth):.3f}")
 
 
-def touch(cfg: ObjectPlannerTrials, name: str) -> list[dict[str, Any]]:
+def touch(cfg: ObjectPlannerTrials, trial: tuple[int, int]) -> list[dict[str, Any]]:
     """(distance moved, impulse) of one object at each of `LOOKS`; none if it was never touched."""
-    first, index = (int(part) for part in name.split("-"))
+    first, index = trial
     condition, side, _ = draw_object(index, first, cfg.truth)
     never = replace(navigator_config(), sure=1.0, decide_after=cfg.time_s)
     samples: list[tuple[float, float, float]] = []

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage
 
-from shmoo_mjx.evaluation.navigation import find_maps
+from shmoo_mjx.evaluation.navigation_places import find_maps
 from shmoo_mjx.navigation.clearance import ClearanceField
 from shmoo_mjx.navigation.maps import OccupancyGrid, clearance_field, load_map
 from shmoo_mjx.navigation.paths import footprint_polygon, plan_path, point_at

@@ -19,7 +19,7 @@ from shmoo_mjx.navigation.scenario import Scenario
 from shmoo_mjx.plant.scene import Scene
 from shmoo_mjx.recorded import Recorded
 from shmoo_mjx.report.trace import Trace
-from shmoo_mjx.sensing import SensedWorld, Senses, senses_named
+from shmoo_mjx.sensing import Senses, senses_named
 from shmoo_mjx.simulation import Simulation
 from shmoo_mjx.types import DT, Observation
 
@@ -49,8 +49,6 @@ class Hooks(NamedTuple):
     """Takes (simulated time [s], state)."""
     perceive: Callable[[Observation], Observation] = lambda seen: seen
     """A further fault of the senses, such as a pose of NaN."""
-    disturb: Callable[[Scene, SensedWorld], SensedWorld] = lambda scene, world: world
-    """What others do in the world, such as moving an object or releasing its brakes."""
     over: Callable[[Navigator], bool] = lambda navigator: False
     """Ends the run before the navigator does."""
 
@@ -98,7 +96,6 @@ def run_episode(
                 hooks.progress(simulation.time, str(navigator.mode))
                 if hooks.over(navigator):
                     break
-                simulation.world = hooks.disturb(simulation.scene, simulation.world)
                 simulation.advance(command, time.perf_counter() - tick if real_time else None)
                 if real_time:
                     time.sleep(max(0.0, DT - (time.perf_counter() - tick)))

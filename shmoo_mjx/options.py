@@ -36,6 +36,7 @@ __all__ = [
     "Workers",
     "option",
     "shortened",
+    "whole_number",
 ]
 
 
@@ -50,8 +51,13 @@ def option(parse: Callable[[str], Any], metavar: str) -> PrimitiveConstructorSpe
     )
 
 
-def _whole_number(name: str, low: int, high: int, text: str) -> int:
-    # int() also takes "1_000", " 7" and other scripts' digits.
+def whole_number(name: str, low: int, high: int, text: str) -> int:
+    """The number that the text says.
+
+    Raises:
+        ShmooError: it is no whole number from ``low`` to ``high``; ``name`` says which option it was given to.
+    """
+    # int() also takes "1_000", " 7" and other scripts' digits, and refuses texts of thousands of digits by itself.
     plain = text.isascii() and text.isdigit() and len(text) <= 20
     if not plain or not low <= int(text) <= high:
         raise ShmooError(f"{name} {shortened(text)!r} must be a whole number from {low} to {high}.")
@@ -59,13 +65,13 @@ def _whole_number(name: str, low: int, high: int, text: str) -> int:
 
 
 def _whole(name: str, low: int, high: int) -> PrimitiveConstructorSpec[Any]:
-    return option(partial(_whole_number, name, low, high), "INT")
+    return option(partial(whole_number, name, low, high), "INT")
 
 
 def _scenarios(text: str) -> int | Path:
     """A number, or the name of a file."""
     number = re.fullmatch(r"[+-]?[\d_.]+", text.strip())
-    return _whole_number("--scenarios", 1, 10_000, text) if number else Path(text)
+    return whole_number("--scenarios", 1, 10_000, text) if number else Path(text)
 
 
 def _real(name: str, low: float, high: float, unit: str = "") -> PrimitiveConstructorSpec[Any]:

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from shmoo_mjx import se2
 from shmoo_mjx.data.differentiate import body_acceleration
@@ -149,16 +150,8 @@ def _smoothed(t: np.ndarray, pose: np.ndarray, grid: np.ndarray) -> tuple[np.nda
 
 def _means(t: np.ndarray, values: np.ndarray, grid: np.ndarray) -> np.ndarray:
     """Means over [grid, grid + DT) of what changes linearly between the rows; what is not known is taken as zero."""
-    values = np.nan_to_num(values)
-    area = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(t)[:, None], axis=0)])
-
-    def until(times: np.ndarray) -> np.ndarray:
-        k = np.clip(np.searchsorted(t, times, side="right") - 1, 0, len(t) - 2)
-        step = (times - t[k])[:, None]
-        slope = (values[k + 1] - values[k]) / np.diff(t)[k][:, None]
-        return area[k] + values[k] * step + 0.5 * slope * step**2
-
-    return (until(grid + DT) - until(grid)) / DT
+    until = make_interp_spline(t, np.nan_to_num(values), k=1).antiderivative()
+    return np.asarray(until(grid + DT) - until(grid)) / DT
 
 
 def run_of_log(log: Log, half_extents: tuple[float, float], weights: Weights) -> tuple[dict[str, Any], Trace]:

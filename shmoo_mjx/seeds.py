@@ -5,8 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Annotated
 
-from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.options import option
+from shmoo_mjx.options import option, whole_number
 
 __all__ = ["MAX_CONDITION_SEED", "MAX_SEED", "UNSEEN_SEED", "ConditionSeed", "Seed", "check_seed", "seed_of"]
 
@@ -26,9 +25,7 @@ def check_seed(name: str, seed: int, highest: int = MAX_SEED) -> int:
     Raises:
         ShmooError: it is below 0 or above ``highest``; ``name`` says whose it is.
     """
-    if not 0 <= seed <= highest:
-        raise _refusal(name, str(seed), highest)
-    return seed
+    return seed_of(name, str(seed), highest)
 
 
 def seed_of(name: str, text: str, highest: int = MAX_SEED) -> int:
@@ -37,15 +34,7 @@ def seed_of(name: str, text: str, highest: int = MAX_SEED) -> int:
     Raises:
         ShmooError: it is no whole number from 0 to ``highest``; ``name`` says which option it was given to.
     """
-    # int() also takes "1_000", " 7" and other scripts' digits, and refuses texts of thousands of digits by itself.
-    if not (text.isascii() and text.isdigit() and len(text) <= 20):
-        raise _refusal(name, text, highest)
-    return check_seed(name, int(text), highest)
-
-
-def _refusal(name: str, given: str, highest: int) -> ShmooError:
-    shown = given if len(given) <= 40 else given[:40] + "..."
-    return ShmooError(f"{name} {shown!r} must be a whole number from 0 to {highest}.")
+    return whole_number(name, 0, highest, text)
 
 
 Seed = Annotated[int, option(partial(seed_of, "--seed"), "SEED")]

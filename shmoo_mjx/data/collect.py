@@ -248,17 +248,6 @@ def collect(
         progress: called with (conditions done, conditions in all).
         rows: (name, split, condition) of each condition; by default those that ``config`` counts.
     """
-    with claimed(directory):
-        _collect(directory, config, workers, progress, rows)
-
-
-def _collect(
-    directory: Path,
-    config: CollectConfig,
-    workers: int,
-    progress: Callable[[int, int], None],
-    rows: list[tuple[str, str, Condition]] | None,
-) -> None:
     from shmoo_mjx.data import store
 
     schema: dict[str, Any] = {"config": dataclasses.asdict(config), "dt": DT}
@@ -267,28 +256,29 @@ def _collect(
         rows = conditions(config)
     else:
         schema["names"] = [name for name, _, _ in rows]
-    opened = store.create_or_open(directory, schema)
-    told = {name: condition.to_dict() | {"split": split} for name, split, condition in rows}
-    present = {name for name in told if opened.has(name) or store.adopt(opened, name, told[name])}
-    chunks: list[tuple[int, list[tuple[str, str, Condition]]]] = []
-    for number, start in enumerate(range(0, len(rows), config.chunk)):
-        part = rows[start : start + config.chunk]
-        # A chunk holds one family only: split it where the family changes.
-        for k, family in enumerate(FAMILIES):
-            mine = [r for r in part if r[2].family == family]
-            if mine and not all(r[0] in present for r in mine):
-                chunks.append((number * len(FAMILIES) + k, mine))
-    done = len(rows) - sum(len(c) for _, c in chunks)
-    progress(done, len(rows))
-    with process_pool(workers) as pool:
-        jobs: dict[Any, list[tuple[str, str, Condition]]] = {
-            pool.submit(_run_chunk, config, [(c.family, c.seed) for _, _, c in part], number): part
-            for number, part in chunks
-        }
-        for job in as_completed(jobs):
-            for (name, _, _), arrays in zip(jobs[job], job.result(), strict=True):
-                # A chunk is driven as a whole; those of it that were recorded before the cut stay as they are.
-                if name not in present:
-                    store.write_condition(opened, name, arrays, told[name])
-                done += 1
-                progress(done, len(rows))
+    with claimed(directory):
+        opened = store.create_or_open(directory, schema)
+        told = {name: condition.to_dict() | {"split": split} for name, split, condition in rows}
+        present = {name for name in told if opened.has(name) or store.adopt(opened, name, told[name])}
+        chunks: list[tuple[int, list[tuple[str, str, Condition]]]] = []
+        for number, start in enumerate(range(0, len(rows), config.chunk)):
+            part = rows[start : start + config.chunk]
+            # A chunk holds one family only: split it where the family changes.
+            for k, family in enumerate(FAMILIES):
+                mine = [r for r in part if r[2].family == family]
+                if mine and not all(r[0] in present for r in mine):
+                    chunks.append((number * len(FAMILIES) + k, mine))
+        done = len(rows) - sum(len(c) for _, c in chunks)
+        progress(done, len(rows))
+        with process_pool(workers) as pool:
+            jobs: dict[Any, list[tuple[str, str, Condition]]] = {
+                pool.submit(_run_chunk, config, [(c.family, c.seed) for _, _, c in part], number): part
+                for number, part in chunks
+            }
+            for job in as_completed(jobs):
+                for (name, _, _), arrays in zip(jobs[job], job.result(), strict=True):
+                    # A chunk is driven as a whole; those of it that were recorded before the cut stay as they are.
+                    if name not in present:
+                        store.write_condition(opened, name, arrays, told[name])
+                    done += 1
+                    progress(done, len(rows))

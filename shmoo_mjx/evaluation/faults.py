@@ -47,8 +47,8 @@ class _Trial:
 
     simulation: Simulation
     began: float | None = None
-    first: Observation | None = None
-    """What was perceived when the fault began."""
+    first: Any = None
+    """The observation when the fault began."""
     walker: Any = None
     """``[3]`` where a person starts to walk, and where to."""
     walked: float = 0.0
@@ -90,7 +90,6 @@ class Fault:
 
 
 def _blind(trial: _Trial, seen: Observation) -> Observation:
-    assert trial.first is not None
     first, none = trial.first, np.zeros_like(seen.object_twist)
     return seen._replace(
         object_pose=first.object_pose,
@@ -114,24 +113,10 @@ def _ghost(trial: _Trial, seen: Observation) -> Observation:
 
 
 def _frozen(trial: _Trial, seen: Observation) -> Observation:
-    assert trial.first is not None
     stuck, pose = np.asarray(trial.first.robot_pose), np.asarray(seen.robot_pose)
     relative = se2.relative(pose[:, None], np.asarray(seen.object_pose))
     moved = se2.compose(np.broadcast_to(stuck[:, None], relative.shape), relative)
     return seen._replace(robot_pose=stuck, robot_twist=np.zeros_like(seen.robot_twist), object_pose=moved)
-
-
-def _stuck_wrench(trial: _Trial, seen: Observation) -> Observation:
-    assert trial.first is not None
-    return seen._replace(wrench=trial.first.wrench)
-
-
-def _no_wrench(trial: _Trial, seen: Observation) -> Observation:
-    return seen._replace(wrench=np.full_like(seen.wrench, np.nan))
-
-
-def _turned_wrench(trial: _Trial, seen: Observation) -> Observation:
-    return seen._replace(wrench=-np.asarray(seen.wrench))
 
 
 def _jump(trial: _Trial) -> None:
@@ -144,7 +129,7 @@ def _jump(trial: _Trial) -> None:
     trial.simulation.world = world._replace(mind=mind._replace(odometry=odometry))
 
 
-def _dead_motor(trial: _Trial) -> None:
+def _dead_shoulder(trial: _Trial) -> None:
     trial.simulation.scene.model.actuator_gear[4] = 0.0  # the left shoulder's pitch
 
 
@@ -169,10 +154,6 @@ def _pushed_object(trial: _Trial) -> int:
     return 0 if segment is None else segment.object
 
 
-def _take_away(trial: _Trial) -> None:
-    trial.simulation.place(_pushed_object(trial), _AWAY)
-
-
 def _shove(trial: _Trial) -> None:
     """0.8 m/s to the robot's left."""
     simulation = trial.simulation
@@ -181,10 +162,6 @@ def _shove(trial: _Trial) -> None:
     yaw = trial.robot[2] + np.pi / 2
     physics[0, speed : speed + 2] += 0.8 * np.array([np.cos(yaw), np.sin(yaw)])
     simulation.world = simulation.world._replace(truth=simulation.world.truth._replace(physics=physics))
-
-
-def _add(trial: _Trial) -> None:
-    trial.simulation.place(-1, trial.ahead(1.2).tolist())
 
 
 def _close(trial: _Trial) -> None:
@@ -213,16 +190,33 @@ FAULTS = {
     "false_detection": Fault("the wheelchair is seen 1 m ahead for 1 s", "follow path", 1.0, perceive=_ghost),
     "odometry_jumps": Fault("the robot's estimated pose jumps by 0.3 m", "follow path", once=_jump),
     "odometry_frozen": Fault("the robot's estimated pose stands still for 2 s", "follow path", 2.0, perceive=_frozen),
-    "wrench_stuck": Fault("the hands' force stays what it was", perceive=_stuck_wrench),
-    "wrench_nan": Fault("the hands' force is no number", perceive=_no_wrench),
-    "wrench_sign": Fault("the hands' force has the wrong sign", "start", perceive=_turned_wrench),
-    "arm_motor_dead": Fault("the left shoulder has no torque", once=_dead_motor),
+    "wrench_stuck": Fault(
+        "the hands' force stays what it was", perceive=lambda trial, seen: seen._replace(wrench=trial.first.wrench)
+    ),
+    "wrench_nan": Fault(
+        "the hands' force is no number",
+        perceive=lambda _, seen: seen._replace(wrench=np.full_like(seen.wrench, np.nan)),
+    ),
+    "wrench_sign": Fault(
+        "the hands' force has the wrong sign",
+        "start",
+        perceive=lambda _, seen: seen._replace(wrench=-np.asarray(seen.wrench)),
+    ),
+    "arm_motor_dead": Fault("the left shoulder has no torque", once=_dead_shoulder),
     "command_lost": Fault("no command arrives for 200 ms", lasts=0.2, loses_commands=True),
     "commands_stop": Fault("no command arrives any more", "follow path", loses_commands=True),
     "computing_slow": Fault("computing and planning take three times as long", "start", once=_slow),
     "floor_slippery": Fault("friction of the floor is halved", "start", once=_slippery),
-    "object_taken": Fault("the object that is pushed is taken away", once=_take_away),
-    "object_added": Fault("a box appears 1.2 m ahead", "follow path", once=_add, extra="box"),
+    "object_taken": Fault(
+        "the object that is pushed is taken away",
+        once=lambda trial: trial.simulation.place(_pushed_object(trial), _AWAY),
+    ),
+    "object_added": Fault(
+        "a box appears 1.2 m ahead",
+        "follow path",
+        once=lambda trial: trial.simulation.place(-1, trial.ahead(1.2).tolist()),
+        extra="box",
+    ),
     "object_shoved": Fault("the object that is pushed is shoved aside at 0.8 m/s", once=_shove),
     "door_closes": Fault("something heavy closes the way behind the robot", "follow path", once=_close, extra="door"),
     "person_walks": Fault("a person walks across the way", "follow path", 12.0, each=_walk, extra="person"),

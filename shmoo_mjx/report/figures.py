@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from shmoo_mjx.report.style import COLOURS, SERIES, blank_figure, object_colour, outline, show_cells, window
-from shmoo_mjx.report.trace import Trace, object_index, object_name, telling_decisions
+from shmoo_mjx.report.trace import Trace, is_number, object_index, object_name, telling_decisions
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -43,7 +43,12 @@ def map_figure(result: dict[str, Any], trace: Trace) -> Figure:
         _polygon(axes, item["final_pose"], item["half_extents"], edge=colour, fill=0.75)
         start, final = np.asarray(item["start_pose"]), np.asarray(item["final_pose"])
         if np.linalg.norm(final[:2] - start[:2]) > 0.05:
-            axes.annotate("", _xy(final), _xy(start), arrowprops={"arrowstyle": "->", "color": colour, "lw": 1.5})
+            axes.annotate(
+                "",
+                (final[0], final[1]),
+                (start[0], start[1]),
+                arrowprops={"arrowstyle": "->", "color": colour, "lw": 1.5},
+            )
         text = f"{item['family']} {item['id']}" + (", registered" if item.get("registered") else "")
         foot = outline(final, item["half_extents"])[:, 1].min()
         place = (float(final[0]), float(foot))
@@ -92,7 +97,7 @@ def draw_decision(axes: Axes, result: dict[str, Any], trace: Trace, number: int)
     robot = trace.robot_pose[_sample(trace, decision["t"])]
     axes.plot(*robot[:2], "o", color=COLOURS["robot"], ms=9, label="robot")
     verdict = "can be moved" if decision["manipulable"] else "can't be moved"
-    known, name = _number(decision.get("K")), object_name(result, decision["object"])
+    known, name = is_number(decision.get("K")), object_name(result, decision["object"])
     says = f"{verdict}, {evidence(decision)}" if known else "first goal, dynamics not known yet"
     axes.set_title(f"{number + 1}. At {float(decision['t']):.1f} s, {name}: {says}", fontsize=10)
     axes.legend(loc="best", fontsize=7, framealpha=0.9)
@@ -100,7 +105,7 @@ def draw_decision(axes: Axes, result: dict[str, Any], trace: Trace, number: int)
 
 def evidence(decision: dict[str, Any]) -> str:
     """What a verdict rests on: the probability, or K in runs of a version that had none."""
-    known = _number(decision.get("probability"))
+    known = is_number(decision.get("probability"))
     return f"P = {decision['probability']:.2f}" if known else f"K = {decision['K']:.2f} m²"
 
 
@@ -203,7 +208,7 @@ def _mark_decision(axes: Axes, result: dict[str, Any], trace: Trace, number: int
     pose = _pose_at(result, trace, index, decision["t"])
     top = pose[1] if index is None else outline(pose, result["objects"][index]["half_extents"])[:, 1].max()
     colour = COLOURS["goal"] if decision["manipulable"] else COLOURS["decision"]
-    told = _number(decision.get("K")) or _number(decision.get("probability"))
+    told = is_number(decision.get("K")) or is_number(decision.get("probability"))
     text = evidence(decision) if told else "first goal"
     axes.annotate(
         f"{number + 1}: {text}",
@@ -231,22 +236,13 @@ def _mark_ends(axes: Axes, result: dict[str, Any], trace: Trace) -> None:
 def _draw_states(axes: Axes, trace: Trace) -> None:
     used = list(dict.fromkeys(int(s) for s in trace.state))
     step = float(trace.t[1] - trace.t[0]) if len(trace.t) > 1 else 0.1
-    for row, state in enumerate(used):
-        spans = [(float(t), step) for t, s in zip(trace.t, trace.state, strict=True) if s == state]
-        axes.broken_barh(_merged(spans), (row - 0.4, 0.8), color=SERIES[row % len(SERIES)])
+    for samples in np.split(np.arange(len(trace.t)), np.flatnonzero(np.diff(trace.state)) + 1):
+        row, begin = used.index(int(trace.state[samples[0]])), float(trace.t[samples[0]])
+        span = (begin, float(trace.t[samples[-1]]) + step - begin)
+        axes.broken_barh([span], (row - 0.4, 0.8), color=SERIES[row % len(SERIES)])
     axes.set_yticks(range(len(used)), [trace.state_names[s] for s in used], fontsize=8)
     axes.invert_yaxis()
     axes.grid(alpha=0.25, axis="x")
-
-
-def _merged(spans: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    out: list[tuple[float, float]] = []
-    for begin, length in spans:
-        if out and begin <= sum(out[-1]) + 1e-6:
-            out[-1] = (out[-1][0], begin + length - out[-1][0])
-        else:
-            out.append((begin, length))
-    return out
 
 
 def _panels(trace: Trace) -> list[tuple[str, dict[str, np.ndarray]]]:
@@ -327,13 +323,5 @@ def _pose_at(result: dict[str, Any], trace: Trace, index: int | None, t: float) 
 
 
 def _plan_at(trace: Trace, t: float) -> np.ndarray | None:
-    before = np.flatnonzero(np.asarray(trace.plan_times, dtype=float) <= float(t) + 1e-6)
-    return np.asarray(trace.plans[before[-1]]) if len(before) else None
-
-
-def _xy(pose: Array) -> tuple[float, float]:
-    return float(pose[0]), float(pose[1])
-
-
-def _number(value: Any) -> bool:
-    return isinstance(value, int | float) and bool(np.isfinite(value))
+    count = np.searchsorted(trace.plan_times, float(t) + 1e-6, side="right")
+    return np.asarray(trace.plans[count - 1]) if count else None

@@ -15,6 +15,7 @@ from shmoo_mjx.report import figures
 from shmoo_mjx.report.style import to_png
 from shmoo_mjx.report.trace import (
     Trace,
+    is_number,
     load_result,
     load_trace,
     object_index,
@@ -89,23 +90,24 @@ def summary(result: dict[str, Any]) -> str:
     if not succeeded(result):
         why = str(result.get("reason") or result["outcome"]).replace("_", " ").rstrip(".")
         first = f"The run ended without success ({why})"
-    if _is_number(result.get("time_s")):
+    if is_number(result.get("time_s")):
         first += f" after {result['time_s']:.0f} s"
-    if _is_number(result.get("path_length_m")):
+    if is_number(result.get("path_length_m")):
         first += f", having driven {result['path_length_m']:.1f} m"
-    if _is_number(result.get("goal_distance_m")):
+    if is_number(result.get("goal_distance_m")):
         first += f", and ended {result['goal_distance_m']:.2f} m from the goal"
     sentences = [first + "."]
-    for item in result["objects"]:
-        sentences.append(_object_sentence(result, item))
-    if _is_number(result.get("falls")) and _is_number(result.get("wall_contacts")):
-        sentences.append(_safety(int(result["falls"]), int(result["wall_contacts"])))
-    return " ".join(s for s in sentences if s)
+    sentences += [_object_sentence(result, item) for item in result["objects"]]
+    falls, contacts = result.get("falls"), result.get("wall_contacts")
+    if is_number(falls) and is_number(contacts):
+        fell = f"It fell {_times(falls)} and touched a wall {_times(contacts)}."
+        sentences.append(fell if falls or contacts else "It never fell and never touched a wall.")
+    return " ".join(sentences)
 
 
 def _object_sentence(result: dict[str, Any], item: dict[str, Any]) -> str:
     index = object_index(result, item["id"])
-    decided = [d for d in result["decisions"] if object_index(result, d["object"]) == index and _is_number(d.get("K"))]
+    decided = [d for d in result["decisions"] if object_index(result, d["object"]) == index and is_number(d.get("K"))]
     # What settled a registered object was its last decision; one that was pushed, its first.
     told = f" ({figures.evidence(decided[-1 if item.get('registered') else 0])})" if decided else ""
     name, moved = f"the {item['family']} {item['id']}", _moved(item)
@@ -116,14 +118,8 @@ def _object_sentence(result: dict[str, Any], item: dict[str, Any]) -> str:
     return f"It left {name} where it was{told}."
 
 
-def _safety(falls: int, contacts: int) -> str:
-    if not falls and not contacts:
-        return "It never fell and never touched a wall."
-    return f"It fell {_times(falls)} and touched a wall {_times(contacts)}."
-
-
-def _times(count: int) -> str:
-    return {0: "not once", 1: "once", 2: "twice"}.get(count, f"{count} times")
+def _times(count: Any) -> str:
+    return {0: "not once", 1: "once", 2: "twice"}.get(count, f"{count:.0f} times")
 
 
 def _tiles(result: dict[str, Any]) -> list[tuple[str, str]]:
@@ -135,7 +131,7 @@ def _tiles(result: dict[str, Any]) -> list[tuple[str, str]]:
         ("wall contacts", "wall_contacts", "{:.0f}"),
         ("seed", "seed", "{:.0f}"),
     )
-    tiles = [(label, form.format(result[key])) for label, key, form in known if _is_number(result.get(key))]
+    tiles = [(label, form.format(result[key])) for label, key, form in known if is_number(result.get(key))]
     return [*tiles, ("senses", str(result["senses"]))] if result.get("senses") else tiles
 
 
@@ -166,10 +162,8 @@ def _video(path: Path | None) -> dict[str, str] | None:
     if path is None:
         return None
     if path.stat().st_size >= MAX_VIDEO_BYTES:
-        return {
-            "source": path.name,
-            "note": f"{_FILM} It is too large to embed and lies beside this page as {path.name}.",
-        }
+        note = f"{_FILM} It is too large to embed and lies beside this page as {path.name}."
+        return {"source": path.name, "note": note}
     return {"source": _embed(path.read_bytes(), "video/mp4"), "note": _FILM}
 
 
@@ -177,12 +171,8 @@ def _embed(data: bytes, kind: str = "image/png") -> str:
     return f"data:{kind};base64,{base64.b64encode(data).decode('ascii')}"
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and bool(np.isfinite(value))
-
-
 def _number(value: Any, digits: int = 2) -> str:
-    return f"{value:.{digits}f}" if _is_number(value) else "–"  # noqa: RUF001 (an en dash for "no value")
+    return f"{value:.{digits}f}" if is_number(value) else "–"  # noqa: RUF001 (an en dash for "no value")
 
 
 def _pose(value: Any) -> str:

@@ -28,6 +28,7 @@ from shmoo_mjx.files import whole
 
 __all__ = [
     "Trace",
+    "is_number",
     "load_result",
     "load_trace",
     "object_index",
@@ -172,6 +173,11 @@ def telling_decisions(result: dict[str, Any]) -> list[int]:
         changes = [n for n, a, b in zip(numbers[1:], verdicts[1:], verdicts, strict=False) if a != b]
         kept += {numbers[0], *changes, numbers[-1]}
     return sorted(kept)
+
+
+def is_number(value: Any) -> bool:
+    """Whether an entry of ``result.json`` is a finite number."""
+    return isinstance(value, int | float) and bool(np.isfinite(value))
 
 
 def object_name(result: dict[str, Any], name: Any) -> str:

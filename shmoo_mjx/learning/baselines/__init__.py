@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from shmoo_mjx.learning.baselines import adaptive, fixed, linear, networks
-from shmoo_mjx.learning.baselines.gradient import fed_back
 from shmoo_mjx.learning.baselines.protocol import (
     Budget,
     Context,
@@ -14,8 +13,8 @@ from shmoo_mjx.learning.baselines.protocol import (
     Setting,
     first_rows,
     recordings,
+    with_setting,
 )
-from shmoo_mjx.learning.baselines.sight import seeing
 
 __all__ = [
     "METHODS",
@@ -46,10 +45,11 @@ METHODS: dict[str, Method] = {
         Method("trigonometric", linear.trigonometric, _RIDGES, trained=False),
         Method("residual", adaptive.residual, _ON_RESIDUAL),
         Method("mlp", networks.mlp, _NETS),
-        Method("residual_body", seeing(adaptive.residual), _ON_RESIDUAL),
-        Method("linear_prior_body", seeing(linear.linear_prior), _PRIORS, trained=False),
-        Method("gru_body", seeing(networks.gru), _NETS),
-        Method("gru_fed_back", fed_back(seeing(networks.gru)), _NETS),
+        # With the identified body among what they see; the last one trained by psi's loss.
+        Method("residual_body", with_setting(adaptive.residual, body=True), _ON_RESIDUAL),
+        Method("linear_prior_body", with_setting(linear.linear_prior, body=True), _PRIORS, trained=False),
+        Method("gru_body", with_setting(networks.gru, body=True), _NETS),
+        Method("gru_fed_back", with_setting(networks.gru, body=True, feed_back=True), _NETS),
     )
 }
 """Every method that is tuned, by the name its metrics carry."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
@@ -14,11 +13,11 @@ from shmoo_mjx.dynamics import mlp
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning import least_squares, multistep, training
 from shmoo_mjx.learning import rows as batches
-from shmoo_mjx.learning.baselines.protocol import Context, Fit, Job, Predictor, Recordings, output_scale
+from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, Recordings, output_scale
 from shmoo_mjx.learning.baselines.sight import Sight
 from shmoo_mjx.learning.rows import Rows, Sampler
 
-__all__ = ["Layers", "Task", "dense", "fed_back", "layers", "meta_train"]
+__all__ = ["Layers", "Task", "dense", "layers", "meta_train"]
 
 Array = Any
 Tree = Any
@@ -77,7 +76,7 @@ def meta_train(
 
     Args:
         job: data, budget, seed; setting["learning_rate"], setting["decay"] (of the weights) and setting["feed_back"]
-            (`fed_back`) are read here.
+            (train by psi's loss: H steps with the predictions fed back, and one step) are read here.
         params: where it starts.
         predictor: parameters -> the predictor they make.
         name: of the method, part of the checkpoint's identity.
@@ -139,15 +138,6 @@ def _optimiser(job: Job) -> optax.GradientTransformation:
     total = job.budget.chunks * job.budget.chunk_updates
     rate = optax.cosine_decay_schedule(job.setting["learning_rate"], total)
     return optax.chain(training.bounded_gradient(), optax.adamw(rate, weight_decay=job.setting.get("decay", 0.0)))
-
-
-def fed_back(fit: Fit) -> Fit:
-    """The same method trained by psi's loss: H steps with its predictions fed back, and one step."""
-
-    def fitted(job: Job) -> Predictor:
-        return fit(replace(job, setting=job.setting | {"feed_back": True}))
-
-    return fitted
 
 
 def _eq4(predictor: Callable[[Tree], Predictor], scale: Array, feed_back: bool) -> Callable[[Tree, Task], Array]:

@@ -7,7 +7,7 @@ it has not seen: ``adapt`` takes the condition's first rows, ``predict`` tells t
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,6 +28,7 @@ __all__ = [
     "first_rows",
     "output_scale",
     "recordings",
+    "with_setting",
 ]
 
 Array = Any
@@ -96,6 +97,11 @@ class Job:
 
 
 Fit = Callable[[Job], Predictor]
+
+
+def with_setting(fit: Fit, **setting: Any) -> Fit:
+    """The same method with these entries in every job's setting."""
+    return lambda job: fit(replace(job, setting=job.setting | setting))
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ identified in the same way; so methods can be compared by what they learn, not b
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -15,11 +15,11 @@ import jax.numpy as jnp
 from shmoo_mjx.dynamics import object_model
 from shmoo_mjx.dynamics.object_model import ObjectConfig
 from shmoo_mjx.learning import identification, training_bodies
-from shmoo_mjx.learning.baselines.protocol import Context, Fit, Job, Predictor, output_scale
+from shmoo_mjx.learning.baselines.protocol import Context, Job, output_scale
 from shmoo_mjx.learning.identification import IdentificationConfig
 from shmoo_mjx.learning.training_bodies import Found
 
-__all__ = ["Sight", "seeing", "sight"]
+__all__ = ["Sight", "sight"]
 
 Array = Any
 
@@ -71,12 +71,3 @@ def sight(job: Job) -> Sight:
     seen = see(jnp.asarray(train.inputs), found[1][:, -1])[train.weights > 0]
     spread = jnp.maximum(jnp.std(seen, axis=0), NARROWEST)
     return Sight(config, fit, found, scale, jnp.mean(seen, axis=0), spread)
-
-
-def seeing(fit: Fit) -> Fit:
-    """The same method with the identified body among what it sees."""
-
-    def fitted(job: Job) -> Predictor:
-        return fit(replace(job, setting=job.setting | {"body": True}))
-
-    return fitted
