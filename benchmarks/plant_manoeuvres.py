@@ -19,7 +19,7 @@ from plant_figures import _save
 from shmoo_mjx import se2
 from shmoo_mjx.control import trim
 from shmoo_mjx.files import write_whole
-from shmoo_mjx.navigation.drive import DriveConfig
+from shmoo_mjx.navigation.drive import DAMPING, LEAD, STIFFNESS
 from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
 from shmoo_mjx.plant.robot import ROBOT
 from shmoo_mjx.plant.scene import Scene, build_scene
@@ -71,7 +71,7 @@ def follow(
             lean = np.empty((len(scenes), 2))
             for k in range(len(scenes)):
                 one = Observation(*(np.asarray(v)[k : k + 1] for v in seen))
-                trims[k] = trim.step(trim.TrimConfig(), trims[k], one)
+                trims[k] = trim.step(trims[k], one)
                 foreseen = trim.foreseen(trim.with_trim(trims[k], one), senses.latency)
                 lean[k] = _lean(wish, i * DT, foreseen) + trims[k].lean
             world, seen = engine.step(world, command(len(scenes), lean), push=push(i * DT))
@@ -83,18 +83,18 @@ def follow(
 
 def _lean(wish: Reference, time: float, seen: Observation) -> np.ndarray:
     a, b, c = ROBOT.flatness
-    cfg, now, yaw = DriveConfig(), wish(time), seen.robot_pose[0, 2]
+    now, yaw = wish(time), seen.robot_pose[0, 2]
     if now.velocity is None:
         return np.zeros(2)
     if now.position is None:
         moving = se2.rotate(seen.robot_twist[:, :2], -seen.robot_pose[:, 2])
         wanted = se2.rotate(np.array([now.velocity], float), -seen.robot_pose[:, 2])
         return np.asarray(velocity_to_lean(Gains(), moving, seen.lean_rate, wanted))[0]
-    ahead = wish(time + cfg.lead)
+    ahead = wish(time + LEAD)
     flat = seen.robot_pose[0, :2] + b / a * se2.rotate(seen.lean[0], yaw)
     rate = seen.robot_twist[0, :2] + b / a * se2.rotate(seen.lean_rate[0], yaw)
     wanted = np.asarray(now.position) + b / c * np.asarray(now.acceleration)
-    effort = ahead.acceleration + cfg.stiffness * (wanted - flat) + cfg.damping * (np.asarray(now.velocity) - rate)
+    effort = ahead.acceleration + STIFFNESS * (wanted - flat) + DAMPING * (np.asarray(now.velocity) - rate)
     return np.clip(a / c * se2.rotate(effort, -yaw), -Gains().lean_limit, Gains().lean_limit)
 
 

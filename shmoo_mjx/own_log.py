@@ -25,6 +25,7 @@ from shmoo_mjx.learning import adaptation, identification
 from shmoo_mjx.learning.weights import Weights, prior_state
 from shmoo_mjx.navigation import mobility
 from shmoo_mjx.navigation.records import NavigatorConfig
+from shmoo_mjx.navigation.verdicts import PROBE_TIME
 from shmoo_mjx.navigation.yaml_input import closest_name
 from shmoo_mjx.report.trace import Trace, save_trace
 from shmoo_mjx.run import versions
@@ -250,7 +251,7 @@ def _verdict(log: Log, push: slice) -> dict[str, Any] | None:
             contact, impulse = contact + DT, impulse + float(np.hypot(*log.wrench[k, :2])) * DT
         # The sample's force acts until its end, where the next one begins.
         moved = float(np.linalg.norm((log.object_pose[min(k + 1, len(log.t) - 1)] - start)[:2]))
-        if not np.isfinite(moved) or (contact < cfg.probe_time - 1e-6 and moved <= _ROLLED):
+        if not np.isfinite(moved) or (contact < PROBE_TIME - 1e-6 and moved <= _ROLLED):
             continue
         p = mobility.probability(moved, impulse)
         if max(p, 1.0 - p) > cfg.sure or contact >= cfg.decide_after - 1e-6:

@@ -26,7 +26,7 @@ import numpy as np
 from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.benchmarking import mppi_problem as work
 from shmoo_mjx.benchmarking.peers import serve
-from shmoo_mjx.control import cost, mppi, pushing
+from shmoo_mjx.control import cost, mppi, pushing, sharding
 from shmoo_mjx.dynamics import CoreConfig, ObjectConfig, RobotConfig, core
 from shmoo_mjx.learning import weights as weights_file
 from shmoo_mjx.types import SystemState
@@ -70,7 +70,7 @@ def ours(samples: int, horizon: int, activation: str, seed: int, paper: bool) ->
         config = pushing.PushConfig(cost=cost.PushCost())
     else:
         weights, config = weights_file.load_weights(asset(WEIGHTS)), pushing.PushConfig()
-    config = replace(config, control=replace(config.control, samples=samples, horizon=horizon))
+    config = replace(config, control=replace(config.control, num_rollouts=samples, horizon=horizon))
     controller = pushing.PushController(weights, config)
     rng = np.random.default_rng(seed)
     state = controller.init(_sighting(rng), FACE, HALF_EXTENTS, jax.random.key(seed))
@@ -128,8 +128,8 @@ def plain_jax(samples: int, horizon: int, activation: str, seed: int) -> Callabl
 def batch(samples: int, horizon: int, problems: int, seed: int) -> Callable[[], Any]:
     """Plans for ``problems`` states at once, with Eq. 9 as the cost; the samples of each shared out as in one plan."""
     weights = weights_file.load_weights(asset(WEIGHTS))
-    cfg = replace(pushing.PushConfig().control, samples=samples, horizon=horizon)
-    mesh = mppi.sample_mesh(samples)
+    cfg = replace(pushing.PushConfig().control, num_rollouts=samples, horizon=horizon)
+    mesh = sharding.rollout_mesh(samples)
 
     def one(params: core.Params, x0: SystemState, state: mppi.MppiState) -> Any:
         def rollout_fn(x: SystemState, controls: Array) -> SystemState:
@@ -141,8 +141,8 @@ def batch(samples: int, horizon: int, problems: int, seed: int) -> Callable[[], 
         u, after, plan = mppi.plan(cfg, rollout_fn, cost_fn, x0, state, mesh)
         return u, after, plan.costs
 
-    run = mppi.compiled(jax.vmap(one, in_axes=(None, 0, 0)), mesh)
-    params = mppi.replicated(mesh, weights.params)
+    run = sharding.compiled(jax.vmap(one, in_axes=(None, 0, 0)), mesh)
+    params = sharding.replicated(mesh, weights.params)
     rng = np.random.default_rng(seed)
     starts = jax.tree.map(lambda *x: np.stack(x).astype(np.float32), *(_state(rng) for _ in range(problems)))
     states = jax.vmap(partial(mppi.init, cfg))(jax.random.split(jax.random.key(seed), problems))

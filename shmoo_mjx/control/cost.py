@@ -18,6 +18,7 @@ from shmoo_mjx.hands import REACH, hand_targets
 from shmoo_mjx.types import DT, SystemState
 
 __all__ = [
+    "HAND_MARGIN",
     "Clearance",
     "PushCost",
     "aim_error",
@@ -38,13 +39,14 @@ __all__ = [
 
 Array = Any
 
+HAND_MARGIN = 0.08
+"""Clearance that the hands' centres keep [m]: their radius and a reserve."""
+
 
 @dataclass(frozen=True)
 class PushCost:
-    """Weights of the terms. The first five are Eq. 9; the rest are ours and 0 (off) by default."""
+    """Weights of the terms. The first three are those of Eq. 9; the rest are ours and 0 (off) by default."""
 
-    goal_weight: float = 1.0
-    """Factor on the terminal pose distance [-]; 1 in the paper."""
     yaw_weight: float = 1.0
     """Metres that a yaw error of 1 rad counts for [m/rad]; 1 as printed, 0 leaves the yaw free."""
     effort: float = 0.01
@@ -59,8 +61,6 @@ class PushCost:
     """Clearance the object's outline keeps [m]."""
     robot_margin: float = 0.30
     """Clearance the robot's centre keeps [m]: its radius and a reserve. Holds the elbows of extended arms as well."""
-    hand_margin: float = 0.08
-    """Clearance the hands' centres keep [m]: their radius and a reserve; 0 leaves them out."""
     clearance_stride: int = 1
     """Every how many time steps the map is looked up; the last one always is."""
     lateral_weight: float = 0.0
@@ -180,9 +180,8 @@ def clearance_penalty(cfg: PushCost, traj: SystemState, field: Clearance, half_e
     outline = footprint_points(traj.object_pose[..., picked, :], half_extents)
     thing = jnp.min(clearance_at(field, outline), axis=-1)
     depth = jnp.maximum(cfg.robot_margin - robot, 0.0) + jnp.maximum(cfg.object_margin - thing, 0.0)
-    if cfg.hand_margin:
-        hands = hand_points(robot_pose, traj.last_u[..., picked, 2])
-        depth = depth + jnp.maximum(cfg.hand_margin - jnp.min(clearance_near(field, hands), axis=-1), 0.0)
+    hands = hand_points(robot_pose, traj.last_u[..., picked, 2])
+    depth = depth + jnp.maximum(HAND_MARGIN - jnp.min(clearance_near(field, hands), axis=-1), 0.0)
     return jnp.mean(depth, axis=-1) * (steps * DT)
 
 
@@ -259,7 +258,7 @@ def push_cost(
         half_extents: ``[2]`` half length and width of the object's footprint [m]; needed with ``field``.
     """
     goal = jnp.asarray(goal)
-    cost = cfg.goal_weight * pose_distance(goal, traj.object_pose[..., -1, :], cfg.yaw_weight)
+    cost = pose_distance(goal, traj.object_pose[..., -1, :], cfg.yaw_weight)
     cost = cost + cfg.effort * effort(controls) + cfg.change * change(controls, last_u)
     if cfg.running_weight:
         distance = pose_distance(goal, traj.object_pose, cfg.yaw_weight)

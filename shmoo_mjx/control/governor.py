@@ -17,21 +17,23 @@ from shmoo_mjx.hands import HAND_HEIGHT, touches
 from shmoo_mjx.plant.robot import ROBOT
 from shmoo_mjx.types import DT
 
-__all__ = ["GovernorConfig", "forward_lean", "govern", "static_lean"]
+__all__ = ["INTEGRAL_LIMIT", "GovernorConfig", "forward_lean", "govern", "static_lean"]
 
 Array = Any
+
+_INTEGRAL_GAIN = 0.1
+"""Lean per metre by which the robot lags behind the speed allowed [rad/m]: what sticks is leant into within seconds."""
+INTEGRAL_LIMIT = 0.04
+"""Largest lean that comes of lagging behind [rad]: 18 N."""
 
 
 @dataclass(frozen=True)
 class GovernorConfig:
-    """Gains of the velocity loop."""
+    """Gain of the velocity loop."""
 
     gain: float = 0.25
-    """Lean per m/s left to the speed allowed [rad s/m]; 0 switches the governor off."""
-    patience: float = 0.1
-    """Lean per metre by which the robot lags behind the speed allowed [rad/m]."""
-    most: float = 0.04
-    """Most lean that comes of lagging behind [rad]: 18 N."""
+    """Lean per m/s left to the speed allowed [rad s/m]; 0 switches the governor off, more reaches that speed
+    sooner."""
 
 
 def static_lean(force: Array) -> Array:
@@ -67,7 +69,7 @@ def forward_lean(
     # Speed of the flat output: the base first moves the wrong way when the lean changes.
     speed = se2.rotate(robot_twist[:2], -yaw)[0] + b / a * lean_rate[0]
     behind = xp.where(touches(wrench), limit - speed, 0.0) * DT
-    more = xp.clip(more + config.patience * behind, 0.0, config.most)
+    more = xp.clip(more + _INTEGRAL_GAIN * behind, 0.0, INTEGRAL_LIMIT)
     force = xp.maximum(se2.rotate(wrench[:2], -yaw)[0], 0.0)
     share = 1.0 - 0.7 * xp.clip(speed / limit, 0.0, 1.0)
     return share * static_lean(force) + config.gain * (limit - speed) + more, more

@@ -17,7 +17,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from shmoo_mjx import se2
-from shmoo_mjx.control import cost, models, mppi
+from shmoo_mjx.control import cost, models, mppi, sharding
 from shmoo_mjx.control.governor import GovernorConfig, forward_lean, govern
 from shmoo_mjx.dynamics import core, features, feet, object_model
 from shmoo_mjx.faces import faces_of
@@ -40,6 +40,13 @@ __all__ = [
 
 Array = Any
 
+_PLANNING_HORIZON = 50
+"""T of the planning stage, in samples (Sec. IV-B)."""
+_COAST_SAMPLES = 40
+"""How far ahead `coast` looks, in samples: at the speed allowed near a goal the least drag stops anything sooner."""
+_LEAST_DRAG = 0.08
+"""Deceleration that any object has on any floor, whatever the model says [m/s^2]: a rolling resistance of 0.008."""
+
 
 @dataclass(frozen=True)
 class PushConfig:
@@ -52,8 +59,6 @@ class PushConfig:
         high=(0.15, 0.10, 0.45),
         noise_correlation=0.9,
     )
-    planning_horizon: int = 50
-    """T of the planning stage (Sec. IV-B)."""
     cost: cost.PushCost = cost.PushCost(
         yaw_weight=0.0,
         effort=0.002,
@@ -82,10 +87,6 @@ class PushConfig:
     foresees_governor: bool = False
     """Roll-outs lean within the governor's present bounds too. Otherwise they foresee firmer pushes than there will be,
     and believe that steering turns what hardly resists."""
-    coast_samples: int = 40
-    """How far ahead :meth:`PushController.coast` looks."""
-    least_drag: float = 0.08
-    """Deceleration that any object has on any floor, whatever the model says [m/s^2]: a rolling resistance of 0.008."""
 
 
 class LocalDistanceField(NamedTuple):
@@ -181,15 +182,17 @@ class PushController:
     def __init__(self, weights: Weights, config: PushConfig | None = None) -> None:
         self.config = config or PushConfig()
         self.weights = weights
-        self._mesh = mppi.sample_mesh(self.config.control.samples)
-        self._params = mppi.replicated(self._mesh, weights.params)
+        self._mesh = sharding.rollout_mesh(self.config.control.num_rollouts)
+        self._params = sharding.replicated(self._mesh, weights.params)
         _, restored = ravel_pytree(self._example())
 
         def step(params: core.Params, adapt: Any, plan: mppi.MppiState, numbers: Array, around: Any) -> Any:
             return _step(self.config, weights.config, self._mesh, params, adapt, plan, restored(numbers), around)
 
-        self._step = mppi.compiled(step, self._mesh)
-        self._rollouts = mppi.compiled(partial(_planning_rollouts, self.config, weights.config, self._mesh), self._mesh)
+        self._step = sharding.compiled(step, self._mesh)
+        self._rollouts = sharding.compiled(
+            partial(_planning_rollouts, self.config, weights.config, self._mesh), self._mesh
+        )
         self._coast = jax.jit(partial(coast, self.config, weights.config))
 
     def init(
@@ -420,8 +423,8 @@ def _planning_rollouts(
     around: LocalDistanceField,
     half_extents: Array,
 ) -> tuple[Array, Array, Array]:
-    longer = replace(config.control, horizon=config.planning_horizon)
-    extra = config.planning_horizon - config.control.horizon
+    longer = replace(config.control, horizon=_PLANNING_HORIZON)
+    extra = _PLANNING_HORIZON - config.control.horizon
     nominal = jnp.concatenate([plan_state.nominal, jnp.repeat(plan_state.nominal[-1:], extra, axis=0)])
     rollout_fn, cost_fn = _functions(config, core_config, _with_coefficients(params, adapt), goal, around, half_extents)
     key = jax.random.fold_in(plan_state.key, 1)
@@ -448,9 +451,9 @@ def coast(
         push = free(inputs)
         new = twist + se2.rotate(push, pose[2]) * DT
         speed = jnp.linalg.norm(twist[:2]) + 1e-6
-        kept = jnp.minimum(jnp.sum(new[:2] * twist[:2]) / speed**2, 1.0 - config.least_drag * DT / speed)
+        kept = jnp.minimum(jnp.sum(new[:2] * twist[:2]) / speed**2, 1.0 - _LEAST_DRAG * DT / speed)
         new = jnp.maximum(kept, 0.0) * twist
         return (pose + 0.5 * (twist + new) * DT, new, inside, none), None
 
     start = (now.object_pose, now.object_twist, now.last_object_twist, now.last_wrench)
-    return jax.lax.scan(body, start, None, length=config.coast_samples)[0][0]
+    return jax.lax.scan(body, start, None, length=_COAST_SAMPLES)[0][0]

@@ -8,7 +8,6 @@ as soon as the hands do. The hands are driven along the arc that ends at the goa
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,29 +20,24 @@ from shmoo_mjx.hands import REACH
 from shmoo_mjx.learning.adaptation import AdaptState
 from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
 
-__all__ = ["QuasiStaticConfig", "QuasiStaticPusher", "QuasiStaticState", "law"]
+__all__ = ["LEAN_LIMIT", "QuasiStaticPusher", "QuasiStaticState", "law"]
 
 Array = Any
 
 
-@dataclass(frozen=True)
-class QuasiStaticConfig:
-    """Gains, tuned on objects of the development seeds."""
-
-    steer: float = 1.2
-    """Steering angle per rad of heading error [1]."""
-    steer_limit: float = 0.35
-    """[rad]"""
-    ahead: float = 0.4
-    """How far ahead on the arc the heading is taken [m]."""
-    centre: float = 0.8
-    """Sideways speed per metre that the hands are off the face's centre [1/s]."""
-    shift: float = 0.5
-    """Metres that the hands are shifted along the face per rad of heading error [m/rad]."""
-    governor: GovernorConfig = GovernorConfig()
-    """What the forward lean is."""
-    lean_limit: float = 0.12
-    """[rad]"""
+# Gains, tuned on objects of the development seeds.
+_STEER = 1.2
+"""Steering angle per rad of heading error [1]."""
+_STEER_LIMIT = 0.35
+"""Largest steering angle [rad]: a little less than the pushing controller's."""
+_AHEAD = 0.4
+"""How far ahead on the arc the heading is taken [m]."""
+_CENTRE = 0.8
+"""Sideways speed per metre that the hands are off the face's centre [1/s]."""
+_SHIFT = 0.5
+"""Metres that the hands are shifted along the face per rad of heading error [m/rad]."""
+LEAN_LIMIT = 0.12
+"""Largest forward lean [rad]: that of the pushing controller with a goal pose."""
 
 
 class QuasiStaticState(NamedTuple):
@@ -59,8 +53,7 @@ class QuasiStaticState(NamedTuple):
 class QuasiStaticPusher:
     """The pusher; ``cost`` gives the speed allowed."""
 
-    def __init__(self, cost: PushCost, config: QuasiStaticConfig | None = None) -> None:
-        self.config = config or QuasiStaticConfig()
+    def __init__(self, cost: PushCost) -> None:
         self.cost = cost
 
     def init(
@@ -79,7 +72,7 @@ class QuasiStaticPusher:
         half_extents: Array,
     ) -> tuple[np.ndarray, QuasiStaticState, None]:
         """The command ``[3]`` for the next sample; arguments as for the controller it stands in for."""
-        u, more = law(self.config, self.cost, state.face, now, np.asarray(goal, dtype=float), state.more)
+        u, more = law(self.cost, state.face, now, np.asarray(goal, dtype=float), state.more)
         return u, state._replace(pose=now.object_pose, more=more), None
 
     def coast(self, state: QuasiStaticState) -> np.ndarray:
@@ -87,9 +80,7 @@ class QuasiStaticPusher:
         return state.pose
 
 
-def law(
-    cfg: QuasiStaticConfig, cost: PushCost, face: Array, now: Sighting, goal: Array, more: Array
-) -> tuple[Array, Array]:
+def law(cost: PushCost, face: Array, now: Sighting, goal: Array, more: Array) -> tuple[Array, Array]:
     """The command ``[3]`` [rad] for ``face [4]`` and ``goal [3]`` in {W}, and the governor's next ``more``.
 
     Pure, on NumPy and JAX arrays alike.
@@ -104,21 +95,23 @@ def law(
     distance = xp.hypot(offset[0], offset[1])
     curvature = xp.where(ahead, -2.0 * xp.sin(lead) / xp.maximum(distance, 0.3), 0.0)
     # What the arc turns is wanted beforehand; the error alone would always lag behind it.
-    error = se2.wrap(pose[2] + face[2] - wanted) - cfg.ahead * curvature
-    sideways = _sideways(cfg, face, now, error)
+    error = se2.wrap(pose[2] + face[2] - wanted) - _AHEAD * curvature
+    sideways = _sideways(face, now, error)
     velocity = se2.rotate(now.robot_twist[:2], -now.robot_pose[2])
     lean = velocity_to_lean(Gains(), velocity, now.lean_rate, xp.stack([0.0 * sideways, sideways]))
     limit = allowed_speed(cost, distance)
-    forward, more = forward_lean(cfg.governor, now.robot_pose, now.robot_twist, now.lean_rate, now.wrench, limit, more)
-    forward = xp.clip(forward, -cfg.lean_limit, cfg.lean_limit)
-    return xp.stack([forward, lean[1], xp.clip(cfg.steer * error, -cfg.steer_limit, cfg.steer_limit)]), more
+    forward, more = forward_lean(
+        GovernorConfig(), now.robot_pose, now.robot_twist, now.lean_rate, now.wrench, limit, more
+    )
+    forward = xp.clip(forward, -LEAN_LIMIT, LEAN_LIMIT)
+    return xp.stack([forward, lean[1], xp.clip(_STEER * error, -_STEER_LIMIT, _STEER_LIMIT)]), more
 
 
-def _sideways(cfg: QuasiStaticConfig, face: Array, now: Sighting, error: Array) -> Array:
+def _sideways(face: Array, now: Sighting, error: Array) -> Array:
     """Speed along the face [m/s] that brings the hands to where they turn the object against ``error`` [rad]."""
     xp = se2.array_module(now.robot_pose, error)
     in_face = se2.relative(se2.compose(now.object_pose, face[:3]), now.robot_pose)
     hands = in_face[1] + REACH * xp.sin(in_face[2])
     # Pushing right of the centre turns the object left.
     room = xp.maximum(face[3] - 0.18, 0.0)
-    return xp.clip(cfg.centre * (xp.clip(cfg.shift * error, -room, room) - hands), -0.1, 0.1)
+    return xp.clip(_CENTRE * (xp.clip(_SHIFT * error, -room, room) - hands), -0.1, 0.1)

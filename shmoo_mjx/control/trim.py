@@ -10,7 +10,6 @@ as 15 %, and a robot that feels three quarters of what it pushes with comes to r
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,25 +19,22 @@ from shmoo_mjx.control.governor import static_lean
 from shmoo_mjx.plant.robot import ROBOT, arm_angles, com_offset
 from shmoo_mjx.types import DT, Command, Observation
 
-__all__ = ["Trim", "TrimConfig", "arms_lean", "foreseen", "init", "step", "trimmed", "with_trim"]
+__all__ = ["LIMIT", "Trim", "arms_lean", "foreseen", "init", "step", "trimmed", "with_trim"]
 
 Array = Any
 
 
-@dataclass(frozen=True)
-class TrimConfig:
-    """Settings of the estimate."""
-
-    memory: float = 4.0
-    """Time over which it averages [s]."""
-    force: float = 1.0
-    """Hand force from which a sample is left out [N]."""
-    limit: float = 0.04
-    """Largest trim [rad]: 2 cm at the height of the centre of mass."""
-    touch_prior: float = 4000.0
-    """What counts for the arms' torques being right, in squares of the felt force [N^2]: a second's push with 20 N."""
-    touch_limit: float = 1.6
-    """Largest factor on the felt force, and the inverse of the least [1]."""
+_MEMORY = 4.0
+"""Time over which the estimate averages [s]: shorter lets the noise of the twist through, longer follows a shift of
+the centre of mass late."""
+_FREE = 1.0
+"""Hand force from which a sample is left out [N]: half of what counts as contact."""
+LIMIT = 0.04
+"""Largest offset [rad]: 2 cm at the height of the centre of mass."""
+_TOUCH_PRIOR = 4000.0
+"""What counts for the arms' torques being right, in squares of the felt force [N^2]: a second's push with 20 N."""
+_TOUCH_LIMIT = 1.6
+"""Largest factor on the felt force, and the inverse of the least [1]: far beyond the 15 % of motor constants."""
 
 
 class Trim(NamedTuple):
@@ -61,7 +57,7 @@ def init() -> Trim:
     return Trim(np.zeros(2), 0, None)
 
 
-def step(config: TrimConfig, state: Trim, seen: Observation) -> Trim:
+def step(state: Trim, seen: Observation) -> Trim:
     """Take in one sample of one world."""
     a, b, c = ROBOT.flatness
     yaw = seen.robot_pose[0, 2]
@@ -71,21 +67,21 @@ def step(config: TrimConfig, state: Trim, seen: Observation) -> Trim:
         return state._replace(before=(speed, lean))
     explained = a / c * se2.rotate(speed - state.before[0], -yaw) / DT
     error = 0.5 * (lean + state.before[1]) + arms_lean(seen.hands[0]) - explained - state.lean
-    if np.hypot(seen.wrench[0, :, 0], seen.wrench[0, :, 1]).max(initial=0.0) > config.force:
-        return _pushing(config, state, seen, float(error[0]))._replace(before=(speed, lean))
+    if np.hypot(seen.wrench[0, :, 0], seen.wrench[0, :, 1]).max(initial=0.0) > _FREE:
+        return _pushing(state, seen, float(error[0]))._replace(before=(speed, lean))
     samples = state.samples + 1
     # The first seconds count in full: a mean grows into a fading memory.
-    gain = max(DT / config.memory, 1.0 / samples)
-    trim = np.clip(state.lean + gain * error, -config.limit, config.limit)
+    gain = max(DT / _MEMORY, 1.0 / samples)
+    trim = np.clip(state.lean + gain * error, -LIMIT, LIMIT)
     return state._replace(lean=trim, samples=samples, before=(speed, lean))
 
 
-def _pushing(config: TrimConfig, state: Trim, seen: Observation, lean: float) -> Trim:
+def _pushing(state: Trim, seen: Observation, lean: float) -> Trim:
     """``lean`` is what of the forward lean neither moves the robot nor balances it [rad]."""
     felt = float(se2.rotate(seen.wrench[0, :, :2].sum(axis=0), -seen.robot_pose[0, 2])[0])
     against, squares = state.pushed[0] + felt * lean / float(static_lean(1.0)), state.pushed[1] + felt**2
-    touch = (config.touch_prior + against) / (config.touch_prior + squares)
-    limits = (1 / config.touch_limit, config.touch_limit)
+    touch = (_TOUCH_PRIOR + against) / (_TOUCH_PRIOR + squares)
+    limits = (1 / _TOUCH_LIMIT, _TOUCH_LIMIT)
     return state._replace(pushed=(against, squares), touch=float(np.clip(touch, *limits)))
 
 

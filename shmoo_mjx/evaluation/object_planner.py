@@ -36,6 +36,7 @@ from shmoo_mjx.navigation.maps import OCCUPIED, OccupancyGrid
 from shmoo_mjx.navigation.object_planner import planning_stage
 from shmoo_mjx.navigation.records import Mode, NavigatorConfig
 from shmoo_mjx.navigation.scenario import Limits, Scenario
+from shmoo_mjx.navigation.verdicts import PROBE_TIME
 from shmoo_mjx.plant.objects import FAMILIES, Condition, draw_condition
 from shmoo_mjx.types import SensesName
 
@@ -168,7 +169,7 @@ def _trial(
 def _touched(navigator: Any) -> bool:
     """Whether the first second of contact is over."""
     push = navigator.segment.push if navigator.segment is not None else None
-    return push is not None and (push.contact_time >= navigator.config.probe_time or bool(navigator.decisions))
+    return push is not None and (push.contact_time >= PROBE_TIME or bool(navigator.decisions))
 
 
 def _after_a_second(navigator: Any, controller: Any) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from shmoo_mjx import se2
 from shmoo_mjx.gym.task import ACTIONS, BODY, Outcome, Part, Start, body, command, flat, in_robot
-from shmoo_mjx.navigation.floorplan import FloorplanConfig, demo_scenario
+from shmoo_mjx.navigation.floorplan import RESOLUTION, demo_scenario
 from shmoo_mjx.navigation.maps import OccupancyGrid, occupied_rectangles
 from shmoo_mjx.navigation.path_shortening import PathConfig
 from shmoo_mjx.navigation.paths import cost_to_go
@@ -25,7 +25,6 @@ _OBJECTS = 2
 """The demo's box and wheelchair."""
 _RAYS = 32
 _FAR = 1e6
-_RESOLUTION = FloorplanConfig().resolution
 
 
 @dataclass(frozen=True)
@@ -169,6 +168,6 @@ def _way_to(grid: OccupancyGrid, goal: np.ndarray) -> np.ndarray:
 
 def _look_up(way: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Bilinear ``[W, P]`` at ``points [W, P, 2]`` in {W}; a floor plan's origin is its lower-left corner."""
-    cells = points / _RESOLUTION - 0.5
+    cells = points / RESOLUTION - 0.5
     world = np.broadcast_to(np.arange(len(way))[:, None], cells.shape[:2])
     return map_coordinates(way, np.stack([world, cells[..., 1], cells[..., 0]]), order=1, mode="nearest")

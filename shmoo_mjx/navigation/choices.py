@@ -16,6 +16,7 @@ from shmoo_mjx.navigation.belief import Status
 from shmoo_mjx.navigation.object_planner import InitialGoal, initial_goal
 from shmoo_mjx.navigation.paths import Path, path_blocked_by, project
 from shmoo_mjx.navigation.records import Mode, NavigatorState, Note, Planned, Segment, Setup
+from shmoo_mjx.navigation.scenario import ROBOT_RADIUS
 from shmoo_mjx.skills import approach
 from shmoo_mjx.types import Observation
 
@@ -31,6 +32,9 @@ _SLACK = 0.03
 """By how much an object may come nearer to the path than the robot's radius before it blocks it [m]."""
 _FAILED_FACE = 5.0
 """Way round that is taken rather than another face, for each face that has failed [m]: a try takes some 10 s."""
+_ACT_WITHIN = 2.2
+"""Distance along the path within which an object in the way is dealt with [m]: room to brake and for a stand-off
+pose."""
 _AVOIDED = (Status.PARKED, Status.FIXED)
 
 
@@ -81,7 +85,7 @@ def _take_up_again(setup: Setup, state: NavigatorState, seen: Observation) -> Na
     for index in parked:
         known = state.belief.objects[index]
         worth = longer >= cfg.detour + _FAILED_FACE * len(known.failed_faces) and known.pushes < cfg.max_pushes
-        if worth and path_blocked_by(through, known.polygon, cfg.robot_radius)[0]:
+        if worth and path_blocked_by(through, known.polygon, ROBOT_RADIUS)[0]:
             state = state.of_object(index, status=Status.UNKNOWN)
     return state
 
@@ -98,7 +102,7 @@ def _second_chance(setup: Setup, state: NavigatorState, seen: Observation) -> tu
     others = [o.polygon for i, o in objects.items() if i not in rested]
     through = setup.routes(state).plan(seen.robot_pose[0, :2], others)
     for index in rested:
-        if through is not None and path_blocked_by(through, objects[index].polygon, cfg.robot_radius)[0]:
+        if through is not None and path_blocked_by(through, objects[index].polygon, ROBOT_RADIUS)[0]:
             pushes = min(objects[index].pushes, cfg.max_pushes - 1)
             state = state.of_object(
                 index, status=Status.UNKNOWN, retried=True, adapt=None, pushes=pushes, failed_faces=frozenset()
@@ -113,8 +117,8 @@ def first_block(setup: Setup, state: NavigatorState, seen: Observation) -> tuple
     assert state.path is not None
     here, found = project(state.path, seen.robot_pose[0, :2]), []
     for index, known in state.belief.objects.items():
-        blocked, s = path_blocked_by(state.path, known.polygon, setup.config.robot_radius - _SLACK, here)
-        if blocked and s is not None and s - here < setup.config.act_within:
+        blocked, s = path_blocked_by(state.path, known.polygon, ROBOT_RADIUS - _SLACK, here)
+        if blocked and s is not None and s - here < _ACT_WITHIN:
             found.append((s - here, index))
     return (min(found)[1], min(found)[0]) if found else None
 
@@ -185,7 +189,7 @@ def _first_goal(
     first = initial_goal(known.pose, free, np.array(directions), near)
     if first.goal is not None:
         return first
-    return initial_goal(known.pose, free, np.array(directions), replace(near, area=_FAR_AREA))
+    return initial_goal(known.pose, free, np.array(directions), near, _FAR_AREA)
 
 
 def _give_up(setup: Setup, state: NavigatorState, seen: Observation, index: int, why: str) -> NavigatorState:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,31 +15,27 @@ from shmoo_mjx.navigation.paths import Path, point_at, project
 from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
 from shmoo_mjx.types import Observation
 
-__all__ = ["DriveConfig", "DriveState", "follow", "init", "velocity_command", "yaw_ahead"]
+__all__ = ["DAMPING", "LEAD", "STIFFNESS", "DriveState", "follow", "init", "velocity_command", "yaw_ahead"]
 
 Array = Any
 
 
-@dataclass(frozen=True)
-class DriveConfig:
-    """Feedback about the local trajectory."""
-
-    replan_every: float = 0.5
-    """Time between two local trajectories [s]."""
-    stiffness: float = 1.0
-    """Acceleration of the flat output per metre of error [1/s^2]; with the delays of real senses 2.5 is unstable."""
-    damping: float = 1.6
-    """Acceleration per m/s of error [1/s]."""
-    strayed: tuple[float, float] = (0.15, 0.3)
-    """Deviation in place [m] and in speed [m/s] beyond which a new trajectory starts from where the robot is. Otherwise
-    from where the last one has got to: planned from measurements that lag behind the commands, trajectories circle
-    round their end for as long as one waits."""
-    lead: float = 0.25
-    """How far ahead the lean is read off the trajectory [s]: the lag of the lean loop."""
-    lean_limit: float = 0.14
-    """Largest commanded lean while driving [rad]."""
-    lookahead: float = 0.7
-    """Distance along the path of the point the robot faces [m]."""
+_REPLAN_EVERY = 0.5
+"""Time between two local trajectories [s]: a seventh of their length, so that obstacles that appear are met in time."""
+STIFFNESS = 1.0
+"""Acceleration of the flat output per metre of error [1/s^2]; with the delays of real senses 2.5 is unstable."""
+DAMPING = 1.6
+"""Acceleration of the flat output per m/s of error [1/s]: a damping ratio of 0.8."""
+_STRAYED = (0.15, 0.3)
+"""Deviation in place [m] and in speed [m/s] beyond which a new trajectory starts from where the robot is. Otherwise
+from where the last one has got to: planned from measurements that lag behind the commands, trajectories circle
+round their end for as long as one waits."""
+LEAD = 0.25
+"""How far ahead the lean is read off the trajectory [s]: the lag of the lean loop."""
+_LEAN_LIMIT = 0.14
+"""Largest commanded lean while driving [rad]: a trajectory's own limit and what the feedback adds."""
+_LOOKAHEAD = 0.7
+"""Distance along the path of the point the robot faces [m]: nearer, the heading swings at each bend."""
 
 
 class DriveState(NamedTuple):
@@ -61,7 +56,6 @@ def init() -> DriveState:
 
 
 def follow(
-    cfg: DriveConfig,
     planner: Planner,
     state: DriveState,
     seen: Observation,
@@ -79,8 +73,8 @@ def follow(
     flat = planner.model.flat_state(
         position, velocity, se2.rotate(seen.lean[0], yaw), se2.rotate(seen.lean_rate[0], yaw)
     )
-    if path is not None and now - state.start >= cfg.replan_every - 1e-6:
-        found = flat_trajectory.plan(planner, _begin(cfg, planner, state, now, flat), path, clearance())
+    if path is not None and now - state.start >= _REPLAN_EVERY - 1e-6:
+        found = flat_trajectory.plan(planner, _begin(planner, state, now, flat), path, clearance())
         if found.ok:
             state = DriveState(found, now, None, "")
         else:
@@ -89,10 +83,10 @@ def follow(
     if state.trajectory is None:
         return state, velocity_command(seen, np.zeros(2))
     # The lean is commanded in {R}, which turns on until the body has got there.
-    return state, _track(cfg, planner, state, now, flat, yaw + cfg.lead * seen.robot_twist[0, 2])
+    return state, _track(planner, state, now, flat, yaw + LEAD * seen.robot_twist[0, 2])
 
 
-def _begin(cfg: DriveConfig, planner: Planner, state: DriveState, now: float, flat: np.ndarray) -> np.ndarray:
+def _begin(planner: Planner, state: DriveState, now: float, flat: np.ndarray) -> np.ndarray:
     """The flat state ``[4, 2]`` that the next trajectory starts from: where the last one has got to, if the robot is
     near it."""
     if state.trajectory is None:
@@ -100,23 +94,21 @@ def _begin(cfg: DriveConfig, planner: Planner, state: DriveState, now: float, fl
     at = flat_trajectory.evaluate(state.trajectory, now - state.start)
     planned = planner.model.flat_state(at.position, at.velocity, at.lean, at.lean_rate)
     strayed = np.linalg.norm(flat[:2] - planned[:2], axis=1)
-    return flat if strayed[0] > cfg.strayed[0] or strayed[1] > cfg.strayed[1] else planned
+    return flat if strayed[0] > _STRAYED[0] or strayed[1] > _STRAYED[1] else planned
 
 
-def _track(
-    cfg: DriveConfig, planner: Planner, state: DriveState, now: float, flat: np.ndarray, yaw: float
-) -> np.ndarray:
+def _track(planner: Planner, state: DriveState, now: float, flat: np.ndarray, yaw: float) -> np.ndarray:
     assert state.trajectory is not None
     a, b, c = planner.model
     elapsed = now - state.start
     wanted = flat_trajectory.evaluate(state.trajectory, elapsed)
-    ahead = flat_trajectory.evaluate(state.trajectory, elapsed + cfg.lead)
+    ahead = flat_trajectory.evaluate(state.trajectory, elapsed + LEAD)
     position = wanted.position + b / a * wanted.lean
     velocity = wanted.velocity + b / a * wanted.lean_rate
-    acceleration = c / a * ahead.lean + cfg.damping * (velocity - flat[1]) + cfg.stiffness * (position - flat[0])
+    acceleration = c / a * ahead.lean + DAMPING * (velocity - flat[1]) + STIFFNESS * (position - flat[0])
     lean = a / c * acceleration
     norm = float(np.linalg.norm(lean))
-    return se2.rotate(lean * min(1.0, cfg.lean_limit / max(norm, 1e-9)), -yaw)
+    return se2.rotate(lean * min(1.0, _LEAN_LIMIT / max(norm, 1e-9)), -yaw)
 
 
 def velocity_command(seen: Observation, desired: Array, gains: Gains | None = None) -> np.ndarray:
@@ -126,8 +118,8 @@ def velocity_command(seen: Observation, desired: Array, gains: Gains | None = No
     return np.asarray(lean)
 
 
-def yaw_ahead(cfg: DriveConfig, seen: Observation, path: Path) -> float:
+def yaw_ahead(seen: Observation, path: Path) -> float:
     """Heading in {W} [rad] towards the path a little ahead; the present one near the path's end."""
     position = seen.robot_pose[0, :2]
-    offset = point_at(path, project(path, position) + cfg.lookahead) - position
+    offset = point_at(path, project(path, position) + _LOOKAHEAD) - position
     return float(np.arctan2(offset[1], offset[0])) if np.hypot(*offset) > 0.3 else float(seen.robot_pose[0, 2])

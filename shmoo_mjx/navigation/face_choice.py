@@ -7,7 +7,6 @@ needed for the choice: what coasts or drags is the controller's business, and th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,27 +15,23 @@ from shmoo_mjx import se2
 from shmoo_mjx.navigation.footprints import footprints_free
 from shmoo_mjx.navigation.maps import ClearanceField
 
-__all__ = ["ArcConfig", "Choice", "arc_ends", "choose", "residual"]
+__all__ = ["YAW_WEIGHT", "Choice", "arc_ends", "choose", "residual"]
 
 Array = Any
 
 
-@dataclass(frozen=True)
-class ArcConfig:
-    """Arcs that count as possible, and what speaks against a push."""
-
-    curvature: float = 0.45
-    """Largest curvature [1/m]: 26 deg over a metre, what steering gives light and heavy objects alike."""
-    longest: float = 2.6
-    """[m]"""
-    yaw_weight: float = 0.25
-    """Metres that a yaw error of 1 rad counts for [m/rad]."""
-    walk: float = 0.01
-    """Metres of error that a metre of walking to the face counts for [1]."""
-    second: float = 0.6
-    """Metres of error that a second push counts for [m]: the first one errs too, and then there is farther to go."""
-    wall_clearance: float = 0.06
-    """Kept by the footprint at the end of a push [m]."""
+_CURVATURE = 0.45
+"""Largest curvature of a push [1/m]: 26 deg over a metre, what steering gives light and heavy objects alike."""
+_LONGEST = 2.6
+"""Longest push that is looked ahead [m]."""
+YAW_WEIGHT = 0.25
+"""Metres that a yaw error of 1 rad counts for [m/rad]: about half the side of an object."""
+_WALK = 0.01
+"""Metres of error that a metre of walking to the face counts for [1]: decides only between faces that are as good."""
+_SECOND = 0.6
+"""Metres of error that a second push counts for [m]: the first one errs too, and then there is farther to go."""
+_WALL_CLEARANCE = 0.06
+"""Distance from walls that the footprint keeps at the end of a push [m]: what the pushing controller keeps, too."""
 
 
 class Choice(NamedTuple):
@@ -83,7 +78,6 @@ def choose(
     ways: Sequence[float | None],
     field: ClearanceField,
     half_extents: tuple[float, float],
-    cfg: ArcConfig = ArcConfig(),
 ) -> Choice | None:
     """The push that, alone or followed by another one, leaves the least error; None if no face can be reached.
 
@@ -94,27 +88,24 @@ def choose(
         ways: length of the way to each face [m], None where it can't be reached or must not be pushed.
         field: clearance without the object itself.
         half_extents: of the footprint [m].
-        cfg: see ``ArcConfig``.
     """
     found: list[Choice] = []
     usable = [i for i, way in enumerate(ways) if way is not None]
     for i in usable:
-        walk = cfg.walk * float(ways[i] or 0.0)
-        error, end = _best_single(pose, goal, faces[i], cfg)
+        walk = _WALK * float(ways[i] or 0.0)
+        error, end = _best_single(pose, goal, faces[i])
         # The goal itself is what the controller is given: it may do better than any arc.
         if end is not None:
             found.append(Choice(i, np.asarray(goal, dtype=float), float(error) + walk))
-        found += _through(pose, goal, faces, usable, i, field, half_extents, cfg, walk)
+        found += _through(pose, goal, faces, usable, i, field, half_extents, walk)
     return min(found, key=lambda c: c.expected) if found else None
 
 
-def _best_single(
-    pose: Array, goal: np.ndarray, face: np.ndarray, cfg: ArcConfig
-) -> tuple[np.ndarray, np.ndarray | None]:
+def _best_single(pose: Array, goal: np.ndarray, face: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
     """Least error ``[...]`` after one push from ``pose [..., 3]`` and where the first of them ends."""
-    curvatures = np.linspace(-cfg.curvature, cfg.curvature, 13)
-    ends = arc_ends(pose, face, np.linspace(0.03, cfg.longest, 60), curvatures)
-    errors = residual(ends, goal, cfg.yaw_weight).reshape(*ends.shape[:-3], -1)
+    curvatures = np.linspace(-_CURVATURE, _CURVATURE, 13)
+    ends = arc_ends(pose, face, np.linspace(0.03, _LONGEST, 60), curvatures)
+    errors = residual(ends, goal, YAW_WEIGHT).reshape(*ends.shape[:-3], -1)
     best = np.argmin(errors, axis=-1)
     if errors.ndim > 1:
         return np.min(errors, axis=-1), None
@@ -129,19 +120,18 @@ def _through(
     first: int,
     field: ClearanceField,
     half_extents: tuple[float, float],
-    cfg: ArcConfig,
     walk: float,
 ) -> list[Choice]:
     """Pushes on face ``first`` to places from which a push on another face leads to the goal."""
-    curvatures = np.linspace(-cfg.curvature, cfg.curvature, 5)
+    curvatures = np.linspace(-_CURVATURE, _CURVATURE, 5)
     stops = arc_ends(pose, faces[first], np.linspace(0.2, 1.4, 7), curvatures).reshape(-1, 3)
-    stops = stops[footprints_free(field, stops, np.array(half_extents), wall_clearance=cfg.wall_clearance)]
+    stops = stops[footprints_free(field, stops, np.array(half_extents), wall_clearance=_WALL_CLEARANCE)]
     if not len(stops):
         return []
     found = []
     for second in usable:
         if second != first:
-            errors, _ = _best_single(stops, goal, faces[second], cfg)
+            errors, _ = _best_single(stops, goal, faces[second])
             best = int(np.argmin(errors))
-            found.append(Choice(first, stops[best], float(errors[best]) + cfg.second + walk))
+            found.append(Choice(first, stops[best], float(errors[best]) + _SECOND + walk))
     return found

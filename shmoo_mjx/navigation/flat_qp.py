@@ -18,54 +18,61 @@ from scipy.interpolate import BSpline
 
 from shmoo_mjx.navigation.flat_model import FlatModel
 
-__all__ = ["DEGREE", "Planner", "TrajectoryConfig", "basis_splines", "init", "knot_vector", "solve"]
+__all__ = [
+    "DEGREE",
+    "LEAN_RECOVERY",
+    "SAMPLES",
+    "Planner",
+    "TrajectoryConfig",
+    "basis_splines",
+    "init",
+    "knot_vector",
+    "solve",
+]
 
 DEGREE = 5
 _ANGLES = np.arange(8) * np.pi / 4
 _NORMALS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=-1)
 """Directions of an octagon's sides: a disc written as linear constraints."""
 _INSCRIBED = float(np.cos(np.pi / 8))
+_INTERVALS = 12
+"""Number of polynomial pieces of the spline: one in 0.3 s."""
+SAMPLES = 24
+"""Number of times at which limits and corridor are imposed: two on each piece."""
+LEAN_RECOVERY = 0.20
+"""Lean never exceeded in a recovery [rad]: twice the limit of common driving."""
+_LEAN_ACCELERATION_MAX = 5.0
+"""Acceleration of the lean never exceeded [rad/s^2]: about the drive's torque over the body's inertia about the ball
+axis."""
+_TRACKING_WEIGHT = 1.0
+"""Weight of the squared distance from the reference [1/m^2]; the other weights are relative to it."""
+_END_WEIGHT = 100.0
+"""Weight of that distance at the end of the horizon where that is the path's end [1/m^2]: it is to be reached."""
+_SMOOTH_WEIGHT = 2e-3
+"""Weight of the squared fourth derivative of S, to which the drive's torque is proportional [s^8/m^2]."""
+_SLACK_WEIGHT = 200.0
+"""Weight of leaving the corridor [1/m], and in a recovery of excess speed [s/m]: so high that only the limits make it
+leave."""
 
 
 @dataclass(frozen=True)
 class TrajectoryConfig:
-    """Limits, horizon and weights."""
+    """Limits and horizon."""
 
     horizon: float = 3.5
-    """Length of a trajectory [s]; it always ends at rest, so that following an old one to its end is safe."""
-    intervals: int = 12
-    """Polynomial pieces of the spline."""
-    samples: int = 24
-    """Times at which limits and corridor are imposed."""
+    """Length of a trajectory [s]; it always ends at rest, so that following an old one to its end is safe. Longer goes
+    faster, for there is more way to stop, and takes longer to compute."""
     speed: float = 0.45
-    """Speed aimed at [m/s]."""
+    """Speed aimed at [m/s]; more is sooner there and strays farther from its path."""
     speed_max: float = 0.60
-    """Speed never exceeded [m/s], except in a recovery."""
+    """Speed never exceeded [m/s], except in a recovery; more lets the robot catch up after a stop."""
     lean_max: float = 0.10
-    """Lean never exceeded [rad], except in a recovery."""
-    lean_recovery: float = 0.20
-    """Lean never exceeded in a recovery [rad]."""
-    lean_acceleration_max: float = 5.0
-    """Acceleration of the lean never exceeded [rad/s^2]; about the drive's torque over the body's inertia about the
-    ball."""
+    """Lean never exceeded [rad], except in a recovery; more accelerates and brakes harder."""
     acceleration: float = 0.35
-    """Acceleration of the reference along the path [m/s^2]; below g times lean_max."""
+    """Acceleration of the reference along the path [m/s^2], below g times ``lean_max``; more is sooner at its speed."""
     robot_radius: float = 0.25
-    """Radius of the disc that must stay clear, margin included [m]."""
-    narrow: float = 0.20
-    """Where the corridor's half width is below this [m], the reference slows down in proportion, at most to a third."""
-    corridor_min: float = 0.04
-    """Half width that the corridor is given where there is none [m]."""
-    corridor_max: float = 0.50
-    """Half width at which the corridor is cut off [m]."""
-    tracking_weight: float = 1.0
-    """On the squared distance from the reference [1/m^2]."""
-    end_weight: float = 100.0
-    """The same at the end of the horizon where that is the path's end [1/m^2]."""
-    smooth_weight: float = 2e-3
-    """On the squared fourth derivative of S, to which the drive's torque is proportional [s^8/m^2]."""
-    slack_weight: float = 200.0
-    """On leaving the corridor [1/m], and in a recovery on excess speed [s/m]."""
+    """Radius of the disc that must stay clear, margin included [m]; more keeps off walls and finds no way through
+    narrow places."""
 
 
 class Planner(NamedTuple):
@@ -89,12 +96,12 @@ class Planner(NamedTuple):
 
 def init(model: FlatModel, cfg: TrajectoryConfig = TrajectoryConfig()) -> Planner:
     """Evaluates the spline basis and assembles the matrices once for all solves."""
-    times = np.linspace(0.0, cfg.horizon, cfg.samples + 1)[1:]
+    times = np.linspace(0.0, cfg.horizon, SAMPLES + 1)[1:]
     value, speed, tilt, jerk, snap = (_basis(cfg, times, order) for order in range(5))
     lag, pull = model.b / model.c, model.a / model.c
     position, velocity, lean = value - lag * tilt, speed - lag * jerk, pull * tilt
     # The fourth derivative is linear between knots, so that limits at the knots hold everywhere.
-    lean_acceleration = pull * _basis(cfg, np.linspace(0.0, cfg.horizon, cfg.intervals + 1), 4)
+    lean_acceleration = pull * _basis(cfg, np.linspace(0.0, cfg.horizon, _INTERVALS + 1), 4)
     ends = [_basis(cfg, np.zeros(1), k)[0] for k in range(4)]
     ends += [_basis(cfg, np.full(1, cfg.horizon), k)[0] for k in range(1, 4)]
     return Planner(
@@ -102,8 +109,8 @@ def init(model: FlatModel, cfg: TrajectoryConfig = TrajectoryConfig()) -> Planne
         cfg=cfg,
         times=times,
         position=position,
-        on_way=_quadratic(cfg, position, snap, at_end=False),
-        at_end=_quadratic(cfg, position, snap, at_end=True),
+        on_way=_quadratic(position, snap, at_end=False),
+        at_end=_quadratic(position, snap, at_end=True),
         rows=_rows(np.array(ends), velocity, lean, position, lean_acceleration, recovery=False),
         recovery_rows=_rows(np.array(ends), velocity, lean, position, lean_acceleration, recovery=True),
     )
@@ -120,15 +127,15 @@ def solve(
         reference: ``[K, 2]`` where to be at the sample times [m].
         width: ``[K]`` radius of the disc round each reference point that should not be left [m].
         at_end: weigh the last point as the path's end.
-        recovery: allow ``lean_recovery`` and, at a price, speeds above ``speed_max``.
+        recovery: allow LEAN_RECOVERY and, at a price, speeds above ``speed_max``.
 
     Returns:
         Control points ``[n, 2]`` and the largest slack, or None if the limits contradict the state.
     """
-    cfg, n = planner.cfg, planner.position.shape[1]
-    linear = -2 * (planner.position.T * _tracking_weights(cfg, at_end)) @ reference
-    cost = np.concatenate([linear.T.ravel(), np.full(cfg.samples, cfg.slack_weight / cfg.samples)])
-    pinned, limits = _bounds(cfg, state, reference, width, recovery)
+    n = planner.position.shape[1]
+    linear = -2 * (planner.position.T * _tracking_weights(at_end)) @ reference
+    cost = np.concatenate([linear.T.ravel(), np.full(SAMPLES, _SLACK_WEIGHT / SAMPLES)])
+    pinned, limits = _bounds(planner.cfg, state, reference, width, recovery)
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     solver = clarabel.DefaultSolver(
@@ -164,21 +171,21 @@ def basis_splines(intervals: int, horizon: float) -> tuple[BSpline, ...]:
 
 def _basis(cfg: TrajectoryConfig, times: np.ndarray, order: int) -> np.ndarray:
     """``[len(times), n]``: control points to the derivative of S of this order."""
-    return basis_splines(cfg.intervals, cfg.horizon)[order](times)
+    return basis_splines(_INTERVALS, cfg.horizon)[order](times)
 
 
-def _tracking_weights(cfg: TrajectoryConfig, at_end: bool) -> np.ndarray:
-    weights = np.full(cfg.samples, cfg.tracking_weight / cfg.samples)
+def _tracking_weights(at_end: bool) -> np.ndarray:
+    weights = np.full(SAMPLES, _TRACKING_WEIGHT / SAMPLES)
     if at_end:
-        weights[-1] = cfg.end_weight
+        weights[-1] = _END_WEIGHT
     return weights
 
 
-def _quadratic(cfg: TrajectoryConfig, position: np.ndarray, snap: np.ndarray, at_end: bool) -> sparse.csc_matrix:
+def _quadratic(position: np.ndarray, snap: np.ndarray, at_end: bool) -> sparse.csc_matrix:
     """Upper half of the quadratic cost: tracking and smoothness; slack costs linearly."""
-    k = cfg.samples
-    hessian = 2 * (position.T * _tracking_weights(cfg, at_end)) @ position
-    hessian += 2 * cfg.smooth_weight / k * snap.T @ snap
+    k = SAMPLES
+    hessian = 2 * (position.T * _tracking_weights(at_end)) @ position
+    hessian += 2 * _SMOOTH_WEIGHT / k * snap.T @ snap
     return sparse.csc_matrix(
         sparse.triu(sparse.block_diag([sparse.csc_matrix(hessian)] * 2 + [sparse.csc_matrix((k, k))]))
     )
@@ -210,13 +217,13 @@ def _bounds(
     cfg: TrajectoryConfig, state: np.ndarray, reference: np.ndarray, width: np.ndarray, recovery: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Right-hand sides of the equalities (state at the start, rest at the end) and of the inequalities."""
-    k = cfg.samples
+    k = SAMPLES
     pinned = np.concatenate([np.concatenate([state[:, i], np.zeros(3)]) for i in range(2)])
     limits = [
         np.full(8 * k, cfg.speed_max * _INSCRIBED),
-        np.full(8 * k, (cfg.lean_recovery if recovery else cfg.lean_max) * _INSCRIBED),
+        np.full(8 * k, (LEAN_RECOVERY if recovery else cfg.lean_max) * _INSCRIBED),
         (_NORMALS @ reference.T).ravel() + np.tile(width * _INSCRIBED, 8),
-        np.full(4 * (cfg.intervals + 1), cfg.lean_acceleration_max / np.sqrt(2)),
+        np.full(4 * (_INTERVALS + 1), _LEAN_ACCELERATION_MAX / np.sqrt(2)),
         np.zeros(k),
     ]
     return pinned, np.concatenate(limits)

@@ -12,7 +12,16 @@ import numpy as np
 from scipy.interpolate import BSpline
 
 from shmoo_mjx.navigation.flat_model import FlatModel, rest_to_rest, rest_to_rest_time
-from shmoo_mjx.navigation.flat_qp import DEGREE, Planner, TrajectoryConfig, basis_splines, init, solve
+from shmoo_mjx.navigation.flat_qp import (
+    DEGREE,
+    LEAN_RECOVERY,
+    SAMPLES,
+    Planner,
+    TrajectoryConfig,
+    basis_splines,
+    init,
+    solve,
+)
 from shmoo_mjx.navigation.maps import ClearanceField
 from shmoo_mjx.navigation.paths import Path, point_at, project, tangent_at
 
@@ -31,6 +40,12 @@ __all__ = [
 
 Array = Any
 
+_CORRIDOR = (0.04, 0.50)
+"""Half width that the corridor is given where there is none, and at which it is cut off [m]: some is needed for the
+program to have a solution, and a wide one would let the robot cut its corners."""
+_NARROW = 0.20
+"""Half width of the corridor below which the reference slows down in proportion, at most to a third [m]: three times
+what the robot strays."""
 _STRAY = 0.06
 """How far the robot strays from its trajectory, measured in the 95th percentile [m]: the corridor keeps off walls by as
 much where it can."""
@@ -84,12 +99,12 @@ def plan(planner: Planner, state: Array, path: Path, field: ClearanceField | Non
     Returns:
         The trajectory; ``ok`` is False, with the reason, where limits and state contradict each other or the robot
         would come nearer to a wall than its radius (and nearer than it is now). From a state that can't keep the
-        limits, a ``recovery`` may lean up to ``lean_recovery`` and exceed ``speed_max`` as little as possible.
+        limits, a ``recovery`` may lean up to LEAN_RECOVERY and exceed ``speed_max`` as little as possible.
     """
     state = np.asarray(state, dtype=float)
     cfg = planner.cfg
     if not np.isfinite(state).all():
-        return _failed(planner, "the robot's state is not finite", np.zeros((cfg.samples, 2)))
+        return _failed(planner, "the robot's state is not finite", np.zeros((SAMPLES, 2)))
     reference, width, at_end = _reference(planner, state, path, field)
     solution = solve(planner, state, reference, width, at_end)
     recovery = solution is None
@@ -135,14 +150,14 @@ def _reference(
     s = project(path, here)
     v = max(0.0, float((state[1] - lag * state[3]) @ tangent_at(path, s)))
     ahead = np.linspace(s, min(s + cfg.speed_max * cfg.horizon, path.length), 40)
-    half_width = np.full(40, cfg.corridor_max)
+    half_width = np.full(40, _CORRIDOR[1])
     if field is not None:
         room = field.at(point_at(path, ahead)) - cfg.robot_radius - _STRAY
-        half_width = np.clip(room, cfg.corridor_min, cfg.corridor_max)
-    step = cfg.horizon / cfg.samples
+        half_width = np.clip(room, _CORRIDOR[0], _CORRIDOR[1])
+    step = cfg.horizon / SAMPLES
     along, a = [], cfg.acceleration
     for t in planner.times:
-        slow = np.clip(np.interp(s, ahead, half_width) / cfg.narrow, 1 / 3, 1.0)
+        slow = np.clip(np.interp(s, ahead, half_width) / _NARROW, 1 / 3, 1.0)
         stop_at_end = np.sqrt(2 * a * max(path.length - s, 0.0))
         v = max(0.0, min(v + a * step, cfg.speed * slow, stop_at_end, a * (cfg.horizon - t)))
         s = min(s + v * step, path.length)
@@ -154,7 +169,7 @@ def _leans_too_far(trajectory: Trajectory, planner: Planner) -> str:
     """Why the trajectory can't be leant into, or nothing: the limits hold at samples, this looks between them."""
     cfg = planner.cfg
     lean = np.linalg.norm(evaluate(trajectory, np.linspace(0.0, trajectory.horizon, 120)).lean, axis=1)
-    allowed = 1.05 * (cfg.lean_recovery if trajectory.recovery else cfg.lean_max)
+    allowed = 1.05 * (LEAN_RECOVERY if trajectory.recovery else cfg.lean_max)
     if lean.max() > max(allowed, float(lean[0])):
         return f"the trajectory would have to lean by {lean.max():.2f} rad, more than {allowed:.2f} rad"
     return ""

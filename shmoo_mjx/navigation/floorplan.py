@@ -8,7 +8,6 @@ the seeds are mirrored.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,35 +15,32 @@ import numpy as np
 from shmoo_mjx.navigation.maps import FREE, OCCUPIED, OccupancyGrid
 from shmoo_mjx.navigation.scenario import ObjectEntry, Scenario
 
-__all__ = ["Doorway", "Floorplan", "FloorplanConfig", "demo_scenario", "draw_floorplan"]
+__all__ = ["RESOLUTION", "Doorway", "Floorplan", "demo_scenario", "draw_floorplan"]
 
 Range = tuple[float, float]
 
 
-@dataclass(frozen=True)
-class FloorplanConfig:
-    """Ranges that are drawn from uniformly; all lengths in m."""
-
-    resolution: float = 0.05
-    """Side of a cell."""
-    wall: float = 0.10
-    """Thickness of every wall."""
-    height: Range = (6.0, 6.5)
-    """Size along y."""
-    room_a: Range = (2.9, 3.2)
-    """Depth of room A along x."""
-    room_b: Range = (2.9, 3.2)
-    """Depth of room B along x."""
-    room_c: Range = (2.5, 2.8)
-    """Depth of room C along x."""
-    entry_y: Range = (0.45, 0.50)
-    """Centre of the doorway between A and B, as a fraction of the height."""
-    near_y: Range = (0.79, 0.82)
-    """Centre of the near doorway between B and C, as a fraction of the height."""
-    far_y: Range = (0.14, 0.19)
-    """Centre of the far doorway between B and C, as a fraction of the height."""
-    door_width: Range = (1.10, 1.30)
-    """Width of a doorway."""
+RESOLUTION = 0.05
+"""Side of a cell [m]."""
+_WALL = 0.10
+"""Thickness of every wall [m]."""
+# Ranges that are drawn from uniformly.
+_HEIGHT: Range = (6.0, 6.5)
+"""Size along y [m]."""
+_ROOM_A: Range = (2.9, 3.2)
+"""Depth of room A along x [m]."""
+_ROOM_B: Range = (2.9, 3.2)
+"""Depth of room B along x [m]."""
+_ROOM_C: Range = (2.5, 2.8)
+"""Depth of room C along x [m]."""
+_ENTRY_Y: Range = (0.45, 0.50)
+"""Centre of the doorway between A and B, as a fraction of the height."""
+_NEAR_Y: Range = (0.79, 0.82)
+"""Centre of the near doorway between B and C, as a fraction of the height."""
+_FAR_Y: Range = (0.14, 0.19)
+"""Centre of the far doorway between B and C, as a fraction of the height."""
+_DOOR_WIDTH: Range = (1.10, 1.30)
+"""Width of a doorway [m]."""
 
 
 class Doorway(NamedTuple):
@@ -71,41 +67,36 @@ class Floorplan(NamedTuple):
     """Between rooms B and C, far off it."""
 
 
-def draw_floorplan(
-    rng: np.random.Generator,
-    cfg: FloorplanConfig = FloorplanConfig(),
-    widths: tuple[float, float] | None = None,
-) -> Floorplan:
+def draw_floorplan(rng: np.random.Generator, widths: tuple[float, float] | None = None) -> Floorplan:
     """Draws the three rooms.
 
     Args:
         rng: consumed.
-        cfg: ranges.
         widths: widths of the entry and of the near doorway [m], drawn if not given.
     """
 
     def draw(span: Range, scale: float = 1.0) -> float:
-        return _snap(rng.uniform(*span) * scale, cfg.resolution)
+        return _snap(rng.uniform(*span) * scale, RESOLUTION)
 
-    height, wall = draw(cfg.height), cfg.wall
-    x1 = wall + draw(cfg.room_a) + wall / 2
-    x2 = x1 + wall + draw(cfg.room_b)
-    length = x2 + wall / 2 + draw(cfg.room_c) + wall
-    entry_width, near_width = widths or (draw(cfg.door_width), draw(cfg.door_width))
-    entry = Doorway(x1, draw(cfg.entry_y, height), _snap(entry_width, cfg.resolution))
-    near = Doorway(x2, draw(cfg.near_y, height), _snap(near_width, cfg.resolution))
-    far = Doorway(x2, draw(cfg.far_y, height), draw(cfg.door_width))
-    cells = np.full(_cells((height, length), cfg.resolution), FREE, dtype=np.int8)
-    edge = round(wall / cfg.resolution)
+    height, wall = draw(_HEIGHT), _WALL
+    x1 = wall + draw(_ROOM_A) + wall / 2
+    x2 = x1 + wall + draw(_ROOM_B)
+    length = x2 + wall / 2 + draw(_ROOM_C) + wall
+    entry_width, near_width = widths or (draw(_DOOR_WIDTH), draw(_DOOR_WIDTH))
+    entry = Doorway(x1, draw(_ENTRY_Y, height), _snap(entry_width, RESOLUTION))
+    near = Doorway(x2, draw(_NEAR_Y, height), _snap(near_width, RESOLUTION))
+    far = Doorway(x2, draw(_FAR_Y, height), draw(_DOOR_WIDTH))
+    cells = np.full(_cells((height, length), RESOLUTION), FREE, dtype=np.int8)
+    edge = round(wall / RESOLUTION)
     cells[:edge] = cells[-edge:] = cells[:, :edge] = cells[:, -edge:] = OCCUPIED
     for x in (x1, x2):
-        left = round((x - wall / 2) / cfg.resolution)
+        left = round((x - wall / 2) / RESOLUTION)
         cells[:, left : left + edge] = OCCUPIED
     for door in (entry, near, far):
-        left = round((door.x - wall / 2) / cfg.resolution)
-        low = round((door.y - door.width / 2) / cfg.resolution)
-        cells[low : low + round(door.width / cfg.resolution), left : left + edge] = FREE
-    return Floorplan(OccupancyGrid(cells, cfg.resolution), entry, near, far)
+        left = round((door.x - wall / 2) / RESOLUTION)
+        low = round((door.y - door.width / 2) / RESOLUTION)
+        cells[low : low + round(door.width / RESOLUTION), left : left + edge] = FREE
+    return Floorplan(OccupancyGrid(cells, RESOLUTION), entry, near, far)
 
 
 def demo_scenario(seed: int) -> tuple[OccupancyGrid, Scenario]:

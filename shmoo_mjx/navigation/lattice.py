@@ -21,6 +21,10 @@ from shmoo_mjx.navigation.line_costs import PathConfig, line_costs, metre_cost
 
 __all__ = ["Lattice", "build", "costs_from", "is_tight", "nodes_in", "with_obstacles"]
 
+_SPACING = 0.30
+"""Largest distance between the points of the lattice on which a way is sought [m]; at least a cell."""
+_POINTS = 5000
+"""Number of points up to which they lie closer; more are slower to search."""
 _HALF = ((0, 1), (1, 0), (1, 1), (1, -1))
 """Blocks (rows, columns) on to which a line leads; the other four are the same lines backwards."""
 _TIGHT = 2.0
@@ -42,7 +46,7 @@ class Lattice(NamedTuple):
 
 def build(field: ClearanceField, radius: float, cfg: PathConfig) -> Lattice:
     """The lattice of a field for a disc of ``radius`` [m]."""
-    side = _side(field, radius, cfg)
+    side = _side(field, radius)
     blocks = tuple(-(-n // side) for n in np.shape(field.values))
     found, cells = _points(field, (slice(0, blocks[0]), slice(0, blocks[1])), side, radius, cfg)
     number = np.where(found, np.cumsum(found).reshape(found.shape) - 1, -1)
@@ -59,11 +63,11 @@ def build(field: ClearanceField, radius: float, cfg: PathConfig) -> Lattice:
     return Lattice(cells, number, side, graph)
 
 
-def _side(field: ClearanceField, radius: float, cfg: PathConfig) -> int:
-    """Cells along a block: few on a small map, where many points cost little, up to ``cfg.spacing`` on a large one."""
+def _side(field: ClearanceField, radius: float) -> int:
+    """Cells along a block: few on a small map, where many points cost little, up to _SPACING on a large one."""
     usable = int(np.count_nonzero(np.asarray(field.values) >= radius))
-    wanted = int(np.ceil(np.sqrt(usable / cfg.points)))
-    return max(1, min(wanted, round(cfg.spacing / float(field.resolution))))
+    wanted = int(np.ceil(np.sqrt(usable / _POINTS)))
+    return max(1, min(wanted, round(_SPACING / float(field.resolution))))
 
 
 def with_obstacles(

@@ -16,15 +16,10 @@ class PathConfig:
     """How much a path keeps away from walls."""
 
     soft_clearance: float = 0.30
-    """Beyond the robot's radius, walls are felt up to this distance [m]."""
+    """Distance up to which walls are felt beyond the robot's radius [m]; more leads round them in a wider bend."""
     soft_weight: float = 3.0
-    """Cost of a metre that touches the inflated walls, less 1 (a metre in the open costs 1)."""
-    escape_radius: float = 0.35
-    """Round a start nearer to a wall than the radius allows, cells that are no nearer may be used [m]."""
-    spacing: float = 0.30
-    """Distance between the points of the lattice on which a way is sought, at most [m]; at least a cell."""
-    points: int = 5000
-    """Where so many points are enough, they lie closer."""
+    """Cost of a metre that touches the inflated walls, less 1 (a metre in the open costs 1); more prefers a longer way
+    in the open, 0 takes the shortest."""
 
 
 def metre_cost(distance: np.ndarray, radius: float, cfg: PathConfig) -> np.ndarray:

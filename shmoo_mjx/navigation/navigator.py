@@ -40,6 +40,7 @@ from shmoo_mjx.navigation.records import (
     Setup,
     Transition,
 )
+from shmoo_mjx.navigation.scenario import ROBOT_RADIUS
 from shmoo_mjx.navigation.verdicts import judge, review, rolled
 from shmoo_mjx.plant import outline
 from shmoo_mjx.plant.robot import ROBOT
@@ -47,7 +48,7 @@ from shmoo_mjx.sensing import finite
 from shmoo_mjx.skills import approach, batched, contact, hold, push, retreat
 from shmoo_mjx.types import Command, Observation
 
-__all__ = ["MODES", "Navigator", "init", "setup_of", "step"]
+__all__ = ["MODES", "PROBE_ROOM", "Navigator", "init", "setup_of", "step"]
 
 Array = Any
 
@@ -58,9 +59,12 @@ _ARM_ROOM = 0.05
 _TURNING_ROOM = 0.05
 """Distance from walls beyond the robot's radius at which it may turn on its way [m]: its elbows sweep a circle."""
 _LONGEST_RETREAT = 6.0
-"""[s]"""
+"""Time after which a retreat ends wherever the robot is [s]."""
 _LONGEST_CONTACT = 10.0
 """Time to feel the object after which something else must hold the hands [s]; two are usual."""
+PROBE_ROOM = 0.03
+"""How far the probe's lean may stay below what the governor grants, while the object has not moved yet [rad]: a verdict
+on what was only touched gently would be worth little."""
 
 
 class _Mode(NamedTuple):
@@ -107,7 +111,7 @@ def _perceive(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[N
     now = float(seen.time[0])
     pushed = None if state.segment is None else state.segment.object
     belief, notes = state.belief.update(seen, setup.sizes, pushed, setup.first_status)
-    state = replace(state, last_seen=seen, belief=belief, trim=trim.step(trim.TrimConfig(), state.trim, seen))
+    state = replace(state, last_seen=seen, belief=belief, trim=trim.step(state.trim, seen))
     return state.said(*(Note(now, text) for text in notes)), trim.with_trim(state.trim, seen)
 
 
@@ -176,7 +180,7 @@ def _arms(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[float
     hands = float(np.max(seen.hands[0, :, 0]))
     if hands < TUCKED_REACH + 0.06 or _may_fold(state, seen, hands):
         return TUCKED_REACH, TUCKED_HEIGHT
-    return REACH - setup.config.skills.withdraw, HAND_HEIGHT
+    return REACH - retreat.WITHDRAW, HAND_HEIGHT
 
 
 def _may_fold(state: NavigatorState, seen: Observation, hands: float) -> bool:
@@ -186,7 +190,7 @@ def _may_fold(state: NavigatorState, seen: Observation, hands: float) -> bool:
 
 def _turned(setup: Setup, state: NavigatorState, seen: Observation, yaw: float) -> float:
     """The heading ``yaw``, or the present one where walls leave no room to turn."""
-    room = float(state.belief.walls.at(seen.robot_pose[0, :2])) - setup.config.robot_radius
+    room = float(state.belief.walls.at(seen.robot_pose[0, :2])) - ROBOT_RADIUS
     return yaw if room > _TURNING_ROOM else float(seen.robot_pose[0, 2])
 
 
@@ -194,7 +198,7 @@ def _drive(
     setup: Setup, state: NavigatorState, seen: Observation, path: Path | None
 ) -> tuple[NavigatorState, np.ndarray]:
     """Lean ``[2]`` along ``path`` round everything that is known."""
-    driven, lean = drive.follow(setup.config.drive, setup.trajectories, state.drive, seen, path, state.belief.clearance)
+    driven, lean = drive.follow(setup.trajectories, state.drive, seen, path, state.belief.clearance)
     return replace(state, drive=driven), lean
 
 
@@ -209,7 +213,7 @@ def _follow(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[Nav
     since = state.drive.failed_since
     if since is not None and now - since > _NO_TRAJECTORY:
         state = state.go(now, Mode.REPLAN, f"no local trajectory for {_NO_TRAJECTORY:g} s: {state.drive.reason}")
-    yaw = _turned(setup, state, seen, drive.yaw_ahead(cfg.drive, seen, path))
+    yaw = _turned(setup, state, seen, drive.yaw_ahead(seen, path))
     return state, Command(np.append(lean, 0.0), yaw, *_arms(setup, state, seen))
 
 
@@ -217,7 +221,7 @@ def _approach(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[N
     segment, now = state.current(), float(seen.time[0])
     state, lean = _drive(setup, state, seen, segment.way)
     remaining = segment.way.length - project(segment.way, seen.robot_pose[0, :2])
-    yaw = drive.yaw_ahead(setup.config.drive, seen, segment.way)
+    yaw = drive.yaw_ahead(seen, segment.way)
     sighting, pose = Sighting.of(seen, segment.object), seen.robot_pose[0]
     room = float(outline.room(state.belief.walls.at, pose, (TUCKED_REACH, REACH)).least) > _ARM_ROOM
     reached, move = approach.step(segment.approach, now, sighting, segment.face, lean, yaw, remaining, room)
@@ -237,7 +241,7 @@ def _contact(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[Na
     segment, known, now = state.current(), state.known(), float(seen.time[0])
     sighting = Sighting.of(seen, segment.object)
     assert segment.contact is not None
-    _, move = contact.step(setup.config.skills, segment.contact, sighting, segment.face)
+    _, move = contact.step(segment.contact, sighting, segment.face)
     if move.over:
         key, own = jax.random.split(state.key)
         begun = push.init(setup.controller, now, sighting, segment.face, known.half_extents, own, known.adapt)
@@ -254,7 +258,7 @@ def _contact(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[Na
 def _push(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[NavigatorState, Command]:
     segment, known = state.current(), state.known()
     assert segment.push is not None
-    firm = setup.config.probe_room if state.mode is Mode.PROBE and not rolled(segment.push, known.pose) else None
+    firm = PROBE_ROOM if state.mode is Mode.PROBE and not rolled(segment.push, known.pose) else None
     pushed, command = push.step(
         setup.controller, segment.push, Sighting.of(seen, segment.object), segment.face, state.last_u, segment.goal,
         segment.around, known.half_extents, firm,
@@ -277,7 +281,7 @@ def _retreat(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[Na
     folded = bool(np.all(seen.hands[0, :, 0] < TUCKED_REACH + 0.06))
     room = _may_fold(state, seen, float(np.max(seen.hands[0, :, 0])))
     sighting = Sighting.of(seen, segment.object)
-    move = retreat.step(setup.config.skills, sighting, segment.face, folded, lean, room)
+    move = retreat.step(sighting, segment.face, folded, lean, room)
     if move.over or now - state.since > _LONGEST_RETREAT:
         state = replace(state, drive=drive.init())
         state = state.go(now, Mode.REPLAN, f"backed away from object {segment.object}")

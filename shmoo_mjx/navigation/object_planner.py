@@ -15,9 +15,29 @@ import numpy as np
 
 from shmoo_mjx import se2
 
-__all__ = ["InitialGoal", "ObjectDecision", "ObjectPlannerConfig", "goal_grid", "initial_goal", "planning_stage"]
+__all__ = [
+    "AREA",
+    "BEST",
+    "CONE",
+    "InitialGoal",
+    "ObjectDecision",
+    "ObjectPlannerConfig",
+    "goal_grid",
+    "initial_goal",
+    "planning_stage",
+]
 
 Array = Any
+
+AREA = 2.0
+"""Side of the square round the object that the first goals come from [m]: larger allows longer pushes."""
+_GRID_STEP = 0.1
+"""Spacing of those goals [m]: how near to its goal an object has to come."""
+CONE = math.radians(35)
+"""Half angle round an accessible face's push direction in which first goals are sought [rad]: a wider one holds goals
+that steering hardly reaches."""
+BEST = 3
+"""Number of roll-outs of least cost that K sums over; the paper does not give it."""
 CollisionFree = Callable[[np.ndarray], np.ndarray]
 """(object poses ``[N, 3]`` in {W}) -> bool ``[N]``, True where the whole footprint is clear of map and path."""
 
@@ -26,22 +46,15 @@ CollisionFree = Callable[[np.ndarray], np.ndarray]
 class ObjectPlannerConfig:
     """Settings of Algorithm 1; the paper's values where it gives them."""
 
-    area: float = 2.0
-    """Side of the square round the object that the first goals come from [m]."""
-    grid_step: float = 0.1
-    """Spacing of those goals [m]."""
     min_displacement: float = 0.6
-    """A first goal lies at least this far from the object [m]. The optimal roll-outs end at the goal, so K is at most
-    ``best`` x its squared distance: a goal nearer than 0.32 m would make everything look immovable."""
-    cone: float = math.radians(35)
-    """Half angle round an accessible face's push direction in which first goals are sought [rad]."""
-    best: int = 3
-    """Roll-outs of least cost that K sums over."""
+    """Least distance of a first goal from the object [m]; more asks for more room. The optimal roll-outs end at the
+    goal, so K is at most three times its square: a goal nearer than 0.32 m would make everything look immovable."""
     threshold: float = 0.3
-    """K below this: not manipulable [m^2]. Three roll-outs of 0.32 m each reach it."""
+    """K below which an object is not manipulable [m^2]: three roll-outs of 0.32 m each reach it. More calls more
+    objects immovable."""
 
     def __post_init__(self) -> None:
-        if self.best * self.min_displacement**2 <= self.threshold:
+        if BEST * self.min_displacement**2 <= self.threshold:
             raise ValueError("min_displacement is so small that K could not reach its threshold")
 
 
@@ -72,12 +85,11 @@ class ObjectDecision(NamedTuple):
     reason: str
 
 
-def goal_grid(object_pose: Array, cfg: ObjectPlannerConfig | None = None) -> np.ndarray:
-    """Poses ``[N, 3]`` on a grid over the square round ``object_pose [3]``, axes along {W}, its yaw kept."""
-    cfg = cfg or ObjectPlannerConfig()
+def goal_grid(object_pose: Array, area: float = AREA) -> np.ndarray:
+    """Poses ``[N, 3]`` on a grid over a square with sides of ``area`` [m] round ``object_pose [3]``, its yaw kept."""
     pose = np.asarray(object_pose, dtype=float)
-    count = math.floor(cfg.area / 2 / cfg.grid_step + 1e-9)
-    ticks = np.arange(-count, count + 1) * cfg.grid_step
+    count = math.floor(area / 2 / _GRID_STEP + 1e-9)
+    ticks = np.arange(-count, count + 1) * _GRID_STEP
     dx, dy = np.meshgrid(ticks, ticks, indexing="ij")
     return np.stack([pose[0] + dx.ravel(), pose[1] + dy.ravel(), np.full(dx.size, pose[2])], axis=-1)
 
@@ -87,6 +99,7 @@ def initial_goal(
     collision_free: CollisionFree,
     push_directions: Array | None = None,
     cfg: ObjectPlannerConfig | None = None,
+    area: float = AREA,
 ) -> InitialGoal:
     """Algorithm 1, lines 1-6: the closest collision-free goal, before anything is known of the object's dynamics.
 
@@ -96,17 +109,18 @@ def initial_goal(
         push_directions: ``[F]`` headings in {W} [rad] in which the robot can push, one per face it can reach; goals
             outside every cone are left out. None allows all. Of goals equally close the one straightest ahead is taken.
         cfg: settings.
+        area: side of the square round the object that the goals come from [m].
 
     Returns:
         The goal with all candidates.
     """
     cfg = cfg or ObjectPlannerConfig()
     pose = np.asarray(object_pose, dtype=float)
-    grid = goal_grid(pose, cfg)
+    grid = goal_grid(pose, area)
     distance = _distance(grid, pose)
     grid = grid[distance >= max(cfg.min_displacement, 1e-9) - 1e-9]
     deviation, nearest = _deviation(grid, pose, push_directions)
-    within = deviation <= cfg.cone
+    within = deviation <= CONE
     if not within.any():
         return InitialGoal(None, None, np.zeros((0, 3)), "no goal lies in a direction in which the robot can push")
     grid, deviation, nearest = grid[within], deviation[within], nearest[within]
@@ -154,9 +168,9 @@ def planning_stage(
     if not len(ends):
         reason = "no roll-out of the model is finite"
         return ObjectDecision(bool(manipulable), math.nan, math.nan, None, empty, reason)
-    best = ends[np.argsort(cost, kind="stable")[: cfg.best]]
+    best = ends[np.argsort(cost, kind="stable")[:BEST]]
     # With fewer finite roll-outs than K sums over, those there stand for the missing ones.
-    k = float(np.mean(_distance(best, pose) ** 2) * cfg.best)
+    k = float(np.mean(_distance(best, pose) ** 2) * BEST)
     g = float(np.linalg.norm(best[:, :2].mean(axis=0) - pose[:2]))
     said = f"K = {k:.3f} m²"
     if manipulable is None:

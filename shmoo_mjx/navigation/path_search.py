@@ -23,6 +23,9 @@ from shmoo_mjx.navigation.line_costs import PathConfig, line_costs, metre_cost
 __all__ = ["cell_costs", "find_way"]
 
 Array = Any
+_ESCAPE_RADIUS = 0.35
+"""Distance from a start nearer to a wall than the radius allows within which cells that are no nearer may be used [m]:
+the robot's radius and a reserve."""
 _KEPT = 8
 """So many trees of ways to a goal are remembered for each lattice."""
 
@@ -133,7 +136,7 @@ def _known(walls: ClearanceField, radius: float, cfg: PathConfig) -> _Known:
 def _window(task: _Task, end: np.ndarray, side: int) -> _Window | None:
     """Ways from an end of the query to all cells near it; None if the disc can't be there."""
     cell, resolution = task.cell(end), float(task.field.resolution)
-    half = max(int(np.ceil(task.cfg.escape_radius / resolution)), 2 * side) + 2
+    half = max(int(np.ceil(_ESCAPE_RADIUS / resolution)), 2 * side) + 2
     shape = np.shape(task.field.values)
     rows, cols = (slice(max(c - half, 0), min(c + half + 1, n)) for c, n in zip(cell, shape, strict=True))
     parts = (rows, cols)
@@ -162,7 +165,7 @@ def _opened_costs(task: _Task, parts: tuple[slice, slice]) -> np.ndarray:
     # A robot that stands too near to something must get out, but not squeeze through where it is narrower still.
     rows, cols = np.mgrid[parts]
     row, col = field.to_cells(task.start)
-    near = np.hypot(rows - row, cols - col) * resolution <= cfg.escape_radius + resolution
+    near = np.hypot(rows - row, cols - col) * resolution <= _ESCAPE_RADIUS + resolution
     usable = near & (values > 0) & (values >= min(here, radius) - 0.5 * resolution)
     return np.where(usable & (costs < 0), 10.0 * (1.0 + cfg.soft_weight), costs)
 

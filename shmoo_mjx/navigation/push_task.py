@@ -23,18 +23,19 @@ from shmoo_mjx.hands import TUCKED_REACH
 from shmoo_mjx.learning.adaptation import AdaptState
 from shmoo_mjx.navigation import drive
 from shmoo_mjx.navigation.belief import KnownObject, belief_of
-from shmoo_mjx.navigation.face_choice import ArcConfig, choose, residual
+from shmoo_mjx.navigation.face_choice import YAW_WEIGHT, choose, residual
 from shmoo_mjx.navigation.maps import OccupancyGrid
 from shmoo_mjx.navigation.navigator import setup_of
 from shmoo_mjx.navigation.paths import Path, project
 from shmoo_mjx.navigation.records import NavigatorConfig
 from shmoo_mjx.navigation.routes import Routes
+from shmoo_mjx.navigation.verdicts import UNDETECTED_LIMIT
 from shmoo_mjx.sensing import finite
 from shmoo_mjx.skills import approach, batched, contact, hold, push, retreat
 from shmoo_mjx.skills.push import Pusher
 from shmoo_mjx.types import DT, Command, Observation
 
-__all__ = ["Phase", "PushTask", "PushTaskConfig", "pose_push_config"]
+__all__ = ["AT_REST", "Phase", "PushTask", "PushTaskConfig", "pose_push_config"]
 
 Array = Any
 
@@ -44,6 +45,16 @@ _FRESH = 0.3
 """Age of a pose from which the robot first turns to the object to look where it is [s]."""
 _LONGEST_LOOK = 4.0
 """How long it looks for it [s]."""
+_GAIN = 0.1
+"""Least improvement that another push has to promise [m of error]: about what a short one errs by itself."""
+AT_REST = 0.03
+"""Speed below which the object counts as resting [m/s]: 3 mm in a sample."""
+_LOST_AFTER = 2.5
+"""Time without contact after which contact counts as lost [s]: longer than the hands need to catch up."""
+_STALL = (0.03, 6.0)
+"""A push that brought the object less nearer to its goal than this [m of error] in so much time [s] has stalled."""
+_PUSH_LIMIT = 40.0
+"""Longest push [s]: 6 m at the speed allowed."""
 
 
 class Phase(StrEnum):
@@ -83,24 +94,13 @@ class PushTaskConfig:
     """Settings of the task, SI units."""
 
     arrived: float = 0.07
-    """Distance from the goal at which the object is left where it is."""
+    """Distance from the goal at which the object is left where it is [m]; less makes for more pushes."""
     arrived_yaw: float = float(np.deg2rad(10.0))
-    """... and the yaw error."""
-    gain: float = 0.1
-    """Least improvement that another push has to promise [m of error]: about what a short one errs by itself."""
+    """Yaw error at which it is [rad]; less makes for more pushes."""
     max_pushes: int = 6
-    at_rest: float = 0.03
-    """Speed below which the object counts as resting [m/s]."""
-    lost_after: float = 2.5
-    """Time without contact after which contact counts as lost: longer than the hands need to catch up [s]."""
-    stall_gain: float = 0.03
-    """A push that brought the object less nearer to its goal than this [m of error] ..."""
-    stall_time: float = 6.0
-    """... in this much time has stalled [s]."""
-    push_limit: float = 40.0
-    """Longest push."""
-    arcs: ArcConfig = ArcConfig()
+    """Pushes after which the object is left where it is [1]; more can mend more, and take longer."""
     moves: NavigatorConfig = NavigatorConfig()
+    """How the robot drives from face to face."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,7 +205,7 @@ class PushTask:
         """One decision."""
         seen = self._seen = finite(seen, self._seen)
         self.belief, _ = self.belief.update(seen, self._setup.sizes, self._index)
-        self.trim = trim.step(trim.TrimConfig(), self.trim, seen)
+        self.trim = trim.step(self.trim, seen)
         seen = trim.with_trim(self.trim, seen)
         result = self._handlers[self.phase](trim.foreseen(seen, self.config.moves.latency))
         self._last_u = np.asarray(result.u, dtype=float)
@@ -222,14 +222,14 @@ class PushTask:
             self._go(seen, Phase.FAILED, f"object {self._index} is not in sight")
             return self._rest(seen)
         looks = known.age < _FRESH or float(seen.time[0]) - self.since > _LONGEST_LOOK
-        if looks and np.linalg.norm(seen.object_twist[0, self._index, :2]) < self.config.at_rest:
+        if looks and np.linalg.norm(seen.object_twist[0, self._index, :2]) < AT_REST:
             self._judge(seen, known)
         offset = known.pose[:2] - seen.robot_pose[0, :2]
         return self._rest(seen)._replace(yaw=np.arctan2(offset[1], offset[0]))
 
     def _judge(self, seen: Observation, known: KnownObject) -> None:
         """With the object at rest: leave it, or choose the next push."""
-        cfg, weight = self.config, self.config.arcs.yaw_weight
+        cfg = self.config
         distance = float(np.linalg.norm(known.pose[:2] - self.goal[:2]))
         turned = abs(float(se2.wrap(known.pose[2] - self.goal[2])))
         where = f"{distance:.2f} m and {np.rad2deg(turned):.0f} deg from its goal"
@@ -243,11 +243,11 @@ class PushTask:
         around, faces = self.belief.clearance(without=self._index), faces_of(known.half_extents)
         ways = [routes.way_to(seen.robot_pose[0, :2], self._index, face, everything) for face in faces]
         lengths = [w[0].length if w and i not in known.failed_faces else None for i, w in enumerate(ways)]
-        choice = choose(known.pose, self.goal, faces, lengths, around, known.half_extents, cfg.arcs)
+        choice = choose(known.pose, self.goal, faces, lengths, around, known.half_extents)
         if choice is None:
             self._go(seen, Phase.FAILED, f"no face can be reached; the object is {where}")
             return
-        if choice.expected > float(residual(known.pose, self.goal, weight)) - cfg.gain:
+        if choice.expected > float(residual(known.pose, self.goal, YAW_WEIGHT)) - _GAIN:
             self._go(seen, Phase.DONE, f"the object is {where}, and another push promises no better")
             return
         chosen = ways[choice.side]
@@ -261,12 +261,9 @@ class PushTask:
 
     def _approach(self, seen: Observation) -> Command:
         leg, _ = self._current()
-        moves = self.config.moves
-        self._drive, lean = drive.follow(
-            moves.drive, self._setup.trajectories, self._drive, seen, leg.way, self.belief.clearance
-        )
+        self._drive, lean = drive.follow(self._setup.trajectories, self._drive, seen, leg.way, self.belief.clearance)
         remaining = leg.way.length - project(leg.way, seen.robot_pose[0, :2])
-        yaw, sighting = drive.yaw_ahead(moves.drive, seen, leg.way), Sighting.of(seen, self._index)
+        yaw, sighting = drive.yaw_ahead(seen, leg.way), Sighting.of(seen, self._index)
         reached, move = approach.step(leg.approach, float(seen.time[0]), sighting, leg.face, lean, yaw, remaining)
         self.leg = replace(leg, approach=reached)
         if move.over:
@@ -280,7 +277,7 @@ class PushTask:
         leg, known = self._current()
         assert leg.contact is not None
         sighting = Sighting.of(seen, self._index)
-        _, move = contact.step(self.config.moves.skills, leg.contact, sighting, leg.face)
+        _, move = contact.step(leg.contact, sighting, leg.face)
         if move.over:
             self._key, key = jax.random.split(self._key)
             now, half = float(seen.time[0]), known.half_extents
@@ -299,7 +296,7 @@ class PushTask:
         )  # fmt: skip
         self._adapt = pushed.pusher.adapt
         coasts, left, let_go = push.lets_go(
-            self.config.moves.skills, self._pusher.coast(pushed.pusher), leg.coasts, known.pose, leg.face, leg.goal
+            self._pusher.coast(pushed.pusher), leg.coasts, known.pose, leg.face, leg.goal
         )
         self.leg = replace(leg, push=pushed, coasts=coasts)
         if not pushed.ok:
@@ -313,27 +310,25 @@ class PushTask:
 
     def _end_of_push(self, seen: Observation, leg: _Leg, pushed: push.PushState, known: KnownObject) -> None:
         """Give up a push that leads no further."""
-        cfg, count = self.config, round(self.config.stall_time / DT)
-        errors = residual(
-            np.array([pushed.poses[0], pushed.poses[-count:][0], known.pose]), leg.goal, cfg.arcs.yaw_weight
-        )
-        if pushed.since_contact > cfg.lost_after:
-            self._go(seen, Phase.RETREAT, f"contact lost for {cfg.lost_after:g} s")
-        elif known.age > cfg.moves.blind_limit:
-            self._go(seen, Phase.RETREAT, f"the object has not been detected for {cfg.moves.blind_limit:g} s")
-        elif len(pushed.poses) >= count and errors[1] - errors[2] < cfg.stall_gain:
+        count = round(_STALL[1] / DT)
+        errors = residual(np.array([pushed.poses[0], pushed.poses[-count:][0], known.pose]), leg.goal, YAW_WEIGHT)
+        if pushed.since_contact > _LOST_AFTER:
+            self._go(seen, Phase.RETREAT, f"contact lost for {_LOST_AFTER:g} s")
+        elif known.age > UNDETECTED_LIMIT:
+            self._go(seen, Phase.RETREAT, f"the object has not been detected for {UNDETECTED_LIMIT:g} s")
+        elif len(pushed.poses) >= count and errors[1] - errors[2] < _STALL[0]:
             if errors[0] - errors[2] < 0.1:
                 failed = known.failed_faces | {leg.side}
                 self.belief = self.belief.with_object(self._index, failed_faces=failed)
-            self._go(seen, Phase.RETREAT, f"hardly nearer to its goal after {cfg.stall_time:g} s")
-        elif float(seen.time[0]) - pushed.started > cfg.push_limit:
-            self._go(seen, Phase.RETREAT, f"pushed for {cfg.push_limit:g} s")
+            self._go(seen, Phase.RETREAT, f"hardly nearer to its goal after {_STALL[1]:g} s")
+        elif float(seen.time[0]) - pushed.started > _PUSH_LIMIT:
+            self._go(seen, Phase.RETREAT, f"pushed for {_PUSH_LIMIT:g} s")
 
     def _retreat(self, seen: Observation) -> Command:
         leg, _ = self._current()
         now, sighting = float(seen.time[0]), Sighting.of(seen, self._index)
         folded = bool(np.all(seen.hands[0, :, 0] < TUCKED_REACH + 0.06))
-        move = retreat.step(self.config.moves.skills, sighting, leg.face, folded)
+        move = retreat.step(sighting, leg.face, folded)
         if move.over or now - self.since > _LONGEST_RETREAT:
             self.leg = None
             self._go(seen, Phase.CHOOSE, "backed away")

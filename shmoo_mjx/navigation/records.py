@@ -17,8 +17,6 @@ from shmoo_mjx.navigation.flat_trajectory import Planner, TrajectoryConfig
 from shmoo_mjx.navigation.object_planner import ObjectPlannerConfig
 from shmoo_mjx.navigation.paths import Path
 from shmoo_mjx.navigation.routes import Routes
-from shmoo_mjx.navigation.scenario import ROBOT_RADIUS
-from shmoo_mjx.skills import SkillConfig
 from shmoo_mjx.skills.approach import ApproachState
 from shmoo_mjx.skills.contact import ContactState
 from shmoo_mjx.skills.push import PushState
@@ -59,23 +57,15 @@ class Mode(StrEnum):
 class NavigatorConfig:
     """Settings of the state machine, SI units."""
 
-    robot_radius: float = ROBOT_RADIUS
-    """Radius of the disc that paths keep clear: body, folded hands and a reserve [m]."""
     goal_tolerance: float = 0.15
-    """Distance at which the goal counts as reached [m]; the scenario's own tolerance may be wider."""
+    """Distance at which the goal counts as reached [m]; the scenario's own may be wider. Less takes longer."""
     planning_time: float = 0.0
-    """Time that a planning stage or a global path takes to compute [s]; the robot goes on as it did meanwhile."""
+    """Time that a planning stage or a global path takes to compute [s]; the robot goes on as it did meanwhile, and
+    what it decides is the older for it."""
     latency: float = 0.0
     """Time from what a command answers to its effect [s]; the robot's motion is foreseen for so long."""
-    act_within: float = 2.2
-    """An object in the way is dealt with once the path's blocked point is this near [m]."""
     detour: float = 1.5
-    """A way round that is at most this much longer is taken rather than a push [m]."""
-    probe_room: float = 0.03
-    """How far the probe's lean may stay below what the governor grants, while the object has not moved yet [rad]: a
-    verdict on what was only touched gently would be worth little. 1 leaves the lean to the plan."""
-    probe_time: float = 1.0
-    """Contact time before the planning stage (Algorithm 1) [s]; what has rolled away by then is not waited for."""
+    """Extra length up to which a way round is taken rather than a push [m]; more makes for fewer pushes."""
     decides_by: Literal["mobility", "K"] = "mobility"
     """What tells whether an object can be moved: how far it has come for what the hands have spent on it, or K of its
     first planning stage, as in the paper."""
@@ -83,23 +73,15 @@ class NavigatorConfig:
     """Probability from which a verdict by mobility falls before ``decide_after``; nearer to 1 it is later, and more
     often right."""
     decide_after: float = 3.0
-    """Contact time after which it falls whatever its probability [s]."""
-    push_limit: float = 45.0
-    """Longest push [s]."""
-    lost_after: float = 1.5
-    """Time without contact after which contact counts as lost [s]."""
-    blind_limit: float = 1.5
-    """A push ends when the object has not been detected for this long [s]."""
+    """Contact time after which a verdict falls whatever its probability [s]; later it is more often right."""
     max_pushes: int = 4
-    """Pushes of one object before it is registered as an obstacle."""
+    """Pushes of one object before it is registered as an obstacle; more try longer."""
     goes_round: bool = True
     """False: every object in the way is pushed, none is ever registered or gone round. For comparison."""
     second_chance: bool = True
     """Try each registered object once more before giving up."""
-    planner: ObjectPlannerConfig = ObjectPlannerConfig(min_displacement=0.6)
+    planner: ObjectPlannerConfig = ObjectPlannerConfig()
     trajectory: TrajectoryConfig = TrajectoryConfig(robot_radius=0.27)
-    drive: drive.DriveConfig = drive.DriveConfig()
-    skills: SkillConfig = SkillConfig()
 
 
 class Transition(NamedTuple):

@@ -20,6 +20,7 @@ from shmoo_mjx.navigation.paths import Path, plan_path
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS
 from shmoo_mjx.plant import outline
 from shmoo_mjx.plant.robot import ROBOT
+from shmoo_mjx.skills.approach import CONTACT_GAP
 
 if TYPE_CHECKING:
     from shmoo_mjx.navigation.records import NavigatorConfig
@@ -79,7 +80,7 @@ class Routes:
         the path P was planned before anybody knew where the object would go).
         """
         half = np.array(known.half_extents)
-        clearance = self.config.robot_radius + _PATH_MARGIN
+        clearance = ROBOT_RADIUS + _PATH_MARGIN
 
         def check(poses: np.ndarray) -> np.ndarray:
             off_walls = footprints_free(around, poses, half, wall_clearance=_WALL_MARGIN)
@@ -105,12 +106,12 @@ class Routes:
         pose's gap [m]; None if there is no room or no way. ``clearance`` is that of everything known."""
         known, obstacles = self.belief.objects[index], self.belief.polygons()
         others = self.belief.clearance(without=index)
-        gaps = (self.config.skills.contact_gap, *_WIDER_GAPS)
+        gaps = (CONTACT_GAP, *_WIDER_GAPS)
         for reserve, gap in itertools.product(_REACHING_ROOM, gaps):
             wanted = stand_off(known.pose, face, gap)
             creeping = np.stack([stand_off(known.pose, face, g) for g in np.linspace(gap, 0.0, 4)])
             room = outline.room(others.at, creeping, (TUCKED_REACH, REACH)).least
-            if float(clearance.at(wanted[:2])) >= self.config.robot_radius and float(np.min(room)) >= reserve:
+            if float(clearance.at(wanted[:2])) >= ROBOT_RADIUS and float(np.min(room)) >= reserve:
                 path = self._path(position, wanted[:2], obstacles)
                 return None if path is None else (path, gap)
         return None
@@ -120,7 +121,7 @@ class Routes:
         return self._path(position, self.goal, obstacles)
 
     def _path(self, start: np.ndarray, end: np.ndarray, obstacles: list[shapely.Polygon]) -> Path | None:
-        radius = self.config.robot_radius
+        radius = ROBOT_RADIUS
         return plan_path(self.belief.grid, start, end, obstacles, radius, field=self.belief.walls)
 
     def way_back(self, position: np.ndarray, object_pose: np.ndarray) -> Path | None:

@@ -12,8 +12,17 @@ from shmoo_mjx.navigation.records import Decision, Mode, NavigatorState, Note, P
 from shmoo_mjx.skills.push import PushState
 from shmoo_mjx.types import DT, Observation
 
-__all__ = ["judge", "review", "rolled"]
+__all__ = ["PROBE_TIME", "UNDETECTED_LIMIT", "judge", "review", "rolled"]
 
+PROBE_TIME = 1.0
+"""Contact time before the planning stage (Algorithm 1) [s], as in the paper; what has rolled away by then is not waited
+for."""
+UNDETECTED_LIMIT = 1.5
+"""Time since the object's last detection at which a push ends [s]: a third of a metre at the speed allowed."""
+_LOST_AFTER = 1.5
+"""Time without contact after which contact counts as lost [s]: the hands catch up with what rolls ahead of them."""
+_PUSH_LIMIT = 45.0
+"""Longest push [s]: 11 m at the speed allowed."""
 _AT_GOAL = 0.10
 """Distance from its goal at which an object has arrived [m]."""
 _PASSED = -0.08
@@ -40,7 +49,7 @@ def rolled(push: PushState, pose: np.ndarray) -> bool:
 
 def judge(setup: Setup, state: NavigatorState, seen: Observation) -> NavigatorState:
     """Leave a push that is over, hopeless or lost; what takes no planning to see."""
-    segment, known, cfg, now = state.current(), state.known(), setup.config, float(seen.time[0])
+    segment, known, now = state.current(), state.known(), float(seen.time[0])
     push, index, pushing = segment.push, segment.object, state.mode is Mode.PUSH
     assert push is not None
 
@@ -49,21 +58,21 @@ def judge(setup: Setup, state: NavigatorState, seen: Observation) -> NavigatorSt
 
     if not push.ok:
         return leave("no roll-out of the model is finite: safe stop")
-    if known.age > cfg.blind_limit:
-        return leave(f"object {index} has not been detected for {cfg.blind_limit:g} s")
+    if known.age > UNDETECTED_LIMIT:
+        return leave(f"object {index} has not been detected for {UNDETECTED_LIMIT:g} s")
     if pushing and float(np.linalg.norm(known.pose[:2] - segment.goal[:2])) < _AT_GOAL:
         state = state.of_object(index, status=Status.PARKED)
         return leave(f"object {index} is at its goal")
     if pushing and _left(segment.goal, known.pose, segment.face) < _PASSED:
         return leave(f"object {index} has gone past its goal, and can't be pulled")
-    if push.since_contact > cfg.lost_after:
-        return leave(f"contact with object {index} lost for {cfg.lost_after:g} s")
+    if push.since_contact > _LOST_AFTER:
+        return leave(f"contact with object {index} lost for {_LOST_AFTER:g} s")
     travelled = push.travelled(_STALL[1])
     if travelled is not None and travelled < _STALL[0] and not _begins_anew(segment, now):
         text = f"object {index} moved less than {_STALL[0]:g} m in {_STALL[1]:g} s"
         return _stuck(setup, state, now, text)
-    if now - push.started > cfg.push_limit:
-        return leave(f"object {index} has been pushed for {cfg.push_limit:g} s")
+    if now - push.started > _PUSH_LIMIT:
+        return leave(f"object {index} has been pushed for {_PUSH_LIMIT:g} s")
     return state
 
 
@@ -92,7 +101,7 @@ def _due(setup: Setup, state: NavigatorState, push: PushState) -> bool:
     if state.mode is Mode.PUSH:
         return push.contact_time >= state.current().reviewed + _REVIEW_EVERY
     cfg, pose = setup.config, state.known().pose
-    if push.contact_time < cfg.probe_time and not rolled(push, pose):
+    if push.contact_time < PROBE_TIME and not rolled(push, pose):
         return False
     if cfg.decides_by == "K" or push.contact_time >= cfg.decide_after:
         return True

@@ -5,6 +5,6 @@ else moves an object string these together; a controller that pushes is their ar
 """
 
 from shmoo_mjx.skills import approach, contact, push, retreat
-from shmoo_mjx.skills.settings import Move, SkillConfig, batched, hold
+from shmoo_mjx.skills.settings import Move, batched, hold
 
-__all__ = ["Move", "SkillConfig", "approach", "batched", "contact", "hold", "push", "retreat"]
+__all__ = ["Move", "approach", "batched", "contact", "hold", "push", "retreat"]

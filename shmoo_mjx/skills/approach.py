@@ -18,6 +18,9 @@ __all__ = ["ApproachState", "init", "step"]
 
 Array = Any
 
+CONTACT_GAP = 0.12
+"""Distance between hands and face at the stand-off pose [m]: more keeps off an object whose pose is uncertain, and
+leaves more way on which contact can be missed."""
 _UNFOLDING = 1.0
 """Time that the arms take to extend [s]."""
 _LOOKING = 2.0

@@ -8,13 +8,18 @@ from shmoo_mjx import se2
 from shmoo_mjx.control.pushing import Sighting
 from shmoo_mjx.faces import heading
 from shmoo_mjx.hands import HAND_HEIGHT, HAND_RADIUS, REACH, touches
-from shmoo_mjx.skills.settings import Move, SkillConfig, hands_to_face, in_face, lean_for
+from shmoo_mjx.skills.settings import Move, hands_to_face, in_face, lean_for
 from shmoo_mjx.types import Command
 
 __all__ = ["ContactState", "init", "step"]
 
 Array = Any
 
+_SPEED = 0.12
+"""Speed at which contact is made [m/s]: faster knocks light objects away, slower takes longer."""
+_SHIFT = 0.03
+"""An object near the hands that has moved this far is touched, however little it resists [m]: several times the
+camera's noise at that distance."""
 _NEAR = 0.08
 """Distance of the hands from the face within which what is felt is the object, and not the arms that unfold, and within
 which an object that moves was touched, and not moved by others [m]."""
@@ -34,11 +39,10 @@ def init(now: Sighting) -> ContactState:
     return ContactState(now.object_pose)
 
 
-def step(config: SkillConfig, state: ContactState, now: Sighting, face: Array) -> tuple[ContactState, Move]:
+def step(state: ContactState, now: Sighting, face: Array) -> tuple[ContactState, Move]:
     """One sample; pure, on NumPy and JAX arrays alike.
 
     Args:
-        config: settings.
         state: from :func:`init`.
         now: robot and object.
         face: ``[4]`` as in :func:`~shmoo_mjx.faces.faces_of`.
@@ -46,10 +50,10 @@ def step(config: SkillConfig, state: ContactState, now: Sighting, face: Array) -
     xp = se2.array_module(now.object_pose, now.robot_pose)
     local, away = in_face(now.object_pose, now.robot_pose, face), hands_to_face(now.object_pose, now.robot_pose, face)
     shift = now.object_pose[:2] - state.object_pose[:2]
-    gives_way = xp.hypot(shift[0], shift[1]) > config.contact_shift
+    gives_way = xp.hypot(shift[0], shift[1]) > _SHIFT
     over = (away < _NEAR) & (touches(now.wrench) | gives_way)
     sideways = xp.clip(-0.8 * local[1], -0.1, 0.1)
-    wish = xp.where(over, 0.0, se2.rotate(xp.stack([config.contact_speed + 0.0 * sideways, sideways]), -local[2]))
+    wish = xp.where(over, 0.0, se2.rotate(xp.stack([_SPEED + 0.0 * sideways, sideways]), -local[2]))
     lean = lean_for(now, wish)
     command = Command(
         xp.concatenate([lean, xp.zeros(1)]), heading(now.object_pose, face), xp.asarray(REACH), xp.asarray(HAND_HEIGHT)

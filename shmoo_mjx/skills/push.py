@@ -13,12 +13,17 @@ from shmoo_mjx.control.pushing import LocalDistanceField, Sighting
 from shmoo_mjx.faces import heading
 from shmoo_mjx.hands import HAND_HEIGHT, REACH, touches
 from shmoo_mjx.learning.adaptation import AdaptState
-from shmoo_mjx.skills.settings import SkillConfig, hold
+from shmoo_mjx.skills.settings import hold
 from shmoo_mjx.types import DT, Command
 
 __all__ = ["PushState", "Pusher", "init", "lets_go", "step"]
 
 Array = Any
+
+_LEAD = 0.015
+"""An object is let go where it is expected to stop this far before its goal [m]: hands relax by about that much."""
+_WITHIN = 0.3
+"""Largest distance from the goal at which an object is let go [m]: after that it can't be steered."""
 
 
 class Pusher(Protocol):
@@ -121,13 +126,10 @@ def step(
     return state, command if ok else hold(now, extended=True)
 
 
-def lets_go(
-    config: SkillConfig, rest: Array, coasts: Array, object_pose: Array, face: Array, goal: Array
-) -> tuple[Array, Array, Array]:
+def lets_go(rest: Array, coasts: Array, object_pose: Array, face: Array, goal: Array) -> tuple[Array, Array, Array]:
     """Whether it is time to let go of an object for it to coast into its goal; pure, NumPy and JAX alike.
 
     Args:
-        config: settings.
         rest: ``[3]`` where the object comes to rest if it is let go now, in {W}.
         coasts: ``[5]`` how far it would have coasted along the push in the last samples [m]; a single one is noisy.
         object_pose: ``[3]`` now.
@@ -142,4 +144,4 @@ def lets_go(
     normal = xp.stack([xp.cos(ahead), xp.sin(ahead)])
     left = (goal[:2] - object_pose[:2]) @ normal
     coasts = xp.concatenate([coasts[1:], ((rest[:2] - object_pose[:2]) @ normal)[None]])
-    return coasts, left, (left - xp.median(coasts) < config.lead) & (left < config.within)
+    return coasts, left, (left - xp.median(coasts) < _LEAD) & (left < _WITHIN)

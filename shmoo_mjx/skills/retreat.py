@@ -9,26 +9,28 @@ import numpy as np
 from shmoo_mjx import se2
 from shmoo_mjx.control.pushing import Sighting
 from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_REACH
-from shmoo_mjx.skills.settings import Move, SkillConfig, hands_to_face, lean_for
+from shmoo_mjx.skills.settings import Move, hands_to_face, lean_for
 from shmoo_mjx.types import Command
 
-__all__ = ["step"]
+__all__ = ["CLEAR", "WITHDRAW", "step"]
 
 Array = Any
 
+CLEAR = 0.05
+"""Distance between the extended hands' place and the face at which a retreat stops and the arms fold [m]: more room for
+the arms, and a longer way back."""
+WITHDRAW = 0.12
+"""How far the hands draw back as soon as a push ends [m]: the base first rolls forward when it is to go back."""
 _SPEED = 0.2
 """Speed backwards [m/s]."""
 _SLOW = 0.08
 """Speed below which the robot stands [m/s]."""
 
 
-def step(
-    config: SkillConfig, now: Sighting, face: Array, folded: Array, lean: Array | None = None, room: Array = True
-) -> Move:
+def step(now: Sighting, face: Array, folded: Array, lean: Array | None = None, room: Array = True) -> Move:
     """One sample; pure, on NumPy and JAX arrays alike. No memory: where robot and object are says what is next.
 
     Args:
-        config: settings.
         now: robot and object.
         face: ``[4]`` as in :func:`~shmoo_mjx.faces.faces_of`.
         folded: whether the arms are folded.
@@ -37,12 +39,12 @@ def step(
     """
     xp = se2.array_module(now.object_pose, now.robot_pose)
     # The arms fold at rest: their centre of mass moves, and a robot under way would be carried along by it.
-    clear = hands_to_face(now.object_pose, now.robot_pose, face) > config.retreat
+    clear = hands_to_face(now.object_pose, now.robot_pose, face) > CLEAR
     slow = xp.hypot(now.robot_twist[0], now.robot_twist[1]) < _SLOW
     over = clear & folded & slow
     if lean is None:
         lean = lean_for(now, xp.stack([xp.where(clear, 0.0, -_SPEED), xp.asarray(0.0)]))
     # A ball-balancing robot first rolls forwards when it is to go back: hands left out would push once more.
-    reach = xp.where(clear & room, TUCKED_REACH, REACH - config.withdraw)
+    reach = xp.where(clear & room, TUCKED_REACH, REACH - WITHDRAW)
     command = Command(xp.concatenate([lean, np.zeros(1)]), now.robot_pose[2], reach, xp.asarray(HAND_HEIGHT))
     return Move(command, over)

@@ -1,8 +1,7 @@
-"""Settings and results that the skills share."""
+"""Results and helper functions that the skills share."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,29 +12,9 @@ from shmoo_mjx.hands import HAND_HEIGHT, HAND_RADIUS, REACH, TUCKED_HEIGHT, TUCK
 from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
 from shmoo_mjx.types import Command
 
-__all__ = ["Move", "SkillConfig", "batched", "hands_to_face", "hold", "in_face", "lean_for"]
+__all__ = ["Move", "batched", "hands_to_face", "hold", "in_face", "lean_for"]
 
 Array = Any
-
-
-@dataclass(frozen=True)
-class SkillConfig:
-    """Settings of the skills, SI units."""
-
-    contact_gap: float = 0.12
-    """Distance between hands and face at the stand-off pose [m]: more keeps off an object whose pose is uncertain."""
-    contact_speed: float = 0.12
-    """Speed at which contact is made [m/s]: faster knocks light objects away."""
-    contact_shift: float = 0.03
-    """An object near the hands that has moved this far is touched, however little it resists [m]."""
-    retreat: float = 0.05
-    """Distance between the extended hands' place and the face at which a retreat stops and the arms fold [m]."""
-    withdraw: float = 0.12
-    """How far the hands draw back as soon as a push ends [m]."""
-    lead: float = 0.015
-    """An object is let go where it is expected to stop this far before its goal: hands relax by about that much [m]."""
-    within: float = 0.3
-    """... but not from farther than this, since what is let go can't be steered [m]."""
 
 
 class Move(NamedTuple):

@@ -17,8 +17,8 @@ import jax.numpy as jnp
 from shmoo_mjx.control import pushing, quasi_static
 from shmoo_mjx.control.pushing import PushConfig, Sighting
 from shmoo_mjx.learning.weights import Weights, prior_state
-from shmoo_mjx.navigation.push_task import PushTaskConfig, pose_push_config
-from shmoo_mjx.skills import SkillConfig, contact, hold, retreat
+from shmoo_mjx.navigation.push_task import pose_push_config
+from shmoo_mjx.skills import contact, hold, retreat
 from shmoo_mjx.skills.push import lets_go
 from shmoo_mjx.sweep.config import Controller
 from shmoo_mjx.types import Command
@@ -43,7 +43,6 @@ Array = Any
 
 APPROACH, PUSH, LET_GO, DONE, FELL, UNSTABLE = range(6)
 """Phases of a push; from DONE on nothing happens any more."""
-_SKILLS: SkillConfig = PushTaskConfig().moves.skills
 
 
 class Task(NamedTuple):
@@ -84,12 +83,9 @@ def law_of(controller: Controller, weights: Weights) -> Law:
     """The controller that a sweep file asks for."""
     config = push_config(controller)
     if controller.kind == "quasi_static":
-        settings = quasi_static.QuasiStaticConfig()
         return Law(
             init=lambda now, task, key: jnp.zeros(()),
-            step=lambda more, now, last_u, task: quasi_static.law(
-                settings, config.cost, task.face, now, task.goal, more
-            ),
+            step=lambda more, now, last_u, task: quasi_static.law(config.cost, task.face, now, task.goal, more),
             coast=lambda state, now: now.object_pose,
         )
     core, params = weights.config, weights.params
@@ -107,7 +103,7 @@ def law_of(controller: Controller, weights: Weights) -> Law:
 def push_config(c: Controller) -> PushConfig:
     """The settings of the pushing controller that a sweep file asks for."""
     base = pose_push_config()
-    control = replace(base.control, samples=c.samples, horizon=c.horizon, temperature=c.temperature)
+    control = replace(base.control, num_rollouts=c.samples, horizon=c.horizon, temperature=c.temperature)
     cost = replace(base.cost, speed_limit=c.speed_limit)
     return replace(base, control=control, cost=cost, adapts=c.adapts, governor=replace(base.governor, gain=c.governor))
 
@@ -131,10 +127,10 @@ def decide(law: Law, memory: Memory, now: Sighting, task: Task, key: Array, read
     waiting, pushing_now = memory.phase == APPROACH, memory.phase == PUSH
     # The hands feel for the object from when the arms are out.
     feeling = contact.ContactState(jnp.where(ready, memory.contact.object_pose, now.object_pose))
-    feeling, creep = contact.step(_SKILLS, feeling, now, task.face)
-    back = retreat.step(_SKILLS, now, task.face, folded=jnp.bool_(False))
+    feeling, creep = contact.step(feeling, now, task.face)
+    back = retreat.step(now, task.face, folded=jnp.bool_(False))
     pushed, after = law.step(memory.law, now, memory.last_u, task)
-    coasts, _, let_go = lets_go(_SKILLS, law.coast(after, now), memory.coasts, now.object_pose, task.face, task.goal)
+    coasts, _, let_go = lets_go(law.coast(after, now), memory.coasts, now.object_pose, task.face, task.goal)
     phase = jnp.where(waiting & ready & creep.over, PUSH, memory.phase)
     phase = jnp.where(pushing_now & let_go, LET_GO, phase)
     goes_on = pushing_now & ~let_go

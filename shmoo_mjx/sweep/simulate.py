@@ -21,7 +21,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from shmoo_mjx import se2
 from shmoo_mjx.control.pushing import Sighting
 from shmoo_mjx.learning.weights import Weights
-from shmoo_mjx.navigation.push_task import PushTaskConfig
+from shmoo_mjx.navigation.push_task import AT_REST
 from shmoo_mjx.plant.engine_mjx import MjxEngine, MjxWorld
 from shmoo_mjx.plant.lowlevel import Gains
 from shmoo_mjx.plant.randomize import perturbed
@@ -29,6 +29,7 @@ from shmoo_mjx.sensing import Senses, odometry, senses_named
 from shmoo_mjx.sensing import senses as sensing
 from shmoo_mjx.sensing.odometry import TICK
 from shmoo_mjx.sensing.senses import Mind, Noise
+from shmoo_mjx.skills.retreat import CLEAR
 from shmoo_mjx.skills.settings import hands_to_face
 from shmoo_mjx.sweep import pushers
 from shmoo_mjx.sweep.config import SweepConfig
@@ -276,9 +277,8 @@ def _perceived(senses: Senses, given: Setup, truth: Any, mind: Mind, wrench: Arr
 
 def _phase(phase: Array, truth: Any, world: MjxWorld, given: Setup) -> Array:
     """The phase after a sample: over if the robot has fallen, or if it has let go and the object rests."""
-    settings = PushTaskConfig()
-    away = hands_to_face(truth.object_pose[0], truth.robot_pose, given.face) > settings.moves.skills.retreat
-    resting = jnp.hypot(truth.object_twist[0, 0], truth.object_twist[0, 1]) < settings.at_rest
+    away = hands_to_face(truth.object_pose[0], truth.robot_pose, given.face) > CLEAR
+    resting = jnp.hypot(truth.object_twist[0, 0], truth.object_twist[0, 1]) < AT_REST
     phase = jnp.where((phase == pushers.LET_GO) & away & resting, pushers.DONE, phase)
     phase = jnp.where(jnp.any(jnp.abs(se2.wrap(truth.lean)) > 0.6), pushers.FELL, phase)
     return jnp.where(jnp.all(jnp.isfinite(world.physics)), phase, pushers.UNSTABLE)

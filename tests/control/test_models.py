@@ -16,7 +16,7 @@ from shmoo_mjx.types import SystemState
 
 FACE = np.array([-0.3, 0.0, 0.0, 0.25], np.float32)
 CFG = mppi.MppiConfig(
-    samples=24, horizon=8, cost_scale=200.0, sigma=(0.05, 0.02, 0.1), low=(-0.15,) * 3, high=(0.15,) * 3
+    num_rollouts=24, horizon=8, cost_scale=200.0, sigma=(0.05, 0.02, 0.1), low=(-0.15,) * 3, high=(0.15,) * 3
 )
 GOAL = np.array([1.2, 0.0, 0.0])
 COST = partial(cost.push_cost, cost.PushCost(yaw_weight=0.0, effort=0.001, change=0.001), GOAL)

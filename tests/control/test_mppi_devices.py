@@ -15,10 +15,10 @@ import pytest
 
 SCRIPT = """
 import sys, jax, jax.numpy as jnp, numpy as np
-from shmoo_mjx.control import mppi
+from shmoo_mjx.control import mppi, sharding
 
-cfg = mppi.MppiConfig(samples=60, horizon=5)
-mesh = mppi.sample_mesh(cfg.samples)
+cfg = mppi.MppiConfig((0.06, 0.06, 0.15), (-0.2, -0.2, -0.5), (0.2, 0.2, 0.5), num_rollouts=60, horizon=5)
+mesh = sharding.rollout_mesh(cfg.num_rollouts)
 compilations = []
 jax.monitoring.register_event_duration_secs_listener(
     lambda event, seconds, **_: compilations.append(1) if "backend_compile" in event else None)
@@ -32,8 +32,8 @@ def step(gain, x0, state):
         return 30 * jnp.sum((seen[:, -1] - 1) ** 2, -1) + jnp.sum((controls[:, 0] - last) ** 2, -1)
     return mppi.plan(cfg, rollout_fn, cost_fn, x0, state, mesh)
 
-run = mppi.compiled(step, mesh)
-gain = mppi.replicated(mesh, jnp.eye(3) + 0.1)
+run = sharding.compiled(step, mesh)
+gain = sharding.replicated(mesh, jnp.eye(3) + 0.1)
 state, x0, trail = mppi.init(cfg, jax.random.key(5)), np.zeros(3, np.float32), []
 for i in range(4):
     u, state, plan = run(gain, x0, state)
@@ -42,7 +42,7 @@ for i in range(4):
     if i == 1:
         first = len(compilations)
 again = len(compilations) - first
-many = mppi.compiled(jax.vmap(step, in_axes=(None, 0, 0)), mesh)
+many = sharding.compiled(jax.vmap(step, in_axes=(None, 0, 0)), mesh)
 states = jax.vmap(lambda k: mppi.init(cfg, k))(jax.random.split(jax.random.key(6), 3))
 batch = many(gain, np.ones((3, 3), np.float32), states)[0]
 np.savez(sys.argv[1], trail=np.stack(trail), batch=batch, devices=1 if mesh is None else mesh.size,

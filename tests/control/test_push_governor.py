@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from shmoo_mjx import se2
 from shmoo_mjx.control.cost import PushCost
-from shmoo_mjx.control.governor import GovernorConfig, forward_lean, govern, static_lean
+from shmoo_mjx.control.governor import INTEGRAL_LIMIT, GovernorConfig, forward_lean, govern, static_lean
 from shmoo_mjx.control.pushing import LocalDistanceField, Sighting
-from shmoo_mjx.control.quasi_static import QuasiStaticPusher
+from shmoo_mjx.control.quasi_static import LEAN_LIMIT, QuasiStaticPusher
 from shmoo_mjx.faces import faces_of, stand_off
 from shmoo_mjx.hands import HAND_HEIGHT
 from shmoo_mjx.plant.robot import ROBOT
@@ -34,7 +34,7 @@ def test_what_feels_too_little_does_not_stay_stuck_but_is_leant_into_no_harder_t
         lean, more = lean_at(np.zeros(3), np.array([30.0, 0.0, 0.0]), 0.1, more)
         leans.append(lean)
     assert leans[30] > static_lean(30.0) + 0.25 * 0.1 + 0.02
-    assert more == pytest.approx(GovernorConfig().most)
+    assert more == pytest.approx(INTEGRAL_LIMIT)
     # Nothing touched: nothing to lean into. Faster than allowed: it goes back.
     assert lean_at(np.zeros(3), np.zeros(3), 0.1, 0.02)[1] == pytest.approx(0.02)
     assert lean_at(np.array([0.3, 0.0, 0.0]), np.array([30.0, 0.0, 0.0]), 0.1, 0.02)[1] < 0.02
@@ -87,5 +87,5 @@ def test_the_quasi_static_pusher_steers_towards_its_goal(side: int, turn: float)
     # A left turn takes the right hand forward (negative gamma) and the hands to the right (negative lean along y).
     assert np.sign(u[2]) == -np.sign(turn)
     assert np.sign(u[1]) == -np.sign(turn)
-    assert 0 < u[0] <= pusher.config.lean_limit
+    assert 0 < u[0] <= LEAN_LIMIT
     assert np.array_equal(pusher.coast(state), pose)

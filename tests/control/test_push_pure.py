@@ -43,7 +43,7 @@ def sighting(world: int, sample: int) -> Sighting:
 def test_two_mapped_pushes_are_the_two_controllers() -> None:
     weights = load_weights(ROOT / "experiments/weights/demo.safetensors")
     base = pose_push_config()
-    config = replace(base, control=replace(base.control, samples=40, horizon=6))
+    config = replace(base, control=replace(base.control, num_rollouts=40, horizon=6))
     controller = PushController(weights, config)
     open_floor = LocalDistanceField(np.full((4, 4), 9.0, np.float32), np.full(3, -20, np.float32), np.float32(10.0))
     keys = jax.random.split(jax.random.key(3), 2)

@@ -48,9 +48,7 @@ def drive(bias: np.ndarray, seed: int, force: float = 0.0, seconds: float = 12.0
         rate = (wanted - lean) / 0.3
         velocity = flat - b / a * se2.rotate(rate, yaw)
         noisy = lean - trim.arms_lean(HANDS) + rng.normal(0, 2e-3, 2)
-        state = trim.step(
-            trim.TrimConfig(), state, seen(i * DT, yaw, velocity + rng.normal(0, 0.01, 2), noisy, rate, force)
-        )
+        state = trim.step(state, seen(i * DT, yaw, velocity + rng.normal(0, 0.01, 2), noisy, rate, force))
         mean = lean + 0.5 * rate * DT - bias
         lean = lean + rate * DT
         flat = flat + DT * c / a * se2.rotate(mean, yaw)
@@ -69,7 +67,7 @@ def test_what_is_felt_in_contact_does_not_count() -> None:
 
 
 def test_never_trusts_more_than_its_limit() -> None:
-    assert drive(np.array([0.2, 0.0]), 0).lean[0] == pytest.approx(trim.TrimConfig().limit)
+    assert drive(np.array([0.2, 0.0]), 0).lean[0] == pytest.approx(trim.LIMIT)
 
 
 def test_lean_is_counted_from_the_trim_both_ways() -> None:
@@ -92,7 +90,7 @@ def test_a_robot_with_a_shifted_centre_of_mass_stands_still() -> None:
         for i in range(120):
             now = engine.observe(world)
             if learns:
-                state = trim.step(trim.TrimConfig(), state, now)
+                state = trim.step(state, now)
             if i == 60:
                 start = now.robot_pose[0, :2]
             lean = velocity_command(now, np.zeros(2))
@@ -116,7 +114,7 @@ def test_learns_how_hard_it_pushes_by_what_it_leans_against(gain: float) -> None
         for i in range(80):
             lean = np.array([0.07 if i >= 6 else 0.0, 0.0])
             world, now = engine.step(world, batched(Command(np.append(lean, 0.0), 0.0, REACH, HAND_HEIGHT)))
-            state = trim.step(trim.TrimConfig(), state, now)
+            state = trim.step(state, now)
             corrected.append(trim.with_trim(state, now).wrench[0, 0, 0])
             true.append(engine.true_observation(world).wrench[0, 0, 0])
     assert np.mean(true[60:]) > 20

@@ -17,7 +17,6 @@ from shmoo_mjx.plant.scene import build_scene
 from shmoo_mjx.sensing import REAL, SensedEngine
 from shmoo_mjx.types import Command, Observation
 
-CONFIG = drive.DriveConfig()
 PLANNER = flat_trajectory.init(FlatModel(*ROBOT.flatness))
 
 
@@ -25,8 +24,8 @@ PLANNER = flat_trajectory.init(FlatModel(*ROBOT.flatness))
 def test_a_robot_that_turns_leans_where_its_way_leads_when_the_lean_arrives(rate: float) -> None:
     path = Path(np.array([[0.0, 0.0], [3.0, 0.0]]), 3.0)
     seen = at_rest_turning(0.3, rate)
-    _, lean = drive.follow(CONFIG, PLANNER, drive.init(), seen, path, open_floor)
-    in_world = se2.rotate(lean, 0.3 + CONFIG.lead * rate)
+    _, lean = drive.follow(PLANNER, drive.init(), seen, path, open_floor)
+    in_world = se2.rotate(lean, 0.3 + drive.LEAD * rate)
     assert in_world[0] > 0.005 and abs(in_world[1]) < 1e-4
 
 
@@ -52,9 +51,9 @@ def test_with_real_senses_the_robot_comes_to_rest_at_the_end_of_its_way(seed: in
         world = engine.init()
         seen = engine.observe(world)
         while float(seen.time[0]) < 14.0:
-            balance = trim.step(trim.TrimConfig(), balance, seen)
+            balance = trim.step(balance, seen)
             ahead = trim.foreseen(trim.with_trim(balance, seen), REAL.latency)
-            state, lean = drive.follow(CONFIG, PLANNER, state, ahead, path, open_floor)
+            state, lean = drive.follow(PLANNER, state, ahead, path, open_floor)
             command = Command(*(np.array([x]) for x in ([*lean, 0.0], 0.6, TUCKED_REACH, TUCKED_HEIGHT)))
             world, seen = engine.step(world, trim.trimmed(balance, command))
             if float(seen.time[0]) > 8.0:

@@ -78,7 +78,7 @@ def test_starts_at_the_state_keeps_the_limits_and_ends_at_rest(
     assert np.allclose(start.position, [1.0, aside], atol=1e-5) and np.allclose(start.velocity, velocity, atol=1e-5)
     assert np.allclose(start.lean, [lean, 0.0], atol=1e-5) and np.allclose(start.lean_rate, [rate, 0.0], atol=1e-5)
     assert np.allclose(end.velocity, 0, atol=1e-4) and np.allclose(end.lean, 0, atol=1e-5)
-    whole = flat.evaluate(trajectory, np.linspace(CFG.horizon / CFG.samples, CFG.horizon, 200))
+    whole = flat.evaluate(trajectory, np.linspace(CFG.horizon / flat_qp.SAMPLES, CFG.horizon, 200))
     assert np.linalg.norm(whole.velocity, axis=1).max() <= CFG.speed_max * 1.02
     assert np.linalg.norm(whole.lean, axis=1).max() <= CFG.lean_max * 1.02
 
@@ -89,8 +89,9 @@ def test_the_program_and_the_trajectory_mean_the_same_positions() -> None:
     assert np.allclose(PLANNER.position @ trajectory.control_points, expected, atol=1e-9)
 
 
-def test_a_narrow_corridor_is_kept_where_smoothness_would_cut_the_bend() -> None:
-    lazy = flat.init(MODEL, TrajectoryConfig(smooth_weight=0.05))
+def test_a_narrow_corridor_is_kept_where_smoothness_would_cut_the_bend(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(flat_qp, "_SMOOTH_WEIGHT", 0.05)
+    lazy = flat.init(MODEL)
     u = lazy.times / CFG.horizon
     along = flat.rest_to_rest(0.7, CFG.horizon, lazy.times)[:, 0]
     reference = np.stack([along, 0.05 * np.sin(np.pi * u) ** 4], axis=-1)
@@ -133,8 +134,8 @@ def test_a_robot_that_was_pushed_too_fast_brakes() -> None:
     trajectory = flat.plan(PLANNER, state, straight(6.0))
     assert trajectory.ok and trajectory.recovery, trajectory.reason
     whole = flat.evaluate(trajectory, np.linspace(0.0, CFG.horizon, 100))
-    assert np.linalg.norm(whole.lean, axis=1).max() <= CFG.lean_recovery * 1.02
-    assert np.abs(np.diff(whole.lean_rate, axis=0)).max() / (CFG.horizon / 99) <= CFG.lean_acceleration_max
+    assert np.linalg.norm(whole.lean, axis=1).max() <= flat_qp.LEAN_RECOVERY * 1.02
+    assert np.abs(np.diff(whole.lean_rate, axis=0)).max() / (CFG.horizon / 99) <= flat_qp._LEAN_ACCELERATION_MAX
     assert np.linalg.norm(flat.evaluate(trajectory, 2.0).velocity) <= CFG.speed_max
     assert not flat.plan(PLANNER, at_rest(), straight(6.0)).recovery
 

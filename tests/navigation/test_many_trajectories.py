@@ -149,14 +149,14 @@ def test_the_plant_follows_a_path_round_a_corner() -> None:
     grid = OccupancyGrid(np.zeros((100, 100), dtype=np.int8), 0.05)
     grid.cells[:2] = grid.cells[-2:] = grid.cells[:, :2] = grid.cells[:, -2:] = OCCUPIED
     path = Path(np.array([[1.0, 1.0], [3.5, 1.0], [3.5, 3.5]]), 5.0)
-    field, cfg = maps.clearance_field(grid), drive.DriveConfig()
+    field = maps.clearance_field(grid)
     engine = MujocoEngine([build_scene([], (1.0, 1.0, 0.0))])
     state, body = drive.init(), engine.init()
     seen = engine.observe(body)
     off, tracking = [], []
     while float(seen.time[0]) < 22.0:
-        state, lean = drive.follow(cfg, PLANNER, state, seen, path, lambda: field)
-        yaw = drive.yaw_ahead(cfg, seen, path)
+        state, lean = drive.follow(PLANNER, state, seen, path, lambda: field)
+        yaw = drive.yaw_ahead(seen, path)
         u = np.array([[*lean, 0.0]])
         body, seen = engine.step(body, Command(u, np.array([yaw]), np.array([TUCKED_REACH]), np.array([TUCKED_HEIGHT])))
         here = seen.robot_pose[0, :2]

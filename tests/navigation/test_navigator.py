@@ -21,7 +21,7 @@ from shmoo_mjx.faces import faces_of
 from shmoo_mjx.hands import HAND_RADIUS
 from shmoo_mjx.navigation.belief import Status
 from shmoo_mjx.navigation.maps import FREE, OCCUPIED, OccupancyGrid, clearance_field
-from shmoo_mjx.navigation.navigator import MODES, Navigator, init, setup_of, step
+from shmoo_mjx.navigation.navigator import MODES, PROBE_ROOM, Navigator, init, setup_of, step
 from shmoo_mjx.navigation.object_planner import ObjectPlannerConfig
 from shmoo_mjx.navigation.records import Mode, NavigatorConfig
 from shmoo_mjx.plant.robot import ROBOT
@@ -314,7 +314,7 @@ def test_what_holds_is_immovable_whatever_the_model_foresees(decides_by: Any, ve
 def test_the_probe_leans_in_firmly_until_the_object_moves(movable: bool) -> None:
     navigator, _ = run(1, movable=movable)
     rooms = navigator.setup.controller.rooms
-    firm = [room == navigator.config.probe_room for room in rooms]
+    firm = [room == PROBE_ROOM for room in rooms]
     assert firm[0]
     assert all(firm) != movable
 

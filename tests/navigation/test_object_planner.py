@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shmoo_mjx.navigation.object_planner import ObjectPlannerConfig, goal_grid, initial_goal, planning_stage
+from shmoo_mjx.navigation.object_planner import CONE, ObjectPlannerConfig, goal_grid, initial_goal, planning_stage
 
 HERE = np.array([5.0, -3.0, 0.7])
 
@@ -65,7 +65,7 @@ def test_initial_goal_lies_where_the_robot_can_push() -> None:
     offsets = first.candidates[:, :2] - HERE[:2]
     bearing = np.arctan2(offsets[:, 1], offsets[:, 0])
     near = np.minimum(abs(bearing - np.pi / 2), np.pi - abs(bearing))
-    assert near.max() <= ObjectPlannerConfig().cone + 1e-9
+    assert near.max() <= CONE + 1e-9
     # Straight ahead wins over an equally close goal to the side.
     only_left = initial_goal(HERE, all_free, push_directions=np.array([-np.pi, np.pi / 2]))
     assert only_left.direction == 0

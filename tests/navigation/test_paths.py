@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy import ndimage, sparse
 from scipy.sparse.csgraph import dijkstra
 
-from shmoo_mjx.navigation import footprints, maps, paths
+from shmoo_mjx.navigation import footprints, lattice, maps, path_search, paths
 from shmoo_mjx.navigation.line_costs import line_costs
 from shmoo_mjx.navigation.maps import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from shmoo_mjx.navigation.paths import Path, PathConfig, plan_path
@@ -92,8 +92,9 @@ def test_a_sparse_lattice_finds_a_way_exactly_where_the_cells_have_one(seed: int
     assume(len(free) > 1)
     ends = free[rng.choice(len(free), 2, replace=False)]
     exact = shortest_by_dijkstra(field.values >= radius, tuple(ends[1]), grid.resolution)[tuple(ends[0])]
-    cfg = PathConfig(soft_weight=0.0, spacing=0.3, points=1)
-    path = plan_path(grid, *grid.cell_to_world(ends), boxes, robot_radius=radius, cfg=cfg)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(lattice, "_POINTS", 1)
+        path = plan_path(grid, *grid.cell_to_world(ends), boxes, robot_radius=radius, cfg=SHORTEST)
     assert (path is None) == np.isinf(exact)
     if path is None:
         return
@@ -157,14 +158,15 @@ def test_obstacles_unknown_cells_and_closed_doors_block() -> None:
     assert plan_path(grid, start, (3.95, 0.5)) is None
 
 
-def test_robot_too_near_a_wall_gets_out_but_not_through_a_gap() -> None:
+def test_robot_too_near_a_wall_gets_out_but_not_through_a_gap(monkeypatch: pytest.MonkeyPatch) -> None:
     path = plan_path(corridor(), (3.65, 0.8), (1.0, 2.0))  # 0.15 m from the wall
     assert path is not None and path.length < 3.3
     box = paths.footprint_polygon((3.95, 2.1, 0.0), (0.3, 0.45))  # leaves 0.25 m on either side
-    beside, far = (3.45, 1.7), PathConfig(escape_radius=1.5)
+    beside = (3.45, 1.7)
     assert plan_path(corridor(), beside, (7.0, 2.0), [box]) is None
-    assert plan_path(corridor(), beside, (7.0, 2.0), [box], cfg=far) is None
     assert plan_path(corridor(), beside, (1.0, 2.0), [box]) is not None
+    monkeypatch.setattr(path_search, "_ESCAPE_RADIUS", 1.5)
+    assert plan_path(corridor(), beside, (7.0, 2.0), [box]) is None
 
 
 BEND = Path(np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 3.0]]), 5.0)

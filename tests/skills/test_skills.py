@@ -14,13 +14,12 @@ from hypothesis import strategies as st
 from shmoo_mjx.control.pushing import Sighting
 from shmoo_mjx.faces import faces_of, stand_off
 from shmoo_mjx.hands import CONTACT_FORCE, REACH, TUCKED_REACH, touches
-from shmoo_mjx.skills import SkillConfig, approach, batched, contact, hold, push, retreat
+from shmoo_mjx.skills import approach, batched, contact, hold, push, retreat
 from shmoo_mjx.types import DT
 
 HALF = (0.25, 0.3)
 FACE = faces_of(HALF)[0]
 OBJECT = np.array([1.0, 0.5, 0.2])
-CONFIG = SkillConfig()
 
 
 def ahead(way: float) -> np.ndarray:
@@ -48,31 +47,31 @@ def test_one_definition_of_contact() -> None:
 def test_contact_is_what_is_felt_or_gives_way_near_the_face(gap: float, force: float, moved: float, over: bool) -> None:
     """Arms that unfold far from the face feel their own mass."""
     state = contact.init(sighting(gap))
-    _, move = contact.step(CONFIG, state, sighting(gap, force, moved=moved), FACE)
+    _, move = contact.step(state, sighting(gap, force, moved=moved), FACE)
     assert bool(move.over) is over
     assert bool(move.command.u[0] > 0.01) is not over, "it creeps on until it touches"
 
 
 def test_contact_fails_beside_the_face_and_far_from_it() -> None:
     for at in (sighting(0.05, lateral=0.4), sighting(0.6)):
-        assert bool(contact.step(CONFIG, contact.init(at), at, FACE)[1].failed)
+        assert bool(contact.step(contact.init(at), at, FACE)[1].failed)
 
 
 def test_a_retreat_draws_the_hands_back_then_folds_the_arms_and_ends_at_rest() -> None:
     near, clear = sighting(0.0), sighting(0.1)
-    first = retreat.step(CONFIG, near, FACE, folded=False)
-    assert first.command.u[0] < 0 and first.command.reach == pytest.approx(REACH - CONFIG.withdraw)
+    first = retreat.step(near, FACE, folded=False)
+    assert first.command.u[0] < 0 and first.command.reach == pytest.approx(REACH - retreat.WITHDRAW)
     assert not first.over
-    away = retreat.step(CONFIG, clear, FACE, folded=False)
+    away = retreat.step(clear, FACE, folded=False)
     assert away.command.reach == TUCKED_REACH and not away.over
-    assert retreat.step(CONFIG, clear, FACE, folded=False, room=False).command.reach > TUCKED_REACH
-    assert retreat.step(CONFIG, clear, FACE, folded=True).over
-    assert not retreat.step(CONFIG, sighting(0.1, speed=0.2), FACE, folded=True).over
+    assert retreat.step(clear, FACE, folded=False, room=False).command.reach > TUCKED_REACH
+    assert retreat.step(clear, FACE, folded=True).over
+    assert not retreat.step(sighting(0.1, speed=0.2), FACE, folded=True).over
 
 
 def test_arms_extend_at_the_stand_off_pose_only_and_where_they_have_room() -> None:
-    state, path = approach.init(0.0, CONFIG.contact_gap), (np.zeros(2), 0.0, 0.0)
-    at, far = sighting(CONFIG.contact_gap), sighting(0.6)
+    state, path = approach.init(0.0, approach.CONTACT_GAP), (np.zeros(2), 0.0, 0.0)
+    at, far = sighting(approach.CONTACT_GAP), sighting(0.6)
     assert approach.step(state, 1.0, far, FACE, *path)[0].extended_at is None
     assert approach.step(state, 1.0, at, FACE, *path, room=False)[0].extended_at is None
     reached, move = approach.step(state, 1.0, at, FACE, *path)
@@ -93,9 +92,9 @@ def test_an_approach_looks_at_the_object_once_it_is_near() -> None:
 def test_numpy_and_jax_agree(gap: float, force: float, speed: float, lateral: float) -> None:
     now = sighting(gap, force, speed, lateral)
     begun = contact.init(sighting(gap))
-    moves = (contact.step(CONFIG, begun, now, FACE)[1], retreat.step(CONFIG, now, FACE, folded=np.bool_(False)))
+    moves = (contact.step(begun, now, FACE)[1], retreat.step(now, FACE, folded=np.bool_(False)))
     as_jax = jax.tree.map(jnp.asarray, (begun, now, FACE))
-    same = (contact.step(CONFIG, *as_jax)[1], retreat.step(CONFIG, *as_jax[1:], folded=jnp.bool_(False)))
+    same = (contact.step(*as_jax)[1], retreat.step(*as_jax[1:], folded=jnp.bool_(False)))
     for one, other in zip(moves, same, strict=True):
         for a, b in zip(jax.tree.leaves(one.command), jax.tree.leaves(other.command), strict=True):
             np.testing.assert_allclose(a, b, atol=1e-4)
@@ -150,7 +149,7 @@ def test_letting_go_waits_for_the_goal_to_be_in_reach_and_in_coasting_distance()
     for coast, let_go in ((0.05, False), (0.19, True)):
         coasts, decided = np.zeros(5), False
         for _ in range(5):
-            coasts, left, decided = push.lets_go(CONFIG, ahead(coast), coasts, OBJECT, FACE, goal)
+            coasts, left, decided = push.lets_go(ahead(coast), coasts, OBJECT, FACE, goal)
         assert bool(decided) is let_go and left == pytest.approx(0.2)
 
 

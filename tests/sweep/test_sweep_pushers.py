@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from shmoo_mjx.control.pushing import Sighting
-from shmoo_mjx.control.quasi_static import QuasiStaticConfig, law
+from shmoo_mjx.control.quasi_static import law
 from shmoo_mjx.faces import faces_of, stand_off
 from shmoo_mjx.hands import REACH
 from shmoo_mjx.navigation.push_task import pose_push_config
@@ -87,10 +87,8 @@ def test_the_quasi_static_law_is_the_same_on_both_kinds_of_arrays() -> None:
     for _ in range(20):
         values = [rng.normal(size=n) * 0.3 for n in (3, 3, 2, 2, 3, 3)] + [rng.normal(size=3) * 20]
         goal = rng.normal(size=3)
-        plain, more = law(QuasiStaticConfig(), cost, FACE, Sighting(*values), goal, np.float64(0.01))
-        traced, later = law(
-            QuasiStaticConfig(), cost, FACE, Sighting(*map(jnp.asarray, values)), jnp.asarray(goal), jnp.float32(0.01)
-        )
+        plain, more = law(cost, FACE, Sighting(*values), goal, np.float64(0.01))
+        traced, later = law(cost, FACE, Sighting(*map(jnp.asarray, values)), jnp.asarray(goal), jnp.float32(0.01))
         assert isinstance(plain, np.ndarray) and isinstance(traced, jax.Array)
         np.testing.assert_allclose(traced, plain, atol=2e-5)
         np.testing.assert_allclose(later, more, atol=2e-5)
@@ -98,7 +96,7 @@ def test_the_quasi_static_law_is_the_same_on_both_kinds_of_arrays() -> None:
 
 def test_a_sweeps_settings_reach_the_controller() -> None:
     config = pushers.push_config(Controller(samples=64, horizon=7, temperature=0.3, adapts=False, speed_limit=0.3))
-    assert (config.control.samples, config.control.horizon, config.control.temperature) == (64, 7, 0.3)
+    assert (config.control.num_rollouts, config.control.horizon, config.control.temperature) == (64, 7, 0.3)
     assert not config.adapts and config.cost.speed_limit == 0.3
     assert pushers.push_config(Controller()) == pose_push_config()
 

@@ -1,0 +1,65 @@
+"""Sharing of roll-outs among the devices of a CPU.
+
+XLA runs small matrix products on one core. Where JAX was started with several CPU devices (`rollout_mesh`),
+:func:`~shmoo_mjx.control.mppi.plan` takes a mesh and evaluates a part of its roll-outs on each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+__all__ = ["compiled", "on_all", "replicated", "rollout_mesh", "shared", "split"]
+
+Array = Any
+
+_AXIS = "rollouts"
+
+
+def rollout_mesh(num_rollouts: int) -> Mesh | None:
+    """The CPU devices among which ``num_rollouts`` can be shared evenly; None if that is one, or not a CPU.
+
+    There are as many as JAX was started with: ``JAX_NUM_CPU_DEVICES``, which the command line sets. Each count gives
+    the same plan but for rounding.
+    """
+    devices = jax.devices()
+    if devices[0].platform != "cpu":
+        return None
+    count = max(n for n in range(1, len(devices) + 1) if num_rollouts % n == 0)
+    return Mesh(np.asarray(devices[:count]), (_AXIS,)) if count > 1 else None
+
+
+def replicated(mesh: Mesh | None, tree: Any) -> Any:
+    """The arrays of ``tree`` copied to every device of ``mesh``, so that no call has to bring them there."""
+    return tree if mesh is None else jax.device_put(tree, NamedSharding(mesh, PartitionSpec()))
+
+
+def compiled(function: Callable[..., Any], mesh: Mesh | None) -> Callable[..., Any]:
+    """``jax.jit`` of a function whose arguments are the same on all devices of ``mesh``.
+
+    Naming the placement keeps it from compiling again when an answer comes back as an argument.
+    """
+    return jax.jit(function) if mesh is None else jax.jit(function, in_shardings=NamedSharding(mesh, PartitionSpec()))
+
+
+def split(mesh: Mesh | None, x: Array) -> Array:
+    """``x [S, ...]`` with its first axis split among the devices; inside jit."""
+    return x if mesh is None else jax.lax.with_sharding_constraint(x, NamedSharding(mesh, PartitionSpec(_AXIS)))
+
+
+def on_all(mesh: Mesh | None, x: Array) -> Array:
+    """``x`` whole on every device; inside jit."""
+    return x if mesh is None else jax.lax.with_sharding_constraint(x, NamedSharding(mesh, PartitionSpec()))
+
+
+def shared(mesh: Mesh | None, function: Callable[[Array], Any]) -> Callable[[Array], Any]:
+    """``function`` of an array ``[S, ...]``, evaluated on each device for that device's part of it."""
+    if mesh is None:
+        return function
+    # The check would ask of every user's roll-out that it marks its carry as varying over the devices.
+    spec = PartitionSpec(_AXIS)
+    return jax.shard_map(function, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
