@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from shmoo_mjx import se2
 from shmoo_mjx.hands import HAND_RADIUS, REACH
+from shmoo_mjx.types import Array
 
 __all__ = ["faces_of", "heading", "stand_off"]
-
-Array = Any
 
 
 def faces_of(half_extents: tuple[float, float]) -> np.ndarray:

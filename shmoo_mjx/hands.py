@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from shmoo_mjx import se2
+from shmoo_mjx.types import Array
 
 __all__ = [
     "CONTACT_FORCE",
@@ -18,8 +17,6 @@ __all__ = [
     "hand_targets",
     "touches",
 ]
-
-Array = Any
 
 REACH = 0.42
 """x of the point midway between the hands in {R} when the arms are extended [m]."""

@@ -29,11 +29,9 @@ from shmoo_mjx.navigation.verdicts import PROBE_TIME
 from shmoo_mjx.navigation.yaml_input import closest_name
 from shmoo_mjx.report.trace import Trace, save_trace
 from shmoo_mjx.run import versions
-from shmoo_mjx.types import DT
+from shmoo_mjx.types import DT, Array
 
 __all__ = ["OPTIONAL", "REQUIRED", "Log", "read_log", "run_of_log", "write_run"]
-
-Array = Any
 
 REQUIRED = ("t", "object_x", "object_y", "object_yaw", "force_x", "force_y")
 OPTIONAL = ("torque", "robot_x", "robot_y", "robot_yaw")

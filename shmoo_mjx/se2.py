@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from shmoo_mjx.types import Array
+
 __all__ = [
     "array_module",
     "compose",
@@ -20,8 +22,6 @@ __all__ = [
     "transform_point",
     "wrap",
 ]
-
-Array = Any  # numpy.ndarray or jax.Array: every function here works on both
 
 
 def array_module(*arrays: Array) -> Any:

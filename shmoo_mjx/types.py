@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from typing import Any, Literal, NamedTuple, get_args
 
-__all__ = ["DT", "SENSES", "Command", "Observation", "SensesName", "SystemState"]
+__all__ = ["DT", "SENSES", "Array", "Command", "Observation", "SensesName", "SystemState"]
 
-Array = Any  # numpy.ndarray or jax.Array
+Array = Any
+"""numpy.ndarray or jax.Array."""
 
 DT = 0.1
 """Sample time of the dynamics model and of the controllers [s] (Eq. 1)."""

@@ -29,11 +29,9 @@ from shmoo_mjx.benchmarking.peers import serve
 from shmoo_mjx.control import cost, mppi, pushing, sharding
 from shmoo_mjx.dynamics import CoreConfig, ObjectConfig, RobotConfig, core
 from shmoo_mjx.learning import weights as weights_file
-from shmoo_mjx.types import SystemState
+from shmoo_mjx.types import Array, SystemState
 
 __all__ = ["batch", "main", "ours", "plain_jax"]
-
-Array = Any
 
 HALF_EXTENTS = np.array([0.3, 0.25])
 FACE = np.array([-0.3, 0.0, 0.0, 0.25])

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from shmoo_mjx import se2
-from shmoo_mjx.types import DT
+from shmoo_mjx.types import DT, Array
 
 __all__ = ["body_acceleration", "sample_acceleration"]
-
-Array = Any
 
 
 def sample_acceleration(twist: Array, dt: float = DT) -> Array:

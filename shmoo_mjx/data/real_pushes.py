@@ -9,16 +9,15 @@ from __future__ import annotations
 import csv
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from shmoo_mjx import se2
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.types import Array
 
 __all__ = ["Condition", "load"]
-
-Array = Any
 
 _POSES = ("obj_x0", "obj_y0", "obj_th0", "obj_x1", "obj_y1", "obj_th1")
 _FEWEST = 10

@@ -146,13 +146,11 @@ def create_or_open(directory: str | os.PathLike[str], schema: dict[str, Any]) ->
     return Store(directory, manifest)
 
 
-def write_condition(
-    store: Store | str | os.PathLike[str], name: str, arrays: dict[str, np.ndarray], condition: dict[str, Any]
-) -> None:
+def write_condition(store: Store, name: str, arrays: dict[str, np.ndarray], condition: dict[str, Any]) -> None:
     """Add one condition: its file first, then the manifest that names it, each written whole or not at all.
 
     Args:
-        store: from `create_or_open`, or the directory of an existing data set.
+        store: from `create_or_open`.
         name: unique; becomes the file's name.
         arrays: every entry of FIELDS ``[E, L, ...]``, face ``[E, 4]`` and size ``[E]``.
         condition: JSON-able, with at least family, seed and split.
@@ -163,8 +161,6 @@ def write_condition(
     """
     from safetensors.numpy import save
 
-    if not isinstance(store, Store):
-        store = Store(Path(store), _read_manifest(Path(store) / MANIFEST))
     _check_arrays(name, arrays)
     _check_condition(name, condition)
     typed = {k: np.ascontiguousarray(v, dtype=bool if k == "contact" else np.float32) for k, v in arrays.items()}

@@ -38,11 +38,9 @@ from shmoo_mjx.navigation.records import Mode, NavigatorConfig
 from shmoo_mjx.navigation.scenario import Limits, Scenario
 from shmoo_mjx.navigation.verdicts import PROBE_TIME
 from shmoo_mjx.plant.objects import FAMILIES, Condition, draw_condition
-from shmoo_mjx.types import SensesName
+from shmoo_mjx.types import Array, SensesName
 
 __all__ = ["CRITERIA", "ObjectPlannerTrials", "auc", "calibration", "run"]
-
-Array = Any
 
 CRITERIA = ("probability", "K", "moved_m")
 """After the first second of contact: the probability by which the navigator decides, K of Algorithm 1, and how far the

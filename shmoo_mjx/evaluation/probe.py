@@ -19,10 +19,9 @@ from shmoo_mjx.learning import daiml
 from shmoo_mjx.learning.baselines.gradient import Layers, dense, layers
 from shmoo_mjx.learning.daiml import DaimlConfig, ObjectFit
 from shmoo_mjx.learning.rows import Rows
+from shmoo_mjx.types import Array
 
 __all__ = ["accuracy", "psi_of", "raw_without_size"]
-
-Array = Any
 
 HIDDEN = (64, 64)
 BATCH = 1024

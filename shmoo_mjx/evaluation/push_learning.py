@@ -8,7 +8,7 @@ outline comes from where the pusher touched, its few parameters from the pushes 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,10 +16,9 @@ from shmoo_mjx import se2
 from shmoo_mjx.data.real_pushes import Condition
 from shmoo_mjx.evaluation import push_outline, push_physics
 from shmoo_mjx.learning import daiml
+from shmoo_mjx.types import Array
 
 __all__ = ["Prepared", "adapted", "credible", "naive", "prepare", "trained", "unscaled"]
-
-Array = Any
 
 
 class Prepared(NamedTuple):

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 from shmoo_mjx import se2
+from shmoo_mjx.types import Array
 
 __all__ = ["Touch", "align", "contact", "estimate", "size"]
-
-Array = Any
 
 _TOLERANCE = 1e-3
 """Corners of the hull that stick out less than this are noise [m]."""

@@ -6,17 +6,14 @@ surface as an ellipsoid); the force keeps the pusher from entering the outline a
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from scipy.optimize import least_squares
 
 from shmoo_mjx import se2
 from shmoo_mjx.evaluation import push_outline
+from shmoo_mjx.types import Array
 
 __all__ = ["NOMINAL", "SPREAD", "identify", "push", "start_of_push"]
-
-Array = Any
 
 NOMINAL = np.array([np.log(0.6), np.log(0.2), 0.0, 0.0, 0.0, 0.0, 0.0])
 """The parameters: log of (radius of gyration of friction / size), log of the friction coefficient at the pusher, two of

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import islice
 from typing import Any, cast
 
 import numpy as np
@@ -20,7 +21,6 @@ from shmoo_mjx.navigation.push_task import Pusher, PushTask, pose_push_config
 from shmoo_mjx.plant.objects import FAMILIES, Condition, draw_condition
 from shmoo_mjx.plant.scene import Scene, build_scene
 from shmoo_mjx.sensing import REAL, SensedEngine, Senses
-from shmoo_mjx.types import Observation
 
 __all__ = [
     "GOALS",
@@ -112,14 +112,9 @@ def resistance(c: Condition) -> float:
 
 def _movable(family: str, first_seed: int, count: int) -> list[tuple[Condition, str]]:
     """The first ``count`` objects from ``first_seed`` on that can be pushed and have no brake on yet."""
-    found: list[tuple[Condition, str]] = []
-    for seed in range(first_seed, first_seed + 1000):
-        condition = draw_condition(family, seed)
-        if resistance(condition) <= 0.8 * _MOST["drawn"] and not any(condition.locked):
-            found.append((condition, ""))
-        if len(found) == count:
-            break
-    return found
+    drawn = (draw_condition(family, seed) for seed in range(first_seed, first_seed + 1000))
+    good = ((c, "") for c in drawn if resistance(c) <= 0.8 * _MOST["drawn"] and not any(c.locked))
+    return list(islice(good, count))
 
 
 def _demanding(family: str, first_seed: int, count: int) -> list[tuple[Condition, str]]:
@@ -127,6 +122,8 @@ def _demanding(family: str, first_seed: int, count: int) -> list[tuple[Condition
     found: list[tuple[Condition, str]] = []
     # Other objects than those of `_movable`, of the same 1,000 seeds.
     for seed in range(first_seed + 400, first_seed + 1000):
+        if len(found) == count:
+            break
         demand = _DEMANDS[family][len(found) % len(_DEMANDS[family])]
         condition = draw_condition(family, seed)
         if any(condition.locked):
@@ -135,8 +132,6 @@ def _demanding(family: str, first_seed: int, count: int) -> list[tuple[Condition
         least = _LEAST_HEAVY if demand == "heavy" else 0.0
         if least <= resistance(condition) <= 0.95 * _MOST["demanding"]:
             found.append((condition, demand))
-        if len(found) == count:
-            break
     return found
 
 
@@ -255,10 +250,12 @@ class Runner:
         self._pushers: dict[str, Pusher] = {}
 
     def run(self, trial: Trial, method: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-        """The trial's row and its track: t, object_pose, robot_pose (all true), phase, qpos."""
+        """The trial's row and its track: t, object_pose, robot_pose (all true), phase, qpos, lean."""
         if method not in self._pushers:
-            self._pushers[method] = _pusher(method, self._weights_of(method))
-        pusher = self._pushers[method]
+            weights = self.paper_form if method == "paper_form" else self.weights
+            if weights is None:
+                raise ValueError("the method paper_form needs weights of its own")
+            self._pushers[method] = _pusher(method, weights)
         scene = scene_of_trial(trial, trial.condition, self.senses)
         # It is told where the object stands, as it is told the goal: to find the object is not part of the task.
         engine = SensedEngine([scene], self.senses, trial.seed, told=True)
@@ -268,14 +265,17 @@ class Runner:
             adapt_after = hindsight(self.weights, trial.changed, trial.seed % 10_000)
         grid = OccupancyGrid(np.zeros((240, 240), np.int8), 0.05, (-6.0, -6.0, 0.0))
         sizes = [trial.condition.half_extents]
-        task = PushTask(grid, sizes, trial.goal_pose, pusher, seed=trial.seed, adapt=adapt)
-        log = _Log(scene, trial)
+        task = PushTask(grid, sizes, trial.goal_pose, self._pushers[method], seed=trial.seed, adapt=adapt)
+        start = np.array(trial.object_pose[:2])
+        way = float(np.linalg.norm(trial.goal_pose[:2] - start))
+        rows: list[tuple[Any, ...]] = []
         with engine:
             world = engine.init()
             seen, true = engine.observe(world), engine.true_observation(world)
-            changed_at = None
-            while not task.finished and float(seen.time[0]) < self.time_limit and not log.fell:
-                if changed_at is None and trial.change != "none" and log.share(true) > trial.change_at:
+            changed_at, fell = None, False
+            while not task.finished and float(seen.time[0]) < self.time_limit and not fell:
+                gone = float(np.linalg.norm(true.object_pose[0, 0, :2] - start)) / way
+                if changed_at is None and trial.change != "none" and gone > trial.change_at:
                     changed_at = float(seen.time[0])
                     engine.change([scene_of_trial(trial, trial.changed, self.senses)])
                     if adapt_after is not None:
@@ -283,87 +283,48 @@ class Runner:
                 tick = partial(task.tick, seen)
                 command = tick() if method in METHODS else own.asked(OWN, method, tick)
                 world, seen = engine.step(world, command)
-                true = engine.true_observation(world)
-                log.note(true, world.physics[0], str(task.phase), bool(engine.fallen(world)[0]))
-        return self._row(trial, method, task, log, true, changed_at), log.track()
-
-    def _weights_of(self, method: str) -> Weights:
-        if method != "paper_form":
-            return self.weights
-        if self.paper_form is None:
-            raise ValueError("the method paper_form needs weights of its own")
-        return self.paper_form
-
-    def _row(
-        self, trial: Trial, method: str, task: PushTask, log: _Log, true: Observation, changed_at: float | None
-    ) -> dict[str, Any]:
-        final, goal = true.object_pose[0, 0], trial.goal_pose
-        offset = float(np.linalg.norm(final[:2] - goal[:2]))
-        turned = float(np.rad2deg(abs(se2.wrap(final[2] - goal[2]))))
-        return {
-            "trial": trial.name,
-            "method": method,
-            "family": trial.family,
-            "goal": trial.goal,
-            "run": trial.run,
-            "stratum": trial.stratum,
-            "demand": trial.demand,
-            "object_seed": trial.condition.seed,
-            "object": trial.condition.describe(),
-            "change": trial.change,
-            "changed_at_s": changed_at,
-            "offset_m": offset,
-            "yaw_error_deg": turned,
-            "success": offset <= 0.25 and turned <= 20.0 and not log.fell,
-            "fell": log.fell,
-            "time_s": float(true.time[0]),
-            "pushes": task.pushes,
-            "worst_lean_rad": log.lean,
-            "arm_margin_rad": log.margin,
-            "final_x": float(final[0]),
-            "final_y": float(final[1]),
-            "ended": str(task.phase) if task.finished else "time is up",
-            "reason": task.events[-1].reason if task.events else "",
-            "events": [[round(e.t, 1), str(e.target), e.reason] for e in task.events],
-        }
+                true, fell = engine.true_observation(world), bool(engine.fallen(world)[0])
+                now = float(true.time[0]), true.object_pose[0, 0], true.robot_pose[0], str(task.phase)
+                rows.append((*now, world.physics[0, 1 : 1 + scene.model.nq].copy(), float(np.hypot(*true.lean[0]))))
+        names = ("t", "object_pose", "robot_pose", "phase", "qpos", "lean")
+        track = {name: np.array(column) for name, column in zip(names, zip(*rows, strict=True), strict=True)}
+        row = _row(trial, method, task, track, changed_at, fell) | {"arm_margin_rad": _arm_margin(scene, track["qpos"])}
+        return row, track | {"qpos": track["qpos"].astype(np.float32)}
 
 
-class _Log:
-    """What the simulator knows about a trial while it runs."""
+def _row(
+    trial: Trial, method: str, task: PushTask, track: dict[str, np.ndarray], changed_at: float | None, fell: bool
+) -> dict[str, Any]:
+    final, goal = track["object_pose"][-1], trial.goal_pose
+    offset = float(np.linalg.norm(final[:2] - goal[:2]))
+    turned = float(np.rad2deg(abs(se2.wrap(final[2] - goal[2]))))
+    return {
+        "trial": trial.name,
+        "method": method,
+        **{name: getattr(trial, name) for name in ("family", "goal", "run", "stratum", "demand", "change")},
+        "object_seed": trial.condition.seed,
+        "object": trial.condition.describe(),
+        "changed_at_s": changed_at,
+        "offset_m": offset,
+        "yaw_error_deg": turned,
+        "success": offset <= 0.25 and turned <= 20.0 and not fell,
+        "fell": fell,
+        "time_s": float(track["t"][-1]),
+        "pushes": task.pushes,
+        "worst_lean_rad": float(track["lean"].max()),
+        "final_x": float(final[0]),
+        "final_y": float(final[1]),
+        "ended": str(task.phase) if task.finished else "time is up",
+        "reason": task.events[-1].reason if task.events else "",
+        "events": [[round(e.t, 1), str(e.target), e.reason] for e in task.events],
+    }
 
-    def __init__(self, scene: Scene, trial: Trial) -> None:
-        self.fell = False
-        self.lean = 0.0
-        self.margin = np.inf
-        self._start = np.array(trial.object_pose[:2])
-        self._way = float(np.linalg.norm(trial.goal_pose[:2] - self._start))
-        self._nq = scene.model.nq
-        names = ("shoulder_yaw", "shoulder_pitch", "elbow")
-        joints = [scene.model.joint(f"robot/{side}_{name}") for side in ("left", "right") for name in names]
-        self._arm = np.array([j.qposadr[0] for j in joints])
-        self._range = np.array([j.range for j in joints])
-        self._rows: list[tuple[float, np.ndarray, np.ndarray, str, np.ndarray]] = []
 
-    def share(self, true: Observation) -> float:
-        """How much of the way to the goal the object has gone."""
-        return float(np.linalg.norm(true.object_pose[0, 0, :2] - self._start)) / self._way
-
-    def note(self, true: Observation, physics: np.ndarray, phase: str, fell: bool) -> None:
-        """One sample."""
-        qpos = physics[1 : 1 + self._nq]
-        arm = qpos[self._arm]
-        self.fell |= fell
-        self.lean = max(self.lean, float(np.hypot(*true.lean[0])))
-        self.margin = min(self.margin, float(np.min([arm - self._range[:, 0], self._range[:, 1] - arm])))
-        self._rows.append((float(true.time[0]), true.object_pose[0, 0], true.robot_pose[0], phase, qpos.copy()))
-
-    def track(self) -> dict[str, np.ndarray]:
-        """Arrays over time."""
-        t, thing, robot, phase, qpos = zip(*self._rows, strict=True)
-        return {
-            "t": np.array(t),
-            "object_pose": np.array(thing),
-            "robot_pose": np.array(robot),
-            "phase": np.array(phase),
-            "qpos": np.array(qpos, dtype=np.float32),
-        }
+def _arm_margin(scene: Scene, qpos: np.ndarray) -> float:
+    """How near ``qpos [T, nq]`` brings any joint of the arms to its limits [rad]."""
+    names = [
+        f"robot/{side}_{part}" for side in ("left", "right") for part in ("shoulder_yaw", "shoulder_pitch", "elbow")
+    ]
+    joints = [scene.model.joint(name) for name in names]
+    arm, (low, high) = qpos[:, [j.qposadr[0] for j in joints]], np.array([j.range for j in joints]).T
+    return float(np.minimum(arm - low, high - arm).min())

@@ -25,10 +25,9 @@ from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, mak
 from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning.daiml import DaimlConfig
+from shmoo_mjx.types import Array
 
 __all__ = ["QUICK", "RealPushing", "errors", "linear", "measure", "run"]
-
-Array = Any
 
 PREFIXES = {"mit_push-pair_out": "", "mit_push-shape_out": "shape_out_", "mlab_triangle-pair_out": "mlab_"}
 """Of the metrics, by trial. Pair out: the other recordings of the same shape are known. Shape out: they are not."""

@@ -26,6 +26,7 @@ from shmoo_mjx.navigation.maps import ClearanceField, OccupancyGrid, clearance_f
 from shmoo_mjx.navigation.paths import Path, path_blocked_by, plan_path, point_at, tangent_at
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Limits, ObjectEntry, Scenario
 from shmoo_mjx.plant.objects import FAMILIES, Condition, draw_condition
+from shmoo_mjx.types import Array
 
 __all__ = [
     "KINDS",
@@ -38,7 +39,6 @@ __all__ = [
     "largest_room",
 ]
 
-Array = Any
 Kind = Literal["push only", "detour only", "either"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 

@@ -27,11 +27,9 @@ import numpy as np
 from shmoo_mjx import se2
 from shmoo_mjx.dynamics import features
 from shmoo_mjx.learning.baselines.protocol import Predictor, Recordings, first_rows
-from shmoo_mjx.types import DT
+from shmoo_mjx.types import DT, Array
 
 __all__ = ["FIT_ROWS", "NAMES", "average", "roll_out", "score"]
-
-Array = Any
 
 FIT_ROWS = 250
 """25 s of recording, in contact or not, to adapt on."""

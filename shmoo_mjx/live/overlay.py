@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import matplotlib
 import numpy as np
@@ -14,11 +14,9 @@ from shmoo_mjx.navigation.clearance import ClearanceField
 from shmoo_mjx.navigation.navigator import Navigator
 from shmoo_mjx.report.style import COLOURS, outline
 from shmoo_mjx.sensing.camera import Camera
-from shmoo_mjx.types import Observation
+from shmoo_mjx.types import Array, Observation
 
 __all__ = ["Lines", "believed", "clearance_picture", "field_of_view", "legend", "path", "rollouts"]
-
-Array = Any
 
 _CAMERA, _LOCAL, _REMEMBERED = "#56B4E9", "#CC79A7", "#777777"
 _COSTS = matplotlib.colormaps["plasma"]

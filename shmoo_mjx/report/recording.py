@@ -13,10 +13,9 @@ from shmoo_mjx.navigation.maps import OccupancyGrid, occupied_rectangles
 from shmoo_mjx.plant.robot import ROBOT
 from shmoo_mjx.report.style import COLOURS, object_colour
 from shmoo_mjx.report.trace import Trace
+from shmoo_mjx.types import Array
 
 __all__ = ["require_viewer", "write_recording"]
-
-Array = Any
 
 _WALL_HEIGHT = 0.6
 _OBJECT_HEIGHT = 0.6

@@ -11,6 +11,7 @@ import numpy as np
 from shmoo_mjx import se2
 from shmoo_mjx.files import write_whole
 from shmoo_mjx.report.trace import Trace
+from shmoo_mjx.types import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,8 +28,6 @@ __all__ = [
     "to_png",
     "window",
 ]
-
-Array = Any
 
 # Okabe and Ito's palette, told apart with any colour vision.
 SERIES = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#7A6A00", "#555555")

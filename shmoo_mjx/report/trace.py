@@ -25,6 +25,7 @@ import numpy as np
 
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.files import whole
+from shmoo_mjx.types import Array
 
 __all__ = [
     "Trace",
@@ -38,8 +39,6 @@ __all__ = [
     "telling_decisions",
     "write_arrays",
 ]
-
-Array = Any
 
 _RAGGED = ("plans", "decision_rollouts", "decision_candidates")
 _REQUIRED = ("outcome", "transitions", "decisions", "objects")

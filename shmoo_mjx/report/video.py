@@ -13,6 +13,7 @@ from shmoo_mjx import se2
 from shmoo_mjx.files import whole
 from shmoo_mjx.report.style import COLOURS, object_colour, outline, window
 from shmoo_mjx.report.trace import Trace
+from shmoo_mjx.types import Array
 
 if TYPE_CHECKING:
     from PIL import Image, ImageFont
@@ -28,8 +29,6 @@ __all__ = [
     "topdown_image",
     "write_video",
 ]
-
-Array = Any
 
 _ROBOT_RADIUS = 0.19
 """Drawn radius of the robot's body [m]."""

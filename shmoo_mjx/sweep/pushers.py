@@ -21,7 +21,7 @@ from shmoo_mjx.navigation.push_task import pose_push_config
 from shmoo_mjx.skills import contact, hold, retreat
 from shmoo_mjx.skills.push import lets_go
 from shmoo_mjx.sweep.config import Controller
-from shmoo_mjx.types import Command
+from shmoo_mjx.types import Array, Command
 
 __all__ = [
     "APPROACH",
@@ -38,8 +38,6 @@ __all__ = [
     "push_config",
     "remember",
 ]
-
-Array = Any
 
 APPROACH, PUSH, LET_GO, DONE, FELL, UNSTABLE = range(6)
 """Phases of a push; from DONE on nothing happens any more."""

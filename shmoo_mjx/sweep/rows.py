@@ -13,10 +13,9 @@ from shmoo_mjx.sweep import pushers
 from shmoo_mjx.sweep.config import SweepConfig
 from shmoo_mjx.sweep.parameters import RESISTANCE
 from shmoo_mjx.sweep.worlds import Drawn
+from shmoo_mjx.types import Array
 
 __all__ = ["Tally", "rows_of"]
-
-Array = Any
 
 
 class Tally(NamedTuple):

@@ -7,18 +7,26 @@ kill, on another machine, or several jobs side by side. When all are there they 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.files import write_whole
+from shmoo_mjx.run import versions
 from shmoo_mjx.sweep.config import SweepConfig, sweep_fingerprint
-from shmoo_mjx.sweep.worlds import Drawn, draw, label
+from shmoo_mjx.sweep.worlds import draw, label
 
-__all__ = ["Estimate", "Runner", "Shard", "Simulator", "Sweep", "duration", "read_table"]
+if TYPE_CHECKING:
+    from shmoo_mjx.sweep.simulate import Batches
+
+__all__ = ["Estimate", "Runner", "Shard", "Sweep", "duration", "read_table"]
 
 
 class Shard(NamedTuple):
@@ -33,24 +41,6 @@ class Shard(NamedTuple):
     def name(self) -> str:
         """Name of its file, without the ending."""
         return f"{label(self.family)}-{self.controller}-{self.first:07d}-{self.worlds}"
-
-
-class Simulator(Protocol):
-    """What simulates worlds of one family under one controller: :class:`~shmoo_mjx.sweep.simulate.Batches`."""
-
-    batch: int
-    bytes: int
-    """That a batch takes."""
-    free: int
-    """Bytes that there are."""
-
-    def time_one(self) -> float:
-        """Seconds that a batch takes."""
-
-    def run(
-        self, worlds: Sequence[Drawn], progress: Callable[[float], None] = lambda fraction: None
-    ) -> list[dict[str, Any]]:
-        """One row a world, in order."""
 
 
 class Estimate(NamedTuple):
@@ -85,14 +75,11 @@ class Sweep:
         """Begin in ``out`` or go on there.
 
         Raises:
-            ShmooError: pyarrow is missing, or ``out`` holds another sweep.
+            ShmooError: there are no such weights, or ``out`` holds another sweep.
         """
-        _pyarrow()
         sweep = cls(config, out, Path(weights or asset(WEIGHTS)))
         if not sweep.weights.is_file():
             raise ShmooError(f"{sweep.weights}: there is no such weights file; give one that shmoo train made.")
-        from shmoo_mjx.run import versions
-
         notes, mark = out / "sweep.json", sweep_fingerprint(config, sweep.weights)
         values = {"fingerprint": mark, "config": config.model_dump(mode="json"), "versions": versions()}
         found = json.loads(notes.read_text()) if notes.exists() else {}
@@ -124,23 +111,17 @@ class Sweep:
 
     def collect(self) -> Path:
         """All rows as one file, once every shard is there."""
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-
         tables = [_read(self.file(s)) for s in self.shards]
         whole = pa.concat_tables(tables, promote_options="default")
         path = self.out / "results.parquet"
-        write_whole(path, _written(pq, whole.replace_schema_metadata(tables[0].schema.metadata)))
+        write_whole(path, _written(whole.replace_schema_metadata(tables[0].schema.metadata)))
         return path
 
     def write(self, shard: Shard, rows: list[dict[str, Any]]) -> None:
         """A shard's file, whole or not at all."""
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-
         named = [{"family": label(shard.family), "controller": shard.controller, **row} for row in rows]
         table = pa.Table.from_pylist(named).replace_schema_metadata({"sweep": self.config.model_dump_json()})
-        write_whole(self.file(shard), _written(pq, table))
+        write_whole(self.file(shard), _written(table))
 
 
 class Runner:
@@ -157,20 +138,18 @@ class Runner:
         self,
         sweep: Sweep,
         part: tuple[int, int] = (0, 1),
-        make: Callable[[str, str], Simulator] | None = None,
+        make: Callable[[str, str], Batches] | None = None,
         memory: int | None = None,
     ) -> None:
         self.sweep = sweep
         self.missing = sweep.missing(part)
-        self._make = make or _mjx(sweep, memory)
-        self._simulators: dict[tuple[str, str], Simulator] = {}
+        self._simulator = cache(make or _mjx(sweep, memory))
 
     def estimate(self) -> Iterator[Estimate]:
         """Compile what is needed and say what it takes, group by group; then :meth:`run` can begin."""
-        groups = dict.fromkeys((s.family, s.controller) for s in self.missing)
-        for family, controller in groups:
+        for family, controller in dict.fromkeys((s.family, s.controller) for s in self.missing):
             mine = [s for s in self.missing if (s.family, s.controller) == (family, controller)]
-            simulator = self._simulators[family, controller] = self._make(family, controller)
+            simulator = self._simulator(family, controller)
             batches = sum(-(-s.worlds // simulator.batch) for s in mine)
             worlds = sum(s.worlds for s in mine)
             seconds = batches * simulator.time_one()
@@ -183,20 +162,18 @@ class Runner:
         for shard in self.missing:
             stage = f"{label(shard.family)}, {shard.controller}: worlds from {shard.first}"
             worlds = [draw(self.sweep.config, shard.family, i) for i in range(shard.first, shard.first + shard.worlds)]
-            if (shard.family, shard.controller) not in self._simulators:
-                self._simulators[shard.family, shard.controller] = self._make(shard.family, shard.controller)
-            simulator = self._simulators[shard.family, shard.controller]
+            simulator = self._simulator(shard.family, shard.controller)
 
             def report(fraction: float, stage: str = stage, before: int = done, count: int = shard.worlds) -> None:
                 progress(stage, (before + fraction * count) / total)
 
             report(0.0)
             self.sweep.write(shard, simulator.run(worlds, report))
+            report(1.0)
             done += shard.worlds
-            progress(stage, done / total)
 
 
-def _mjx(sweep: Sweep, memory: int | None) -> Callable[[str, str], Simulator]:
+def _mjx(sweep: Sweep, memory: int | None) -> Callable[[str, str], Batches]:
     from shmoo_mjx.learning.weights import load_weights
     from shmoo_mjx.sweep.simulate import Batches
 
@@ -206,14 +183,10 @@ def _mjx(sweep: Sweep, memory: int | None) -> Callable[[str, str], Simulator]:
 
 def read_table(path: Path) -> dict[str, list[Any]]:
     """A Parquet file's columns."""
-    _pyarrow()
     return _read(path).to_pydict()
 
 
 def _read(path: Path) -> Any:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     try:
         return pq.read_table(path)
     except (pa.ArrowInvalid, OSError) as error:
@@ -221,19 +194,10 @@ def _read(path: Path) -> Any:
         raise ShmooError(f"{path}: can't be read as Parquet ({reason}); delete it and run the sweep again.") from None
 
 
-def _written(pq: Any, table: Any) -> bytes:
-    import pyarrow as pa
-
+def _written(table: Any) -> bytes:
     buffer = pa.BufferOutputStream()
     pq.write_table(table, buffer)
     return buffer.getvalue().to_pybytes()
-
-
-def _pyarrow() -> None:
-    try:
-        import pyarrow  # noqa: F401
-    except ImportError:
-        raise ShmooError("shmoo sweep: needs the package pyarrow for its tables; install it.") from None
 
 
 def duration(seconds: float) -> str:

@@ -36,11 +36,9 @@ from shmoo_mjx.sweep.config import SweepConfig
 from shmoo_mjx.sweep.parameters import MOST_DELAY
 from shmoo_mjx.sweep.rows import Tally, rows_of
 from shmoo_mjx.sweep.worlds import Drawn, Setup, draw, scene_of, setup
-from shmoo_mjx.types import DT, Command
+from shmoo_mjx.types import DT, Array, Command
 
 __all__ = ["Batches", "State", "commands_ago"]
-
-Array = Any
 
 _TICKS = round(DT / TICK)
 _MOST = round(MOST_DELAY / TICK)

@@ -28,10 +28,9 @@ from shmoo_mjx.sensing.camera import Scenery, scenery_of
 from shmoo_mjx.sensing.odometry import TICK
 from shmoo_mjx.sweep.config import SweepConfig
 from shmoo_mjx.sweep.parameters import PARAMETERS
+from shmoo_mjx.types import Array
 
 __all__ = ["TICK", "Drawn", "Setup", "draw", "label", "scene_of", "setup"]
-
-Array = Any
 
 _OBJECT = "object."
 _FIELDS = (

@@ -24,7 +24,7 @@ def test_round_trip_and_splits(tmp_path: Path) -> None:
     opened = store.create_or_open(tmp_path / "d", {"seed": 1})
     arrays = recording()
     store.write_condition(opened, "box-3", arrays, CONDITION)
-    store.write_condition(tmp_path / "d", "box-4", recording(1), CONDITION | {"split": "test"})
+    store.write_condition(opened, "box-4", recording(1), CONDITION | {"split": "test"})
     found = store.read(tmp_path / "d")
     assert found.names == ["box-3", "box-4"] and found.schema == {"seed": 1}
     np.testing.assert_allclose(found.arrays[0]["u"], arrays["u"], rtol=1e-6)

@@ -95,12 +95,6 @@ def test_a_damaged_shard_is_named(config: SweepConfig, tmp_path: Path, pretend: 
         sweep.collect()
 
 
-def test_without_pyarrow_it_says_so(config: SweepConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(ShmooError, match="needs the package pyarrow"):
-        Sweep.open(config, tmp_path)
-
-
 SLOWLY = """
 import sys, time
 from pathlib import Path

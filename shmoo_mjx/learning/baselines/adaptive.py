@@ -17,6 +17,7 @@ from shmoo_mjx.learning.baselines.networks import mlp
 from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, Recordings
 from shmoo_mjx.learning.baselines.sight import sight
 from shmoo_mjx.learning.daiml import DaimlConfig, ObjectFit
+from shmoo_mjx.types import Array
 
 __all__ = [
     "daiml_config",
@@ -29,8 +30,6 @@ __all__ = [
     "residual",
     "trained",
 ]
-
-Array = Any
 
 
 def paper_config() -> DaimlConfig:

@@ -9,11 +9,9 @@ import jax.numpy as jnp
 from shmoo_mjx import se2
 from shmoo_mjx.dynamics import features
 from shmoo_mjx.learning.baselines.protocol import Job, Predictor
-from shmoo_mjx.types import DT
+from shmoo_mjx.types import DT, Array
 
 __all__ = ["constant_velocity", "zero"]
-
-Array = Any
 
 
 def zero(job: Job) -> Predictor:

@@ -16,10 +16,10 @@ from shmoo_mjx.learning import rows as batches
 from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, Recordings, output_scale
 from shmoo_mjx.learning.baselines.sight import Sight
 from shmoo_mjx.learning.rows import Rows, Sampler
+from shmoo_mjx.types import Array
 
 __all__ = ["Layers", "Task", "dense", "layers", "meta_train"]
 
-Array = Any
 Tree = Any
 
 CONDITIONS, FLOOR = 12, 0.1

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,10 +11,9 @@ import numpy as np
 from shmoo_mjx.learning import least_squares
 from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, output_scale
 from shmoo_mjx.learning.baselines.sight import sight
+from shmoo_mjx.types import Array
 
 __all__ = ["Prior", "fit_prior", "linear_prior", "trigonometric"]
-
-Array = Any
 
 
 class Prior(NamedTuple):

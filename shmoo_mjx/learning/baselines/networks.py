@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -10,10 +10,9 @@ import jax.numpy as jnp
 from shmoo_mjx.learning.baselines.gradient import Layers, dense, layers, meta_train
 from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, output_scale
 from shmoo_mjx.learning.baselines.sight import sight
+from shmoo_mjx.types import Array
 
 __all__ = ["gru", "mlp"]
-
-Array = Any
 
 HIDDEN = (128, 128, 50)
 """Hidden layers of every network here: those of psi."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from shmoo_mjx.data import store
 from shmoo_mjx.learning.rows import Rows, label_scale, rows_from_dataset
-from shmoo_mjx.types import DT
+from shmoo_mjx.types import DT, Array
 
 __all__ = [
     "Budget",
@@ -31,7 +31,6 @@ __all__ = [
     "with_setting",
 ]
 
-Array = Any
 State = Any
 Setting = dict[str, Any]
 

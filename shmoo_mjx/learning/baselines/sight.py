@@ -7,7 +7,6 @@ identified in the same way; so methods can be compared by what they learn, not b
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -18,10 +17,9 @@ from shmoo_mjx.learning import identification, training_bodies
 from shmoo_mjx.learning.baselines.protocol import Context, Job, output_scale
 from shmoo_mjx.learning.identification import IdentificationConfig
 from shmoo_mjx.learning.training_bodies import Found
+from shmoo_mjx.types import Array
 
 __all__ = ["Sight", "sight"]
-
-Array = Any
 
 NARROWEST = 1e-3
 """Least standard deviation that an input is divided by."""
