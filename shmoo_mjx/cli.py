@@ -428,6 +428,7 @@ def bench(
     json: Path | None = None,
     quick: bool = False,
     peers_python: Path | None = None,
+    ratios: bool = False,
     seed: Seed = 0,
     out: Path = Path("runs/benchmarks"),
 ) -> int:
@@ -444,6 +445,7 @@ def bench(
         json: file for the result (default: OUT/bench_NAME.json).
         quick: a short form of the same shape.
         peers_python: Python interpreter with torch and pytorch-mppi (default: this one); absent peers are left out.
+        ratios: for compare: only ratios, of results from two machines; up to 1.9 times as much is let pass.
         seed: of made-up weights and noise.
         out: folder for the result.
     """
@@ -453,7 +455,7 @@ def bench(
     from shmoo_mjx.evaluation.result import write_result
 
     if name == "compare":
-        text, slower = compare_files(files)
+        text, slower = compare_files(files, ratios)
         print(text)
         return int(slower)
     with progress.stages() as report:

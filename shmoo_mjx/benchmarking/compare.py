@@ -1,7 +1,8 @@
-"""Two results of one benchmark on one machine: what has become slower?
+"""Two results of one benchmark: what has become slower?
 
 A metric's name tells what it is: of ``..._per_s`` and ``..._gflops`` more is better, of ``..._ms`` and ``..._s`` less.
-Ratios, memory and the worst single step are left out: they follow from the others, or from chance.
+Memory and the worst single step are left out: they are up to chance. Ratios are compared instead if asked for: two
+machines have nothing else in common, such as ``ratio_to_ideal``, a time over what the networks alone would take there.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ __all__ = ["LIMIT", "Change", "compare_files", "compare_results"]
 
 LIMIT = 1.2
 """Times as slow as before from which on a metric is flagged."""
+LIMIT_OF_RATIOS = 1.9
+"""The same of a ratio on another machine, whose caches and vector units are others: a step twice as slow is seen."""
 
 
 class Change(NamedTuple):
@@ -29,17 +32,17 @@ class Change(NamedTuple):
     """How many times as slow as before; below 1 it is faster."""
 
 
-def compare_results(old: ExperimentResult, new: ExperimentResult) -> list[Change]:
-    """Every time and rate that both have, the worst first."""
+def compare_results(old: ExperimentResult, new: ExperimentResult, ratios: bool = False) -> list[Change]:
+    """Every time and rate that both have, or every ratio; the worst first."""
     changes = []
     for name, before in old.metrics.items():
-        after, kind = new.metrics.get(name), _kind(name)
+        after, kind = new.metrics.get(name), _kind(name, ratios)
         if before and after and kind:
             changes.append(Change(name, before, after, after / before if kind == "time" else before / after))
     return sorted(changes, key=lambda change: -change.slower)
 
 
-def compare_files(files: Sequence[Path]) -> tuple[str, bool]:
+def compare_files(files: Sequence[Path], ratios: bool = False) -> tuple[str, bool]:
     """The comparison as text, and whether anything is slower than the limit allows.
 
     Raises:
@@ -48,24 +51,24 @@ def compare_files(files: Sequence[Path]) -> tuple[str, bool]:
     if len(files) != 2:
         raise ShmooError(f"bench compare needs two files, the older and the newer result, not {len(files)}.")
     old, new = (_read(path) for path in files)
-    for what, one, other in (
-        ("of different benchmarks", old.experiment, new.experiment),
-        ("from different machines", old.config["machine"], new.config["machine"]),
-        ("of different sizes (--quick)", old.config["quick"], new.config["quick"]),
-    ):
-        if one != other:
-            raise ShmooError(f"{files[0]} and {files[1]}: are {what} ({one} and {other}); measure both alike.")
-    changes = compare_results(old, new)
+    if old.experiment != new.experiment or old.config["quick"] != new.config["quick"]:
+        raise ShmooError(f"{files[0]} and {files[1]}: are of different benchmarks or sizes; measure both alike.")
+    if not ratios and old.config["machine"] != new.config["machine"]:
+        raise ShmooError(f"{files[0]} and {files[1]}: are from different machines; compare them with --ratios.")
+    changes = compare_results(old, new, ratios)
     if not changes:
-        raise ShmooError(f"{files[0]} and {files[1]}: have no time or rate in common; measure both with one version.")
+        raise ShmooError(
+            f"{files[0]} and {files[1]}: have nothing in common to compare; measure both with one version."
+        )
     width = max(len(change.name) for change in changes)
+    limit = LIMIT_OF_RATIOS if ratios else LIMIT
     lines = [f"{'metric':{width}}  {'before':>10}  {'after':>10}  {'slower':>6}"]
     lines += [
-        f"{c.name:{width}}  {c.before:10.4g}  {c.after:10.4g}  {c.slower:6.2f}{'  SLOWER' if c.slower > LIMIT else ''}"
+        f"{c.name:{width}}  {c.before:10.4g}  {c.after:10.4g}  {c.slower:6.2f}{'  SLOWER' if c.slower > limit else ''}"
         for c in changes
     ]
-    flagged = sum(c.slower > LIMIT for c in changes)
-    lines.append(f"{flagged} of {len(changes)} are slower by more than {100 * (LIMIT - 1):.0f} %")
+    flagged = sum(c.slower > limit for c in changes)
+    lines.append(f"{flagged} of {len(changes)} are slower by more than {100 * (limit - 1):.0f} %")
     return "\n".join(lines), flagged > 0
 
 
@@ -78,7 +81,9 @@ def _read(path: Path) -> ExperimentResult:
     return result
 
 
-def _kind(name: str) -> str:
+def _kind(name: str, ratios: bool) -> str:
+    if ratios:
+        return "time" if name.startswith("ratio_") else ""
     if name.endswith(("_per_s", "_gflops")):
         return "rate"
     return "time" if name.endswith(("_ms", "_s")) and "max" not in name else ""

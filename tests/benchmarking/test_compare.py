@@ -1,4 +1,4 @@
-"""Two results are compared by what their metrics mean, and only if one machine made both."""
+"""Two results are compared by what their metrics mean; those of two machines by their ratios."""
 
 from __future__ import annotations
 
@@ -48,12 +48,22 @@ def test_a_fifth_is_let_pass_and_faster_is_no_fault(tmp_path: Path) -> None:
     assert compare_files([new, old])[1]
 
 
+@pytest.mark.parametrize("slower", [1.8, 2.0])
+def test_a_step_twice_as_slow_shows_on_another_machine(tmp_path: Path, slower: float) -> None:
+    old = saved(tmp_path, "old.json", BEFORE)
+    new = saved(
+        tmp_path, "new.json", BEFORE | {"ratio_to_peer": slower, "tick_ms": 90.0}, machine={"processor": "other"}
+    )
+    text, flagged = compare_files([old, new], ratios=True)
+    assert flagged == (slower > 1.9) and "tick" not in text
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
         ({"machine": {"processor": "another", "cores": 2, "device": "cpu"}}, "different machines"),
-        ({"quick": True}, "different sizes"),
-        ({"metrics": {"other_ms": 1.0}}, "no time or rate in common"),
+        ({"quick": True}, "different benchmarks or sizes"),
+        ({"metrics": {"other_ms": 1.0}}, "nothing in common"),
     ],
 )
 def test_what_can_not_be_compared_is_refused(tmp_path: Path, change: dict[str, Any], words: str) -> None:
