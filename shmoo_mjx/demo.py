@@ -15,17 +15,9 @@ __all__ = ["run_demo"]
 def run_demo(
     seeds: Sequence[int], out: Path, weights: Path | None = None, video: bool = True, senses: SensesName = "real"
 ) -> int:
-    """Run the demo for each seed and print the outcome, the success rate and the cause of each failure.
+    """Run the demo for each seed, in a folder ``out / demo-SEED`` of its own; 0 if all succeeded, 1 otherwise.
 
-    Args:
-        seeds: each draws a floor plan and its objects.
-        out: gets one folder ``demo-SEED`` per run.
-        weights: trained weights; the shipped ones if not given.
-        video: draw each run's episode.mp4.
-        senses: what the robot perceives with.
-
-    Returns:
-        0 if every run succeeded, 1 otherwise.
+    It prints the outcome and decisions of each run, the success rate, and where the last report is.
     """
     from shmoo_mjx import progress
     from shmoo_mjx.run import run_scenario

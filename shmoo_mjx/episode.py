@@ -163,10 +163,7 @@ def _leg(simulation: Simulation, goal: Point, began: float) -> dict[str, Any]:
 def result_of(simulation: Simulation, legs: Sequence[dict[str, Any]] = (), goals: int = 1) -> dict[str, Any]:
     """What has happened so far, JSON-able (report/trace.py lists the keys).
 
-    Args:
-        simulation: at the end, or at any time.
-        legs: how each goal was reached, if there were several one after the other.
-        goals: how many there were.
+    ``legs`` tells how each goal was reached if there were several, ``goals`` how many there were to reach.
     """
     scenario, navigator, record = simulation.scenario, simulation.navigator, simulation.record
     legs = list(legs) or [_leg(simulation, navigator.state.goal.tolist(), 0.0)]

@@ -302,13 +302,7 @@ def _summary(
 
 
 def write_run(file: Path, size: tuple[float, float], out: Path, weights: Weights) -> Path:
-    """Write what `run_of_log` makes of ``file`` into ``out``, and the page; the page.
-
-    Args:
-        file: the recording.
-        size: length and width of the object's footprint [m].
-        out: folder.
-        weights: trained weights, for what objects are like.
+    """Write what `run_of_log` makes of ``file``, with an object of ``size [2]`` [m], into ``out``; the report's page.
 
     Raises:
         ShmooError: as `read_log`.

@@ -39,14 +39,7 @@ class Difference(NamedTuple):
 
 
 def replay(run: Path, weights: Path | None = None) -> Difference | None:
-    """Feed the recording of the run in folder ``run`` to the navigator of this version.
-
-    Args:
-        run: folder that a run has left.
-        weights: those of the run; the shipped ones if not given.
-
-    Returns:
-        The first difference, or None if every command is the same.
+    """The first command that differs when the recording in folder ``run`` is fed to this version's navigator, or None.
 
     Raises:
         ShmooError: a file is missing, damaged or of another version, or the run was made with other weights.

@@ -114,14 +114,6 @@ def save_run(
 ) -> dict[str, Any]:
     """Write what a report is made of into the folder ``out``: map, scenario, trace.npz and result.json.
 
-    Args:
-        out: folder; made if absent.
-        grid: the map.
-        scenario: what was to be done in it.
-        result: from :func:`~shmoo_mjx.episode.result_of`.
-        trace: a :class:`~shmoo_mjx.report.trace.Trace`.
-        controller: the :class:`~shmoo_mjx.control.pushing.PushController` that pushed.
-
     Returns:
         The result as it is written, with the versions, weights and settings that it depends on.
     """

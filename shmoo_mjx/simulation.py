@@ -83,17 +83,7 @@ def navigator_of(
 
 
 class Simulation:
-    """One scenario sample by sample; to be closed at the end (``contextlib.closing``).
-
-    Args:
-        grid: the map.
-        scenario: start, goal and objects.
-        controller: the adaptive pushing controller.
-        config: the navigator's settings.
-        first_status: what the robot takes each object to be when it first sees it; UNKNOWN if not given.
-        senses: what it perceives with.
-        policy: "package.module:Name" of what drives in the place of our navigator.
-    """
+    """One scenario sample by sample; to be closed at the end (``contextlib.closing``). Arguments: see `run_episode`."""
 
     def __init__(
         self,

@@ -22,11 +22,7 @@ __all__ = ["film", "interactive", "scene_named"]
 
 
 def scene_named(what: str, seed: int) -> Scene:
-    """The scene a user names.
-
-    Args:
-        what: robot, demo, an object family, an object file (*.json) or a scenario file (*.yaml).
-        seed: of the object or the demo.
+    """The scene a user names: robot, demo, an object family, an object file (*.json) or a scenario file (*.yaml).
 
     Raises:
         ShmooError: nothing has this name, or the file is wrong.
@@ -53,9 +49,7 @@ def scene_named(what: str, seed: int) -> Scene:
 def interactive(scene: Scene, record: Path | None = None) -> None:
     """Show the scene in MuJoCo's viewer until it is closed; keys drive the robot (teleop.KEYS).
 
-    Args:
-        scene: with one object if it is to be recorded.
-        record: data set to add the drive to.
+    The drive of a scene with one object is added to the data set ``record``.
     """
     import mujoco.viewer
 

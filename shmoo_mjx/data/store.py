@@ -122,9 +122,7 @@ class Samples(NamedTuple):
 def create_or_open(directory: str | os.PathLike[str], schema: dict[str, Any]) -> Store:
     """Open the data set in ``directory``, or start an empty one.
 
-    Args:
-        directory: made if it does not exist.
-        schema: what the whole collection depends on (seeds, episode length, ...), JSON-able.
+    ``schema`` is what the whole collection depends on (seeds, episode length, ...), JSON-able.
 
     Raises:
         ShmooError: the directory holds a data set made with another schema, or a damaged manifest.

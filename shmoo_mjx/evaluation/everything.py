@@ -16,11 +16,7 @@ __all__ = ["run_all"]
 def run_all(options: ExperimentOptions, pushes: Path | None) -> tuple[Path, dict[str, str]]:
     """Run every experiment, each with its JSON in ``options.out``; the page grows with each of them.
 
-    An experiment that lacks something (maps, recorded pushes) is left out.
-
-    Args:
-        options: as for one experiment; ``data`` is the training data.
-        pushes: folder of recorded pushes, for `real_pushing`.
+    An experiment that lacks something (maps, the folder ``pushes`` of recorded pushes) is left out.
 
     Returns:
         The page, and why each experiment that was left out was.

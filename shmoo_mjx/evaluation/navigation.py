@@ -177,14 +177,9 @@ def _trial(places: Places, robot: Robot, store: Path, trial: tuple[str, int, str
 def play(
     robot: Robot, grid: OccupancyGrid, generated: Generated, policy: str, goals: Sequence[tuple[float, float]] = ()
 ) -> Episode:
-    """One run through a generated scenario.
+    """One run of a policy (of POLICIES, or "package.module:Name") through a generated scenario.
 
-    Args:
-        robot: seed, senses and weights.
-        grid: the map.
-        generated: start, objects, limits, and the goal.
-        policy: one of POLICIES, or "package.module:Name" of what drives in the place of our navigator.
-        goals: several goals, one after the other, in place of the scenario's.
+    ``goals``, one after the other, take the place of the scenario's.
     """
     from shmoo_mjx.episode import run_episode
 

@@ -35,13 +35,10 @@ def write_failures(
     store: Path,
     progress: Callable[[str, float], None] = lambda stage, fraction: None,
 ) -> Path:
-    """Write ``folder / failures.md``, the failed runs among ``rows`` by cause, with a film of each from above.
+    """Write ``folder / failures.md``, the failed runs among one policy's ``rows`` by cause, with a film of each.
 
-    Args:
-        folder: of the experiment.
-        rows: of one policy; ``map``, ``scenario``, ``kind``, ``cause``, ``reason`` and ``time_s`` of each are used.
-        store: where `keep_failure` has put them; films go there, and those that are there are not drawn again.
-        progress: called with (stage, fraction of the films that is done).
+    Films, from above, are made of what `keep_failure` has put into ``store``, and kept there. ``progress`` takes (stage,
+    share of the films that is done).
     """
     failed = [row for row in rows if not row["success"]]
     by_cause: dict[str, list[str]] = defaultdict(list)

@@ -282,10 +282,10 @@ def read_results(folder: Path) -> dict[str, ExperimentResult]:
 
 
 def render(results: Mapping[str, ExperimentResult], figures: Mapping[str, list[str]], before: str = "") -> str:
-    """The page as Markdown.
+    """The page as Markdown; experiments that are missing are named as not run.
 
     Args:
-        results: by name; those of `EXPERIMENTS` that are missing are named as not run.
+        results: by name.
         figures: for each, paths as the page is to name them.
         before: the page as it was, whose sections stay where there is no result.
     """
@@ -315,13 +315,9 @@ def section_of(result: ExperimentResult, figures: Sequence[str]) -> str:
 
 
 def write_page(results: Mapping[str, ExperimentResult], made_in: Path, page: Path, copies: Path | None = None) -> None:
-    """Write ``page`` as Markdown, and as HTML beside it if its figures stay where they are.
+    """Write ``page`` as Markdown, with the figures in ``made_in``, and as HTML beside it if these stay where they are.
 
-    Args:
-        results: by name.
-        made_in: folder of the experiments' figures.
-        page: the Markdown file.
-        copies: copy the figures there and the results into ``results`` beside the page, which is apart from the run.
+    With ``copies``, a folder apart from the run, figures are copied there and results into ``results`` beside the page.
     """
     found = {name: [p for p in (made_in / name / f for f in SECTIONS[name].figures) if p.is_file()] for name in results}
     page.parent.mkdir(parents=True, exist_ok=True)

@@ -35,12 +35,9 @@ class Difference(NamedTuple):
 
 
 def paired_difference(ours: Sequence[float], theirs: Sequence[float], resamples: int = 9999) -> Difference | None:
-    """Mean difference over pairs of trials and its 95 % percentile bootstrap interval; None for fewer than two pairs.
+    """Mean of ours - theirs over the same trials, with its 95 % percentile bootstrap interval; None for fewer than two.
 
-    Args:
-        ours: one value per trial.
-        theirs: of the same trials, in the same order.
-        resamples: of the trials, always with the same random numbers.
+    Resamples of the trials are drawn with the same random numbers always.
     """
     from scipy.stats import bootstrap
 
@@ -93,14 +90,9 @@ def differences_table(
     method: str = "method",
     trials: str = "trials",
 ) -> str:
-    """Ours minus each other method as Markdown.
+    """Ours minus each other method as Markdown, with a line for each (label, NAME, whether more of it is better).
 
-    Args:
-        metrics: with ``difference_METHOD_NAME`` as `difference_metrics` calls them; "-" is shown where they are absent.
-        others: the methods.
-        lines: (label, NAME, whether more of it is better) of each line.
-        method: what a method is called here.
-        trials: and what trials are.
+    ``metrics`` has ``difference_METHOD_NAME`` as `difference_metrics` makes them; "-" is shown where they are absent.
     """
     return (
         f"Ours minus each other {method} over the same {trials}, with 95 % bootstrap intervals over {trials}; better "

@@ -32,11 +32,8 @@ TRAINING_SHARE = 0.6
 def accuracy(values: Array, weights: Array, seed: int, updates: int = 1500) -> float:
     """Share of later rows whose condition a fresh probe tells, mean over conditions; chance is 1 / C.
 
-    Args:
-        values: ``[C, N, f]`` what the probe sees of each row.
-        weights: ``[C, N]`` rows with 0 are left out.
-        seed: of the probe.
-        updates: of its training, by Adam on batches of 1024 rows.
+    The probe is trained by Adam on batches of 1024 rows. It sees ``values [C, N, f]`` of each row; rows with 0 among
+    ``weights [C, N]`` are left out.
     """
     values, weights = np.asarray(values, np.float32), np.asarray(weights) > 0
     early = np.cumsum(weights, axis=1) <= TRAINING_SHARE * weights.sum(axis=1, keepdims=True)

@@ -18,7 +18,7 @@ from shmoo_mjx.evaluation import push_outline, push_physics
 from shmoo_mjx.learning import daiml
 from shmoo_mjx.types import Array
 
-__all__ = ["Prepared", "adapted", "credible", "naive", "prepare", "trained", "unscaled"]
+__all__ = ["Prepared", "adapted", "credible", "prepare", "trained", "unscaled"]
 
 
 class Prepared(NamedTuple):
@@ -59,11 +59,8 @@ def prepare(
 ) -> Prepared:
     """Outline and quasi-static model from the pushes ``known [n]`` (indices), and all pushes in those terms.
 
-    Args:
-        condition: whose pushes.
-        known: the pushes whose outcome may be used.
-        same_shape: other recordings of this shape whose touches may be used for the outline.
-        prior: mean and standard deviation of the model's parameters.
+    Touches of ``same_shape``, other recordings of this shape, may be used for the outline. ``prior`` is mean and
+    standard deviation of the model's parameters.
     """
     touched = condition.touch[known]
     others = [push_outline.align(o.touch[credible(o)], touched) for o in same_shape]
@@ -91,13 +88,6 @@ def prepare(
     ]
     labels = _scaled(prepared, condition.motion - base)
     return prepared._replace(inputs=np.concatenate(inputs, axis=1), labels=labels)
-
-
-def naive(condition: Condition) -> Prepared:
-    """Start, end and travel of the pusher in the object's frame; no outline, no physics."""
-    inputs = np.concatenate([condition.start, condition.end, condition.end - condition.start], axis=1)
-    n, nothing = len(inputs), np.zeros(0)
-    return Prepared(inputs, condition.motion, np.zeros((n, 3)), np.zeros(n), np.ones(n), 1.0, nothing, nothing)
 
 
 def trained(

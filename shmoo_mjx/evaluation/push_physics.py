@@ -49,15 +49,9 @@ def push(start: Array, end: Array, corners: Array, radius: float, parameters: Ar
 def identify(
     start: Array, end: Array, motion: Array, corners: Array, radius: float, prior: tuple[Array, Array] | None = None
 ) -> np.ndarray:
-    """The parameters ``[7]`` that explain some pushes best, outliers counting less.
+    """The parameters ``[7]`` that explain the measured ``motion [N, 3]`` of some pushes best, outliers counting less.
 
-    Args:
-        start: as in `push`.
-        end: as in `push`.
-        motion: ``[N, 3]`` measured.
-        corners: as in `push`.
-        radius: as in `push`.
-        prior: mean and standard deviation of the parameters (default: NOMINAL and SPREAD).
+    ``prior`` is their mean and standard deviation (default: NOMINAL and SPREAD); the rest is as in `push`.
     """
     mean, spread = prior or (NOMINAL, SPREAD)
     noise = 0.1 * np.linalg.norm(end - start, axis=1).mean()

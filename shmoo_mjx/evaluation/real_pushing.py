@@ -29,8 +29,12 @@ from shmoo_mjx.types import Array
 
 __all__ = ["QUICK", "RealPushing", "errors", "linear", "measure", "run"]
 
-PREFIXES = {"mit_push-pair_out": "", "mit_push-shape_out": "shape_out_", "mlab_triangle-pair_out": "mlab_"}
-"""Of the metrics, by trial. Pair out: the other recordings of the same shape are known. Shape out: they are not."""
+PREFIXES = {
+    ("mit_push", "pair_out"): "",
+    ("mit_push", "shape_out"): "shape_out_",
+    ("mlab_triangle", "pair_out"): "mlab_",
+}
+"""Of the metrics, by data set and protocol. Pair out: other recordings of the same shape are known; shape out: none."""
 _NAMES = {"ours": "", "poly4": "published_", "quadratic": "published_quadratic_"}
 
 
@@ -62,28 +66,10 @@ class RealPushing:
             fit_rows=60,
         )
     )
-    naive: DaimlConfig = field(
-        default_factory=lambda: DaimlConfig(
-            object=ObjectConfig(functions=20, body=False),
-            horizon=1,
-            adapt_rows=80,
-            windows=32,
-            chunks=20,
-            chunk_updates=50,
-            patience=6,
-            fit_rows=60,
-        )
-    )
-    """Of the same learner on the pusher's start, end and travel alone, without outline or physics."""
     workers: int = 2
 
 
-QUICK = RealPushing(
-    seeds=1,
-    members=1,
-    daiml=replace(RealPushing().daiml, chunks=4),
-    naive=replace(RealPushing().naive, chunks=4),
-)
+QUICK = RealPushing(seeds=1, members=1, daiml=replace(RealPushing().daiml, chunks=4))
 
 
 def run(options: ExperimentOptions) -> ExperimentResult:
@@ -102,12 +88,10 @@ def run(options: ExperimentOptions) -> ExperimentResult:
     settings = asdict(replace(cfg, seeds=0)) | {"condition_seed": options.condition_seed}
     pushes = sorted(options.data.glob("m*/pushes*.csv"))
     store = folder / f"trials-{fingerprint(__name__, settings, *pushes)}"
-    trials = [trial for trial in PREFIXES if trial.partition("-")[0] in data]
     seeds = range(options.seed, options.seed + cfg.seeds)
-    named = {f"{trial}-{seed}": (trial, seed) for trial in trials for seed in seeds}
-    rows = run_trials(
-        named, partial(_trial, cfg, options.data, options.condition_seed), store, options.progress, cfg.workers
-    )
+    trials = {f"{name}-{how}-{seed}": (name, how, seed) for name, how in PREFIXES if name in data for seed in seeds}
+    work = partial(_trial, cfg, options.data, options.condition_seed)
+    rows = run_trials(trials, work, store, options.progress, cfg.workers)
     draw_figure(folder / "real_pushing.png", rows)
     return make_result("real_pushing", options, cfg, measure(rows), {}, rows)
 
@@ -116,7 +100,7 @@ def measure(rows: list[dict[str, Any]]) -> dict[str, float]:
     """Mean over the conditions of the mean error; then mean and standard deviation over the seeds."""
     metrics: dict[str, float] = {}
     for trial, prefix in PREFIXES.items():
-        own = [row for row in rows if row["trial"] == trial]
+        own = [row for row in rows if row["trial"] == "-".join(trial)]
         predictors = [key.removesuffix("_pos_error_mm") for row in own[:1] for key in row if key.endswith("_mm")]
         for name in predictors:
             for unit in ("pos_error_mm", "angle_error_deg"):
@@ -151,70 +135,54 @@ def linear(condition: Condition, known: Array) -> np.ndarray:
     return np.asarray(x @ min(fitted, key=lambda f: f[0])[1])
 
 
-def _trial(cfg: RealPushing, directory: Path, condition_seed: int, trial: tuple[str, int]) -> list[dict[str, Any]]:
+def _trial(cfg: RealPushing, directory: Path, condition_seed: int, trial: tuple[str, str, int]) -> list[dict[str, Any]]:
     """Every condition left out once: one row each."""
-    name, seed = trial
-    data_set, _, protocol = name.partition("-")
-    data = real_pushes.load(directory)[data_set]
-    learned: dict[tuple[str, ...], Any] = {}
+    data_set, protocol, seed = trial
+    data, others = real_pushes.load(directory)[data_set], _training_side(directory, data_set)
+
+    @cache
+    def fits(*train: str) -> list[Any]:
+        return _fits(cfg, seed, {n: (others[n], np.flatnonzero(push_learning.credible(data[n]))) for n in train})
+
     rows = []
     for i, (left_out, condition) in enumerate(data.items()):
         train = [
             n for n, c in data.items() if n != left_out and not (protocol == "shape_out" and c.shape == condition.shape)
         ]
+        same = [n for n in train if data[n].shape == condition.shape]
         order = np.random.default_rng([condition_seed, seed, i]).permutation(len(condition.start))
         count = round(cfg.share * len(order))
         known, scored = order[:count], order[count:]
-        predicted = _predictions(cfg, directory, data_set, left_out, train, known, seed, learned)
-        row: dict[str, Any] = {"trial": name, "seed": seed, "condition": left_out}
-        row |= {"adapted_on": len(known), "scored": len(scored), "trained_on": train}
-        row["outline_from"] = [left_out, *_same_shape(data, train, condition)]
-        for predictor, motion in predicted.items():
-            row[f"{predictor}_pos_error_mm"], row[f"{predictor}_angle_error_deg"] = errors(
-                motion[scored], condition.motion[scored]
-            )
+        prior = _prior([others[n] for n in train])
+        predicted = _predictions(condition, known, [data[n] for n in same], prior, fits(*train))
+        row: dict[str, Any] = {"trial": f"{data_set}-{protocol}", "seed": seed, "condition": left_out}
+        row |= {"adapted_on": len(known), "scored": len(scored), "trained_on": train, "outline_from": [left_out, *same]}
+        for name, motion in predicted.items():
+            found = errors(motion[scored], condition.motion[scored])
+            row |= dict(zip((f"{name}_pos_error_mm", f"{name}_angle_error_deg"), found, strict=True))
         rows.append(row)
     return rows
 
 
 def _predictions(
-    cfg: RealPushing,
-    directory: Path,
-    data_set: str,
-    left_out: str,
-    train: list[str],
-    known: Array,
-    seed: int,
-    learned: dict[tuple[str, ...], Any],
+    condition: Condition, known: Array, same: list[Condition], prior: tuple[Array, Array], fits: list[Any]
 ) -> dict[str, Array]:
     """Motions ``[N, 3]`` of all pushes by every predictor; of the condition's outcomes only ``known`` are looked at."""
-    data, others = real_pushes.load(directory)[data_set], _training_side(directory, data_set)
-    condition = data[left_out]
     known = known[push_learning.credible(condition)[known]]
-    same = [data[n] for n in _same_shape(data, train, condition)]
-    prepared = push_learning.prepare(condition, known, same, _prior([others[n] for n in train]))
-    naive = push_learning.naive(condition)
-    if tuple(train) not in learned:
-        usable = {n: np.flatnonzero(push_learning.credible(data[n])) for n in train}
-        learned[tuple(train)] = (
-            _fits(cfg.daiml, cfg.members, seed, {n: (others[n], usable[n]) for n in train}),
-            _fits(cfg.naive, 1, seed, {n: (push_learning.naive(data[n]), usable[n]) for n in train}),
-        )
-    fits, naive_fits = learned[tuple(train)]
+    prepared = push_learning.prepare(condition, known, same, prior)
     return {
-        "ours": np.mean([push_learning.adapted(f, prepared, known) for f in fits], axis=0),
+        "ours": np.mean([push_learning.adapted(fit, prepared, known) for fit in fits], axis=0),
         **condition.published,
         "physics": prepared.base,
-        "naive": push_learning.adapted(naive_fits[0], naive, known),
         "linear": linear(condition, known),
         "no_motion": np.zeros_like(condition.motion),
     }
 
 
-def _fits(config: DaimlConfig, members: int, seed: int, train: Mapping[str, tuple[Prepared, Array]]) -> list[Any]:
+def _fits(cfg: RealPushing, seed: int, train: Mapping[str, tuple[Prepared, Array]]) -> list[Any]:
     found = []
-    for member in range(members):
-        config = replace(config, seed=1000 * seed + member)
+    for member in range(cfg.members):
+        config = replace(cfg.daiml, seed=1000 * seed + member)
         shuffled = np.random.default_rng(config.seed).permutation(list(train))
         validation = [str(n) for n in shuffled[: max(1, len(train) // 4)]]
         found.append(push_learning.trained(train, validation, config))
@@ -226,10 +194,6 @@ def _training_side(directory: Path, data_set: str) -> dict[str, Prepared]:
     """Each condition as meta-training sees it, from all of its own pushes and no other's."""
     data = real_pushes.load(directory)[data_set]
     return {n: push_learning.prepare(c, np.flatnonzero(push_learning.credible(c))) for n, c in data.items()}
-
-
-def _same_shape(data: Mapping[str, Condition], train: list[str], condition: Condition) -> list[str]:
-    return [n for n in train if data[n].shape == condition.shape]
 
 
 def _prior(train: list[Prepared]) -> tuple[np.ndarray, np.ndarray]:

@@ -71,13 +71,8 @@ def make_set(
 ) -> int:
     """Draw scenarios and write them with their maps into ``out``; how many there are.
 
-    Args:
-        out: file to write.
-        maps: folder of map_server maps; without it, floor plans are generated for each seed.
-        condition_seeds: each draws ``per_map`` scenarios on every map.
-        per_map: scenarios.
-        progress: called with (stage, fraction done).
-        drawn: folder that keeps each scenario, so that a stopped command goes on.
+    Each of ``condition_seeds`` draws ``per_map`` scenarios on every map below ``maps``, or on floor plans made
+    for it. The folder ``drawn`` keeps each scenario, so that a stopped command goes on.
 
     Raises:
         ShmooError: there are no maps, or they have no place for any scenario.

@@ -146,15 +146,7 @@ def draw_scenario(
     truth: Truth = PLANT,
     cfg: ScenarioConfig = ScenarioConfig(),
 ) -> Generated:
-    """Draw a scenario of ``kind``.
-
-    Args:
-        grid: the map.
-        kind: push only, detour only or either.
-        rng: consumed.
-        first_seed: objects are drawn from the 1,000 seeds from it on.
-        truth: about pushes.
-        cfg: what it shall look like.
+    """Draw a scenario of ``kind``, whose objects have some of the 1,000 seeds from ``first_seed`` on.
 
     Raises:
         ShmooError: the map has no place for such a scenario.

@@ -120,16 +120,9 @@ def average(scores: Mapping[str, np.ndarray]) -> dict[str, float]:
 
 
 def stretches(run: Array, weights: Array, first: int, steps: int) -> tuple[np.ndarray, Array]:
-    """From which rows one condition is rolled out, and which of these count: within an episode, half the rows counting.
+    """First rows ``[M]`` of a condition's roll-outs of ``steps`` rows, and which count ``[M]``: half their rows do.
 
-    Args:
-        run: ``[N]`` rows left in the episode.
-        weights: ``[N]``.
-        first: rows before this one are left out.
-        steps: length of the roll-outs.
-
-    Returns:
-        First rows ``[M]``, and ``[M]`` bool.
+    All begin at row ``first`` or later; those that count end in the episode. ``run [N]`` are the rows left in it.
     """
     starts = np.arange(first, run.shape[0] - steps, STRIDE)
     window = starts[:, None] + np.arange(steps)

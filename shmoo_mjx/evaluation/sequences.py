@@ -46,14 +46,7 @@ def draw_sequence(
     second path leads through an object where it stood at first, if such a goal is found: what the robot has learned of
     that object, or done to it, is of use then. What its own pushes have blocked meanwhile is its own affair.
 
-    Args:
-        grid: the map.
-        kind: of the first leg.
-        rng: consumed.
-        first_seed: as for `draw_scenario`.
-        count: goals.
-        truth: about pushes.
-        cfg: what it shall look like; its time limit is that of each goal.
+    The first leg is of ``kind``, as `draw_scenario` draws it; the time limit of ``cfg`` is that of each goal.
 
     Raises:
         ShmooError: the map has no place for such a sequence.

@@ -34,17 +34,7 @@ def run_live(
 ) -> int:
     """Open the page and go on until Ctrl-C, or for ``seconds`` of wall-clock time.
 
-    Args:
-        scene: "demo SEED", a scenario of the package or of ``out`` by its name, or a scenario file.
-        host: network interface to listen on.
-        port: where the page is.
-        senses: what the robot perceives with.
-        weights: trained weights; the shipped ones if not given.
-        out: folder for what is saved on the page.
-        seconds: when to end.
-
-    Returns:
-        0.
+    ``scene`` is "demo SEED", a scenario of the package or of ``out`` by its name, or a scenario file.
     """
     missing = [name for name in ("viser", "mjviser") if find_spec(name) is None]
     if missing:

@@ -56,13 +56,7 @@ class _World(NamedTuple):
 
 
 class Page:
-    """A page in the browser on ``http://host:port``.
-
-    Args:
-        session: what is shown; stepped by the caller.
-        host: network interface that is listened on.
-        port: number; another one is taken if it is in use.
-    """
+    """A page in the browser on ``http://host:port``, or the next free port; whoever makes it steps the session."""
 
     def __init__(self, session: Session, host: str = "127.0.0.1", port: int = 8080) -> None:
         self.session = session

@@ -130,14 +130,7 @@ class _Watched(PushController):
 
 
 class Session:
-    """A world that goes on until it is closed, whatever its goals.
-
-    Args:
-        weights: of the learned model.
-        load: the first scene.
-        senses: real or perfect.
-        out: folder for what is saved.
-    """
+    """A world that goes on, whatever its goals; ``load`` makes the first scene, ``out`` is for what is saved."""
 
     def __init__(self, weights: Weights, load: SceneLoader, senses: SensesName = "real", out: Path = Path("runs/live")):
         self.controller = _Watched(weights)

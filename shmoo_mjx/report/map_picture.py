@@ -13,14 +13,9 @@ __all__ = ["draw_map"]
 
 
 def draw_map(grid: OccupancyGrid, radius: float, path: Path) -> Path:
-    """Write ``path`` (PNG): walls dark, unknown grey, floor white, and in blue where the robot's centre may be.
+    """Write ``path`` (PNG): walls dark, unknown grey, floor white, and in blue where a robot of ``radius`` [m] may be.
 
     The axes are those of {W}, as in scenario files, with a grid, so that a start can be read off.
-
-    Args:
-        grid: the map.
-        radius: radius of the robot [m].
-        path: picture to write.
     """
     from matplotlib.patches import Patch
 

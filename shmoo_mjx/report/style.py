@@ -69,14 +69,12 @@ def save_figure(path: Path, figure: Figure, dpi: int = 110) -> Path:
 
 
 def show_cells(axes: Axes, picture: Array, resolution: float, origin: Array, **options: Any) -> Any:
-    """Draw a map's cells ``[H, W]`` or ``[H, W, 3]`` where they lie in {W}; where a cell's corner (column, row) is.
+    """Draw a map's cells, ``[H, W]`` or ``[H, W, 3]``, row 0 at the bottom, where they lie in {W}.
 
-    Args:
-        axes: drawn in.
-        picture: row 0 at the bottom.
-        resolution: side of a cell [m].
-        origin: ``(x, y, yaw)`` of the lower-left corner in {W}.
-        options: of matplotlib's imshow.
+    ``resolution`` is a cell's side [m], ``origin`` the pose of the lower-left corner, ``options`` are imshow's.
+
+    Returns:
+        The matplotlib transform from (column, row) of cells' corners to {W}.
     """
     from matplotlib.transforms import Affine2D
 

@@ -138,12 +138,8 @@ def topdown_frames(
 ) -> Iterator[np.ndarray]:
     """Film frames from above with captions, for machines on which MuJoCo can't render.
 
-    Args:
-        result: ``result.json``.
-        trace: ``trace.npz``.
-        fps: frames per second of film.
-        speed: seconds of the run per second of film.
-        size: (width, height) of the view without the caption [pixels].
+    ``fps`` are frames per second of film, ``speed`` seconds of the run per second of film, ``size`` is (width, height)
+    of the view without the caption [pixels].
     """
     view = top_down(result, trace, size)
     end = float(trace.t[-1])

@@ -37,13 +37,8 @@ def submit(
 ) -> None:
     """Start ``jobs`` jobs and wait for them; whoever stops waiting leaves them running.
 
-    Args:
-        sweep: its folder must be one that all machines see.
-        jobs: how many; more than there are missing shards are of no use.
-        cluster: where.
-        options: of submitit's executor, such as timeout_min, gpus_per_node, slurm_partition.
-        progress: called with (stage, fraction of the shards that are there).
-        poll: time between two looks [s].
+    The sweep's folder must be one that all machines see. ``options`` are those of submitit's executor, ``progress``
+    takes (stage, share of the shards that are there), ``poll`` is the time between two looks [s].
 
     Raises:
         ShmooError: submitit is missing, there is no such cluster here, or a job failed.

@@ -114,13 +114,7 @@ def remember(law: Law, now: Sighting, task: Task, key: Array) -> Memory:
 def decide(law: Law, memory: Memory, now: Sighting, task: Task, key: Array, ready: Array) -> tuple[Command, Memory]:
     """The command for the next sample. Every phase is computed and one is taken: so it is under vmap anyway.
 
-    Args:
-        law: the controller.
-        memory: from :func:`remember` or the last call.
-        now: what is perceived.
-        task: of this world.
-        key: with which the controller's random numbers start.
-        ready: the arms are out.
+    ``ready`` says that the arms are out; ``key`` is what the controller's random numbers start with.
     """
     waiting, pushing_now = memory.phase == APPROACH, memory.phase == PUSH
     # The hands feel for the object from when the arms are out.

@@ -125,11 +125,9 @@ class Sweep:
 
 
 class Runner:
-    """Computes missing shards in this process.
+    """Computes missing shards in this process, of ``part`` (k, n) those of the k-th of n jobs.
 
     Args:
-        sweep: which.
-        part: (k, n): only the k-th of n jobs' shards.
         make: (family, controller) -> simulator; MJX on all devices by default.
         memory: bytes that a batch may take on all devices together; by default what is free.
     """

@@ -164,14 +164,7 @@ def _every_wheel_has_friction(spec: mujoco.MjSpec) -> None:
 
 
 def setup(config: SweepConfig, worlds: Sequence[Drawn], nominal: Any, scene: Scene) -> Setup:
-    """Worlds of one family as arrays.
-
-    Args:
-        config: of the sweep, for the seed.
-        worlds: as drawn.
-        nominal: ``mjx.Model`` of ``scene``; gives each field its shape.
-        scene: any world of the family.
-    """
+    """Worlds of one family as arrays, with fields shaped like those of ``nominal``, the ``mjx.Model`` of ``scene``."""
     scenes = [scene_of(w) for w in worlds]
     models = [s.model for s in scenes]
     for model in models:
