@@ -36,8 +36,10 @@ from shmoo_mjx.learning.training_bodies import Found
 
 __all__ = [
     "DaimlConfig",
+    "Model",
     "ObjectFit",
     "bodies_seen",
+    "daiml_loss",
     "fit",
     "fit_rows",
     "train_object",
@@ -115,7 +117,7 @@ class ObjectFit(NamedTuple):
     """What psi is; `fit` leaves out of what it was asked for whatever needs inputs of a known meaning."""
 
 
-class _Model(NamedTuple):
+class Model(NamedTuple):
     """What is learned; the prior is in the unit of normalised labels."""
 
     params: ObjectParams
@@ -128,7 +130,7 @@ class _Model(NamedTuple):
 
 
 class _State(NamedTuple):
-    model: _Model
+    model: Model
     model_opt: Any
     discriminator: mlp.MLP
     discriminator_opt: Any
@@ -207,7 +209,7 @@ def fit_rows(
         directory=out_dir,
         progress=progress,
     )
-    model: _Model = jax.tree.map(jnp.asarray, fitted.best)
+    model: Model = jax.tree.map(jnp.asarray, fitted.best)
     mean, covariance, noise = prior(device, bodies, model)
     shape = model.mean.shape
     known = mean.reshape(shape), covariance, noise
@@ -247,7 +249,7 @@ def validation_scores(config: DaimlConfig, rows: Rows, fitted: ObjectFit) -> tup
     return _scores(config, fitted.params, fit_one, rows, bodies_seen(config, fitted, rows))
 
 
-def _model_scores(config: DaimlConfig, rows: Rows, bodies: Array, model: _Model) -> tuple[Array, Array]:
+def _model_scores(config: DaimlConfig, rows: Rows, bodies: Array, model: Model) -> tuple[Array, Array]:
     return _scores(config, model.params, partial(_coefficients, config, model), rows, bodies)
 
 
@@ -284,7 +286,7 @@ def _init(config: DaimlConfig, rows: Rows, bodies: Array) -> _State:
     params = params._replace(net=net)
     mean = 0.3 * jax.random.normal(mean_key, (n_axes, config.object.functions))
     n = mean.size
-    model = _Model(params, mean, jnp.eye(n), jnp.full(n_axes, jnp.log(0.5)))
+    model = Model(params, mean, jnp.eye(n), jnp.full(n_axes, jnp.log(0.5)))
     n_psi = params.net.biases[-1].shape[0]
     discriminator = mlp.init(discriminator_key, (n_psi, 64, 64, rows.inputs.shape[0]))
     vector_keys = jax.random.split(vector_key, len(params.net.weights))
@@ -300,14 +302,14 @@ def _init(config: DaimlConfig, rows: Rows, bodies: Array) -> _State:
     )
 
 
-def _learned(model: _Model) -> tuple[Any, ...]:
+def _learned(model: Model) -> tuple[Any, ...]:
     """The part of the model that gradients move: not the normalisers."""
     net = model.params.net
     params = model.params
     return net.weights, net.biases, params.linear, model.mean, model.factor, model.log_noise
 
 
-def _with_learned(model: _Model, learned: tuple[Any, ...], config: ObjectConfig) -> _Model:
+def _with_learned(model: Model, learned: tuple[Any, ...], config: ObjectConfig) -> Model:
     weights, biases, linear, mean, factor, log_noise = learned
     net = model.params.net._replace(weights=weights, biases=biases)
     params = model.params._replace(net=net, linear=linear if config.linear_terms else model.params.linear)
@@ -316,10 +318,10 @@ def _with_learned(model: _Model, learned: tuple[Any, ...], config: ObjectConfig)
         signs = object_model.coefficient_signs(config)
         mean = jnp.where(signs > 0, mean, 0.0)
         factor = jnp.where(signs.reshape(-1, 1) == signs.reshape(-1), factor, 0.0)
-    return _Model(params, mean, factor, log_noise)
+    return Model(params, mean, factor, log_noise)
 
 
-def _coefficients(config: DaimlConfig, model: _Model, x: Array, y: Array, w: Array, body: Array) -> Array:
+def _coefficients(config: DaimlConfig, model: Model, x: Array, y: Array, w: Array, body: Array) -> Array:
     """a* of Eq. 5 ``[m, K]``."""
     params, labels = model.params, y / model.params.label_scale
     if config.coupled:
@@ -343,11 +345,11 @@ def _chunk(config: DaimlConfig, rows: Rows, bodies: Array, sampler: Sampler, sta
         which = jax.random.randint(body_key, batch.condition.shape, 0, bodies.shape[1])
         body = bodies[batch.condition, which]
 
-        def loss_of(learned: tuple[Any, ...]) -> tuple[Array, tuple[Array, Array]]:
+        def loss_of(learned: tuple[Any, ...]) -> tuple[Array, dict[str, Array]]:
             model = _with_learned(state.model, learned, config.object)
-            return _loss(config, model, state.discriminator, batch, body)
+            return daiml_loss(model, state.discriminator, batch, body, config)
 
-        gradient, (loss, psi) = jax.grad(loss_of, has_aux=True)(_learned(state.model))
+        gradient, terms = jax.grad(loss_of, has_aux=True)(_learned(state.model))
         learned = _learned(state.model)
         change, model_opt = optimiser.update(gradient, state.model_opt, learned)
         learned = optax.apply_updates(learned, change)
@@ -356,23 +358,35 @@ def _chunk(config: DaimlConfig, rows: Rows, bodies: Array, sampler: Sampler, sta
         model = model._replace(params=model.params._replace(net=net))
         new = state._replace(model=model, model_opt=model_opt, vectors=vectors, key=jax.random.key_data(key))
         if config.alpha > 0:
-            new = _train_discriminator(config, new, psi, batch.condition, coin_key)
-        return new, loss
+            new = _train_discriminator(config, new, terms["psi"], batch.condition, coin_key)
+        return new, terms["multi_step"]
 
     state, losses = jax.lax.scan(update, state, None, length=config.chunk_updates)
     return state, jnp.mean(losses)
 
 
-def _loss(config: DaimlConfig, model: _Model, discriminator: mlp.MLP, batch: Batch, bodies: Array) -> tuple[Array, Any]:
-    """Eq. 6 for fixed h: (loss, (multi-step loss, psi of the rows of B^a))."""
+def daiml_loss(
+    model: Model, discriminator: mlp.MLP, batch: Batch, bodies: Array, config: DaimlConfig
+) -> tuple[Array, dict[str, Array]]:
+    """Eq. 6 for fixed h: the multi-step loss of Eq. 4 with a* of Eq. 5, less ``alpha`` times the cross-entropy of h.
+
+    Args:
+        model: psi and what is learned beside it.
+        discriminator: h, which is trained in turn.
+        batch: samples of C conditions: those that a* is fitted to, and windows that it is scored on.
+        bodies: ``[C, p]`` contact parameters of each condition.
+        config: settings.
+
+    Returns:
+        The loss ``[]`` and its terms: "multi_step" ``[]``; and, with an adversary, "cross_entropy" ``[]`` and "psi"
+        ``[C, N, n]``, which h is trained on next.
+    """
     params = model.params
 
-    def one(
-        adapt: tuple[Array, Array, Array], windows: tuple[Array, Array, Array], precision: Array, body: Array
-    ) -> Array:
-        a = _coefficients(config, model, *adapt, body)
+    def left_over(adapt: tuple[Array, Array, Array], windows: Any, precision: Array, body: Array) -> Array:
+        a = _coefficients(config, model, *adapt, body)  # Eq. 5
         return multistep.loss(
-            lambda x: object_model.predict(params, a, x, config.object, body),
+            lambda x: object_model.predict(params, a, x, config.object, body),  # Eq. 3
             windows,
             precision,
             params.label_scale,
@@ -381,11 +395,13 @@ def _loss(config: DaimlConfig, model: _Model, discriminator: mlp.MLP, batch: Bat
             config.loss_on_twist,
         )
 
-    multi_step = jnp.mean(jax.vmap(one)(batch.adapt, batch.windows, batch.precision, bodies))
+    multi_step = jnp.mean(jax.vmap(left_over)(batch.adapt, batch.windows, batch.precision, bodies))
     if config.alpha == 0:
-        return multi_step, (multi_step, jnp.zeros(()))
+        return multi_step, {"multi_step": multi_step}
     psi = jax.vmap(partial(_raw_basis, config, params))(batch.adapt[0], bodies)
-    return multi_step - config.alpha * _cross_entropy(discriminator, psi, batch.condition), (multi_step, psi)
+    cross_entropy = _cross_entropy(discriminator, psi, batch.condition)
+    terms = {"multi_step": multi_step, "cross_entropy": cross_entropy, "psi": psi}
+    return multi_step - config.alpha * cross_entropy, terms
 
 
 def _raw_basis(config: DaimlConfig, params: ObjectParams, x: Array, body: Array) -> Array:
@@ -411,7 +427,7 @@ def _train_discriminator(config: DaimlConfig, state: _State, psi: Array, conditi
     )
 
 
-def _prior(config: DaimlConfig, rows: Rows, bodies: Array, model: _Model) -> tuple[Array, Array, Array]:
+def _prior(config: DaimlConfig, rows: Rows, bodies: Array, model: Model) -> tuple[Array, Array, Array]:
     """Prior mean ``[n]``, covariance ``[n, n]`` and residual covariance ``[m, m]``: learned, or else from the rows."""
     scale = model.params.label_scale
     if config.coupled:
