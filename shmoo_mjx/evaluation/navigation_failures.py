@@ -37,8 +37,8 @@ def write_failures(
 ) -> Path:
     """Write ``folder / failures.md``, the failed runs among one policy's ``rows`` by cause, with a film of each.
 
-    Films, from above, are made of what `keep_failure` has put into ``store``, and kept there. ``progress`` takes (stage,
-    share of the films that is done).
+    Films, from above, are made of what `keep_failure` has put into ``store``, and kept there. ``progress`` takes
+    (stage, share of the films that is done).
     """
     failed = [row for row in rows if not row["success"]]
     by_cause: dict[str, list[str]] = defaultdict(list)
