@@ -17,7 +17,7 @@ import numpy as np
 from plant_figures import _save
 
 from shmoo_mjx import se2
-from shmoo_mjx.control import trim
+from shmoo_mjx.control import equilibrium_lean
 from shmoo_mjx.files import write_whole
 from shmoo_mjx.navigation.drive import DAMPING, LEAD, STIFFNESS
 from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
@@ -66,14 +66,14 @@ def follow(
     with SensedEngine(scenes, senses, list(range(len(scenes)))) as engine:
         world = engine.init()
         seen = engine.observe(world)
-        trims = [trim.init() for _ in scenes]
+        offsets = [equilibrium_lean.init() for _ in scenes]
         for i in range(round(seconds / DT)):
             lean = np.empty((len(scenes), 2))
             for k in range(len(scenes)):
                 one = Observation(*(np.asarray(v)[k : k + 1] for v in seen))
-                trims[k] = trim.step(trims[k], one)
-                foreseen = trim.foreseen(trim.with_trim(trims[k], one), senses.latency)
-                lean[k] = _lean(wish, i * DT, foreseen) + trims[k].lean
+                offsets[k] = equilibrium_lean.step(offsets[k], one)
+                predicted = equilibrium_lean.predicted(equilibrium_lean.corrected(offsets[k], one), senses.latency)
+                lean[k] = _lean(wish, i * DT, predicted) + offsets[k].lean
             world, seen = engine.step(world, command(len(scenes), lean), push=push(i * DT))
             rows.append(engine.true_observation(world))
             fallen |= engine.fallen(world)

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jax.scipy.ndimage import map_coordinates
 
 from shmoo_mjx import se2
-from shmoo_mjx.dynamics.layout import Turn, once
+from shmoo_mjx.dynamics.layout import SO2, once
 from shmoo_mjx.hands import REACH, hand_targets
 from shmoo_mjx.types import DT, SystemState
 
@@ -155,14 +155,14 @@ def hand_points(robot_pose: Array, gamma: Array) -> Array:
 def _placed(pose: Array, points: Array) -> Array:
     """``points [..., P, 2]`` of bodies at ``pose [..., 3]``, in {W}: `se2.transform_point`, but for computing each sine
     once and not once a point."""
-    turn, x, y = once(Turn.by(pose[..., 2:])), points[..., 0], points[..., 1]
+    turn, x, y = once(SO2.from_angle(pose[..., 2:])), points[..., 0], points[..., 1]
     return jnp.stack([pose[..., :1] + turn.c * x - turn.s * y, pose[..., 1:2] + turn.s * x + turn.c * y], axis=-1)
 
 
 def _on_grid(field: Clearance, points: Array) -> tuple[Array, Array]:
     """Column and row ``[...]``, in cells from the grid's corner, of ``points [..., 2]`` in {W}."""
     origin = jnp.asarray(field.origin)
-    turn = once(Turn.by(origin[2]))
+    turn = once(SO2.from_angle(origin[2]))
     x, y = (points[..., 0] - origin[0]) / field.resolution, (points[..., 1] - origin[1]) / field.resolution
     return turn.c * x + turn.s * y, turn.c * y - turn.s * x
 
@@ -194,7 +194,7 @@ def face_misalignment(traj: SystemState, reach: float = REACH) -> tuple[Array, A
     """
     normal = traj.object_pose[..., 2] + traj.face[..., 2]
     heading = se2.wrap(traj.robot_pose[..., 2] - normal)
-    turn, error = once((Turn.by(normal), Turn.by(heading)))
+    turn, error = once((SO2.from_angle(normal), SO2.from_angle(heading)))
     x, y = (traj.robot_pose[..., i] - traj.object_pose[..., i] for i in range(2))
     # In a frame along the normal: hands less the face's centre, which stands still in it.
     centre = se2.rotate(traj.face[..., :1, :2], -traj.face[..., :1, 2])[..., 1]
@@ -216,7 +216,7 @@ def aim_error(goal: Array, traj: SystemState, with_yaw: bool = False) -> Array:
         lead = se2.wrap(bearing - goal[..., 2] - traj.face[..., 2])
         # Behind the goal the bearing says nothing about the yaw.
         angle = angle - jnp.where(jnp.abs(lead) < jnp.pi / 2, jnp.clip(lead, -0.6, 0.6), 0.0)
-    normal = once(Turn.by(angle))
+    normal = once(SO2.from_angle(angle))
     return jnp.mean(jnp.abs(normal.c * offset[..., 1] - normal.s * offset[..., 0]), axis=-1)
 
 

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 
 from shmoo_mjx.dynamics import equivariant, features, feet, object_model, robot_model
 from shmoo_mjx.dynamics.features import Contact, Facing
-from shmoo_mjx.dynamics.layout import channels_first, channels_last, inward, outward
+from shmoo_mjx.dynamics.layout import channels_first, channels_last, to_channels_first, to_channels_last
 from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
 from shmoo_mjx.dynamics.robot_model import LeanResponse, RobotConfig, RobotParams
 from shmoo_mjx.hands import HAND_RADIUS
@@ -62,8 +62,8 @@ class Params(NamedTuple):
 class _Models(NamedTuple):
     """Params made ready for `_advance`, once per roll-out."""
 
-    robot: equivariant.Layers
-    object: object_model.Folded
+    robot: equivariant.FusedEquivariantMLP
+    object: object_model.FusedObjectModel
     """With the coefficients in it: O of Eq. 3, not psi."""
     lean: LeanResponse
 
@@ -87,7 +87,7 @@ def contact_wrench(state: SystemState, force: Array, gamma: Array, config: CoreC
     neither is compressed; no wrench if both are out of reach.
     """
     config = config or CoreConfig()
-    inside = inward(state, jnp.broadcast_shapes(jnp.shape(state.robot_pose)[:-1], jnp.shape(gamma)))
+    inside = to_channels_first(state, jnp.broadcast_shapes(jnp.shape(state.robot_pose)[:-1], jnp.shape(gamma)))
     face = features.facing(inside)
     touch = features.contact(face, gamma)
     force = jnp.where(_out_of_reach(inside, touch, config), 0.0, channels_first(force))
@@ -109,8 +109,8 @@ def step(params: Params, state: SystemState, u: Array, config: CoreConfig | None
     config = config or CoreConfig()
     batch = jnp.broadcast_shapes(jnp.shape(state.robot_pose)[:-1], jnp.shape(u)[:-1])
     u = channels_first(jnp.broadcast_to(u, (*batch, 3)))
-    new, wrench = _advance(_fold(params, config), inward(state, batch), u, config)
-    return outward(new), channels_last(wrench)
+    new, wrench = _advance(_fuse(params, config), to_channels_first(state, batch), u, config)
+    return to_channels_last(new), channels_last(wrench)
 
 
 def rollout(
@@ -125,8 +125,8 @@ def rollout(
     """
     config = config or CoreConfig()
     controls = jnp.asarray(controls)
-    models = _fold(params, config)
-    start = inward(state, controls.shape[:-2])
+    models = _fuse(params, config)
+    start = to_channels_first(state, controls.shape[:-2])
 
     def body(carry: SystemState, u: Array) -> tuple[SystemState, tuple[SystemState, Array]]:
         new, wrench = _advance(models, carry, u, config)
@@ -136,46 +136,60 @@ def rollout(
     states, wrenches = jax.lax.scan(body, start, commands)[1]
     # [T, n, ...] as [n, ..., T]: time becomes the last batch dimension.
     states, wrenches = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), (states, wrenches))
-    return outward(states._replace(face=start.face[..., None], size=start.size[..., None])), channels_last(wrenches)
+    states = states._replace(face=start.face[..., None], size=start.size[..., None])
+    return to_channels_last(states), channels_last(wrenches)
 
 
-def _fold(params: Params, config: CoreConfig) -> _Models:
-    robot = robot_model.fold(params.robot)
+def _fuse(params: Params, config: CoreConfig) -> _Models:
+    robot = robot_model.fuse(params.robot)
     return _Models(
-        robot, object_model.fold(params.object, params.coefficients, config.object, params.body), params.robot.lean
+        robot, object_model.fuse(params.object, params.coefficients, config.object, params.body), params.robot.lean
     )
 
 
 def _advance(models: _Models, state: SystemState, u: Array, config: CoreConfig) -> tuple[SystemState, Array]:
-    """`step`, and all of it, with channels first."""
+    """`step` with channels first, stage by stage: features, R, contact, O, integration."""
     face = features.facing(state)
-    before, touch = features.contact(face, state.last_u[2]), features.contact(face, u[2])
-    inputs = features.stacked_robot_inputs(state, face, before, u)
-    said = models.robot.forward(inputs, config.robot.activation)
-    force = jnp.where(_out_of_reach(state, touch, config), 0.0, said[3:])
+    touch = features.contact(face, u[2])
+    base, force = _robot_stage(models, state, face, touch, u, config)
     wrench = _wrench(state, face, touch, force, config)
-    twist = face.yaw.back(state.object_twist)
-    psi_inputs = features.object_inputs(twist, wrench, state.last_object_twist, state.size, state.last_wrench, axis=0)
-    push = object_model.forward(models.object, psi_inputs, config.object)
+    twist = face.yaw.inverse_apply(state.object_twist)
+    acceleration = _object_stage(models, state, twist, wrench, config)
     if config.unilateral:
-        push = push + _unilateral(state, face, touch, twist, push, said[:3], force)
-    robot_acceleration = face.heading(said[:3])
-    object_acceleration = face.yaw(push)
+        acceleration = acceleration + _unilateral(state, face, touch, twist, acceleration, base, force)
+    new = _integrate(models, state, u, face.heading.apply(base), face.yaw.apply(acceleration), config)
+    return new._replace(last_object_twist=twist, last_wrench=wrench, last_force=force, last_u=u), wrench
+
+
+def _robot_stage(
+    models: _Models, state: SystemState, face: Facing, touch: Contact, u: Array, config: CoreConfig
+) -> tuple[Array, Array]:
+    """R of Eq. 2: acceleration of the base ``[3, ...]`` and force of the hands ``[2, ...]``, both in {R}."""
+    inputs = features.stacked_robot_inputs(state, face, features.contact(face, state.last_u[2]), u)
+    outputs = models.robot.forward(inputs, config.robot.activation)
+    return outputs[:3], jnp.where(_out_of_reach(state, touch, config), 0.0, outputs[3:])
+
+
+def _object_stage(models: _Models, state: SystemState, twist: Array, wrench: Array, config: CoreConfig) -> Array:
+    """O of Eq. 3: acceleration of the object ``[3, ...]`` in {O}."""
+    inputs = features.object_inputs(twist, wrench, state.last_object_twist, state.size, state.last_wrench, axis=0)
+    return object_model.forward(models.object, inputs, config.object)
+
+
+def _integrate(
+    models: _Models, state: SystemState, u: Array, robot: Array, thing: Array, config: CoreConfig
+) -> SystemState:
+    """Eq. 1: poses, twists and lean one sample later under the accelerations ``robot`` and ``thing`` in {W}."""
     lean, lean_rate = robot_model.lean_step(models.lean, state.lean, state.lean_rate, u[:2], state.last_force)
     half = 0.0 if config.euler else 0.5 * DT**2
-    new = state._replace(
-        robot_pose=state.robot_pose + state.robot_twist * DT + half * robot_acceleration,
-        robot_twist=state.robot_twist + robot_acceleration * DT,
+    return state._replace(
+        robot_pose=state.robot_pose + state.robot_twist * DT + half * robot,
+        robot_twist=state.robot_twist + robot * DT,
         lean=lean,
         lean_rate=lean_rate,
-        object_pose=state.object_pose + state.object_twist * DT + half * object_acceleration,
-        object_twist=state.object_twist + object_acceleration * DT,
-        last_object_twist=twist,
-        last_wrench=wrench,
-        last_force=force,
-        last_u=u,
+        object_pose=state.object_pose + state.object_twist * DT + half * thing,
+        object_twist=state.object_twist + thing * DT,
     )
-    return new, wrench
 
 
 def _out_of_reach(state: SystemState, touch: Contact, config: CoreConfig) -> Array:
@@ -187,7 +201,7 @@ def _out_of_reach(state: SystemState, touch: Contact, config: CoreConfig) -> Arr
 
 def _wrench(state: SystemState, face: Facing, touch: Contact, force: Array, config: CoreConfig) -> Array:
     """Gamma^o ``[3, ...]`` of a hand force ``[2, ...]`` that is zero out of reach."""
-    in_object = face.relative.back(force)
+    in_object = face.relative.inverse_apply(force)
     gap = touch.gap + config.pressure_lead * DT * touch.rate
     # The small constant gives equal weights where neither hand is pressed in, and a smooth change between the cases.
     weight = jnp.maximum(-gap, 0.0) + 1e-4
@@ -199,7 +213,7 @@ def _wrench(state: SystemState, face: Facing, touch: Contact, force: Array, conf
 
 
 def _unilateral(
-    state: SystemState, face: Facing, touch: Contact, twist: Array, push: Array, base: Array, force: Array
+    state: SystemState, face: Facing, touch: Contact, twist: Array, acceleration: Array, base: Array, force: Array
 ) -> Array:
     """Correction ``[3, ...]`` of the object's acceleration in {O} so that no pushed point of the face outruns its hand.
 
@@ -211,7 +225,7 @@ def _unilateral(
     # Speed along n of the face's point at offset s is v.n + w (arm - s), with arm the moment of n about the centre.
     arm = state.face[0] * ny - state.face[1] * nx - touch.lateral
     before = twist[0] * nx + twist[1] * ny + twist[2] * arm
-    gain = (push[0] * nx + push[1] * ny + push[2] * arm) * DT
+    gain = (acceleration[0] * nx + acceleration[1] * ny + acceleration[2] * arm) * DT
     release = _hand_speed(state, face, touch, base) + jnp.maximum(-touch.gap, 0.0) / DT
     pushed = force[0] * face.normal.c + force[1] * face.normal.s > 0.0
     nearest = jnp.minimum(touch.gap, touch.gap + DT * touch.rate)
@@ -226,6 +240,6 @@ def _unilateral(
 
 def _hand_speed(state: SystemState, face: Facing, touch: Contact, base: Array) -> Array:
     """Speed ``[2, ...]`` of the hands along the face's inward normal at the end of the sample [m/s]."""
-    vx, vy, spin = face.heading.back(state.robot_twist) + base * DT
+    vx, vy, spin = face.heading.inverse_apply(state.robot_twist) + base * DT
     x, y = touch.hands
     return (vx - spin * y) * face.normal.c + (vy + spin * x) * face.normal.s

@@ -21,12 +21,12 @@ import numpy as np
 from shmoo_mjx.dynamics import mlp
 from shmoo_mjx.dynamics.mlp import MLP
 
-__all__ = ["Layers", "apply", "fold", "init", "parts", "with_normaliser"]
+__all__ = ["FusedEquivariantMLP", "apply", "fuse", "init", "parts", "with_normaliser"]
 
 Array = Any
 
 
-class Layers(NamedTuple):
+class FusedEquivariantMLP(NamedTuple):
     """The network made ready for roll-outs: channels first, the normaliser folded into the first layer."""
 
     even: tuple[Array, ...]
@@ -37,12 +37,12 @@ class Layers(NamedTuple):
     skip: Array | None = None
     """``[n_last, n_0]`` a linear map of the input that is added to the output."""
 
-    def then(self, linear: Callable[[Array], Array]) -> Layers:
+    def followed_by(self, linear: Callable[[Array], Array]) -> FusedEquivariantMLP:
         """The network followed by a linear map of its outputs, ``[n_last, ...]`` -> ``[m, ...]``."""
         even, odd, biases = ((*x[:-1], linear(x[-1])) for x in (self.even, self.odd, self.biases))
         return self._replace(even=even, odd=odd, biases=biases)
 
-    def plus(self, skip: Array | None, bias: Array) -> Layers:
+    def with_affine(self, skip: Array | None, bias: Array) -> FusedEquivariantMLP:
         """The network with ``skip [n_last, n_0]`` times its input and ``bias [n_last]`` added to its output."""
         return self._replace(biases=(*self.biases[:-1], self.biases[-1] + bias), skip=skip)
 
@@ -105,8 +105,8 @@ def apply(net: MLP, x: Array, reflections: tuple[np.ndarray, np.ndarray], activa
     return (even @ net.weights[-1][:n] + net.biases[-1]) @ keep_even + odd @ net.weights[-1][n:] @ keep_odd
 
 
-def fold(net: MLP, reflections: tuple[np.ndarray, np.ndarray]) -> Layers:
-    """Prepare a network for `Layers.forward`; once per plan, so that its steps need not."""
+def fuse(net: MLP, reflections: tuple[np.ndarray, np.ndarray]) -> FusedEquivariantMLP:
+    """Prepare a network for `FusedEquivariantMLP.forward`; once per plan, so that its steps need not."""
     halves = [jnp.split(weight, 2) for weight in net.weights]
     even, odd = (list(weights) for weights in zip(*halves, strict=True))
     for weights, into, out in zip((even, odd), *(parts(r) for r in reflections), strict=True):
@@ -115,4 +115,4 @@ def fold(net: MLP, reflections: tuple[np.ndarray, np.ndarray]) -> Layers:
         weights[1:] = [weight * np.sqrt(0.5) for weight in weights[1:]]
     biases = [*net.biases[:-1], net.biases[-1] @ parts(reflections[1])[0]]
     biases[0] = biases[0] - net.mean @ even[0]
-    return Layers(tuple(w.T for w in even), tuple(w.T for w in odd), tuple(biases))
+    return FusedEquivariantMLP(tuple(w.T for w in even), tuple(w.T for w in odd), tuple(biases))

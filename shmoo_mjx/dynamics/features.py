@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from shmoo_mjx import se2
-from shmoo_mjx.dynamics.layout import Turn, channels_first, channels_last, inward, once
+from shmoo_mjx.dynamics.layout import SO2, channels_first, channels_last, once, to_channels_first
 from shmoo_mjx.hands import HAND_RADIUS, hand_components
 from shmoo_mjx.types import DT, SystemState
 
@@ -125,17 +125,17 @@ OBJECT_OUTPUTS: tuple[Entry, ...] = (
 class Facing(NamedTuple):
     """Robot and face as they stand, whatever the hands do; channels first."""
 
-    heading: Turn
+    heading: SO2
     """From {R} to {W}."""
-    yaw: Turn
+    yaw: SO2
     """From {O} to {W}."""
-    relative: Turn
+    relative: SO2
     """From {O} to {R}."""
     pose: Array
     """``[3, ...]`` pose of the face in {R}: centre x, y [m], direction of the inward normal [rad]."""
     motion: Array
     """``[3, ...]`` twist of the face as seen from the moving {R}, at the face's centre [m/s, rad/s]."""
-    normal: Turn
+    normal: SO2
     """Its cosine and sine are the inward normal of the face in {R}."""
 
 
@@ -186,9 +186,9 @@ def markdown_table(table: tuple[Entry, ...]) -> str:
 
 def facing(state: SystemState) -> Facing:
     """Where the pushed face stands, for a state with channels first (`layout`) and any batch dimensions."""
-    heading, yaw = once((Turn.by(state.robot_pose[2]), Turn.by(state.object_pose[2])))
-    relative = yaw.then(heading.inverse())
-    lever = yaw(state.face[:2])
+    heading, yaw = once((SO2.from_angle(state.robot_pose[2]), SO2.from_angle(state.object_pose[2])))
+    relative = yaw.compose(heading.inverse())
+    lever = yaw.apply(state.face[:2])
     to_face = state.object_pose[:2] + lever - state.robot_pose[:2]
     velocity = _point_velocity(state.object_twist, lever) - _point_velocity(state.robot_twist, to_face)
     angle = se2.wrap(state.object_pose[2] + state.face[2] - state.robot_pose[2])
@@ -196,9 +196,9 @@ def facing(state: SystemState) -> Facing:
         heading=heading,
         yaw=yaw,
         relative=relative,
-        pose=jnp.stack([*heading.back(to_face), angle]),
-        motion=jnp.stack([*heading.back(velocity), state.object_twist[2] - state.robot_twist[2]]),
-        normal=relative.then(Turn.by(state.face[2])),
+        pose=jnp.stack([*heading.inverse_apply(to_face), angle]),
+        motion=jnp.stack([*heading.inverse_apply(velocity), state.object_twist[2] - state.robot_twist[2]]),
+        normal=relative.compose(SO2.from_angle(state.face[2])),
     )
     return once(face)
 
@@ -222,7 +222,7 @@ def contact(face: Facing, gamma: Array) -> Contact:
 def robot_inputs(state: SystemState, u: Array) -> Array:
     """The inputs of R ``[..., 28]`` as ROBOT_INPUTS lists them; ``u [..., 3]`` is the command of this sample [rad]."""
     batch = jnp.broadcast_shapes(jnp.shape(state.robot_pose)[:-1], jnp.shape(u)[:-1])
-    inside = inward(state, batch)
+    inside = to_channels_first(state, batch)
     u = channels_first(jnp.broadcast_to(u, (*batch, 3)))
     face = facing(inside)
     return channels_last(stacked_robot_inputs(inside, face, contact(face, inside.last_u[2]), u))
@@ -233,7 +233,7 @@ def stacked_robot_inputs(state: SystemState, face: Facing, touch: Contact, u: Ar
     half_width = state.face[3:]
     return jnp.concatenate(
         [
-            face.heading.back(state.robot_twist),
+            face.heading.inverse_apply(state.robot_twist),
             state.lean,
             state.lean_rate,
             face.pose,
@@ -277,8 +277,8 @@ def last_sample(inputs: Array) -> tuple[Array, Array]:
     where = slices(OBJECT_INPUTS)
     twist, last, wrench = (inputs[where[name]] for name in ("object_twist", "last_object_twist", "last_wrench"))
     before = object_inputs(last, wrench, jnp.zeros_like(last), inputs[where["size"]][0], jnp.zeros_like(last), axis=0)
-    turned = Turn.by(0.5 * (last[2] + twist[2]) * DT)
-    return before, (turned(twist) - last) / DT
+    turned = SO2.from_angle(0.5 * (last[2] + twist[2]) * DT)
+    return before, (turned.apply(twist) - last) / DT
 
 
 def _point_velocity(twist: Array, lever: Array) -> Array:

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from shmoo_mjx.types import SystemState
 
-__all__ = ["Turn", "channels_first", "channels_last", "inward", "once", "outward"]
+__all__ = ["SO2", "channels_first", "channels_last", "once", "to_channels_first", "to_channels_last"]
 
 Array = Any
 
@@ -29,7 +29,7 @@ def channels_last(x: Array) -> Array:
     return jnp.moveaxis(x, 0, -1)
 
 
-def inward(state: SystemState, batch: tuple[int, ...]) -> SystemState:
+def to_channels_first(state: SystemState, batch: tuple[int, ...]) -> SystemState:
     """A state with channels first and its batch dimensions spread to ``batch``; face and size are not copied.
 
     Face and size get batch dimensions of length 1 where they are the same for all.
@@ -41,8 +41,8 @@ def inward(state: SystemState, batch: tuple[int, ...]) -> SystemState:
     return spread._replace(face=channels_first(face), size=size.reshape((1,) * (len(batch) - size.ndim) + size.shape))
 
 
-def outward(state: SystemState) -> SystemState:
-    """The inverse of `inward`: channels last, face and size spread over the whole batch."""
+def to_channels_last(state: SystemState) -> SystemState:
+    """The inverse of `to_channels_first`: channels last, face and size spread over the whole batch."""
     batch = state.robot_pose.shape[1:]
     moving = jax.tree.map(channels_last, state._replace(face=None, size=None))
     face = channels_last(jnp.broadcast_to(state.face, (state.face.shape[0], *batch)))
@@ -54,30 +54,30 @@ def once(tree: Any) -> Any:
     return jax.lax.optimization_barrier(tree)
 
 
-class Turn(NamedTuple):
+class SO2(NamedTuple):
     """A rotation by some angle, kept as its cosine and sine: those are worth computing once."""
 
     c: Array
     s: Array
 
     @classmethod
-    def by(cls, angle: Array) -> Turn:
+    def from_angle(cls, angle: Array) -> SO2:
         """R_z(angle)."""
         return cls(jnp.cos(angle), jnp.sin(angle))
 
-    def __call__(self, vector: Array) -> Array:
+    def apply(self, vector: Array) -> Array:
         """`se2.rotate` with channels first: turns the first two of ``vector [2 or 3, ...]``."""
         x, y = vector[0], vector[1]
         return jnp.stack([self.c * x - self.s * y, self.s * x + self.c * y, *vector[2:]])
 
-    def back(self, vector: Array) -> Array:
+    def inverse_apply(self, vector: Array) -> Array:
         """The inverse rotation."""
-        return self.inverse()(vector)
+        return self.inverse().apply(vector)
 
-    def then(self, other: Turn) -> Turn:
+    def compose(self, other: SO2) -> SO2:
         """The rotation by the sum of both angles."""
-        return Turn(self.c * other.c - self.s * other.s, self.s * other.c + self.c * other.s)
+        return SO2(self.c * other.c - self.s * other.s, self.s * other.c + self.c * other.s)
 
-    def inverse(self) -> Turn:
+    def inverse(self) -> SO2:
         """The rotation by the negative angle."""
-        return Turn(self.c, -self.s)
+        return SO2(self.c, -self.s)

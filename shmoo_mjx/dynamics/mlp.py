@@ -12,10 +12,10 @@ import jax.numpy as jnp
 __all__ = [
     "ACTIVATIONS",
     "MLP",
-    "Layers",
+    "FusedMLP",
     "apply",
     "cap_spectral_norm",
-    "fold",
+    "fuse",
     "init",
     "power_iterate",
     "with_normaliser",
@@ -40,7 +40,7 @@ class MLP(NamedTuple):
     """``[n_0]`` the input is divided by this, in the input's unit."""
 
 
-class Layers(NamedTuple):
+class FusedMLP(NamedTuple):
     """The same network made ready for roll-outs: channels first, the normaliser folded into the first layer."""
 
     weights: tuple[Array, ...]
@@ -50,12 +50,12 @@ class Layers(NamedTuple):
     skip: Array | None = None
     """``[n_last, n_0]`` a linear map of the input that is added to the output."""
 
-    def then(self, linear: Callable[[Array], Array]) -> Layers:
+    def followed_by(self, linear: Callable[[Array], Array]) -> FusedMLP:
         """The network followed by a linear map of its outputs, ``[n_last, ...]`` -> ``[m, ...]``."""
         weights, biases = ((*x[:-1], linear(x[-1])) for x in (self.weights, self.biases))
         return self._replace(weights=weights, biases=biases)
 
-    def plus(self, skip: Array | None, bias: Array) -> Layers:
+    def with_affine(self, skip: Array | None, bias: Array) -> FusedMLP:
         """The network with ``skip [n_last, n_0]`` times its input and ``bias [n_last]`` added to its output."""
         return self._replace(biases=(*self.biases[:-1], self.biases[-1] + bias), skip=skip)
 
@@ -94,11 +94,11 @@ def apply(mlp: MLP, x: Array, activation: str = "tanh") -> Array:
     return h @ mlp.weights[-1] + mlp.biases[-1]
 
 
-def fold(mlp: MLP) -> Layers:
-    """Prepare a network for `Layers.forward`; once per plan, so that its steps need not."""
+def fuse(mlp: MLP) -> FusedMLP:
+    """Prepare a network for `FusedMLP.forward`; once per plan, so that its steps need not."""
     first = mlp.weights[0].T / mlp.scale
     biases = (mlp.biases[0] - first @ mlp.mean, *mlp.biases[1:])
-    return Layers((first, *(w.T for w in mlp.weights[1:])), biases)
+    return FusedMLP((first, *(w.T for w in mlp.weights[1:])), biases)
 
 
 def power_iterate(weight: Array, vector: Array, steps: int = 1) -> tuple[Array, Array]:

@@ -13,14 +13,14 @@ from scipy.linalg import block_diag
 from shmoo_mjx.dynamics import equivariant, features, feet, mlp
 
 __all__ = [
-    "Folded",
+    "FusedObjectModel",
     "ObjectConfig",
     "ObjectParams",
     "basis",
     "coefficient_signs",
     "design_matrix",
-    "fold",
     "forward",
+    "fuse",
     "init",
     "network_inputs",
     "predict",
@@ -29,7 +29,7 @@ __all__ = [
 
 Array = Any
 
-Layers = mlp.Layers | equivariant.Layers
+Layers = mlp.FusedMLP | equivariant.FusedEquivariantMLP
 
 ANSWER_LIMIT = 20.0
 """Cap on the body's answers, in standard deviations of the labels."""
@@ -81,7 +81,7 @@ class ObjectParams(NamedTuple):
     """``[3]`` unit in which psi a predicts each axis [m/s^2, m/s^2, rad/s^2]."""
 
 
-class Folded(NamedTuple):
+class FusedObjectModel(NamedTuple):
     """O with its coefficients, made ready for roll-outs."""
 
     layers: Layers
@@ -152,7 +152,7 @@ def design_matrix(params: ObjectParams, inputs: Array, config: ObjectConfig, bod
     return blocks.reshape(*psi.shape[:-1], n_axes * config.functions)
 
 
-def fold(params: ObjectParams, coefficients: Array, config: ObjectConfig, body: Array) -> Folded:
+def fuse(params: ObjectParams, coefficients: Array, config: ObjectConfig, body: Array) -> FusedObjectModel:
     """O made ready for roll-outs with the coefficients ``[3, K]``: `forward` of it gives ``[3, ...]`` in {O}.
 
     psi a is linear in the last layer's output, so a goes into that layer's weights, and psi itself is never formed.
@@ -164,19 +164,19 @@ def fold(params: ObjectParams, coefficients: Array, config: ObjectConfig, body: 
 
     layers: Layers
     if config.equivariant:
-        layers = equivariant.fold(params.net, reflections(config)).then(weigh)
+        layers = equivariant.fuse(params.net, reflections(config)).followed_by(weigh)
     else:
-        layers = mlp.fold(params.net).then(weigh)
+        layers = mlp.fuse(params.net).followed_by(weigh)
     if config.linear_terms:
         skip = weigh(_linear(params, config).T) / params.net.scale
-        layers = layers.plus(skip, -skip @ params.net.mean)
-    return Folded(layers, body, params.label_scale)
+        layers = layers.with_affine(skip, -skip @ params.net.mean)
+    return FusedObjectModel(layers, body, params.label_scale)
 
 
-def forward(folded: Folded, inputs: Array, config: ObjectConfig) -> Array:
+def forward(fused: FusedObjectModel, inputs: Array, config: ObjectConfig) -> Array:
     """What `predict` gives, with channels first: ``[3, ...]`` for ``inputs [13, ...]``."""
-    seen = _seen(folded.label_scale, inputs, config, folded.body)
-    return folded.layers.forward(seen, config.activation)
+    seen = _seen(fused.label_scale, inputs, config, fused.body)
+    return fused.layers.forward(seen, config.activation)
 
 
 def coefficient_signs(config: ObjectConfig) -> np.ndarray:

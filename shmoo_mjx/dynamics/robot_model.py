@@ -17,7 +17,7 @@ __all__ = [
     "LeanResponse",
     "RobotConfig",
     "RobotParams",
-    "fold",
+    "fuse",
     "init",
     "lag",
     "lean_step",
@@ -89,10 +89,10 @@ def normalised(net: MLP, inputs: Array, config: RobotConfig) -> Array:
     return equivariant.apply(net, inputs, REFLECTIONS, config.activation)
 
 
-def fold(params: RobotParams) -> equivariant.Layers:
+def fuse(params: RobotParams) -> equivariant.FusedEquivariantMLP:
     """R made ready for roll-outs: its `forward` gives ``[5, ...]`` in the units of ROBOT_OUTPUTS."""
-    net = equivariant.fold(params.net, REFLECTIONS)
-    return net.then(lambda rows: (rows.T * params.output_scale).T).plus(None, params.output_mean)
+    net = equivariant.fuse(params.net, REFLECTIONS)
+    return net.followed_by(lambda rows: (rows.T * params.output_scale).T).with_affine(None, params.output_mean)
 
 
 def lag(frequency: float, damping: float, dt: float = DT) -> LeanResponse:

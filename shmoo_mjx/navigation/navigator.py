@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from shmoo_mjx.control import trim
+from shmoo_mjx.control import equilibrium_lean
 from shmoo_mjx.control.pushing import Sighting
 from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.learning import adaptation
@@ -99,10 +99,10 @@ def step(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[Naviga
     """One sample: the next state, the command (a batch of one) and what has happened."""
     state, seen = _perceive(setup, state, seen)
     state = _settled(state, float(seen.time[0]))
-    state, command = MODES[state.mode].act(setup, state, trim.foreseen(seen, setup.config.latency))
+    state, command = MODES[state.mode].act(setup, state, equilibrium_lean.predicted(seen, setup.config.latency))
     state = _consider(setup, state, seen)
     state = replace(state, last_u=np.asarray(command.u, dtype=float))
-    return replace(state, events=()), trim.trimmed(state.trim, batched(command)), state.events
+    return replace(state, events=()), equilibrium_lean.shifted(state.lean_offset, batched(command)), state.events
 
 
 def _perceive(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[NavigatorState, Observation]:
@@ -111,8 +111,8 @@ def _perceive(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[N
     now = float(seen.time[0])
     pushed = None if state.segment is None else state.segment.object
     belief, notes = state.belief.update(seen, setup.sizes, pushed, setup.first_status)
-    state = replace(state, last_seen=seen, belief=belief, trim=trim.step(state.trim, seen))
-    return state.said(*(Note(now, text) for text in notes)), trim.with_trim(state.trim, seen)
+    state = replace(state, last_seen=seen, belief=belief, lean_offset=equilibrium_lean.step(state.lean_offset, seen))
+    return state.said(*(Note(now, text) for text in notes)), equilibrium_lean.corrected(state.lean_offset, seen)
 
 
 def _settled(state: NavigatorState, now: float) -> NavigatorState:

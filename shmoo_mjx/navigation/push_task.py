@@ -15,7 +15,7 @@ import jax
 import numpy as np
 
 from shmoo_mjx import se2
-from shmoo_mjx.control import trim
+from shmoo_mjx.control import equilibrium_lean
 from shmoo_mjx.control.cost import PushCost
 from shmoo_mjx.control.pushing import LocalDistanceField, PushConfig, Sighting, local_distance_field
 from shmoo_mjx.faces import faces_of
@@ -165,7 +165,7 @@ class PushTask:
         self.events: list[Event] = []
         self.pushes = 0
         self.leg: _Leg | None = None
-        self.trim = trim.init()
+        self.lean_offset = equilibrium_lean.init()
         self._setup = setup_of(sizes, pusher, self.config.moves)
         self._index = index
         self._pusher = pusher
@@ -205,11 +205,11 @@ class PushTask:
         """One decision."""
         seen = self._seen = finite(seen, self._seen)
         self.belief, _ = self.belief.update(seen, self._setup.sizes, self._index)
-        self.trim = trim.step(self.trim, seen)
-        seen = trim.with_trim(self.trim, seen)
-        result = self._handlers[self.phase](trim.foreseen(seen, self.config.moves.latency))
+        self.lean_offset = equilibrium_lean.step(self.lean_offset, seen)
+        seen = equilibrium_lean.corrected(self.lean_offset, seen)
+        result = self._handlers[self.phase](equilibrium_lean.predicted(seen, self.config.moves.latency))
         self._last_u = np.asarray(result.u, dtype=float)
-        return trim.trimmed(self.trim, batched(result))
+        return equilibrium_lean.shifted(self.lean_offset, batched(result))
 
     # Phases. Each returns the command for the next sample and may have changed the phase.
 

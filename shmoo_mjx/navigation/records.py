@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from shmoo_mjx.control import trim
+from shmoo_mjx.control import equilibrium_lean
 from shmoo_mjx.control.pushing import LocalDistanceField
 from shmoo_mjx.navigation import drive
 from shmoo_mjx.navigation.belief import Belief, KnownObject, Status
@@ -173,7 +173,7 @@ class NavigatorState:
     """Since when no way to the goal has been known [s]."""
     segment: Segment | None = None
     drive: drive.DriveState = field(default_factory=drive.init)
-    trim: trim.Trim = field(default_factory=trim.init)
+    lean_offset: equilibrium_lean.LeanOffset = field(default_factory=equilibrium_lean.init)
     last_u: np.ndarray = field(default_factory=lambda: np.zeros(3))
     last_seen: Observation | None = None
     pending: Pending | None = None

@@ -173,9 +173,9 @@ def test_folding_changes_no_prediction(config: CoreConfig) -> None:
     x = np.random.default_rng(4).standard_normal((7, 13)).astype(np.float32)
     x[:, 9] = 0.4
     expected = object_model.predict(params.object, params.coefficients, x, config.object, params.body)
-    folded = object_model.fold(params.object, params.coefficients, config.object, params.body)
-    np.testing.assert_allclose(object_model.forward(folded, x.T, config.object).T, expected, atol=1e-5)
-    assert folded.layers.biases[-1].shape == (3,)
+    fused = object_model.fuse(params.object, params.coefficients, config.object, params.body)
+    np.testing.assert_allclose(object_model.forward(fused, x.T, config.object).T, expected, atol=1e-5)
+    assert fused.layers.biases[-1].shape == (3,)
 
 
 def test_the_state_s_own_batch_and_the_controls_combine() -> None:

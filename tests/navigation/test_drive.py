@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from shmoo_mjx import se2
-from shmoo_mjx.control import trim
+from shmoo_mjx.control import equilibrium_lean
 from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.navigation import drive, flat_trajectory
 from shmoo_mjx.navigation.clearance import ClearanceField
@@ -45,17 +45,21 @@ def at_rest_turning(yaw: float, rate: float) -> Observation:
 def test_with_real_senses_the_robot_comes_to_rest_at_the_end_of_its_way(seed: int) -> None:
     """Trajectories planned from what is measured, which lags behind what is commanded, wander twice as far."""
     engine = SensedEngine([build_scene([], (0.0, 0.0, 0.0), adjust=REAL.adjust(seed))], REAL, seed)
-    path, state, balance = Path(np.array([[0.0, 0.0], [0.6, 0.0], [0.6, 0.5]]), 1.1), drive.init(), trim.init()
+    path, state, balance = (
+        Path(np.array([[0.0, 0.0], [0.6, 0.0], [0.6, 0.5]]), 1.1),
+        drive.init(),
+        equilibrium_lean.init(),
+    )
     strayed = []
     with engine:
         world = engine.init()
         seen = engine.observe(world)
         while float(seen.time[0]) < 14.0:
-            balance = trim.step(balance, seen)
-            ahead = trim.foreseen(trim.with_trim(balance, seen), REAL.latency)
+            balance = equilibrium_lean.step(balance, seen)
+            ahead = equilibrium_lean.predicted(equilibrium_lean.corrected(balance, seen), REAL.latency)
             state, lean = drive.follow(PLANNER, state, ahead, path, open_floor)
             command = Command(*(np.array([x]) for x in ([*lean, 0.0], 0.6, TUCKED_REACH, TUCKED_HEIGHT)))
-            world, seen = engine.step(world, trim.trimmed(balance, command))
+            world, seen = engine.step(world, equilibrium_lean.shifted(balance, command))
             if float(seen.time[0]) > 8.0:
                 strayed.append(np.linalg.norm(seen.robot_pose[0, :2] - path.points[-1]))
     assert max(strayed) < 0.04, f"{max(strayed):.3f} m from the end"

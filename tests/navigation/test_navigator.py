@@ -16,7 +16,7 @@ import pytest
 from toy import toy_scenario
 
 from shmoo_mjx import se2
-from shmoo_mjx.control.trim import arms_lean
+from shmoo_mjx.control.equilibrium_lean import arms_lean
 from shmoo_mjx.faces import faces_of
 from shmoo_mjx.hands import HAND_RADIUS
 from shmoo_mjx.navigation.belief import Status

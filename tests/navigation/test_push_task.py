@@ -7,8 +7,8 @@ import pytest
 import shapely
 
 from shmoo_mjx import se2
+from shmoo_mjx.control.equilibrium_lean import arms_lean
 from shmoo_mjx.control.quasi_static import QuasiStaticPusher
-from shmoo_mjx.control.trim import arms_lean
 from shmoo_mjx.hands import HAND_RADIUS, TUCKED_REACH
 from shmoo_mjx.navigation.footprints import footprint_polygon
 from shmoo_mjx.navigation.maps import OCCUPIED, OccupancyGrid

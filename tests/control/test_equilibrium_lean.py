@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shmoo_mjx import se2
-from shmoo_mjx.control import trim
+from shmoo_mjx.control import equilibrium_lean
 from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.plant.body import Imperfections, body_of, draw_body
 from shmoo_mjx.plant.objects import draw_condition
@@ -37,18 +37,18 @@ def seen(
     return Observation(*(np.array(v, dtype=float)[None] for v in values))
 
 
-def drive(bias: np.ndarray, seed: int, force: float = 0.0, seconds: float = 12.0) -> trim.Trim:
+def drive(bias: np.ndarray, seed: int, force: float = 0.0, seconds: float = 12.0) -> equilibrium_lean.LeanOffset:
     """The flat system leant at random, its senses with noise."""
     rng, (a, b, c) = np.random.default_rng(seed), ROBOT.flatness
-    state, flat, yaw = trim.init(), np.zeros(2), 0.0
+    state, flat, yaw = equilibrium_lean.init(), np.zeros(2), 0.0
     lean, wanted = bias.copy(), bias.copy()
     for i in range(round(seconds / DT)):
         if i % 8 == 0:
             wanted = bias + rng.uniform(-0.05, 0.05, 2)
         rate = (wanted - lean) / 0.3
         velocity = flat - b / a * se2.rotate(rate, yaw)
-        noisy = lean - trim.arms_lean(HANDS) + rng.normal(0, 2e-3, 2)
-        state = trim.step(state, seen(i * DT, yaw, velocity + rng.normal(0, 0.01, 2), noisy, rate, force))
+        noisy = lean - equilibrium_lean.arms_lean(HANDS) + rng.normal(0, 2e-3, 2)
+        state = equilibrium_lean.step(state, seen(i * DT, yaw, velocity + rng.normal(0, 0.01, 2), noisy, rate, force))
         mean = lean + 0.5 * rate * DT - bias
         lean = lean + rate * DT
         flat = flat + DT * c / a * se2.rotate(mean, yaw)
@@ -67,14 +67,14 @@ def test_what_is_felt_in_contact_does_not_count() -> None:
 
 
 def test_never_trusts_more_than_its_limit() -> None:
-    assert drive(np.array([0.2, 0.0]), 0).lean[0] == pytest.approx(trim.LIMIT)
+    assert drive(np.array([0.2, 0.0]), 0).lean[0] == pytest.approx(equilibrium_lean.LIMIT)
 
 
 def test_lean_is_counted_from_the_trim_both_ways() -> None:
-    state = trim.init()._replace(lean=np.array([0.01, -0.02]))
+    state = equilibrium_lean.init()._replace(lean=np.array([0.01, -0.02]))
     now = seen(0.0, 0.0, np.zeros(2), np.array([0.03, 0.0]), np.zeros(2))
-    assert trim.with_trim(state, now).lean[0] == pytest.approx([0.02, 0.02])
-    applied = trim.trimmed(state, command(np.array([0.05, 0.0]), 0.1))
+    assert equilibrium_lean.corrected(state, now).lean[0] == pytest.approx([0.02, 0.02])
+    applied = equilibrium_lean.shifted(state, command(np.array([0.05, 0.0]), 0.1))
     assert applied.u[0] == pytest.approx([0.06, -0.02, 0.1])
 
 
@@ -86,15 +86,15 @@ def test_a_robot_with_a_shifted_centre_of_mass_stands_still() -> None:
     drifts = []
     for learns in (False, True):
         engine = MujocoEngine([build_scene(adjust=body_of(body))])
-        world, state = engine.init(), trim.init()
+        world, state = engine.init(), equilibrium_lean.init()
         for i in range(120):
             now = engine.observe(world)
             if learns:
-                state = trim.step(state, now)
+                state = equilibrium_lean.step(state, now)
             if i == 60:
                 start = now.robot_pose[0, :2]
             lean = velocity_command(now, np.zeros(2))
-            world, _ = engine.step(world, trim.trimmed(state, command(lean)))
+            world, _ = engine.step(world, equilibrium_lean.shifted(state, command(lean)))
         drifts.append(float(np.linalg.norm(engine.observe(world).robot_pose[0, :2] - start)))
         engine.close()
     share = ROBOT.body_mass / ROBOT.upper_mass
@@ -110,12 +110,12 @@ def test_learns_how_hard_it_pushes_by_what_it_leans_against(gain: float) -> None
     body = draw_body(Imperfections.none(), 0)._replace(arm_gain=(gain,) * 6)
     senses = dataclasses.replace(REAL, body=Imperfections.none())
     with SensedEngine([build_scene([(box, ahead)], adjust=body_of(body))], senses) as engine:
-        world, state, corrected, true = engine.init(), trim.init(), [], []
+        world, state, corrected, true = engine.init(), equilibrium_lean.init(), [], []
         for i in range(80):
             lean = np.array([0.07 if i >= 6 else 0.0, 0.0])
             world, now = engine.step(world, batched(Command(np.append(lean, 0.0), 0.0, REACH, HAND_HEIGHT)))
-            state = trim.step(state, now)
-            corrected.append(trim.with_trim(state, now).wrench[0, 0, 0])
+            state = equilibrium_lean.step(state, now)
+            corrected.append(equilibrium_lean.corrected(state, now).wrench[0, 0, 0])
             true.append(engine.true_observation(world).wrench[0, 0, 0])
     assert np.mean(true[60:]) > 20
     assert state.touch == pytest.approx(gain, abs=0.08)

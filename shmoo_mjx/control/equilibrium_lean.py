@@ -1,8 +1,8 @@
-"""Trim: where the robot really balances, learned while nothing is touched, and what its arms' torques really weigh.
+"""Online estimate of the equilibrium-lean offset, and of the scale of the force that the hands feel.
 
 A centre of mass that lies some millimetres beside where the model has it makes a robot at zero lean drift off. Along
-the flat output S = x + (b/a) phi one plane obeys a S'' = c (phi + arms - trim - h F / (m g l)) (``Robot.flatness``), so
-the trim is what the measured lean, with what the arms weigh, has more than S'' explains.
+the flat output S = x + (b/a) phi one plane obeys a S'' = c (phi + arms - offset - h F / (m g l)) (``Robot.flatness``),
+so the offset is what the measured lean, with what the arms weigh, has more than S'' explains.
 
 In contact the same says how hard the robot pushes, by what it leans against. Motor constants of arms are off by as much
 as 15 %, and a robot that feels three quarters of what it pushes with comes to rest against what it could push.
@@ -19,7 +19,7 @@ from shmoo_mjx.control.governor import static_lean
 from shmoo_mjx.plant.robot import ROBOT, arm_angles, com_offset
 from shmoo_mjx.types import DT, Command, Observation
 
-__all__ = ["LIMIT", "Trim", "arms_lean", "foreseen", "init", "step", "trimmed", "with_trim"]
+__all__ = ["LIMIT", "LeanOffset", "arms_lean", "corrected", "init", "predicted", "shifted", "step"]
 
 Array = Any
 
@@ -37,7 +37,7 @@ _TOUCH_LIMIT = 1.6
 """Largest factor on the felt force, and the inverse of the least [1]: far beyond the 15 % of motor constants."""
 
 
-class Trim(NamedTuple):
+class LeanOffset(NamedTuple):
     """The estimate for one robot."""
 
     lean: np.ndarray
@@ -52,13 +52,13 @@ class Trim(NamedTuple):
     """Force leant against over the force felt [1]."""
 
 
-def init() -> Trim:
-    """Nothing known: zero."""
-    return Trim(np.zeros(2), 0, None)
+def init() -> LeanOffset:
+    """Estimate before the first sample: no offset, forces as they are felt."""
+    return LeanOffset(np.zeros(2), 0, None)
 
 
-def step(state: Trim, seen: Observation) -> Trim:
-    """Take in one sample of one world."""
+def step(state: LeanOffset, seen: Observation) -> LeanOffset:
+    """Estimate after one more sample of one world."""
     a, b, c = ROBOT.flatness
     yaw = seen.robot_pose[0, 2]
     lean = np.asarray(seen.lean[0], dtype=float)
@@ -72,11 +72,11 @@ def step(state: Trim, seen: Observation) -> Trim:
     samples = state.samples + 1
     # The first seconds count in full: a mean grows into a fading memory.
     gain = max(DT / _MEMORY, 1.0 / samples)
-    trim = np.clip(state.lean + gain * error, -LIMIT, LIMIT)
-    return state._replace(lean=trim, samples=samples, before=(speed, lean))
+    offset = np.clip(state.lean + gain * error, -LIMIT, LIMIT)
+    return state._replace(lean=offset, samples=samples, before=(speed, lean))
 
 
-def _pushing(state: Trim, seen: Observation, lean: float) -> Trim:
+def _pushing(state: LeanOffset, seen: Observation, lean: float) -> LeanOffset:
     """``lean`` is what of the forward lean neither moves the robot nor balances it [rad]."""
     felt = float(se2.rotate(seen.wrench[0, :, :2].sum(axis=0), -seen.robot_pose[0, 2])[0])
     against, squares = state.pushed[0] + felt * lean / float(static_lean(1.0)), state.pushed[1] + felt**2
@@ -95,9 +95,11 @@ def arms_lean(hands: Array) -> np.ndarray:
     return np.asarray(com_offset(arm_angles(in_body))) / ROBOT.body_com_height
 
 
-def foreseen(seen: Observation, seconds: float) -> Observation:
-    """The robot and the objects ``seconds`` on: what the lean has beyond the felt force moves the robot (S'' of the
-    flat output), and objects keep their twist. ``seen`` counts the lean from where the robot balances."""
+def predicted(seen: Observation, seconds: float) -> Observation:
+    """Robot and objects extrapolated by ``seconds``; ``seen`` counts the lean from where the robot balances.
+
+    What the lean has beyond the felt force moves the robot (S'' of the flat output), and objects keep their twist.
+    """
     if not seconds:
         return seen
     a, _, c = ROBOT.flatness
@@ -113,12 +115,12 @@ def foreseen(seen: Observation, seconds: float) -> Observation:
     return seen._replace(robot_pose=pose, robot_twist=twist, lean=lean, object_pose=objects)
 
 
-def with_trim(state: Trim, seen: Observation) -> Observation:
+def corrected(state: LeanOffset, seen: Observation) -> Observation:
     """The observation with its lean counted from where the robot balances, and forces as the robot leans against."""
     return seen._replace(lean=seen.lean - state.lean, wrench=seen.wrench * state.touch)
 
 
-def trimmed(state: Trim, command: Command) -> Command:
+def shifted(state: LeanOffset, command: Command) -> Command:
     """The command with its lean counted from where the body's axis is upright, as the low-level control takes it."""
     u = np.array(command.u, dtype=float)
     u[:, :2] += state.lean
