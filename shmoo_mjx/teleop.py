@@ -1,4 +1,4 @@
-"""A person drives the robot with the keyboard, and what happens is recorded as ``collect`` records it (spec 2.1).
+"""A person drives the robot with the keyboard, and what happens is recorded as ``collect`` records it.
 
 Keys change wishes step by step, since a viewer reports presses and no releases; a velocity loop turns them into leans.
 """

@@ -1,4 +1,4 @@
-"""Adaptive pushing (Sec. III-E, spec 7.2): MPPI on the learned core while the object's dynamics are learned.
+"""Adaptive pushing (Sec. III-E): MPPI on the learned core while the object's dynamics are learned.
 
 ``PushController`` compiles the two functions a push needs, once for every map and object: the 10 Hz step (adapt, plan,
 command) and the planning stage's roll-outs, which the object planner judges. All memory is in ``PushState``. ``start``,

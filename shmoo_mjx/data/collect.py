@@ -1,4 +1,4 @@
-"""Scripted tele-operators drive every condition and record what the learners need (Sec. III-C, spec 2.1).
+"""Scripted tele-operators drive every condition and record what the learners need (Sec. III-C).
 
 Each world holds one object; a chunk of conditions of one family, several episodes each, advances as one batch. Chunks
 run in separate processes and each condition is written as soon as its chunk ends, so an interrupted run resumes

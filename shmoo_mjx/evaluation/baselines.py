@@ -1,4 +1,4 @@
-"""Experiment `baselines`: ours beside every other way to predict an object from 25 s of it (Sec. V-B, spec section 9).
+"""Experiment `baselines`: ours beside every other way to predict an object from 25 s of it (Sec. V-B).
 
 Every method tries the same number of settings on the validation conditions with the same short budget; the best is
 trained anew with three seeds and scored on unseen objects. All see the same inputs, rows and protocol (`scoring`).

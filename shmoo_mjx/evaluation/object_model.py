@@ -1,4 +1,4 @@
-"""Experiment `object_model`: what psi and 25 s of an unseen object are worth (Sec. V-A, Fig. 4, spec section 9).
+"""Experiment `object_model`: what psi and 25 s of an unseen object are worth (Sec. V-A, Fig. 4).
 
 psi is trained with several seeds, adapts to each unseen object on its first 25 s, and is scored on later rows, beside
 the prior (the same psi, object not yet touched) and predictors that don't adapt. With the first psi, online adaptation

@@ -1,4 +1,4 @@
-"""Experiment ``pushing`` (Sec. VI-A, Fig. 7, spec 7.3): objects pushed to three goals.
+"""Experiment ``pushing`` (Sec. VI-A, Fig. 7): objects pushed to three goals.
 
 Two strata of trials: objects as drawn, three families, three goals, ten runs each; and objects that ask for adaptation,
 seven runs each. Every method runs every trial. Each finished trial is a file, so that an interrupted experiment goes on

@@ -21,7 +21,7 @@ EXPERIMENTS = {
     "lifelong": "shmoo_mjx.evaluation.lifelong",
     "real_pushing": "shmoo_mjx.evaluation.real_pushing",
 }
-"""Name to module; spec section 9."""
+"""Name to module."""
 
 
 def run_experiment(name: str, options: ExperimentOptions) -> ExperimentResult:

@@ -1,4 +1,4 @@
-"""Local trajectories that a ball-balancing robot can follow, by differential flatness and one QP (spec 8.2).
+"""Local trajectories that a ball-balancing robot can follow, by differential flatness and one QP.
 
 Here the path becomes the reference and the corridor of the quadratic program in ``flat_qp``, and its solution a
 trajectory that has been checked and can be evaluated.

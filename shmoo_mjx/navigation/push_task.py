@@ -1,4 +1,4 @@
-"""Adaptive pushing by itself (spec 7.2): bring one object to a pose, from any start pose of the robot round it.
+"""Adaptive pushing by itself: bring one object to a pose, from any start pose of the robot round it.
 
 Choose a face, drive to its stand-off pose, extend the arms, make contact, push with MPPI while a adapts, let go in time
 for the object to coast into its goal, back away, and look. If the object is not where it should be, another push

@@ -1,4 +1,4 @@
-"""The scenario file: which map, from where to where, and which objects stand about (spec 8.5).
+"""The scenario file: which map, from where to where, and which objects stand about.
 
 map: office.yaml          # ROS map_server YAML, relative to this file; may be left out and given on the command line
 start: [1.0, 1.0, 0.0]    # x, y [m], yaw [rad] in {W}

@@ -1,4 +1,4 @@
-"""The body of a robot that is not the one the control and the models know: it stands for the hardware (spec 1.6).
+"""The body of a robot that is not the one the control and the models know: it stands for the hardware.
 
 Mass, CoM, drive friction, motor gains and motor lag differ, and commands arrive late. How such a robot perceives is
 `shmoo_mjx.sensing`'s matter. Training never sees any of it.

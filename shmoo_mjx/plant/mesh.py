@@ -1,4 +1,4 @@
-"""Own objects: a mesh or MJCF file becomes an object file that stands wherever a family's name does (spec 1.8).
+"""Own objects: a mesh or MJCF file becomes an object file that stands wherever a family's name does.
 
 ``shmoo object add chair.stl --mass 7 --friction 0.4`` writes chair.json: convex hull, mass, CoM, inertia, feet or
 wheels. ``family: chair.json`` in a scenario, or ``draw_condition("chair.json", seed)``, then gives the object.

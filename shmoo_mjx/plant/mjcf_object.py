@@ -1,4 +1,4 @@
-"""Reads an MJCF file as the geometry and mass distribution of one rigid own object (spec 1.8)."""
+"""Reads an MJCF file as the geometry and mass distribution of one rigid own object."""
 
 from __future__ import annotations
 

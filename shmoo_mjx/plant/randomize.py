@@ -1,4 +1,4 @@
-"""Domain randomisation for MJX (spec 1.7): ``(model, keys) -> (model, in_axes)``, ready for vmap.
+"""Domain randomisation for MJX: ``(model, keys) -> (model, in_axes)``, ready for vmap.
 
 Sizes stay as they are; what is drawn needs no new compilation. MuJoCo's derived ``body_invweight0`` and
 ``dof_invweight0`` keep their nominal values, so the softness of constraints shifts by as much as the masses do (a few

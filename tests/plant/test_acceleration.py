@@ -1,4 +1,4 @@
-"""The labels' differentiator against the simulator's own acceleration while the robot pushes (spec 2.1)."""
+"""The labels' differentiator against the simulator's own acceleration while the robot pushes."""
 
 from __future__ import annotations
 
