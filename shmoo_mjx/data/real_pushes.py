@@ -72,14 +72,11 @@ def _mit_push(path: Path) -> dict[str, Condition]:
     columns = [*_POSES, "tip_x0", "tip_y0", "tip_x1", "tip_y1", *predicted]
     conditions = {}
     for (surface, shape), values in _groups(path, ("surface", "shape"), columns).items():
-        before, after, start, end, *_ = np.split(values, [3, 6, 8, 10], axis=1)
-        poses = dict(zip(models, np.split(values[:, 10:], len(models), axis=1), strict=True))
-        start, end, motion = (
-            se2.inverse_transform_point(before, start),
-            se2.inverse_transform_point(before, end),
-            se2.relative(before, after),
-        )
-        published = {name: se2.relative(before, pose) for name, pose in poses.items()}
+        before, after, start, end, poses = np.split(values, [3, 6, 8, 10], axis=1)
+        start, end = (se2.inverse_transform_point(before, point) for point in (start, end))
+        told = dict(zip(models, np.split(poses, len(models), axis=1), strict=True))
+        published = {name: se2.relative(before, pose) for name, pose in told.items()}
+        motion = se2.relative(before, after)
         conditions[f"{surface}/{shape}"] = Condition(shape, start, end, motion, start, published, True, 0.00475)
     return conditions
 
@@ -90,12 +87,8 @@ def _mlab_triangle(path: Path) -> dict[str, Condition]:
     conditions = {}
     for (surface, support), values in _groups(path, ("surface", "support"), columns).items():
         before, after, start, end = np.split(values, [3, 6, 8], axis=1)
-        touch = se2.inverse_transform_point(after, end)
-        start, end, motion = (
-            se2.inverse_transform_point(before, start),
-            se2.inverse_transform_point(before, end),
-            se2.relative(before, after),
-        )
+        touch, motion = se2.inverse_transform_point(after, end), se2.relative(before, after)
+        start, end = (se2.inverse_transform_point(before, point) for point in (start, end))
         conditions[f"{surface}/{support}"] = Condition("triangle", start, end, motion, touch, {}, False, 0.0)
     return conditions
 

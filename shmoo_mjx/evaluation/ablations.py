@@ -5,7 +5,6 @@ Trainings of psi as long as the shipped one, a few seeds each, scored on unseen 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -14,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from shmoo_mjx.data import store
-from shmoo_mjx.evaluation import datasets, probe, scoring
+from shmoo_mjx.evaluation import probe, scoring, trainings
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result, over_seeds
-from shmoo_mjx.evaluation.trainings import Trainings, prepare
+from shmoo_mjx.evaluation.trainings import Trainings, TrainingsConfig, prepare
 from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning import daiml
@@ -53,7 +52,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
 
 
 @dataclass(frozen=True)
-class AblationsConfig:
+class AblationsConfig(TrainingsConfig):
     """What is varied and how long each variant trains."""
 
     variants: tuple[str, ...] = tuple(VARIANTS)
@@ -65,21 +64,14 @@ class AblationsConfig:
     probes: int = 3
     """Probes with seeds of their own, for each psi."""
     probe_updates: int = 1500
-    training_objects: int | None = None
-    """Per family; None takes all that the training set has."""
-    unseen: Mapping[str, int] = field(default_factory=lambda: dict(datasets.UNSEEN_COUNTS))
-    workers: int = 1
-    """Processes. One training keeps two cores busy by itself."""
 
 
 QUICK = AblationsConfig(
+    **trainings.QUICK,
     variants=("default", "horizon_15_forced", "functions_3", "alpha_0", "alpha_0.1"),
     budget=Budget(2, 100, 2),
-    seeds=1,
     probes=1,
     probe_updates=300,
-    training_objects=6,
-    unseen={"box": 2, "cart": 2, "wheelchair": 2},
 )
 
 

@@ -6,7 +6,6 @@ trained anew with three seeds and scored on unseen objects. All see the same inp
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -15,9 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from shmoo_mjx.data import store
-from shmoo_mjx.evaluation import datasets, replay, scoring
+from shmoo_mjx.evaluation import replay, scoring, trainings
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result, over_seeds
-from shmoo_mjx.evaluation.trainings import Trainings, prepare, rows_of
+from shmoo_mjx.evaluation.trainings import Trainings, TrainingsConfig, prepare, rows_of
 from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.learning.baselines import METHODS, REFERENCES, Budget, recordings
 from shmoo_mjx.learning.baselines.adaptive import prior
@@ -43,7 +42,7 @@ REPLAY = "replay"
 
 
 @dataclass(frozen=True)
-class BaselinesConfig:
+class BaselinesConfig(TrainingsConfig):
     """What is compared and how hard each is tried."""
 
     methods: tuple[str, ...] = tuple(METHODS)
@@ -54,26 +53,11 @@ class BaselinesConfig:
     tuning: Budget = field(default_factory=lambda: Budget(8, 150, 8))
     final: Budget = field(default_factory=lambda: Budget(24, 150, 8))
     """For the chosen setting."""
-    seeds: int = 3
-    """Trainings of the chosen setting, with other seeds."""
     fit_seconds: float = 25.0
     """Recording that a method adapts on [s]."""
-    training_objects: int | None = None
-    """Per family; None takes all that the training set has."""
-    unseen: Mapping[str, int] = field(default_factory=lambda: dict(datasets.UNSEEN_COUNTS))
-    """Unseen objects per family."""
-    workers: int = 1
-    """Processes. One training keeps two cores busy by itself."""
 
 
-QUICK = BaselinesConfig(
-    settings=1,
-    tuning=Budget(1, 50, 1),
-    final=Budget(3, 100, 3),
-    seeds=1,
-    training_objects=6,
-    unseen={"box": 2, "cart": 2, "wheelchair": 2},
-)
+QUICK = BaselinesConfig(**trainings.QUICK, settings=1, tuning=Budget(1, 50, 1), final=Budget(3, 100, 3))
 
 
 class _Fit(NamedTuple):

@@ -13,16 +13,7 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.result import ExperimentOptions
 from shmoo_mjx.plant.objects import FAMILIES, Condition, draw_condition
 
-__all__ = [
-    "UNSEEN_COUNTS",
-    "collect_rows",
-    "subset",
-    "training_directory",
-    "unseen_directory",
-]
-
-UNSEEN_COUNTS = {"box": 7, "cart": 7, "wheelchair": 6}
-"""The 20 unseen objects of the experiments on the object model."""
+__all__ = ["TRAINING", "collect_rows", "subset", "training_directory", "unseen_directory"]
 
 TRAINING = Path("data/train")
 """Where ``shmoo collect data/train`` of the docs puts the training set."""

@@ -21,7 +21,7 @@ from shmoo_mjx.data import store
 from shmoo_mjx.evaluation import datasets, scoring
 from shmoo_mjx.evaluation.object_model_figures import draw_curve, draw_roll_outs
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result, spread
-from shmoo_mjx.evaluation.trainings import Trainings, prepare, rows_of
+from shmoo_mjx.evaluation.trainings import QUICK, Trainings, TrainingsConfig, prepare, rows_of
 from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.learning import adaptation, identification
 from shmoo_mjx.learning.adaptation import AdaptConfig
@@ -43,33 +43,20 @@ SECONDS = (0.2, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0, 20.0)
 
 
 @dataclass(frozen=True)
-class ObjectModelConfig:
-    """What is trained and measured."""
+class ObjectModelConfig(TrainingsConfig):
+    """What is trained, psi and a network without adaptation, and measured."""
 
-    seeds: int = 3
-    """Trainings of psi and of the network without adaptation."""
     budget: Budget = field(default_factory=lambda: Budget(DaimlConfig().chunks, 150, DaimlConfig().patience))
     """Of each training: that of the shipped psi."""
     fit_seconds: float = 25.0
     """Recording that a* is fitted on [s]."""
-    training_objects: int | None = None
-    """Per family; None takes all that the training set has."""
-    unseen: dict[str, int] = field(default_factory=lambda: dict(datasets.UNSEEN_COUNTS))
-    """Unseen objects per family."""
     adapt: AdaptConfig = AdaptConfig(coefficients=True)
     """Gains of the online adaptation."""
-    workers: int = 1
-    """Processes; a training keeps both cores busy by itself, and two of them hinder each other."""
-
-
-QUICK = ObjectModelConfig(
-    seeds=1, budget=Budget(3, 100, 3), training_objects=6, unseen={"box": 2, "cart": 2, "wheelchair": 2}
-)
 
 
 def run(options: ExperimentOptions, config: ObjectModelConfig | None = None) -> ExperimentResult:
     """Train, adapt and score; goes on from ``options.out`` after a stop."""
-    config = config or (QUICK if options.quick else ObjectModelConfig())
+    config = config or (ObjectModelConfig(**QUICK, budget=Budget(3, 100, 3)) if options.quick else ObjectModelConfig())
     shared = prepare(__name__, "object_model", options, config, {"seeds": 1})
     trials = {f"{method}-{i}": (method, i) for method in ("psi", "mlp") for i in range(config.seeds)}
     trials |= {name: (name, 0) for name in REFERENCES}

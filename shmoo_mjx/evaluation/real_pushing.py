@@ -25,6 +25,7 @@ from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, mak
 from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning.daiml import DaimlConfig
+from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
 from shmoo_mjx.types import Array
 
 __all__ = ["QUICK", "RealPushing", "errors", "linear", "measure", "run"]
@@ -36,6 +37,14 @@ PREFIXES = {
 }
 """Of the metrics, by data set and protocol. Pair out: other recordings of the same shape are known; shape out: none."""
 _NAMES = {"ours": "", "poly4": "published_", "quadratic": "published_quadratic_"}
+
+_BARS = (
+    ("pair_out", "ours", "ours, pair left out", SERIES[0]),
+    ("shape_out", "ours", "ours, shape left out", SERIES[4]),
+    ("pair_out", "poly4", "published 4th-order polynomial", SERIES[1]),
+    ("pair_out", "quadratic", "published quadratic", SERIES[7]),
+)
+"""Of the figure: protocol, predictor, label and colour."""
 
 
 @dataclass(frozen=True)
@@ -78,8 +87,6 @@ def run(options: ExperimentOptions) -> ExperimentResult:
     Raises:
         ShmooError: no --data, or no data set of a known layout in it.
     """
-    from shmoo_mjx.evaluation.real_pushing_figure import draw_figure
-
     if options.data is None:
         raise ShmooError("real_pushing needs --data: give the folder that holds mit_push or mlab_triangle.")
     cfg = QUICK if options.quick else RealPushing()
@@ -92,7 +99,7 @@ def run(options: ExperimentOptions) -> ExperimentResult:
     trials = {f"{name}-{how}-{seed}": (name, how, seed) for name, how in PREFIXES if name in data for seed in seeds}
     work = partial(_trial, cfg, options.data, options.condition_seed)
     rows = run_trials(trials, work, store, options.progress, cfg.workers)
-    draw_figure(folder / "real_pushing.png", rows)
+    _figure(folder / "real_pushing.png", rows)
     return make_result("real_pushing", options, cfg, measure(rows), {}, rows)
 
 
@@ -202,3 +209,30 @@ def _prior(train: list[Prepared]) -> tuple[np.ndarray, np.ndarray]:
     # A few conditions show less than the true spread.
     spread = np.sqrt(parameters.var(axis=0, ddof=1) + (0.2 * push_physics.SPREAD) ** 2)
     return parameters.mean(axis=0), spread
+
+
+def _figure(path: Path, rows: list[dict[str, Any]]) -> None:
+    """Bars of the mean error by condition, with the range over the seeds."""
+    conditions = list(dict.fromkeys(row["condition"] for row in rows))
+    figure = blank_figure(10.0, 6.0)
+    panels = figure.subplots(2, 1, sharex=True)
+    for axes, unit, label in zip(
+        panels, ("pos_error_mm", "angle_error_deg"), ("position error [mm]", "angle error [deg]"), strict=True
+    ):
+        for j, (protocol, predictor, name, colour) in enumerate(_BARS):
+            key = f"{predictor}_{unit}"
+            values = [
+                [r[key] for r in rows if r["condition"] == c and r["trial"].endswith(protocol) and key in r]
+                for c in conditions
+            ]
+            place = [i for i, v in enumerate(values) if v]
+            means = np.array([np.mean(values[i]) for i in place])
+            reach = np.array([[means[k] - min(values[i]), max(values[i]) - means[k]] for k, i in enumerate(place)])
+            where = np.array(place) + 0.2 * (j - 1.5)
+            axes.bar(
+                where, means, 0.19, yerr=reach.T if place else None, color=colour, label=name, error_kw={"lw": 0.8}
+            )
+        axes.set_ylabel(label)
+    panels[1].set_xticks(range(len(conditions)), conditions, rotation=45, ha="right", fontsize=8)
+    panels[0].legend(fontsize=8, ncols=2)
+    save_figure(path, figure)

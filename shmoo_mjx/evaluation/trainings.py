@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,25 @@ from shmoo_mjx.evaluation.result import ExperimentOptions
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning.baselines import Budget, Job, recordings
 
-__all__ = ["Trainings", "prepare", "rows_of"]
+__all__ = ["QUICK", "Trainings", "TrainingsConfig", "prepare", "rows_of"]
+
+
+@dataclass(frozen=True)
+class TrainingsConfig:
+    """What the experiments on the object model have in common."""
+
+    seeds: int = 3
+    """Trainings of each kind."""
+    training_objects: int | None = None
+    """Per family; None takes all that the training set has."""
+    unseen: Mapping[str, int] = field(default_factory=lambda: {"box": 7, "cart": 7, "wheelchair": 6})
+    """Unseen objects per family."""
+    workers: int = 1
+    """Processes; a training keeps both cores busy by itself, and two of them hinder each other."""
+
+
+QUICK: dict[str, Any] = {"seeds": 1, "training_objects": 6, "unseen": {"box": 2, "cart": 2, "wheelchair": 2}}
+"""The same in a quick experiment."""
 
 
 @dataclass(frozen=True)
@@ -56,15 +74,12 @@ def rows_of(objects: store.Dataset, found: Mapping[str, np.ndarray], about: dict
     ]
 
 
-def prepare(code: str, name: str, options: ExperimentOptions, config: Any, neutral: dict[str, Any]) -> Trainings:
+def prepare(
+    code: str, name: str, options: ExperimentOptions, config: TrainingsConfig, neutral: dict[str, Any]
+) -> Trainings:
     """Collect the data that is not at hand, and find the folder that belongs to these settings and no others.
 
-    Args:
-        code: the experiment's module, ``__name__`` of the caller.
-        name: of the experiment.
-        options: what the command line asks for.
-        config: of the experiment, with ``unseen`` and ``training_objects``.
-        neutral: values for the fields of ``config`` that change no single training.
+    ``code`` is the experiment's module; ``neutral`` has values for fields of ``config`` that change no single training.
     """
     train, unseen = datasets.training_directory(options), datasets.unseen_directory(options, config.unseen)
     key = asdict(replace(config, workers=1, **neutral)) | {"seed": options.seed}

@@ -13,12 +13,11 @@ from toy import toy_scenario
 
 from shmoo_mjx import episode
 from shmoo_mjx.evaluation import lifelong, navigation
-from shmoo_mjx.evaluation.lifelong import measure
+from shmoo_mjx.evaluation.lifelong import GoalSequence, draw_sequence, measure
 from shmoo_mjx.evaluation.navigation import Robot, play
 from shmoo_mjx.evaluation.page import render
 from shmoo_mjx.evaluation.result import ExperimentOptions
 from shmoo_mjx.evaluation.scenarios import Generated, ScenarioConfig, Truth
-from shmoo_mjx.evaluation.sequences import GoalSequence, draw_sequence
 from shmoo_mjx.navigation.floorplan import draw_floorplan
 from shmoo_mjx.navigation.footprints import footprint_polygon
 from shmoo_mjx.navigation.maps import OccupancyGrid

@@ -81,7 +81,9 @@ def test_baselines_are_tuned_trained_scored_and_kept(
 def test_ablations_vary_one_thing_and_probe(options: ExperimentOptions, monkeypatch: pytest.MonkeyPatch) -> None:
     variants = {"default": TINY, "alpha_0.1": TINY | {"alpha": 0.1}, "functions_3": TINY | {"functions": 3}}
     monkeypatch.setattr(ablations, "VARIANTS", variants)
-    config = ablations.AblationsConfig(tuple(variants), Budget(1, 4, 1), 1, (2.0, 10.0), 1, 20, workers=1)
+    config = ablations.AblationsConfig(
+        variants=tuple(variants), budget=Budget(1, 4, 1), seeds=1, fit_seconds=(2.0, 10.0), probes=1, probe_updates=20
+    )
     result = ablations.run(options, config)
     found = result.metrics
     for name in ("default", "default_2s", "alpha_0.1", "functions_3"):
