@@ -21,7 +21,7 @@ from shmoo_mjx.dynamics import object_model
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.files import write_whole
 from shmoo_mjx.hands import touches
-from shmoo_mjx.learning import adaptation, identification
+from shmoo_mjx.learning import adaptation, identification, online
 from shmoo_mjx.learning.weights import Weights, prior_state
 from shmoo_mjx.navigation import mobility
 from shmoo_mjx.navigation.records import NavigatorConfig
@@ -204,19 +204,19 @@ def _learned(
     labels = np.concatenate([body_acceleration(log.object_pose, log.object_twist), np.full((1, 3), np.nan)])
     moving = np.hypot(twist[:, 0], twist[:, 1]) > 0.03
     valid = (touches(log.wrench) | moving) & np.isfinite(inputs).all(axis=1)
-    start = prior_state(weights, config.body)
+    start = prior_state(weights, config.contact)
 
     def predicted(state: adaptation.AdaptState, x: Array) -> Array:
         coefficients = state.mean.reshape(weights.params.coefficients.shape)
-        return object_model.predict(params, coefficients, x, shape, adaptation.body_of(state))
+        return object_model.predict(params, coefficients, x, shape, online.contact_of(state))
 
     def told(state: adaptation.AdaptState) -> Array:
-        return state.mean if state.body is None else identification.best(state.body)
+        return state.mean if state.contact is None else identification.best(state.contact)
 
     def step(state: adaptation.AdaptState, sample: Any) -> tuple[adaptation.AdaptState, tuple[Array, Array]]:
         x, label, use = sample
         guess = predicted(state, x)
-        state = adaptation.observe(config, state, params, shape, x, label, use)
+        state = online.observe(config, state, params, shape, x, label, use)
         return state, (told(state), guess)
 
     rows = (np.nan_to_num(inputs).astype(np.float32), labels.astype(np.float32), valid)
@@ -228,7 +228,7 @@ def _learned(
         name: float(np.sum(((np.asarray(p)[use] - labels[use]) / np.asarray(params.label_scale)) ** 2) / spread)
         for name, p in (("prior", first), ("learned", guesses))
     }
-    prior = adaptation.learned(start)
+    prior = online.learned(start)
     return np.asarray(learned, dtype=float), tuple(prior), prior, errors
 
 

@@ -19,10 +19,10 @@ from jax.flatten_util import ravel_pytree
 from shmoo_mjx import se2
 from shmoo_mjx.control import cost, models, mppi, sharding
 from shmoo_mjx.control.governor import GovernorConfig, forward_lean, govern
-from shmoo_mjx.dynamics import core, features, feet, object_model
+from shmoo_mjx.dynamics import contact_model, core, features, object_model
 from shmoo_mjx.faces import faces_of
 from shmoo_mjx.hands import touches
-from shmoo_mjx.learning import adaptation
+from shmoo_mjx.learning import adaptation, online
 from shmoo_mjx.learning.weights import Weights, prior_state
 from shmoo_mjx.types import DT, Observation, SystemState
 
@@ -199,7 +199,7 @@ class PushController:
         self, now: Sighting, face: Array, half_extents: Array, key: Array, adapt: adaptation.AdaptState | None = None
     ) -> PushState:
         """Start a push on ``face [4]``; ``adapt`` carries over what was learned of this object before."""
-        adapt = adapt or prior_state(self.weights, self.config.adapt.body)
+        adapt = adapt or prior_state(self.weights, self.config.adapt.contact)
         return start(self.config, adapt, now, face, half_extents, key)
 
     def compile(self, around: LocalDistanceField) -> None:
@@ -371,7 +371,8 @@ def _system_state(
 
 
 def _with_coefficients(params: core.Params, adapt: adaptation.AdaptState) -> core.Params:
-    return params._replace(coefficients=adapt.mean.reshape(params.coefficients.shape), body=adaptation.body_of(adapt))
+    coefficients = adapt.mean.reshape(params.coefficients.shape)
+    return params._replace(coefficients=coefficients, contact=online.contact_of(adapt))
 
 
 def _functions(
@@ -403,7 +404,7 @@ def _step(
     given: _Given,
     around: LocalDistanceField | None,
 ) -> tuple[Array, adaptation.AdaptState, mppi.MppiState, mppi.Plan]:
-    adapt = adaptation.observe(config.adapt, adapt, params.object, core_config.object, *given.transition)
+    adapt = online.observe(config.adapt, adapt, params.object, core_config.object, *given.transition)
     params = _with_coefficients(params, adapt)
     rollout_fn, cost_fn = _functions(config, core_config, params, given.goal, around, given.half_extents, given.lean)
     plan_state = plan_state._replace(last_u=given.system.last_u)
@@ -439,12 +440,12 @@ def coast(
     params = _with_coefficients(params, adapt)
 
     def free(inputs: Array) -> Array:
-        # Where it comes to rest is for dry friction to say: the body has it, and psi a comes close to it only.
-        if core_config.object.body:
-            return feet.acceleration(params.body, inputs)
-        return object_model.predict(params.object, params.coefficients, inputs, core_config.object, params.body)
+        # Where it comes to rest is for dry friction to say: the contact model has it, and psi a comes close to it only.
+        if core_config.object.contact_model:
+            return contact_model.acceleration(params.contact, inputs)
+        return object_model.predict(params.object, params.coefficients, inputs, core_config.object, params.contact)
 
-    def body(carry: tuple[Array, ...], _: None) -> tuple[tuple[Array, ...], None]:
+    def one_sample(carry: tuple[Array, ...], _: None) -> tuple[tuple[Array, ...], None]:
         pose, twist, last, last_wrench = carry
         inside, none = se2.rotate(twist, -pose[2]), jnp.zeros(3)
         inputs = features.object_inputs(inside, none, last, now.size, last_wrench)
@@ -456,4 +457,4 @@ def coast(
         return (pose + 0.5 * (twist + new) * DT, new, inside, none), None
 
     start = (now.object_pose, now.object_twist, now.last_object_twist, now.last_wrench)
-    return jax.lax.scan(body, start, None, length=_COAST_SAMPLES)[0][0]
+    return jax.lax.scan(one_sample, start, None, length=_COAST_SAMPLES)[0][0]

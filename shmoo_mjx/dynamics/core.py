@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from shmoo_mjx.dynamics import equivariant, features, feet, object_model, robot_model
+from shmoo_mjx.dynamics import contact_model, equivariant, features, object_model, robot_model
 from shmoo_mjx.dynamics.features import Contact, Facing
 from shmoo_mjx.dynamics.layout import channels_first, channels_last, to_channels_first, to_channels_last
 from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
@@ -55,8 +55,9 @@ class Params(NamedTuple):
     object: ObjectParams
     coefficients: Array
     """``[..., 3, K]`` a of Eq. 3."""
-    body: Array
-    """``[..., p]`` of the body on four feet that psi sees the answer of, as `feet.PARAMETERS` lists them."""
+    contact: Array
+    """``[..., p]`` of the four-point contact model that is among the inputs of psi, as `contact_model.PARAMETERS` lists
+    them."""
 
 
 class _Models(NamedTuple):
@@ -76,7 +77,7 @@ def init(key: Array, config: CoreConfig | None = None) -> Params:
         robot=robot_model.init(robot_key, config.robot),
         object=object_model.init(object_key, config.object),
         coefficients=jnp.zeros((3, config.object.functions)),
-        body=feet.guess(),
+        contact=contact_model.guess(),
     )
 
 
@@ -128,12 +129,12 @@ def rollout(
     models = _fuse(params, config)
     start = to_channels_first(state, controls.shape[:-2])
 
-    def body(carry: SystemState, u: Array) -> tuple[SystemState, tuple[SystemState, Array]]:
+    def one_sample(carry: SystemState, u: Array) -> tuple[SystemState, tuple[SystemState, Array]]:
         new, wrench = _advance(models, carry, u, config)
         return new, (new._replace(face=None, size=None), wrench)
 
     commands = jnp.moveaxis(controls, (-2, -1), (0, 1))
-    states, wrenches = jax.lax.scan(body, start, commands)[1]
+    states, wrenches = jax.lax.scan(one_sample, start, commands)[1]
     # [T, n, ...] as [n, ..., T]: time becomes the last batch dimension.
     states, wrenches = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), (states, wrenches))
     states = states._replace(face=start.face[..., None], size=start.size[..., None])
@@ -143,7 +144,7 @@ def rollout(
 def _fuse(params: Params, config: CoreConfig) -> _Models:
     robot = robot_model.fuse(params.robot)
     return _Models(
-        robot, object_model.fuse(params.object, params.coefficients, config.object, params.body), params.robot.lean
+        robot, object_model.fuse(params.object, params.coefficients, config.object, params.contact), params.robot.lean
     )
 
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.linalg import block_diag
 
-from shmoo_mjx.dynamics import equivariant, features, feet, mlp
+from shmoo_mjx.dynamics import contact_model, equivariant, features, mlp
 
 __all__ = [
     "FusedObjectModel",
@@ -31,11 +31,12 @@ Array = Any
 
 Layers = mlp.FusedMLP | equivariant.FusedEquivariantMLP
 
-ANSWER_LIMIT = 20.0
-"""Cap on the body's answers, in standard deviations of the labels."""
+PREDICTED_LIMIT = 20.0
+"""Cap on the contact model's predictions, in standard deviations of the labels."""
 FRICTION_SHIFTS = (-0.2, 0.0, 0.2)
-"""The body answers with so much more friction [log]. A push is often close to the friction, where a few per cent decide
-whether the object holds; how the answers differ tells psi so, and to what to hedge over a long roll-out."""
+"""The contact model predicts with so much more friction [log]. A push is often close to the friction, where a few per
+cent decide whether the object holds; how the predictions differ tells psi so, and to what to hedge over a long
+roll-out."""
 
 
 @dataclass(frozen=True)
@@ -56,9 +57,9 @@ class ObjectConfig:
     """Add a learned linear map of the inputs to psi: rolling objects are close to linear in twist and wrench."""
     last_wrench: bool = True
     """psi sees the last of OBJECT_INPUTS too; otherwise the paper's 10."""
-    body: bool = True
-    """psi also sees what a body on four feet (`feet`), identified from what was felt of the object, says of the same
-    push and, with ``last_wrench``, by how much it was wrong a sample ago; not in the paper."""
+    contact_model: bool = True
+    """Inputs of psi include what the four-point Coulomb contact model (`contact_model`), identified online, predicts
+    for the same push and, with ``last_wrench``, by how much it was wrong a sample ago; not in the paper."""
     equivariant: bool = True
     """No preferred side by construction (`equivariant`); not in the paper."""
 
@@ -67,7 +68,7 @@ class ObjectConfig:
         """psi as the paper prints it: widths [10, 128, 128, 50, 6], the six functions shared by the axes."""
         return cls(
             hidden=(128, 128, 50), functions=6, activation="tanh", per_axis=False, linear_terms=False,
-            last_wrench=False, body=False, equivariant=False,
+            last_wrench=False, contact_model=False, equivariant=False,
         )  # fmt: skip
 
 
@@ -85,8 +86,8 @@ class FusedObjectModel(NamedTuple):
     """O with its coefficients, made ready for roll-outs."""
 
     layers: Layers
-    body: Array
-    """``[p]``, unused unless config.body."""
+    contact: Array
+    """``[p]``, unused unless config.contact_model."""
     label_scale: Array
 
 
@@ -94,7 +95,11 @@ def init(key: Array, config: ObjectConfig | None = None, n_in: int | None = None
     """Untrained parameters; ``n_in`` and ``n_axes`` differ from 13 and 3 only for other people's data."""
     config = config or ObjectConfig()
     n_in = features.width(features.OBJECT_INPUTS) if n_in is None else n_in
-    n_seen = n_in - 3 * (not config.last_wrench) + n_axes * (len(FRICTION_SHIFTS) + config.last_wrench) * config.body
+    n_seen = (
+        n_in
+        - 3 * (not config.last_wrench)
+        + n_axes * (len(FRICTION_SHIFTS) + config.last_wrench) * config.contact_model
+    )
     n_out = config.functions * (n_axes if config.per_axis else 1)
     net_key, linear_key = jax.random.split(key)
     linear = jax.random.normal(linear_key, (n_seen, n_out)) / jnp.sqrt(n_seen) * float(config.linear_terms)
@@ -103,33 +108,39 @@ def init(key: Array, config: ObjectConfig | None = None, n_in: int | None = None
     return ObjectParams(net, linear, jnp.ones(n_axes))
 
 
-def network_inputs(label_scale: Array, inputs: Array, config: ObjectConfig, body: Array) -> Array:
-    """What psi's network sees ``[..., 25]``: ``inputs [..., 13]`` and what ``body [p]`` makes of them."""
-    return jnp.moveaxis(_seen(label_scale, jnp.moveaxis(inputs, -1, 0), config, body), 0, -1)
+def network_inputs(label_scale: Array, inputs: Array, config: ObjectConfig, contact: Array) -> Array:
+    """Inputs of psi's network ``[..., 25]``: ``inputs [..., 13]`` and what the contact model ``contact [p]``
+    predicts."""
+    return jnp.moveaxis(_seen(label_scale, jnp.moveaxis(inputs, -1, 0), config, contact), 0, -1)
 
 
-def _seen(label_scale: Array, inputs: Array, config: ObjectConfig, body: Array) -> Array:
+def _seen(label_scale: Array, inputs: Array, config: ObjectConfig, contact: Array) -> Array:
     seen = inputs if config.last_wrench else inputs[:-3]
-    if not config.body:
+    if not config.contact_model:
         return seen
-    bodies, pushes = [feet.with_friction(body, shift) for shift in FRICTION_SHIFTS], [inputs] * len(FRICTION_SHIFTS)
+    contacts, pushes = (
+        [contact_model.with_friction(contact, shift) for shift in FRICTION_SHIFTS],
+        [inputs] * len(FRICTION_SHIFTS),
+    )
     if config.last_wrench:
         before, happened = features.last_sample(inputs)
-        bodies, pushes = [body, *bodies], [before, *pushes]
-    said = jax.vmap(feet.acceleration)(jnp.stack(bodies), jnp.stack(pushes))
+        contacts, pushes = [contact, *contacts], [before, *pushes]
+    predicted = jax.vmap(contact_model.acceleration)(jnp.stack(contacts), jnp.stack(pushes))
     if config.last_wrench:
-        said = said.at[0].add(-happened)
+        predicted = predicted.at[0].add(-happened)
     # What is far beyond anything in training tells no more than what is at its edge.
-    said = jnp.clip(said / label_scale.reshape(-1, *(1,) * (inputs.ndim - 1)), -ANSWER_LIMIT, ANSWER_LIMIT)
-    return jnp.concatenate([seen, said.reshape(-1, *inputs.shape[1:])])
+    predicted = jnp.clip(
+        predicted / label_scale.reshape(-1, *(1,) * (inputs.ndim - 1)), -PREDICTED_LIMIT, PREDICTED_LIMIT
+    )
+    return jnp.concatenate([seen, predicted.reshape(-1, *inputs.shape[1:])])
 
 
-def basis(params: ObjectParams, inputs: Array, config: ObjectConfig, body: Array) -> Array:
+def basis(params: ObjectParams, inputs: Array, config: ObjectConfig, contact: Array) -> Array:
     """psi ``[..., 3, K]`` of Eq. 3 for ``inputs [..., 13]``; the three rows are equal unless config.per_axis.
 
-    ``body [p]`` as `feet.PARAMETERS` lists them; ignored unless config.body.
+    ``contact [p]`` as `contact_model.PARAMETERS` lists them; ignored unless config.contact_model.
     """
-    seen = network_inputs(params.label_scale, inputs, config, body)
+    seen = network_inputs(params.label_scale, inputs, config, contact)
     if config.equivariant:
         out = equivariant.apply(params.net, seen, reflections(config), config.activation)
     else:
@@ -139,20 +150,20 @@ def basis(params: ObjectParams, inputs: Array, config: ObjectConfig, body: Array
     return _by_axis(params, out, config)
 
 
-def predict(params: ObjectParams, coefficients: Array, inputs: Array, config: ObjectConfig, body: Array) -> Array:
+def predict(params: ObjectParams, coefficients: Array, inputs: Array, config: ObjectConfig, contact: Array) -> Array:
     """O of Eq. 3: acceleration ``[..., 3]`` in {O} for ``inputs [..., 13]`` and a ``[..., 3, K]``."""
-    return jnp.sum(basis(params, inputs, config, body) * coefficients, axis=-1) * params.label_scale
+    return jnp.sum(basis(params, inputs, config, contact) * coefficients, axis=-1) * params.label_scale
 
 
-def design_matrix(params: ObjectParams, inputs: Array, config: ObjectConfig, body: Array) -> Array:
+def design_matrix(params: ObjectParams, inputs: Array, config: ObjectConfig, contact: Array) -> Array:
     """Phi ``[..., 3, 3 K]`` with acceleration = Phi a for a flattened ``[3 K]``: what Eq. 8 calls psi."""
-    psi = basis(params, inputs, config, body) * params.label_scale[:, None]
+    psi = basis(params, inputs, config, contact) * params.label_scale[:, None]
     n_axes = params.label_scale.shape[-1]
     blocks = psi[..., :, None, :] * jnp.eye(n_axes)[:, :, None]
     return blocks.reshape(*psi.shape[:-1], n_axes * config.functions)
 
 
-def fuse(params: ObjectParams, coefficients: Array, config: ObjectConfig, body: Array) -> FusedObjectModel:
+def fuse(params: ObjectParams, coefficients: Array, config: ObjectConfig, contact: Array) -> FusedObjectModel:
     """O made ready for roll-outs with the coefficients ``[3, K]``: `forward` of it gives ``[3, ...]`` in {O}.
 
     psi a is linear in the last layer's output, so a goes into that layer's weights, and psi itself is never formed.
@@ -170,12 +181,12 @@ def fuse(params: ObjectParams, coefficients: Array, config: ObjectConfig, body: 
     if config.linear_terms:
         skip = weigh(_linear(params, config).T) / params.net.scale
         layers = layers.with_affine(skip, -skip @ params.net.mean)
-    return FusedObjectModel(layers, body, params.label_scale)
+    return FusedObjectModel(layers, contact, params.label_scale)
 
 
 def forward(fused: FusedObjectModel, inputs: Array, config: ObjectConfig) -> Array:
     """What `predict` gives, with channels first: ``[3, ...]`` for ``inputs [13, ...]``."""
-    seen = _seen(fused.label_scale, inputs, config, fused.body)
+    seen = _seen(fused.label_scale, inputs, config, fused.contact)
     return fused.layers.forward(seen, config.activation)
 
 
@@ -194,7 +205,7 @@ def reflections(config: ObjectConfig) -> tuple[np.ndarray, np.ndarray]:
     seen, axes = features.reflection(features.OBJECT_INPUTS), features.reflection(features.OBJECT_OUTPUTS)
     if not config.last_wrench:
         seen = seen[:-3, :-3]
-    answers = (len(FRICTION_SHIFTS) + config.last_wrench) * config.body
+    answers = (len(FRICTION_SHIFTS) + config.last_wrench) * config.contact_model
     said = np.diag(axes)[:, None] * coefficient_signs(config)
     return block_diag(seen, *[axes] * answers), np.diag(said.reshape(-1) if config.per_axis else said[0])
 

@@ -38,7 +38,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "plain_ridge": {"coupled": False},
     "shared_functions": {"per_axis": False},
     "no_linear_terms": {"linear_terms": False},
-    "no_body": {"body": False},
+    "no_body": {"contact_model": False},
     "no_last_wrench": {"last_wrench": False},
     "functions_3": {"functions": 3},
     "functions_6": {"functions": 6},

@@ -23,7 +23,7 @@ from shmoo_mjx.evaluation.object_model_figures import draw_curve, draw_roll_outs
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result, spread
 from shmoo_mjx.evaluation.trainings import QUICK, Trainings, TrainingsConfig, prepare, rows_of
 from shmoo_mjx.evaluation.trials import run_trials
-from shmoo_mjx.learning import adaptation, identification
+from shmoo_mjx.learning import adaptation, identification, online
 from shmoo_mjx.learning.adaptation import AdaptConfig
 from shmoo_mjx.learning.baselines import REFERENCES, Budget, Job, Recordings, first_rows, recordings
 from shmoo_mjx.learning.baselines.adaptive import from_fit, prior_of, trained
@@ -149,19 +149,23 @@ def _error_of(
 def _online(
     fitted: ObjectFit, config: DaimlConfig, adapt: AdaptConfig, x: Any, y: Any, w: Any
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """The coefficients ``[m, K]`` and the body ``[p]`` after each of the M rows that count."""
+    """The coefficients ``[m, K]`` and the contact parameters ``[p]`` after each of the M rows that count."""
     keep = np.asarray(w) > 0
     params, shape = jax.tree.map(jnp.asarray, fitted.params), config.object
-    body = identification.prior_state(adapt.body, fitted.body_prior, params.label_scale) if shape.body else None
-    start = adaptation.init(fitted.prior_mean, fitted.prior_covariance, fitted.noise, body)
+    contact = (
+        identification.prior_state(adapt.contact, fitted.contact_prior, params.label_scale)
+        if shape.contact_model
+        else None
+    )
+    start = adaptation.init(fitted.prior_mean, fitted.prior_covariance, fitted.noise, contact)
 
     def one(state: Any, row: Any) -> tuple[Any, Any]:
-        state = adaptation.observe(adapt, state, params, shape, *row)
-        return state, (state.mean.reshape(fitted.prior_mean.shape), adaptation.body_of(state))
+        state = online.observe(adapt, state, params, shape, *row)
+        return state, (state.mean.reshape(fitted.prior_mean.shape), online.contact_of(state))
 
     rows = jnp.asarray(np.asarray(x)[keep]), jnp.asarray(np.asarray(y)[keep])
-    means, bodies = jax.jit(lambda rows: jax.lax.scan(one, start, rows)[1])(rows)
-    return list(zip(np.asarray(means), np.asarray(bodies), strict=True))
+    means, contacts = jax.jit(lambda rows: jax.lax.scan(one, start, rows)[1])(rows)
+    return list(zip(np.asarray(means), np.asarray(contacts), strict=True))
 
 
 def _metrics(rows: list[dict[str, Any]]) -> dict[str, float]:

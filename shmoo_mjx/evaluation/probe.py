@@ -49,12 +49,13 @@ def accuracy(values: Array, weights: Array, seed: int, updates: int = 1500) -> f
 def psi_of(fitted: ObjectFit, config: DaimlConfig, rows: Rows) -> Array:
     """psi ``[C, N, n]`` of every row, its distinct functions side by side.
 
-    psi sees the body that a condition looks like on its first rows, which tells conditions apart by itself.
+    The inputs of psi depend on the contact parameters found on a condition's first rows, which tells conditions apart
+    by itself.
     """
     params = jax.tree.map(jnp.asarray, fitted.params)
-    bodies = daiml.bodies_seen(config, fitted, rows)
-    see = jax.jit(jax.vmap(lambda x, body: object_model.basis(params, x, config.object, body)))
-    psi = see(jnp.asarray(rows.inputs), bodies)
+    contacts = daiml.contacts_seen(config, fitted, rows)
+    see = jax.jit(jax.vmap(lambda x, contact: object_model.basis(params, x, config.object, contact)))
+    psi = see(jnp.asarray(rows.inputs), contacts)
     return psi.reshape(*psi.shape[:-2], -1) if config.object.per_axis else psi[..., 0, :]
 
 

@@ -113,11 +113,11 @@ def adapted(fitted: daiml.ObjectFit, prepared: Prepared, known: Array) -> np.nda
     """Motions ``[N, 3]`` in the object's frame, with a fitted on the pushes ``known`` (outliers counting less)."""
     import jax.numpy as jnp
 
-    from shmoo_mjx.dynamics import feet, object_model
+    from shmoo_mjx.dynamics import contact_model, object_model
     from shmoo_mjx.learning import least_squares
 
     inputs = jnp.asarray(prepared.inputs, jnp.float32)
-    phi = object_model.design_matrix(fitted.params, inputs, fitted.config, feet.guess())
+    phi = object_model.design_matrix(fitted.params, inputs, fitted.config, contact_model.guess())
     labels = jnp.asarray(_clipped(prepared.labels[known]), jnp.float32)
     weights, prior = jnp.ones(len(known)), (fitted.prior_mean.reshape(-1), fitted.prior_covariance)
     for _ in range(3):

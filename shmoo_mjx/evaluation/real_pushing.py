@@ -60,7 +60,7 @@ class RealPushing:
     daiml: DaimlConfig = field(
         default_factory=lambda: DaimlConfig(
             # Few conditions and noisy labels: a small psi, few coefficients, slow steps.
-            object=ObjectConfig(hidden=(32, 32), functions=3, linear_terms=False, body=False),
+            object=ObjectConfig(hidden=(32, 32), functions=3, linear_terms=False, contact_model=False),
             horizon=1,
             conditions=8,
             adapt_rows=80,

@@ -25,7 +25,7 @@ from shmoo_mjx.dynamics.robot_model import RobotParams
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.fingerprints import fingerprint
-from shmoo_mjx.learning import adaptation, robot_fit
+from shmoo_mjx.learning import online, robot_fit
 from shmoo_mjx.learning.robot_fit import RobotFitConfig, RobotRows
 from shmoo_mjx.learning.rows import rows_from_dataset
 from shmoo_mjx.learning.weights import Weights, load_weights, posterior_from_recording
@@ -188,7 +188,7 @@ def _roll_outs(weights: Weights, dataset: store.Dataset) -> dict[str, float]:
     square: dict[str, list[float]] = {"contact": [], "free": []}
     for i, arrays in enumerate(dataset.arrays):
         known = posterior_from_recording(weights, rows.inputs[i], rows.labels[i], rows.weights[i])
-        found = {"coefficients": known.mean.reshape(params.coefficients.shape), "body": adaptation.body_of(known)}
+        found = {"coefficients": known.mean.reshape(params.coefficients.shape), "contact": online.contact_of(known)}
         samples = store.system_states(arrays)
         starts = np.arange(1, samples.u.shape[1] - STEPS, 10)
         start = SystemState(*(np.asarray(v)[0, starts] for v in samples.state))

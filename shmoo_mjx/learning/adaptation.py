@@ -1,8 +1,4 @@
-"""What is learned of the object at hand, after every sample: the body that it looks like, or coefficients by Eq. 8.
-
-A psi that sees an identified body learns by identifying it, and its coefficients stay where training left them: with
-real senses Eq. 8 on top of that made pushes end turned by some degrees more, for accelerations are differences of noisy
-twists. A psi without a body, the paper's, learns by Eq. 8.
+"""Online adaptation of the coefficients a by Eq. 8.
 
 The discrete form of Neural-Fly's supplement: propagate, then update by a Kalman gain with Joseph's form of the
 covariance, which stays positive definite where plain Euler steps of P do not. Units: a is in units of psi's inverse
@@ -16,15 +12,11 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from shmoo_mjx.dynamics import feet, object_model
-from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
-from shmoo_mjx.learning import identification
-from shmoo_mjx.learning.identification import BodyState, OnlineConfig
+from shmoo_mjx.learning.identification import ContactEstimate, OnlineConfig
 from shmoo_mjx.types import DT
 
-__all__ = ["AdaptConfig", "AdaptState", "body_of", "init", "learned", "observe", "step"]
+__all__ = ["AdaptConfig", "AdaptState", "init", "step"]
 
 Array = Any
 
@@ -34,7 +26,7 @@ class AdaptConfig:
     """Gains of Eq. 8."""
 
     coefficients: bool = False
-    """Eq. 8 is at work even where a body is identified."""
+    """Eq. 8 is at work even where contact parameters are identified (`online`)."""
     decay: float = 0.01
     """lambda [1/s]: forgetting, towards the prior or towards zero."""
     to_prior: bool = True
@@ -47,8 +39,8 @@ class AdaptConfig:
     """Squared Mahalanobis distance of the innovation above which a sample's noise is raised in proportion [1]."""
     tracking: bool = False
     """Use the term +P psi^T s dt."""
-    body: OnlineConfig = field(default_factory=OnlineConfig)
-    """How the body is identified on the way."""
+    contact: OnlineConfig = field(default_factory=OnlineConfig)
+    """How contact parameters are identified online."""
 
 
 class AdaptState(NamedTuple):
@@ -64,64 +56,25 @@ class AdaptState(NamedTuple):
     """``[..., n, n]``"""
     noise: Array
     """``[..., 3, 3]`` covariance of a sample's residual [(m/s^2)^2, (rad/s^2)^2]."""
-    body: BodyState | None = None
-    """The body on four feet that the object looks like, if psi sees one."""
+    contact: ContactEstimate | None = None
+    """Contact parameters of the object, if psi has the contact model; not touched by Eq. 8."""
 
 
-def init(prior_mean: Array, prior_covariance: Array, noise: Array, body: BodyState | None = None) -> AdaptState:
-    """What is known before the object is touched.
+def init(
+    prior_mean: Array, prior_covariance: Array, noise: Array, contact: ContactEstimate | None = None
+) -> AdaptState:
+    """Estimate before the object is touched: the prior.
 
     Args:
         prior_mean: ``[3, K]`` or ``[n]``.
         prior_covariance: ``[n, n]``, P at the start.
         noise: ``[3, 3]`` covariance of a sample's residual.
-        body: from `identification.prior_state`, if psi sees a body.
+        contact: from `identification.prior_state`, if psi has the contact model.
     """
     mean = jnp.asarray(prior_mean, dtype=jnp.float32).reshape(-1)
     covariance = jnp.asarray(prior_covariance, dtype=jnp.float32)
     noise = jnp.asarray(noise, dtype=jnp.float32)
-    return AdaptState(mean, covariance, mean, covariance, noise, body)
-
-
-def observe(
-    config: AdaptConfig,
-    state: AdaptState,
-    params: ObjectParams,
-    shape: ObjectConfig,
-    inputs: Array,
-    label: Array,
-    valid: Array | bool = True,
-) -> AdaptState:
-    """One sample of the object: the body is identified anew, or Eq. 8, or one after the other.
-
-    Args:
-        config: gains; static.
-        state: unbatched; vmap for more.
-        params: psi.
-        shape: of psi; static.
-        inputs: ``[13]`` as OBJECT_INPUTS lists them.
-        label: ``[3]`` measured acceleration of the object in {O}.
-        valid: False without contact, with stale or missing poses.
-    """
-    if state.body is not None:
-        body = identification.observe(config.body, state.body, inputs, label, valid)
-        if not config.coefficients:
-            return state._replace(body=body)
-        state = state._replace(body=body)
-    phi = object_model.design_matrix(params, inputs, shape, body_of(state))
-    return step(config, state, phi, label, valid)
-
-
-def body_of(state: AdaptState) -> Array:
-    """Parameters ``[p]`` of the body that the object looks like; the first guess if psi sees none."""
-    return feet.guess() if state.body is None else identification.best(state.body)
-
-
-def learned(state: AdaptState) -> dict[str, float]:
-    """What adapts, by name: the body's parameters, or a1 ... an of a psi that sees none. Not for jit."""
-    if state.body is not None:
-        return dict(zip(feet.PARAMETERS, np.asarray(identification.best(state.body)).tolist(), strict=True))
-    return {f"a{k + 1}": a for k, a in enumerate(np.asarray(state.mean).tolist())}
+    return AdaptState(mean, covariance, mean, covariance, noise, contact)
 
 
 def step(
@@ -144,8 +97,8 @@ def step(
         tracking_error: ``[3]`` s of Eq. 8, used if config.tracking.
         dt: time since the last sample [s].
     """
-    rest_of_state = state.body
-    state = state._replace(body=None)
+    contact = state.contact
+    state = state._replace(contact=None)
     finite = jnp.all(jnp.isfinite(phi)) & jnp.all(jnp.isfinite(label))
     if tracking_error is not None:
         finite &= jnp.all(jnp.isfinite(tracking_error))
@@ -171,7 +124,7 @@ def step(
     new = state._replace(mean=new_mean, covariance=new_covariance)
     # Finite inputs can still overflow float32; such a sample is dropped as well.
     use &= jnp.all(jnp.isfinite(new_mean)) & jnp.all(jnp.isfinite(new_covariance))
-    return jax.tree.map(lambda a, b: jnp.where(use, a, b), new, state)._replace(body=rest_of_state)
+    return jax.tree.map(lambda a, b: jnp.where(use, a, b), new, state)._replace(contact=contact)
 
 
 def _propagate(config: AdaptConfig, state: AdaptState, dt: float) -> tuple[Array, Array]:

@@ -25,20 +25,20 @@ import jax.numpy as jnp
 import optax
 
 from shmoo_mjx.data import store
-from shmoo_mjx.dynamics import equivariant, feet, mlp, object_model
+from shmoo_mjx.dynamics import contact_model, equivariant, mlp, object_model
 from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
 from shmoo_mjx.fingerprints import fingerprint
-from shmoo_mjx.learning import least_squares, multistep, training, training_bodies
+from shmoo_mjx.learning import least_squares, multistep, training, training_contacts
 from shmoo_mjx.learning import rows as batches
-from shmoo_mjx.learning.identification import BodyPrior, IdentificationConfig
+from shmoo_mjx.learning.identification import ContactPrior, IdentificationConfig
 from shmoo_mjx.learning.rows import Batch, Rows, Sampler, label_scale, rows_from_arrays, rows_from_dataset
-from shmoo_mjx.learning.training_bodies import Found
+from shmoo_mjx.learning.training_contacts import Found
 
 __all__ = [
     "DaimlConfig",
     "Model",
     "ObjectFit",
-    "bodies_seen",
+    "contacts_seen",
     "daiml_loss",
     "fit",
     "fit_rows",
@@ -93,8 +93,8 @@ class DaimlConfig:
     """Chunks without a better validation score before stopping."""
     fit_rows: int = 250
     """First rows of a validation condition that a* is fitted on; it is scored on the later ones."""
-    body_fit: IdentificationConfig = field(default_factory=IdentificationConfig)
-    """How bodies are identified, if psi sees one."""
+    contact_fit: IdentificationConfig = field(default_factory=IdentificationConfig)
+    """How contact parameters are identified, if psi has the contact model."""
     seed: int = 0
 
 
@@ -111,8 +111,8 @@ class ObjectFit(NamedTuple):
     score: float
     """Best validation score (see `validation_scores`; one-step and open-loop shares averaged)."""
     history: list[tuple[float, float]]
-    body_prior: BodyPrior
-    """What bodies on four feet the training objects are like; of no use unless config.body."""
+    contact_prior: ContactPrior
+    """Prior of the contact parameters; of no use unless config.contact_model."""
     config: ObjectConfig
     """What psi is; `fit` leaves out of what it was asked for whatever needs inputs of a known meaning."""
 
@@ -169,11 +169,12 @@ def fit(
 ) -> ObjectFit:
     """DAIML on any {condition: (x, y)} arrays.
 
-    Inputs of an unknown meaning can not be fed back, so it is teacher-forced, and no body can answer to them.
+    Inputs of an unknown meaning can not be fed back, so it is teacher-forced, and no contact model can predict from
+    them.
     """
     config = config or DaimlConfig()
     config = replace(
-        config, open_loop=False, object=replace(config.object, last_wrench=True, body=False, equivariant=False)
+        config, open_loop=False, object=replace(config.object, last_wrench=True, contact_model=False, equivariant=False)
     )
     return fit_rows(rows_from_arrays(train), rows_from_arrays(validation), config, out_dir, progress)
 
@@ -186,22 +187,22 @@ def fit_rows(
     progress: Callable[[training.Progress], None] | None = None,
     found: Found | None = None,
 ) -> ObjectFit:
-    """`train_object` on rows that are already made; ``found`` are the bodies that psi sees where they are known."""
+    """`train_object` on rows that are already made; ``found`` are the contact parameters where they are known."""
     config = config or DaimlConfig()
     device = jax.tree.map(jnp.asarray, train)
     held_out = jax.tree.map(jnp.asarray, validation)
     if found is None:
-        find = training_bodies.identified if config.object.body else training_bodies.nothing
-        found = find(config.body_fit, train, validation, config.fit_rows, out_dir)
-    body_prior, bodies, held_bodies = found
+        find = training_contacts.identified if config.object.contact_model else training_contacts.nothing
+        found = find(config.contact_fit, train, validation, config.fit_rows, out_dir)
+    contact_prior, contacts, held_contacts = found
     sampler = batches.sampler(train, config.horizon, config.label_floor)
     chunk, scores, prior = _compiled(replace(config, seed=0))
     fitted = training.run(
-        _init(config, train, bodies),
-        lambda state: chunk(device, bodies, sampler, state),
+        _init(config, train, contacts),
+        lambda state: chunk(device, contacts, sampler, state),
         extract=lambda state: state.model,
         evaluate=lambda model: jnp.mean(
-            jnp.minimum(jnp.stack(scores(held_out, held_bodies, model)), least_squares.WORST)
+            jnp.minimum(jnp.stack(scores(held_out, held_contacts, model)), least_squares.WORST)
         ),
         chunks=config.chunks,
         patience=config.patience,
@@ -210,18 +211,18 @@ def fit_rows(
         progress=progress,
     )
     model: Model = jax.tree.map(jnp.asarray, fitted.best)
-    mean, covariance, noise = prior(device, bodies, model)
+    mean, covariance, noise = prior(device, contacts, model)
     shape = model.mean.shape
     known = mean.reshape(shape), covariance, noise
-    return ObjectFit(model.params, *known, fitted.score, fitted.history, body_prior, config.object)
+    return ObjectFit(model.params, *known, fitted.score, fitted.history, contact_prior, config.object)
 
 
-def bodies_seen(config: DaimlConfig, fitted: ObjectFit, rows: Rows) -> Array:
-    """The bodies ``[C, p]`` that conditions look like on their first ``config.fit_rows`` rows."""
-    if not config.object.body:
-        return jnp.zeros((rows.inputs.shape[0], len(feet.PARAMETERS)))
-    prior = jax.tree.map(jnp.asarray, fitted.body_prior)
-    return training_bodies.on_first_rows(config.body_fit, prior, fitted.params.label_scale, rows, config.fit_rows)
+def contacts_seen(config: DaimlConfig, fitted: ObjectFit, rows: Rows) -> Array:
+    """The contact parameters ``[C, p]`` of conditions by their first ``config.fit_rows`` rows."""
+    if not config.object.contact_model:
+        return jnp.zeros((rows.inputs.shape[0], len(contact_model.PARAMETERS)))
+    prior = jax.tree.map(jnp.asarray, fitted.contact_prior)
+    return training_contacts.on_first_rows(config.contact_fit, prior, fitted.params.label_scale, rows, config.fit_rows)
 
 
 @lru_cache(maxsize=8)
@@ -241,27 +242,27 @@ def validation_scores(config: DaimlConfig, rows: Rows, fitted: ObjectFit) -> tup
         after H open-loop steps (the one-step share again if config.open_loop is off).
     """
 
-    def fit_one(x: Array, y: Array, w: Array, body: Array) -> Array:
-        phi = object_model.design_matrix(fitted.params, x, config.object, body)
+    def fit_one(x: Array, y: Array, w: Array, contact: Array) -> Array:
+        phi = object_model.design_matrix(fitted.params, x, config.object, contact)
         prior = (fitted.prior_mean.reshape(-1), fitted.prior_covariance)
         return least_squares.posterior(phi, y, *prior, fitted.noise, w)[0].reshape(fitted.prior_mean.shape)
 
-    return _scores(config, fitted.params, fit_one, rows, bodies_seen(config, fitted, rows))
+    return _scores(config, fitted.params, fit_one, rows, contacts_seen(config, fitted, rows))
 
 
-def _model_scores(config: DaimlConfig, rows: Rows, bodies: Array, model: Model) -> tuple[Array, Array]:
-    return _scores(config, model.params, partial(_coefficients, config, model), rows, bodies)
+def _model_scores(config: DaimlConfig, rows: Rows, contacts: Array, model: Model) -> tuple[Array, Array]:
+    return _scores(config, model.params, partial(_coefficients, config, model), rows, contacts)
 
 
 def _scores(
-    config: DaimlConfig, params: ObjectParams, fit_one: Callable[..., Array], rows: Rows, bodies: Array
+    config: DaimlConfig, params: ObjectParams, fit_one: Callable[..., Array], rows: Rows, contacts: Array
 ) -> tuple[Array, Array]:
-    def adapted(x: Array, y: Array, w: Array, body: Array) -> multistep.Predict:
-        a = fit_one(x, y, w, body)
-        return lambda inputs: object_model.predict(params, a, inputs, config.object, body)
+    def adapted(x: Array, y: Array, w: Array, contact: Array) -> multistep.Predict:
+        a = fit_one(x, y, w, contact)
+        return lambda inputs: object_model.predict(params, a, inputs, config.object, contact)
 
     horizon = config.horizon if config.open_loop else 0
-    return multistep.scores(rows, bodies, adapted, params.label_scale, config.fit_rows, horizon, config.label_floor)
+    return multistep.scores(rows, contacts, adapted, params.label_scale, config.fit_rows, horizon, config.label_floor)
 
 
 def _optimiser(config: DaimlConfig) -> optax.GradientTransformation:
@@ -270,14 +271,15 @@ def _optimiser(config: DaimlConfig) -> optax.GradientTransformation:
     return optax.chain(training.bounded_gradient(), optax.adam(schedule))
 
 
-def _init(config: DaimlConfig, rows: Rows, bodies: Array) -> _State:
+def _init(config: DaimlConfig, rows: Rows, contacts: Array) -> _State:
     key = jax.random.key(config.seed)
     key, net_key, mean_key, discriminator_key, vector_key = jax.random.split(key, 5)
     n_axes = rows.labels.shape[-1]
     params = object_model.init(net_key, config.object, rows.inputs.shape[-1], n_axes)
     params = params._replace(label_scale=jnp.asarray(label_scale(rows), jnp.float32))
-    see = jax.jit(jax.vmap(lambda x, body: object_model.network_inputs(params.label_scale, x, config.object, body)))
-    seen = see(jnp.asarray(rows.inputs), bodies[:, -1])
+    network_inputs = partial(object_model.network_inputs, params.label_scale, config=config.object)
+    see = jax.jit(jax.vmap(lambda x, contact: network_inputs(x, contact=contact)))
+    seen = see(jnp.asarray(rows.inputs), contacts[:, -1])
     seen = seen[jnp.asarray(rows.weights) > 0]
     if config.object.equivariant:
         net = equivariant.with_normaliser(params.net, seen, object_model.reflections(config.object)[0])
@@ -321,33 +323,33 @@ def _with_learned(model: Model, learned: tuple[Any, ...], config: ObjectConfig) 
     return Model(params, mean, factor, log_noise)
 
 
-def _coefficients(config: DaimlConfig, model: Model, x: Array, y: Array, w: Array, body: Array) -> Array:
+def _coefficients(config: DaimlConfig, model: Model, x: Array, y: Array, w: Array, contact: Array) -> Array:
     """a* of Eq. 5 ``[m, K]``."""
     params, labels = model.params, y / model.params.label_scale
     if config.coupled:
-        phi = object_model.design_matrix(params, x, config.object, body) / params.label_scale[:, None]
+        phi = object_model.design_matrix(params, x, config.object, contact) / params.label_scale[:, None]
         noise = jnp.diag(jnp.exp(2 * model.log_noise))
         a, _ = least_squares.posterior_from_factor(phi, labels, model.mean.reshape(-1), model.factor, noise, w)
         a = a.reshape(model.mean.shape)
     else:
-        psi = object_model.basis(params, x, config.object, body)
+        psi = object_model.basis(params, x, config.object, contact)
         a = least_squares.ridge(psi, labels, model.mean, config.ridge, w)
     return least_squares.cap_norm(a, config.norm_cap)
 
 
-def _chunk(config: DaimlConfig, rows: Rows, bodies: Array, sampler: Sampler, state: _State) -> tuple[_State, Array]:
+def _chunk(config: DaimlConfig, rows: Rows, contacts: Array, sampler: Sampler, state: _State) -> tuple[_State, Array]:
     optimiser = _optimiser(config)
 
     def update(state: _State, _: None) -> tuple[_State, Array]:
-        key, batch_key, coin_key, body_key = jax.random.split(jax.random.wrap_key_data(state.key), 4)
+        key, batch_key, coin_key, contact_key = jax.random.split(jax.random.wrap_key_data(state.key), 4)
         sizes = (config.conditions, config.adapt_rows, config.windows, config.horizon)
         batch = batches.draw(rows, sampler, batch_key, *sizes)
-        which = jax.random.randint(body_key, batch.condition.shape, 0, bodies.shape[1])
-        body = bodies[batch.condition, which]
+        which = jax.random.randint(contact_key, batch.condition.shape, 0, contacts.shape[1])
+        contact = contacts[batch.condition, which]
 
         def loss_of(learned: tuple[Any, ...]) -> tuple[Array, dict[str, Array]]:
             model = _with_learned(state.model, learned, config.object)
-            return daiml_loss(model, state.discriminator, batch, body, config)
+            return daiml_loss(model, state.discriminator, batch, contact, config)
 
         gradient, terms = jax.grad(loss_of, has_aux=True)(_learned(state.model))
         learned = _learned(state.model)
@@ -366,7 +368,7 @@ def _chunk(config: DaimlConfig, rows: Rows, bodies: Array, sampler: Sampler, sta
 
 
 def daiml_loss(
-    model: Model, discriminator: mlp.MLP, batch: Batch, bodies: Array, config: DaimlConfig
+    model: Model, discriminator: mlp.MLP, batch: Batch, contacts: Array, config: DaimlConfig
 ) -> tuple[Array, dict[str, Array]]:
     """Eq. 6 for fixed h: the multi-step loss of Eq. 4 with a* of Eq. 5, less ``alpha`` times the cross-entropy of h.
 
@@ -374,7 +376,7 @@ def daiml_loss(
         model: psi and what is learned beside it.
         discriminator: h, which is trained in turn.
         batch: samples of C conditions: those that a* is fitted to, and windows that it is scored on.
-        bodies: ``[C, p]`` contact parameters of each condition.
+        contacts: ``[C, p]`` contact parameters of each condition.
         config: settings.
 
     Returns:
@@ -383,10 +385,10 @@ def daiml_loss(
     """
     params = model.params
 
-    def left_over(adapt: tuple[Array, Array, Array], windows: Any, precision: Array, body: Array) -> Array:
-        a = _coefficients(config, model, *adapt, body)  # Eq. 5
+    def left_over(adapt: tuple[Array, Array, Array], windows: Any, precision: Array, contact: Array) -> Array:
+        a = _coefficients(config, model, *adapt, contact)  # Eq. 5
         return multistep.loss(
-            lambda x: object_model.predict(params, a, x, config.object, body),  # Eq. 3
+            lambda x: object_model.predict(params, a, x, config.object, contact),  # Eq. 3
             windows,
             precision,
             params.label_scale,
@@ -395,18 +397,18 @@ def daiml_loss(
             config.loss_on_twist,
         )
 
-    multi_step = jnp.mean(jax.vmap(left_over)(batch.adapt, batch.windows, batch.precision, bodies))
+    multi_step = jnp.mean(jax.vmap(left_over)(batch.adapt, batch.windows, batch.precision, contacts))
     if config.alpha == 0:
         return multi_step, {"multi_step": multi_step}
-    psi = jax.vmap(partial(_raw_basis, config, params))(batch.adapt[0], bodies)
+    psi = jax.vmap(partial(_raw_basis, config, params))(batch.adapt[0], contacts)
     cross_entropy = _cross_entropy(discriminator, psi, batch.condition)
     terms = {"multi_step": multi_step, "cross_entropy": cross_entropy, "psi": psi}
     return multi_step - config.alpha * cross_entropy, terms
 
 
-def _raw_basis(config: DaimlConfig, params: ObjectParams, x: Array, body: Array) -> Array:
+def _raw_basis(config: DaimlConfig, params: ObjectParams, x: Array, contact: Array) -> Array:
     """psi with its distinct outputs in one axis ``[..., n]``."""
-    psi = object_model.basis(params, x, config.object, body)
+    psi = object_model.basis(params, x, config.object, contact)
     return psi.reshape(*psi.shape[:-2], -1) if config.object.per_axis else psi[..., 0, :]
 
 
@@ -427,7 +429,7 @@ def _train_discriminator(config: DaimlConfig, state: _State, psi: Array, conditi
     )
 
 
-def _prior(config: DaimlConfig, rows: Rows, bodies: Array, model: Model) -> tuple[Array, Array, Array]:
+def _prior(config: DaimlConfig, rows: Rows, contacts: Array, model: Model) -> tuple[Array, Array, Array]:
     """Prior mean ``[n]``, covariance ``[n, n]`` and residual covariance ``[m, m]``: learned, or else from the rows."""
     scale = model.params.label_scale
     if config.coupled:
@@ -435,11 +437,11 @@ def _prior(config: DaimlConfig, rows: Rows, bodies: Array, model: Model) -> tupl
         covariance = model.factor @ model.factor.T
         ridge = 1e-5 * jnp.trace(covariance) / covariance.shape[0]
         return model.mean.reshape(-1), covariance + ridge * jnp.eye(covariance.shape[0]), noise
-    body = bodies[:, -1]
-    phi = jax.vmap(lambda x, b: object_model.design_matrix(model.params, x, config.object, b))(rows.inputs, body)
+    contact = contacts[:, -1]
+    phi = jax.vmap(lambda x, b: object_model.design_matrix(model.params, x, config.object, b))(rows.inputs, contact)
     n = model.mean.size
     fit_one = jax.vmap(partial(_coefficients, config, model))
-    fitted = fit_one(rows.inputs, rows.labels, rows.weights, body).reshape(-1, n)
+    fitted = fit_one(rows.inputs, rows.labels, rows.weights, contact).reshape(-1, n)
     spread = jnp.cov(fitted.T).reshape(n, n)
     covariance = spread + 0.05 * jnp.diag(jnp.diag(spread)) + 1e-4 * jnp.eye(n)
     mean = jnp.mean(fitted, axis=0)

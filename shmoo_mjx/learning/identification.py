@@ -1,4 +1,4 @@
-"""Which body on four feet an object is: parameters by nonlinear least squares, given what training objects are like.
+"""Identification of the four-point contact model: nonlinear least squares with a prior from training objects.
 
 Objects that slide and objects that roll have little in common, so the prior is a mixture of Gaussians, found in the
 training conditions without being told families. An object is fitted once from the middle of each Gaussian, and the
@@ -17,12 +17,12 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.cluster.vq import kmeans2
 
-from shmoo_mjx.dynamics import features, feet
+from shmoo_mjx.dynamics import contact_model, features
 from shmoo_mjx.types import DT
 
 __all__ = [
-    "BodyPrior",
-    "BodyState",
+    "ContactEstimate",
+    "ContactPrior",
     "IdentificationConfig",
     "OnlineConfig",
     "best",
@@ -70,8 +70,8 @@ class OnlineConfig:
     fit: IdentificationConfig = field(default_factory=IdentificationConfig)
 
 
-class BodyPrior(NamedTuple):
-    """A mixture of G Gaussians over the p parameters of `feet.PARAMETERS`."""
+class ContactPrior(NamedTuple):
+    """A mixture of G Gaussians over the p parameters of `contact_model.PARAMETERS`."""
 
     mean: Array
     """``[G, p]``"""
@@ -81,10 +81,10 @@ class BodyPrior(NamedTuple):
     """``[G]`` log of the share, and of the density at the mean."""
 
 
-class BodyState(NamedTuple):
-    """What has been felt of an object, and the body that each Gaussian of the prior makes of it."""
+class ContactEstimate(NamedTuple):
+    """What has been felt of an object, and the parameters that each Gaussian of the prior leads to."""
 
-    prior: BodyPrior
+    prior: ContactPrior
     scale: Array
     """``[3]`` standard deviation of the labels in training."""
     inputs: Array
@@ -99,11 +99,11 @@ class BodyState(NamedTuple):
     """``[G]``"""
 
 
-def prior_state(config: OnlineConfig, prior: BodyPrior, scale: Array) -> BodyState:
+def prior_state(config: OnlineConfig, prior: ContactPrior, scale: Array) -> ContactEstimate:
     """Before anything is felt."""
     prior = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), prior)
     w = config.window
-    return BodyState(
+    return ContactEstimate(
         prior,
         jnp.asarray(scale, jnp.float32),
         jnp.ones((w, features.width(features.OBJECT_INPUTS))),
@@ -115,8 +115,8 @@ def prior_state(config: OnlineConfig, prior: BodyPrior, scale: Array) -> BodySta
 
 
 def observe(
-    config: OnlineConfig, state: BodyState, inputs: Array, label: Array, valid: Array | bool = True
-) -> BodyState:
+    config: OnlineConfig, state: ContactEstimate, inputs: Array, label: Array, valid: Array | bool = True
+) -> ContactEstimate:
     """One more sample: ``inputs [13]``, ``label [3]``. Not valid or not finite, it changes nothing."""
     use = jnp.all(jnp.isfinite(inputs)) & jnp.all(jnp.isfinite(label)) & jnp.asarray(valid)
 
@@ -133,19 +133,19 @@ def observe(
     return jax.tree.map(lambda a, b: jnp.where(use, a, b), new, state)
 
 
-def best(state: BodyState) -> Array:
-    """The likeliest body's parameters ``[p]``."""
+def best(state: ContactEstimate) -> Array:
+    """The likeliest parameters ``[p]``."""
     return state.found[jnp.argmin(state.cost - state.prior.log_weight)]
 
 
-def broad_prior() -> BodyPrior:
+def broad_prior() -> ContactPrior:
     """One Gaussian as wide as PARAMETERS says."""
-    guess = np.array(list(feet.PARAMETERS.values()), np.float32)
-    return BodyPrior(guess[None, :, 0], np.diag(1.0 / guess[:, 1])[None], np.zeros(1, np.float32))
+    guess = np.array(list(contact_model.PARAMETERS.values()), np.float32)
+    return ContactPrior(guess[None, :, 0], np.diag(1.0 / guess[:, 1])[None], np.zeros(1, np.float32))
 
 
 def identify(
-    config: IdentificationConfig, prior: BodyPrior, scale: Array, inputs: Array, labels: Array, weights: Array
+    config: IdentificationConfig, prior: ContactPrior, scale: Array, inputs: Array, labels: Array, weights: Array
 ) -> Array:
     """The likeliest parameters ``[p]`` given N rows and the prior.
 
@@ -164,7 +164,7 @@ def identify(
 
 def learn_prior(
     config: IdentificationConfig, scale: Array, inputs: Array, labels: Array, weights: Array
-) -> tuple[BodyPrior, Array]:
+) -> tuple[ContactPrior, Array]:
     """The mixture that the training conditions are drawn from, and their own parameters ``[C, p]``.
 
     Args:
@@ -175,7 +175,7 @@ def learn_prior(
         weights: ``[C, N]``.
     """
     rows = tuple(jnp.asarray(a[:, :: config.stride]) for a in (inputs, labels, weights))
-    guess = np.array(list(feet.PARAMETERS.values()))
+    guess = np.array(list(contact_model.PARAMETERS.values()))
     rng = np.random.default_rng(config.seed)
     starts = jnp.asarray(guess[:, 0] + 0.7 * guess[:, 1] * rng.normal(size=(config.starts, len(guess))), jnp.float32)
     scale = jnp.asarray(scale)
@@ -185,7 +185,7 @@ def learn_prior(
         return jax.lax.map(lambda r: _from_starts(config, starts, scale, *r), rows)
 
     @jax.jit
-    def again(prior: BodyPrior, rows: Any) -> Array:
+    def again(prior: ContactPrior, rows: Any) -> Array:
         return jax.lax.map(lambda r: identify(config, prior, scale, *r), rows)
 
     found = np.asarray(first(rows), float)
@@ -199,7 +199,7 @@ def learn_prior(
 
 def from_stretches(
     config: IdentificationConfig,
-    prior: BodyPrior,
+    prior: ContactPrior,
     scale: Array,
     rows: tuple[Array, Array, Array],
     lengths: tuple[int, ...],
@@ -246,7 +246,7 @@ def _fit(iterations: int, start: Array, mean: Array, root: Array, rows: Any) -> 
     inputs, labels, weights, unit = rows
 
     def residuals(parameters: Array) -> Array:
-        return feet.acceleration(parameters, inputs) / unit[:, None] - labels
+        return contact_model.acceleration(parameters, inputs) / unit[:, None] - labels
 
     def cost_of(parameters: Array, left: Array) -> Array:
         robust = jnp.sum(weights * (jnp.sqrt(1.0 + left**2) - 1.0))
@@ -282,7 +282,7 @@ def _from_starts(
     x, y, _, unit = rows
 
     def badness(parameters: Array) -> Array:
-        left = feet.acceleration(parameters, x[:, ::2]) / unit[:, None] - y[:, ::2]
+        left = contact_model.acceleration(parameters, x[:, ::2]) / unit[:, None] - y[:, ::2]
         return jnp.sum(weights[::2] * (jnp.sqrt(1.0 + left**2) - 1.0))
 
     promising = starts[jnp.argsort(jax.lax.map(badness, starts, batch_size=32))[: config.refined]]
@@ -295,7 +295,7 @@ def _groups(found: np.ndarray, guess: np.ndarray, config: IdentificationConfig) 
     return kmeans2((found - guess[:, 0]) / guess[:, 1], config.groups, minit="++", rng=config.seed)[1]
 
 
-def _mixture(found: np.ndarray, group: np.ndarray, guess: np.ndarray, groups: int) -> BodyPrior:
+def _mixture(found: np.ndarray, group: np.ndarray, guess: np.ndarray, groups: int) -> ContactPrior:
     """Median and robust spread of each group that has members enough."""
     means, roots, weights = [], [], []
     floor = 0.1 * guess[:, 1]
@@ -311,10 +311,10 @@ def _mixture(found: np.ndarray, group: np.ndarray, guess: np.ndarray, groups: in
         means.append(mean)
         roots.append(root)
         weights.append(np.log(len(own) / len(found)) + np.linalg.slogdet(root)[1])
-    return BodyPrior(*(np.asarray(a, np.float32) for a in (means, roots, weights)))
+    return ContactPrior(*(np.asarray(a, np.float32) for a in (means, roots, weights)))
 
 
-def _nearest(prior: BodyPrior, found: np.ndarray) -> np.ndarray:
+def _nearest(prior: ContactPrior, found: np.ndarray) -> np.ndarray:
     """The likeliest Gaussian ``[C]`` of each condition's parameters."""
     distance = np.sum(np.einsum("gij,cgj->cgi", prior.root, found[:, None] - prior.mean) ** 2, axis=-1)
     return np.argmin(0.5 * distance - prior.log_weight, axis=1)

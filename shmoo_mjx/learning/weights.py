@@ -17,10 +17,10 @@ from shmoo_mjx.dynamics.core import CoreConfig, Params
 from shmoo_mjx.dynamics.object_model import ObjectConfig
 from shmoo_mjx.dynamics.robot_model import RobotConfig
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.learning import adaptation, identification, least_squares, serialisation
+from shmoo_mjx.learning import adaptation, identification, least_squares, online, serialisation
 from shmoo_mjx.learning.adaptation import AdaptState
 from shmoo_mjx.learning.daiml import ObjectFit
-from shmoo_mjx.learning.identification import BodyPrior, IdentificationConfig, OnlineConfig
+from shmoo_mjx.learning.identification import ContactPrior, IdentificationConfig, OnlineConfig
 from shmoo_mjx.learning.robot_fit import RobotFit
 
 __all__ = [
@@ -37,8 +37,10 @@ __all__ = [
 
 Array = Any
 
-SCHEMA_VERSION = 3
-"""Raised whenever a field of the file changes its meaning."""
+SCHEMA_VERSION = 4
+"""Raised whenever a field of the file changes its meaning or its name."""
+_RENAMED = {"params.body": "params.contact", "body_prior": "contact_prior"}
+"""Arrays of schema 3, which is read as well, and what they are called now."""
 
 
 class Weights(NamedTuple):
@@ -50,8 +52,8 @@ class Weights(NamedTuple):
     """``[3 K, 3 K]``, P0 of Eq. 8."""
     noise: Array
     """``[3, 3]`` covariance of a sample's residual, R dt of Eq. 8."""
-    body_prior: BodyPrior
-    """What bodies on four feet objects are like; of no use unless config.object.body."""
+    contact_prior: ContactPrior
+    """Prior of the contact parameters; of no use unless config.object.contact_model."""
     config: CoreConfig
     info: dict[str, Any]
     """Where it came from: scores, data, seeds; JSON-able."""
@@ -62,22 +64,22 @@ def untrained(config: CoreConfig | None = None, seed: int = 0) -> Weights:
     config = config or CoreConfig()
     n = 3 * config.object.functions
     params = core.init(jax.random.key(seed), config)
-    groups, p = IdentificationConfig().groups, params.body.shape[0]
-    prior = BodyPrior(jnp.tile(params.body, (groups, 1)), jnp.tile(jnp.eye(p), (groups, 1, 1)), jnp.zeros(groups))
+    groups, p = IdentificationConfig().groups, params.contact.shape[0]
+    prior = ContactPrior(jnp.tile(params.contact, (groups, 1)), jnp.tile(jnp.eye(p), (groups, 1, 1)), jnp.zeros(groups))
     return Weights(params, jnp.eye(n), jnp.eye(3), prior, config, {})
 
 
 def prior_state(weights: Weights, config: OnlineConfig | None = None) -> AdaptState:
     """What is known of an object before it is touched, to be adapted."""
-    body = None
-    if weights.config.object.body:
+    contact = None
+    if weights.config.object.contact_model:
         scale = weights.params.object.label_scale
-        body = identification.prior_state(config or OnlineConfig(), weights.body_prior, scale)
-    return adaptation.init(weights.params.coefficients, weights.prior_covariance, weights.noise, body)
+        contact = identification.prior_state(config or OnlineConfig(), weights.contact_prior, scale)
+    return adaptation.init(weights.params.coefficients, weights.prior_covariance, weights.noise, contact)
 
 
 def posterior_from_recording(weights: Weights, inputs: Array, labels: Array, row_weights: Array) -> AdaptState:
-    """What a recording tells of its object, all rows at once: a* of Eq. 5, given the prior, and the body.
+    """What a recording tells of its object, all rows at once: a* of Eq. 5, given the prior, and the contact parameters.
 
     Args:
         weights: trained.
@@ -86,12 +88,13 @@ def posterior_from_recording(weights: Weights, inputs: Array, labels: Array, row
         row_weights: ``[N]``.
     """
     state, shape, params = prior_state(weights), weights.config.object, weights.params
-    if state.body is not None:
+    if state.contact is not None:
         settings = OnlineConfig().fit
         rows = (inputs, labels, row_weights)
-        body = identification.identify(settings, state.body.prior, state.body.scale, *rows)
-        state = state._replace(body=state.body._replace(found=jnp.broadcast_to(body, state.body.found.shape)))
-    phi = object_model.design_matrix(params.object, inputs, shape, adaptation.body_of(state))
+        contact = identification.identify(settings, state.contact.prior, state.contact.scale, *rows)
+        found = jnp.broadcast_to(contact, state.contact.found.shape)
+        state = state._replace(contact=state.contact._replace(found=found))
+    phi = object_model.design_matrix(params.object, inputs, shape, online.contact_of(state))
     known = (params.coefficients.reshape(-1), weights.prior_covariance, weights.noise)
     return state._replace(mean=least_squares.posterior(phi, labels, *known, row_weights)[0])
 
@@ -106,9 +109,9 @@ def with_robot(weights: Weights, fit: RobotFit, config: RobotConfig | None = Non
 
 def with_object(weights: Weights, fit: ObjectFit) -> Weights:
     """The same weights with a newly trained psi and its prior."""
-    prior = jax.tree.map(jnp.asarray, fit.body_prior)
-    body = prior.mean[jnp.argmax(prior.log_weight)]
-    params = weights.params._replace(object=fit.params, coefficients=jnp.asarray(fit.prior_mean), body=body)
+    prior = jax.tree.map(jnp.asarray, fit.contact_prior)
+    contact = prior.mean[jnp.argmax(prior.log_weight)]
+    params = weights.params._replace(object=fit.params, coefficients=jnp.asarray(fit.prior_mean), contact=contact)
     info = weights.info | {"object_score": float(fit.score)}
     core_config = _replace(weights.config, object=fit.config)
     return Weights(params, jnp.asarray(fit.prior_covariance), jnp.asarray(fit.noise), prior, core_config, info)
@@ -135,7 +138,7 @@ def load_weights(path: str | os.PathLike[str] | None = None) -> Weights:
     path = asset(WEIGHTS) if path is None else path
     notes = serialisation.read_notes(path)
     version = notes.get("schema_version")
-    if version != SCHEMA_VERSION:
+    if version not in (3, SCHEMA_VERSION):
         raise ShmooError(
             f"{path}: field 'schema_version' is {version}, this version reads {SCHEMA_VERSION}; train again."
         )
@@ -144,7 +147,7 @@ def load_weights(path: str | os.PathLike[str] | None = None) -> Weights:
     except (KeyError, TypeError) as error:
         raise ShmooError(f"{path}: field 'config' can not be read ({error}); train again.") from None
     like = jax.eval_shape(lambda: _arrays(untrained(config)))
-    tree, _ = serialisation.load_tree(path, like)
+    tree, _ = serialisation.load_tree(path, like, _RENAMED if version == 3 else {})
     _check_values(path, tree)
     arrays = jax.tree.map(jnp.asarray, tree)
     return Weights(**arrays, config=config, info=notes["info"])
@@ -165,7 +168,7 @@ def _check_values(path: str | os.PathLike[str], tree: dict[str, Any]) -> None:
 
 
 def _arrays(weights: Weights) -> dict[str, Any]:
-    return {name: getattr(weights, name) for name in ("params", "prior_covariance", "noise", "body_prior")}
+    return {name: getattr(weights, name) for name in ("params", "prior_covariance", "noise", "contact_prior")}
 
 
 def _replace(config: CoreConfig, **changes: Any) -> CoreConfig:
@@ -176,6 +179,8 @@ def _replace(config: CoreConfig, **changes: Any) -> CoreConfig:
 
 def _config(values: dict[str, Any]) -> CoreConfig:
     values = dict(values)
-    robot, body = dict(values.pop("robot")), dict(values.pop("object"))
-    robot["hidden"], body["hidden"] = tuple(robot["hidden"]), tuple(body["hidden"])
-    return CoreConfig(robot=RobotConfig(**robot), object=ObjectConfig(**body), **values)
+    robot, thing = dict(values.pop("robot")), dict(values.pop("object"))
+    if "body" in thing:
+        thing["contact_model"] = thing.pop("body")
+    robot["hidden"], thing["hidden"] = tuple(robot["hidden"]), tuple(thing["hidden"])
+    return CoreConfig(robot=RobotConfig(**robot), object=ObjectConfig(**thing), **values)

@@ -26,7 +26,7 @@ from pydantic import ValidationError
 
 from shmoo_mjx import se2
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.learning import adaptation
+from shmoo_mjx.learning import online
 from shmoo_mjx.live import overlay
 from shmoo_mjx.live.session import Session, object_files, scenes
 from shmoo_mjx.navigation import flat_trajectory
@@ -479,7 +479,7 @@ class Page:
             verdicts = [d for d in navigator.decisions if d.object == index]
             last = f"P = {verdicts[-1].probability:.2f}, K = {verdicts[-1].K:.2f} m²" if verdicts else "not touched"
             moves = {None: "?", True: "yes", False: "no"}[known.manipulable]
-            learned = "" if known.adapt is None else _in_words(adaptation.learned(known.adapt), self.session.prior)
+            learned = "" if known.adapt is None else _in_words(online.learned(known.adapt), self.session.prior)
             rows.append((name, str(known.status), last, moves, learned))
         return markdown_table(("object", "status", "verdict", "moves", "learned"), rows)
 

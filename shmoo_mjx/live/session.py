@@ -20,7 +20,7 @@ from shmoo_mjx.control.mppi import Plan
 from shmoo_mjx.control.pushing import PushController, local_distance_field
 from shmoo_mjx.episode import result_of, trace_of
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.learning import adaptation
+from shmoo_mjx.learning import online
 from shmoo_mjx.learning.weights import Weights, prior_state
 from shmoo_mjx.navigation import mobility
 from shmoo_mjx.navigation.floorplan import demo_scenario
@@ -167,8 +167,8 @@ class Session:
 
     @cached_property
     def prior(self) -> dict[str, float]:
-        """What an object is taken to be before it is touched (`adaptation.learned`)."""
-        return adaptation.learned(prior_state(self.controller.weights, self.controller.config.adapt.body))
+        """What an object is taken to be before it is touched (`online.learned`)."""
+        return online.learned(prior_state(self.controller.weights, self.controller.config.adapt.contact))
 
     def compile(self) -> None:
         """Compile what the first push needs, or the world stands still for seconds when it begins."""

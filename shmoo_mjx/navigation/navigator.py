@@ -20,7 +20,7 @@ import numpy as np
 from shmoo_mjx.control import equilibrium_lean
 from shmoo_mjx.control.pushing import Sighting
 from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
-from shmoo_mjx.learning import adaptation
+from shmoo_mjx.learning import online
 from shmoo_mjx.navigation import drive, flat_trajectory
 from shmoo_mjx.navigation.belief import Belief, Status, belief_of
 from shmoo_mjx.navigation.choices import look_ahead, replan
@@ -373,10 +373,10 @@ class Navigator:
 
     @property
     def learned(self) -> tuple[int, dict[str, float]] | None:
-        """The object that is pushed at present, and what has been learned of it (`adaptation.learned`)."""
+        """The object that is pushed at present, and what has been learned of it (`online.learned`)."""
         if self.segment is None or self.segment.push is None:
             return None
-        return self.segment.object, adaptation.learned(self.segment.push.pusher.adapt)
+        return self.segment.object, online.learned(self.segment.push.pusher.adapt)
 
     def _of(self, kind: type) -> list[Any]:
         return [event for event in self.events if isinstance(event, kind)]

@@ -89,7 +89,7 @@ def law_of(controller: Controller, weights: Weights) -> Law:
     core, params = weights.config, weights.params
 
     def init(now: Sighting, task: Task, key: Array) -> Any:
-        adapt = prior_state(weights, config.adapt.body)
+        adapt = prior_state(weights, config.adapt.contact)
         return pushing.start(config, adapt, now, task.face, task.half_extents, key)
 
     def step(state: Any, now: Sighting, last_u: Array, task: Task) -> tuple[Array, Any]:

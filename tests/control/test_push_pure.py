@@ -13,7 +13,7 @@ import pytest
 
 from shmoo_mjx.control import pushing
 from shmoo_mjx.control.pushing import LocalDistanceField, PushController, Sighting
-from shmoo_mjx.dynamics import feet
+from shmoo_mjx.dynamics import contact_model
 from shmoo_mjx.faces import faces_of, stand_off
 from shmoo_mjx.learning.weights import load_weights, prior_state, untrained
 from shmoo_mjx.navigation.push_task import pose_push_config
@@ -71,13 +71,15 @@ def test_two_mapped_pushes_are_the_two_controllers() -> None:
 
 @pytest.mark.parametrize("friction", [0.02, 0.05])
 @pytest.mark.parametrize("speed", [0.1, 0.2])
-def test_what_is_let_go_coasts_as_far_as_the_friction_of_its_body_lets_it(friction: float, speed: float) -> None:
+def test_what_is_let_go_coasts_as_far_as_the_friction_of_its_contacts_lets_it(friction: float, speed: float) -> None:
     weights, config, heading = untrained(), pose_push_config(), 0.7
-    shift = float(np.log(friction) - feet.PARAMETERS["log_friction_x"][0])
+    shift = float(np.log(friction) - contact_model.PARAMETERS["log_friction_x"][0])
     adapt = prior_state(weights)
-    assert adapt.body is not None
+    assert adapt.contact is not None
     adapt = adapt._replace(
-        body=adapt.body._replace(found=jax.vmap(lambda p: feet.with_friction(p, shift))(adapt.body.found))
+        contact=adapt.contact._replace(
+            found=jax.vmap(lambda p: contact_model.with_friction(p, shift))(adapt.contact.found)
+        )
     )
     along = np.array([np.cos(heading), np.sin(heading), 0.0])
     now = sighting(0, 0)._replace(object_pose=np.array([1.0, 2.0, heading]), object_twist=speed * along)

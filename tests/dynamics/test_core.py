@@ -12,7 +12,7 @@ from shmoo_mjx.dynamics import CoreConfig, ObjectConfig, Params, contact_wrench,
 from shmoo_mjx.hands import HAND_RADIUS, REACH
 from shmoo_mjx.types import DT, SystemState
 
-CONFIG = CoreConfig(object=ObjectConfig(functions=6, per_axis=False, body=False))
+CONFIG = CoreConfig(object=ObjectConfig(functions=6, per_axis=False, contact_model=False))
 SHAPE = (3, ObjectConfig().functions)
 """Of the default coefficients."""
 
@@ -34,7 +34,7 @@ def hand_made(force: float, gain: float) -> Params:
     linear = jnp.zeros((13, 6)).at[where, :3].set(jnp.eye(3))
     net = params.object.net._replace(weights=tuple(0 * w for w in params.object.net.weights))
     a = jnp.zeros((3, 6)).at[:, :3].set(gain * jnp.eye(3))
-    return Params(robot, params.object._replace(net=net, linear=linear), a, params.body)
+    return Params(robot, params.object._replace(net=net, linear=linear), a, params.contact)
 
 
 LINEAR = replace(CONFIG, object=replace(CONFIG.object, linear_terms=True))

@@ -7,12 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from shmoo_mjx.dynamics import core, equivariant, features, feet, object_model, robot_model
+from shmoo_mjx.dynamics import contact_model, core, equivariant, features, object_model, robot_model
 from shmoo_mjx.dynamics.core import CoreConfig
 from shmoo_mjx.dynamics.object_model import ObjectConfig
 
 PER_AXIS = CoreConfig()
-SHARED = CoreConfig(object=ObjectConfig(per_axis=False, last_wrench=False, functions=6, body=False))
+SHARED = CoreConfig(object=ObjectConfig(per_axis=False, last_wrench=False, functions=6, contact_model=False))
 
 
 def trained(config: CoreConfig, symmetrical: bool = True) -> core.Params:
@@ -34,15 +34,15 @@ def trained(config: CoreConfig, symmetrical: bool = True) -> core.Params:
     net = equivariant.with_normaliser(net, jnp.asarray(rng.normal(size=(50, len(seen))) + 0.5), seen)
     signs = object_model.coefficient_signs(config.object)
     coefficients = jnp.asarray(rng.normal(size=signs.shape), jnp.float32)
-    even = [not name.endswith("_y") or name in ("log_friction_y", "log_foot_y") for name in feet.PARAMETERS]
-    body = feet.guess() + 0.1
+    even = [not name.endswith("_y") or name in ("log_friction_y", "log_foot_y") for name in contact_model.PARAMETERS]
+    contact = contact_model.guess() + 0.1
     if symmetrical:
-        coefficients, body = jnp.where(signs > 0, coefficients, 0.0), jnp.where(jnp.array(even), body, 0.0)
+        coefficients, contact = jnp.where(signs > 0, coefficients, 0.0), jnp.where(jnp.array(even), contact, 0.0)
     return core.Params(
         params.robot._replace(net=robot, output_mean=jnp.array([0.1, 0.0, 0.0, 2.0, 0.0])),
         params.object._replace(net=net, linear=moved(params.object.linear), label_scale=jnp.array([0.5, 0.4, 0.9])),
         coefficients,
-        body,
+        contact,
     )
 
 
@@ -52,10 +52,10 @@ def test_psi_of_the_mirrored_push_is_psi_in_the_mirror(config: CoreConfig) -> No
     x = np.random.default_rng(2).normal(size=(40, 13)).astype(np.float32)
     axes = features.reflection(features.OBJECT_OUTPUTS)
     mirrored = x @ features.reflection(features.OBJECT_INPUTS)
-    psi, other = (object_model.basis(params.object, i, config.object, params.body) for i in (x, mirrored))
+    psi, other = (object_model.basis(params.object, i, config.object, params.contact) for i in (x, mirrored))
     signs = object_model.coefficient_signs(config.object)
     # The body's feet are relaxed one after the other, which leaves a trace of their order.
-    close = 2e-3 if config.object.body else 1e-5
+    close = 2e-3 if config.object.contact_model else 1e-5
     scale = float(np.abs(psi).max())
     np.testing.assert_allclose(other, np.einsum("ij,njk->nik", axes, psi) * signs, atol=close * scale)
     assert scale > 0.1

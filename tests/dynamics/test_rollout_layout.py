@@ -31,8 +31,8 @@ def random_params(config: CoreConfig) -> Params:
     robot = params.robot._replace(net=robot_net, output_scale=scale, output_mean=0.1 * scale)
     seen = len(params.object.net.mean)
     kept = parts(object_model.reflections(config.object)[0])[0] if config.object.equivariant else np.eye(seen)
-    body = params.object._replace(net=dress(params.object.net, kept), label_scale=jnp.array([1.0, 0.7, 2.0]))
-    return Params(robot, body, 0.2 * jax.random.normal(next(keys), params.coefficients.shape), params.body)
+    contact = params.object._replace(net=dress(params.object.net, kept), label_scale=jnp.array([1.0, 0.7, 2.0]))
+    return Params(robot, contact, 0.2 * jax.random.normal(next(keys), params.coefficients.shape), params.contact)
 
 
 def random_state(rng: np.random.Generator) -> SystemState:
@@ -89,7 +89,7 @@ def plain_step(params: Params, state: SystemState, u: np.ndarray, config: CoreCo
         features.object_inputs(twist, wrench, s["last_object_twist"], s["size"], s["last_wrench"]), np.float32
     )
     push = np.asarray(
-        object_model.predict(params.object, params.coefficients, psi_inputs, config.object, params.body), float
+        object_model.predict(params.object, params.coefficients, psi_inputs, config.object, params.contact), float
     )
     if config.unilateral:
         n = np.array([math.cos(face[2]), math.sin(face[2])])
@@ -172,8 +172,8 @@ def test_folding_changes_no_prediction(config: CoreConfig) -> None:
     params = random_params(config)
     x = np.random.default_rng(4).standard_normal((7, 13)).astype(np.float32)
     x[:, 9] = 0.4
-    expected = object_model.predict(params.object, params.coefficients, x, config.object, params.body)
-    fused = object_model.fuse(params.object, params.coefficients, config.object, params.body)
+    expected = object_model.predict(params.object, params.coefficients, x, config.object, params.contact)
+    fused = object_model.fuse(params.object, params.coefficients, config.object, params.contact)
     np.testing.assert_allclose(object_model.forward(fused, x.T, config.object).T, expected, atol=1e-5)
     assert fused.layers.biases[-1].shape == (3,)
 

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shmoo_mjx.dynamics import feet, object_model
+from shmoo_mjx.dynamics import contact_model, object_model
 from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
-from shmoo_mjx.learning import adaptation, identification
+from shmoo_mjx.learning import adaptation, identification, online
 from shmoo_mjx.learning.adaptation import AdaptConfig, AdaptState
 from shmoo_mjx.learning.identification import OnlineConfig
 
@@ -22,10 +22,10 @@ def start(seed: int = 0) -> AdaptState:
 
 
 def run(config: AdaptConfig, state: AdaptState, phi: jax.Array, y: jax.Array, valid: jax.Array) -> AdaptState:
-    def body(state: AdaptState, x: tuple) -> tuple[AdaptState, None]:
+    def one_sample(state: AdaptState, x: tuple) -> tuple[AdaptState, None]:
         return adaptation.step(config, state, *x), None
 
-    return jax.lax.scan(body, state, (phi, y, valid))[0]
+    return jax.lax.scan(one_sample, state, (phi, y, valid))[0]
 
 
 def test_no_forgetting_is_batch_bayes() -> None:
@@ -86,13 +86,13 @@ def test_the_sign_of_the_tracking_term() -> None:
         config = AdaptConfig(decay=0.0, process=0.0, tracking=True)
         phi = jnp.array([[1.0], [0.0], [0.0]])
 
-        def body(carry: tuple[AdaptState, jax.Array], _: None) -> tuple[tuple[AdaptState, jax.Array], None]:
+        def one_sample(carry: tuple[AdaptState, jax.Array], _: None) -> tuple[tuple[AdaptState, jax.Array], None]:
             state, s = carry
             s = s + 0.1 * (1.0 - state.mean[0] - 0.5 * s)
             error = jnp.array([sign, 0.0, 0.0]) * s
             return (adaptation.step(config, state, phi, jnp.zeros(3), True, error), s), None
 
-        (state, _), _ = jax.lax.scan(body, (state, jnp.zeros(())), None, length=600)
+        (state, _), _ = jax.lax.scan(one_sample, (state, jnp.zeros(())), None, length=600)
         return float(jnp.abs(state.mean[0] - 1.0))
 
     assert simulate(+1.0) < 0.05
@@ -124,27 +124,27 @@ def test_covariance_stays_positive_definite(seed: int, size: float, config: Adap
 
 
 @pytest.mark.parametrize("coefficients", [False, True])
-def test_a_psi_with_a_body_learns_by_it_and_by_eq_8_only_if_told(coefficients: bool) -> None:
-    config, params, prior = psi_and_prior(body=True)
+def test_a_psi_with_the_contact_model_learns_by_it_and_by_eq_8_only_if_told(coefficients: bool) -> None:
+    config, params, prior = psi_and_prior(contact=True)
     inputs, label = jnp.full(13, 0.3).at[3].set(30.0), jnp.array([0.4, 0.0, 0.1])
     adapt = AdaptConfig(coefficients=coefficients)
-    end = jax.jit(lambda: adaptation.observe(adapt, prior, params, config, inputs, label))()
-    assert not np.allclose(adaptation.body_of(end), adaptation.body_of(prior))
+    end = jax.jit(lambda: online.observe(adapt, prior, params, config, inputs, label))()
+    assert not np.allclose(online.contact_of(end), online.contact_of(prior))
     assert np.allclose(end.mean, prior.mean) != coefficients
-    assert adaptation.learned(end) == pytest.approx(
-        dict(zip(feet.PARAMETERS, np.asarray(adaptation.body_of(end)), strict=True))
+    assert online.learned(end) == pytest.approx(
+        dict(zip(contact_model.PARAMETERS, np.asarray(online.contact_of(end)), strict=True))
     )
 
 
-def test_a_psi_without_a_body_learns_by_eq_8() -> None:
-    config, params, prior = psi_and_prior(body=False)
-    end = adaptation.observe(AdaptConfig(), prior, params, config, jnp.full(13, 0.3), jnp.array([0.4, 0.0, 0.1]))
+def test_a_psi_without_contact_model_learns_by_eq_8() -> None:
+    config, params, prior = psi_and_prior(contact=False)
+    end = online.observe(AdaptConfig(), prior, params, config, jnp.full(13, 0.3), jnp.array([0.4, 0.0, 0.1]))
     assert not np.allclose(end.mean, prior.mean)
-    assert list(adaptation.learned(end).values()) == pytest.approx(np.asarray(end.mean).tolist())
+    assert list(online.learned(end).values()) == pytest.approx(np.asarray(end.mean).tolist())
 
 
-def psi_and_prior(body: bool) -> tuple[ObjectConfig, ObjectParams, AdaptState]:
-    config = ObjectConfig(hidden=(8,), functions=3, body=body)
+def psi_and_prior(contact: bool) -> tuple[ObjectConfig, ObjectParams, AdaptState]:
+    config = ObjectConfig(hidden=(8,), functions=3, contact_model=contact)
     params = object_model.init(jax.random.key(0), config)
     seen = identification.prior_state(OnlineConfig(window=4), identification.broad_prior(), np.ones(3))
-    return config, params, adaptation.init(jnp.ones(9), jnp.eye(9), 0.1 * jnp.eye(3), seen if body else None)
+    return config, params, adaptation.init(jnp.ones(9), jnp.eye(9), 0.1 * jnp.eye(3), seen if contact else None)

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from shmoo_mjx.dynamics import feet, object_model
-from shmoo_mjx.learning import adaptation
+from shmoo_mjx.dynamics import contact_model, object_model
+from shmoo_mjx.learning import online
 from shmoo_mjx.learning.adaptation import AdaptConfig, AdaptState
 from shmoo_mjx.learning.weights import Weights, load_weights, prior_state
 
@@ -53,13 +53,13 @@ def learned(weights: Weights, coefficients: bool) -> Any:
     config, shape, params = AdaptConfig(coefficients=coefficients), weights.config.object, weights.params.object
 
     def one(state: AdaptState, sample: tuple[jax.Array, jax.Array]) -> tuple[AdaptState, tuple[jax.Array, jax.Array]]:
-        state = adaptation.observe(config, state, params, shape, *sample)
-        body = adaptation.body_of(state)
-        return state, (object_model.design_matrix(params, PROBE[0], shape, body) @ state.mean, body)
+        state = online.observe(config, state, params, shape, *sample)
+        contact = online.contact_of(state)
+        return state, (object_model.design_matrix(params, PROBE[0], shape, contact) @ state.mean, contact)
 
     def run(state: AdaptState, samples: tuple[jax.Array, jax.Array]) -> tuple[AdaptState, jax.Array, jax.Array]:
-        end, (predicted, bodies) = jax.lax.scan(one, state, samples)
-        return end, predicted, bodies
+        end, (predicted, contacts) = jax.lax.scan(one, state, samples)
+        return end, predicted, contacts
 
     return _COMPILED.setdefault(coefficients, jax.jit(run))
 
@@ -69,14 +69,18 @@ def learned(weights: Weights, coefficients: bool) -> Any:
 @pytest.mark.parametrize("kind", ["random", "adversarial", "broken", "silent"])
 def test_hours_of_anything_leave_it_sound(kind: str, coefficients: bool, length: int, weights: Weights) -> None:
     shape = weights.config.object
-    end, predicted, bodies = learned(weights, coefficients)(prior_state(weights), sequences(kind, length))
-    assert np.isfinite(predicted).all() and np.isfinite(bodies).all() and bodies.shape[-1] == len(feet.PARAMETERS)
+    end, predicted, contacts = learned(weights, coefficients)(prior_state(weights), sequences(kind, length))
+    assert (
+        np.isfinite(predicted).all()
+        and np.isfinite(contacts).all()
+        and contacts.shape[-1] == len(contact_model.PARAMETERS)
+    )
     # A label of 20 m/s^2 is as much as an object of 2 kg gets from the robot's whole strength.
     assert np.abs(predicted).max() < 1e3
     covariance = np.asarray(end.covariance, float)
     scale = 1 / np.sqrt(np.diag(covariance))
     assert np.linalg.eigvalsh(covariance * np.outer(scale, scale)).min() > 0
     before = prior_state(weights)
-    phis = [object_model.design_matrix(weights.params.object, x, shape, adaptation.body_of(end)) for x in PROBE]
+    phis = [object_model.design_matrix(weights.params.object, x, shape, online.contact_of(end)) for x in PROBE]
     there, first = (np.abs([phi @ state.mean for phi in phis]).max() for state in (end, before))
     assert there < 10 * first + 100.0

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from shmoo_mjx.data import store
-from shmoo_mjx.dynamics import feet, object_model
+from shmoo_mjx.dynamics import contact_model, object_model
 from shmoo_mjx.dynamics.object_model import ObjectConfig
 from shmoo_mjx.evaluation import scoring
-from shmoo_mjx.learning import least_squares, training_bodies
+from shmoo_mjx.learning import least_squares, training_contacts
 from shmoo_mjx.learning.baselines import (
     METHODS,
     REFERENCES,
@@ -87,38 +87,38 @@ def test_the_gru_uses_its_context(job: Job, unseen: Recordings) -> None:
 
 
 @pytest.fixture
-def bodies(monkeypatch: pytest.MonkeyPatch) -> None:
+def contacts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Bodies of conditions as drawn, not identified, which would take a minute."""
-    guess = np.array(list(feet.PARAMETERS.values()), np.float32)
+    guess = np.array(list(contact_model.PARAMETERS.values()), np.float32)
 
-    def drawn(config: Any, train: Rows, validation: Rows, *_: Any) -> training_bodies.Found:
-        prior, of_training, of_validation = training_bodies.nothing(config, train, validation)
+    def drawn(config: Any, train: Rows, validation: Rows, *_: Any) -> training_contacts.Found:
+        prior, of_training, of_validation = training_contacts.nothing(config, train, validation)
         spread = np.random.default_rng(0).normal(size=of_training.shape)
         return prior, jnp.asarray(guess[:, 0] + guess[:, 1] * spread, jnp.float32), of_validation + guess[:, 0]
 
-    monkeypatch.setattr(training_bodies, "identified", drawn)
+    monkeypatch.setattr(training_contacts, "identified", drawn)
 
 
-def test_what_sees_a_body_sees_what_psi_sees(bodies: None, job: Job) -> None:
+def test_what_sees_a_body_sees_what_psi_sees(contacts: None, job: Job) -> None:
     sees = sight.sight(replace(job, setting={"body": True}))
     plain = sight.sight(job)
-    context, body = first_rows(job.train, 0, 50), sees.found[1][0, -1]
+    context, contact = first_rows(job.train, 0, 50), sees.found[1][0, -1]
     config, scale = ObjectConfig(), jnp.asarray(output_scale(job.train.rows))
-    raw = object_model.network_inputs(scale, jnp.asarray(context.inputs), config, body)
-    np.testing.assert_allclose(sees(context.inputs, body) * sees.spread + sees.mean, raw, atol=1e-3)
-    np.testing.assert_array_equal(sees.body(context._replace(body=body)), body)
-    assert plain(context.inputs, body).shape[-1] == context.inputs.shape[-1] and not plain.body(context).any()
+    raw = object_model.network_inputs(scale, jnp.asarray(context.inputs), config, contact)
+    np.testing.assert_allclose(sees(context.inputs, contact) * sees.spread + sees.mean, raw, atol=1e-3)
+    np.testing.assert_array_equal(sees.contact(context._replace(contact=contact)), contact)
+    assert plain(context.inputs, contact).shape[-1] == context.inputs.shape[-1] and not plain.contact(context).any()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SEEING)
-def test_predictions_depend_on_the_body_seen(name: str, bodies: None, job: Job) -> None:
+def test_predictions_depend_on_the_body_seen(name: str, contacts: None, job: Job) -> None:
     predictor = METHODS[name].fit(replace(job, setting=METHODS[name].settings[0], budget=Budget(2, 30, 2)))
     context, x = first_rows(job.validation, 0, 100), jnp.asarray(job.validation.rows.inputs[0, 100:150])
-    guess = np.array(list(feet.PARAMETERS.values()), np.float32)
+    guess = np.array(list(contact_model.PARAMETERS.values()), np.float32)
     one, other = (
-        predictor.predict(predictor.adapt(context._replace(body=jnp.asarray(body))), x, jnp.zeros(50))
-        for body in (guess[:, 0], guess[:, 0] + guess[:, 1])
+        predictor.predict(predictor.adapt(context._replace(contact=jnp.asarray(contact))), x, jnp.zeros(50))
+        for contact in (guess[:, 0], guess[:, 0] + guess[:, 1])
     )
     assert bool(jnp.all(jnp.isfinite(one))) and float(jnp.max(jnp.abs(one - other))) > 1e-3
 

@@ -16,7 +16,7 @@ from shmoo_mjx.learning.baselines import METHODS, Budget, Method, linear
 
 TINY = {
     "hidden": (8,),
-    "body": False,
+    "contact_model": False,
     "functions": 2,
     "horizon": 2,
     "windows": 4,

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from shmoo_mjx.data import store
-from shmoo_mjx.dynamics import ObjectConfig, feet, object_model
+from shmoo_mjx.dynamics import ObjectConfig, contact_model, object_model
 from shmoo_mjx.learning import daiml, multistep, rows, training
 from shmoo_mjx.learning.daiml import DaimlConfig
 from shmoo_mjx.types import DT
 
 SMALL = DaimlConfig(
-    object=ObjectConfig(hidden=(24, 24), body=False),
+    object=ObjectConfig(hidden=(24, 24), contact_model=False),
     horizon=4,
     conditions=6,
     adapt_rows=32,
@@ -73,10 +73,10 @@ def test_open_loop_feeds_its_own_twist_back(per_axis: bool) -> None:
     params = object_model.init(jax.random.key(0), config)
     a = jax.random.normal(jax.random.key(1), (3, config.functions))
     inputs = jax.random.normal(jax.random.key(2), (4, 7, 13)).at[..., 9].set(0.4)
-    body = feet.guess()
+    contact = contact_model.guess()
 
     def predict(x: jax.Array) -> jax.Array:
-        return object_model.predict(params, a, x, config, body)
+        return object_model.predict(params, a, x, config, contact)
 
     fed, twists = multistep.open_loop(predict, inputs)
     forced = predict(inputs)
@@ -115,8 +115,8 @@ def test_design_matrix_is_the_model() -> None:
         params = object_model.init(jax.random.key(0), config)._replace(label_scale=jnp.array([1.0, 2.0, 3.0]))
         a = jax.random.normal(jax.random.key(1), (3, config.functions))
         x = jax.random.normal(jax.random.key(2), (5, 13)).at[..., 9].set(0.4)
-        phi = object_model.design_matrix(params, x, config, feet.guess())
-        expected = object_model.predict(params, a, x, config, feet.guess())
+        phi = object_model.design_matrix(params, x, config, contact_model.guess())
+        expected = object_model.predict(params, a, x, config, contact_model.guess())
         np.testing.assert_allclose(phi @ a.reshape(-1), expected, atol=1e-5)
 
 

@@ -1,4 +1,4 @@
-"""Bodies on feet whose parameters are known, identified from what they did."""
+"""Contact models whose parameters are known, identified from what they did."""
 
 from __future__ import annotations
 
@@ -6,27 +6,28 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from shmoo_mjx.dynamics import feet
+from shmoo_mjx.dynamics import contact_model
 from shmoo_mjx.learning import identification
 from shmoo_mjx.learning.identification import IdentificationConfig, OnlineConfig
 
 CONFIG = IdentificationConfig(noise=0.3, groups=2, starts=64, refined=2, stride=1, rounds=2)
-NAMES = list(feet.PARAMETERS)
+NAMES = list(contact_model.PARAMETERS)
 SCALE = np.array([0.3, 0.3, 0.8], np.float32)
 
 
 def drawn(log_mass: float, log_friction: float, rng: np.random.Generator, rows: int = 120) -> tuple[np.ndarray, ...]:
-    """Parameters around these, and inputs and labels of such a body under pushes that hold and slide it."""
-    guess = np.array(list(feet.PARAMETERS.values()))
+    """Parameters around these, and inputs and labels of such an object under pushes that hold and slide it."""
+    guess = np.array(list(contact_model.PARAMETERS.values()))
     parameters = guess[:, 0] + 0.3 * guess[:, 1] * rng.normal(size=len(guess))
     parameters[NAMES.index("log_mass")] = log_mass + 0.2 * rng.normal()
     parameters[[NAMES.index(f"log_friction_{a}") for a in "xy"]] = log_friction + 0.1 * rng.normal()
-    limit = np.exp(log_mass + log_friction) * feet.GRAVITY
+    limit = np.exp(log_mass + log_friction) * contact_model.GRAVITY
     inputs = np.zeros((rows, 13))
     inputs[:, :3] = rng.normal(size=(rows, 3)) * [0.3, 0.3, 0.4] * (rng.random((rows, 1)) < 0.7)
     inputs[:, 3:6] = rng.normal(size=(rows, 3)) * (limit + 3.0) * [0.7, 0.7, 0.15]
     inputs[:, 9] = 0.4
-    labels = np.asarray(feet.acceleration(jnp.asarray(parameters, jnp.float32), jnp.asarray(inputs.T, jnp.float32))).T
+    known, pushes = (jnp.asarray(x, jnp.float32) for x in (parameters, inputs.T))
+    labels = np.asarray(contact_model.acceleration(known, pushes)).T
     return parameters, inputs.astype(np.float32), labels
 
 
@@ -47,7 +48,7 @@ def test_groups_are_found_and_an_unseen_object_is_identified() -> None:
         told = jax.jit(lambda x, y: identification.identify(CONFIG, prior, jnp.asarray(scale), x, y, jnp.ones(len(x))))(
             x[:60], y[:60]
         )
-        said = np.asarray(feet.acceleration(told, jnp.asarray(x[60:].T))).T
+        said = np.asarray(contact_model.acceleration(told, jnp.asarray(x[60:].T))).T
         left = np.sum(((said - y[60:]) / scale) ** 2) / np.sum(((y[60:] - y[60:].mean(axis=0)) / scale) ** 2)
         assert left < 0.1
         assert abs(float(told[mass]) - parameters[mass]) < 0.3

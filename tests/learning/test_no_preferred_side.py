@@ -37,8 +37,8 @@ def test_neither_side_is_preferred() -> None:
     controls = np.concatenate([u, u * np.array([1, -1, -1], np.float32)])
     same, other = [], []
     for half_extents in (LONG, WIDE):
-        for body in weights.body_prior.mean:
-            model = models.learned(weights.params._replace(body=body), weights.config)
+        for contact in weights.contact_prior.mean:
+            model = models.learned(weights.params._replace(contact=contact), weights.config)
             poses = np.asarray(model(pushed(half_extents), controls).object_pose)[:, -1]
             there, mirrored = poses[:50, 1:], -poses[50:, 1:]
             same.append((there + mirrored) / 2)

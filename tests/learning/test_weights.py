@@ -32,11 +32,11 @@ def test_round_trip(path: Path) -> None:
 def test_parts_are_put_together() -> None:
     made, other = weights.untrained(CONFIG), weights.untrained(CONFIG, seed=1)
     mean = jnp.ones_like(other.params.coefficients)
-    body = daiml.ObjectFit(
-        other.params.object, mean, 2 * jnp.eye(mean.size), 3 * jnp.eye(3), 0.2, [], other.body_prior, CONFIG.object
+    contact = daiml.ObjectFit(
+        other.params.object, mean, 2 * jnp.eye(mean.size), 3 * jnp.eye(3), 0.2, [], other.contact_prior, CONFIG.object
     )
     robot = robot_fit.RobotFit(other.params.robot, 0.1, np.zeros(5), [])
-    both = weights.with_robot(weights.with_object(made, body), robot)
+    both = weights.with_robot(weights.with_object(made, contact), robot)
     assert both.info == {"object_score": 0.2, "robot_score": 0.1} and both.config == CONFIG
     np.testing.assert_array_equal(both.params.coefficients, 1.0)
     jax.tree.map(np.testing.assert_array_equal, both.params.robot, other.params.robot)
@@ -66,10 +66,10 @@ def test_missing_old_or_of_another_shape(path: Path) -> None:
     with pytest.raises(ShmooError, match="schema_version"):
         weights.load_weights(path)
     serialisation.save_tree(path, tree, notes)
-    with pytest.raises(ShmooError, match=r"'body_prior\.mean' is missing"):
+    with pytest.raises(ShmooError, match=r"'contact_prior\.mean' is missing"):
         weights.load_weights(path)
     wide = weights.untrained(CoreConfig(robot=RobotConfig(hidden=(10, 8)), object=CONFIG.object))
-    whole = {k: getattr(wide, k) for k in ("params", "prior_covariance", "noise", "body_prior")}
+    whole = {k: getattr(wide, k) for k in ("params", "prior_covariance", "noise", "contact_prior")}
     serialisation.save_tree(path, whole, notes)
     with pytest.raises(ShmooError, match=r"has shape \(56, 5\) where \(56, 4\)"):
         weights.load_weights(path)

@@ -45,7 +45,7 @@ METHODS: dict[str, Method] = {
         Method("trigonometric", linear.trigonometric, _RIDGES, trained=False),
         Method("residual", adaptive.residual, _ON_RESIDUAL),
         Method("mlp", networks.mlp, _NETS),
-        # With the identified body among what they see; the last one trained by psi's loss.
+        # With the identified contact model among what they see; the last one trained by psi's loss.
         Method("residual_body", with_setting(adaptive.residual, body=True), _ON_RESIDUAL),
         Method("linear_prior_body", with_setting(linear.linear_prior, body=True), _PRIORS, trained=False),
         Method("gru_body", with_setting(networks.gru, body=True), _NETS),

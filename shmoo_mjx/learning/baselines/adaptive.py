@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from shmoo_mjx.dynamics import feet, object_model
+from shmoo_mjx.dynamics import contact_model, object_model
 from shmoo_mjx.dynamics.object_model import ObjectConfig
 from shmoo_mjx.learning import daiml, identification, least_squares
 from shmoo_mjx.learning.baselines.networks import mlp
@@ -72,30 +72,31 @@ def prior(job: Job) -> Predictor:
 def residual(job: Job) -> Predictor:
     """A network over all conditions, and psi on what it leaves over (Sec. V-B). Both train for the whole budget.
 
-    With setting["body"] both see the body, identified from what was felt and not from what is left over. What the
-    network leaves over in training is taken with each condition's best known body, and psi sees that one.
+    With setting["body"] both see the contact model, identified from what was felt and not from what is left over. What
+    the network leaves over in training is taken with each condition's best known contact parameters, and psi sees
+    those.
     """
-    body = job.setting.get("body", False)
-    common_job = replace(job, setting={"learning_rate": 1e-3, "body": body}, directory=_beside(job, "common"))
+    contact = job.setting.get("body", False)
+    common_job = replace(job, setting={"learning_rate": 1e-3, "body": contact}, directory=_beside(job, "common"))
     common, sees = mlp(common_job), sight(common_job)
     config = replace(daiml_config(job, DaimlConfig()), open_loop=False, horizon=1)
-    config = replace(config, object=replace(config.object, body=body))
-    prior, bodies, held_bodies = sees.found
+    config = replace(config, object=replace(config.object, contact_model=contact))
+    prior, contacts, held_contacts = sees.found
 
     def predicted(context: Context) -> Array:
         return common.predict(common.adapt(context), context.inputs, context.time)
 
-    def left(recorded: Recordings, bodies: Array) -> daiml.Rows:
+    def left(recorded: Recordings, contacts: Array) -> daiml.Rows:
         rows = recorded.rows
-        contexts = Context(*rows[:3], recorded.time, bodies)
+        contexts = Context(*rows[:3], recorded.time, contacts)
         return rows._replace(labels=rows.labels - np.asarray(jax.jit(jax.vmap(predicted))(contexts)))
 
-    rows, held_out = left(job.train, bodies[:, -1]), left(job.validation, held_bodies)
-    found = prior, bodies[:, -1:], held_bodies
+    rows, held_out = left(job.train, contacts[:, -1]), left(job.validation, held_contacts)
+    found = prior, contacts[:, -1:], held_contacts
     own = from_fit(daiml.fit_rows(rows, held_out, config, _beside(job, "psi"), found=found), config)
 
     def adapt(context: Context) -> tuple[Array, Array]:
-        known = context._replace(body=sees.body(context))
+        known = context._replace(contact=sees.contact(context))
         return common.adapt(known), own.adapt(known._replace(labels=known.labels - predicted(known)))
 
     def predict(state: tuple[Any, Any], x: Array, time: Array) -> Array:
@@ -106,22 +107,22 @@ def residual(job: Job) -> Predictor:
 
 def from_fit(fitted: ObjectFit, config: DaimlConfig) -> Predictor:
     """A trained psi: a* given the learned prior, or by a plain ridge where the config says so."""
-    arrays = ("params", "prior_mean", "prior_covariance", "noise", "body_prior")
+    arrays = ("params", "prior_mean", "prior_covariance", "noise", "contact_prior")
     fitted = fitted._replace(**{name: jax.tree.map(jnp.asarray, getattr(fitted, name)) for name in arrays})
     params, mean = fitted.params, fitted.prior_mean
 
     def adapt(context: Context) -> tuple[Array, Array]:
         x, y, w = context.inputs, context.labels, context.weights
-        body = jnp.zeros(len(feet.PARAMETERS)) if context.body is None else context.body
-        if config.object.body and context.body is None:
-            body = identification.identify(config.body_fit, fitted.body_prior, params.label_scale, x, y, w)
+        contact = jnp.zeros(len(contact_model.PARAMETERS)) if context.contact is None else context.contact
+        if config.object.contact_model and context.contact is None:
+            contact = identification.identify(config.contact_fit, fitted.contact_prior, params.label_scale, x, y, w)
         if not config.coupled:
-            psi = object_model.basis(params, x, config.object, body)
+            psi = object_model.basis(params, x, config.object, contact)
             a = least_squares.ridge(psi, y / params.label_scale, mean, config.ridge, w)
-            return least_squares.cap_norm(a, config.norm_cap), body
-        phi = object_model.design_matrix(params, x, config.object, body)
+            return least_squares.cap_norm(a, config.norm_cap), contact
+        phi = object_model.design_matrix(params, x, config.object, contact)
         known = (mean.reshape(-1), fitted.prior_covariance, fitted.noise)
-        return least_squares.posterior(phi, y, *known, w)[0].reshape(mean.shape), body
+        return least_squares.posterior(phi, y, *known, w)[0].reshape(mean.shape), contact
 
     def predict(known: tuple[Array, Array], x: Array, time: Array) -> Array:
         return object_model.predict(params, known[0], x, config.object, known[1])
@@ -131,7 +132,7 @@ def from_fit(fitted: ObjectFit, config: DaimlConfig) -> Predictor:
 
 def prior_of(fitted: ObjectFit, config: DaimlConfig) -> Predictor:
     """The same psi before the object is touched."""
-    prior = fitted.body_prior
+    prior = fitted.contact_prior
     known = jnp.asarray(fitted.prior_mean), jnp.asarray(prior.mean[np.argmax(prior.log_weight)])
     return from_fit(fitted, config)._replace(adapt=lambda context: known)
 
@@ -143,5 +144,5 @@ def trained(job: Job, config: DaimlConfig) -> tuple[ObjectFit, DaimlConfig]:
 
 
 def _beside(job: Job, part: str) -> Path | None:
-    """The directory of a part of a fit; beside the job's own, where the bodies are kept for all."""
+    """The directory of a part of a fit; beside the job's own, where the contact parameters are kept for all."""
     return None if job.directory is None else job.directory.with_name(f"{job.directory.name}-{part}")

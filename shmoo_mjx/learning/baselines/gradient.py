@@ -80,7 +80,8 @@ def meta_train(
         params: where it starts.
         predictor: parameters -> the predictor they make.
         name: of the method, part of the checkpoint's identity.
-        sees: the training conditions' bodies, of which a task's context has one drawn at random, well or badly known.
+        sees: the training conditions' contact parameters, of which a task's context has one drawn at random, well or
+            badly known.
         adapt_rows: most rows of a task's context.
 
     Returns:
@@ -93,12 +94,12 @@ def meta_train(
     optimiser = _optimiser(job)
     task_loss = _eq4(predictor, scale, feed_back)
 
-    _, bodies, held_bodies = sees.found
+    _, contacts, held_contacts = sees.found
 
-    def chunk(train: Recordings, bodies: Array, sampler: Sampler, state: _State) -> tuple[_State, Array]:
+    def chunk(train: Recordings, contacts: Array, sampler: Sampler, state: _State) -> tuple[_State, Array]:
         def update(state: _State, _: None) -> tuple[_State, Array]:
             key, batch_key = jax.random.split(jax.random.wrap_key_data(state.key))
-            tasks = _draw(train, bodies, sampler, batch_key, adapt_rows, windows, horizon)
+            tasks = _draw(train, contacts, sampler, batch_key, adapt_rows, windows, horizon)
             total, gradient = jax.value_and_grad(lambda p: jnp.mean(jax.vmap(task_loss, (None, 0))(p, tasks)))(
                 state.params
             )
@@ -109,13 +110,13 @@ def meta_train(
         return state, jnp.mean(losses)
 
     @jax.jit
-    def score(params: Tree, rows: Rows, bodies: Array) -> Array:
+    def score(params: Tree, rows: Rows, contacts: Array) -> Array:
         made = predictor(params)
 
-        def adapted(x: Array, y: Array, w: Array, body: Array) -> multistep.Predict:
-            return _known(made, Context(x, y, w, jnp.zeros_like(w), body))
+        def adapted(x: Array, y: Array, w: Array, contact: Array) -> multistep.Predict:
+            return _known(made, Context(x, y, w, jnp.zeros_like(w), contact))
 
-        shares = multistep.scores(rows, bodies, adapted, scale, job.fit_rows, horizon if feed_back else 0, FLOOR)
+        shares = multistep.scores(rows, contacts, adapted, scale, job.fit_rows, horizon if feed_back else 0, FLOOR)
         return jnp.mean(jnp.minimum(jnp.stack(shares), least_squares.WORST))
 
     device, held_out = jax.tree.map(jnp.asarray, (job.train, job.validation))
@@ -123,9 +124,9 @@ def meta_train(
     key = jax.random.fold_in(jax.random.key(job.seed), 1)
     fitted = training.run(
         _State(params, optimiser.init(params), jax.random.key_data(key)),
-        lambda state: run_chunk(device, bodies, sampler, state),
+        lambda state: run_chunk(device, contacts, sampler, state),
         extract=lambda state: state.params,
-        evaluate=lambda p: score(p, held_out.rows, held_bodies),
+        evaluate=lambda p: score(p, held_out.rows, held_contacts),
         chunks=budget.chunks,
         patience=budget.patience,
         identity=fingerprint(__name__, (name, job.setting, budget, job.seed, adapt_rows), rows.inputs, rows.labels),
@@ -155,13 +156,13 @@ def _known(made: Predictor, context: Context) -> multistep.Predict:
 
 
 def _draw(
-    train: Recordings, bodies: Array, sampler: Sampler, key: Array, adapt_rows: int, windows: int, horizon: int
+    train: Recordings, contacts: Array, sampler: Sampler, key: Array, adapt_rows: int, windows: int, horizon: int
 ) -> Task:
     """The batches that DAIML draws."""
-    key, body_key = jax.random.split(key)
+    key, contact_key = jax.random.split(key)
     batch = batches.draw(train.rows, sampler, key, CONDITIONS, adapt_rows, windows, horizon)
     x, y, w = batch.adapt
-    which = jax.random.randint(body_key, batch.condition.shape, 0, bodies.shape[1])
-    body = bodies[batch.condition, which]
-    context = Context(x, y, w, jnp.zeros_like(w), body)
+    which = jax.random.randint(contact_key, batch.condition.shape, 0, contacts.shape[1])
+    contact = contacts[batch.condition, which]
+    context = Context(x, y, w, jnp.zeros_like(w), contact)
     return Task(context, batch.windows, batch.precision)

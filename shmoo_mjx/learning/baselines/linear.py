@@ -52,8 +52,8 @@ def linear_prior(job: Job) -> Predictor:
     """
     sees, scale, rows = sight(job), output_scale(job.train.rows), job.train.rows
 
-    def basis(x: Array, body: Array) -> Array:
-        return jnp.concatenate([sees(x, body), jnp.ones((*x.shape[:-1], 1))], axis=-1)
+    def basis(x: Array, contact: Array) -> Array:
+        return jnp.concatenate([sees(x, contact), jnp.ones((*x.shape[:-1], 1))], axis=-1)
 
     functions = jax.jit(jax.vmap(basis))(rows.inputs, sees.found[1][:, -1])
     prior = fit_prior(np.asarray(functions), rows.labels / scale, rows.weights)
@@ -63,16 +63,16 @@ def linear_prior(job: Job) -> Predictor:
     axes = scale.shape[0]
 
     def adapt(context: Context) -> tuple[Array, Array]:
-        body = sees.body(context)
-        f = basis(context.inputs, body)
+        contact = sees.contact(context)
+        f = basis(context.inputs, contact)
         phi = (f[:, None, None, :] * jnp.eye(axes)[:, :, None]).reshape(f.shape[0], axes, -1)
         labels = context.labels / scale
         a, _ = least_squares.posterior_from_factor(phi, labels, mean, factor, noise, context.weights)
-        return a.reshape(axes, -1), body
+        return a.reshape(axes, -1), contact
 
     def predict(state: tuple[Array, Array], x: Array, time: Array) -> Array:
-        a, body = state
-        return basis(x, body) @ a.T * scale
+        a, contact = state
+        return basis(x, contact) @ a.T * scale
 
     return Predictor(jax.jit(adapt), predict)
 

@@ -30,12 +30,13 @@ class _Gru(NamedTuple):
 
 
 def mlp(job: Job) -> Predictor:
-    """One network for all conditions; of the one at hand it knows at most the identified body (`sight`)."""
+    """One network for all conditions; of the one at hand it knows at most the identified contact parameters
+    (`sight`)."""
     sees, scale = sight(job), output_scale(job.train.rows)
     start = layers(jax.random.key(job.seed), sees.mean.shape[0], *HIDDEN, scale.shape[0])
 
     def predictor(params: Layers) -> Predictor:
-        return Predictor(sees.body, lambda body, x, time: dense(params, sees(x, body)) * scale)
+        return Predictor(sees.contact, lambda contact, x, time: dense(params, sees(x, contact)) * scale)
 
     return predictor(meta_train(job, start, predictor, "mlp", sees, adapt_rows=8))
 
@@ -54,17 +55,17 @@ def gru(job: Job) -> Predictor:
 
     def predictor(params: _Gru) -> Predictor:
         def adapt(context: Context) -> tuple[Array, Array]:
-            body = sees.body(context)
-            rows = jnp.concatenate([sees(context.inputs, body), context.labels / scale], axis=-1)
+            contact = sees.contact(context)
+            rows = jnp.concatenate([sees(context.inputs, contact), context.labels / scale], axis=-1)
             memory, _ = jax.lax.scan(
                 lambda m, r: (_read(params, m, *r), None), jnp.zeros(MEMORY), (rows, context.weights)
             )
-            return memory, body
+            return memory, contact
 
         def predict(state: tuple[Array, Array], x: Array, time: Array) -> Array:
-            memory, body = state
+            memory, contact = state
             known = jnp.broadcast_to(memory, (*x.shape[:-1], MEMORY))
-            return dense(params.head, jnp.concatenate([sees(x, body), known], axis=-1)) * scale
+            return dense(params.head, jnp.concatenate([sees(x, contact), known], axis=-1)) * scale
 
         return Predictor(jax.jit(adapt), predict)
 

@@ -56,8 +56,8 @@ class Context(NamedTuple):
     """``[N]`` 0 where a row does not count."""
     time: Array
     """``[N]`` [s]"""
-    body: Array | None = None
-    """Parameters of the body that the condition looks like, where they are known already (`sight`)."""
+    contact: Array | None = None
+    """Contact parameters of the condition, where they are known already (`sight`)."""
 
 
 class Predictor(NamedTuple):

@@ -1,7 +1,7 @@
-"""The bodies on four feet that the conditions of a training look like, found once for each data set.
+"""Contact parameters of the conditions of a training, identified once for each data set.
 
-psi sees a body that a robot has identified on the way. So in training it meets bodies that are known badly and well:
-each training condition's are identified on short and long stretches of its recording.
+psi works with parameters that a robot has identified online. So in training it meets some that are known badly and
+well: each training condition's are identified on short and long stretches of its recording.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from shmoo_mjx.dynamics import feet
+from shmoo_mjx.dynamics import contact_model
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning import identification, serialisation
-from shmoo_mjx.learning.identification import BodyPrior, IdentificationConfig
+from shmoo_mjx.learning.identification import ContactPrior, IdentificationConfig
 from shmoo_mjx.learning.rows import Rows, label_scale
 
 __all__ = ["STRETCHES", "Found", "identified", "nothing", "on_first_rows"]
@@ -25,16 +25,16 @@ __all__ = ["STRETCHES", "Found", "identified", "nothing", "on_first_rows"]
 Array = Any
 
 STRETCHES = (0, 10, 10, 30, 30, 100, 100, 250)
-"""Rows that a training condition's bodies are identified on, M numbers; 0 is the object not yet touched."""
+"""Samples that a training condition's parameters are identified on, M numbers; 0 is the object not yet touched."""
 
-Found = tuple[BodyPrior, Array, Array]
-"""The prior of bodies, those of training conditions ``[C, M, p]`` and those of validation conditions ``[C', p]``."""
+Found = tuple[ContactPrior, Array, Array]
+"""The prior, the parameters of training conditions ``[C, M, p]`` and those of validation conditions ``[C', p]``."""
 
 
 def identified(
     config: IdentificationConfig, train: Rows, validation: Rows, fit_rows: int, out_dir: str | Path | None = None
 ) -> Found:
-    """Identify the bodies, or take them from beside ``out_dir`` where another training on these rows has left them.
+    """Identify the parameters, or take them from beside ``out_dir`` where another training on these rows has left them.
 
     Args:
         config: of the identification.
@@ -45,27 +45,27 @@ def identified(
     """
     measured = (train.inputs, train.labels, validation.inputs, validation.labels)
     identity = fingerprint(__name__, (config, fit_rows), *measured)
-    path = None if out_dir is None else Path(out_dir).parent / f"bodies-{identity[:10]}.safetensors"
+    path = None if out_dir is None else Path(out_dir).parent / f"contacts-{identity[:10]}.safetensors"
     kept = None if path is None else serialisation.load_checkpoint(path, _empty(config, train, validation), identity)
     if kept is not None:
         return _single(kept[0])
     scale = label_scale(train)
     prior, _ = identification.learn_prior(config, scale, train.inputs, train.labels, train.weights)
     prior = _single(prior)
-    bodies = identification.from_stretches(config, prior, scale, tuple(train[:3]), STRETCHES)
-    found = prior, bodies, on_first_rows(config, prior, scale, validation, fit_rows)
+    contacts = identification.from_stretches(config, prior, scale, tuple(train[:3]), STRETCHES)
+    found = prior, contacts, on_first_rows(config, prior, scale, validation, fit_rows)
     if path is not None:
         serialisation.save_checkpoint(path, found, {"identity": identity})
     return found
 
 
 def nothing(config: IdentificationConfig, train: Rows, validation: Rows, *_: Any) -> Found:
-    """`identified` for a psi that sees no body: zeros of the same shapes."""
+    """`identified` for a psi without contact model: zeros of the same shapes."""
     return _single(_empty(config, train, validation))
 
 
-def on_first_rows(config: IdentificationConfig, prior: BodyPrior, scale: Array, rows: Rows, fit_rows: int) -> Array:
-    """The bodies ``[C, p]`` that conditions look like on their first ``fit_rows`` rows, at most half of them."""
+def on_first_rows(config: IdentificationConfig, prior: ContactPrior, scale: Array, rows: Rows, fit_rows: int) -> Array:
+    """The parameters ``[C, p]`` of conditions by their first ``fit_rows`` rows, at most half of them."""
     n = min(fit_rows, rows.inputs.shape[1] // 2)
     identify = partial(identification.identify, config, prior, jnp.asarray(scale))
     first = tuple(jnp.asarray(a[:, :n]) for a in rows[:3])
@@ -73,8 +73,8 @@ def on_first_rows(config: IdentificationConfig, prior: BodyPrior, scale: Array, 
 
 
 def _empty(config: IdentificationConfig, train: Rows, validation: Rows) -> Found:
-    p, groups = len(feet.PARAMETERS), config.groups
-    prior = BodyPrior(np.zeros((groups, p)), np.zeros((groups, p, p)), np.zeros(groups))
+    p, groups = len(contact_model.PARAMETERS), config.groups
+    prior = ContactPrior(np.zeros((groups, p)), np.zeros((groups, p, p)), np.zeros(groups))
     counts = [rows.inputs.shape[0] for rows in (train, validation)]
     return prior, np.zeros((counts[0], len(STRETCHES), p)), np.zeros((counts[1], p))
 

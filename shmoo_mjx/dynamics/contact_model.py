@@ -1,12 +1,12 @@
-"""A rigid body on four feet with dry friction, pushed at the height of the hands: the physics that most objects share.
+"""Four-point Coulomb contact model of an object: its acceleration under a push at the height of the hands.
 
 Dry friction decides within a sample whether an object holds, slides or stops, and that border moves with mass and
-friction. Here it is sharp: each foot holds or slips by Coulomb's law, solved implicitly over the whole sample. Friction
-that sets in gradually with speed would let an object creep that is pushed below its break-away force, and whoever fits
-such a body to data makes up for it with a hundredfold mass.
+friction. Here it is sharp: each point holds or slips by Coulomb's law, solved implicitly over the whole sample.
+Friction that sets in gradually with speed would let an object creep that is pushed below its break-away force, and
+whoever fits such a model to data makes up for it with a hundredfold mass.
 
-A push at the height of the hands loads the far feet and relieves the near ones, which turns the object. Feet may grip
-more along one axis (wheels that do not swivel) and more at one end or corner (a locked wheel).
+A push at the height of the hands loads the far points and relieves the near ones, which turns the object. Points may
+grip more along one axis (wheels that do not swivel) and more at one end or corner (a locked wheel).
 """
 
 from __future__ import annotations
@@ -39,16 +39,16 @@ PARAMETERS: dict[str, tuple[float, float]] = {
     "feet_x": (0.0, 0.15),
     "feet_y": (0.0, 0.15),
 }
-"""What the body is told by, with a first guess and how far it may be off.
+"""Parameters of the model, each with a first guess and how far that may be off.
 
 Mass [log kg]; friction coefficients along x and y of {O} [log]; by how much their logarithm grows from the middle to
-the front and left feet; all else over half the diagonal of the footprint: radius of gyration [log], centre of mass,
-half distances of the feet [log], and the point in the middle of them."""
+the front and left points; all else over half the diagonal of the footprint: radius of gyration [log], centre of mass,
+half distances of the points [log], and the point in the middle of them."""
 
 GRAVITY = 9.81
-GAUSS_SEIDEL_SWEEPS = 5
-"""Over the four feet: what one holds changes what the others have to hold."""
-FEET = ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0))
+GAUSS_SEIDEL_ITERATIONS = 5
+"""Projected Gauss-Seidel iterations over the four points: what one holds changes what the others have to hold."""
+POINTS = ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0))
 
 
 def guess() -> Array:
@@ -57,7 +57,7 @@ def guess() -> Array:
 
 
 def with_friction(parameters: Array, shift: float) -> Array:
-    """The same body with ``shift`` added to the logarithms of its friction."""
+    """The parameters with ``shift`` added to the logarithms of its friction."""
     return parameters + shift * np.array([name.startswith("log_friction") for name in PARAMETERS], np.float32)
 
 
@@ -77,32 +77,32 @@ def acceleration(parameters: Array, inputs: Array) -> Array:
     inverse_mass, inverse_inertia = 1.0 / mass, 1.0 / (mass * gyration**2)
     x, y = named["centre_x"] * size, named["centre_y"] * size
     half_x, half_y = jnp.exp(named["log_foot_x"]) * size, jnp.exp(named["log_foot_y"]) * size
-    # From the centre of mass to the middle of the feet.
+    # From the centre of mass to the middle of the points.
     mid_x, mid_y = named["feet_x"] * size - x, named["feet_y"] * size - y
-    # Where the floor's reaction acts, in half distances of the feet: weight, and the push's tipping moment.
+    # Where the floor's reaction acts, in half distances of the points: weight, and the push's tipping moment.
     tip = HAND_HEIGHT / (mass * GRAVITY)
     load_x = jnp.clip((tip * fx - mid_x) / half_x, -0.98, 0.98)
     load_y = jnp.clip((tip * fy - mid_y) / half_y, -0.98, 0.98)
     rub_x, rub_y = jnp.exp(named["log_friction_x"]), jnp.exp(named["log_friction_y"])
-    feet = []
-    for front, left in FEET:
+    points = []
+    for front, left in POINTS:
         lx, ly = mid_x + front * half_x, mid_y + left * half_y
         weight = DT * mass * GRAVITY / 4 * (1 + front * load_x) * (1 + left * load_y)
         most = weight * jnp.exp(front * named["grip_x"] + left * named["grip_y"])
         stiffness = 1.0 / (inverse_mass + (lx**2 + ly**2) * inverse_inertia)
-        feet.append((lx, ly, 1.0 / (most * rub_x), 1.0 / (most * rub_y), stiffness))
-    # Twist of the centre of mass after the push alone; then the feet take from it what they hold.
+        points.append((lx, ly, 1.0 / (most * rub_x), 1.0 / (most * rub_y), stiffness))
+    # Twist of the centre of mass after the push alone; then the points take from it what they hold.
     pushed = (
         vx - spin * y + DT * inverse_mass * fx,
         vy + spin * x + DT * inverse_mass * fy,
         spin + DT * inverse_inertia * (torque - x * fy + y * fx),
     )
 
-    def sweep(carry: tuple[Any, Any], _: None) -> tuple[tuple[Any, Any], None]:
-        """Foot by foot: the impulse that would stop it, cut to what its load allows."""
+    def iterate(carry: tuple[Any, Any], _: None) -> tuple[tuple[Any, Any], None]:
+        """Point by point: the impulse that would stop it, cut to what its load allows."""
         (ux, uy, turn), impulses = carry
         held = []
-        for (lx, ly, per_x, per_y, stiffness), (old_x, old_y) in zip(feet, impulses, strict=True):
+        for (lx, ly, per_x, per_y, stiffness), (old_x, old_y) in zip(points, impulses, strict=True):
             new_x, new_y = old_x - stiffness * (ux - turn * ly), old_y - stiffness * (uy + turn * lx)
             share = jax.lax.rsqrt(jnp.maximum(1.0, (new_x * per_x) ** 2 + (new_y * per_y) ** 2))
             new_x, new_y = new_x * share, new_y * share
@@ -113,6 +113,6 @@ def acceleration(parameters: Array, inputs: Array) -> Array:
         return ((ux, uy, turn), tuple(held)), None
 
     none = jnp.zeros_like(pushed[0])
-    start = (pushed, ((none, none),) * len(FEET))
-    ((ux, uy, turn), _), _ = jax.lax.scan(sweep, start, length=GAUSS_SEIDEL_SWEEPS)
+    start = (pushed, ((none, none),) * len(POINTS))
+    ((ux, uy, turn), _), _ = jax.lax.scan(iterate, start, length=GAUSS_SEIDEL_ITERATIONS)
     return jnp.stack([ux + turn * y - vx, uy - turn * x - vy, turn - spin]) / DT
