@@ -53,11 +53,7 @@ def _one_thread() -> None:
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {flags}"
 
 
-def _any_threads() -> None:
-    pass
-
-
-def _fresh(prepare: Callable[[], None], work: Callable[..., Row], *arguments: Any) -> Row:
+def _fresh(prepare: Callable[[], None] | None, work: Callable[..., Row], *arguments: Any) -> Row:
     """Run ``work`` in a process of its own."""
     with process_pool(1, prepare) as pool:
         return pool.submit(work, *arguments).result()
@@ -163,12 +159,12 @@ def whole_training(data: Path) -> Row:
 
 def run(config: DaimlSizes, options: BenchOptions) -> Measured:
     """All rows. The shipped training needs data/train, takes minutes, and is left out of a quick run."""
-    jobs: list[tuple[Callable[[], None], Callable[..., Row], tuple[Any, ...]]] = [
+    jobs: list[tuple[Callable[[], None] | None, Callable[..., Row], tuple[Any, ...]]] = [
         (_one_thread, neural_fly_epoch, (config.epochs,))
     ]
-    jobs += [(_any_threads, more_conditions, (count,)) for count in config.conditions]
+    jobs += [(None, more_conditions, (count,)) for count in config.conditions]
     if config.whole and (TRAINING / store.MANIFEST).exists():
-        jobs.append((_any_threads, whole_training, (TRAINING,)))
+        jobs.append((None, whole_training, (TRAINING,)))
     rows = []
     for done, (prepare, work, arguments) in enumerate(jobs):
         options.progress(work.__name__, done / len(jobs))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -99,11 +100,11 @@ def _take_turns(
     running: dict[str, Worker] = {}
     about: dict[str, Row] = {}
     turns: dict[str, list[float]] = {name: [] for name in starters}
-    try:
+    with ExitStack() as stack:
         for name, start in starters.items():
             progress(f"start {name}", 0.0)
             try:
-                running[name] = start()
+                running[name] = stack.enter_context(closing(start()))
                 about[name] = running[name].about
             except ShmooError as error:
                 if not name.startswith("pytorch_mppi"):
@@ -114,27 +115,19 @@ def _take_turns(
             for name, worker in running.items():
                 worker.seconds(2)  # caches and clocks belong to the engine before
                 turns[name] += worker.seconds(1 if name == "gemm" else cfg.calls)[0]
-    finally:
-        for worker in running.values():
-            worker.close()
     return turns, about
 
 
 def _worst_case(cfg: MppiSizes, options: BenchOptions, busy: bool) -> Row:
     """Many steps of ours in a row, and beside a busy neighbour plain JAX too, for the case of one free core."""
-    name = "busy" if busy else "quiet"
-    ours, plain = workers.ours(_spec(cfg, options.seed, engine="ours")), None
-    try:
+    with ExitStack() as stack:
+        ours = stack.enter_context(closing(workers.ours(_spec(cfg, options.seed, engine="ours"))))
         if not busy:
-            return _many(cfg, options, ours, name)
-        plain = workers.ours(_spec(cfg, options.seed, engine="plain_jax"), 1)
-        with busy_neighbour():
-            row = _many(cfg, options, ours, name)
-            return row | {"plain_jax_ms": 1e3 * float(np.median(plain.seconds(max(cfg.steps // 20, 20))[0]))}
-    finally:
-        ours.close()
-        if plain:
-            plain.close()
+            return _many(cfg, options, ours, "quiet")
+        plain = stack.enter_context(closing(workers.ours(_spec(cfg, options.seed, engine="plain_jax"), 1)))
+        stack.enter_context(busy_neighbour())
+        row = _many(cfg, options, ours, "busy")
+        return row | {"plain_jax_ms": 1e3 * float(np.median(plain.seconds(max(cfg.steps // 20, 20))[0]))}
 
 
 def _many(cfg: MppiSizes, options: BenchOptions, worker: Worker, name: str) -> Row:
@@ -160,13 +153,10 @@ def _sweeps(cfg: MppiSizes, options: BenchOptions) -> list[Row]:
     rows = []
     for i, (kind, changes) in enumerate(wanted):
         options.progress("sweeps", i / len(wanted))
-        worker = workers.ours(_spec(cfg, options.seed, **changes))
-        try:
+        with closing(workers.ours(_spec(cfg, options.seed, **changes))) as worker:
             once = min(worker.seconds(1)[0])
             calls = int(np.clip(3.0 / once, 3, 2 * cfg.calls))
             rows.append(_row(kind, worker.seconds(calls)[0], worker.about) | {"kind": f"sweep {kind}"} | changes)
-        finally:
-            worker.close()
     return rows
 
 

@@ -19,7 +19,7 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.manipulable import BORDER
 from shmoo_mjx.evaluation.navigation import POLICIES, Robot, play, robot_of, scores_of, told_of, trials_folder
 from shmoo_mjx.evaluation.navigation_failures import keep_failure, write_failures
-from shmoo_mjx.evaluation.navigation_places import Places, as_data, find_places, generated_from, kept, kinds_of, seed_of
+from shmoo_mjx.evaluation.navigation_places import Places, as_data, find_places, generated_from, kept
 from shmoo_mjx.evaluation.paired import OURS, metrics_by_method
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.evaluation.scenarios import PLANT, Generated, Kind, ScenarioConfig, Truth, draw_scenario, largest_room
@@ -108,17 +108,11 @@ def _trial(places: Places, robot: Robot, store: Path, goals: int, trial: tuple[s
 def _kept_sequence(places: Places, grid: OccupancyGrid, map_name: str, number: int, count: int) -> GoalSequence | None:
     """Sequence ``number`` of a map, of the kind whose turn it is, or of another where the map has no place for it."""
 
-    def draw() -> dict[str, Any] | None:
-        for turn, kind in enumerate(kinds_of(map_name, number)):
-            rng = np.random.default_rng([*seed_of(places, map_name, number), turn, count])
-            try:
-                found = draw_sequence(grid, kind, rng, places.first_unseen, count, PLANT, places.config)
-            except ShmooError:
-                continue
-            return found._asdict() | {"generated": as_data(found.generated)}
-        return None
+    def draw(kind: Kind, rng: np.random.Generator) -> dict[str, Any]:
+        found = draw_sequence(grid, kind, rng, places.first_unseen, count, PLANT, places.config)
+        return found._asdict() | {"generated": as_data(found.generated)}
 
-    data = kept(places, grid, f"{map_name}-{number}-{count}", draw)
+    data = kept(places, grid, map_name, (number, count), draw)
     if data is None:
         return None
     goals = tuple((x, y) for x, y in data["goals"])

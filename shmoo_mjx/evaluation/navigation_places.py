@@ -31,7 +31,6 @@ __all__ = [
     "kept",
     "kept_scenario",
     "kinds_of",
-    "seed_of",
 ]
 
 FLOOR_PLANS = 5
@@ -93,28 +92,16 @@ def kinds_of(map_name: str, number: int) -> list[Kind]:
     return [KINDS[first], *(others if number // len(KINDS) % 2 else others[::-1])]
 
 
-def seed_of(places: Places, map_name: str, number: int) -> list[int]:
-    """What fixes scenario ``number`` of a map; other maps beside it change nothing."""
-    return [places.first_unseen, crc32(map_name.encode()), number]
-
-
 def kept_scenario(places: Places, grid: OccupancyGrid, map_name: str, number: int) -> tuple[Kind, Generated | None]:
     """The kind that scenario ``number`` of a map was to be, and the scenario; None if the map has no place for any."""
     if places.given is not None:
         entry = dict(places.given[f"{map_name}-{number}"])
         return entry.pop("wanted"), generated_from(entry)
 
-    def draw() -> dict[str, Any] | None:
-        for turn, kind in enumerate(kinds_of(map_name, number)):
-            rng = np.random.default_rng([*seed_of(places, map_name, number), turn])
-            try:
-                found = draw_scenario(grid, kind, rng, places.first_unseen, PLANT, places.config)
-            except ShmooError:
-                continue
-            return as_data(found)
-        return None
+    def draw(kind: Kind, rng: np.random.Generator) -> dict[str, Any]:
+        return as_data(draw_scenario(grid, kind, rng, places.first_unseen, PLANT, places.config))
 
-    data = kept(places, grid, f"{map_name}-{number}", draw)
+    data = kept(places, grid, map_name, (number,), draw)
     wanted = kinds_of(map_name, number)[0]
     return wanted, None if data is None else generated_from(data)
 
@@ -130,8 +117,18 @@ def generated_from(data: dict[str, Any]) -> Generated:
     return Generated(**data | lists | {"scenario": Scenario.model_validate(data["scenario"])})
 
 
-def kept(places: Places, grid: OccupancyGrid, name: str, draw: Callable[[], Any]) -> Any:
-    """What the function ``draw`` returns, kept as a file that goes with it, the map, the settings and the plant."""
+def kept(
+    places: Places,
+    grid: OccupancyGrid,
+    map_name: str,
+    number: tuple[int, ...],
+    draw: Callable[[Kind, np.random.Generator], dict[str, Any]],
+) -> dict[str, Any] | None:
+    """What ``draw`` returns for the first kind in turn that the map has a place for, or None if it has for no kind.
+
+    It is kept as a file that goes with the function, the map, the settings and the plant. ``number`` begins with the
+    scenario's; with map and objects it fixes the random numbers, and other maps beside this one change nothing.
+    """
     settings = {
         "frame": [grid.resolution, *grid.origin],
         "scenario": asdict(places.config),
@@ -139,8 +136,17 @@ def kept(places: Places, grid: OccupancyGrid, name: str, draw: Callable[[], Any]
         "first_unseen": places.first_unseen,
     }
     mark = fingerprint(draw.__module__, settings, grid.cells)
-    file = places.scenarios / f"{name}-{mark}.json"
+    file = places.scenarios / f"{'-'.join([map_name, *map(str, number)])}-{mark}.json"
     if not file.is_file():
+        found = None
+        for turn, kind in enumerate(kinds_of(map_name, number[0])):
+            seed = [places.first_unseen, crc32(map_name.encode()), number[0], turn, *number[1:]]
+            try:
+                found = draw(kind, np.random.default_rng(seed))
+            except ShmooError:
+                continue
+            break
         file.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(file, (json.dumps(draw()) + "\n").encode())
-    return json.loads(file.read_text())
+        write_whole(file, (json.dumps(found) + "\n").encode())
+    data: dict[str, Any] | None = json.loads(file.read_text())
+    return data
