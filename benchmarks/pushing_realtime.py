@@ -23,7 +23,7 @@ def measure(seconds: float) -> dict[str, Any]:
     import jax
 
     from shmoo_mjx.assets import WEIGHTS, asset
-    from shmoo_mjx.control.pushing import PushController, Sighting, local_distance_field
+    from shmoo_mjx.control.pushing import ObjectObservation, PushController, local_distance_field
     from shmoo_mjx.faces import faces_of, heading, stand_off
     from shmoo_mjx.hands import HAND_HEIGHT, REACH, touches
     from shmoo_mjx.learning.weights import load_weights
@@ -41,7 +41,7 @@ def measure(seconds: float) -> dict[str, Any]:
     clearance = clearance_field(OccupancyGrid(np.zeros((100, 600), np.int8), 0.1, (-5.0, -5.0, 0.0)))
     controller = PushController(load_weights(asset(WEIGHTS)), pose_push_config())
     world, seen = engine.step(engine.init(), batched(Command(np.zeros(3), 0.0, REACH, HAND_HEIGHT)), 1.0)
-    state = controller.init(Sighting.of(seen, 0), face, half, jax.random.key(0))
+    state = controller.init(ObjectObservation.of(seen, 0), face, half, jax.random.key(0))
     u, spent, touching, begin = np.zeros(3), [], 0, time.perf_counter()
     warm_up = 10
     for i in range(round(seconds * 10) + warm_up):
@@ -51,7 +51,7 @@ def measure(seconds: float) -> dict[str, Any]:
         if i % 50 == 0:
             around = local_distance_field(clearance, pose)
         start = time.perf_counter()
-        now = Sighting.of(seen, 0)
+        now = ObjectObservation.of(seen, 0)
         u, state, _ = controller.step(state, now, u, pose + np.array([1.5, 0.0, -pose[2]]), around, half)
         controller.coast(state)
         spent.append(time.perf_counter() - start)

@@ -18,7 +18,7 @@ from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
 from shmoo_mjx.plant.objects import Condition
 from shmoo_mjx.types import DT, Command, Observation
 
-__all__ = ["KEYS", "Driver", "Session", "begin", "command", "press", "save", "tick"]
+__all__ = ["KEYS", "Driver", "TeleopSession", "begin", "command", "press", "save", "tick"]
 
 _SPEED, _TURN, _STEER = 0.05, np.deg2rad(7.5), 0.05
 """What one press changes: speed [m/s], heading [rad], steering angle [rad]."""
@@ -88,7 +88,7 @@ def command(driver: Driver, seen: Observation) -> Command:
     return Command(u, np.array([driver.yaw]), np.array([reach]), np.array([height]))
 
 
-class Session(NamedTuple):
+class TeleopSession(NamedTuple):
     """A drive so far."""
 
     world: Any
@@ -98,19 +98,19 @@ class Session(NamedTuple):
     """Recorded samples, each field ``[1, ...]``; empty where nothing is recorded."""
 
 
-def begin(engine: Any, record: bool = False) -> Session:
+def begin(engine: Any, record: bool = False) -> TeleopSession:
     """Standing still; for a recording, with the arms out and at rest."""
     world = engine.init()
     seen = engine.observe(world)
     driver = Driver(yaw=float(seen.robot_pose[0, 2]), arms_out=record)
     if record:
         world, seen = engine.step(world, command(driver, seen), 1.0)
-    return Session(world, seen, driver)
+    return TeleopSession(world, seen, driver)
 
 
 def tick(
-    engine: Any, session: Session, keys: list[int], record: bool = False, show: Any = lambda world: None
-) -> Session:
+    engine: Any, session: TeleopSession, keys: list[int], record: bool = False, show: Any = lambda world: None
+) -> TeleopSession:
     """One sample time. ``show`` is called with the engine's world for each picture."""
     driver = session.driver
     for key in keys:
@@ -123,7 +123,7 @@ def tick(
         show(world)
     seen = seen._replace(wrench=np.mean(wrenches, axis=0))
     rows = (*session.rows, sample(session.seen, seen, wanted.u)) if record else ()
-    return Session(world, seen, driver, rows)
+    return TeleopSession(world, seen, driver, rows)
 
 
 def save(directory: Path, condition: Condition, rows: tuple[dict[str, np.ndarray], ...]) -> str:

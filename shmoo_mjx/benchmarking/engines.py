@@ -45,10 +45,10 @@ class _Corridor:
         return np.maximum(1.2 - np.abs(points[..., 1]), 0.0)
 
 
-def _sighting(rng: np.random.Generator) -> pushing.Sighting:
+def _sighting(rng: np.random.Generator) -> pushing.ObjectObservation:
     """Hands on the face, and a little noise: no two steps see the same."""
     noise = 0.01 * rng.standard_normal((7, 3))
-    return pushing.Sighting(
+    return pushing.ObjectObservation(
         robot_pose=noise[0],
         robot_twist=np.array([0.2, 0.0, 0.0]) + noise[1],
         lean=noise[2, :2],

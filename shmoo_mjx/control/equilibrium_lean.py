@@ -57,18 +57,18 @@ def init() -> LeanOffset:
     return LeanOffset(np.zeros(2), 0, None)
 
 
-def step(state: LeanOffset, seen: Observation) -> LeanOffset:
+def step(state: LeanOffset, obs: Observation) -> LeanOffset:
     """Estimate after one more sample of one world."""
     a, b, c = ROBOT.flatness
-    yaw = seen.robot_pose[0, 2]
-    lean = np.asarray(seen.lean[0], dtype=float)
-    speed = seen.robot_twist[0, :2] + b / a * se2.rotate(seen.lean_rate[0], yaw)
+    yaw = obs.robot_pose[0, 2]
+    lean = np.asarray(obs.lean[0], dtype=float)
+    speed = obs.robot_twist[0, :2] + b / a * se2.rotate(obs.lean_rate[0], yaw)
     if state.before is None:
         return state._replace(before=(speed, lean))
     explained = a / c * se2.rotate(speed - state.before[0], -yaw) / DT
-    error = 0.5 * (lean + state.before[1]) + arms_lean(seen.hands[0]) - explained - state.lean
-    if np.hypot(seen.wrench[0, :, 0], seen.wrench[0, :, 1]).max(initial=0.0) > _FREE:
-        return _pushing(state, seen, float(error[0]))._replace(before=(speed, lean))
+    error = 0.5 * (lean + state.before[1]) + arms_lean(obs.hands[0]) - explained - state.lean
+    if np.hypot(obs.wrench[0, :, 0], obs.wrench[0, :, 1]).max(initial=0.0) > _FREE:
+        return _pushing(state, obs, float(error[0]))._replace(before=(speed, lean))
     samples = state.samples + 1
     # The first seconds count in full: a mean grows into a fading memory.
     gain = max(DT / _MEMORY, 1.0 / samples)
@@ -76,9 +76,9 @@ def step(state: LeanOffset, seen: Observation) -> LeanOffset:
     return state._replace(lean=offset, samples=samples, before=(speed, lean))
 
 
-def _pushing(state: LeanOffset, seen: Observation, lean: float) -> LeanOffset:
+def _pushing(state: LeanOffset, obs: Observation, lean: float) -> LeanOffset:
     """``lean`` is what of the forward lean neither moves the robot nor balances it [rad]."""
-    felt = float(se2.rotate(seen.wrench[0, :, :2].sum(axis=0), -seen.robot_pose[0, 2])[0])
+    felt = float(se2.rotate(obs.wrench[0, :, :2].sum(axis=0), -obs.robot_pose[0, 2])[0])
     against, squares = state.pushed[0] + felt * lean / float(static_lean(1.0)), state.pushed[1] + felt**2
     touch = (_TOUCH_PRIOR + against) / (_TOUCH_PRIOR + squares)
     limits = (1 / _TOUCH_LIMIT, _TOUCH_LIMIT)
@@ -95,29 +95,29 @@ def arms_lean(hands: Array) -> np.ndarray:
     return np.asarray(com_offset(arm_angles(in_body))) / ROBOT.body_com_height
 
 
-def predicted(seen: Observation, seconds: float) -> Observation:
-    """Robot and objects extrapolated by ``seconds``; ``seen`` counts the lean from where the robot balances.
+def predicted(obs: Observation, seconds: float) -> Observation:
+    """Robot and objects extrapolated by ``seconds``; ``obs`` counts the lean from where the robot balances.
 
     What the lean has beyond the felt force moves the robot (S'' of the flat output), and objects keep their twist.
     """
     if not seconds:
-        return seen
+        return obs
     a, _, c = ROBOT.flatness
-    yaw = seen.robot_pose[:, 2]
-    felt = static_lean(np.sum(seen.wrench[..., :2], axis=1))
-    push = c / a * (se2.rotate(seen.lean + arms_lean(seen.hands[0]), yaw) - felt)
-    twist, pose = np.array(seen.robot_twist, dtype=float), np.array(seen.robot_pose, dtype=float)
+    yaw = obs.robot_pose[:, 2]
+    felt = static_lean(np.sum(obs.wrench[..., :2], axis=1))
+    push = c / a * (se2.rotate(obs.lean + arms_lean(obs.hands[0]), yaw) - felt)
+    twist, pose = np.array(obs.robot_twist, dtype=float), np.array(obs.robot_pose, dtype=float)
     pose += seconds * twist
     pose[:, :2] += 0.5 * seconds**2 * push
     twist[:, :2] += seconds * push
-    objects = np.asarray(seen.object_pose, dtype=float) + seconds * np.asarray(seen.object_twist)
-    lean = seen.lean + seconds * seen.lean_rate
-    return seen._replace(robot_pose=pose, robot_twist=twist, lean=lean, object_pose=objects)
+    objects = np.asarray(obs.object_pose, dtype=float) + seconds * np.asarray(obs.object_twist)
+    lean = obs.lean + seconds * obs.lean_rate
+    return obs._replace(robot_pose=pose, robot_twist=twist, lean=lean, object_pose=objects)
 
 
-def corrected(state: LeanOffset, seen: Observation) -> Observation:
+def corrected(state: LeanOffset, obs: Observation) -> Observation:
     """The observation with its lean counted from where the robot balances, and forces as the robot leans against."""
-    return seen._replace(lean=seen.lean - state.lean, wrench=seen.wrench * state.touch)
+    return obs._replace(lean=obs.lean - state.lean, wrench=obs.wrench * state.touch)
 
 
 def shifted(state: LeanOffset, command: Command) -> Command:

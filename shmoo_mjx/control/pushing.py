@@ -1,12 +1,13 @@
 """Adaptive pushing (Sec. III-E): MPPI on the learned core while the object's dynamics are learned.
 
 ``PushController`` compiles the two functions a push needs, once for every map and object: the 10 Hz step (adapt, plan,
-command) and the planning stage's roll-outs, which the object planner judges. All memory is in ``PushState``. ``start``,
-``control_step`` and ``coast`` are the same push as pure functions, for whoever maps it over many worlds.
+command) and the planning stage's roll-outs, which the object planner judges. All memory is in ``ControllerState``.
+``start``, ``step`` and ``coast`` are the same push as pure functions, for whoever maps it over many worlds.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -27,15 +28,15 @@ from shmoo_mjx.learning.weights import Weights, prior_state
 from shmoo_mjx.types import DT, Observation, SystemState
 
 __all__ = [
+    "ControllerState",
     "LocalDistanceField",
+    "ObjectObservation",
     "PushConfig",
     "PushController",
-    "PushState",
-    "Sighting",
     "coast",
-    "control_step",
     "local_distance_field",
     "start",
+    "step",
 ]
 
 Array = Any
@@ -100,7 +101,7 @@ class LocalDistanceField(NamedTuple):
     """[m]"""
 
 
-class Sighting(NamedTuple):
+class ObjectObservation(NamedTuple):
     """The robot and one object as perceived at one instant: an Observation reduced to that object."""
 
     robot_pose: Array
@@ -115,7 +116,7 @@ class Sighting(NamedTuple):
     """Whether the object's pose was detected in that sample, not carried on."""
 
     @classmethod
-    def of(cls, seen: Observation, index: int) -> Sighting:
+    def of(cls, seen: Observation, index: int) -> ObjectObservation:
         """From an observation of one world (batch of one)."""
         robot = (seen.robot_pose, seen.robot_twist, seen.lean, seen.lean_rate)
         of_object = (seen.object_pose, seen.object_twist, seen.wrench, seen.detected)
@@ -123,11 +124,11 @@ class Sighting(NamedTuple):
 
 
 _ZERO, _FLAT = np.zeros(3), np.zeros(2)
-_STILL = Sighting(_ZERO, _ZERO, _FLAT, _FLAT, np.array([0.9, 0.0, 0.0]), _ZERO, _ZERO, np.array(True))
+_STILL = ObjectObservation(_ZERO, _ZERO, _FLAT, _FLAT, np.array([0.9, 0.0, 0.0]), _ZERO, _ZERO, np.array(True))
 """Robot and object at rest; for compiling."""
 
 
-class PushState(NamedTuple):
+class ControllerState(NamedTuple):
     """Memory of one push."""
 
     adapt: adaptation.AdaptState
@@ -186,21 +187,27 @@ class PushController:
         self._params = sharding.replicated(self._mesh, weights.params)
         _, restored = ravel_pytree(self._example())
 
-        def step(params: core.Params, adapt: Any, plan: mppi.MppiState, numbers: Array, around: Any) -> Any:
-            return _step(self.config, weights.config, self._mesh, params, adapt, plan, restored(numbers), around)
+        def adapt_and_plan(params: core.Params, adapt: Any, plan: mppi.MppiState, numbers: Array, around: Any) -> Any:
+            given = restored(numbers)
+            return _adapt_and_plan(self.config, weights.config, self._mesh, params, adapt, plan, given, around)
 
-        self._step = sharding.compiled(step, self._mesh)
+        self._compiled = sharding.compiled(adapt_and_plan, self._mesh)
         self._rollouts = sharding.compiled(
             partial(_planning_rollouts, self.config, weights.config, self._mesh), self._mesh
         )
         self._coast = jax.jit(partial(coast, self.config, weights.config))
 
     def init(
-        self, now: Sighting, face: Array, half_extents: Array, key: Array, adapt: adaptation.AdaptState | None = None
-    ) -> PushState:
+        self,
+        obs: ObjectObservation,
+        face: Array,
+        half_extents: Array,
+        key: Array,
+        adapt: adaptation.AdaptState | None = None,
+    ) -> ControllerState:
         """Start a push on ``face [4]``; ``adapt`` carries over what was learned of this object before."""
         adapt = adapt or prior_state(self.weights, self.config.adapt.contact)
-        return start(self.config, adapt, now, face, half_extents, key)
+        return start(self.config, adapt, obs, face, half_extents, key)
 
     def compile(self, around: LocalDistanceField) -> None:
         """Compile all that a push needs, for which the first contact waits otherwise; any ``around`` will do."""
@@ -218,35 +225,41 @@ class PushController:
 
     def step(
         self,
-        state: PushState,
-        now: Sighting,
+        state: ControllerState,
+        obs: ObjectObservation,
         last_u: Array,
         goal: Array,
         around: LocalDistanceField,
         half_extents: Array,
         governor_room: float | None = None,
-    ) -> tuple[np.ndarray, PushState, mppi.Plan]:
-        """One 10 Hz control step: adapt on the sample that ended, plan, and give the command u ``[3]`` to apply now.
+    ) -> tuple[np.ndarray, ControllerState, mppi.Plan]:
+        """`step`, compiled once: the command u ``[3]`` to apply now, the next state, and the plan.
 
         Args:
             state: from ``init`` or the last step.
-            now: what is perceived now, with the wrench of the sample that ended.
+            obs: what is perceived now, with the wrench of the sample that ended.
             last_u: ``[3]`` what was applied during that sample.
             goal: ``[3]`` desired object pose in {W}.
             around: clearance round the object, the object itself left out.
             half_extents: ``[2]`` of the object's footprint [m].
             governor_room: in place of the configuration's, for this step.
         """
-        goal = np.asarray(goal, dtype=float)
-        given, more = _given(self.config, state, now, last_u, goal, half_extents, governor_room)
+        u, state, plan = step(
+            self.config, self.weights.config, self._params, state, obs, np.asarray(goal, dtype=float), last_u,
+            half_extents, around, governor_room, self._adapt_and_plan,
+        )  # fmt: skip
+        return np.asarray(u), state, plan
+
+    def _adapt_and_plan(
+        self, params: core.Params, adapt: Any, plan: mppi.MppiState, given: _Given, around: LocalDistanceField | None
+    ) -> Any:
+        """The compiled part of a step; what it is given travels as one array."""
         numbers = np.concatenate([np.ravel(x) for x in jax.tree.leaves(given)], dtype=np.float32)
-        u, adapt, plan_state, plan = self._step(self._params, state.adapt, state.plan, numbers, around)
-        u = govern(np.asarray(u, dtype=float), *given.lean)
-        state = PushState(adapt, plan_state, given.system, np.asarray(now.detected), more)
-        return u, state, plan
+        u, *rest = self._compiled(params, adapt, plan, numbers, around)
+        return np.asarray(u, dtype=float), *rest
 
     def planning_rollouts(
-        self, state: PushState, goal: Array, around: LocalDistanceField, half_extents: Array
+        self, state: ControllerState, goal: Array, around: LocalDistanceField, half_extents: Array
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The planning stage's roll-outs (T = 50) from the state of the last step.
 
@@ -258,85 +271,111 @@ class PushController:
         )
         return np.asarray(poses), np.asarray(robots), np.asarray(costs)
 
-    def coast(self, state: PushState) -> np.ndarray:
+    def coast(self, state: ControllerState) -> np.ndarray:
         """Where the object comes to rest ``[3]`` in {W} if the hands let go of it now, as the adapted model has it."""
         return np.asarray(self._coast(self.weights.params, state.adapt, state.before), dtype=float)
 
 
 def start(
-    config: PushConfig, adapt: adaptation.AdaptState, now: Sighting, face: Array, half_extents: Array, key: Array
-) -> PushState:
+    config: PushConfig,
+    adapt: adaptation.AdaptState,
+    obs: ObjectObservation,
+    face: Array,
+    half_extents: Array,
+    key: Array,
+) -> ControllerState:
     """The state with which a push on ``face [4]`` begins; pure."""
     zero = np.zeros(3)
-    before = _system_state(now, zero, zero, zero[:2], zero, face, half_extents)
-    xp = se2.array_module(now.wrench)
-    return PushState(adapt, mppi.init(config.control, key), before, xp.asarray(now.detected), xp.zeros(()))
+    before = _system_state(obs, zero, zero, zero[:2], zero, face, half_extents)
+    xp = se2.array_module(obs.wrench)
+    return ControllerState(adapt, mppi.init(config.control, key), before, xp.asarray(obs.detected), xp.zeros(()))
 
 
-def control_step(
+def step(
     config: PushConfig,
     core_config: Any,
     params: core.Params,
-    state: PushState,
-    now: Sighting,
-    last_u: Array,
+    state: ControllerState,
+    obs: ObjectObservation,
     goal: Array,
+    last_u: Array,
     half_extents: Array,
-) -> tuple[Array, PushState]:
-    """:meth:`PushController.step` on a floor without obstacles as one pure function, for jit and vmap over worlds."""
-    open_floor = replace(config, cost=replace(config.cost, clearance_weight=0.0))
-    given, more = _given(config, state, now, last_u, goal, half_extents)
-    u, adapt, plan_state, _ = _step(open_floor, core_config, None, params, state.adapt, state.plan, given, None)
-    return govern(u, *given.lean), PushState(adapt, plan_state, given.system, jnp.asarray(now.detected), more)
+    around: LocalDistanceField | None = None,
+    governor_room: float | None = None,
+    adapt_and_plan: Callable[..., Any] | None = None,
+) -> tuple[Array, ControllerState, mppi.Plan]:
+    """One 10 Hz control step, pure, for jit and vmap: adapt on the sample that ended, plan, and give the command.
+
+    Args:
+        config: static settings.
+        core_config: shapes of the learned model; static.
+        params: the learned model.
+        state: from `start` or the last step.
+        obs: what is perceived now, with the wrench of the sample that ended.
+        goal: ``[3]`` desired object pose in {W}.
+        last_u: ``[3]`` what was applied during that sample.
+        half_extents: ``[2]`` of the object's footprint [m].
+        around: clearance round the object, the object itself left out; None on a floor without obstacles.
+        governor_room: in place of the configuration's, for this step.
+        adapt_and_plan: a compiled version of what Eq. 8 and MPPI do in it; PushController's.
+
+    Returns:
+        The command u ``[3]`` to apply now, the next state, and the plan.
+    """
+    run = adapt_and_plan or partial(_adapt_and_plan, config, core_config, None)
+    given, more = _given(config, state, obs, last_u, goal, half_extents, governor_room)
+    u, adapt, plan_state, plan = run(params, state.adapt, state.plan, given, around)
+    detected = se2.array_module(u).asarray(obs.detected)
+    return govern(u, *given.lean), ControllerState(adapt, plan_state, given.system, detected, more), plan
 
 
 def _given(
     config: PushConfig,
-    state: PushState,
-    now: Sighting,
+    state: ControllerState,
+    obs: ObjectObservation,
     last_u: Array,
     goal: Array,
     half_extents: Array,
     room: float | None = None,
 ) -> tuple[_Given, Array]:
     """What the step is given, and the lean that the governor grants next for lagging behind [rad]."""
-    system, transition = _perceive(config, state, now, last_u, half_extents)
-    lean, more = _governor(config, now, goal, state.more, room)
+    system, transition = _perceive(config, state, obs, last_u, half_extents)
+    lean, more = _governor(config, obs, goal, state.more, room)
     return _Given(system, transition, _f32(goal), _f32(half_extents), lean), more
 
 
 def _perceive(
-    config: PushConfig, state: PushState, now: Sighting, last_u: Array, half_extents: Array
+    config: PushConfig, state: ControllerState, obs: ObjectObservation, last_u: Array, half_extents: Array
 ) -> tuple[SystemState, _Transition]:
-    before, xp = state.before, se2.array_module(now.wrench)
+    before, xp = state.before, se2.array_module(obs.wrench)
     twist_before = se2.rotate(before.object_twist, -before.object_pose[2])
-    wrench = se2.rotate(now.wrench, -before.object_pose[2])
-    force = se2.rotate(now.wrench[:2], -before.robot_pose[2])
+    wrench = se2.rotate(obs.wrench, -before.object_pose[2])
+    force = se2.rotate(obs.wrench[:2], -before.robot_pose[2])
     inputs = xp.concatenate([twist_before, wrench, before.last_object_twist, before.size[None], before.last_wrench])
-    label = se2.rotate((now.object_twist - before.object_twist) / DT, -before.object_pose[2])
+    label = se2.rotate((obs.object_twist - before.object_twist) / DT, -before.object_pose[2])
     coasts = xp.hypot(before.object_twist[0], before.object_twist[1]) > config.moving
     # A pose that was carried on, now or a sample ago, says nothing about the object.
-    measured = xp.asarray(now.detected) & xp.asarray(state.detected)
-    valid = xp.asarray(config.adapts & (touches(now.wrench) | coasts) & measured)
-    system = _system_state(now, twist_before, wrench, force, last_u, before.face, half_extents)
+    measured = xp.asarray(obs.detected) & xp.asarray(state.detected)
+    valid = xp.asarray(config.adapts & (touches(obs.wrench) | coasts) & measured)
+    system = _system_state(obs, twist_before, wrench, force, last_u, before.face, half_extents)
     return system, _Transition(_f32(inputs), _f32(label), valid)
 
 
 def _governor(
-    config: PushConfig, now: Sighting, goal: Array, more: Array, room: float | None = None
+    config: PushConfig, obs: ObjectObservation, goal: Array, more: Array, room: float | None = None
 ) -> tuple[Array, Array]:
     """``[2]`` least and largest forward lean that may be commanded now, and what it grants for lagging behind [rad]."""
     low, high = config.control.low[0], config.control.high[0]
-    offset = goal[:2] - now.object_pose[:2]
-    xp = se2.array_module(now.wrench, offset)
+    offset = goal[:2] - obs.object_pose[:2]
+    xp = se2.array_module(obs.wrench, offset)
     if not config.governor.gain:
         return xp.asarray([low, high]), more
     limit = cost.allowed_speed(config.cost, xp.hypot(offset[0], offset[1]))
-    lean, more = forward_lean(config.governor, now.robot_pose, now.robot_twist, now.lean_rate, now.wrench, limit, more)
+    lean, more = forward_lean(config.governor, obs.robot_pose, obs.robot_twist, obs.lean_rate, obs.wrench, limit, more)
     lean, room = xp.clip(lean, low, high), config.governor_room if room is None else room
     if room < 1.0:
         # What sticks is leant into until it breaks away, whatever the model believes.
-        room = room * xp.clip(xp.hypot(now.robot_twist[0], now.robot_twist[1]) / limit, 0.0, 1.0)
+        room = room * xp.clip(xp.hypot(obs.robot_twist[0], obs.robot_twist[1]) / limit, 0.0, 1.0)
     return xp.stack([lean - room, lean]), more
 
 
@@ -345,7 +384,7 @@ def _f32(x: Array) -> Array:
 
 
 def _system_state(
-    now: Sighting,
+    obs: ObjectObservation,
     last_twist: Array,
     last_wrench: Array,
     last_force: Array,
@@ -354,12 +393,12 @@ def _system_state(
     half_extents: Array,
 ) -> SystemState:
     values = SystemState(
-        robot_pose=now.robot_pose,
-        robot_twist=now.robot_twist,
-        lean=now.lean,
-        lean_rate=now.lean_rate,
-        object_pose=now.object_pose,
-        object_twist=now.object_twist,
+        robot_pose=obs.robot_pose,
+        robot_twist=obs.robot_twist,
+        lean=obs.lean,
+        lean_rate=obs.lean_rate,
+        object_pose=obs.object_pose,
+        object_twist=obs.object_twist,
         last_object_twist=last_twist,
         last_wrench=last_wrench,
         last_force=last_force,
@@ -394,7 +433,7 @@ def _functions(
     return lambda state, controls: model(state, govern(controls, *lean)), cost_fn
 
 
-def _step(
+def _adapt_and_plan(
     config: PushConfig,
     core_config: Any,
     mesh: Any,
@@ -434,7 +473,7 @@ def _planning_rollouts(
 
 
 def coast(
-    config: PushConfig, core_config: Any, params: core.Params, adapt: adaptation.AdaptState, now: SystemState
+    config: PushConfig, core_config: Any, params: core.Params, adapt: adaptation.AdaptState, state: SystemState
 ) -> Array:
     """Pose ``[3]`` in {W} some samples on without a force. What nothing pushes slows down, and never turns back."""
     params = _with_coefficients(params, adapt)
@@ -448,7 +487,7 @@ def coast(
     def one_sample(carry: tuple[Array, ...], _: None) -> tuple[tuple[Array, ...], None]:
         pose, twist, last, last_wrench = carry
         inside, none = se2.rotate(twist, -pose[2]), jnp.zeros(3)
-        inputs = features.object_inputs(inside, none, last, now.size, last_wrench)
+        inputs = features.object_inputs(inside, none, last, state.size, last_wrench)
         push = free(inputs)
         new = twist + se2.rotate(push, pose[2]) * DT
         speed = jnp.linalg.norm(twist[:2]) + 1e-6
@@ -456,5 +495,5 @@ def coast(
         new = jnp.maximum(kept, 0.0) * twist
         return (pose + 0.5 * (twist + new) * DT, new, inside, none), None
 
-    start = (now.object_pose, now.object_twist, now.last_object_twist, now.last_wrench)
+    start = (state.object_pose, state.object_twist, state.last_object_twist, state.last_wrench)
     return jax.lax.scan(one_sample, start, None, length=_COAST_SAMPLES)[0][0]

@@ -15,12 +15,12 @@ import numpy as np
 from shmoo_mjx import se2
 from shmoo_mjx.control.cost import PushCost, allowed_speed
 from shmoo_mjx.control.governor import GovernorConfig, forward_lean
-from shmoo_mjx.control.pushing import LocalDistanceField, Sighting
+from shmoo_mjx.control.pushing import LocalDistanceField, ObjectObservation
 from shmoo_mjx.hands import REACH
 from shmoo_mjx.learning.adaptation import AdaptState
 from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
 
-__all__ = ["LEAN_LIMIT", "QuasiStaticPusher", "QuasiStaticState", "law"]
+__all__ = ["LEAN_LIMIT", "QuasiStaticPusher", "QuasiStaticState", "control"]
 
 Array = Any
 
@@ -57,35 +57,35 @@ class QuasiStaticPusher:
         self.cost = cost
 
     def init(
-        self, now: Sighting, face: Array, half_extents: Array, key: Array, adapt: AdaptState | None = None
+        self, obs: ObjectObservation, face: Array, half_extents: Array, key: Array, adapt: AdaptState | None = None
     ) -> QuasiStaticState:
         """Start a push on ``face [4]``."""
-        return QuasiStaticState(np.asarray(face), now.object_pose, adapt, np.zeros(()))
+        return QuasiStaticState(np.asarray(face), obs.object_pose, adapt, np.zeros(()))
 
     def step(
         self,
         state: QuasiStaticState,
-        now: Sighting,
+        obs: ObjectObservation,
         last_u: Array,
         goal: Array,
         around: LocalDistanceField,
         half_extents: Array,
     ) -> tuple[np.ndarray, QuasiStaticState, None]:
         """The command ``[3]`` for the next sample; arguments as for the controller it stands in for."""
-        u, more = law(self.cost, state.face, now, np.asarray(goal, dtype=float), state.more)
-        return u, state._replace(pose=now.object_pose, more=more), None
+        u, more = control(self.cost, state.face, obs, np.asarray(goal, dtype=float), state.more)
+        return u, state._replace(pose=obs.object_pose, more=more), None
 
     def coast(self, state: QuasiStaticState) -> np.ndarray:
         """Quasi-static objects don't."""
         return state.pose
 
 
-def law(cost: PushCost, face: Array, now: Sighting, goal: Array, more: Array) -> tuple[Array, Array]:
+def control(cost: PushCost, face: Array, obs: ObjectObservation, goal: Array, more: Array) -> tuple[Array, Array]:
     """The command ``[3]`` [rad] for ``face [4]`` and ``goal [3]`` in {W}, and the governor's next ``more``.
 
     Pure, on NumPy and JAX arrays alike.
     """
-    pose, xp = now.object_pose, se2.array_module(now.object_pose, now.robot_pose)
+    pose, xp = obs.object_pose, se2.array_module(obs.object_pose, obs.robot_pose)
     offset = goal[:2] - pose[:2]
     bearing = xp.arctan2(offset[1], offset[0])
     lead = se2.wrap(bearing - goal[2] - face[2])
@@ -96,21 +96,21 @@ def law(cost: PushCost, face: Array, now: Sighting, goal: Array, more: Array) ->
     curvature = xp.where(ahead, -2.0 * xp.sin(lead) / xp.maximum(distance, 0.3), 0.0)
     # What the arc turns is wanted beforehand; the error alone would always lag behind it.
     error = se2.wrap(pose[2] + face[2] - wanted) - _AHEAD * curvature
-    sideways = _sideways(face, now, error)
-    velocity = se2.rotate(now.robot_twist[:2], -now.robot_pose[2])
-    lean = velocity_to_lean(Gains(), velocity, now.lean_rate, xp.stack([0.0 * sideways, sideways]))
+    sideways = _sideways(face, obs, error)
+    velocity = se2.rotate(obs.robot_twist[:2], -obs.robot_pose[2])
+    lean = velocity_to_lean(Gains(), velocity, obs.lean_rate, xp.stack([0.0 * sideways, sideways]))
     limit = allowed_speed(cost, distance)
     forward, more = forward_lean(
-        GovernorConfig(), now.robot_pose, now.robot_twist, now.lean_rate, now.wrench, limit, more
+        GovernorConfig(), obs.robot_pose, obs.robot_twist, obs.lean_rate, obs.wrench, limit, more
     )
     forward = xp.clip(forward, -LEAN_LIMIT, LEAN_LIMIT)
     return xp.stack([forward, lean[1], xp.clip(_STEER * error, -_STEER_LIMIT, _STEER_LIMIT)]), more
 
 
-def _sideways(face: Array, now: Sighting, error: Array) -> Array:
+def _sideways(face: Array, obs: ObjectObservation, error: Array) -> Array:
     """Speed along the face [m/s] that brings the hands to where they turn the object against ``error`` [rad]."""
-    xp = se2.array_module(now.robot_pose, error)
-    in_face = se2.relative(se2.compose(now.object_pose, face[:3]), now.robot_pose)
+    xp = se2.array_module(obs.robot_pose, error)
+    in_face = se2.relative(se2.compose(obs.object_pose, face[:3]), obs.robot_pose)
     hands = in_face[1] + REACH * xp.sin(in_face[2])
     # Pushing right of the centre turns the object left.
     room = xp.maximum(face[3] - 0.18, 0.0)

@@ -17,13 +17,13 @@ from shmoo_mjx import se2
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.types import Array
 
-__all__ = ["Condition", "load"]
+__all__ = ["RealPushCondition", "load"]
 
 _POSES = ("obj_x0", "obj_y0", "obj_th0", "obj_x1", "obj_y1", "obj_th1")
 _FEWEST = 10
 
 
-class Condition(NamedTuple):
+class RealPushCondition(NamedTuple):
     """N pushes of one object on one surface."""
 
     shape: str
@@ -44,7 +44,7 @@ class Condition(NamedTuple):
     """Of the pusher [m]."""
 
 
-def load(directory: Path) -> dict[str, dict[str, Condition]]:
+def load(directory: Path) -> dict[str, dict[str, RealPushCondition]]:
     """Data sets by name, each with its conditions by name.
 
     Args:
@@ -65,7 +65,7 @@ def load(directory: Path) -> dict[str, dict[str, Condition]]:
     return data
 
 
-def _mit_push(path: Path) -> dict[str, Condition]:
+def _mit_push(path: Path) -> dict[str, RealPushCondition]:
     """Cylinder of 4.75 mm radius; recordings start at first contact and carry two models' predictions."""
     models = {"quadratic": "quad", "poly4": "poly4"}
     predicted = [f"pred_{short}_{axis}1" for short in models.values() for axis in ("x", "y", "th")]
@@ -77,11 +77,11 @@ def _mit_push(path: Path) -> dict[str, Condition]:
         told = dict(zip(models, np.split(poses, len(models), axis=1), strict=True))
         published = {name: se2.relative(before, pose) for name, pose in told.items()}
         motion = se2.relative(before, after)
-        conditions[f"{surface}/{shape}"] = Condition(shape, start, end, motion, start, published, True, 0.00475)
+        conditions[f"{surface}/{shape}"] = RealPushCondition(shape, start, end, motion, start, published, True, 0.00475)
     return conditions
 
 
-def _mlab_triangle(path: Path) -> dict[str, Condition]:
+def _mlab_triangle(path: Path) -> dict[str, RealPushCondition]:
     """One triangle on several supports; recordings start before contact and end on the outline itself."""
     columns = [*_POSES, "pusher_x0", "pusher_y0", "pusher_x1", "pusher_y1"]
     conditions = {}
@@ -89,7 +89,7 @@ def _mlab_triangle(path: Path) -> dict[str, Condition]:
         before, after, start, end = np.split(values, [3, 6, 8], axis=1)
         touch, motion = se2.inverse_transform_point(after, end), se2.relative(before, after)
         start, end = (se2.inverse_transform_point(before, point) for point in (start, end))
-        conditions[f"{surface}/{support}"] = Condition("triangle", start, end, motion, touch, {}, False, 0.0)
+        conditions[f"{surface}/{support}"] = RealPushCondition("triangle", start, end, motion, touch, {}, False, 0.0)
     return conditions
 
 

@@ -122,11 +122,11 @@ def _frozen(trial: _Trial, seen: Observation) -> Observation:
 def _jump(trial: _Trial) -> None:
     """The estimate of {D} in {W} is 0.3 m off; the localiser has to bring it back."""
     world = trial.simulation.world
-    mind: Any = world.mind
-    frame = np.array(mind.odometry.frame)
+    sensor_state: Any = world.sensor_state
+    frame = np.array(sensor_state.odometry.frame)
     frame[:, :2] += 0.3 * np.array([np.cos(2.0), np.sin(2.0)])
-    odometry = mind.odometry._replace(frame=frame)
-    trial.simulation.world = world._replace(mind=mind._replace(odometry=odometry))
+    odometry = sensor_state.odometry._replace(frame=frame)
+    trial.simulation.world = world._replace(sensor_state=sensor_state._replace(odometry=odometry))
 
 
 def _dead_shoulder(trial: _Trial) -> None:

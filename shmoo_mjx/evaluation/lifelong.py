@@ -17,7 +17,7 @@ import shapely
 
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.manipulable import BORDER
-from shmoo_mjx.evaluation.navigation import POLICIES, Robot, play, robot_of, scores_of, told_of, trials_folder
+from shmoo_mjx.evaluation.navigation import POLICIES, TestedRobot, play, robot_of, scores_of, told_of, trials_folder
 from shmoo_mjx.evaluation.navigation_failures import keep_failure, write_failures
 from shmoo_mjx.evaluation.navigation_places import Places, as_data, find_places, generated_from, kept
 from shmoo_mjx.evaluation.paired import OURS, metrics_by_method
@@ -86,7 +86,9 @@ def run(options: ExperimentOptions) -> ExperimentResult:
     return make_result("lifelong", options, asdict(cfg) | about, metrics, {}, rows)
 
 
-def _trial(places: Places, robot: Robot, store: Path, goals: int, trial: tuple[str, int, str]) -> list[dict[str, Any]]:
+def _trial(
+    places: Places, robot: TestedRobot, store: Path, goals: int, trial: tuple[str, int, str]
+) -> list[dict[str, Any]]:
     """One run through a sequence. No row if the map has no place for it."""
     map_name, number, policy = trial
     grid = load_map(places.maps[map_name])

@@ -45,8 +45,8 @@ if TYPE_CHECKING:
 __all__ = [
     "POLICIES",
     "NavigationTrials",
-    "Policy",
-    "Robot",
+    "PolicyVariant",
+    "TestedRobot",
     "play",
     "robot_of",
     "run",
@@ -56,7 +56,7 @@ __all__ = [
 ]
 
 
-class Policy(NamedTuple):
+class PolicyVariant(NamedTuple):
     """How objects are dealt with."""
 
     config: NavigatorConfig
@@ -74,16 +74,16 @@ def _as_they_are(generated: Generated) -> list[Status]:
 
 _ALL_MOVABLE = ObjectPlannerConfig(threshold=0.0)
 POLICIES = {
-    OURS: Policy(NavigatorConfig()),
-    "oracle": Policy(NavigatorConfig(planner=_ALL_MOVABLE), _as_they_are),
-    "always_avoid": Policy(NavigatorConfig(second_chance=False), _all_fixed),
-    "always_push": Policy(NavigatorConfig(goes_round=False, planner=_ALL_MOVABLE)),
+    OURS: PolicyVariant(NavigatorConfig()),
+    "oracle": PolicyVariant(NavigatorConfig(planner=_ALL_MOVABLE), _as_they_are),
+    "always_avoid": PolicyVariant(NavigatorConfig(second_chance=False), _all_fixed),
+    "always_push": PolicyVariant(NavigatorConfig(goes_round=False, planner=_ALL_MOVABLE)),
 }
 """In the order in which they run: of an experiment that is stopped, ours is there first."""
 
 
 @dataclass(frozen=True)
-class Robot:
+class TestedRobot:
     """With what every policy runs."""
 
     seed: int
@@ -93,9 +93,9 @@ class Robot:
     weights: Path
 
 
-def robot_of(options: ExperimentOptions) -> Robot:
+def robot_of(options: ExperimentOptions) -> TestedRobot:
     """The robot that is asked for."""
-    return Robot(options.seed, options.senses, options.weights or asset(WEIGHTS))
+    return TestedRobot(options.seed, options.senses, options.weights or asset(WEIGHTS))
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ def trials_folder(options: ExperimentOptions, folder: Path, scenario: ScenarioCo
     return folder / f"trials-{fingerprint(__name__, settings, robot.weights, *given)}"
 
 
-def _trial(places: Places, robot: Robot, store: Path, trial: tuple[str, int, str]) -> list[dict[str, Any]]:
+def _trial(places: Places, robot: TestedRobot, store: Path, trial: tuple[str, int, str]) -> list[dict[str, Any]]:
     """One run: of one policy in one scenario. No row if the map has no place for that scenario."""
     map_name, number, policy = trial
     grid = load_map(places.maps[map_name])
@@ -175,7 +175,11 @@ def _trial(places: Places, robot: Robot, store: Path, trial: tuple[str, int, str
 
 
 def play(
-    robot: Robot, grid: OccupancyGrid, generated: Generated, policy: str, goals: Sequence[tuple[float, float]] = ()
+    robot: TestedRobot,
+    grid: OccupancyGrid,
+    generated: Generated,
+    policy: str,
+    goals: Sequence[tuple[float, float]] = (),
 ) -> Episode:
     """One run of a policy (of POLICIES, or "package.module:Name") through a generated scenario.
 

@@ -11,7 +11,7 @@ from shmoo_mjx.report.tables import markdown_table
 
 __all__ = [
     "OURS",
-    "Difference",
+    "PairedDifference",
     "difference_metrics",
     "differences_table",
     "metrics_by_method",
@@ -24,7 +24,7 @@ OURS = "ours"
 Row = dict[str, Any]
 
 
-class Difference(NamedTuple):
+class PairedDifference(NamedTuple):
     """Mean of (ours - theirs), with a 95 % interval."""
 
     mean: float
@@ -34,7 +34,7 @@ class Difference(NamedTuple):
     """Trials that count."""
 
 
-def paired_difference(ours: Sequence[float], theirs: Sequence[float], resamples: int = 9999) -> Difference | None:
+def paired_difference(ours: Sequence[float], theirs: Sequence[float], resamples: int = 9999) -> PairedDifference | None:
     """Mean of ours - theirs over the same trials, with its 95 % percentile bootstrap interval; None for fewer than two.
 
     Resamples of the trials are drawn with the same random numbers always.
@@ -48,7 +48,7 @@ def paired_difference(ours: Sequence[float], theirs: Sequence[float], resamples:
     found = bootstrap(
         (differences,), np.mean, n_resamples=resamples, method="percentile", rng=np.random.default_rng(0)
     ).confidence_interval
-    return Difference(float(differences.mean()), float(found.low), float(found.high), int(differences.size))
+    return PairedDifference(float(differences.mean()), float(found.low), float(found.high), int(differences.size))
 
 
 def difference_metrics(key: str, name: str, pairs: Sequence[tuple[Row, Row]]) -> dict[str, float]:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from shmoo_mjx import se2
-from shmoo_mjx.data.real_pushes import Condition
+from shmoo_mjx.data.real_pushes import RealPushCondition
 from shmoo_mjx.evaluation import push_outline, push_physics
 from shmoo_mjx.learning import daiml
 from shmoo_mjx.types import Array
@@ -42,7 +42,7 @@ class Prepared(NamedTuple):
     """``[M, 2]`` of the outline [m]."""
 
 
-def credible(condition: Condition) -> np.ndarray:
+def credible(condition: RealPushCondition) -> np.ndarray:
     """``[N]`` False where the point touched moved much farther than the pusher: the object's pose was lost.
 
     It needs the outcome, so it may pick what is learned from, never what is scored.
@@ -52,9 +52,9 @@ def credible(condition: Condition) -> np.ndarray:
 
 
 def prepare(
-    condition: Condition,
+    condition: RealPushCondition,
     known: Array,
-    same_shape: Sequence[Condition] = (),
+    same_shape: Sequence[RealPushCondition] = (),
     prior: tuple[Array, Array] | None = None,
 ) -> Prepared:
     """Outline and quasi-static model from the pushes ``known [n]`` (indices), and all pushes in those terms.

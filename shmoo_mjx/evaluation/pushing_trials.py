@@ -258,7 +258,7 @@ class Runner:
             self._pushers[method] = _pusher(method, weights)
         scene = scene_of_trial(trial, trial.condition, self.senses)
         # It is told where the object stands, as it is told the goal: to find the object is not part of the task.
-        engine = SensedEngine([scene], self.senses, trial.seed, told=True)
+        engine = SensedEngine([scene], self.senses, trial.seed, poses_known=True)
         adapt, adapt_after = None, None
         if method == "hindsight":
             adapt = hindsight(self.weights, trial.condition, trial.seed % 10_000)

@@ -16,7 +16,7 @@ import numpy as np
 
 from shmoo_mjx import se2
 from shmoo_mjx.data import real_pushes
-from shmoo_mjx.data.real_pushes import Condition
+from shmoo_mjx.data.real_pushes import RealPushCondition
 from shmoo_mjx.dynamics.object_model import ObjectConfig
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import push_learning, push_physics
@@ -127,7 +127,7 @@ def errors(predicted: Array, motion: Array) -> tuple[float, float]:
     return float(1e3 * position.mean()), float(np.degrees(angle).mean())
 
 
-def linear(condition: Condition, known: Array) -> np.ndarray:
+def linear(condition: RealPushCondition, known: Array) -> np.ndarray:
     """Motions ``[N, 3]`` by least squares on start and end of the pusher, its ridge chosen by leaving one out."""
     raw = np.concatenate([condition.start, condition.end], axis=1)
     x = np.concatenate([np.ones((len(raw), 1)), (raw - raw[known].mean(axis=0)) / raw[known].std(axis=0)], axis=1)
@@ -172,7 +172,11 @@ def _trial(cfg: RealPushing, directory: Path, condition_seed: int, trial: tuple[
 
 
 def _predictions(
-    condition: Condition, known: Array, same: list[Condition], prior: tuple[Array, Array], fits: list[Any]
+    condition: RealPushCondition,
+    known: Array,
+    same: list[RealPushCondition],
+    prior: tuple[Array, Array],
+    fits: list[Any],
 ) -> dict[str, Array]:
     """Motions ``[N, 3]`` of all pushes by every predictor; of the condition's outcomes only ``known`` are looked at."""
     known = known[push_learning.credible(condition)[known]]

@@ -1,9 +1,9 @@
 """Experiment `robot_finetune`: R on another robot, before and after five minutes of its data (Sec. III-D.3, Fig. 8).
 
-A robot with real senses stands for the hardware (plant/body.py, sensing): another body, delay, noise, drift, force
-only by J tau. Scripted operators push objects with it for five minutes; R goes on training on these, and is scored on
-another two minutes, on objects of their own. Labels are what the robot itself measures, noise included, as on hardware.
-What eight times as much data bring shows how much there is to learn at all.
+A robot with real senses stands for the hardware (plant/perturbation.py, sensing): another body, delay, noise, drift,
+force only by J tau. Scripted operators push objects with it for five minutes; R goes on training on these, and is
+scored on another two minutes, on objects of their own. Labels are what the robot itself measures, noise included, as on
+hardware. What eight times as much data bring shows how much there is to learn at all.
 """
 
 from __future__ import annotations
@@ -132,7 +132,7 @@ class _Work:
         for k, family in enumerate(FAMILIES):
             seeds = [self.first_unseen + 100 * (1 + int(test)) + i for i in range(count)]
             chunk = [draw_condition(family, seed) for seed in seeds]
-            engine = partial(SensedEngine, senses=senses, seed=robot_seed, told=True)
+            engine = partial(SensedEngine, senses=senses, seed=robot_seed, poses_known=True)
             recorded = record(settings, chunk, k, senses.adjust(robot_seed), engine)
             for condition, values in zip(chunk, recorded, strict=True):
                 names.append(f"{family}-{condition.seed}")

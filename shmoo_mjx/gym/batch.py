@@ -14,7 +14,7 @@ from gymnasium.vector.utils import batch_space
 
 from shmoo_mjx.gym import EPISODE_STEPS
 from shmoo_mjx.gym.navigate import NavigateConfig, NavigateTask
-from shmoo_mjx.gym.push import PushConfig, PushTask
+from shmoo_mjx.gym.push import PushEnvConfig, PushEnvTask
 from shmoo_mjx.gym.single import checked, space
 from shmoo_mjx.gym.task import Outcome, Start, Task
 from shmoo_mjx.plant.engine_mjx import MjxEngine, MjxWorld
@@ -99,7 +99,9 @@ class ShmooVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self._engine = MjxEngine(self._scenes)
         else:
             self._engine.change(self._scenes)
-        self._sensed = SensedEngine(self._scenes, self.senses, robots, told=self.task.told, backend=self._engine)
+        self._sensed = SensedEngine(
+            self._scenes, self.senses, robots, poses_known=self.task.poses_known, backend=self._engine
+        )
 
     def _begin(self, which: np.ndarray, drawn: bool = False) -> None:
         """Start episodes in the worlds ``which [W]``; ``drawn`` if their starts are new already."""
@@ -157,10 +159,10 @@ class PushVectorEnv(ShmooVectorEnv):
         self,
         num_envs: int = 1,
         max_episode_steps: int = EPISODE_STEPS["ShmooPush-v0"],
-        config: PushConfig | None = None,
+        config: PushEnvConfig | None = None,
         senses: str = "real",
     ) -> None:
-        super().__init__(PushTask(config), num_envs, max_episode_steps, senses)
+        super().__init__(PushEnvTask(config), num_envs, max_episode_steps, senses)
 
 
 class NavigateVectorEnv(ShmooVectorEnv):

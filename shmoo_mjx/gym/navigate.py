@@ -81,7 +81,7 @@ class NavigateTask:
         *(part for i in range(_OBJECTS) for part in _object_parts(i)),
     )  # fmt: skip
     action: tuple[Part, ...] = (*ACTIONS, Part("arms", 1, 0.0, 1.0, "1", "from folded (0) to extended in front (1)"))
-    told = False
+    poses_known = False
 
     def __init__(self, config: NavigateConfig | None = None) -> None:
         self.config = config or NavigateConfig()

@@ -15,11 +15,11 @@ from shmoo_mjx.gym.task import ACTIONS, BODY, Outcome, Part, Start, body, comman
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 from shmoo_mjx.types import Command, Observation
 
-__all__ = ["PushConfig", "PushGoal", "PushTask"]
+__all__ = ["PushEnvConfig", "PushEnvTask", "PushGoal"]
 
 
 @dataclass(frozen=True)
-class PushConfig:
+class PushEnvConfig:
     """Choices of the task, SI units."""
 
     family: str = "box"
@@ -56,7 +56,7 @@ class PushGoal(NamedTuple):
     """``[W, 2]`` [m]"""
 
 
-class PushTask:
+class PushEnvTask:
     """The robot starts in front of the object's rear face; its arms come out in the first half second."""
 
     observation: tuple[Part, ...] = (
@@ -69,13 +69,13 @@ class PushTask:
     )
     action: tuple[Part, ...] = ACTIONS
     bump = 0.0
-    told = True
+    poses_known = True
 
-    def __init__(self, config: PushConfig | None = None) -> None:
-        self.config = config or PushConfig()
+    def __init__(self, config: PushEnvConfig | None = None) -> None:
+        self.config = config or PushEnvConfig()
         if self.config.family not in FAMILIES:
             names = ", ".join(FAMILIES)
-            raise ShmooError(f"PushConfig: family {self.config.family!r} is unknown; choose one of {names}.")
+            raise ShmooError(f"PushEnvConfig: family {self.config.family!r} is unknown; choose one of {names}.")
         self.fall, self.bonus = self.config.fall, self.config.bonus
 
     def draw(self, rng: np.random.Generator, same_world: Start | None = None) -> Start:

@@ -11,7 +11,7 @@ import numpy as np
 
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.gym.navigate import NavigateConfig, NavigateTask
-from shmoo_mjx.gym.push import PushConfig, PushTask
+from shmoo_mjx.gym.push import PushEnvConfig, PushEnvTask
 from shmoo_mjx.gym.task import Outcome, Part, Start, Task
 from shmoo_mjx.plant.render import can_render, frames, has_display
 from shmoo_mjx.sensing import SensedEngine, SensedWorld, senses_named
@@ -85,7 +85,7 @@ class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         start = self.task.draw(self.np_random)
         robot = int(self.np_random.integers(2**31))
         scene, context = start.scene("mujoco", self.senses.adjust(robot)), self.task.gather([start])
-        engine = SensedEngine([scene], self.senses, robot, told=self.task.told)
+        engine = SensedEngine([scene], self.senses, robot, poses_known=self.task.poses_known)
         world = engine.init()
         seen = engine.observe(world)
         outcome = self.task.judge(context, engine.true_observation(world))
@@ -182,8 +182,10 @@ class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 class PushEnv(ShmooEnv):
     """``ShmooPush-v0``."""
 
-    def __init__(self, config: PushConfig | None = None, render_mode: str | None = None, senses: str = "real") -> None:
-        super().__init__(PushTask(config), render_mode, senses)
+    def __init__(
+        self, config: PushEnvConfig | None = None, render_mode: str | None = None, senses: str = "real"
+    ) -> None:
+        super().__init__(PushEnvTask(config), render_mode, senses)
 
 
 class NavigateEnv(ShmooEnv):

@@ -106,7 +106,7 @@ class Task(Protocol):
     """Reward of success, which ends the episode."""
     bump: float
     """Reward of 0.1 s in contact with a wall."""
-    told: bool
+    poses_known: bool
     """Whether the robot knows from the start where the objects stand, in sight or not."""
 
     def draw(self, rng: np.random.Generator, same_world: Start | None = None) -> Start:

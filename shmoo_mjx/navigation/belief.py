@@ -99,7 +99,7 @@ class Belief:
 
     def update(
         self,
-        seen: Observation,
+        obs: Observation,
         sizes: Sequence[tuple[float, float]],
         pushed: int | None = None,
         first_status: Sequence[Status] | None = None,
@@ -107,7 +107,7 @@ class Belief:
         """Take in an observation: poses and sizes, as markers on an object's corners give them; never dynamics.
 
         Args:
-            seen: one world; the pose of an object that was never detected is NaN.
+            obs: one world; the pose of an object that was never detected is NaN.
             sizes: half extents of each object [m].
             pushed: the object that the robot itself is dealing with.
             first_status: what each object is taken to be at first sight; UNKNOWN if not given. Such a status stays.
@@ -117,10 +117,10 @@ class Belief:
         """
         objects, notes = dict(self.objects), []
         for index, size in enumerate(sizes):
-            pose = np.array(seen.object_pose[0, index])
+            pose = np.array(obs.object_pose[0, index])
             if not np.isfinite(pose).all():
                 continue
-            known, age = objects.get(index), float(seen.object_age[0, index])
+            known, age = objects.get(index), float(obs.object_age[0, index])
             if known is None:
                 status = Status.UNKNOWN if first_status is None else first_status[index]
                 objects[index] = KnownObject(pose, size, status, age=age, registered=pose)

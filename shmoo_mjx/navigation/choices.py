@@ -38,19 +38,19 @@ pose."""
 _AVOIDED = (Status.PARKED, Status.FIXED)
 
 
-def replan(setup: Setup, state: NavigatorState, seen: Observation) -> NavigatorState | None:
+def replan(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState | None:
     """A path to the goal round everything that is not to be pushed; without one, wait and then give up."""
-    now = float(seen.time[0])
+    now = float(obs.time[0])
     if state.waits_from is not None and now - state.since < _ASK_AGAIN:
         return None
     if state.segment is not None:
         index = state.segment.object
         state = replace(state.of_object(index, registered=state.belief.objects[index].pose), segment=None)
-    state = _take_up_again(setup, state, seen)
-    path = _to_goal(setup, state, seen)
+    state = _take_up_again(setup, state, obs)
+    path = _to_goal(setup, state, obs)
     if path is None:
-        state, again = _second_chance(setup, state, seen)
-        path = _to_goal(setup, state, seen) if again else None
+        state, again = _second_chance(setup, state, obs)
+        path = _to_goal(setup, state, obs) if again else None
     if path is not None:
         state = _on_path(replace(state, gone_round=frozenset(), waits_from=None), now, path)
         return state.go(now, Mode.FOLLOW, f"path of {path.length:.2f} m found")
@@ -63,20 +63,20 @@ def replan(setup: Setup, state: NavigatorState, seen: Observation) -> NavigatorS
     return replace(state, waits_from=begun, since=now)
 
 
-def _to_goal(setup: Setup, state: NavigatorState, seen: Observation) -> Path | None:
-    return setup.routes(state).plan(seen.robot_pose[0, :2], state.belief.polygons(_AVOIDED))
+def _to_goal(setup: Setup, state: NavigatorState, obs: Observation) -> Path | None:
+    return setup.routes(state).plan(obs.robot_pose[0, :2], state.belief.polygons(_AVOIDED))
 
 
 def _on_path(state: NavigatorState, now: float, path: Path) -> NavigatorState:
     return replace(state, path=path, drive=drive.init()).said(Planned(now, path.points))
 
 
-def _take_up_again(setup: Setup, state: NavigatorState, seen: Observation) -> NavigatorState:
+def _take_up_again(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState:
     """A parked object that still costs a long way round may be pushed again, unless it has been too often."""
     cfg, parked = setup.config, [i for i, o in state.belief.objects.items() if o.status is Status.PARKED]
     if not parked:
         return state
-    routes, position = setup.routes(state), seen.robot_pose[0, :2]
+    routes, position = setup.routes(state), obs.robot_pose[0, :2]
     around = routes.plan(position, state.belief.polygons(_AVOIDED))
     through = routes.plan(position, state.belief.polygons((Status.FIXED,)))
     if through is None:
@@ -90,17 +90,17 @@ def _take_up_again(setup: Setup, state: NavigatorState, seen: Observation) -> Na
     return state
 
 
-def _second_chance(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[NavigatorState, bool]:
+def _second_chance(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, bool]:
     """With every route blocked, each registered object is tried once more, as if it had never been touched.
 
     Not in the moment in which it was registered: what was out of reach then would be so still.
     """
-    cfg, now, objects = setup.config, float(seen.time[0]), state.belief.objects
+    cfg, now, objects = setup.config, float(obs.time[0]), state.belief.objects
     rested = [i for i, o in objects.items() if o.status in _AVOIDED and not o.retried and now - o.fixed_at > 1.0]
     if not cfg.second_chance or not rested:
         return state, False
     others = [o.polygon for i, o in objects.items() if i not in rested]
-    through = setup.routes(state).plan(seen.robot_pose[0, :2], others)
+    through = setup.routes(state).plan(obs.robot_pose[0, :2], others)
     for index in rested:
         if through is not None and path_blocked_by(through, objects[index].polygon, ROBOT_RADIUS)[0]:
             pushes = min(objects[index].pushes, cfg.max_pushes - 1)
@@ -112,10 +112,10 @@ def _second_chance(setup: Setup, state: NavigatorState, seen: Observation) -> tu
     return state, False
 
 
-def first_block(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[int, float] | None:
+def first_block(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[int, float] | None:
     """The known object that blocks the path first, and how far along the path [m]."""
     assert state.path is not None
-    here, found = project(state.path, seen.robot_pose[0, :2]), []
+    here, found = project(state.path, obs.robot_pose[0, :2]), []
     for index, known in state.belief.objects.items():
         blocked, s = path_blocked_by(state.path, known.polygon, ROBOT_RADIUS - _SLACK, here)
         if blocked and s is not None and s - here < _ACT_WITHIN:
@@ -123,13 +123,13 @@ def first_block(setup: Setup, state: NavigatorState, seen: Observation) -> tuple
     return (min(found)[1], min(found)[0]) if found else None
 
 
-def look_ahead(setup: Setup, state: NavigatorState, seen: Observation) -> NavigatorState | None:
+def look_ahead(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState | None:
     """What to do about an object in the way: go round it, push it, or plan anew; None if the way is free."""
-    blocked = first_block(setup, state, seen)
+    blocked = first_block(setup, state, obs)
     if blocked is None or state.path is None:
         return None
-    (index, distance), now, cfg = blocked, float(seen.time[0]), setup.config
-    known, position = state.belief.objects[index], seen.robot_pose[0, :2]
+    (index, distance), now, cfg = blocked, float(obs.time[0]), setup.config
+    known, position = state.belief.objects[index], obs.robot_pose[0, :2]
     if known.status is not Status.UNKNOWN:
         return state.go(now, Mode.REPLAN, f"object {index} ({known.status}) is in the way")
     remaining = state.path.length - project(state.path, position)
@@ -144,30 +144,30 @@ def look_ahead(setup: Setup, state: NavigatorState, seen: Observation) -> Naviga
     # Walking to a face is worth while only if that and the rest of the path are shorter than the way round.
     longest = np.inf if detour is None or not cfg.goes_round else detour.length - (remaining - distance)
     why = f"object {index} blocks the path {distance:.2f} m ahead and {cost}"
-    return _start_push(setup, state, seen, index, why, longest)
+    return _start_push(setup, state, obs, index, why, longest)
 
 
 def _start_push(
-    setup: Setup, state: NavigatorState, seen: Observation, index: int, why: str, longest: float
+    setup: Setup, state: NavigatorState, obs: Observation, index: int, why: str, longest: float
 ) -> NavigatorState:
     """Choose goal, face and way to the stand-off pose, or give the object up."""
-    known, now, routes = state.belief.objects[index], float(seen.time[0]), setup.routes(state)
+    known, now, routes = state.belief.objects[index], float(obs.time[0]), setup.routes(state)
     if known.pushes >= setup.config.max_pushes:
         text = f"object {index} has been pushed {known.pushes} times without clearing the path"
-        return _give_up(setup, state, seen, index, text)
-    faces, position, everything = faces_of(known.half_extents), seen.robot_pose[0, :2], state.belief.clearance()
+        return _give_up(setup, state, obs, index, text)
+    faces, position, everything = faces_of(known.half_extents), obs.robot_pose[0, :2], state.belief.clearance()
     ways = {i: routes.way_to(position, index, face, everything) for i, face in enumerate(faces)}
     usable = {i: way for i, way in ways.items() if way is not None and way[0].length < longest}
     if not usable:
-        return _give_up(setup, state, seen, index, f"no face of object {index} can be reached on a way worth taking")
+        return _give_up(setup, state, obs, index, f"no face of object {index} can be reached on a way worth taking")
     usable = {i: way for i, way in usable.items() if i not in known.failed_faces}
     if not usable:
         text = f"object {index} could not be moved from any face that can be reached"
-        return _give_up(setup, state, seen, index, text)
+        return _give_up(setup, state, obs, index, text)
     around = state.belief.clearance(without=index)
-    first = _first_goal(setup, state, seen, index, [heading(known.pose, faces[i]) for i in usable])
+    first = _first_goal(setup, state, obs, index, [heading(known.pose, faces[i]) for i in usable])
     if first.goal is None or first.direction is None:
-        return _give_up(setup, state, seen, index, f"object {index} can be put nowhere: {first.reason}")
+        return _give_up(setup, state, obs, index, f"object {index} can be put nowhere: {first.reason}")
     side = list(usable)[first.direction]
     way, gap = usable[side]
     segment = Segment(
@@ -179,10 +179,10 @@ def _start_push(
 
 
 def _first_goal(
-    setup: Setup, state: NavigatorState, seen: Observation, index: int, directions: list[float]
+    setup: Setup, state: NavigatorState, obs: Observation, index: int, directions: list[float]
 ) -> InitialGoal:
     """The initialisation stage of Algorithm 1."""
-    routes, known, position = setup.routes(state), state.belief.objects[index], seen.robot_pose[0, :2]
+    routes, known, position = setup.routes(state), state.belief.objects[index], obs.robot_pose[0, :2]
     around = state.belief.clearance(without=index)
     free = routes.collision_free(position, known, around, routes.free_path(position, known))
     near = setup.config.planner
@@ -192,8 +192,8 @@ def _first_goal(
     return initial_goal(known.pose, free, np.array(directions), near, _FAR_AREA)
 
 
-def _give_up(setup: Setup, state: NavigatorState, seen: Observation, index: int, why: str) -> NavigatorState:
-    now = float(seen.time[0])
+def _give_up(setup: Setup, state: NavigatorState, obs: Observation, index: int, why: str) -> NavigatorState:
+    now = float(obs.time[0])
     if not setup.config.goes_round:
         return state.go(now, Mode.FAILED, f"{why}, and going round is not allowed")
     state = state.of_object(index, status=Status.FIXED, registered=state.belief.objects[index].pose, fixed_at=now)

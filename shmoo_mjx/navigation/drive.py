@@ -58,7 +58,7 @@ def init() -> DriveState:
 def follow(
     planner: Planner,
     state: DriveState,
-    seen: Observation,
+    obs: Observation,
     path: Path | None,
     clearance: Callable[[], ClearanceField],
 ) -> tuple[DriveState, np.ndarray]:
@@ -67,12 +67,10 @@ def follow(
     A trajectory always ends at rest, so that while no new one is found the old one brings the robot to a stop; so it
     does without a path. ``clearance`` is asked only where a new trajectory is due.
     """
-    now = float(seen.time[0])
-    position, velocity = seen.robot_pose[0, :2], seen.robot_twist[0, :2]
-    yaw = seen.robot_pose[0, 2]
-    flat = planner.model.flat_state(
-        position, velocity, se2.rotate(seen.lean[0], yaw), se2.rotate(seen.lean_rate[0], yaw)
-    )
+    now = float(obs.time[0])
+    position, velocity = obs.robot_pose[0, :2], obs.robot_twist[0, :2]
+    yaw = obs.robot_pose[0, 2]
+    flat = planner.model.flat_state(position, velocity, se2.rotate(obs.lean[0], yaw), se2.rotate(obs.lean_rate[0], yaw))
     if path is not None and now - state.start >= _REPLAN_EVERY - 1e-6:
         found = flat_trajectory.plan(planner, _begin(planner, state, now, flat), path, clearance())
         if found.ok:
@@ -81,9 +79,9 @@ def follow(
             since = now if state.failed_since is None else state.failed_since
             state = state._replace(failed_since=since, reason=found.reason)
     if state.trajectory is None:
-        return state, velocity_command(seen, np.zeros(2))
+        return state, velocity_command(obs, np.zeros(2))
     # The lean is commanded in {R}, which turns on until the body has got there.
-    return state, _track(planner, state, now, flat, yaw + LEAD * seen.robot_twist[0, 2])
+    return state, _track(planner, state, now, flat, yaw + LEAD * obs.robot_twist[0, 2])
 
 
 def _begin(planner: Planner, state: DriveState, now: float, flat: np.ndarray) -> np.ndarray:
@@ -111,15 +109,15 @@ def _track(planner: Planner, state: DriveState, now: float, flat: np.ndarray, ya
     return se2.rotate(lean * min(1.0, _LEAN_LIMIT / max(norm, 1e-9)), -yaw)
 
 
-def velocity_command(seen: Observation, desired: Array, gains: Gains | None = None) -> np.ndarray:
+def velocity_command(obs: Observation, desired: Array, gains: Gains | None = None) -> np.ndarray:
     """Lean command ``[2]`` in {R} for a velocity ``desired [2]`` in {R} [m/s]."""
-    velocity = se2.rotate(seen.robot_twist[0, :2], -seen.robot_pose[0, 2])
-    lean = velocity_to_lean(gains or Gains(), velocity, seen.lean_rate[0], np.asarray(desired, dtype=float))
+    velocity = se2.rotate(obs.robot_twist[0, :2], -obs.robot_pose[0, 2])
+    lean = velocity_to_lean(gains or Gains(), velocity, obs.lean_rate[0], np.asarray(desired, dtype=float))
     return np.asarray(lean)
 
 
-def yaw_ahead(seen: Observation, path: Path) -> float:
+def yaw_ahead(obs: Observation, path: Path) -> float:
     """Heading in {W} [rad] towards the path a little ahead; the present one near the path's end."""
-    position = seen.robot_pose[0, :2]
+    position = obs.robot_pose[0, :2]
     offset = point_at(path, project(path, position) + _LOOKAHEAD) - position
-    return float(np.arctan2(offset[1], offset[0])) if np.hypot(*offset) > 0.3 else float(seen.robot_pose[0, 2])
+    return float(np.arctan2(offset[1], offset[0])) if np.hypot(*offset) > 0.3 else float(obs.robot_pose[0, 2])

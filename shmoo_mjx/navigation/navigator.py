@@ -18,7 +18,7 @@ import jax
 import numpy as np
 
 from shmoo_mjx.control import equilibrium_lean
-from shmoo_mjx.control.pushing import Sighting
+from shmoo_mjx.control.pushing import ObjectObservation
 from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.learning import online
 from shmoo_mjx.navigation import drive, flat_trajectory
@@ -95,24 +95,24 @@ def init(grid: OccupancyGrid, goal: Array, seed: int = 0) -> NavigatorState:
     return NavigatorState(np.asarray(goal, dtype=float)[:2], belief_of(grid), jax.random.key(seed))
 
 
-def step(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[NavigatorState, Command, tuple[Event, ...]]:
+def step(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Command, tuple[Event, ...]]:
     """One sample: the next state, the command (a batch of one) and what has happened."""
-    state, seen = _perceive(setup, state, seen)
-    state = _settled(state, float(seen.time[0]))
-    state, command = MODES[state.mode].act(setup, state, equilibrium_lean.predicted(seen, setup.config.latency))
-    state = _consider(setup, state, seen)
+    state, obs = _perceive(setup, state, obs)
+    state = _settled(state, float(obs.time[0]))
+    state, command = MODES[state.mode].act(setup, state, equilibrium_lean.predicted(obs, setup.config.latency))
+    state = _consider(setup, state, obs)
     state = replace(state, last_u=np.asarray(command.u, dtype=float))
     return replace(state, events=()), equilibrium_lean.shifted(state.lean_offset, batched(command)), state.events
 
 
-def _perceive(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[NavigatorState, Observation]:
+def _perceive(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Observation]:
     """Take in an observation; its lean is counted from where the robot balances from here on."""
-    seen = finite(seen, state.last_seen)
-    now = float(seen.time[0])
+    obs = finite(obs, state.last_obs)
+    now = float(obs.time[0])
     pushed = None if state.segment is None else state.segment.object
-    belief, notes = state.belief.update(seen, setup.sizes, pushed, setup.first_status)
-    state = replace(state, last_seen=seen, belief=belief, lean_offset=equilibrium_lean.step(state.lean_offset, seen))
-    return state.said(*(Note(now, text) for text in notes)), equilibrium_lean.corrected(state.lean_offset, seen)
+    belief, notes = state.belief.update(obs, setup.sizes, pushed, setup.first_status)
+    state = replace(state, last_obs=obs, belief=belief, lean_offset=equilibrium_lean.step(state.lean_offset, obs))
+    return state.said(*(Note(now, text) for text in notes)), equilibrium_lean.corrected(state.lean_offset, obs)
 
 
 def _settled(state: NavigatorState, now: float) -> NavigatorState:
@@ -130,17 +130,17 @@ def _settled(state: NavigatorState, now: float) -> NavigatorState:
     return replace(merged, events=events, pending=None, **begins)
 
 
-def _consider(setup: Setup, state: NavigatorState, seen: Observation) -> NavigatorState:
+def _consider(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState:
     """Begin to compute what the mode has to decide, if it is due and nothing else is being computed."""
     if state.pending is not None:
         return state
     asked = replace(state, events=())
-    decided = MODES[state.mode].decide(setup, asked, seen)
+    decided = MODES[state.mode].decide(setup, asked, obs)
     if decided is None:
         return state
-    due = float(seen.time[0]) + setup.config.planning_time
+    due = float(obs.time[0]) + setup.config.planning_time
     waiting = replace(state, pending=Pending(due, asked, decided))
-    return waiting if setup.config.planning_time > 0 else _settled(waiting, float(seen.time[0]))
+    return waiting if setup.config.planning_time > 0 else _settled(waiting, float(obs.time[0]))
 
 
 def _merged(asked: Any, decided: Any, current: Any) -> Any:
@@ -163,71 +163,71 @@ def _merged(asked: Any, decided: Any, current: Any) -> Any:
 # What is done in each mode.
 
 
-def _rest(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[NavigatorState, Command]:
-    return state, hold(_robot(seen))
+def _rest(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Command]:
+    return state, hold(_robot(obs))
 
 
-def _brake(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[NavigatorState, Command]:
+def _brake(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Command]:
     """While a path is sought: to the end of the present trajectory, which is at rest."""
     if state.drive.trajectory is None:
-        return _rest(setup, state, seen)
-    state, lean = _drive(setup, state, seen, None)
-    return state, Command(np.append(lean, 0.0), seen.robot_pose[0, 2], *_arms(setup, state, seen))
+        return _rest(setup, state, obs)
+    state, lean = _drive(setup, state, obs, None)
+    return state, Command(np.append(lean, 0.0), obs.robot_pose[0, 2], *_arms(setup, state, obs))
 
 
-def _arms(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[float, float]:
+def _arms(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[float, float]:
     """Reach and height of the hands while driving: folded, or drawn back while walls leave no room to fold."""
-    hands = float(np.max(seen.hands[0, :, 0]))
-    if hands < TUCKED_REACH + 0.06 or _may_fold(state, seen, hands):
+    hands = float(np.max(obs.hands[0, :, 0]))
+    if hands < TUCKED_REACH + 0.06 or _may_fold(state, obs, hands):
         return TUCKED_REACH, TUCKED_HEIGHT
     return REACH - retreat.WITHDRAW, HAND_HEIGHT
 
 
-def _may_fold(state: NavigatorState, seen: Observation, hands: float) -> bool:
+def _may_fold(state: NavigatorState, obs: Observation, hands: float) -> bool:
     between = (TUCKED_REACH, float(np.clip(hands, TUCKED_REACH, REACH)))
-    return float(outline.room(state.belief.walls.at, seen.robot_pose[0], between).least) > _ARM_ROOM
+    return float(outline.room(state.belief.walls.at, obs.robot_pose[0], between).least) > _ARM_ROOM
 
 
-def _turned(setup: Setup, state: NavigatorState, seen: Observation, yaw: float) -> float:
+def _turned(setup: Setup, state: NavigatorState, obs: Observation, yaw: float) -> float:
     """The heading ``yaw``, or the present one where walls leave no room to turn."""
-    room = float(state.belief.walls.at(seen.robot_pose[0, :2])) - ROBOT_RADIUS
-    return yaw if room > _TURNING_ROOM else float(seen.robot_pose[0, 2])
+    room = float(state.belief.walls.at(obs.robot_pose[0, :2])) - ROBOT_RADIUS
+    return yaw if room > _TURNING_ROOM else float(obs.robot_pose[0, 2])
 
 
 def _drive(
-    setup: Setup, state: NavigatorState, seen: Observation, path: Path | None
+    setup: Setup, state: NavigatorState, obs: Observation, path: Path | None
 ) -> tuple[NavigatorState, np.ndarray]:
     """Lean ``[2]`` along ``path`` round everything that is known."""
-    driven, lean = drive.follow(setup.trajectories, state.drive, seen, path, state.belief.clearance)
+    driven, lean = drive.follow(setup.trajectories, state.drive, obs, path, state.belief.clearance)
     return replace(state, drive=driven), lean
 
 
-def _follow(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[NavigatorState, Command]:
-    now, position, cfg = float(seen.time[0]), seen.robot_pose[0, :2], setup.config
-    left, speed = float(np.linalg.norm(position - state.goal)), float(np.linalg.norm(seen.robot_twist[0, :2]))
+def _follow(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Command]:
+    now, position, cfg = float(obs.time[0]), obs.robot_pose[0, :2], setup.config
+    left, speed = float(np.linalg.norm(position - state.goal)), float(np.linalg.norm(obs.robot_twist[0, :2]))
     if left < cfg.goal_tolerance and speed < 0.1:
-        return state.go(now, Mode.DONE, f"goal reached to {left:.2f} m"), hold(_robot(seen))
+        return state.go(now, Mode.DONE, f"goal reached to {left:.2f} m"), hold(_robot(obs))
     path = state.path
     assert path is not None
-    state, lean = _drive(setup, state, seen, path)
+    state, lean = _drive(setup, state, obs, path)
     since = state.drive.failed_since
     if since is not None and now - since > _NO_TRAJECTORY:
         state = state.go(now, Mode.REPLAN, f"no local trajectory for {_NO_TRAJECTORY:g} s: {state.drive.reason}")
-    yaw = _turned(setup, state, seen, drive.yaw_ahead(seen, path))
-    return state, Command(np.append(lean, 0.0), yaw, *_arms(setup, state, seen))
+    yaw = _turned(setup, state, obs, drive.yaw_ahead(obs, path))
+    return state, Command(np.append(lean, 0.0), yaw, *_arms(setup, state, obs))
 
 
-def _approach(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[NavigatorState, Command]:
-    segment, now = state.current(), float(seen.time[0])
-    state, lean = _drive(setup, state, seen, segment.way)
-    remaining = segment.way.length - project(segment.way, seen.robot_pose[0, :2])
-    yaw = drive.yaw_ahead(seen, segment.way)
-    sighting, pose = Sighting.of(seen, segment.object), seen.robot_pose[0]
+def _approach(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Command]:
+    segment, now = state.current(), float(obs.time[0])
+    state, lean = _drive(setup, state, obs, segment.way)
+    remaining = segment.way.length - project(segment.way, obs.robot_pose[0, :2])
+    yaw = drive.yaw_ahead(obs, segment.way)
+    object_obs, pose = ObjectObservation.of(obs, segment.object), obs.robot_pose[0]
     room = float(outline.room(state.belief.walls.at, pose, (TUCKED_REACH, REACH)).least) > _ARM_ROOM
-    reached, move = approach.step(segment.approach, now, sighting, segment.face, lean, yaw, remaining, room)
+    reached, move = approach.step(segment.approach, now, object_obs, segment.face, lean, yaw, remaining, room)
     state = state.in_segment(approach=reached)
     if move.over:
-        state = replace(state.in_segment(contact=contact.init(sighting)), drive=drive.init())
+        state = replace(state.in_segment(contact=contact.init(object_obs)), drive=drive.init())
         state = state.go(now, Mode.CONTACT, "at the stand-off pose, arms extended")
     elif move.failed:
         state = state.go(now, Mode.REPLAN, "the stand-off pose was not reached in time")
@@ -237,14 +237,14 @@ def _approach(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[N
     return state, move.command
 
 
-def _contact(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[NavigatorState, Command]:
-    segment, known, now = state.current(), state.known(), float(seen.time[0])
-    sighting = Sighting.of(seen, segment.object)
+def _contact(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Command]:
+    segment, known, now = state.current(), state.known(), float(obs.time[0])
+    object_obs = ObjectObservation.of(obs, segment.object)
     assert segment.contact is not None
-    _, move = contact.step(segment.contact, sighting, segment.face)
+    _, move = contact.step(segment.contact, object_obs, segment.face)
     if move.over:
         key, own = jax.random.split(state.key)
-        begun = push.init(setup.controller, now, sighting, segment.face, known.half_extents, own, known.adapt)
+        begun = push.init(setup.controller, now, object_obs, segment.face, known.half_extents, own, known.adapt)
         state = replace(state, key=key).in_segment(push=begun)
         state = state.go(now, Mode.PROBE, f"contact with object {segment.object}")
     elif move.failed:
@@ -255,47 +255,48 @@ def _contact(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[Na
     return state, move.command
 
 
-def _push(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[NavigatorState, Command]:
+def _push(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Command]:
     segment, known = state.current(), state.known()
     assert segment.push is not None
     firm = PROBE_ROOM if state.mode is Mode.PROBE and not rolled(segment.push, known.pose) else None
+    object_obs = ObjectObservation.of(obs, segment.object)
     pushed, command = push.step(
-        setup.controller, segment.push, Sighting.of(seen, segment.object), segment.face, state.last_u, segment.goal,
-        segment.around, known.half_extents, firm,
+        setup.controller, segment.push, object_obs, segment.face, state.last_u, segment.goal, segment.around,
+        known.half_extents, firm,
     )  # fmt: skip
     state = state.in_segment(push=pushed)
     gave_way = known.gave_way or rolled(pushed, known.pose)
     state = state.of_object(segment.object, adapt=pushed.pusher.adapt, gave_way=gave_way)
-    state = judge(setup, state, seen)
-    return _retreat(setup, state, seen) if state.mode is Mode.RETREAT else (state, command)
+    state = judge(setup, state, obs)
+    return _retreat(setup, state, obs) if state.mode is Mode.RETREAT else (state, command)
 
 
-def _retreat(setup: Setup, state: NavigatorState, seen: Observation) -> tuple[NavigatorState, Command]:
-    segment, now, pose = state.current(), float(seen.time[0]), seen.robot_pose[0]
+def _retreat(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Command]:
+    segment, now, pose = state.current(), float(obs.time[0]), obs.robot_pose[0]
     if segment.back is None:
         way = setup.routes(state).way_back(pose[:2], state.known().pose)
         state = replace(state.in_segment(back=way), drive=drive.init())
     lean = None
     if state.current().back is not None:
-        state, lean = _drive(setup, state, seen, state.current().back)
-    folded = bool(np.all(seen.hands[0, :, 0] < TUCKED_REACH + 0.06))
-    room = _may_fold(state, seen, float(np.max(seen.hands[0, :, 0])))
-    sighting = Sighting.of(seen, segment.object)
-    move = retreat.step(sighting, segment.face, folded, lean, room)
+        state, lean = _drive(setup, state, obs, state.current().back)
+    folded = bool(np.all(obs.hands[0, :, 0] < TUCKED_REACH + 0.06))
+    room = _may_fold(state, obs, float(np.max(obs.hands[0, :, 0])))
+    object_obs = ObjectObservation.of(obs, segment.object)
+    move = retreat.step(object_obs, segment.face, folded, lean, room)
     if move.over or now - state.since > _LONGEST_RETREAT:
         state = replace(state, drive=drive.init())
         state = state.go(now, Mode.REPLAN, f"backed away from object {segment.object}")
     return state, move.command
 
 
-def _robot(seen: Observation) -> Sighting:
+def _robot(obs: Observation) -> ObjectObservation:
     """The robot alone, as a sighting of nothing."""
     none = np.zeros(3)
-    pose, twist, lean, rate = (np.asarray(v[0]) for v in (seen.robot_pose, seen.robot_twist, seen.lean, seen.lean_rate))
-    return Sighting(pose, twist, lean, rate, none, none, none, False)
+    pose, twist, lean, rate = (np.asarray(v[0]) for v in (obs.robot_pose, obs.robot_twist, obs.lean, obs.lean_rate))
+    return ObjectObservation(pose, twist, lean, rate, none, none, none, False)
 
 
-def _nothing(setup: Setup, state: NavigatorState, seen: Observation) -> NavigatorState | None:
+def _nothing(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState | None:
     return None
 
 
@@ -330,9 +331,9 @@ class Navigator:
         self.state = init(grid, goal, seed)
         self.events: list[Event] = []
 
-    def tick(self, seen: Observation) -> Command:
+    def tick(self, obs: Observation) -> Command:
         """One decision from one observation of a single world."""
-        self.state, command, events = step(self.setup, self.state, seen)
+        self.state, command, events = step(self.setup, self.state, obs)
         self.events += events
         return command
 
@@ -344,7 +345,7 @@ class Navigator:
     def expect(self, sizes: Sequence[tuple[float, float]]) -> None:
         """There are more objects, or others: half extents of each [m]. What is being computed is dropped."""
         self.setup = self.setup._replace(sizes=sizes)
-        self.state = replace(self.state, last_seen=None, pending=None)
+        self.state = replace(self.state, last_obs=None, pending=None)
 
     @property
     def config(self) -> NavigatorConfig:

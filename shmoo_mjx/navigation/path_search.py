@@ -30,7 +30,7 @@ _KEPT = 8
 """So many trees of ways to a goal are remembered for each lattice."""
 
 
-class _Task(NamedTuple):
+class _Query(NamedTuple):
     """A query."""
 
     field: ClearanceField
@@ -114,7 +114,7 @@ def find_way(
     Returns:
         (row, column) ``[N, 2]``; neighbours are neighbouring cells, or points of the lattice with a clear line between.
     """
-    task = _Task(field, start, goal, radius, cfg)
+    task = _Query(field, start, goal, radius, cfg)
     known = _known(walls, radius, cfg)
     near_start, near_goal = (_window(task, end, known.lattice.side) for end in (start, goal))
     if near_start is None or near_goal is None:
@@ -133,7 +133,7 @@ def _known(walls: ClearanceField, radius: float, cfg: PathConfig) -> _Known:
     return walls.memo[key]
 
 
-def _window(task: _Task, end: np.ndarray, side: int) -> _Window | None:
+def _window(task: _Query, end: np.ndarray, side: int) -> _Window | None:
     """Ways from an end of the query to all cells near it; None if the disc can't be there."""
     cell, resolution = task.cell(end), float(task.field.resolution)
     half = max(int(np.ceil(_ESCAPE_RADIUS / resolution)), 2 * side) + 2
@@ -149,7 +149,7 @@ def _window(task: _Task, end: np.ndarray, side: int) -> _Window | None:
     return _Window(parts, search, total * resolution)
 
 
-def _opened_costs(task: _Task, parts: tuple[slice, slice]) -> np.ndarray:
+def _opened_costs(task: _Query, parts: tuple[slice, slice]) -> np.ndarray:
     """The costs of some cells, with those added that the robot may use because of where it starts or ends."""
     field, radius, cfg = task.field, task.radius, task.cfg
     resolution = float(field.resolution)
@@ -171,7 +171,7 @@ def _opened_costs(task: _Task, parts: tuple[slice, slice]) -> np.ndarray:
 
 
 def _on_lattice(
-    task: _Task, known: _Known, obstacles: Sequence[shapely.Polygon], near_start: _Window, near_goal: _Window
+    task: _Query, known: _Known, obstacles: Sequence[shapely.Polygon], near_start: _Window, near_goal: _Window
 ) -> np.ndarray | None:
     """Cells of the cheapest way over the lattice; None if none surely keeps the radius."""
     lattice, changed = known.lattice, np.zeros(len(known.lattice.cells), dtype=bool)
@@ -198,7 +198,7 @@ def _entries(lattice: Lattice, window: _Window) -> tuple[np.ndarray, np.ndarray]
     return numbers[np.isfinite(cost)], cost[np.isfinite(cost)]
 
 
-def _direct(task: _Task, near_start: _Window) -> tuple[float, np.ndarray | None]:
+def _direct(task: _Query, near_start: _Window) -> tuple[float, np.ndarray | None]:
     """Cost of the way that stays in the start's window, and its cells; infinite and None if there is none."""
     last = np.array(task.cell(task.goal))
     inside = ((last >= near_start.corner) & (last < near_start.corner + near_start.cost.shape)).all()
@@ -232,7 +232,7 @@ def _follow(tree: tuple[np.ndarray, np.ndarray], entries: tuple[np.ndarray, np.n
     return float(cost[best]), np.array(route)
 
 
-def _is_tight(task: _Task, cells: np.ndarray) -> bool:
+def _is_tight(task: _Query, cells: np.ndarray) -> bool:
     """Whether some line of a route ``[K, 2]`` comes nearer to something than the radius, by half a cell at most."""
     if len(cells) < 2:
         return False
@@ -241,7 +241,7 @@ def _is_tight(task: _Task, cells: np.ndarray) -> bool:
     return bool(lattices.is_tight(starts, ends, lowest, task.radius).any())
 
 
-def _cell_by_cell(task: _Task) -> np.ndarray | None:
+def _cell_by_cell(task: _Query) -> np.ndarray | None:
     """The cheapest way over all cells of the map."""
     height, width = np.shape(task.field.values)
     costs = _opened_costs(task, (slice(0, height), slice(0, width)))

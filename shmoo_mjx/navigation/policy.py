@@ -26,7 +26,7 @@ class Policy(Protocol):
     finished: bool
     """Whether it has done what it could; a run counts as a success if the robot then stands at the goal."""
 
-    def tick(self, seen: Observation) -> Command:
+    def tick(self, obs: Observation) -> Command:
         """The command for the next 0.1 s from what the robot perceives, both of one world (a batch of one)."""
 
 
@@ -65,12 +65,12 @@ class PolicyNavigator(Navigator):
         self._make = lambda: maker(grid, self.state.goal, self.setup.sizes, controller, self.setup.config)
         self._policy = own.asked("policy", self._name, self._make)
 
-    def tick(self, seen: Observation) -> Command:
+    def tick(self, obs: Observation) -> Command:
         """One decision of the policy."""
-        now = float(seen.time[0])
-        belief, _ = self.state.belief.update(seen, self.setup.sizes)
+        now = float(obs.time[0])
+        belief, _ = self.state.belief.update(obs, self.setup.sizes)
         self.state = replace(self.state, belief=belief)
-        command = own.asked("policy", self._name, lambda: self._policy.tick(seen))
+        command = own.asked("policy", self._name, lambda: self._policy.tick(obs))
         if not isinstance(command, Command) or np.shape(command.u) != (1, 3):
             raise ShmooError(f"policy {self._name}: tick must give a Command whose u is [1, 3]; it gave {command!r}.")
         if not all(np.isfinite(np.asarray(value, dtype=float)).all() for value in command):

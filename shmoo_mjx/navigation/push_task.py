@@ -17,7 +17,7 @@ import numpy as np
 from shmoo_mjx import se2
 from shmoo_mjx.control import equilibrium_lean
 from shmoo_mjx.control.cost import PushCost
-from shmoo_mjx.control.pushing import LocalDistanceField, PushConfig, Sighting, local_distance_field
+from shmoo_mjx.control.pushing import LocalDistanceField, ObjectObservation, PushConfig, local_distance_field
 from shmoo_mjx.faces import faces_of
 from shmoo_mjx.hands import TUCKED_REACH
 from shmoo_mjx.learning.adaptation import AdaptState
@@ -201,144 +201,144 @@ class PushTask:
             pushed = replace(self.leg.push, pusher=self.leg.push.pusher._replace(adapt=adapt))
             self.leg = replace(self.leg, push=pushed)
 
-    def tick(self, seen: Observation) -> Command:
+    def tick(self, obs: Observation) -> Command:
         """One decision."""
-        seen = self._seen = finite(seen, self._seen)
-        self.belief, _ = self.belief.update(seen, self._setup.sizes, self._index)
-        self.lean_offset = equilibrium_lean.step(self.lean_offset, seen)
-        seen = equilibrium_lean.corrected(self.lean_offset, seen)
-        result = self._handlers[self.phase](equilibrium_lean.predicted(seen, self.config.moves.latency))
+        obs = self._seen = finite(obs, self._seen)
+        self.belief, _ = self.belief.update(obs, self._setup.sizes, self._index)
+        self.lean_offset = equilibrium_lean.step(self.lean_offset, obs)
+        obs = equilibrium_lean.corrected(self.lean_offset, obs)
+        result = self._handlers[self.phase](equilibrium_lean.predicted(obs, self.config.moves.latency))
         self._last_u = np.asarray(result.u, dtype=float)
         return equilibrium_lean.shifted(self.lean_offset, batched(result))
 
     # Phases. Each returns the command for the next sample and may have changed the phase.
 
-    def _rest(self, seen: Observation) -> Command:
-        return hold(Sighting.of(seen, self._index))
+    def _rest(self, obs: Observation) -> Command:
+        return hold(ObjectObservation.of(obs, self._index))
 
-    def _choose(self, seen: Observation) -> Command:
+    def _choose(self, obs: Observation) -> Command:
         known = self.belief.objects.get(self._index)
         if known is None:
-            self._go(seen, Phase.FAILED, f"object {self._index} is not in sight")
-            return self._rest(seen)
-        looks = known.age < _FRESH or float(seen.time[0]) - self.since > _LONGEST_LOOK
-        if looks and np.linalg.norm(seen.object_twist[0, self._index, :2]) < AT_REST:
-            self._judge(seen, known)
-        offset = known.pose[:2] - seen.robot_pose[0, :2]
-        return self._rest(seen)._replace(yaw=np.arctan2(offset[1], offset[0]))
+            self._go(obs, Phase.FAILED, f"object {self._index} is not in sight")
+            return self._rest(obs)
+        looks = known.age < _FRESH or float(obs.time[0]) - self.since > _LONGEST_LOOK
+        if looks and np.linalg.norm(obs.object_twist[0, self._index, :2]) < AT_REST:
+            self._judge(obs, known)
+        offset = known.pose[:2] - obs.robot_pose[0, :2]
+        return self._rest(obs)._replace(yaw=np.arctan2(offset[1], offset[0]))
 
-    def _judge(self, seen: Observation, known: KnownObject) -> None:
+    def _judge(self, obs: Observation, known: KnownObject) -> None:
         """With the object at rest: leave it, or choose the next push."""
         cfg = self.config
         distance = float(np.linalg.norm(known.pose[:2] - self.goal[:2]))
         turned = abs(float(se2.wrap(known.pose[2] - self.goal[2])))
         where = f"{distance:.2f} m and {np.rad2deg(turned):.0f} deg from its goal"
         if distance < cfg.arrived and turned < cfg.arrived_yaw:
-            self._go(seen, Phase.DONE, f"the object is {where}")
+            self._go(obs, Phase.DONE, f"the object is {where}")
             return
         if self.pushes >= cfg.max_pushes:
-            self._go(seen, Phase.DONE, f"the object is {where} after {self.pushes} pushes")
+            self._go(obs, Phase.DONE, f"the object is {where} after {self.pushes} pushes")
             return
         routes, everything = Routes(self.belief, self.goal[:2], cfg.moves), self.belief.clearance()
         around, faces = self.belief.clearance(without=self._index), faces_of(known.half_extents)
-        ways = [routes.way_to(seen.robot_pose[0, :2], self._index, face, everything) for face in faces]
+        ways = [routes.way_to(obs.robot_pose[0, :2], self._index, face, everything) for face in faces]
         lengths = [w[0].length if w and i not in known.failed_faces else None for i, w in enumerate(ways)]
         choice = choose(known.pose, self.goal, faces, lengths, around, known.half_extents)
         if choice is None:
-            self._go(seen, Phase.FAILED, f"no face can be reached; the object is {where}")
+            self._go(obs, Phase.FAILED, f"no face can be reached; the object is {where}")
             return
         if choice.expected > float(residual(known.pose, self.goal, YAW_WEIGHT)) - _GAIN:
-            self._go(seen, Phase.DONE, f"the object is {where}, and another push promises no better")
+            self._go(obs, Phase.DONE, f"the object is {where}, and another push promises no better")
             return
         chosen = ways[choice.side]
         assert chosen is not None
-        begun = approach.init(float(seen.time[0]), chosen[1])
+        begun = approach.init(float(obs.time[0]), chosen[1])
         field = local_distance_field(around, known.pose)
         self.leg = _Leg(choice.side, faces[choice.side], choice.goal, chosen[0], begun, field)
         self.pushes, self._drive = self.pushes + 1, drive.init()
         final = "" if np.array_equal(choice.goal, self.goal) else " to a place on the way"
-        self._go(seen, Phase.APPROACH, f"push {self.pushes} on face {choice.side}{final}; the object is {where}")
+        self._go(obs, Phase.APPROACH, f"push {self.pushes} on face {choice.side}{final}; the object is {where}")
 
-    def _approach(self, seen: Observation) -> Command:
+    def _approach(self, obs: Observation) -> Command:
         leg, _ = self._current()
-        self._drive, lean = drive.follow(self._setup.trajectories, self._drive, seen, leg.way, self.belief.clearance)
-        remaining = leg.way.length - project(leg.way, seen.robot_pose[0, :2])
-        yaw, sighting = drive.yaw_ahead(seen, leg.way), Sighting.of(seen, self._index)
-        reached, move = approach.step(leg.approach, float(seen.time[0]), sighting, leg.face, lean, yaw, remaining)
+        self._drive, lean = drive.follow(self._setup.trajectories, self._drive, obs, leg.way, self.belief.clearance)
+        remaining = leg.way.length - project(leg.way, obs.robot_pose[0, :2])
+        yaw, object_obs = drive.yaw_ahead(obs, leg.way), ObjectObservation.of(obs, self._index)
+        reached, move = approach.step(leg.approach, float(obs.time[0]), object_obs, leg.face, lean, yaw, remaining)
         self.leg = replace(leg, approach=reached)
         if move.over:
-            self.leg = replace(self.leg, contact=contact.init(sighting))
-            self._go(seen, Phase.CONTACT, "at the stand-off pose, arms extended")
+            self.leg = replace(self.leg, contact=contact.init(object_obs))
+            self._go(obs, Phase.CONTACT, "at the stand-off pose, arms extended")
         elif move.failed:
-            self._go(seen, Phase.CHOOSE, "the stand-off pose was not reached in time")
+            self._go(obs, Phase.CHOOSE, "the stand-off pose was not reached in time")
         return move.command
 
-    def _contact(self, seen: Observation) -> Command:
+    def _contact(self, obs: Observation) -> Command:
         leg, known = self._current()
         assert leg.contact is not None
-        sighting = Sighting.of(seen, self._index)
-        _, move = contact.step(leg.contact, sighting, leg.face)
+        object_obs = ObjectObservation.of(obs, self._index)
+        _, move = contact.step(leg.contact, object_obs, leg.face)
         if move.over:
             self._key, key = jax.random.split(self._key)
-            now, half = float(seen.time[0]), known.half_extents
-            self.leg = replace(leg, push=push.init(self._pusher, now, sighting, leg.face, half, key, self._adapt))
-            self._go(seen, Phase.PUSH, "contact")
+            now, half = float(obs.time[0]), known.half_extents
+            self.leg = replace(leg, push=push.init(self._pusher, now, object_obs, leg.face, half, key, self._adapt))
+            self._go(obs, Phase.PUSH, "contact")
         elif move.failed:
-            self._go(seen, Phase.CHOOSE, "drifted off the face while making contact")
+            self._go(obs, Phase.CHOOSE, "drifted off the face while making contact")
         return move.command
 
-    def _push(self, seen: Observation) -> Command:
+    def _push(self, obs: Observation) -> Command:
         leg, known = self._current()
         assert leg.push is not None
+        object_obs = ObjectObservation.of(obs, self._index)
         pushed, command = push.step(
-            self._pusher, leg.push, Sighting.of(seen, self._index), leg.face, self._last_u, leg.goal, leg.around,
-            known.half_extents,
-        )  # fmt: skip
+            self._pusher, leg.push, object_obs, leg.face, self._last_u, leg.goal, leg.around, known.half_extents
+        )
         self._adapt = pushed.pusher.adapt
         coasts, left, let_go = push.lets_go(
             self._pusher.coast(pushed.pusher), leg.coasts, known.pose, leg.face, leg.goal
         )
         self.leg = replace(leg, push=pushed, coasts=coasts)
         if not pushed.ok:
-            self._go(seen, Phase.RETREAT, "no roll-out of the model is finite: safe stop")
+            self._go(obs, Phase.RETREAT, "no roll-out of the model is finite: safe stop")
         elif let_go:
             text = f"let go {left:.2f} m before the goal, to coast {np.median(coasts):.2f} m"
-            self._go(seen, Phase.RETREAT, text)
+            self._go(obs, Phase.RETREAT, text)
         else:
-            self._end_of_push(seen, leg, pushed, known)
-        return self._retreat(seen) if self.phase is Phase.RETREAT else command
+            self._end_of_push(obs, leg, pushed, known)
+        return self._retreat(obs) if self.phase is Phase.RETREAT else command
 
-    def _end_of_push(self, seen: Observation, leg: _Leg, pushed: push.PushState, known: KnownObject) -> None:
+    def _end_of_push(self, obs: Observation, leg: _Leg, pushed: push.PushState, known: KnownObject) -> None:
         """Give up a push that leads no further."""
         count = round(_STALL[1] / DT)
         errors = residual(np.array([pushed.poses[0], pushed.poses[-count:][0], known.pose]), leg.goal, YAW_WEIGHT)
         if pushed.since_contact > _LOST_AFTER:
-            self._go(seen, Phase.RETREAT, f"contact lost for {_LOST_AFTER:g} s")
+            self._go(obs, Phase.RETREAT, f"contact lost for {_LOST_AFTER:g} s")
         elif known.age > UNDETECTED_LIMIT:
-            self._go(seen, Phase.RETREAT, f"the object has not been detected for {UNDETECTED_LIMIT:g} s")
+            self._go(obs, Phase.RETREAT, f"the object has not been detected for {UNDETECTED_LIMIT:g} s")
         elif len(pushed.poses) >= count and errors[1] - errors[2] < _STALL[0]:
             if errors[0] - errors[2] < 0.1:
                 failed = known.failed_faces | {leg.side}
                 self.belief = self.belief.with_object(self._index, failed_faces=failed)
-            self._go(seen, Phase.RETREAT, f"hardly nearer to its goal after {_STALL[1]:g} s")
-        elif float(seen.time[0]) - pushed.started > _PUSH_LIMIT:
-            self._go(seen, Phase.RETREAT, f"pushed for {_PUSH_LIMIT:g} s")
+            self._go(obs, Phase.RETREAT, f"hardly nearer to its goal after {_STALL[1]:g} s")
+        elif float(obs.time[0]) - pushed.started > _PUSH_LIMIT:
+            self._go(obs, Phase.RETREAT, f"pushed for {_PUSH_LIMIT:g} s")
 
-    def _retreat(self, seen: Observation) -> Command:
+    def _retreat(self, obs: Observation) -> Command:
         leg, _ = self._current()
-        now, sighting = float(seen.time[0]), Sighting.of(seen, self._index)
-        folded = bool(np.all(seen.hands[0, :, 0] < TUCKED_REACH + 0.06))
-        move = retreat.step(sighting, leg.face, folded)
+        now, object_obs = float(obs.time[0]), ObjectObservation.of(obs, self._index)
+        folded = bool(np.all(obs.hands[0, :, 0] < TUCKED_REACH + 0.06))
+        move = retreat.step(object_obs, leg.face, folded)
         if move.over or now - self.since > _LONGEST_RETREAT:
             self.leg = None
-            self._go(seen, Phase.CHOOSE, "backed away")
+            self._go(obs, Phase.CHOOSE, "backed away")
         return move.command
 
     def _current(self) -> tuple[_Leg, KnownObject]:
         assert self.leg is not None, f"{self.phase} needs a push"
         return self.leg, self.belief.objects[self._index]
 
-    def _go(self, seen: Observation, target: Phase, reason: str) -> None:
-        self.since = float(seen.time[0])
+    def _go(self, obs: Observation, target: Phase, reason: str) -> None:
+        self.since = float(obs.time[0])
         self.events.append(Event(self.since, self.phase, target, reason))
         self.phase = target

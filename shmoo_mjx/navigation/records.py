@@ -175,7 +175,7 @@ class NavigatorState:
     drive: drive.DriveState = field(default_factory=drive.init)
     lean_offset: equilibrium_lean.LeanOffset = field(default_factory=equilibrium_lean.init)
     last_u: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    last_seen: Observation | None = None
+    last_obs: Observation | None = None
     pending: Pending | None = None
     events: tuple[Event, ...] = ()
     """Of the present step."""

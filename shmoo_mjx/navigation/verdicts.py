@@ -47,9 +47,9 @@ def rolled(push: PushState, pose: np.ndarray) -> bool:
     return push.moved(pose) > _ROLLED
 
 
-def judge(setup: Setup, state: NavigatorState, seen: Observation) -> NavigatorState:
+def judge(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState:
     """Leave a push that is over, hopeless or lost; what takes no planning to see."""
-    segment, known, now = state.current(), state.known(), float(seen.time[0])
+    segment, known, now = state.current(), state.known(), float(obs.time[0])
     push, index, pushing = segment.push, segment.object, state.mode is Mode.PUSH
     assert push is not None
 
@@ -82,18 +82,18 @@ def _left(goal: np.ndarray, pose: np.ndarray, face: np.ndarray) -> np.ndarray:
     return np.asarray((goal[..., :2] - pose[:2]) @ np.array([np.cos(ahead), np.sin(ahead)]))
 
 
-def review(setup: Setup, state: NavigatorState, seen: Observation) -> NavigatorState | None:
+def review(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState | None:
     """Look whether the path is clear, or hold the planning stage of Algorithm 1, where either is due."""
-    now, push = float(seen.time[0]), state.current().push
+    now, push = float(obs.time[0]), state.current().push
     assert push is not None
     looks = state.mode is Mode.PUSH and round(now / DT) % _CLEAR_EVERY == 0
-    if looks and setup.routes(state).path_clear(seen.robot_pose[0, :2], state.known()):
+    if looks and setup.routes(state).path_clear(obs.robot_pose[0, :2], state.known()):
         index = state.current().object
         state = state.of_object(index, status=Status.PARKED)
         return state.go(now, Mode.RETREAT, f"object {index} no longer blocks the path")
     if not _due(setup, state, push):
         return None
-    return _planning_stage(setup, state, seen, push)
+    return _planning_stage(setup, state, obs, push)
 
 
 def _due(setup: Setup, state: NavigatorState, push: PushState) -> bool:
@@ -113,14 +113,14 @@ def _probability(push: PushState, pose: np.ndarray) -> float:
     return mobility.probability(push.moved(pose), push.impulse)
 
 
-def _planning_stage(setup: Setup, state: NavigatorState, seen: Observation, push: PushState) -> NavigatorState:
+def _planning_stage(setup: Setup, state: NavigatorState, obs: Observation, push: PushState) -> NavigatorState:
     """The planning stage of Algorithm 1 on the roll-outs of the adapted model."""
-    now, segment, known = float(seen.time[0]), state.current(), state.known()
+    now, segment, known = float(obs.time[0]), state.current(), state.known()
     state = state.in_segment(reviewed=push.contact_time)
     asked = _asked(setup, state)
     half = np.array(known.half_extents)
     poses, _, costs = setup.controller.planning_rollouts(push.pusher, asked, segment.around, half)
-    routes, position = setup.routes(state), seen.robot_pose[0, :2]
+    routes, position = setup.routes(state), obs.robot_pose[0, :2]
     path = routes.free_path(position, known)
     if path is not None and state.mode is Mode.PROBE:
         state = state.said(Planned(now, path.points))

@@ -25,7 +25,7 @@ from shmoo_mjx import se2
 from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.plant import lowlevel
 from shmoo_mjx.plant.observe import observation, planar_wrench
-from shmoo_mjx.plant.robot import Readout, readout
+from shmoo_mjx.plant.robot import RobotState, readout
 from shmoo_mjx.plant.scene import PARTS, Scene
 from shmoo_mjx.types import DT, Command, Observation
 
@@ -250,7 +250,7 @@ class MjxEngine:
         seen = observation(self.scenes[0], world.physics[0], *self._split(world.physics), wrenches.mean(axis=0))
         return world, seen
 
-    def robot(self, world: MjxWorld) -> Readout:
+    def robot(self, world: MjxWorld) -> RobotState:
         """The robots' true state, batched ``[W, ...]``."""
         qpos, qvel = self._split(world.physics)
         return readout(qpos[..., :17], qvel[..., :15])

@@ -23,7 +23,7 @@ from shmoo_mjx import se2
 from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.plant import lowlevel
 from shmoo_mjx.plant.observe import observation, planar_wrench
-from shmoo_mjx.plant.robot import Readout, readout
+from shmoo_mjx.plant.robot import RobotState, readout
 from shmoo_mjx.plant.scene import PARTS, Scene
 from shmoo_mjx.types import DT, Command, Observation
 
@@ -195,7 +195,7 @@ class MujocoEngine:
         first_velocity = 1 + self._nq
         return np.concatenate([physics[:, 1:18], physics[:, first_velocity : first_velocity + 15]], axis=-1)
 
-    def robot(self, world: World) -> Readout:
+    def robot(self, world: World) -> RobotState:
         """The robots' true state, batched ``[W, ...]``."""
         qpos, qvel = self._split(world.physics)
         return readout(qpos[:, :17], qvel[:, :15])

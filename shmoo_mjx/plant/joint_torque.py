@@ -11,14 +11,14 @@ from typing import Any
 from shmoo_mjx import se2
 from shmoo_mjx.hands import HAND_RADIUS
 from shmoo_mjx.plant.lowlevel import arm_gravity
-from shmoo_mjx.plant.robot import Readout, arm_jacobian, hand_in_body
+from shmoo_mjx.plant.robot import RobotState, arm_jacobian, hand_in_body
 
 __all__ = ["hand_forces", "joint_torque_wrench"]
 
 Array = Any
 
 
-def hand_forces(robot: Readout, arm_torque: Array) -> Array:
+def hand_forces(robot: RobotState, arm_torque: Array) -> Array:
     """Force of each hand on what it touches, in {R} [N].
 
     Args:
@@ -35,7 +35,7 @@ def hand_forces(robot: Readout, arm_torque: Array) -> Array:
     return xp.einsum("...ij,...hj->...hi", robot.rotation, in_body)
 
 
-def joint_torque_wrench(robot: Readout, arm_torque: Array, object_pose: Array) -> Array:
+def joint_torque_wrench(robot: RobotState, arm_torque: Array, object_pose: Array) -> Array:
     """Planar wrench of both hands on the object about its centre, in {W}: ``[..., 3]`` (fx, fy [N], tz [N m]).
 
     Args:

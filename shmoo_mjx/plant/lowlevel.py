@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from shmoo_mjx import se2
 from shmoo_mjx.hands import hand_targets
-from shmoo_mjx.plant.robot import ROBOT, Readout, arm_jacobian, com_offset, hand_in_body
+from shmoo_mjx.plant.robot import ROBOT, RobotState, arm_jacobian, com_offset, hand_in_body
 from shmoo_mjx.types import Command
 
 __all__ = ["Gains", "LowLevelState", "arm_gravity", "control", "init", "velocity_to_lean"]
@@ -113,7 +113,7 @@ def _references(gains: Gains, state: LowLevelState, command: Command, dt: float)
 
 
 def _drive_torque(
-    gains: Gains, state: LowLevelState, robot: Readout, yaw: Array, dt: float
+    gains: Gains, state: LowLevelState, robot: RobotState, yaw: Array, dt: float
 ) -> tuple[LowLevelState, Array]:
     xp = se2.array_module(state.gamma, robot.lean)
     # The CoM of the extended arms lies ahead of the body axis: lean the axis back by that angle.
@@ -138,7 +138,7 @@ def _drive_torque(
     return state._replace(lean_integral=integral, yaw_integral=yaw_integral), torque
 
 
-def _arm_torque(gains: Gains, state: LowLevelState, robot: Readout) -> Array:
+def _arm_torque(gains: Gains, state: LowLevelState, robot: RobotState) -> Array:
     """tau = J^T (K (p_des - p) - D v) + gravity compensation, ``[..., 2, 3]``."""
     xp = se2.array_module(state.gamma, robot.arms)
     target = hand_targets(state.gamma, state.reach)
@@ -163,7 +163,7 @@ def arm_gravity(arms: Array) -> Array:
 
 
 def control(
-    gains: Gains, state: LowLevelState, robot: Readout, command: Command, dt: float
+    gains: Gains, state: LowLevelState, robot: RobotState, command: Command, dt: float
 ) -> tuple[LowLevelState, Array]:
     """One control period of ``dt`` seconds.
 

@@ -15,8 +15,8 @@ from shmoo_mjx import se2
 
 __all__ = [
     "ROBOT",
-    "Readout",
     "Robot",
+    "RobotState",
     "arm_angles",
     "arm_jacobian",
     "com_offset",
@@ -74,7 +74,7 @@ class Robot:
 ROBOT = Robot()
 
 
-class Readout(NamedTuple):
+class RobotState(NamedTuple):
     """The robot's state in the frames the control works in."""
 
     pose: Array
@@ -125,7 +125,7 @@ def _matrix(quat: Array) -> Array:
     return xp.stack(rows, axis=-1).reshape(*quat.shape[:-1], 3, 3)
 
 
-def readout(qpos: Array, qvel: Array) -> Readout:
+def readout(qpos: Array, qvel: Array) -> RobotState:
     """Robot state from MuJoCo's generalised coordinates of the robot: root (7, 6), ball (4, 3), arms (6, 6).
 
     Args:
@@ -144,7 +144,7 @@ def readout(qpos: Array, qvel: Array) -> Readout:
         [xp.arctan2(rotation[..., 0, 2], rotation[..., 2, 2]), xp.arctan2(rotation[..., 1, 2], rotation[..., 2, 2])],
         axis=-1,
     )
-    return Readout(
+    return RobotState(
         pose=xp.stack([qpos[..., 0], qpos[..., 1], yaw], axis=-1),
         twist=xp.stack([qvel[..., 0], qvel[..., 1], omega[..., 2]], axis=-1),
         rotation=rotation,

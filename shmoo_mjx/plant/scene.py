@@ -93,7 +93,8 @@ def build_scene(
         engine: which engine's contact sensors to build. The physics is the same until the robot falls, an object
             topples, or an arm or the ball touches an object: these contacts are left out for MJX, which computes every
             contact that could be.
-        adjust: last changes to the MJCF before it is compiled, in place (plant/body.py makes another robot this way).
+        adjust: last changes to the MJCF before it is compiled, in place (plant/perturbation.py makes another robot this
+            way).
     """
     framed = engine == "mjx"
     spec = mujoco.MjSpec.from_file(str(asset("models_xml/scene.xml")))

@@ -21,7 +21,7 @@ from shmoo_mjx.sensing import senses as sensing
 from shmoo_mjx.sensing import tracker
 from shmoo_mjx.sensing.camera import in_sight, scenery_of
 from shmoo_mjx.sensing.odometry import TICK
-from shmoo_mjx.sensing.senses import Mind, Noise, Senses
+from shmoo_mjx.sensing.senses import Noise, Senses, SensorState
 from shmoo_mjx.sensing.touch import felt
 from shmoo_mjx.sensing.tracker import Tracks
 from shmoo_mjx.types import DT, Command, Observation
@@ -35,7 +35,7 @@ _WATCHDOG = 0.3
 """Time without a command after which the low-level control brings the robot to rest by itself [s]."""
 
 
-class Shown(NamedTuple):
+class PerfectState(NamedTuple):
     """What perfect senses remember: where each object was last in sight."""
 
     pose: np.ndarray
@@ -53,7 +53,7 @@ class SensedWorld(NamedTuple):
     """What the motors follow."""
     pending: tuple[tuple[np.ndarray, Command], ...]
     """(tick of arrival ``[W]``, command), in the order in which they were sent."""
-    mind: Mind | Shown
+    sensor_state: SensorState | PerfectState
     contact: np.ndarray
     """``[W, N, 3]`` true mean wrench over the last sample, in {W}."""
     wall_parts: np.ndarray
@@ -82,7 +82,7 @@ class SensedEngine:
         seed: of the robot (body, delays, drift) and of all noise; a sequence gives each world a robot of its own.
         gains: of the low-level control, which knows nominal values only.
         threads: as for :class:`~shmoo_mjx.plant.engine_mujoco.MujocoEngine`.
-        told: whether the robot is told at the start where all objects stand, in sight or not.
+        poses_known: whether the robot knows at the start where all objects stand, in sight or not.
         backend: another engine in the place of C MuJoCo's, made of the same scenes.
     """
 
@@ -93,11 +93,11 @@ class SensedEngine:
         seed: int | Sequence[int] = 0,
         gains: Gains | None = None,
         threads: int = 1,
-        told: bool = False,
+        poses_known: bool = False,
         backend: Any = None,
     ) -> None:
         self.engine = backend or MujocoEngine(scenes, gains, threads)
-        self.senses, self.told = senses, told
+        self.senses, self.poses_known = senses, poses_known
         seeds = [seed] * len(scenes) if isinstance(seed, int) else list(seed)
         self.seeds = seeds
         self._entropy = int(np.random.SeedSequence(seeds).generate_state(1)[0])
@@ -137,27 +137,29 @@ class SensedEngine:
         held = Command(np.zeros((len(true.robot_pose), 3)), true.robot_pose[:, 2], control.reach, control.hand_height)
         noise = np.random.default_rng([5, self._entropy, ticks]).normal(size=true.object_pose.shape)
         given = (self.senses, self._drawn, self._scenery, true.robot_pose, true.object_pose, noise)
-        mind: Mind | Shown
+        sensor_state: SensorState | PerfectState
         if self.senses.perfect:
             known = np.full(true.object_pose.shape, np.nan)
             at = np.full(known.shape[:2], -np.inf)
-            mind = Shown(np.where(self.told, true.object_pose, known), np.where(self.told, float(ticks), at))
-            mind = self._look(mind, true, ticks)
+            sensor_state = PerfectState(
+                np.where(self.poses_known, true.object_pose, known), np.where(self.poses_known, float(ticks), at)
+            )
+            sensor_state = self._look(sensor_state, true, ticks)
         else:
-            mind = sensing.first_mind(*given, told=self.told, now=ticks)
+            sensor_state = sensing.first_state(*given, poses_known=self.poses_known, now=ticks)
         untouched = np.zeros_like(np.asarray(truth.wall_parts))
-        return SensedWorld(truth, _numpy(held), (), mind, np.zeros_like(true.object_pose), untouched, ticks)
+        return SensedWorld(truth, _numpy(held), (), sensor_state, np.zeros_like(true.object_pose), untouched, ticks)
 
     def restarted(self, world: SensedWorld, truth: Any, which: np.ndarray) -> SensedWorld:
         """The worlds ``which [W]`` begin anew, at rest as ``truth`` says of them; the others go on."""
         fresh = self.begin(truth, world.ticks)
         chosen = [
             jax.tree.map(lambda new, old: _chosen(which, new, old), getattr(fresh, name), getattr(world, name))
-            for name in ("held", "mind", "contact", "wall_parts")
+            for name in ("held", "sensor_state", "contact", "wall_parts")
         ]
-        held, mind, contact, touched = chosen
+        held, sensor_state, contact, touched = chosen
         pending = tuple((np.where(which, _NEVER, at), command) for at, command in world.pending)
-        return SensedWorld(truth, held, pending, mind, contact, touched, world.ticks)
+        return SensedWorld(truth, held, pending, sensor_state, contact, touched, world.ticks)
 
     def taken_over(self, world: SensedWorld, before: Scene) -> SensedWorld:
         """One world, as an engine of the scene ``before`` has left it, for this engine to go on with.
@@ -173,24 +175,28 @@ class SensedEngine:
         physics[:, first_velocity + scene.model.nv :] = old[:, 1 + nq + nv :]  # the robot's motors
         truth = world.truth._replace(physics=physics)
         started = self.begin(truth, world.ticks)
-        mind: Mind | Shown
-        if isinstance(world.mind, Shown) and isinstance(started.mind, Shown):
-            nothing = Shown(np.full_like(started.mind.pose, np.nan), np.full_like(started.mind.at, -np.inf))
-            mind = Shown(*(_first(new, then, 1) for new, then in zip(nothing, world.mind, strict=True)))
+        sensor_state: SensorState | PerfectState
+        if isinstance(world.sensor_state, PerfectState) and isinstance(started.sensor_state, PerfectState):
+            nothing = PerfectState(
+                np.full_like(started.sensor_state.pose, np.nan), np.full_like(started.sensor_state.at, -np.inf)
+            )
+            sensor_state = PerfectState(
+                *(_first(new, then, 1) for new, then in zip(nothing, world.sensor_state, strict=True))
+            )
         else:
-            assert isinstance(world.mind, Mind) and isinstance(started.mind, Mind)
+            assert isinstance(world.sensor_state, SensorState) and isinstance(started.sensor_state, SensorState)
             none = tracker.init(1, len(scene.conditions))
             tracks = {
                 name: then if name == "at" else _first(getattr(none, name), then, 1)
-                for name, then in world.mind.tracks._asdict().items()
+                for name, then in world.sensor_state.tracks._asdict().items()
             }
-            mind = world.mind._replace(
-                objects=_first(started.mind.objects, world.mind.objects, 2),
-                lost_until=_first(started.mind.lost_until, world.mind.lost_until, 1),
+            sensor_state = world.sensor_state._replace(
+                objects=_first(started.sensor_state.objects, world.sensor_state.objects, 2),
+                lost_until=_first(started.sensor_state.lost_until, world.sensor_state.lost_until, 1),
                 tracks=Tracks(**tracks),
             )
         contact = _first(np.zeros_like(started.contact), world.contact, 1)
-        return world._replace(truth=truth, mind=mind, contact=contact)
+        return world._replace(truth=truth, sensor_state=sensor_state, contact=contact)
 
     def observe(self, world: SensedWorld) -> Observation:
         """What the robot believes, with no wrench and without new noise."""
@@ -242,16 +248,23 @@ class SensedEngine:
             if TICK * world.silent > _WATCHDOG + 1e-6:
                 world = world._replace(held=self._to_rest(world))
             held = world.held
-            if isinstance(world.mind, Mind):
-                held = held._replace(yaw=se2.wrap(held.yaw - sensing.heading_error(world.mind)))
+            if isinstance(world.sensor_state, SensorState):
+                held = held._replace(yaw=se2.wrap(held.yaw - sensing.heading_error(world.sensor_state)))
             truth, true = self.engine.step(world.truth, held, length * TICK, push)
             true, now = _numpy(true), world.ticks + length
-            if isinstance(world.mind, Mind):
+            if isinstance(world.sensor_state, SensorState):
                 noise = Noise(normal[i, :, :6], normal[i, :, 6:].reshape(worlds, objects, 3), uniform[i])
-                mind = sensing.tick(
-                    self.senses, self._drawn, self._scenery, world.mind, true.robot_pose, true.object_pose, noise, now
+                sensor_state = sensing.tick(
+                    self.senses,
+                    self._drawn,
+                    self._scenery,
+                    world.sensor_state,
+                    true.robot_pose,
+                    true.object_pose,
+                    noise,
+                    now,
                 )
-                world = world._replace(truth=truth, mind=mind, ticks=now)
+                world = world._replace(truth=truth, sensor_state=sensor_state, ticks=now)
                 if (ticks - 1 - i) % _TOUCH_EVERY == 0:
                     readings.append(self._felt(world, held))
             else:
@@ -259,8 +272,8 @@ class SensedEngine:
             contact += true.wrench * (length / ticks)
             touched = touched | np.asarray(truth.wall_parts)
         wrench = np.mean(readings, axis=0) if readings else contact
-        if isinstance(world.mind, Shown):
-            world = world._replace(mind=self._look(world.mind, true, world.ticks))
+        if isinstance(world.sensor_state, PerfectState):
+            world = world._replace(sensor_state=self._look(world.sensor_state, true, world.ticks))
         world = world._replace(contact=contact, wall_parts=touched)
         noisy = 0.0 if self.senses.perfect else self.senses.lean_noise * rng.normal(size=(2, *true.lean.shape))
         return world, self._perceived(world, true, wrench, noisy)
@@ -285,34 +298,37 @@ class SensedEngine:
         ends = [0, *sorted(t for t in arrivals if 0 < t < ticks), ticks]
         return np.diff(ends).tolist()
 
-    def _look(self, mind: Shown, true: Observation, now: int) -> Shown:
+    def _look(self, sensor_state: PerfectState, true: Observation, now: int) -> PerfectState:
         """Perfect senses: what is in sight is known exactly."""
         shown = in_sight(self.senses.camera, self._scenery, true.robot_pose, true.object_pose)
-        return Shown(np.where(shown[..., None], true.object_pose, mind.pose), np.where(shown, float(now), mind.at))
+        return PerfectState(
+            np.where(shown[..., None], true.object_pose, sensor_state.pose),
+            np.where(shown, float(now), sensor_state.at),
+        )
 
     def _perceived(self, world: SensedWorld, true: Observation, wrench: np.ndarray, noise: Any) -> Observation:
         """The observation; ``noise [2, W, 2]`` is that of the inertial unit."""
-        if isinstance(world.mind, Shown):
-            age = TICK * (world.ticks - world.mind.at)
+        if isinstance(world.sensor_state, PerfectState):
+            age = TICK * (world.ticks - world.sensor_state.at)
             now = age <= 0.5 * TICK
             twist = np.where(now[..., None], true.object_twist, 0.0)
             return true._replace(
-                object_pose=world.mind.pose, object_twist=twist, wrench=wrench, object_age=age, detected=now
+                object_pose=world.sensor_state.pose, object_twist=twist, wrench=wrench, object_age=age, detected=now
             )
-        found = sensing.believed(self.senses, self._drawn, world.mind, world.ticks, DT)
+        found = sensing.estimates(self.senses, self._drawn, world.sensor_state, world.ticks, DT)
         if np.ndim(noise):
             true = true._replace(lean=true.lean + noise[0], lean_rate=true.lean_rate + 5 * noise[1])
         return true._replace(wrench=wrench, **found._asdict())
 
     def _felt(self, world: SensedWorld, held: Command) -> np.ndarray:
-        assert isinstance(world.mind, Mind)
+        assert isinstance(world.sensor_state, SensorState)
         if not world.contact.size:
             return world.contact
-        believed = sensing.believed(self.senses, self._drawn, world.mind, world.ticks, DT)
-        robot = _numpy(self.engine.robot(world.truth))._replace(pose=believed.robot_pose)
+        estimates = sensing.estimates(self.senses, self._drawn, world.sensor_state, world.ticks, DT)
+        robot = _numpy(self.engine.robot(world.truth))._replace(pose=estimates.robot_pose)
         torque = np.asarray(self.engine.torque(world.truth, held), dtype=float)[:, 3:]
         reach = np.asarray(world.truth.control.reach, dtype=float)
-        return felt(self.senses.touch, robot, torque, reach, believed.object_pose)
+        return felt(self.senses.touch, robot, torque, reach, estimates.object_pose)
 
 
 def _arrived(world: SensedWorld) -> SensedWorld:

@@ -15,25 +15,25 @@ import numpy as np
 
 from shmoo_mjx import se2
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.plant.body import Body, Imperfections, body_of, draw_body
+from shmoo_mjx.plant.perturbation import Perturbation, PerturbedBody, adjustment, draw_body
 from shmoo_mjx.sensing import odometry, tracker
 from shmoo_mjx.sensing.camera import Camera, Scenery, deviation, in_sight
 from shmoo_mjx.sensing.odometry import TICK, Odometry, OdometryConfig, OdometryDraw
-from shmoo_mjx.sensing.touch import Touch
+from shmoo_mjx.sensing.touch import TouchConfig
 from shmoo_mjx.sensing.tracker import TrackerConfig, Tracks
 
 __all__ = [
     "PERFECT",
     "REAL",
-    "Belief",
-    "Drawn",
-    "Mind",
+    "Estimates",
     "Noise",
     "Senses",
+    "SensorDraw",
+    "SensorState",
     "altered",
-    "believed",
     "draw",
-    "first_mind",
+    "estimates",
+    "first_state",
     "heading_error",
     "senses_named",
     "tick",
@@ -53,7 +53,7 @@ class Senses:
     camera: Camera = Camera()
     odometry: OdometryConfig = OdometryConfig()
     tracker: TrackerConfig = TrackerConfig()
-    touch: Touch = Touch()
+    touch: TouchConfig = TouchConfig()
     lean_noise: float = float(np.deg2rad(0.1))
     """Standard deviation of lean [rad] and, five times larger, of its rate [rad/s]: a MEMS inertial unit's attitude."""
     computing: float = 0.03
@@ -61,7 +61,7 @@ class Senses:
     fixed budget keeps runs repeatable; the shipped controller takes 20 to 30 ms on two cores."""
     planning: float = 0.2
     """Time that a global path or a planning stage takes to compute [s]; the robot goes on as it did meanwhile."""
-    body: Imperfections = Imperfections()
+    body: Perturbation = Perturbation()
     """How the robot's body differs from the one the control knows, and how late commands arrive."""
 
     def __post_init__(self) -> None:
@@ -77,13 +77,13 @@ class Senses:
         sensed = float(np.mean(self.odometry.delay)) + self.odometry.smoothing
         return sensed + self.computing + float(np.mean(self.body.delay))
 
-    def robot(self, seed: int) -> Body:
+    def robot(self, seed: int) -> PerturbedBody:
         """The body of the robot with this seed."""
         return draw_body(self.body, seed)
 
     def adjust(self, seed: int) -> Callable[[mujoco.MjSpec], None]:
         """What :func:`~shmoo_mjx.plant.scene.build_scene` takes as ``adjust`` to build that body."""
-        return body_of(self.robot(seed))
+        return adjustment(self.robot(seed))
 
 
 REAL = Senses()
@@ -95,7 +95,7 @@ PERFECT = Senses(
     camera=Camera(field_of_view=2 * float(np.pi), near=0.0, far=3.5, objects_hide=False),
     computing=0.0,
     planning=0.0,
-    body=Imperfections.none(),
+    body=Perturbation.none(),
 )
 """The nominal body; true poses of what is within 3.5 m all round and not behind a wall."""
 
@@ -112,7 +112,7 @@ def senses_named(name: str) -> Senses:
     return found[name]
 
 
-class Drawn(NamedTuple):
+class SensorDraw(NamedTuple):
     """What the seeds of W robots decide about their senses."""
 
     odometry: OdometryDraw
@@ -133,8 +133,8 @@ class Noise(NamedTuple):
     """``[W, N, 2]`` uniform from 0 to 1: drop-out, burst."""
 
 
-class Mind(NamedTuple):
-    """What the senses of W robots remember."""
+class SensorState(NamedTuple):
+    """State of the senses of W robots."""
 
     odometry: Odometry
     objects: Array
@@ -144,7 +144,7 @@ class Mind(NamedTuple):
     tracks: Tracks
 
 
-class Belief(NamedTuple):
+class Estimates(NamedTuple):
     """Where the robot believes things are, in {W}, now."""
 
     robot_pose: Array
@@ -156,7 +156,7 @@ class Belief(NamedTuple):
     detected: Array
 
 
-def draw(senses: Senses, seeds: list[int]) -> Drawn:
+def draw(senses: Senses, seeds: list[int]) -> SensorDraw:
     """The senses of the robots with these seeds."""
     found = []
     for seed in seeds:
@@ -166,22 +166,22 @@ def draw(senses: Senses, seeds: list[int]) -> Drawn:
         frame = max(round((low + (high - low) * rng.random()) / TICK), int(moved.delay))
         found.append((moved, frame, round(senses.robot(seed).delay / TICK)))
     moves, frames, commands = zip(*found, strict=True)
-    return Drawn(
+    return SensorDraw(
         OdometryDraw(*(np.stack(column) for column in zip(*moves, strict=True))), np.array(frames), np.array(commands)
     )
 
 
-def first_mind(
+def first_state(
     senses: Senses,
-    drawn: Drawn,
+    drawn: SensorDraw,
     scenery: Scenery,
     robot_pose: Array,
     object_pose: Array,
     noise: Array,
-    told: bool = False,
+    poses_known: bool = False,
     now: int = 0,
     remembers: float = 0.0,
-) -> Mind:
+) -> SensorState:
     """Before the first step, when the robot has stood there for a while: one frame of what is in sight has been taken.
 
     Args:
@@ -191,7 +191,7 @@ def first_mind(
         robot_pose: true ``[W, 3]``; the robot is told where it starts.
         object_pose: true ``[W, N, 3]``.
         noise: ``[W, N, 3]`` standard normal.
-        told: whether it has been told of all objects too, as exactly as its camera would see them from there.
+        poses_known: whether it knows the poses of all objects too, as exactly as its camera would see them from there.
         now: number of the tick.
         remembers: for how long poses are kept at least [s], where frames may be older than the senses' own.
     """
@@ -199,64 +199,68 @@ def first_mind(
     worlds, objects = object_pose.shape[:2]
     latest = max(senses.camera.delay[1], senses.odometry.delay[1], senses.odometry.fix_delay, remembers)
     length = round(latest / TICK) + 2
-    mind = Mind(
+    sensor_state = SensorState(
         odometry.init(robot_pose, length),
         xp.repeat(object_pose[:, None], length, axis=1),
         xp.zeros((worlds, objects)),
         tracker.init(worlds, objects),
     )
-    found = xp.ones((worlds, objects), bool) if told else in_sight(senses.camera, scenery, robot_pose, object_pose)
+    found = (
+        xp.ones((worlds, objects), bool) if poses_known else in_sight(senses.camera, scenery, robot_pose, object_pose)
+    )
     none, start = xp.zeros(worlds), xp.full(worlds, float(now))
-    mind = mind._replace(tracks=mind.tracks._replace(at=start))
-    return _taken_in(senses, mind, robot_pose, object_pose, none, found, noise, start, start)
+    sensor_state = sensor_state._replace(tracks=sensor_state.tracks._replace(at=start))
+    return _taken_in(senses, sensor_state, robot_pose, object_pose, none, found, noise, start, start)
 
 
 def tick(
     senses: Senses,
-    drawn: Drawn,
+    drawn: SensorDraw,
     scenery: Scenery,
-    mind: Mind,
+    sensor_state: SensorState,
     robot_pose: Array,
     object_pose: Array,
     noise: Noise,
     now: Any,
-) -> Mind:
+) -> SensorState:
     """One tick of odometry and, in the worlds where a frame arrives, of the camera.
 
     Args:
         senses: see there.
         drawn: these robots.
         scenery: sizes and walls.
-        mind: before the tick.
+        sensor_state: before the tick.
         robot_pose: true ``[W, 3]`` after it.
         object_pose: true ``[W, N, 3]``.
         noise: of this tick.
         now: its number.
     """
-    moved = odometry.step(senses.odometry, drawn.odometry, mind.odometry, robot_pose, noise.odometry, now)
-    xp = se2.array_module(robot_pose, object_pose, mind.objects)
-    mind = mind._replace(odometry=moved, objects=xp.concatenate([mind.objects[:, 1:], object_pose[:, None]], axis=1))
+    moved = odometry.step(senses.odometry, drawn.odometry, sensor_state.odometry, robot_pose, noise.odometry, now)
+    xp = se2.array_module(robot_pose, object_pose, sensor_state.objects)
+    sensor_state = sensor_state._replace(
+        odometry=moved, objects=xp.concatenate([sensor_state.objects[:, 1:], object_pose[:, None]], axis=1)
+    )
     taken = now - drawn.frame_delay
     frames = TICK * senses.camera.rate
-    due = (xp.floor(taken * frames + 1e-3) > xp.floor((taken - 1) * frames + 1e-3)) & (taken > mind.tracks.at)
+    due = (xp.floor(taken * frames + 1e-3) > xp.floor((taken - 1) * frames + 1e-3)) & (taken > sensor_state.tracks.at)
     if xp is np and not np.any(due):
-        return mind
+        return sensor_state
     robot_then = odometry.ago(moved.true, drawn.frame_delay)
-    objects_then = odometry.ago(mind.objects, drawn.frame_delay)
+    objects_then = odometry.ago(sensor_state.objects, drawn.frame_delay)
     burst = due[:, None] & (noise.lost[..., 1] < senses.camera.burst)
-    lost_until = xp.where(burst, taken[:, None] + senses.camera.burst_time / TICK, mind.lost_until)
+    lost_until = xp.where(burst, taken[:, None] + senses.camera.burst_time / TICK, sensor_state.lost_until)
     found = due[:, None] & in_sight(senses.camera, scenery, robot_then, objects_then)
     found &= (lost_until <= taken[:, None]) & (noise.lost[..., 0] >= senses.camera.drop_out)
-    mind = mind._replace(lost_until=lost_until)
-    seconds = xp.where(due, TICK * (taken - mind.tracks.at), 0.0)
+    sensor_state = sensor_state._replace(lost_until=lost_until)
+    seconds = xp.where(due, TICK * (taken - sensor_state.tracks.at), 0.0)
     return _taken_in(
-        senses, mind, robot_then, objects_then, seconds, found, noise.camera, taken, now + 0 * taken, drawn
+        senses, sensor_state, robot_then, objects_then, seconds, found, noise.camera, taken, now + 0 * taken, drawn
     )
 
 
 def _taken_in(
     senses: Senses,
-    mind: Mind,
+    sensor_state: SensorState,
     robot: Array,
     objects: Array,
     seconds: Array,
@@ -264,33 +268,37 @@ def _taken_in(
     noise: Array,
     taken: Array,
     now: Array,
-    drawn: Drawn | None = None,
-) -> Mind:
+    drawn: SensorDraw | None = None,
+) -> SensorState:
     """A frame's detections into the tracks: the camera measures from the robot, the tracks stand in {D}."""
     xp = se2.array_module(robot, objects, noise)
     measured = se2.relative(robot[:, None], objects)
     spread = deviation(senses.camera, xp.sqrt(xp.sum(measured[..., :2] ** 2, axis=-1)))
     measured = measured + spread * noise
-    stood = mind.odometry.pose[:, -1] if drawn is None else odometry.ago(mind.odometry.pose, drawn.frame_delay)
+    stood = (
+        sensor_state.odometry.pose[:, -1]
+        if drawn is None
+        else odometry.ago(sensor_state.odometry.pose, drawn.frame_delay)
+    )
     in_odometry = se2.compose(xp.broadcast_to(stood[:, None], measured.shape), measured)
-    tracks = tracker.update(senses.tracker, mind.tracks, in_odometry, spread, found, seconds, (taken, now))
-    return mind._replace(tracks=tracks)
+    tracks = tracker.update(senses.tracker, sensor_state.tracks, in_odometry, spread, found, seconds, (taken, now))
+    return sensor_state._replace(tracks=tracks)
 
 
-def believed(senses: Senses, drawn: Drawn, mind: Mind, now: Any, sample: float) -> Belief:
+def estimates(senses: Senses, drawn: SensorDraw, sensor_state: SensorState, now: Any, sample: float) -> Estimates:
     """What the robot publishes at tick ``now``, everything carried on to that time; ``sample`` is the sample time [s].
 
     Robot and objects go through the same estimate of {D} in {W}: seen from the robot, an object is where the camera
     has seen it, however far the robot has drifted.
     """
-    xp = se2.array_module(mind.tracks.pose, mind.odometry.pose)
-    frame, tracks = mind.odometry.frame, mind.tracks
-    robot = se2.compose(frame, odometry.estimate(drawn.odometry, mind.odometry))
+    xp = se2.array_module(sensor_state.tracks.pose, sensor_state.odometry.pose)
+    frame, tracks = sensor_state.odometry.frame, sensor_state.tracks
+    robot = se2.compose(frame, odometry.estimate(drawn.odometry, sensor_state.odometry))
     poses = tracker.ahead(tracks, TICK * (now - tracks.at))
     poses = se2.compose(xp.broadcast_to(frame[:, None], poses.shape), poses)
-    return Belief(
+    return Estimates(
         robot_pose=_wrapped(xp, robot),
-        robot_twist=se2.rotate(mind.odometry.twist, frame[:, 2]),
+        robot_twist=se2.rotate(sensor_state.odometry.twist, frame[:, 2]),
         object_pose=_wrapped(xp, poses),
         object_twist=se2.rotate(tracks.rate, frame[:, None, 2]),
         robot_age=TICK * drawn.odometry.delay,
@@ -299,9 +307,9 @@ def believed(senses: Senses, drawn: Drawn, mind: Mind, now: Any, sample: float) 
     )
 
 
-def heading_error(mind: Mind) -> Array:
+def heading_error(sensor_state: SensorState) -> Array:
     """``[W]`` believed minus true yaw [rad]: the low-level control holds headings by what the robot believes."""
-    moved = mind.odometry
+    moved = sensor_state.odometry
     return se2.wrap(moved.frame[:, 2] + moved.pose[:, -1, 2] - moved.true[:, -1, 2])
 
 

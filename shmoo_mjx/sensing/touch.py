@@ -9,15 +9,15 @@ import numpy as np
 
 from shmoo_mjx import se2
 from shmoo_mjx.plant.joint_torque import joint_torque_wrench
-from shmoo_mjx.plant.robot import Readout
+from shmoo_mjx.plant.robot import RobotState
 
-__all__ = ["Touch", "felt"]
+__all__ = ["TouchConfig", "felt"]
 
 Array = Any
 
 
 @dataclass(frozen=True)
-class Touch:
+class TouchConfig:
     """The estimate of contact forces from the arms' motor currents."""
 
     least: float = 2.0
@@ -25,7 +25,7 @@ class Touch:
     leave as much. More: light touches are missed."""
 
 
-def felt(touch: Touch, robot: Readout, torque: Array, reach: Array, object_pose: Array) -> np.ndarray:
+def felt(touch: TouchConfig, robot: RobotState, torque: Array, reach: Array, object_pose: Array) -> np.ndarray:
     """Gamma ``[W, N, 3]`` on each object about its centre, in {W}; all of it goes to the one nearest to the hands.
 
     Args:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from shmoo_mjx import se2
-from shmoo_mjx.control.pushing import Sighting
+from shmoo_mjx.control.pushing import ObjectObservation
 from shmoo_mjx.faces import stand_off
 from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.skills.settings import Move
@@ -41,15 +41,15 @@ class ApproachState:
     """When the arms were told to extend [s]."""
 
 
-def init(now: float, gap: float) -> ApproachState:
-    """An approach that starts at time ``now`` [s]."""
-    return ApproachState(now, gap)
+def init(time: float, gap: float) -> ApproachState:
+    """An approach that starts at ``time`` [s]."""
+    return ApproachState(time, gap)
 
 
 def step(
     state: ApproachState,
     time: float,
-    now: Sighting,
+    obs: ObjectObservation,
     face: Array,
     lean: Array,
     yaw: float,
@@ -61,16 +61,16 @@ def step(
     Args:
         state: from :func:`init` or the last step.
         time: [s]
-        now: robot and object.
+        obs: robot and object.
         face: ``[4]`` as in :func:`~shmoo_mjx.faces.faces_of`.
         lean: ``[2]`` that follows the path to the stand-off pose [rad].
         yaw: heading along that path, in {W} [rad].
         remaining: length of the path still to go [m].
         room: whether the arms have room to extend here.
     """
-    wanted, pose = stand_off(now.object_pose, face, state.gap), now.robot_pose
+    wanted, pose = stand_off(obs.object_pose, face, state.gap), obs.robot_pose
     near = np.linalg.norm(pose[:2] - wanted[:2]) < 0.10
-    slow = np.linalg.norm(now.robot_twist[:2]) < 0.08
+    slow = np.linalg.norm(obs.robot_twist[:2]) < 0.08
     extended_at = state.extended_at
     room = room or time - state.started > _LIMIT / 2
     if extended_at is None and near and slow and room and abs(se2.wrap(pose[2] - wanted[2])) < 0.12:
@@ -80,7 +80,7 @@ def step(
     if remaining < 0.8:
         yaw = float(wanted[2])
     else:
-        offset = now.object_pose[:2] - pose[:2]
+        offset = obs.object_pose[:2] - pose[:2]
         yaw = float(np.arctan2(offset[1], offset[0])) if np.hypot(*offset) < _LOOKING else yaw
     command = Command(np.append(lean, 0.0), yaw, reach, height)
     late = not over and time - state.started > _LIMIT

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from shmoo_mjx import se2
-from shmoo_mjx.control.pushing import Sighting
+from shmoo_mjx.control.pushing import ObjectObservation
 from shmoo_mjx.faces import heading
 from shmoo_mjx.hands import HAND_HEIGHT, HAND_RADIUS, REACH, touches
 from shmoo_mjx.skills.settings import Move, hands_to_face, in_face, lean_for
@@ -34,29 +34,29 @@ class ContactState(NamedTuple):
     """``[3]`` when the hands began to feel for it, in {W}."""
 
 
-def init(now: Sighting) -> ContactState:
+def init(obs: ObjectObservation) -> ContactState:
     """Before the first step."""
-    return ContactState(now.object_pose)
+    return ContactState(obs.object_pose)
 
 
-def step(state: ContactState, now: Sighting, face: Array) -> tuple[ContactState, Move]:
+def step(state: ContactState, obs: ObjectObservation, face: Array) -> tuple[ContactState, Move]:
     """One sample; pure, on NumPy and JAX arrays alike.
 
     Args:
         state: from :func:`init`.
-        now: robot and object.
+        obs: robot and object.
         face: ``[4]`` as in :func:`~shmoo_mjx.faces.faces_of`.
     """
-    xp = se2.array_module(now.object_pose, now.robot_pose)
-    local, away = in_face(now.object_pose, now.robot_pose, face), hands_to_face(now.object_pose, now.robot_pose, face)
-    shift = now.object_pose[:2] - state.object_pose[:2]
+    xp = se2.array_module(obs.object_pose, obs.robot_pose)
+    local, away = in_face(obs.object_pose, obs.robot_pose, face), hands_to_face(obs.object_pose, obs.robot_pose, face)
+    shift = obs.object_pose[:2] - state.object_pose[:2]
     gives_way = xp.hypot(shift[0], shift[1]) > _SHIFT
-    over = (away < _NEAR) & (touches(now.wrench) | gives_way)
+    over = (away < _NEAR) & (touches(obs.wrench) | gives_way)
     sideways = xp.clip(-0.8 * local[1], -0.1, 0.1)
     wish = xp.where(over, 0.0, se2.rotate(xp.stack([_SPEED + 0.0 * sideways, sideways]), -local[2]))
-    lean = lean_for(now, wish)
+    lean = lean_for(obs, wish)
     command = Command(
-        xp.concatenate([lean, xp.zeros(1)]), heading(now.object_pose, face), xp.asarray(REACH), xp.asarray(HAND_HEIGHT)
+        xp.concatenate([lean, xp.zeros(1)]), heading(obs.object_pose, face), xp.asarray(REACH), xp.asarray(HAND_HEIGHT)
     )
     failed = ~over & ((local[0] < -(REACH + HAND_RADIUS + _ASTRAY[0])) | (abs(local[1]) > _ASTRAY[1]))
     return state, Move(command, over, failed)

@@ -9,7 +9,7 @@ import numpy as np
 
 from shmoo_mjx import se2
 from shmoo_mjx.control.mppi import Plan
-from shmoo_mjx.control.pushing import LocalDistanceField, Sighting
+from shmoo_mjx.control.pushing import LocalDistanceField, ObjectObservation
 from shmoo_mjx.faces import heading
 from shmoo_mjx.hands import HAND_HEIGHT, REACH, touches
 from shmoo_mjx.learning.adaptation import AdaptState
@@ -32,11 +32,19 @@ class Pusher(Protocol):
     Its state is a NamedTuple of its own with a field ``adapt``: what has been learned of the object.
     """
 
-    def init(self, now: Sighting, face: Array, half_extents: Array, key: Array, adapt: AdaptState | None = None) -> Any:
+    def init(
+        self, obs: ObjectObservation, face: Array, half_extents: Array, key: Array, adapt: AdaptState | None = None
+    ) -> Any:
         """Start a push."""
 
     def step(
-        self, state: Any, now: Sighting, last_u: Array, goal: Array, around: LocalDistanceField, half_extents: Array
+        self,
+        state: Any,
+        obs: ObjectObservation,
+        last_u: Array,
+        goal: Array,
+        around: LocalDistanceField,
+        half_extents: Array,
     ) -> tuple[np.ndarray, Any, Plan | None]:
         """One 10 Hz step."""
 
@@ -78,17 +86,23 @@ class PushState:
 
 
 def init(
-    pusher: Any, time: float, now: Sighting, face: Array, half_extents: Array, key: Array, adapt: AdaptState | None
+    pusher: Any,
+    time: float,
+    obs: ObjectObservation,
+    face: Array,
+    half_extents: Array,
+    key: Array,
+    adapt: AdaptState | None,
 ) -> PushState:
     """A push on ``face [4]`` that starts at ``time`` [s]. Its first step comes a sample later: a pusher that was
     stepped with the very observation it began with would take the object to have been pushed and not moved."""
-    return PushState(pusher.init(now, face, np.asarray(half_extents), key, adapt), time)
+    return PushState(pusher.init(obs, face, np.asarray(half_extents), key, adapt), time)
 
 
 def step(
     pusher: Any,
     state: PushState,
-    now: Sighting,
+    obs: ObjectObservation,
     face: Array,
     last_u: Array,
     goal: Array,
@@ -101,7 +115,7 @@ def step(
     Args:
         pusher: what pushes.
         state: from :func:`init` or the last step.
-        now: robot and object, with the wrench of the sample that ended.
+        obs: robot and object, with the wrench of the sample that ended.
         face: ``[4]`` that is pushed.
         last_u: ``[3]`` what was applied during that sample.
         goal: ``[3]`` pose of the object in {W}.
@@ -110,20 +124,20 @@ def step(
         governor_room: in place of the pusher's own, for this step.
     """
     more = () if governor_room is None else (governor_room,)
-    u, own, plan = pusher.step(state.pusher, now, last_u, goal, around, np.asarray(half_extents), *more)
-    touching = bool(touches(now.wrench))
+    u, own, plan = pusher.step(state.pusher, obs, last_u, goal, around, np.asarray(half_extents), *more)
+    touching = bool(touches(obs.wrench))
     ok = (plan is None or bool(plan.ok)) and bool(np.isfinite(u).all())
     state = replace(
         state,
         pusher=own,
         contact_time=state.contact_time + (DT if touching else 0.0),
         since_contact=0.0 if touching else state.since_contact + DT,
-        impulse=state.impulse + (float(np.hypot(*now.wrench[:2])) * DT if touching else 0.0),
-        poses=(*state.poses, np.array(now.object_pose)),
+        impulse=state.impulse + (float(np.hypot(*obs.wrench[:2])) * DT if touching else 0.0),
+        poses=(*state.poses, np.array(obs.object_pose)),
         ok=ok,
     )
-    command = Command(np.asarray(u), heading(now.object_pose, face), REACH, HAND_HEIGHT)
-    return state, command if ok else hold(now, extended=True)
+    command = Command(np.asarray(u), heading(obs.object_pose, face), REACH, HAND_HEIGHT)
+    return state, command if ok else hold(obs, extended=True)
 
 
 def lets_go(rest: Array, coasts: Array, object_pose: Array, face: Array, goal: Array) -> tuple[Array, Array, Array]:

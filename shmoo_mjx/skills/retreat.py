@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from shmoo_mjx import se2
-from shmoo_mjx.control.pushing import Sighting
+from shmoo_mjx.control.pushing import ObjectObservation
 from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_REACH
 from shmoo_mjx.skills.settings import Move, hands_to_face, lean_for
 from shmoo_mjx.types import Command
@@ -27,24 +27,24 @@ _SLOW = 0.08
 """Speed below which the robot stands [m/s]."""
 
 
-def step(now: Sighting, face: Array, folded: Array, lean: Array | None = None, room: Array = True) -> Move:
+def step(obs: ObjectObservation, face: Array, folded: Array, lean: Array | None = None, room: Array = True) -> Move:
     """One sample; pure, on NumPy and JAX arrays alike. No memory: where robot and object are says what is next.
 
     Args:
-        now: robot and object.
+        obs: robot and object.
         face: ``[4]`` as in :func:`~shmoo_mjx.faces.faces_of`.
         folded: whether the arms are folded.
         lean: ``[2]`` that follows a way back [rad]; straight back from the face if not given.
         room: whether the arms have room to fold.
     """
-    xp = se2.array_module(now.object_pose, now.robot_pose)
+    xp = se2.array_module(obs.object_pose, obs.robot_pose)
     # The arms fold at rest: their centre of mass moves, and a robot under way would be carried along by it.
-    clear = hands_to_face(now.object_pose, now.robot_pose, face) > CLEAR
-    slow = xp.hypot(now.robot_twist[0], now.robot_twist[1]) < _SLOW
+    clear = hands_to_face(obs.object_pose, obs.robot_pose, face) > CLEAR
+    slow = xp.hypot(obs.robot_twist[0], obs.robot_twist[1]) < _SLOW
     over = clear & folded & slow
     if lean is None:
-        lean = lean_for(now, xp.stack([xp.where(clear, 0.0, -_SPEED), xp.asarray(0.0)]))
+        lean = lean_for(obs, xp.stack([xp.where(clear, 0.0, -_SPEED), xp.asarray(0.0)]))
     # A ball-balancing robot first rolls forwards when it is to go back: hands left out would push once more.
     reach = xp.where(clear & room, TUCKED_REACH, REACH - WITHDRAW)
-    command = Command(xp.concatenate([lean, np.zeros(1)]), now.robot_pose[2], reach, xp.asarray(HAND_HEIGHT))
+    command = Command(xp.concatenate([lean, np.zeros(1)]), obs.robot_pose[2], reach, xp.asarray(HAND_HEIGHT))
     return Move(command, over)

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from shmoo_mjx import se2
-from shmoo_mjx.control.pushing import Sighting
+from shmoo_mjx.control.pushing import ObjectObservation
 from shmoo_mjx.hands import HAND_HEIGHT, HAND_RADIUS, REACH, TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
 from shmoo_mjx.types import Command
@@ -43,15 +43,15 @@ def hands_to_face(object_pose: Array, robot_pose: Array, face: Array) -> Array:
     return -in_face(object_pose, robot_pose, face)[0] - REACH - HAND_RADIUS
 
 
-def lean_for(now: Sighting, wish: Array) -> Array:
+def lean_for(obs: ObjectObservation, wish: Array) -> Array:
     """Lean ``[2]`` [rad] of the velocity loop for a velocity ``wish [2]`` in {R} [m/s]."""
-    velocity = se2.rotate(now.robot_twist[:2], -now.robot_pose[2])
-    return velocity_to_lean(Gains(), velocity, now.lean_rate, wish)
+    velocity = se2.rotate(obs.robot_twist[:2], -obs.robot_pose[2])
+    return velocity_to_lean(Gains(), velocity, obs.lean_rate, wish)
 
 
-def hold(now: Sighting, extended: bool = False) -> Command:
+def hold(obs: ObjectObservation, extended: bool = False) -> Command:
     """Stand still, arms folded or extended."""
     reach, height = (REACH, HAND_HEIGHT) if extended else (TUCKED_REACH, TUCKED_HEIGHT)
-    xp = se2.array_module(now.robot_pose)
-    lean = lean_for(now, xp.zeros(2))
-    return Command(xp.concatenate([lean, xp.zeros(1)]), now.robot_pose[2], xp.asarray(reach), xp.asarray(height))
+    xp = se2.array_module(obs.robot_pose)
+    lean = lean_for(obs, xp.zeros(2))
+    return Command(xp.concatenate([lean, xp.zeros(1)]), obs.robot_pose[2], xp.asarray(reach), xp.asarray(height))

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.sweep.config import SweepConfig
-from shmoo_mjx.sweep.run import Runner, Sweep
+from shmoo_mjx.sweep.run import ShardRunner, Sweep
 
 __all__ = ["Cluster", "job", "submit"]
 
@@ -22,7 +22,7 @@ def job(config: SweepConfig, out: Path, weights: Path, part: tuple[int, int]) ->
 
     It may be killed and started again, and run beside others.
     """
-    runner = Runner(Sweep.open(config, out, weights), part)
+    runner = ShardRunner(Sweep.open(config, out, weights), part)
     runner.run()
     return len(runner.missing)
 

@@ -12,7 +12,7 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.files import claimed
 from shmoo_mjx.sweep.cluster import Cluster, submit
 from shmoo_mjx.sweep.config import SweepConfig, load_sweep, quick
-from shmoo_mjx.sweep.run import Runner, Sweep, duration, read_table
+from shmoo_mjx.sweep.run import ShardRunner, Sweep, duration, read_table
 from shmoo_mjx.types import SensesName
 
 __all__ = ["carry_out", "find"]
@@ -62,7 +62,7 @@ def carry_out(
 
 def _alone(sweep: Sweep, memory_gb: float | None, only_estimate: bool, progress: Progress) -> bool:
     """Compute what is missing in this process; False if only the estimate was asked for."""
-    runner = Runner(sweep, memory=int(memory_gb * 1e9) if memory_gb else None)
+    runner = ShardRunner(sweep, memory=int(memory_gb * 1e9) if memory_gb else None)
     print("compiling; then one second of each is timed", flush=True)
     seconds = 0.0
     for estimate in runner.estimate():

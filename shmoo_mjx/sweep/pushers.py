@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from shmoo_mjx.control import pushing, quasi_static
-from shmoo_mjx.control.pushing import PushConfig, Sighting
+from shmoo_mjx.control.pushing import ObjectObservation, PushConfig
 from shmoo_mjx.learning.weights import Weights, prior_state
 from shmoo_mjx.navigation.push_task import pose_push_config
 from shmoo_mjx.skills import contact, hold, retreat
@@ -30,21 +30,21 @@ __all__ = [
     "LET_GO",
     "PUSH",
     "UNSTABLE",
-    "Law",
-    "Memory",
-    "Task",
-    "decide",
-    "law_of",
+    "PolicyState",
+    "PushPolicy",
+    "WorldGoal",
+    "init",
+    "policy_of",
     "push_config",
-    "remember",
+    "step",
 ]
 
 APPROACH, PUSH, LET_GO, DONE, FELL, UNSTABLE = range(6)
 """Phases of a push; from DONE on nothing happens any more."""
 
 
-class Task(NamedTuple):
-    """What is asked of a world's robot."""
+class WorldGoal(NamedTuple):
+    """Face to push, size and goal of the object of one world."""
 
     face: Array
     """``[4]``"""
@@ -54,21 +54,21 @@ class Task(NamedTuple):
     """``[3]`` in {W}"""
 
 
-class Law(NamedTuple):
+class PushPolicy(NamedTuple):
     """A pushing controller; its state is any pytree."""
 
-    init: Callable[[Sighting, Task, Array], Any]
+    init: Callable[[ObjectObservation, WorldGoal, Array], Any]
     """(what is perceived, task, key) -> state"""
-    step: Callable[[Any, Sighting, Array, Task], tuple[Array, Any]]
+    step: Callable[[Any, ObjectObservation, Array, WorldGoal], tuple[Array, Any]]
     """(state, what is perceived, the command of the last sample, task) -> command ``[3]``, state"""
-    coast: Callable[[Any, Sighting], Array]
+    coast: Callable[[Any, ObjectObservation], Array]
     """(state, what is perceived) -> where the object comes to rest if it is let go now ``[3]``"""
 
 
-class Memory(NamedTuple):
-    """Memory of one push."""
+class PolicyState(NamedTuple):
+    """State of one push."""
 
-    law: Any
+    policy: Any
     contact: contact.ContactState
     phase: Array
     last_u: Array
@@ -77,25 +77,25 @@ class Memory(NamedTuple):
     """``[5]`` how far the object would have coasted on in the last samples [m]."""
 
 
-def law_of(controller: Controller, weights: Weights) -> Law:
+def policy_of(controller: Controller, weights: Weights) -> PushPolicy:
     """The controller that a sweep file asks for."""
     config = push_config(controller)
     if controller.kind == "quasi_static":
-        return Law(
-            init=lambda now, task, key: jnp.zeros(()),
-            step=lambda more, now, last_u, task: quasi_static.law(config.cost, task.face, now, task.goal, more),
-            coast=lambda state, now: now.object_pose,
+        return PushPolicy(
+            init=lambda obs, task, key: jnp.zeros(()),
+            step=lambda more, obs, last_u, task: quasi_static.control(config.cost, task.face, obs, task.goal, more),
+            coast=lambda state, obs: obs.object_pose,
         )
     core, params = weights.config, weights.params
 
-    def init(now: Sighting, task: Task, key: Array) -> Any:
+    def begin(obs: ObjectObservation, task: WorldGoal, key: Array) -> Any:
         adapt = prior_state(weights, config.adapt.contact)
-        return pushing.start(config, adapt, now, task.face, task.half_extents, key)
+        return pushing.start(config, adapt, obs, task.face, task.half_extents, key)
 
-    def step(state: Any, now: Sighting, last_u: Array, task: Task) -> tuple[Array, Any]:
-        return pushing.control_step(config, core, params, state, now, last_u, task.goal, task.half_extents)
+    def advance(state: Any, obs: ObjectObservation, last_u: Array, task: WorldGoal) -> tuple[Array, Any]:
+        return pushing.step(config, core, params, state, obs, task.goal, last_u, task.half_extents)[:2]
 
-    return Law(init, step, lambda state, now: pushing.coast(config, core, params, state.adapt, state.before))
+    return PushPolicy(begin, advance, lambda state, obs: pushing.coast(config, core, params, state.adapt, state.before))
 
 
 def push_config(c: Controller) -> PushConfig:
@@ -106,29 +106,31 @@ def push_config(c: Controller) -> PushConfig:
     return replace(base, control=control, cost=cost, adapts=c.adapts, governor=replace(base.governor, gain=c.governor))
 
 
-def remember(law: Law, now: Sighting, task: Task, key: Array) -> Memory:
-    """Before the first sample."""
-    return Memory(law.init(now, task, key), contact.init(now), jnp.int32(APPROACH), jnp.zeros(3), jnp.zeros(5))
+def init(policy: PushPolicy, obs: ObjectObservation, task: WorldGoal, key: Array) -> PolicyState:
+    """State before the first sample."""
+    return PolicyState(policy.init(obs, task, key), contact.init(obs), jnp.int32(APPROACH), jnp.zeros(3), jnp.zeros(5))
 
 
-def decide(law: Law, memory: Memory, now: Sighting, task: Task, key: Array, ready: Array) -> tuple[Command, Memory]:
+def step(
+    policy: PushPolicy, state: PolicyState, obs: ObjectObservation, task: WorldGoal, key: Array, ready: Array
+) -> tuple[Command, PolicyState]:
     """The command for the next sample. Every phase is computed and one is taken: so it is under vmap anyway.
 
     ``ready`` says that the arms are out; ``key`` is what the controller's random numbers start with.
     """
-    waiting, pushing_now = memory.phase == APPROACH, memory.phase == PUSH
+    waiting, pushing_now = state.phase == APPROACH, state.phase == PUSH
     # The hands feel for the object from when the arms are out.
-    feeling = contact.ContactState(jnp.where(ready, memory.contact.object_pose, now.object_pose))
-    feeling, creep = contact.step(feeling, now, task.face)
-    back = retreat.step(now, task.face, folded=jnp.bool_(False))
-    pushed, after = law.step(memory.law, now, memory.last_u, task)
-    coasts, _, let_go = lets_go(law.coast(after, now), memory.coasts, now.object_pose, task.face, task.goal)
-    phase = jnp.where(waiting & ready & creep.over, PUSH, memory.phase)
+    feeling = contact.ContactState(jnp.where(ready, state.contact.object_pose, obs.object_pose))
+    feeling, creep = contact.step(feeling, obs, task.face)
+    back = retreat.step(obs, task.face, folded=jnp.bool_(False))
+    pushed, after = policy.step(state.policy, obs, state.last_u, task)
+    coasts, _, let_go = lets_go(policy.coast(after, obs), state.coasts, obs.object_pose, task.face, task.goal)
+    phase = jnp.where(waiting & ready & creep.over, PUSH, state.phase)
     phase = jnp.where(pushing_now & let_go, LET_GO, phase)
     goes_on = pushing_now & ~let_go
     # Until the first push the controller's memory is ever a fresh one.
-    kept = _choose(waiting, law.init(now, task, key), _choose(pushing_now, after, memory.law))
-    moved = jnp.where(waiting, jnp.where(ready, creep.command.u, hold(now, True).u), back.command.u)
+    kept = _choose(waiting, policy.init(obs, task, key), _choose(pushing_now, after, state.policy))
+    moved = jnp.where(waiting, jnp.where(ready, creep.command.u, hold(obs, True).u), back.command.u)
     u = jnp.where(goes_on, pushed, moved)
     ahead, away = creep.command, back.command
     command = Command(
@@ -137,7 +139,7 @@ def decide(law: Law, memory: Memory, now: Sighting, task: Task, key: Array, read
         jnp.where(waiting | goes_on, ahead.reach, away.reach),
         jnp.asarray(ahead.hand_height, dtype=jnp.float32),
     )
-    return command, Memory(kept, feeling, phase, u, jnp.where(pushing_now, coasts, 0.0))
+    return command, PolicyState(kept, feeling, phase, u, jnp.where(pushing_now, coasts, 0.0))
 
 
 def _choose(which: Array, yes: Any, no: Any) -> Any:

@@ -26,7 +26,7 @@ from shmoo_mjx.sweep.worlds import draw, label
 if TYPE_CHECKING:
     from shmoo_mjx.sweep.simulate import Batches
 
-__all__ = ["Estimate", "Runner", "Shard", "Sweep", "duration", "read_table"]
+__all__ = ["Estimate", "Shard", "ShardRunner", "Sweep", "duration", "read_table"]
 
 
 class Shard(NamedTuple):
@@ -124,7 +124,7 @@ class Sweep:
         write_whole(self.file(shard), _written(table))
 
 
-class Runner:
+class ShardRunner:
     """Computes missing shards in this process, of ``part`` (k, n) those of the k-th of n jobs.
 
     Args:

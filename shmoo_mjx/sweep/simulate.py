@@ -19,7 +19,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from shmoo_mjx import se2
-from shmoo_mjx.control.pushing import Sighting
+from shmoo_mjx.control.pushing import ObjectObservation
 from shmoo_mjx.learning.weights import Weights
 from shmoo_mjx.navigation.push_task import AT_REST
 from shmoo_mjx.plant.engine_mjx import MjxEngine, MjxWorld
@@ -28,14 +28,14 @@ from shmoo_mjx.plant.randomize import perturbed
 from shmoo_mjx.sensing import Senses, odometry, senses_named
 from shmoo_mjx.sensing import senses as sensing
 from shmoo_mjx.sensing.odometry import TICK
-from shmoo_mjx.sensing.senses import Mind, Noise
+from shmoo_mjx.sensing.senses import Noise, SensorState
 from shmoo_mjx.skills.retreat import CLEAR
 from shmoo_mjx.skills.settings import hands_to_face
 from shmoo_mjx.sweep import pushers
 from shmoo_mjx.sweep.config import SweepConfig
 from shmoo_mjx.sweep.parameters import MOST_DELAY
 from shmoo_mjx.sweep.rows import Tally, rows_of
-from shmoo_mjx.sweep.worlds import Drawn, Setup, draw, scene_of, setup
+from shmoo_mjx.sweep.worlds import Drawn, WorldSetup, draw, scene_of, setup
 from shmoo_mjx.types import DT, Array, Command
 
 __all__ = ["Batches", "State", "commands_ago"]
@@ -56,10 +56,10 @@ class State(NamedTuple):
     world: MjxWorld
     sent: Command
     """``[W, H, ...]`` the last commands, newest first."""
-    mind: Mind
+    sensor_state: SensorState
     """``[W, 1, ...]`` each: what the senses remember."""
-    seen: Sighting
-    memory: pushers.Memory
+    seen: ObjectObservation
+    memory: pushers.PolicyState
     samples: Array
     """``[W]`` int"""
     tally: Tally
@@ -95,7 +95,7 @@ class Batches:
         self._still = jax.tree.map(lambda x: np.asarray(x)[0], self.engine.init())
         self.mesh = Mesh(np.asarray(chosen), ("world",))
         self._each = NamedSharding(self.mesh, PartitionSpec("world"))
-        self._law = pushers.law_of(config.controllers[controller], weights)
+        self._policy = pushers.policy_of(config.controllers[controller], weights)
         nominal = jax.device_get(self.engine.model)
         self._nominal = jax.device_put(nominal, NamedSharding(self.mesh, PartitionSpec()))
         self._one = setup(config, [first], nominal, self.scene)
@@ -153,45 +153,47 @@ class Batches:
             rows += rows_of(self.config, part, jax.device_get((state.memory.phase, state.tally)))
         return rows
 
-    def _begin(self, nominal: Any, given: Setup) -> State:
+    def _begin(self, nominal: Any, given: WorldSetup) -> State:
         physics = jnp.concatenate([jnp.zeros(1), given.qpos, jnp.zeros(self.scene.model.nv)])
         world = jax.tree.map(jnp.asarray, self._still)._replace(physics=physics)
         truth = self.engine.observe(world)
         noise = jax.random.normal(jax.random.fold_in(given.key, 0), (1, 1, 3))
         # It is told where the object stands.
-        mind = sensing.first_mind(
+        sensor_state = sensing.first_state(
             self._senses, given.sensing, given.scenery, truth.robot_pose[None], truth.object_pose[None], noise,
-            told=True, remembers=MOST_DELAY + TICK,
+            poses_known=True, remembers=MOST_DELAY + TICK,
         )  # fmt: skip
-        mind = jax.tree.map(lambda x: jnp.asarray(x, dtype=jnp.float32), mind)
+        sensor_state = jax.tree.map(lambda x: jnp.asarray(x, dtype=jnp.float32), sensor_state)
         still = Command(jnp.zeros(3), truth.robot_pose[2], world.control.reach, world.control.hand_height)
         sent = jax.tree.map(lambda x: jnp.broadcast_to(x, (_MOST // _TICKS + 1, *jnp.shape(x))), still)
-        seen = _perceived(self._senses, given, truth, mind, jnp.zeros(3), jnp.int32(0))
-        memory = pushers.remember(self._law, seen, _task(given), _controller_key(given))
+        seen = _perceived(self._senses, given, truth, sensor_state, jnp.zeros(3), jnp.int32(0))
+        memory = pushers.init(self._policy, seen, _task(given), _controller_key(given))
         zero = jnp.float32(0.0)
         tally = Tally(zero, zero, zero, zero, truth.object_pose[0])
-        return State(world, sent, mind, seen, memory, jnp.int32(0), tally)
+        return State(world, sent, sensor_state, seen, memory, jnp.int32(0), tally)
 
-    def _second(self, nominal: Any, given: Setup, state: State) -> State:
+    def _second(self, nominal: Any, given: WorldSetup, state: State) -> State:
         """All the device's worlds by one second."""
 
-        def decide(given: tuple[pushers.Task, Array], state: Any) -> tuple[Command, pushers.Memory]:
+        def step(given: tuple[pushers.WorldGoal, Array], state: Any) -> tuple[Command, pushers.PolicyState]:
             memory, seen, samples = state
-            return pushers.decide(self._law, memory, seen, given[0], given[1], samples >= _SECOND)
+            return pushers.step(self._policy, memory, seen, given[0], given[1], samples >= _SECOND)
 
         def sample(state: State, _: None) -> tuple[State, None]:
             asked = (jax.vmap(_task)(given), jax.vmap(_controller_key)(given))
             known = (state.memory, state.seen, state.samples)
             if self.mesh.devices.flat[0].platform == "cpu":
-                command, memory = jax.lax.map(lambda x: decide(*x), (asked, known), batch_size=_AT_ONCE)
+                command, memory = jax.lax.map(lambda x: step(*x), (asked, known), batch_size=_AT_ONCE)
             else:
-                command, memory = jax.vmap(decide)(asked, known)
+                command, memory = jax.vmap(step)(asked, known)
             move = jax.vmap(self._move, in_axes=(None, 0, 0, 0, 0))
             return move(nominal, given, state, command, memory), None
 
         return jax.lax.scan(sample, state, None, length=_SECOND)[0]
 
-    def _move(self, nominal: Any, given: Setup, state: State, command: Command, memory: pushers.Memory) -> State:
+    def _move(
+        self, nominal: Any, given: WorldSetup, state: State, command: Command, memory: pushers.PolicyState
+    ) -> State:
         """One world by one sample under ``command``; a world that is over stays as it is."""
         sent = jax.tree.map(lambda new, old: jnp.concatenate([new[None], old[:-1]]), command, state.sent)
         model = nominal.tree_replace(given.fields)
@@ -200,7 +202,7 @@ class Batches:
         substeps = round(TICK / self.engine.timestep)
 
         # Headings are held as the robot believes them.
-        turned = 0.0 if self._senses.perfect else sensing.heading_error(state.mind)[0]
+        turned = 0.0 if self._senses.perfect else sensing.heading_error(state.sensor_state)[0]
 
         def tick(world: MjxWorld, number: Array) -> tuple[MjxWorld, Any]:
             arrived = jax.tree.map(lambda x: x[commands_ago(given.delay, number)], sent)
@@ -208,29 +210,31 @@ class Batches:
             return self.engine.step_one(model, world, arrived, jnp.zeros(6), substeps, gains)
 
         world, track = jax.lax.scan(tick, state.world, jnp.arange(_TICKS))
-        mind = self._watched(given, state, track)
+        sensor_state = self._watched(given, state, track)
         truth = jax.tree.map(lambda x: x[-1], track)
         wrench = track.wrench[:, 0].mean(axis=0)
         samples = state.samples + 1
-        seen = _perceived(self._senses, given, truth, mind, wrench, samples)
+        seen = _perceived(self._senses, given, truth, sensor_state, wrench, samples)
         memory = memory._replace(phase=_phase(memory.phase, truth, world, given))
-        after = State(world, sent, mind, seen, memory, samples, _counted(state.tally, truth, wrench, samples))
+        after = State(world, sent, sensor_state, seen, memory, samples, _counted(state.tally, truth, wrench, samples))
         return jax.tree.map(lambda a, b: jnp.where(state.memory.phase >= pushers.DONE, a, b), state, after)
 
-    def _watched(self, given: Setup, state: State, track: Any) -> Mind:
+    def _watched(self, given: WorldSetup, state: State, track: Any) -> SensorState:
         """The senses after the sample's ticks, of which ``track [T, ...]`` is the truth."""
         key = jax.random.fold_in(jax.random.fold_in(given.key, 1_000_003), state.samples)
         normal, uniform = jax.random.normal(key, (_TICKS, 9)), jax.random.uniform(key, (_TICKS, 1, 1, 2))
 
-        def look(mind: Mind, at: Any) -> tuple[Mind, None]:
+        def look(sensor_state: SensorState, at: Any) -> tuple[SensorState, None]:
             robot, thing, drawn, chance, number = at
             noise = Noise(drawn[None, :6], drawn[None, None, 6:], chance)
             now = state.samples * _TICKS + number + 1
-            after = sensing.tick(self._senses, given.sensing, given.scenery, mind, robot[None], thing[None], noise, now)
-            return jax.tree.map(lambda new, old: new.astype(old.dtype), after, mind), None
+            after = sensing.tick(
+                self._senses, given.sensing, given.scenery, sensor_state, robot[None], thing[None], noise, now
+            )
+            return jax.tree.map(lambda new, old: new.astype(old.dtype), after, sensor_state), None
 
         ticks = (track.robot_pose, track.object_pose, normal, uniform, jnp.arange(_TICKS))
-        return jax.lax.scan(look, state.mind, ticks)[0]
+        return jax.lax.scan(look, state.sensor_state, ticks)[0]
 
 
 def commands_ago(delay: Array, tick: Array) -> Array:
@@ -238,30 +242,35 @@ def commands_ago(delay: Array, tick: Array) -> Array:
     return jnp.maximum((delay - tick + _TICKS - 1) // _TICKS, 0)
 
 
-def _task(given: Setup) -> pushers.Task:
-    return pushers.Task(given.face, given.half_extents, given.goal)
+def _task(given: WorldSetup) -> pushers.WorldGoal:
+    return pushers.WorldGoal(given.face, given.half_extents, given.goal)
 
 
-def _controller_key(given: Setup) -> Array:
+def _controller_key(given: WorldSetup) -> Array:
     return jax.random.fold_in(given.key, 0)
 
 
-def _perceived(senses: Senses, given: Setup, truth: Any, mind: Mind, wrench: Array, samples: Array) -> Sighting:
+def _perceived(
+    senses: Senses, given: WorldSetup, truth: Any, sensor_state: SensorState, wrench: Array, samples: Array
+) -> ObjectObservation:
     """What the robot's senses make of the truth, with the swept noise; perfect ones see late at most."""
     error = given.noise * jax.random.normal(jax.random.fold_in(given.key, samples + 1), (11,))
     if senses.perfect:
         late = given.sensing.frame_delay
-        pose, before = odometry.ago(mind.objects, late)[0, 0], odometry.ago(mind.objects, late + 1)[0, 0]
+        pose, before = (
+            odometry.ago(sensor_state.objects, late)[0, 0],
+            odometry.ago(sensor_state.objects, late + 1)[0, 0],
+        )
         moved = jnp.concatenate([pose[:2] - before[:2], se2.wrap(pose[2:] - before[2:])])
         robot, speed, frame = truth.robot_pose, truth.robot_twist, jnp.concatenate([pose, moved / TICK])
         detected = jnp.bool_(True)
     else:
-        found = sensing.believed(senses, given.sensing, mind, samples * _TICKS, DT)
+        found = sensing.estimates(senses, given.sensing, sensor_state, samples * _TICKS, DT)
         robot, speed = found.robot_pose[0], found.robot_twist[0]
         frame, detected = jnp.concatenate([found.object_pose[0, 0], found.object_twist[0, 0]]), found.detected[0, 0]
     frame = frame + error[4:10]
     push = jnp.zeros(3).at[0].set(error[10])
-    return Sighting(
+    return ObjectObservation(
         robot_pose=robot,
         robot_twist=speed,
         lean=truth.lean + error[:2],
@@ -273,7 +282,7 @@ def _perceived(senses: Senses, given: Setup, truth: Any, mind: Mind, wrench: Arr
     )
 
 
-def _phase(phase: Array, truth: Any, world: MjxWorld, given: Setup) -> Array:
+def _phase(phase: Array, truth: Any, world: MjxWorld, given: WorldSetup) -> Array:
     """The phase after a sample: over if the robot has fallen, or if it has let go and the object rests."""
     away = hands_to_face(truth.object_pose[0], truth.robot_pose, given.face) > CLEAR
     resting = jnp.hypot(truth.object_twist[0, 0], truth.object_twist[0, 1]) < AT_REST

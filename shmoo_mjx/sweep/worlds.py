@@ -30,7 +30,7 @@ from shmoo_mjx.sweep.config import SweepConfig
 from shmoo_mjx.sweep.parameters import PARAMETERS
 from shmoo_mjx.types import Array
 
-__all__ = ["TICK", "Drawn", "Setup", "draw", "label", "scene_of", "setup"]
+__all__ = ["TICK", "Drawn", "WorldSetup", "draw", "label", "scene_of", "setup"]
 
 _OBJECT = "object."
 _FIELDS = (
@@ -56,11 +56,11 @@ class Drawn:
     """``[3]`` of the object in {W}; the object starts at the origin."""
     robot: np.ndarray
     """``[3]`` start pose of {R} in {W}."""
-    sensing: sensing.Drawn
+    sensing: sensing.SensorDraw
     """What the robot's seed decides about its senses, for one world."""
 
 
-class Setup(NamedTuple):
+class WorldSetup(NamedTuple):
     """W worlds as arrays with a leading axis W: all in which they differ before the first step."""
 
     fields: dict[str, Array]
@@ -72,7 +72,7 @@ class Setup(NamedTuple):
     """``[W, 11]`` standard deviations: lean (2), lean rate (2), object pose (3) and twist (3), force."""
     delay: Array
     """``[W]`` int, of commands, in ticks."""
-    sensing: sensing.Drawn
+    sensing: sensing.SensorDraw
     """``[W, 1]`` each: a world is a batch of one to its senses."""
     scenery: Scenery
     """``[W, 1, ...]`` each."""
@@ -163,7 +163,7 @@ def _every_wheel_has_friction(spec: mujoco.MjSpec) -> None:
             joint.frictionloss = max(float(np.max(joint.frictionloss)), 1e-6)
 
 
-def setup(config: SweepConfig, worlds: Sequence[Drawn], nominal: Any, scene: Scene) -> Setup:
+def setup(config: SweepConfig, worlds: Sequence[Drawn], nominal: Any, scene: Scene) -> WorldSetup:
     """Worlds of one family as arrays, with fields shaped like those of ``nominal``, the ``mjx.Model`` of ``scene``."""
     scenes = [scene_of(w) for w in worlds]
     models = [s.model for s in scenes]
@@ -180,7 +180,7 @@ def setup(config: SweepConfig, worlds: Sequence[Drawn], nominal: Any, scene: Sce
     pose = column("noise.position", "noise.position", "noise.yaw")
     twist = column("noise.velocity", "noise.velocity", "noise.yaw_rate")
     gains = [n for n in PARAMETERS if n.startswith("gains.")]
-    return Setup(
+    return WorldSetup(
         fields=fields,
         factors=_factors(column),
         gains={n.removeprefix("gains."): column(n) for n in gains},

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from shmoo_mjx import se2
 from shmoo_mjx.control import equilibrium_lean
 from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
-from shmoo_mjx.plant.body import Imperfections, body_of, draw_body
 from shmoo_mjx.plant.objects import draw_condition
+from shmoo_mjx.plant.perturbation import Perturbation, adjustment, draw_body
 from shmoo_mjx.plant.robot import ROBOT
 from shmoo_mjx.plant.scene import build_scene
 from shmoo_mjx.sensing import REAL, SensedEngine
@@ -82,10 +82,10 @@ def test_a_robot_with_a_shifted_centre_of_mass_stands_still() -> None:
     from shmoo_mjx.navigation.drive import velocity_command
     from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 
-    body = draw_body(Imperfections(), 3)._replace(com=(0.004, -0.005, 0.0))
+    body = draw_body(Perturbation(), 3)._replace(com=(0.004, -0.005, 0.0))
     drifts = []
     for learns in (False, True):
-        engine = MujocoEngine([build_scene(adjust=body_of(body))])
+        engine = MujocoEngine([build_scene(adjust=adjustment(body))])
         world, state = engine.init(), equilibrium_lean.init()
         for i in range(120):
             now = engine.observe(world)
@@ -107,9 +107,9 @@ def test_learns_how_hard_it_pushes_by_what_it_leans_against(gain: float) -> None
     """Forces are felt as the torque asked of the arms' motors, and these give more or less."""
     box = draw_condition("box", 1, {"mass": 60.0, "payload": 0.0, "friction": 0.6})
     ahead = (REACH + 0.04 + 0.05 + box.half_extents[0], 0.0, 0.0)
-    body = draw_body(Imperfections.none(), 0)._replace(arm_gain=(gain,) * 6)
-    senses = dataclasses.replace(REAL, body=Imperfections.none())
-    with SensedEngine([build_scene([(box, ahead)], adjust=body_of(body))], senses) as engine:
+    body = draw_body(Perturbation.none(), 0)._replace(arm_gain=(gain,) * 6)
+    senses = dataclasses.replace(REAL, body=Perturbation.none())
+    with SensedEngine([build_scene([(box, ahead)], adjust=adjustment(body))], senses) as engine:
         world, state, corrected, true = engine.init(), equilibrium_lean.init(), [], []
         for i in range(80):
             lean = np.array([0.07 if i >= 6 else 0.0, 0.0])

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from shmoo_mjx import se2
 from shmoo_mjx.control.cost import PushCost
 from shmoo_mjx.control.governor import INTEGRAL_LIMIT, GovernorConfig, forward_lean, govern, static_lean
-from shmoo_mjx.control.pushing import LocalDistanceField, Sighting
+from shmoo_mjx.control.pushing import LocalDistanceField, ObjectObservation
 from shmoo_mjx.control.quasi_static import LEAN_LIMIT, QuasiStaticPusher
 from shmoo_mjx.faces import faces_of, stand_off
 from shmoo_mjx.hands import HAND_HEIGHT
@@ -68,9 +68,9 @@ def test_the_plan_keeps_its_bounds_and_its_steering(wanted: float, lean: float, 
         assert u[0] == wanted
 
 
-def _sighting(object_pose: np.ndarray, face: np.ndarray) -> Sighting:
+def _sighting(object_pose: np.ndarray, face: np.ndarray) -> ObjectObservation:
     robot = stand_off(object_pose, face, 0.0)
-    return Sighting(robot, np.zeros(3), REST, REST, object_pose, np.zeros(3), np.zeros(3))
+    return ObjectObservation(robot, np.zeros(3), REST, REST, object_pose, np.zeros(3), np.zeros(3))
 
 
 @pytest.mark.parametrize("side", range(4))

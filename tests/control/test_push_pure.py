@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from shmoo_mjx.control import pushing
-from shmoo_mjx.control.pushing import LocalDistanceField, PushController, Sighting
+from shmoo_mjx.control.pushing import LocalDistanceField, ObjectObservation, PushController
 from shmoo_mjx.dynamics import contact_model
 from shmoo_mjx.faces import faces_of, stand_off
 from shmoo_mjx.learning.weights import load_weights, prior_state, untrained
@@ -24,11 +24,11 @@ FACE, HALF = faces_of((0.3, 0.25))[0], np.array([0.3, 0.25])
 GOALS = np.array([[1.0, 0.0, 0.0], [0.9, 0.3, 0.6]])
 
 
-def sighting(world: int, sample: int) -> Sighting:
+def object_obs(world: int, sample: int) -> ObjectObservation:
     rng = np.random.default_rng([world, sample])
     pose = np.array([0.02 * sample, 0.0, 0.01 * sample])
     noise = 0.01 * rng.normal(size=(5, 3))
-    return Sighting(
+    return ObjectObservation(
         robot_pose=stand_off(pose, FACE, 0.0) + noise[0],
         robot_twist=np.array([0.15, 0.0, 0.0]) + noise[1],
         lean=noise[2, :2],
@@ -47,17 +47,17 @@ def test_two_mapped_pushes_are_the_two_controllers() -> None:
     controller = PushController(weights, config)
     open_floor = LocalDistanceField(np.full((4, 4), 9.0, np.float32), np.full(3, -20, np.float32), np.float32(10.0))
     keys = jax.random.split(jax.random.key(3), 2)
-    alone = [controller.init(sighting(w, 0), FACE, HALF, keys[w]) for w in range(2)]
+    alone = [controller.init(object_obs(w, 0), FACE, HALF, keys[w]) for w in range(2)]
     prior = prior_state(weights)
-    stacked = jax.tree.map(lambda *x: jnp.stack(x), *(sighting(w, 0) for w in range(2)))
+    stacked = jax.tree.map(lambda *x: jnp.stack(x), *(object_obs(w, 0) for w in range(2)))
     together = jax.vmap(lambda now, key: pushing.start(config, prior, now, FACE, HALF, key))(stacked, keys)
-    step = jax.jit(jax.vmap(partial(pushing.control_step, config, weights.config), in_axes=(None, 0, 0, 0, 0, None)))
+    step = jax.jit(jax.vmap(partial(pushing.step, config, weights.config), in_axes=(None, 0, 0, 0, 0, None)))
     coast = jax.vmap(partial(pushing.coast, config, weights.config), in_axes=(None, 0, 0))
     last = np.zeros((2, 3))
     for sample in range(1, 4):
-        seen = [sighting(w, sample) for w in range(2)]
+        seen = [object_obs(w, sample) for w in range(2)]
         stacked = jax.tree.map(lambda *x: jnp.stack(x), *seen)
-        u, together = step(weights.params, together, stacked, jnp.asarray(last), jnp.asarray(GOALS), HALF)
+        u, together, _ = step(weights.params, together, stacked, jnp.asarray(GOALS), jnp.asarray(last), HALF)
         for w in range(2):
             expected, alone[w], _ = controller.step(alone[w], seen[w], last[w], GOALS[w], open_floor, HALF)
             np.testing.assert_allclose(u[w], expected, atol=2e-5)
@@ -82,7 +82,7 @@ def test_what_is_let_go_coasts_as_far_as_the_friction_of_its_contacts_lets_it(fr
         )
     )
     along = np.array([np.cos(heading), np.sin(heading), 0.0])
-    now = sighting(0, 0)._replace(object_pose=np.array([1.0, 2.0, heading]), object_twist=speed * along)
+    now = object_obs(0, 0)._replace(object_pose=np.array([1.0, 2.0, heading]), object_twist=speed * along)
     state = pushing.start(config, adapt, now, FACE, HALF, jax.random.key(0))
     rest = pushing.coast(config, weights.config, weights.params, adapt, state.before)
     way = speed**2 / (2 * friction * 9.81)

@@ -19,7 +19,7 @@ import shmoo_mjx.gym
 from shmoo_mjx import se2
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.gym import navigate, single, task
-from shmoo_mjx.gym.push import PushConfig, PushTask
+from shmoo_mjx.gym.push import PushEnvConfig, PushEnvTask
 from shmoo_mjx.navigation.floorplan import demo_scenario
 from shmoo_mjx.navigation.footprints import footprint_polygon
 from shmoo_mjx.navigation.maps import ClearanceField, OccupancyGrid, clearance_field
@@ -103,7 +103,7 @@ def table(parts: tuple[task.Part, ...]) -> str:
 
 
 def test_the_page_holds_the_codes_tables() -> None:
-    page, push, rooms = PAGE.read_text(), PushTask.observation, navigate.NavigateTask.observation
+    page, push, rooms = PAGE.read_text(), PushEnvTask.observation, navigate.NavigateTask.observation
     head, _, *rows = table(rooms).splitlines()
     # What the rooms share with pushing, and the second object, is said in words.
     assert push[:4] == rooms[:4] and sum(part.size for part in push[:4]) == 11
@@ -115,7 +115,7 @@ def test_the_page_holds_the_codes_tables() -> None:
 
 @pytest.mark.parametrize("senses", ["perfect", "real"])
 def test_pushing_forward_pays_and_the_rewards_add_up(senses: str) -> None:
-    config = PushConfig(distance=(1.5, 1.5), near_weight=0.0, yaw_weight=0.0)
+    config = PushEnvConfig(distance=(1.5, 1.5), near_weight=0.0, yaw_weight=0.0)
     env = gymnasium.make("ShmooPush-v0", config=config, senses=senses)
     _, info = env.reset(seed=3)
     far, total = info["distance"], 0.0
@@ -130,7 +130,7 @@ def test_pushing_forward_pays_and_the_rewards_add_up(senses: str) -> None:
 
 
 def test_an_object_at_rest_at_its_goal_is_success() -> None:
-    env = gymnasium.make("ShmooPush-v0", config=PushConfig(distance=(0.0, 0.0), bearing=0.0, gap=(0.5, 0.5)))
+    env = gymnasium.make("ShmooPush-v0", config=PushEnvConfig(distance=(0.0, 0.0), bearing=0.0, gap=(0.5, 0.5)))
     _, info = env.reset(seed=0)
     assert info["success"]
     _, reward, terminated, _, info = env.step(np.zeros(4))
@@ -158,7 +158,7 @@ def test_a_bad_action_is_refused_and_a_large_one_is_cut() -> None:
     env.reset(seed=0)
     np.testing.assert_array_equal(large, env.step(env.action_space.high)[0])
     with pytest.raises(ShmooError, match="box, cart, wheelchair"):
-        gymnasium.make("ShmooPush-v0", config=PushConfig(family="sofa"))
+        gymnasium.make("ShmooPush-v0", config=PushEnvConfig(family="sofa"))
     env.close()
 
 

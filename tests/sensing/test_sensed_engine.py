@@ -12,9 +12,9 @@ import pytest
 from shmoo_mjx import se2
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.hands import HAND_HEIGHT, REACH
-from shmoo_mjx.plant.body import Imperfections
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.objects import draw_condition
+from shmoo_mjx.plant.perturbation import Perturbation
 from shmoo_mjx.plant.scene import build_scene
 from shmoo_mjx.plant.trials import command
 from shmoo_mjx.sensing import PERFECT, REAL, SensedEngine, SensedWorld, Senses, altered, senses_named
@@ -22,7 +22,7 @@ from shmoo_mjx.types import Observation
 
 BOX = draw_condition("box", 1, {"mass": 9.0, "payload": 0.0, "friction": 0.35})
 AHEAD = (REACH + 0.04 + 0.05 + BOX.half_extents[0], 0.05, 0.2)
-NOMINAL = dataclasses.replace(REAL, body=Imperfections.none(), computing=0.0)
+NOMINAL = dataclasses.replace(REAL, body=Perturbation.none(), computing=0.0)
 EXACT = altered(
     NOMINAL,
     camera={"position_noise": 0.0, "yaw_noise": 0.0, "least_position_noise": 0.0, "least_yaw_noise": 0.0,
@@ -102,7 +102,7 @@ def test_never_seen_objects_have_no_pose() -> None:
             assert np.isnan(it.object_pose[0, 0]).all() and np.isinf(it.object_age[0, 0]) and not it.detected[0, 0]
             assert np.isfinite(it.object_pose[0, 1]).all() and it.detected[0, 1]
             assert np.isfinite(it.wrench).all() and np.isfinite(it.object_twist).all()
-    with SensedEngine([scene], REAL, told=True) as engine:
+    with SensedEngine([scene], REAL, poses_known=True) as engine:
         seen = engine.observe(engine.init())
         np.testing.assert_allclose(seen.object_pose[0, 0, :2], (-2.0, 0.0), atol=0.03)
 
@@ -149,7 +149,7 @@ def test_noise_is_that_of_the_camera_and_less_in_what_is_published(distance: flo
                 world, seen = engine.step(world, stand(20))
                 true = engine.true_observation(world)
                 # A filter that trusts nothing but the last frame stands where that frame says.
-                found = world.mind.tracks.pose[:, 0] if name == "raw" else seen.object_pose[:, 0]
+                found = world.sensor_state.tracks.pose[:, 0] if name == "raw" else seen.object_pose[:, 0]
                 if i >= 3:
                     errors[name].append(found - true.object_pose[:, 0])
     expected = np.array([0.005, 0.005, np.deg2rad(0.5)]) * distance / 1.5
@@ -235,7 +235,7 @@ def test_force_from_joint_torque_is_near_the_contact_force() -> None:
 
 
 def test_commands_take_effect_after_delay_and_computing() -> None:
-    late = dataclasses.replace(PERFECT, body=dataclasses.replace(Imperfections.none(), delay=(0.04, 0.04)))
+    late = dataclasses.replace(PERFECT, body=dataclasses.replace(Perturbation.none(), delay=(0.04, 0.04)))
     quick, _ = push(PERFECT, samples=8)
     for senses, given in (
         (late, {}),

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shmoo_mjx.control.pushing import Sighting
+from shmoo_mjx.control.pushing import ObjectObservation
 from shmoo_mjx.faces import faces_of, stand_off
 from shmoo_mjx.hands import CONTACT_FORCE, REACH, TUCKED_REACH, touches
 from shmoo_mjx.skills import approach, batched, contact, hold, push, retreat
@@ -27,12 +27,14 @@ def ahead(way: float) -> np.ndarray:
     return OBJECT + np.array([way * np.cos(0.2), way * np.sin(0.2), 0.0])
 
 
-def sighting(gap: float, force: float = 0.0, speed: float = 0.0, lateral: float = 0.0, moved: float = 0.0) -> Sighting:
+def object_obs(
+    gap: float, force: float = 0.0, speed: float = 0.0, lateral: float = 0.0, moved: float = 0.0
+) -> ObjectObservation:
     """The robot before the rear face, ``gap`` metres between it and the extended hands."""
     robot = stand_off(OBJECT, FACE, gap, lateral)
     twist = speed * np.array([np.cos(0.2), np.sin(0.2), 0.0])
     zero = np.zeros(2)
-    return Sighting(robot, twist, zero, zero, ahead(moved), np.zeros(3), np.array([force, 0.0, 0.0]), True)
+    return ObjectObservation(robot, twist, zero, zero, ahead(moved), np.zeros(3), np.array([force, 0.0, 0.0]), True)
 
 
 def test_one_definition_of_contact() -> None:
@@ -46,19 +48,19 @@ def test_one_definition_of_contact() -> None:
 )
 def test_contact_is_what_is_felt_or_gives_way_near_the_face(gap: float, force: float, moved: float, over: bool) -> None:
     """Arms that unfold far from the face feel their own mass."""
-    state = contact.init(sighting(gap))
-    _, move = contact.step(state, sighting(gap, force, moved=moved), FACE)
+    state = contact.init(object_obs(gap))
+    _, move = contact.step(state, object_obs(gap, force, moved=moved), FACE)
     assert bool(move.over) is over
     assert bool(move.command.u[0] > 0.01) is not over, "it creeps on until it touches"
 
 
 def test_contact_fails_beside_the_face_and_far_from_it() -> None:
-    for at in (sighting(0.05, lateral=0.4), sighting(0.6)):
+    for at in (object_obs(0.05, lateral=0.4), object_obs(0.6)):
         assert bool(contact.step(contact.init(at), at, FACE)[1].failed)
 
 
 def test_a_retreat_draws_the_hands_back_then_folds_the_arms_and_ends_at_rest() -> None:
-    near, clear = sighting(0.0), sighting(0.1)
+    near, clear = object_obs(0.0), object_obs(0.1)
     first = retreat.step(near, FACE, folded=False)
     assert first.command.u[0] < 0 and first.command.reach == pytest.approx(REACH - retreat.WITHDRAW)
     assert not first.over
@@ -66,12 +68,12 @@ def test_a_retreat_draws_the_hands_back_then_folds_the_arms_and_ends_at_rest() -
     assert away.command.reach == TUCKED_REACH and not away.over
     assert retreat.step(clear, FACE, folded=False, room=False).command.reach > TUCKED_REACH
     assert retreat.step(clear, FACE, folded=True).over
-    assert not retreat.step(sighting(0.1, speed=0.2), FACE, folded=True).over
+    assert not retreat.step(object_obs(0.1, speed=0.2), FACE, folded=True).over
 
 
 def test_arms_extend_at_the_stand_off_pose_only_and_where_they_have_room() -> None:
     state, path = approach.init(0.0, approach.CONTACT_GAP), (np.zeros(2), 0.0, 0.0)
-    at, far = sighting(approach.CONTACT_GAP), sighting(0.6)
+    at, far = object_obs(approach.CONTACT_GAP), object_obs(0.6)
     assert approach.step(state, 1.0, far, FACE, *path)[0].extended_at is None
     assert approach.step(state, 1.0, at, FACE, *path, room=False)[0].extended_at is None
     reached, move = approach.step(state, 1.0, at, FACE, *path)
@@ -81,7 +83,7 @@ def test_arms_extend_at_the_stand_off_pose_only_and_where_they_have_room() -> No
 
 
 def test_an_approach_looks_at_the_object_once_it_is_near() -> None:
-    state, near = approach.init(0.0, 0.12), sighting(0.5, lateral=0.5)
+    state, near = approach.init(0.0, 0.12), object_obs(0.5, lateral=0.5)
     _, move = approach.step(state, 1.0, near, FACE, np.zeros(2), 2.0, 3.0)
     bearing = np.arctan2(*(OBJECT[:2] - near.robot_pose[:2])[::-1])
     assert float(move.command.yaw) == pytest.approx(bearing)
@@ -90,8 +92,8 @@ def test_an_approach_looks_at_the_object_once_it_is_near() -> None:
 @given(st.floats(-0.05, 0.3), st.floats(0.0, 20.0), st.floats(-0.3, 0.3), st.floats(-0.35, 0.35))
 @settings(max_examples=20, deadline=None)
 def test_numpy_and_jax_agree(gap: float, force: float, speed: float, lateral: float) -> None:
-    now = sighting(gap, force, speed, lateral)
-    begun = contact.init(sighting(gap))
+    now = object_obs(gap, force, speed, lateral)
+    begun = contact.init(object_obs(gap))
     moves = (contact.step(begun, now, FACE)[1], retreat.step(now, FACE, folded=np.bool_(False)))
     as_jax = jax.tree.map(jnp.asarray, (begun, now, FACE))
     same = (contact.step(*as_jax)[1], retreat.step(*as_jax[1:], folded=jnp.bool_(False)))
@@ -109,19 +111,19 @@ class _Pusher:
 
     ok = True
 
-    def init(self, now: Sighting, face: Any, half_extents: Any, key: Any, adapt: Any = None) -> _Adapt:
+    def init(self, now: ObjectObservation, face: Any, half_extents: Any, key: Any, adapt: Any = None) -> _Adapt:
         return _Adapt(adapt)
 
-    def step(self, state: _Adapt, now: Sighting, *given: Any) -> tuple[np.ndarray, _Adapt, Any]:
+    def step(self, state: _Adapt, now: ObjectObservation, *given: Any) -> tuple[np.ndarray, _Adapt, Any]:
         return np.array([0.1, 0.0, 0.0]), state, type("Plan", (), {"ok": self.ok})
 
 
 def pushed(poses: list[float], force: float = 10.0) -> tuple[push.PushState, Any]:
     pusher = _Pusher()
-    state = push.init(pusher, 0.0, sighting(0.0), FACE, HALF, None, None)
+    state = push.init(pusher, 0.0, object_obs(0.0), FACE, HALF, None, None)
     command = None
     for moved in poses:
-        now = sighting(0.0, force, moved=moved)
+        now = object_obs(0.0, force, moved=moved)
         state, command = push.step(pusher, state, now, FACE, np.zeros(3), OBJECT, None, HALF)  # type: ignore[arg-type]
     return state, command
 
@@ -154,5 +156,5 @@ def test_letting_go_waits_for_the_goal_to_be_in_reach_and_in_coasting_distance()
 
 
 def test_a_command_of_one_world_becomes_a_batch_of_one() -> None:
-    command = batched(hold(sighting(0.5)))
+    command = batched(hold(object_obs(0.5)))
     assert command.u.shape == (1, 3) and command.yaw.shape == (1,) and command.u.dtype == float

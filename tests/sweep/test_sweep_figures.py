@@ -11,13 +11,13 @@ from PIL import Image
 
 from shmoo_mjx.sweep.config import SweepConfig
 from shmoo_mjx.sweep.figures import binned, cells, draw_figures, rate, summary
-from shmoo_mjx.sweep.run import Runner, Sweep, read_table
+from shmoo_mjx.sweep.run import ShardRunner, Sweep, read_table
 
 
 @pytest.fixture
 def table(config: SweepConfig, tmp_path: Path, pretend: Any) -> dict[str, list[Any]]:
     sweep = Sweep.open(config, tmp_path / "sweep")
-    Runner(sweep, make=lambda family, controller: pretend).run()
+    ShardRunner(sweep, make=lambda family, controller: pretend).run()
     return read_table(sweep.collect())
 
 

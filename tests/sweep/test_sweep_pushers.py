@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from shmoo_mjx.control.pushing import Sighting
-from shmoo_mjx.control.quasi_static import law
+from shmoo_mjx.control.pushing import ObjectObservation
+from shmoo_mjx.control.quasi_static import control
 from shmoo_mjx.faces import faces_of, stand_off
 from shmoo_mjx.hands import REACH
 from shmoo_mjx.navigation.push_task import pose_push_config
@@ -21,21 +21,21 @@ from shmoo_mjx.sweep.simulate import commands_ago
 from shmoo_mjx.sweep.worlds import draw
 
 FACE = faces_of((0.3, 0.25))[0]
-TASK = pushers.Task(jnp.asarray(FACE), jnp.array([0.3, 0.25]), jnp.array([1.0, 0.0, 0.0]))
+TASK = pushers.WorldGoal(jnp.asarray(FACE), jnp.array([0.3, 0.25]), jnp.array([1.0, 0.0, 0.0]))
 KEY = jax.random.key(0)
 
 
-def sighting(x: float = 0.0, force: float = 0.0, gap: float = 0.0) -> Sighting:
+def object_obs(x: float = 0.0, force: float = 0.0, gap: float = 0.0) -> ObjectObservation:
     pose = np.array([x, 0.0, 0.0])
     zero = np.zeros(2)
     robot = stand_off(pose, FACE, gap)
     values = (robot, np.zeros(3), zero, zero, pose, np.zeros(3), np.array([force, 0.0, 0.0]))
-    return Sighting(*(jnp.asarray(v, dtype=jnp.float32) for v in values))
+    return ObjectObservation(*(jnp.asarray(v, dtype=jnp.float32) for v in values))
 
 
-def counting() -> pushers.Law:
+def counting() -> pushers.PushPolicy:
     """A controller that counts its steps from the force it began with, pushes with that, and expects no coasting."""
-    return pushers.Law(
+    return pushers.PushPolicy(
         init=lambda now, task, key: now.wrench[0],
         step=lambda state, now, last_u, task: (jnp.stack([state, state, state]), state + 1.0),
         coast=lambda state, now: now.object_pose,
@@ -44,11 +44,11 @@ def counting() -> pushers.Law:
 
 def test_a_push_from_the_first_approach_to_letting_go() -> None:
     rule = counting()
-    memory = pushers.remember(rule, sighting(gap=0.05), TASK, KEY)
+    memory = pushers.init(rule, object_obs(gap=0.05), TASK, KEY)
 
     def step(ready: bool = True, **seen: float) -> Any:
         nonlocal memory
-        command, memory = pushers.decide(rule, memory, sighting(**seen), TASK, KEY, jnp.asarray(ready))
+        command, memory = pushers.step(rule, memory, object_obs(**seen), TASK, KEY, jnp.asarray(ready))
         return command
 
     assert step(ready=False, gap=0.05).u[0] == 0.0  # the arms unfold
@@ -68,9 +68,9 @@ def test_a_push_from_the_first_approach_to_letting_go() -> None:
 def test_what_coasts_is_let_go_earlier() -> None:
     far = counting()._replace(coast=lambda state, now: now.object_pose + jnp.array([0.2, 0.0, 0.0]))
     for rule, phase in ((far, pushers.LET_GO), (counting(), pushers.PUSH)):
-        memory = pushers.remember(rule, sighting(), TASK, KEY)._replace(phase=jnp.int32(pushers.PUSH))
+        memory = pushers.init(rule, object_obs(), TASK, KEY)._replace(phase=jnp.int32(pushers.PUSH))
         for _ in range(3):
-            _, memory = pushers.decide(rule, memory, sighting(x=0.8, force=9.0), TASK, KEY, jnp.asarray(True))
+            _, memory = pushers.step(rule, memory, object_obs(x=0.8, force=9.0), TASK, KEY, jnp.asarray(True))
         assert memory.phase == phase
 
 
@@ -87,8 +87,10 @@ def test_the_quasi_static_law_is_the_same_on_both_kinds_of_arrays() -> None:
     for _ in range(20):
         values = [rng.normal(size=n) * 0.3 for n in (3, 3, 2, 2, 3, 3)] + [rng.normal(size=3) * 20]
         goal = rng.normal(size=3)
-        plain, more = law(cost, FACE, Sighting(*values), goal, np.float64(0.01))
-        traced, later = law(cost, FACE, Sighting(*map(jnp.asarray, values)), jnp.asarray(goal), jnp.float32(0.01))
+        plain, more = control(cost, FACE, ObjectObservation(*values), goal, np.float64(0.01))
+        traced, later = control(
+            cost, FACE, ObjectObservation(*map(jnp.asarray, values)), jnp.asarray(goal), jnp.float32(0.01)
+        )
         assert isinstance(plain, np.ndarray) and isinstance(traced, jax.Array)
         np.testing.assert_allclose(traced, plain, atol=2e-5)
         np.testing.assert_allclose(later, more, atol=2e-5)

@@ -15,11 +15,11 @@ import pytest
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.sweep import run
 from shmoo_mjx.sweep.config import SweepConfig
-from shmoo_mjx.sweep.run import Runner, Sweep, read_table
+from shmoo_mjx.sweep.run import ShardRunner, Sweep, read_table
 
 
-def finish(sweep: Sweep, pretend: Any, part: tuple[int, int] = (0, 1)) -> Runner:
-    runner = Runner(sweep, part, lambda family, controller: pretend)
+def finish(sweep: Sweep, pretend: Any, part: tuple[int, int] = (0, 1)) -> ShardRunner:
+    runner = ShardRunner(sweep, part, lambda family, controller: pretend)
     runner.run()
     return runner
 
@@ -73,7 +73,7 @@ def test_jobs_part_the_shards_among_themselves(config: SweepConfig, tmp_path: Pa
 
 def test_the_estimate_counts_batches_and_memory(config: SweepConfig, tmp_path: Path, pretend: Any) -> None:
     sweep = Sweep.open(config, tmp_path)
-    first, second = Runner(sweep, make=lambda family, controller: pretend).estimate()
+    first, second = ShardRunner(sweep, make=lambda family, controller: pretend).estimate()
     # Shards of 5, 5 and 1 worlds in batches of 4 take 2, 2 and 1 of them, 2 s each.
     assert (first.worlds, first.seconds, second.seconds) == (11, 10.0, 10.0)
     assert str(first) == "box, ours: 11 worlds in batches of 4, 1 MB a world, 0.004 of 1 GB, about 10 s"

@@ -29,7 +29,7 @@ def config(**changes: Any) -> SweepConfig:
     return SweepConfig.model_validate({"vary": VARY, **changes})
 
 
-def arrays(setup: worlds.Setup) -> list[np.ndarray]:
+def arrays(setup: worlds.WorldSetup) -> list[np.ndarray]:
     plain = setup._replace(key=jax.random.key_data(setup.key))
     return [np.asarray(x) for x in jax.tree.leaves(plain)]
 

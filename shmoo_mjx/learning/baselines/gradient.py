@@ -18,7 +18,7 @@ from shmoo_mjx.learning.baselines.sight import Sight
 from shmoo_mjx.learning.rows import Rows, Sampler
 from shmoo_mjx.types import Array
 
-__all__ = ["Layers", "Task", "dense", "layers", "meta_train"]
+__all__ = ["Layers", "MetaTask", "dense", "layers", "meta_train"]
 
 Tree = Any
 
@@ -37,7 +37,7 @@ class Layers(NamedTuple):
     biases: tuple[Array, ...]
 
 
-class Task(NamedTuple):
+class MetaTask(NamedTuple):
     """One condition of an update."""
 
     context: Context
@@ -141,8 +141,8 @@ def _optimiser(job: Job) -> optax.GradientTransformation:
     return optax.chain(training.bounded_gradient(), optax.adamw(rate, weight_decay=job.setting.get("decay", 0.0)))
 
 
-def _eq4(predictor: Callable[[Tree], Predictor], scale: Array, feed_back: bool) -> Callable[[Tree, Task], Array]:
-    def loss(params: Tree, task: Task) -> Array:
+def _eq4(predictor: Callable[[Tree], Predictor], scale: Array, feed_back: bool) -> Callable[[Tree, MetaTask], Array]:
+    def loss(params: Tree, task: MetaTask) -> Array:
         predict = _known(predictor(params), task.context)
         return multistep.loss(predict, task.windows, task.precision, scale, feed_back)
 
@@ -157,7 +157,7 @@ def _known(made: Predictor, context: Context) -> multistep.Predict:
 
 def _draw(
     train: Recordings, contacts: Array, sampler: Sampler, key: Array, adapt_rows: int, windows: int, horizon: int
-) -> Task:
+) -> MetaTask:
     """The batches that DAIML draws."""
     key, contact_key = jax.random.split(key)
     batch = batches.draw(train.rows, sampler, key, CONDITIONS, adapt_rows, windows, horizon)
@@ -165,4 +165,4 @@ def _draw(
     which = jax.random.randint(contact_key, batch.condition.shape, 0, contacts.shape[1])
     contact = contacts[batch.condition, which]
     context = Context(x, y, w, jnp.zeros_like(w), contact)
-    return Task(context, batch.windows, batch.precision)
+    return MetaTask(context, batch.windows, batch.precision)

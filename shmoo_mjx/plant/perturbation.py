@@ -14,14 +14,14 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-__all__ = ["Body", "Imperfections", "body_of", "draw_body"]
+__all__ = ["Perturbation", "PerturbedBody", "adjustment", "draw_body"]
 
 _TICK = 0.01
 """What delays are rounded to [s]."""
 
 
 @dataclass(frozen=True)
-class Imperfections:
+class Perturbation:
     """Every difference from the training plant's body; 0 switches one off. Widths of draws are relative, and each
     number raised makes robots differ more."""
 
@@ -41,13 +41,13 @@ class Imperfections:
     and sways more."""
 
     @classmethod
-    def none(cls) -> Imperfections:
+    def none(cls) -> Perturbation:
         """The training plant."""
         zeros: dict[str, Any] = {f.name: 0.0 for f in dataclasses.fields(cls)}
         return cls(**zeros | {"delay": (0.0, 0.0)})
 
 
-class Body(NamedTuple):
+class PerturbedBody(NamedTuple):
     """One drawn robot: factors and shifts on the nominal one."""
 
     mass: float
@@ -63,13 +63,13 @@ class Body(NamedTuple):
     """[s]"""
 
 
-def draw_body(imperfections: Imperfections, seed: int) -> Body:
+def draw_body(perturbation: Perturbation, seed: int) -> PerturbedBody:
     """The robot with this seed."""
     rng = np.random.default_rng([7, seed])
     unit = rng.uniform(-1, 1, 13)
-    at = imperfections
+    at = perturbation
     delay = at.delay[0] + (at.delay[1] - at.delay[0]) * (unit[6] + 1) / 2
-    return Body(
+    return PerturbedBody(
         mass=1 + at.body_mass * unit[0],
         com=(at.body_com * unit[1], at.body_com * unit[2], at.body_com_height * unit[3]),
         drive_friction=1 + at.drive_friction * unit[4],
@@ -80,7 +80,7 @@ def draw_body(imperfections: Imperfections, seed: int) -> Body:
     )
 
 
-def body_of(body: Body) -> Callable[[mujoco.MjSpec], None]:
+def adjustment(body: PerturbedBody) -> Callable[[mujoco.MjSpec], None]:
     """What :func:`~shmoo_mjx.plant.scene.build_scene` takes as ``adjust`` to build this robot."""
 
     def adjust(spec: mujoco.MjSpec) -> None:
