@@ -77,7 +77,8 @@ class PushCost:
     speed_limit: float = 0.4
     """Speed of the robot that is free of charge [m/s]."""
     terminal_speed: float = 0.0
-    """... at the goal [m/s]: pushing can't brake, so that what rolls has to arrive slowly."""
+    """Speed of the robot that is free of charge at the goal [m/s]; pushing can't brake, so that what rolls has to
+    arrive slowly."""
     slow_down: float = 0.0
     """By how much more per metre from the goal, up to ``speed_limit`` [1/s]; 0 leaves the limit the same everywhere."""
 

@@ -34,9 +34,9 @@ class NavigateConfig:
     reach: float = 3.5
     """Longest of the ranges [m]."""
     arrived: float = 0.25
-    """Distance from the goal that counts as success [m] ..."""
+    """Distance from the goal that counts as success [m]."""
     slow: float = 0.1
-    """... below this speed [m/s]."""
+    """Speed below which arriving there counts [m/s]."""
     lookahead: float = 0.4
     """How far ahead the direction of the way is looked up [m]."""
     fall: float = -1.0

@@ -34,11 +34,11 @@ class PushEnvConfig:
     lateral: float = 0.05
     """Largest shift along the face at the start [m]."""
     arrived: float = 0.10
-    """Distance from the goal that counts as success [m] ..."""
+    """Distance from the goal that counts as success [m]."""
     arrived_yaw: float = float(np.deg2rad(10.0))
-    """... with this yaw error [rad] ..."""
+    """Yaw error that counts as success there [rad]."""
     at_rest: float = 0.03
-    """... and below this speed [m/s]."""
+    """Speed below which arriving there counts [m/s]."""
     yaw_weight: float = 0.3
     """Metres that a radian of yaw error counts as."""
     near_weight: float = 0.1

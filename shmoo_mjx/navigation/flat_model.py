@@ -14,8 +14,6 @@ __all__ = ["FlatModel", "rest_to_rest", "rest_to_rest_time"]
 
 Array = Any
 
-_GRAVITY = 9.81
-
 
 class FlatModel(NamedTuple):
     """Coefficients of a x'' + b phi'' = c phi, for both planes."""
@@ -26,21 +24,6 @@ class FlatModel(NamedTuple):
     """[kg m^2]"""
     c: float
     """[N m]"""
-
-    @classmethod
-    def from_inertia(
-        cls, m_body: float, m_ball: float, com_height: float, ball_radius: float, i_body: float, i_ball: float
-    ) -> FlatModel:
-        """From masses [kg], height of the body's centre of mass above the ball's centre and ball radius [m], inertias.
-
-        Inertias [kg m^2] are about horizontal axes through each part's own centre.
-        """
-        rolling_mass = m_ball + m_body + i_ball / ball_radius**2
-        return cls(
-            a=rolling_mass * ball_radius + m_body * com_height,
-            b=i_body + m_body * com_height**2 + m_body * com_height * ball_radius,
-            c=m_body * _GRAVITY * com_height,
-        )
 
     def flat_state(self, position: Array, velocity: Array, lean: Array, lean_rate: Array) -> np.ndarray:
         """S and its first three derivatives ``[4, 2]`` from ball position, velocity, lean, lean rate (2,) in {W}."""

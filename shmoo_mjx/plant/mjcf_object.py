@@ -1,4 +1,4 @@
-"""Reads an MJCF file as the geometry and mass distribution of one rigid own object."""
+"""Reads an MJCF file as the geometry and mass distribution of one rigid object."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The three object families and their conditions c: everything about one object that pushing depends on.
+"""Conditions c of the three object families, drawn from a seed, and the MJCF of an object.
 
 A condition is re-created from (family, seed); every law and range stands in ``_DRAW`` with its source in docs/plant.md.
 """
@@ -6,11 +6,7 @@ A condition is re-created from (family, seed); every law and range stands in ``_
 from __future__ import annotations
 
 import dataclasses
-import hashlib
-import json
 from collections.abc import Mapping
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -18,6 +14,8 @@ import numpy as np
 
 from shmoo_mjx.assets import asset
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.plant.condition import Condition, is_custom
+from shmoo_mjx.plant.object_file import custom_condition, custom_spec
 
 __all__ = ["FAMILIES", "Condition", "draw_condition", "object_spec"]
 
@@ -28,76 +26,6 @@ _REAR_AXLE = -0.12
 """x of the wheelchair's rear axle in {O} [m]: the wheels end with the footprint."""
 _LOCKED_TORQUE = 200.0
 """Roll friction of a locked wheel [N m]: more than any floor contact can overcome, so that it slides."""
-
-
-@dataclass(frozen=True)
-class Condition:
-    """One object's fixed dynamic properties (condition c of Sec. III). SI units."""
-
-    family: str
-    seed: int
-    size: tuple[float, float, float]
-    """Length (x of {O}), width and height of the hull."""
-    mass: float
-    """Mass of the empty object, without wheels and forks."""
-    payload: float
-    """Mass of the load."""
-    payload_x: float
-    payload_y: float
-    """Offset of the load from the centre of {O}."""
-    friction: float
-    """Coulomb coefficient mu of sole or wheels on the floor."""
-    rolling: tuple[float, ...] = ()
-    """Rolling resistance coefficient sigma (C_rr) of each wheel: force over load."""
-    swivel_friction: float = 0.0
-    """Dry friction of each caster's swivel [N m]."""
-    locked: tuple[bool, ...] = ()
-    """Brake of each wheel."""
-    caster_angle: tuple[float, ...] = ()
-    """Starting angle of each caster [rad]."""
-
-    @property
-    def half_extents(self) -> tuple[float, float]:
-        """Half length and half width of the footprint [m]."""
-        return self.size[0] / 2, self.size[1] / 2
-
-    @property
-    def total_mass(self) -> float:
-        """Empty object plus load, without wheels [kg]."""
-        return self.mass + self.payload
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain data that :meth:`from_dict` turns back into an equal condition."""
-        return dataclasses.asdict(self)
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Condition:
-        """The condition :meth:`to_dict` came from, also after a trip through JSON."""
-        tuples: dict[str, Any] = {k: tuple(v) if isinstance(v, list | tuple) else v for k, v in data.items()}
-        return cls(**tuples)
-
-    def fingerprint(self) -> str:
-        """Hash of every property, equal on every machine; of an own object, its file's content counts, not its path."""
-        values = self.to_dict()
-        if _is_own(self.family):
-            values["family"] = hashlib.sha256(Path(self.family).read_bytes()).hexdigest()
-        return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:16]
-
-    def describe(self) -> str:
-        """The condition in one sentence."""
-        names = {
-            "cart": ("front left", "front right", "rear left", "rear right"),
-            "wheelchair": ("rear left", "rear right", "front left", "front right"),
-        }.get(self.family, tuple(f"wheel {i}" for i in range(len(self.locked))))
-        size = " x ".join(f"{s:.2f}" for s in self.size)
-        text = f"{Path(self.family).stem} {size} m, {self.mass:.1f} kg"
-        if self.payload > 0:
-            text += f" + {self.payload:.1f} kg at ({self.payload_x:+.2f}, {self.payload_y:+.2f}) m"
-        text += f", mu {self.friction:.2f}"
-        if self.rolling:
-            text += f", rolling resistance {min(self.rolling):.3f} to {max(self.rolling):.3f}"
-        locked = [name for name, on in zip(names, self.locked, strict=False) if on]
-        return text + (f", locked: {', '.join(locked)}" if locked else "")
 
 
 def _draw_box(rng: np.random.Generator) -> dict[str, Any]:
@@ -165,16 +93,14 @@ def draw_condition(family: str, seed: int, properties: Mapping[str, Any] | None 
 
     Args:
         family: one of FAMILIES, or the path of an object file that plant/mesh.py made (it ends with .json).
-        seed: draws every property; of an own object only the casters' starting angles.
+        seed: draws every property; of a custom object only the casters' starting angles.
         properties: values of single fields of :class:`Condition`.
 
     Raises:
         ShmooError: unknown family, unknown property, or a value no object can have.
     """
-    if _is_own(family):
-        from shmoo_mjx.plant.mesh import own_condition
-
-        values = own_condition(family, seed)
+    if is_custom(family):
+        values = custom_condition(family, seed)
     elif family in _DRAW:
         # The family's index keeps (box, 3) and (cart, 3) from sharing their random numbers.
         rng = np.random.default_rng([FAMILIES.index(family), seed])
@@ -191,10 +117,6 @@ def draw_condition(family: str, seed: int, properties: Mapping[str, Any] | None 
     condition = Condition(**values)
     _check(condition, drawn)
     return condition
-
-
-def _is_own(family: str) -> bool:
-    return family.endswith(".json")
 
 
 def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -215,9 +137,9 @@ def _check(c: Condition, drawn: Condition) -> None:
             )
         if not isinstance(value, tuple) or len(value) != length:
             raise ShmooError(f"{what}: {name} must be a list of {length} entries.")
-    if _is_own(c.family) and c.size != drawn.size:
+    if is_custom(c.family) and c.size != drawn.size:
         raise ShmooError(f"{what}: size is that of its mesh; make the object again with another --scale.")
-    if not _is_own(c.family) and (min(c.size) < 0.2 or max(c.size) > 2.5):
+    if not is_custom(c.family) and (min(c.size) < 0.2 or max(c.size) > 2.5):
         raise ShmooError(f"{what}: size {c.size} must be three lengths between 0.2 and 2.5 m.")
     for name, low, high in (("mass", 0.5, 500.0), ("payload", 0.0, 500.0), ("friction", 0.05, 2.0)):
         value = getattr(c, name)
@@ -239,10 +161,8 @@ def _check(c: Condition, drawn: Condition) -> None:
 
 def object_spec(condition: Condition) -> mujoco.MjSpec:
     """MJCF of the object: the family's XML with this condition's numbers. Its root body is ``object`` at {O}."""
-    if _is_own(condition.family):
-        from shmoo_mjx.plant.mesh import own_spec
-
-        return own_spec(condition)
+    if is_custom(condition.family):
+        return custom_spec(condition)
     spec = mujoco.MjSpec.from_file(str(asset(f"models_xml/objects/{condition.family}.xml")))
     length, width, height = condition.size
     hull = spec.geom("hull")

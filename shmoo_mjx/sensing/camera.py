@@ -46,17 +46,18 @@ class Camera:
     position_noise: float = 0.005 / 1.5
     """Standard deviation of a detected position over distance [m/m]: 5 mm at 1.5 m. More: noisier poses and twists."""
     yaw_noise: float = float(np.deg2rad(0.5)) / 1.5
-    """... of a detected yaw [rad/m]: 0.5 deg at 1.5 m."""
+    """Standard deviation of a detected yaw over distance [rad/m]: 0.5 deg at 1.5 m. More: noisier yaws and yaw
+    rates."""
     least_position_noise: float = 0.0015
     """Least standard deviation of a position [m]: calibration and printing leave that however near the tag is."""
     least_yaw_noise: float = float(np.deg2rad(0.15))
-    """... of a yaw [rad]."""
+    """Least standard deviation of a yaw [rad], for the same reason."""
     drop_out: float = 0.05
     """Share of frames in which an object in sight is not found: blur and glare meet all its tags alike."""
     burst: float = 0.005
     """Chance per frame that an object stays lost for ``burst_time``. More: longer times without its pose."""
     burst_time: float = 0.4
-    """[s]"""
+    """Duration of such a loss [s]. More: longer times without its pose."""
     objects_hide: bool = True
     """Whether objects hide what is behind them."""
 

@@ -31,13 +31,13 @@ class OdometryConfig:
     scale: float = 0.006
     """Standard deviation of the drawn error of length over length [1]. More: drifts along the way."""
     yaw_scale: float = 0.005
-    """... of the drawn error of turned angle over angle [1]. More: drifts where the robot turns."""
+    """Standard deviation of the drawn error of turned angle over angle [1]. More: drifts where the robot turns."""
     yaw_bias: float = float(np.deg2rad(0.02))
-    """... of the drawn drift of the yaw [rad/s]: what is left of a gyro's bias. More: the way bends."""
+    """Standard deviation of the drawn drift of the yaw [rad/s]: what is left of a gyro's bias. More: the way bends."""
     walk: float = 0.006
     """Standard deviation of the position's random walk over the root of the way [m / sqrt(m)]."""
     yaw_walk: float = float(np.deg2rad(0.06))
-    """... of the yaw's over the root of time [rad / sqrt(s)]."""
+    """Standard deviation of the yaw's random walk over the root of time [rad / sqrt(s)]."""
     delay: tuple[float, float] = (0.02, 0.04)
     """Range from which the age of a pose on arrival is drawn [s]; the robot carries it on by its twist meanwhile."""
     smoothing: float = 0.03
@@ -47,17 +47,17 @@ class OdometryConfig:
     fix_period: tuple[float, float] = (0.5, 1.0)
     """Range from which the time between two fixes on the map is drawn [s]: AMCL updates every 0.2 m or 0.5 rad."""
     fix_position: float = 0.025
-    """Standard deviation of a fix's position [m] ..."""
+    """Standard deviation of a fix's position [m]: half a cell of a 5 cm map."""
     fix_yaw: float = float(np.deg2rad(0.5))
-    """... and of its yaw [rad]: half a cell of a 5 cm map."""
+    """Standard deviation of a fix's yaw [rad]."""
     fix_delay: float = 0.1
     """Age of a fix on arrival [s]: the matching takes that long."""
     fix_gain: float = 0.25
     """Share of a fix's innovation that is taken over. More: follows drift faster and the fixes' noise more."""
     blend: float = 0.03
-    """Fastest correction of the position [m/s]: 3 mm in a sample ..."""
+    """Fastest correction of the position [m/s]: 3 mm in a sample. More: larger jumps of the robot's pose."""
     blend_yaw: float = float(np.deg2rad(1.0))
-    """... and of the yaw [rad/s]. More: larger jumps of the robot's pose."""
+    """Fastest correction of the yaw [rad/s]. More: larger jumps of the robot's pose."""
 
     def __post_init__(self) -> None:
         for name in ("delay", "fix_period"):

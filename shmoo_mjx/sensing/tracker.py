@@ -27,11 +27,12 @@ class TrackerConfig:
     """Standard deviation of an object's acceleration between frames [m/s^2]. More: follows faster, with noisier twists;
     from 1 to 2 the error of the twist in a push hardly changes."""
     yaw_acceleration: float = 2.0
-    """... of its yaw [rad/s^2]."""
+    """Standard deviation of its yaw acceleration between frames [rad/s^2]. More: follows faster, with noisier yaw
+    rates."""
     first_speed: float = 0.1
-    """Standard deviation of an object's speed at first sight [m/s] ..."""
+    """Standard deviation of an object's speed at first sight [m/s]: nearly all stand still."""
     first_yaw_rate: float = 0.2
-    """... and of its yaw rate [rad/s]: nearly all stand still."""
+    """Standard deviation of an object's yaw rate at first sight [rad/s]."""
     fading: float = 0.3
     """Time constant with which the twist of an object that is not detected fades [s]. Longer: carried on further."""
     gate: float = 25.0
@@ -54,11 +55,11 @@ class Tracks(NamedTuple):
     rate: Array
     """``[W, N, 3]``"""
     variance: Array
-    """``[W, N, 3]`` of pose ..."""
+    """``[W, N, 3]`` variance of the pose."""
     covariance: Array
-    """``[W, N, 3]`` ... of pose and rate ..."""
+    """``[W, N, 3]`` covariance of pose and rate."""
     rate_variance: Array
-    """``[W, N, 3]`` ... and of rate."""
+    """``[W, N, 3]`` variance of the rate."""
     at: Array
     """``[W]`` time that the filters stand at: that of the last frame."""
     detected_at: Array

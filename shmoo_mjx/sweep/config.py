@@ -127,9 +127,9 @@ class SweepConfig(_Strict):
     face: int = Field(default=0, ge=0, le=3)
     """Pushed side: rear, right, front, left."""
     tolerance_m: float = Field(default=0.25, gt=0)
-    """A push succeeds if the object ends this near to its goal ..."""
+    """A push succeeds if the object ends this near to its goal [m]."""
     tolerance_deg: float = Field(default=20.0, gt=0)
-    """... turned by at most this much from the goal's yaw."""
+    """Yaw error up to which such a push succeeds [deg]."""
     senses: SensesName = "real"
     """What the controller perceives: real senses (docs/sensing.md), or the truth; either with swept noise and delay."""
     shard: int = Field(default=256, ge=1)

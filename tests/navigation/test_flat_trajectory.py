@@ -15,7 +15,7 @@ from shmoo_mjx.navigation.flat_trajectory import FlatModel, TrajectoryConfig
 from shmoo_mjx.navigation.maps import OCCUPIED, OccupancyGrid
 from shmoo_mjx.navigation.paths import Path
 
-MODEL = FlatModel.from_inertia(m_body=35.6, m_ball=2.5, com_height=0.5, ball_radius=0.105, i_body=3.5, i_ball=0.011)
+MODEL = FlatModel(a=21.9053, b=14.269, c=174.618)
 PLANNER = flat.init(MODEL)
 CFG = PLANNER.cfg
 

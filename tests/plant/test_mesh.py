@@ -11,7 +11,8 @@ import pytest
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.hands import HAND_HEIGHT, REACH
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
-from shmoo_mjx.plant.mesh import add_object, read_object
+from shmoo_mjx.plant.mesh import add_object
+from shmoo_mjx.plant.object_file import read_object
 from shmoo_mjx.plant.objects import draw_condition
 from shmoo_mjx.plant.scene import build_scene
 from shmoo_mjx.plant.trials import command, object_alone, pushed, settled

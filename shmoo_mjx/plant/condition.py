@@ -1,0 +1,89 @@
+"""Condition c of an object (Sec. III): everything about it that pushing depends on."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+__all__ = ["Condition", "is_custom"]
+
+
+def is_custom(family: str) -> bool:
+    """Whether the family is an object file of a user's own."""
+    return family.endswith(".json")
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One object's fixed dynamic properties (condition c of Sec. III). SI units."""
+
+    family: str
+    seed: int
+    size: tuple[float, float, float]
+    """Length (x of {O}), width and height of the hull."""
+    mass: float
+    """Mass of the empty object, without wheels and forks."""
+    payload: float
+    """Mass of the load."""
+    payload_x: float
+    payload_y: float
+    """Offset of the load from the centre of {O}."""
+    friction: float
+    """Coulomb coefficient mu of sole or wheels on the floor."""
+    rolling: tuple[float, ...] = ()
+    """Rolling resistance coefficient sigma (C_rr) of each wheel: force over load."""
+    swivel_friction: float = 0.0
+    """Dry friction of each caster's swivel [N m]."""
+    locked: tuple[bool, ...] = ()
+    """Brake of each wheel."""
+    caster_angle: tuple[float, ...] = ()
+    """Starting angle of each caster [rad]."""
+
+    @property
+    def half_extents(self) -> tuple[float, float]:
+        """Half length and half width of the footprint [m]."""
+        return self.size[0] / 2, self.size[1] / 2
+
+    @property
+    def total_mass(self) -> float:
+        """Empty object plus load, without wheels [kg]."""
+        return self.mass + self.payload
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data that :meth:`from_dict` turns back into an equal condition."""
+        return dataclasses.asdict(self)
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Condition:
+        """The condition :meth:`to_dict` came from, also after a trip through JSON."""
+        tuples: dict[str, Any] = {k: tuple(v) if isinstance(v, list | tuple) else v for k, v in data.items()}
+        return cls(**tuples)
+
+    def fingerprint(self) -> str:
+        """Hash of every property, equal on every machine; of a custom object, its file's content counts, not its
+        path."""
+        values = self.to_dict()
+        if is_custom(self.family):
+            values["family"] = hashlib.sha256(Path(self.family).read_bytes()).hexdigest()
+        return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:16]
+
+    def describe(self) -> str:
+        """The condition in one sentence."""
+        names = {
+            "cart": ("front left", "front right", "rear left", "rear right"),
+            "wheelchair": ("rear left", "rear right", "front left", "front right"),
+        }.get(self.family, tuple(f"wheel {i}" for i in range(len(self.locked))))
+        size = " x ".join(f"{s:.2f}" for s in self.size)
+        text = f"{Path(self.family).stem} {size} m, {self.mass:.1f} kg"
+        if self.payload > 0:
+            text += f" + {self.payload:.1f} kg at ({self.payload_x:+.2f}, {self.payload_y:+.2f}) m"
+        text += f", mu {self.friction:.2f}"
+        if self.rolling:
+            text += f", rolling resistance {min(self.rolling):.3f} to {max(self.rolling):.3f}"
+        locked = [name for name, on in zip(names, self.locked, strict=False) if on]
+        return text + (f", locked: {', '.join(locked)}" if locked else "")
