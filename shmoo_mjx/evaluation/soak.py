@@ -29,6 +29,7 @@ from shmoo_mjx.navigation.maps import clearance_field
 from shmoo_mjx.navigation.records import Mode, Transition
 from shmoo_mjx.navigation.scenario import Limits, ObjectEntry, Scenario
 from shmoo_mjx.plant.objects import FAMILIES
+from shmoo_mjx.report.tables import markdown_table
 from shmoo_mjx.simulation import Record, Simulation
 
 __all__ = ["SoakTrials", "livelocks", "play", "run", "summary"]
@@ -65,11 +66,10 @@ def run(options: ExperimentOptions, trials: SoakTrials, workers: int = 2) -> Exp
 def summary(result: ExperimentResult) -> str:
     """The buildings as a Markdown table, and why errands were given up."""
     names = ("seed", "errands", "done", "falls", "livelocks", "wall_contacts", "memory_growth", "open_files_left")
-    lines = [f"| {' | '.join(name.replace('_', ' ') for name in names)} |", "|---" * len(names) + "|"]
-    lines += [f"| {' | '.join(str(row[name]) for name in names)} |" for row in result.rows]
+    table = markdown_table([n.replace("_", " ") for n in names], [[str(row[n]) for n in names] for row in result.rows])
     reasons = [reason for row in result.rows for reason in row["given_up"]]
     counted = [f"{reasons.count(reason)} x {reason}" for reason in dict.fromkeys(reasons)]
-    return "\n".join([*lines, *counted])
+    return "\n".join([table, *counted])
 
 
 def play(trials: SoakTrials, seed: int, controller: PushController) -> dict[str, Any]:

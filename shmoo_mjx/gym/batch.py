@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium
 import jax
@@ -13,8 +13,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from shmoo_mjx.gym import EPISODE_STEPS
-from shmoo_mjx.gym.navigate import NavigateConfig, NavigateTask
-from shmoo_mjx.gym.push import PushEnvConfig, PushEnvTask
+from shmoo_mjx.gym.navigate import NavigateTask
+from shmoo_mjx.gym.push import PushEnvTask
 from shmoo_mjx.gym.single import checked, space
 from shmoo_mjx.gym.task import Outcome, Start, Task
 from shmoo_mjx.plant.engine_mjx import MjxEngine, MjxWorld
@@ -35,11 +35,18 @@ class ShmooVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012 (as Gymnasium declares it)
 
-    def __init__(self, task: Task, num_envs: int, max_episode_steps: int, senses: str = "real") -> None:
+    kind: ClassVar[type[PushEnvTask] | type[NavigateTask]]
+    steps: ClassVar[int]
+    """After which an episode is cut off, unless told otherwise."""
+
+    def __init__(
+        self, num_envs: int = 1, max_episode_steps: int | None = None, config: Any = None, senses: str = "real"
+    ) -> None:
         # MJX's state has no room for the motors' lag.
         self.senses = altered(senses_named(senses), body={"motor_lag": 0.0})
-        self.task, self.num_envs, self.limit = task, num_envs, max_episode_steps
-        self.single_observation_space, self.single_action_space = space(task.observation), space(task.action)
+        self.task: Task = self.kind(config)
+        self.num_envs, self.limit = num_envs, max_episode_steps or self.steps
+        self.single_observation_space, self.single_action_space = space(self.task.observation), space(self.task.action)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._engine: MjxEngine | None = None
@@ -153,26 +160,12 @@ def _merged(which: np.ndarray, new: MjxWorld, old: MjxWorld) -> MjxWorld:
 
 
 class PushVectorEnv(ShmooVectorEnv):
-    """``ShmooPush-v0``, batched."""
+    """``ShmooPush-v0``, batched; its config is a `PushEnvConfig`."""
 
-    def __init__(
-        self,
-        num_envs: int = 1,
-        max_episode_steps: int = EPISODE_STEPS["ShmooPush-v0"],
-        config: PushEnvConfig | None = None,
-        senses: str = "real",
-    ) -> None:
-        super().__init__(PushEnvTask(config), num_envs, max_episode_steps, senses)
+    kind, steps = PushEnvTask, EPISODE_STEPS["ShmooPush-v0"]
 
 
 class NavigateVectorEnv(ShmooVectorEnv):
-    """``ShmooNavigate-v0``, batched."""
+    """``ShmooNavigate-v0``, batched; its config is a `NavigateConfig`."""
 
-    def __init__(
-        self,
-        num_envs: int = 1,
-        max_episode_steps: int = EPISODE_STEPS["ShmooNavigate-v0"],
-        config: NavigateConfig | None = None,
-        senses: str = "real",
-    ) -> None:
-        super().__init__(NavigateTask(config), num_envs, max_episode_steps, senses)
+    kind, steps = NavigateTask, EPISODE_STEPS["ShmooNavigate-v0"]

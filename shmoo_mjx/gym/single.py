@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import gymnasium
 import numpy as np
 
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.gym.navigate import NavigateConfig, NavigateTask
-from shmoo_mjx.gym.push import PushEnvConfig, PushEnvTask
+from shmoo_mjx.gym.navigate import NavigateTask
+from shmoo_mjx.gym.push import PushEnvTask
 from shmoo_mjx.gym.task import Outcome, Part, Start, Task
 from shmoo_mjx.plant.render import can_render, frames, has_display
 from shmoo_mjx.sensing import SensedEngine, SensedWorld, senses_named
@@ -60,7 +60,9 @@ class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     # As Gymnasium declares it.
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": round(1 / DT)}  # noqa: RUF012
 
-    def __init__(self, task: Task, render_mode: str | None = None, senses: str = "real") -> None:
+    kind: ClassVar[type[PushEnvTask] | type[NavigateTask]]
+
+    def __init__(self, config: Any = None, render_mode: str | None = None, senses: str = "real") -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ShmooError(f"render_mode {render_mode!r} is not known; use 'human', 'rgb_array' or none.")
         if render_mode == "human" and not has_display():
@@ -71,8 +73,9 @@ class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
                 f"render_mode {render_mode!r}: MuJoCo can't draw here ({problem}); set MUJOCO_GL=egl before Python "
                 "starts, or leave the mode out."
             )
-        self.task, self.render_mode, self.senses = task, render_mode, senses_named(senses)
-        self.observation_space, self.action_space = space(task.observation), space(task.action)
+        self.task: Task = self.kind(config)
+        self.render_mode, self.senses = render_mode, senses_named(senses)
+        self.observation_space, self.action_space = space(self.task.observation), space(self.task.action)
         self._now: _Episode | None = None
         self._window: Any = None
 
@@ -180,18 +183,12 @@ class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
 
 class PushEnv(ShmooEnv):
-    """``ShmooPush-v0``."""
+    """``ShmooPush-v0``; its config is a `PushEnvConfig`."""
 
-    def __init__(
-        self, config: PushEnvConfig | None = None, render_mode: str | None = None, senses: str = "real"
-    ) -> None:
-        super().__init__(PushEnvTask(config), render_mode, senses)
+    kind = PushEnvTask
 
 
 class NavigateEnv(ShmooEnv):
-    """``ShmooNavigate-v0``."""
+    """``ShmooNavigate-v0``; its config is a `NavigateConfig`."""
 
-    def __init__(
-        self, config: NavigateConfig | None = None, render_mode: str | None = None, senses: str = "real"
-    ) -> None:
-        super().__init__(NavigateTask(config), render_mode, senses)
+    kind = NavigateTask
