@@ -83,6 +83,6 @@ def training(what: str) -> Iterator[Callable[[Any], None]]:
 
         def report(p: Any) -> None:
             text = f"{what}: loss {p.train_loss:.4f}, validation {p.validation:.4f}, best {p.best:.4f}"
-            bar.update(task, description=text, completed=p.chunk, total=p.chunks)
+            bar.update(task, description=text, completed=p.epoch, total=p.epochs)
 
         yield report

@@ -117,10 +117,10 @@ from shmoo_mjx.learning import daiml, serialisation
 if __name__ == "__main__":
     data, out = map(Path, sys.argv[1:])
     config = daiml.DaimlConfig(
-        object=ObjectConfig(hidden=(24, 24), body=False), horizon=4, conditions=3, adapt_rows=32, windows=8,
-        chunks=4, chunk_updates=100, fit_rows=100,
+        object=ObjectConfig(hidden=(24, 24), contact_model=False), horizon=4, conditions=3, adapt_samples=32, windows=8,
+        epochs=4, epoch_updates=100, fit_samples=100,
     )
-    fitted = daiml.train_object(store.of_training(data), out, config, lambda p: print(p.chunk, flush=True))
+    fitted = daiml.train_object(store.of_training(data), out, config, lambda p: print(p.epoch, flush=True))
     serialisation.save_checkpoint(out / "fitted.safetensors", fitted.params, {"history": fitted.history})
 """
 

@@ -96,13 +96,13 @@ def neural_fly_epoch(epochs: int) -> Row:
         object=shape,
         horizon=1,
         conditions=1,
-        adapt_rows=32,
+        adapt_samples=32,
         windows=256,
         coupled=False,
         alpha=0.01,
         discriminator_share=0.5,
-        chunks=CHUNKS,
-        chunk_updates=3 * epochs,
+        epochs=CHUNKS,
+        epoch_updates=3 * epochs,
         patience=CHUNKS,
     )
     data = {str(c): _law(rng, 6000, 11) for c in range(3)}
@@ -116,22 +116,22 @@ def more_conditions(conditions: int) -> Row:
     """An update of the shipped settings, which looks at 12 conditions however many there are."""
     from shmoo_mjx.dynamics import features
     from shmoo_mjx.learning import daiml
-    from shmoo_mjx.learning.rows import Rows
+    from shmoo_mjx.learning.samples import Samples
 
     rng = np.random.default_rng(0)
     updates, n, length = 30, 952, 119
     run = np.tile(np.arange(length, 0, -1), (conditions, n // length))
 
-    def rows(count: int) -> Rows:
+    def rows(count: int) -> Samples:
         inputs = 0.3 * rng.normal(size=(count, n, features.width(features.OBJECT_INPUTS))).astype(np.float32)
         inputs[..., features.slices(features.OBJECT_INPUTS)["size"]] = 0.5
         labels = 0.3 * rng.normal(size=(count, n, 3)).astype(np.float32)
-        return Rows(inputs, labels, np.ones((count, n), np.float32), run[:count].astype(np.int32))
+        return Samples(inputs, labels, np.ones((count, n), np.float32), run[:count].astype(np.int32))
 
-    config = daiml.DaimlConfig(chunks=4, chunk_updates=updates, patience=4)
+    config = daiml.DaimlConfig(epochs=4, epoch_updates=updates, patience=4)
     train, held_out = rows(conditions), rows(3)
     before = _peak_bytes()
-    found = _timed(lambda report: daiml.fit_rows(train, held_out, config, progress=report), updates)
+    found = _timed(lambda report: daiml.fit_samples(train, held_out, config, progress=report), updates)
     return {
         "name": f"update_{conditions}_conditions",
         **found,

@@ -91,9 +91,9 @@ def _trained(shared: Trainings, config: AblationsConfig, trial: tuple[str, int])
     """One variant with one seed; ``raw`` stands for probes on the inputs themselves."""
     variant, number = trial
     label = {"variant": variant, "run": number}
-    fit_rows = round(max(config.fit_seconds) / DT)
-    job = shared.job(variant, number, config.budget, fit_rows, VARIANTS.get(variant))
-    rows = job.train.rows
+    fit_samples = round(max(config.fit_seconds) / DT)
+    job = shared.job(variant, number, config.budget, fit_samples, VARIANTS.get(variant))
+    rows = job.train.samples
     if variant == "raw":
         raw = {"inputs": rows.inputs, "inputs_without_size": probe.raw_without_size(rows)}
         found = {f"probe_{what}": _probe(config, values, rows.weights) for what, values in raw.items()}
@@ -101,12 +101,12 @@ def _trained(shared: Trainings, config: AblationsConfig, trial: tuple[str, int])
     settings = daiml_config(job, DaimlConfig())
     # Variants that come to the same settings, as alpha_0.01 and the default do, share one training.
     directory = shared.folder / "training" / fingerprint(__name__, asdict(settings))
-    fitted = daiml.fit_rows(rows, job.validation.rows, settings, directory)
+    fitted = daiml.fit_samples(rows, job.validation.samples, settings, directory)
     predictor, unseen = from_fit(fitted, settings), recordings(shared.objects())
-    scale = output_scale(recordings(store.of_training(shared.train).split("train")).rows)
+    scale = output_scale(recordings(store.of_training(shared.train).split("train")).samples)
     found_rows = []
     for seconds in config.fit_seconds if variant == "default" else (max(config.fit_seconds),):
-        scores = scoring.score(predictor, unseen, scale, round(seconds / DT), fit_rows)
+        scores = scoring.score(predictor, unseen, scale, round(seconds / DT), fit_samples)
         # The mean hangs on objects that hardly move.
         median = {"fvu_median": float(np.nanmedian(scores["fvu"]))}
         found_rows.append(label | {"fit_seconds": seconds} | scoring.average(scores) | median)

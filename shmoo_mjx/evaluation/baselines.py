@@ -21,7 +21,7 @@ from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.learning.baselines import METHODS, REFERENCES, Budget, recordings
 from shmoo_mjx.learning.baselines.adaptive import prior
 from shmoo_mjx.learning.baselines.protocol import Method, output_scale
-from shmoo_mjx.learning.rows import rows_from_dataset
+from shmoo_mjx.learning.samples import samples_from_dataset
 from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
 from shmoo_mjx.types import DT
 
@@ -117,21 +117,21 @@ def _run(
 
 def _scored(shared: Trainings, config: BaselinesConfig, fit: _Fit) -> list[dict[str, Any]]:
     """The rows of one fit."""
-    fit_rows = round(config.fit_seconds / DT)
+    fit_samples = round(config.fit_seconds / DT)
     if fit.method == REPLAY:
-        scale = output_scale(rows_from_dataset(store.of_training(shared.train).split("train")))
-        found = replay.score(shared.objects(), scale, fit_rows)
+        scale = output_scale(samples_from_dataset(store.of_training(shared.train).split("train")))
+        found = replay.score(shared.objects(), scale, fit_samples)
         return rows_of(shared.objects(), found, {"method": REPLAY, "run": 0, "setting": {}})
     method = (METHODS | REFERENCES)[fit.method]
     budget = config.tuning if fit.stage == "tune" else config.final
-    job = shared.job(fit.name, fit.number, budget, fit_rows, method.settings[fit.setting])
-    scale = output_scale(job.train.rows)
+    job = shared.job(fit.name, fit.number, budget, fit_samples, method.settings[fit.setting])
+    scale = output_scale(job.train.samples)
     if fit.stage == "tune":
-        found = scoring.score(method.fit(job), job.validation, scale, fit_rows)
+        found = scoring.score(method.fit(job), job.validation, scale, fit_samples)
         return [{"tuned": method.name, "setting": job.setting, "validation_fvu": float(np.mean(found["fvu"]))}]
     rows, recorded = [], recordings(shared.objects())
     for name, trained in ({method.name: method.fit} | ({"prior": prior} if method.name == "ours" else {})).items():
-        found = scoring.score(trained(job), recorded, scale, fit_rows)
+        found = scoring.score(trained(job), recorded, scale, fit_samples)
         rows += rows_of(shared.objects(), found, {"method": name, "run": fit.number, "setting": job.setting})
     return rows
 

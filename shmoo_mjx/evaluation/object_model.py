@@ -25,7 +25,7 @@ from shmoo_mjx.evaluation.trainings import QUICK, Trainings, TrainingsConfig, pr
 from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.learning import adaptation, identification, online
 from shmoo_mjx.learning.adaptation import AdaptConfig
-from shmoo_mjx.learning.baselines import REFERENCES, Budget, Job, Recordings, first_rows, recordings
+from shmoo_mjx.learning.baselines import REFERENCES, Budget, Job, Recordings, first_samples, recordings
 from shmoo_mjx.learning.baselines.adaptive import from_fit, prior_of, trained
 from shmoo_mjx.learning.baselines.networks import mlp
 from shmoo_mjx.learning.baselines.protocol import Predictor, output_scale
@@ -46,7 +46,7 @@ SECONDS = (0.2, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0, 20.0)
 class ObjectModelConfig(TrainingsConfig):
     """What is trained, psi and a network without adaptation, and measured."""
 
-    budget: Budget = field(default_factory=lambda: Budget(DaimlConfig().chunks, 150, DaimlConfig().patience))
+    budget: Budget = field(default_factory=lambda: Budget(DaimlConfig().epochs, 150, DaimlConfig().patience))
     """Of each training: that of the shipped psi."""
     fit_seconds: float = 25.0
     """Recording that a* is fitted on [s]."""
@@ -65,7 +65,7 @@ def run(options: ExperimentOptions, config: ObjectModelConfig | None = None) -> 
     options.progress("online adaptation", 0.95)
     job = _job(shared, config, 0)
     fitted, daiml_settings = trained(job, DaimlConfig())
-    objects, scale = shared.objects(), output_scale(job.train.rows)
+    objects, scale = shared.objects(), output_scale(job.train.samples)
     shares = gap_closed(fitted, daiml_settings, config.adapt, recordings(objects), scale)
     metrics |= _curve_metrics(shares) | _brake_metrics(options, config, fitted, daiml_settings, scale)
     curve = [
@@ -98,7 +98,7 @@ def _scored(shared: Trainings, config: ObjectModelConfig, trial: tuple[str, int]
         predictors = {method: REFERENCES[method].fit(job)}
     rows: list[dict[str, Any]] = []
     for label, predictor in predictors.items():
-        found = scoring.score(predictor, recordings(objects), output_scale(job.train.rows), job.fit_rows)
+        found = scoring.score(predictor, recordings(objects), output_scale(job.train.samples), job.fit_samples)
         rows += rows_of(objects, found, {"predictor": label, "run": number})
     return rows
 
@@ -116,10 +116,10 @@ def gap_closed(
     """
     after, before = from_fit(fitted, config), prior_of(fitted, config)
     marks = np.round(np.array(SECONDS) / DT).astype(int)
-    shares = np.full((len(recorded.rows.inputs), len(SECONDS)), np.nan)
+    shares = np.full((len(recorded.samples.inputs), len(SECONDS)), np.nan)
     for i in range(len(shares)):
-        known = first_rows(recorded, i, config.fit_rows)
-        error = _error_of(after, recorded, i, scale, config.fit_rows)
+        known = first_samples(recorded, i, config.fit_samples)
+        error = _error_of(after, recorded, i, scale, config.fit_samples)
         means = _online(fitted, config, adapt, known.inputs, known.labels, known.weights)
         prior, best = error(before.adapt(known)), error(after.adapt(jax.tree.map(jnp.asarray, known)))
         if best < prior:
@@ -130,10 +130,10 @@ def gap_closed(
 
 
 def _error_of(
-    predictor: Predictor, recorded: Recordings, index: int, scale: np.ndarray, fit_rows: int
+    predictor: Predictor, recorded: Recordings, index: int, scale: np.ndarray, fit_samples: int
 ) -> Callable[[Any], float]:
     """The fraction of variance unexplained of one condition's later rows, as a function of the coefficients."""
-    rows, time = jax.tree.map(lambda v: jnp.asarray(v[index, fit_rows:]), (recorded.rows, recorded.time))
+    rows, time = jax.tree.map(lambda v: jnp.asarray(v[index, fit_samples:]), (recorded.samples, recorded.time))
     weight = rows.weights[:, None]
     mean = jnp.sum(weight * rows.labels, axis=0) / jnp.maximum(jnp.sum(weight), 1.0)
     variance = jnp.sum(weight * ((rows.labels - mean) / scale) ** 2)
@@ -228,10 +228,13 @@ def _brake_metrics(
     times, unaware, known = [], [], []
     # Names are read in alphabetical order: the braked ones come first.
     for i in range(count):
-        new, old = first_rows(recorded, i, settings.fit_rows), first_rows(recorded, i + count, settings.fit_rows)
+        new, old = (
+            first_samples(recorded, i, settings.fit_samples),
+            first_samples(recorded, i + count, settings.fit_samples),
+        )
         x, y, w = (np.concatenate([getattr(old, n), getattr(new, n)]) for n in ("inputs", "labels", "weights"))
         means = _online(fitted, settings, config.adapt, x, y, w)
-        error = _error_of(after, recorded, i, scale, settings.fit_rows)
+        error = _error_of(after, recorded, i, scale, settings.fit_samples)
         begun = int(np.sum(old.weights > 0))
         wrong, best = error(means[begun - 1]), error(after.adapt(jax.tree.map(jnp.asarray, new)))
         marks = [

@@ -10,8 +10,8 @@ import numpy as np
 
 from shmoo_mjx import se2
 from shmoo_mjx.data import store
-from shmoo_mjx.evaluation.scoring import FIT_ROWS, roll_out
-from shmoo_mjx.learning.baselines import first_rows, recordings
+from shmoo_mjx.evaluation.scoring import FIT_SAMPLES, roll_out
+from shmoo_mjx.learning.baselines import first_samples, recordings
 from shmoo_mjx.learning.baselines.protocol import Predictor
 from shmoo_mjx.report.style import SERIES, blank_figure, outline, save_figure
 
@@ -45,8 +45,8 @@ def draw_roll_outs(after: Predictor, before: Predictor, objects: store.Dataset, 
 def _draw_one(axis: Any, after: Predictor, before: Predictor, recorded: Any, i: int, objects: store.Dataset) -> None:
     start = _liveliest(recorded, i)
     rows = slice(start, start + STEPS)
-    x, time, pose = recorded.rows.inputs[i, rows], recorded.time[i, rows], recorded.pose[i]
-    known = first_rows(recorded, i, FIT_ROWS)
+    x, time, pose = recorded.samples.inputs[i, rows], recorded.time[i, rows], recorded.pose[i]
+    known = first_samples(recorded, i, FIT_SAMPLES)
     truth = se2.relative(pose[start], pose[start : start + STEPS + 1])
     axis.plot(truth[:, 0], truth[:, 1], color="black", linewidth=2.2, label="recorded")
     for predictor, label, colour in ((before, "before: the prior", BEFORE), (after, "after 25 s", AFTER)):
@@ -64,8 +64,8 @@ def _draw_one(axis: Any, after: Predictor, before: Predictor, recorded: Any, i: 
 
 def _liveliest(recorded: Any, i: int) -> int:
     """First row of the stretch of STEPS rows in one episode, after the adaptation, over which the object moves most."""
-    starts = np.arange(FIT_ROWS, recorded.rows.inputs.shape[1] - STEPS)
-    inside = recorded.rows.run[i, starts] > STEPS
+    starts = np.arange(FIT_SAMPLES, recorded.samples.inputs.shape[1] - STEPS)
+    inside = recorded.samples.run[i, starts] > STEPS
     moved = np.linalg.norm(recorded.pose[i, starts + STEPS, :2] - recorded.pose[i, starts, :2], axis=1) * inside
     return int(starts[np.argmax(moved)])
 

@@ -18,7 +18,7 @@ from shmoo_mjx.dynamics import features, object_model
 from shmoo_mjx.learning import daiml
 from shmoo_mjx.learning.baselines.gradient import Layers, dense, layers
 from shmoo_mjx.learning.daiml import DaimlConfig, ObjectFit
-from shmoo_mjx.learning.rows import Rows
+from shmoo_mjx.learning.samples import Samples
 from shmoo_mjx.types import Array
 
 __all__ = ["accuracy", "psi_of", "raw_without_size"]
@@ -46,7 +46,7 @@ def accuracy(values: Array, weights: Array, seed: int, updates: int = 1500) -> f
     return float(np.mean([right[test[0] == c].mean() for c in np.unique(test[0])]))
 
 
-def psi_of(fitted: ObjectFit, config: DaimlConfig, rows: Rows) -> Array:
+def psi_of(fitted: ObjectFit, config: DaimlConfig, rows: Samples) -> Array:
     """psi ``[C, N, n]`` of every row, its distinct functions side by side.
 
     The inputs of psi depend on the contact parameters found on a condition's first rows, which tells conditions apart
@@ -59,7 +59,7 @@ def psi_of(fitted: ObjectFit, config: DaimlConfig, rows: Rows) -> Array:
     return psi.reshape(*psi.shape[:-2], -1) if config.object.per_axis else psi[..., 0, :]
 
 
-def raw_without_size(rows: Rows) -> Array:
+def raw_without_size(rows: Samples) -> Array:
     """The inputs of psi without the size, which is the same in all rows of a condition and gives it away."""
     where = features.slices(features.OBJECT_INPUTS)["size"]
     return np.delete(np.asarray(rows.inputs), np.arange(where.start, where.stop), axis=-1)

@@ -91,7 +91,7 @@ def _paper_form(options: ExperimentOptions, weights: Path, folder: Path) -> Path
     if not path.exists():
         data = training_directory(options)
         settings = daiml.DaimlConfig(object=ObjectConfig.paper(), seed=options.seed)
-        settings = replace(settings, chunks=3) if options.quick else settings
+        settings = replace(settings, epochs=3) if options.quick else settings
         options.progress("training psi as the paper prints it", 0.0)
         fitted = daiml.train_object(data, folder / "paper_form.training" / "object", settings)
         save_weights(path, with_object(load_weights(weights), fitted))

@@ -228,12 +228,12 @@ def hindsight(weights: Weights, condition: Condition, seed: int) -> AdaptState:
 
     from shmoo_mjx.data.collect import CollectConfig, record
     from shmoo_mjx.data.store import Dataset
-    from shmoo_mjx.learning.rows import rows_from_dataset
+    from shmoo_mjx.learning.samples import samples_from_dataset
     from shmoo_mjx.learning.weights import posterior_from_recording
 
     config = CollectConfig(episodes=8, seconds=10.0)
     arrays = next(iter(record(config, [condition], seed)))
-    rows = rows_from_dataset(Dataset(["object"], [condition.to_dict()], [arrays], {}))
+    rows = samples_from_dataset(Dataset(["object"], [condition.to_dict()], [arrays], {}))
     return posterior_from_recording(weights, *(jnp.asarray(a[0]) for a in rows[:3]))
 
 

@@ -63,22 +63,22 @@ class RealPushing:
             object=ObjectConfig(hidden=(32, 32), functions=3, linear_terms=False, contact_model=False),
             horizon=1,
             conditions=8,
-            adapt_rows=80,
+            adapt_samples=80,
             windows=32,
             label_floor=0.3,
             spectral_cap=1.0,
             alpha=0.0,
             learning_rate=3e-4,
-            chunks=12,
-            chunk_updates=50,
+            epochs=12,
+            epoch_updates=50,
             patience=4,
-            fit_rows=60,
+            fit_samples=60,
         )
     )
     workers: int = 2
 
 
-QUICK = RealPushing(seeds=1, members=1, daiml=replace(RealPushing().daiml, chunks=4))
+QUICK = RealPushing(seeds=1, members=1, daiml=replace(RealPushing().daiml, epochs=4))
 
 
 def run(options: ExperimentOptions) -> ExperimentResult:

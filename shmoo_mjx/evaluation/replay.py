@@ -32,12 +32,12 @@ SETTLE = 0.4
 """Time for the object to sink into its contacts before a recording is replayed [s]."""
 
 
-def score(objects: store.Dataset, scale: np.ndarray, fit_rows: int = scoring.FIT_ROWS) -> dict[str, np.ndarray]:
-    """The measures of `scoring` ``[C]`` of the replay, on the rows after ``fit_rows``."""
+def score(objects: store.Dataset, scale: np.ndarray, fit_samples: int = scoring.FIT_SAMPLES) -> dict[str, np.ndarray]:
+    """The measures of `scoring` ``[C]`` of the replay, on the rows after ``fit_samples``."""
     recorded = recordings(objects)
-    rows, predicted, ends = recorded.rows, [], []
+    rows, predicted, ends = recorded.samples, [], []
     for i, condition in enumerate(objects.conditions):
-        chosen = {h: scoring.stretches(rows.run[i], rows.weights[i], fit_rows, h) for h in scoring.HORIZONS.values()}
+        chosen = {h: scoring.stretches(rows.run[i], rows.weights[i], fit_samples, h) for h in scoring.HORIZONS.values()}
         starts = {h: first[counts].tolist() for h, (first, counts) in chosen.items()}
         said, rolled = accelerations(
             condition, rows.inputs[i], recorded.pose[i], rows.run[i], set().union(*starts.values())
@@ -45,9 +45,9 @@ def score(objects: store.Dataset, scale: np.ndarray, fit_rows: int = scoring.FIT
         predicted.append(said)
         ends.append(_ends(starts, rolled, recorded.pose[i]))
     # The replay stands in for the inputs: a predictor that says what its inputs say is scored like any other.
-    heard = recorded._replace(rows=rows._replace(inputs=np.stack(predicted).astype(np.float32)))
+    heard = recorded._replace(samples=rows._replace(inputs=np.stack(predicted).astype(np.float32)))
     echo = Predictor(lambda context: np.zeros(()), lambda state, x, time: x)
-    found = scoring.score(echo, heard, scale, fit_rows, roll_outs=False)
+    found = scoring.score(echo, heard, scale, fit_samples, roll_outs=False)
     return found | {name: np.array([e[name] for e in ends]) for name in ends[0]}
 
 

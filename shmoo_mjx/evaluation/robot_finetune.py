@@ -26,8 +26,8 @@ from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, mak
 from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning import online, robot_fit
-from shmoo_mjx.learning.robot_fit import RobotFitConfig, RobotRows
-from shmoo_mjx.learning.rows import rows_from_dataset
+from shmoo_mjx.learning.robot_fit import RobotFitConfig, RobotSamples
+from shmoo_mjx.learning.samples import samples_from_dataset
 from shmoo_mjx.learning.weights import Weights, load_weights, posterior_from_recording
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
@@ -63,8 +63,8 @@ class RobotFinetuneConfig:
     test_seconds: float = 13.3
     fit: RobotFitConfig = RobotFitConfig(
         batch=256,
-        chunks=30,
-        chunk_updates=50,
+        epochs=30,
+        epoch_updates=50,
         learning_rate=2e-4,
         input_noise=0.1,
         weight_decay=1e-3,
@@ -72,13 +72,13 @@ class RobotFinetuneConfig:
         patience=8,
     )
     """Chosen on the first two robots of condition seed 8000, which are not reported on."""
-    most_chunks: int = 120
+    most_epochs: int = 120
     """On more data R may train for longer."""
     workers: int = 2
     """Processes."""
 
 
-QUICK = RobotFinetuneConfig(robots=1, train_episodes=2, validation_episodes=1, test_episodes=1, more=2, most_chunks=5)
+QUICK = RobotFinetuneConfig(robots=1, train_episodes=2, validation_episodes=1, test_episodes=1, more=2, most_epochs=5)
 
 MODELS = ("before", "after", "more")
 """R as shipped, fine-tuned, and fine-tuned on more data; what metrics of each end in."""
@@ -101,7 +101,7 @@ class _Work:
         robots = {"before": weights.params.robot, "after": self._tuned(weights, train, number, config.fit)}
         if config.more:
             train = self._record(robot_seed, config.more * config.train_episodes)
-            longer = replace(config.fit, chunks=config.most_chunks)
+            longer = replace(config.fit, epochs=config.most_epochs)
             robots["more"] = self._tuned(weights, train, number, longer)
         found: list[dict[str, Any]] = []
         for label, robot in robots.items():
@@ -114,9 +114,9 @@ class _Work:
         config = self.config
         episodes = len(train.names) // len(FAMILIES)
         kept = episodes - episodes * config.validation_episodes // config.train_episodes
-        return robot_fit.fit_rows(
-            robot_fit.rows_from_dataset(_episodes(train, slice(0, kept))),
-            robot_fit.rows_from_dataset(_episodes(train, slice(kept, None))),
+        return robot_fit.fit_samples(
+            robot_fit.samples_from_dataset(_episodes(train, slice(0, kept))),
+            robot_fit.samples_from_dataset(_episodes(train, slice(kept, None))),
             replace(fit, robot=weights.config.robot, seed=self.seed + number),
             start=weights.params.robot,
         ).params
@@ -168,7 +168,7 @@ def _episodes(dataset: store.Dataset, part: slice) -> store.Dataset:
 
 def _one_step(weights: Weights, dataset: store.Dataset) -> dict[str, float]:
     """Mean squared error of each output in units of its variance over the test rows, in contact and free."""
-    rows: RobotRows = robot_fit.rows_from_dataset(dataset)
+    rows: RobotSamples = robot_fit.samples_from_dataset(dataset)
     base, force = robot_model.predict(weights.params.robot, jnp.asarray(rows.inputs), weights.config.robot)
     error = (np.asarray(jnp.concatenate([base, force], axis=-1)) - rows.labels) ** 2 / rows.labels.var(axis=0)
     touching = np.hypot(*rows.inputs[:, features.slices(features.ROBOT_INPUTS)["last_force"]].T) > 1.0
@@ -182,7 +182,7 @@ def _roll_outs(weights: Weights, dataset: store.Dataset) -> dict[str, float]:
 
     The object moves by psi with coefficients fitted to its own recording, the same before and after.
     """
-    rows = jax.tree.map(jnp.asarray, rows_from_dataset(dataset))
+    rows = jax.tree.map(jnp.asarray, samples_from_dataset(dataset))
     params, config = weights.params, weights.config
     rollout = jax.jit(lambda p, s, u: core.rollout(p, s, u, config)[0])
     square: dict[str, list[float]] = {"contact": [], "free": []}

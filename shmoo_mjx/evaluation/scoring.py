@@ -26,12 +26,12 @@ import numpy as np
 
 from shmoo_mjx import se2
 from shmoo_mjx.dynamics import features
-from shmoo_mjx.learning.baselines.protocol import Predictor, Recordings, first_rows
+from shmoo_mjx.learning.baselines.protocol import Predictor, Recordings, first_samples
 from shmoo_mjx.types import DT, Array
 
-__all__ = ["FIT_ROWS", "NAMES", "average", "roll_out", "score"]
+__all__ = ["FIT_SAMPLES", "NAMES", "average", "roll_out", "score"]
 
-FIT_ROWS = 250
+FIT_SAMPLES = 250
 """25 s of recording, in contact or not, to adapt on."""
 
 HORIZONS = {"1s": 10, "3s": 30}
@@ -50,8 +50,8 @@ def score(
     predictor: Predictor,
     recorded: Recordings,
     scale: Array,
-    fit_rows: int = FIT_ROWS,
-    from_row: int | None = None,
+    fit_samples: int = FIT_SAMPLES,
+    from_sample: int | None = None,
     roll_outs: bool = True,
 ) -> dict[str, np.ndarray]:
     """Adapt to each condition on its first rows and measure on later ones.
@@ -60,17 +60,17 @@ def score(
         predictor: a fitted method.
         recorded: C conditions it has not been trained on.
         scale: ``[m]`` standard deviation of the labels over the training set.
-        fit_rows: rows to adapt on.
-        from_row: first row that is scored; by default the one after ``fit_rows``.
+        fit_samples: rows to adapt on.
+        from_sample: first row that is scored; by default the one after ``fit_samples``.
         roll_outs: measure open-loop roll-outs too, which needs the inputs that OBJECT_INPUTS lists.
 
     Returns:
         NAMES -> ``[C]`` (those of one step only without roll_outs); NaN where a condition has no stretch long enough
         for a roll-out.
     """
-    first = fit_rows if from_row is None else from_row
-    count = len(recorded.rows.inputs)
-    states = [predictor.adapt(jax.tree.map(jnp.asarray, first_rows(recorded, i, fit_rows))) for i in range(count)]
+    first = fit_samples if from_sample is None else from_sample
+    count = len(recorded.samples.inputs)
+    states = [predictor.adapt(jax.tree.map(jnp.asarray, first_samples(recorded, i, fit_samples))) for i in range(count)]
     state = jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves]), *states)
 
     @jax.jit
@@ -130,7 +130,7 @@ def stretches(run: Array, weights: Array, first: int, steps: int) -> tuple[np.nd
 
 
 def _one_step(predictor: Predictor, state: Any, recorded: Recordings, scale: Array, first: int) -> dict[str, Array]:
-    x, y, w, _ = (v[first:] for v in recorded.rows)
+    x, y, w, _ = (v[first:] for v in recorded.samples)
     weight = w[:, None]
     count = jnp.maximum(jnp.sum(w), 1.0)
     square = (predictor.predict(state, x, recorded.time[first:]) - y) ** 2
@@ -142,7 +142,7 @@ def _one_step(predictor: Predictor, state: Any, recorded: Recordings, scale: Arr
 
 
 def _ends(predictor: Predictor, state: Any, recorded: Recordings, first: int) -> dict[str, Array]:
-    rows, found = recorded.rows, {}
+    rows, found = recorded.samples, {}
     for name, h in HORIZONS.items():
         starts, good = stretches(rows.run, rows.weights, first, h)
         window = starts[:, None] + np.arange(h)

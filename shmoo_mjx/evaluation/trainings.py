@@ -50,13 +50,15 @@ class Trainings:
     """Per family; None takes all that the training set has."""
     seed: int
 
-    def job(self, name: str, number: int, budget: Budget, fit_rows: int, setting: dict[str, Any] | None = None) -> Job:
+    def job(
+        self, name: str, number: int, budget: Budget, fit_samples: int, setting: dict[str, Any] | None = None
+    ) -> Job:
         """Training ``number``, whose checkpoint is kept under ``name``; each number has a seed of its own."""
         dataset = store.of_training(self.train)
         if self.training_objects is not None:
             dataset = datasets.subset(dataset, self.training_objects)
         parts = recordings(dataset.split("train")), recordings(dataset.split("validation"))
-        return Job(*parts, setting or {}, budget, self.seed + number, fit_rows, self.folder / "training" / name)
+        return Job(*parts, setting or {}, budget, self.seed + number, fit_samples, self.folder / "training" / name)
 
     def objects(self) -> store.Dataset:
         """The unseen objects."""

@@ -1,6 +1,6 @@
 """DAIML: learning psi so that a few coefficients a(c) tell objects apart (Eq. 4 to 6).
 
-Every update draws some conditions; for each, a* is fitted on one batch of rows (Eq. 5, differentiable) and scored on
+Every update draws some conditions; for each, a* is fitted on one batch of samples (Eq. 5, differentiable) and scored on
 windows of H steps elsewhere (Eq. 4); a discriminator tries to tell the condition from psi, and psi is paid for keeping
 it from that (Eq. 6). Readings:
 
@@ -9,7 +9,8 @@ it from that (Eq. 6). Readings:
 * Sigma_C is the covariance of the condition's own labels, so each condition counts by the share it leaves unexplained.
 * a* is drawn towards a prior (the object not yet touched) whose mean and covariance are learned along with psi. The
   covariance couples the axes, so a push along x says something about y and yaw; ``coupled=False`` gives a plain ridge.
-* B^a is a stretch of consecutive rows of random length, as the robot meets them, not rows from all over the recording.
+* B^a is a stretch of consecutive samples of random length, as the robot meets them, not samples from all over the
+recording.
 """
 
 from __future__ import annotations
@@ -29,9 +30,9 @@ from shmoo_mjx.dynamics import contact_model, equivariant, mlp, object_model
 from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning import least_squares, multistep, training, training_contacts
-from shmoo_mjx.learning import rows as batches
+from shmoo_mjx.learning import samples as batches
 from shmoo_mjx.learning.identification import ContactPrior, IdentificationConfig
-from shmoo_mjx.learning.rows import Batch, Rows, Sampler, label_scale, rows_from_arrays, rows_from_dataset
+from shmoo_mjx.learning.samples import Batch, Sampler, Samples, label_scale, samples_from_arrays, samples_from_dataset
 from shmoo_mjx.learning.training_contacts import Found
 
 __all__ = [
@@ -41,7 +42,7 @@ __all__ = [
     "contacts_seen",
     "daiml_loss",
     "fit",
-    "fit_rows",
+    "fit_samples",
     "train_object",
     "validation_scores",
 ]
@@ -66,8 +67,8 @@ class DaimlConfig:
     with its own errors: one step ahead it may use what just happened."""
     conditions: int = 12
     """Conditions per update."""
-    adapt_rows: int = 100
-    """B^a of Eq. 5: at most so many consecutive rows per condition that a* is fitted on."""
+    adapt_samples: int = 100
+    """B^a of Eq. 5: at most so many consecutive samples per condition that a* is fitted on."""
     windows: int = 16
     """Windows of H steps per condition that the loss is taken on, half of them soon after B^a, half anywhere."""
     coupled: bool = True
@@ -86,13 +87,13 @@ class DaimlConfig:
     discriminator_share: float = 0.5
     """Probability that an update also trains the discriminator."""
     learning_rate: float = 2e-3
-    chunks: int = 24
-    """Most chunks; the learning rate falls to zero over them along a cosine."""
-    chunk_updates: int = 150
+    epochs: int = 24
+    """Most epochs; the learning rate falls to zero over them along a cosine."""
+    epoch_updates: int = 150
     patience: int = 12
     """Chunks without a better validation score before stopping."""
-    fit_rows: int = 250
-    """First rows of a validation condition that a* is fitted on; it is scored on the later ones."""
+    fit_samples: int = 250
+    """First samples of a validation condition that a* is fitted on; it is scored on the later ones."""
     contact_fit: IdentificationConfig = field(default_factory=IdentificationConfig)
     """How contact parameters are identified, if psi has the contact model."""
     seed: int = 0
@@ -150,14 +151,14 @@ def train_object(
         data: a directory that `store` wrote, or what `store.read` gave.
         out_dir: keeps a checkpoint there and goes on from it.
         config: settings.
-        progress: called after each chunk.
+        progress: called after each epoch.
 
     Raises:
         ShmooError: no or a damaged data set, one without training or validation conditions, or a damaged checkpoint.
     """
     dataset = store.of_training(data)
     train, validation = dataset.split("train"), dataset.split("validation")
-    return fit_rows(rows_from_dataset(train), rows_from_dataset(validation), config, out_dir, progress)
+    return fit_samples(samples_from_dataset(train), samples_from_dataset(validation), config, out_dir, progress)
 
 
 def fit(
@@ -176,35 +177,35 @@ def fit(
     config = replace(
         config, open_loop=False, object=replace(config.object, last_wrench=True, contact_model=False, equivariant=False)
     )
-    return fit_rows(rows_from_arrays(train), rows_from_arrays(validation), config, out_dir, progress)
+    return fit_samples(samples_from_arrays(train), samples_from_arrays(validation), config, out_dir, progress)
 
 
-def fit_rows(
-    train: Rows,
-    validation: Rows,
+def fit_samples(
+    train: Samples,
+    validation: Samples,
     config: DaimlConfig | None = None,
     out_dir: str | Path | None = None,
     progress: Callable[[training.Progress], None] | None = None,
     found: Found | None = None,
 ) -> ObjectFit:
-    """`train_object` on rows that are already made; ``found`` are the contact parameters where they are known."""
+    """`train_object` on samples that are already made; ``found`` are the contact parameters where they are known."""
     config = config or DaimlConfig()
     device = jax.tree.map(jnp.asarray, train)
     held_out = jax.tree.map(jnp.asarray, validation)
     if found is None:
         find = training_contacts.identified if config.object.contact_model else training_contacts.nothing
-        found = find(config.contact_fit, train, validation, config.fit_rows, out_dir)
+        found = find(config.contact_fit, train, validation, config.fit_samples, out_dir)
     contact_prior, contacts, held_contacts = found
     sampler = batches.sampler(train, config.horizon, config.label_floor)
-    chunk, scores, prior = _compiled(replace(config, seed=0))
+    epoch, scores, prior = _compiled(replace(config, seed=0))
     fitted = training.run(
         _init(config, train, contacts),
-        lambda state: chunk(device, contacts, sampler, state),
+        lambda state: epoch(device, contacts, sampler, state),
         extract=lambda state: state.model,
         evaluate=lambda model: jnp.mean(
             jnp.minimum(jnp.stack(scores(held_out, held_contacts, model)), least_squares.WORST)
         ),
-        chunks=config.chunks,
+        epochs=config.epochs,
         patience=config.patience,
         identity=fingerprint(__name__, config, train.inputs, train.labels),
         directory=out_dir,
@@ -217,25 +218,27 @@ def fit_rows(
     return ObjectFit(model.params, *known, fitted.score, fitted.history, contact_prior, config.object)
 
 
-def contacts_seen(config: DaimlConfig, fitted: ObjectFit, rows: Rows) -> Array:
-    """The contact parameters ``[C, p]`` of conditions by their first ``config.fit_rows`` rows."""
+def contacts_seen(config: DaimlConfig, fitted: ObjectFit, samples: Samples) -> Array:
+    """The contact parameters ``[C, p]`` of conditions by their first ``config.fit_samples`` samples."""
     if not config.object.contact_model:
-        return jnp.zeros((rows.inputs.shape[0], len(contact_model.PARAMETERS)))
+        return jnp.zeros((samples.inputs.shape[0], len(contact_model.PARAMETERS)))
     prior = jax.tree.map(jnp.asarray, fitted.contact_prior)
-    return training_contacts.on_first_rows(config.contact_fit, prior, fitted.params.label_scale, rows, config.fit_rows)
+    return training_contacts.on_first_samples(
+        config.contact_fit, prior, fitted.params.label_scale, samples, config.fit_samples
+    )
 
 
 @lru_cache(maxsize=8)
 def _compiled(config: DaimlConfig) -> tuple[Any, Any, Any]:
-    """`_chunk`, `_model_scores` and `_prior` for trainings that differ in seed and rows only.
+    """`_epoch`, `_model_scores` and `_prior` for trainings that differ in seed and samples only.
 
-    The rows are arguments, not constants: XLA would fold constants of this size at length.
+    The samples are arguments, not constants: XLA would fold constants of this size at length.
     """
-    return tuple(jax.jit(partial(function, config)) for function in (_chunk, _model_scores, _prior))  # type: ignore[return-value]
+    return tuple(jax.jit(partial(function, config)) for function in (_epoch, _model_scores, _prior))  # type: ignore[return-value]
 
 
-def validation_scores(config: DaimlConfig, rows: Rows, fitted: ObjectFit) -> tuple[Array, Array]:
-    """How well psi does on conditions it has not seen: a* from the first rows, scored on the later ones only.
+def validation_scores(config: DaimlConfig, samples: Samples, fitted: ObjectFit) -> tuple[Array, Array]:
+    """How well psi does on conditions it has not seen: a* from the first samples, scored on the later ones only.
 
     Returns:
         Fraction of variance unexplained per condition ``[C]`` of one-step accelerations; and of the twist's change
@@ -247,40 +250,42 @@ def validation_scores(config: DaimlConfig, rows: Rows, fitted: ObjectFit) -> tup
         prior = (fitted.prior_mean.reshape(-1), fitted.prior_covariance)
         return least_squares.posterior(phi, y, *prior, fitted.noise, w)[0].reshape(fitted.prior_mean.shape)
 
-    return _scores(config, fitted.params, fit_one, rows, contacts_seen(config, fitted, rows))
+    return _scores(config, fitted.params, fit_one, samples, contacts_seen(config, fitted, samples))
 
 
-def _model_scores(config: DaimlConfig, rows: Rows, contacts: Array, model: Model) -> tuple[Array, Array]:
-    return _scores(config, model.params, partial(_coefficients, config, model), rows, contacts)
+def _model_scores(config: DaimlConfig, samples: Samples, contacts: Array, model: Model) -> tuple[Array, Array]:
+    return _scores(config, model.params, partial(_coefficients, config, model), samples, contacts)
 
 
 def _scores(
-    config: DaimlConfig, params: ObjectParams, fit_one: Callable[..., Array], rows: Rows, contacts: Array
+    config: DaimlConfig, params: ObjectParams, fit_one: Callable[..., Array], samples: Samples, contacts: Array
 ) -> tuple[Array, Array]:
     def adapted(x: Array, y: Array, w: Array, contact: Array) -> multistep.Predict:
         a = fit_one(x, y, w, contact)
         return lambda inputs: object_model.predict(params, a, inputs, config.object, contact)
 
     horizon = config.horizon if config.open_loop else 0
-    return multistep.scores(rows, contacts, adapted, params.label_scale, config.fit_rows, horizon, config.label_floor)
+    return multistep.scores(
+        samples, contacts, adapted, params.label_scale, config.fit_samples, horizon, config.label_floor
+    )
 
 
 def _optimiser(config: DaimlConfig) -> optax.GradientTransformation:
-    total = config.chunks * config.chunk_updates
+    total = config.epochs * config.epoch_updates
     schedule = optax.cosine_decay_schedule(config.learning_rate, total)
     return optax.chain(training.bounded_gradient(), optax.adam(schedule))
 
 
-def _init(config: DaimlConfig, rows: Rows, contacts: Array) -> _State:
+def _init(config: DaimlConfig, samples: Samples, contacts: Array) -> _State:
     key = jax.random.key(config.seed)
     key, net_key, mean_key, discriminator_key, vector_key = jax.random.split(key, 5)
-    n_axes = rows.labels.shape[-1]
-    params = object_model.init(net_key, config.object, rows.inputs.shape[-1], n_axes)
-    params = params._replace(label_scale=jnp.asarray(label_scale(rows), jnp.float32))
+    n_axes = samples.labels.shape[-1]
+    params = object_model.init(net_key, config.object, samples.inputs.shape[-1], n_axes)
+    params = params._replace(label_scale=jnp.asarray(label_scale(samples), jnp.float32))
     network_inputs = partial(object_model.network_inputs, params.label_scale, config=config.object)
     see = jax.jit(jax.vmap(lambda x, contact: network_inputs(x, contact=contact)))
-    seen = see(jnp.asarray(rows.inputs), contacts[:, -1])
-    seen = seen[jnp.asarray(rows.weights) > 0]
+    seen = see(jnp.asarray(samples.inputs), contacts[:, -1])
+    seen = seen[jnp.asarray(samples.weights) > 0]
     if config.object.equivariant:
         net = equivariant.with_normaliser(params.net, seen, object_model.reflections(config.object)[0])
     else:
@@ -290,7 +295,7 @@ def _init(config: DaimlConfig, rows: Rows, contacts: Array) -> _State:
     n = mean.size
     model = Model(params, mean, jnp.eye(n), jnp.full(n_axes, jnp.log(0.5)))
     n_psi = params.net.biases[-1].shape[0]
-    discriminator = mlp.init(discriminator_key, (n_psi, 64, 64, rows.inputs.shape[0]))
+    discriminator = mlp.init(discriminator_key, (n_psi, 64, 64, samples.inputs.shape[0]))
     vector_keys = jax.random.split(vector_key, len(params.net.weights))
     vectors = tuple(jax.random.normal(k, (w.shape[1],)) for k, w in zip(vector_keys, params.net.weights, strict=True))
     optimiser = _optimiser(config)
@@ -337,13 +342,15 @@ def _coefficients(config: DaimlConfig, model: Model, x: Array, y: Array, w: Arra
     return least_squares.cap_norm(a, config.norm_cap)
 
 
-def _chunk(config: DaimlConfig, rows: Rows, contacts: Array, sampler: Sampler, state: _State) -> tuple[_State, Array]:
+def _epoch(
+    config: DaimlConfig, samples: Samples, contacts: Array, sampler: Sampler, state: _State
+) -> tuple[_State, Array]:
     optimiser = _optimiser(config)
 
     def update(state: _State, _: None) -> tuple[_State, Array]:
         key, batch_key, coin_key, contact_key = jax.random.split(jax.random.wrap_key_data(state.key), 4)
-        sizes = (config.conditions, config.adapt_rows, config.windows, config.horizon)
-        batch = batches.draw(rows, sampler, batch_key, *sizes)
+        sizes = (config.conditions, config.adapt_samples, config.windows, config.horizon)
+        batch = batches.draw(samples, sampler, batch_key, *sizes)
         which = jax.random.randint(contact_key, batch.condition.shape, 0, contacts.shape[1])
         contact = contacts[batch.condition, which]
 
@@ -363,7 +370,7 @@ def _chunk(config: DaimlConfig, rows: Rows, contacts: Array, sampler: Sampler, s
             new = _train_discriminator(config, new, terms["psi"], batch.condition, coin_key)
         return new, terms["multi_step"]
 
-    state, losses = jax.lax.scan(update, state, None, length=config.chunk_updates)
+    state, losses = jax.lax.scan(update, state, None, length=config.epoch_updates)
     return state, jnp.mean(losses)
 
 
@@ -429,8 +436,9 @@ def _train_discriminator(config: DaimlConfig, state: _State, psi: Array, conditi
     )
 
 
-def _prior(config: DaimlConfig, rows: Rows, contacts: Array, model: Model) -> tuple[Array, Array, Array]:
-    """Prior mean ``[n]``, covariance ``[n, n]`` and residual covariance ``[m, m]``: learned, or else from the rows."""
+def _prior(config: DaimlConfig, samples: Samples, contacts: Array, model: Model) -> tuple[Array, Array, Array]:
+    """Prior mean ``[n]``, covariance ``[n, n]`` and residual covariance ``[m, m]``: learned, or else from the
+    samples."""
     scale = model.params.label_scale
     if config.coupled:
         noise = jnp.diag((jnp.exp(model.log_noise) * scale) ** 2)
@@ -438,12 +446,12 @@ def _prior(config: DaimlConfig, rows: Rows, contacts: Array, model: Model) -> tu
         ridge = 1e-5 * jnp.trace(covariance) / covariance.shape[0]
         return model.mean.reshape(-1), covariance + ridge * jnp.eye(covariance.shape[0]), noise
     contact = contacts[:, -1]
-    phi = jax.vmap(lambda x, b: object_model.design_matrix(model.params, x, config.object, b))(rows.inputs, contact)
+    phi = jax.vmap(lambda x, b: object_model.design_matrix(model.params, x, config.object, b))(samples.inputs, contact)
     n = model.mean.size
     fit_one = jax.vmap(partial(_coefficients, config, model))
-    fitted = fit_one(rows.inputs, rows.labels, rows.weights, contact).reshape(-1, n)
+    fitted = fit_one(samples.inputs, samples.labels, samples.weights, contact).reshape(-1, n)
     spread = jnp.cov(fitted.T).reshape(n, n)
     covariance = spread + 0.05 * jnp.diag(jnp.diag(spread)) + 1e-4 * jnp.eye(n)
     mean = jnp.mean(fitted, axis=0)
     noise = jnp.diag((0.5 * scale) ** 2)
-    return least_squares.empirical_prior(phi, rows.labels, mean, covariance, noise, rows.weights)
+    return least_squares.empirical_prior(phi, samples.labels, mean, covariance, noise, samples.weights)

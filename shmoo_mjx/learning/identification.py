@@ -51,7 +51,7 @@ class IdentificationConfig:
     """Random parameters tried for a training condition, of which the best `refined` are fitted."""
     refined: int = 6
     stride: int = 2
-    """Every so many rows of a training condition are used."""
+    """Every so many samples of a training condition are used."""
     rounds: int = 3
     """Times that the mixture and the training conditions' fits are refined by each other."""
     seed: int = 0
@@ -126,8 +126,8 @@ def observe(
     x = appended(state.inputs, jnp.where(use, inputs, state.inputs[-1]))
     y = appended(state.labels, jnp.where(use, label, 0.0))
     w = appended(state.weights * np.exp(-DT / config.memory), jnp.ones(()))
-    rows = _normalised(config.fit, state.scale, x, y, w)
-    fit = partial(_fit, config.iterations, rows=rows)
+    samples = _normalised(config.fit, state.scale, x, y, w)
+    fit = partial(_fit, config.iterations, samples=samples)
     found, cost = jax.vmap(fit)(state.found, state.prior.mean, state.prior.root)
     new = state._replace(inputs=x, labels=y, weights=w, found=found, cost=cost)
     return jax.tree.map(lambda a, b: jnp.where(use, a, b), new, state)
@@ -147,7 +147,7 @@ def broad_prior() -> ContactPrior:
 def identify(
     config: IdentificationConfig, prior: ContactPrior, scale: Array, inputs: Array, labels: Array, weights: Array
 ) -> Array:
-    """The likeliest parameters ``[p]`` given N rows and the prior.
+    """The likeliest parameters ``[p]`` given N samples and the prior.
 
     Args:
         config: static.
@@ -155,10 +155,10 @@ def identify(
         scale: ``[3]`` standard deviation of the labels in training.
         inputs: ``[N, 13]``.
         labels: ``[N, 3]``.
-        weights: ``[N]`` 0 where a row doesn't count.
+        weights: ``[N]`` 0 where a sample doesn't count.
     """
-    rows = _normalised(config, scale, inputs, labels, weights)
-    found, cost = jax.vmap(lambda m, r: _fit(config.iterations, m, m, r, rows))(prior.mean, prior.root)
+    samples = _normalised(config, scale, inputs, labels, weights)
+    found, cost = jax.vmap(lambda m, r: _fit(config.iterations, m, m, r, samples))(prior.mean, prior.root)
     return found[jnp.argmin(cost - prior.log_weight)]
 
 
@@ -174,25 +174,25 @@ def learn_prior(
         labels: ``[C, N, 3]``.
         weights: ``[C, N]``.
     """
-    rows = tuple(jnp.asarray(a[:, :: config.stride]) for a in (inputs, labels, weights))
+    samples = tuple(jnp.asarray(a[:, :: config.stride]) for a in (inputs, labels, weights))
     guess = np.array(list(contact_model.PARAMETERS.values()))
     rng = np.random.default_rng(config.seed)
     starts = jnp.asarray(guess[:, 0] + 0.7 * guess[:, 1] * rng.normal(size=(config.starts, len(guess))), jnp.float32)
     scale = jnp.asarray(scale)
 
     @jax.jit
-    def first(rows: Any) -> Array:
-        return jax.lax.map(lambda r: _from_starts(config, starts, scale, *r), rows)
+    def first(samples: Any) -> Array:
+        return jax.lax.map(lambda r: _from_starts(config, starts, scale, *r), samples)
 
     @jax.jit
-    def again(prior: ContactPrior, rows: Any) -> Array:
-        return jax.lax.map(lambda r: identify(config, prior, scale, *r), rows)
+    def again(prior: ContactPrior, samples: Any) -> Array:
+        return jax.lax.map(lambda r: identify(config, prior, scale, *r), samples)
 
-    found = np.asarray(first(rows), float)
+    found = np.asarray(first(samples), float)
     group = _groups(found, guess, config)
     for _ in range(config.rounds):
         prior = _mixture(found, group, guess, config.groups)
-        found = np.asarray(again(prior, rows), float)
+        found = np.asarray(again(prior, samples), float)
         group = _nearest(prior, found)
     return prior, found
 
@@ -201,38 +201,38 @@ def from_stretches(
     config: IdentificationConfig,
     prior: ContactPrior,
     scale: Array,
-    rows: tuple[Array, Array, Array],
+    samples: tuple[Array, Array, Array],
     lengths: tuple[int, ...],
 ) -> Array:
-    """What each condition looks like after so many rows of contact, from somewhere in its recording.
+    """What each condition looks like after so many samples of contact, from somewhere in its recording.
 
     Args:
         config: settings.
         prior: from `learn_prior`.
         scale: ``[3]``
-        rows: inputs ``[C, N, 13]``, labels ``[C, N, 3]``, weights ``[C, N]``.
-        lengths: rows that count, M numbers; 0 is the object not yet touched.
+        samples: inputs ``[C, N, 13]``, labels ``[C, N, 3]``, weights ``[C, N]``.
+        lengths: samples that count, M numbers; 0 is the object not yet touched.
 
     Returns:
         Parameters ``[C, M, p]``.
     """
-    count, total = rows[2].shape
+    count, total = samples[2].shape
     longest = min(2 * max(*lengths, 1), total)
     starts = np.random.default_rng(config.seed).integers(0, total, (count, len(lengths)))
     scale = jnp.asarray(scale)
 
     @partial(jax.jit, static_argnums=0)
-    def all_of(length: int, starts: Array, rows: Any) -> Array:
+    def all_of(length: int, starts: Array, samples: Any) -> Array:
         def one(condition: tuple[Array, Any]) -> Array:
             start, (inputs, labels, weights) = condition
             at = (start + jnp.arange(longest)) % total
-            # The rows that count, in order, and no others: most stretches are short.
+            # The samples that count, in order, and no others: most stretches are short.
             at = at[jnp.argsort(weights[at] == 0, stable=True)[: max(length, 1)]]
             return identify(config, prior, scale, inputs[at], labels[at], weights[at] * (length > 0))
 
-        return jax.lax.map(one, (starts, rows))
+        return jax.lax.map(one, (starts, samples))
 
-    on_device = jax.tree.map(jnp.asarray, rows)
+    on_device = jax.tree.map(jnp.asarray, samples)
     return jnp.stack([all_of(n, jnp.asarray(starts[:, i]), on_device) for i, n in enumerate(lengths)], axis=1)
 
 
@@ -241,9 +241,9 @@ def _normalised(config: IdentificationConfig, scale: Array, inputs: Array, label
     return inputs.T, labels.T / unit[:, None], weights, unit
 
 
-def _fit(iterations: int, start: Array, mean: Array, root: Array, rows: Any) -> tuple[Array, Array]:
+def _fit(iterations: int, start: Array, mean: Array, root: Array, samples: Any) -> tuple[Array, Array]:
     """Levenberg-Marquardt from ``start [p]``: (parameters, half the sum of squares, robust and with the prior)."""
-    inputs, labels, weights, unit = rows
+    inputs, labels, weights, unit = samples
 
     def residuals(parameters: Array) -> Array:
         return contact_model.acceleration(parameters, inputs) / unit[:, None] - labels
@@ -278,15 +278,15 @@ def _from_starts(
 ) -> Array:
     """The best of the fits from the most promising starts, under the broad prior."""
     prior = jax.tree.map(jnp.asarray, broad_prior())
-    rows = _normalised(config, scale, inputs, labels, weights)
-    x, y, _, unit = rows
+    samples = _normalised(config, scale, inputs, labels, weights)
+    x, y, _, unit = samples
 
     def badness(parameters: Array) -> Array:
         left = contact_model.acceleration(parameters, x[:, ::2]) / unit[:, None] - y[:, ::2]
         return jnp.sum(weights[::2] * (jnp.sqrt(1.0 + left**2) - 1.0))
 
     promising = starts[jnp.argsort(jax.lax.map(badness, starts, batch_size=32))[: config.refined]]
-    found, cost = jax.vmap(lambda s: _fit(config.iterations, s, prior.mean[0], prior.root[0], rows))(promising)
+    found, cost = jax.vmap(lambda s: _fit(config.iterations, s, prior.mean[0], prior.root[0], samples))(promising)
     return found[jnp.argmin(cost)]
 
 

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from shmoo_mjx import se2
 from shmoo_mjx.dynamics import features
 from shmoo_mjx.learning import least_squares
-from shmoo_mjx.learning.rows import Rows
+from shmoo_mjx.learning.samples import Samples
 from shmoo_mjx.types import DT
 
 __all__ = ["Predict", "loss", "open_loop", "scores"]
@@ -60,7 +60,7 @@ def loss(
 
     Args:
         predict: of the object, after adapting.
-        windows: inputs ``[B, H, n]``, labels ``[B, H, m]`` and the inputs one row later.
+        windows: inputs ``[B, H, n]``, labels ``[B, H, m]`` and the inputs one sample later.
         precision: ``[m, m]`` inverse of Sigma_C in units of ``scale``.
         scale: ``[m]`` of the labels.
         feed_back: feed the predicted twist back; otherwise every step is predicted from the recorded one.
@@ -88,22 +88,22 @@ def loss(
 
 
 def scores(
-    rows: Rows,
+    samples: Samples,
     known: Any,
     adapted: Callable[[Array, Array, Array, Any], Predict],
     scale: Array,
-    fit_rows: int,
+    fit_samples: int,
     horizon: int,
     floor: float,
 ) -> tuple[Array, Array]:
-    """Adapt to each condition on its first rows and score the predictions on the later ones only.
+    """Adapt to each condition on its first samples and score the predictions on the later ones only.
 
     Args:
-        rows: C conditions that were not trained on.
+        samples: C conditions that were not trained on.
         known: what else is known of each, a tree of ``[C, ...]``.
-        adapted: (inputs, labels, weights of some rows, what else is known) -> the object's predictor.
+        adapted: (inputs, labels, weights of some samples, what else is known) -> the object's predictor.
         scale: ``[m]`` of the labels.
-        fit_rows: how many rows are adapted on, at most half of them.
+        fit_samples: how many samples are adapted on, at most half of them.
         horizon: steps of the open-loop roll-out; 0 leaves it out.
         floor: share of scale squared added to each label's variance.
 
@@ -115,7 +115,7 @@ def scores(
 
     def one(x: Array, y: Array, w: Array, run: Array, known: Any) -> tuple[Array, Array]:
         n, h = x.shape[0], horizon
-        first = min(fit_rows, n // 2)
+        first = min(fit_samples, n // 2)
         predict = adapted(x[:first], y[:first], w[:first], known)
         one_step = least_squares.fraction_unexplained(predict(x[first:]), y[first:], w[first:], extra)
         if h == 0 or n - first <= h:
@@ -127,4 +127,4 @@ def scores(
         change, truth = jnp.mean(rolled, axis=1), jnp.mean(y[window], axis=1)
         return one_step, least_squares.fraction_unexplained(change, truth, good, extra / h)
 
-    return jax.vmap(one)(*rows, known)
+    return jax.vmap(one)(*samples, known)

@@ -24,7 +24,15 @@ from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning import training
 from shmoo_mjx.types import DT, SystemState
 
-__all__ = ["RobotFit", "RobotFitConfig", "RobotRows", "fit_lean", "fit_rows", "rows_from_dataset", "train_robot"]
+__all__ = [
+    "RobotFit",
+    "RobotFitConfig",
+    "RobotSamples",
+    "fit_lean",
+    "fit_samples",
+    "samples_from_dataset",
+    "train_robot",
+]
 
 Array = Any
 
@@ -35,9 +43,9 @@ class RobotFitConfig:
 
     robot: RobotConfig = field(default_factory=lambda: RobotConfig())
     batch: int = 512
-    chunks: int = 80
-    """Most chunks; the learning rate falls to zero over them along a cosine."""
-    chunk_updates: int = 250
+    epochs: int = 80
+    """Most epochs; the learning rate falls to zero over them along a cosine."""
+    epoch_updates: int = 250
     learning_rate: float = 3e-3
     weight_decay: float = 1e-4
     input_noise: float = 0.02
@@ -53,8 +61,8 @@ class RobotFitConfig:
     seed: int = 0
 
 
-class RobotRows(NamedTuple):
-    """Rows of R, all conditions together; those of an episode follow one another."""
+class RobotSamples(NamedTuple):
+    """Samples of R, all conditions together; those of an episode follow one another."""
 
     inputs: Array
     """``[N, 28]``"""
@@ -69,7 +77,7 @@ class RobotRows(NamedTuple):
     next_rate: Array
     """``[N, 2]`` [rad/s]"""
     following: Array
-    """``[N]`` how many rows of the same episode follow."""
+    """``[N]`` how many samples of the same episode follow."""
 
 
 class RobotFit(NamedTuple):
@@ -89,26 +97,26 @@ class _State(NamedTuple):
     key: Array
 
 
-def rows_from_dataset(dataset: store.Dataset) -> RobotRows:
-    """The rows of every condition of a data set; the first sample of an episode has no past and is left out."""
+def samples_from_dataset(dataset: store.Dataset) -> RobotSamples:
+    """The samples of every condition of a data set; the first sample of an episode has no past and is left out."""
     found = [_condition_rows(arrays) for arrays in dataset.arrays]
     return jax.tree.map(lambda *parts: np.concatenate(parts), *found)
 
 
-def _condition_rows(arrays: dict[str, np.ndarray]) -> RobotRows:
-    samples = store.system_states(arrays)
-    episodes, n = samples.u.shape[:2]
-    rows = RobotRows(
-        np.asarray(features.robot_inputs(samples.state, samples.u)),
-        np.concatenate([samples.robot_acceleration, samples.force], axis=-1),
-        samples.state,
-        samples.u,
+def _condition_rows(arrays: dict[str, np.ndarray]) -> RobotSamples:
+    recorded = store.system_states(arrays)
+    episodes, n = recorded.u.shape[:2]
+    samples = RobotSamples(
+        np.asarray(features.robot_inputs(recorded.state, recorded.u)),
+        np.concatenate([recorded.robot_acceleration, recorded.force], axis=-1),
+        recorded.state,
+        recorded.u,
         arrays["lean"][:, 1:],
         arrays["lean_rate"][:, 1:],
         np.repeat(np.arange(n)[None, ::-1, None], episodes, axis=0),
     )
-    rows = jax.tree.map(lambda a: a[:, 1:].reshape(-1, *a.shape[2:]).astype(np.float32), rows)
-    return rows._replace(following=rows.following[:, 0].astype(np.int32))
+    samples = jax.tree.map(lambda a: a[:, 1:].reshape(-1, *a.shape[2:]).astype(np.float32), samples)
+    return samples._replace(following=samples.following[:, 0].astype(np.int32))
 
 
 def train_robot(
@@ -124,7 +132,7 @@ def train_robot(
         data: a directory that `store` wrote, or what `store.read` gave.
         out_dir: keeps a checkpoint there and goes on from it.
         config: settings.
-        progress: called after each chunk.
+        progress: called after each epoch.
         start: parameters to go on from, for fine-tuning on other data.
 
     Raises:
@@ -132,18 +140,18 @@ def train_robot(
     """
     dataset = store.of_training(data)
     train, validation = dataset.split("train"), dataset.split("validation")
-    return fit_rows(rows_from_dataset(train), rows_from_dataset(validation), config, out_dir, progress, start)
+    return fit_samples(samples_from_dataset(train), samples_from_dataset(validation), config, out_dir, progress, start)
 
 
-def fit_rows(
-    train: RobotRows,
-    validation: RobotRows,
+def fit_samples(
+    train: RobotSamples,
+    validation: RobotSamples,
     config: RobotFitConfig | None = None,
     out_dir: str | Path | None = None,
     progress: Callable[[training.Progress], None] | None = None,
     start: RobotParams | None = None,
 ) -> RobotFit:
-    """`train_robot` on rows that are already made.
+    """`train_robot` on samples that are already made.
 
     Raises:
         ShmooError: no episode is long enough for the horizon.
@@ -151,11 +159,11 @@ def fit_rows(
     config = config or RobotFitConfig()
     params = _prepared(config, train) if start is None else start
     params = params._replace(lean=fit_lean(train))
-    # The rows are arguments, not constants: XLA would fold constants of this size at length.
+    # The samples are arguments, not constants: XLA would fold constants of this size at length.
     scores_of = jax.jit(partial(_unexplained, config))
     scores = partial(scores_of, params, jnp.asarray(validation.inputs), jnp.asarray(validation.labels))
-    chunk = jax.jit(partial(_chunk, config))
-    rows = jax.tree.map(jnp.asarray, train)
+    epoch = jax.jit(partial(_epoch, config))
+    samples = jax.tree.map(jnp.asarray, train)
     starts = np.flatnonzero(train.following >= config.horizon)
     if not starts.size:
         raise ShmooError(
@@ -166,10 +174,10 @@ def fit_rows(
     key = jax.random.key_data(jax.random.key(config.seed))
     fitted = training.run(
         _State(params.net, optimiser.init(_learned(params.net)), key),
-        lambda state: chunk(params, rows, starts, state),
+        lambda state: epoch(params, samples, starts, state),
         extract=lambda state: state.net,
         evaluate=lambda net: jnp.mean(scores(net)),
-        chunks=config.chunks,
+        epochs=config.epochs,
         patience=config.patience,
         identity=fingerprint(__name__, (config, start is None), train.inputs, train.labels),
         directory=out_dir,
@@ -179,32 +187,32 @@ def fit_rows(
     return RobotFit(params._replace(net=net), fitted.score, np.asarray(scores(net)), fitted.history)
 
 
-def fit_lean(rows: RobotRows) -> LeanResponse:
+def fit_lean(samples: RobotSamples) -> LeanResponse:
     """The lean's response from each sample's start and end, by linear least squares per axis."""
-    force = rows.state.last_force
+    force = samples.state.last_force
     matrix = []
     for axis in range(2):
-        columns = [rows.state.lean[:, axis], rows.state.lean_rate[:, axis], rows.u[:, axis], force[:, axis]]
+        columns = [samples.state.lean[:, axis], samples.state.lean_rate[:, axis], samples.u[:, axis], force[:, axis]]
         inputs = np.stack([*columns, np.ones(len(force))], axis=-1).astype(float)
-        outputs = np.stack([rows.next_lean[:, axis], rows.next_rate[:, axis]], axis=-1).astype(float)
+        outputs = np.stack([samples.next_lean[:, axis], samples.next_rate[:, axis]], axis=-1).astype(float)
         # A trace of ridge: a recording without contact says nothing about the force.
         gram = inputs.T @ inputs + 1e-9 * len(inputs) * np.eye(5)
         matrix.append(np.linalg.solve(gram, inputs.T @ outputs).T)
     return LeanResponse(jnp.asarray(np.stack(matrix), jnp.float32))
 
 
-def _prepared(config: RobotFitConfig, rows: RobotRows) -> RobotParams:
-    """Untrained parameters with the rows' normalisation."""
+def _prepared(config: RobotFitConfig, samples: RobotSamples) -> RobotParams:
+    """Untrained parameters with the samples' normalisation."""
     params = robot_model.init(jax.random.key(config.seed + 1), config.robot)
     return params._replace(
-        net=equivariant.with_normaliser(params.net, jnp.asarray(rows.inputs), robot_model.REFLECTIONS[0]),
-        output_mean=equivariant.parts(robot_model.REFLECTIONS[1])[0] @ jnp.mean(jnp.asarray(rows.labels), axis=0),
-        output_scale=jnp.maximum(jnp.std(jnp.asarray(rows.labels), axis=0), 1e-3),
+        net=equivariant.with_normaliser(params.net, jnp.asarray(samples.inputs), robot_model.REFLECTIONS[0]),
+        output_mean=equivariant.parts(robot_model.REFLECTIONS[1])[0] @ jnp.mean(jnp.asarray(samples.labels), axis=0),
+        output_scale=jnp.maximum(jnp.std(jnp.asarray(samples.labels), axis=0), 1e-3),
     )
 
 
 def _optimiser(config: RobotFitConfig) -> optax.GradientTransformation:
-    schedule = optax.cosine_decay_schedule(config.learning_rate, config.chunks * config.chunk_updates)
+    schedule = optax.cosine_decay_schedule(config.learning_rate, config.epochs * config.epoch_updates)
     return optax.chain(training.bounded_gradient(), optax.adamw(schedule, weight_decay=config.weight_decay))
 
 
@@ -212,24 +220,24 @@ def _learned(net: mlp.MLP) -> tuple[Any, Any]:
     return net.weights, net.biases
 
 
-def _chunk(
-    config: RobotFitConfig, params: RobotParams, rows: RobotRows, starts: Array, state: _State
+def _epoch(
+    config: RobotFitConfig, params: RobotParams, samples: RobotSamples, starts: Array, state: _State
 ) -> tuple[_State, Array]:
     optimiser = _optimiser(config)
 
     def update(state: _State, _: None) -> tuple[_State, Array]:
-        key, row_key, noise_key = jax.random.split(jax.random.wrap_key_data(state.key), 3)
-        chosen = jax.random.randint(row_key, (config.batch,), 0, rows.inputs.shape[0])
-        x, y = rows.inputs[chosen], (rows.labels[chosen] - params.output_mean) / params.output_scale
+        key, sample_key, noise_key = jax.random.split(jax.random.wrap_key_data(state.key), 3)
+        chosen = jax.random.randint(sample_key, (config.batch,), 0, samples.inputs.shape[0])
+        x, y = samples.inputs[chosen], (samples.labels[chosen] - params.output_mean) / params.output_scale
         x = x + config.input_noise * state.net.scale * jax.random.normal(noise_key, x.shape)
-        picked = jax.random.randint(jax.random.fold_in(row_key, 1), (config.windows,), 0, starts.shape[0])
+        picked = jax.random.randint(jax.random.fold_in(sample_key, 1), (config.windows,), 0, starts.shape[0])
 
         def loss_of(learned: tuple[Any, Any]) -> Array:
             net = state.net._replace(weights=learned[0], biases=learned[1])
             loss = jnp.mean((robot_model.normalised(net, x, config.robot) - y) ** 2)
             if config.horizon > 0:
                 model = params._replace(net=net)
-                loss = loss + config.rolled * _rolled_out(config, model, rows, starts[picked])
+                loss = loss + config.rolled * _rolled_out(config, model, samples, starts[picked])
             return loss
 
         learned = _learned(state.net)
@@ -239,27 +247,27 @@ def _chunk(
         net = state.net._replace(weights=weights, biases=biases)
         return _State(net, opt, jax.random.key_data(key)), loss
 
-    state, losses = jax.lax.scan(update, state, None, length=config.chunk_updates)
+    state, losses = jax.lax.scan(update, state, None, length=config.epoch_updates)
     return state, jnp.mean(losses)
 
 
-def _rolled_out(config: RobotFitConfig, params: RobotParams, rows: RobotRows, windows: Array) -> Array:
-    """Mean squared error of twist and force over the horizon after the rows ``windows [B]``, in units of Eq. 7's."""
+def _rolled_out(config: RobotFitConfig, params: RobotParams, samples: RobotSamples, windows: Array) -> Array:
+    """Mean squared error of twist and force over the horizon after the samples ``windows [B]``, in units of Eq. 7's."""
     # What psi says of the object is thrown away below, so any will do.
     shape = CoreConfig(robot=config.robot, object=ObjectConfig.paper())
     model = core.init(jax.random.key(0), shape)._replace(robot=params)
 
-    def one(state: SystemState, row: Array) -> tuple[SystemState, Array]:
-        now = jax.tree.map(lambda a: a[row], rows.state)
+    def one(state: SystemState, sample: Array) -> tuple[SystemState, Array]:
+        now = jax.tree.map(lambda a: a[sample], samples.state)
         # The robot is where it was predicted to be, the object where it was.
         state = state._replace(object_pose=now.object_pose, object_twist=now.object_twist)
-        new, _ = core.step(model, state, rows.u[row], shape)
-        then = jax.tree.map(lambda a: a[row + 1], rows.state)
+        new, _ = core.step(model, state, samples.u[sample], shape)
+        then = jax.tree.map(lambda a: a[sample + 1], samples.state)
         drift = se2.rotate(new.robot_twist - then.robot_twist, -now.robot_pose[:, 2]) / DT
         return new, jnp.concatenate([drift, new.last_force - then.last_force], axis=-1)
 
     steps = jnp.arange(config.horizon)
-    start = jax.tree.map(lambda a: a[windows], rows.state)
+    start = jax.tree.map(lambda a: a[windows], samples.state)
     error = jax.lax.scan(one, start, windows[None] + steps[:, None])[1] / params.output_scale
     # After h steps of independent errors the twist's variance would be h times that of one.
     error = error.at[..., :3].divide(jnp.sqrt(1.0 + steps)[:, None, None])

@@ -29,7 +29,7 @@ def train_part(
         data: data set directory.
         out: weights file.
         seed: of initialisation and batches.
-        progress: called after each chunk of training.
+        progress: called after each epoch of training.
 
     Returns:
         The score on the validation conditions.

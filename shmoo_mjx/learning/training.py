@@ -1,4 +1,4 @@
-"""The loop that the object's and the robot's training share: chunks, early stopping, checkpoints, progress."""
+"""The loop that the object's and the robot's training share: epochs, early stopping, checkpoints, progress."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ CHECKPOINT = "training.safetensors"
 
 
 class Progress(NamedTuple):
-    """What a progress callback is told after each chunk."""
+    """What a progress callback is told after each epoch."""
 
-    chunk: int
+    epoch: int
     """Chunks done so far."""
-    chunks: int
+    epochs: int
     """Chunks planned; early stopping may end before."""
     train_loss: float
     validation: float
@@ -40,10 +40,10 @@ class Fitted(NamedTuple):
     """The end of a training."""
 
     best: Tree
-    """What `extract` gave at the chunk with the best validation score."""
+    """What `extract` gave at the epoch with the best validation score."""
     score: float
     history: list[tuple[float, float]]
-    """(training loss, validation score) of each chunk."""
+    """(training loss, validation score) of each epoch."""
 
 
 def bounded_gradient() -> optax.GradientTransformation:
@@ -53,34 +53,34 @@ def bounded_gradient() -> optax.GradientTransformation:
 
 def run(
     state: Tree,
-    chunk: Callable[[Tree], tuple[Tree, Array]],
+    epoch: Callable[[Tree], tuple[Tree, Array]],
     extract: Callable[[Tree], Tree],
     evaluate: Callable[[Tree], Array],
-    chunks: int,
+    epochs: int,
     patience: int,
     identity: str = "",
     directory: str | Path | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Fitted:
-    """Train until ``chunks`` are done or the validation score has not improved for ``patience`` of them.
+    """Train until ``epochs`` are done or the validation score has not improved for ``patience`` of them.
 
     Args:
-        state: pytree of arrays, all that the next chunk depends on, random key data included.
-        chunk: one chunk of updates, state -> (state, mean loss).
+        state: pytree of arrays, all that the next epoch depends on, random key data included.
+        epoch: one epoch of updates, state -> (state, mean loss).
         extract: the parameters in a state that are worth keeping.
         evaluate: validation score of what ``extract`` gave; lower is better.
-        chunks: most chunks.
-        patience: chunks without improvement before stopping.
+        epochs: most epochs.
+        patience: epochs without improvement before stopping.
         identity: what decides about the training (`shmoo_mjx.fingerprints`): its code, config and data. A checkpoint of
             another one is not continued.
-        directory: where the checkpoint is kept after each chunk; a training that was cut short goes on from it and
+        directory: where the checkpoint is kept after each epoch; a training that was cut short goes on from it and
             gives what it would have given.
-        progress: called after each chunk.
+        progress: called after each epoch.
 
     Raises:
-        ShmooError: no chunk had a finite score, so nothing has been learned.
+        ShmooError: no epoch had a finite score, so nothing has been learned.
     """
-    # Python scalars leave weakly typed arrays, which a chunk returns strongly typed: without this it compiles twice.
+    # Python scalars leave weakly typed arrays, which an epoch returns strongly typed: without this it compiles twice.
     state = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=jnp.asarray(leaf).dtype), state)
     path = None if directory is None else Path(directory) / CHECKPOINT
     best = extract(state)
@@ -90,8 +90,8 @@ def run(
         tree, notes = loaded
         state, best, score = tree["state"], tree["best"], notes["score"]
         history = [(float(a), float(b)) for a, b in notes["history"]]
-    while len(history) < chunks and not _stale(history, patience):
-        state, loss = chunk(state)
+    while len(history) < epochs and not _stale(history, patience):
+        state, loss = epoch(state)
         candidate = extract(state)
         value = float(evaluate(candidate))
         if value < score:
@@ -101,10 +101,10 @@ def run(
             notes = {"score": score, "history": history, "identity": identity}
             serialisation.save_checkpoint(path, {"state": state, "best": best}, notes)
         if progress is not None:
-            progress(Progress(len(history), chunks, float(loss), value, score))
+            progress(Progress(len(history), epochs, float(loss), value, score))
     if not np.isfinite(score):
         raise ShmooError(
-            f"training: none of {len(history)} chunks had a finite validation score; check the data for values that "
+            f"training: none of {len(history)} epochs had a finite validation score; check the data for values that "
             "are not finite, or lower learning_rate or horizon."
         )
     return Fitted(jax.tree.map(np.asarray, best), score, history)

@@ -18,9 +18,9 @@ from shmoo_mjx.dynamics import contact_model
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning import identification, serialisation
 from shmoo_mjx.learning.identification import ContactPrior, IdentificationConfig
-from shmoo_mjx.learning.rows import Rows, label_scale
+from shmoo_mjx.learning.samples import Samples, label_scale
 
-__all__ = ["STRETCHES", "Found", "identified", "nothing", "on_first_rows"]
+__all__ = ["STRETCHES", "Found", "identified", "nothing", "on_first_samples"]
 
 Array = Any
 
@@ -32,19 +32,24 @@ Found = tuple[ContactPrior, Array, Array]
 
 
 def identified(
-    config: IdentificationConfig, train: Rows, validation: Rows, fit_rows: int, out_dir: str | Path | None = None
+    config: IdentificationConfig,
+    train: Samples,
+    validation: Samples,
+    fit_samples: int,
+    out_dir: str | Path | None = None,
 ) -> Found:
-    """Identify the parameters, or take them from beside ``out_dir`` where another training on these rows has left them.
+    """Identify the parameters, or take them from beside ``out_dir`` where another training on these samples has left
+    them.
 
     Args:
         config: of the identification.
         train: C conditions.
         validation: C' conditions.
-        fit_rows: first rows of a validation condition that count, at most half of them.
+        fit_samples: first samples of a validation condition that count, at most half of them.
         out_dir: of the training; None keeps nothing.
     """
     measured = (train.inputs, train.labels, validation.inputs, validation.labels)
-    identity = fingerprint(__name__, (config, fit_rows), *measured)
+    identity = fingerprint(__name__, (config, fit_samples), *measured)
     path = None if out_dir is None else Path(out_dir).parent / f"contacts-{identity[:10]}.safetensors"
     kept = None if path is None else serialisation.load_checkpoint(path, _empty(config, train, validation), identity)
     if kept is not None:
@@ -53,29 +58,31 @@ def identified(
     prior, _ = identification.learn_prior(config, scale, train.inputs, train.labels, train.weights)
     prior = _single(prior)
     contacts = identification.from_stretches(config, prior, scale, tuple(train[:3]), STRETCHES)
-    found = prior, contacts, on_first_rows(config, prior, scale, validation, fit_rows)
+    found = prior, contacts, on_first_samples(config, prior, scale, validation, fit_samples)
     if path is not None:
         serialisation.save_checkpoint(path, found, {"identity": identity})
     return found
 
 
-def nothing(config: IdentificationConfig, train: Rows, validation: Rows, *_: Any) -> Found:
+def nothing(config: IdentificationConfig, train: Samples, validation: Samples, *_: Any) -> Found:
     """`identified` for a psi without contact model: zeros of the same shapes."""
     return _single(_empty(config, train, validation))
 
 
-def on_first_rows(config: IdentificationConfig, prior: ContactPrior, scale: Array, rows: Rows, fit_rows: int) -> Array:
-    """The parameters ``[C, p]`` of conditions by their first ``fit_rows`` rows, at most half of them."""
-    n = min(fit_rows, rows.inputs.shape[1] // 2)
+def on_first_samples(
+    config: IdentificationConfig, prior: ContactPrior, scale: Array, samples: Samples, fit_samples: int
+) -> Array:
+    """The parameters ``[C, p]`` of conditions by their first ``fit_samples`` samples, at most half of them."""
+    n = min(fit_samples, samples.inputs.shape[1] // 2)
     identify = partial(identification.identify, config, prior, jnp.asarray(scale))
-    first = tuple(jnp.asarray(a[:, :n]) for a in rows[:3])
+    first = tuple(jnp.asarray(a[:, :n]) for a in samples[:3])
     return jax.jit(lambda r: jax.lax.map(lambda c: identify(*c), r))(first)
 
 
-def _empty(config: IdentificationConfig, train: Rows, validation: Rows) -> Found:
+def _empty(config: IdentificationConfig, train: Samples, validation: Samples) -> Found:
     p, groups = len(contact_model.PARAMETERS), config.groups
     prior = ContactPrior(np.zeros((groups, p)), np.zeros((groups, p, p)), np.zeros(groups))
-    counts = [rows.inputs.shape[0] for rows in (train, validation)]
+    counts = [samples.inputs.shape[0] for samples in (train, validation)]
     return prior, np.zeros((counts[0], len(STRETCHES), p)), np.zeros((counts[1], p))
 
 

@@ -78,25 +78,26 @@ def prior_state(weights: Weights, config: OnlineConfig | None = None) -> AdaptSt
     return adaptation.init(weights.params.coefficients, weights.prior_covariance, weights.noise, contact)
 
 
-def posterior_from_recording(weights: Weights, inputs: Array, labels: Array, row_weights: Array) -> AdaptState:
-    """What a recording tells of its object, all rows at once: a* of Eq. 5, given the prior, and the contact parameters.
+def posterior_from_recording(weights: Weights, inputs: Array, labels: Array, sample_weights: Array) -> AdaptState:
+    """What a recording tells of its object, all samples at once: a* of Eq. 5, given the prior, and the contact
+    parameters.
 
     Args:
         weights: trained.
         inputs: ``[N, 13]``.
         labels: ``[N, 3]``.
-        row_weights: ``[N]``.
+        sample_weights: ``[N]``.
     """
     state, shape, params = prior_state(weights), weights.config.object, weights.params
     if state.contact is not None:
         settings = OnlineConfig().fit
-        rows = (inputs, labels, row_weights)
-        contact = identification.identify(settings, state.contact.prior, state.contact.scale, *rows)
+        samples = (inputs, labels, sample_weights)
+        contact = identification.identify(settings, state.contact.prior, state.contact.scale, *samples)
         found = jnp.broadcast_to(contact, state.contact.found.shape)
         state = state._replace(contact=state.contact._replace(found=found))
     phi = object_model.design_matrix(params.object, inputs, shape, online.contact_of(state))
     known = (params.coefficients.reshape(-1), weights.prior_covariance, weights.noise)
-    return state._replace(mean=least_squares.posterior(phi, labels, *known, row_weights)[0])
+    return state._replace(mean=least_squares.posterior(phi, labels, *known, sample_weights)[0])
 
 
 def with_robot(weights: Weights, fit: RobotFit, config: RobotConfig | None = None) -> Weights:

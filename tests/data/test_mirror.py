@@ -11,7 +11,7 @@ from shmoo_mjx.data import store
 from shmoo_mjx.data.mirror import mirrored, mirrored_condition, with_mirror_images
 from shmoo_mjx.dynamics import features
 from shmoo_mjx.dynamics.features import OBJECT_INPUTS, ROBOT_INPUTS, slices
-from shmoo_mjx.learning import robot_fit, rows
+from shmoo_mjx.learning import robot_fit, samples
 from shmoo_mjx.plant.objects import Condition, draw_condition
 
 ODD = {"base_twist": (1, -1, -1), "lean": (1, -1), "lean_rate": (1, -1), "face_pose": (1, -1, -1)}
@@ -56,11 +56,11 @@ def test_inputs_and_labels_of_a_mirror_image_are_those_of_the_original_in_the_mi
     assert (
         len(both.arrays) == len(both.names) == len(both.conditions) == 2 * count and len(set(both.names)) == 2 * count
     )
-    found = rows.rows_from_dataset(both)
+    found = samples.samples_from_dataset(both)
     np.testing.assert_allclose(found.inputs[count:], in_the_mirror(found.inputs[:count], OBJECT_INPUTS), atol=1e-4)
     np.testing.assert_allclose(found.labels[count:], found.labels[:count] * (1, -1, -1), atol=1e-3)
     np.testing.assert_array_equal(found.weights[count:], found.weights[:count])
-    robot = robot_fit.rows_from_dataset(both)
+    robot = robot_fit.samples_from_dataset(both)
     half = len(robot.inputs) // 2
     np.testing.assert_allclose(robot.inputs[half:], in_the_mirror(robot.inputs[:half], ROBOT_INPUTS), atol=1e-4)
     np.testing.assert_allclose(robot.labels[half:], robot.labels[:half] * (1, -1, -1, 1, -1), atol=1e-3)

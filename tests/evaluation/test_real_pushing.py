@@ -162,7 +162,7 @@ def test_experiment_beats_the_poor_guess_and_resumes(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     quick = real_pushing.QUICK
-    short = replace(quick, workers=1, daiml=replace(quick.daiml, chunks=1))
+    short = replace(quick, workers=1, daiml=replace(quick.daiml, epochs=1))
     monkeypatch.setattr(real_pushing, "QUICK", short)
     options = ExperimentOptions(quick=True, data=folder, out=tmp_path)
     result = real_pushing.run(options)

@@ -22,16 +22,16 @@ from shmoo_mjx.learning.baselines import (
     Job,
     Predictor,
     Recordings,
-    first_rows,
+    first_samples,
     linear,
     networks,
     recordings,
     sight,
 )
 from shmoo_mjx.learning.baselines.protocol import output_scale
-from shmoo_mjx.learning.rows import Rows
+from shmoo_mjx.learning.samples import Samples
 
-SHORT = {"horizon": 4, "learning_rate": 5e-3, "conditions": 6, "windows": 8, "adapt_rows": 32}
+SHORT = {"horizon": 4, "learning_rate": 5e-3, "conditions": 6, "windows": 8, "adapt_samples": 32}
 """DAIML for few conditions and little time."""
 SEEING = tuple(n for n in METHODS if n.endswith(("_body", "_fed_back")))
 """Methods of other kinds that are given the body."""
@@ -49,14 +49,16 @@ def unseen(synthetic_dataset: store.Dataset) -> Recordings:
 
 
 def unexplained(predictor: Predictor, recorded: Recordings, job: Job) -> float:
-    return float(np.mean(scoring.score(predictor, recorded, output_scale(job.train.rows), 100, roll_outs=False)["fvu"]))
+    return float(
+        np.mean(scoring.score(predictor, recorded, output_scale(job.train.samples), 100, roll_outs=False)["fvu"])
+    )
 
 
 def with_context(recorded: Recordings, factor: float) -> Recordings:
     """The labels of the rows to adapt on multiplied."""
-    labels = np.array(recorded.rows.labels)
+    labels = np.array(recorded.samples.labels)
     labels[:, :100] *= factor
-    return recorded._replace(rows=recorded.rows._replace(labels=labels))
+    return recorded._replace(samples=recorded.samples._replace(labels=labels))
 
 
 def fitted(name: str, job: Job, **setting: Any) -> Predictor:
@@ -91,7 +93,7 @@ def contacts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Bodies of conditions as drawn, not identified, which would take a minute."""
     guess = np.array(list(contact_model.PARAMETERS.values()), np.float32)
 
-    def drawn(config: Any, train: Rows, validation: Rows, *_: Any) -> training_contacts.Found:
+    def drawn(config: Any, train: Samples, validation: Samples, *_: Any) -> training_contacts.Found:
         prior, of_training, of_validation = training_contacts.nothing(config, train, validation)
         spread = np.random.default_rng(0).normal(size=of_training.shape)
         return prior, jnp.asarray(guess[:, 0] + guess[:, 1] * spread, jnp.float32), of_validation + guess[:, 0]
@@ -102,8 +104,8 @@ def contacts(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_what_sees_a_body_sees_what_psi_sees(contacts: None, job: Job) -> None:
     sees = sight.sight(replace(job, setting={"body": True}))
     plain = sight.sight(job)
-    context, contact = first_rows(job.train, 0, 50), sees.found[1][0, -1]
-    config, scale = ObjectConfig(), jnp.asarray(output_scale(job.train.rows))
+    context, contact = first_samples(job.train, 0, 50), sees.found[1][0, -1]
+    config, scale = ObjectConfig(), jnp.asarray(output_scale(job.train.samples))
     raw = object_model.network_inputs(scale, jnp.asarray(context.inputs), config, contact)
     np.testing.assert_allclose(sees(context.inputs, contact) * sees.spread + sees.mean, raw, atol=1e-3)
     np.testing.assert_array_equal(sees.contact(context._replace(contact=contact)), contact)
@@ -114,7 +116,7 @@ def test_what_sees_a_body_sees_what_psi_sees(contacts: None, job: Job) -> None:
 @pytest.mark.parametrize("name", SEEING)
 def test_predictions_depend_on_the_body_seen(name: str, contacts: None, job: Job) -> None:
     predictor = METHODS[name].fit(replace(job, setting=METHODS[name].settings[0], budget=Budget(2, 30, 2)))
-    context, x = first_rows(job.validation, 0, 100), jnp.asarray(job.validation.rows.inputs[0, 100:150])
+    context, x = first_samples(job.validation, 0, 100), jnp.asarray(job.validation.samples.inputs[0, 100:150])
     guess = np.array(list(contact_model.PARAMETERS.values()), np.float32)
     one, other = (
         predictor.predict(predictor.adapt(context._replace(contact=jnp.asarray(contact))), x, jnp.zeros(50))
@@ -137,7 +139,7 @@ def test_a_finished_training_is_read_back(job: Job, tmp_path: Path) -> None:
     assert files
     again = METHODS["mlp"].fit(kept)
     assert {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*") if p.is_file()} == files
-    x, context = jnp.asarray(job.train.rows.inputs[0, :5]), first_rows(job.train, 0, 20)
+    x, context = jnp.asarray(job.train.samples.inputs[0, :5]), first_samples(job.train, 0, 20)
     np.testing.assert_array_equal(*(p.predict(p.adapt(context), x, jnp.zeros(5)) for p in (first, again)))
 
 

@@ -21,7 +21,7 @@ TINY = {
     "horizon": 2,
     "windows": 4,
     "conditions": 4,
-    "adapt_rows": 16,
+    "adapt_samples": 16,
 }
 
 

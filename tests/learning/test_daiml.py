@@ -10,7 +10,7 @@ import pytest
 
 from shmoo_mjx.data import store
 from shmoo_mjx.dynamics import ObjectConfig, contact_model, object_model
-from shmoo_mjx.learning import daiml, multistep, rows, training
+from shmoo_mjx.learning import daiml, multistep, samples, training
 from shmoo_mjx.learning.daiml import DaimlConfig
 from shmoo_mjx.types import DT
 
@@ -18,11 +18,11 @@ SMALL = DaimlConfig(
     object=ObjectConfig(hidden=(24, 24), contact_model=False),
     horizon=4,
     conditions=6,
-    adapt_rows=32,
+    adapt_samples=32,
     windows=8,
-    chunks=6,
-    chunk_updates=60,
-    fit_rows=100,
+    epochs=6,
+    epoch_updates=60,
+    fit_samples=100,
     learning_rate=5e-3,
 )
 
@@ -33,7 +33,7 @@ def trained(synthetic_dataset: store.Dataset) -> daiml.ObjectFit:
 
 
 def test_unseen_objects_are_predicted(synthetic_dataset: store.Dataset, trained: daiml.ObjectFit) -> None:
-    held_out = rows.rows_from_dataset(synthetic_dataset.split("test"))
+    held_out = samples.samples_from_dataset(synthetic_dataset.split("test"))
     one_step, twist = daiml.validation_scores(SMALL, held_out, trained)
     frozen = trained._replace(prior_covariance=1e-9 * jnp.eye(trained.prior_mean.size))
     prior_only, _ = daiml.validation_scores(SMALL, held_out, frozen)
@@ -52,17 +52,17 @@ def test_the_prior_is_a_distribution(trained: daiml.ObjectFit) -> None:
 
 
 def test_killed_and_started_again_gives_the_same(tmp_path: Path, synthetic_dataset: store.Dataset) -> None:
-    config = replace(SMALL, chunks=3, chunk_updates=4, alpha=0.02)
+    config = replace(SMALL, epochs=3, epoch_updates=4, alpha=0.02)
     whole = daiml.train_object(synthetic_dataset, None, config)
 
     def stop(progress: training.Progress) -> None:
-        if progress.chunk == 2:
+        if progress.epoch == 2:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         daiml.train_object(synthetic_dataset, tmp_path, config, stop)
     seen: list[int] = []
-    resumed = daiml.train_object(synthetic_dataset, tmp_path, config, lambda p: seen.append(p.chunk))
+    resumed = daiml.train_object(synthetic_dataset, tmp_path, config, lambda p: seen.append(p.epoch))
     assert seen == [3] and resumed.history == whole.history
     jax.tree.map(np.testing.assert_array_equal, resumed.params, whole.params)
 
@@ -129,7 +129,7 @@ def test_any_arrays_will_do() -> None:
         return x, slope * np.sin(x[:, :1]) + x[:, 1:2]
 
     train = {str(i): condition(80 + i) for i in range(16)}
-    config = replace(SMALL, object=ObjectConfig(hidden=(32, 32), functions=3), horizon=1, alpha=0.0, chunks=4)
+    config = replace(SMALL, object=ObjectConfig(hidden=(32, 32), functions=3), horizon=1, alpha=0.0, epochs=4)
     fitted = daiml.fit(train, {"v": condition(90), "w": condition(60)}, config)
     assert fitted.prior_mean.shape == (2, 3)
     assert fitted.score < 0.2

@@ -14,7 +14,7 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.learning import robot_fit, training
 from shmoo_mjx.learning.robot_fit import RobotFitConfig
 
-SMALL = RobotFitConfig(robot=RobotConfig(hidden=(32, 32)), batch=128, chunks=5, chunk_updates=100, learning_rate=5e-3)
+SMALL = RobotFitConfig(robot=RobotConfig(hidden=(32, 32)), batch=128, epochs=5, epoch_updates=100, learning_rate=5e-3)
 
 
 def test_learns_base_and_force(synthetic_dataset: store.Dataset) -> None:
@@ -25,11 +25,11 @@ def test_learns_base_and_force(synthetic_dataset: store.Dataset) -> None:
 
 
 def test_killed_and_started_again_gives_the_same(tmp_path: Path, synthetic_dataset: store.Dataset) -> None:
-    config = replace(SMALL, chunks=3, chunk_updates=10)
+    config = replace(SMALL, epochs=3, epoch_updates=10)
     whole = robot_fit.train_robot(synthetic_dataset, None, config)
 
     def stop(progress: training.Progress) -> None:
-        if progress.chunk == 1:
+        if progress.epoch == 1:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -41,7 +41,7 @@ def test_killed_and_started_again_gives_the_same(tmp_path: Path, synthetic_datas
 
 def test_fine_tuning_starts_from_what_is_known(synthetic_dataset: store.Dataset) -> None:
     known = robot_fit.train_robot(synthetic_dataset, None, SMALL)
-    brief = replace(SMALL, chunks=1, chunk_updates=5, learning_rate=1e-4)
+    brief = replace(SMALL, epochs=1, epoch_updates=5, learning_rate=1e-4)
     tuned = robot_fit.train_robot(synthetic_dataset, None, brief, start=known.params)
     fresh = robot_fit.train_robot(synthetic_dataset, None, brief)
     assert tuned.score < 1.2 * known.score < fresh.score
@@ -49,10 +49,10 @@ def test_fine_tuning_starts_from_what_is_known(synthetic_dataset: store.Dataset)
 
 def test_over_one_sample_a_roll_out_is_the_one_step_of_eq_7(synthetic_dataset: store.Dataset) -> None:
     config = replace(SMALL, horizon=1)
-    params = robot_fit.train_robot(synthetic_dataset, None, replace(SMALL, chunks=1)).params
+    params = robot_fit.train_robot(synthetic_dataset, None, replace(SMALL, epochs=1)).params
     # Hands that are off the face push nothing in a roll-out; here they stay on it.
     touching = [a | {"object_pose": a["robot_pose"] + np.float32([0.78, 0, 0])} for a in synthetic_dataset.arrays]
-    rows = robot_fit.rows_from_dataset(synthetic_dataset._replace(arrays=touching))
+    rows = robot_fit.samples_from_dataset(synthetic_dataset._replace(arrays=touching))
     starts = np.flatnonzero(rows.following >= 1)
     rolled = robot_fit._rolled_out(config, params, jax.tree.map(jnp.asarray, rows), starts)
     base, force = robot_model.predict(params, rows.inputs[starts], SMALL.robot)
@@ -61,7 +61,7 @@ def test_over_one_sample_a_roll_out_is_the_one_step_of_eq_7(synthetic_dataset: s
 
 
 def test_roll_outs_stay_within_an_episode(synthetic_dataset: store.Dataset) -> None:
-    rows = robot_fit.rows_from_dataset(synthetic_dataset)
+    rows = robot_fit.samples_from_dataset(synthetic_dataset)
     ends = np.flatnonzero(rows.following == 0)
     within = np.setdiff1d(np.arange(len(rows.following)), ends)
     # The next row starts where this one ends.
@@ -77,8 +77,8 @@ def test_episodes_shorter_than_the_horizon_are_refused(synthetic_dataset: store.
 def test_training_on_roll_outs_lessens_the_drift(synthetic_dataset: store.Dataset) -> None:
     known = robot_fit.train_robot(synthetic_dataset, None, SMALL).params
     astray = known._replace(output_mean=known.output_mean + 0.5 * known.output_scale)
-    brief = replace(SMALL, chunks=3, chunk_updates=30, learning_rate=1e-3, horizon=10)
-    rows = jax.tree.map(jnp.asarray, robot_fit.rows_from_dataset(synthetic_dataset))
+    brief = replace(SMALL, epochs=3, epoch_updates=30, learning_rate=1e-3, horizon=10)
+    rows = jax.tree.map(jnp.asarray, robot_fit.samples_from_dataset(synthetic_dataset))
     starts = np.flatnonzero(rows.following >= 10)
 
     def drift(rolled: float) -> float:
@@ -91,7 +91,7 @@ def test_training_on_roll_outs_lessens_the_drift(synthetic_dataset: store.Datase
 def test_stops_when_validation_stops_improving() -> None:
     scores = iter([3.0, 2.0, 2.5, 2.4, 2.6, 0.1])
     fitted = training.run(
-        0, lambda s: (s + 1, np.zeros(())), extract=lambda s: s, evaluate=lambda s: next(scores), chunks=6, patience=3
+        0, lambda s: (s + 1, np.zeros(())), extract=lambda s: s, evaluate=lambda s: next(scores), epochs=6, patience=3
     )
     assert len(fitted.history) == 5 and fitted.score == 2.0 and int(fitted.best) == 2
 
@@ -100,11 +100,11 @@ def test_a_chunk_compiles_once() -> None:
     traces = []
 
     @jax.jit
-    def chunk(state: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def epoch(state: jax.Array) -> tuple[jax.Array, jax.Array]:
         traces.append(1)
         return state + jnp.ones(3), jnp.sum(state)
 
     weak = jnp.broadcast_to(0.5, (3,))
     assert weak.weak_type
-    training.run(weak, chunk, extract=lambda s: s, evaluate=lambda s: -s[0], chunks=3, patience=3)
+    training.run(weak, epoch, extract=lambda s: s, evaluate=lambda s: -s[0], epochs=3, patience=3)
     assert len(traces) == 1

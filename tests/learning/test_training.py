@@ -39,10 +39,10 @@ def test_training_goes_on_after_a_gradient_has_overflowed(lost: float) -> None:
 def test_a_training_without_a_finite_score_is_an_error() -> None:
     """Not the untrained model, as if it had been trained."""
 
-    def chunk(state: Any) -> Any:
+    def epoch(state: Any) -> Any:
         return state, jnp.nan
 
     with pytest.raises(ShmooError, match="finite validation score"):
-        training.run(jnp.zeros(2), chunk, lambda state: state, lambda state: jnp.nan, chunks=3, patience=2)
-    found = training.run(jnp.zeros(2), chunk, lambda state: state, lambda state: jnp.float32(1.0), chunks=3, patience=2)
+        training.run(jnp.zeros(2), epoch, lambda state: state, lambda state: jnp.nan, epochs=3, patience=2)
+    found = training.run(jnp.zeros(2), epoch, lambda state: state, lambda state: jnp.float32(1.0), epochs=3, patience=2)
     assert found.score == 1.0

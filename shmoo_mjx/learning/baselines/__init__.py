@@ -11,7 +11,7 @@ from shmoo_mjx.learning.baselines.protocol import (
     Predictor,
     Recordings,
     Setting,
-    first_rows,
+    first_samples,
     recordings,
     with_setting,
 )
@@ -25,7 +25,7 @@ __all__ = [
     "Method",
     "Predictor",
     "Recordings",
-    "first_rows",
+    "first_samples",
     "recordings",
 ]
 

@@ -45,10 +45,10 @@ def daiml_config(job: Job, config: DaimlConfig) -> DaimlConfig:
     return replace(
         config,
         object=replace(config.object, **shape),
-        chunks=job.budget.chunks,
-        chunk_updates=job.budget.chunk_updates,
+        epochs=job.budget.epochs,
+        epoch_updates=job.budget.epoch_updates,
         patience=job.budget.patience,
-        fit_rows=job.fit_rows,
+        fit_samples=job.fit_samples,
         seed=job.seed,
         **rest,
     )
@@ -86,14 +86,14 @@ def residual(job: Job) -> Predictor:
     def predicted(context: Context) -> Array:
         return common.predict(common.adapt(context), context.inputs, context.time)
 
-    def left(recorded: Recordings, contacts: Array) -> daiml.Rows:
-        rows = recorded.rows
-        contexts = Context(*rows[:3], recorded.time, contacts)
-        return rows._replace(labels=rows.labels - np.asarray(jax.jit(jax.vmap(predicted))(contexts)))
+    def left(recorded: Recordings, contacts: Array) -> daiml.Samples:
+        samples = recorded.samples
+        contexts = Context(*samples[:3], recorded.time, contacts)
+        return samples._replace(labels=samples.labels - np.asarray(jax.jit(jax.vmap(predicted))(contexts)))
 
-    rows, held_out = left(job.train, contacts[:, -1]), left(job.validation, held_contacts)
+    samples, held_out = left(job.train, contacts[:, -1]), left(job.validation, held_contacts)
     found = prior, contacts[:, -1:], held_contacts
-    own = from_fit(daiml.fit_rows(rows, held_out, config, _beside(job, "psi"), found=found), config)
+    own = from_fit(daiml.fit_samples(samples, held_out, config, _beside(job, "psi"), found=found), config)
 
     def adapt(context: Context) -> tuple[Array, Array]:
         known = context._replace(contact=sees.contact(context))
@@ -140,7 +140,7 @@ def prior_of(fitted: ObjectFit, config: DaimlConfig) -> Predictor:
 def trained(job: Job, config: DaimlConfig) -> tuple[ObjectFit, DaimlConfig]:
     """psi trained by these settings under the job's, or read from its checkpoint, and all settings."""
     config = daiml_config(job, config)
-    return daiml.fit_rows(job.train.rows, job.validation.rows, config, job.directory), config
+    return daiml.fit_samples(job.train.samples, job.validation.samples, config, job.directory), config
 
 
 def _beside(job: Job, part: str) -> Path | None:

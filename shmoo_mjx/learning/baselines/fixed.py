@@ -16,7 +16,7 @@ __all__ = ["constant_velocity", "zero"]
 
 def zero(job: Job) -> Predictor:
     """No acceleration in {W}: what psi a predicts for a = 0."""
-    axes = job.train.rows.labels.shape[-1]
+    axes = job.train.samples.labels.shape[-1]
     return Predictor(lambda context: (), lambda state, x, time: jnp.zeros((*x.shape[:-1], axes)))
 
 

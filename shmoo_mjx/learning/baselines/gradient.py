@@ -12,10 +12,10 @@ import optax
 from shmoo_mjx.dynamics import mlp
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning import least_squares, multistep, training
-from shmoo_mjx.learning import rows as batches
+from shmoo_mjx.learning import samples as batches
 from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, Recordings, output_scale
 from shmoo_mjx.learning.baselines.sight import Sight
-from shmoo_mjx.learning.rows import Rows, Sampler
+from shmoo_mjx.learning.samples import Sampler, Samples
 from shmoo_mjx.types import Array
 
 __all__ = ["Layers", "MetaTask", "dense", "layers", "meta_train"]
@@ -25,7 +25,7 @@ Tree = Any
 CONDITIONS, FLOOR = 12, 0.1
 """Conditions per update and the floor of Sigma_C: those of DAIML."""
 ROWS = 64
-"""Rows per condition that the loss of one step is taken on."""
+"""Samples per condition that the loss of one step is taken on."""
 WINDOWS, HORIZON = 16, 15
 """Windows per condition and their length for a loss on what is fed back: those of DAIML."""
 
@@ -42,7 +42,7 @@ class MetaTask(NamedTuple):
 
     context: Context
     windows: tuple[Array, Array, Array]
-    """Inputs ``[B, H, n]`` and labels ``[B, H, m]`` that the loss is taken on, and the inputs one row later."""
+    """Inputs ``[B, H, n]`` and labels ``[B, H, m]`` that the loss is taken on, and the inputs one sample later."""
     precision: Array
     """``[m, m]`` inverse of Sigma_C in units of the label scale."""
 
@@ -70,7 +70,7 @@ def meta_train(
     predictor: Callable[[Tree], Predictor],
     name: str,
     sees: Sight,
-    adapt_rows: int = 100,
+    adapt_samples: int = 100,
 ) -> Tree:
     """Train ``params`` until the budget is spent or the validation conditions get no better.
 
@@ -82,61 +82,65 @@ def meta_train(
         name: of the method, part of the checkpoint's identity.
         sees: the training conditions' contact parameters, of which a task's context has one drawn at random, well or
             badly known.
-        adapt_rows: most rows of a task's context.
+        adapt_samples: most samples of a task's context.
 
     Returns:
         The parameters with the best validation score.
     """
-    scale, rows, budget = output_scale(job.train.rows), job.train.rows, job.budget
+    scale, samples, budget = output_scale(job.train.samples), job.train.samples, job.budget
     feed_back = job.setting.get("feed_back", False)
     windows, horizon = (WINDOWS, HORIZON) if feed_back else (ROWS, 1)
-    sampler = batches.sampler(rows, horizon, FLOOR)
+    sampler = batches.sampler(samples, horizon, FLOOR)
     optimiser = _optimiser(job)
     task_loss = _eq4(predictor, scale, feed_back)
 
     _, contacts, held_contacts = sees.found
 
-    def chunk(train: Recordings, contacts: Array, sampler: Sampler, state: _State) -> tuple[_State, Array]:
+    def epoch(train: Recordings, contacts: Array, sampler: Sampler, state: _State) -> tuple[_State, Array]:
         def update(state: _State, _: None) -> tuple[_State, Array]:
             key, batch_key = jax.random.split(jax.random.wrap_key_data(state.key))
-            tasks = _draw(train, contacts, sampler, batch_key, adapt_rows, windows, horizon)
+            tasks = _draw(train, contacts, sampler, batch_key, adapt_samples, windows, horizon)
             total, gradient = jax.value_and_grad(lambda p: jnp.mean(jax.vmap(task_loss, (None, 0))(p, tasks)))(
                 state.params
             )
             change, opt = optimiser.update(gradient, state.opt, state.params)
             return _State(optax.apply_updates(state.params, change), opt, jax.random.key_data(key)), total
 
-        state, losses = jax.lax.scan(update, state, None, length=budget.chunk_updates)
+        state, losses = jax.lax.scan(update, state, None, length=budget.epoch_updates)
         return state, jnp.mean(losses)
 
     @jax.jit
-    def score(params: Tree, rows: Rows, contacts: Array) -> Array:
+    def score(params: Tree, samples: Samples, contacts: Array) -> Array:
         made = predictor(params)
 
         def adapted(x: Array, y: Array, w: Array, contact: Array) -> multistep.Predict:
             return _known(made, Context(x, y, w, jnp.zeros_like(w), contact))
 
-        shares = multistep.scores(rows, contacts, adapted, scale, job.fit_rows, horizon if feed_back else 0, FLOOR)
+        shares = multistep.scores(
+            samples, contacts, adapted, scale, job.fit_samples, horizon if feed_back else 0, FLOOR
+        )
         return jnp.mean(jnp.minimum(jnp.stack(shares), least_squares.WORST))
 
     device, held_out = jax.tree.map(jnp.asarray, (job.train, job.validation))
-    run_chunk = jax.jit(chunk)
+    run_epoch = jax.jit(epoch)
     key = jax.random.fold_in(jax.random.key(job.seed), 1)
     fitted = training.run(
         _State(params, optimiser.init(params), jax.random.key_data(key)),
-        lambda state: run_chunk(device, contacts, sampler, state),
+        lambda state: run_epoch(device, contacts, sampler, state),
         extract=lambda state: state.params,
-        evaluate=lambda p: score(p, held_out.rows, held_contacts),
-        chunks=budget.chunks,
+        evaluate=lambda p: score(p, held_out.samples, held_contacts),
+        epochs=budget.epochs,
         patience=budget.patience,
-        identity=fingerprint(__name__, (name, job.setting, budget, job.seed, adapt_rows), rows.inputs, rows.labels),
+        identity=fingerprint(
+            __name__, (name, job.setting, budget, job.seed, adapt_samples), samples.inputs, samples.labels
+        ),
         directory=job.directory,
     )
     return jax.tree.map(jnp.asarray, fitted.best)
 
 
 def _optimiser(job: Job) -> optax.GradientTransformation:
-    total = job.budget.chunks * job.budget.chunk_updates
+    total = job.budget.epochs * job.budget.epoch_updates
     rate = optax.cosine_decay_schedule(job.setting["learning_rate"], total)
     return optax.chain(training.bounded_gradient(), optax.adamw(rate, weight_decay=job.setting.get("decay", 0.0)))
 
@@ -156,11 +160,11 @@ def _known(made: Predictor, context: Context) -> multistep.Predict:
 
 
 def _draw(
-    train: Recordings, contacts: Array, sampler: Sampler, key: Array, adapt_rows: int, windows: int, horizon: int
+    train: Recordings, contacts: Array, sampler: Sampler, key: Array, adapt_samples: int, windows: int, horizon: int
 ) -> MetaTask:
     """The batches that DAIML draws."""
     key, contact_key = jax.random.split(key)
-    batch = batches.draw(train.rows, sampler, key, CONDITIONS, adapt_rows, windows, horizon)
+    batch = batches.draw(train.samples, sampler, key, CONDITIONS, adapt_samples, windows, horizon)
     x, y, w = batch.adapt
     which = jax.random.randint(contact_key, batch.condition.shape, 0, contacts.shape[1])
     contact = contacts[batch.condition, which]

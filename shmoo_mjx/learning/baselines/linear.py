@@ -29,7 +29,7 @@ class Prior(NamedTuple):
 
 def trigonometric(job: Job) -> Predictor:
     """psi(t) = [sin t, sin 2t, sin 3t, cos t, cos 2t, cos 3t] (Sec. V-B), a ridge towards zero for each condition."""
-    scale = output_scale(job.train.rows)
+    scale = output_scale(job.train.samples)
 
     def basis(time: Array) -> Array:
         angles = jnp.asarray(time)[..., None] * jnp.arange(1.0, 4.0)
@@ -50,13 +50,13 @@ def linear_prior(job: Job) -> Predictor:
     setting["noise"] inflates the noise, whose samples are correlated in truth. setting["coupled"] keeps the prior's
     covariances between coefficients; otherwise only their variances.
     """
-    sees, scale, rows = sight(job), output_scale(job.train.rows), job.train.rows
+    sees, scale, samples = sight(job), output_scale(job.train.samples), job.train.samples
 
     def basis(x: Array, contact: Array) -> Array:
         return jnp.concatenate([sees(x, contact), jnp.ones((*x.shape[:-1], 1))], axis=-1)
 
-    functions = jax.jit(jax.vmap(basis))(rows.inputs, sees.found[1][:, -1])
-    prior = fit_prior(np.asarray(functions), rows.labels / scale, rows.weights)
+    functions = jax.jit(jax.vmap(basis))(samples.inputs, sees.found[1][:, -1])
+    prior = fit_prior(np.asarray(functions), samples.labels / scale, samples.weights)
     covariance = prior.covariance if job.setting["coupled"] else np.diag(np.diag(prior.covariance))
     factor = jnp.asarray(np.linalg.cholesky(covariance), jnp.float32)
     mean, noise = jnp.asarray(prior.mean, jnp.float32), jnp.asarray(prior.noise * job.setting["noise"], jnp.float32)
@@ -80,7 +80,7 @@ def linear_prior(job: Job) -> Predictor:
 def fit_prior(functions: np.ndarray, labels: np.ndarray, weights: np.ndarray, rounds: int = 30) -> Prior:
     """The prior under which the conditions' labels are most likely, by expectation maximisation.
 
-    The same model as `least_squares.empirical_prior`, on each condition's normal equations instead of its rows.
+    The same model as `least_squares.empirical_prior`, on each condition's normal equations instead of its samples.
 
     Args:
         functions: ``[C, N, d]`` shared by the axes.

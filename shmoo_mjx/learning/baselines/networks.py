@@ -19,12 +19,12 @@ HIDDEN = (128, 128, 50)
 MEMORY = 64
 """Width of the GRU's state."""
 CONTEXT_ROWS = 150
-"""Most rows that the GRU reads in training; of 25 s of recording about as many count."""
+"""Most samples that the GRU reads in training; of 25 s of recording about as many count."""
 
 
 class _Gru(NamedTuple):
     gates: Layers
-    """Reset and update gates, from row and memory."""
+    """Reset and update gates, from sample and memory."""
     candidate: Layers
     head: Layers
 
@@ -32,18 +32,18 @@ class _Gru(NamedTuple):
 def mlp(job: Job) -> Predictor:
     """One network for all conditions; of the one at hand it knows at most the identified contact parameters
     (`sight`)."""
-    sees, scale = sight(job), output_scale(job.train.rows)
+    sees, scale = sight(job), output_scale(job.train.samples)
     start = layers(jax.random.key(job.seed), sees.mean.shape[0], *HIDDEN, scale.shape[0])
 
     def predictor(params: Layers) -> Predictor:
         return Predictor(sees.contact, lambda contact, x, time: dense(params, sees(x, contact)) * scale)
 
-    return predictor(meta_train(job, start, predictor, "mlp", sees, adapt_rows=8))
+    return predictor(meta_train(job, start, predictor, "mlp", sees, adapt_samples=8))
 
 
 def gru(job: Job) -> Predictor:
     """A recurrent network reads inputs and labels of the context; its last memory goes into the network's inputs."""
-    sees, scale = sight(job), output_scale(job.train.rows)
+    sees, scale = sight(job), output_scale(job.train.samples)
     n_in, n_out = sees.mean.shape[0], scale.shape[0]
     width = n_in + n_out + MEMORY
     keys = jax.random.split(jax.random.key(job.seed), 3)
@@ -56,9 +56,9 @@ def gru(job: Job) -> Predictor:
     def predictor(params: _Gru) -> Predictor:
         def adapt(context: Context) -> tuple[Array, Array]:
             contact = sees.contact(context)
-            rows = jnp.concatenate([sees(context.inputs, contact), context.labels / scale], axis=-1)
+            samples = jnp.concatenate([sees(context.inputs, contact), context.labels / scale], axis=-1)
             memory, _ = jax.lax.scan(
-                lambda m, r: (_read(params, m, *r), None), jnp.zeros(MEMORY), (rows, context.weights)
+                lambda m, r: (_read(params, m, *r), None), jnp.zeros(MEMORY), (samples, context.weights)
             )
             return memory, contact
 
@@ -69,11 +69,11 @@ def gru(job: Job) -> Predictor:
 
         return Predictor(jax.jit(adapt), predict)
 
-    return predictor(meta_train(job, start, predictor, "gru", sees, adapt_rows=CONTEXT_ROWS))
+    return predictor(meta_train(job, start, predictor, "gru", sees, adapt_samples=CONTEXT_ROWS))
 
 
-def _read(params: _Gru, memory: Array, row: Array, weight: Array) -> Array:
-    """One step of the GRU; a row that does not count leaves the memory as it was."""
-    reset, update = jnp.split(jax.nn.sigmoid(dense(params.gates, jnp.concatenate([row, memory]))), 2)
-    candidate = jnp.tanh(dense(params.candidate, jnp.concatenate([row, reset * memory])))
+def _read(params: _Gru, memory: Array, sample: Array, weight: Array) -> Array:
+    """One step of the GRU; a sample that does not count leaves the memory as it was."""
+    reset, update = jnp.split(jax.nn.sigmoid(dense(params.gates, jnp.concatenate([sample, memory]))), 2)
+    candidate = jnp.tanh(dense(params.candidate, jnp.concatenate([sample, reset * memory])))
     return memory + weight * update * (candidate - memory)

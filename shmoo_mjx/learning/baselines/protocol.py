@@ -1,7 +1,7 @@
-"""What every method of the comparison is: it is fitted once, adapts on the first rows of a condition, and predicts.
+"""What every method of the comparison is: it is fitted once, adapts on the first samples of a condition, and predicts.
 
 A method gets training and validation conditions and answers with a `Predictor`. A predictor meets a condition that
-it has not seen: ``adapt`` takes the condition's first rows, ``predict`` tells the acceleration at others.
+it has not seen: ``adapt`` takes the condition's first samples, ``predict`` tells the acceleration at others.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from shmoo_mjx.data import store
-from shmoo_mjx.learning.rows import Rows, label_scale, rows_from_dataset
+from shmoo_mjx.learning.samples import Samples, label_scale, samples_from_dataset
 from shmoo_mjx.types import DT, Array
 
 __all__ = [
@@ -25,7 +25,7 @@ __all__ = [
     "Method",
     "Predictor",
     "Recordings",
-    "first_rows",
+    "first_samples",
     "output_scale",
     "recordings",
     "with_setting",
@@ -38,22 +38,22 @@ Setting = dict[str, Any]
 class Recordings(NamedTuple):
     """C conditions as arrays."""
 
-    rows: Rows
+    samples: Samples
     time: Array
     """``[C, N]`` since the recording began, gaps between episodes left out [s]."""
     pose: Array
-    """``[C, N, 3]`` of the object in {W} at the start of each row."""
+    """``[C, N, 3]`` of the object in {W} at the start of each sample."""
 
 
 class Context(NamedTuple):
-    """What a method adapts on: some rows of one condition in the order they were recorded."""
+    """What a method adapts on: some samples of one condition in the order they were recorded."""
 
     inputs: Array
     """``[N, n]``"""
     labels: Array
     """``[N, m]``"""
     weights: Array
-    """``[N]`` 0 where a row does not count."""
+    """``[N]`` 0 where a sample does not count."""
     time: Array
     """``[N]`` [s]"""
     contact: Array | None = None
@@ -72,10 +72,10 @@ class Predictor(NamedTuple):
 class Budget:
     """How long a learned method may train: the same for each."""
 
-    chunks: int = 20
-    """Most chunks."""
-    chunk_updates: int = 150
-    """Updates per chunk."""
+    epochs: int = 20
+    """Most epochs."""
+    epoch_updates: int = 150
+    """Updates per epoch."""
     patience: int = 8
     """Chunks without a better validation score before stopping."""
 
@@ -89,8 +89,8 @@ class Job:
     setting: Setting = field(default_factory=dict)
     budget: Budget = field(default_factory=Budget)
     seed: int = 0
-    fit_rows: int = 250
-    """Rows at the start of a validation condition that a method adapts on."""
+    fit_samples: int = 250
+    """Samples at the start of a validation condition that a method adapts on."""
     directory: Path | None = None
     """Keeps the training's checkpoint, finished or not."""
 
@@ -105,7 +105,7 @@ def with_setting(fit: Fit, **setting: Any) -> Fit:
 
 @dataclass(frozen=True)
 class Method:
-    """A row of the comparison."""
+    """A sample of the comparison."""
 
     name: str
     fit: Fit
@@ -116,27 +116,27 @@ class Method:
 
 
 def recordings(dataset: store.Dataset) -> Recordings:
-    """The rows of every condition with what the comparison needs beside them."""
-    rows = rows_from_dataset(dataset)
-    n = rows.inputs.shape[1]
+    """The samples of every condition with what the comparison needs beside them."""
+    samples = samples_from_dataset(dataset)
+    n = samples.inputs.shape[1]
     poses, times = [], []
     for arrays in dataset.arrays:
         pose = arrays["object_pose"]
         count = pose.shape[0] * (pose.shape[1] - 1)
-        assert count <= n, "rows and poses are of different recordings"
+        assert count <= n, "samples and poses are of different recordings"
         time = DT * np.arange(pose.shape[0] * pose.shape[1]).reshape(pose.shape[:2])[:, :-1].reshape(-1)
         poses.append(np.pad(pose[:, :-1].reshape(-1, 3), ((0, n - count), (0, 0))))
         times.append(np.pad(time, (0, n - count), mode="edge"))
-    return Recordings(rows, np.stack(times).astype(np.float32), np.stack(poses).astype(np.float32))
+    return Recordings(samples, np.stack(times).astype(np.float32), np.stack(poses).astype(np.float32))
 
 
-def first_rows(recorded: Recordings, condition: int, count: int) -> Context:
-    """The first ``count`` rows of one condition, at most half of them."""
-    rows, n = recorded.rows, min(count, recorded.rows.inputs.shape[1] // 2)
+def first_samples(recorded: Recordings, condition: int, count: int) -> Context:
+    """The first ``count`` samples of one condition, at most half of them."""
+    samples, n = recorded.samples, min(count, recorded.samples.inputs.shape[1] // 2)
     i = condition
-    return Context(rows.inputs[i, :n], rows.labels[i, :n], rows.weights[i, :n], recorded.time[i, :n])
+    return Context(samples.inputs[i, :n], samples.labels[i, :n], samples.weights[i, :n], recorded.time[i, :n])
 
 
-def output_scale(rows: Rows) -> np.ndarray:
+def output_scale(samples: Samples) -> np.ndarray:
     """The unit ``[m]`` in which methods predict."""
-    return np.asarray(label_scale(rows), np.float32)
+    return np.asarray(label_scale(samples), np.float32)

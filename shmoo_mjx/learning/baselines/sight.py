@@ -27,7 +27,7 @@ NARROWEST = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """What a method sees of a row, normalised over the training rows."""
+    """What a method sees of a sample, normalised over the training samples."""
 
     config: ObjectConfig
     """Only ``contact_model`` and ``last_wrench`` matter."""
@@ -63,8 +63,8 @@ def sight(job: Job) -> Sight:
     methods."""
     config, fit = ObjectConfig(contact_model=job.setting.get("body", False)), IdentificationConfig()
     find = training_contacts.identified if config.contact_model else training_contacts.nothing
-    train = job.train.rows
-    found = find(fit, train, job.validation.rows, job.fit_rows, job.directory)
+    train = job.train.samples
+    found = find(fit, train, job.validation.samples, job.fit_samples, job.directory)
     scale = jnp.asarray(output_scale(train))
     see = jax.jit(jax.vmap(lambda x, contact: object_model.network_inputs(scale, x, config, contact)))
     seen = see(jnp.asarray(train.inputs), found[1][:, -1])[train.weights > 0]

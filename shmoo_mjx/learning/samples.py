@@ -1,4 +1,4 @@
-"""Recorded samples as the learner of psi takes them: conditions, rows, and the batches drawn from them."""
+"""Recorded samples as the learner of psi takes them: conditions, samples, and the batches drawn from them."""
 
 from __future__ import annotations
 
@@ -13,31 +13,40 @@ from shmoo_mjx import se2
 from shmoo_mjx.data import store
 from shmoo_mjx.dynamics import features
 
-__all__ = ["Batch", "Rows", "Sampler", "draw", "label_scale", "rows_from_arrays", "rows_from_dataset", "sampler"]
+__all__ = [
+    "Batch",
+    "Sampler",
+    "Samples",
+    "draw",
+    "label_scale",
+    "sampler",
+    "samples_from_arrays",
+    "samples_from_dataset",
+]
 
 Array = Any
 
 
-class Rows(NamedTuple):
-    """C conditions with N rows each, in the order they were recorded."""
+class Samples(NamedTuple):
+    """C conditions with N samples each, in the order they were recorded."""
 
     inputs: Array
     """``[C, N, n_in]``"""
     labels: Array
     """``[C, N, m]`` accelerations in {O} (or whatever the user predicts)."""
     weights: Array
-    """``[C, N]`` 1 where a row counts; 0 for padding and for objects that are neither touched nor moving."""
+    """``[C, N]`` 1 where a sample counts; 0 for padding and for objects that are neither touched nor moving."""
     run: Array
-    """``[C, N]`` how many rows from here on, this one included, lie in the same episode."""
+    """``[C, N]`` how many samples from here on, this one included, lie in the same episode."""
 
 
 class Sampler(NamedTuple):
     """Where batches may start."""
 
-    rows: Array
-    """``[C, M]`` rows that a* may be fitted on."""
+    samples: Array
+    """``[C, M]`` samples that a* may be fitted on."""
     starts: Array
-    """``[C, M']`` ascending, first rows of windows of H steps within one episode."""
+    """``[C, M']`` ascending, first samples of windows of H steps within one episode."""
     precision: Array
     """``[C, m, m]`` inverse of Sigma_C in units of label_scale."""
 
@@ -50,32 +59,32 @@ class Batch(NamedTuple):
     adapt: tuple[Array, Array, Array]
     """Inputs, labels and weights of B^a."""
     windows: tuple[Array, Array, Array]
-    """Inputs, labels and the twist (inputs again) one row later."""
+    """Inputs, labels and the twist (inputs again) one sample later."""
     precision: Array
 
 
-def rows_from_dataset(dataset: store.Dataset) -> Rows:
-    """The rows of psi (OBJECT_INPUTS, acceleration in {O}) of every condition of a data set."""
+def samples_from_dataset(dataset: store.Dataset) -> Samples:
+    """The samples of psi (OBJECT_INPUTS, acceleration in {O}) of every condition of a data set."""
     inputs, labels, weights, runs = [], [], [], []
     for arrays in dataset.arrays:
-        samples = store.system_states(arrays)
-        twist = se2.rotate(samples.state.object_twist, -samples.state.object_pose[..., 2])
-        last = samples.state
-        x = features.object_inputs(twist, samples.wrench, last.last_object_twist, last.size, last.last_wrench)
+        recorded = store.system_states(arrays)
+        twist = se2.rotate(recorded.state.object_twist, -recorded.state.object_pose[..., 2])
+        last = recorded.state
+        x = features.object_inputs(twist, recorded.wrench, last.last_object_twist, last.size, last.last_wrench)
         n_episodes, length = x.shape[:2]
         moving = np.linalg.norm(twist, axis=-1) > 5e-3
-        counts = samples.contact | moving
+        counts = recorded.contact | moving
         counts[:, 0] = False  # the twist before an episode's first sample is not known
         run = np.broadcast_to(length - np.arange(length), (n_episodes, length))
         inputs.append(np.asarray(x).reshape(-1, x.shape[-1]))
-        labels.append(samples.object_acceleration.reshape(-1, 3))
+        labels.append(recorded.object_acceleration.reshape(-1, 3))
         weights.append(counts.reshape(-1))
         runs.append(run.reshape(-1))
     return _stack(inputs, labels, weights, runs)
 
 
-def rows_from_arrays(data: Mapping[str, tuple[Array, Array]]) -> Rows:
-    """Rows of any {condition: (x [N, n_in], y [N, m])}; conditions may differ in N."""
+def samples_from_arrays(data: Mapping[str, tuple[Array, Array]]) -> Samples:
+    """Samples of any {condition: (x [N, n_in], y [N, m])}; conditions may differ in N."""
     pairs = [(np.asarray(x), np.asarray(y)) for x, y in data.values()]
     return _stack(
         [x for x, _ in pairs],
@@ -85,17 +94,17 @@ def rows_from_arrays(data: Mapping[str, tuple[Array, Array]]) -> Rows:
     )
 
 
-def label_scale(rows: Rows) -> np.ndarray:
-    """Standard deviation of each label ``[m]`` over all rows that count."""
-    used = rows.labels[rows.weights > 0]
+def label_scale(samples: Samples) -> np.ndarray:
+    """Standard deviation of each label ``[m]`` over all samples that count."""
+    used = samples.labels[samples.weights > 0]
     return np.maximum(np.std(used, axis=0), 1e-6)
 
 
-def sampler(rows: Rows, horizon: int, floor: float) -> Sampler:
+def sampler(samples: Samples, horizon: int, floor: float) -> Sampler:
     """Prepare `draw` for windows of ``horizon`` steps; ``floor`` (in label_scale squared) is added to Sigma_C."""
-    scale = label_scale(rows)
+    scale = label_scale(samples)
     found, starts, precision = [], [], []
-    for y, w, run in zip(rows.labels, rows.weights, rows.run, strict=True):
+    for y, w, run in zip(samples.labels, samples.weights, samples.run, strict=True):
         good = np.flatnonzero(w > 0)
         begin = np.flatnonzero((w > 0) & (run >= horizon))
         found.append(good if len(good) else np.zeros(1, int))
@@ -107,46 +116,46 @@ def sampler(rows: Rows, horizon: int, floor: float) -> Sampler:
 
 
 def draw(
-    rows: Rows, sampler: Sampler, key: Array, conditions: int, adapt_rows: int, windows: int, horizon: int
+    samples: Samples, sampler: Sampler, key: Array, conditions: int, adapt_samples: int, windows: int, horizon: int
 ) -> Batch:
     """Draw a batch: ``conditions`` conditions, for each a stretch B^a and ``windows`` windows of ``horizon`` steps."""
-    condition_key, row_key, length_key, start_key, near_key = jax.random.split(key, 5)
-    n_conditions, n_rows = rows.inputs.shape[:2]
+    condition_key, sample_key, length_key, start_key, near_key = jax.random.split(key, 5)
+    n_conditions, n_samples = samples.inputs.shape[:2]
     count = min(conditions, n_conditions)
     c = jax.random.permutation(condition_key, n_conditions)[:count]
-    begin = jax.random.randint(row_key, (count,), 0, sampler.rows.shape[1])
-    most = min(adapt_rows, sampler.rows.shape[1])
+    begin = jax.random.randint(sample_key, (count,), 0, sampler.samples.shape[1])
+    most = min(adapt_samples, sampler.samples.shape[1])
     # Log-uniform: from half a second of contact to all of it.
     length = jnp.exp(jax.random.uniform(length_key, (count, 1), minval=jnp.log(5.0), maxval=jnp.log(most + 1.0)))
-    place = (begin[:, None] + jnp.arange(most)) % sampler.rows.shape[1]
-    row = jnp.take_along_axis(sampler.rows[c], place, axis=1)
+    place = (begin[:, None] + jnp.arange(most)) % sampler.samples.shape[1]
+    sample = jnp.take_along_axis(sampler.samples[c], place, axis=1)
     adapt = (
-        rows.inputs[c[:, None], row],
-        rows.labels[c[:, None], row],
+        samples.inputs[c[:, None], sample],
+        samples.labels[c[:, None], sample],
         (jnp.arange(most) < length).astype(jnp.float32),
     )
     starts = sampler.starts[c]
     anywhere = jax.random.randint(start_key, (count, windows), 0, starts.shape[1])
-    last = jnp.take_along_axis(row, jnp.minimum(length.astype(int), most - 1), axis=1)
+    last = jnp.take_along_axis(sample, jnp.minimum(length.astype(int), most - 1), axis=1)
     soon = jax.vmap(jnp.searchsorted)(starts, last) + jax.random.randint(near_key, (count, windows), 0, 50)
     near = jnp.arange(windows) < windows // 2
     start = jnp.take_along_axis(starts, jnp.where(near, soon % starts.shape[1], anywhere), axis=1)
     window = start[..., None] + jnp.arange(horizon)
-    x, y = rows.inputs[c[:, None, None], window], rows.labels[c[:, None, None], window]
+    x, y = samples.inputs[c[:, None, None], window], samples.labels[c[:, None, None], window]
     return Batch(
-        c, adapt, (x, y, rows.inputs[c[:, None, None], jnp.minimum(window + 1, n_rows - 1)]), sampler.precision[c]
+        c, adapt, (x, y, samples.inputs[c[:, None, None], jnp.minimum(window + 1, n_samples - 1)]), sampler.precision[c]
     )
 
 
-def _stack(inputs: list, labels: list, weights: list, runs: list) -> Rows:
-    """Conditions of different lengths, padded at the end with rows that do not count."""
+def _stack(inputs: list, labels: list, weights: list, runs: list) -> Samples:
+    """Conditions of different lengths, padded at the end with samples that do not count."""
     longest = max(len(x) for x in inputs)
 
     def pad(items: list) -> np.ndarray:
         whole = [np.pad(a, [(0, longest - len(a))] + [(0, 0)] * (np.ndim(a) - 1)) for a in items]
         return np.stack(whole).astype(np.float32)
 
-    return Rows(pad(inputs), pad(labels), pad(weights), pad(runs).astype(np.int32))
+    return Samples(pad(inputs), pad(labels), pad(weights), pad(runs).astype(np.int32))
 
 
 def _repeat(items: list[np.ndarray]) -> Array:
