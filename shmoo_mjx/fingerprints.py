@@ -67,11 +67,8 @@ def _imported(tree: ast.AST) -> Iterator[str]:
         for name in names:
             parts = name.split(".")
             if parts[0] == _PACKAGE:
-                yield from (".".join(parts[:n]) for n in range(1, len(parts) + 1) if _exists(".".join(parts[:n])))
-
-
-def _exists(module: str) -> bool:
-    return _source(module).is_file()
+                parents = (".".join(parts[:n]) for n in range(1, len(parts) + 1))
+                yield from (parent for parent in parents if _source(parent).is_file())
 
 
 def _source(module: str) -> Path:

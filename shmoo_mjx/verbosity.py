@@ -13,6 +13,7 @@ import sys
 import time
 import typing
 from collections.abc import Callable
+from importlib import metadata
 from typing import Any
 
 from tyro.conf import FlagCreatePairsOff
@@ -45,7 +46,9 @@ def with_verbosity(command: Callable[..., int]) -> Callable[..., int]:
     def run(*arguments: Any, quiet: bool = False, verbose: bool = False, **options: Any) -> int:
         _set(quiet, verbose)
         started = time.monotonic()
-        LOG.info("shmoo %s, Python %s: %s", _version(), platform.python_version(), " ".join(sys.argv[1:]))
+        LOG.info(
+            "shmoo %s, Python %s: %s", metadata.version("shmoo-mjx"), platform.python_version(), " ".join(sys.argv[1:])
+        )
         code = command(*arguments, **options)
         LOG.info("took %.1f s, exit code %d", time.monotonic() - started, code)
         return code
@@ -75,9 +78,3 @@ def _set(quiet: bool, verbose: bool) -> None:
         handler.setFormatter(logging.Formatter("%(asctime)s %(message)s", "%Y-%m-%d %H:%M:%S"))
         LOG.addHandler(handler)
         LOG.propagate = False
-
-
-def _version() -> str:
-    from importlib import metadata
-
-    return metadata.version("shmoo-mjx")

@@ -53,7 +53,8 @@ def interactive(scene: Scene, record: Path | None = None) -> None:
     """
     import mujoco.viewer
 
-    _check_recordable(scene, record)
+    if record is not None and len(scene.conditions) != 1:
+        raise ShmooError(f"--record needs a scene with one object, not {len(scene.conditions)}; view a family or file.")
     engine, data = MujocoEngine([scene]), mujoco.MjData(scene.model)
     pressed: queue.SimpleQueue[int] = queue.SimpleQueue()
     session = teleop.begin(engine, record is not None)
@@ -73,11 +74,6 @@ def interactive(scene: Scene, record: Path | None = None) -> None:
     engine.close()
     if record is not None and len(session.rows) > 10:
         print(f"{record}: {teleop.save(record, scene.conditions[0], session.rows)}, {len(session.rows) * DT:.0f} s")
-
-
-def _check_recordable(scene: Scene, record: Path | None) -> None:
-    if record is not None and len(scene.conditions) != 1:
-        raise ShmooError(f"--record needs a scene with one object, not {len(scene.conditions)}; view a family or file.")
 
 
 def film(scene: Scene, out: Path, seconds: float = 8.0) -> list[Path]:

@@ -175,10 +175,7 @@ def mjx_rows(name: str, batch: int, seconds: float, c_rates: dict[tuple[str, int
             "scratch_bytes_per_world": round(engine.scratch_bytes() / batch),
             "steps_per_s": round(rate),
         }
-        over = {f"over C {w}, {n} threads": round(rate / c, 2) for (w, n), c in c_rates.items() if w != _other(what)}
+        alike = {(w, n): c for (w, n), c in c_rates.items() if w in ("physics alone", what)}
+        over = {f"over C {w}, {n} threads": round(rate / c, 2) for (w, n), c in alike.items()}
         rows.append(row | over)
     return rows
-
-
-def _other(state: str) -> str:
-    return "pushing" if state == "standing" else "standing"

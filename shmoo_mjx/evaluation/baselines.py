@@ -143,7 +143,8 @@ def _metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
         mine = [row for row in rows if row["method"] == method]
         runs = sorted({row["run"] for row in mine})
         for measure in scoring.NAMES:
-            of_seeds = [_mean([row[measure] for row in mine if row["run"] == run]) for run in runs]
+            of_runs = (np.array([row[measure] for row in mine if row["run"] == run]) for run in runs)
+            of_seeds = [np.nan if np.isnan(values).all() else np.nanmean(values) for values in of_runs]
             metrics |= over_seeds(measure, method, of_seeds)
         medians = [np.nanmedian([row["fvu"] for row in mine if row["run"] == run]) for run in runs]
         metrics[f"fvu_median_{method}"] = float(np.mean(medians))
@@ -153,11 +154,6 @@ def _metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
         others = [name for name in dict.fromkeys(row["method"] for row in rows) if name != "ours"]
         metrics |= {f"ratio_{name}": metrics[f"mse_{name}"] / metrics["mse_ours"] for name in others}
     return metrics
-
-
-def _mean(values: list[float]) -> float:
-    """Mean of those that are not NaN; NaN, without a warning, if all are."""
-    return float("nan") if np.isnan(values).all() else float(np.nanmean(values))
 
 
 def _figure(result: ExperimentResult, path: Path) -> None:

@@ -37,9 +37,10 @@ def training_directory(options: ExperimentOptions) -> Path:
     if (directory / store.MANIFEST).exists():
         manifest = json.loads((directory / store.MANIFEST).read_text())
         recorded = manifest.get("schema", {}).get("config")
-        if recorded is None or len(manifest["conditions"]) >= _count(CollectConfig(**recorded)):
+        config = CollectConfig(**(recorded or {}))
+        wanted = len(FAMILIES) * (config.train + config.validation + config.test)
+        if recorded is None or len(manifest["conditions"]) >= wanted:
             return directory
-        config = CollectConfig(**recorded)
     collect(directory, config, progress=_report(options, "collect training objects"))
     return directory
 
@@ -81,10 +82,6 @@ def subset(dataset: store.Dataset, per_family: int) -> store.Dataset:
     if not groups:
         raise ShmooError("data set: field 'conditions' is empty; collect some conditions first.")
     return dataset.chosen(sorted(i for group in groups.values() for i in group[:per_family]))
-
-
-def _count(config: CollectConfig) -> int:
-    return len(FAMILIES) * (config.train + config.validation + config.test)
 
 
 def _report(options: ExperimentOptions, stage: str) -> Callable[[int, int], None]:

@@ -64,10 +64,6 @@ class PolicyVariant(NamedTuple):
     """What the robot takes each object to be from the start."""
 
 
-def _all_fixed(generated: Generated) -> list[Status]:
-    return [Status.FIXED for _ in generated.movable]
-
-
 def _as_they_are(generated: Generated) -> list[Status]:
     return [Status.UNKNOWN if movable else Status.FIXED for movable in generated.movable]
 
@@ -76,7 +72,9 @@ _ALL_MOVABLE = ObjectPlannerConfig(threshold=0.0)
 POLICIES = {
     OURS: PolicyVariant(NavigatorConfig()),
     "oracle": PolicyVariant(NavigatorConfig(planner=_ALL_MOVABLE), _as_they_are),
-    "always_avoid": PolicyVariant(NavigatorConfig(second_chance=False), _all_fixed),
+    "always_avoid": PolicyVariant(
+        NavigatorConfig(second_chance=False), lambda generated: [Status.FIXED for _ in generated.movable]
+    ),
     "always_push": PolicyVariant(NavigatorConfig(goes_round=False, planner=_ALL_MOVABLE)),
 }
 """In the order in which they run: of an experiment that is stopped, ours is there first."""
@@ -215,6 +213,7 @@ def told_of(episode: Episode, generated: Generated) -> dict[str, Any]:
 def _row(episode: Episode, generated: Generated) -> dict[str, Any]:
     result, trace = episode.result, episode.trace
     blocking = zip(generated.border, generated.blocking, strict=True)
+    displaced = np.array([np.subtract(o["final_pose"], o["start_pose"])[:2] for o in result["objects"]]).reshape(-1, 2)
     return {
         **told_of(episode, generated),
         "border": any(near and in_the_way for near, in_the_way in blocking),
@@ -222,7 +221,7 @@ def _row(episode: Episode, generated: Generated) -> dict[str, Any]:
         "shortest_m": generated.shortest,
         "detour_m": generated.detour,
         **scores_of(episode, generated.scenario, generated.shortest),
-        "displacement_m": float(sum(map(_displacement, result["objects"]))),
+        "displacement_m": float(np.linalg.norm(displaced, axis=1).sum()),
         "decisions": [{k: d[k] for k in ("t", "object", "K", "manipulable")} for d in result["decisions"]],
         "objects": result["objects"],
         "driven": np.round(trace.robot_pose[::5, :2], 2).tolist(),
@@ -242,10 +241,6 @@ def scores_of(episode: Episode, scenario: Scenario, shortest: float) -> dict[str
     by_force = effort_by_force(robot, np.asarray(trace.force))
     score = interactive_score(efficiency, by_mass, by_force)
     return {"efficiency": efficiency, "effort": by_mass, "effort_force": by_force, "ins": score}
-
-
-def _displacement(item: dict[str, Any]) -> float:
-    return float(np.linalg.norm(np.subtract(item["final_pose"], item["start_pose"])[:2]))
 
 
 def _travelled(path: np.ndarray) -> float:

@@ -394,11 +394,12 @@ class Page:
         if trajectory is not None:
             local = flat_trajectory.evaluate(trajectory, np.linspace(0.0, trajectory.horizon, 25)).position
         goal = np.append(state.goal, 0.0)
+        top = 0.0 if state.segment is None else simulation.conditions[state.segment.object].size[2]
         sizes = [c.half_extents for c in simulation.conditions]
         drawn = {
             "path": (overlay.path(None if way is None else way.points), 0.03),
             "path/local": (overlay.path(local, local=True), 0.05),
-            "roll-outs": (overlay.rollouts(session.plan, self._top()), 0.012),
+            "roll-outs": (overlay.rollouts(session.plan, top), 0.012),
             "camera": (overlay.field_of_view(session.senses.camera, simulation.true.robot_pose[0]), 0.015),
             "what it believes": (overlay.believed(simulation.navigator, simulation.seen, sizes), 0.03),
         }
@@ -430,13 +431,8 @@ class Page:
         centre = se2.transform_point(np.asarray(field.origin), np.array([width / 2, height / 2]))
         self.server.scene.add_image(
             "/clearance", overlay.clearance_picture(field), width, height, format="png", cast_shadow=False,
-            receive_shadow=False, position=(*centre, 0.008), wxyz=_lying(yaw),
+            receive_shadow=False, position=(*centre, 0.008), wxyz=(np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)),
         )  # fmt: skip
-
-    def _top(self) -> float:
-        """Height of the object that is dealt with [m]."""
-        segment, conditions = self.session.simulation.navigator.segment, self.session.simulation.conditions
-        return 0.0 if segment is None else conditions[segment.object].size[2]
 
     # Words.
 
@@ -494,8 +490,3 @@ def _in_words(learned: dict[str, float], prior: dict[str, float]) -> str:
         f"friction {now['log_friction_x']:.2f} ({first['log_friction_x']:.2f}) along, "
         f"{now['log_friction_y']:.2f} ({first['log_friction_y']:.2f}) across"
     )
-
-
-def _lying(yaw: float) -> tuple[float, float, float, float]:
-    """Quaternion of a picture that lies on the floor, turned by ``yaw``."""
-    return float(np.cos(yaw / 2)), 0.0, 0.0, float(np.sin(yaw / 2))

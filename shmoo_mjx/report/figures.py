@@ -26,6 +26,9 @@ _CONTACT_FORCE = 1.0
 
 def map_figure(result: dict[str, Any], trace: Trace) -> Figure:
     """Map, planned paths, driven path, objects where they were and are, and the telling decisions with their K."""
+    from matplotlib.patheffects import withStroke
+
+    halo: dict[str, Any] = {"path_effects": [withStroke(linewidth=2.5, foreground="white")], "zorder": 6}
     box = window(result, trace)
     width, height = box[1] - box[0], box[3] - box[2]
     figure = blank_figure(9.0, min(max(9.0 * height / width, 3.0), 11.0))
@@ -51,7 +54,7 @@ def map_figure(result: dict[str, Any], trace: Trace) -> Figure:
         text = f"{item['family']} {item['id']}" + (", registered" if item.get("registered") else "")
         foot = outline(final, item["half_extents"])[:, 1].min()
         place = (float(final[0]), float(foot))
-        axes.annotate(text, place, (0, -4), textcoords="offset points", ha="center", va="top", fontsize=8, **_halo())
+        axes.annotate(text, place, (0, -4), textcoords="offset points", ha="center", va="top", fontsize=8, **halo)
     for number in telling_decisions(result):
         _mark_decision(axes, result, trace, number, result["decisions"][number])
     _mark_ends(axes, result, trace)
@@ -194,12 +197,6 @@ def _polygon(
 
     face = to_rgba(edge, fill) if fill else "none"
     axes.add_patch(Polygon(outline(pose, half), ec=edge, fc=face, ls=style, lw=width, zorder=4))
-
-
-def _halo() -> dict[str, Any]:
-    from matplotlib.patheffects import withStroke
-
-    return {"path_effects": [withStroke(linewidth=2.5, foreground="white")], "zorder": 6}
 
 
 def _mark_decision(axes: Axes, result: dict[str, Any], trace: Trace, number: int, decision: dict[str, Any]) -> None:

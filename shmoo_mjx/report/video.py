@@ -123,7 +123,8 @@ def topdown_image(view: TopDown, t: float) -> np.ndarray:
         now = {**item, "registered": item.get("registered") and _registered_at(view.result, item, t)}
         corners = view.pixels(outline(trace.object_pose[k, number], item["half_extents"]))
         draw.polygon(corners, fill=object_colour(now, number), outline="#333333", width=max(1, line // 2))
-    decision = _decision_at(view.result, t)
+    past = [d for d in view.result["decisions"] if float(d["t"]) <= t + 1e-6]
+    decision = past[-1] if past else None
     if decision is not None and decision.get("goal") is not None:
         goal = np.asarray(decision["goal"], dtype=float)
         half = next((o["half_extents"] for o in view.result["objects"] if o["id"] == decision["object"]), (0.2, 0.2))
@@ -221,11 +222,6 @@ def _star(draw: Any, view: TopDown, point: np.ndarray) -> None:
 def _registered_at(result: dict[str, Any], item: dict[str, Any], t: float) -> bool:
     times = [d["t"] for d in result["decisions"] if d["object"] == item["id"] and not d["manipulable"]]
     return not times or t >= min(times)
-
-
-def _decision_at(result: dict[str, Any], t: float) -> dict[str, Any] | None:
-    past = [d for d in result["decisions"] if float(d["t"]) <= t + 1e-6]
-    return past[-1] if past else None
 
 
 def _font(size: int) -> ImageFont.FreeTypeFont:

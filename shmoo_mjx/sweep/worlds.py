@@ -9,6 +9,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -180,6 +181,7 @@ def setup(config: SweepConfig, worlds: Sequence[Drawn], nominal: Any, scene: Sce
     pose = column("noise.position", "noise.position", "noise.yaw")
     twist = column("noise.velocity", "noise.velocity", "noise.yaw_rate")
     gains = [n for n in PARAMETERS if n.startswith("gains.")]
+    indices = jnp.asarray([w.index for w in worlds], dtype=jnp.uint32)
     return WorldSetup(
         fields=fields,
         factors=_factors(column),
@@ -192,7 +194,7 @@ def setup(config: SweepConfig, worlds: Sequence[Drawn], nominal: Any, scene: Sce
         face=np.stack([w.face for w in worlds]).astype(np.float32),
         half_extents=np.array([w.condition.half_extents for w in worlds], dtype=np.float32),
         goal=np.stack([w.goal for w in worlds]).astype(np.float32),
-        key=_keys(config, [w.index for w in worlds]),
+        key=jax.vmap(partial(jax.random.fold_in, jax.random.key(config.seed)))(indices),
     )
 
 
@@ -218,11 +220,6 @@ def _single(each: list[Any]) -> Any:
         return found.astype(np.int32 if np.issubdtype(found.dtype, np.integer) else np.float32)
 
     return jax.tree.map(stack, *each)
-
-
-def _keys(config: SweepConfig, indices: list[int]) -> Array:
-    base = jax.random.key(config.seed)
-    return jax.vmap(lambda i: jax.random.fold_in(base, i))(jnp.asarray(indices, dtype=jnp.uint32))
 
 
 def _stacked(values: list[Any], like: Array) -> np.ndarray:

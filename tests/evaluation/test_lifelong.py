@@ -14,7 +14,8 @@ from toy import toy_scenario
 from shmoo_mjx import episode
 from shmoo_mjx.evaluation import lifelong, navigation
 from shmoo_mjx.evaluation.lifelong import GoalSequence, draw_sequence, measure
-from shmoo_mjx.evaluation.navigation import Robot, play
+from shmoo_mjx.evaluation.navigation import TestedRobot as Robot
+from shmoo_mjx.evaluation.navigation import play
 from shmoo_mjx.evaluation.page import render
 from shmoo_mjx.evaluation.result import ExperimentOptions
 from shmoo_mjx.evaluation.scenarios import Generated, ScenarioConfig, Truth

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shmoo_mjx.dynamics import feet
+from shmoo_mjx.dynamics import contact_model
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.report import html
 from shmoo_mjx.report.style import to_png
@@ -174,7 +174,7 @@ def test_what_was_learned_has_a_column_per_push(trace: Trace, result: dict[str, 
     drawn = [line for line in panels[2].lines if str(line.get_label()).startswith("along")]
     x = np.asarray(drawn[0].get_xdata(), dtype=float)
     assert len(drawn) == 2 and 12.0 < x[0] < 12.3 and 19.8 < x[-1] < 20.1
-    rubs = trace.learned[:, list(feet.PARAMETERS).index("log_friction_x")]
+    rubs = trace.learned[:, list(contact_model.PARAMETERS).index("log_friction_x")]
     np.testing.assert_allclose(np.asarray(drawn[0].get_ydata(), dtype=float)[0], np.exp(rubs[trace.t > 12.0][0]))
 
 
