@@ -1,4 +1,4 @@
-"""What a push costs: Eq. 9 of the paper, and some terms of ours that are off unless given a weight.
+"""Cost of a push: Eq. 9 of the paper, and additional terms that are off unless given a weight.
 
 Every term is a function of one batch of roll-outs (``SystemState`` with leading axes ``[S, T]``, states after each
 control) and returns ``[S]``. All terms are in metres once weighted, so MPPI's temperature reads in metres too.
@@ -45,42 +45,48 @@ HAND_MARGIN = 0.08
 
 @dataclass(frozen=True)
 class PushCost:
-    """Weights of the terms. The first three are those of Eq. 9; the rest are ours and 0 (off) by default."""
+    """Weights of the terms. The first three are those of Eq. 9; the rest are additional and 0 (off) by default."""
 
     yaw_weight: float = 1.0
-    """Metres that a yaw error of 1 rad counts for [m/rad]; 1 as printed, 0 leaves the yaw free."""
+    """Metres that a yaw error of 1 rad counts for [m/rad]; 1 as printed, 0 leaves the yaw free, more turns the object
+    at the expense of its position."""
     effort: float = 0.01
-    """lambda_1 [m/rad], per time step; not given in the paper."""
+    """lambda_1 [m/rad], per time step; not given in the paper. More leans less, and is slower."""
     change: float = 0.02
-    """lambda_2 [m/rad], per time step; not given in the paper."""
+    """lambda_2 [m/rad], per time step; not given in the paper. More makes commands smoother, and later."""
     running_weight: float = 0.0
     """Factor on the pose distance averaged over the roll-out [-]: rewards getting there early."""
     clearance_weight: float = 0.0
-    """Per metre-second that the robot or the object spends inside its margin [1/s]."""
+    """Cost per metre-second that robot, hands or object spend inside their margins [1/s]; more keeps off walls at the
+    expense of the goal."""
     object_margin: float = 0.10
-    """Clearance the object's outline keeps [m]."""
+    """Clearance the object's outline keeps [m]; more keeps farther off walls."""
     robot_margin: float = 0.30
     """Clearance the robot's centre keeps [m]: its radius and a reserve. Holds the elbows of extended arms as well."""
     clearance_stride: int = 1
-    """Every how many time steps the map is looked up; the last one always is."""
+    """Number of time steps between two look-ups in the map [1]; the last one always is looked up. More is faster and
+    sees less of narrow walls."""
     lateral_weight: float = 0.0
-    """Per metre of the hands' midpoint beside the face's centre, averaged over the roll-out [-]."""
+    """Cost per metre of the hands' midpoint beside the face's centre, averaged over the roll-out [-]; more pushes
+    nearer to the middle and turns the object less."""
     heading_weight: float = 0.0
-    """Per rad between the robot's heading and the face's inward normal, averaged over the roll-out [m/rad]."""
+    """Cost per rad between the robot's heading and the face's inward normal, averaged over the roll-out [m/rad]; more
+    keeps the hands square to the face."""
     aim_weight: float = 0.0
-    """Per metre by which a push along the face's normal would miss the goal, averaged over the roll-out [-]: turning an
-    object towards its goal pays only after the horizon's end. Where the yaw counts, see ``aim_error``."""
+    """Cost per metre by which a push along the face's normal would miss the goal, averaged over the roll-out [-]:
+    turning an object towards its goal pays only after the horizon's end. Where the yaw counts, see ``aim_error``."""
     speed_weight: float = 0.0
-    """Per m/s of the object at the end [s]: pushing can't brake what rolls."""
+    """Cost per m/s of the object at the end [s]; more arrives slower: pushing can't brake what rolls."""
     overspeed_weight: float = 0.0
-    """Per m/s of the robot above ``speed_limit``, averaged over the roll-out [s]."""
+    """Cost per m/s of the robot above ``speed_limit``, averaged over the roll-out [s]; more keeps to the limit."""
     speed_limit: float = 0.4
-    """Speed of the robot that is free of charge [m/s]."""
+    """Speed of the robot that is free of charge [m/s]; more is faster, and loses what rolls."""
     terminal_speed: float = 0.0
     """Speed of the robot that is free of charge at the goal [m/s]; pushing can't brake, so that what rolls has to
     arrive slowly."""
     slow_down: float = 0.0
-    """By how much more per metre from the goal, up to ``speed_limit`` [1/s]; 0 leaves the limit the same everywhere."""
+    """Increase of the free speed per metre from the goal, up to ``speed_limit`` [1/s]; more slows down later, 0 leaves
+    the limit the same everywhere."""
 
 
 class Clearance(Protocol):
@@ -187,7 +193,7 @@ def clearance_penalty(cfg: PushCost, traj: SystemState, field: Clearance, half_e
 
 
 def face_misalignment(traj: SystemState, reach: float = REACH) -> tuple[Array, Array]:
-    """How far the hands are from pushing the face squarely, means over the roll-out.
+    """Lateral offset and heading error of the hands against the pushed face, means over the roll-out.
 
     Returns:
         ``[S]`` distance of the hands' midpoint from the face's centre line [m], and ``[S]`` angle between the robot's
@@ -204,7 +210,7 @@ def face_misalignment(traj: SystemState, reach: float = REACH) -> tuple[Array, A
 
 
 def aim_error(goal: Array, traj: SystemState, with_yaw: bool = False) -> Array:
-    """By how much a push straight on would miss the goal, mean over the roll-out ``[S]`` [m].
+    """Distance by which a push straight on would miss the goal, mean over the roll-out ``[S]`` [m].
 
     The distance of the goal from the line through the object's centre along the face's normal. ``with_yaw``, instead of
     the line, the arc that ends at the goal with the goal's yaw: at bearing b of the goal it starts in the direction
@@ -247,7 +253,7 @@ def push_cost(
     field: Clearance | None = None,
     half_extents: Array | None = None,
 ) -> Array:
-    """Cost of each roll-out ``[S]`` [m]: Eq. 9, plus the terms of ours that have a weight.
+    """Cost of each roll-out ``[S]`` [m]: Eq. 9, plus the additional terms that have a weight.
 
     Args:
         cfg: weights.

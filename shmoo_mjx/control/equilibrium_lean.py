@@ -38,7 +38,7 @@ _TOUCH_LIMIT = 1.6
 
 
 class LeanOffset(NamedTuple):
-    """The estimate for one robot."""
+    """State of the estimate for one robot."""
 
     lean: np.ndarray
     """``[2]`` lean at which the robot balances, in {R} [rad]."""
@@ -86,7 +86,7 @@ def _pushing(state: LeanOffset, obs: Observation, lean: float) -> LeanOffset:
 
 
 def arms_lean(hands: Array) -> np.ndarray:
-    """By how much the low-level control leans back for the arms ``[2]`` [rad]; the lean is commanded without it.
+    """Lean ``[2]`` [rad] by which the low-level control compensates the arms; the lean is commanded without it.
 
     Args:
         hands: ``[2, 3]`` as in an Observation.

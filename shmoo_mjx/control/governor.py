@@ -1,4 +1,4 @@
-"""A governor on the forward lean: what the felt force balances, plus what the speed allowed calls for.
+"""Governor on the forward lean: a velocity loop with force feed-forward that bounds what MPPI may command.
 
 An object that sticks makes a planner lean harder until it breaks away, and then the robot falls forward with it: what
 rolls can't be braked by pushing. The governor keeps the lean near that of the cascade's velocity loop (Sec. III), so
@@ -53,7 +53,7 @@ def forward_lean(
     """Lean ``[]`` [rad] that brings the robot to the speed ``limit`` against what it feels, and the next ``more``.
 
     At rest the whole felt force counts as resistance, at the speed allowed less than a third of it: by then most of it
-    may be what accelerates the object, and leaning into that would run away.
+    may be what accelerates the object, and leaning into that would diverge.
 
     Args:
         config: gains.

@@ -78,13 +78,14 @@ class PushConfig:
     )
     adapt: adaptation.AdaptConfig = field(default_factory=adaptation.AdaptConfig)
     moving: float = float("inf")
-    """Speed of the object from which a sample without contact teaches as well: how it coasts [m/s]."""
+    """Speed of the object from which a sample without contact is learned from, too: how it coasts [m/s]; more learns
+    from fewer."""
     adapts: bool = True
     """False leaves what is known of the object as it is, for comparison."""
     governor: GovernorConfig = GovernorConfig()
-    """What the forward lean may be."""
+    """Bounds on the forward lean."""
     governor_room: float = 1.0
-    """By how much the plan may stay below that lean [rad]; 1 is no bound."""
+    """Largest distance of the plan below the governor's lean [rad]; more leaves more to the plan, 1 is no bound."""
     foresees_governor: bool = False
     """Roll-outs lean within the governor's present bounds too. Otherwise they foresee firmer pushes than there will be,
     and believe that steering turns what hardly resists."""
@@ -129,7 +130,7 @@ _STILL = ObjectObservation(_ZERO, _ZERO, _FLAT, _FLAT, np.array([0.9, 0.0, 0.0])
 
 
 class ControllerState(NamedTuple):
-    """Memory of one push."""
+    """State of one push."""
 
     adapt: adaptation.AdaptState
     plan: mppi.MppiState
@@ -475,7 +476,7 @@ def _planning_rollouts(
 def coast(
     config: PushConfig, core_config: Any, params: core.Params, adapt: adaptation.AdaptState, state: SystemState
 ) -> Array:
-    """Pose ``[3]`` in {W} some samples on without a force. What nothing pushes slows down, and never turns back."""
+    """Pose ``[3]`` in {W} at which the object comes to rest without a force; it slows down, and never turns back."""
     params = _with_coefficients(params, adapt)
 
     def free(inputs: Array) -> Array:

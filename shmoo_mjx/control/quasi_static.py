@@ -1,4 +1,4 @@
-"""A quasi-static pusher, to compare with: geometry alone, no model of the object, nothing learned.
+"""Quasi-static pushing controller, for comparison: geometry alone, no model of the object, nothing learned.
 
 It takes the object to move as one with the two hands (a stable line contact, Lynch and Mason 1996) and to stand still
 as soon as the hands do. The hands are driven along the arc that ends at the goal with the goal's yaw, as fast as
@@ -41,7 +41,7 @@ LEAN_LIMIT = 0.12
 
 
 class QuasiStaticState(NamedTuple):
-    """Memory of one push: the face, and where the object is."""
+    """State of one push: the face, and where the object is."""
 
     face: np.ndarray
     pose: np.ndarray
@@ -51,7 +51,7 @@ class QuasiStaticState(NamedTuple):
 
 
 class QuasiStaticPusher:
-    """The pusher; ``cost`` gives the speed allowed."""
+    """Pushing controller by quasi-static geometry; ``cost`` gives the speed allowed."""
 
     def __init__(self, cost: PushCost) -> None:
         self.cost = cost
@@ -76,7 +76,7 @@ class QuasiStaticPusher:
         return u, state._replace(pose=obs.object_pose, more=more), None
 
     def coast(self, state: QuasiStaticState) -> np.ndarray:
-        """Quasi-static objects don't."""
+        """Pose at which the object comes to rest if it is let go now: where it is."""
         return state.pose
 
 

@@ -49,7 +49,7 @@ class CoreConfig:
 
 
 class Params(NamedTuple):
-    """Everything the transition depends on."""
+    """Parameters of the transition."""
 
     robot: RobotParams
     object: ObjectParams

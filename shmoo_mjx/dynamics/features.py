@@ -1,4 +1,4 @@
-"""What the networks see and say: one table of every input and output, and the functions that compute them.
+"""Inputs and outputs of the networks: one table of each, and the functions that compute them.
 
 All of it is told in {R} or {O}, so that moving and turning the whole scene leaves every number here as it was.
 """
@@ -123,7 +123,7 @@ OBJECT_OUTPUTS: tuple[Entry, ...] = (
 
 
 class Facing(NamedTuple):
-    """Robot and face as they stand, whatever the hands do; channels first."""
+    """Poses and relative motion of robot and face, whatever the hands do; channels first."""
 
     heading: SO2
     """From {R} to {W}."""
@@ -140,7 +140,8 @@ class Facing(NamedTuple):
 
 
 class Contact(NamedTuple):
-    """How the hands' targets for one steering angle meet the face; channels first, hands (left, right)."""
+    """Gaps and offsets of the hands' targets against the face, for one steering angle; channels first, hands (left,
+    right)."""
 
     gap: Array
     """``[2, ...]`` from the hand's surface to the face's line, along the inward normal [m]; negative = pressed in."""
@@ -185,7 +186,7 @@ def markdown_table(table: tuple[Entry, ...]) -> str:
 
 
 def facing(state: SystemState) -> Facing:
-    """Where the pushed face stands, for a state with channels first (`layout`) and any batch dimensions."""
+    """Pose and motion of the pushed face, for a state with channels first (`layout`) and any batch dimensions."""
     heading, yaw = once((SO2.from_angle(state.robot_pose[2]), SO2.from_angle(state.object_pose[2])))
     relative = yaw.compose(heading.inverse())
     lever = yaw.apply(state.face[:2])
@@ -204,7 +205,7 @@ def facing(state: SystemState) -> Facing:
 
 
 def contact(face: Facing, gamma: Array) -> Contact:
-    """How the hands, held at the targets for steering angle ``gamma [...]`` [rad], stand against the face."""
+    """Gaps and offsets of the hands, held at the targets for steering angle ``gamma [...]`` [rad], against the face."""
     n = face.normal
     (left_x, left_y), (right_x, right_y) = hand_components(gamma)
     x, y = once((jnp.stack([left_x, right_x]), jnp.stack([left_y, right_y])))
@@ -268,7 +269,7 @@ def object_inputs(
 
 
 def last_sample(inputs: Array) -> tuple[Array, Array]:
-    """What psi's inputs ``[13, ...]``, channels first, tell of the sample before: its twist and wrench, and what came.
+    """Inputs and acceleration of the previous sample, as far as psi's inputs ``[13, ...]``, channels first, hold them.
 
     Returns:
         Inputs ``[13, ...]`` of that sample, whose own past is not known and left zero; and the mean acceleration

@@ -73,7 +73,7 @@ class ObjectConfig:
 
 
 class ObjectParams(NamedTuple):
-    """Everything learned about objects in general."""
+    """Learned parameters of psi, the same for all objects."""
 
     net: mlp.MLP
     linear: Array
@@ -201,7 +201,7 @@ def coefficient_signs(config: ObjectConfig) -> np.ndarray:
 
 
 def reflections(config: ObjectConfig) -> tuple[np.ndarray, np.ndarray]:
-    """The mirror's matrices for what psi's network sees and for what it says."""
+    """Reflection matrices of the inputs and of the outputs of psi's network."""
     seen, axes = features.reflection(features.OBJECT_INPUTS), features.reflection(features.OBJECT_OUTPUTS)
     if not config.last_wrench:
         seen = seen[:-3, :-3]

@@ -46,7 +46,7 @@ class RobotConfig:
 
 
 class LeanResponse(NamedTuple):
-    """How the lean follows its command over one sample: a second-order lag in its exact, discrete form."""
+    """Response of the lean to its command over one sample: a second-order lag in its exact, discrete form."""
 
     matrix: Array
     """``[2, 2, 5]`` for x and y: from (lean [rad], its rate [rad/s], command [rad], force of the hands on the object
@@ -55,7 +55,7 @@ class LeanResponse(NamedTuple):
 
 
 class RobotParams(NamedTuple):
-    """Everything learned about the robot."""
+    """Learned parameters of R and of the lean response."""
 
     net: MLP
     """Without a preferred side (`equivariant`)."""

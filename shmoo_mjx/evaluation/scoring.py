@@ -12,7 +12,7 @@ rest.
   every fifth of the later rows that has the whole stretch before it in the same episode and half of it in contact;
   root of the mean squared error at the end.
 
-A prediction or roll-out that runs away to no number counts as infinitely wrong; left out, it would flatter its method.
+A prediction or roll-out that diverges counts as infinitely wrong; left out, it would flatter its method.
 """
 
 from __future__ import annotations

@@ -119,7 +119,7 @@ class ObjectFit(NamedTuple):
 
 
 class Model(NamedTuple):
-    """What is learned; the prior is in the unit of normalised labels."""
+    """Learned parameters of psi and of the prior, the latter in the unit of normalised labels."""
 
     params: ObjectParams
     mean: Array
@@ -238,7 +238,7 @@ def _compiled(config: DaimlConfig) -> tuple[Any, Any, Any]:
 
 
 def validation_scores(config: DaimlConfig, samples: Samples, fitted: ObjectFit) -> tuple[Array, Array]:
-    """How well psi does on conditions it has not seen: a* from the first samples, scored on the later ones only.
+    """Scores of psi on conditions it has not seen: a* from the first samples, scored on the later ones only.
 
     Returns:
         Fraction of variance unexplained per condition ``[C]`` of one-step accelerations; and of the twist's change

@@ -82,7 +82,7 @@ class ContactPrior(NamedTuple):
 
 
 class ContactEstimate(NamedTuple):
-    """What has been felt of an object, and the parameters that each Gaussian of the prior leads to."""
+    """Samples of an object so far, and the parameters that each Gaussian of the prior leads to."""
 
     prior: ContactPrior
     scale: Array
@@ -100,7 +100,7 @@ class ContactEstimate(NamedTuple):
 
 
 def prior_state(config: OnlineConfig, prior: ContactPrior, scale: Array) -> ContactEstimate:
-    """Before anything is felt."""
+    """Estimate before the first sample."""
     prior = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), prior)
     w = config.window
     return ContactEstimate(
@@ -204,7 +204,7 @@ def from_stretches(
     samples: tuple[Array, Array, Array],
     lengths: tuple[int, ...],
 ) -> Array:
-    """What each condition looks like after so many samples of contact, from somewhere in its recording.
+    """Parameters of each condition identified on stretches of contact of given lengths, from anywhere in its recording.
 
     Args:
         config: settings.

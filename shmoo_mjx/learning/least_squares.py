@@ -121,7 +121,7 @@ def empirical_prior(
 
 
 WORST = 2.0
-"""Cap on what one validation condition leaves unexplained: one that runs away must not decide what is kept."""
+"""Cap on what one validation condition leaves unexplained: one that diverges must not decide what is kept."""
 
 
 def fraction_unexplained(predicted: Array, labels: Array, weights: Array, floor: float | Array = 1e-9) -> Array:

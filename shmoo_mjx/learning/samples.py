@@ -41,7 +41,7 @@ class Samples(NamedTuple):
 
 
 class Sampler(NamedTuple):
-    """Where batches may start."""
+    """Indices at which batches may start."""
 
     samples: Array
     """``[C, M]`` samples that a* may be fitted on."""
@@ -52,7 +52,7 @@ class Sampler(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """What one update looks at, for each of its conditions."""
+    """Samples of one update, for each of its conditions."""
 
     condition: Array
     """``[c]`` index among the training conditions."""

@@ -1,4 +1,4 @@
-"""What ``shmoo train`` does: train one part of the model and put it into a weights file."""
+"""Training of one part of the model into a weights file, as ``shmoo train`` runs it."""
 
 from __future__ import annotations
 

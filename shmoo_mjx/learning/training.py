@@ -23,7 +23,7 @@ CHECKPOINT = "training.safetensors"
 
 
 class Progress(NamedTuple):
-    """What a progress callback is told after each epoch."""
+    """Argument of progress callbacks after each epoch."""
 
     epoch: int
     """Chunks done so far."""
@@ -37,7 +37,7 @@ class Progress(NamedTuple):
 
 
 class Fitted(NamedTuple):
-    """The end of a training."""
+    """Result of a training."""
 
     best: Tree
     """What `extract` gave at the epoch with the best validation score."""

@@ -70,7 +70,7 @@ def untrained(config: CoreConfig | None = None, seed: int = 0) -> Weights:
 
 
 def prior_state(weights: Weights, config: OnlineConfig | None = None) -> AdaptState:
-    """What is known of an object before it is touched, to be adapted."""
+    """Initial state of the adaptation: the prior, before an object is touched."""
     contact = None
     if weights.config.object.contact_model:
         scale = weights.params.object.label_scale
@@ -79,7 +79,7 @@ def prior_state(weights: Weights, config: OnlineConfig | None = None) -> AdaptSt
 
 
 def posterior_from_recording(weights: Weights, inputs: Array, labels: Array, sample_weights: Array) -> AdaptState:
-    """What a recording tells of its object, all samples at once: a* of Eq. 5, given the prior, and the contact
+    """Estimate from a whole recording of an object, all samples at once: a* of Eq. 5, given the prior, and the contact
     parameters.
 
     Args:

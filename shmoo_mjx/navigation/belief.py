@@ -1,4 +1,4 @@
-"""What the robot knows of the world: the map, and where each detected object stands and what became of it."""
+"""Belief of the robot: the map, and pose and status of each detected object."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _LOST = 0.5
 
 
 class Status(StrEnum):
-    """What became of an object so far."""
+    """Status of an object."""
 
     UNKNOWN = "unknown"
     """Seen, never touched: taken to be movable."""
@@ -131,7 +131,7 @@ class Belief:
 
 
 def belief_of(grid: OccupancyGrid) -> Belief:
-    """The map, and nothing known of what stands in it."""
+    """Belief with the map and no objects."""
     return Belief(grid, clearance_field(grid))
 
 

@@ -1,4 +1,4 @@
-"""Choices on the way to the goal: which path, and whether to go round an object in it or to push it, and where from.
+"""Decisions on the way to the goal: which path, and whether to bypass an object in it or to push it, and from where.
 
 Each takes a state and an observation and gives the state in which the choice has been made.
 """
@@ -45,7 +45,7 @@ def replan(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorSt
         return None
     if state.segment is not None:
         index = state.segment.object
-        state = replace(state.of_object(index, registered=state.belief.objects[index].pose), segment=None)
+        state = replace(state.with_object(index, registered=state.belief.objects[index].pose), segment=None)
     state = _take_up_again(setup, state, obs)
     path = _to_goal(setup, state, obs)
     if path is None:
@@ -59,7 +59,7 @@ def replan(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorSt
         why = "every route to the goal is blocked by walls and objects that can't be moved"
         return state.go(now, Mode.FAILED, why)
     if state.waits_from is None:
-        state = state.said(Note(now, "every route to the goal is blocked; waits a little and looks again"))
+        state = state.with_events(Note(now, "every route to the goal is blocked; waits a little and looks again"))
     return replace(state, waits_from=begun, since=now)
 
 
@@ -68,7 +68,7 @@ def _to_goal(setup: Setup, state: NavigatorState, obs: Observation) -> Path | No
 
 
 def _on_path(state: NavigatorState, now: float, path: Path) -> NavigatorState:
-    return replace(state, path=path, drive=drive.init()).said(Planned(now, path.points))
+    return replace(state, path=path, drive=drive.init()).with_events(Planned(now, path.points))
 
 
 def _take_up_again(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState:
@@ -86,7 +86,7 @@ def _take_up_again(setup: Setup, state: NavigatorState, obs: Observation) -> Nav
         known = state.belief.objects[index]
         worth = longer >= cfg.detour + _FAILED_FACE * len(known.failed_faces) and known.pushes < cfg.max_pushes
         if worth and path_blocked_by(through, known.polygon, ROBOT_RADIUS)[0]:
-            state = state.of_object(index, status=Status.UNKNOWN)
+            state = state.with_object(index, status=Status.UNKNOWN)
     return state
 
 
@@ -104,11 +104,11 @@ def _second_chance(setup: Setup, state: NavigatorState, obs: Observation) -> tup
     for index in rested:
         if through is not None and path_blocked_by(through, objects[index].polygon, ROBOT_RADIUS)[0]:
             pushes = min(objects[index].pushes, cfg.max_pushes - 1)
-            state = state.of_object(
+            state = state.with_object(
                 index, status=Status.UNKNOWN, retried=True, adapt=None, pushes=pushes, failed_faces=frozenset()
             )
             text = f"every route is blocked: object {index}, registered as an obstacle, is tried once more"
-            return state.said(Note(now, text)), True
+            return state.with_events(Note(now, text)), True
     return state, False
 
 
@@ -124,7 +124,7 @@ def first_block(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[
 
 
 def look_ahead(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState | None:
-    """What to do about an object in the way: go round it, push it, or plan anew; None if the way is free."""
+    """Decision on an object that blocks the path: bypass it, push it, or replan; None if the path is free."""
     blocked = first_block(setup, state, obs)
     if blocked is None or state.path is None:
         return None
@@ -156,7 +156,7 @@ def _start_push(
         text = f"object {index} has been pushed {known.pushes} times without clearing the path"
         return _give_up(setup, state, obs, index, text)
     faces, position, everything = faces_of(known.half_extents), obs.robot_pose[0, :2], state.belief.clearance()
-    ways = {i: routes.way_to(position, index, face, everything) for i, face in enumerate(faces)}
+    ways = {i: routes.path_to_face(position, index, face, everything) for i, face in enumerate(faces)}
     usable = {i: way for i, way in ways.items() if way is not None and way[0].length < longest}
     if not usable:
         return _give_up(setup, state, obs, index, f"no face of object {index} can be reached on a way worth taking")
@@ -174,7 +174,7 @@ def _start_push(
         index, side, faces[side], first.goal, way, approach.init(now, gap), local_distance_field(around, known.pose)
     )
     state = replace(state, segment=segment, drive=drive.init())
-    state = state.of_object(index, pushes=known.pushes + 1, registered=known.pose)
+    state = state.with_object(index, pushes=known.pushes + 1, registered=known.pose)
     return state.go(now, Mode.APPROACH, f"{why}; first goal: {first.reason}")
 
 
@@ -196,5 +196,5 @@ def _give_up(setup: Setup, state: NavigatorState, obs: Observation, index: int, 
     now = float(obs.time[0])
     if not setup.config.goes_round:
         return state.go(now, Mode.FAILED, f"{why}, and going round is not allowed")
-    state = state.of_object(index, status=Status.FIXED, registered=state.belief.objects[index].pose, fixed_at=now)
+    state = state.with_object(index, status=Status.FIXED, registered=state.belief.objects[index].pose, fixed_at=now)
     return state.go(now, Mode.REPLAN, f"{why}; registered as an obstacle")

@@ -1,4 +1,4 @@
-"""The distance to what must not be touched, as a field over the map that is looked up between cell centres."""
+"""Clearance field: distance to the nearest obstacle over the map, looked up between cell centres."""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ class DriveState(NamedTuple):
 
 
 def init() -> DriveState:
-    """Nothing planned yet."""
+    """State without a trajectory."""
     return DriveState(None, -np.inf, None, "")
 
 

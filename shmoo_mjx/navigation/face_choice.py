@@ -1,4 +1,4 @@
-"""Which face to push, and where to first: arcs that bring an object to a pose, looked ahead over two pushes.
+"""Choice of the face to push and of an intermediate goal: arcs that bring an object to a pose, over two pushes.
 
 A push moves an object along the inward normal of its face, and steering bends that way into an arc. No dynamics is
 needed for the choice: what coasts or drags is the controller's business, and the choice is made anew after each push.

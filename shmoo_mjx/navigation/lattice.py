@@ -1,4 +1,4 @@
-"""A sparse graph over a map on which ways are sought: one point in each block of cells, straight lines between them.
+"""Sparse lattice for path search: one point in each block of cells of the map, straight lines between them.
 
 A map of 0.05 m cells has sixteen times as many cells as blocks of 0.2 m. Each point is the cell of its block that is
 cheapest to stand on, so that narrow passages keep their points; lines cost what they cost on the clearance field, and

@@ -1,4 +1,4 @@
-"""What straight lines through a clearance field cost, and how near they come to walls: many lines at once."""
+"""Cost and lowest clearance of straight lines through a clearance field, many lines at once."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ __all__ = ["PathConfig", "line_costs", "metre_cost"]
 
 @dataclass(frozen=True)
 class PathConfig:
-    """How much a path keeps away from walls."""
+    """Cost of driving near walls."""
 
     soft_clearance: float = 0.30
     """Distance up to which walls are felt beyond the robot's radius [m]; more leads round them in a wider bend."""
     soft_weight: float = 3.0
-    """Cost of a metre that touches the inflated walls, less 1 (a metre in the open costs 1); more prefers a longer way
-    in the open, 0 takes the shortest."""
+    """Cost of a metre that touches the inflated walls, less 1 [1] (a metre in the open costs 1); more prefers a longer
+    way in the open, 0 takes the shortest."""
 
 
 def metre_cost(distance: np.ndarray, radius: float, cfg: PathConfig) -> np.ndarray:
@@ -32,7 +32,7 @@ def metre_cost(distance: np.ndarray, radius: float, cfg: PathConfig) -> np.ndarr
 def line_costs(
     starts: np.ndarray, ends: np.ndarray, field: ClearanceField, radius: float, cfg: PathConfig
 ) -> tuple[np.ndarray, np.ndarray]:
-    """How near straight lines come to anything, and what they cost; sampled at least once in a cell's length.
+    """Lowest clearance and cost of straight lines; sampled at least once in a cell's length.
 
     Args:
         starts: ``[M, 2]`` (row, column) with fractions, as of ``ClearanceField.to_cells``; what lies off the map counts

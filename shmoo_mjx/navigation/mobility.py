@@ -1,4 +1,4 @@
-"""How probable it is that an object can be moved, told by what the hands have spent on it and how far it has come.
+"""Probability that an object can be moved, from the impulse of the hands on it and its displacement.
 
 A logistic regression on two numbers of the push so far. Neither the learned model nor K is asked: they tell the two
 classes apart less well, above all in the first second (docs/results.md).
@@ -21,7 +21,8 @@ _LEAST_MOVED = 0.02
 
 
 def features(moved: float, impulse: float) -> tuple[float, float]:
-    """What the regression sees of a push that has moved its object by ``moved`` [m] for ``impulse`` [N s]."""
+    """Features of the logistic regression for a push that has moved its object by ``moved`` [m] for ``impulse`` [N
+    s]."""
     return math.log(moved + _LEAST_MOVED), math.log(impulse + 1.0)
 
 

@@ -84,14 +84,14 @@ def setup_of(
     config: NavigatorConfig | None = None,
     first_status: Sequence[Status] | None = None,
 ) -> Setup:
-    """What a navigator is made of; see the fields of :class:`~shmoo_mjx.navigation.records.Setup`."""
+    """Constant parts of a navigator; see the fields of :class:`~shmoo_mjx.navigation.records.Setup`."""
     config = config or NavigatorConfig()
     planner = flat_trajectory.init(FlatModel(*ROBOT.flatness), config.trajectory)
     return Setup(sizes, controller, config, planner, first_status)
 
 
 def init(grid: OccupancyGrid, goal: Array, seed: int = 0) -> NavigatorState:
-    """At the start, with nothing known but the map."""
+    """State at the start, with nothing known but the map."""
     return NavigatorState(np.asarray(goal, dtype=float)[:2], belief_of(grid), jax.random.key(seed))
 
 
@@ -112,7 +112,7 @@ def _perceive(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[Na
     pushed = None if state.segment is None else state.segment.object
     belief, notes = state.belief.update(obs, setup.sizes, pushed, setup.first_status)
     state = replace(state, last_obs=obs, belief=belief, lean_offset=equilibrium_lean.step(state.lean_offset, obs))
-    return state.said(*(Note(now, text) for text in notes)), equilibrium_lean.corrected(state.lean_offset, obs)
+    return state.with_events(*(Note(now, text) for text in notes)), equilibrium_lean.corrected(state.lean_offset, obs)
 
 
 def _settled(state: NavigatorState, now: float) -> NavigatorState:
@@ -225,14 +225,14 @@ def _approach(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[Na
     object_obs, pose = ObjectObservation.of(obs, segment.object), obs.robot_pose[0]
     room = float(outline.room(state.belief.walls.at, pose, (TUCKED_REACH, REACH)).least) > _ARM_ROOM
     reached, move = approach.step(segment.approach, now, object_obs, segment.face, lean, yaw, remaining, room)
-    state = state.in_segment(approach=reached)
+    state = state.with_segment(approach=reached)
     if move.over:
-        state = replace(state.in_segment(contact=contact.init(object_obs)), drive=drive.init())
+        state = replace(state.with_segment(contact=contact.init(object_obs)), drive=drive.init())
         state = state.go(now, Mode.CONTACT, "at the stand-off pose, arms extended")
     elif move.failed:
         state = state.go(now, Mode.REPLAN, "the stand-off pose was not reached in time")
     elif state.known().displaced:
-        state = state.of_object(segment.object, pushes=state.known().pushes - 1)
+        state = state.with_object(segment.object, pushes=state.known().pushes - 1)
         state = state.go(now, Mode.REPLAN, f"object {segment.object} was moved while it was being approached")
     return state, move.command
 
@@ -245,7 +245,7 @@ def _contact(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[Nav
     if move.over:
         key, own = jax.random.split(state.key)
         begun = push.init(setup.controller, now, object_obs, segment.face, known.half_extents, own, known.adapt)
-        state = replace(state, key=key).in_segment(push=begun)
+        state = replace(state, key=key).with_segment(push=begun)
         state = state.go(now, Mode.PROBE, f"contact with object {segment.object}")
     elif move.failed:
         state = state.go(now, Mode.REPLAN, "drifted off the face while making contact")
@@ -264,9 +264,9 @@ def _push(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[Naviga
         setup.controller, segment.push, object_obs, segment.face, state.last_u, segment.goal, segment.around,
         known.half_extents, firm,
     )  # fmt: skip
-    state = state.in_segment(push=pushed)
+    state = state.with_segment(push=pushed)
     gave_way = known.gave_way or rolled(pushed, known.pose)
-    state = state.of_object(segment.object, adapt=pushed.pusher.adapt, gave_way=gave_way)
+    state = state.with_object(segment.object, adapt=pushed.pusher.adapt, gave_way=gave_way)
     state = judge(setup, state, obs)
     return _retreat(setup, state, obs) if state.mode is Mode.RETREAT else (state, command)
 
@@ -274,8 +274,8 @@ def _push(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[Naviga
 def _retreat(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Command]:
     segment, now, pose = state.current(), float(obs.time[0]), obs.robot_pose[0]
     if segment.back is None:
-        way = setup.routes(state).way_back(pose[:2], state.known().pose)
-        state = replace(state.in_segment(back=way), drive=drive.init())
+        way = setup.routes(state).retreat_path(pose[:2], state.known().pose)
+        state = replace(state.with_segment(back=way), drive=drive.init())
     lean = None
     if state.current().back is not None:
         state, lean = _drive(setup, state, obs, state.current().back)

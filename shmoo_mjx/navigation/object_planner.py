@@ -1,4 +1,4 @@
-"""Where an object that blocks the path should go, and whether it can be moved at all: Algorithm 1 (Sec. IV-B).
+"""Object planner, Algorithm 1 (Sec. IV-B): goal of an object that blocks the path, and whether it can be moved at all.
 
 Plain NumPy arrays in, a decision out; the collision check is the caller's function, so the map, the path and the
 object's footprint are his. The roll-outs of the planning stage are those of MPPI with T = 50, S = 500.
@@ -145,8 +145,8 @@ def planning_stage(
 ) -> ObjectDecision:
     """Algorithm 1, lines 7-16: can the object be moved, and if so, to which pose that the model says it can reach.
 
-    Non-finite roll-outs are left out. The goal buffer starts empty (Reading: with the first stage's goals still in it,
-    as printed, the closest goal would often be one that no roll-out reaches).
+    Non-finite roll-outs are left out. The goal buffer starts empty (a deviation from the paper: with the first stage's
+    goals still in it, as printed, the closest goal would often be one that no roll-out reaches).
 
     Args:
         end_poses: x^{o,T} of each roll-out ``[S, 3]`` in {W}.

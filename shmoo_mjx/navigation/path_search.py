@@ -1,4 +1,4 @@
-"""The search for a way through a clearance field: on a lattice where it is wide, cell by cell where it has to be.
+"""Path search through a clearance field: on a lattice where it is wide, cell by cell where it has to be.
 
 The ends of a way, where a robot may stand too near to something, are searched cell by cell in a small window, the part
 between them on the lattice. Where the lattice knows no way that surely keeps the radius, all cells are searched, so a

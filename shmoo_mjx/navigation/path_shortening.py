@@ -1,4 +1,4 @@
-"""Grid paths made straight: fewer points, no more cost, and never nearer to walls than allowed."""
+"""Shortening of grid paths: fewer points, no more cost, and never nearer to walls than allowed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A navigation policy of somebody else in the place of our navigator: the same observations, the same commands."""
+"""Interface for custom navigation policies: the same observations and commands as the navigator."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Array = Any
 
 
 class Policy(Protocol):
-    """What drives the robot."""
+    """A navigation policy."""
 
     finished: bool
     """Whether it has done what it could; a run counts as a success if the robot then stands at the goal."""

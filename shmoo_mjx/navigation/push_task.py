@@ -104,7 +104,7 @@ class PushTaskConfig:
 
 
 @dataclass(frozen=True, eq=False)
-class _Leg:
+class _PushSegment:
     """One push on one face."""
 
     side: int
@@ -164,7 +164,7 @@ class PushTask:
         self.since = 0.0
         self.events: list[Event] = []
         self.pushes = 0
-        self.leg: _Leg | None = None
+        self.segment: _PushSegment | None = None
         self.lean_offset = equilibrium_lean.init()
         self._setup = setup_of(sizes, pusher, self.config.moves)
         self._index = index
@@ -197,9 +197,9 @@ class PushTask:
     def know(self, adapt: AdaptState) -> None:
         """Take over coefficients from elsewhere, in the middle of a push too."""
         self._adapt = adapt
-        if self.leg is not None and self.leg.push is not None:
-            pushed = replace(self.leg.push, pusher=self.leg.push.pusher._replace(adapt=adapt))
-            self.leg = replace(self.leg, push=pushed)
+        if self.segment is not None and self.segment.push is not None:
+            pushed = replace(self.segment.push, pusher=self.segment.push.pusher._replace(adapt=adapt))
+            self.segment = replace(self.segment, push=pushed)
 
     def tick(self, obs: Observation) -> Command:
         """One decision."""
@@ -241,7 +241,7 @@ class PushTask:
             return
         routes, everything = Routes(self.belief, self.goal[:2], cfg.moves), self.belief.clearance()
         around, faces = self.belief.clearance(without=self._index), faces_of(known.half_extents)
-        ways = [routes.way_to(obs.robot_pose[0, :2], self._index, face, everything) for face in faces]
+        ways = [routes.path_to_face(obs.robot_pose[0, :2], self._index, face, everything) for face in faces]
         lengths = [w[0].length if w and i not in known.failed_faces else None for i, w in enumerate(ways)]
         choice = choose(known.pose, self.goal, faces, lengths, around, known.half_extents)
         if choice is None:
@@ -254,89 +254,100 @@ class PushTask:
         assert chosen is not None
         begun = approach.init(float(obs.time[0]), chosen[1])
         field = local_distance_field(around, known.pose)
-        self.leg = _Leg(choice.side, faces[choice.side], choice.goal, chosen[0], begun, field)
+        self.segment = _PushSegment(choice.side, faces[choice.side], choice.goal, chosen[0], begun, field)
         self.pushes, self._drive = self.pushes + 1, drive.init()
         final = "" if np.array_equal(choice.goal, self.goal) else " to a place on the way"
         self._go(obs, Phase.APPROACH, f"push {self.pushes} on face {choice.side}{final}; the object is {where}")
 
     def _approach(self, obs: Observation) -> Command:
-        leg, _ = self._current()
-        self._drive, lean = drive.follow(self._setup.trajectories, self._drive, obs, leg.way, self.belief.clearance)
-        remaining = leg.way.length - project(leg.way, obs.robot_pose[0, :2])
-        yaw, object_obs = drive.yaw_ahead(obs, leg.way), ObjectObservation.of(obs, self._index)
-        reached, move = approach.step(leg.approach, float(obs.time[0]), object_obs, leg.face, lean, yaw, remaining)
-        self.leg = replace(leg, approach=reached)
+        segment, _ = self._current()
+        self._drive, lean = drive.follow(self._setup.trajectories, self._drive, obs, segment.way, self.belief.clearance)
+        remaining = segment.way.length - project(segment.way, obs.robot_pose[0, :2])
+        yaw, object_obs = drive.yaw_ahead(obs, segment.way), ObjectObservation.of(obs, self._index)
+        reached, move = approach.step(
+            segment.approach, float(obs.time[0]), object_obs, segment.face, lean, yaw, remaining
+        )
+        self.segment = replace(segment, approach=reached)
         if move.over:
-            self.leg = replace(self.leg, contact=contact.init(object_obs))
+            self.segment = replace(self.segment, contact=contact.init(object_obs))
             self._go(obs, Phase.CONTACT, "at the stand-off pose, arms extended")
         elif move.failed:
             self._go(obs, Phase.CHOOSE, "the stand-off pose was not reached in time")
         return move.command
 
     def _contact(self, obs: Observation) -> Command:
-        leg, known = self._current()
-        assert leg.contact is not None
+        segment, known = self._current()
+        assert segment.contact is not None
         object_obs = ObjectObservation.of(obs, self._index)
-        _, move = contact.step(leg.contact, object_obs, leg.face)
+        _, move = contact.step(segment.contact, object_obs, segment.face)
         if move.over:
             self._key, key = jax.random.split(self._key)
             now, half = float(obs.time[0]), known.half_extents
-            self.leg = replace(leg, push=push.init(self._pusher, now, object_obs, leg.face, half, key, self._adapt))
+            self.segment = replace(
+                segment, push=push.init(self._pusher, now, object_obs, segment.face, half, key, self._adapt)
+            )
             self._go(obs, Phase.PUSH, "contact")
         elif move.failed:
             self._go(obs, Phase.CHOOSE, "drifted off the face while making contact")
         return move.command
 
     def _push(self, obs: Observation) -> Command:
-        leg, known = self._current()
-        assert leg.push is not None
+        segment, known = self._current()
+        assert segment.push is not None
         object_obs = ObjectObservation.of(obs, self._index)
         pushed, command = push.step(
-            self._pusher, leg.push, object_obs, leg.face, self._last_u, leg.goal, leg.around, known.half_extents
+            self._pusher,
+            segment.push,
+            object_obs,
+            segment.face,
+            self._last_u,
+            segment.goal,
+            segment.around,
+            known.half_extents,
         )
         self._adapt = pushed.pusher.adapt
         coasts, left, let_go = push.lets_go(
-            self._pusher.coast(pushed.pusher), leg.coasts, known.pose, leg.face, leg.goal
+            self._pusher.coast(pushed.pusher), segment.coasts, known.pose, segment.face, segment.goal
         )
-        self.leg = replace(leg, push=pushed, coasts=coasts)
+        self.segment = replace(segment, push=pushed, coasts=coasts)
         if not pushed.ok:
             self._go(obs, Phase.RETREAT, "no roll-out of the model is finite: safe stop")
         elif let_go:
             text = f"let go {left:.2f} m before the goal, to coast {np.median(coasts):.2f} m"
             self._go(obs, Phase.RETREAT, text)
         else:
-            self._end_of_push(obs, leg, pushed, known)
+            self._end_of_push(obs, segment, pushed, known)
         return self._retreat(obs) if self.phase is Phase.RETREAT else command
 
-    def _end_of_push(self, obs: Observation, leg: _Leg, pushed: push.PushState, known: KnownObject) -> None:
+    def _end_of_push(self, obs: Observation, segment: _PushSegment, pushed: push.PushState, known: KnownObject) -> None:
         """Give up a push that leads no further."""
         count = round(_STALL[1] / DT)
-        errors = residual(np.array([pushed.poses[0], pushed.poses[-count:][0], known.pose]), leg.goal, YAW_WEIGHT)
+        errors = residual(np.array([pushed.poses[0], pushed.poses[-count:][0], known.pose]), segment.goal, YAW_WEIGHT)
         if pushed.since_contact > _LOST_AFTER:
             self._go(obs, Phase.RETREAT, f"contact lost for {_LOST_AFTER:g} s")
         elif known.age > UNDETECTED_LIMIT:
             self._go(obs, Phase.RETREAT, f"the object has not been detected for {UNDETECTED_LIMIT:g} s")
         elif len(pushed.poses) >= count and errors[1] - errors[2] < _STALL[0]:
             if errors[0] - errors[2] < 0.1:
-                failed = known.failed_faces | {leg.side}
+                failed = known.failed_faces | {segment.side}
                 self.belief = self.belief.with_object(self._index, failed_faces=failed)
             self._go(obs, Phase.RETREAT, f"hardly nearer to its goal after {_STALL[1]:g} s")
         elif float(obs.time[0]) - pushed.started > _PUSH_LIMIT:
             self._go(obs, Phase.RETREAT, f"pushed for {_PUSH_LIMIT:g} s")
 
     def _retreat(self, obs: Observation) -> Command:
-        leg, _ = self._current()
+        segment, _ = self._current()
         now, object_obs = float(obs.time[0]), ObjectObservation.of(obs, self._index)
         folded = bool(np.all(obs.hands[0, :, 0] < TUCKED_REACH + 0.06))
-        move = retreat.step(object_obs, leg.face, folded)
+        move = retreat.step(object_obs, segment.face, folded)
         if move.over or now - self.since > _LONGEST_RETREAT:
-            self.leg = None
+            self.segment = None
             self._go(obs, Phase.CHOOSE, "backed away")
         return move.command
 
-    def _current(self) -> tuple[_Leg, KnownObject]:
-        assert self.leg is not None, f"{self.phase} needs a push"
-        return self.leg, self.belief.objects[self._index]
+    def _current(self) -> tuple[_PushSegment, KnownObject]:
+        assert self.segment is not None, f"{self.phase} needs a push"
+        return self.segment, self.belief.objects[self._index]
 
     def _go(self, obs: Observation, target: Phase, reason: str) -> None:
         self.since = float(obs.time[0])

@@ -1,4 +1,4 @@
-"""What the navigator is set to, its state, and the events it reports."""
+"""Settings, state and events of the navigator."""
 
 from __future__ import annotations
 
@@ -63,14 +63,15 @@ class NavigatorConfig:
     """Time that a planning stage or a global path takes to compute [s]; the robot goes on as it did meanwhile, and
     what it decides is the older for it."""
     latency: float = 0.0
-    """Time from what a command answers to its effect [s]; the robot's motion is foreseen for so long."""
+    """Time from what a command answers to its effect [s]; the robot's motion is foreseen for so long, the less exactly
+    the longer."""
     detour: float = 1.5
     """Extra length up to which a way round is taken rather than a push [m]; more makes for fewer pushes."""
     decides_by: Literal["mobility", "K"] = "mobility"
     """What tells whether an object can be moved: how far it has come for what the hands have spent on it, or K of its
     first planning stage, as in the paper."""
     sure: float = 0.95
-    """Probability from which a verdict by mobility falls before ``decide_after``; nearer to 1 it is later, and more
+    """Probability [1] from which a verdict by mobility falls before ``decide_after``; nearer to 1 it is later, and more
     often right."""
     decide_after: float = 3.0
     """Contact time after which a verdict falls whatever its probability [s]; later it is more often right."""
@@ -133,7 +134,7 @@ Event = Transition | Decision | Note | Planned
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """Dealing with one object, from the choice of a face to the retreat."""
+    """Everything about one push, from the choice of a face to the retreat."""
 
     object: int
     side: int
@@ -157,7 +158,7 @@ class Segment:
 
 @dataclass(frozen=True, eq=False)
 class NavigatorState:
-    """All that the navigator remembers; every step makes a new one."""
+    """Complete state of the navigator; every step makes a new one."""
 
     goal: np.ndarray
     """``[2]`` in {W} [m]."""
@@ -185,7 +186,7 @@ class NavigatorState:
         event = Transition(now, self.mode, target, reason)
         return replace(self, mode=target, since=now, events=(*self.events, event))
 
-    def said(self, *events: Event) -> NavigatorState:
+    def with_events(self, *events: Event) -> NavigatorState:
         """The state with more events."""
         return replace(self, events=(*self.events, *events))
 
@@ -198,11 +199,11 @@ class NavigatorState:
         assert self.segment is not None, f"{self.mode} needs an object"
         return self.segment
 
-    def in_segment(self, **changes: Any) -> NavigatorState:
+    def with_segment(self, **changes: Any) -> NavigatorState:
         """The state with these fields of the segment changed."""
         return replace(self, segment=replace(self.current(), **changes))
 
-    def of_object(self, index: int, **changes: Any) -> NavigatorState:
+    def with_object(self, index: int, **changes: Any) -> NavigatorState:
         """The state with these fields of object ``index`` changed."""
         return replace(self, belief=self.belief.with_object(index, **changes))
 
@@ -218,7 +219,7 @@ class Pending:
 
 
 class Setup(NamedTuple):
-    """What a navigator is made of and never changes."""
+    """Constant parts of a navigator."""
 
     sizes: Sequence[tuple[float, float]]
     """Half extents of each object [m]."""
@@ -230,5 +231,5 @@ class Setup(NamedTuple):
     """What each object is taken to be at first sight; UNKNOWN if not given."""
 
     def routes(self, state: NavigatorState) -> Routes:
-        """Ways through the world as it is known."""
+        """Path queries on the present belief."""
         return Routes(state.belief, state.goal, self.config)

@@ -1,4 +1,4 @@
-"""Ways through the world as it is known: to the goal, to an object's face, past an object that is moved."""
+"""Path queries on the belief: to the goal, to an object's face, past an object that is moved."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ _WIDER_GAPS = (0.2, 0.3, 0.4)
 
 @dataclass(frozen=True)
 class Routes:
-    """Questions about ways. All ``position [2]`` are the robot's, in {W} [m]."""
+    """Path queries. All ``position [2]`` are the robot's, in {W} [m]."""
 
     belief: Belief
     goal: np.ndarray
@@ -76,8 +76,8 @@ class Routes:
     ) -> Callable[[np.ndarray], np.ndarray]:
         """CollisionCheck(M, P, g): the footprint clear of walls, other objects and the path P, as if it were not there.
 
-        Where no pose leaves the path free, poses that leave room for another path, little longer, are taken (Reading:
-        the path P was planned before anybody knew where the object would go).
+        Where no pose leaves the path free, poses that leave room for another path, little longer, are taken (a
+        deviation from the paper: the path P was planned before anybody knew where the object would go).
         """
         half = np.array(known.half_extents)
         clearance = ROBOT_RADIUS + _PATH_MARGIN
@@ -99,7 +99,7 @@ class Routes:
 
         return check
 
-    def way_to(
+    def path_to_face(
         self, position: np.ndarray, index: int, face: np.ndarray, clearance: ClearanceField
     ) -> tuple[Path, float] | None:
         """Way to the nearest stand-off pose at ``face [4]`` of object ``index`` where the robot has room, and that
@@ -109,8 +109,8 @@ class Routes:
         gaps = (CONTACT_GAP, *_WIDER_GAPS)
         for reserve, gap in itertools.product(_REACHING_ROOM, gaps):
             wanted = stand_off(known.pose, face, gap)
-            creeping = np.stack([stand_off(known.pose, face, g) for g in np.linspace(gap, 0.0, 4)])
-            room = outline.room(others.at, creeping, (TUCKED_REACH, REACH)).least
+            forward = np.stack([stand_off(known.pose, face, g) for g in np.linspace(gap, 0.0, 4)])
+            room = outline.room(others.at, forward, (TUCKED_REACH, REACH)).least
             if float(clearance.at(wanted[:2])) >= ROBOT_RADIUS and float(np.min(room)) >= reserve:
                 path = self._path(position, wanted[:2], obstacles)
                 return None if path is None else (path, gap)
@@ -124,7 +124,7 @@ class Routes:
         radius = ROBOT_RADIUS
         return plan_path(self.belief.grid, start, end, obstacles, radius, field=self.belief.walls)
 
-    def way_back(self, position: np.ndarray, object_pose: np.ndarray) -> Path | None:
+    def retreat_path(self, position: np.ndarray, object_pose: np.ndarray) -> Path | None:
         """A short straight way to where the robot has room to turn and to fold its arms, away from an object that it
         touches; None if there is none near by."""
         away = np.arctan2(*(position - object_pose[:2])[::-1])

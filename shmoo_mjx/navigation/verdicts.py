@@ -1,4 +1,4 @@
-"""Judging a push while it goes on: is it over, lost or stuck, and can the object be moved at all (Algorithm 1)."""
+"""Decisions during a push: is it over, lost or stuck, and can the object be moved at all (Algorithm 1)."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def rolled(push: PushState, pose: np.ndarray) -> bool:
 
 
 def judge(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState:
-    """Leave a push that is over, hopeless or lost; what takes no planning to see."""
+    """End a push that is over, stuck or lost, as far as that takes no planning to see."""
     segment, known, now = state.current(), state.known(), float(obs.time[0])
     push, index, pushing = segment.push, segment.object, state.mode is Mode.PUSH
     assert push is not None
@@ -61,7 +61,7 @@ def judge(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorSta
     if known.age > UNDETECTED_LIMIT:
         return leave(f"object {index} has not been detected for {UNDETECTED_LIMIT:g} s")
     if pushing and float(np.linalg.norm(known.pose[:2] - segment.goal[:2])) < _AT_GOAL:
-        state = state.of_object(index, status=Status.PARKED)
+        state = state.with_object(index, status=Status.PARKED)
         return leave(f"object {index} is at its goal")
     if pushing and _left(segment.goal, known.pose, segment.face) < _PASSED:
         return leave(f"object {index} has gone past its goal, and can't be pulled")
@@ -89,7 +89,7 @@ def review(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorSt
     looks = state.mode is Mode.PUSH and round(now / DT) % _CLEAR_EVERY == 0
     if looks and setup.routes(state).path_clear(obs.robot_pose[0, :2], state.known()):
         index = state.current().object
-        state = state.of_object(index, status=Status.PARKED)
+        state = state.with_object(index, status=Status.PARKED)
         return state.go(now, Mode.RETREAT, f"object {index} no longer blocks the path")
     if not _due(setup, state, push):
         return None
@@ -116,14 +116,14 @@ def _probability(push: PushState, pose: np.ndarray) -> float:
 def _planning_stage(setup: Setup, state: NavigatorState, obs: Observation, push: PushState) -> NavigatorState:
     """The planning stage of Algorithm 1 on the roll-outs of the adapted model."""
     now, segment, known = float(obs.time[0]), state.current(), state.known()
-    state = state.in_segment(reviewed=push.contact_time)
+    state = state.with_segment(reviewed=push.contact_time)
     asked = _asked(setup, state)
     half = np.array(known.half_extents)
     poses, _, costs = setup.controller.planning_rollouts(push.pusher, asked, segment.around, half)
     routes, position = setup.routes(state), obs.robot_pose[0, :2]
     path = routes.free_path(position, known)
     if path is not None and state.mode is Mode.PROBE:
-        state = state.said(Planned(now, path.points))
+        state = state.with_events(Planned(now, path.points))
     free = routes.collision_free(position, known, state.belief.clearance(without=segment.object), path)
 
     def reachable(ends: np.ndarray) -> np.ndarray:
@@ -139,7 +139,7 @@ def _planning_stage(setup: Setup, state: NavigatorState, obs: Observation, push:
         way = f"it has moved {push.moved(known.pose):.2f} m for {push.impulse:.0f} N s: P = {p:.2f}"
         result = result._replace(reason=f"{way}; {result.reason}")
     best = poses[np.argsort(costs)[:_SHOWN]][:, :, :2]
-    state = state.said(
+    state = state.with_events(
         Decision(
             now, segment.object, result.K, result.G, result.manipulable, result.goal, result.reason, best,
             result.candidates, asked, p,
@@ -169,11 +169,11 @@ def _begins_anew(segment: Segment, now: float) -> bool:
 
 def _verdict(setup: Setup, state: NavigatorState, now: float, result: ObjectDecision) -> NavigatorState:
     index = state.current().object
-    state = state.of_object(index, manipulable=result.manipulable)
+    state = state.with_object(index, manipulable=result.manipulable)
     if not result.manipulable:
         return _stuck(setup, state, now, f"object {index} is not manipulable: {result.reason}")
     if result.goal is not None and state.current().straight_from is None:
-        state = state.in_segment(goal=result.goal)
+        state = state.with_segment(goal=result.goal)
     if state.mode is Mode.PROBE:
         state = state.go(now, Mode.PUSH, f"object {index} is manipulable: {result.reason}")
     return state
@@ -188,17 +188,19 @@ def _stuck(setup: Setup, state: NavigatorState, now: float, why: str) -> Navigat
     segment, known = state.current(), state.known()
     assert segment.push is not None
     if state.mode is Mode.PUSH and segment.straight_from is None:
-        state = state.in_segment(goal=_straight_ahead(setup, segment, known.pose), straight_from=now)
-        return state.said(Note(now, f"{why}; pushes it straight ahead"))
+        state = state.with_segment(goal=_straight_ahead(setup, segment, known.pose), straight_from=now)
+        return state.with_events(Note(now, f"{why}; pushes it straight ahead"))
     moved = segment.push.moved(known.pose)
     if moved >= _MOVED:
-        state = state.of_object(segment.object, status=Status.PARKED)
+        state = state.with_object(segment.object, status=Status.PARKED)
         return state.go(now, Mode.RETREAT, f"{why}; but it has been moved {moved:.2f} m, and is left where it is")
     if not setup.config.goes_round:
         return state.go(now, Mode.RETREAT, f"{why}; tried again, since going round is not allowed")
-    state = state.of_object(segment.object, failed_faces=known.failed_faces | {segment.side})
+    state = state.with_object(segment.object, failed_faces=known.failed_faces | {segment.side})
     if known.gave_way:
-        state = state.of_object(segment.object, status=Status.PARKED)
+        state = state.with_object(segment.object, status=Status.PARKED)
         return state.go(now, Mode.RETREAT, f"{why}; but it has given way before, and is left where it is")
-    state = state.of_object(segment.object, status=Status.FIXED, manipulable=False, registered=known.pose, fixed_at=now)
+    state = state.with_object(
+        segment.object, status=Status.FIXED, manipulable=False, registered=known.pose, fixed_at=now
+    )
     return state.go(now, Mode.RETREAT, f"{why}; registered as an obstacle")

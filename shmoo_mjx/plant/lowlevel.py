@@ -58,7 +58,7 @@ class Gains:
 
 
 class LowLevelState(NamedTuple):
-    """Memory of the low-level control."""
+    """State of the low-level control."""
 
     lean_ref: Array
     """``[..., 2]`` filtered lean command [rad]."""

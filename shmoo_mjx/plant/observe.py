@@ -1,4 +1,4 @@
-"""What both engines report, from generalised coordinates and contact sensors."""
+"""Observations of both engines, from generalised coordinates and contact sensors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The body of a robot that is not the one the control and the models know: it stands for the hardware.
+"""Perturbed robot body: one that the control and the models do not know, which stands for the hardware.
 
 Mass, CoM, drive friction, motor gains and motor lag differ, and commands arrive late. How such a robot perceives is
 `shmoo_mjx.sensing`'s matter. Training never sees any of it.
@@ -81,7 +81,7 @@ def draw_body(perturbation: Perturbation, seed: int) -> PerturbedBody:
 
 
 def adjustment(body: PerturbedBody) -> Callable[[mujoco.MjSpec], None]:
-    """What :func:`~shmoo_mjx.plant.scene.build_scene` takes as ``adjust`` to build this robot."""
+    """Argument ``adjust`` of :func:`~shmoo_mjx.plant.scene.build_scene` that builds this robot."""
 
     def adjust(spec: mujoco.MjSpec) -> None:
         torso, ball = spec.body("robot/torso"), spec.joint("robot/ball")

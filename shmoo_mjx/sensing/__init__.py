@@ -1,4 +1,4 @@
-"""What the robot perceives of the world: camera, odometry, touch and tracker between the plant and everything else."""
+"""Simulated sensing: camera, odometry, touch and tracker between the plant and everything else."""
 
 from __future__ import annotations
 

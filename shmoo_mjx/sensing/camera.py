@@ -1,4 +1,4 @@
-"""The camera on the torso's top, which finds the tags on objects: what it sees, and how exactly.
+"""Simulated camera on the torso: which tags on objects it detects, and with which noise.
 
 An object carries a tag at each corner of its top. A tag lies flat enough to be read from all sides, and the camera
 looks down on every object of ours, so that an object hides other objects' tags and never its own. Walls hide whatever
@@ -35,7 +35,8 @@ class Camera:
     field_of_view: float = float(np.deg2rad(69.0))
     """Width of the field of view [rad]: the D435's colour image. Wider: sees more beside the robot."""
     near: float = 0.3
-    """Nearest distance on the floor at which a tag is found [m]: the D435's least depth. Larger: blind when pushing."""
+    """Nearest distance on the floor at which a tag is found [m]: the D435's least depth. Larger: no detection while
+    pushing."""
     far: float = 4.0
     """Farthest one [m]: a tag of 10 cm is then some 16 pixels wide. Larger: objects are known earlier."""
     rate: float = 30.0
@@ -80,7 +81,7 @@ class Camera:
 
 
 class Scenery(NamedTuple):
-    """What lines of sight depend on beside poses. W worlds, N objects, K walls."""
+    """Sizes and walls that lines of sight depend on. W worlds, N objects, K walls."""
 
     eye: Array
     """``[W, 3]`` the camera in {R}: x, y, and height above the floor [m]."""

@@ -36,7 +36,7 @@ _WATCHDOG = 0.3
 
 
 class PerfectState(NamedTuple):
-    """What perfect senses remember: where each object was last in sight."""
+    """State of perfect senses: where each object was last in sight."""
 
     pose: np.ndarray
     """``[W, N, 3]``, NaN before."""
@@ -147,8 +147,8 @@ class SensedEngine:
             sensor_state = self._look(sensor_state, true, ticks)
         else:
             sensor_state = sensing.first_state(*given, poses_known=self.poses_known, now=ticks)
-        untouched = np.zeros_like(np.asarray(truth.wall_parts))
-        return SensedWorld(truth, _numpy(held), (), sensor_state, np.zeros_like(true.object_pose), untouched, ticks)
+        no_contact = np.zeros_like(np.asarray(truth.wall_parts))
+        return SensedWorld(truth, _numpy(held), (), sensor_state, np.zeros_like(true.object_pose), no_contact, ticks)
 
     def restarted(self, world: SensedWorld, truth: Any, which: np.ndarray) -> SensedWorld:
         """The worlds ``which [W]`` begin anew, at rest as ``truth`` says of them; the others go on."""

@@ -1,4 +1,4 @@
-"""Keeps numbers that are none away from whoever computes commands."""
+"""Replacement of values that are not finite in observations."""
 
 from __future__ import annotations
 

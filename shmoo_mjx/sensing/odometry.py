@@ -1,4 +1,4 @@
-"""Where the robot believes it is: odometry that drifts, and a localiser that corrects it by the map.
+"""Estimate of the robot's own pose: odometry that drifts, and a localiser that corrects it by the map.
 
 Frames as in ROS REP 105. {D} is the odometry frame: the robot's pose in it is continuous, without jumps, and drifts.
 The localiser keeps the pose of {D} in {W}; it changes that slowly, so that the robot's pose in {W} does not jump. What

@@ -82,7 +82,7 @@ class Senses:
         return draw_body(self.body, seed)
 
     def adjust(self, seed: int) -> Callable[[mujoco.MjSpec], None]:
-        """What :func:`~shmoo_mjx.plant.scene.build_scene` takes as ``adjust`` to build that body."""
+        """Argument ``adjust`` of :func:`~shmoo_mjx.plant.scene.build_scene` that builds that body."""
         return adjustment(self.robot(seed))
 
 
@@ -145,7 +145,7 @@ class SensorState(NamedTuple):
 
 
 class Estimates(NamedTuple):
-    """Where the robot believes things are, in {W}, now."""
+    """Estimated poses and twists in {W}, now."""
 
     robot_pose: Array
     robot_twist: Array

@@ -1,4 +1,4 @@
-"""What the hands feel: Gamma = J tau, given to the object they can be touching."""
+"""Force estimate Gamma = J tau, assigned to the object that the hands can be touching."""
 
 from __future__ import annotations
 

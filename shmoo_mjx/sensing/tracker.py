@@ -73,7 +73,7 @@ class Tracks(NamedTuple):
 
 
 def init(worlds: int, objects: int) -> Tracks:
-    """Nothing known yet."""
+    """State before the first frame."""
     zero, flat = np.zeros((worlds, objects, 3)), np.zeros((worlds, objects))
     never = np.full((worlds, objects), -np.inf)
     return Tracks(zero + np.nan, zero, zero, zero, zero, np.zeros(worlds), never, never, zero, flat)

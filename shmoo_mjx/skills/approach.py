@@ -31,7 +31,7 @@ _LIMIT = 30.0
 
 @dataclass(frozen=True)
 class ApproachState:
-    """Memory of one approach."""
+    """State of one approach."""
 
     started: float
     """[s]"""

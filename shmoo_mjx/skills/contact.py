@@ -1,4 +1,4 @@
-"""Make contact: creep forward until the hands feel the object, or until it gives way without being felt."""
+"""Make contact: move slowly forward until the hands feel the object, or until it gives way without being felt."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _ASTRAY = (0.5, 0.3)
 
 
 class ContactState(NamedTuple):
-    """Memory of one attempt."""
+    """State of one attempt to make contact."""
 
     object_pose: Array
     """``[3]`` when the hands began to feel for it, in {W}."""

@@ -1,4 +1,4 @@
-"""Push: a pusher moves the object towards a goal; what it felt and how the object moved is kept for who judges it."""
+"""Push: a controller moves the object towards a goal; forces and motion are recorded for the decisions on it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ _WITHIN = 0.3
 
 
 class Pusher(Protocol):
-    """What pushes: :class:`~shmoo_mjx.control.pushing.PushController`, or something to compare it with.
+    """Interface of pushing controllers: :class:`~shmoo_mjx.control.pushing.PushController`, or something to compare it
+    with.
 
     Its state is a NamedTuple of its own with a field ``adapt``: what has been learned of the object.
     """
@@ -54,7 +55,7 @@ class Pusher(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class PushState:
-    """Memory of one push."""
+    """State of one push."""
 
     pusher: Any
     """The pusher's own."""
@@ -72,7 +73,7 @@ class PushState:
     """Whether the last plan had a finite roll-out."""
 
     def moved(self, pose: np.ndarray) -> float:
-        """How far the object has come since the push began [m]."""
+        """Displacement of the object since the push began [m]."""
         start = self.poses[0] if self.poses else pose
         return float(np.linalg.norm(pose[:2] - start[:2]))
 
@@ -141,7 +142,7 @@ def step(
 
 
 def lets_go(rest: Array, coasts: Array, object_pose: Array, face: Array, goal: Array) -> tuple[Array, Array, Array]:
-    """Whether it is time to let go of an object for it to coast into its goal; pure, NumPy and JAX alike.
+    """Release criterion: whether an object that is let go now coasts into its goal; pure, NumPy and JAX alike.
 
     Args:
         rest: ``[3]`` where the object comes to rest if it is let go now, in {W}.

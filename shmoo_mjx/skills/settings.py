@@ -39,7 +39,7 @@ def in_face(object_pose: Array, robot_pose: Array, face: Array) -> Array:
 
 
 def hands_to_face(object_pose: Array, robot_pose: Array, face: Array) -> Array:
-    """How far the place of the extended hands is off the face [m]."""
+    """Distance of the extended hands from the face [m]."""
     return -in_face(object_pose, robot_pose, face)[0] - REACH - HAND_RADIUS
 
 
@@ -50,7 +50,7 @@ def lean_for(obs: ObjectObservation, wish: Array) -> Array:
 
 
 def hold(obs: ObjectObservation, extended: bool = False) -> Command:
-    """Stand still, arms folded or extended."""
+    """Command that makes the robot stand still, arms folded or extended."""
     reach, height = (REACH, HAND_HEIGHT) if extended else (TUCKED_REACH, TUCKED_HEIGHT)
     xp = se2.array_module(obs.robot_pose)
     lean = lean_for(obs, xp.zeros(2))

@@ -1,8 +1,8 @@
 """The pushing controllers as pure functions of one world, to be mapped over many (Sec. III-E).
 
 The paper's controller is the one that runs everywhere else (control/pushing.py): MPPI on the learned core, adaptation
-and the governor. What the pushing task does round it is here as well, for one push on one face: creep forward until the
-hands feel the object, push, let go in time for the object to coast into its goal, back away.
+and the governor. What the pushing task does round it is here as well, for one push on one face: move slowly forward
+until the hands feel the object, push, let go in time for the object to coast into its goal, back away.
 """
 
 from __future__ import annotations
@@ -121,18 +121,18 @@ def step(
     waiting, pushing_now = state.phase == APPROACH, state.phase == PUSH
     # The hands feel for the object from when the arms are out.
     feeling = contact.ContactState(jnp.where(ready, state.contact.object_pose, obs.object_pose))
-    feeling, creep = contact.step(feeling, obs, task.face)
+    feeling, touching = contact.step(feeling, obs, task.face)
     back = retreat.step(obs, task.face, folded=jnp.bool_(False))
     pushed, after = policy.step(state.policy, obs, state.last_u, task)
     coasts, _, let_go = lets_go(policy.coast(after, obs), state.coasts, obs.object_pose, task.face, task.goal)
-    phase = jnp.where(waiting & ready & creep.over, PUSH, state.phase)
+    phase = jnp.where(waiting & ready & touching.over, PUSH, state.phase)
     phase = jnp.where(pushing_now & let_go, LET_GO, phase)
     goes_on = pushing_now & ~let_go
     # Until the first push the controller's memory is ever a fresh one.
     kept = _choose(waiting, policy.init(obs, task, key), _choose(pushing_now, after, state.policy))
-    moved = jnp.where(waiting, jnp.where(ready, creep.command.u, hold(obs, True).u), back.command.u)
+    moved = jnp.where(waiting, jnp.where(ready, touching.command.u, hold(obs, True).u), back.command.u)
     u = jnp.where(goes_on, pushed, moved)
-    ahead, away = creep.command, back.command
+    ahead, away = touching.command, back.command
     command = Command(
         u,
         jnp.where(waiting | goes_on, ahead.yaw, away.yaw),

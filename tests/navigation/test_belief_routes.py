@@ -128,11 +128,11 @@ def test_where_no_goal_leaves_the_path_another_path_may_do() -> None:
 def test_the_way_to_a_face_ends_at_its_stand_off_pose() -> None:
     ways, _ = routes((3.0,), (3.0, 3.0, 0.0))
     rear, _, front, _ = faces_of(HALF)
-    way = ways.way_to(np.array([1.0, 3.0]), 0, rear, ways.belief.clearance())
+    way = ways.path_to_face(np.array([1.0, 3.0]), 0, rear, ways.belief.clearance())
     assert way is not None and way[1] == 0.12
     np.testing.assert_allclose(way[0].points[-1], (3.0 - 0.25 - 0.12 - 0.42 - 0.04, 3.0), atol=1e-6)
     assert (
-        ways.way_to(np.array([1.0, 3.0]), 0, front, ways.belief.clearance()) is None
+        ways.path_to_face(np.array([1.0, 3.0]), 0, front, ways.belief.clearance()) is None
     )  # the object closes the only door
     fixed = replace(ways, belief=ways.belief.with_object(0, status=Status.FIXED))
     assert fixed.plan(np.array([1.0, 3.0]), fixed.belief.polygons((Status.FIXED,))) is None
@@ -140,8 +140,8 @@ def test_the_way_to_a_face_ends_at_its_stand_off_pose() -> None:
 
 def test_a_retreat_leads_away_from_the_object_to_where_there_is_room() -> None:
     ways, known = routes((3.0,), (3.0, 3.0, 0.0))
-    back = ways.way_back(np.array([2.4, 3.0]), known.pose)
+    back = ways.retreat_path(np.array([2.4, 3.0]), known.pose)
     assert back is not None and back.points[-1][0] < 2.3
     assert ways.belief.clearance().at(back.points[-1]) > 0.3
-    corner = ways.way_back(np.array([0.45, 0.45]), np.array([1.0, 0.5, 0.0]))
+    corner = ways.retreat_path(np.array([0.45, 0.45]), np.array([1.0, 0.5, 0.0]))
     assert corner is not None and ways.belief.walls.at(corner.points[-1]) > 0.2
