@@ -7,18 +7,15 @@ and the state plans a batch of problems in one call.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.sharding import Mesh
 
 from shmoo_mjx.control import sharding
+from shmoo_mjx.control.mppi_config import SPARE, MppiConfig, noise_list
 
 __all__ = [
     "MppiConfig",
@@ -37,50 +34,6 @@ RolloutFn = Callable[[Any, Array], Any]
 """(x0, U ``[S, T, m]``) -> trajectory, a pytree of arrays ``[S, T, ...]``: the states *after* each control."""
 CostFn = Callable[[Any, Array, Array], Array]
 """(trajectory, U ``[S, T, m]``, last applied u ``[m]``) -> total cost of each roll-out ``[S]``."""
-
-_SPARE = 4096
-"""By how many sequences the list of noise is longer than what a plan takes of it: so many different plans' noise."""
-
-
-@dataclass(frozen=True)
-class MppiConfig:
-    """Static (hashable) settings, in the caller's units of control and cost."""
-
-    sigma: tuple[float, ...]
-    """Standard deviation of the control noise per channel; 0 freezes a channel, more searches wider and less finely."""
-    low: tuple[float, ...]
-    """Lower bound per channel."""
-    high: tuple[float, ...]
-    """Upper bound per channel."""
-    num_rollouts: int = 500
-    """S, roll-outs per plan; more make the plan less noisy, and computing time grows with them."""
-    horizon: int = 30
-    """T, time steps per roll-out; more see farther ahead, and computing time grows with them."""
-    temperature: float = 0.7
-    """lambda, in units of ``cost_scale`` x cost; lower follows the best roll-outs, higher the mean of all."""
-    cost_scale: float = 1.0
-    """Factor on every cost before the temperature acts [1/unit of cost]: 1 leaves the temperature as the paper has it.
-    With a cost in metres, 0.7 hardly tells roll-outs apart that end 0.1 m from each other."""
-    noise_correlation: float = 0.8
-    """Correlation of the noise from one time step to the next, in [0, 1): a stationary AR(1) process whose standard
-    deviation stays ``sigma``. 0 is Williams' white noise; near 1 each roll-out holds one perturbation throughout."""
-
-    def __post_init__(self) -> None:
-        if not len(self.sigma) == len(self.low) == len(self.high):
-            raise ValueError("sigma, low and high need one entry per control channel")
-        if self.num_rollouts < 2 or self.horizon < 1:
-            raise ValueError("MPPI needs at least 2 roll-outs and a horizon of 1")
-        if not self.temperature > 0 or not self.cost_scale > 0:
-            raise ValueError("temperature and cost_scale must be positive")
-        if not 0 <= self.noise_correlation < 1:
-            raise ValueError("noise_correlation must lie in [0, 1)")
-        if min(self.sigma) < 0 or any(lo > hi for lo, hi in zip(self.low, self.high, strict=True)):
-            raise ValueError("sigma must not be negative and low must not exceed high")
-
-    @property
-    def controls(self) -> int:
-        """m, number of control channels."""
-        return len(self.sigma)
 
 
 class MppiState(NamedTuple):
@@ -180,8 +133,8 @@ def sample_controls(cfg: MppiConfig, key: Array, nominal: Array) -> Array:
     would else pull each plan there.
     """
     half = (cfg.num_rollouts + 1) // 2
-    first = jax.random.randint(key, (), 0, _SPARE)
-    noise = jax.lax.dynamic_slice_in_dim(jnp.asarray(_noises(cfg)), first, half)
+    first = jax.random.randint(key, (), 0, SPARE)
+    noise = jax.lax.dynamic_slice_in_dim(jnp.asarray(noise_list(cfg)), first, half)
     noise = jnp.concatenate([noise, -noise])[: cfg.num_rollouts].at[0].set(0.0)
     return _clip(cfg, nominal + noise).at[1].set(_clip(cfg, jnp.zeros_like(nominal)))
 
@@ -204,17 +157,6 @@ def shift(nominal: Array) -> Array:
 
 def _clip(cfg: MppiConfig, u: Array) -> Array:
     return jnp.clip(u, jnp.asarray(cfg.low), jnp.asarray(cfg.high))
-
-
-@lru_cache(maxsize=8)
-def _noises(cfg: MppiConfig) -> np.ndarray:
-    """Coloured noise ``[(S + 1) // 2 + _SPARE, T, m]``: a tenth of a plan's time if drawn anew."""
-    white = np.random.default_rng(0).standard_normal(((cfg.num_rollouts + 1) // 2 + _SPARE, cfg.horizon, cfg.controls))
-    # The Cholesky factor of the AR(1) correlation rho^|i - j|: coloured = factor white.
-    rho, steps = cfg.noise_correlation, np.arange(cfg.horizon)
-    factor = np.tril(rho ** np.maximum(steps[:, None] - steps[None, :], 0)) * math.sqrt(1 - rho**2)
-    factor[:, 0] = rho**steps
-    return np.asarray(np.einsum("tk,skm->stm", factor, white) * cfg.sigma, dtype=np.float32)
 
 
 def _finite(trees: Any, count: int) -> Array:
