@@ -101,13 +101,13 @@ from pathlib import Path
 sys.path.insert(0, sys.argv[2])
 from conftest import Pretend
 from shmoo_mjx.sweep.config import SweepConfig
-from shmoo_mjx.sweep.run import Runner, Sweep
+from shmoo_mjx.sweep.run import ShardRunner, Sweep
 class Slow(Pretend):
     def run(self, worlds, progress=lambda fraction: None):
         time.sleep(0.3)
         return super().run(worlds, progress)
 config = SweepConfig.model_validate_json(sys.stdin.read())
-Runner(Sweep.open(config, Path(sys.argv[1])), make=lambda family, controller: Slow()).run()
+ShardRunner(Sweep.open(config, Path(sys.argv[1])), make=lambda family, controller: Slow()).run()
 """
 
 
