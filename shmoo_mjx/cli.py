@@ -162,8 +162,8 @@ def report(
     if size is None:
         raise ShmooError(f"{source}: give the object's --size LENGTH WIDTH in m.")
     from shmoo_mjx.assets import WEIGHTS, asset
+    from shmoo_mjx.custom_log import write_run
     from shmoo_mjx.learning.weights import load_weights
-    from shmoo_mjx.own_log import write_run
 
     print(write_run(source, size, out, load_weights(weights or asset(WEIGHTS))))
     return 0

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx import own, se2
+from shmoo_mjx import custom, se2
 from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.navigation.belief import Status
 from shmoo_mjx.navigation.maps import OccupancyGrid, occupied_rectangles
@@ -77,7 +77,7 @@ def navigator_of(
     config = replace(config or NavigatorConfig(), planning_time=senses.planning, latency=senses.latency)
     sizes = [c.half_extents for c in conditions_of(scenario)]
     if policy is not None:
-        maker = own.named("policy", policy)
+        maker = custom.named("policy", policy)
         return PolicyNavigator(policy, maker, grid, scenario.goal, sizes, controller, scenario.seed, config)
     return Navigator(grid, scenario.goal, sizes, controller, scenario.seed, config, first_status)
 

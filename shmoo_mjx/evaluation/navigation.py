@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from shmoo_mjx import own
+from shmoo_mjx import custom
 from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.evaluation.manipulable import BORDER
 from shmoo_mjx.evaluation.navigation_failures import keep_failure, write_failures
@@ -127,7 +127,7 @@ def run(options: ExperimentOptions) -> ExperimentResult:
     store = trials_folder(options, folder, cfg.scenario)
     there = {f"{name}-{i}": (name, i) for i in range(cfg.scenarios) for name in places.maps}
     trials = {
-        f"{scenario}-{own.kept_as('policy', policy, POLICIES)}": (*place, policy)
+        f"{scenario}-{custom.kept_as('policy', policy, POLICIES)}": (*place, policy)
         for policy in cfg.policies
         for scenario, place in there.items()
         if places.given is None or scenario in places.given

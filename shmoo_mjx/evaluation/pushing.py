@@ -13,7 +13,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from shmoo_mjx import own
+from shmoo_mjx import custom
 from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.evaluation.pushing_figure import draw_figure, film
 from shmoo_mjx.evaluation.pushing_measures import PAPER, metrics_of
@@ -124,4 +124,4 @@ def _trial(robot: tuple[Path, Path | None, float, str], folder: Path, trial: tup
 
 
 def _name(method: str, trial: Trial) -> str:
-    return f"{own.kept_as(OWN, method, METHODS)}-{trial.name}"
+    return f"{custom.kept_as(OWN, method, METHODS)}-{trial.name}"

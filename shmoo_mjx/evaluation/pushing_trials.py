@@ -13,7 +13,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from shmoo_mjx import own, se2
+from shmoo_mjx import custom, se2
 from shmoo_mjx.learning.adaptation import AdaptState
 from shmoo_mjx.learning.weights import Weights
 from shmoo_mjx.navigation.maps import OccupancyGrid
@@ -214,8 +214,8 @@ def _pusher(method: str, weights: Weights) -> Pusher:
 
     config = pose_push_config()
     if method not in METHODS:
-        make = own.named(OWN, method)
-        return cast(Pusher, own.asked(OWN, method, lambda: make(weights, config)))
+        make = custom.named(OWN, method)
+        return cast(Pusher, custom.asked(OWN, method, lambda: make(weights, config)))
     if method == "quasi_static":
         return QuasiStaticPusher(config.cost)
     adapt = replace(config.adapt, coefficients=method == "eq8")
@@ -281,7 +281,7 @@ class Runner:
                     if adapt_after is not None:
                         task.know(adapt_after)
                 tick = partial(task.tick, seen)
-                command = tick() if method in METHODS else own.asked(OWN, method, tick)
+                command = tick() if method in METHODS else custom.asked(OWN, method, tick)
                 world, seen = engine.step(world, command)
                 true, fell = engine.true_observation(world), bool(engine.fallen(world)[0])
                 now = float(true.time[0]), true.object_pose[0, 0], true.robot_pose[0], str(task.phase)

@@ -53,7 +53,7 @@ def render_report(result: dict[str, Any], trace: Trace, video: Path | None = Non
     environment.filters["number"] = _number
     environment.filters["pose"] = _pose
     environment.filters["object_name"] = lambda name: object_name(result, name)
-    recorded = "summary" in result  # of somebody's own robot (own_log.py)
+    recorded = "summary" in result  # of somebody's own robot (custom_log.py)
     source = resources.files("shmoo_mjx.report").joinpath("report.html.j2").read_text(encoding="utf-8")
     return environment.from_string(source).render(
         title=result.get("name") or "run",

@@ -141,7 +141,7 @@ LAYERS = (
     {"recorded", "simulation"},
     {"episode", "teleop"},
     {"run"},
-    {"demo", "doctor", "own_log", "replay", "view", "evaluation", "gym"},
+    {"demo", "doctor", "custom_log", "replay", "view", "evaluation", "gym"},
     {"benchmarking", "sweep", "live"},
     {"cli"},
 )

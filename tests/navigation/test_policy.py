@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shmoo_mjx import own
+from shmoo_mjx import custom
 from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.episode import run_episode
 from shmoo_mjx.errors import ShmooError
@@ -129,4 +129,4 @@ def test_the_command_runs_it_and_replays_it(tmp_path: Path, monkeypatch: pytest.
 
 
 def test_the_maker_is_what_the_name_says() -> None:
-    assert own.named("policy", "bad:Fails") is sys.modules["bad"].Fails
+    assert custom.named("policy", "bad:Fails") is sys.modules["bad"].Fails

@@ -14,9 +14,9 @@ import pyarrow.csv
 import pyarrow.parquet
 import pytest
 
+from shmoo_mjx.custom_log import OPTIONAL, REQUIRED, read_log, run_of_log
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.learning.weights import load_weights
-from shmoo_mjx.own_log import OPTIONAL, REQUIRED, read_log, run_of_log
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.objects import draw_condition
 from shmoo_mjx.plant.scene import build_scene
