@@ -19,7 +19,7 @@ from shmoo_mjx.types import DT, SystemState
 
 __all__ = [
     "HAND_MARGIN",
-    "Clearance",
+    "DistanceField",
     "PushCost",
     "aim_error",
     "allowed_speed",
@@ -89,7 +89,7 @@ class PushCost:
     the limit the same everywhere."""
 
 
-class Clearance(Protocol):
+class DistanceField(Protocol):
     """Distance to the nearest obstacle on a grid: the map's clearance field has these, and so can any other pytree."""
 
     @property
@@ -129,7 +129,7 @@ def change(controls: Array, last_u: Array) -> Array:
     return jnp.sum(jnp.linalg.norm(jnp.diff(controls, axis=-2, prepend=first), axis=-1), axis=-1)
 
 
-def clearance_at(field: Clearance, points: Array) -> Array:
+def clearance_at(field: DistanceField, points: Array) -> Array:
     """Clearance ``[...]`` [m] at ``points [..., 2]`` in {W}, bilinear; zero off the grid."""
     i, j = _on_grid(field, points)
     return map_coordinates(jnp.asarray(field.values), [j - 0.5, i - 0.5], order=1, mode="constant", cval=0.0)
@@ -141,7 +141,7 @@ def footprint_points(pose: Array, half_extents: Array) -> Array:
     return _placed(pose, unit * jnp.asarray(half_extents))
 
 
-def clearance_near(field: Clearance, points: Array) -> Array:
+def clearance_near(field: DistanceField, points: Array) -> Array:
     """Clearance ``[...]`` [m] of the cell that holds each of ``points [..., 2]`` in {W}; zero off the grid.
 
     Off by up to 0.7 cells from :func:`clearance_at`, at a quarter of its look-ups.
@@ -166,7 +166,7 @@ def _placed(pose: Array, points: Array) -> Array:
     return jnp.stack([pose[..., :1] + turn.c * x - turn.s * y, pose[..., 1:2] + turn.s * x + turn.c * y], axis=-1)
 
 
-def _on_grid(field: Clearance, points: Array) -> tuple[Array, Array]:
+def _on_grid(field: DistanceField, points: Array) -> tuple[Array, Array]:
     """Column and row ``[...]``, in cells from the grid's corner, of ``points [..., 2]`` in {W}."""
     origin = jnp.asarray(field.origin)
     turn = once(SO2.from_angle(origin[2]))
@@ -174,7 +174,7 @@ def _on_grid(field: Clearance, points: Array) -> tuple[Array, Array]:
     return turn.c * x + turn.s * y, turn.c * y - turn.s * x
 
 
-def clearance_penalty(cfg: PushCost, traj: SystemState, field: Clearance, half_extents: Array) -> Array:
+def clearance_penalty(cfg: PushCost, traj: SystemState, field: DistanceField, half_extents: Array) -> Array:
     """Time integral of the depth by which robot centre, hands and object outline enter their margins ``[S]`` [m s].
 
     The object counts with the deepest of its four corners and four edge midpoints, the hands with the deeper one. Hands
@@ -250,7 +250,7 @@ def push_cost(
     traj: SystemState,
     controls: Array,
     last_u: Array,
-    field: Clearance | None = None,
+    field: DistanceField | None = None,
     half_extents: Array | None = None,
 ) -> Array:
     """Cost of each roll-out ``[S]`` [m]: Eq. 9, plus the additional terms that have a weight.

@@ -1,6 +1,6 @@
 """Inputs and outputs of the networks: one table of each, and the functions that compute them.
 
-All of it is told in {R} or {O}, so that moving and turning the whole scene leaves every number here as it was.
+All of it is expressed in {R} or {O}, so that moving and turning the whole scene leaves every number here as it was.
 """
 
 from __future__ import annotations

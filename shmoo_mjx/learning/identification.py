@@ -1,7 +1,7 @@
 """Identification of the four-point contact model: nonlinear least squares with a prior from training objects.
 
 Objects that slide and objects that roll have little in common, so the prior is a mixture of Gaussians, found in the
-training conditions without being told families. An object is fitted once from the middle of each Gaussian, and the
+training conditions without labels of their families. An object is fitted once from the middle of each Gaussian, and the
 likeliest fit is kept. Residuals of dry friction are heavy-tailed and alike from sample to sample: large ones count by
 their size, not its square, and the noise is set higher than the residual's.
 """

@@ -154,7 +154,7 @@ def planning_stage(
         object_pose: x^o_t ``[3]`` in {W}.
         collision_free: check of footprint poses against map and path.
         cfg: settings.
-        manipulable: whether the object can be moved, if something else than K has told.
+        manipulable: whether the object can be moved, if something else than K decides it.
 
     Returns:
         The decision with K, G and the candidates.

@@ -112,7 +112,7 @@ def draw(config: OdometryConfig, rng: np.random.Generator) -> OdometryDraw:
 
 
 def init(robot_pose: Array, length: int) -> Odometry:
-    """At rest at ``robot_pose [W, 3]``, which the robot is told; remembers ``length`` ticks."""
+    """At rest at ``robot_pose [W, 3]``, which the robot knows; remembers ``length`` ticks."""
     xp = se2.array_module(robot_pose)
     true = xp.repeat(robot_pose[:, None], length, axis=1)
     zero = xp.zeros_like(robot_pose)

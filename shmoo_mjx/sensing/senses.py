@@ -188,7 +188,7 @@ def first_state(
         senses: see there.
         drawn: these robots.
         scenery: sizes and walls.
-        robot_pose: true ``[W, 3]``; the robot is told where it starts.
+        robot_pose: true ``[W, 3]``; the robot knows where it starts.
         object_pose: true ``[W, N, 3]``.
         noise: ``[W, N, 3]`` standard normal.
         poses_known: whether it knows the poses of all objects too, as exactly as its camera would see them from there.

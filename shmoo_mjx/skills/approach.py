@@ -38,7 +38,7 @@ class ApproachState:
     gap: float
     """Distance between hands and face at the stand-off pose [m]."""
     extended_at: float | None = None
-    """When the arms were told to extend [s]."""
+    """When the arms were commanded to extend [s]."""
 
 
 def init(time: float, gap: float) -> ApproachState:

@@ -158,7 +158,7 @@ class Batches:
         world = jax.tree.map(jnp.asarray, self._still)._replace(physics=physics)
         truth = self.engine.observe(world)
         noise = jax.random.normal(jax.random.fold_in(given.key, 0), (1, 1, 3))
-        # It is told where the object stands.
+        # It knows where the object stands.
         sensor_state = sensing.first_state(
             self._senses, given.sensing, given.scenery, truth.robot_pose[None], truth.object_pose[None], noise,
             poses_known=True, remembers=MOST_DELAY + TICK,
