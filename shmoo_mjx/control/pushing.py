@@ -20,12 +20,13 @@ from jax.flatten_util import ravel_pytree
 from shmoo_mjx import se2
 from shmoo_mjx.control import cost, models, mppi, sharding
 from shmoo_mjx.control.governor import GovernorConfig, forward_lean, govern
+from shmoo_mjx.control.observation import LocalDistanceField, ObjectObservation, local_distance_field
 from shmoo_mjx.dynamics import contact_model, core, features, object_model
 from shmoo_mjx.faces import faces_of
 from shmoo_mjx.hands import touches
 from shmoo_mjx.learning import adaptation, online
 from shmoo_mjx.learning.weights import Weights, prior_state
-from shmoo_mjx.types import DT, Observation, SystemState
+from shmoo_mjx.types import DT, SystemState
 
 __all__ = [
     "ControllerState",
@@ -91,39 +92,6 @@ class PushConfig:
     and believe that steering turns what hardly resists."""
 
 
-class LocalDistanceField(NamedTuple):
-    """Clearance round the object on a grid of fixed size, so that one compiled controller serves every map."""
-
-    values: Array
-    """``[N, N]`` [m]"""
-    origin: Array
-    """``[3]`` pose of the grid's corner in {W}."""
-    resolution: Array
-    """[m]"""
-
-
-class ObjectObservation(NamedTuple):
-    """The robot and one object as perceived at one instant: an Observation reduced to that object."""
-
-    robot_pose: Array
-    robot_twist: Array
-    lean: Array
-    lean_rate: Array
-    object_pose: Array
-    object_twist: Array
-    wrench: Array
-    """``[3]`` mean over the sample that just ended, about the object's centre, in {W}."""
-    detected: Array = True
-    """Whether the object's pose was detected in that sample, not carried on."""
-
-    @classmethod
-    def of(cls, seen: Observation, index: int) -> ObjectObservation:
-        """From an observation of one world (batch of one)."""
-        robot = (seen.robot_pose, seen.robot_twist, seen.lean, seen.lean_rate)
-        of_object = (seen.object_pose, seen.object_twist, seen.wrench, seen.detected)
-        return cls(*(np.asarray(v[0]) for v in robot), *(np.asarray(v[0, index]) for v in of_object))
-
-
 _ZERO, _FLAT = np.zeros(3), np.zeros(2)
 _STILL = ObjectObservation(_ZERO, _ZERO, _FLAT, _FLAT, np.array([0.9, 0.0, 0.0]), _ZERO, _ZERO, np.array(True))
 """Robot and object at rest; for compiling."""
@@ -163,19 +131,6 @@ class _Given(NamedTuple):
     """``[2]``"""
     lean: Array
     """``[2]`` bounds on the forward lean, from the governor."""
-
-
-def local_distance_field(
-    clearance: Any, centre: Array, size: float = 7.0, resolution: float = 0.05
-) -> LocalDistanceField:
-    """Cut a square of ``size`` metres round ``centre`` out of a clearance field with a method ``at(points)``."""
-    n = round(size / resolution)
-    corner = np.asarray(centre, dtype=float)[:2] - size / 2
-    ticks = (np.arange(n) + 0.5) * resolution
-    points = np.stack(np.meshgrid(corner[0] + ticks, corner[1] + ticks, indexing="xy"), axis=-1)
-    values = np.asarray(clearance.at(points), dtype=np.float32)
-    origin = np.array([corner[0], corner[1], 0.0], dtype=np.float32)
-    return LocalDistanceField(values, origin, np.float32(resolution))
 
 
 class PushController:

@@ -128,7 +128,7 @@ LAYERS = (
         "processes",
         "seeds",
         "options",
-        "own",
+        "custom",
     },
     {"plant", "dynamics"},
     {"sensing"},

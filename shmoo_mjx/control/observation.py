@@ -1,0 +1,59 @@
+"""Inputs of the pushing controllers: the robot and one object as perceived, and the map round the object."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from shmoo_mjx.types import Observation
+
+__all__ = ["LocalDistanceField", "ObjectObservation", "local_distance_field"]
+
+Array = Any
+
+
+class LocalDistanceField(NamedTuple):
+    """Clearance round the object on a grid of fixed size, so that one compiled controller serves every map."""
+
+    values: Array
+    """``[N, N]`` [m]"""
+    origin: Array
+    """``[3]`` pose of the grid's corner in {W}."""
+    resolution: Array
+    """[m]"""
+
+
+class ObjectObservation(NamedTuple):
+    """The robot and one object as perceived at one instant: an Observation reduced to that object."""
+
+    robot_pose: Array
+    robot_twist: Array
+    lean: Array
+    lean_rate: Array
+    object_pose: Array
+    object_twist: Array
+    wrench: Array
+    """``[3]`` mean over the sample that just ended, about the object's centre, in {W}."""
+    detected: Array = True
+    """Whether the object's pose was detected in that sample, not carried on."""
+
+    @classmethod
+    def of(cls, seen: Observation, index: int) -> ObjectObservation:
+        """From an observation of one world (batch of one)."""
+        robot = (seen.robot_pose, seen.robot_twist, seen.lean, seen.lean_rate)
+        of_object = (seen.object_pose, seen.object_twist, seen.wrench, seen.detected)
+        return cls(*(np.asarray(v[0]) for v in robot), *(np.asarray(v[0, index]) for v in of_object))
+
+
+def local_distance_field(
+    clearance: Any, centre: Array, size: float = 7.0, resolution: float = 0.05
+) -> LocalDistanceField:
+    """Cut a square of ``size`` metres round ``centre`` out of a clearance field with a method ``at(points)``."""
+    n = round(size / resolution)
+    corner = np.asarray(centre, dtype=float)[:2] - size / 2
+    ticks = (np.arange(n) + 0.5) * resolution
+    points = np.stack(np.meshgrid(corner[0] + ticks, corner[1] + ticks, indexing="xy"), axis=-1)
+    values = np.asarray(clearance.at(points), dtype=np.float32)
+    origin = np.array([corner[0], corner[1], 0.0], dtype=np.float32)
+    return LocalDistanceField(values, origin, np.float32(resolution))
