@@ -119,7 +119,7 @@ def test_killed_it_goes_on_and_ends_as_if_it_had_not_been(config: SweepConfig, t
     assert process.stdin is not None
     process.stdin.write(config.model_dump_json().encode())
     process.stdin.close()
-    until = time.monotonic() + 60
+    until = time.monotonic() + 300  # a busy machine takes long to begin
     while not list(killed.glob("shards/*.parquet")) and time.monotonic() < until:
         time.sleep(0.01)
     os.kill(process.pid, signal.SIGKILL)
