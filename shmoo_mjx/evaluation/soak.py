@@ -17,7 +17,7 @@ import psutil
 import shapely
 
 from shmoo_mjx.assets import WEIGHTS, asset
-from shmoo_mjx.control.pushing import PushController
+from shmoo_mjx.control.pushing import PushController, local_distance_field
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.evaluation.scenarios import largest_room
 from shmoo_mjx.evaluation.trials import run_trials
@@ -86,6 +86,7 @@ def play(trials: SoakTrials, seed: int, controller: PushController) -> dict[str,
     )
     start, goal = (tuple(p) for p in chosen[:2].tolist())
     scenario = Scenario(start=(*start, 0.0), goal=goal, objects=objects, seed=seed, limits=Limits(time_s=3600.0))
+    controller.compile(local_distance_field(clearance, (*start, 0.0)))  # takes half a gigabyte, whenever it is done
     this = psutil.Process()
     files = this.num_fds()
     memory: list[int] = []
