@@ -20,9 +20,8 @@ from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.control.pushing import PushController, local_distance_field
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.evaluation.scenarios import largest_room
-from shmoo_mjx.evaluation.trials import run_trials
+from shmoo_mjx.evaluation.trials import controller_of, run_trials
 from shmoo_mjx.fingerprints import fingerprint
-from shmoo_mjx.learning.weights import load_weights
 from shmoo_mjx.navigation.floorplan import draw_floorplan
 from shmoo_mjx.navigation.footprints import footprint_polygon
 from shmoo_mjx.navigation.maps import clearance_field
@@ -191,4 +190,4 @@ def _move_one(simulation: Simulation, places: np.ndarray, trials: SoakTrials, rn
 
 
 def _trial(trials: SoakTrials, weights: Path, seed: int) -> list[dict[str, Any]]:
-    return [play(trials, seed, PushController(load_weights(weights)))]
+    return [play(trials, seed, controller_of(weights))]
