@@ -34,6 +34,12 @@ from shmoo_mjx.simulation import Record, Simulation
 __all__ = ["SoakTrials", "livelocks", "play", "run", "summary"]
 
 
+_ERRAND = 180.0
+"""Time after which an errand is given up [s]: several times what one takes in three rooms."""
+_APART = 1.0
+"""Least distance between the robot and what somebody moves, before and after [m]: nothing lands in its arms."""
+
+
 @dataclass(frozen=True)
 class SoakTrials:
     """What is done in the building."""
@@ -43,10 +49,6 @@ class SoakTrials:
     buildings: int = 10
     moved_every: float = 90.0
     """Time after which somebody puts one object elsewhere [s]."""
-    errand: float = 180.0
-    """Time after which an errand is given up [s]."""
-    apart: float = 1.0
-    """Least distance between the robot and what somebody moves, before and after [m]."""
 
 
 def run(options: ExperimentOptions, trials: SoakTrials, workers: int = 2) -> ExperimentResult:
@@ -85,7 +87,7 @@ def play(trials: SoakTrials, seed: int, controller: PushController) -> dict[str,
     )
     start, goal = (tuple(p) for p in chosen[:2].tolist())
     scenario = Scenario(start=(*start, 0.0), goal=goal, objects=objects, seed=seed, limits=Limits(time_s=3600.0))
-    controller.compile(local_distance_field(clearance, (*start, 0.0)))  # takes half a gigabyte, whenever it is done
+    controller.compile(local_distance_field(clearance, (*start, 0.0)))  # before memory is looked at
     this = psutil.Process()
     files = this.num_fds()
     memory: list[int] = []
@@ -95,16 +97,16 @@ def play(trials: SoakTrials, seed: int, controller: PushController) -> dict[str,
         moved = 0.0
         while simulation.time < 60 * trials.minutes and not totals["falls"]:
             began = simulation.time
-            while not _over(simulation, began + trials.errand):
+            while not _over(simulation, began + _ERRAND):
                 simulation.advance(simulation.decide())
                 if simulation.time - moved > trials.moved_every:
                     moved = simulation.time
-                    totals["moved"] += _move_one(simulation, places, trials, rng)
+                    totals["moved"] += _move_one(simulation, places, rng)
             row["errands"] += 1
             row["done"] += simulation.navigator.mode is Mode.DONE
             row["livelocks"] += livelocks(simulation.navigator.transitions, simulation.record)
             if simulation.navigator.mode is not Mode.DONE:
-                row["given_up"].append(_reason(simulation, trials))
+                row["given_up"].append(_reason(simulation))
             totals["falls"] += simulation.record.falls
             totals["wall_contacts"] += simulation.record.wall_contacts
             memory.append(this.memory_info().rss)
@@ -140,13 +142,13 @@ def _over(simulation: Simulation, until: float) -> bool:
     return simulation.navigator.finished or simulation.time >= until or simulation.record.falls > 0
 
 
-def _reason(simulation: Simulation, trials: SoakTrials) -> str:
+def _reason(simulation: Simulation) -> str:
     navigator = simulation.navigator
     if simulation.record.falls:
         return f"fell while it was to {navigator.mode}"
     if navigator.mode is Mode.FAILED:
         return str(navigator.transitions[-1].reason)
-    return f"{trials.errand:g} s were not enough, at last to {navigator.mode}"
+    return f"{_ERRAND:g} s were not enough, at last to {navigator.mode}"
 
 
 def _apart(places: np.ndarray, rng: np.random.Generator, count: int) -> list[int]:
@@ -172,7 +174,7 @@ def _next_goal(simulation: Simulation, places: np.ndarray, rng: np.random.Genera
     return np.asarray(places[rng.choice(np.flatnonzero(free & away))])
 
 
-def _move_one(simulation: Simulation, places: np.ndarray, trials: SoakTrials, rng: np.random.Generator) -> int:
+def _move_one(simulation: Simulation, places: np.ndarray, rng: np.random.Generator) -> int:
     """Somebody puts one object to another place, unless the robot is near; returns how many were moved."""
     index = int(rng.integers(len(simulation.conditions)))
     robot, goal = simulation.true.robot_pose[0, :2], simulation.navigator.state.goal
@@ -180,8 +182,8 @@ def _move_one(simulation: Simulation, places: np.ndarray, trials: SoakTrials, rn
     others = [shape for i, shape in enumerate(_shapes(simulation)) if i != index]
     clear = shapely.distance(shapely.MultiPolygon(others), shapely.points(places)) > half + 0.05
     for taken in (robot, goal):
-        clear &= np.hypot(*(places - taken).T) > trials.apart + half
-    near = np.hypot(*(simulation.true.object_pose[0, index, :2] - robot)) < trials.apart + half
+        clear &= np.hypot(*(places - taken).T) > _APART + half
+    near = np.hypot(*(simulation.true.object_pose[0, index, :2] - robot)) < _APART + half
     if near or not clear.any():
         return 0
     place = places[rng.choice(np.flatnonzero(clear))]
