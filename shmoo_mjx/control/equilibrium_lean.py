@@ -1,11 +1,8 @@
-"""Online estimate of the equilibrium-lean offset, and of the scale of the force that the hands feel.
+"""Online estimate of the equilibrium-lean offset.
 
 A centre of mass that lies some millimetres beside where the model has it makes a robot at zero lean drift off. Along
 the flat output S = x + (b/a) phi one plane obeys a S'' = c (phi + arms - offset - h F / (m g l)) (``Robot.flatness``),
 so the offset is what the measured lean, with what the arms weigh, has more than S'' explains.
-
-In contact the same says how hard the robot pushes, by what it leans against. Motor constants of arms are off by as much
-as 15 %, and a robot that feels three quarters of what it pushes with comes to rest against what it could push.
 """
 
 from __future__ import annotations
@@ -31,10 +28,6 @@ _FREE = 1.0
 """Hand force from which a sample is left out [N]: half of what counts as contact."""
 LIMIT = 0.04
 """Largest offset [rad]: 2 cm at the height of the centre of mass."""
-_TOUCH_PRIOR = 4000.0
-"""What counts for the arms' torques being right, in squares of the felt force [N^2]: a second's push with 20 N."""
-_TOUCH_LIMIT = 1.6
-"""Largest factor on the felt force, and the inverse of the least [1]: far beyond the 15 % of motor constants."""
 
 
 class LeanOffset(NamedTuple):
@@ -46,14 +39,10 @@ class LeanOffset(NamedTuple):
     """Samples that it rests on so far."""
     before: tuple[np.ndarray, np.ndarray] | None
     """Velocity of the flat output in {W} and lean in {R}, a sample ago."""
-    pushed: tuple[float, float] = (0.0, 0.0)
-    """Sums over all samples in contact: forward force felt times that leant against, and its square [N^2]."""
-    touch: float = 1.0
-    """Force leant against over the force felt [1]."""
 
 
 def init() -> LeanOffset:
-    """Estimate before the first sample: no offset, forces as they are felt."""
+    """Estimate before the first sample: no offset."""
     return LeanOffset(np.zeros(2), 0, None)
 
 
@@ -63,26 +52,16 @@ def step(state: LeanOffset, obs: Observation) -> LeanOffset:
     yaw = obs.robot_pose[0, 2]
     lean = np.asarray(obs.lean[0], dtype=float)
     speed = obs.robot_twist[0, :2] + b / a * se2.rotate(obs.lean_rate[0], yaw)
-    if state.before is None:
+    touching = np.hypot(obs.wrench[0, :, 0], obs.wrench[0, :, 1]).max(initial=0.0) > _FREE
+    if state.before is None or touching:
         return state._replace(before=(speed, lean))
     explained = a / c * se2.rotate(speed - state.before[0], -yaw) / DT
     error = 0.5 * (lean + state.before[1]) + arms_lean(obs.hands[0]) - explained - state.lean
-    if np.hypot(obs.wrench[0, :, 0], obs.wrench[0, :, 1]).max(initial=0.0) > _FREE:
-        return _pushing(state, obs, float(error[0]))._replace(before=(speed, lean))
     samples = state.samples + 1
     # The first seconds count in full: a mean grows into a fading memory.
     gain = max(DT / _MEMORY, 1.0 / samples)
     offset = np.clip(state.lean + gain * error, -LIMIT, LIMIT)
     return state._replace(lean=offset, samples=samples, before=(speed, lean))
-
-
-def _pushing(state: LeanOffset, obs: Observation, lean: float) -> LeanOffset:
-    """``lean`` is what of the forward lean neither moves the robot nor balances it [rad]."""
-    felt = float(se2.rotate(obs.wrench[0, :, :2].sum(axis=0), -obs.robot_pose[0, 2])[0])
-    against, squares = state.pushed[0] + felt * lean / float(static_lean(1.0)), state.pushed[1] + felt**2
-    touch = (_TOUCH_PRIOR + against) / (_TOUCH_PRIOR + squares)
-    limits = (1 / _TOUCH_LIMIT, _TOUCH_LIMIT)
-    return state._replace(pushed=(against, squares), touch=float(np.clip(touch, *limits)))
 
 
 def arms_lean(hands: Array) -> np.ndarray:
@@ -116,8 +95,8 @@ def predicted(obs: Observation, seconds: float) -> Observation:
 
 
 def corrected(state: LeanOffset, obs: Observation) -> Observation:
-    """The observation with its lean counted from where the robot balances, and forces as the robot leans against."""
-    return obs._replace(lean=obs.lean - state.lean, wrench=obs.wrench * state.touch)
+    """The observation with its lean counted from where the robot balances."""
+    return obs._replace(lean=obs.lean - state.lean)
 
 
 def shifted(state: LeanOffset, command: Command) -> Command:

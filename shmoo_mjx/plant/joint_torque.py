@@ -29,7 +29,7 @@ def hand_forces(robot: RobotState, arm_torque: Array) -> Array:
         ``[..., 2, 3]`` (left, right) x (x, y, z), from J^T f = tau - tau_gravity.
     """
     xp = se2.array_module(robot.arms, arm_torque)
-    torque = arm_torque.reshape(robot.arms.shape) - arm_gravity(robot.arms)
+    torque = arm_torque.reshape(robot.arms.shape) - arm_gravity(robot.arms, robot.lean[..., :1])
     transposed = xp.swapaxes(arm_jacobian(robot.arms), -1, -2)
     in_body = xp.linalg.solve(transposed, torque[..., None])[..., 0]
     return xp.einsum("...ij,...hj->...hi", robot.rotation, in_body)

@@ -152,11 +152,12 @@ def _arm_torque(gains: Gains, state: LowLevelState, robot: RobotState) -> Array:
     return xp.clip(torque, -gains.arm_torque_limit, gains.arm_torque_limit)
 
 
-def arm_gravity(arms: Array) -> Array:
-    """Joint torques ``[..., 2, 3]`` [N m] that hold the arms ``[..., 2, 3]`` against gravity on an upright body."""
+def arm_gravity(arms: Array, lean: Array = 0.0) -> Array:
+    """Joint torques ``[..., 2, 3]`` [N m] that hold the arms ``[..., 2, 3]`` against gravity, on a body that leans
+    forward by ``lean [..., 1]`` [rad]."""
     xp = se2.array_module(arms)
     g, l1, l2 = 9.81, ROBOT.upper_arm, ROBOT.forearm
-    pitch, fore = arms[..., 1], arms[..., 1] + arms[..., 2]
+    pitch, fore = arms[..., 1] + lean, arms[..., 1] + arms[..., 2] + lean
     elbow = -g * l2 * xp.cos(fore) * (ROBOT.forearm_mass / 2 + ROBOT.hand_mass)
     shoulder = elbow - g * l1 * xp.cos(pitch) * (ROBOT.upper_arm_mass / 2 + ROBOT.forearm_mass + ROBOT.hand_mass)
     return xp.stack([xp.zeros_like(elbow), shoulder, elbow], axis=-1)

@@ -22,7 +22,7 @@ from shmoo_mjx.sensing import tracker
 from shmoo_mjx.sensing.camera import in_sight, scenery_of
 from shmoo_mjx.sensing.odometry import TICK
 from shmoo_mjx.sensing.senses import Noise, Senses, SensorState
-from shmoo_mjx.sensing.touch import felt
+from shmoo_mjx.sensing.touch import calibrated, felt
 from shmoo_mjx.sensing.tracker import Tracks
 from shmoo_mjx.types import DT, Command, Observation
 
@@ -266,7 +266,8 @@ class SensedEngine:
                 )
                 world = world._replace(truth=truth, sensor_state=sensor_state, ticks=now)
                 if (ticks - 1 - i) % _TOUCH_EVERY == 0:
-                    readings.append(self._felt(world, held))
+                    world, reading = self._felt(world, held)
+                    readings.append(reading)
             else:
                 world = world._replace(truth=truth, ticks=now)
             contact += true.wrench * (length / ticks)
@@ -320,15 +321,18 @@ class SensedEngine:
             true = true._replace(lean=true.lean + noise[0], lean_rate=true.lean_rate + 5 * noise[1])
         return true._replace(wrench=wrench, **found._asdict())
 
-    def _felt(self, world: SensedWorld, held: Command) -> np.ndarray:
-        assert isinstance(world.sensor_state, SensorState)
+    def _felt(self, world: SensedWorld, held: Command) -> tuple[SensedWorld, np.ndarray]:
+        sensor_state = world.sensor_state
+        assert isinstance(sensor_state, SensorState)
         if not world.contact.size:
-            return world.contact
-        estimates = sensing.estimates(self.senses, self._drawn, world.sensor_state, world.ticks, DT)
+            return world, world.contact
+        estimates = sensing.estimates(self.senses, self._drawn, sensor_state, world.ticks, DT)
         robot = _numpy(self.engine.robot(world.truth))._replace(pose=estimates.robot_pose)
         torque = np.asarray(self.engine.torque(world.truth, held), dtype=float)[:, 3:]
         reach = np.asarray(world.truth.control.reach, dtype=float)
-        return felt(self.senses.touch, robot, torque, reach, estimates.object_pose)
+        where = robot, torque, reach, estimates.object_pose
+        arms = calibrated(sensor_state.arms, *where, self._scenery.half_extents)
+        return world._replace(sensor_state=sensor_state._replace(arms=arms)), felt(self.senses.touch, arms, *where)
 
 
 def _arrived(world: SensedWorld) -> SensedWorld:

@@ -16,10 +16,10 @@ import numpy as np
 from shmoo_mjx import se2
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.plant.perturbation import Perturbation, PerturbedBody, adjustment, draw_body
-from shmoo_mjx.sensing import odometry, tracker
+from shmoo_mjx.sensing import odometry, touch, tracker
 from shmoo_mjx.sensing.camera import Camera, Scenery, deviation, in_sight
 from shmoo_mjx.sensing.odometry import TICK, Odometry, OdometryConfig, OdometryDraw
-from shmoo_mjx.sensing.touch import TouchConfig
+from shmoo_mjx.sensing.touch import ArmScale, TouchConfig
 from shmoo_mjx.sensing.tracker import TrackerConfig, Tracks
 
 __all__ = [
@@ -142,6 +142,7 @@ class SensorState(NamedTuple):
     lost_until: Array
     """``[W, N]`` tick up to which each object's tags stay lost."""
     tracks: Tracks
+    arms: ArmScale
 
 
 class Estimates(NamedTuple):
@@ -204,6 +205,7 @@ def first_state(
         xp.repeat(object_pose[:, None], length, axis=1),
         xp.zeros((worlds, objects)),
         tracker.init(worlds, objects),
+        touch.init(worlds),
     )
     found = (
         xp.ones((worlds, objects), bool) if poses_known else in_sight(senses.camera, scenery, robot_pose, object_pose)

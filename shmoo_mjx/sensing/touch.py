@@ -1,17 +1,23 @@
-"""Force estimate Gamma = J tau, assigned to the object that the hands can be touching."""
+"""Force estimate Gamma = J tau, assigned to the object that the hands can be touching.
+
+Motor constants are known to some 15 % only, and extended arms weigh: what their motors seem to hold beyond gravity is
+up to 4 N that nothing exerts. With the hands extended and free, gravity is all there is to hold, which calibrates them.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.hands import REACH
 from shmoo_mjx.plant.joint_torque import joint_torque_wrench
+from shmoo_mjx.plant.lowlevel import arm_gravity
 from shmoo_mjx.plant.robot import RobotState
 
-__all__ = ["TouchConfig", "felt"]
+__all__ = ["ArmScale", "TouchConfig", "calibrated", "felt", "init"]
 
 Array = Any
 
@@ -25,11 +31,55 @@ class TouchConfig:
     leave as much. More: light touches are missed."""
 
 
-def felt(touch: TouchConfig, robot: RobotState, torque: Array, reach: Array, object_pose: Array) -> np.ndarray:
+_PRIOR = 20.0
+"""What counts for the nominal motor constants, in squares of the torque of gravity [(N m)^2]: 0.1 s with extended
+arms."""
+_FREE = 0.10
+"""Distance of the hands' midpoint from every object's outline from which they touch nothing [m]: several times the
+error of a pose."""
+_LIMIT = 1.4
+"""Largest factor between torques asked for and exerted, and the inverse of the least [1]: what is beyond twice the
+tolerance of motor constants is a motor that fails, or an arm that leans on something."""
+
+
+class ArmScale(NamedTuple):
+    """Sums over the readings with the hands extended and free, for the arms' motors of W robots."""
+
+    products: Array
+    """``[W, 6]`` of torque asked for and torque of gravity [(N m)^2]."""
+    squares: Array
+    """``[W, 6]`` of the torque of gravity [(N m)^2]."""
+
+
+def init(worlds: int) -> ArmScale:
+    """Before the first reading."""
+    return ArmScale(np.zeros((worlds, 6)), np.zeros((worlds, 6)))
+
+
+def calibrated(
+    scale: ArmScale, robot: RobotState, torque: Array, reach: Array, object_pose: Array, half_extents: Array
+) -> ArmScale:
+    """The sums after one more reading; arguments as for :func:`felt`, ``half_extents [W, N, 2]`` of the objects [m]."""
+    extended = reach > REACH - 0.01
+    if not extended.any():
+        return scale
+    hands = se2.transform_point(robot.pose, np.stack([reach, np.zeros_like(reach)], axis=-1))
+    inside = np.abs(se2.rotate(hands[:, None] - object_pose[..., :2], -object_pose[..., 2]))
+    away = np.linalg.norm(np.maximum(inside - half_extents, 0.0), axis=-1)
+    # An object that has never been seen is not within reach; nor is what a comparison with NaN says nothing of.
+    free = extended & ~(away < _FREE).any(axis=-1)
+    gravity = np.where(free[:, None], arm_gravity(robot.arms, robot.lean[..., :1]).reshape(torque.shape), 0.0)
+    return ArmScale(scale.products + torque * gravity, scale.squares + gravity**2)
+
+
+def felt(
+    touch: TouchConfig, scale: ArmScale, robot: RobotState, torque: Array, reach: Array, object_pose: Array
+) -> np.ndarray:
     """Gamma ``[W, N, 3]`` on each object about its centre, in {W}; all of it goes to the one nearest to the hands.
 
     Args:
         touch: see there.
+        scale: what is known of the motors.
         robot: joint angles and lean, and as pose the one the robot believes in.
         torque: of the arms' motors ``[W, 6]`` [N m].
         reach: of the hands ``[W]`` [m].
@@ -42,7 +92,8 @@ def felt(touch: TouchConfig, robot: RobotState, torque: Array, reach: Array, obj
     far = np.linalg.norm(object_pose[..., :2] - hands[:, None], axis=-1)
     nearest = np.argmin(np.where(np.isfinite(far), far, np.inf), axis=1)
     rows = np.arange(len(nearest))
-    reading = joint_torque_wrench(robot, torque, object_pose[rows, nearest])
+    asked = np.maximum((_PRIOR + scale.products) / (_PRIOR + scale.squares), 1 / _LIMIT)
+    reading = joint_torque_wrench(robot, torque / np.minimum(asked, _LIMIT), object_pose[rows, nearest])
     # A comparison with NaN is false: what is not known anywhere is not touched either.
     firm = (np.hypot(reading[:, 0], reading[:, 1]) > touch.least) & np.isfinite(reading).all(axis=-1)
     wrench[rows, nearest] = np.where(firm[:, None], reading, 0.0)

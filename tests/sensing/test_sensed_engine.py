@@ -14,7 +14,7 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.hands import HAND_HEIGHT, REACH
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.objects import draw_condition
-from shmoo_mjx.plant.perturbation import Perturbation
+from shmoo_mjx.plant.perturbation import Perturbation, adjustment, draw_body
 from shmoo_mjx.plant.scene import build_scene
 from shmoo_mjx.plant.trials import command
 from shmoo_mjx.sensing import PERFECT, REAL, SensedEngine, SensedWorld, Senses, altered, senses_named
@@ -232,6 +232,27 @@ def test_force_from_joint_torque_is_near_the_contact_force() -> None:
     assert np.hypot(*force.T).mean() > 10
     assert 1e-3 < error.mean() < 0.15 * np.hypot(*force.T).mean()
     assert not np.abs(true.wrench[:5]).any()
+
+
+@pytest.mark.parametrize("gains", [(1.12,) * 6, (1.0, 0.88, 1.1, 1.0, 0.9, 1.1)])
+def test_motor_constants_are_calibrated_by_what_extended_arms_weigh(gains: tuple[float, ...]) -> None:
+    """Nothing is felt before there is contact, and then what there is, however wrong the motors' constants are."""
+    box = draw_condition("box", 1, {"mass": 60.0, "payload": 0.0, "friction": 0.6})
+    body = draw_body(Perturbation.none(), 0)._replace(arm_gain=gains)
+    scene = build_scene([(box, (AHEAD[0] + 0.35, 0.0, 0.0))], adjust=adjustment(body))
+    felt, true = [], []
+    with SensedEngine([scene], NOMINAL) as engine:
+        world = engine.init()
+        for i in range(90):
+            wanted = command(1, (0.02 if i < 50 else 0.07, 0.0), 0.0, reach=REACH, hand_height=HAND_HEIGHT)
+            world, seen = engine.step(world, wanted)
+            felt.append(seen.wrench[0, 0, 0])
+            true.append(engine.true_observation(world).wrench[0, 0, 0])
+    felt, true = np.array(felt), np.array(true)
+    touched = int(np.argmax(true != 0))
+    assert 15 < touched < 60 and true[-20:].mean() > 15
+    np.testing.assert_allclose(felt[touched - 6 : touched].mean(), 0.0, atol=0.7)
+    np.testing.assert_allclose(felt[-20:].mean(), true[-20:].mean(), rtol=0.08)
 
 
 def test_commands_take_effect_after_delay_and_computing() -> None:
