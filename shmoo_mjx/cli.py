@@ -205,8 +205,9 @@ def collect(
 def train(
     what: Positional[Literal["object", "robot"]],
     data: Positional[Path],
-    out: Path = Path("weights.safetensors"),
+    out: Path | None = None,
     seed: Seed = 0,
+    quick: bool = False,
 ) -> int:
     """Train the object model (DAIML) or the robot model on a data set; resumes where it was stopped.
 
@@ -215,15 +216,20 @@ def train(
     Args:
         what: object (psi, its prior and noise) or robot (R).
         data: data set made by shmoo collect.
-        out: weights file; the part that is trained is written into it, the other part is kept.
+        out: weights file; the part that is trained is written into it, the other part is kept (default:
+            weights.safetensors, or weights-quick.safetensors with --quick).
         seed: of initialisation and batches.
+        quick: a short form of a minute, to try the commands; its weights are not for use.
     """
     from shmoo_mjx import progress
     from shmoo_mjx.learning.train import train_part
 
+    target = out or Path("weights-quick.safetensors" if quick else "weights.safetensors")
     with progress.training(what) as report:
-        score = train_part(what, data, out, seed, report)
-    print(f"{out}: {what} model, fraction of variance unexplained on validation conditions {score:.3f}")
+        score = train_part(what, data, target, seed, report, quick)
+    print(f"{target}: {what} model, fraction of variance unexplained on validation conditions {score:.3f}")
+    if quick:
+        print("A short training: these weights are not for use.")
     return 0
 
 

@@ -91,7 +91,7 @@ class DaimlConfig:
     """Most epochs; the learning rate falls to zero over them along a cosine."""
     epoch_updates: int = 150
     patience: int = 12
-    """Chunks without a better validation score before stopping."""
+    """Epochs without a better validation score before stopping."""
     fit_samples: int = 250
     """First samples of a validation condition that a* is fitted on; it is scored on the later ones."""
     contact_fit: IdentificationConfig = field(default_factory=IdentificationConfig)

@@ -57,7 +57,7 @@ class RobotFitConfig:
     windows: int = 64
     """Roll-outs per update."""
     patience: int = 20
-    """Chunks without a better validation score before stopping."""
+    """Epochs without a better validation score before stopping."""
     seed: int = 0
 
 

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
+from shmoo_mjx.data import store
 from shmoo_mjx.files import claimed
 from shmoo_mjx.learning import daiml, robot_fit, weights
+from shmoo_mjx.learning.identification import IdentificationConfig
 from shmoo_mjx.learning.training import Progress
 
 __all__ = ["train_part"]
+
+_QUICK: dict[str, Any] = {"epochs": 3, "epoch_updates": 50}
+_QUICK_OBJECT: dict[str, Any] = _QUICK | {"contact_fit": IdentificationConfig(starts=64, refined=2, rounds=1)}
+_QUICK_CONDITIONS = {"train": 12, "validation": 3}
+"""Conditions of each split that the short form trains on."""
 
 
 def train_part(
@@ -19,6 +26,7 @@ def train_part(
     out: Path,
     seed: int = 0,
     progress: Callable[[Progress], None] | None = None,
+    quick: bool = False,
 ) -> float:
     """Train psi or R with the default settings and write it into ``out``, keeping that file's other part.
 
@@ -30,23 +38,36 @@ def train_part(
         out: weights file.
         seed: of initialisation and batches.
         progress: called after each epoch of training.
+        quick: a few updates on a few conditions, to try the pipeline; the weights' info says so (``WHAT_quick``), and
+            so does that of every run with them.
 
     Returns:
         The score on the validation conditions.
     """
     kept = out.with_name(f"{out.name}.training")
-    checkpoints = kept / what
+    # Of its own, or the short form would replace what an interrupted training goes on from.
+    checkpoints = kept / (f"{what}-quick" if quick else what)
     with claimed(kept):
+        dataset = _few(store.read(data, splits=("train", "validation"))) if quick else data
         old = weights.load_weights(out) if out.exists() else None
         if what == "object":
-            config = daiml.DaimlConfig(seed=seed)
-            fit = daiml.train_object(data, checkpoints, config, progress)
+            config = daiml.DaimlConfig(seed=seed, **(_QUICK_OBJECT if quick else {}))
+            fit = daiml.train_object(dataset, checkpoints, config, progress)
             new = weights.with_object(old or weights.untrained(), fit)
             score = float(fit.score)
         else:
-            settings = robot_fit.RobotFitConfig(seed=seed)
-            robot = robot_fit.train_robot(data, checkpoints, settings, progress)
+            settings = robot_fit.RobotFitConfig(seed=seed, **(_QUICK if quick else {}))
+            robot = robot_fit.train_robot(dataset, checkpoints, settings, progress)
             new = weights.with_robot(old or weights.untrained(), robot, settings.robot)
             score = float(robot.score)
-        weights.save_weights(out, new)
+        weights.save_weights(out, new._replace(info=new.info | {f"{what}_quick": quick}))
         return score
+
+
+def _few(dataset: store.Dataset) -> store.Dataset:
+    """Some conditions of each split, of every family: evenly over the names, which begin with the family's."""
+    chosen: list[int] = []
+    for split, most in _QUICK_CONDITIONS.items():
+        places = [i for i, condition in enumerate(dataset.conditions) if condition["split"] == split]
+        chosen += places[:: -(-len(places) // most) or 1]
+    return dataset.chosen(chosen)

@@ -26,9 +26,9 @@ class Progress(NamedTuple):
     """Argument of progress callbacks after each epoch."""
 
     epoch: int
-    """Chunks done so far."""
+    """Epochs done so far."""
     epochs: int
-    """Chunks planned; early stopping may end before."""
+    """Epochs planned; early stopping may end before."""
     train_loss: float
     validation: float
     """Score on the validation conditions; lower is better."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -53,6 +54,7 @@ def render_report(result: dict[str, Any], trace: Trace, video: Path | None = Non
     environment.filters["number"] = _number
     environment.filters["pose"] = _pose
     environment.filters["object_name"] = lambda name: object_name(result, name)
+    environment.filters["by_name"] = lambda text: _by_name(result, text)
     recorded = "summary" in result  # of somebody's own robot (custom_log.py)
     source = resources.files("shmoo_mjx.report").joinpath("report.html.j2").read_text(encoding="utf-8")
     return environment.from_string(source).render(
@@ -77,6 +79,11 @@ def render_report(result: dict[str, Any], trace: Trace, video: Path | None = Non
         versions=result.get("versions") or {},
         config=json.dumps(result["config"], indent=2, sort_keys=True) if result.get("config") else "",
     )
+
+
+def _by_name(result: dict[str, Any], text: Any) -> str:
+    """A reason with "object 0" by the name that its object has on the rest of the page."""
+    return re.sub(r"\bobject (\d+)", lambda found: object_name(result, int(found[1])), str(text))
 
 
 def succeeded(result: dict[str, Any]) -> bool:
@@ -180,4 +187,4 @@ def _pose(value: Any) -> str:
     if value is None:
         return "–"  # noqa: RUF001
     text = ", ".join(f"{float(v):.2f}" for v in value[:2])
-    return f"({text}, {np.degrees(float(value[2])):.0f}°)" if len(value) > 2 else f"({text})"
+    return f"({text}, {round(np.degrees(float(value[2]))):d}°)" if len(value) > 2 else f"({text})"

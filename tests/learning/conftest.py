@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -53,7 +55,7 @@ def _lag(lean: np.ndarray, rate: np.ndarray, target: np.ndarray) -> tuple[np.nda
 
 
 @pytest.fixture(scope="session")
-def synthetic_dataset(tmp_path_factory: pytest.TempPathFactory) -> store.Dataset:
+def synthetic_directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """12 training, 3 validation and 3 test conditions of 4 episodes with 100 samples."""
     directory = tmp_path_factory.mktemp("synthetic")
     opened = store.create_or_open(directory, {"kind": "synthetic"})
@@ -62,4 +64,10 @@ def synthetic_dataset(tmp_path_factory: pytest.TempPathFactory) -> store.Dataset
         split = "train" if i < 12 else ("validation" if i < 15 else "test")
         condition = {"family": "synthetic", "seed": i, "split": split}
         store.write_condition(opened, f"synthetic-{i:02d}", _condition(rng, 4, 100), condition)
-    return store.read(directory)
+    return directory
+
+
+@pytest.fixture(scope="session")
+def synthetic_dataset(synthetic_directory: Path) -> store.Dataset:
+    """The same, read."""
+    return store.read(synthetic_directory)

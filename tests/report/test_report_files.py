@@ -76,9 +76,24 @@ def test_report_is_one_self_contained_page(tmp_path: Path, trace: Trace, result:
     assert base64.b64encode(b"film" * 10).decode() in page
     assert "hands &lt;on&gt; the face" in page
     for step in result["transitions"]:
-        assert f"<td>{step['to']}</td>" in page
+        assert f">{step['to']}</td>" in page
     assert "1.910" in page and "0.012" in page and "can&#39;t be moved" not in page.split("<h2>")[0].split("<p")[0]
     assert not list(tmp_path.glob(".*"))
+
+
+def test_objects_have_one_name_and_rows_can_be_stacked_on_a_phone(trace: Trace, result: dict[str, Any]) -> None:
+    for number, item in enumerate(result["objects"]):
+        item["id"] = number
+    result["decisions"] = [d | {"object": n, "goal": None} for n, d in enumerate(result["decisions"])]
+    result["transitions"] = [
+        {"t": 1.0, "from": "push", "to": "retreat", "reason": "object 1 no longer blocks the path"}
+    ]
+    result["objects"][0]["start_pose"] = [1.0, 2.0, -0.001]
+    page = html.render_report(result, trace)
+    assert "wheelchair 1 no longer blocks the path" in page and "object 1" not in page
+    assert "(1.00, 2.00, 0°)" in page and "-0°" not in page
+    body = page.partition("<body>")[2]
+    assert not [cell for cell in re.findall(r"<td[^>]*>", body) if "data-label" not in cell]
 
 
 def test_large_film_is_linked(
