@@ -390,8 +390,8 @@ def experiment(
         maps: folder with map_server maps, for navigation.
         scenarios: scenarios per map, for navigation; or a scenario set in the place of maps: a file made by shmoo
             scenarios make, or floor_plans, the shipped one.
-        policies: which policies (navigation, lifelong) or methods (pushing) run, by their names (default: all);
-            for navigation also one of your own, as package.module:Name.
+        policies: which policies (navigation, lifelong) or pushing controllers (pushing) run, by their names (default:
+            all); for navigation and pushing also your own, as package.module:Name.
         weights: trained weights (default: the shipped ones).
         pushes: folder of recorded pushes, for real_pushing among all.
         out: folder for figures and what an interrupted experiment goes on from.

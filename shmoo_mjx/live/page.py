@@ -32,7 +32,6 @@ from shmoo_mjx.live.session import Session, object_files, scenes
 from shmoo_mjx.navigation import flat_trajectory
 from shmoo_mjx.navigation.scenario import FAMILIES
 from shmoo_mjx.plant.objects import draw_condition
-from shmoo_mjx.report.tables import markdown_table
 from shmoo_mjx.types import DT
 
 __all__ = ["PICTURES", "Page"]
@@ -458,26 +457,27 @@ class Page:
             self._history.append((simulation.time, lean, force / 10, np.nan if p is None else p))
             self._history = [row for row in self._history if row[0] > simulation.time - _KEPT]
         if round(simulation.time / DT) % 5 == 0:
-            self._objects.content = self._table()
+            self._objects.content = self._beliefs()
             t, leans, forces, chances = (np.array(column) for column in zip(*self._history, strict=True))
             self._curves.data, self._chance.data = (t, leans, forces), (t, chances)
             self._legend.content = overlay.legend(session.plan)
 
-    def _table(self) -> str:
-        """What the robot thinks of each object, as Markdown."""
-        navigator = self.session.simulation.navigator
-        rows = []
+    def _beliefs(self) -> str:
+        """What the robot thinks of each object, as a Markdown list: a table would be too wide for a phone."""
+        navigator, lines = self.session.simulation.navigator, list[str]()
         for index, condition in enumerate(self.session.simulation.conditions):
-            known, name = navigator.belief.objects.get(index), f"{index} {Path(condition.family).stem}"
+            name, known = f"{index} {Path(condition.family).stem}", navigator.belief.objects.get(index)
             if known is None:
-                rows.append((name, "not seen yet", "", "", ""))
+                lines.append(f"- **{name}** not seen yet")
                 continue
             verdicts = [d for d in navigator.decisions if d.object == index]
             last = f"P = {verdicts[-1].probability:.2f}, K = {verdicts[-1].K:.2f} m²" if verdicts else "not touched"
-            moves = {None: "?", True: "yes", False: "no"}[known.manipulable]
-            learned = "" if known.adapt is None else _in_words(online.learned(known.adapt), self.session.prior)
-            rows.append((name, str(known.status), last, moves, learned))
-        return markdown_table(("object", "status", "verdict", "moves", "learned"), rows)
+            moves = {None: "not known", True: "can be moved", False: "can't be moved"}[known.manipulable]
+            parts = [f"{known.status}: {moves} ({last})"]
+            if known.adapt is not None:
+                parts.append(_in_words(online.learned(known.adapt), self.session.prior))
+            lines.append(f"- **{name}** {'; '.join(parts)}")
+        return "\n".join(lines)
 
 
 def _in_words(learned: dict[str, float], prior: dict[str, float]) -> str:

@@ -136,7 +136,7 @@ def test_the_clearance_is_drawn_when_asked_for_and_objects_of_ones_own_are_offer
     page.carry_out()
     page.show()
     assert said(page).startswith("**Done.** Object 3: stool 0.50 x 0.50 x 0.60 m, 5.0 kg, mu 0.35")
-    assert "3 stool" in page._table() and "roll-outs by cost" in page._legend.content
+    assert "3 stool" in page._beliefs() and "roll-outs by cost" in page._legend.content
 
 
 def browser() -> Any:
