@@ -1,6 +1,6 @@
 """Train a small agent on ShmooPush-v0 by CMA-ES for some minutes, and draw its curve.
 
-    uv run --with cma python examples/train_agent.py
+    uv run --with cma python examples/train_agent.py --out agent.png
 
 The policy is linear: 27 observations, 4 actions, 112 numbers. CMA-ES (the package cma) needs no gradients and no GPU;
 any other library that takes Gymnasium environments works as well, such as Stable-Baselines3.
@@ -22,6 +22,9 @@ from matplotlib.figure import Figure
 STEPS = 120  # 12 s of each episode
 SCALE = np.repeat([0.1, 0.5, 0.5, 0.5, 1.0, 0.5, 50.0, 1.0, 0.5], [2, 2, 3, 4, 4, 3, 3, 4, 2])  # of the observations
 HELD_OUT = range(900, 912)
+"""Seeds of the episodes that the curve is taken on and that training never sees."""
+POPULATION, EPISODES = 14, 3
+"""Policies in a generation, and episodes of each."""
 
 
 def episode(weights: np.ndarray, seed: int) -> tuple[float, float]:
@@ -45,43 +48,47 @@ def scores(pool: ProcessPoolExecutor, candidates: Sequence[np.ndarray], seeds: S
     return found.reshape(len(candidates), len(seeds), 2).mean(axis=1)
 
 
-def train(minutes: float, out: Path, workers: int, seed: int) -> list[tuple[float, float, float]]:
-    """Rows of the curve: minutes, return and final distance on episodes that training never sees."""
-    search = cma.CMAEvolutionStrategy(
-        np.zeros(4 * (len(SCALE) + 1)), 0.3, {"seed": seed + 1, "popsize": 14, "verbose": -9}
-    )
-    rng, began, curve = np.random.default_rng(seed), time.monotonic(), []
+def train(generations: int, workers: int, seed: int, out: Path) -> None:
+    """Search, and after every third generation draw the curve and keep the policy ``[4, 28]``."""
+    options = {"seed": seed + 1, "popsize": POPULATION, "verbose": -9}
+    search = cma.CMAEvolutionStrategy(np.zeros(4 * (len(SCALE) + 1)), 0.3, options)
+    rng, began, curve = np.random.default_rng(seed), time.monotonic(), list[tuple[int, float, float]]()
     with ProcessPoolExecutor(workers) as pool:
-        while not curve or curve[-1][0] < minutes:
-            mean = scores(pool, [search.mean], HELD_OUT)[0]
-            curve.append(((time.monotonic() - began) / 60, *mean.tolist()))
-            print(f"{curve[-1][0]:5.1f} min  return {mean[0]:+.2f}  final distance {mean[1]:.2f} m", flush=True)
-            for _ in range(3):
-                candidates = search.ask()
-                seeds = rng.integers(1000, 100_000, 3).tolist()  # the same for all: what differs is the policy
-                search.tell(candidates, (-scores(pool, candidates, seeds)[:, 0]).tolist())
-    np.save(out.with_suffix(".npy"), search.mean.reshape(4, -1))
-    return curve
+        for generation in range(generations + 1):
+            if generation % 3 == 0:
+                gained, distance = scores(pool, [search.mean], HELD_OUT)[0].tolist()
+                curve.append((generation * POPULATION * EPISODES, gained, distance))
+                draw(curve, out)
+                np.save(out.with_suffix(".npy"), search.mean.reshape(4, -1))
+                minutes = (time.monotonic() - began) / 60
+                print(
+                    f"{minutes:5.1f} min, {curve[-1][0]:4d} episodes: return {gained:+.2f}, "
+                    f"final distance {distance:.2f} m",
+                    flush=True,
+                )
+            candidates = search.ask()
+            seeds = rng.integers(1000, 100_000, EPISODES).tolist()  # the same for all: what differs is the policy
+            search.tell(candidates, (-scores(pool, candidates, seeds)[:, 0]).tolist())
 
 
-def draw(curve: list[tuple[float, float, float]], file: Path) -> None:
-    """The curve as a picture."""
-    minutes, returns, distances = np.array(curve).T
+def draw(curve: list[tuple[int, float, float]], file: Path) -> None:
+    """Return and final distance over the episodes of training."""
+    episodes, returns, distances = np.array(curve).T
     figure = Figure(figsize=(6.0, 3.0), layout="constrained")
     left, right = figure.subplots(1, 2)
     for axes, values, name in ((left, returns, "return"), (right, distances, "final distance from the goal [m]")):
-        axes.plot(minutes, values, "o-", color="#0072B2", ms=4)
-        axes.set(xlabel="time [min]", ylabel=name)
+        axes.plot(episodes, values, "o-", color="#0072B2", ms=4)
+        axes.set(xlabel="episodes of training", ylabel=name)
         axes.grid(alpha=0.3)
     figure.savefig(file, dpi=110)
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--minutes", type=float, default=6.0)
+    parser.add_argument("--generations", type=int, default=36)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("agent.png"))
     given = parser.parse_args()
-    draw(train(given.minutes, given.out, given.workers, given.seed), given.out)
+    train(given.generations, given.workers, given.seed, given.out)
     print(given.out)
