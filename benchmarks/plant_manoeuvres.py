@@ -7,7 +7,6 @@ Run: python benchmarks/plant_manoeuvres.py            table and figure of docs/p
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,13 +17,15 @@ from plant_figures import _save
 
 from shmoo_mjx import se2
 from shmoo_mjx.control import equilibrium_lean
-from shmoo_mjx.files import write_whole
+from shmoo_mjx.evaluation.trials import run_trials
+from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.navigation.drive import DAMPING, LEAD, STIFFNESS
 from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
 from shmoo_mjx.plant.robot import ROBOT
 from shmoo_mjx.plant.scene import Scene, build_scene
 from shmoo_mjx.plant.trials import command
 from shmoo_mjx.report.style import SERIES
+from shmoo_mjx.report.tables import markdown_table
 from shmoo_mjx.sensing import PERFECT, REAL, SensedEngine, Senses
 from shmoo_mjx.types import DT, Observation
 
@@ -33,6 +34,14 @@ CMU_MASS = 51.66 + 2.44
 SCALE = MASS / CMU_MASS
 ROBOTS = 5
 """Proxy robots per manoeuvre: seeds 0 to 4."""
+FORCES = {4.6: 0.23, 11.5: 0.50, 20.4: 0.82}
+"""Constant pushes [N] of the CMU ballbot, and its speed after 5 s [m/s]."""
+PUBLISHED = {
+    "station: position error, largest [mm]": "ballbot 20",
+    "circle 0.4 m/s: position error, largest [mm]": "Newton example 179",
+    "circle 0.4 m/s: lean, largest [deg]": "Newton example 14.2",
+    **{f"{SCALE * force:.1f} N for 5 s: speed [m/s]": f"ballbot {speed}" for force, speed in FORCES.items()},
+}
 _CHUNK = 100
 
 
@@ -134,7 +143,7 @@ def _during(start: float, end: float, force: np.ndarray) -> Callable[[float], An
     return lambda time: force if start - 1e-6 < time < end - 1e-6 else None
 
 
-def manoeuvres(name: str, senses: Senses) -> tuple[dict[str, Any], dict[str, Track]]:
+def manoeuvres(senses: Senses) -> tuple[dict[str, Any], dict[str, Track]]:
     """Numbers of one kind of robot, the worst of all, and the tracks for the figure."""
     count = 1 if senses.perfect else ROBOTS
     scenes, numbers, tracks = robots(senses, count), dict[str, Any](), dict[str, Track]()
@@ -161,18 +170,22 @@ def manoeuvres(name: str, senses: Senses) -> tuple[dict[str, Any], dict[str, Tra
     numbers["stop from 0.7 m/s: time to 0.05 m/s [s]"] = float(track.time[slow, 0].max() - 6.0)
     start = np.argmax(after)
     numbers["stop from 0.7 m/s: way [m]"] = float((along[start:].max(axis=0) - along[start - 1]).max())
-    for force, theirs in ((4.6, 0.23), (11.5, 0.50), (20.4, 0.82)):
+    for force in FORCES:
         wrench = np.zeros((count, 6))
         wrench[:, 0] = SCALE * force
         track = follow(scenes, senses, 11.0, lambda t: Wish(), _during(6.0, 11.0, wrench))
-        numbers[f"{SCALE * force:.1f} N for 5 s (CMU {force} N: {theirs} m/s): speed [m/s]"] = float(
-            np.median(track.twist[-1, :, 0])
-        )
+        numbers[f"{SCALE * force:.1f} N for 5 s: speed [m/s]"] = float(np.median(track.twist[-1, :, 0]))
     wrench = np.zeros((count, 6))
     wrench[:, 0] = SCALE * 310.0
     track = follow(scenes, senses, 8.0, stand, _during(2.0, 2.4, wrench))
     numbers[f"kick of {SCALE * 310:.0f} N x 0.4 s: falls of {count}"] = int(track.fallen.sum())
-    return {f"{name}: {key}": value for key, value in numbers.items()}, tracks
+    return numbers, tracks
+
+
+def table(nominal: dict[str, Any], proxy: dict[str, Any]) -> str:
+    """The numbers of the nominal robot, and of the worst of the proxy robots, beside what others publish."""
+    lines = [[name, f"{nominal[name]:.3g}", f"{proxy[name]:.3g}", PUBLISHED.get(name, "")] for name in nominal]
+    return markdown_table(["", "nominal", f"worst of {ROBOTS} proxy robots", "published"], lines)
 
 
 def impulses(senses: Senses) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -217,8 +230,9 @@ def envelope_scene(seed: int) -> tuple[Scene, dict[str, float]]:
     return build_scene(adjust=adjust), drawn
 
 
-def envelope(first: int, count: int) -> list[dict[str, Any]]:
-    """Over the step at 0.4 m/s, a stop, and a push of up to 5 N s from any side while standing."""
+def envelope(first: int) -> list[dict[str, Any]]:
+    """Over the step at 0.4 m/s, a stop, and a push of up to 5 N s from any side while standing; a chunk of worlds."""
+    count = _CHUNK
     worlds = [envelope_scene(seed) for seed in range(first, first + count)]
     rng = np.random.default_rng([31, first])
     size, angle = rng.uniform(0, 5, count) / 0.1, rng.uniform(-np.pi, np.pi, count)
@@ -229,16 +243,14 @@ def envelope(first: int, count: int) -> list[dict[str, Any]]:
     return [drawn | {"fell": bool(f)} for (_, drawn), f in zip(worlds, track.fallen, strict=True)]
 
 
-def survey(count: int, out: Path) -> None:
-    """Print how many worlds of the envelope fell; each chunk leaves a file."""
-    rows: list[dict[str, Any]] = []
-    for first in range(0, count, _CHUNK):
-        path = out / f"envelope-{first:05d}.json"
-        if not path.exists():
-            write_whole(path, json.dumps(envelope(first, min(_CHUNK, count - first))).encode())
-        rows += json.loads(path.read_text())
-        fell = [i for i, row in enumerate(rows) if row["fell"]]
-        print(f"{len(rows)} worlds, {len(fell)} fell: {fell[:10]}", flush=True)
+def survey(count: int, out: Path, workers: int) -> None:
+    """Print how many worlds of the envelope fell; each chunk leaves a file, of this code and no other."""
+    chunks = {f"{first:05d}": first for first in range(0, count, _CHUNK)}
+    code = fingerprint("shmoo_mjx.sensing.engine", {"chunk": _CHUNK}, Path(__file__))
+    report = lambda what, done: print(f"{what}, {done:.0%}", flush=True)  # noqa: E731
+    rows = run_trials(chunks, envelope, out / f"envelope-{code}", report, workers)
+    fell = [seed for seed, row in enumerate(rows) if row["fell"]]
+    print(f"{len(rows)} worlds, {len(fell)} fell: {fell[:10]}")
 
 
 def draw(tracks: dict[str, Track], most: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
@@ -273,16 +285,16 @@ def draw(tracks: dict[str, Track], most: tuple[np.ndarray, np.ndarray, np.ndarra
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--worlds", type=int, default=0, help="randomised worlds in the envelope, and nothing else")
+    parser.add_argument("--worlds", type=int, default=0, help="randomised worlds of the envelope, in hundreds")
+    parser.add_argument("--workers", type=int, default=2, help="processes")
     parser.add_argument("--out", type=Path, default=Path("runs/plant_manoeuvres"))
     args = parser.parse_args()
     if args.worlds:
-        survey(args.worlds, args.out)
+        survey(args.worlds, args.out, args.workers)
         return
-    nominal, _ = manoeuvres("nominal", PERFECT)
-    proxy, tracks = manoeuvres("proxy", REAL)
-    for name, value in (nominal | proxy).items():
-        print(f"{name}: {value:.3g}", flush=True)
+    nominal, _ = manoeuvres(PERFECT)
+    proxy, tracks = manoeuvres(REAL)
+    print(table(nominal, proxy))
     most = impulses(REAL)
     print("largest impulse survived [N s], heights x directions:", most[0], np.rad2deg(most[1]), most[2], sep="\n")
     draw(tracks, most)

@@ -28,8 +28,8 @@ from shmoo_mjx.navigation.records import NavigatorConfig
 from shmoo_mjx.navigation.verdicts import PROBE_TIME
 from shmoo_mjx.navigation.yaml_input import closest_name
 from shmoo_mjx.report.trace import Trace, save_trace
-from shmoo_mjx.run import versions
 from shmoo_mjx.types import DT, Array
+from shmoo_mjx.versions import versions
 
 __all__ = ["OPTIONAL", "REQUIRED", "Log", "read_log", "run_of_log", "write_run"]
 

@@ -92,10 +92,14 @@ def _weights() -> Check:
     path = asset(WEIGHTS)
     remedy = "reinstall, or make them anew: shmoo collect, shmoo train (docs/models.md)"
     try:
-        load_weights(path)
+        made_by = load_weights(path).info.get("made_by", {})
     except ShmooError as error:
         return Check("shipped weights", False, str(error), remedy)
-    return Check("shipped weights", True, path.name, remedy)
+    of = "; ".join(
+        f"{part}: {by['command']}, data {by['data']['sha256'][:8]}, score {by['score']:.3f}"
+        for part, by in made_by.items()
+    )
+    return Check("shipped weights", True, f"{path.name} ({of})" if of else path.name, remedy)
 
 
 CHECKS: tuple[Callable[[], Check], ...] = (_python, _mujoco, _jax, _device, _renderer, _encoder, _weights)

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-import platform
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -22,14 +20,9 @@ from shmoo_mjx.options import shortened
 from shmoo_mjx.seeds import check_seed
 from shmoo_mjx.types import DT, SensesName
 from shmoo_mjx.verbosity import is_quiet
+from shmoo_mjx.versions import versions
 
-__all__ = ["checked_objects", "load_inputs", "run_scenario", "save_run", "versions"]
-
-
-def versions() -> dict[str, str]:
-    """Versions of everything a result depends on."""
-    names = ("shmoo-mjx", "jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy", "scikit-image", "clarabel")
-    return {"python": platform.python_version()} | {name: metadata.version(name) for name in names}
+__all__ = ["checked_objects", "load_inputs", "run_scenario", "save_run"]
 
 
 def run_scenario(

@@ -33,8 +33,10 @@ __all__ = [
     "Store",
     "adopt",
     "create_or_open",
+    "fingerprint_of",
     "of_training",
     "read",
+    "read_manifest",
     "system_states",
     "write_condition",
 ]
@@ -131,7 +133,7 @@ def create_or_open(directory: str | os.PathLike[str], schema: dict[str, Any]) ->
     path = directory / MANIFEST
     wanted = json.loads(json.dumps(schema))
     if path.exists():
-        manifest = _read_manifest(path)
+        manifest = read_manifest(directory)
         if manifest["schema"] != wanted:
             raise ShmooError(
                 f"{path}: field 'schema' says the data set was collected with other settings; choose an empty "
@@ -202,7 +204,7 @@ def read(directory: str | os.PathLike[str], splits: tuple[str, ...] = SPLITS) ->
     from safetensors.numpy import load
 
     directory = Path(directory)
-    manifest = _read_manifest(directory / MANIFEST)
+    manifest = read_manifest(directory)
     names, conditions, arrays = [], [], []
     for name, entry in sorted(manifest["conditions"].items()):
         if entry["condition"]["split"] not in splits:
@@ -220,6 +222,39 @@ def read(directory: str | os.PathLike[str], splits: tuple[str, ...] = SPLITS) ->
         conditions.append(entry["condition"])
         arrays.append(load(content))
     return Dataset(names, conditions, arrays, manifest["schema"])
+
+
+def read_manifest(directory: str | os.PathLike[str]) -> dict[str, Any]:
+    """A data set's manifest: schema, versions and conditions.
+
+    Raises:
+        ShmooError: no data set there, or a damaged manifest.
+    """
+    path = Path(directory) / MANIFEST
+    if not path.is_file():
+        raise ShmooError(f"{path}: there is no data set here; give the directory that `shmoo collect` wrote.")
+    try:
+        manifest = json.loads(path.read_text())
+        version = manifest["schema_version"]
+        if version == SCHEMA_VERSION:
+            _check_entries(path, manifest["schema"], manifest["conditions"])
+            manifest["versions"].items()
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise ShmooError(
+            f"{path}: the manifest is damaged ({error}); delete the directory and collect again."
+        ) from None
+    if version != SCHEMA_VERSION:
+        raise ShmooError(
+            f"{path}: field 'schema_version' is {version}, this version reads {SCHEMA_VERSION}; collect again."
+        )
+    return manifest
+
+
+def fingerprint_of(directory: str | os.PathLike[str]) -> str:
+    """SHA-256 of how a data set was collected and of every file in it, in whatever order these were written."""
+    manifest = read_manifest(directory)
+    files = sorted((name, entry["sha256"]) for name, entry in manifest["conditions"].items())
+    return hashlib.sha256(json.dumps([manifest["schema"], files], sort_keys=True).encode()).hexdigest()
 
 
 def of_training(data: str | os.PathLike[str] | Dataset) -> Dataset:
@@ -310,22 +345,15 @@ def _check_condition(name: str, condition: dict[str, Any]) -> None:
         )
 
 
-def _read_manifest(path: Path) -> dict[str, Any]:
-    if not path.is_file():
-        raise ShmooError(f"{path}: there is no data set here; give the directory that `shmoo collect` wrote.")
-    try:
-        manifest = json.loads(path.read_text())
-        version = manifest["schema_version"]
-        manifest["schema"], manifest["conditions"].items()
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ShmooError(
-            f"{path}: the manifest is damaged ({error}); delete the directory and collect again."
-        ) from None
-    if version != SCHEMA_VERSION:
-        raise ShmooError(
-            f"{path}: field 'schema_version' is {version}, this version reads {SCHEMA_VERSION}; collect again."
-        )
-    return manifest
+def _check_entries(path: Path, schema: dict[str, Any], conditions: dict[str, Any]) -> None:
+    """Refuse entries that `write_condition` does not make: above all files outside the data set's folder."""
+    schema.items()
+    for name, entry in conditions.items():
+        if entry["file"] != f"{name}.safetensors" or Path(entry["file"]).name != entry["file"]:
+            raise ShmooError(f"{path}: condition {name!r} has the file {entry['file']!r}; it must be NAME.safetensors.")
+        _check_condition(name, entry["condition"])
+        if not isinstance(entry["sha256"], str):
+            raise TypeError(f"no checksum of condition {name!r}")
 
 
 def _checksum(path: Path) -> str:

@@ -18,9 +18,9 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.files import write_whole
-from shmoo_mjx.run import versions
 from shmoo_mjx.seeds import MAX_CONDITION_SEED, UNSEEN_SEED, check_seed
 from shmoo_mjx.types import SensesName
+from shmoo_mjx.versions import versions
 
 __all__ = [
     "ExperimentOptions",

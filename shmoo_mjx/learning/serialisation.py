@@ -26,7 +26,8 @@ def save_tree(path: str | os.PathLike[str], tree: Tree, notes: dict[str, Any]) -
     from safetensors.numpy import save
 
     arrays = _flatten(tree)
-    header = {"notes": json.dumps(notes), "sha256": _checksum(arrays)}
+    # One entry: safetensors writes several in any order, and the same tree would give other bytes each time.
+    header = {"notes": json.dumps(notes | {"sha256": _checksum(arrays)})}
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, save(arrays, metadata=header))
@@ -107,11 +108,13 @@ def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         with safe_open(path, framework="numpy") as file:
             header = file.metadata() or {}
             arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no iterator of its own
-        if not {"notes", "sha256"} <= header.keys():
+        notes = json.loads(header.get("notes", "{}"))
+        # Files of schema 3 have the checksum beside the notes.
+        checksum = header.get("sha256") or notes.pop("sha256", None)
+        if checksum is None:
             raise ShmooError(f"{path}: another program's safetensors file; give one that shmoo train wrote.")
-        notes = json.loads(header["notes"])
-        intact = header["sha256"] == _checksum(arrays)
-    except (SafetensorError, KeyError, ValueError, OSError) as error:
+        intact = checksum == _checksum(arrays)
+    except (SafetensorError, KeyError, ValueError, AttributeError, OSError) as error:
         raise ShmooError(f"{path}: the file is damaged ({error}); train again or fetch it anew.") from None
     if not intact:
         raise ShmooError(f"{path}: the file is damaged (field 'sha256' does not fit); train again or fetch it anew.")

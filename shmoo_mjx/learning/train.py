@@ -11,8 +11,9 @@ from shmoo_mjx.files import claimed
 from shmoo_mjx.learning import daiml, robot_fit, weights
 from shmoo_mjx.learning.identification import IdentificationConfig
 from shmoo_mjx.learning.training import Progress
+from shmoo_mjx.versions import versions
 
-__all__ = ["train_part"]
+__all__ = ["origin", "train_part"]
 
 _QUICK: dict[str, Any] = {"epochs": 3, "epoch_updates": 50}
 _QUICK_OBJECT: dict[str, Any] = _QUICK | {"contact_fit": IdentificationConfig(starts=64, refined=2, rounds=1)}
@@ -30,6 +31,8 @@ def train_part(
 ) -> float:
     """Train psi or R with the default settings and write it into ``out``, keeping that file's other part.
 
+    The file also gets what made it, under ``made_by`` of its info: see `origin`.
+
     Checkpoints go to ``OUT.training/``; a training that was stopped goes on from there.
 
     Args:
@@ -38,7 +41,7 @@ def train_part(
         out: weights file.
         seed: of initialisation and batches.
         progress: called after each epoch of training.
-        quick: a few updates on a few conditions, to try the pipeline; the weights' info says so (``WHAT_quick``), and
+        quick: a few updates on a few conditions, to try the pipeline; the command that the weights carry says so, and
             so does that of every run with them.
 
     Returns:
@@ -60,8 +63,31 @@ def train_part(
             robot = robot_fit.train_robot(dataset, checkpoints, settings, progress)
             new = weights.with_robot(old or weights.untrained(), robot, settings.robot)
             score = float(robot.score)
-        weights.save_weights(out, new._replace(info=new.info | {f"{what}_quick": quick}))
+        made_by = new.info.get("made_by", {}) | {what: origin(what, data, seed, score, quick)}
+        weights.save_weights(out, new._replace(info=new.info | {"made_by": made_by}))
         return score
+
+
+def origin(what: str, data: Path, seed: int, score: float, quick: bool = False) -> dict[str, Any]:
+    """What a trained part is made of and by: command, data set, seed, versions, score. The same training gives the
+    same, wherever its files are.
+
+    Args:
+        what: "object" or "robot".
+        data: data set directory.
+        seed: of the training.
+        score: on the validation conditions.
+        quick: whether it was the short form, which is not for use.
+    """
+    manifest = store.read_manifest(data)
+    collected = {"collected_with": manifest["schema"], "versions": manifest["versions"]}
+    return {
+        "command": f"shmoo train {what} DATA --seed {seed}" + (" --quick" if quick else ""),
+        "data": {"sha256": store.fingerprint_of(data), "conditions": len(manifest["conditions"]), **collected},
+        "seed": seed,
+        "score": score,
+        "versions": versions(),
+    }
 
 
 def _few(dataset: store.Dataset) -> store.Dataset:

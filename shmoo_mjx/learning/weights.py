@@ -56,7 +56,7 @@ class Weights(NamedTuple):
     """Prior of the contact parameters; of no use unless config.object.contact_model."""
     config: CoreConfig
     info: dict[str, Any]
-    """Where it came from: scores, data, seeds; JSON-able."""
+    """What made each part (`learning.train.origin`), and scores; JSON-able."""
 
 
 def untrained(config: CoreConfig | None = None, seed: int = 0) -> Weights:
@@ -144,14 +144,14 @@ def load_weights(path: str | os.PathLike[str] | None = None) -> Weights:
             f"{path}: field 'schema_version' is {version}, this version reads {SCHEMA_VERSION}; train again."
         )
     try:
-        config = _config(notes["config"])
-    except (KeyError, TypeError) as error:
-        raise ShmooError(f"{path}: field 'config' can not be read ({error}); train again.") from None
+        config, info = _config(notes["config"]), dict(notes["info"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise ShmooError(f"{path}: field 'config' or 'info' can not be read ({error}); train again.") from None
     like = jax.eval_shape(lambda: _arrays(untrained(config)))
     tree, _ = serialisation.load_tree(path, like, _RENAMED if version == 3 else {})
     _check_values(path, tree)
     arrays = jax.tree.map(jnp.asarray, tree)
-    return Weights(**arrays, config=config, info=notes["info"])
+    return Weights(**arrays, config=config, info=info)
 
 
 def _check_values(path: str | os.PathLike[str], tree: dict[str, Any]) -> None:

@@ -19,9 +19,9 @@ import pyarrow.parquet as pq
 from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.files import write_whole
-from shmoo_mjx.run import versions
 from shmoo_mjx.sweep.config import SweepConfig, sweep_fingerprint
 from shmoo_mjx.sweep.worlds import draw, label
+from shmoo_mjx.versions import versions
 
 if TYPE_CHECKING:
     from shmoo_mjx.sweep.simulate import Batches

@@ -79,6 +79,30 @@ def test_an_interrupted_write_leaves_no_condition(tmp_path: Path, monkeypatch: p
     assert json.loads((tmp_path / "manifest.json").read_text())["conditions"] == {}
 
 
+@pytest.mark.parametrize("name", ["../a", "/etc/a", "sub/a", "a"])
+@pytest.mark.parametrize("file", ["../a.safetensors", "/etc/passwd", "other.safetensors", 3, None])
+def test_a_manifest_names_only_files_in_its_folder(name: str, file: object, tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    store.write_condition(store.create_or_open(folder, {}), "a", recording(), CONDITION)
+    (tmp_path / "a.safetensors").write_bytes((folder / "a.safetensors").read_bytes())
+    manifest = json.loads((folder / "manifest.json").read_text())
+    manifest["conditions"] = {name: manifest["conditions"]["a"] | {"file": file}}
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    with pytest.raises(ShmooError, match=r"it must be NAME\.safetensors"):
+        store.read(folder)
+
+
+@pytest.mark.parametrize("field", ["schema", "conditions", "versions", "file", "sha256", "condition"])
+@pytest.mark.parametrize("value", [None, 3, "x", []])
+def test_a_manifest_with_anything_in_a_fields_place_is_refused(field: str, value: object, tmp_path: Path) -> None:
+    store.write_condition(store.create_or_open(tmp_path, {}), "a", recording(), CONDITION)
+    manifest = json.loads((tmp_path / "manifest.json").read_text())
+    (manifest if field in manifest else manifest["conditions"]["a"])[field] = value
+    (tmp_path / "manifest.json").write_text(json.dumps(manifest))
+    with pytest.raises(ShmooError, match=r"manifest\.json|a\.safetensors|condition 'a'"):
+        store.read(tmp_path)
+
+
 def cut_before_the_manifest(directory: Path, schema: dict[str, int]) -> None:
     """What `write_condition` leaves when it is killed between the file of "a" and the manifest that names it."""
     store.write_condition(store.create_or_open(directory, schema), "a", recording(), CONDITION)

@@ -124,6 +124,7 @@ LAYERS = (
         "files",
         "fingerprints",
         "verbosity",
+        "versions",
         "progress",
         "processes",
         "seeds",

@@ -1,13 +1,74 @@
-"""What `shmoo train` writes, in its short form too."""
+"""What ``shmoo train`` writes: the part that was trained, and what made it."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from shmoo_mjx.data import store
-from shmoo_mjx.learning import train, training, weights
+from shmoo_mjx.learning import daiml, robot_fit, train, training, weights
+from shmoo_mjx.learning.train import train_part
+
+
+def record(directory: Path, names: tuple[str, ...]) -> Path:
+    """A data set of noise."""
+    opened = store.create_or_open(directory, {"config": {"seed": 5}})
+    shapes = {key: (2, 6, *tail) for key, tail in store.FIELDS.items()} | {"face": (2, 4), "size": (2,)}
+    for name in names:
+        rng = np.random.default_rng(ord(name))
+        arrays = {key: rng.normal(size=shape) for key, shape in shapes.items()}
+        store.write_condition(opened, name, arrays, {"family": "box", "seed": ord(name), "split": "train"})
+    return directory
+
+
+@pytest.fixture
+def untaught(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Trainings that are over at once."""
+    made = weights.untrained(seed=1)
+    known = np.zeros_like(made.params.coefficients), made.prior_covariance, made.noise
+    psi = daiml.ObjectFit(made.params.object, *known, 0.2, [], made.contact_prior, made.config.object)
+    robot = robot_fit.RobotFit(made.params.robot, 0.1, np.zeros(5), [])
+    monkeypatch.setattr(daiml, "train_object", lambda *_: psi)
+    monkeypatch.setattr(robot_fit, "train_robot", lambda *_: robot)
+
+
+def made_by(path: Path) -> dict[str, Any]:
+    return weights.load_weights(path).info["made_by"]
+
+
+def test_weights_carry_what_made_each_part(untaught: None, tmp_path: Path) -> None:
+    data, out = record(tmp_path / "data", ("a", "b")), tmp_path / "w.safetensors"
+    assert train_part("object", data, out, 3) == 0.2 and train_part("robot", data, out, 4) == 0.1
+    found = made_by(out)
+    assert set(found) == {"object", "robot"}
+    psi, robot = found["object"], found["robot"]
+    assert psi["command"] == "shmoo train object DATA --seed 3" and (psi["seed"], psi["score"]) == (3, 0.2)
+    assert robot["command"] == "shmoo train robot DATA --seed 4" and (robot["seed"], robot["score"]) == (4, 0.1)
+    assert psi["data"] == robot["data"] and psi["data"]["conditions"] == 2
+    assert psi["data"]["sha256"] == store.fingerprint_of(data)
+    assert psi["data"]["collected_with"] == {"config": {"seed": 5}}
+    assert {"python", "jax", "mujoco", "shmoo-mjx"} <= psi["versions"].keys() and "jax" in psi["data"]["versions"]
+
+
+def test_the_same_training_gives_the_same_file_wherever_it_runs(untaught: None, tmp_path: Path) -> None:
+    files = [tmp_path / "x" / "w.safetensors", tmp_path / "y" / "v.safetensors"]
+    for out, names in zip(files, (("a", "b"), ("b", "a")), strict=True):
+        train_part("robot", record(out.parent / "data", names), out)
+    assert files[0].read_bytes() == files[1].read_bytes()
+
+
+def test_other_data_has_another_hash(tmp_path: Path) -> None:
+    first, more = record(tmp_path / "x", ("a", "b")), record(tmp_path / "y", ("a", "c"))
+    assert store.fingerprint_of(first) != store.fingerprint_of(more)
+    manifest = json.loads((first / "manifest.json").read_text())
+    manifest["schema"]["config"]["seed"] = 6
+    before = store.fingerprint_of(first)
+    (first / "manifest.json").write_text(json.dumps(manifest))
+    assert store.fingerprint_of(first) != before
 
 
 def test_the_short_form_says_so_and_leaves_an_interrupted_training_alone(
@@ -19,13 +80,14 @@ def test_the_short_form_says_so_and_leaves_an_interrupted_training_alone(
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train.train_part("robot", synthetic_directory, out, progress=stop)
+        train_part("robot", synthetic_directory, out, progress=stop)
     (checkpoint,) = (tmp_path / "w.safetensors.training").rglob(training.CHECKPOINT)
     kept, seen = checkpoint.read_bytes(), list[training.Progress]()
-    score = train.train_part("robot", synthetic_directory, out, progress=seen.append, quick=True)
+    score = train_part("robot", synthetic_directory, out, progress=seen.append, quick=True)
     assert checkpoint.read_bytes() == kept
     assert seen[-1].epochs == train._QUICK["epochs"]
-    assert weights.load_weights(out).info == {"robot_score": pytest.approx(score), "robot_quick": True}
+    assert made_by(out)["robot"]["command"] == "shmoo train robot DATA --seed 0 --quick"
+    assert made_by(out)["robot"]["score"] == pytest.approx(score)
 
 
 def test_the_short_form_takes_some_conditions_of_every_family() -> None:
