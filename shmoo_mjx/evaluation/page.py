@@ -12,7 +12,6 @@ from __future__ import annotations
 import base64
 import gzip
 import html
-import shutil
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,7 +21,7 @@ from shmoo_mjx.evaluation.method_tables import ablations_table, baselines_table
 from shmoo_mjx.evaluation.navigation_tables import navigation_tables
 from shmoo_mjx.evaluation.pushing_measures import pushing_differences
 from shmoo_mjx.evaluation.registry import EXPERIMENTS
-from shmoo_mjx.evaluation.result import ExperimentResult, as_json, read_result, weights_id
+from shmoo_mjx.evaluation.result import ExperimentResult, as_json, read_result, same_weights
 from shmoo_mjx.files import write_whole
 from shmoo_mjx.report.tables import markdown_table
 
@@ -307,7 +306,7 @@ def section_of(result: ExperimentResult, figures: Sequence[str]) -> str:
     """The part of the page that shows one experiment."""
     section = SECTIONS[result.experiment]
     parts = [f"## {section.title}", section.what, f"`{_command(result, section)}`"]
-    if result.config.get("weights") != weights_id() and not section.own_psi:
+    if not same_weights(result) and not section.own_psi:
         parts.append("**Measured with other weights than those shipped now.**")
     parts.append(_table(result, section))
     parts += [f"![{Path(path).stem.replace('_', ' ')}]({path})" for path in figures]
@@ -327,7 +326,7 @@ def write_page(results: Mapping[str, ExperimentResult], made_in: Path, page: Pat
             copies.mkdir(parents=True, exist_ok=True)
             kept = [copies / f"{name}_{f.name}" if f.stem != name else copies / f.name for f in files]
             for source, target in zip(files, kept, strict=True):
-                shutil.copyfile(source, target)
+                write_whole(target, source.read_bytes())
             files = kept
         named[name] = [Path(f).resolve().relative_to(page.parent.resolve()).as_posix() for f in files]
     before = ""

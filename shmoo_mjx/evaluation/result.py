@@ -30,12 +30,15 @@ __all__ = [
     "make_result",
     "over_seeds",
     "read_result",
+    "same_weights",
     "spread",
     "table",
     "weights_id",
     "write_result",
 ]
 
+_SAME_PARAMETERS = {"df8099b861": "4b18363693"}
+"""Ids of weights files by an earlier one's that holds the same parameters, bit for bit, and not what made them."""
 _UNITS = ("m", "mm", "deg", "rad", "s", "ms", "kg", "N")
 """That names of metrics end with."""
 
@@ -143,6 +146,12 @@ def make_result(
 def weights_id(weights: Path | None = None) -> str:
     """`file_id` of a weights file (default: of the shipped one)."""
     return file_id(weights or asset(WEIGHTS))
+
+
+def same_weights(result: ExperimentResult) -> bool:
+    """Whether a result was measured with the parameters that are shipped."""
+    found = str(result.config.get("weights"))
+    return _SAME_PARAMETERS.get(found, found) == weights_id()
 
 
 def file_id(file: Path) -> str:

@@ -41,8 +41,7 @@ def train_part(
         out: weights file.
         seed: of initialisation and batches.
         progress: called after each epoch of training.
-        quick: a few updates on a few conditions, to try the pipeline; the command that the weights carry says so, and
-            so does that of every run with them.
+        quick: a few updates on a few conditions, to try the pipeline; the command that the weights carry says so.
 
     Returns:
         The score on the validation conditions.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from shmoo_mjx.data import store
+from shmoo_mjx.data.collect import CollectConfig
 from shmoo_mjx.learning import daiml, robot_fit, train, training, weights
 from shmoo_mjx.learning.train import train_part
 
@@ -52,6 +54,12 @@ def test_weights_carry_what_made_each_part(untaught: None, tmp_path: Path) -> No
     assert psi["data"]["sha256"] == store.fingerprint_of(data)
     assert psi["data"]["collected_with"] == {"config": {"seed": 5}}
     assert {"python", "jax", "mujoco", "shmoo-mjx"} <= psi["versions"].keys() and "jax" in psi["data"]["versions"]
+
+
+def test_the_shipped_weights_say_what_made_them() -> None:
+    for part, by in weights.load_weights().info["made_by"].items():
+        assert by["command"] == f"shmoo train {part} DATA --seed 0" and by["data"]["conditions"] == 144
+        assert by["data"]["collected_with"]["config"] == asdict(CollectConfig())
 
 
 def test_the_same_training_gives_the_same_file_wherever_it_runs(untaught: None, tmp_path: Path) -> None:
