@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import sys
@@ -694,10 +695,9 @@ def main() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 1
     except OSError as error:
-        where = error.filename or "a file"
-        print(
-            f"shmoo: {where}: {error.strerror or error}; choose a place that can be read and written.", file=sys.stderr
-        )
+        where, full = error.filename or "a file", error.errno in (errno.ENOSPC, errno.EDQUOT)
+        remedy = "make room, or choose another place" if full else "choose a place that can be read and written"
+        print(f"shmoo: {where}: {error.strerror or error}; {remedy}.", file=sys.stderr)
         code = 2
     except KeyboardInterrupt:
         goes_on = {*_GO_ON} & {*sys.argv[1:2]}

@@ -12,6 +12,7 @@ import numpy as np
 
 from shmoo_mjx import teleop
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.files import whole
 from shmoo_mjx.hands import HAND_RADIUS, REACH
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
@@ -89,8 +90,8 @@ def film(scene: Scene, out: Path, seconds: float = 8.0) -> list[Path]:
 
     if problem := can_render():
         raise ShmooError(f"view: no window and no 3-D renderer here ({problem}); shmoo doctor says what to install.")
-    out.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(overview(scene)).save(out / "scene.png")
+    with whole(out / "scene.png") as temporary:
+        Image.fromarray(overview(scene)).save(temporary, format="png")
     qpos = np.array(list(_drive(scene, seconds)))
     write_video(out / "view.mp4", frames(scene, qpos[::2], distance=3.0), 25)
     return [out / "scene.png", out / "view.mp4"]

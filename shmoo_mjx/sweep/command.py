@@ -55,8 +55,11 @@ def carry_out(
     if jobs and sweep.missing() and not only_estimate:
         with progress() as report:
             submit(sweep, jobs, cluster, given, report)
-    elif sweep.missing() and not _alone(sweep, memory_gb, only_estimate, progress):
-        return []
+    elif sweep.missing():
+        # A second process is turned away before it compiles for a minute.
+        with claimed(sweep.out):
+            if not _alone(sweep, memory_gb, only_estimate, progress):
+                return []
     return _collected(config, sweep)
 
 
@@ -71,7 +74,7 @@ def _alone(sweep: Sweep, memory_gb: float | None, only_estimate: bool, progress:
     print(f"about {duration(seconds)} in all on {_devices()}", flush=True)
     if only_estimate:
         return False
-    with claimed(sweep.out), progress() as report:
+    with progress() as report:
         runner.run(report)
     return True
 

@@ -1,5 +1,6 @@
 """Data sets on disk: whole, resumable, and honest about damage."""
 
+import errno
 import json
 from pathlib import Path
 
@@ -116,6 +117,25 @@ def test_a_whole_file_that_was_not_named_yet_is_adopted(tmp_path: Path) -> None:
     assert store.adopt(opened, "a", CONDITION) and opened.has("a")
     assert store.read(tmp_path).names == ["a"] and (tmp_path / "a.safetensors").stat().st_mtime_ns == written
     assert not store.adopt(opened, "a", CONDITION) and not store.adopt(opened, "b", CONDITION)
+
+
+def test_a_full_disk_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened = store.create_or_open(tmp_path, {"seed": 1})
+    written = 0
+
+    def fill_up(_: int) -> None:
+        nonlocal written
+        written += 1
+        if written == 2:  # the manifest, after the recording that it is to name
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(files.os, "fsync", fill_up)
+    with pytest.raises(OSError) as error:
+        store.write_condition(opened, "a", recording(), CONDITION)
+    monkeypatch.undo()
+    assert error.value.errno == errno.ENOSPC and error.value.filename == str(tmp_path / "manifest.json")
+    assert {path.name for path in tmp_path.iterdir()} == {"manifest.json", "a.safetensors"}
+    assert store.adopt(store.create_or_open(tmp_path, {"seed": 1}), "a", CONDITION)
 
 
 def test_no_other_file_is_adopted(tmp_path: Path) -> None:
