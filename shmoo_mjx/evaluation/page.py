@@ -1,6 +1,6 @@
 """One page for all experiments: each number beside the paper's, each table with the command that makes it anew.
 
-python -m shmoo_mjx.evaluation.page runs/experiments docs/results.md
+python -m shmoo_mjx.evaluation.page runs/experiments docs/results.md (or runs/faults, runs/soak)
 
 Numbers, spreads, versions and commands come from the experiments' JSON, of which compressed copies are kept beside
 the page; a test makes each of their sections anew. Sections of experiments that are not in the folder stay as they are,
@@ -17,6 +17,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from shmoo_mjx.evaluation import faults, soak
 from shmoo_mjx.evaluation.method_tables import ablations_table, baselines_table
 from shmoo_mjx.evaluation.navigation_tables import navigation_tables
 from shmoo_mjx.evaluation.pushing_measures import pushing_differences
@@ -25,7 +26,7 @@ from shmoo_mjx.evaluation.result import ExperimentResult, as_json, read_result, 
 from shmoo_mjx.files import write_whole
 from shmoo_mjx.report.tables import markdown_table
 
-__all__ = ["SECTIONS", "Section", "read_results", "render", "section_of", "write_page"]
+__all__ = ["RELIABILITY", "SECTIONS", "Section", "read_results", "render", "section_of", "write_page"]
 
 
 @dataclass(frozen=True)
@@ -273,9 +274,16 @@ SECTIONS = {
 }
 
 
+RELIABILITY = {
+    "faults": ("Faults", "One fault in each run of the demo, judged by the true state.", faults.summary),
+    "soak": ("Soak", "Errand after errand in one building while others move objects.", soak.summary),
+}
+"""Title, what was done, and the table of what ``shmoo faults`` and ``shmoo soak`` write."""
+
+
 def read_results(folder: Path) -> dict[str, ExperimentResult]:
     """The experiments' JSON files that are in a folder, compressed or not."""
-    files = {name: [folder / f"{name}.json", folder / f"{name}.json.gz"] for name in EXPERIMENTS}
+    files = {name: [folder / f"{name}.json", folder / f"{name}.json.gz"] for name in (*EXPERIMENTS, *RELIABILITY)}
     found = {name: [file for file in either if file.is_file()] for name, either in files.items()}
     return {name: read_result(either[0]) for name, either in found.items() if either}
 
@@ -290,6 +298,7 @@ def render(results: Mapping[str, ExperimentResult], figures: Mapping[str, list[s
     """
     kept = {title: text.strip() for title, _, text in (part.partition("\n") for part in before.split("\n## ")[1:])}
     titles, made = list(kept), {section.title for section in SECTIONS.values()}
+    made |= {title for name, (title, *_) in RELIABILITY.items() if name in results}
     first = next((i for i, title in enumerate(titles) if title in made), len(titles))
     written = [(i < first, f"## {title}\n\n{kept[title]}") for i, title in enumerate(titles) if title not in made]
     parts = ["# Results", _about(results), *(text for is_before, text in written if is_before)]
@@ -299,11 +308,14 @@ def render(results: Mapping[str, ExperimentResult], figures: Mapping[str, list[s
         else:
             command = " ".join(["shmoo experiment", name, *section.options.split()])
             parts.append(f"## {section.title}\n\n{kept.get(section.title, f'Not run. `{command}` measures it.')}")
+    parts += [section_of(results[name], []) for name in RELIABILITY if name in results]
     return "\n\n".join([*parts, *(text for is_before, text in written if not is_before)]) + "\n"
 
 
 def section_of(result: ExperimentResult, figures: Sequence[str]) -> str:
     """The part of the page that shows one experiment."""
+    if result.experiment in RELIABILITY:
+        return _reliability(result)
     section = SECTIONS[result.experiment]
     parts = [f"## {section.title}", section.what, f"`{_command(result, section)}`"]
     if not same_weights(result) and not section.own_psi:
@@ -318,7 +330,8 @@ def write_page(results: Mapping[str, ExperimentResult], made_in: Path, page: Pat
 
     With ``copies``, a folder apart from the run, figures are copied there and results into ``results`` beside the page.
     """
-    found = {name: [p for p in (made_in / name / f for f in SECTIONS[name].figures) if p.is_file()] for name in results}
+    shown = {name: SECTIONS[name].figures for name in results if name in SECTIONS}
+    found = {name: [p for p in (made_in / name / f for f in files) if p.is_file()] for name, files in shown.items()}
     page.parent.mkdir(parents=True, exist_ok=True)
     named: dict[str, list[str]] = {}
     for name, files in found.items():
@@ -340,6 +353,15 @@ def write_page(results: Mapping[str, ExperimentResult], made_in: Path, page: Pat
     write_whole(page, text.encode())
     if copies is None:
         write_whole(page.with_suffix(".html"), _as_html(text, page.parent).encode())
+
+
+def _reliability(result: ExperimentResult) -> str:
+    title, what, summary = RELIABILITY[result.experiment]
+    asked = {name: result.config[name] for name in ("runs", "minutes", "buildings") if name in result.config}
+    words = [f"shmoo {result.experiment}", *(f"--{name} {value:g}" for name, value in asked.items())]
+    parts = [f"## {title}", what, f"`{' '.join(words)} --seed {result.seed}`"]
+    parts += [] if same_weights(result) else ["**Measured with other weights than those shipped now.**"]
+    return "\n\n".join([*parts, summary(result)])
 
 
 def _about(results: Mapping[str, ExperimentResult]) -> str:

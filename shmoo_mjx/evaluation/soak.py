@@ -7,7 +7,7 @@ end, memory that grows, files that stay open. An errand that fails is given up f
 from __future__ import annotations
 
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -54,7 +54,8 @@ class SoakTrials:
 def run(options: ExperimentOptions, trials: SoakTrials, workers: int = 2) -> ExperimentResult:
     """Buildings ``options.seed``, ``options.seed + 1``, ...; one that is done is not gone through again."""
     weights = options.weights or asset(WEIGHTS)
-    store = options.out / f"soak-{fingerprint(__name__, asdict(trials), weights)}"
+    # Each building is a trial of its own: more of them go on from those that are there.
+    store = options.out / f"soak-{fingerprint(__name__, asdict(replace(trials, buildings=1)), weights)}"
     names = {f"seed-{options.seed + i}": options.seed + i for i in range(trials.buildings)}
     rows = run_trials(names, partial(_trial, trials, weights), store, options.progress, workers)
     totals = ("falls", "livelocks", "open_files_left", "wall_contacts", "errands", "done")

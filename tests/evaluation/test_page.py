@@ -116,10 +116,39 @@ def test_the_committed_page_says_what_the_committed_results_say() -> None:
     results = page.read_results(docs / "results")
     assert results
     for name, result in results.items():
-        shown = text[text.index(f"## {page.SECTIONS[name].title}") :].split("\n## ")[0]
+        title = page.RELIABILITY[name][0] if name in page.RELIABILITY else page.SECTIONS[name].title
+        shown = text[text.index(f"## {title}") :].split("\n## ")[0]
         figures = re.findall(r"\]\((figures/.+)\)", shown)
         assert all((docs / figure).is_file() for figure in figures)
         assert page.section_of(result, figures) in text, f"{name}: make docs/results.md anew"
+
+
+def test_faults_and_soak_have_their_tables_on_the_page(tmp_path: Path) -> None:
+    about = {"runs": 2, "faults": {"camera_gone": "no object is detected for 5 s", "door_closes": "a door closes"}}
+    rows = [
+        {"fault": "camera_gone", "outcome": "recovered", "reason": "goal reached"},
+        {"fault": "camera_gone", "outcome": "failed", "reason": "fell"},
+        {"fault": "door_closes", "outcome": "stopped safely", "reason": "blocked"},
+    ]
+    faults = make_result("faults", ExperimentOptions(seed=900), about, {"falls": 1}, {}, rows)
+    names = ("errands", "done", "falls", "livelocks", "wall_contacts", "memory_growth", "open_files_left")
+    building = {"seed": 950, **dict.fromkeys(names, 7), "given_up": ["blocked", "blocked"]}
+    kind = {"minutes": 60.0, "buildings": 10}
+    soak = make_result("soak", ExperimentOptions(seed=950), kind, {"falls": 0}, {}, [building])
+    docs, before = (
+        tmp_path / "docs",
+        "# Results\n\nold\n\n## Caveats\n\none\n\n## Faults\n\nby hand\n\n## Last\n\ntwo\n",
+    )
+    docs.mkdir()
+    (docs / "results.md").write_text(before)
+    page.write_page({"faults": faults, "soak": soak}, tmp_path, docs / "results.md", docs / "figures")
+    text = (docs / "results.md").read_text()
+    assert "`shmoo faults --runs 2 --seed 900`" in text and "by hand" not in text
+    assert "| no object is detected for 5 s | 1 | 0 | 1 | 0 | fell |" in text
+    assert "`shmoo soak --minutes 60 --buildings 10 --seed 950`" in text and "2 x blocked" in text
+    assert text.index("## Caveats") < text.index("## Faults") < text.index("## Soak") and "\n\ntwo\n" in text
+    kept = page.read_results(docs / "results")
+    assert all(page.section_of(kept[name], []) in text for name in ("faults", "soak"))
 
 
 def test_a_method_that_did_not_run_has_no_column() -> None:
