@@ -74,7 +74,9 @@ class OccupancyGrid:
     def world_to_cell(self, points: Array) -> np.ndarray:
         """(row, column) int ``[..., 2]`` of the cells that hold ``points [..., 2]`` in {W}; may lie off the map."""
         local = se2.inverse_transform_point(np.asarray(self.origin), np.asarray(points, dtype=float))
-        return np.floor(local[..., ::-1] / self.resolution).astype(int)
+        # No int holds 1e308: what becomes of it is off the map, and no warning stands beside the sentence that says so.
+        with np.errstate(invalid="ignore", over="ignore"):
+            return np.floor(local[..., ::-1] / self.resolution).astype(int)
 
     def cell_to_world(self, cells: Array) -> np.ndarray:
         """Centres ``[..., 2]`` in {W} of the cells (row, column) ``[..., 2]``; fractions are allowed."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import warnings
 import zlib
 from pathlib import Path
 from typing import Any
@@ -238,3 +239,11 @@ def test_free_area_of_real_maps(name: str) -> None:
         pytest.skip(f"real maps are not at {REAL_MAPS.name} beside the repository")
     grid = maps.load_map(REAL_MAPS / name)
     assert round(float(grid.free.sum()) * grid.resolution**2) == FREE_AREAS[name]
+
+
+def test_a_point_that_no_integer_holds_is_off_the_map_without_a_warning() -> None:
+    grid = OccupancyGrid(np.zeros((4, 5), np.int8), 0.05)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for far in (1e308, -1e308, 1e30):
+            assert not grid.inside(grid.world_to_cell(np.array([far, 0.0])))
