@@ -83,6 +83,7 @@ def test_killed_again_and_again_it_ends_as_if_nothing_had_happened(name: str, tm
     rng, kills, folder = np.random.default_rng(zlib.crc32(name.encode())), 0, tmp_path / "killed"
     moments = []
     while kills < KILLS:
+        began = time.monotonic()
         running = begin(WORK[name], folder)
         moments.append(float(rng.uniform(0.0, longest)))
         try:
@@ -93,6 +94,8 @@ def test_killed_again_and_again_it_ends_as_if_nothing_had_happened(name: str, tm
             kills += 1
             assert gone(running.pid), "workers outlive it"
             continue
+        # The whole run may have been slower, on a busier machine.
+        longest = min(longest, time.monotonic() - began)
         assert finish(running, folder) == whole, moments
         shutil.rmtree(folder)
     ended = finish(begin(WORK[name], folder), folder)
