@@ -31,7 +31,7 @@ from shmoo_mjx.dynamics import CoreConfig, ObjectConfig, RobotConfig, core
 from shmoo_mjx.learning import weights as weights_file
 from shmoo_mjx.types import Array, SystemState
 
-__all__ = ["batch", "main", "ours", "plain_jax"]
+__all__ = ["batch", "main", "ours", "paper_form", "plain_jax"]
 
 HALF_EXTENTS = np.array([0.3, 0.25])
 FACE = np.array([-0.3, 0.0, 0.0, 0.25])
@@ -59,16 +59,16 @@ def _sighting(rng: np.random.Generator) -> pushing.ObjectObservation:
     )
 
 
-def ours(samples: int, horizon: int, activation: str, seed: int, paper: bool) -> Callable[[], Any]:
+def paper_form(activation: str, seed: int) -> tuple[weights_file.Weights, pushing.PushConfig]:
+    """The paper's widths, untrained, and Eq. 9 alone."""
+    body = replace(ObjectConfig.paper(), activation=activation)
+    robot = replace(RobotConfig.paper(), activation=activation)
+    weights = weights_file.untrained(CoreConfig(robot=robot, object=body), seed)
+    return weights, pushing.PushConfig(cost=cost.PushCost())
+
+
+def ours(weights: weights_file.Weights, config: pushing.PushConfig, seed: int) -> Callable[[], Any]:
     """The control step of a push; each call goes on from the last one's state."""
-    if paper:
-        body = replace(ObjectConfig.paper(), activation=activation)
-        robot = replace(RobotConfig.paper(), activation=activation)
-        weights = weights_file.untrained(CoreConfig(robot=robot, object=body), seed)
-        config = pushing.PushConfig(cost=cost.PushCost())
-    else:
-        weights, config = weights_file.load_weights(asset(WEIGHTS)), pushing.PushConfig()
-    config = replace(config, control=replace(config.control, num_rollouts=samples, horizon=horizon))
     controller = pushing.PushController(weights, config)
     rng = np.random.default_rng(seed)
     state = controller.init(_sighting(rng), FACE, HALF_EXTENTS, jax.random.key(seed))
@@ -182,7 +182,10 @@ def main() -> None:
     elif engine == "plain_jax":
         step = plain_jax(*size, spec["activation"], spec["seed"])
     else:
-        step = ours(*size, spec["activation"], spec["seed"], paper=engine == "ours_paper")
+        shipped = weights_file.load_weights(asset(WEIGHTS)), pushing.PushConfig()
+        weights, config = paper_form(spec["activation"], spec["seed"]) if engine == "ours_paper" else shipped
+        control = replace(config.control, num_rollouts=spec["samples"], horizon=spec["horizon"])
+        step = ours(weights, replace(config, control=control), spec["seed"])
     started = time.perf_counter()
     step()
     about = {"first_s": time.perf_counter() - started, "jax": jax.__version__}

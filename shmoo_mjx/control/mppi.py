@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jax.sharding import Mesh
 
 from shmoo_mjx.control import sharding
-from shmoo_mjx.control.mppi_config import SPARE, MppiConfig, noise_list
+from shmoo_mjx.control.mppi_config import SPARE, MppiConfig
 
 __all__ = [
     "MppiConfig",
@@ -134,7 +134,7 @@ def sample_controls(cfg: MppiConfig, key: Array, nominal: Array) -> Array:
     """
     half = (cfg.num_rollouts + 1) // 2
     first = jax.random.randint(key, (), 0, SPARE)
-    noise = jax.lax.dynamic_slice_in_dim(jnp.asarray(noise_list(cfg)), first, half)
+    noise = jax.lax.dynamic_slice_in_dim(jnp.asarray(cfg.noise_list()), first, half)
     noise = jnp.concatenate([noise, -noise])[: cfg.num_rollouts].at[0].set(0.0)
     return _clip(cfg, nominal + noise).at[1].set(_clip(cfg, jnp.zeros_like(nominal)))
 

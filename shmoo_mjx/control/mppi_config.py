@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-__all__ = ["SPARE", "MppiConfig", "noise_list"]
+__all__ = ["SPARE", "MppiConfig"]
 
 SPARE = 4096
 """By how many sequences the list of noise is longer than what a plan takes of it: so many different plans' noise."""
@@ -54,10 +54,14 @@ class MppiConfig:
         """m, number of control channels."""
         return len(self.sigma)
 
+    def noise_list(self) -> np.ndarray:
+        """Noise ``[(S + 1) // 2 + SPARE, T, m]`` of which each plan takes a stretch; a subclass may have another."""
+        return _coloured(self)
+
 
 @lru_cache(maxsize=8)
-def noise_list(cfg: MppiConfig) -> np.ndarray:
-    """Coloured noise ``[(S + 1) // 2 + SPARE, T, m]``: a tenth of a plan's time if drawn anew."""
+def _coloured(cfg: MppiConfig) -> np.ndarray:
+    """`MppiConfig.noise_list`: a tenth of a plan's time if drawn anew."""
     white = np.random.default_rng(0).standard_normal(((cfg.num_rollouts + 1) // 2 + SPARE, cfg.horizon, cfg.controls))
     # The Cholesky factor of the AR(1) correlation rho^|i - j|: coloured = factor white.
     rho, steps = cfg.noise_correlation, np.arange(cfg.horizon)

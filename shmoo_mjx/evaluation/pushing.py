@@ -24,7 +24,7 @@ from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.report.trace import write_arrays
 from shmoo_mjx.sensing import senses_named
 
-__all__ = ["PushingConfig", "run"]
+__all__ = ["PushingConfig", "one_core", "run"]
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def run(options: ExperimentOptions) -> ExperimentResult:
     trials = {_name(m, t): (m, t) for m in config.methods for t in drawn}
     missing = any(m == "paper_form" and not (folder / f"{name}.json").exists() for name, (m, _) in trials.items())
     robot = weights, _paper_form(options, weights, folder) if missing else None, config.time_limit, options.senses
-    rows = run_trials(trials, partial(_trial, robot, folder), folder, options.progress, config.workers, _one_core)
+    rows = run_trials(trials, partial(_trial, robot, folder), folder, options.progress, config.workers, one_core)
     draw_figure(options.out / "pushing" / "pushing.png", rows, folder)
     if config.videos:
         for family in dict.fromkeys(t.family for t in drawn):
@@ -98,7 +98,7 @@ def _paper_form(options: ExperimentOptions, weights: Path, folder: Path) -> Path
     return path
 
 
-def _one_core() -> None:
+def one_core() -> None:
     """Before a worker's first computation: the trials run side by side, so that each keeps to one core."""
     import jax
 

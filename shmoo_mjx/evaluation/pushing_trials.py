@@ -14,6 +14,7 @@ from typing import Any, cast
 import numpy as np
 
 from shmoo_mjx import custom, se2
+from shmoo_mjx.control.pushing import PushConfig
 from shmoo_mjx.learning.adaptation import AdaptState
 from shmoo_mjx.learning.weights import Weights
 from shmoo_mjx.navigation.maps import OccupancyGrid
@@ -208,11 +209,10 @@ def scene_of_trial(trial: Trial, condition: Condition, senses: Senses) -> Scene:
     return build_scene([(condition, trial.object_pose)], trial.robot_pose, adjust=senses.adjust(trial.seed))
 
 
-def _pusher(method: str, weights: Weights) -> Pusher:
+def _pusher(method: str, weights: Weights, config: PushConfig) -> Pusher:
     from shmoo_mjx.control.pushing import PushController
     from shmoo_mjx.control.quasi_static import QuasiStaticPusher
 
-    config = pose_push_config()
     if method not in METHODS:
         make = custom.named(OWN, method)
         return cast(Pusher, custom.asked(OWN, method, lambda: make(weights, config)))
@@ -241,9 +241,15 @@ class Runner:
     """Runs trials of every method in one process; each method's controller is compiled once."""
 
     def __init__(
-        self, weights: Weights, time_limit: float, senses: Senses = REAL, paper_form: Weights | None = None
+        self,
+        weights: Weights,
+        time_limit: float,
+        senses: Senses = REAL,
+        paper_form: Weights | None = None,
+        config: PushConfig | None = None,
     ) -> None:
         self.weights = weights
+        self.config = config or pose_push_config()
         self.paper_form = paper_form
         self.time_limit = time_limit
         self.senses = senses
@@ -255,7 +261,7 @@ class Runner:
             weights = self.paper_form if method == "paper_form" else self.weights
             if weights is None:
                 raise ValueError("the method paper_form needs weights of its own")
-            self._pushers[method] = _pusher(method, weights)
+            self._pushers[method] = _pusher(method, weights, self.config)
         scene = scene_of_trial(trial, trial.condition, self.senses)
         # It is told where the object stands, as it is told the goal: to find the object is not part of the task.
         engine = SensedEngine([scene], self.senses, trial.seed, poses_known=True)

@@ -1,0 +1,288 @@
+"""How well does it push for the time: roll-outs S, horizon T and kinds of noise, in closed loop and by the clock.
+
+Run: python benchmarks/rollouts.py --json docs/results/rollouts.json --figure docs/figures/rollouts.png
+     python benchmarks/rollouts.py --parts times (the clock alone, on a quiet machine; also: trials, report)
+
+The same pushing trials for every variant, with its difference from S = 500, T = 30 and the shipped noise; then its
+control step on one core and on two. An hour on two cores; each variant leaves a file, so that it goes on where it was
+stopped, and what is not run anew is taken from the JSON where there is one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from contextlib import closing
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shmoo_mjx.assets import WEIGHTS, asset
+from shmoo_mjx.benchmarking import peers
+from shmoo_mjx.benchmarking.registry import machine
+from shmoo_mjx.benchmarking.workers import Worker, usable_cores
+from shmoo_mjx.control.mppi_config import SPARE, MppiConfig
+from shmoo_mjx.evaluation.paired import paired_difference
+from shmoo_mjx.evaluation.pushing import one_core
+from shmoo_mjx.evaluation.pushing_trials import STRATA, Runner, Trial, draw_trials
+from shmoo_mjx.evaluation.result import ExperimentOptions, make_result, read_result, write_result
+from shmoo_mjx.evaluation.trials import run_trials
+from shmoo_mjx.fingerprints import fingerprint
+from shmoo_mjx.navigation.push_task import pose_push_config
+from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
+from shmoo_mjx.report.tables import markdown_table
+
+KINDS = ("shipped", "white", "sobol", "spline")
+"""Coloured noise, as shipped; independent noise; the shipped noise from a low-discrepancy sequence; independent knots
+with a smooth curve through them. All of them come in mirrored pairs."""
+ROLLOUTS = (32, 64, 128, 256, 500, 1000)
+HORIZONS = ((64, 20), (128, 10), (128, 20), (128, 50), (500, 20))
+"""(S, T) of the shipped noise beside T = 30."""
+KNOTS = 6
+YAW_WEIGHT = 0.6
+"""Metres that a yaw error of 1 rad counts for, as in the cost of a push to a pose [m/rad]."""
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Noise(MppiConfig):
+    """MPPI's settings with another kind of noise of the same standard deviation."""
+
+    kind: str = KINDS[0]
+
+    def noise_list(self) -> np.ndarray:
+        """``[(S + 1) // 2 + SPARE, T, m]``; each plan takes a stretch and its mirror image."""
+        if self.kind == "shipped":
+            return super().noise_list()
+        if self.kind == "white":
+            return replace(self, kind="shipped", noise_correlation=0.0).noise_list()
+        count = (self.num_rollouts + 1) // 2 + SPARE
+        if self.kind == "sobol":
+            steps = np.arange(self.horizon)
+            values, vectors = np.linalg.eigh(self.noise_correlation ** np.abs(steps[:, None] - steps))
+            # Largest components first: the sequence's first dimensions are its best.
+            shape = (vectors * np.sqrt(np.maximum(values, 0.0)))[:, ::-1]
+            drawn = _sobol(count, self.horizon * self.controls)
+        else:
+            shape = _spline(self.horizon)
+            drawn = np.random.default_rng(0).standard_normal((count, KNOTS * self.controls))
+        drawn = drawn.reshape(count, shape.shape[1], self.controls)
+        return np.asarray(np.einsum("tk,skm->stm", shape, drawn) * self.sigma, dtype=np.float32)
+
+
+def _sobol(count: int, dimensions: int) -> np.ndarray:
+    """Normal numbers ``[count, dimensions]`` from Sobol's sequence."""
+    from scipy.stats import norm, qmc
+
+    sequence = qmc.Sobol(dimensions, scramble=True, rng=0)
+    points = sequence.random_base2(int(np.ceil(np.log2(count))))[:count]
+    return norm.ppf(np.clip(points, 1e-6, 1 - 1e-6))
+
+
+def _spline(horizon: int) -> np.ndarray:
+    """``[T, KNOTS]`` weights of the knots in a cubic spline, of unit variance at each step."""
+    from scipy.interpolate import CubicSpline
+
+    weights = CubicSpline(np.linspace(0, 1, KNOTS), np.eye(KNOTS))(np.linspace(0, 1, horizon))
+    return weights / np.linalg.norm(weights, axis=1, keepdims=True)
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One way to plan."""
+
+    kind: str
+    rollouts: int
+    horizon: int = 30
+
+    @property
+    def name(self) -> str:
+        """Short, unique, good as a file name."""
+        return f"{self.kind}-S{self.rollouts}-T{self.horizon}"
+
+    def config(self) -> Any:
+        """The settings of a push to a pose, planned in this way."""
+        base = pose_push_config()
+        control = asdict(base.control) | {"num_rollouts": self.rollouts, "horizon": self.horizon, "kind": self.kind}
+        return replace(base, control=Noise(**control))
+
+
+SHIPPED = Variant(KINDS[0], 500)
+VARIANTS = (*(Variant(k, s) for s in (500, 128, 64, 256, 32, 1000) for k in KINDS),
+            *(Variant(KINDS[0], s, t) for s, t in HORIZONS))  # fmt: skip
+
+
+def draw(condition_seed: int, runs: int) -> list[Trial]:
+    """Trials of both strata, ``runs`` objects of each family in each, to the two goals that ask for steering."""
+    first = ExperimentOptions(condition_seed=condition_seed).first_unseen
+    return [trial for stratum in STRATA for trial in draw_trials(first, 0, runs, (2, 3), stratum)]
+
+
+def push(trials: list[Trial], variant: Variant) -> list[Row]:
+    """The rows of all trials of one variant; ``cost_m`` is the error of the final pose as the cost of a push has it."""
+    from shmoo_mjx.learning.weights import load_weights
+
+    runner = Runner(load_weights(asset(WEIGHTS)), 120.0, config=variant.config())
+    rows = []
+    for trial in trials:
+        row = runner.run(trial, "ours")[0]
+        cost = float(np.hypot(row["offset_m"], YAW_WEIGHT * np.deg2rad(row["yaw_error_deg"])))
+        kept = {k: row[k] for k in ("trial", "offset_m", "yaw_error_deg", "success", "fell", "time_s", "pushes")}
+        rows.append({"variant": variant.name} | kept | {"cost_m": cost})
+    return rows
+
+
+def clock(variant: Variant, cores: int, steps: int) -> Row:
+    """Milliseconds of the control step in a process that has ``cores`` cores."""
+    asked = json.dumps([variant.kind, variant.rollouts, variant.horizon, cores])
+    with closing(Worker([sys.executable, __file__, "--serve", asked], cores)) as worker:
+        worker.seconds(20)
+        ms = 1e3 * np.asarray(worker.seconds(steps)[0])
+    found = {"median_ms": float(np.median(ms)), "p99_ms": float(np.quantile(ms, 0.99))}
+    return {"variant": variant.name, "cores": cores, "steps": steps} | found
+
+
+def serve(asked: str) -> None:
+    """Answer a `Worker`: the control step of one variant."""
+    kind, rollouts, horizon, cores = json.loads(asked)
+    # Before JAX counts them.
+    os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:cores])
+    from shmoo_mjx.benchmarking.engines import ours
+    from shmoo_mjx.learning.weights import load_weights
+
+    step = ours(load_weights(asset(WEIGHTS)), Variant(kind, rollouts, horizon).config(), 0)
+    for _ in range(3):
+        step()
+    peers.serve(step, {"cores": cores})
+
+
+def summary(rows: list[Row], times: list[Row]) -> list[Row]:
+    """One row per variant: what its trials cost, how that differs from the shipped one's, and its times."""
+    of = {v.name: {r["trial"]: r for r in rows if r["variant"] == v.name} for v in VARIANTS}
+    base, found = of[SHIPPED.name], []
+    for variant in VARIANTS:
+        mine = of[variant.name]
+        line: Row = {"name": variant.name, "kind": variant.kind, "S": variant.rollouts, "T": variant.horizon}
+        if mine:
+            line |= {"cost_m": float(np.mean([r["cost_m"] for r in mine.values()])), "trials": len(mine)}
+            line |= {"success": float(np.mean([r["success"] for r in mine.values()]))}
+            both = [t for t in base if t in mine]
+            pair = paired_difference([mine[t]["cost_m"] for t in both], [base[t]["cost_m"] for t in both])
+            line |= {} if pair is None else {"more_m": pair.mean, "more_low_m": pair.low, "more_high_m": pair.high}
+        for row in (t for t in times if t["variant"] == variant.name):
+            line |= {f"{key}_{row['cores']}_cores": row[key] for key in ("median_ms", "p99_ms")}
+        found.append(line)
+    return found
+
+
+def as_table(lines: list[Row]) -> str:
+    """The summary in Markdown."""
+
+    def cell(line: Row, *keys: str, form: str = ".3f") -> str:
+        return ", ".join(format(line[k], form) for k in keys if k in line)
+
+    head = ["noise", "S", "T", "cost [m]", "minus shipped [m]", "success", "1 core, p99 [ms]", "2 cores, p99 [ms]"]
+    body = []
+    for line in sorted(lines, key=lambda x: (KINDS.index(x["kind"]), x["T"], x["S"])):
+        apart = (
+            f"{line['more_m']:+.3f} ({line['more_low_m']:.3f} to {line['more_high_m']:.3f})" if "more_m" in line else ""
+        )
+        times = [cell(line, f"median_ms_{n}_cores", f"p99_ms_{n}_cores", form=".1f") for n in (1, 2)]
+        row = [
+            line["kind"],
+            str(line["S"]),
+            str(line["T"]),
+            cell(line, "cost_m"),
+            apart,
+            cell(line, "success", form=".2f"),
+        ]
+        body.append(row + times)
+    return markdown_table(head, body)
+
+
+def draw_figure(path: Path, lines: list[Row]) -> None:
+    """Cost over S by kind of noise with the intervals of the differences, and cost over the step's time on one core."""
+    figure = blank_figure(10.0, 4.2)
+    left, right = figure.subplots(1, 2, sharey=True)
+    reference = next(line["cost_m"] for line in lines if line["name"] == SHIPPED.name)
+    for i, (kind, colour) in enumerate(zip(KINDS, SERIES, strict=False)):
+        mine = sorted((x for x in lines if x["kind"] == kind and x["T"] == 30 and "more_m" in x), key=lambda x: x["S"])
+        x = np.array([line["S"] for line in mine]) * 1.03**i
+        y, low, high = (
+            reference + np.array([line[k] for line in mine]) for k in ("more_m", "more_low_m", "more_high_m")
+        )
+        left.errorbar(x, y, [y - low, high - y], marker="o", ms=4, capsize=2, color=colour, label=kind)
+    for line in (x for x in lines if x["kind"] == KINDS[0] and {"cost_m", "median_ms_1_cores"} <= set(x)):
+        right.plot(line["median_ms_1_cores"], line["cost_m"], "o", color=SERIES[0])
+        right.annotate(f"{line['S']} x {line['T']}", (line["median_ms_1_cores"], line["cost_m"]), (4, 4),
+                       textcoords="offset points", fontsize=7)  # fmt: skip
+    left.set(xscale="log", xlabel="roll-outs S, T = 30", ylabel="error of the final pose [m]", xticks=ROLLOUTS)
+    left.set_xticklabels([str(s) for s in ROLLOUTS])
+    left.minorticks_off()
+    left.legend(fontsize=8)
+    right.set(xscale="log", xlabel="control step on one core [ms], shipped noise, S x T")
+    save_figure(path, figure, 110)
+
+
+def main() -> None:
+    """Run what is asked for and not done yet, then put it together."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument(
+        "--parts", nargs="+", choices=("trials", "times", "report"), default=("trials", "times", "report")
+    )
+    parser.add_argument("--condition-seed", type=int, default=21, help="draws the objects")
+    parser.add_argument("--runs", type=int, default=2, help="objects per family and stratum, each pushed to two goals")
+    parser.add_argument("--steps", type=int, default=1000, help="control steps per time")
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--out", type=Path, default=Path("runs/rollouts"), help="folder of what is done")
+    parser.add_argument("--json", type=Path, default=Path("runs/rollouts/rollouts.json"))
+    parser.add_argument("--figure", type=Path, default=Path("runs/rollouts/rollouts.png"))
+    parser.add_argument("--serve", help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.serve:
+        serve(args.serve)
+        return
+    say = lambda stage, share: print(f"{100 * share:3.0f} %  {stage}", flush=True)  # noqa: E731
+    trials = draw(args.condition_seed, args.runs)
+    settings = {"knots": KNOTS, "yaw_weight": YAW_WEIGHT, "config": asdict(pose_push_config())}
+    drawn = [t.name for t in trials]
+    folder = args.out / fingerprint(Runner.__module__, (settings, args.condition_seed, drawn), asset(WEIGHTS))
+    if "trials" in args.parts:
+        run_trials({v.name: v for v in VARIANTS}, partial(push, trials), folder, say, args.workers, one_core)
+    asked = {f"{v.name}-{n}-cores-{args.steps}": (v, n) for v in VARIANTS for n in (1, 2) if n <= usable_cores()}
+    if "times" in args.parts:
+        run_trials(asked, partial(_clocked, args.steps), folder / "times", say, workers=1)
+    rows = _read(args.json, folder, [v.name for v in VARIANTS], "cost_m", args.condition_seed)
+    times = _read(args.json, folder / "times", list(asked), "cores", args.condition_seed)
+    lines = summary(rows, times)
+    options = ExperimentOptions(condition_seed=args.condition_seed)
+    metrics = {f"{x['name']}_{k}": v for x in lines for k, v in x.items() if isinstance(v, float)}
+    result = make_result("rollouts", options, settings | {"machine": machine()}, metrics, {}, rows + times)
+    write_result(args.json, result)
+    draw_figure(args.figure, lines)
+    print(as_table(lines))
+
+
+def _clocked(steps: int, asked: tuple[Variant, int]) -> list[Row]:
+    return [clock(*asked, steps)]
+
+
+def _read(saved: Path, folder: Path, names: list[str], key: str, condition_seed: int) -> list[Row]:
+    """The rows that ``folder`` has under ``names``; of other variants those of the JSON ``saved`` that have ``key``."""
+    files = [path for name in names if (path := folder / f"{name}.json").is_file()]
+    rows = [row for path in files for row in json.loads(path.read_text())]
+    old = read_result(saved) if saved.is_file() else None
+    if old is None or old.config["condition_seed"] != condition_seed:
+        return rows
+    new = {(row["variant"], row.get("cores")) for row in rows}
+    return rows + [row for row in old.rows if key in row and (row["variant"], row.get("cores")) not in new]
+
+
+if __name__ == "__main__":
+    main()
