@@ -20,6 +20,7 @@ def main() -> None:
     """Print one JSON line per row, and write them all to a file if asked."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--engine", nargs="+", choices=["c", "mjx"], default=["c", "mjx"])
+    parser.add_argument("--impl", choices=["jax", "warp"], default="jax", help="back end of MJX; warp needs a GPU")
     parser.add_argument("--scene", nargs="+", default=["robot", "box", "cart", "wheelchair", "room"])
     parser.add_argument("--batch", nargs="+", type=int, default=[1, 64, 512])
     parser.add_argument("--threads", type=int, default=os.cpu_count())
@@ -30,6 +31,13 @@ def main() -> None:
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache))
     os.environ.setdefault("XLA_FLAGS", f"--xla_force_host_platform_device_count={args.threads}")
     from shmoo_mjx.benchmarking.plant import c_rows, mjx_rows
+    from shmoo_mjx.errors import ShmooError
+    from shmoo_mjx.plant.engine_mjx import check_backend
+
+    try:
+        check_backend(args.impl)
+    except ShmooError as error:
+        parser.error(str(error))
 
     rows: list[dict[str, Any]] = []
     for name in args.scene:
@@ -40,7 +48,7 @@ def main() -> None:
                 rows.append(row)
                 print(json.dumps(row), flush=True)
         for batch in args.batch if "mjx" in args.engine else []:
-            for row in mjx_rows(name, batch, args.seconds, c_rates):
+            for row in mjx_rows(name, batch, args.seconds, c_rates, args.impl):
                 rows.append(row)
                 print(json.dumps(row), flush=True)
     if args.json:

@@ -6,7 +6,8 @@ SPEC is JSON: engine, samples, horizon, problems, activation, seed. The engines:
   sampling, features, networks, contact rules, the cost of a push with its map, update.
 * ``ours_paper``: the same with the paper's widths of psi and no linear terms, untrained, and Eq. 9 as the only cost.
 * ``plain_jax``: the common problem of `mppi_problem` as one writes it in JAX: vmap, scan, jit.
-* ``batch``: several problems planned in one call, by a vmap of ``mppi.plan`` over the learned core.
+* ``batch``: several problems planned in one call, ``mppi.plan`` over the learned core for each; one problem has its
+  roll-outs shared out among the devices, several are shared out themselves.
 """
 
 from __future__ import annotations
@@ -124,10 +125,10 @@ def plain_jax(samples: int, horizon: int, activation: str, seed: int) -> Callabl
 
 
 def batch(samples: int, horizon: int, problems: int, seed: int) -> Callable[[], Any]:
-    """Plans for ``problems`` states at once, with Eq. 9 as the cost; the samples of each shared out as in one plan."""
+    """Plans for ``problems`` states in one call, with Eq. 9 as the cost."""
     weights = weights_file.load_weights(asset(WEIGHTS))
     cfg = replace(pushing.PushConfig().control, num_rollouts=samples, horizon=horizon)
-    mesh = sharding.rollout_mesh(samples)
+    mesh = sharding.rollout_mesh(samples) if problems == 1 else None
 
     def one(params: core.Params, x0: SystemState, state: mppi.MppiState) -> Any:
         def rollout_fn(x: SystemState, controls: Array) -> SystemState:
@@ -139,7 +140,10 @@ def batch(samples: int, horizon: int, problems: int, seed: int) -> Callable[[], 
         u, after, plan = mppi.plan(cfg, rollout_fn, cost_fn, x0, state, mesh)
         return u, after, plan.costs
 
-    run = sharding.compiled(jax.vmap(one, in_axes=(None, 0, 0)), mesh)
+    if problems == 1:
+        run = sharding.compiled(jax.vmap(one, in_axes=(None, 0, 0)), mesh)
+    else:
+        run = jax.jit(sharding.each_problem(one, problems))
     params = sharding.replicated(mesh, weights.params)
     rng = np.random.default_rng(seed)
     starts = jax.tree.map(lambda *x: np.stack(x).astype(np.float32), *(_state(rng) for _ in range(problems)))

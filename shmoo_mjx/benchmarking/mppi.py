@@ -61,7 +61,7 @@ def run(cfg: MppiSizes, options: BenchOptions) -> Measured:
     medians = {name: 1e3 * float(np.median(s)) for name, s in turns.items() if s}
     worst = [_worst_case(cfg, options, busy) for busy in (False, True)]
     sweep = _sweeps(cfg, options)
-    metrics = _metrics(cfg, medians, about, worst)
+    metrics = _metrics(cfg, medians, about, worst) | _batch_metrics(sweep)
     rows = [_row(name, seconds, about[name]) for name, seconds in turns.items()]
     setup = {"peers_python": str(python), "cores": usable_cores(), "device": about["ours"]["device"]}
     setup |= {"flop": mppi_problem.flop(cfg.samples, cfg.horizon)}
@@ -195,4 +195,13 @@ def _metrics(cfg: MppiSizes, medians: dict[str, float], about: dict[str, Row], w
         "busy_plain_jax_ms": busy["plain_jax_ms"],
         "recompilations": quiet["recompilations"] + busy["recompilations"],
         "first_step_s": about["ours"]["first_s"],
+        "p99_over_median": quiet["p99_ms"] / quiet["median_ms"],
+        "busy_over_plain_jax": busy["median_ms"] / busy["plain_jax_ms"],
     }
+
+
+def _batch_metrics(sweep: list[Row]) -> Row:
+    """What the most problems in one call take over as many calls with one."""
+    of = {row["problems"]: row["median_ms"] for row in sweep if row["kind"] == "sweep problems"}
+    most = max(of)
+    return {f"{most}_problems_over_{most}_times_one": of[most] / (most * of[1])} if most > 1 and 1 in of else {}

@@ -7,6 +7,7 @@ benchmarks/plant_speed.py measures single scenes and batches with the same funct
 from __future__ import annotations
 
 import functools
+import importlib.util
 import time
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -52,6 +53,7 @@ QUICK = PlantSizes(scenes=("robot", "box"), batches=(16,), seconds=0.3)
 def run(cfg: PlantSizes, options: BenchOptions) -> Measured:
     """Every scene on both engines. The scenes are fixed; the seed draws nothing."""
     rows: list[Row] = []
+    warp = jax.default_backend() == "gpu" and importlib.util.find_spec("warp") is not None
     for done, name in enumerate(cfg.scenes):
         options.progress(f"C MuJoCo, {name}", done / len(cfg.scenes))
         here = c_rows(name, usable_cores(), cfg.seconds)
@@ -61,6 +63,8 @@ def run(cfg: PlantSizes, options: BenchOptions) -> Measured:
         for i, batch in enumerate(batches):
             options.progress(f"MJX, {name}, {batch} worlds", (done + (i + 1) / (len(batches) + 1)) / len(cfg.scenes))
             here += mjx_rows(name, batch, cfg.seconds, rates)
+            if warp and name != "room":
+                here += mjx_rows(name, batch, cfg.seconds, rates, "warp")
         rows += here
     metrics = {key: value for row in rows for key, value in _metrics(row).items()}
     return Measured(metrics, rows)
@@ -70,7 +74,7 @@ def _metrics(row: Row) -> dict[str, float]:
     state = row["state"].replace(" ", "_")
     if row["engine"] == "C":
         return {f"{row['scene']}_c_{row['threads']}_threads_{state}_steps_per_s": row["steps_per_s"]}
-    name = f"{row['scene']}_mjx_{row['batch']}_worlds"
+    name = f"{row['scene']}_{row['engine'].lower().replace(' ', '_')}_{row['batch']}_worlds"
     over = row[f"over C {row['state']}, 1 threads"]
     rates = {f"{name}_{state}_steps_per_s": row["steps_per_s"], f"{name}_{state}_over_c_1_thread": over}
     return rates | {f"{name}_compile_s": row["compile_s"]}
@@ -153,9 +157,11 @@ def c_rows(name: str, threads: int, seconds: float) -> list[Row]:
     ]
 
 
-def mjx_rows(name: str, batch: int, seconds: float, c_rates: dict[tuple[str, int], float]) -> list[Row]:
+def mjx_rows(
+    name: str, batch: int, seconds: float, c_rates: dict[tuple[str, int], float], impl: Literal["jax", "warp"] = "jax"
+) -> list[Row]:
     """MJX with ``batch`` worlds, standing and pushing, beside the rates of C MuJoCo."""
-    engine = MjxEngine([scene_of(name, "mjx")] * batch)
+    engine = MjxEngine([scene_of(name, "mjx")] * batch, impl=impl)
     started = time.perf_counter()
     jax.block_until_ready(engine.step(engine.init(), _wanted(batch)))
     first = time.perf_counter() - started
@@ -166,7 +172,7 @@ def mjx_rows(name: str, batch: int, seconds: float, c_rates: dict[tuple[str, int
         rate = _best(run, 50 * batch, seconds)
         row = {
             "scene": name,
-            "engine": "MJX",
+            "engine": "MJX" if impl == "jax" else "MJX Warp",
             "state": what,
             "device": f"{len(devices)} x {devices[0].device_kind}",
             "batch": batch,

@@ -22,6 +22,7 @@ BENCHMARKS = {
     "startup": "shmoo_mjx.benchmarking.startup",
     "plant": "shmoo_mjx.benchmarking.plant",
     "planner": "shmoo_mjx.benchmarking.planner",
+    "demo": "shmoo_mjx.benchmarking.demo",
     "mppi": "shmoo_mjx.benchmarking.mppi",
     "daiml": "shmoo_mjx.benchmarking.daiml",
 }

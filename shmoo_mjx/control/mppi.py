@@ -1,8 +1,8 @@
 """Model predictive path integral control (Sec. III-E; Williams et al. 2017) for any model and cost.
 
 Both are arguments, so a learned model, a hand-written one and a simulator stand in the same place. Everything is pure:
-``jax.jit(partial(plan, cfg, rollout_fn, cost_fn))`` compiles once per configuration, and ``jax.vmap`` of it over ``x0``
-and the state plans a batch of problems in one call.
+``jax.jit(partial(plan, cfg, rollout_fn, cost_fn))`` compiles once per configuration; ``jax.vmap`` of it over ``x0`` and
+the state plans a batch of problems in one call, and `sharding.each_problem` does so faster on a CPU.
 """
 
 from __future__ import annotations

@@ -13,11 +13,35 @@ import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-__all__ = ["compiled", "on_all", "replicated", "rollout_mesh", "shared", "split"]
+__all__ = ["compiled", "each_problem", "on_all", "replicated", "rollout_mesh", "shared", "split"]
 
 Array = Any
 
 _AXIS = "rollouts"
+_PROBLEMS = "problems"
+
+
+def each_problem(function: Callable[..., Any], count: int) -> Callable[..., Any]:
+    """``function(params, *one)`` for ``count`` problems: arrays ``[count, ...]`` in, the same out; to be jitted.
+
+    Every CPU device takes its own problems, one after another: no device waits for another within a problem, and a
+    problem's arrays stay in the cache. That takes 0.65 (64 problems) to 0.9 of a vmap's time; other devices get a vmap.
+    """
+    devices = jax.devices()
+    if devices[0].platform != "cpu":
+        return lambda params, *many: jax.vmap(lambda *one: function(params, *one))(*many)
+    use = max(n for n in range(1, len(devices) + 1) if count % n == 0)
+
+    def in_turn(params: Any, *many: Any) -> Any:
+        return jax.lax.map(lambda one: function(params, *one), many)
+
+    def parted(params: Any, *many: Any) -> Any:
+        each, same = PartitionSpec(_PROBLEMS), PartitionSpec()
+        mesh = Mesh(np.asarray(devices[:use]), (_PROBLEMS,))
+        specs = (same, *(each for _ in many))
+        return jax.shard_map(in_turn, mesh=mesh, in_specs=specs, out_specs=each, check_vma=False)(params, *many)
+
+    return parted if use > 1 else in_turn
 
 
 def rollout_mesh(num_rollouts: int) -> Mesh | None:

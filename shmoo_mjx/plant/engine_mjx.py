@@ -11,9 +11,10 @@ from __future__ import annotations
 import contextlib
 import copy
 import functools
+import importlib.util
 import io
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -22,6 +23,7 @@ import numpy as np
 from jax.sharding import AxisType, NamedSharding, PartitionSpec
 
 from shmoo_mjx import se2
+from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.plant import lowlevel
 from shmoo_mjx.plant.observe import observation, planar_wrench
@@ -32,7 +34,7 @@ from shmoo_mjx.types import DT, Command, Observation
 with contextlib.redirect_stdout(io.StringIO()):  # it prints that its optional Warp back end is missing
     from mujoco import mjx
 
-__all__ = ["MjxEngine", "MjxWorld", "stack_models"]
+__all__ = ["MjxEngine", "MjxWorld", "check_backend", "stack_models"]
 
 Array = Any
 
@@ -49,6 +51,24 @@ class MjxWorld(NamedTuple):
     """``[W, P]`` which of scene.PARTS did."""
     warm_start: Array
     """``[W, nv]`` acceleration the solver starts from [m/s^2, rad/s^2]."""
+
+
+def check_backend(impl: str, walls: bool = False) -> None:
+    """Whether MJX's back end ``impl`` can run here.
+
+    Raises:
+        ShmooError: warp without an NVIDIA GPU, without its package, or with walls.
+    """
+    if impl != "warp":
+        return
+    if jax.default_backend() != "gpu":
+        raise ShmooError("impl='warp': needs an NVIDIA GPU, and JAX finds none; use impl='jax', or run shmoo doctor.")
+    if importlib.util.find_spec("warp") is None:
+        raise ShmooError("impl='warp': the package warp-lang is missing; pip install warp-lang, or use impl='jax'.")
+    if walls:
+        raise ShmooError(
+            "impl='warp': does not report which part touches a wall; use impl='jax' where there are walls."
+        )
 
 
 def stack_models(models: Sequence[mjx.Model]) -> tuple[mjx.Model, mjx.Model]:
@@ -77,6 +97,7 @@ class MjxEngine:
         line_search: iterations of its line search; static.
         tolerance: at which the solver stops. Single precision never reaches MuJoCo's 1e-8, so that every world of the
             batch would take all iterations.
+        impl: MJX's back end: jax, or warp, which only an NVIDIA GPU has.
         devices: that share the worlds; all there are by default, or the first alone if W can't be parted equally.
     """
 
@@ -91,8 +112,11 @@ class MjxEngine:
         line_search: int = 10,
         tolerance: float = 1e-5,
         devices: Sequence[jax.Device] | None = None,
+        impl: Literal["jax", "warp"] = "jax",
     ) -> None:
         self.scenes = list(scenes)
+        check_backend(impl, bool(self.scenes[0].wall_geoms))
+        self._impl = impl
         self.gains = gains or lowlevel.Gains()
         first = self.scenes[0]
         if not all(s.framed for s in self.scenes):
@@ -105,7 +129,7 @@ class MjxEngine:
         chosen = chosen if len(self.scenes) % len(chosen) == 0 else chosen[:1]
         self._mesh = jax.make_mesh((len(chosen),), ("world",), axis_types=(AxisType.Auto,), devices=chosen)
         self._single = put[id(first.model)]
-        self._template = mjx.make_data(self._single)
+        self._template = mjx.make_data(self._single, impl=self._impl)
         self._torso = first.model.body("robot/torso").id
         self._is_wall = np.zeros(first.model.ngeom, dtype=bool)
         self._is_wall[list(first.wall_geoms)] = True
@@ -124,7 +148,7 @@ class MjxEngine:
         models = {id(scene.model): scene.model for scene in scenes}
         # Which joints have dry friction belongs to the structure: what one world brakes, all worlds must be able to.
         self._dry = self._dry | np.any([model.dof_frictionloss > 0 for model in models.values()], axis=0)
-        return {key: _put(model, self._dry, *self._solver) for key, model in models.items()}
+        return {key: _put(model, self._impl, self._dry, *self._solver) for key, model in models.items()}
 
     def change(self, scenes: Sequence[Scene]) -> None:
         """Go on with other scenes of the same structure; the worlds' states stay as they are.
@@ -135,7 +159,7 @@ class MjxEngine:
         put = self._put_once(scenes)
         if not np.array_equal(before, self._dry):
             self._single = put[id(scenes[0].model)]
-            self._template = mjx.make_data(self._single)
+            self._template = mjx.make_data(self._single, impl=self._impl)
             self._use(*stack_models([put[id(s.model)] for s in scenes]))
             self.scenes = list(scenes)
             return
@@ -277,9 +301,11 @@ class MjxEngine:
         return jnp.any((part == np.arange(len(PARTS))[:, None]) & walls, axis=-1)
 
 
-def _put(model: mujoco.MjModel, dry: np.ndarray, iterations: int, line_search: int, tolerance: float) -> mjx.Model:
+def _put(
+    model: mujoco.MjModel, impl: str, dry: np.ndarray, iterations: int, line_search: int, tolerance: float
+) -> mjx.Model:
     """The model on the device, with some dry friction, however little, on every joint ``[nv]`` of ``dry``."""
     model = copy.deepcopy(model)
     model.dof_frictionloss[dry] = np.maximum(model.dof_frictionloss[dry], 1e-9)
     model.opt.iterations, model.opt.ls_iterations, model.opt.tolerance = iterations, line_search, tolerance
-    return mjx.put_model(model)
+    return mjx.put_model(model, impl=impl)

@@ -69,7 +69,7 @@ def test_a_worker_times_what_it_is_asked_to() -> None:
 def test_the_whole_benchmark_in_small(monkeypatch: pytest.MonkeyPatch) -> None:
     small = bench.MppiSizes(
         samples=20, horizon=3, rounds=2, calls=3, gemm=256, steps=40, sample_sweep=(20,), horizon_sweep=(3,),
-        problem_sweep=(2,),
+        problem_sweep=(1, 2),
     )  # fmt: skip
     monkeypatch.setattr(bench, "QUICK", small)
     result = run_benchmark("mppi", BenchOptions(quick=True))
@@ -79,5 +79,7 @@ def test_the_whole_benchmark_in_small(monkeypatch: pytest.MonkeyPatch) -> None:
     peers = {k: v for k, v in result.metrics.items() if "pytorch_mppi" in k}
     assert len(peers) == 4 and set(peers.values()) == {None}
     assert all(v is not None and v >= 0 for k, v in result.metrics.items() if k not in peers)
-    assert result.metrics["recompilations"] == 0
+    assert result.metrics["recompilations"] == 0 and result.metrics["p99_over_median"] >= 1
+    times = {row["problems"]: row["median_ms"] for row in result.rows if row["kind"] == "sweep problems"}
+    assert result.metrics["2_problems_over_2_times_one"] == pytest.approx(times[2] / (2 * times[1]))
     assert result.metrics["ratio_to_ideal"] == pytest.approx(result.metrics["ours_ms"] / result.metrics["ideal_ms"])

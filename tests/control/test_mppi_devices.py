@@ -45,8 +45,13 @@ again = len(compilations) - first
 many = sharding.compiled(jax.vmap(step, in_axes=(None, 0, 0)), mesh)
 states = jax.vmap(lambda k: mppi.init(cfg, k))(jax.random.split(jax.random.key(6), 3))
 batch = many(gain, np.ones((3, 3), np.float32), states)[0]
-np.savez(sys.argv[1], trail=np.stack(trail), batch=batch, devices=1 if mesh is None else mesh.size,
-         parts=len(plan.trajectories.sharding.device_set), again=again)
+used, mesh, gain = 1 if mesh is None else mesh.size, None, jnp.eye(3) + 0.1
+three = [np.ones((3, 3), np.float32), states]
+four = jax.tree.map(lambda x: jnp.concatenate([x, x[:1]]), three)
+turns = [jax.jit(sharding.each_problem(step, n))(gain, *given) for n, given in ((3, three), (4, four))]
+np.savez(sys.argv[1], trail=np.stack(trail), batch=batch, devices=used,
+         parts=len(plan.trajectories.sharding.device_set), again=again,
+         turns=turns[0][0], turns4=turns[1][0], parts4=len(turns[1][0].sharding.device_set))
 """
 
 
@@ -71,6 +76,11 @@ def test_one_and_two_devices_give_the_same_plans(results: dict[int, dict[str, np
     np.testing.assert_allclose(results[2]["trail"], results[1]["trail"], rtol=1e-5, atol=1e-5)
     np.testing.assert_allclose(results[2]["batch"], results[1]["batch"], rtol=1e-5, atol=1e-5)
     assert [int(results[n]["again"]) for n in (1, 2)] == [0, 0]
+    # Problems one after another, on one device or each on its own.
+    assert [int(results[n]["parts4"]) for n in (1, 2, 7)] == [1, 2, 4]
+    for n in (1, 2, 7):
+        np.testing.assert_allclose(results[n]["turns"], results[1]["batch"], rtol=1e-5, atol=1e-5)
+        np.testing.assert_allclose(results[n]["turns4"][:3], results[1]["batch"], rtol=1e-5, atol=1e-5)
     assert np.abs(np.diff(results[1]["trail"], axis=0)).max() > 1e-3
 
 

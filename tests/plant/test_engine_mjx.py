@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import functools
+import importlib.util
 
 import jax
 import numpy as np
 import pytest
 
+from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.hands import HAND_HEIGHT, REACH
-from shmoo_mjx.plant.engine_mjx import MjxEngine, MjxWorld
+from shmoo_mjx.plant.engine_mjx import MjxEngine, MjxWorld, check_backend
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.objects import draw_condition
 from shmoo_mjx.plant.randomize import Ranges, randomize
@@ -130,3 +132,18 @@ def test_randomised_robots_survive_pushes() -> None:
         world, seen = engine.step(world, command(worlds), push=push if 10 <= i < 15 else None)
     assert not np.asarray(engine.fallen(world)).any()
     assert np.asarray(seen.robot_pose).std(axis=0)[0] > 0.01
+
+
+def test_warp_without_a_gpu_is_refused_in_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    if jax.default_backend() != "gpu":
+        with pytest.raises(ShmooError, match=r"^impl='warp': needs an NVIDIA GPU, [^.]*; use impl='jax'[^.]*\.$"):
+            MjxEngine([build_scene(engine="mjx")], impl="warp")
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(ShmooError, match="warp-lang is missing"):
+        check_backend("warp")
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: object())
+    check_backend("warp")
+    with pytest.raises(ShmooError, match="walls"):
+        check_backend("warp", walls=True)
+    check_backend("jax", walls=True)
