@@ -63,7 +63,7 @@ def run(cfg: MppiSizes, options: BenchOptions) -> Measured:
     sweep = _sweeps(cfg, options)
     metrics = _metrics(cfg, medians, about, worst) | _batch_metrics(sweep)
     rows = [_row(name, seconds, about[name]) for name, seconds in turns.items()]
-    setup = {"peers_python": str(python), "cores": usable_cores(), "device": about["ours"]["device"]}
+    setup: Row = {"cores": usable_cores(), "device": about["ours"]["device"]}
     setup |= {"flop": mppi_problem.flop(cfg.samples, cfg.horizon)}
     return Measured(metrics, [*rows, *worst, *sweep], setup)
 

@@ -1,0 +1,126 @@
+"""Writes the measured tables of docs/performance.md from the results in docs/results.
+
+Run: python benchmarks/performance_page.py (with --check: ends with code 1 if the page is not what the results say)
+
+    shmoo bench mppi --peers-python peers/bin/python --json docs/results/bench_mppi.json
+    shmoo bench demo --json docs/results/bench_demo.json
+    python benchmarks/rollouts.py --json docs/results/rollouts.json --figure docs/figures/rollouts.png
+
+The control step's table is of the short form's result where there is none of the long form.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from shmoo_mjx.evaluation.result import ExperimentResult, read_result
+from shmoo_mjx.report.tables import markdown_table
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE, RESULTS = ROOT / "docs/performance.md", ROOT / "docs/results"
+ENGINES = {
+    "ideal_ms": "ideal: 1.53 GFLOP of plain networks at the machine's rate",
+    "ours_ms": "**ours, shipped networks**",
+    "ours_paper_networks_ms": "ours, the paper's widths",
+    "plain_jax_ms": "plain JAX, roll-outs",
+    "numpy_ms": "NumPy, roll-outs",
+    "pytorch_mppi_compiled_ms": "pytorch_mppi compiled, roll-outs",
+    "pytorch_mppi_eager_ms": "pytorch_mppi eager, roll-outs",
+}
+RATIOS = {
+    "p99_over_median": "p99 / median",
+    "busy_over_plain_jax": "beside a busy process / plain JAX beside it",
+    "64_problems_over_64_times_one": "64 problems in one call / 64 x one",
+}
+
+SWEEPS = {"samples": "S", "horizon": "T", "problems": "problems in one call"}
+
+
+def control_step(result: ExperimentResult) -> str:
+    """Every engine's time, over pytorch_mppi's and over the ideal, and what else has a target."""
+    found = {k: v for k in ENGINES if (v := result.metrics.get(k)) is not None}
+    eager, ideal = found.get("pytorch_mppi_eager_ms"), found["ideal_ms"]
+
+    def over(value: float, base: float | None) -> str:
+        return "" if base is None else f"{value / base:.2f}"
+
+    rows = [
+        [ENGINES[k], f"{v:.1f}", over(v, eager), over(v, ideal)] for k, v in sorted(found.items(), key=lambda x: x[1])
+    ]
+    table = markdown_table(["", "ms", "over pytorch_mppi eager", "over ideal"], rows)
+    more = [f"{label} {value:.2f}" for key, label in RATIOS.items() if (value := result.metrics.get(key)) is not None]
+    steps = next(row["steps"] for row in result.rows if row["kind"] == "worst case")
+    worst = f"{steps:,} steps: p99 {result.metrics['ours_p99_ms']:.1f} ms, worst {result.metrics['ours_max_ms']:.1f} ms"
+    sweeps = [_sweep(result, kind, label) for kind, label in SWEEPS.items()]
+    return f"{_machine(result)}\n\n{table}\n\n- {'; '.join([worst, *more])}.\n- {'; '.join(sweeps)}."
+
+
+def _sweep(result: ExperimentResult, kind: str, label: str) -> str:
+    rows = [row for row in result.rows if row["kind"] == f"sweep {kind}"]
+    counts = ", ".join(f"{row[kind]:,}" for row in rows)
+    return f"{label} = {counts}: {', '.join(f'{row["median_ms"]:,.1f}' for row in rows)} ms"
+
+
+def demo(result: ExperimentResult) -> str:
+    """The parts of the demo's time, warm, as bars."""
+    warm = [row for row in result.rows if row["cache"] == "warm"]
+    rows = [[r["name"], f"{r['s']:.1f}", f"{r['share']:.0%}", "█" * round(40 * r["share"])] for r in warm]
+    m = result.metrics
+    total = f"{m['warm_s']:.1f} s for {m['simulated_time']:.0f} s simulated: {m['ratio_to_simulated_time']:.2f}"
+    first = f"with an empty compilation cache {m['first_time_s']:.0f} s"
+    return f"{_machine(result)} {total}; {first}.\n\n{markdown_table(['', 's', 'share', ''], rows)}"
+
+
+def rollouts(result: ExperimentResult) -> str:
+    """Cost and time of every variant."""
+    sys.path.insert(0, str(Path(__file__).parent))
+    from rollouts import as_table, summary
+
+    pushes = [row for row in result.rows if "cost_m" in row]
+    return as_table(summary(pushes, [row for row in result.rows if "cores" in row]))
+
+
+BLOCKS: dict[str, tuple[tuple[str, ...], Callable[[ExperimentResult], str]]] = {
+    "control step": (("bench_mppi.json", "bench_mppi_quick.json"), control_step),
+    "demo": (("bench_demo.json",), demo),
+    "roll-outs": (("rollouts.json",), rollouts),
+}
+"""Name of a block of the page to the results that it may be of, the best first, and what makes it."""
+
+
+def page(text: str) -> str:
+    """The page with each block as its result says; blocks without a result stay as they are."""
+    for name, (files, make) in BLOCKS.items():
+        there = [RESULTS / file for file in files if (RESULTS / file).is_file()]
+        if there:
+            block = f"<!-- {name} -->\n{make(read_result(there[0]))}\n<!-- end -->"
+            text, count = re.subn(f"<!-- {name} -->.*?<!-- end -->", lambda _, b=block: b, text, flags=re.DOTALL)
+            if count != 1:
+                raise SystemExit(f"{PAGE}: has {count} blocks named {name}, and needs one.")
+    return text
+
+
+def _machine(result: ExperimentResult) -> str:
+    made: dict[str, Any] = result.config["machine"]
+    return f"{made['processor']}, {made['cores']} cores{', short form' if result.config.get('quick') else ''}:"
+
+
+def main() -> None:
+    """Write or check the page."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--check", action="store_true")
+    args = parser.parse_args()
+    old = PAGE.read_text(encoding="utf-8")
+    new = page(old)
+    if args.check:
+        raise SystemExit(int(new != old))
+    PAGE.write_text(new, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
