@@ -189,7 +189,8 @@ def as_table(lines: list[Row]) -> str:
 
     head = ["noise", "S", "T", "cost [m]", "minus shipped [m]", "success", "1 core, p99 [ms]", "2 cores, p99 [ms]"]
     body = []
-    for line in sorted(lines, key=lambda x: (KINDS.index(x["kind"]), x["T"], x["S"])):
+    measured = [line for line in lines if {"cost_m", "median_ms_1_cores"} & set(line)]
+    for line in sorted(measured, key=lambda x: (KINDS.index(x["kind"]), x["T"], x["S"])):
         apart = (
             f"{line['more_m']:+.3f} ({line['more_low_m']:.3f} to {line['more_high_m']:.3f})" if "more_m" in line else ""
         )

@@ -170,7 +170,7 @@ def mjx_rows(
     for what, world in (("standing", engine.init()), ("pushing", _pushing(engine, batch))):
         run = lambda world=world: jax.block_until_ready(engine.step(world, _wanted(batch)))  # noqa: E731
         rate = _best(run, 50 * batch, seconds)
-        row = {
+        row: Row = {
             "scene": name,
             "engine": "MJX" if impl == "jax" else "MJX Warp",
             "state": what,

@@ -91,6 +91,10 @@ class PushConfig:
     """Roll-outs lean within the governor's present bounds too. Otherwise they foresee firmer pushes than there will be,
     and believe that steering turns what hardly resists."""
 
+    def light(self) -> PushConfig:
+        """The preset for small computers: these settings with 128 roll-outs in place of 500."""
+        return replace(self, control=replace(self.control, num_rollouts=128))
+
 
 _ZERO, _FLAT = np.zeros(3), np.zeros(2)
 _STILL = ObjectObservation(_ZERO, _ZERO, _FLAT, _FLAT, np.array([0.9, 0.0, 0.0]), _ZERO, _ZERO, np.array(True))
@@ -163,7 +167,10 @@ class PushController:
     ) -> ControllerState:
         """Start a push on ``face [4]``; ``adapt`` carries over what was learned of this object before."""
         adapt = adapt or prior_state(self.weights, self.config.adapt.contact)
-        return start(self.config, adapt, obs, face, half_extents, key)
+        state = start(self.config, adapt, obs, face, half_extents, key)
+        # Placed as what `step` gives back is: it would else be compiled for either.
+        adapt, plan = sharding.replicated(self._mesh, (state.adapt, state.plan))
+        return state._replace(adapt=adapt, plan=plan)
 
     def compile(self, around: LocalDistanceField) -> None:
         """Compile all that a push needs, for which the first contact waits otherwise; any ``around`` will do."""

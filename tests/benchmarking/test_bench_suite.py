@@ -48,6 +48,36 @@ def test_the_suite_holds_all_and_keeps_each(monkeypatch: pytest.MonkeyPatch, tmp
     json.dumps(result.model_dump())
 
 
+SMALL: dict[str, dict[str, Any]] = {
+    "startup": {"helps": 1, "demos": 1},
+    "plant": {"scenes": ("robot",), "batches": (2,), "seconds": 0.05},
+    "planner": {"time_s": 12.0, "paths": 2},
+    "demo": {"time_s": 12.0},
+    "mppi": {
+        "samples": 20, "horizon": 3, "rounds": 1, "calls": 2, "gemm": 256, "steps": 20, "sample_sweep": (20,),
+        "horizon_sweep": (3,), "problem_sweep": (1, 2),
+    },
+}  # fmt: skip
+
+
+@pytest.mark.slow
+def test_the_command_that_fills_the_gpu_table_runs_here(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    from shmoo_mjx import cli
+    from shmoo_mjx.evaluation.result import read_result
+
+    for name, sizes in SMALL.items():
+        module = import_module(BENCHMARKS[name])
+        monkeypatch.setattr(module, "QUICK", replace(module.QUICK, **sizes))
+    target = tmp_path / "gpu.json"
+    assert cli.bench("all", json=target, quick=True, out=tmp_path / "parts") == 0
+    result = read_result(target)
+    assert all(any(key.startswith(f"{name}_") for key in result.metrics) for name in BENCHMARKS)
+    assert {"mppi_ours_ms", "mppi_2_problems_over_2_times_one", "plant_robot_mjx_2_worlds_pushing_steps_per_s"} <= set(
+        result.metrics
+    )
+    assert cli.bench("compare", (target, target)) == 0
+
+
 def test_help_is_there_within_half_a_second() -> None:
     # Seconds of the processor, the least of some runs. Neighbours slow even these (caches, shared cores), so that the
     # import of the parser, measured between, says what half a second is worth just now; at rest it takes 0.2 s.

@@ -88,3 +88,30 @@ def test_one_and_two_devices_give_the_same_plans(results: dict[int, dict[str, np
 def test_samples_that_do_not_divide_take_fewer_devices(results: dict[int, dict[str, np.ndarray]]) -> None:
     assert int(results[7]["devices"]) == 6
     np.testing.assert_allclose(results[7]["trail"], results[1]["trail"], rtol=1e-5, atol=1e-5)
+
+
+CONTROLLER = """
+from dataclasses import replace
+import jax, numpy as np
+from shmoo_mjx.assets import WEIGHTS, asset
+from shmoo_mjx.control import pushing
+from shmoo_mjx.learning.weights import load_weights
+
+config = pushing.PushConfig()
+config = replace(config, control=replace(config.control, num_rollouts=20, horizon=3))
+controller = pushing.PushController(load_weights(asset(WEIGHTS)), config)
+around = pushing.local_distance_field(type("Free", (), {"at": lambda self, p: p[..., 0] * 0 + 9.0})(), np.zeros(2))
+half, u = np.full(2, 0.3), np.zeros(3)
+seen = pushing._STILL
+state = controller.init(seen, np.array([-0.3, 0.0, 0.0, 0.3]), half, jax.random.key(0))
+for _ in range(3):
+    u, state, _ = controller.step(state, seen, u, np.array([2.0, 0.0, 0.0]), around, half)
+print(len(jax.devices()), controller._compiled._cache_size())
+"""
+
+
+@pytest.mark.slow
+def test_the_controller_is_compiled_once_on_two_devices() -> None:
+    env = os.environ | {"JAX_NUM_CPU_DEVICES": "2", "XLA_FLAGS": "", "JAX_PLATFORMS": "cpu"}
+    done = subprocess.run([sys.executable, "-c", CONTROLLER], env=env, check=True, capture_output=True, text=True)
+    assert done.stdout.split() == ["2", "1"]
