@@ -110,6 +110,8 @@ def step(
     noise = config.noise_scale * state.noise
     spread = phi @ covariance @ phi.T
     distance = innovation @ jnp.linalg.solve(spread + noise, innovation)
+    # Of a label so far off that its square overflows nothing can be learned either.
+    use &= jnp.isfinite(distance)
     noise = noise * jnp.maximum(1.0, distance / config.outlier)
     gain = jnp.linalg.solve(spread + noise, phi @ covariance).T
     new_mean = mean + gain @ innovation
