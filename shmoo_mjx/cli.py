@@ -220,7 +220,7 @@ def train(
         out: weights file; the part that is trained is written into it, the other part is kept (default:
             weights.safetensors, or weights-quick.safetensors with --quick).
         seed: of initialisation and batches.
-        quick: a short form of a minute, to try the commands; its weights are not for use.
+        quick: a short form of a few minutes, to try the commands; its weights are not for use.
     """
     from shmoo_mjx import progress
     from shmoo_mjx.learning.train import train_part
