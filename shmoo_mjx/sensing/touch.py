@@ -1,7 +1,8 @@
 """Force estimate Gamma = J tau, assigned to the object that the hands can be touching.
 
 Motor constants are known to some 15 % only, and extended arms weigh: what their motors seem to hold beyond gravity is
-up to 4 N that nothing exerts. With the hands extended and free, gravity is all there is to hold, which calibrates them.
+a force of some newtons that nothing exerts. With the hands extended and free, gravity is all there is to hold, which
+calibrates them.
 """
 
 from __future__ import annotations
@@ -92,8 +93,8 @@ def felt(
     far = np.linalg.norm(object_pose[..., :2] - hands[:, None], axis=-1)
     nearest = np.argmin(np.where(np.isfinite(far), far, np.inf), axis=1)
     rows = np.arange(len(nearest))
-    asked = np.maximum((_PRIOR + scale.products) / (_PRIOR + scale.squares), 1 / _LIMIT)
-    reading = joint_torque_wrench(robot, torque / np.minimum(asked, _LIMIT), object_pose[rows, nearest])
+    asked_over_exerted = np.clip((_PRIOR + scale.products) / (_PRIOR + scale.squares), 1 / _LIMIT, _LIMIT)
+    reading = joint_torque_wrench(robot, torque / asked_over_exerted, object_pose[rows, nearest])
     # A comparison with NaN is false: what is not known anywhere is not touched either.
     firm = (np.hypot(reading[:, 0], reading[:, 1]) > touch.least) & np.isfinite(reading).all(axis=-1)
     wrench[rows, nearest] = np.where(firm[:, None], reading, 0.0)
