@@ -103,9 +103,9 @@ def _columns(file: Path) -> dict[str, np.ndarray]:
         raise ShmooError(f"{file}: there is no such file; give a log as CSV or Parquet.")
     try:
         table = parquet.read_table(file) if file.suffix.lower() in (".parquet", ".pq") else csv.read_csv(file)
-    except (pyarrow.ArrowException, OSError):
+        names = table.column_names
+    except (pyarrow.ArrowException, OSError, UnicodeDecodeError):
         raise ShmooError(f"{file}: this is no CSV with a header, and no Parquet file (*.parquet).") from None
-    names = table.column_names
     for name in REQUIRED:
         if name not in names:
             near = closest_name(name, names) if names else ""

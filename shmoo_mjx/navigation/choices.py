@@ -136,21 +136,22 @@ def look_ahead(setup: Setup, state: NavigatorState, obs: Observation) -> Navigat
     # Not through another one that this path goes round already: it would turn from one to the other for ever.
     gone_round = [state.belief.objects[i].polygon for i in state.gone_round | {index}]
     detour = setup.routes(state).plan(position, [*state.belief.polygons(_AVOIDED), *gone_round])
-    if cfg.goes_round and detour is not None and detour.length < remaining + cfg.detour:
+    longer = np.inf if detour is None else detour.length - remaining
+    if cfg.goes_round and detour is not None and longer < cfg.detour:
         state = _on_path(replace(state, gone_round=state.gone_round | {index}), now, detour)
-        longer = f"{detour.length - remaining:+.2f} m"
-        return state.go(now, Mode.FOLLOW, f"object {index} is in the way; going round it costs {longer}")
-    cost = "there is no way round" if detour is None else f"the way round is {detour.length - remaining:.2f} m longer"
-    # Walking to a face is worth while only if that and the rest of the path are shorter than the way round.
-    longest = np.inf if detour is None or not cfg.goes_round else detour.length - (remaining - distance)
+        return state.go(now, Mode.FOLLOW, f"object {index} is in the way; going round it costs {longer:+.2f} m")
+    cost = "there is no way round" if detour is None else f"the way round is {longer:.2f} m longer"
     why = f"object {index} blocks the path {distance:.2f} m ahead and {cost}"
-    return _start_push(setup, state, obs, index, why, longest)
+    return _start_push(setup, state, obs, index, why, distance, longer)
 
 
 def _start_push(
-    setup: Setup, state: NavigatorState, obs: Observation, index: int, why: str, longest: float
+    setup: Setup, state: NavigatorState, obs: Observation, index: int, why: str, distance: float, detour: float
 ) -> NavigatorState:
-    """Choose goal, face and way to the stand-off pose, or give the object up."""
+    """Choose goal, face and way to the stand-off pose, or give the object up; ``distance`` [m] is that along the path,
+    ``detour`` as in `Segment`."""
+    # Walking to a face is worth while only if that and the rest of the path are shorter than the way round.
+    longest = distance + detour if setup.config.goes_round else np.inf
     known, now, routes = state.belief.objects[index], float(obs.time[0]), setup.routes(state)
     if known.pushes >= setup.config.max_pushes:
         text = f"object {index} has been pushed {known.pushes} times without clearing the path"
@@ -169,10 +170,9 @@ def _start_push(
     if first.goal is None or first.direction is None:
         return _give_up(setup, state, obs, index, f"object {index} can be put nowhere: {first.reason}")
     side = list(usable)[first.direction]
-    way, gap = usable[side]
-    segment = Segment(
-        index, side, faces[side], first.goal, way, approach.init(now, gap), local_distance_field(around, known.pose)
-    )
+    way, *place = usable[side]
+    field = local_distance_field(around, known.pose)
+    segment = Segment(index, side, faces[side], first.goal, way, approach.init(now, *place), field, detour)
     state = replace(state, segment=segment, drive=drive.init())
     state = state.with_object(index, pushes=known.pushes + 1, registered=known.pose)
     return state.go(now, Mode.APPROACH, f"{why}; first goal: {first.reason}")

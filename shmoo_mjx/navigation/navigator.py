@@ -227,7 +227,8 @@ def _approach(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[Na
     reached, move = approach.step(segment.approach, now, object_obs, segment.face, lean, yaw, remaining, room)
     state = state.with_segment(approach=reached)
     if move.over:
-        state = replace(state.with_segment(contact=contact.init(object_obs)), drive=drive.init())
+        begun = contact.init(object_obs, segment.approach.lateral)
+        state = replace(state.with_segment(contact=begun), drive=drive.init())
         state = state.go(now, Mode.CONTACT, "at the stand-off pose, arms extended")
     elif move.failed:
         state = state.go(now, Mode.REPLAN, "the stand-off pose was not reached in time")

@@ -252,7 +252,7 @@ class PushTask:
             return
         chosen = ways[choice.side]
         assert chosen is not None
-        begun = approach.init(float(obs.time[0]), chosen[1])
+        begun = approach.init(float(obs.time[0]), *chosen[1:])
         field = local_distance_field(around, known.pose)
         self.segment = _PushSegment(choice.side, faces[choice.side], choice.goal, chosen[0], begun, field)
         self.pushes, self._drive = self.pushes + 1, drive.init()
@@ -269,7 +269,7 @@ class PushTask:
         )
         self.segment = replace(segment, approach=reached)
         if move.over:
-            self.segment = replace(self.segment, contact=contact.init(object_obs))
+            self.segment = replace(self.segment, contact=contact.init(object_obs, self.segment.approach.lateral))
             self._go(obs, Phase.CONTACT, "at the stand-off pose, arms extended")
         elif move.failed:
             self._go(obs, Phase.CHOOSE, "the stand-off pose was not reached in time")

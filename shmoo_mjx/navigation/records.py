@@ -146,6 +146,8 @@ class Segment:
     """To the stand-off pose."""
     approach: ApproachState
     around: LocalDistanceField
+    detour: float
+    """How much longer the way round is than the path through the object [m]; infinite where there is none."""
     contact: ContactState | None = None
     push: PushState | None = None
     back: Path | None = None

@@ -45,6 +45,8 @@ _WALL_MARGIN = 0.05
 _OTHER_PATHS = 12
 """Goals for which another path is sought when none leaves the path free."""
 
+_ASIDE = (0.0, 0.1, -0.1, 0.2, -0.2)
+"""Places along a face from which contact is sought, one after the other [m]: one hand at least is on it."""
 _WIDER_GAPS = (0.2, 0.3, 0.4)
 """Distances between hands and face from which contact is sought where a wall leaves no room nearer by [m]."""
 
@@ -101,19 +103,20 @@ class Routes:
 
     def path_to_face(
         self, position: np.ndarray, index: int, face: np.ndarray, clearance: ClearanceField
-    ) -> tuple[Path, float] | None:
+    ) -> tuple[Path, float, float] | None:
         """Way to the nearest stand-off pose at ``face [4]`` of object ``index`` where the robot has room, and that
-        pose's gap [m]; None if there is no room or no way. ``clearance`` is that of everything known."""
+        pose's gap and place along the face [m]; None if there is no room or no way. ``clearance`` is that of everything
+        known. Beside the middle of the face only where there is no room at it."""
         known, obstacles = self.belief.objects[index], self.belief.polygons()
         others = self.belief.clearance(without=index)
         gaps = (CONTACT_GAP, *_WIDER_GAPS)
-        for reserve, gap in itertools.product(_REACHING_ROOM, gaps):
-            wanted = stand_off(known.pose, face, gap)
-            forward = np.stack([stand_off(known.pose, face, g) for g in np.linspace(gap, 0.0, 4)])
+        for lateral, reserve, gap in itertools.product(_ASIDE, _REACHING_ROOM, gaps):
+            wanted = stand_off(known.pose, face, gap, lateral)
+            forward = np.stack([stand_off(known.pose, face, g, lateral) for g in np.linspace(gap, 0.0, 4)])
             room = outline.room(others.at, forward, (TUCKED_REACH, REACH)).least
             if float(clearance.at(wanted[:2])) >= ROBOT_RADIUS and float(np.min(room)) >= reserve:
                 path = self._path(position, wanted[:2], obstacles)
-                return None if path is None else (path, gap)
+                return None if path is None else (path, gap, lateral)
         return None
 
     def plan(self, position: np.ndarray, obstacles: list[shapely.Polygon]) -> Path | None:

@@ -31,6 +31,8 @@ _ROLLED = 0.10
 """An object that has moved this far under a probe gives way beyond doubt [m]."""
 _STALL = (0.05, 6.0)
 """An object that moved less than this [m] in so much time of a push [s] has stalled."""
+_PACE = 0.4
+"""Speed of walking [m/s], for the time that a way round takes."""
 _MOVED = 0.3
 """An object that a push has moved this far is not immovable, whatever holds it now: a wall, say [m]."""
 _REVIEW_EVERY = 2.0
@@ -67,13 +69,16 @@ def judge(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorSta
         return leave(f"object {index} has gone past its goal, and can't be pulled")
     if push.since_contact > _LOST_AFTER:
         return leave(f"contact with object {index} lost for {_LOST_AFTER:g} s")
-    travelled = push.travelled(_STALL[1])
-    if travelled is not None and travelled < _STALL[0] and not _begins_anew(segment, now):
-        text = f"object {index} moved less than {_STALL[0]:g} m in {_STALL[1]:g} s"
-        return _stuck(setup, state, now, text)
+    if pushing and _stalled(push) and not _begins_anew(segment, now):
+        return _stuck(setup, state, now, f"object {index} moved less than {_STALL[0]:g} m in {_STALL[1]:g} s")
     if now - push.started > _PUSH_LIMIT:
         return leave(f"object {index} has been pushed for {_PUSH_LIMIT:g} s")
     return state
+
+
+def _stalled(push: PushState) -> bool:
+    travelled = push.travelled(_STALL[1])
+    return travelled is not None and travelled < _STALL[0]
 
 
 def _left(goal: np.ndarray, pose: np.ndarray, face: np.ndarray) -> np.ndarray:
@@ -86,7 +91,8 @@ def review(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorSt
     """Look whether the path is clear, or hold the planning stage of Algorithm 1, where either is due."""
     now, push = float(obs.time[0]), state.current().push
     assert push is not None
-    looks = state.mode is Mode.PUSH and round(now / DT) % _CLEAR_EVERY == 0
+    moves_on = state.mode is Mode.PUSH or push.contact_time > setup.config.decide_after
+    looks = moves_on and round(now / DT) % _CLEAR_EVERY == 0
     if looks and setup.routes(state).path_clear(obs.robot_pose[0, :2], state.known()):
         index = state.current().object
         state = state.with_object(index, status=Status.PARKED)
@@ -101,12 +107,22 @@ def _due(setup: Setup, state: NavigatorState, push: PushState) -> bool:
     if state.mode is Mode.PUSH:
         return push.contact_time >= state.current().reviewed + _REVIEW_EVERY
     cfg, pose = setup.config, state.known().pose
+    if _stalled(push):
+        return True
     if push.contact_time < PROBE_TIME and not rolled(push, pose):
         return False
-    if cfg.decides_by == "K" or push.contact_time >= cfg.decide_after:
+    if cfg.decides_by == "K":
         return True
-    p = _probability(push, pose)
-    return max(p, 1.0 - p) > cfg.sure
+    p, late = _probability(push, pose), push.contact_time >= cfg.decide_after
+    if p < 0.5:
+        return p < _worth_trying(state.current()) and (late or p < 1.0 - cfg.sure)
+    return late or p > cfg.sure
+
+
+def _worth_trying(segment: Segment) -> float:
+    """Probability from which to push on takes less time, on average, than to go round: down to 0 where there is no way
+    round, so that nothing but a stall ends the probe."""
+    return min(0.5, _STALL[1] / (_STALL[1] + segment.detour / _PACE))
 
 
 def _probability(push: PushState, pose: np.ndarray) -> float:

@@ -72,13 +72,12 @@ def frames(
             look[:2] += 0.15 * (row[:2] - look[:2])
             camera.lookat[:] = look
             renderer.update_scene(data, camera, options)
-            if not scene.wall_geoms:
-                _plain(renderer)
+            _plain(renderer)
             yield renderer.render()
 
 
 def _plain(renderer: mujoco.Renderer) -> None:
-    """No shadows and reflections: on an endless floor the shadow map is too coarse and leaves speckles."""
+    """No shadows and reflections: the shadow map is coarse and leaves speckles, and each draws the scene once more."""
     for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
         renderer.scene.flags[flag] = 0
 

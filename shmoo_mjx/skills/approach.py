@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -37,13 +37,15 @@ class ApproachState:
     """[s]"""
     gap: float
     """Distance between hands and face at the stand-off pose [m]."""
+    lateral: float = 0.0
+    """Place of the stand-off pose along the face, to the robot's left of its middle [m]."""
     extended_at: float | None = None
     """When the arms were commanded to extend [s]."""
 
 
-def init(time: float, gap: float) -> ApproachState:
+def init(time: float, gap: float, lateral: float = 0.0) -> ApproachState:
     """An approach that starts at ``time`` [s]."""
-    return ApproachState(time, gap)
+    return ApproachState(time, gap, lateral)
 
 
 def step(
@@ -68,7 +70,7 @@ def step(
         remaining: length of the path still to go [m].
         room: whether the arms have room to extend here.
     """
-    wanted, pose = stand_off(obs.object_pose, face, state.gap), obs.robot_pose
+    wanted, pose = stand_off(obs.object_pose, face, state.gap, state.lateral), obs.robot_pose
     near = np.linalg.norm(pose[:2] - wanted[:2]) < 0.10
     slow = np.linalg.norm(obs.robot_twist[:2]) < 0.08
     extended_at = state.extended_at
@@ -84,4 +86,4 @@ def step(
         yaw = float(np.arctan2(offset[1], offset[0])) if np.hypot(*offset) < _LOOKING else yaw
     command = Command(np.append(lean, 0.0), yaw, reach, height)
     late = not over and time - state.started > _LIMIT
-    return ApproachState(state.started, state.gap, extended_at), Move(command, over, late)
+    return replace(state, extended_at=extended_at), Move(command, over, late)

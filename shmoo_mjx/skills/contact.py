@@ -24,7 +24,7 @@ _NEAR = 0.08
 """Distance of the hands from the face within which what is felt is the object, and not the arms that unfold, and within
 which an object that moves was touched, and not moved by others [m]."""
 _ASTRAY = (0.5, 0.3)
-"""Distance of the hands from the face, and of the robot from the face's axis, at which contact has failed [m]."""
+"""Distance of the hands from the face, and of the robot from its place along it, at which contact has failed [m]."""
 
 
 class ContactState(NamedTuple):
@@ -32,11 +32,13 @@ class ContactState(NamedTuple):
 
     object_pose: Array
     """``[3]`` when the hands began to feel for it, in {W}."""
+    lateral: Array = 0.0
+    """Where along the face they do, to the robot's left of its middle [m]."""
 
 
-def init(obs: ObjectObservation) -> ContactState:
+def init(obs: ObjectObservation, lateral: Array = 0.0) -> ContactState:
     """Before the first step."""
-    return ContactState(obs.object_pose)
+    return ContactState(obs.object_pose, lateral)
 
 
 def step(state: ContactState, obs: ObjectObservation, face: Array) -> tuple[ContactState, Move]:
@@ -52,11 +54,12 @@ def step(state: ContactState, obs: ObjectObservation, face: Array) -> tuple[Cont
     shift = obs.object_pose[:2] - state.object_pose[:2]
     gives_way = xp.hypot(shift[0], shift[1]) > _SHIFT
     over = (away < _NEAR) & (touches(obs.wrench) | gives_way)
-    sideways = xp.clip(-0.8 * local[1], -0.1, 0.1)
+    beside = local[1] - state.lateral
+    sideways = xp.clip(-0.8 * beside, -0.1, 0.1)
     wish = xp.where(over, 0.0, se2.rotate(xp.stack([_SPEED + 0.0 * sideways, sideways]), -local[2]))
     lean = lean_for(obs, wish)
     command = Command(
         xp.concatenate([lean, xp.zeros(1)]), heading(obs.object_pose, face), xp.asarray(REACH), xp.asarray(HAND_HEIGHT)
     )
-    failed = ~over & ((local[0] < -(REACH + HAND_RADIUS + _ASTRAY[0])) | (abs(local[1]) > _ASTRAY[1]))
+    failed = ~over & ((local[0] < -(REACH + HAND_RADIUS + _ASTRAY[0])) | (abs(beside) > _ASTRAY[1]))
     return state, Move(command, over, failed)

@@ -78,12 +78,14 @@ class PushState:
         return float(np.linalg.norm(pose[:2] - start[:2]))
 
     def travelled(self, seconds: float) -> float | None:
-        """Extent of the object's way in the last ``seconds`` of the push [m]; None if it is younger. Contact does not
-        count: what the pusher dares touch no more is as stuck as what does not move."""
-        count = round(seconds / DT)
-        if len(self.poses) < count:
+        """How far the object has come in the last ``seconds`` of the push [m]; None if it is younger. Twice the way
+        between the means of both halves, so that neither noise nor a jammed object's rocking counts. Contact does
+        not count either: what the pusher dares touch no more is as stuck as what does not move."""
+        half = round(seconds / DT / 2)
+        if len(self.poses) < 2 * half:
             return None
-        return float(np.linalg.norm(np.ptp([pose[:2] for pose in self.poses[-count:]], axis=0)))
+        recent = np.array(self.poses)[-2 * half :, :2]
+        return 2.0 * float(np.linalg.norm(recent[half:].mean(axis=0) - recent[:half].mean(axis=0)))
 
 
 def init(

@@ -1,10 +1,11 @@
-"""Adaptation with the shipped weights over long random and adversarial sequences: it can't be poisoned.
+"""Adaptation with the shipped weights over long random, adversarial and recorded sequences: it can't be poisoned.
 
 300 steps in the fast form, 100,000 (almost three hours of contact) in the slow one.
 """
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -12,9 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from shmoo_mjx.data import store
+from shmoo_mjx.data.collect import CollectConfig, collect
 from shmoo_mjx.dynamics import contact_model, object_model
 from shmoo_mjx.learning import online
 from shmoo_mjx.learning.adaptation import AdaptConfig, AdaptState
+from shmoo_mjx.learning.samples import samples_from_dataset
 from shmoo_mjx.learning.weights import Weights, load_weights, prior_state
 
 SIZE = jnp.array([0.3, 0.3, 0.5, 40.0, 40.0, 10.0, 0.3, 0.3, 0.5, 40.0, 40.0, 10.0, 0.5])
@@ -37,6 +41,13 @@ def sequences(kind: str, length: int) -> tuple[jax.Array, jax.Array]:
     if kind == "silent":
         inputs, labels = jnp.zeros_like(inputs), jnp.zeros_like(labels)
     return inputs, labels
+
+
+def recorded(dataset: store.Dataset, length: int) -> tuple[jax.Array, jax.Array]:
+    """The recordings of a data set, one object after the other without a word, over and over."""
+    samples = samples_from_dataset(dataset)
+    inputs, labels = (jnp.asarray(x).reshape(-1, x.shape[-1]) for x in (samples.inputs, samples.labels))
+    return jnp.resize(inputs, (length, 13)), jnp.resize(labels, (length, 3))
 
 
 @pytest.fixture(scope="module")
@@ -64,12 +75,29 @@ def learned(weights: Weights, coefficients: bool) -> Any:
     return _COMPILED.setdefault(coefficients, jax.jit(run))
 
 
-@pytest.mark.parametrize("length", [300, pytest.param(100_000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("coefficients", [False, True], ids=["body", "body and Eq. 8"])
-@pytest.mark.parametrize("kind", ["random", "adversarial", "broken", "silent"])
-def test_hours_of_anything_leave_it_sound(kind: str, coefficients: bool, length: int, weights: Weights) -> None:
+@pytest.mark.parametrize("kind", ["random", "adversarial", "broken", "silent", "recorded"])
+def test_minutes_of_anything_leave_it_sound(
+    kind: str, coefficients: bool, weights: Weights, synthetic_dataset: store.Dataset
+) -> None:
+    some = recorded(synthetic_dataset, 300) if kind == "recorded" else sequences(kind, 300)
+    check_sound(weights, coefficients, some)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("coefficients", [False, True], ids=["body", "body and Eq. 8"])
+@pytest.mark.parametrize("kind", ["random", "adversarial", "broken", "silent", "recorded"])
+def test_hours_of_anything_leave_it_sound(kind: str, coefficients: bool, weights: Weights, tmp_path: Path) -> None:
+    if kind == "recorded":
+        collect(tmp_path, CollectConfig(train=2, validation=0, episodes=4))
+    some = recorded(store.read(tmp_path), 100_000) if kind == "recorded" else sequences(kind, 100_000)
+    check_sound(weights, coefficients, some)
+
+
+def check_sound(weights: Weights, coefficients: bool, samples: tuple[jax.Array, jax.Array]) -> None:
+    """Finite, bounded, a positive definite covariance, and other predictions not far from the prior's."""
     shape = weights.config.object
-    end, predicted, contacts = learned(weights, coefficients)(prior_state(weights), sequences(kind, length))
+    end, predicted, contacts = learned(weights, coefficients)(prior_state(weights), samples)
     assert (
         np.isfinite(predicted).all()
         and np.isfinite(contacts).all()

@@ -145,3 +145,15 @@ def test_a_retreat_leads_away_from_the_object_to_where_there_is_room() -> None:
     assert ways.belief.clearance().at(back.points[-1]) > 0.3
     corner = ways.retreat_path(np.array([0.45, 0.45]), np.array([1.0, 0.5, 0.0]))
     assert corner is not None and ways.belief.walls.at(corner.points[-1]) > 0.2
+
+
+def test_where_a_wall_stands_behind_the_middle_of_a_face_the_way_leads_beside_it() -> None:
+    """A pillar 0.25 m to the left of the stand-off pose, at any distance from the face."""
+    ways, _ = routes((3.0,), (3.0, 3.0, 0.0))
+    cells = ways.belief.grid.cells.copy()
+    cells[65, 32:45] = OCCUPIED
+    grid = replace(ways.belief.grid, cells=cells)
+    belief, _ = belief_of(grid).update(observation((1.0, 2.0), (3.0, 3.0, 0.0)), [HALF])
+    way = replace(ways, belief=belief).path_to_face(np.array([1.0, 2.0]), 0, faces_of(HALF)[0], belief.clearance())
+    assert way is not None and way[1:] == (0.12, -0.1)
+    np.testing.assert_allclose(way[0].points[-1], (3.0 - 0.25 - 0.12 - 0.42 - 0.04, 2.9), atol=1e-6)

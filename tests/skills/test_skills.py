@@ -132,7 +132,10 @@ def test_a_push_keeps_what_it_felt_and_how_the_object_moved() -> None:
     state, _ = pushed([0.0, 0.01, 0.03])
     assert state.contact_time == pytest.approx(3 * DT) and state.since_contact == 0.0
     assert state.moved(ahead(0.3)) == pytest.approx(0.3)
-    assert state.travelled(1.0) is None and state.travelled(0.2) == pytest.approx(0.02, abs=1e-6)
+    assert state.travelled(1.0) is None
+    steady, rocking = (pushed(way)[0] for way in ([0.0, 0.01, 0.02, 0.03], [0.0, 0.06, 0.0, 0.06]))
+    assert steady.travelled(0.4) == pytest.approx(0.04, abs=1e-6)
+    assert rocking.travelled(0.4) == pytest.approx(0.0, abs=1e-6)
     lost, _ = pushed([0.0, 0.0], force=1.0)
     assert lost.contact_time == 0.0 and lost.since_contact == pytest.approx(2 * DT)
 
