@@ -46,7 +46,8 @@ _OTHER_PATHS = 12
 """Goals for which another path is sought when none leaves the path free."""
 
 _ASIDE = (0.0, 0.1, -0.1, 0.2, -0.2)
-"""Places along a face from which contact is sought, one after the other [m]: one hand at least is on it."""
+"""Places along a face from which contact is sought, one after the other [m]: one hand at least is on it. All but the
+middle only with the wider `_REACHING_ROOM`."""
 _WIDER_GAPS = (0.2, 0.3, 0.4)
 """Distances between hands and face from which contact is sought where a wall leaves no room nearer by [m]."""
 
@@ -110,7 +111,9 @@ class Routes:
         known, obstacles = self.belief.objects[index], self.belief.polygons()
         others = self.belief.clearance(without=index)
         gaps = (CONTACT_GAP, *_WIDER_GAPS)
-        for lateral, reserve, gap in itertools.product(_ASIDE, _REACHING_ROOM, gaps):
+        roomy, tight = _REACHING_ROOM
+        places = [*itertools.product((roomy,), _ASIDE, gaps), *itertools.product((tight,), (0.0,), gaps)]
+        for reserve, lateral, gap in places:
             wanted = stand_off(known.pose, face, gap, lateral)
             forward = np.stack([stand_off(known.pose, face, g, lateral) for g in np.linspace(gap, 0.0, 4)])
             room = outline.room(others.at, forward, (TUCKED_REACH, REACH)).least
