@@ -239,7 +239,7 @@ class PushTask:
         if self.pushes >= cfg.max_pushes:
             self._go(obs, Phase.DONE, f"the object is {where} after {self.pushes} pushes")
             return
-        routes, everything = Routes(self.belief, self.goal[:2], cfg.moves), self.belief.clearance()
+        routes, everything = Routes(self.belief, self.goal[:2]), self.belief.clearance()
         around, faces = self.belief.clearance(without=self._index), faces_of(known.half_extents)
         ways = [routes.path_to_face(obs.robot_pose[0, :2], self._index, face, everything) for face in faces]
         lengths = [w[0].length if w and i not in known.failed_faces else None for i, w in enumerate(ways)]

@@ -65,8 +65,9 @@ class NavigatorConfig:
     latency: float = 0.0
     """Time from what a command answers to its effect [s]; the robot's motion is foreseen for so long, the less exactly
     the longer."""
-    detour: float = 1.5
-    """Extra length up to which a way round is taken rather than a push [m]; more makes for fewer pushes."""
+    detour: float = 3.0
+    """Extra length up to which a way round is taken rather than a push [m]; more makes for fewer pushes. A push takes
+    some 15 s, in which the robot walks twice as far."""
     decides_by: Literal["mobility", "K"] = "mobility"
     """What tells whether an object can be moved: how far it has come for what the hands have spent on it, or K of its
     first planning stage, as in the paper."""
@@ -234,4 +235,4 @@ class Setup(NamedTuple):
 
     def routes(self, state: NavigatorState) -> Routes:
         """Path queries on the present belief."""
-        return Routes(state.belief, state.goal, self.config)
+        return Routes(state.belief, state.goal)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import shapely
@@ -21,9 +20,6 @@ from shmoo_mjx.navigation.scenario import ROBOT_RADIUS
 from shmoo_mjx.plant import outline
 from shmoo_mjx.plant.robot import ROBOT
 from shmoo_mjx.skills.approach import CONTACT_GAP
-
-if TYPE_CHECKING:
-    from shmoo_mjx.navigation.records import NavigatorConfig
 
 __all__ = ["Routes"]
 
@@ -42,6 +38,8 @@ _PATH_MARGIN = 0.05
 """What must be free beside the robot's radius between the path and a pushed object [m]."""
 _WALL_MARGIN = 0.05
 """What must be free between walls and a pushed object's goal [m]."""
+_OTHER_DETOUR = 1.5
+"""How much longer such a path may be than the present one [m]."""
 _OTHER_PATHS = 12
 """Goals for which another path is sought when none leaves the path free."""
 
@@ -59,7 +57,6 @@ class Routes:
     belief: Belief
     goal: np.ndarray
     """``[2]`` in {W} [m]."""
-    config: NavigatorConfig
 
     def path_clear(self, position: np.ndarray, known: KnownObject) -> bool:
         """Whether the way on passes the object where it stands, little longer than without it."""
@@ -97,7 +94,7 @@ class Routes:
             nearest = np.argsort(np.linalg.norm(poses[candidates, :2] - known.pose[:2], axis=1))
             for i in candidates[nearest][:: max(1, len(nearest) // _OTHER_PATHS)]:
                 other = self.free_path(position, known, footprint_polygon(poses[i], half).buffer(_PATH_MARGIN))
-                off_path[i] = other is not None and other.length < path.length + self.config.detour
+                off_path[i] = other is not None and other.length < path.length + _OTHER_DETOUR
             return off_path
 
         return check

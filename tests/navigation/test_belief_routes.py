@@ -10,7 +10,6 @@ import pytest
 from shmoo_mjx.faces import faces_of
 from shmoo_mjx.navigation.belief import KnownObject, Status, belief_of
 from shmoo_mjx.navigation.maps import FREE, OCCUPIED, OccupancyGrid
-from shmoo_mjx.navigation.records import NavigatorConfig
 from shmoo_mjx.navigation.routes import Routes
 from shmoo_mjx.types import Observation
 
@@ -92,7 +91,7 @@ def test_what_an_object_is_taken_for_at_first_sight_can_be_told() -> None:
 def routes(doors: tuple[float, ...], pose: tuple[float, float, float]) -> tuple[Routes, KnownObject]:
     known = KnownObject(np.array(pose), HALF)
     belief = replace(belief_of(rooms(doors)), objects={0: known})
-    return Routes(belief, np.array([5.0, 3.0]), NavigatorConfig()), known
+    return Routes(belief, np.array([5.0, 3.0])), known
 
 
 @pytest.mark.parametrize(("y", "clear"), [(3.0, False), (4.6, True)])
