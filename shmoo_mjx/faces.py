@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.hands import HAND_RADIUS, REACH
-from shmoo_mjx.types import Array
 
 __all__ = ["faces_of", "heading", "stand_off"]
 
 
-def faces_of(half_extents: tuple[float, float]) -> np.ndarray:
-    """Faces ``[4, 4]`` in {O}: centre x, y [m], direction of the inward normal [rad], half the width [m].
+def faces_of(half_extents: tuple[float, float]) -> Float[np.ndarray, "4 4"]:
+    """Faces in {O}: centre x, y [m], direction of the inward normal [rad], half the width [m].
 
     In the order rear (pushes towards +x), right (+y), front (-x), left (-y).
     """
@@ -20,19 +20,23 @@ def faces_of(half_extents: tuple[float, float]) -> np.ndarray:
     return np.array([(-a, 0.0, 0.0, b), (0.0, -b, np.pi / 2, a), (a, 0.0, -np.pi, b), (0.0, b, -np.pi / 2, a)])
 
 
-def heading(object_pose: Array, face: Array) -> Array:
-    """Heading in {W} [rad] of a robot that faces ``face [..., 4]`` of an object at ``object_pose [..., 3]``."""
+def heading(object_pose: Float[Array, "... 3"], face: Float[Array, "... 4"]) -> Scalar | Float[Array, "..."]:
+    """Heading in {W} [rad] of a robot that faces ``face`` of an object at ``object_pose``."""
     return se2.wrap(object_pose[..., 2] + face[..., 2])
 
 
 def stand_off(
-    object_pose: np.ndarray, face: np.ndarray, gap: float, lateral: float = 0.0, reach: float = REACH
-) -> np.ndarray:
-    """Pose of {R} ``[3]`` in {W} that faces ``face``, with ``gap`` metres between it and the extended hands.
+    object_pose: Float[np.ndarray, "3"],
+    face: Float[np.ndarray, "4"],
+    gap: float,
+    lateral: float = 0.0,
+    reach: float = REACH,
+) -> Float[np.ndarray, "3"]:
+    """Pose of {R} in {W} that faces ``face``, with ``gap`` metres between it and the extended hands.
 
     Args:
-        object_pose: ``[3]`` of {O} in {W}.
-        face: ``[4]`` as in :func:`faces_of`.
+        object_pose: of {O} in {W}.
+        face: as in :func:`faces_of`.
         gap: clearance between hand surface and face [m].
         lateral: shift along the face, to the robot's left [m].
         reach: x of the hands' midpoint in {R} [m].

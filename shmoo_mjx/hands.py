@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from shmoo_mjx import se2
-from shmoo_mjx.types import Array
+from shmoo_mjx.arrays import Array, Bool, Float, Scalar
 
 __all__ = [
     "CONTACT_FORCE",
@@ -34,28 +34,35 @@ CONTACT_FORCE = 2.0
 """Force of the hands from which they touch an object [N]: below it a reading of the joint torques says nothing."""
 
 
-def touches(wrench: Array) -> Array:
-    """Whether the hands touch an object on which their planar wrench is ``wrench [..., 3]``; not if it is NaN."""
+def touches(wrench: Float[Array, "... 3"]) -> Scalar | Bool[Array, "..."]:
+    """Whether the hands touch an object on which their planar wrench is ``wrench``; not if it is NaN."""
     xp = se2.array_module(wrench)
     return xp.hypot(wrench[..., 0], wrench[..., 1]) > CONTACT_FORCE
 
 
-def hand_targets(gamma: Array, reach: Array = REACH) -> Array:
+def hand_targets(
+    gamma: Scalar | Float[Array, "..."], reach: Scalar | Float[Array, "..."] = REACH
+) -> Float[Array, "... 2 2"]:
     """Desired hand centres in {R}: [p_l, p_r] = [x, y] +- R_z(gamma)^T l/2 (Sec. III).
 
     Args:
-        gamma: steering angle ``[...]`` [rad]; positive moves the left hand forward and turns the object to the right.
-        reach: x of the midpoint in {R} ``[...]`` [m]; the hands come together in proportion as the arms fold.
+        gamma: steering angle [rad]; positive moves the left hand forward and turns the object to the right.
+        reach: x of the midpoint in {R} [m]; the hands come together in proportion as the arms fold.
 
     Returns:
-        ``[..., 2, 2]``: (left, right) x (x, y) [m].
+        (left, right) x (x, y) [m].
     """
     xp = se2.array_module(gamma, reach)
     left, right = hand_components(gamma, reach)
     return xp.stack([xp.stack(xp.broadcast_arrays(*left), -1), xp.stack(xp.broadcast_arrays(*right), -1)], -2)
 
 
-def hand_components(gamma: Array, reach: Array = REACH) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+def hand_components(
+    gamma: Scalar | Float[Array, "..."], reach: Scalar | Float[Array, "..."] = REACH
+) -> tuple[
+    tuple[Scalar | Float[Array, "..."], Scalar | Float[Array, "..."]],
+    tuple[Scalar | Float[Array, "..."], Scalar | Float[Array, "..."]],
+]:
     """`hand_targets` as its parts: ((left x, left y), (right x, right y)), each of gamma's shape [m]."""
     xp = se2.array_module(gamma, reach)
     gamma = xp.asarray(gamma)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx.types import Array
+from shmoo_mjx.arrays import Array, Float, Scalar
 
 __all__ = [
     "array_module",
@@ -24,7 +24,7 @@ __all__ = [
 ]
 
 
-def array_module(*arrays: Array) -> Any:
+def array_module(*arrays: Scalar | Array) -> Any:
     """numpy if every array is a plain NumPy array or number, jax.numpy otherwise."""
     if all(isinstance(a, np.ndarray | np.generic | float | int) for a in arrays):
         return np
@@ -33,14 +33,14 @@ def array_module(*arrays: Array) -> Any:
     return jnp
 
 
-def wrap(angle: Array) -> Array:
+def wrap(angle: Scalar | Float[Array, "..."]) -> Scalar | Float[Array, "..."]:
     """The same angle [rad] in [-pi, pi)."""
     xp = array_module(angle)
     return xp.mod(angle + xp.pi, 2 * xp.pi) - xp.pi
 
 
-def rotate(vector: Array, angle: Array) -> Array:
-    """R_z(angle) applied to the first two entries of ``vector [..., 2 or 3]``; a third entry is kept.
+def rotate(vector: Float[Array, "... n"], angle: Scalar | Float[Array, "..."]) -> Float[Array, "... n"]:
+    """R_z(angle) applied to the first two of ``vector``'s two or three entries; a third entry is kept.
 
     Turns a planar vector, twist or wrench (about the same point) from a frame whose yaw is ``angle`` into the world
     frame; with ``-angle`` it goes the other way.
@@ -54,28 +54,28 @@ def rotate(vector: Array, angle: Array) -> Array:
     return xp.stack(out, axis=-1)
 
 
-def transform_point(pose: Array, point: Array) -> Array:
-    """A point ``[..., 2]`` given in the frame ``pose [..., 3]``, in that pose's parent frame."""
+def transform_point(pose: Float[Array, "... 3"], point: Float[Array, "... 2"]) -> Float[Array, "... 2"]:
+    """A point given in the frame ``pose``, in that pose's parent frame."""
     return pose[..., :2] + rotate(point, pose[..., 2])
 
 
-def inverse_transform_point(pose: Array, point: Array) -> Array:
-    """A point ``[..., 2]`` of the parent frame, in the frame ``pose [..., 3]``."""
+def inverse_transform_point(pose: Float[Array, "... 3"], point: Float[Array, "... 2"]) -> Float[Array, "... 2"]:
+    """A point of the parent frame, in the frame ``pose``."""
     return rotate(point - pose[..., :2], -pose[..., 2])
 
 
-def compose(a: Array, b: Array) -> Array:
+def compose(a: Float[Array, "... 3"], b: Float[Array, "... 3"]) -> Float[Array, "... 3"]:
     """The pose ``b``, given in frame ``a``, in ``a``'s parent frame (a * b). Yaw is not wrapped."""
     xp = array_module(a, b)
     return xp.concatenate([transform_point(a, b[..., :2]), (a[..., 2] + b[..., 2])[..., None]], axis=-1)
 
 
-def relative(a: Array, b: Array) -> Array:
+def relative(a: Float[Array, "... 3"], b: Float[Array, "... 3"]) -> Float[Array, "... 3"]:
     """The pose ``b`` seen from ``a``, both given in one parent frame (a^-1 * b), yaw wrapped."""
     xp = array_module(a, b)
     return xp.concatenate([inverse_transform_point(a, b[..., :2]), wrap(b[..., 2] - a[..., 2])[..., None]], axis=-1)
 
 
-def cross(a: Array, b: Array) -> Array:
-    """z component of the cross product of planar vectors ``[..., 2]``: the moment of force b at lever arm a."""
+def cross(a: Float[Array, "... 2"], b: Float[Array, "... 2"]) -> Float[Array, "..."]:
+    """z component of the cross product of planar vectors: the moment of force b at lever arm a."""
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]

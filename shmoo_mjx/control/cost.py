@@ -7,12 +7,13 @@ control) and returns ``[S]``. All terms are in metres once weighted, so MPPI's t
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol, runtime_checkable
 
 import jax.numpy as jnp
 from jax.scipy.ndimage import map_coordinates
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.dynamics.layout import SO2, once
 from shmoo_mjx.hands import REACH, hand_targets
 from shmoo_mjx.types import DT, SystemState
@@ -36,8 +37,6 @@ __all__ = [
     "push_cost",
     "terminal_speed",
 ]
-
-Array = Any
 
 HAND_MARGIN = 0.08
 """Clearance that the hands' centres keep [m]: their radius and a reserve."""
@@ -89,28 +88,31 @@ class PushCost:
     the limit the same everywhere."""
 
 
+@runtime_checkable
 class DistanceField(Protocol):
     """Distance to the nearest obstacle on a grid: the map's clearance field has these, and so can any other pytree."""
 
     @property
-    def values(self) -> Array:
-        """``[H, W]`` [m]; ``values[j, i]`` holds at the centre of cell (i, j), i along x and j along y of the grid."""
+    def values(self) -> Float[Array, "H W"]:
+        """[m]; ``values[j, i]`` holds at the centre of cell (i, j), i along x and j along y of the grid."""
 
     @property
-    def origin(self) -> Array:
-        """``[3]`` pose in {W} of the grid's corner, the outer corner of cell (0, 0) (x, y [m], yaw [rad])."""
+    def origin(self) -> Float[Array, "3"]:
+        """Pose in {W} of the grid's corner, the outer corner of cell (0, 0) (x, y [m], yaw [rad])."""
 
     @property
-    def resolution(self) -> Array:
+    def resolution(self) -> Scalar:
         """Side of a cell [m]."""
 
 
-def pose_distance(goal: Array, pose: Array, yaw_weight: float = 1.0) -> Array:
-    """|| goal - pose ||_2 of Eq. 9 ``[...]`` [m], the yaw error taken on the circle and times ``yaw_weight`` [m/rad].
+def pose_distance(
+    goal: Float[Array, "... 3"], pose: Float[Array, "... 3"], yaw_weight: float = 1.0
+) -> Float[Array, "..."]:
+    """|| goal - pose ||_2 of Eq. 9 [m], the yaw error taken on the circle and times ``yaw_weight`` [m/rad].
 
     Args:
-        goal: desired pose ``[3]`` in {W}.
-        pose: object poses ``[..., 3]`` in {W}.
+        goal: desired pose in {W}.
+        pose: object poses in {W}.
         yaw_weight: 0 leaves the position alone.
     """
     offset = pose[..., :2] - goal[..., :2]
@@ -118,31 +120,31 @@ def pose_distance(goal: Array, pose: Array, yaw_weight: float = 1.0) -> Array:
     return jnp.sqrt(jnp.sum(offset**2, axis=-1) + yaw**2)
 
 
-def effort(controls: Array) -> Array:
-    """sum_k || u_k ||_2 of Eq. 9 ``[S]`` [rad], from ``controls [S, T, 3]``."""
+def effort(controls: Float[Array, "*S T m"]) -> Float[Array, "*S"]:
+    """sum_k || u_k ||_2 of Eq. 9 [rad]."""
     return jnp.sum(jnp.linalg.norm(controls, axis=-1), axis=-1)
 
 
-def change(controls: Array, last_u: Array) -> Array:
-    """sum_k || u_k - u_{k-1} ||_2 of Eq. 9 ``[S]`` [rad]; u_0 is the control applied last, ``last_u [3]``."""
+def change(controls: Float[Array, "*S T m"], last_u: Float[Array, "m"]) -> Float[Array, "*S"]:
+    """sum_k || u_k - u_{k-1} ||_2 of Eq. 9 [rad]; u_0 is the control applied last, ``last_u``."""
     first = jnp.broadcast_to(last_u, controls[..., :1, :].shape)
     return jnp.sum(jnp.linalg.norm(jnp.diff(controls, axis=-2, prepend=first), axis=-1), axis=-1)
 
 
-def clearance_at(field: DistanceField, points: Array) -> Array:
-    """Clearance ``[...]`` [m] at ``points [..., 2]`` in {W}, bilinear; zero off the grid."""
+def clearance_at(field: DistanceField, points: Float[Array, "*batch 2"]) -> Float[Array, "*batch"]:
+    """Clearance [m] at ``points`` in {W}, bilinear; zero off the grid."""
     i, j = _on_grid(field, points)
     return map_coordinates(jnp.asarray(field.values), [j - 0.5, i - 0.5], order=1, mode="constant", cval=0.0)
 
 
-def footprint_points(pose: Array, half_extents: Array) -> Array:
-    """Corners and edge midpoints ``[..., 8, 2]`` in {W} of a rectangle with ``half_extents [2]`` [m] at ``pose``."""
+def footprint_points(pose: Float[Array, "*batch 3"], half_extents: Float[Array, "2"]) -> Float[Array, "*batch 8 2"]:
+    """Corners and edge midpoints in {W} of a rectangle with ``half_extents`` [m] at ``pose``."""
     unit = jnp.array([[1, 0], [1, 1], [0, 1], [-1, 1], [-1, 0], [-1, -1], [0, -1], [1, -1]], dtype=float)
     return _placed(pose, unit * jnp.asarray(half_extents))
 
 
-def clearance_near(field: DistanceField, points: Array) -> Array:
-    """Clearance ``[...]`` [m] of the cell that holds each of ``points [..., 2]`` in {W}; zero off the grid.
+def clearance_near(field: DistanceField, points: Float[Array, "*batch 2"]) -> Float[Array, "*batch"]:
+    """Clearance [m] of the cell that holds each of ``points`` in {W}; zero off the grid.
 
     Off by up to 0.7 cells from :func:`clearance_at`, at a quarter of its look-ups.
     """
@@ -154,8 +156,10 @@ def clearance_near(field: DistanceField, points: Array) -> Array:
     return jnp.where(inside, found, 0.0)
 
 
-def hand_points(robot_pose: Array, gamma: Array) -> Array:
-    """Centres of the extended hands ``[..., 2, 2]`` (left, right) in {W}; poses ``[..., 3]``, gamma ``[...]``."""
+def hand_points(
+    robot_pose: Float[Array, "*batch 3"], gamma: Scalar | Float[Array, "*batch"]
+) -> Float[Array, "*batch 2 2"]:
+    """Centres of the extended hands (left, right) in {W}; gamma [rad]."""
     return _placed(robot_pose, hand_targets(gamma))
 
 
@@ -174,8 +178,10 @@ def _on_grid(field: DistanceField, points: Array) -> tuple[Array, Array]:
     return turn.c * x + turn.s * y, turn.c * y - turn.s * x
 
 
-def clearance_penalty(cfg: PushCost, traj: SystemState, field: DistanceField, half_extents: Array) -> Array:
-    """Time integral of the depth by which robot centre, hands and object outline enter their margins ``[S]`` [m s].
+def clearance_penalty(
+    cfg: PushCost, traj: SystemState, field: DistanceField, half_extents: Float[Array, "2"]
+) -> Float[Array, "..."]:
+    """Time integral of the depth by which robot centre, hands and object outline enter their margins [m s].
 
     The object counts with the deepest of its four corners and four edge midpoints, the hands with the deeper one. Hands
     stick out of the disc round the robot, and where one pushes round a corner they sweep where the object has not been.
@@ -192,12 +198,12 @@ def clearance_penalty(cfg: PushCost, traj: SystemState, field: DistanceField, ha
     return jnp.mean(depth, axis=-1) * (steps * DT)
 
 
-def face_misalignment(traj: SystemState, reach: float = REACH) -> tuple[Array, Array]:
+def face_misalignment(traj: SystemState, reach: float = REACH) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
     """Lateral offset and heading error of the hands against the pushed face, means over the roll-out.
 
     Returns:
-        ``[S]`` distance of the hands' midpoint from the face's centre line [m], and ``[S]`` angle between the robot's
-        heading and the face's inward normal [rad].
+        Distance of the hands' midpoint from the face's centre line [m], and angle between the robot's heading and the
+        face's inward normal [rad].
     """
     normal = traj.object_pose[..., 2] + traj.face[..., 2]
     heading = se2.wrap(traj.robot_pose[..., 2] - normal)
@@ -209,8 +215,8 @@ def face_misalignment(traj: SystemState, reach: float = REACH) -> tuple[Array, A
     return jnp.mean(jnp.abs(lateral), axis=-1), jnp.mean(jnp.abs(heading), axis=-1)
 
 
-def aim_error(goal: Array, traj: SystemState, with_yaw: bool = False) -> Array:
-    """Distance by which a push straight on would miss the goal, mean over the roll-out ``[S]`` [m].
+def aim_error(goal: Float[Array, "... 3"], traj: SystemState, with_yaw: bool = False) -> Float[Array, "..."]:
+    """Distance by which a push straight on would miss the goal, mean over the roll-out [m].
 
     The distance of the goal from the line through the object's centre along the face's normal. ``with_yaw``, instead of
     the line, the arc that ends at the goal with the goal's yaw: at bearing b of the goal it starts in the direction
@@ -227,42 +233,42 @@ def aim_error(goal: Array, traj: SystemState, with_yaw: bool = False) -> Array:
     return jnp.mean(jnp.abs(normal.c * offset[..., 1] - normal.s * offset[..., 0]), axis=-1)
 
 
-def terminal_speed(traj: SystemState) -> Array:
-    """Speed of the object's centre at the end ``[S]`` [m/s]."""
+def terminal_speed(traj: SystemState) -> Float[Array, "..."]:
+    """Speed of the object's centre at the end [m/s]."""
     return jnp.linalg.norm(traj.object_twist[..., -1, :2], axis=-1)
 
 
-def allowed_speed(cfg: PushCost, distance: Array) -> Array:
-    """Speed of the robot that is free of charge [m/s] where the object is ``distance [...]`` [m] from its goal."""
+def allowed_speed(cfg: PushCost, distance: Scalar | Float[Array, "..."]) -> Scalar | Float[Array, "..."]:
+    """Speed of the robot that is free of charge [m/s] where the object is ``distance`` [m] from its goal."""
     if not cfg.slow_down:
         return cfg.speed_limit + 0.0 * distance
     return se2.array_module(distance).minimum(cfg.terminal_speed + cfg.slow_down * distance, cfg.speed_limit)
 
 
-def overspeed(traj: SystemState, limit: Array) -> Array:
-    """Speed of the robot above ``limit [S, T]`` or ``[]`` [m/s], mean over the roll-out ``[S]`` [m/s]."""
+def overspeed(traj: SystemState, limit: Scalar | Float[Array, "*S T"]) -> Float[Array, "*S"]:
+    """Speed of the robot above ``limit`` [m/s], mean over the roll-out [m/s]."""
     return jnp.mean(jnp.maximum(jnp.linalg.norm(traj.robot_twist[..., :2], axis=-1) - limit, 0.0), axis=-1)
 
 
 def push_cost(
     cfg: PushCost,
-    goal: Array,
+    goal: Float[Array, "3"],
     traj: SystemState,
-    controls: Array,
-    last_u: Array,
+    controls: Float[Array, "*S T m"],
+    last_u: Float[Array, "m"],
     field: DistanceField | None = None,
-    half_extents: Array | None = None,
-) -> Array:
-    """Cost of each roll-out ``[S]`` [m]: Eq. 9, plus the additional terms that have a weight.
+    half_extents: Float[Array, "2"] | None = None,
+) -> Float[Array, "*S"]:
+    """Cost of each roll-out [m]: Eq. 9, plus the additional terms that have a weight.
 
     Args:
         cfg: weights.
-        goal: desired object pose ``[3]`` in {W}.
+        goal: desired object pose in {W}.
         traj: roll-outs, leaves ``[S, T, ...]``.
-        controls: ``[S, T, 3]`` [rad].
-        last_u: control applied last ``[3]`` [rad].
+        controls: [rad]
+        last_u: control applied last [rad].
         field: map clearance; needed when ``clearance_weight`` is set.
-        half_extents: ``[2]`` half length and width of the object's footprint [m]; needed with ``field``.
+        half_extents: half length and width of the object's footprint [m]; needed with ``field``.
     """
     goal = jnp.asarray(goal)
     cost = pose_distance(goal, traj.object_pose[..., -1, :], cfg.yaw_weight)

@@ -7,19 +7,17 @@ so the offset is what the measured lean, with what the arms weigh, has more than
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Float
 from shmoo_mjx.control.governor import static_lean
 from shmoo_mjx.plant.robot import ROBOT, arm_angles, com_offset
 from shmoo_mjx.types import DT, Command, Observation
 
 __all__ = ["LIMIT", "LeanOffset", "arms_lean", "corrected", "init", "predicted", "shifted", "step"]
-
-Array = Any
-
 
 _MEMORY = 4.0
 """Time over which the estimate averages [s]: shorter lets the noise of the twist through, longer follows a shift of
@@ -33,11 +31,11 @@ LIMIT = 0.04
 class LeanOffset(NamedTuple):
     """State of the estimate for one robot."""
 
-    lean: np.ndarray
-    """``[2]`` lean at which the robot balances, in {R} [rad]."""
+    lean: Float[np.ndarray, "2"]
+    """Lean at which the robot balances, in {R} [rad]."""
     samples: int
     """Samples that it rests on so far."""
-    before: tuple[np.ndarray, np.ndarray] | None
+    before: tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]] | None
     """Velocity of the flat output in {W} and lean in {R}, a sample ago."""
 
 
@@ -64,11 +62,11 @@ def step(state: LeanOffset, obs: Observation) -> LeanOffset:
     return state._replace(lean=offset, samples=samples, before=(speed, lean))
 
 
-def arms_lean(hands: Array) -> np.ndarray:
-    """Lean ``[2]`` [rad] by which the low-level control compensates the arms; the lean is commanded without it.
+def arms_lean(hands: Float[Array, "2 3"]) -> Float[np.ndarray, "2"]:
+    """Lean [rad] by which the low-level control compensates the arms; the lean is commanded without it.
 
     Args:
-        hands: ``[2, 3]`` as in an Observation.
+        hands: as in an Observation.
     """
     in_body = np.asarray(hands, dtype=float) - [0.0, 0.0, ROBOT.ball_radius]
     return np.asarray(com_offset(arm_angles(in_body))) / ROBOT.body_com_height

@@ -10,16 +10,14 @@ For one robot, on NumPy and JAX arrays alike; vmap for more.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.hands import HAND_HEIGHT, touches
 from shmoo_mjx.plant.robot import ROBOT
 from shmoo_mjx.types import DT
 
 __all__ = ["INTEGRAL_LIMIT", "GovernorConfig", "forward_lean", "govern", "static_lean"]
-
-Array = Any
 
 _INTEGRAL_GAIN = 0.1
 """Lean per metre by which the robot lags behind the speed allowed [rad/m]: what sticks is leant into within seconds."""
@@ -36,31 +34,31 @@ class GovernorConfig:
     sooner."""
 
 
-def static_lean(force: Array) -> Array:
-    """Lean [rad] that balances a forward force ``[...]`` [N] of the hands: m g l phi = F h."""
+def static_lean(force: Scalar | Float[Array, "..."]) -> Scalar | Float[Array, "..."]:
+    """Lean [rad] that balances a forward force [N] of the hands: m g l phi = F h."""
     return force * HAND_HEIGHT / ROBOT.flatness[2]
 
 
 def forward_lean(
     config: GovernorConfig,
-    robot_pose: Array,
-    robot_twist: Array,
-    lean_rate: Array,
-    wrench: Array,
-    limit: Array,
-    more: Array,
-) -> tuple[Array, Array]:
-    """Lean ``[]`` [rad] that brings the robot to the speed ``limit`` against what it feels, and the next ``more``.
+    robot_pose: Float[Array, "3"],
+    robot_twist: Float[Array, "3"],
+    lean_rate: Float[Array, "2"],
+    wrench: Float[Array, "3"],
+    limit: Scalar,
+    more: Scalar,
+) -> tuple[Scalar, Scalar]:
+    """Lean [rad] that brings the robot to the speed ``limit`` against what it feels, and the next ``more``.
 
     At rest the whole felt force counts as resistance, at the speed allowed less than a third of it: by then most of it
     may be what accelerates the object, and leaning into that would diverge.
 
     Args:
         config: gains.
-        robot_pose: ``[3]`` of {R} in {W}.
-        robot_twist: ``[3]`` in {W}.
-        lean_rate: ``[2]`` [rad/s].
-        wrench: ``[3]`` felt on the object, in {W}.
+        robot_pose: of {R} in {W}.
+        robot_twist: in {W}.
+        lean_rate: [rad/s]
+        wrench: felt on the object, in {W}.
         limit: speed allowed [m/s].
         more: lean for what lags behind so far in this push [rad]; 0 at its start.
     """
@@ -75,7 +73,7 @@ def forward_lean(
     return share * static_lean(force) + config.gain * (limit - speed) + more, more
 
 
-def govern(u: Array, low: Array, high: Array) -> Array:
-    """``u [..., 3]`` (phi_x, phi_y, gamma) [rad] with its forward lean within ``low`` and ``high``."""
+def govern(u: Float[Array, "... 3"], low: Scalar, high: Scalar) -> Float[Array, "... 3"]:
+    """``u`` (phi_x, phi_y, gamma) [rad] with its forward lean within ``low`` and ``high``."""
     xp = se2.array_module(u, high)
     return xp.concatenate([xp.clip(u[..., :1], low, high), u[..., 1:]], axis=-1)

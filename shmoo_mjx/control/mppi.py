@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 from jax.sharding import Mesh
 
+from shmoo_mjx.arrays import Array, Bool, Float, Int, Key
 from shmoo_mjx.control import sharding
 from shmoo_mjx.control.mppi_config import SPARE, MppiConfig
 
@@ -29,53 +30,52 @@ __all__ = [
     "update",
 ]
 
-Array = Any
-RolloutFn = Callable[[Any, Array], Any]
-"""(x0, U ``[S, T, m]``) -> trajectory, a pytree of arrays ``[S, T, ...]``: the states *after* each control."""
-CostFn = Callable[[Any, Array, Array], Array]
-"""(trajectory, U ``[S, T, m]``, last applied u ``[m]``) -> total cost of each roll-out ``[S]``."""
+RolloutFn = Callable[[Any, Float[Array, "S T m"]], Any]
+"""(x0, U) -> trajectory, a pytree of arrays ``[S, T, ...]``: the states *after* each control."""
+CostFn = Callable[[Any, Float[Array, "S T m"], Float[Array, "m"]], Float[Array, "S"]]
+"""(trajectory, U, last applied u) -> total cost of each roll-out."""
 
 
 class MppiState(NamedTuple):
     """Warm start and random key for the next plan."""
 
-    nominal: Array
-    """``[T, m]`` warm start, already shifted to the next time step."""
-    last_u: Array
-    """``[m]`` the control applied last; replace it when the robot was given another one than the plan's."""
-    key: Array
+    nominal: Float[Array, "T m"]
+    """Warm start, already shifted to the next time step."""
+    last_u: Float[Array, "m"]
+    """The control applied last; replace it when the robot was given another one than the plan's."""
+    key: Key[Array, ""]
     """Random key, consumed by the next plan."""
 
 
 class Plan(NamedTuple):
     """A plan with the evidence for it: the object planner (Algorithm 1) takes the roll-outs."""
 
-    controls: Array
-    """``[S, T, m]`` sampled controls, within the bounds."""
+    controls: Float[Array, "S T m"]
+    """Sampled controls, within the bounds."""
     trajectories: Any
     """Roll-outs as the model gave them, pytree ``[S, T, ...]``."""
-    costs: Array
-    """``[S]`` cost as the cost function gave it; may be NaN or inf where invalid."""
-    weights: Array
-    """``[S]`` importance weights: sum to 1, or all 0 when no roll-out is valid."""
-    nominal: Array
-    """``[T, m]`` updated control sequence, not yet shifted."""
-    invalid: Array
-    """int: roll-outs with a non-finite state or cost, which were ignored."""
-    ok: Array
-    """bool: at least one roll-out was valid. If not, the nominal is the safe zero control."""
+    costs: Float[Array, "S"]
+    """Cost as the cost function gave it; may be NaN or inf where invalid."""
+    weights: Float[Array, "S"]
+    """Importance weights: sum to 1, or all 0 when no roll-out is valid."""
+    nominal: Float[Array, "T m"]
+    """Updated control sequence, not yet shifted."""
+    invalid: Int[Array, ""]
+    """Roll-outs with a non-finite state or cost, which were ignored."""
+    ok: Bool[Array, ""]
+    """At least one roll-out was valid. If not, the nominal is the safe zero control."""
 
 
-def init(cfg: MppiConfig, key: Array, u0: Array | None = None) -> MppiState:
-    """State before the first plan; ``u0 [m]``, by default zero, is the control applied last and the warm start."""
+def init(cfg: MppiConfig, key: Key[Array, ""], u0: Float[Array, "m"] | None = None) -> MppiState:
+    """State before the first plan; ``u0``, by default zero, is the control applied last and the warm start."""
     u0 = jnp.zeros(cfg.controls) if u0 is None else jnp.asarray(u0, dtype=float)
     return MppiState(jnp.broadcast_to(_clip(cfg, u0), (cfg.horizon, cfg.controls)), u0, key)
 
 
 def plan(
     cfg: MppiConfig, rollout_fn: RolloutFn, cost_fn: CostFn, x0: Any, state: MppiState, mesh: Mesh | None = None
-) -> tuple[Array, MppiState, Plan]:
-    """The control to apply now ``[m]``, the state for the next call, and the plan (Sec. III-E).
+) -> tuple[Float[Array, "m"], MppiState, Plan]:
+    """The control to apply now, the state for the next call, and the plan (Sec. III-E).
 
     If every roll-out is invalid the control is zero (clipped to the bounds), ``Plan.ok`` is False and the next warm
     start is zero control too. The arguments are those of `update`.
@@ -91,20 +91,20 @@ def update(
     rollout_fn: RolloutFn,
     cost_fn: CostFn,
     x0: Any,
-    nominal: Array,
-    last_u: Array,
-    key: Array,
+    nominal: Float[Array, "T m"],
+    last_u: Float[Array, "m"],
+    key: Key[Array, ""],
     mesh: Mesh | None = None,
 ) -> Plan:
-    """One path-integral update of ``nominal [T, m]`` from state ``x0``, without shifting it.
+    """One path-integral update of ``nominal`` from state ``x0``, without shifting it.
 
     Args:
         cfg: static settings.
-        rollout_fn: the model, (x0, U [S, T, m]) -> trajectory pytree [S, T, ...].
-        cost_fn: (trajectory, U, last_u) -> cost [S].
+        rollout_fn: the model, (x0, U) -> trajectory pytree ``[S, T, ...]``.
+        cost_fn: (trajectory, U, last_u) -> cost.
         x0: present state, any pytree.
         nominal: control sequence to update.
-        last_u: control applied last [m], for costs on the change of control.
+        last_u: control applied last, for costs on the change of control.
         key: random key.
         mesh: devices to share the roll-outs among; both functions then see a part of the roll-outs each time.
 
@@ -125,8 +125,8 @@ def update(
     return Plan(controls, trajectories, costs, weights, _clip(cfg, mean), jnp.sum(~valid), jnp.any(valid))
 
 
-def sample_controls(cfg: MppiConfig, key: Array, nominal: Array) -> Array:
-    """Controls ``[S, T, m]`` around ``nominal [T, m]``: coloured noise, clipped to the bounds.
+def sample_controls(cfg: MppiConfig, key: Key[Array, ""], nominal: Float[Array, "T m"]) -> Float[Array, "S T m"]:
+    """Controls around ``nominal``: coloured noise, clipped to the bounds.
 
     The first is the nominal itself, the second zero control. The noise is a stretch of a list that is drawn once, the
     key says which, and each sequence comes with its mirror image: what happens to be on one side of zero in the list
@@ -139,8 +139,8 @@ def sample_controls(cfg: MppiConfig, key: Array, nominal: Array) -> Array:
     return _clip(cfg, nominal + noise).at[1].set(_clip(cfg, jnp.zeros_like(nominal)))
 
 
-def importance_weights(cfg: MppiConfig, costs: Array, valid: Array) -> Array:
-    """exp(-(S - min S) / lambda), normalised ``[S]``; invalid roll-outs weigh 0, all of them 0 if none is valid.
+def importance_weights(cfg: MppiConfig, costs: Float[Array, "S"], valid: Bool[Array, "S"]) -> Float[Array, "S"]:
+    """exp(-(S - min S) / lambda), normalised; invalid roll-outs weigh 0, all of them 0 if none is valid.
 
     The least cost is taken off before scaling, so costs of any size, equal or far apart, neither overflow nor vanish.
     """
@@ -150,8 +150,8 @@ def importance_weights(cfg: MppiConfig, costs: Array, valid: Array) -> Array:
     return raw / jnp.maximum(jnp.sum(raw), 1.0)  # the best sample alone gives 1, so a sum below 1 means none is valid
 
 
-def shift(nominal: Array) -> Array:
-    """``nominal [T, m]`` one time step on; the last control is repeated."""
+def shift(nominal: Float[Array, "T m"]) -> Float[Array, "T m"]:
+    """``nominal`` one time step on; the last control is repeated."""
     return jnp.concatenate([nominal[1:], nominal[-1:]])
 
 

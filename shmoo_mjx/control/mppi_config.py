@@ -8,6 +8,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from shmoo_mjx.arrays import Float
+
 __all__ = ["SPARE", "MppiConfig"]
 
 SPARE = 4096
@@ -54,8 +56,8 @@ class MppiConfig:
         """m, number of control channels."""
         return len(self.sigma)
 
-    def noise_list(self) -> np.ndarray:
-        """Noise ``[(S + 1) // 2 + SPARE, T, m]`` of which each plan takes a stretch; a subclass may have another."""
+    def noise_list(self) -> Float[np.ndarray, "n T m"]:
+        """Noise, of whose (S + 1) // 2 + SPARE sequences each plan takes a stretch; a subclass may have another."""
         return _coloured(self)
 
 

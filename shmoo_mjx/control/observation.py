@@ -2,40 +2,40 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.types import Observation
 
 __all__ = ["LocalDistanceField", "ObjectObservation", "local_distance_field"]
-
-Array = Any
 
 
 class LocalDistanceField(NamedTuple):
     """Clearance round the object on a grid of fixed size, so that one compiled controller serves every map."""
 
-    values: Array
-    """``[N, N]`` [m]"""
-    origin: Array
-    """``[3]`` pose of the grid's corner in {W}."""
-    resolution: Array
+    values: Float[Array, "N N"]
+    """[m]"""
+    origin: Float[Array, "3"]
+    """Pose of the grid's corner in {W}."""
+    resolution: Scalar
     """[m]"""
 
 
 class ObjectObservation(NamedTuple):
     """The robot and one object as perceived at one instant: an Observation reduced to that object."""
 
-    robot_pose: Array
-    robot_twist: Array
-    lean: Array
-    lean_rate: Array
-    object_pose: Array
-    object_twist: Array
-    wrench: Array
-    """``[3]`` mean over the sample that just ended, about the object's centre, in {W}."""
-    detected: Array = True
+    robot_pose: Float[Array, "3"]
+    robot_twist: Float[Array, "3"]
+    lean: Float[Array, "2"]
+    lean_rate: Float[Array, "2"]
+    object_pose: Float[Array, "3"]
+    object_twist: Float[Array, "3"]
+    wrench: Float[Array, "3"]
+    """Mean over the sample that just ended, about the object's centre, in {W}."""
+    detected: Scalar = True
     """Whether the object's pose was detected in that sample, not carried on."""
 
     @classmethod
@@ -47,7 +47,7 @@ class ObjectObservation(NamedTuple):
 
 
 def local_distance_field(
-    clearance: Any, centre: Array, size: float = 7.0, resolution: float = 0.05
+    clearance: Any, centre: Sequence[float] | Float[Array, "n"], size: float = 7.0, resolution: float = 0.05
 ) -> LocalDistanceField:
     """Cut a square of ``size`` metres round ``centre`` out of a clearance field with a method ``at(points)``."""
     n = round(size / resolution)

@@ -18,6 +18,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Float, Key, Scalar
 from shmoo_mjx.control import cost, models, mppi, sharding
 from shmoo_mjx.control.governor import GovernorConfig, forward_lean, govern
 from shmoo_mjx.control.observation import LocalDistanceField, ObjectObservation, local_distance_field
@@ -39,8 +40,6 @@ __all__ = [
     "start",
     "step",
 ]
-
-Array = Any
 
 _PLANNING_HORIZON = 50
 """T of the planning stage, in samples (Sec. IV-B)."""
@@ -109,20 +108,20 @@ class ControllerState(NamedTuple):
     plan: mppi.MppiState
     before: SystemState
     """State one sample ago, with the memory it had then."""
-    detected: Array
+    detected: Scalar
     """Whether the object was detected in that sample."""
-    more: Array
+    more: Scalar
     """Lean that the governor grants for lagging behind [rad]."""
 
 
 class _Transition(NamedTuple):
     """What is learned from: the sample that just ended."""
 
-    inputs: Array
-    """``[13]`` inputs of psi at its start, measured wrench included."""
-    label: Array
-    """``[3]`` measured acceleration in {O}."""
-    valid: Array
+    inputs: Float[Array, "13"]
+    """Inputs of psi at its start, measured wrench included."""
+    label: Float[Array, "3"]
+    """Measured acceleration in {O}."""
+    valid: Scalar
 
 
 class _Given(NamedTuple):
@@ -130,12 +129,10 @@ class _Given(NamedTuple):
 
     system: SystemState
     transition: _Transition
-    goal: Array
-    """``[3]``"""
-    half_extents: Array
-    """``[2]``"""
-    lean: Array
-    """``[2]`` bounds on the forward lean, from the governor."""
+    goal: Float[Array, "3"]
+    half_extents: Float[Array, "2"]
+    lean: Float[Array, "2"]
+    """Bounds on the forward lean, from the governor."""
 
 
 class PushController:
@@ -161,12 +158,12 @@ class PushController:
     def init(
         self,
         obs: ObjectObservation,
-        face: Array,
-        half_extents: Array,
-        key: Array,
+        face: Float[Array, "4"],
+        half_extents: Float[Array, "2"],
+        key: Key[Array, ""],
         adapt: adaptation.AdaptState | None = None,
     ) -> ControllerState:
-        """Start a push on ``face [4]``; ``adapt`` carries over what was learned of this object before."""
+        """Start a push on ``face``; ``adapt`` carries over what was learned of this object before."""
         adapt = adapt or prior_state(self.weights, self.config.adapt.contact)
         state = start(self.config, adapt, obs, face, half_extents, key)
         # Placed as what `step` gives back is: it would else be compiled for either.
@@ -191,21 +188,21 @@ class PushController:
         self,
         state: ControllerState,
         obs: ObjectObservation,
-        last_u: Array,
-        goal: Array,
+        last_u: Float[Array, "3"],
+        goal: Float[Array, "3"],
         around: LocalDistanceField,
-        half_extents: Array,
+        half_extents: Float[Array, "2"],
         governor_room: float | None = None,
-    ) -> tuple[np.ndarray, ControllerState, mppi.Plan]:
-        """`step`, compiled once: the command u ``[3]`` to apply now, the next state, and the plan.
+    ) -> tuple[Float[np.ndarray, "3"], ControllerState, mppi.Plan]:
+        """`step`, compiled once: the command u to apply now, the next state, and the plan.
 
         Args:
             state: from ``init`` or the last step.
             obs: what is perceived now, with the wrench of the sample that ended.
-            last_u: ``[3]`` what was applied during that sample.
-            goal: ``[3]`` desired object pose in {W}.
+            last_u: what was applied during that sample.
+            goal: desired object pose in {W}.
             around: clearance round the object, the object itself left out.
-            half_extents: ``[2]`` of the object's footprint [m].
+            half_extents: of the object's footprint [m].
             governor_room: in place of the configuration's, for this step.
         """
         u, state, plan = step(
@@ -223,20 +220,24 @@ class PushController:
         return np.asarray(u, dtype=float), *rest
 
     def planning_rollouts(
-        self, state: ControllerState, goal: Array, around: LocalDistanceField, half_extents: Array
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        self,
+        state: ControllerState,
+        goal: Float[Array, "3"],
+        around: LocalDistanceField,
+        half_extents: Float[Array, "2"],
+    ) -> tuple[Float[np.ndarray, "S T 3"], Float[np.ndarray, "S T 2"], Float[np.ndarray, "S"]]:
         """The planning stage's roll-outs (T = 50) from the state of the last step.
 
         Returns:
-            Object poses ``[S, T, 3]``, robot positions ``[S, T, 2]`` in {W} and costs ``[S]``.
+            Object poses, robot positions in {W} and costs.
         """
         poses, robots, costs = self._rollouts(
             self._params, state.adapt, state.plan, state.before, _f32(goal), around, _f32(half_extents)
         )
         return np.asarray(poses), np.asarray(robots), np.asarray(costs)
 
-    def coast(self, state: ControllerState) -> np.ndarray:
-        """Where the object comes to rest ``[3]`` in {W} if the hands let go of it now, as the adapted model has it."""
+    def coast(self, state: ControllerState) -> Float[np.ndarray, "3"]:
+        """Where the object comes to rest in {W} if the hands let go of it now, as the adapted model has it."""
         return np.asarray(self._coast(self.weights.params, state.adapt, state.before), dtype=float)
 
 
@@ -244,11 +245,11 @@ def start(
     config: PushConfig,
     adapt: adaptation.AdaptState,
     obs: ObjectObservation,
-    face: Array,
-    half_extents: Array,
-    key: Array,
+    face: Float[Array, "4"],
+    half_extents: Float[Array, "2"],
+    key: Key[Array, ""],
 ) -> ControllerState:
-    """The state with which a push on ``face [4]`` begins; pure."""
+    """The state with which a push on ``face`` begins; pure."""
     zero = np.zeros(3)
     before = _system_state(obs, zero, zero, zero[:2], zero, face, half_extents)
     xp = se2.array_module(obs.wrench)
@@ -261,13 +262,13 @@ def step(
     params: core.Params,
     state: ControllerState,
     obs: ObjectObservation,
-    goal: Array,
-    last_u: Array,
-    half_extents: Array,
+    goal: Float[Array, "3"],
+    last_u: Float[Array, "3"],
+    half_extents: Float[Array, "2"],
     around: LocalDistanceField | None = None,
     governor_room: float | None = None,
     adapt_and_plan: Callable[..., Any] | None = None,
-) -> tuple[Array, ControllerState, mppi.Plan]:
+) -> tuple[Float[Array, "3"], ControllerState, mppi.Plan]:
     """One 10 Hz control step, pure, for jit and vmap: adapt on the sample that ended, plan, and give the command.
 
     Args:
@@ -276,15 +277,15 @@ def step(
         params: the learned model.
         state: from `start` or the last step.
         obs: what is perceived now, with the wrench of the sample that ended.
-        goal: ``[3]`` desired object pose in {W}.
-        last_u: ``[3]`` what was applied during that sample.
-        half_extents: ``[2]`` of the object's footprint [m].
+        goal: desired object pose in {W}.
+        last_u: what was applied during that sample.
+        half_extents: of the object's footprint [m].
         around: clearance round the object, the object itself left out; None on a floor without obstacles.
         governor_room: in place of the configuration's, for this step.
         adapt_and_plan: a compiled version of what Eq. 8 and MPPI do in it; PushController's.
 
     Returns:
-        The command u ``[3]`` to apply now, the next state, and the plan.
+        The command u to apply now, the next state, and the plan.
     """
     run = adapt_and_plan or partial(_adapt_and_plan, config, core_config, None)
     given, more = _given(config, state, obs, last_u, goal, half_extents, governor_room)
@@ -301,7 +302,7 @@ def _given(
     goal: Array,
     half_extents: Array,
     room: float | None = None,
-) -> tuple[_Given, Array]:
+) -> tuple[_Given, Scalar]:
     """What the step is given, and the lean that the governor grants next for lagging behind [rad]."""
     system, transition = _perceive(config, state, obs, last_u, half_extents)
     lean, more = _governor(config, obs, goal, state.more, room)
@@ -326,8 +327,8 @@ def _perceive(
 
 
 def _governor(
-    config: PushConfig, obs: ObjectObservation, goal: Array, more: Array, room: float | None = None
-) -> tuple[Array, Array]:
+    config: PushConfig, obs: ObjectObservation, goal: Array, more: Scalar, room: float | None = None
+) -> tuple[Array, Scalar]:
     """``[2]`` least and largest forward lean that may be commanded now, and what it grants for lagging behind [rad]."""
     low, high = config.control.low[0], config.control.high[0]
     offset = goal[:2] - obs.object_pose[:2]
@@ -343,7 +344,7 @@ def _governor(
     return xp.stack([lean - room, lean]), more
 
 
-def _f32(x: Array) -> Array:
+def _f32(x: Scalar | Array) -> Array:
     return se2.array_module(x).asarray(x, dtype=np.float32)
 
 
@@ -438,8 +439,8 @@ def _planning_rollouts(
 
 def coast(
     config: PushConfig, core_config: Any, params: core.Params, adapt: adaptation.AdaptState, state: SystemState
-) -> Array:
-    """Pose ``[3]`` in {W} at which the object comes to rest without a force; it slows down, and never turns back."""
+) -> Float[Array, "3"]:
+    """Pose in {W} at which the object comes to rest without a force; it slows down, and never turns back."""
     params = _with_coefficients(params, adapt)
 
     def free(inputs: Array) -> Array:

@@ -8,11 +8,12 @@ as soon as the hands do. The hands are driven along the arc that ends at the goa
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Float, Key, Scalar
 from shmoo_mjx.control.cost import PushCost, allowed_speed
 from shmoo_mjx.control.governor import GovernorConfig, forward_lean
 from shmoo_mjx.control.pushing import LocalDistanceField, ObjectObservation
@@ -21,9 +22,6 @@ from shmoo_mjx.learning.adaptation import AdaptState
 from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
 
 __all__ = ["LEAN_LIMIT", "QuasiStaticPusher", "QuasiStaticState", "control"]
-
-Array = Any
-
 
 # Gains, tuned on objects of the development seeds.
 _STEER = 1.2
@@ -43,10 +41,10 @@ LEAN_LIMIT = 0.12
 class QuasiStaticState(NamedTuple):
     """State of one push: the face, and where the object is."""
 
-    face: np.ndarray
-    pose: np.ndarray
+    face: Float[np.ndarray, "4"]
+    pose: Float[np.ndarray, "3"]
     adapt: AdaptState | None
-    more: Array
+    more: Scalar
     """Lean that the governor grants for lagging behind [rad]."""
 
 
@@ -57,31 +55,38 @@ class QuasiStaticPusher:
         self.cost = cost
 
     def init(
-        self, obs: ObjectObservation, face: Array, half_extents: Array, key: Array, adapt: AdaptState | None = None
+        self,
+        obs: ObjectObservation,
+        face: Float[Array, "4"],
+        half_extents: Float[Array, "2"] | None,
+        key: Key[Array, ""] | None,
+        adapt: AdaptState | None = None,
     ) -> QuasiStaticState:
-        """Start a push on ``face [4]``."""
+        """Start a push on ``face``."""
         return QuasiStaticState(np.asarray(face), obs.object_pose, adapt, np.zeros(()))
 
     def step(
         self,
         state: QuasiStaticState,
         obs: ObjectObservation,
-        last_u: Array,
-        goal: Array,
+        last_u: Float[Array, "3"],
+        goal: Float[Array, "3"],
         around: LocalDistanceField,
-        half_extents: Array,
-    ) -> tuple[np.ndarray, QuasiStaticState, None]:
-        """The command ``[3]`` for the next sample; arguments as for the controller it stands in for."""
+        half_extents: Float[Array, "2"] | None,
+    ) -> tuple[Float[np.ndarray, "3"], QuasiStaticState, None]:
+        """The command for the next sample; arguments as for the controller it stands in for."""
         u, more = control(self.cost, state.face, obs, np.asarray(goal, dtype=float), state.more)
         return u, state._replace(pose=obs.object_pose, more=more), None
 
-    def coast(self, state: QuasiStaticState) -> np.ndarray:
+    def coast(self, state: QuasiStaticState) -> Float[np.ndarray, "3"]:
         """Pose at which the object comes to rest if it is let go now: where it is."""
         return state.pose
 
 
-def control(cost: PushCost, face: Array, obs: ObjectObservation, goal: Array, more: Array) -> tuple[Array, Array]:
-    """The command ``[3]`` [rad] for ``face [4]`` and ``goal [3]`` in {W}, and the governor's next ``more``.
+def control(
+    cost: PushCost, face: Float[Array, "4"], obs: ObjectObservation, goal: Float[Array, "3"], more: Scalar
+) -> tuple[Float[Array, "3"], Scalar]:
+    """The command [rad] for ``face`` and ``goal`` in {W}, and the governor's next ``more``.
 
     Pure, on NumPy and JAX arrays alike.
     """
@@ -107,7 +112,7 @@ def control(cost: PushCost, face: Array, obs: ObjectObservation, goal: Array, mo
     return xp.stack([forward, lean[1], xp.clip(_STEER * error, -_STEER_LIMIT, _STEER_LIMIT)]), more
 
 
-def _sideways(face: Array, obs: ObjectObservation, error: Array) -> Array:
+def _sideways(face: Array, obs: ObjectObservation, error: Scalar) -> Scalar:
     """Speed along the face [m/s] that brings the hands to where they turn the object against ``error`` [rad]."""
     xp = se2.array_module(obs.robot_pose, error)
     in_face = se2.relative(se2.compose(obs.object_pose, face[:3]), obs.robot_pose)

@@ -13,9 +13,9 @@ import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-__all__ = ["compiled", "each_problem", "on_all", "replicated", "rollout_mesh", "shared", "split"]
+from shmoo_mjx.arrays import Array, Shaped
 
-Array = Any
+__all__ = ["compiled", "each_problem", "on_all", "replicated", "rollout_mesh", "shared", "split"]
 
 _AXIS = "rollouts"
 _PROBLEMS = "problems"
@@ -70,18 +70,20 @@ def compiled(function: Callable[..., Any], mesh: Mesh | None) -> Callable[..., A
     return jax.jit(function) if mesh is None else jax.jit(function, in_shardings=NamedSharding(mesh, PartitionSpec()))
 
 
-def split(mesh: Mesh | None, x: Array) -> Array:
-    """``x [S, ...]`` with its first axis split among the devices; inside jit."""
+def split(mesh: Mesh | None, x: Shaped[Array, "S ..."]) -> Shaped[Array, "S ..."]:
+    """``x`` with its first axis split among the devices; inside jit."""
     return x if mesh is None else jax.lax.with_sharding_constraint(x, NamedSharding(mesh, PartitionSpec(_AXIS)))
 
 
-def on_all(mesh: Mesh | None, x: Array) -> Array:
+def on_all(mesh: Mesh | None, x: Shaped[Array, "..."]) -> Shaped[Array, "..."]:
     """``x`` whole on every device; inside jit."""
     return x if mesh is None else jax.lax.with_sharding_constraint(x, NamedSharding(mesh, PartitionSpec()))
 
 
-def shared(mesh: Mesh | None, function: Callable[[Array], Any]) -> Callable[[Array], Any]:
-    """``function`` of an array ``[S, ...]``, evaluated on each device for that device's part of it."""
+def shared(
+    mesh: Mesh | None, function: Callable[[Shaped[Array, "S ..."]], Any]
+) -> Callable[[Shaped[Array, "S ..."]], Any]:
+    """``function`` of an array, evaluated on each device for that device's part of it."""
     if mesh is None:
         return function
     # The check would ask of every user's roll-out that it marks its carry as varying over the devices.

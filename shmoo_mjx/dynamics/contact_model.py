@@ -17,13 +17,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from shmoo_mjx.arrays import Array, Float
 from shmoo_mjx.dynamics import features
 from shmoo_mjx.hands import HAND_HEIGHT
 from shmoo_mjx.types import DT
 
 __all__ = ["PARAMETERS", "acceleration", "guess", "with_friction"]
-
-Array = Any
 
 PARAMETERS: dict[str, tuple[float, float]] = {
     "log_mass": (2.5, 1.0),
@@ -51,22 +50,22 @@ GAUSS_SEIDEL_ITERATIONS = 5
 POINTS = ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0))
 
 
-def guess() -> Array:
-    """The first guess ``[p]`` of PARAMETERS."""
+def guess() -> Float[Array, "12"]:
+    """The first guess of PARAMETERS."""
     return jnp.array([first for first, _ in PARAMETERS.values()])
 
 
-def with_friction(parameters: Array, shift: float) -> Array:
+def with_friction(parameters: Float[Array, "12"], shift: float) -> Float[Array, "12"]:
     """The parameters with ``shift`` added to the logarithms of its friction."""
     return parameters + shift * np.array([name.startswith("log_friction") for name in PARAMETERS], np.float32)
 
 
-def acceleration(parameters: Array, inputs: Array) -> Array:
-    """Mean acceleration ``[3, ...]`` in {O} over a sample under the inputs' wrench, channels first.
+def acceleration(parameters: Float[Array, "12"], inputs: Float[Array, "n ..."]) -> Float[Array, "3 ..."]:
+    """Mean acceleration in {O} over a sample under the inputs' wrench, channels first.
 
     Args:
-        parameters: ``[12]`` as PARAMETERS lists them.
-        inputs: ``[13, ...]`` as OBJECT_INPUTS lists them.
+        parameters: as PARAMETERS lists them.
+        inputs: as OBJECT_INPUTS lists them; the last wrench may be left out.
     """
     where = features.slices(features.OBJECT_INPUTS)
     vx, vy, spin = inputs[where["object_twist"]]

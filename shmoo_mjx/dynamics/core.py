@@ -14,11 +14,12 @@ Three readings go beyond the printed equations; each has a switch in CoreConfig:
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
+from shmoo_mjx.arrays import Array, Float, Key, Scalar
 from shmoo_mjx.dynamics import contact_model, equivariant, features, object_model, robot_model
 from shmoo_mjx.dynamics.features import Contact, Facing
 from shmoo_mjx.dynamics.layout import channels_first, channels_last, to_channels_first, to_channels_last
@@ -28,8 +29,6 @@ from shmoo_mjx.hands import HAND_RADIUS
 from shmoo_mjx.types import DT, SystemState
 
 __all__ = ["CoreConfig", "Params", "contact_wrench", "init", "rollout", "step"]
-
-Array = Any
 
 
 @dataclass(frozen=True)
@@ -53,11 +52,10 @@ class Params(NamedTuple):
 
     robot: RobotParams
     object: ObjectParams
-    coefficients: Array
-    """``[..., 3, K]`` a of Eq. 3."""
-    contact: Array
-    """``[..., p]`` of the four-point contact model that is among the inputs of psi, as `contact_model.PARAMETERS` lists
-    them."""
+    coefficients: Float[Array, "... 3 K"]
+    """a of Eq. 3."""
+    contact: Float[Array, "... 12"]
+    """Of the four-point contact model that is among the inputs of psi, as `contact_model.PARAMETERS` lists them."""
 
 
 class _Models(NamedTuple):
@@ -69,7 +67,7 @@ class _Models(NamedTuple):
     lean: LeanResponse
 
 
-def init(key: Array, config: CoreConfig | None = None) -> Params:
+def init(key: Key[Array, ""], config: CoreConfig | None = None) -> Params:
     """Untrained parameters, with zero coefficients (an object that keeps its twist)."""
     config = config or CoreConfig()
     robot_key, object_key = jax.random.split(key)
@@ -81,8 +79,13 @@ def init(key: Array, config: CoreConfig | None = None) -> Params:
     )
 
 
-def contact_wrench(state: SystemState, force: Array, gamma: Array, config: CoreConfig | None = None) -> Array:
-    """Gamma^o ``[..., 3]``: the force of the hands ``[..., 2]`` in {R} [N] as a wrench about its centre, in {O}.
+def contact_wrench(
+    state: SystemState,
+    force: Float[Array, "... 2"],
+    gamma: Scalar | Float[Array, "..."],
+    config: CoreConfig | None = None,
+) -> Float[Array, "... 3"]:
+    """Gamma^o: the force of the hands in {R} [N] as a wrench about the object's centre, in {O}.
 
     The force acts at the mean of the two contact points weighted by the compression of each hand; equal weights if
     neither is compressed; no wrench if both are out of reach.
@@ -95,17 +98,19 @@ def contact_wrench(state: SystemState, force: Array, gamma: Array, config: CoreC
     return channels_last(_wrench(inside, face, touch, force, config))
 
 
-def step(params: Params, state: SystemState, u: Array, config: CoreConfig | None = None) -> tuple[SystemState, Array]:
+def step(
+    params: Params, state: SystemState, u: Float[Array, "... 3"], config: CoreConfig | None = None
+) -> tuple[SystemState, Float[Array, "... 3"]]:
     """One sample of DT by Eq. 1 to 3.
 
     Args:
         params: with coefficients ``[3, K]``; vmap for more than one object.
         state: SystemState, any batch dimensions.
-        u: ``[..., 3]`` command (phi_x, phi_y, gamma) [rad], held over the sample.
+        u: command (phi_x, phi_y, gamma) [rad], held over the sample.
         config: static choices.
 
     Returns:
-        The state one sample later and the wrench on the object ``[..., 3]`` in {O} at the start of the sample.
+        The state one sample later and the wrench on the object in {O} at the start of the sample.
     """
     config = config or CoreConfig()
     batch = jnp.broadcast_shapes(jnp.shape(state.robot_pose)[:-1], jnp.shape(u)[:-1])
@@ -115,14 +120,14 @@ def step(params: Params, state: SystemState, u: Array, config: CoreConfig | None
 
 
 def rollout(
-    params: Params, state: SystemState, controls: Array, config: CoreConfig | None = None
-) -> tuple[SystemState, Array]:
-    """The states after each of the T commands ``controls [..., T, 3]`` and the wrenches on the way.
+    params: Params, state: SystemState, controls: Float[Array, "... T 3"], config: CoreConfig | None = None
+) -> tuple[SystemState, Float[Array, "... T 3"]]:
+    """The states after each of the T commands and the wrenches on the way.
 
     A whole batch of roll-outs in one call is much faster than a vmap of single ones, and gives the same.
 
     Returns:
-        SystemState ``[..., T, n]``, and wrenches ``[..., T, 3]`` in {O} at the start of each sample.
+        SystemState ``[..., T, n]``, and wrenches in {O} at the start of each sample.
     """
     config = config or CoreConfig()
     controls = jnp.asarray(controls)

@@ -12,42 +12,41 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from shmoo_mjx.arrays import Array, Float, Key
 from shmoo_mjx.dynamics import mlp
 from shmoo_mjx.dynamics.mlp import MLP
 
 __all__ = ["FusedEquivariantMLP", "apply", "fuse", "init", "parts", "with_normaliser"]
 
-Array = Any
-
 
 class FusedEquivariantMLP(NamedTuple):
     """The network made ready for roll-outs: channels first, the normaliser folded into the first layer."""
 
-    even: tuple[Array, ...]
+    even: tuple[Float[Array, "_out _in"], ...]
     """One ``[n_out / 2, n_in / 2]`` per layer, for the sums of pairs; the first ``[n_1 / 2, n_0]``."""
-    odd: tuple[Array, ...]
+    odd: tuple[Float[Array, "_out _in"], ...]
     """The same for their differences."""
-    biases: tuple[Array, ...]
-    skip: Array | None = None
-    """``[n_last, n_0]`` a linear map of the input that is added to the output."""
+    biases: tuple[Float[Array, "_out"], ...]
+    skip: Float[Array, "n_last n_0"] | None = None
+    """A linear map of the input that is added to the output."""
 
-    def followed_by(self, linear: Callable[[Array], Array]) -> FusedEquivariantMLP:
-        """The network followed by a linear map of its outputs, ``[n_last, ...]`` -> ``[m, ...]``."""
+    def followed_by(self, linear: Callable[[Float[Array, "n_last ..."]], Float[Array, "m ..."]]) -> FusedEquivariantMLP:
+        """The network followed by a linear map of its outputs."""
         even, odd, biases = ((*x[:-1], linear(x[-1])) for x in (self.even, self.odd, self.biases))
         return self._replace(even=even, odd=odd, biases=biases)
 
-    def with_affine(self, skip: Array | None, bias: Array) -> FusedEquivariantMLP:
-        """The network with ``skip [n_last, n_0]`` times its input and ``bias [n_last]`` added to its output."""
+    def with_affine(self, skip: Float[Array, "n_last n_0"] | None, bias: Float[Array, "n_last"]) -> FusedEquivariantMLP:
+        """The network with ``skip`` times its input and ``bias`` added to its output."""
         return self._replace(biases=(*self.biases[:-1], self.biases[-1] + bias), skip=skip)
 
-    def forward(self, x: Array, activation: str = "tanh") -> Array:
-        """What `apply` gives, with channels first: ``[n_last, ...]`` for ``x [n_0, ...]``."""
+    def forward(self, x: Float[Array, "n_0 ..."], activation: str = "tanh") -> Float[Array, "n_last ..."]:
+        """What `apply` gives, with channels first."""
         function = mlp.ACTIVATIONS[activation]
         ones = (1,) * (x.ndim - 1)
         even = odd = x
@@ -61,7 +60,7 @@ class FusedEquivariantMLP(NamedTuple):
         return out if self.skip is None else out + jnp.tensordot(self.skip, x, axes=1)
 
 
-def init(key: Array, widths: Sequence[int]) -> MLP:
+def init(key: Key[Array, ""], widths: Sequence[int]) -> MLP:
     """Fresh weights (LeCun normal, zero bias); ``widths`` count both units of a pair and are even but for the ends.
 
     Each layer's weights are ``[n_in, n_out / 2]``, those for sums above those for differences; the first layer's are
@@ -76,22 +75,27 @@ def init(key: Array, widths: Sequence[int]) -> MLP:
     return MLP(weights, tuple(jnp.zeros(m) for _, m in pairs), jnp.zeros(first), jnp.ones(first))
 
 
-def parts(reflection: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Projections ``[n, n]`` on what the mirror leaves and on what it turns round."""
+def parts(reflection: Float[np.ndarray, "n n"]) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n n"]]:
+    """Projections on what the mirror leaves and on what it turns round."""
     one = np.eye(len(reflection), dtype=np.float32)
     return (one + reflection) / 2, (one - reflection) / 2
 
 
-def with_normaliser(net: MLP, inputs: Array, reflection: np.ndarray) -> MLP:
-    """The same network, normalised by ``inputs [N, n_0]`` and their mirror images."""
+def with_normaliser(net: MLP, inputs: Float[Array, "... n_0"], reflection: Float[np.ndarray, "n_0 n_0"]) -> MLP:
+    """The same network, normalised by ``inputs`` and their mirror images."""
     rows = inputs.reshape(-1, inputs.shape[-1])
     net = mlp.with_normaliser(net, jnp.concatenate([rows, rows @ reflection]))
     # Exactly: sums of many numbers and of their negatives need not be zero.
     return net._replace(mean=parts(reflection)[0] @ net.mean, scale=parts(np.abs(reflection))[0] @ net.scale)
 
 
-def apply(net: MLP, x: Array, reflections: tuple[np.ndarray, np.ndarray], activation: str = "tanh") -> Array:
-    """Output ``[..., n_last]`` for input ``x [..., n_0]``; the reflections are of input and output."""
+def apply(
+    net: MLP,
+    x: Float[Array, "... n_0"],
+    reflections: tuple[Float[np.ndarray, "n_0 n_0"], Float[np.ndarray, "n_last n_last"]],
+    activation: str = "tanh",
+) -> Float[Array, "... n_last"]:
+    """Output for input ``x``; the reflections are of input and output."""
     function = mlp.ACTIVATIONS[activation]
     x = (x - net.mean) / net.scale
     even, odd = (x @ part for part in parts(reflections[0]))
@@ -105,7 +109,9 @@ def apply(net: MLP, x: Array, reflections: tuple[np.ndarray, np.ndarray], activa
     return (even @ net.weights[-1][:n] + net.biases[-1]) @ keep_even + odd @ net.weights[-1][n:] @ keep_odd
 
 
-def fuse(net: MLP, reflections: tuple[np.ndarray, np.ndarray]) -> FusedEquivariantMLP:
+def fuse(
+    net: MLP, reflections: tuple[Float[np.ndarray, "n_0 n_0"], Float[np.ndarray, "n_last n_last"]]
+) -> FusedEquivariantMLP:
     """Prepare a network for `FusedEquivariantMLP.forward`; once per plan, so that its steps need not."""
     halves = [jnp.split(weight, 2) for weight in net.weights]
     even, odd = (list(weights) for weights in zip(*halves, strict=True))

@@ -5,13 +5,14 @@ All of it is expressed in {R} or {O}, so that moving and turning the whole scene
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from scipy.linalg import block_diag
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.dynamics.layout import SO2, channels_first, channels_last, once, to_channels_first
 from shmoo_mjx.hands import HAND_RADIUS, hand_components
 from shmoo_mjx.types import DT, SystemState
@@ -36,8 +37,6 @@ __all__ = [
     "stacked_robot_inputs",
     "width",
 ]
-
-Array = Any
 
 GAP_LIMIT = 0.15
 """Gaps between hand and face are clipped to +- this [m]: farther off, they say nothing about the force."""
@@ -131,10 +130,10 @@ class Facing(NamedTuple):
     """From {O} to {W}."""
     relative: SO2
     """From {O} to {R}."""
-    pose: Array
-    """``[3, ...]`` pose of the face in {R}: centre x, y [m], direction of the inward normal [rad]."""
-    motion: Array
-    """``[3, ...]`` twist of the face as seen from the moving {R}, at the face's centre [m/s, rad/s]."""
+    pose: Float[Array, "3 ..."]
+    """Pose of the face in {R}: centre x, y [m], direction of the inward normal [rad]."""
+    motion: Float[Array, "3 ..."]
+    """Twist of the face as seen from the moving {R}, at the face's centre [m/s, rad/s]."""
     normal: SO2
     """Its cosine and sine are the inward normal of the face in {R}."""
 
@@ -143,14 +142,14 @@ class Contact(NamedTuple):
     """Gaps and offsets of the hands' targets against the face, for one steering angle; channels first, hands (left,
     right)."""
 
-    gap: Array
-    """``[2, ...]`` from the hand's surface to the face's line, along the inward normal [m]; negative = pressed in."""
-    lateral: Array
-    """``[2, ...]`` offset of the hand from the face's centre along the face [m]."""
-    rate: Array
-    """``[2, ...]`` rate of the gap with the hands at rest in {R} [m/s]."""
-    hands: tuple[Array, Array]
-    """x and y ``[2, ...]`` of the hands in {R} [m]."""
+    gap: Float[Array, "2 ..."]
+    """From the hand's surface to the face's line, along the inward normal [m]; negative = pressed in."""
+    lateral: Float[Array, "2 ..."]
+    """Offset of the hand from the face's centre along the face [m]."""
+    rate: Float[Array, "2 ..."]
+    """Rate of the gap with the hands at rest in {R} [m/s]."""
+    hands: tuple[Float[Array, "2 ..."], Float[Array, "2 ..."]]
+    """x and y of the hands in {R} [m]."""
 
 
 def width(table: tuple[Entry, ...]) -> int:
@@ -167,8 +166,8 @@ def slices(table: tuple[Entry, ...]) -> dict[str, slice]:
     return found
 
 
-def reflection(table: tuple[Entry, ...]) -> np.ndarray:
-    """The matrix ``[n, n]`` that makes the vector of the table what it is in the mirror of the x-z plane."""
+def reflection(table: tuple[Entry, ...]) -> Float[np.ndarray, "n n"]:
+    """The matrix that makes the vector of the table what it is in the mirror of the x-z plane."""
     blocks = []
     for entry in table:
         block = np.diag(np.array(entry.reflected, np.float32))
@@ -204,8 +203,8 @@ def facing(state: SystemState) -> Facing:
     return once(face)
 
 
-def contact(face: Facing, gamma: Array) -> Contact:
-    """Gaps and offsets of the hands, held at the targets for steering angle ``gamma [...]`` [rad], against the face."""
+def contact(face: Facing, gamma: Scalar | Float[Array, "..."]) -> Contact:
+    """Gaps and offsets of the hands, held at the targets for steering angle ``gamma`` [rad], against the face."""
     n = face.normal
     (left_x, left_y), (right_x, right_y) = hand_components(gamma)
     x, y = once((jnp.stack([left_x, right_x]), jnp.stack([left_y, right_y])))
@@ -220,8 +219,8 @@ def contact(face: Facing, gamma: Array) -> Contact:
     return once(touch)
 
 
-def robot_inputs(state: SystemState, u: Array) -> Array:
-    """The inputs of R ``[..., 28]`` as ROBOT_INPUTS lists them; ``u [..., 3]`` is the command of this sample [rad]."""
+def robot_inputs(state: SystemState, u: Float[Array, "... 3"]) -> Float[Array, "... 28"]:
+    """The inputs of R as ROBOT_INPUTS lists them; ``u`` is the command of this sample [rad]."""
     batch = jnp.broadcast_shapes(jnp.shape(state.robot_pose)[:-1], jnp.shape(u)[:-1])
     inside = to_channels_first(state, batch)
     u = channels_first(jnp.broadcast_to(u, (*batch, 3)))
@@ -229,8 +228,10 @@ def robot_inputs(state: SystemState, u: Array) -> Array:
     return channels_last(stacked_robot_inputs(inside, face, contact(face, inside.last_u[2]), u))
 
 
-def stacked_robot_inputs(state: SystemState, face: Facing, touch: Contact, u: Array) -> Array:
-    """`robot_inputs` with channels first: ``[28, ...]``, from the contact as the last command's steering has it."""
+def stacked_robot_inputs(
+    state: SystemState, face: Facing, touch: Contact, u: Float[Array, "3 ..."]
+) -> Float[Array, "28 ..."]:
+    """`robot_inputs` with channels first, from the contact as the last command's steering has it."""
     half_width = state.face[3:]
     return jnp.concatenate(
         [
@@ -251,16 +252,21 @@ def stacked_robot_inputs(state: SystemState, face: Facing, touch: Contact, u: Ar
 
 
 def object_inputs(
-    twist: Array, wrench: Array, last_twist: Array, size: Array, last_wrench: Array, axis: int = -1
-) -> Array:
-    """The inputs of psi ``[..., 13]`` as OBJECT_INPUTS lists them.
+    twist: Float[Array, "... 3"] | Float[Array, "3 ..."],
+    wrench: Float[Array, "... 3"] | Float[Array, "3 ..."],
+    last_twist: Float[Array, "... 3"] | Float[Array, "3 ..."],
+    size: Scalar | Float[Array, "..."],
+    last_wrench: Float[Array, "... 3"] | Float[Array, "3 ..."],
+    axis: int = -1,
+) -> Float[Array, "... 13"] | Float[Array, "13 ..."]:
+    """The inputs of psi as OBJECT_INPUTS lists them.
 
     Args:
-        twist: ``[..., 3]`` of the object, in {O}.
-        wrench: ``[..., 3]`` about the object's centre, in {O}.
-        last_twist: ``[..., 3]`` one sample earlier, in {O} of that time.
-        size: ``[...]`` half the diagonal of the footprint [m].
-        last_wrench: ``[..., 3]`` one sample earlier, in {O} of that time.
+        twist: of the object, in {O}.
+        wrench: about the object's centre, in {O}.
+        last_twist: one sample earlier, in {O} of that time.
+        size: half the diagonal of the footprint [m].
+        last_wrench: one sample earlier, in {O} of that time.
         axis: where the channels lie, in the arguments and in the answer; 0 for channels first.
     """
     batch = twist.shape[:-1] if axis == -1 else twist.shape[1:]
@@ -268,12 +274,12 @@ def object_inputs(
     return jnp.concatenate([twist, wrench, last_twist, size, last_wrench], axis=axis)
 
 
-def last_sample(inputs: Array) -> tuple[Array, Array]:
-    """Inputs and acceleration of the previous sample, as far as psi's inputs ``[13, ...]``, channels first, hold them.
+def last_sample(inputs: Float[Array, "13 ..."]) -> tuple[Float[Array, "13 ..."], Float[Array, "3 ..."]]:
+    """Inputs and acceleration of the previous sample, as far as psi's inputs, channels first, hold them.
 
     Returns:
-        Inputs ``[13, ...]`` of that sample, whose own past is not known and left zero; and the mean acceleration
-        ``[3, ...]`` over it, in {O} at its start, the convention of psi's labels.
+        Inputs of that sample, whose own past is not known and left zero; and the mean acceleration over it, in {O} at
+        its start, the convention of psi's labels.
     """
     where = slices(OBJECT_INPUTS)
     twist, last, wrench = (inputs[where[name]] for name in ("object_twist", "last_object_twist", "last_wrench"))

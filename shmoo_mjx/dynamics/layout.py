@@ -12,20 +12,19 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from shmoo_mjx.arrays import Array, Float, Scalar, Shaped
 from shmoo_mjx.types import SystemState
 
 __all__ = ["SO2", "channels_first", "channels_last", "once", "to_channels_first", "to_channels_last"]
 
-Array = Any
 
-
-def channels_first(x: Array) -> Array:
-    """``[..., n]`` as ``[n, ...]``."""
+def channels_first(x: Shaped[Array, "... n"]) -> Shaped[Array, "n ..."]:
+    """The last axis first."""
     return jnp.moveaxis(jnp.asarray(x), -1, 0)
 
 
-def channels_last(x: Array) -> Array:
-    """``[n, ...]`` as ``[..., n]``."""
+def channels_last(x: Shaped[Array, "n ..."]) -> Shaped[Array, "... n"]:
+    """The first axis last."""
     return jnp.moveaxis(x, 0, -1)
 
 
@@ -57,20 +56,20 @@ def once(tree: Any) -> Any:
 class SO2(NamedTuple):
     """A rotation by some angle, kept as its cosine and sine: those are worth computing once."""
 
-    c: Array
-    s: Array
+    c: Float[Array, "..."]
+    s: Float[Array, "..."]
 
     @classmethod
-    def from_angle(cls, angle: Array) -> SO2:
+    def from_angle(cls, angle: Scalar | Float[Array, "..."]) -> SO2:
         """R_z(angle)."""
         return cls(jnp.cos(angle), jnp.sin(angle))
 
-    def apply(self, vector: Array) -> Array:
-        """`se2.rotate` with channels first: turns the first two of ``vector [2 or 3, ...]``."""
+    def apply(self, vector: Float[Array, "n ..."]) -> Float[Array, "n ..."]:
+        """`se2.rotate` with channels first: turns the first two of ``vector``'s two or three."""
         x, y = vector[0], vector[1]
         return jnp.stack([self.c * x - self.s * y, self.s * x + self.c * y, *vector[2:]])
 
-    def inverse_apply(self, vector: Array) -> Array:
+    def inverse_apply(self, vector: Float[Array, "n ..."]) -> Float[Array, "n ..."]:
         """The inverse rotation."""
         return self.inverse().apply(vector)
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.linalg import block_diag
 
+from shmoo_mjx.arrays import Array, Float, Key
 from shmoo_mjx.dynamics import contact_model, equivariant, features, mlp
 
 __all__ = [
@@ -26,8 +27,6 @@ __all__ = [
     "predict",
     "reflections",
 ]
-
-Array = Any
 
 Layers = mlp.FusedMLP | equivariant.FusedEquivariantMLP
 
@@ -76,22 +75,24 @@ class ObjectParams(NamedTuple):
     """Learned parameters of psi, the same for all objects."""
 
     net: mlp.MLP
-    linear: Array
-    """``[seen, n]`` linear part of psi on what its network sees, normalised; zero unless config.linear_terms."""
-    label_scale: Array
-    """``[3]`` unit in which psi a predicts each axis [m/s^2, m/s^2, rad/s^2]."""
+    linear: Float[Array, "seen n"]
+    """Linear part of psi on what its network sees, normalised; zero unless config.linear_terms."""
+    label_scale: Float[Array, "axes"]
+    """Unit in which psi a predicts each axis [m/s^2, m/s^2, rad/s^2]."""
 
 
 class FusedObjectModel(NamedTuple):
     """O with its coefficients, made ready for roll-outs."""
 
     layers: Layers
-    contact: Array
-    """``[p]``, unused unless config.contact_model."""
-    label_scale: Array
+    contact: Float[Array, "p"]
+    """Unused unless config.contact_model."""
+    label_scale: Float[Array, "axes"]
 
 
-def init(key: Array, config: ObjectConfig | None = None, n_in: int | None = None, n_axes: int = 3) -> ObjectParams:
+def init(
+    key: Key[Array, ""], config: ObjectConfig | None = None, n_in: int | None = None, n_axes: int = 3
+) -> ObjectParams:
     """Untrained parameters; ``n_in`` and ``n_axes`` differ from 13 and 3 only for other people's data."""
     config = config or ObjectConfig()
     n_in = features.width(features.OBJECT_INPUTS) if n_in is None else n_in
@@ -108,9 +109,13 @@ def init(key: Array, config: ObjectConfig | None = None, n_in: int | None = None
     return ObjectParams(net, linear, jnp.ones(n_axes))
 
 
-def network_inputs(label_scale: Array, inputs: Array, config: ObjectConfig, contact: Array) -> Array:
-    """Inputs of psi's network ``[..., 25]``: ``inputs [..., 13]`` and what the contact model ``contact [p]``
-    predicts."""
+def network_inputs(
+    label_scale: Float[Array, "axes"],
+    inputs: Float[Array, "... n_in"],
+    config: ObjectConfig,
+    contact: Float[Array, "p"],
+) -> Float[Array, "... seen"]:
+    """Inputs of psi's network, 25 of them: the 13 ``inputs`` and what the contact model ``contact`` predicts."""
     return jnp.moveaxis(_seen(label_scale, jnp.moveaxis(inputs, -1, 0), config, contact), 0, -1)
 
 
@@ -135,10 +140,12 @@ def _seen(label_scale: Array, inputs: Array, config: ObjectConfig, contact: Arra
     return jnp.concatenate([seen, predicted.reshape(-1, *inputs.shape[1:])])
 
 
-def basis(params: ObjectParams, inputs: Array, config: ObjectConfig, contact: Array) -> Array:
-    """psi ``[..., 3, K]`` of Eq. 3 for ``inputs [..., 13]``; the three rows are equal unless config.per_axis.
+def basis(
+    params: ObjectParams, inputs: Float[Array, "... n_in"], config: ObjectConfig, contact: Float[Array, "p"]
+) -> Float[Array, "... axes K"]:
+    """psi of Eq. 3; the rows of the axes are equal unless config.per_axis.
 
-    ``contact [p]`` as `contact_model.PARAMETERS` lists them; ignored unless config.contact_model.
+    ``contact`` as `contact_model.PARAMETERS` lists them; ignored unless config.contact_model.
     """
     seen = network_inputs(params.label_scale, inputs, config, contact)
     if config.equivariant:
@@ -150,21 +157,31 @@ def basis(params: ObjectParams, inputs: Array, config: ObjectConfig, contact: Ar
     return _by_axis(params, out, config)
 
 
-def predict(params: ObjectParams, coefficients: Array, inputs: Array, config: ObjectConfig, contact: Array) -> Array:
-    """O of Eq. 3: acceleration ``[..., 3]`` in {O} for ``inputs [..., 13]`` and a ``[..., 3, K]``."""
+def predict(
+    params: ObjectParams,
+    coefficients: Float[Array, "... axes K"],
+    inputs: Float[Array, "... n_in"],
+    config: ObjectConfig,
+    contact: Float[Array, "p"],
+) -> Float[Array, "... axes"]:
+    """O of Eq. 3: acceleration in {O}."""
     return jnp.sum(basis(params, inputs, config, contact) * coefficients, axis=-1) * params.label_scale
 
 
-def design_matrix(params: ObjectParams, inputs: Array, config: ObjectConfig, contact: Array) -> Array:
-    """Phi ``[..., 3, 3 K]`` with acceleration = Phi a for a flattened ``[3 K]``: what Eq. 8 calls psi."""
+def design_matrix(
+    params: ObjectParams, inputs: Float[Array, "... n_in"], config: ObjectConfig, contact: Float[Array, "p"]
+) -> Float[Array, "... axes m"]:
+    """Phi with acceleration = Phi a, for the coefficients of all axes in one vector a: what Eq. 8 calls psi."""
     psi = basis(params, inputs, config, contact) * params.label_scale[:, None]
     n_axes = params.label_scale.shape[-1]
     blocks = psi[..., :, None, :] * jnp.eye(n_axes)[:, :, None]
     return blocks.reshape(*psi.shape[:-1], n_axes * config.functions)
 
 
-def fuse(params: ObjectParams, coefficients: Array, config: ObjectConfig, contact: Array) -> FusedObjectModel:
-    """O made ready for roll-outs with the coefficients ``[3, K]``: `forward` of it gives ``[3, ...]`` in {O}.
+def fuse(
+    params: ObjectParams, coefficients: Float[Array, "axes K"], config: ObjectConfig, contact: Float[Array, "p"]
+) -> FusedObjectModel:
+    """O made ready for roll-outs with these coefficients: `forward` of it gives the acceleration in {O}.
 
     psi a is linear in the last layer's output, so a goes into that layer's weights, and psi itself is never formed.
     """
@@ -184,14 +201,16 @@ def fuse(params: ObjectParams, coefficients: Array, config: ObjectConfig, contac
     return FusedObjectModel(layers, contact, params.label_scale)
 
 
-def forward(fused: FusedObjectModel, inputs: Array, config: ObjectConfig) -> Array:
-    """What `predict` gives, with channels first: ``[3, ...]`` for ``inputs [13, ...]``."""
+def forward(
+    fused: FusedObjectModel, inputs: Float[Array, "n_in ..."], config: ObjectConfig
+) -> Float[Array, "axes ..."]:
+    """What `predict` gives, with channels first."""
     seen = _seen(fused.label_scale, inputs, config, fused.contact)
     return fused.layers.forward(seen, config.activation)
 
 
-def coefficient_signs(config: ObjectConfig) -> np.ndarray:
-    """``[3, K]`` what a mirrored object's coefficients are multiplied with; a symmetrical object has none that change.
+def coefficient_signs(config: ObjectConfig) -> Float[np.ndarray, "3 K"]:
+    """What a mirrored object's coefficients are multiplied with; a symmetrical object has none that change.
 
     Every third function is for what tells left from right: a load off the centre, one braked wheel.
     """
@@ -200,7 +219,7 @@ def coefficient_signs(config: ObjectConfig) -> np.ndarray:
     return np.broadcast_to(signs, (3, config.functions)) if config.per_axis else axes[:, None] * signs
 
 
-def reflections(config: ObjectConfig) -> tuple[np.ndarray, np.ndarray]:
+def reflections(config: ObjectConfig) -> tuple[Float[np.ndarray, "seen seen"], Float[np.ndarray, "n n"]]:
     """Reflection matrices of the inputs and of the outputs of psi's network."""
     seen, axes = features.reflection(features.OBJECT_INPUTS), features.reflection(features.OBJECT_OUTPUTS)
     if not config.last_wrench:

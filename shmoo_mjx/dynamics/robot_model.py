@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from scipy.linalg import expm
 
+from shmoo_mjx.arrays import Array, Float, Key
 from shmoo_mjx.dynamics import equivariant, features
 from shmoo_mjx.dynamics.mlp import MLP
 from shmoo_mjx.types import DT
@@ -23,9 +24,6 @@ __all__ = [
     "lean_step",
     "predict",
 ]
-
-Array = Any
-
 
 REFLECTIONS = (features.reflection(features.ROBOT_INPUTS), features.reflection(features.ROBOT_OUTPUTS))
 """The mirror's matrices for R's inputs and outputs."""
@@ -48,10 +46,10 @@ class RobotConfig:
 class LeanResponse(NamedTuple):
     """Response of the lean to its command over one sample: a second-order lag in its exact, discrete form."""
 
-    matrix: Array
-    """``[2, 2, 5]`` for x and y: from (lean [rad], its rate [rad/s], command [rad], force of the hands on the object
-    over the last sample [N], 1) to (lean, its rate) one sample later. The force leans the body, and the constant holds
-    what the weight of the extended arms takes."""
+    matrix: Float[Array, "2 2 5"]
+    """For x and y: from (lean [rad], its rate [rad/s], command [rad], force of the hands on the object over the last
+    sample [N], 1) to (lean, its rate) one sample later. The force leans the body, and the constant holds what the
+    weight of the extended arms takes."""
 
 
 class RobotParams(NamedTuple):
@@ -59,14 +57,14 @@ class RobotParams(NamedTuple):
 
     net: MLP
     """Without a preferred side (`equivariant`)."""
-    output_mean: Array
-    """``[5]`` in the units of ROBOT_OUTPUTS."""
-    output_scale: Array
-    """``[5]`` in the units of ROBOT_OUTPUTS."""
+    output_mean: Float[Array, "5"]
+    """In the units of ROBOT_OUTPUTS."""
+    output_scale: Float[Array, "5"]
+    """In the units of ROBOT_OUTPUTS."""
     lean: LeanResponse
 
 
-def init(key: Array, config: RobotConfig | None = None) -> RobotParams:
+def init(key: Key[Array, ""], config: RobotConfig | None = None) -> RobotParams:
     """Untrained parameters."""
     config = config or RobotConfig()
     n_in, n_out = features.width(features.ROBOT_INPUTS), features.width(features.ROBOT_OUTPUTS)
@@ -78,19 +76,21 @@ def init(key: Array, config: RobotConfig | None = None) -> RobotParams:
     )
 
 
-def predict(params: RobotParams, inputs: Array, config: RobotConfig) -> tuple[Array, Array]:
-    """R of Eq. 2 for ``inputs [..., 28]``: base acceleration ``[..., 3]`` and hand force ``[..., 2]``, both in {R}."""
+def predict(
+    params: RobotParams, inputs: Float[Array, "... 28"], config: RobotConfig
+) -> tuple[Float[Array, "... 3"], Float[Array, "... 2"]]:
+    """R of Eq. 2: base acceleration and hand force, both in {R}."""
     out = normalised(params.net, inputs, config) * params.output_scale + params.output_mean
     return out[..., :3], out[..., 3:]
 
 
-def normalised(net: MLP, inputs: Array, config: RobotConfig) -> Array:
-    """R's outputs ``[..., 5]`` in units of their spread in training."""
+def normalised(net: MLP, inputs: Float[Array, "... 28"], config: RobotConfig) -> Float[Array, "... 5"]:
+    """R's outputs in units of their spread in training."""
     return equivariant.apply(net, inputs, REFLECTIONS, config.activation)
 
 
 def fuse(params: RobotParams) -> equivariant.FusedEquivariantMLP:
-    """R made ready for roll-outs: its `forward` gives ``[5, ...]`` in the units of ROBOT_OUTPUTS."""
+    """R made ready for roll-outs: its `forward` gives the outputs in the units of ROBOT_OUTPUTS."""
     net = equivariant.fuse(params.net, REFLECTIONS)
     return net.followed_by(lambda rows: (rows.T * params.output_scale).T).with_affine(None, params.output_mean)
 
@@ -103,10 +103,16 @@ def lag(frequency: float, damping: float, dt: float = DT) -> LeanResponse:
     return LeanResponse(jnp.asarray(matrix))
 
 
-def lean_step(response: LeanResponse, lean: Array, rate: Array, target: Array, force: Array) -> tuple[Array, Array]:
-    """Lean and its rate ``[2, ...]`` [rad, rad/s] one sample later, channels first.
+def lean_step(
+    response: LeanResponse,
+    lean: Float[Array, "2 ..."],
+    rate: Float[Array, "2 ..."],
+    target: Float[Array, "2 ..."],
+    force: Float[Array, "2 ..."],
+) -> tuple[Float[Array, "2 ..."], Float[Array, "2 ..."]]:
+    """Lean and its rate [rad, rad/s] one sample later, channels first.
 
-    ``target`` is the command, ``force`` the one of the last sample in {R}, both ``[2, ...]``.
+    ``target`` is the command, ``force`` the one of the last sample in {R}.
     """
     m = response.matrix.reshape(*response.matrix.shape, *(1,) * (lean.ndim - 1))
     inputs = (lean, rate, target, force, 1.0)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Float
 from shmoo_mjx.control.pushing import ObjectObservation
 from shmoo_mjx.faces import stand_off
 from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
@@ -15,8 +15,6 @@ from shmoo_mjx.skills.settings import Move
 from shmoo_mjx.types import Command
 
 __all__ = ["ApproachState", "init", "step"]
-
-Array = Any
 
 CONTACT_GAP = 0.12
 """Distance between hands and face at the stand-off pose [m]: more keeps off an object whose pose is uncertain, and
@@ -52,8 +50,8 @@ def step(
     state: ApproachState,
     time: float,
     obs: ObjectObservation,
-    face: Array,
-    lean: Array,
+    face: Float[Array, "4"],
+    lean: Float[Array, "2"],
     yaw: float,
     remaining: float,
     room: bool = True,
@@ -64,8 +62,8 @@ def step(
         state: from :func:`init` or the last step.
         time: [s]
         obs: robot and object.
-        face: ``[4]`` as in :func:`~shmoo_mjx.faces.faces_of`.
-        lean: ``[2]`` that follows the path to the stand-off pose [rad].
+        face: as in :func:`~shmoo_mjx.faces.faces_of`.
+        lean: that follows the path to the stand-off pose [rad].
         yaw: heading along that path, in {W} [rad].
         remaining: length of the path still to go [m].
         room: whether the arms have room to extend here.

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.control.pushing import ObjectObservation
 from shmoo_mjx.faces import heading
 from shmoo_mjx.hands import HAND_HEIGHT, HAND_RADIUS, REACH, touches
@@ -12,8 +13,6 @@ from shmoo_mjx.skills.settings import Move, hands_to_face, in_face, lean_for
 from shmoo_mjx.types import Command
 
 __all__ = ["ContactState", "init", "step"]
-
-Array = Any
 
 _SPEED = 0.12
 """Speed at which contact is made [m/s]: faster knocks light objects away, slower takes longer."""
@@ -30,24 +29,24 @@ _ASTRAY = (0.5, 0.3)
 class ContactState(NamedTuple):
     """State of one attempt to make contact."""
 
-    object_pose: Array
-    """``[3]`` when the hands began to feel for it, in {W}."""
-    lateral: Array = 0.0
+    object_pose: Float[Array, "3"]
+    """When the hands began to feel for it, in {W}."""
+    lateral: Scalar = 0.0
     """Where along the face they do, to the robot's left of its middle [m]."""
 
 
-def init(obs: ObjectObservation, lateral: Array = 0.0) -> ContactState:
+def init(obs: ObjectObservation, lateral: Scalar = 0.0) -> ContactState:
     """Before the first step."""
     return ContactState(obs.object_pose, lateral)
 
 
-def step(state: ContactState, obs: ObjectObservation, face: Array) -> tuple[ContactState, Move]:
+def step(state: ContactState, obs: ObjectObservation, face: Float[Array, "4"]) -> tuple[ContactState, Move]:
     """One sample; pure, on NumPy and JAX arrays alike.
 
     Args:
         state: from :func:`init`.
         obs: robot and object.
-        face: ``[4]`` as in :func:`~shmoo_mjx.faces.faces_of`.
+        face: as in :func:`~shmoo_mjx.faces.faces_of`.
     """
     xp = se2.array_module(obs.object_pose, obs.robot_pose)
     local, away = in_face(obs.object_pose, obs.robot_pose, face), hands_to_face(obs.object_pose, obs.robot_pose, face)

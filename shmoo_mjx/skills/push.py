@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Float, Key, Scalar
 from shmoo_mjx.control.mppi import Plan
 from shmoo_mjx.control.pushing import LocalDistanceField, ObjectObservation
 from shmoo_mjx.faces import heading
@@ -17,8 +18,6 @@ from shmoo_mjx.skills.settings import hold
 from shmoo_mjx.types import DT, Command
 
 __all__ = ["PushState", "Pusher", "init", "lets_go", "step"]
-
-Array = Any
 
 _LEAD = 0.015
 """An object is let go where it is expected to stop this far before its goal [m]: hands relax by about that much."""
@@ -34,7 +33,12 @@ class Pusher(Protocol):
     """
 
     def init(
-        self, obs: ObjectObservation, face: Array, half_extents: Array, key: Array, adapt: AdaptState | None = None
+        self,
+        obs: ObjectObservation,
+        face: Float[Array, "4"],
+        half_extents: Float[Array, "2"],
+        key: Key[Array, ""],
+        adapt: AdaptState | None = None,
     ) -> Any:
         """Start a push."""
 
@@ -42,14 +46,14 @@ class Pusher(Protocol):
         self,
         state: Any,
         obs: ObjectObservation,
-        last_u: Array,
-        goal: Array,
+        last_u: Float[Array, "3"],
+        goal: Float[Array, "3"],
         around: LocalDistanceField,
-        half_extents: Array,
-    ) -> tuple[np.ndarray, Any, Plan | None]:
+        half_extents: Float[Array, "2"],
+    ) -> tuple[Float[np.ndarray, "3"], Any, Plan | None]:
         """One 10 Hz step."""
 
-    def coast(self, state: Any) -> np.ndarray:
+    def coast(self, state: Any) -> Float[np.ndarray, "3"]:
         """Where the object comes to rest if it is let go now."""
 
 
@@ -67,12 +71,12 @@ class PushState:
     """Time since the hands last touched the object [s]."""
     impulse: float = 0.0
     """What the hands have spent on the object so far [N s]."""
-    poses: tuple[np.ndarray, ...] = ()
-    """``[3]`` of the object in {W}, one of each sample."""
+    poses: tuple[Float[np.ndarray, "3"], ...] = ()
+    """Of the object in {W}, one of each sample."""
     ok: bool = True
     """Whether the last plan had a finite roll-out."""
 
-    def moved(self, pose: np.ndarray) -> float:
+    def moved(self, pose: Float[np.ndarray, "3"]) -> float:
         """Displacement of the object since the push began [m]."""
         start = self.poses[0] if self.poses else pose
         return float(np.linalg.norm(pose[:2] - start[:2]))
@@ -92,12 +96,12 @@ def init(
     pusher: Any,
     time: float,
     obs: ObjectObservation,
-    face: Array,
-    half_extents: Array,
-    key: Array,
+    face: Float[Array, "4"],
+    half_extents: tuple[float, float] | Float[Array, "2"],
+    key: Key[Array, ""] | None,
     adapt: AdaptState | None,
 ) -> PushState:
-    """A push on ``face [4]`` that starts at ``time`` [s]. Its first step comes a sample later: a pusher that was
+    """A push on ``face`` that starts at ``time`` [s]. Its first step comes a sample later: a pusher that was
     stepped with the very observation it began with would take the object to have been pushed and not moved."""
     return PushState(pusher.init(obs, face, np.asarray(half_extents), key, adapt), time)
 
@@ -106,11 +110,11 @@ def step(
     pusher: Any,
     state: PushState,
     obs: ObjectObservation,
-    face: Array,
-    last_u: Array,
-    goal: Array,
-    around: LocalDistanceField,
-    half_extents: Array,
+    face: Float[Array, "4"],
+    last_u: Float[Array, "3"],
+    goal: Float[Array, "3"],
+    around: LocalDistanceField | None,
+    half_extents: tuple[float, float] | Float[Array, "2"],
     governor_room: float | None = None,
 ) -> tuple[PushState, Command]:
     """One sample: adapt, plan, and give the command; stand still if no roll-out of the model is finite.
@@ -119,11 +123,11 @@ def step(
         pusher: what pushes.
         state: from :func:`init` or the last step.
         obs: robot and object, with the wrench of the sample that ended.
-        face: ``[4]`` that is pushed.
-        last_u: ``[3]`` what was applied during that sample.
-        goal: ``[3]`` pose of the object in {W}.
-        around: clearance round the object.
-        half_extents: ``[2]`` of the object's footprint [m].
+        face: that is pushed.
+        last_u: what was applied during that sample.
+        goal: pose of the object in {W}.
+        around: clearance round the object; None for a pusher that does not ask.
+        half_extents: of the object's footprint [m].
         governor_room: in place of the pusher's own, for this step.
     """
     more = () if governor_room is None else (governor_room,)
@@ -143,15 +147,21 @@ def step(
     return state, command if ok else hold(obs, extended=True)
 
 
-def lets_go(rest: Array, coasts: Array, object_pose: Array, face: Array, goal: Array) -> tuple[Array, Array, Array]:
+def lets_go(
+    rest: Float[Array, "3"],
+    coasts: Float[Array, "5"],
+    object_pose: Float[Array, "3"],
+    face: Float[Array, "4"],
+    goal: Float[Array, "3"],
+) -> tuple[Float[Array, "5"], Scalar, Scalar]:
     """Release criterion: whether an object that is let go now coasts into its goal; pure, NumPy and JAX alike.
 
     Args:
-        rest: ``[3]`` where the object comes to rest if it is let go now, in {W}.
-        coasts: ``[5]`` how far it would have coasted along the push in the last samples [m]; a single one is noisy.
-        object_pose: ``[3]`` now.
-        face: ``[4]`` that is pushed.
-        goal: ``[3]`` in {W}.
+        rest: where the object comes to rest if it is let go now, in {W}.
+        coasts: how far it would have coasted along the push in the last samples [m]; a single one is noisy.
+        object_pose: now.
+        face: that is pushed.
+        goal: in {W}.
 
     Returns:
         The coasting distances with this one, the way left along the push [m], and whether to let go.

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.control.pushing import ObjectObservation
 from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_REACH
 from shmoo_mjx.skills.settings import Move, hands_to_face, lean_for
 from shmoo_mjx.types import Command
 
 __all__ = ["CLEAR", "WITHDRAW", "step"]
-
-Array = Any
 
 CLEAR = 0.05
 """Distance between the extended hands' place and the face at which a retreat stops and the arms fold [m]: more room for
@@ -27,14 +24,20 @@ _SLOW = 0.08
 """Speed below which the robot stands [m/s]."""
 
 
-def step(obs: ObjectObservation, face: Array, folded: Array, lean: Array | None = None, room: Array = True) -> Move:
+def step(
+    obs: ObjectObservation,
+    face: Float[Array, "4"],
+    folded: Scalar,
+    lean: Float[Array, "2"] | None = None,
+    room: Scalar = True,
+) -> Move:
     """One sample; pure, on NumPy and JAX arrays alike. No memory: where robot and object are says what is next.
 
     Args:
         obs: robot and object.
-        face: ``[4]`` as in :func:`~shmoo_mjx.faces.faces_of`.
+        face: as in :func:`~shmoo_mjx.faces.faces_of`.
         folded: whether the arms are folded.
-        lean: ``[2]`` that follows a way back [rad]; straight back from the face if not given.
+        lean: that follows a way back [rad]; straight back from the face if not given.
         room: whether the arms have room to fold.
     """
     xp = se2.array_module(obs.object_pose, obs.robot_pose)

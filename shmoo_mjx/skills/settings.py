@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.control.pushing import ObjectObservation
 from shmoo_mjx.hands import HAND_HEIGHT, HAND_RADIUS, REACH, TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
@@ -14,17 +15,15 @@ from shmoo_mjx.types import Command
 
 __all__ = ["Move", "batched", "hands_to_face", "hold", "in_face", "lean_for"]
 
-Array = Any
-
 
 class Move(NamedTuple):
     """One step of a skill; its flags are arrays under JAX."""
 
     command: Command
     """For the next sample, of one world: u ``[3]``, the rest scalars."""
-    over: Array = False
+    over: Scalar = False
     """The skill has reached its end."""
-    failed: Array = False
+    failed: Scalar = False
     """It can't."""
 
 
@@ -33,18 +32,20 @@ def batched(command: Command) -> Command:
     return Command(*(np.asarray(field, dtype=float)[None] for field in command))
 
 
-def in_face(object_pose: Array, robot_pose: Array, face: Array) -> Array:
-    """Pose ``[3]`` of {R} in the frame of ``face [4]``: x is along its inward normal."""
+def in_face(
+    object_pose: Float[Array, "3"], robot_pose: Float[Array, "3"], face: Float[Array, "4"]
+) -> Float[Array, "3"]:
+    """Pose of {R} in the frame of ``face``: x is along its inward normal."""
     return se2.relative(se2.compose(object_pose, face[:3]), robot_pose)
 
 
-def hands_to_face(object_pose: Array, robot_pose: Array, face: Array) -> Array:
+def hands_to_face(object_pose: Float[Array, "3"], robot_pose: Float[Array, "3"], face: Float[Array, "4"]) -> Scalar:
     """Distance of the extended hands from the face [m]."""
     return -in_face(object_pose, robot_pose, face)[0] - REACH - HAND_RADIUS
 
 
-def lean_for(obs: ObjectObservation, wish: Array) -> Array:
-    """Lean ``[2]`` [rad] of the velocity loop for a velocity ``wish [2]`` in {R} [m/s]."""
+def lean_for(obs: ObjectObservation, wish: Float[Array, "2"]) -> Float[Array, "2"]:
+    """Lean [rad] of the velocity loop for a velocity ``wish`` in {R} [m/s]."""
     velocity = se2.rotate(obs.robot_twist[:2], -obs.robot_pose[2])
     return velocity_to_lean(Gains(), velocity, obs.lean_rate, wish)
 

@@ -114,6 +114,7 @@ def test_the_readme_is_one_screen_with_a_short_example() -> None:
 
 LAYERS = (
     {
+        "arrays",
         "se2",
         "types",
         "errors",
