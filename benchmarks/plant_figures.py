@@ -20,6 +20,7 @@ from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.joint_torque import joint_torque_wrench
 from shmoo_mjx.plant.lowlevel import Gains
 from shmoo_mjx.plant.objects import Condition, draw_condition
+from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.plant.scene import build_scene
 from shmoo_mjx.plant.trials import command, drive, object_alone, pushed, settled
 from shmoo_mjx.report.style import SERIES, outline
@@ -173,7 +174,7 @@ def wrench_figure(plt: Any) -> None:
         wanted = command(1, (lean, 0.0), 0.1, reach=REACH, hand_height=HAND_HEIGHT)
         world, seen = engine.step(world, wanted)
         torque = engine.torque(world, wanted)[:, 3:]
-        felt = joint_torque_wrench(engine.robot(world), torque, seen.object_pose[:, 0])[0]
+        felt = joint_torque_wrench(shmoobot(), engine.robot(world), torque, seen.object_pose[:, 0])[0]
         rows.append((seen.time[0], *seen.wrench[0, 0], *felt, seen.object_twist[0, 0, 0]))
     engine.close()
     time, fx, _, tz, jx, _, jz, speed = np.array(rows).T

@@ -21,7 +21,7 @@ from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.navigation.drive import DAMPING, LEAD, STIFFNESS
 from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
-from shmoo_mjx.plant.robot import ROBOT
+from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.plant.scene import Scene, build_scene
 from shmoo_mjx.plant.trials import command
 from shmoo_mjx.report.style import SERIES
@@ -29,7 +29,7 @@ from shmoo_mjx.report.tables import markdown_table
 from shmoo_mjx.sensing import PERFECT, REAL, SensedEngine, Senses
 from shmoo_mjx.types import DT, Observation
 
-MASS = ROBOT.upper_mass + ROBOT.ball_mass
+MASS = shmoobot().upper_mass + shmoobot().ball_mass
 CMU_MASS = 51.66 + 2.44
 SCALE = MASS / CMU_MASS
 ROBOTS = 5
@@ -91,7 +91,7 @@ def follow(
 
 
 def _lean(wish: Reference, time: float, seen: Observation) -> np.ndarray:
-    a, b, c = ROBOT.flatness
+    a, b, c = shmoobot().flatness
     now, yaw = wish(time), seen.robot_pose[0, 2]
     if now.velocity is None:
         return np.zeros(2)
@@ -196,7 +196,7 @@ def impulses(senses: Senses) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     force = grid[:, 2] / 0.1
     wrench = np.zeros((len(grid), 6))
     wrench[:, 0], wrench[:, 1] = force * np.cos(grid[:, 1]), force * np.sin(grid[:, 1])
-    arm = grid[:, 0] - ROBOT.ball_radius - ROBOT.body_com_height
+    arm = grid[:, 0] - shmoobot().ball_radius - shmoobot().body_com_height
     wrench[:, 3], wrench[:, 4] = -arm * wrench[:, 1], arm * wrench[:, 0]
     fallen = follow(scenes, senses, 5.0, stand, _during(1.0, 1.1, wrench)).fallen
     stood = ~fallen.reshape(len(heights), len(angles), len(sizes))

@@ -14,7 +14,7 @@ import numpy as np
 from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float
 from shmoo_mjx.control.governor import static_lean
-from shmoo_mjx.plant.robot import ROBOT, arm_angles, com_offset
+from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.types import DT, Command, Observation
 
 __all__ = ["LIMIT", "LeanOffset", "arms_lean", "corrected", "init", "predicted", "shifted", "step"]
@@ -46,7 +46,7 @@ def init() -> LeanOffset:
 
 def step(state: LeanOffset, obs: Observation) -> LeanOffset:
     """Estimate after one more sample of one world."""
-    a, b, c = ROBOT.flatness
+    a, b, c = shmoobot().flatness
     yaw = obs.robot_pose[0, 2]
     lean = np.asarray(obs.lean[0], dtype=float)
     speed = obs.robot_twist[0, :2] + b / a * se2.rotate(obs.lean_rate[0], yaw)
@@ -68,8 +68,9 @@ def arms_lean(hands: Float[Array, "2 3"]) -> Float[np.ndarray, "2"]:
     Args:
         hands: as in an Observation.
     """
-    in_body = np.asarray(hands, dtype=float) - [0.0, 0.0, ROBOT.ball_radius]
-    return np.asarray(com_offset(arm_angles(in_body))) / ROBOT.body_com_height
+    robot = shmoobot()
+    in_body = np.asarray(hands, dtype=float) - [0.0, 0.0, robot.ball_radius]
+    return np.asarray(robot.com_offset(robot.arm_angles(in_body))) / robot.body_com_height
 
 
 def predicted(obs: Observation, seconds: float) -> Observation:
@@ -79,7 +80,7 @@ def predicted(obs: Observation, seconds: float) -> Observation:
     """
     if not seconds:
         return obs
-    a, _, c = ROBOT.flatness
+    a, _, c = shmoobot().flatness
     yaw = obs.robot_pose[:, 2]
     felt = static_lean(np.sum(obs.wrench[..., :2], axis=1))
     push = c / a * (se2.rotate(obs.lean + arms_lean(obs.hands[0]), yaw) - felt)

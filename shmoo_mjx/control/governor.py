@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.hands import HAND_HEIGHT, touches
-from shmoo_mjx.plant.robot import ROBOT
+from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.types import DT
 
 __all__ = ["INTEGRAL_LIMIT", "GovernorConfig", "forward_lean", "govern", "static_lean"]
@@ -36,7 +36,7 @@ class GovernorConfig:
 
 def static_lean(force: Scalar | Float[Array, "..."]) -> Scalar | Float[Array, "..."]:
     """Lean [rad] that balances a forward force [N] of the hands: m g l phi = F h."""
-    return force * HAND_HEIGHT / ROBOT.flatness[2]
+    return force * HAND_HEIGHT / shmoobot().flatness[2]
 
 
 def forward_lean(
@@ -63,7 +63,7 @@ def forward_lean(
         more: lean for what lags behind so far in this push [rad]; 0 at its start.
     """
     xp, yaw = se2.array_module(robot_pose, robot_twist, lean_rate, wrench, limit, more), robot_pose[2]
-    a, b, _ = ROBOT.flatness
+    a, b, _ = shmoobot().flatness
     # Speed of the flat output: the base first moves the wrong way when the lean changes.
     speed = se2.rotate(robot_twist[:2], -yaw)[0] + b / a * lean_rate[0]
     behind = xp.where(touches(wrench), limit - speed, 0.0) * DT

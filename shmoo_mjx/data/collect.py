@@ -22,7 +22,7 @@ from shmoo_mjx.faces import faces_of, heading, stand_off
 from shmoo_mjx.files import claimed
 from shmoo_mjx.hands import HAND_HEIGHT, REACH
 from shmoo_mjx.plant.objects import FAMILIES, Condition, draw_condition
-from shmoo_mjx.plant.robot import ROBOT
+from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.processes import process_pool
 from shmoo_mjx.seeds import MAX_SEED, UNSEEN_SEED
 from shmoo_mjx.types import DT, Command, Observation
@@ -136,7 +136,7 @@ def _drive(rng: np.random.Generator, op: Operator, seen: Observation) -> tuple[O
     relative_yaw = se2.wrap(seen.robot_pose[:, 2] - op.face[:, 2] - seen.object_pose[:, 0, 2])
     wish = se2.rotate(np.stack([op.speed, lateral_speed], axis=-1), -relative_yaw)
     velocity = se2.rotate(seen.robot_twist[:, :2], -seen.robot_pose[:, 2])
-    a, b, _ = ROBOT.flatness
+    a, b, _ = shmoobot().flatness
     # Velocity of the flat output: the base first moves the wrong way when the lean changes.
     lean = op.gain[:, None] * (wish - velocity - b / a * seen.lean_rate) + noise[:, :2]
     # A robot that has lost its object far away comes back rather than recording empty floor.

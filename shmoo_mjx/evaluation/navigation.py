@@ -37,7 +37,7 @@ from shmoo_mjx.navigation.maps import OccupancyGrid, load_map
 from shmoo_mjx.navigation.object_planner import ObjectPlannerConfig
 from shmoo_mjx.navigation.records import NavigatorConfig
 from shmoo_mjx.navigation.scenario import Scenario
-from shmoo_mjx.plant.robot import ROBOT
+from shmoo_mjx.plant.robot import shmoobot
 
 if TYPE_CHECKING:
     from shmoo_mjx.episode import Episode
@@ -233,7 +233,7 @@ def scores_of(episode: Episode, scenario: Scenario, shortest: float) -> dict[str
     """Path efficiency, both parts of effort efficiency, and the interactive navigation score of a run."""
     from shmoo_mjx.simulation import conditions_of
 
-    result, trace, robot = episode.result, episode.trace, ROBOT.upper_mass + ROBOT.ball_mass
+    result, trace, robot = episode.result, episode.trace, shmoobot().upper_mass + shmoobot().ball_mass
     driven = result["path_length_m"]
     efficiency = (result["outcome"] == "success") * min(shortest / max(driven, 1e-9), 1.0)
     moved = [_travelled(trace.object_pose[:, i, :2]) for i in range(len(scenario.objects))]

@@ -43,7 +43,7 @@ from shmoo_mjx.navigation.records import (
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS
 from shmoo_mjx.navigation.verdicts import judge, review, rolled
 from shmoo_mjx.plant import outline
-from shmoo_mjx.plant.robot import ROBOT
+from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.sensing import finite
 from shmoo_mjx.skills import approach, batched, contact, hold, push, retreat
 from shmoo_mjx.types import Command, Observation
@@ -86,7 +86,7 @@ def setup_of(
 ) -> Setup:
     """Constant parts of a navigator; see the fields of :class:`~shmoo_mjx.navigation.records.Setup`."""
     config = config or NavigatorConfig()
-    planner = flat_trajectory.init(FlatModel(*ROBOT.flatness), config.trajectory)
+    planner = flat_trajectory.init(FlatModel(*shmoobot().flatness), config.trajectory)
     return Setup(sizes, controller, config, planner, first_status)
 
 

@@ -18,7 +18,7 @@ from shmoo_mjx.navigation.maps import ClearanceField
 from shmoo_mjx.navigation.paths import Path, plan_path
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS
 from shmoo_mjx.plant import outline
-from shmoo_mjx.plant.robot import ROBOT
+from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.skills.approach import CONTACT_GAP
 
 __all__ = ["Routes"]
@@ -137,6 +137,6 @@ class Routes:
         # The shortest with room, straight back before aslant; where none has room, the one with most.
         cost = lengths + 0.15 * np.abs(se2.wrap(angles - away)) + 5.0 * np.maximum(_BACK_ROOM - room, 0.0)
         best = int(np.argmin(cost))
-        if room[best] < ROBOT.radius:
+        if room[best] < shmoobot().radius:
             return None
         return Path(np.stack([position, ends[best]]), float(lengths[best]))

@@ -263,7 +263,7 @@ def check_place(
 
     from shmoo_mjx.navigation.footprints import footprint_polygon
     from shmoo_mjx.navigation.maps import FREE
-    from shmoo_mjx.plant.robot import ROBOT
+    from shmoo_mjx.plant.robot import shmoobot
 
     polygon = footprint_polygon(pose, half_extents)
     if not np.all(grid.inside(grid.world_to_cell(np.asarray(polygon.exterior.coords)))):
@@ -271,7 +271,7 @@ def check_place(
     blocked = grid.cell_to_world(np.argwhere(grid.cells != FREE))
     if shapely.contains_xy(polygon, blocked).any():
         raise ShmooError(f"{what} stands in a wall or in unknown space; move it away.")
-    if polygon.distance(shapely.Point(robot)) < ROBOT.radius:
+    if polygon.distance(shapely.Point(robot)) < shmoobot().radius:
         raise ShmooError(f"{what} stands where the robot is; move one of them.")
     for name, (place, half) in others.items():
         if polygon.intersection(footprint_polygon(place, half)).area > _OVERLAP:

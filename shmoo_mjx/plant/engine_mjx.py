@@ -135,7 +135,7 @@ class MjxEngine:
         self._is_wall[list(first.wall_geoms)] = True
         self._asked = jax.jit(
             lambda world, command: lowlevel.control(
-                self.gains, world.control, self.robot(world), command, self.timestep
+                first.robot, self.gains, world.control, self.robot(world), command, self.timestep
             )[1]
         )
         if len(put) == 1:
@@ -257,7 +257,7 @@ class MjxEngine:
         def substep(carry: MjxWorld, _: None) -> tuple[MjxWorld, Array]:
             qpos, qvel = self._split(carry.physics)
             control, torque = lowlevel.control(
-                gains or self.gains, carry.control, readout(qpos[:17], qvel[:15]), command, self.timestep
+                self.scenes[0].robot, gains or self.gains, carry.control, readout(qpos, qvel), command, self.timestep
             )
             now = data.replace(
                 time=carry.physics[0], qpos=qpos, qvel=qvel, ctrl=torque, qacc_warmstart=carry.warm_start
@@ -276,8 +276,7 @@ class MjxEngine:
 
     def robot(self, world: MjxWorld) -> RobotState:
         """The robots' true state, batched ``[W, ...]``."""
-        qpos, qvel = self._split(world.physics)
-        return readout(qpos[..., :17], qvel[..., :15])
+        return readout(*self._split(world.physics))
 
     def torque(self, world: MjxWorld, command: Command) -> Array:
         """Motor torques ``[W, 9]`` [N m] that the control asks for now; what a robot measures as motor currents."""

@@ -23,7 +23,7 @@ from shmoo_mjx import se2
 from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.plant import lowlevel
 from shmoo_mjx.plant.observe import observation, planar_wrench
-from shmoo_mjx.plant.robot import RobotState, readout
+from shmoo_mjx.plant.robot import NQ, NV, Robot, RobotState, readout
 from shmoo_mjx.plant.scene import PARTS, Scene
 from shmoo_mjx.types import DT, Command, Observation
 
@@ -35,18 +35,20 @@ _CONTROL_AND_FORCE = int(mujoco.mjtState.mjSTATE_CTRL) | int(mujoco.mjtState.mjS
 
 
 @functools.cache
-def _compiled_control(gains: lowlevel.Gains, timestep: float) -> Callable[[Array, Array, Array], tuple[Array, Array]]:
-    """The low-level control, (memory, robot, command) -> (memory, torque), compiled once for all engines.
+def _compiled_control(
+    robot: Robot, gains: lowlevel.Gains, timestep: float
+) -> Callable[[Array, Array, Array], tuple[Array, Array]]:
+    """The low-level control, (memory, sensed, command) -> (memory, torque), compiled once for all engines.
 
     Compiled even for one world: some 80 small array operations cost NumPy ten times as much. Each argument is one
     array, since to hand over every field by itself takes longer than the computation: ``memory [W, 10]``, qpos and qvel
-    of the robot ``[W, 32]``, ``command [W, 6]``; torque ``[W, 9]``.
+    of the robot ``[W, NQ + NV]``, ``command [W, 6]``; torque ``[W, 9]``.
     """
 
-    def control(memory: Array, robot: Array, command: Array) -> tuple[Array, Array]:
-        now = readout(robot[:, :17], robot[:, 17:])
+    def control(memory: Array, sensed: Array, command: Array) -> tuple[Array, Array]:
+        now = readout(sensed[:, :NQ], sensed[:, NQ:])
         wanted = Command(command[:, :3], *(command[:, i] for i in (3, 4, 5)))
-        state, torque = lowlevel.control(gains, _unpacked(memory), now, wanted, timestep)
+        state, torque = lowlevel.control(robot, gains, _unpacked(memory), now, wanted, timestep)
         return jnp.concatenate(_columns(state), axis=-1), torque
 
     return jax.jit(control)
@@ -105,7 +107,7 @@ class MujocoEngine:
         self._pool = ThreadPoolExecutor(len(self._parts)) if len(self._parts) > 1 else None
         self._nq, self._nv = first.model.nq, first.model.nv
         self._torso = first.model.body("robot/torso").id
-        self._control = _compiled_control(self.gains, self.timestep)
+        self._control = _compiled_control(first.robot, self.gains, self.timestep)
 
     def close(self) -> None:
         """Stop the threads."""
@@ -191,14 +193,13 @@ class MujocoEngine:
         return np.asarray(torque, dtype=np.float64)
 
     def _robot_state(self, physics: np.ndarray) -> np.ndarray:
-        """qpos and qvel of the robot ``[W, 32]``."""
+        """qpos and qvel of the robot ``[W, NQ + NV]``."""
         first_velocity = 1 + self._nq
-        return np.concatenate([physics[:, 1:18], physics[:, first_velocity : first_velocity + 15]], axis=-1)
+        return np.concatenate([physics[:, 1 : 1 + NQ], physics[:, first_velocity : first_velocity + NV]], axis=-1)
 
     def robot(self, world: World) -> RobotState:
         """The robots' true state, batched ``[W, ...]``."""
-        qpos, qvel = self._split(world.physics)
-        return readout(qpos[:, :17], qvel[:, :15])
+        return readout(*self._split(world.physics))
 
     def _advance(
         self, part: _Part, physics: np.ndarray, torque: np.ndarray, push: np.ndarray | None

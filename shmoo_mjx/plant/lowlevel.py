@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from shmoo_mjx import se2
 from shmoo_mjx.hands import hand_targets
-from shmoo_mjx.plant.robot import ROBOT, RobotState, arm_jacobian, com_offset, hand_in_body
+from shmoo_mjx.plant.robot import Robot, RobotState, shmoobot
 from shmoo_mjx.types import Command
 
 __all__ = ["Gains", "LowLevelState", "arm_gravity", "control", "init", "velocity_to_lean"]
@@ -82,14 +82,16 @@ def init(xp: Any, batch: tuple[int, ...], reach: float, hand_height: float) -> L
     return LowLevelState(pair, pair, pair, scalar, scalar + reach, scalar + hand_height, scalar)
 
 
-def velocity_to_lean(gains: Gains, velocity: Array, lean_rate: Array, desired: Array) -> Array:
+def velocity_to_lean(
+    gains: Gains, velocity: Array, lean_rate: Array, desired: Array, robot: Robot | None = None
+) -> Array:
     """Outer loop of the cascade: lean command ``[..., 2]`` [rad] from velocities ``[..., 2]`` in {R} [m/s].
 
     Regulates the velocity of the flat output S = x + (b/a) phi: the base itself first moves the wrong way when the lean
-    changes, which a tight loop on it would amplify.
+    changes, which a tight loop on it would amplify. The robot is Shmoobot unless another is given.
     """
     xp = se2.array_module(velocity, desired)
-    a, b, _ = ROBOT.flatness
+    a, b, _ = (robot or shmoobot()).flatness
     flat = velocity + b / a * lean_rate
     return xp.clip(gains.velocity_p * (desired - flat), -gains.lean_limit, gains.lean_limit)
 
@@ -113,67 +115,69 @@ def _references(gains: Gains, state: LowLevelState, command: Command, dt: float)
 
 
 def _drive_torque(
-    gains: Gains, state: LowLevelState, robot: RobotState, yaw: Array, dt: float
+    robot: Robot, gains: Gains, state: LowLevelState, sensed: RobotState, yaw: Array, dt: float
 ) -> tuple[LowLevelState, Array]:
-    xp = se2.array_module(state.gamma, robot.lean)
+    xp = se2.array_module(state.gamma, sensed.lean)
     # The CoM of the extended arms lies ahead of the body axis: lean the axis back by that angle.
-    offset = gains.com_feed_forward * com_offset(robot.arms) / ROBOT.body_com_height
-    error = robot.lean + offset - state.lean_ref
+    offset = gains.com_feed_forward * robot.com_offset(sensed.arms) / robot.body_com_height
+    error = sensed.lean + offset - state.lean_ref
     limit = gains.lean_integral_limit
     integral = xp.clip(state.lean_integral + error * dt, -limit, limit)
-    effort = gains.lean_p * error + gains.lean_i * integral + gains.lean_d * (robot.lean_rate - state.lean_ref_rate)
-    heading_error = se2.wrap(yaw - robot.pose[..., 2])
-    rate_error = xp.clip(gains.yaw_p * heading_error, -gains.yaw_rate_limit, gains.yaw_rate_limit) - robot.twist[..., 2]
+    effort = gains.lean_p * error + gains.lean_i * integral + gains.lean_d * (sensed.lean_rate - state.lean_ref_rate)
+    heading_error = se2.wrap(yaw - sensed.pose[..., 2])
+    rate_error = (
+        xp.clip(gains.yaw_p * heading_error, -gains.yaw_rate_limit, gains.yaw_rate_limit) - sensed.twist[..., 2]
+    )
     yaw_limit = gains.yaw_torque_limit
     wind_up = gains.yaw_integral_share * yaw_limit / gains.yaw_rate_i
     yaw_integral = xp.clip(state.yaw_integral + rate_error * dt, -wind_up, wind_up)
     turn = xp.clip(gains.yaw_rate_p * rate_error + gains.yaw_rate_i * yaw_integral, -yaw_limit, yaw_limit)
-    rate = robot.drive_rate[..., :2]
-    friction = ROBOT.drive_coulomb * xp.tanh(rate / gains.friction_speed) + ROBOT.drive_viscous * rate
+    rate = sensed.drive_rate[..., :2]
+    friction = robot.drive_coulomb * xp.tanh(rate / gains.friction_speed) + robot.drive_viscous * rate
     # A lean towards +x turns about +y and one towards +y about -x; the torque acts on the ball, so turning the body
     # left asks for a torque to the right.
     planar = xp.stack([-effort[..., 1], effort[..., 0]], axis=-1) + gains.friction_compensation * friction
-    planar = xp.clip(planar, -ROBOT.drive_limit, ROBOT.drive_limit)
+    planar = xp.clip(planar, -robot.drive_limit, robot.drive_limit)
     torque = xp.concatenate([planar, -turn[..., None]], axis=-1)
     return state._replace(lean_integral=integral, yaw_integral=yaw_integral), torque
 
 
-def _arm_torque(gains: Gains, state: LowLevelState, robot: RobotState) -> Array:
+def _arm_torque(robot: Robot, gains: Gains, state: LowLevelState, sensed: RobotState) -> Array:
     """tau = J^T (K (p_des - p) - D v) + gravity compensation, ``[..., 2, 3]``."""
-    xp = se2.array_module(state.gamma, robot.arms)
+    xp = se2.array_module(state.gamma, sensed.arms)
     target = hand_targets(state.gamma, state.reach)
-    height = xp.broadcast_to((state.hand_height - robot.height)[..., None, None], (*target.shape[:-1], 1))
+    height = xp.broadcast_to((state.hand_height - sensed.height)[..., None, None], (*target.shape[:-1], 1))
     target = xp.concatenate([target, height], axis=-1)
-    target = xp.einsum("...ji,...hj->...hi", robot.rotation, target)
-    jacobian = arm_jacobian(robot.arms)
-    velocity = xp.einsum("...ij,...j->...i", jacobian, robot.arm_rates)
-    force = gains.hand_stiffness * (target - hand_in_body(robot.arms)) - gains.hand_damping * velocity
-    torque = xp.einsum("...ij,...i->...j", jacobian, force) + arm_gravity(robot.arms)
+    target = xp.einsum("...ji,...hj->...hi", sensed.rotation, target)
+    jacobian = robot.arm_jacobian(sensed.arms)
+    velocity = xp.einsum("...ij,...j->...i", jacobian, sensed.arm_rates)
+    force = gains.hand_stiffness * (target - robot.hand_in_body(sensed.arms)) - gains.hand_damping * velocity
+    torque = xp.einsum("...ij,...i->...j", jacobian, force) + arm_gravity(robot, sensed.arms)
     return xp.clip(torque, -gains.arm_torque_limit, gains.arm_torque_limit)
 
 
-def arm_gravity(arms: Array, lean: Array = 0.0) -> Array:
+def arm_gravity(robot: Robot, arms: Array, lean: Array = 0.0) -> Array:
     """Joint torques ``[..., 2, 3]`` [N m] that hold the arms ``[..., 2, 3]`` against gravity, on a body that leans
     forward by ``lean [..., 1]`` [rad]."""
     xp = se2.array_module(arms)
-    g, l1, l2 = 9.81, ROBOT.upper_arm, ROBOT.forearm
+    g, l1, l2 = 9.81, robot.upper_arm, robot.forearm
     pitch, fore = arms[..., 1] + lean, arms[..., 1] + arms[..., 2] + lean
-    elbow = -g * l2 * xp.cos(fore) * (ROBOT.forearm_mass / 2 + ROBOT.hand_mass)
-    shoulder = elbow - g * l1 * xp.cos(pitch) * (ROBOT.upper_arm_mass / 2 + ROBOT.forearm_mass + ROBOT.hand_mass)
+    elbow = -g * l2 * xp.cos(fore) * (robot.forearm_mass / 2 + robot.hand_mass)
+    shoulder = elbow - g * l1 * xp.cos(pitch) * (robot.upper_arm_mass / 2 + robot.forearm_mass + robot.hand_mass)
     return xp.stack([xp.zeros_like(elbow), shoulder, elbow], axis=-1)
 
 
 def control(
-    gains: Gains, state: LowLevelState, robot: RobotState, command: Command, dt: float
+    robot: Robot, gains: Gains, state: LowLevelState, sensed: RobotState, command: Command, dt: float
 ) -> tuple[LowLevelState, Array]:
     """One control period of ``dt`` seconds.
 
     Returns:
-        The new state and the motor torques ``[..., 9]`` [N m] in the order of the XML's actuators: drive x, y, z in the
-        body frame, then left and right arm (yaw, pitch, elbow).
+        The new state and the motor torques ``[..., 9]`` [N m] in the order of ``ACTUATORS``: drive x, y, z in the body
+        frame, then left and right arm (yaw, pitch, elbow).
     """
-    xp = se2.array_module(state.gamma, robot.lean)
+    xp = se2.array_module(state.gamma, sensed.lean)
     state = _references(gains, state, command, dt)
-    state, drive = _drive_torque(gains, state, robot, command.yaw, dt)
-    arms = _arm_torque(gains, state, robot)
+    state, drive = _drive_torque(robot, gains, state, sensed, command.yaw, dt)
+    arms = _arm_torque(robot, gains, state, sensed)
     return state, xp.concatenate([drive, arms.reshape(*arms.shape[:-2], 6)], axis=-1)

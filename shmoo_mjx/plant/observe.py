@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from shmoo_mjx import se2
-from shmoo_mjx.plant.robot import hand_in_body, readout
+from shmoo_mjx.plant.robot import readout
 from shmoo_mjx.plant.scene import Scene
 from shmoo_mjx.types import Observation
 
@@ -30,8 +30,8 @@ def _object_poses(scene: Scene, qpos: Array, qvel: Array) -> tuple[Array, Array]
 def observation(scene: Scene, time: Array, qpos: Array, qvel: Array, wrench: Array) -> Observation:
     """Observation from generalised coordinates ``[..., nq]``, ``[..., nv]`` and the mean wrench ``[..., N, 3]``."""
     xp = se2.array_module(qpos, qvel)
-    robot = readout(qpos[..., :17], qvel[..., :15])
-    hands = xp.einsum("...ij,...hj->...hi", robot.rotation, hand_in_body(robot.arms))
+    robot = readout(qpos, qvel)
+    hands = xp.einsum("...ij,...hj->...hi", robot.rotation, scene.robot.hand_in_body(robot.arms))
     lift = xp.stack([xp.zeros_like(robot.height), xp.zeros_like(robot.height), robot.height], axis=-1)
     pose, twist = _object_poses(scene, qpos, qvel)
     return Observation(

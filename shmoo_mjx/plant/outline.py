@@ -12,17 +12,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from shmoo_mjx import se2
-from shmoo_mjx.hands import HAND_HEIGHT, HAND_RADIUS, REACH, TUCKED_HEIGHT, TUCKED_REACH, hand_targets
-from shmoo_mjx.plant.robot import ROBOT, arm_angles, com_offset
+from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH, hand_targets
+from shmoo_mjx.plant.robot import Robot, shmoobot
 
-__all__ = ["ARM_RADIUS", "Outline", "Room", "outline", "room"]
+__all__ = ["Outline", "Room", "outline", "room"]
 
 Array = Any
 
-ARM_RADIUS = 0.025
-"""Radius of upper arms and forearms [m]."""
-_TORSO = (0.34, 0.82)
-"""Ends of the torso's axis above the ball's centre [m]."""
 _SPACING = 0.04
 """Of the discs along an arm [m]."""
 
@@ -31,11 +27,11 @@ class Outline(NamedTuple):
     """Discs in {R}."""
 
     torso: np.ndarray
-    """``[2, 2]`` centres [m], of radius ROBOT.radius; the torso leans, so that its ends differ."""
+    """``[2, 2]`` centres [m], of the torso's radius; the torso leans, so that its ends differ."""
     arms: np.ndarray
-    """``[A, 2]`` centres, of radius ARM_RADIUS."""
+    """``[A, 2]`` centres, of the arms' radius."""
     hands: np.ndarray
-    """``[2, 2]`` centres (left, right), of radius HAND_RADIUS."""
+    """``[2, 2]`` centres (left, right), of the hands' radius."""
 
 
 class Room(NamedTuple):
@@ -52,7 +48,11 @@ class Room(NamedTuple):
 
 
 def outline(
-    reach: float = REACH, hand_height: float | None = None, gamma: float = 0.0, lean: tuple[float, float] | None = None
+    reach: float = REACH,
+    hand_height: float | None = None,
+    gamma: float = 0.0,
+    lean: tuple[float, float] | None = None,
+    robot: Robot | None = None,
 ) -> Outline:
     """The discs of a robot that stands with its hands held there.
 
@@ -61,23 +61,24 @@ def outline(
         hand_height: above the floor [m]; by default what goes with ``reach`` while the arms unfold.
         gamma: steering angle [rad].
         lean: of the body towards +x, +y of {R} [rad]; by default as it stands in balance, leant back a little.
+        robot: Shmoobot by default.
     """
+    robot = robot or shmoobot()
     folded = (REACH - reach) / (REACH - TUCKED_REACH)
     height = HAND_HEIGHT + folded * (TUCKED_HEIGHT - HAND_HEIGHT) if hand_height is None else hand_height
     flat = hand_targets(np.array(gamma), np.array(reach))
-    hands = np.concatenate([flat, np.full((2, 1), height - ROBOT.ball_radius)], axis=-1)
+    hands = np.concatenate([flat, np.full((2, 1), height - robot.ball_radius)], axis=-1)
     if lean is None:
         # The arms' own CoM decides by how much; that with an upright body is near enough to start from.
-        lean = (-float(com_offset(arm_angles(hands))[0]) / ROBOT.body_com_height, 0.0)
+        lean = (-float(robot.com_offset(robot.arm_angles(hands))[0]) / robot.body_com_height, 0.0)
     body = _leant(*lean)
-    angles = arm_angles(hands @ body)
-    shoulders = np.array([ROBOT.shoulder, (ROBOT.shoulder[0], -ROBOT.shoulder[1], ROBOT.shoulder[2])])
+    angles = robot.arm_angles(hands @ body)
     yaw, pitch = angles[:, 0], angles[:, 1]
-    out, up = ROBOT.upper_arm * np.cos(pitch), -ROBOT.upper_arm * np.sin(pitch)
-    elbows = shoulders + np.stack([out * np.cos(yaw), out * np.sin(yaw), up], axis=-1)
-    shoulders, elbows = shoulders @ body.T, elbows @ body.T
+    out, up = robot.upper_arm * np.cos(pitch), -robot.upper_arm * np.sin(pitch)
+    elbows = robot.shoulders + np.stack([out * np.cos(yaw), out * np.sin(yaw), up], axis=-1)
+    shoulders, elbows = robot.shoulders @ body.T, elbows @ body.T
     segments = [*zip(shoulders, elbows, strict=True), *zip(elbows, hands, strict=True)]
-    torso = np.array([(0.0, 0.0, z) for z in _TORSO]) @ body.T
+    torso = np.array([(0.0, 0.0, z) for z in robot.torso]) @ body.T
     return Outline(torso[:, :2], np.concatenate([_along(a[:2], b[:2]) for a, b in segments]), flat)
 
 
@@ -97,6 +98,7 @@ def room(
     pose: Array,
     reach: float | Sequence[float] = REACH,
     gamma: float = 0.0,
+    robot: Robot | None = None,
 ) -> Room:
     """How far torso, arms and hands are from obstacles.
 
@@ -105,9 +107,11 @@ def room(
         pose: ``[..., 3]`` of {R} in {W}.
         reach: x of the hands' midpoint [m]; of several the worst counts, as while the arms unfold.
         gamma: steering angle [rad].
+        robot: Shmoobot by default.
     """
+    robot = robot or shmoobot()
     pose = np.asarray(pose, dtype=float)
-    postures = [outline(r, gamma=gamma) for r in np.atleast_1d(np.asarray(reach, dtype=float))]
+    postures = [outline(r, gamma=gamma, robot=robot) for r in np.atleast_1d(np.asarray(reach, dtype=float))]
     parts = [np.concatenate(discs) for discs in zip(*postures, strict=True)]
     far = [np.asarray(at(se2.transform_point(pose[..., None, :], discs))).min(axis=-1) for discs in parts]
-    return Room(far[0] - ROBOT.radius, far[1] - ARM_RADIUS, far[2] - HAND_RADIUS)
+    return Room(far[0] - robot.radius, far[1] - robot.arm_radius, far[2] - robot.hand_radius)

@@ -1,58 +1,129 @@
-"""Shmoobot's numbers and kinematics, as the low-level control knows them.
+"""A ball-balancing robot with two arms: its nominal numbers, read from its MJCF by names, and its kinematics.
 
-The control knows nominal values only: what models_xml/shmoobot.xml says, never what an engine's randomised model holds.
-``ROBOT`` is the single home of the numbers that are not in the XML; a test compares the two where both have one.
+The low-level control knows nominal values only: what the MJCF says, never what an engine's randomised model holds.
 """
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.assets import asset
+from shmoo_mjx.errors import ShmooError
 
 __all__ = [
-    "ROBOT",
+    "ACTUATORS",
+    "NQ",
+    "NV",
     "Robot",
     "RobotState",
-    "arm_angles",
-    "arm_jacobian",
-    "com_offset",
-    "hand_in_body",
+    "arm_joints",
     "quat_rotate",
     "readout",
+    "shmoobot",
+    "with_arms",
 ]
 
 Array = Any
+
+_SIDES = ("left", "right")
+_ARM_JOINTS = ("shoulder_yaw", "shoulder_pitch", "elbow")
+ACTUATORS = ("drive_x", "drive_y", "drive_z", *(f"{side}_{joint}" for side in _SIDES for joint in _ARM_JOINTS))
+"""Motors of a robot, in the order of `lowlevel.control`'s torques."""
+_ROOT, _BALL, _ARMS = (slice(0, 7), slice(0, 6)), (slice(7, 11), slice(6, 9)), (slice(11, 17), slice(9, 15))
+"""Where the root's free joint, the ball and the arms' joints stand in qpos and qvel; `Robot.from_mjcf` sees to it."""
+NQ, NV = 17, 15
+"""Length of a robot's qpos and qvel, which come before those of everything else in a world."""
 
 
 @dataclass(frozen=True)
 class Robot:
     """Nominal robot, SI units."""
 
-    ball_radius: float = 0.105
-    ball_mass: float = 2.5
-    body_mass: float = 32.0
-    body_com_height: float = 0.5
+    mjcf: Path
+    """File that it was read from."""
+    ball_radius: float
+    ball_mass: float
+    body_mass: float
+    body_com_height: float
     """Height of the body's CoM (without arms) above the ball's centre."""
-    body_inertia: tuple[float, float, float] = (3.0, 3.0, 0.5)
+    body_inertia: tuple[float, float, float]
     """Principal moments about the body's CoM."""
-    shoulder: tuple[float, float, float] = (0.06, 0.17, 0.675)
+    torso: tuple[float, float]
+    """Ends of the axis of the capsule that encloses the torso, above the ball's centre."""
+    radius: float
+    """Of that capsule."""
+    shoulder: tuple[float, float, float]
     """Left shoulder in the body frame (origin at the ball's centre); the right one mirrors y."""
-    upper_arm: float = 0.30
-    forearm: float = 0.33
-    upper_arm_mass: float = 1.0
-    forearm_mass: float = 0.6
-    hand_mass: float = 0.2
-    drive_limit: float = 50.0
+    upper_arm: float
+    forearm: float
+    arm_radius: float
+    hand_radius: float
+    upper_arm_mass: float
+    forearm_mass: float
+    hand_mass: float
+    drive_limit: float
     """Roll and pitch torque limit between body and ball."""
-    drive_coulomb: float = 1.5
-    drive_viscous: float = 0.6
+    drive_coulomb: float
+    drive_viscous: float
     """Drive friction between body and ball [N m, N m s/rad]."""
-    radius: float = 0.18
-    """Radius of the body seen from above."""
+
+    @classmethod
+    def from_mjcf(cls, path: Path) -> Robot:
+        """The robot of an MJCF file with the bodies, joints, geoms and motors of models_xml/shmoobot.xml.
+
+        Raises:
+            ShmooError: the file is no MJCF, a name is missing, the joints or motors are in another order, or the right
+                arm is not the left one's mirror image.
+        """
+        # Here, so that whoever imports the kinematics does not load a simulator.
+        import mujoco
+
+        try:
+            model = mujoco.MjModel.from_xml_path(str(path))
+        except ValueError as error:
+            raise ShmooError(f"{path}: is no MJCF that MuJoCo can compile: {error}") from error
+        try:
+            return cls._of(model, path)
+        except KeyError as error:
+            raise ShmooError(f"{path}: {error.args[0]}; name its parts as models_xml/shmoobot.xml does.") from error
+
+    @classmethod
+    def _of(cls, model: Any, path: Path) -> Robot:
+        _check_order(model, path)
+        left, right = (_arm(model, side) for side in _SIDES)
+        if not np.allclose(left, right * np.array([1, -1, *[1] * (len(left) - 2)])):
+            raise ShmooError(f"{path}: the right arm must mirror the left one (place, lengths, masses and radii).")
+        body, hull, drive = model.body("torso"), model.geom("torso_hull"), model.joint("ball")
+        shoulder, (upper_arm, forearm, *masses), radii = left[:3], left[3:8], left[8:]
+        # MuJoCo keeps a capsule's middle and half length; rounded, their sum is what the file says.
+        bottom, top = (round(float(hull.pos[2] + sign * hull.size[1]), 9) for sign in (-1, 1))
+        return cls(
+            mjcf=path,
+            ball_radius=float(model.geom("ball").size[0]),
+            ball_mass=float(model.body("ball").mass[0]),
+            body_mass=float(body.mass[0]),
+            body_com_height=float(body.ipos[2]),
+            body_inertia=tuple(body.inertia.tolist()),
+            torso=(bottom, top),
+            radius=float(hull.size[0]),
+            shoulder=tuple(shoulder.tolist()),
+            upper_arm=float(upper_arm),
+            forearm=float(forearm),
+            arm_radius=float(radii[0]),
+            hand_radius=float(radii[1]),
+            upper_arm_mass=float(masses[0]),
+            forearm_mass=float(masses[1]),
+            hand_mass=float(masses[2]),
+            drive_limit=float(model.actuator("drive_x").ctrlrange[1]),
+            drive_coulomb=float(drive.frictionloss[0]),
+            drive_viscous=float(drive.damping[0]),
+        )
 
     @property
     def flatness(self) -> tuple[float, float, float]:
@@ -70,8 +141,81 @@ class Robot:
         """Mass of everything above the ball."""
         return self.body_mass + 2 * (self.upper_arm_mass + self.forearm_mass + self.hand_mass)
 
+    @functools.cached_property
+    def shoulders(self) -> np.ndarray:
+        """``[2, 3]`` left and right shoulder in the body frame [m]."""
+        x, y, z = self.shoulder
+        return np.array([(x, y, z), (x, -y, z)])
 
-ROBOT = Robot()
+    def hand_in_body(self, arms: Array) -> Array:
+        """Hand centres ``[..., 2, 3]`` in the body frame from joint angles ``[..., 2, 3]``."""
+        xp = se2.array_module(arms)
+        yaw, pitch, fore = arms[..., 0], arms[..., 1], arms[..., 1] + arms[..., 2]
+        out = self.upper_arm * xp.cos(pitch) + self.forearm * xp.cos(fore)
+        down = self.upper_arm * xp.sin(pitch) + self.forearm * xp.sin(fore)
+        return self.shoulders + xp.stack([out * xp.cos(yaw), out * xp.sin(yaw), -down], axis=-1)
+
+    def arm_angles(self, hands: np.ndarray) -> np.ndarray:
+        """Joint angles ``[2, 3]`` that put the hands ``[2, 3]`` (body frame) there, elbows up:
+        inverts `hand_in_body`."""
+        x, y, z = (hands - self.shoulders).T
+        out, l1, l2 = np.hypot(x, y), self.upper_arm, self.forearm
+        elbow = -np.arccos(np.clip((out * out + z * z - l1 * l1 - l2 * l2) / (2 * l1 * l2), -1.0, 1.0))
+        pitch = np.arctan2(-z, out) - np.arctan2(l2 * np.sin(elbow), l1 + l2 * np.cos(elbow))
+        return np.stack([np.arctan2(y, x), pitch, elbow], axis=-1)
+
+    def arm_jacobian(self, arms: Array) -> Array:
+        """d hand / d joint angles ``[..., 2, 3, 3]`` (arm, x y z, joint) in the body frame."""
+        xp = se2.array_module(arms)
+        yaw, pitch, fore = arms[..., 0], arms[..., 1], arms[..., 1] + arms[..., 2]
+        l1, l2 = self.upper_arm, self.forearm
+        c, s = xp.cos(yaw), xp.sin(yaw)
+        out = l1 * xp.cos(pitch) + l2 * xp.cos(fore)
+        down, fore_down = l1 * xp.sin(pitch) + l2 * xp.sin(fore), l2 * xp.sin(fore)
+        fore_out = l2 * xp.cos(fore)
+        zero = xp.zeros_like(out)
+        columns = [
+            xp.stack([-out * s, out * c, zero], axis=-1),
+            xp.stack([-down * c, -down * s, -out], axis=-1),
+            xp.stack([-fore_down * c, -fore_down * s, -fore_out], axis=-1),
+        ]
+        return xp.stack(columns, axis=-1)
+
+    def com_offset(self, arms: Array) -> Array:
+        """Horizontal CoM ``[..., 2]`` of body and arms in the body frame [m]: what the CoM feed-forward subtracts."""
+        xp = se2.array_module(arms)
+        yaw, pitch, fore = arms[..., 0], arms[..., 1], arms[..., 1] + arms[..., 2]
+        l1, l2 = self.upper_arm, self.forearm
+        elbow, hand = l1 * xp.cos(pitch), l1 * xp.cos(pitch) + l2 * xp.cos(fore)
+        masses = self.upper_arm_mass, self.forearm_mass, self.hand_mass
+        out = masses[0] * elbow / 2 + masses[1] * (elbow + hand) / 2 + masses[2] * hand
+        moment = sum(masses) * self.shoulders[:, :2] + xp.stack([out * xp.cos(yaw), out * xp.sin(yaw)], axis=-1)
+        return xp.sum(moment, axis=-2) / self.upper_mass
+
+
+def _arm(model: Any, side: str) -> np.ndarray:
+    """Shoulder (x, y, z), lengths of upper arm and forearm, masses of upper arm, forearm and hand, radii of arm and
+    hand ``[10]``."""
+    parts = [model.body(f"{side}_{part}") for part in ("upper_arm", "forearm", "hand")]
+    lengths = [parts[1].pos[0], parts[2].pos[0]]
+    radii = [model.geom(f"{side}_{part}").size[0] for part in ("upper_arm", "hand")]
+    return np.array([*parts[0].pos, *lengths, *(part.mass[0] for part in parts), *radii])
+
+
+def _check_order(model: Any, path: Path) -> None:
+    joints = [model.joint(name) for name in ("root", "ball", *ACTUATORS[3:])]
+    first = [(j.qposadr[0], j.dofadr[0]) for j in joints]
+    arms = [(_ARMS[0].start + i, _ARMS[1].start + i) for i in range(6)]
+    if first != [(0, 0), (_BALL[0].start, _BALL[1].start), *arms] or (model.nq, model.nv) != (NQ, NV):
+        raise ShmooError(f"{path}: the joints must be root, ball, and the arms' six, in the order of shmoobot.xml.")
+    if tuple(model.actuator(i).name for i in range(model.nu)) != ACTUATORS:
+        raise ShmooError(f"{path}: the motors must be {', '.join(ACTUATORS)}, in this order.")
+
+
+@functools.cache
+def shmoobot() -> Robot:
+    """The robot of models_xml/shmoobot.xml."""
+    return Robot.from_mjcf(asset("models_xml/shmoobot.xml"))
 
 
 class RobotState(NamedTuple):
@@ -125,12 +269,24 @@ def _matrix(quat: Array) -> Array:
     return xp.stack(rows, axis=-1).reshape(*quat.shape[:-1], 3, 3)
 
 
+def arm_joints(qpos: Array) -> Array:
+    """Angles ``[..., 2, 3]`` of the arms' joints in qpos ``[..., NQ or more]``."""
+    return qpos[..., _ARMS[0]].reshape(*qpos.shape[:-1], 2, 3)
+
+
+def with_arms(qpos: np.ndarray, arms: np.ndarray) -> np.ndarray:
+    """A copy of qpos ``[NQ or more]`` with these angles ``[2, 3]`` of the arms' joints."""
+    qpos = qpos.copy()
+    qpos[_ARMS[0]] = arms.ravel()
+    return qpos
+
+
 def readout(qpos: Array, qvel: Array) -> RobotState:
-    """Robot state from MuJoCo's generalised coordinates of the robot: root (7, 6), ball (4, 3), arms (6, 6).
+    """Robot state from MuJoCo's generalised coordinates of the robot: root, ball, arms; what follows is not read.
 
     Args:
-        qpos: ``[..., 17]``.
-        qvel: ``[..., 15]``; MuJoCo gives the angular velocity of free and ball joints in the child's own frame.
+        qpos: ``[..., NQ or more]``.
+        qvel: ``[..., NV or more]``; MuJoCo gives the angular velocity of free and ball joints in the child's own frame.
     """
     xp = se2.array_module(qpos, qvel)
     body = _matrix(qpos[..., 3:7])
@@ -150,59 +306,8 @@ def readout(qpos: Array, qvel: Array) -> RobotState:
         rotation=rotation,
         lean=lean,
         lean_rate=xp.stack([omega[..., 1], -omega[..., 0]], axis=-1),
-        drive_rate=quat_rotate(qpos[..., 7:11], qvel[..., 6:9]),
+        drive_rate=quat_rotate(qpos[..., _BALL[0]], qvel[..., _BALL[1]]),
         height=qpos[..., 2],
-        arms=qpos[..., 11:17].reshape(*qpos.shape[:-1], 2, 3),
-        arm_rates=qvel[..., 9:15].reshape(*qvel.shape[:-1], 2, 3),
+        arms=arm_joints(qpos),
+        arm_rates=qvel[..., _ARMS[1]].reshape(*qvel.shape[:-1], 2, 3),
     )
-
-
-_SHOULDERS = np.array([ROBOT.shoulder, (ROBOT.shoulder[0], -ROBOT.shoulder[1], ROBOT.shoulder[2])])
-
-
-def hand_in_body(arms: Array) -> Array:
-    """Hand centres ``[..., 2, 3]`` in the body frame from joint angles ``[..., 2, 3]``."""
-    xp = se2.array_module(arms)
-    yaw, pitch, fore = arms[..., 0], arms[..., 1], arms[..., 1] + arms[..., 2]
-    out = ROBOT.upper_arm * xp.cos(pitch) + ROBOT.forearm * xp.cos(fore)
-    down = ROBOT.upper_arm * xp.sin(pitch) + ROBOT.forearm * xp.sin(fore)
-    return _SHOULDERS + xp.stack([out * xp.cos(yaw), out * xp.sin(yaw), -down], axis=-1)
-
-
-def arm_angles(hands: np.ndarray) -> np.ndarray:
-    """Joint angles ``[2, 3]`` that put the hands ``[2, 3]`` (body frame) there, elbows up: inverts `hand_in_body`."""
-    x, y, z = (hands - _SHOULDERS).T
-    out, l1, l2 = np.hypot(x, y), ROBOT.upper_arm, ROBOT.forearm
-    elbow = -np.arccos(np.clip((out * out + z * z - l1 * l1 - l2 * l2) / (2 * l1 * l2), -1.0, 1.0))
-    pitch = np.arctan2(-z, out) - np.arctan2(l2 * np.sin(elbow), l1 + l2 * np.cos(elbow))
-    return np.stack([np.arctan2(y, x), pitch, elbow], axis=-1)
-
-
-def arm_jacobian(arms: Array) -> Array:
-    """d hand / d joint angles ``[..., 2, 3, 3]`` (arm, x y z, joint) in the body frame."""
-    xp = se2.array_module(arms)
-    yaw, pitch, fore = arms[..., 0], arms[..., 1], arms[..., 1] + arms[..., 2]
-    l1, l2 = ROBOT.upper_arm, ROBOT.forearm
-    c, s = xp.cos(yaw), xp.sin(yaw)
-    out = l1 * xp.cos(pitch) + l2 * xp.cos(fore)
-    down, fore_down = l1 * xp.sin(pitch) + l2 * xp.sin(fore), l2 * xp.sin(fore)
-    fore_out = l2 * xp.cos(fore)
-    zero = xp.zeros_like(out)
-    columns = [
-        xp.stack([-out * s, out * c, zero], axis=-1),
-        xp.stack([-down * c, -down * s, -out], axis=-1),
-        xp.stack([-fore_down * c, -fore_down * s, -fore_out], axis=-1),
-    ]
-    return xp.stack(columns, axis=-1)
-
-
-def com_offset(arms: Array) -> Array:
-    """Horizontal CoM ``[..., 2]`` of body and arms in the body frame [m]: what the CoM feed-forward subtracts."""
-    xp = se2.array_module(arms)
-    yaw, pitch, fore = arms[..., 0], arms[..., 1], arms[..., 1] + arms[..., 2]
-    l1, l2 = ROBOT.upper_arm, ROBOT.forearm
-    elbow, hand = l1 * xp.cos(pitch), l1 * xp.cos(pitch) + l2 * xp.cos(fore)
-    masses = ROBOT.upper_arm_mass, ROBOT.forearm_mass, ROBOT.hand_mass
-    out = masses[0] * elbow / 2 + masses[1] * (elbow + hand) / 2 + masses[2] * hand
-    moment = sum(masses) * _SHOULDERS[:, :2] + xp.stack([out * xp.cos(yaw), out * xp.sin(yaw)], axis=-1)
-    return xp.sum(moment, axis=-2) / ROBOT.upper_mass

@@ -12,7 +12,7 @@ import numpy as np
 from shmoo_mjx.assets import asset
 from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH, hand_targets
 from shmoo_mjx.plant.objects import Condition, object_spec
-from shmoo_mjx.plant.robot import ROBOT, arm_angles, com_offset
+from shmoo_mjx.plant.robot import Robot, arm_joints, shmoobot, with_arms
 
 __all__ = ["PARTS", "WALL_HEIGHT", "Scene", "build_scene"]
 
@@ -59,6 +59,8 @@ class Scene:
     twice if it has one); ``[P, 0]`` without walls, and for MJX, whose sensors know no bodies."""
     qpos0: np.ndarray
     """``[nq]`` starting configuration."""
+    robot: Robot
+    """Nominal: what ``adjust`` changed is not in it."""
     framed: bool = False
     """Whether the sensors report in the contact's own frame, with normal and tangent after the position: MJX knows no
     net wrench. A hand, being a sphere, has one contact with a convex hull, so that the two agree."""
@@ -67,7 +69,7 @@ class Scene:
         """The starting configuration ``[nq]`` with robot and objects at other poses (x, y, yaw) in {W}."""
         qpos = self.qpos0.copy()
         qpos[:7] = _free(robot_pose, qpos[2])
-        qpos[3:7] = _balanced(qpos[3:7], qpos[11:17])
+        qpos[3:7] = _balanced(self.robot, qpos[3:7], arm_joints(qpos))
         for adr, pose in zip(self.object_qpos, object_poses, strict=True):
             qpos[adr : adr + 7] = _free(pose, qpos[adr + 2])
         return qpos
@@ -80,9 +82,10 @@ def build_scene(
     wall_yaw: float = 0.0,
     wall_height: float = 0.6,
     engine: Literal["mujoco", "mjx"] = "mujoco",
+    robot: Robot | None = None,
     adjust: Callable[[mujoco.MjSpec], None] = lambda spec: None,
 ) -> Scene:
-    """A scene of Shmoobot, ``objects`` at their (x, y, yaw) in {W}, and walls.
+    """A scene of a robot, ``objects`` at their (x, y, yaw) in {W}, and walls.
 
     Args:
         objects: (condition, pose) of each object.
@@ -93,16 +96,13 @@ def build_scene(
         engine: which engine's contact sensors to build. The physics is the same until the robot falls, an object
             topples, or an arm or the ball touches an object: these contacts are left out for MJX, which computes every
             contact that could be.
+        robot: Shmoobot by default.
         adjust: last changes to the MJCF before it is compiled, in place (plant/perturbation.py makes another robot this
             way).
     """
-    framed = engine == "mjx"
+    framed, robot = engine == "mjx", robot or shmoobot()
     spec = mujoco.MjSpec.from_file(str(asset("models_xml/scene.xml")))
-    spec.attach(
-        mujoco.MjSpec.from_file(str(asset("models_xml/shmoobot.xml"))),
-        prefix="robot/",
-        frame=spec.worldbody.add_frame(),
-    )
+    spec.attach(mujoco.MjSpec.from_file(str(robot.mjcf)), prefix="robot/", frame=spec.worldbody.add_frame())
     for i, (condition, _) in enumerate(objects):
         spec.attach(object_spec(condition), prefix=f"object{i}/", frame=spec.worldbody.add_frame())
         _add_hand_sensors(spec, i, framed)
@@ -113,7 +113,7 @@ def build_scene(
         _drop_idle_contacts(spec)
     adjust(spec)
     model = spec.compile()
-    return _index(model, objects, robot_pose, len(walls), framed)
+    return _index(model, robot, objects, robot_pose, len(walls), framed)
 
 
 def _add_hand_sensors(spec: mujoco.MjSpec, index: int, framed: bool) -> None:
@@ -182,6 +182,7 @@ def _drop_idle_contacts(spec: mujoco.MjSpec) -> None:
 
 def _index(
     model: mujoco.MjModel,
+    robot: Robot,
     objects: Sequence[tuple[Condition, Sequence[float]]],
     robot_pose: Sequence[float],
     walls: int,
@@ -198,8 +199,7 @@ def _index(
         for shapes in _SHAPES.values()
         if walls and not framed
     ]
-    qpos0 = model.qpos0.copy()
-    qpos0[11:17] = _folded_arms()
+    qpos0 = with_arms(model.qpos0, _folded_arms(robot))
     scene = Scene(
         model=model,
         conditions=tuple(c for c, _ in objects),
@@ -210,21 +210,22 @@ def _index(
         wall_geoms=frozenset(model.geom(f"wall{i}").id for i in range(walls)),
         wall_sensor=np.array(touch, dtype=int).reshape(len(PARTS), -1),
         qpos0=qpos0,
+        robot=robot,
         framed=framed,
     )
     return replace(scene, qpos0=scene.placed(robot_pose, [pose for _, pose in objects]))
 
 
-def _folded_arms() -> np.ndarray:
-    """Joint angles ``[6]`` with the hands where the control holds them folded: a world starts without a swing."""
+def _folded_arms(robot: Robot) -> np.ndarray:
+    """Joint angles ``[2, 3]`` with the hands where the control holds them folded: a world starts without a swing."""
     flat = hand_targets(np.array(0.0), np.array(TUCKED_REACH))
-    height = np.full((2, 1), TUCKED_HEIGHT - ROBOT.ball_radius)
-    return arm_angles(np.concatenate([flat, height], axis=-1)).ravel()
+    height = np.full((2, 1), TUCKED_HEIGHT - robot.ball_radius)
+    return robot.arm_angles(np.concatenate([flat, height], axis=-1))
 
 
-def _balanced(quat: np.ndarray, arms: np.ndarray) -> np.ndarray:
+def _balanced(robot: Robot, quat: np.ndarray, arms: np.ndarray) -> np.ndarray:
     """Lean the body back until its CoM with the arms is above the ball, as the control's feed-forward does."""
-    lean = -com_offset(arms.reshape(2, 3))[0] / ROBOT.body_com_height
+    lean = -robot.com_offset(arms)[0] / robot.body_com_height
     out = np.empty(4)
     mujoco.mju_mulQuat(out, quat, np.array([np.cos(lean / 2), 0.0, np.sin(lean / 2), 0.0]))
     return out

@@ -10,7 +10,7 @@ import numpy as np
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.files import whole
 from shmoo_mjx.navigation.maps import OccupancyGrid, occupied_rectangles
-from shmoo_mjx.plant.robot import ROBOT
+from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.report.style import COLOURS, object_colour
 from shmoo_mjx.report.trace import Trace
 from shmoo_mjx.types import Array
@@ -75,10 +75,10 @@ def _still_parts(rr: Any, stream: Any, result: dict[str, Any], trace: Trace) -> 
     stream.log("world/walls", boxes, static=True)
     goal = np.array([[*result["goal"][:2], 0.02]]) if result.get("goal") is not None else np.zeros((0, 3))
     stream.log("world/goal", rr.Points3D(goal, radii=0.12, colors=[_rgb(COLOURS["goal"])]), static=True)
-    centre, up = (0.0, 0.0, ROBOT.ball_radius), 2 * ROBOT.ball_radius
+    centre, up = (0.0, 0.0, shmoobot().ball_radius), 2 * shmoobot().ball_radius
     blue = [_rgb(COLOURS["robot"])]
     stream.log(
-        "world/robot/ball", rr.Ellipsoids3D(centers=[centre], radii=[ROBOT.ball_radius], colors=blue), static=True
+        "world/robot/ball", rr.Ellipsoids3D(centers=[centre], radii=[shmoobot().ball_radius], colors=blue), static=True
     )
     body = rr.Boxes3D(centers=[(0, 0, up + _BODY[2])], half_sizes=[_BODY], colors=blue, fill_mode="solid")
     stream.log("world/robot/lean/body", body, static=True)

@@ -327,10 +327,10 @@ class SensedEngine:
         if not world.contact.size:
             return world, world.contact
         estimates = sensing.estimates(self.senses, self._drawn, sensor_state, world.ticks, DT)
-        robot = _numpy(self.engine.robot(world.truth))._replace(pose=estimates.robot_pose)
+        sensed = _numpy(self.engine.robot(world.truth))._replace(pose=estimates.robot_pose)
         torque = np.asarray(self.engine.torque(world.truth, held), dtype=float)[:, 3:]
         reach = np.asarray(world.truth.control.reach, dtype=float)
-        where = robot, torque, reach, estimates.object_pose
+        where = self.engine.scenes[0].robot, sensed, torque, reach, estimates.object_pose
         arms = calibrated(sensor_state.arms, *where, self._scenery.half_extents)
         return world._replace(sensor_state=sensor_state._replace(arms=arms)), felt(self.senses.touch, arms, *where)
 

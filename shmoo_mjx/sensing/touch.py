@@ -16,7 +16,7 @@ from shmoo_mjx import se2
 from shmoo_mjx.hands import REACH
 from shmoo_mjx.plant.joint_torque import joint_torque_wrench
 from shmoo_mjx.plant.lowlevel import arm_gravity
-from shmoo_mjx.plant.robot import RobotState
+from shmoo_mjx.plant.robot import Robot, RobotState
 
 __all__ = ["ArmScale", "TouchConfig", "calibrated", "felt", "init"]
 
@@ -58,30 +58,43 @@ def init(worlds: int) -> ArmScale:
 
 
 def calibrated(
-    scale: ArmScale, robot: RobotState, torque: Array, reach: Array, object_pose: Array, half_extents: Array
+    scale: ArmScale,
+    robot: Robot,
+    sensed: RobotState,
+    torque: Array,
+    reach: Array,
+    object_pose: Array,
+    half_extents: Array,
 ) -> ArmScale:
     """The sums after one more reading; arguments as for :func:`felt`, ``half_extents [W, N, 2]`` of the objects [m]."""
     extended = reach > REACH - 0.01
     if not extended.any():
         return scale
-    hands = se2.transform_point(robot.pose, np.stack([reach, np.zeros_like(reach)], axis=-1))
+    hands = se2.transform_point(sensed.pose, np.stack([reach, np.zeros_like(reach)], axis=-1))
     inside = np.abs(se2.rotate(hands[:, None] - object_pose[..., :2], -object_pose[..., 2]))
     away = np.linalg.norm(np.maximum(inside - half_extents, 0.0), axis=-1)
     # An object that has never been seen is not within reach; nor is what a comparison with NaN says nothing of.
     free = extended & ~(away < _FREE).any(axis=-1)
-    gravity = np.where(free[:, None], arm_gravity(robot.arms, robot.lean[..., :1]).reshape(torque.shape), 0.0)
+    gravity = np.where(free[:, None], arm_gravity(robot, sensed.arms, sensed.lean[..., :1]).reshape(torque.shape), 0.0)
     return ArmScale(scale.products + torque * gravity, scale.squares + gravity**2)
 
 
 def felt(
-    touch: TouchConfig, scale: ArmScale, robot: RobotState, torque: Array, reach: Array, object_pose: Array
+    touch: TouchConfig,
+    scale: ArmScale,
+    robot: Robot,
+    sensed: RobotState,
+    torque: Array,
+    reach: Array,
+    object_pose: Array,
 ) -> np.ndarray:
     """Gamma ``[W, N, 3]`` on each object about its centre, in {W}; all of it goes to the one nearest to the hands.
 
     Args:
         touch: see there.
         scale: what is known of the motors.
-        robot: joint angles and lean, and as pose the one the robot believes in.
+        robot: its numbers.
+        sensed: joint angles and lean, and as pose the one the robot believes in.
         torque: of the arms' motors ``[W, 6]`` [N m].
         reach: of the hands ``[W]`` [m].
         object_pose: believed ``[W, N, 3]`` in {W}; NaN where unknown.
@@ -89,12 +102,12 @@ def felt(
     wrench = np.zeros_like(object_pose)
     if not wrench.size:
         return wrench
-    hands = se2.transform_point(robot.pose, np.stack([reach, np.zeros_like(reach)], axis=-1))
+    hands = se2.transform_point(sensed.pose, np.stack([reach, np.zeros_like(reach)], axis=-1))
     far = np.linalg.norm(object_pose[..., :2] - hands[:, None], axis=-1)
     nearest = np.argmin(np.where(np.isfinite(far), far, np.inf), axis=1)
     rows = np.arange(len(nearest))
     asked_over_exerted = np.clip((_PRIOR + scale.products) / (_PRIOR + scale.squares), 1 / _LIMIT, _LIMIT)
-    reading = joint_torque_wrench(robot, torque / asked_over_exerted, object_pose[rows, nearest])
+    reading = joint_torque_wrench(robot, sensed, torque / asked_over_exerted, object_pose[rows, nearest])
     # A comparison with NaN is false: what is not known anywhere is not touched either.
     firm = (np.hypot(reading[:, 0], reading[:, 1]) > touch.least) & np.isfinite(reading).all(axis=-1)
     wrench[rows, nearest] = np.where(firm[:, None], reading, 0.0)

@@ -12,7 +12,7 @@ from shmoo_mjx import se2
 from shmoo_mjx.control import equilibrium_lean
 from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.plant.perturbation import Perturbation, adjustment, draw_body
-from shmoo_mjx.plant.robot import ROBOT
+from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.plant.scene import build_scene
 from shmoo_mjx.skills import batched
 from shmoo_mjx.types import DT, Command, Observation
@@ -35,7 +35,7 @@ def seen(
 
 def drive(bias: np.ndarray, seed: int, force: float = 0.0, seconds: float = 12.0) -> equilibrium_lean.LeanOffset:
     """The flat system leant at random, its senses with noise."""
-    rng, (a, b, c) = np.random.default_rng(seed), ROBOT.flatness
+    rng, (a, b, c) = np.random.default_rng(seed), shmoobot().flatness
     state, flat, yaw = equilibrium_lean.init(), np.zeros(2), 0.0
     lean, wanted = bias.copy(), bias.copy()
     for i in range(round(seconds / DT)):
@@ -93,6 +93,6 @@ def test_a_robot_with_a_shifted_centre_of_mass_stands_still() -> None:
             world, _ = engine.step(world, equilibrium_lean.shifted(state, command(lean)))
         drifts.append(float(np.linalg.norm(engine.observe(world).robot_pose[0, :2] - start)))
         engine.close()
-    share = ROBOT.body_mass / ROBOT.upper_mass
-    assert state.lean == pytest.approx(-share * np.array(body.com[:2]) / ROBOT.body_com_height, abs=2e-3)
+    share = shmoobot().body_mass / shmoobot().upper_mass
+    assert state.lean == pytest.approx(-share * np.array(body.com[:2]) / shmoobot().body_com_height, abs=2e-3)
     assert drifts[0] > 0.1 and drifts[1] < 0.25 * drifts[0]

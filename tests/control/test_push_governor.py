@@ -12,7 +12,7 @@ from shmoo_mjx.control.pushing import LocalDistanceField, ObjectObservation
 from shmoo_mjx.control.quasi_static import LEAN_LIMIT, QuasiStaticPusher
 from shmoo_mjx.faces import faces_of, stand_off
 from shmoo_mjx.hands import HAND_HEIGHT
-from shmoo_mjx.plant.robot import ROBOT
+from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.types import DT
 
 REST = np.zeros(2)
@@ -24,7 +24,7 @@ def lean_at(twist: np.ndarray, wrench: np.ndarray, limit: float, more: float = 0
 
 def test_a_stuck_object_gets_all_the_lean_it_resists_and_some_more() -> None:
     at_rest, _ = lean_at(np.zeros(3), np.array([40.0, 0.0, 0.0]), 0.2)
-    assert at_rest == pytest.approx(40.0 * HAND_HEIGHT / ROBOT.flatness[2] + 0.25 * 0.2 + 0.1 * 0.2 * DT)
+    assert at_rest == pytest.approx(40.0 * HAND_HEIGHT / shmoobot().flatness[2] + 0.25 * 0.2 + 0.1 * 0.2 * DT)
     assert at_rest > static_lean(40.0)
 
 

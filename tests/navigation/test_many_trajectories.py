@@ -15,10 +15,10 @@ from shmoo_mjx.navigation.flat_trajectory import FlatModel, TrajectoryConfig
 from shmoo_mjx.navigation.maps import OCCUPIED, ClearanceField, OccupancyGrid
 from shmoo_mjx.navigation.path_shortening import PathConfig
 from shmoo_mjx.navigation.paths import Path, plan_path
-from shmoo_mjx.plant.robot import ROBOT
+from shmoo_mjx.plant.robot import shmoobot
 
 REAL_MAPS = sorted((FilePath(__file__).resolve().parents[3] / "shared" / "maps").glob("*/*.yaml"))
-MODEL = FlatModel(*ROBOT.flatness)
+MODEL = FlatModel(*shmoobot().flatness)
 PLANNER = flat_trajectory.init(MODEL, TrajectoryConfig(robot_radius=0.24))
 
 

@@ -24,7 +24,7 @@ from shmoo_mjx.navigation.maps import FREE, OCCUPIED, OccupancyGrid, clearance_f
 from shmoo_mjx.navigation.navigator import MODES, PROBE_ROOM, Navigator, init, setup_of, step
 from shmoo_mjx.navigation.object_planner import ObjectPlannerConfig
 from shmoo_mjx.navigation.records import Mode, NavigatorConfig
-from shmoo_mjx.plant.robot import ROBOT
+from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.recorded import Recorded
 from shmoo_mjx.replay import differences
 from shmoo_mjx.types import DT, Command, Observation
@@ -103,7 +103,7 @@ class World:
         )  # fmt: skip
 
     def step(self, command: Command) -> Observation:
-        a, _, c = ROBOT.flatness
+        a, _, c = shmoobot().flatness
         before = self.box.copy()
         self.force = np.zeros(2)
         for _ in range(10):

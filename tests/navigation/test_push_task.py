@@ -13,7 +13,7 @@ from shmoo_mjx.hands import HAND_RADIUS, TUCKED_REACH
 from shmoo_mjx.navigation.footprints import footprint_polygon
 from shmoo_mjx.navigation.maps import OCCUPIED, OccupancyGrid
 from shmoo_mjx.navigation.push_task import Phase, PushTask, pose_push_config
-from shmoo_mjx.plant.robot import ROBOT
+from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.types import DT, Command, Observation
 
 HALF = (0.30, 0.25)
@@ -38,7 +38,7 @@ class _World:
         )
 
     def step(self, command: Command) -> None:
-        a, _, c = ROBOT.flatness
+        a, _, c = shmoobot().flatness
         self.lean = np.asarray(command.u)[0, :2]
         lean = se2.rotate(self.lean, self.robot[2])
         self.velocity = self.velocity + DT * (c / a * lean - self.force / 60.0)
@@ -80,8 +80,8 @@ def _run(task: PushTask, world: _World, seconds: float = 120.0, meddle: object =
         command = task.tick(world.seen())
         if task.phase is Phase.APPROACH:
             gap = footprint_polygon(world.thing, HALF).distance(shapely.Point(world.robot[:2]))
-            assert gap > ROBOT.radius, f"the robot runs into the object while approaching, at {world.time:.1f} s"
-            assert task.belief.walls.at(world.robot[:2]) > ROBOT.radius
+            assert gap > shmoobot().radius, f"the robot runs into the object while approaching, at {world.time:.1f} s"
+            assert task.belief.walls.at(world.robot[:2]) > shmoobot().radius
         if callable(meddle):
             meddle(task, world)
         world.step(command)

@@ -10,7 +10,7 @@ from shmoo_mjx.data.differentiate import sample_acceleration
 from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.plant import lowlevel
 from shmoo_mjx.plant.objects import draw_condition
-from shmoo_mjx.plant.robot import readout
+from shmoo_mjx.plant.robot import readout, shmoobot
 from shmoo_mjx.plant.scene import Scene, build_scene
 from shmoo_mjx.plant.trials import command
 
@@ -31,7 +31,7 @@ def _push(scene: Scene, samples: int) -> tuple[np.ndarray, np.ndarray]:
         twists.append(data.qvel[planar].copy())
         for i in range(STEPS):
             state, torque = lowlevel.control(
-                gains, state, readout(data.qpos[None, :17], data.qvel[None, :15]), wanted, 0.002
+                shmoobot(), gains, state, readout(data.qpos[None], data.qvel[None]), wanted, 0.002
             )
             data.ctrl[:] = torque[0]
             mujoco.mj_step(model, data)

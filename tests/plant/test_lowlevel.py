@@ -14,7 +14,7 @@ from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH, han
 from shmoo_mjx.plant import lowlevel
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.objects import draw_condition
-from shmoo_mjx.plant.robot import ROBOT, readout
+from shmoo_mjx.plant.robot import readout, shmoobot
 from shmoo_mjx.plant.scene import Scene, build_scene
 from shmoo_mjx.plant.trials import command, drive
 
@@ -144,7 +144,7 @@ def test_hands_show_the_set_stiffness() -> None:
     rest = None
     for force in ((0, 0, 0), (10, 0, 0), (0, 10, 0), (0, 0, 10)):
         for _ in range(750):
-            state, torque = lowlevel.control(gains, state, readout(data.qpos, data.qvel), wanted, 0.002)
+            state, torque = lowlevel.control(shmoobot(), gains, state, readout(data.qpos, data.qvel), wanted, 0.002)
             torque[:3] = 0.0
             data.ctrl[:] = torque
             data.xfrc_applied[model.body("left_hand").id, :3] = force
@@ -197,9 +197,11 @@ def test_control_is_the_same_on_numpy_and_jax() -> None:
     wanted = type(wanted)(*(field[0] for field in wanted))
     state = lowlevel.init(np, (), TUCKED_REACH, TUCKED_HEIGHT)
     gains = lowlevel.Gains()
-    plain, torque = lowlevel.control(gains, state, readout(qpos, qvel), wanted, 0.002)
+    plain, torque = lowlevel.control(shmoobot(), gains, state, readout(qpos, qvel), wanted, 0.002)
     lift = lambda tree: jax.tree.map(jnp.asarray, tree)  # noqa: E731
-    traced, jax_torque = lowlevel.control(gains, lift(state), lift(readout(qpos, qvel)), lift(wanted), 0.002)
+    traced, jax_torque = lowlevel.control(
+        shmoobot(), gains, lift(state), lift(readout(qpos, qvel)), lift(wanted), 0.002
+    )
     np.testing.assert_allclose(np.asarray(jax_torque), torque, rtol=1e-4, atol=1e-3)
     for a, b in zip(plain, traced, strict=True):
         np.testing.assert_allclose(np.asarray(b), a, rtol=1e-4, atol=1e-4)
@@ -215,4 +217,4 @@ def test_heading_error_takes_the_short_way(single: MujocoEngine) -> None:
     """From heading 0, a command of 1.9 pi turns right by 0.1 pi, not left."""
     track, _ = drive(single, 2.0, station=0.8, yaw=1.9 * np.pi)
     assert float(se2.wrap(track.robot_pose[-1, 0, 2])) < 0
-    assert ROBOT.radius < 0.2
+    assert shmoobot().radius < 0.2

@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shmoo_mjx import se2
-from shmoo_mjx.hands import HAND_HEIGHT, HAND_RADIUS, REACH, TUCKED_HEIGHT, TUCKED_REACH
+from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
-from shmoo_mjx.plant.outline import ARM_RADIUS, Outline, outline, room
-from shmoo_mjx.plant.robot import ROBOT
+from shmoo_mjx.plant.outline import Outline, outline, room
+from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.plant.scene import build_scene
 from shmoo_mjx.plant.trials import command
 
@@ -37,12 +37,14 @@ def test_discs_lie_where_the_robots_parts_are(reach: float, height: float, gamma
 
 
 def test_folded_arms_need_less_room_than_arms_out_and_more_than_the_body() -> None:
+    robot = shmoobot()
+
     def radius(discs: Outline) -> float:
         """Of the circle round the origin of {R} that holds all discs [m]."""
-        parts = zip(discs, (ROBOT.radius, ARM_RADIUS, HAND_RADIUS), strict=True)
+        parts = zip(discs, (robot.radius, robot.arm_radius, robot.hand_radius), strict=True)
         return max(float(np.linalg.norm(centres, axis=-1).max()) + r for centres, r in parts)
 
-    assert ROBOT.radius < radius(outline(TUCKED_REACH)) < 0.30 < radius(outline(REACH)) < 0.52
+    assert robot.radius < radius(outline(TUCKED_REACH)) < 0.30 < radius(outline(REACH)) < 0.52
 
 
 @settings(deadline=None, max_examples=30)

@@ -15,7 +15,7 @@ from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.joint_torque import joint_torque_wrench
 from shmoo_mjx.plant.objects import Condition, draw_condition
 from shmoo_mjx.plant.observe import planar_wrench
-from shmoo_mjx.plant.robot import readout
+from shmoo_mjx.plant.robot import readout, shmoobot
 from shmoo_mjx.plant.scene import Scene, build_scene
 from shmoo_mjx.plant.trials import command
 from shmoo_mjx.types import Observation
@@ -77,7 +77,7 @@ def test_third_law() -> None:
     wanted = command(1, (0.05, 0.0), reach=REACH, hand_height=HAND_HEIGHT)
     for _ in range(600):
         state, torque = lowlevel.control(
-            gains, state, readout(data.qpos[None, :17], data.qvel[None, :15]), wanted, 0.002
+            shmoobot(), gains, state, readout(data.qpos[None], data.qvel[None]), wanted, 0.002
         )
         data.ctrl[:] = torque[0]
         mujoco.mj_step(model, data)
@@ -131,7 +131,9 @@ def test_joint_torque_estimate_agrees_quasi_statically(yaw: float) -> None:
     wanted = command(1, (0.05, 0.0), yaw=yaw, reach=REACH, hand_height=HAND_HEIGHT)
     for _ in range(40):
         world, seen = engine.step(world, wanted)
-    estimate = joint_torque_wrench(engine.robot(world), engine.torque(world, wanted)[:, 3:], seen.object_pose[:, 0])
+    estimate = joint_torque_wrench(
+        shmoobot(), engine.robot(world), engine.torque(world, wanted)[:, 3:], seen.object_pose[:, 0]
+    )
     engine.close()
     force = np.hypot(*seen.wrench[0, 0, :2])
     assert force > 15

@@ -76,7 +76,8 @@ def test_perfect_senses_are_the_truth_and_no_slower() -> None:
         bare.close()
     for name in Observation._fields:
         np.testing.assert_array_equal(getattr(seen, name)[-1], getattr(plain, name)[0], err_msg=name)
-    assert min(took["sensed"]) < 1.5 * min(took["bare"])
+    # Of the pairs, as any of them may share the machine with others.
+    assert min(s / b for s, b in zip(took["sensed"], took["bare"], strict=True)) < 1.5
 
 
 def test_perfect_senses_end_at_walls_and_at_their_range() -> None:
