@@ -121,7 +121,7 @@ if __name__ == "__main__":
         epochs=4, epoch_updates=100, fit_samples=100,
     )
     fitted = daiml.train_object(store.of_training(data), out, config, lambda p: print(p.epoch, flush=True))
-    serialisation.save_checkpoint(out / "fitted.safetensors", fitted.params, {"history": fitted.history})
+    serialisation.save_tree(out / "fitted.safetensors", fitted.params, {"history": fitted.history})
 """
 
 

@@ -20,8 +20,9 @@ import jax
 import jax.numpy as jnp
 
 from shmoo_mjx.arrays import Array, Float, Key, Scalar
-from shmoo_mjx.dynamics import contact_model, equivariant, features, object_model, robot_model
+from shmoo_mjx.dynamics import contact_model, features, object_model, robot_model
 from shmoo_mjx.dynamics.features import Contact, Facing
+from shmoo_mjx.dynamics.fused import FusedEquivariantMLP
 from shmoo_mjx.dynamics.layout import channels_first, channels_last, to_channels_first, to_channels_last
 from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
 from shmoo_mjx.dynamics.robot_model import LeanResponse, RobotConfig, RobotParams
@@ -61,7 +62,7 @@ class Params(NamedTuple):
 class _Models(NamedTuple):
     """Params made ready for `_advance`, once per roll-out."""
 
-    robot: equivariant.FusedEquivariantMLP
+    robot: FusedEquivariantMLP
     object: object_model.FusedObjectModel
     """With the coefficients in it: O of Eq. 3, not psi."""
     lean: LeanResponse

@@ -11,7 +11,8 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from shmoo_mjx.arrays import Array, Float, Key
-from shmoo_mjx.dynamics import contact_model, equivariant, features, mlp
+from shmoo_mjx.dynamics import contact_model, features, networks
+from shmoo_mjx.dynamics import fused as fusing
 
 __all__ = [
     "FusedObjectModel",
@@ -27,8 +28,6 @@ __all__ = [
     "predict",
     "reflections",
 ]
-
-Layers = mlp.FusedMLP | equivariant.FusedEquivariantMLP
 
 PREDICTED_LIMIT = 20.0
 """Cap on the contact model's predictions, in standard deviations of the labels."""
@@ -60,7 +59,7 @@ class ObjectConfig:
     """Inputs of psi include what the four-point Coulomb contact model (`contact_model`), identified online, predicts
     for the same push and, with ``last_wrench``, by how much it was wrong a sample ago; not in the paper."""
     equivariant: bool = True
-    """No preferred side by construction (`equivariant`); not in the paper."""
+    """No preferred side by construction (`networks.EquivariantMLP`); not in the paper."""
 
     @classmethod
     def paper(cls) -> ObjectConfig:
@@ -74,7 +73,7 @@ class ObjectConfig:
 class ObjectParams(NamedTuple):
     """Learned parameters of psi, the same for all objects."""
 
-    net: mlp.MLP
+    net: networks.Network
     linear: Float[Array, "seen n"]
     """Linear part of psi on what its network sees, normalised; zero unless config.linear_terms."""
     label_scale: Float[Array, "axes"]
@@ -84,7 +83,7 @@ class ObjectParams(NamedTuple):
 class FusedObjectModel(NamedTuple):
     """O with its coefficients, made ready for roll-outs."""
 
-    layers: Layers
+    layers: fusing.FusedMLP | fusing.FusedEquivariantMLP
     contact: Float[Array, "p"]
     """Unused unless config.contact_model."""
     label_scale: Float[Array, "axes"]
@@ -104,8 +103,7 @@ def init(
     n_out = config.functions * (n_axes if config.per_axis else 1)
     net_key, linear_key = jax.random.split(key)
     linear = jax.random.normal(linear_key, (n_seen, n_out)) / jnp.sqrt(n_seen) * float(config.linear_terms)
-    network = equivariant if config.equivariant else mlp
-    net = network.init(net_key, (n_seen, *config.hidden, n_out))
+    net = networks.init(_module(config, n_axes), net_key, n_seen)
     return ObjectParams(net, linear, jnp.ones(n_axes))
 
 
@@ -148,10 +146,7 @@ def basis(
     ``contact`` as `contact_model.PARAMETERS` lists them; ignored unless config.contact_model.
     """
     seen = network_inputs(params.label_scale, inputs, config, contact)
-    if config.equivariant:
-        out = equivariant.apply(params.net, seen, reflections(config), config.activation)
-    else:
-        out = mlp.apply(params.net, seen, config.activation)
+    out = networks.apply(_module(config, params.label_scale.shape[-1]), params.net, seen)
     if config.linear_terms:
         out = out + ((seen - params.net.mean) / params.net.scale) @ _linear(params, config)
     return _by_axis(params, out, config)
@@ -190,11 +185,8 @@ def fuse(
         said = _by_axis(params, rows.T, config) * coefficients
         return (jnp.sum(said, axis=-1) * params.label_scale).T
 
-    layers: Layers
-    if config.equivariant:
-        layers = equivariant.fuse(params.net, reflections(config)).followed_by(weigh)
-    else:
-        layers = mlp.fuse(params.net).followed_by(weigh)
+    fused = fusing.fuse_equivariant(params.net, reflections(config)) if config.equivariant else fusing.fuse(params.net)
+    layers = fused.followed_by(weigh)
     if config.linear_terms:
         skip = weigh(_linear(params, config).T) / params.net.scale
         layers = layers.with_affine(skip, -skip @ params.net.mean)
@@ -227,6 +219,14 @@ def reflections(config: ObjectConfig) -> tuple[Float[np.ndarray, "seen seen"], F
     answers = (len(FRICTION_SHIFTS) + config.last_wrench) * config.contact_model
     said = np.diag(axes)[:, None] * coefficient_signs(config)
     return block_diag(seen, *[axes] * answers), np.diag(said.reshape(-1) if config.per_axis else said[0])
+
+
+def _module(config: ObjectConfig, n_axes: int) -> networks.MLP | networks.EquivariantMLP:
+    """psi's network."""
+    widths = (*config.hidden, config.functions * (n_axes if config.per_axis else 1))
+    if config.equivariant:
+        return networks.EquivariantMLP(widths, reflections(config), config.activation)
+    return networks.MLP(widths, config.activation)
 
 
 def _linear(params: ObjectParams, config: ObjectConfig) -> Array:

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.linalg import expm
 
 from shmoo_mjx.arrays import Array, Float, Key
-from shmoo_mjx.dynamics import equivariant, features
-from shmoo_mjx.dynamics.mlp import MLP
+from shmoo_mjx.dynamics import features, fused, networks
+from shmoo_mjx.dynamics.networks import Network
 from shmoo_mjx.types import DT
 
 __all__ = [
@@ -55,8 +55,8 @@ class LeanResponse(NamedTuple):
 class RobotParams(NamedTuple):
     """Learned parameters of R and of the lean response."""
 
-    net: MLP
-    """Without a preferred side (`equivariant`)."""
+    net: Network
+    """Of an `EquivariantMLP`."""
     output_mean: Float[Array, "5"]
     """In the units of ROBOT_OUTPUTS."""
     output_scale: Float[Array, "5"]
@@ -69,7 +69,7 @@ def init(key: Key[Array, ""], config: RobotConfig | None = None) -> RobotParams:
     config = config or RobotConfig()
     n_in, n_out = features.width(features.ROBOT_INPUTS), features.width(features.ROBOT_OUTPUTS)
     return RobotParams(
-        net=equivariant.init(key, (n_in, *config.hidden, n_out)),
+        net=networks.init(_module(config), key, n_in),
         output_mean=jnp.zeros(n_out),
         output_scale=jnp.ones(n_out),
         lean=lag(8.0, 0.9),
@@ -84,15 +84,20 @@ def predict(
     return out[..., :3], out[..., 3:]
 
 
-def normalised(net: MLP, inputs: Float[Array, "... 28"], config: RobotConfig) -> Float[Array, "... 5"]:
+def normalised(net: Network, inputs: Float[Array, "... 28"], config: RobotConfig) -> Float[Array, "... 5"]:
     """R's outputs in units of their spread in training."""
-    return equivariant.apply(net, inputs, REFLECTIONS, config.activation)
+    return networks.apply(_module(config), net, inputs)
 
 
-def fuse(params: RobotParams) -> equivariant.FusedEquivariantMLP:
+def fuse(params: RobotParams) -> fused.FusedEquivariantMLP:
     """R made ready for roll-outs: its `forward` gives the outputs in the units of ROBOT_OUTPUTS."""
-    net = equivariant.fuse(params.net, REFLECTIONS)
+    net = fused.fuse_equivariant(params.net, REFLECTIONS)
     return net.followed_by(lambda rows: (rows.T * params.output_scale).T).with_affine(None, params.output_mean)
+
+
+def _module(config: RobotConfig) -> networks.EquivariantMLP:
+    widths = (*config.hidden, features.width(features.ROBOT_OUTPUTS))
+    return networks.EquivariantMLP(widths, REFLECTIONS, config.activation)
 
 
 def lag(frequency: float, damping: float, dt: float = DT) -> LeanResponse:

@@ -15,8 +15,8 @@ import numpy as np
 import optax
 
 from shmoo_mjx.dynamics import features, object_model
+from shmoo_mjx.dynamics.networks import MLP
 from shmoo_mjx.learning import daiml
-from shmoo_mjx.learning.baselines.gradient import Layers, dense, layers
 from shmoo_mjx.learning.daiml import DaimlConfig, ObjectFit
 from shmoo_mjx.learning.samples import Samples
 from shmoo_mjx.types import Array
@@ -40,9 +40,10 @@ def accuracy(values: Array, weights: Array, seed: int, updates: int = 1500) -> f
     train, test = np.nonzero(weights & early), np.nonzero(weights & ~early)
     used = values[train]
     values = (values - used.mean(axis=0)) / np.maximum(used.std(axis=0), 1e-6)
-    start = layers(jax.random.key(seed), values.shape[-1], *HIDDEN, values.shape[0])
-    net = _fit(start, jnp.asarray(values[train]), jnp.asarray(train[0]), jax.random.key(seed + 1), updates)
-    right = np.argmax(np.asarray(dense(net, values[test])), axis=-1) == test[0]
+    probe, keys = MLP((*HIDDEN, len(values)), "relu"), (jax.random.key(seed), jax.random.key(seed + 1))
+    start = probe.init(keys[0], values[0, 0])
+    found = _fit(probe, start, jnp.asarray(values[train]), jnp.asarray(train[0]), keys[1], updates)
+    right = np.argmax(np.asarray(probe.apply(found, values[test])), axis=-1) == test[0]
     return float(np.mean([right[test[0] == c].mean() for c in np.unique(test[0])]))
 
 
@@ -65,17 +66,18 @@ def raw_without_size(rows: Samples) -> Array:
     return np.delete(np.asarray(rows.inputs), np.arange(where.start, where.stop), axis=-1)
 
 
-@partial(jax.jit, static_argnums=4)
-def _fit(net: Layers, values: Array, condition: Array, key: Array, updates: int) -> Layers:
+@partial(jax.jit, static_argnums=(0, 5))
+def _fit(probe: MLP, start: Any, values: Array, condition: Array, key: Array, updates: int) -> Any:
     optimiser = optax.adam(optax.cosine_decay_schedule(3e-3, updates))
 
-    def loss(net: Layers, rows: Array) -> Array:
-        return jnp.mean(optax.softmax_cross_entropy_with_integer_labels(dense(net, values[rows]), condition[rows]))
+    def loss(params: Any, rows: Array) -> Array:
+        said: Any = probe.apply(params, values[rows])
+        return jnp.mean(optax.softmax_cross_entropy_with_integer_labels(said, condition[rows]))
 
-    def update(carry: tuple[Layers, Any], key: Array) -> tuple[tuple[Layers, Any], None]:
-        net, state = carry
-        gradient = jax.grad(loss)(net, jax.random.randint(key, (BATCH,), 0, values.shape[0]))
+    def update(carry: tuple[Any, Any], key: Array) -> tuple[tuple[Any, Any], None]:
+        params, state = carry
+        gradient = jax.grad(loss)(params, jax.random.randint(key, (BATCH,), 0, values.shape[0]))
         change, state = optimiser.update(gradient, state)
-        return (optax.apply_updates(net, change), state), None
+        return (optax.apply_updates(params, change), state), None
 
-    return jax.lax.scan(update, (net, optimiser.init(net)), jax.random.split(key, updates))[0][0]
+    return jax.lax.scan(update, (start, optimiser.init(start)), jax.random.split(key, updates))[0][0]

@@ -26,7 +26,7 @@ import jax.numpy as jnp
 import optax
 
 from shmoo_mjx.data import store
-from shmoo_mjx.dynamics import contact_model, equivariant, mlp, object_model
+from shmoo_mjx.dynamics import contact_model, networks, object_model
 from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning import least_squares, multistep, training, training_contacts
@@ -130,12 +130,16 @@ class Model(NamedTuple):
     """``[m]`` log of the standard deviation of a sample's residual."""
 
 
+Discriminator = dict[str, dict[str, Array]]
+"""Parameters of h, the network that guesses the condition from psi (Eq. 6)."""
+
+
 class _State(NamedTuple):
     model: Model
     model_opt: Any
-    discriminator: mlp.MLP
+    discriminator: Discriminator
     discriminator_opt: Any
-    vectors: tuple[Array, ...]
+    vectors: dict[str, Array]
     key: Array
 
 
@@ -286,18 +290,15 @@ def _init(config: DaimlConfig, samples: Samples, contacts: Array) -> _State:
     see = jax.jit(jax.vmap(lambda x, contact: network_inputs(x, contact=contact)))
     seen = see(jnp.asarray(samples.inputs), contacts[:, -1])
     seen = seen[jnp.asarray(samples.weights) > 0]
-    if config.object.equivariant:
-        net = equivariant.with_normaliser(params.net, seen, object_model.reflections(config.object)[0])
-    else:
-        net = mlp.with_normaliser(params.net, seen)
-    params = params._replace(net=net)
+    reflection = object_model.reflections(config.object)[0] if config.object.equivariant else None
+    params = params._replace(net=networks.with_normaliser(params.net, seen, reflection))
     mean = 0.3 * jax.random.normal(mean_key, (n_axes, config.object.functions))
     n = mean.size
     model = Model(params, mean, jnp.eye(n), jnp.full(n_axes, jnp.log(0.5)))
-    n_psi = params.net.biases[-1].shape[0]
-    discriminator = mlp.init(discriminator_key, (n_psi, 64, 64, samples.inputs.shape[0]))
-    vector_keys = jax.random.split(vector_key, len(params.net.weights))
-    vectors = tuple(jax.random.normal(k, (w.shape[1],)) for k, w in zip(vector_keys, params.net.weights, strict=True))
+    layers = params.net.layers
+    discriminator = untrained_discriminator(discriminator_key, params.linear.shape[1], samples.inputs.shape[0])
+    vector_keys = dict(zip(layers, jax.random.split(vector_key, len(layers)), strict=True))
+    vectors = {name: jax.random.normal(vector_keys[name], layers[name]["kernel"].shape[1:]) for name in layers}
     optimiser = _optimiser(config)
     return _State(
         model,
@@ -311,14 +312,13 @@ def _init(config: DaimlConfig, samples: Samples, contacts: Array) -> _State:
 
 def _learned(model: Model) -> tuple[Any, ...]:
     """The part of the model that gradients move: not the normalisers."""
-    net = model.params.net
     params = model.params
-    return net.weights, net.biases, params.linear, model.mean, model.factor, model.log_noise
+    return params.net.layers, params.linear, model.mean, model.factor, model.log_noise
 
 
 def _with_learned(model: Model, learned: tuple[Any, ...], config: ObjectConfig) -> Model:
-    weights, biases, linear, mean, factor, log_noise = learned
-    net = model.params.net._replace(weights=weights, biases=biases)
+    layers, linear, mean, factor, log_noise = learned
+    net = model.params.net._replace(layers=layers)
     params = model.params._replace(net=net, linear=linear if config.linear_terms else model.params.linear)
     if config.equivariant:
         # An object not yet touched is as likely as its mirror image.
@@ -363,7 +363,7 @@ def _epoch(
         change, model_opt = optimiser.update(gradient, state.model_opt, learned)
         learned = optax.apply_updates(learned, change)
         model = _with_learned(state.model, learned, config.object)
-        net, vectors = mlp.cap_spectral_norm(model.params.net, state.vectors, config.spectral_cap)
+        net, vectors = networks.cap_spectral_norm(model.params.net, state.vectors, config.spectral_cap)
         model = model._replace(params=model.params._replace(net=net))
         new = state._replace(model=model, model_opt=model_opt, vectors=vectors, key=jax.random.key_data(key))
         if config.alpha > 0:
@@ -375,7 +375,7 @@ def _epoch(
 
 
 def daiml_loss(
-    model: Model, discriminator: mlp.MLP, batch: Batch, contacts: Array, config: DaimlConfig
+    model: Model, discriminator: Discriminator, batch: Batch, contacts: Array, config: DaimlConfig
 ) -> tuple[Array, dict[str, Array]]:
     """Eq. 6 for fixed h: the multi-step loss of Eq. 4 with a* of Eq. 5, less ``alpha`` times the cross-entropy of h.
 
@@ -419,14 +419,25 @@ def _raw_basis(config: DaimlConfig, params: ObjectParams, x: Array, contact: Arr
     return psi.reshape(*psi.shape[:-2], -1) if config.object.per_axis else psi[..., 0, :]
 
 
-def _cross_entropy(discriminator: mlp.MLP, psi: Array, condition: Array) -> Array:
-    logits = jax.nn.log_softmax(mlp.apply(discriminator, psi, "relu"))
+def untrained_discriminator(key: Array, n_psi: int, conditions: int) -> Discriminator:
+    """h before its training, for psi of ``n_psi`` outputs."""
+    params: Discriminator = _discriminator(conditions).init(key, jnp.zeros(n_psi))["params"]
+    return params
+
+
+def _discriminator(conditions: int) -> networks.MLP:
+    return networks.MLP((64, 64, conditions), "relu")
+
+
+def _cross_entropy(discriminator: Discriminator, psi: Array, condition: Array) -> Array:
+    conditions = discriminator["layer2"]["bias"].shape[0]
+    logits: Array = _discriminator(conditions).apply({"params": discriminator}, psi)
+    logits = jax.nn.log_softmax(logits)
     return -jnp.mean(jnp.take_along_axis(logits, condition[:, None, None], axis=-1))
 
 
 def _train_discriminator(config: DaimlConfig, state: _State, psi: Array, condition: Array, key: Array) -> _State:
     gradient = jax.grad(_cross_entropy)(state.discriminator, jax.lax.stop_gradient(psi), condition)
-    gradient = gradient._replace(mean=jnp.zeros_like(gradient.mean), scale=jnp.zeros_like(gradient.scale))
     change, opt = _optimiser(config).update(gradient, state.discriminator_opt, state.discriminator)
     trained = optax.apply_updates(state.discriminator, change)
     train = jax.random.bernoulli(key, config.discriminator_share)

@@ -15,7 +15,7 @@ import optax
 
 from shmoo_mjx import se2
 from shmoo_mjx.data import store
-from shmoo_mjx.dynamics import core, equivariant, features, mlp, robot_model
+from shmoo_mjx.dynamics import core, features, networks, robot_model
 from shmoo_mjx.dynamics.core import CoreConfig
 from shmoo_mjx.dynamics.object_model import ObjectConfig
 from shmoo_mjx.dynamics.robot_model import LeanResponse, RobotConfig, RobotParams
@@ -92,7 +92,7 @@ class RobotFit(NamedTuple):
 
 
 class _State(NamedTuple):
-    net: mlp.MLP
+    net: networks.Network
     opt: Any
     key: Array
 
@@ -173,7 +173,7 @@ def fit_samples(
     optimiser = _optimiser(config)
     key = jax.random.key_data(jax.random.key(config.seed))
     fitted = training.run(
-        _State(params.net, optimiser.init(_learned(params.net)), key),
+        _State(params.net, optimiser.init(params.net.layers), key),
         lambda state: epoch(params, samples, starts, state),
         extract=lambda state: state.net,
         evaluate=lambda net: jnp.mean(scores(net)),
@@ -205,8 +205,8 @@ def _prepared(config: RobotFitConfig, samples: RobotSamples) -> RobotParams:
     """Untrained parameters with the samples' normalisation."""
     params = robot_model.init(jax.random.key(config.seed + 1), config.robot)
     return params._replace(
-        net=equivariant.with_normaliser(params.net, jnp.asarray(samples.inputs), robot_model.REFLECTIONS[0]),
-        output_mean=equivariant.parts(robot_model.REFLECTIONS[1])[0] @ jnp.mean(jnp.asarray(samples.labels), axis=0),
+        net=networks.with_normaliser(params.net, jnp.asarray(samples.inputs), robot_model.REFLECTIONS[0]),
+        output_mean=networks.parts(robot_model.REFLECTIONS[1])[0] @ jnp.mean(jnp.asarray(samples.labels), axis=0),
         output_scale=jnp.maximum(jnp.std(jnp.asarray(samples.labels), axis=0), 1e-3),
     )
 
@@ -214,10 +214,6 @@ def _prepared(config: RobotFitConfig, samples: RobotSamples) -> RobotParams:
 def _optimiser(config: RobotFitConfig) -> optax.GradientTransformation:
     schedule = optax.cosine_decay_schedule(config.learning_rate, config.epochs * config.epoch_updates)
     return optax.chain(training.bounded_gradient(), optax.adamw(schedule, weight_decay=config.weight_decay))
-
-
-def _learned(net: mlp.MLP) -> tuple[Any, Any]:
-    return net.weights, net.biases
 
 
 def _epoch(
@@ -232,19 +228,17 @@ def _epoch(
         x = x + config.input_noise * state.net.scale * jax.random.normal(noise_key, x.shape)
         picked = jax.random.randint(jax.random.fold_in(sample_key, 1), (config.windows,), 0, starts.shape[0])
 
-        def loss_of(learned: tuple[Any, Any]) -> Array:
-            net = state.net._replace(weights=learned[0], biases=learned[1])
+        def loss_of(layers: Any) -> Array:
+            net = state.net._replace(layers=layers)
             loss = jnp.mean((robot_model.normalised(net, x, config.robot) - y) ** 2)
             if config.horizon > 0:
                 model = params._replace(net=net)
                 loss = loss + config.rolled * _rolled_out(config, model, samples, starts[picked])
             return loss
 
-        learned = _learned(state.net)
-        loss, gradient = jax.value_and_grad(loss_of)(learned)
-        change, opt = optimiser.update(gradient, state.opt, learned)
-        weights, biases = optax.apply_updates(learned, change)
-        net = state.net._replace(weights=weights, biases=biases)
+        loss, gradient = jax.value_and_grad(loss_of)(state.net.layers)
+        change, opt = optimiser.update(gradient, state.opt, state.net.layers)
+        net = state.net._replace(layers=optax.apply_updates(state.net.layers, change))
         return _State(net, opt, jax.random.key_data(key)), loss
 
     state, losses = jax.lax.scan(update, state, None, length=config.epoch_updates)
@@ -274,7 +268,9 @@ def _rolled_out(config: RobotFitConfig, params: RobotParams, samples: RobotSampl
     return jnp.mean(error**2)
 
 
-def _unexplained(config: RobotFitConfig, params: RobotParams, inputs: Array, labels: Array, net: mlp.MLP) -> Array:
+def _unexplained(
+    config: RobotFitConfig, params: RobotParams, inputs: Array, labels: Array, net: networks.Network
+) -> Array:
     """Share of each output's variance left unexplained ``[5]``."""
     base, force = robot_model.predict(params._replace(net=net), inputs, config.robot)
     error = jnp.concatenate([base, force], axis=-1) - labels

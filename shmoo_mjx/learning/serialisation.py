@@ -16,7 +16,7 @@ import numpy as np
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.files import write_whole
 
-__all__ = ["load_checkpoint", "load_tree", "read_notes", "save_checkpoint", "save_tree"]
+__all__ = ["load_tree", "read_notes", "save_tree"]
 
 Tree = Any
 
@@ -68,22 +68,6 @@ def load_tree(
             )
     found = [arrays[name] for name in wanted]
     return jax.tree.unflatten(jax.tree.structure(like), found), notes
-
-
-def save_checkpoint(path: Path, tree: Tree, notes: dict[str, Any]) -> None:
-    """Write a training's checkpoint; ``notes`` must hold its identity."""
-    save_tree(path, tree, notes)
-
-
-def load_checkpoint(path: Path, like: Tree, identity: str) -> tuple[Tree, dict[str, Any]] | None:
-    """The checkpoint at ``path``, or None where there is none or it belongs to another config or other data.
-
-    Raises:
-        ShmooError: the file is damaged.
-    """
-    if not path.is_file() or read_notes(path).get("identity") != identity:
-        return None
-    return load_tree(path, like)
 
 
 def _flatten(tree: Tree) -> dict[str, np.ndarray]:

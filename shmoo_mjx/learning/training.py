@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import closing, nullcontext
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,14 +13,12 @@ import numpy as np
 import optax
 
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.learning import serialisation
+from shmoo_mjx.learning.checkpoints import Checkpoints
 
 __all__ = ["Fitted", "Progress", "bounded_gradient", "run"]
 
 Array = Any
 Tree = Any
-
-CHECKPOINT = "training.safetensors"
 
 
 class Progress(NamedTuple):
@@ -73,8 +72,8 @@ def run(
         patience: epochs without improvement before stopping.
         identity: what decides about the training (`shmoo_mjx.fingerprints`): its code, config and data. A checkpoint of
             another one is not continued.
-        directory: where the checkpoint is kept after each epoch; a training that was cut short goes on from it and
-            gives what it would have given.
+        directory: where the state is kept after each epoch; a training that was cut short goes on from it and gives
+            what it would have given.
         progress: called after each epoch.
 
     Raises:
@@ -82,26 +81,25 @@ def run(
     """
     # Python scalars leave weakly typed arrays, which an epoch returns strongly typed: without this it compiles twice.
     state = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=jnp.asarray(leaf).dtype), state)
-    path = None if directory is None else Path(directory) / CHECKPOINT
     best = extract(state)
     score, history = float("inf"), list[tuple[float, float]]()
-    loaded = None if path is None else serialisation.load_checkpoint(path, {"state": state, "best": best}, identity)
-    if loaded is not None:
-        tree, notes = loaded
-        state, best, score = tree["state"], tree["best"], notes["score"]
-        history = [(float(a), float(b)) for a, b in notes["history"]]
-    while len(history) < epochs and not _stale(history, patience):
-        state, loss = epoch(state)
-        candidate = extract(state)
-        value = float(evaluate(candidate))
-        if value < score:
-            best, score = candidate, value
-        history.append((float(loss), value))
-        if path is not None:
-            notes = {"score": score, "history": history, "identity": identity}
-            serialisation.save_checkpoint(path, {"state": state, "best": best}, notes)
-        if progress is not None:
-            progress(Progress(len(history), epochs, float(loss), value, score))
+    with nullcontext() if directory is None else closing(Checkpoints(Path(directory), identity)) as kept:
+        loaded = None if kept is None else kept.load({"state": state, "best": best})
+        if loaded is not None:
+            tree, notes = loaded
+            state, best, score = tree["state"], tree["best"], notes["score"]
+            history = [(float(a), float(b)) for a, b in notes["history"]]
+        while len(history) < epochs and not _stale(history, patience):
+            state, loss = epoch(state)
+            candidate = extract(state)
+            value = float(evaluate(candidate))
+            if value < score:
+                best, score = candidate, value
+            history.append((float(loss), value))
+            if kept is not None:
+                kept.save(len(history), {"state": state, "best": best}, {"score": score, "history": history})
+            if progress is not None:
+                progress(Progress(len(history), epochs, float(loss), value, score))
     if not np.isfinite(score):
         raise ShmooError(
             f"training: none of {len(history)} epochs had a finite validation score; check the data for values that "

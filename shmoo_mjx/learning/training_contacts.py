@@ -51,16 +51,15 @@ def identified(
     measured = (train.inputs, train.labels, validation.inputs, validation.labels)
     identity = fingerprint(__name__, (config, fit_samples), *measured)
     path = None if out_dir is None else Path(out_dir).parent / f"contacts-{identity[:10]}.safetensors"
-    kept = None if path is None else serialisation.load_checkpoint(path, _empty(config, train, validation), identity)
-    if kept is not None:
-        return _single(kept[0])
+    if path is not None and path.is_file() and serialisation.read_notes(path).get("identity") == identity:
+        return _single(serialisation.load_tree(path, _empty(config, train, validation))[0])
     scale = label_scale(train)
     prior, _ = identification.learn_prior(config, scale, train.inputs, train.labels, train.weights)
     prior = _single(prior)
     contacts = identification.from_stretches(config, prior, scale, tuple(train[:3]), STRETCHES)
     found = prior, contacts, on_first_samples(config, prior, scale, validation, fit_samples)
     if path is not None:
-        serialisation.save_checkpoint(path, found, {"identity": identity})
+        serialisation.save_tree(path, found, {"identity": identity})
     return found
 
 

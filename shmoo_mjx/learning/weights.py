@@ -37,10 +37,20 @@ __all__ = [
 
 Array = Any
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 """Raised whenever a field of the file changes its meaning or its name."""
-_RENAMED = {"params.body": "params.contact", "body_prior": "contact_prior"}
-"""Arrays of schema 3, which is read as well, and what they are called now."""
+_OLD_SCHEMAS = (3, 4)
+_RENAMED = {
+    "params.body": "params.contact",
+    "body_prior": "contact_prior",
+    **{
+        f"params.{part}.net.{old}.{i}": f"params.{part}.net.layers.layer{i}.{new}"
+        for part in ("robot", "object")
+        for old, new in (("weights", "kernel"), ("biases", "bias"))
+        for i in range(8)
+    },
+}
+"""Arrays of these schemas, which are read as well, and what they are called now."""
 
 
 class Weights(NamedTuple):
@@ -139,7 +149,7 @@ def load_weights(path: str | os.PathLike[str] | None = None) -> Weights:
     path = asset(WEIGHTS) if path is None else path
     notes = serialisation.read_notes(path)
     version = notes.get("schema_version")
-    if version not in (3, SCHEMA_VERSION):
+    if version not in (*_OLD_SCHEMAS, SCHEMA_VERSION):
         raise ShmooError(
             f"{path}: field 'schema_version' is {version}, this version reads {SCHEMA_VERSION}; train again."
         )
@@ -148,7 +158,7 @@ def load_weights(path: str | os.PathLike[str] | None = None) -> Weights:
     except (KeyError, TypeError, ValueError) as error:
         raise ShmooError(f"{path}: field 'config' or 'info' can not be read ({error}); train again.") from None
     like = jax.eval_shape(lambda: _arrays(untrained(config)))
-    tree, _ = serialisation.load_tree(path, like, _RENAMED if version == 3 else {})
+    tree, _ = serialisation.load_tree(path, like, _RENAMED if version in _OLD_SCHEMAS else {})
     _check_values(path, tree)
     arrays = jax.tree.map(jnp.asarray, tree)
     return Weights(**arrays, config=config, info=info)

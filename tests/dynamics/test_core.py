@@ -28,11 +28,11 @@ def touching(compression: float = 0.02, speed: float = 0.0) -> SystemState:
 def hand_made(force: float, gain: float) -> Params:
     """R that always says ``force`` along x and a robot at rest; psi = wrench (scaled), so a is one over the inertia."""
     params = core.init(jax.random.key(0), CONFIG)
-    robot_net = params.robot.net._replace(weights=tuple(0 * w for w in params.robot.net.weights))
+    robot_net = params.robot.net._replace(layers=jax.tree.map(jnp.zeros_like, params.robot.net.layers))
     robot = params.robot._replace(net=robot_net, output_mean=jnp.array([0.0, 0.0, 0.0, force, 0.0]))
     where = features.slices(features.OBJECT_INPUTS)["wrench"]
     linear = jnp.zeros((13, 6)).at[where, :3].set(jnp.eye(3))
-    net = params.object.net._replace(weights=tuple(0 * w for w in params.object.net.weights))
+    net = params.object.net._replace(layers=jax.tree.map(jnp.zeros_like, params.object.net.layers))
     a = jnp.zeros((3, 6)).at[:, :3].set(gain * jnp.eye(3))
     return Params(robot, params.object._replace(net=net, linear=linear), a, params.contact)
 

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from shmoo_mjx.dynamics import CoreConfig, ObjectConfig, Params, RobotConfig, core, features, object_model, robot_model
-from shmoo_mjx.dynamics.equivariant import parts
-from shmoo_mjx.dynamics.mlp import MLP
+from shmoo_mjx.dynamics.networks import Network, parts
 from shmoo_mjx.hands import HAND_RADIUS, hand_targets
 from shmoo_mjx.types import DT, SystemState
 
@@ -20,11 +19,14 @@ def random_params(config: CoreConfig) -> Params:
     """Untrained networks with a normaliser, biases and scales that are not trivial."""
     params, keys = core.init(jax.random.key(0), config), iter(jax.random.split(jax.random.key(1), 20))
 
-    def dress(net: MLP, kept: np.ndarray) -> MLP:
-        biases = tuple(0.1 * jax.random.normal(next(keys), b.shape) for b in net.biases)
+    def dress(net: Network, kept: np.ndarray) -> Network:
+        layers = {
+            name: layer | {"bias": 0.1 * jax.random.normal(next(keys), layer["bias"].shape)}
+            for name, layer in net.layers.items()
+        }
         mean = kept @ (0.1 * jax.random.normal(next(keys), net.mean.shape))
         scale = np.abs(kept) @ (1.0 + 0.5 * jax.random.uniform(next(keys), net.scale.shape))
-        return net._replace(biases=biases, mean=mean, scale=jnp.where(scale > 0, scale, 1.0))
+        return net._replace(layers=layers, mean=mean, scale=jnp.where(scale > 0, scale, 1.0))
 
     scale = jnp.array([1.0, 1.0, 0.5, 20.0, 10.0])
     robot_net = dress(params.robot.net, parts(robot_model.REFLECTIONS[0])[0])

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from contextlib import closing
+from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
@@ -13,6 +16,7 @@ from hypothesis import strategies as st
 
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.learning import training
+from shmoo_mjx.learning.checkpoints import Checkpoints
 
 
 @settings(max_examples=30, deadline=None)
@@ -46,3 +50,33 @@ def test_a_training_without_a_finite_score_is_an_error() -> None:
         training.run(jnp.zeros(2), epoch, lambda state: state, lambda state: jnp.nan, epochs=3, patience=2)
     found = training.run(jnp.zeros(2), epoch, lambda state: state, lambda state: jnp.float32(1.0), epochs=3, patience=2)
     assert found.score == 1.0
+
+
+def test_a_state_is_whole_that_of_the_last_step_and_of_this_training(tmp_path: Path) -> None:
+    like = {"a": jnp.zeros(3), "opt": (jnp.zeros((2, 2)), None)}
+    with closing(Checkpoints(tmp_path / "x", "one")) as kept:
+        assert kept.load(like) is None
+        for step in (1, 2):
+            kept.save(step, {"a": like["a"] + step, "opt": (jnp.full((2, 2), step), None)}, {"score": float(step)})
+    with closing(Checkpoints(tmp_path / "x", "one")) as kept:
+        found = kept.load(like)
+        assert found is not None and found[1]["score"] == 2.0
+        jax.tree.map(lambda a: np.testing.assert_array_equal(a, 2.0), found[0])
+    with closing(Checkpoints(tmp_path / "x", "other")) as kept:
+        assert kept.load(like) is None
+        kept.save(1, like, {})
+    with closing(Checkpoints(tmp_path / "x", "one")) as kept:
+        assert kept.load(like) is None
+
+
+def test_a_damaged_state_is_refused_by_its_folder(tmp_path: Path) -> None:
+    like = {"a": jnp.zeros(300)}
+    with closing(Checkpoints(tmp_path / "x", "one")) as kept:
+        kept.save(1, like, {})
+    for part in (tmp_path / "x").rglob("d/*"):
+        part.write_bytes(part.read_bytes()[:-20])
+    with (
+        closing(Checkpoints(tmp_path / "x", "one")) as kept,
+        pytest.raises(ShmooError, match=r"x: .*delete the folder"),
+    ):
+        kept.load(like)

@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from shmoo_mjx.dynamics import mlp
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning import least_squares, multistep, training
 from shmoo_mjx.learning import samples as batches
@@ -18,7 +17,7 @@ from shmoo_mjx.learning.baselines.sight import Sight
 from shmoo_mjx.learning.samples import Sampler, Samples
 from shmoo_mjx.types import Array
 
-__all__ = ["Layers", "MetaTask", "dense", "layers", "meta_train"]
+__all__ = ["MetaTask", "meta_train"]
 
 Tree = Any
 
@@ -28,13 +27,6 @@ ROWS = 64
 """Samples per condition that the loss of one step is taken on."""
 WINDOWS, HORIZON = 16, 15
 """Windows per condition and their length for a loss on what is fed back: those of DAIML."""
-
-
-class Layers(NamedTuple):
-    """The learned part of an MLP."""
-
-    weights: tuple[Array, ...]
-    biases: tuple[Array, ...]
 
 
 class MetaTask(NamedTuple):
@@ -51,17 +43,6 @@ class _State(NamedTuple):
     params: Tree
     opt: Any
     key: Array
-
-
-def layers(key: Array, *widths: int) -> Layers:
-    """Fresh weights."""
-    net = mlp.init(key, widths)
-    return Layers(net.weights, net.biases)
-
-
-def dense(net: Layers, x: Array) -> Array:
-    """Output of the network for normalised inputs ``x [..., n]``."""
-    return mlp.apply(mlp.MLP(net.weights, net.biases, jnp.zeros(()), jnp.ones(())), x, "relu")
 
 
 def meta_train(

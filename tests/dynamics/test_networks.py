@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from shmoo_mjx.dynamics import contact_model, core, equivariant, features, object_model, robot_model
+from shmoo_mjx.dynamics import contact_model, core, features, fused, networks, object_model, robot_model
 from shmoo_mjx.dynamics.core import CoreConfig
 from shmoo_mjx.dynamics.object_model import ObjectConfig
 
@@ -24,14 +24,10 @@ def trained(config: CoreConfig, symmetrical: bool = True) -> core.Params:
         return jnp.asarray(x + 0.3 * rng.normal(size=x.shape), jnp.float32)
 
     inside, seen = features.reflection(features.ROBOT_INPUTS), object_model.reflections(config.object)[0]
-    robot = params.robot.net._replace(
-        weights=tuple(map(moved, params.robot.net.weights)), biases=tuple(map(moved, params.robot.net.biases))
-    )
-    robot = equivariant.with_normaliser(robot, jnp.asarray(rng.normal(size=(50, 28)) + 0.5), inside)
-    net = params.object.net._replace(
-        weights=tuple(map(moved, params.object.net.weights)), biases=tuple(map(moved, params.object.net.biases))
-    )
-    net = equivariant.with_normaliser(net, jnp.asarray(rng.normal(size=(50, len(seen))) + 0.5), seen)
+    robot = params.robot.net._replace(layers=jax.tree.map(moved, params.robot.net.layers))
+    robot = networks.with_normaliser(robot, jnp.asarray(rng.normal(size=(50, 28)) + 0.5), inside)
+    net = params.object.net._replace(layers=jax.tree.map(moved, params.object.net.layers))
+    net = networks.with_normaliser(net, jnp.asarray(rng.normal(size=(50, len(seen))) + 0.5), seen)
     signs = object_model.coefficient_signs(config.object)
     coefficients = jnp.asarray(rng.normal(size=signs.shape), jnp.float32)
     even = [not name.endswith("_y") or name in ("log_friction_y", "log_foot_y") for name in contact_model.PARAMETERS]
@@ -77,4 +73,26 @@ def test_the_mirror_of_the_mirror_is_the_thing(table: tuple[features.Entry, ...]
 
 def test_odd_widths_are_refused() -> None:
     with pytest.raises(ValueError, match="even widths"):
-        equivariant.init(jax.random.key(0), (3, 7, 2))
+        networks.init(networks.EquivariantMLP((7, 2), (np.eye(3), np.eye(2))), jax.random.key(0), 3)
+
+
+def test_what_is_fused_says_the_same() -> None:
+    rng, params = np.random.default_rng(3), trained(PER_AXIS)
+    x = rng.normal(size=(6, 4, 28)).astype(np.float32)
+    said = robot_model.normalised(params.robot.net, x, PER_AXIS.robot)
+    ready = fused.fuse_equivariant(params.robot.net, robot_model.REFLECTIONS).forward(np.moveaxis(x, -1, 0), "relu")
+    np.testing.assert_allclose(np.moveaxis(ready, 0, -1), said, rtol=1e-4, atol=1e-5)
+    plain = networks.MLP((16, 8, 5), "tanh")
+    net = networks.with_normaliser(networks.init(plain, jax.random.key(1), 28), x + 0.5)
+    ready = fused.fuse(net).forward(np.moveaxis(x, -1, 0), "tanh")
+    np.testing.assert_allclose(np.moveaxis(ready, 0, -1), networks.apply(plain, net, x), rtol=1e-4, atol=1e-5)
+
+
+def test_no_layer_keeps_a_larger_norm_than_the_cap() -> None:
+    net = networks.init(networks.MLP((32, 16, 4)), jax.random.key(0), 10)
+    net = net._replace(layers=jax.tree.map(lambda x: 3.0 * x, net.layers))
+    vectors = {name: jnp.ones(layer["kernel"].shape[1]) for name, layer in net.layers.items()}
+    for _ in range(50):
+        net, vectors = networks.cap_spectral_norm(net, vectors, 0.7)
+    norms = [float(np.linalg.norm(layer["kernel"], 2)) for layer in net.layers.values()]
+    np.testing.assert_allclose(norms, 0.7, rtol=1e-3)

@@ -1,0 +1,111 @@
+"""Networks made ready for roll-outs: channels first, and the normaliser folded into the first layer.
+
+`networks` trains them; what is fused gives the same outputs (tests hold it to that), some thousand times per plan.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from shmoo_mjx.arrays import Array, Float
+from shmoo_mjx.dynamics.networks import ACTIVATIONS, Network, parts
+
+__all__ = ["FusedEquivariantMLP", "FusedMLP", "fuse", "fuse_equivariant"]
+
+
+class FusedMLP(NamedTuple):
+    """`networks.MLP`, ready for roll-outs."""
+
+    weights: tuple[Float[Array, "_n_out _n_in"], ...]
+    """One per layer."""
+    biases: tuple[Float[Array, "_n_out"], ...]
+    """One per layer."""
+    skip: Float[Array, "n_last n_0"] | None = None
+    """A linear map of the input that is added to the output."""
+
+    def followed_by(self, linear: Callable[[Float[Array, "n_last ..."]], Float[Array, "m ..."]]) -> FusedMLP:
+        """The network followed by a linear map of its outputs."""
+        weights, biases = ((*x[:-1], linear(x[-1])) for x in (self.weights, self.biases))
+        return self._replace(weights=weights, biases=biases)
+
+    def with_affine(self, skip: Float[Array, "n_last n_0"] | None, bias: Float[Array, "n_last"]) -> FusedMLP:
+        """The network with ``skip`` times its input and ``bias`` added to its output."""
+        return self._replace(biases=(*self.biases[:-1], self.biases[-1] + bias), skip=skip)
+
+    def forward(self, x: Float[Array, "n_0 ..."], activation: str = "tanh") -> Float[Array, "n_last ..."]:
+        """What `networks.apply` gives, with channels first."""
+        function = ACTIVATIONS[activation]
+        ones = (1,) * (x.ndim - 1)
+        h = x
+        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            h = jnp.tensordot(weight, h, axes=1) + bias.reshape(-1, *ones)
+            h = function(h) if i + 1 < len(self.weights) else h
+        return h if self.skip is None else h + jnp.tensordot(self.skip, x, axes=1)
+
+
+class FusedEquivariantMLP(NamedTuple):
+    """`networks.EquivariantMLP`, ready for roll-outs."""
+
+    even: tuple[Float[Array, "_out _in"], ...]
+    """One ``[n_out / 2, n_in / 2]`` per layer, for the sums of pairs; the first ``[n_1 / 2, n_0]``."""
+    odd: tuple[Float[Array, "_out _in"], ...]
+    """The same for their differences."""
+    biases: tuple[Float[Array, "_out"], ...]
+    skip: Float[Array, "n_last n_0"] | None = None
+    """A linear map of the input that is added to the output."""
+
+    def followed_by(self, linear: Callable[[Float[Array, "n_last ..."]], Float[Array, "m ..."]]) -> FusedEquivariantMLP:
+        """The network followed by a linear map of its outputs."""
+        even, odd, biases = ((*x[:-1], linear(x[-1])) for x in (self.even, self.odd, self.biases))
+        return self._replace(even=even, odd=odd, biases=biases)
+
+    def with_affine(self, skip: Float[Array, "n_last n_0"] | None, bias: Float[Array, "n_last"]) -> FusedEquivariantMLP:
+        """The network with ``skip`` times its input and ``bias`` added to its output."""
+        return self._replace(biases=(*self.biases[:-1], self.biases[-1] + bias), skip=skip)
+
+    def forward(self, x: Float[Array, "n_0 ..."], activation: str = "tanh") -> Float[Array, "n_last ..."]:
+        """What `networks.apply` gives, with channels first."""
+        function = ACTIVATIONS[activation]
+        ones = (1,) * (x.ndim - 1)
+        even = odd = x
+        for i, (for_sums, for_differences, bias) in enumerate(zip(self.even, self.odd, self.biases, strict=True)):
+            both = jnp.tensordot(for_sums, even, axes=1) + bias.reshape(-1, *ones)
+            apart = jnp.tensordot(for_differences, odd, axes=1)
+            if i + 1 < len(self.even):
+                there, mirrored = function(both + apart), function(both - apart)
+                even, odd = there + mirrored, there - mirrored
+        out = both + apart
+        return out if self.skip is None else out + jnp.tensordot(self.skip, x, axes=1)
+
+
+def fuse(net: Network) -> FusedMLP:
+    """A `networks.MLP` for `FusedMLP.forward`; once per plan, so that its steps need not."""
+    weights, biases = _layers(net)
+    first = weights[0].T / net.scale
+    return FusedMLP((first, *(w.T for w in weights[1:])), (biases[0] - first @ net.mean, *biases[1:]))
+
+
+def fuse_equivariant(
+    net: Network, reflections: tuple[Float[np.ndarray, "n_0 n_0"], Float[np.ndarray, "n_last n_last"]]
+) -> FusedEquivariantMLP:
+    """A `networks.EquivariantMLP` for `FusedEquivariantMLP.forward`; once per plan, so that its steps need not."""
+    kernels, biases = _layers(net)
+    halves = [jnp.split(kernel, 2) for kernel in kernels]
+    even, odd = (list(weights) for weights in zip(*halves, strict=True))
+    for weights, into, out in zip((even, odd), *(parts(r) for r in reflections), strict=True):
+        weights[0] = into @ weights[0] / net.scale[:, None]
+        weights[-1] = weights[-1] @ out
+        weights[1:] = [weight * np.sqrt(0.5) for weight in weights[1:]]
+    biases[-1] = biases[-1] @ parts(reflections[1])[0]
+    biases[0] = biases[0] - net.mean @ even[0]
+    return FusedEquivariantMLP(tuple(w.T for w in even), tuple(w.T for w in odd), tuple(biases))
+
+
+def _layers(net: Network) -> tuple[list[Array], list[Array]]:
+    """Kernels and biases, first layer first."""
+    layers = [net.layers[f"layer{i}"] for i in range(len(net.layers))]
+    return [layer["kernel"] for layer in layers], [layer["bias"] for layer in layers]
