@@ -6,13 +6,14 @@ Checked in tests: ``pytest --jaxtyping-packages=shmoo_mjx.dynamics,beartype.bear
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int, Key, Shaped
 
-__all__ = ["Array", "Bool", "Float", "Int", "Key", "Scalar", "Shaped"]
+__all__ = ["Array", "Bool", "Float", "Int", "Key", "Numbers", "Scalar", "Shaped"]
 
 if TYPE_CHECKING:
     # What both have in common can't be said to a type checker.
@@ -21,3 +22,6 @@ if TYPE_CHECKING:
 else:
     Array = np.ndarray | jax.Array
     Scalar = float | int | np.generic | Shaped[Array, ""]
+
+Numbers = Sequence[Scalar]
+"""A point, a pose or sizes written out, as in ``(1.0, 2.0)``."""

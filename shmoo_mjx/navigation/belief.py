@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 import shapely
 
+from shmoo_mjx.arrays import Float
 from shmoo_mjx.learning.adaptation import AdaptState
 from shmoo_mjx.navigation.footprints import add_obstacles, footprint_polygon
 from shmoo_mjx.navigation.maps import ClearanceField, OccupancyGrid, clearance_field
 from shmoo_mjx.types import Observation
 
 __all__ = ["Belief", "KnownObject", "Status", "belief_of"]
-
-Array = Any
 
 _DISPLACED = 0.15
 """An object that stands this far from where it was left has been moved by somebody else [m]."""
@@ -40,8 +39,8 @@ class Status(StrEnum):
 class KnownObject:
     """One object as perceived (pose and size) and as experienced (status, coefficients)."""
 
-    pose: np.ndarray
-    """``[3]`` in {W}."""
+    pose: Float[np.ndarray, "3"]
+    """In {W}."""
     half_extents: tuple[float, float]
     status: Status = Status.UNKNOWN
     pushes: int = 0
@@ -50,7 +49,7 @@ class KnownObject:
     """Coefficients learned from contact so far."""
     age: float = 0.0
     """Time since the object was last detected [s]."""
-    registered: np.ndarray | None = None
+    registered: Float[np.ndarray, "3"] | None = None
     """Pose at which it was registered or parked."""
     fixed_at: float = 0.0
     """When it was registered as an obstacle [s]."""
@@ -136,7 +135,7 @@ def belief_of(grid: OccupancyGrid) -> Belief:
 
 
 def _perceived(
-    known: KnownObject, pose: np.ndarray, age: float, pushed: bool, fixed_for_good: bool
+    known: KnownObject, pose: Float[np.ndarray, "3"], age: float, pushed: bool, fixed_for_good: bool
 ) -> tuple[KnownObject, list[str]]:
     new, notes = replace(known, pose=pose, age=age), []
     if known.age > _LOST >= age:
@@ -158,5 +157,5 @@ def _perceived(
     return new, [*notes, text]
 
 
-def _distance(a: np.ndarray, b: np.ndarray) -> float:
+def _distance(a: Float[np.ndarray, "3"], b: Float[np.ndarray, "3"]) -> float:
     return float(np.linalg.norm(a[:2] - b[:2]))

@@ -8,18 +8,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Bool, Float, Numbers, Scalar, Shaped
 
 __all__ = ["ClearanceField"]
 
-Array = Any
-
 
 class _Field(NamedTuple):
-    values: Array
-    """``[H, W]`` distance [m], row 0 at the bottom."""
-    origin: Array
-    """``[3]`` pose (x, y, yaw) in {W} of the lower-left corner."""
-    resolution: Array
+    values: Float[Array, "H W"]
+    """Distance [m], row 0 at the bottom."""
+    origin: Float[Array, "3"]
+    """Pose (x, y, yaw) in {W} of the lower-left corner."""
+    resolution: Scalar
     """Side of a cell [m]."""
 
 
@@ -43,25 +42,27 @@ class ClearanceField(_Field):
     def __getstate__(self) -> None:
         """Pickles and copies leave ``memo`` behind."""
 
-    def at(self, points: Array) -> np.ndarray:
-        """Bilinear look-up [m] at ``points [..., 2]`` in {W}: ``[...]``, zero off the map."""
+    def at(self, points: Numbers | Float[Array, "*p 2"]) -> Float[np.ndarray, "*p"]:
+        """Bilinear look-up [m] at ``points`` in {W}, zero off the map."""
         at = self.to_cells(points)
         return self.look_up(at[..., 0], at[..., 1])
 
-    def to_cells(self, points: Array) -> np.ndarray:
-        """(row, column) ``[..., 2]``, with fractions, of ``points [..., 2]`` in {W}: whole numbers at cell centres."""
+    def to_cells(self, points: Numbers | Float[Array, "*p 2"]) -> Float[np.ndarray, "*p 2"]:
+        """(row, column), with fractions, of ``points`` in {W}: whole numbers at cell centres."""
         points = np.asarray(points, dtype=float)
         origin = np.asarray(self.origin, dtype=float)
         local = points - origin[:2] if origin[2] == 0.0 else se2.inverse_transform_point(origin, points)
         return local[..., ::-1] / self.resolution - 0.5
 
-    def to_world(self, cells: Array) -> np.ndarray:
-        """Points ``[..., 2]`` in {W} of (row, column) ``[..., 2]``, fractions allowed: undoes ``to_cells``."""
+    def to_world(self, cells: Shaped[Array, "*c 2"]) -> Float[np.ndarray, "*c 2"]:
+        """Points in {W} of (row, column), fractions allowed: undoes ``to_cells``."""
         local = (np.asarray(cells, dtype=float)[..., ::-1] + 0.5) * self.resolution
         return se2.transform_point(np.asarray(self.origin, dtype=float), local)
 
-    def look_up(self, rows: np.ndarray, cols: np.ndarray) -> np.ndarray:
-        """Bilinear look-up [m] at ``rows [...]``, ``cols [...]`` as of ``to_cells``: ``[...]``, zero off the map."""
+    def look_up(
+        self, rows: Scalar | Float[np.ndarray, "*p"], cols: Scalar | Float[np.ndarray, "*p"]
+    ) -> Float[np.ndarray, "*p"]:
+        """Bilinear look-up [m] at ``rows``, ``cols`` as of ``to_cells``, zero off the map."""
         values = np.asarray(self.values)
         height, width = values.shape
         row = np.minimum(np.maximum(rows, 0.0), height - 1.0)
@@ -78,6 +79,8 @@ class ClearanceField(_Field):
         found = low + row * (high - low)
         return np.where(self._holds(rows, cols), found, 0.0)
 
-    def _holds(self, rows: np.ndarray, cols: np.ndarray) -> np.ndarray:
+    def _holds(
+        self, rows: Scalar | Float[np.ndarray, "*p"], cols: Scalar | Float[np.ndarray, "*p"]
+    ) -> Scalar | Bool[np.ndarray, "*p"]:
         height, width = np.shape(self.values)
         return (rows >= -0.5) & (rows <= height - 0.5) & (cols >= -0.5) & (cols <= width - 0.5)

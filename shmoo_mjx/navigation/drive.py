@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Float
 from shmoo_mjx.navigation import flat_trajectory
 from shmoo_mjx.navigation.flat_trajectory import Planner, Trajectory
 from shmoo_mjx.navigation.maps import ClearanceField
@@ -16,9 +17,6 @@ from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
 from shmoo_mjx.types import Observation
 
 __all__ = ["DAMPING", "LEAD", "STIFFNESS", "DriveState", "follow", "init", "velocity_command", "yaw_ahead"]
-
-Array = Any
-
 
 _REPLAN_EVERY = 0.5
 """Time between two local trajectories [s]: a seventh of their length, so that obstacles that appear are met in time."""
@@ -61,8 +59,8 @@ def follow(
     obs: Observation,
     path: Path | None,
     clearance: Callable[[], ClearanceField],
-) -> tuple[DriveState, np.ndarray]:
-    """One control step along ``path``; the lean command ``[2]`` in {R} [rad].
+) -> tuple[DriveState, Float[np.ndarray, "2"]]:
+    """One control step along ``path``; the lean command in {R} [rad].
 
     A trajectory always ends at rest, so that while no new one is found the old one brings the robot to a stop; so it
     does without a path. ``clearance`` is asked only where a new trajectory is due.
@@ -84,9 +82,8 @@ def follow(
     return state, _track(planner, state, now, flat, yaw + LEAD * obs.robot_twist[0, 2])
 
 
-def _begin(planner: Planner, state: DriveState, now: float, flat: np.ndarray) -> np.ndarray:
-    """The flat state ``[4, 2]`` that the next trajectory starts from: where the last one has got to, if the robot is
-    near it."""
+def _begin(planner: Planner, state: DriveState, now: float, flat: Float[np.ndarray, "4 2"]) -> Float[np.ndarray, "4 2"]:
+    """The flat state that the next trajectory starts from: where the last one has got to, if the robot is near it."""
     if state.trajectory is None:
         return flat
     at = flat_trajectory.evaluate(state.trajectory, now - state.start)
@@ -95,7 +92,9 @@ def _begin(planner: Planner, state: DriveState, now: float, flat: np.ndarray) ->
     return flat if strayed[0] > _STRAYED[0] or strayed[1] > _STRAYED[1] else planned
 
 
-def _track(planner: Planner, state: DriveState, now: float, flat: np.ndarray, yaw: float) -> np.ndarray:
+def _track(
+    planner: Planner, state: DriveState, now: float, flat: Float[np.ndarray, "4 2"], yaw: float
+) -> Float[np.ndarray, "2"]:
     assert state.trajectory is not None
     a, b, c = planner.model
     elapsed = now - state.start
@@ -109,8 +108,10 @@ def _track(planner: Planner, state: DriveState, now: float, flat: np.ndarray, ya
     return se2.rotate(lean * min(1.0, _LEAN_LIMIT / max(norm, 1e-9)), -yaw)
 
 
-def velocity_command(obs: Observation, desired: Array, gains: Gains | None = None) -> np.ndarray:
-    """Lean command ``[2]`` in {R} for a velocity ``desired [2]`` in {R} [m/s]."""
+def velocity_command(
+    obs: Observation, desired: Float[Array, "2"], gains: Gains | None = None
+) -> Float[np.ndarray, "2"]:
+    """Lean command in {R} [rad] for a velocity ``desired`` in {R} [m/s]."""
     velocity = se2.rotate(obs.robot_twist[0, :2], -obs.robot_pose[0, 2])
     lean = velocity_to_lean(gains or Gains(), velocity, obs.lean_rate[0], np.asarray(desired, dtype=float))
     return np.asarray(lean)

@@ -7,18 +7,16 @@ needed for the choice: what coasts or drags is the controller's business, and th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.navigation.footprints import footprints_free
 from shmoo_mjx.navigation.maps import ClearanceField
 
 __all__ = ["YAW_WEIGHT", "Choice", "arc_ends", "choose", "residual"]
-
-Array = Any
-
 
 _CURVATURE = 0.45
 """Largest curvature of a push [1/m]: 26 deg over a metre, what steering gives light and heavy objects alike."""
@@ -39,25 +37,29 @@ class Choice(NamedTuple):
 
     side: int
     """Index of the face."""
-    goal: np.ndarray
-    """``[3]`` where this push is to bring the object, in {W}."""
+    goal: Float[np.ndarray, "3"]
+    """Where this push is to bring the object, in {W}."""
     expected: float
     """Error left after this push, or after a second one, with what the pushes cost [m]."""
 
 
-def residual(pose: Array, goal: Array, yaw_weight: float) -> np.ndarray:
-    """Error ``[...]`` [m] of ``pose [..., 3]`` against ``goal [3]``, the yaw on the circle."""
+def residual(
+    pose: Float[Array, "*b 3"], goal: Float[Array, "3"], yaw_weight: float
+) -> Scalar | Float[np.ndarray, "*b"]:
+    """Error [m] of ``pose`` against ``goal``, the yaw on the circle."""
     offset = np.asarray(pose)[..., :2] - np.asarray(goal)[:2]
     yaw = se2.wrap(np.asarray(pose)[..., 2] - np.asarray(goal)[2])
     return np.hypot(offset[..., 0], offset[..., 1]) + yaw_weight * np.abs(yaw)
 
 
-def arc_ends(pose: Array, face: Array, lengths: Array, curvatures: Array) -> np.ndarray:
-    """Object poses ``[..., L, K, 3]`` in {W} after pushes of these lengths ``[L]`` [m] and curvatures ``[K]`` [1/m].
+def arc_ends(
+    pose: Float[Array, "*b 3"], face: Float[Array, "4"], lengths: Float[Array, "L"], curvatures: Float[Array, "K"]
+) -> Float[np.ndarray, "*b L K 3"]:
+    """Object poses in {W} after pushes of these lengths [m] and curvatures [1/m].
 
     Args:
-        pose: ``[..., 3]`` where the object stands.
-        face: ``[4]`` as faces.faces_of gives it.
+        pose: where the object stands.
+        face: as faces.faces_of gives it.
         lengths: along the arc.
         curvatures: positive turns left.
     """
@@ -72,9 +74,9 @@ def arc_ends(pose: Array, face: Array, lengths: Array, curvatures: Array) -> np.
 
 
 def choose(
-    pose: np.ndarray,
-    goal: np.ndarray,
-    faces: np.ndarray,
+    pose: Float[np.ndarray, "3"],
+    goal: Float[np.ndarray, "3"],
+    faces: Float[np.ndarray, "F 4"],
     ways: Sequence[float | None],
     field: ClearanceField,
     half_extents: tuple[float, float],
@@ -82,9 +84,9 @@ def choose(
     """The push that, alone or followed by another one, leaves the least error; None if no face can be reached.
 
     Args:
-        pose: ``[3]`` of the object in {W}.
-        goal: ``[3]`` where it is to be.
-        faces: ``[F, 4]``.
+        pose: of the object in {W}.
+        goal: where it is to be.
+        faces: as faces.faces_of gives them.
         ways: length of the way to each face [m], None where it can't be reached or must not be pushed.
         field: clearance without the object itself.
         half_extents: of the footprint [m].
@@ -101,8 +103,10 @@ def choose(
     return min(found, key=lambda c: c.expected) if found else None
 
 
-def _best_single(pose: Array, goal: np.ndarray, face: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-    """Least error ``[...]`` after one push from ``pose [..., 3]`` and where the first of them ends."""
+def _best_single(
+    pose: Float[Array, "*b 3"], goal: Float[np.ndarray, "3"], face: Float[np.ndarray, "4"]
+) -> tuple[Scalar | Float[np.ndarray, "*b"], Float[np.ndarray, "3"] | None]:
+    """Least error after one push from ``pose`` and where the first of them ends."""
     curvatures = np.linspace(-_CURVATURE, _CURVATURE, 13)
     ends = arc_ends(pose, face, np.linspace(0.03, _LONGEST, 60), curvatures)
     errors = residual(ends, goal, YAW_WEIGHT).reshape(*ends.shape[:-3], -1)
@@ -113,9 +117,9 @@ def _best_single(pose: Array, goal: np.ndarray, face: np.ndarray) -> tuple[np.nd
 
 
 def _through(
-    pose: np.ndarray,
-    goal: np.ndarray,
-    faces: np.ndarray,
+    pose: Float[np.ndarray, "3"],
+    goal: Float[np.ndarray, "3"],
+    faces: Float[np.ndarray, "F 4"],
     usable: Sequence[int],
     first: int,
     field: ClearanceField,

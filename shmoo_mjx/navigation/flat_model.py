@@ -6,13 +6,13 @@ lean. S = x + (b/a) phi is a flat output: phi = (a/c) S'' and x = S - (b/c) S''.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["FlatModel", "rest_to_rest", "rest_to_rest_time"]
+from shmoo_mjx.arrays import Array, Float, Numbers, Scalar
 
-Array = Any
+__all__ = ["FlatModel", "rest_to_rest", "rest_to_rest_time"]
 
 
 class FlatModel(NamedTuple):
@@ -25,8 +25,14 @@ class FlatModel(NamedTuple):
     c: float
     """[N m]"""
 
-    def flat_state(self, position: Array, velocity: Array, lean: Array, lean_rate: Array) -> np.ndarray:
-        """S and its first three derivatives ``[4, 2]`` from ball position, velocity, lean, lean rate (2,) in {W}."""
+    def flat_state(
+        self,
+        position: Numbers | Float[Array, "2"],
+        velocity: Numbers | Float[Array, "2"],
+        lean: Numbers | Float[Array, "2"],
+        lean_rate: Numbers | Float[Array, "2"],
+    ) -> Float[np.ndarray, "4 2"]:
+        """S and its first three derivatives from ball position, velocity, lean, lean rate in {W}."""
         position, velocity, lean, lean_rate = (
             np.asarray(v, dtype=float)[:2] for v in (position, velocity, lean, lean_rate)
         )
@@ -34,8 +40,8 @@ class FlatModel(NamedTuple):
         return np.stack([position + lever * lean, velocity + lever * lean_rate, pull * lean, pull * lean_rate])
 
 
-def rest_to_rest(distance: float, duration: float, t: Array) -> np.ndarray:
-    """S and its first four derivatives ``[..., 5]`` at times t of the degree-9 motion from rest to rest.
+def rest_to_rest(distance: float, duration: float, t: Scalar | Float[Array, "*t"]) -> Float[np.ndarray, "*t 5"]:
+    """S and its first four derivatives at times t of the degree-9 motion from rest to rest.
 
     s(u) = 126 u^5 - 420 u^6 + 540 u^7 - 315 u^8 + 70 u^9, the polynomial whose derivatives up to the fourth vanish at
     both ends.

@@ -16,6 +16,7 @@ import numpy as np
 from scipy import sparse
 from scipy.interpolate import BSpline
 
+from shmoo_mjx.arrays import Float
 from shmoo_mjx.navigation.flat_model import FlatModel
 
 __all__ = [
@@ -80,10 +81,10 @@ class Planner(NamedTuple):
 
     model: FlatModel
     cfg: TrajectoryConfig
-    times: np.ndarray
-    """``[K]`` sample times [s], the last one being the horizon."""
-    position: np.ndarray
-    """``[K, n]`` control points to ball position."""
+    times: Float[np.ndarray, "K"]
+    """Sample times [s], the last one being the horizon."""
+    position: Float[np.ndarray, "K n"]
+    """Control points to ball position."""
     on_way: sparse.csc_matrix
     """``[2n + K, 2n + K]`` upper half of the quadratic cost."""
     at_end: sparse.csc_matrix
@@ -117,20 +118,25 @@ def init(model: FlatModel, cfg: TrajectoryConfig = TrajectoryConfig()) -> Planne
 
 
 def solve(
-    planner: Planner, state: np.ndarray, reference: np.ndarray, width: np.ndarray, at_end: bool, recovery: bool = False
-) -> tuple[np.ndarray, float] | None:
+    planner: Planner,
+    state: Float[np.ndarray, "4 2"],
+    reference: Float[np.ndarray, "K 2"],
+    width: Float[np.ndarray, "K"],
+    at_end: bool,
+    recovery: bool = False,
+) -> tuple[Float[np.ndarray, "n 2"], float] | None:
     """Solves for the spline.
 
     Args:
         planner: from ``init``.
-        state: flat state ``[4, 2]`` at the start.
-        reference: ``[K, 2]`` where to be at the sample times [m].
-        width: ``[K]`` radius of the disc round each reference point that should not be left [m].
+        state: flat state at the start.
+        reference: where to be at the sample times [m].
+        width: radius of the disc round each reference point that should not be left [m].
         at_end: weigh the last point as the path's end.
         recovery: allow LEAN_RECOVERY and, at a price, speeds above ``speed_max``.
 
     Returns:
-        Control points ``[n, 2]`` and the largest slack, or None if the limits contradict the state.
+        Control points and the largest slack, or None if the limits contradict the state.
     """
     n = planner.position.shape[1]
     linear = -2 * (planner.position.T * _tracking_weights(at_end)) @ reference
@@ -153,7 +159,7 @@ def solve(
     return x[: 2 * n].reshape(2, n).T, float(max(x[2 * n :].max(), 0.0))
 
 
-def knot_vector(intervals: int, horizon: float) -> np.ndarray:
+def knot_vector(intervals: int, horizon: float) -> Float[np.ndarray, "k"]:
     """Knots of the clamped spline with this many equal pieces over [0, horizon] s."""
     inner = np.linspace(0.0, horizon, intervals + 1)
     return np.concatenate([np.zeros(DEGREE), inner, np.full(DEGREE, horizon)])
@@ -169,19 +175,19 @@ def basis_splines(intervals: int, horizon: float) -> tuple[BSpline, ...]:
     return (basis, *(basis.derivative(order) for order in range(1, 5)))
 
 
-def _basis(cfg: TrajectoryConfig, times: np.ndarray, order: int) -> np.ndarray:
-    """``[len(times), n]``: control points to the derivative of S of this order."""
+def _basis(cfg: TrajectoryConfig, times: Float[np.ndarray, "K"], order: int) -> Float[np.ndarray, "K n"]:
+    """Control points to the derivative of S of this order."""
     return basis_splines(_INTERVALS, cfg.horizon)[order](times)
 
 
-def _tracking_weights(at_end: bool) -> np.ndarray:
+def _tracking_weights(at_end: bool) -> Float[np.ndarray, "K"]:
     weights = np.full(SAMPLES, _TRACKING_WEIGHT / SAMPLES)
     if at_end:
         weights[-1] = _END_WEIGHT
     return weights
 
 
-def _quadratic(position: np.ndarray, snap: np.ndarray, at_end: bool) -> sparse.csc_matrix:
+def _quadratic(position: Float[np.ndarray, "K n"], snap: Float[np.ndarray, "K n"], at_end: bool) -> sparse.csc_matrix:
     """Upper half of the quadratic cost: tracking and smoothness; slack costs linearly."""
     k = SAMPLES
     hessian = 2 * (position.T * _tracking_weights(at_end)) @ position
@@ -192,11 +198,11 @@ def _quadratic(position: np.ndarray, snap: np.ndarray, at_end: bool) -> sparse.c
 
 
 def _rows(
-    ends: np.ndarray,
-    velocity: np.ndarray,
-    lean: np.ndarray,
-    position: np.ndarray,
-    lean_acceleration: np.ndarray,
+    ends: Float[np.ndarray, "7 n"],
+    velocity: Float[np.ndarray, "K n"],
+    lean: Float[np.ndarray, "K n"],
+    position: Float[np.ndarray, "K n"],
+    lean_acceleration: Float[np.ndarray, "J n"],
     recovery: bool,
 ) -> sparse.csc_matrix:
     """Left-hand sides, in the order of ``_bounds``."""
@@ -214,8 +220,12 @@ def _rows(
 
 
 def _bounds(
-    cfg: TrajectoryConfig, state: np.ndarray, reference: np.ndarray, width: np.ndarray, recovery: bool
-) -> tuple[np.ndarray, np.ndarray]:
+    cfg: TrajectoryConfig,
+    state: Float[np.ndarray, "4 2"],
+    reference: Float[np.ndarray, "K 2"],
+    width: Float[np.ndarray, "K"],
+    recovery: bool,
+) -> tuple[Float[np.ndarray, "14"], Float[np.ndarray, "r"]]:
     """Right-hand sides of the equalities (state at the start, rest at the end) and of the inequalities."""
     k = SAMPLES
     pinned = np.concatenate([np.concatenate([state[:, i], np.zeros(3)]) for i in range(2)])
@@ -229,12 +239,12 @@ def _bounds(
     return pinned, np.concatenate(limits)
 
 
-def _octagon(rows: np.ndarray) -> sparse.csc_matrix:
-    """``[8 K, 2 n]``: each octagon normal times the planar quantity that ``rows [K, n]`` give per axis."""
+def _octagon(rows: Float[np.ndarray, "K n"]) -> sparse.csc_matrix:
+    """``[8 K, 2 n]``: each octagon normal times the planar quantity that ``rows`` give per axis."""
     return sparse.kron(_NORMALS, sparse.csc_matrix(rows), format="csc")
 
 
-def _box(rows: np.ndarray) -> sparse.csc_matrix:
+def _box(rows: Float[np.ndarray, "K n"]) -> sparse.csc_matrix:
     """``[4 K, 2 n]``: plus and minus each axis's part of the quantity; cheaper than the octagon, and stricter."""
     signed = np.vstack([np.eye(2), -np.eye(2)])
     return sparse.kron(signed, sparse.csc_matrix(rows), format="csc")

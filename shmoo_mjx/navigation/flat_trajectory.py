@@ -6,11 +6,12 @@ trajectory that has been checked and can be evaluated.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import BSpline
 
+from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.navigation.flat_model import FlatModel, rest_to_rest, rest_to_rest_time
 from shmoo_mjx.navigation.flat_qp import (
     DEGREE,
@@ -38,8 +39,6 @@ __all__ = [
     "rest_to_rest_time",
 ]
 
-Array = Any
-
 _CORRIDOR = (0.04, 0.50)
 """Half width that the corridor is given where there is none, and at which it is cut off [m]: some is needed for the
 program to have a solution, and a wide one would let the robot cut its corners."""
@@ -57,13 +56,13 @@ class Trajectory(NamedTuple):
     ok: bool
     reason: str
     """Empty if ok, else one sentence."""
-    control_points: np.ndarray
-    """``[n, 2]`` of S in {W} [m]."""
+    control_points: Float[np.ndarray, "n 2"]
+    """Of S in {W} [m]."""
     horizon: float
     """[s]"""
     model: FlatModel
-    reference: np.ndarray
-    """``[K, 2]`` points of the path that were tracked, {W} [m]."""
+    reference: Float[np.ndarray, "K 2"]
+    """Points of the path that were tracked, {W} [m]."""
     corridor_excess: float
     """How far the trajectory leaves its corridor at the worst sample [m]; in a recovery, or its speed limit [m/s]."""
     reaches_end: bool
@@ -73,26 +72,26 @@ class Trajectory(NamedTuple):
 
 
 class TrajectorySample(NamedTuple):
-    """The trajectory at some times; every field is ``[..., 2]`` in {W}."""
+    """The trajectory at some times, in {W}."""
 
-    position: np.ndarray
+    position: Float[np.ndarray, "... 2"]
     """Of the ball [m]."""
-    velocity: np.ndarray
+    velocity: Float[np.ndarray, "... 2"]
     """Of the ball [m/s]."""
-    acceleration: np.ndarray
+    acceleration: Float[np.ndarray, "... 2"]
     """Of the ball [m/s^2]."""
-    lean: np.ndarray
+    lean: Float[np.ndarray, "... 2"]
     """Lean towards +x and +y that goes with it: the feed-forward [rad]."""
-    lean_rate: np.ndarray
+    lean_rate: Float[np.ndarray, "... 2"]
     """[rad/s]"""
 
 
-def plan(planner: Planner, state: Array, path: Path, field: ClearanceField | None = None) -> Trajectory:
+def plan(planner: Planner, state: Float[Array, "4 2"], path: Path, field: ClearanceField | None = None) -> Trajectory:
     """The smoothest trajectory that follows the path within the limits, at rest at the end of the horizon.
 
     Args:
         planner: from ``init``.
-        state: flat state ``[4, 2]`` in {W}, see ``FlatModel.flat_state``.
+        state: flat state in {W}, see ``FlatModel.flat_state``.
         path: the global path; the part behind the robot is skipped.
         field: distance to walls and obstacles, which makes the corridor; None for open floor.
 
@@ -120,8 +119,8 @@ def plan(planner: Planner, state: Array, path: Path, field: ClearanceField | Non
     return trajectory._replace(ok=not reason, reason=reason)
 
 
-def evaluate(trajectory: Trajectory, t: Array) -> TrajectorySample:
-    """The trajectory ``t [...]`` s after its start; at rest at its end from the horizon on."""
+def evaluate(trajectory: Trajectory, t: Scalar | Float[Array, "..."]) -> TrajectorySample:
+    """The trajectory ``t`` s after its start; at rest at its end from the horizon on."""
     t = np.asarray(t, dtype=float)
     after = (t > trajectory.horizon)[..., None]
     intervals = len(trajectory.control_points) - DEGREE
@@ -142,9 +141,9 @@ def evaluate(trajectory: Trajectory, t: Array) -> TrajectorySample:
 
 
 def _reference(
-    planner: Planner, state: np.ndarray, path: Path, field: ClearanceField | None
-) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Points of the path to be at ``[K, 2]``, half width of the corridor there ``[K]``, and is the end reached."""
+    planner: Planner, state: Float[np.ndarray, "4 2"], path: Path, field: ClearanceField | None
+) -> tuple[Float[np.ndarray, "K 2"], Float[np.ndarray, "K"], bool]:
+    """Points of the path to be at, half width of the corridor there, and is the end reached."""
     cfg, lag = planner.cfg, planner.model.b / planner.model.c
     here = state[0] - lag * state[2]
     s = project(path, here)
@@ -190,6 +189,6 @@ def _too_near(trajectory: Trajectory, planner: Planner, field: ClearanceField) -
     )
 
 
-def _failed(planner: Planner, reason: str, reference: np.ndarray) -> Trajectory:
+def _failed(planner: Planner, reason: str, reference: Float[np.ndarray, "K 2"]) -> Trajectory:
     points = np.zeros((planner.position.shape[1], 2))
     return Trajectory(False, reason, points, planner.cfg.horizon, planner.model, reference, np.inf, False)

@@ -9,6 +9,7 @@ import numpy as np
 import shapely
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Bool, Float, Int, Numbers, Scalar
 from shmoo_mjx.navigation.maps import ClearanceField
 
 __all__ = [
@@ -20,21 +21,21 @@ __all__ = [
     "window_near",
 ]
 
-Array = Any
-
 _KEPT = 4
 """So many fields with obstacles are remembered; the robot knows a handful of objects, and asks with and without."""
 _SIGNS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 
 
-def footprint_corners(poses: Array, half_extents: Array) -> np.ndarray:
-    """Corners ``[..., 4, 2]`` in {W} of rectangles at ``poses [..., 3]`` with ``half_extents`` (2,) along {O} [m]."""
+def footprint_corners(
+    poses: Numbers | Float[Array, "*b 3"], half_extents: Numbers | Float[Array, "2"]
+) -> Float[np.ndarray, "*b 4 2"]:
+    """Corners in {W} of rectangles at ``poses`` with ``half_extents`` along {O} [m]."""
     poses = np.asarray(poses, dtype=float)
     return se2.transform_point(poses[..., None, :], np.asarray(half_extents, dtype=float) * _SIGNS)
 
 
-def footprint_polygon(pose: Array, half_extents: Array) -> shapely.Polygon:
-    """The footprint in {W} of a rectangle at ``pose`` (3,) with ``half_extents`` (2,) along {O} [m]."""
+def footprint_polygon(pose: Numbers | Float[Array, "3"], half_extents: Numbers | Float[Array, "2"]) -> shapely.Polygon:
+    """The footprint in {W} of a rectangle at ``pose`` with ``half_extents`` along {O} [m]."""
     return shapely.Polygon(footprint_corners(pose, half_extents))
 
 
@@ -74,8 +75,8 @@ def window_near(field: ClearanceField, polygon: shapely.Polygon, reach: float) -
     return _window(cells, int(np.ceil(reach / float(field.resolution))) + 1, np.shape(field.values))
 
 
-def polygon_distance(polygon: shapely.Polygon, points: np.ndarray) -> np.ndarray:
-    """Distance ``[...]`` [m] of ``points [..., 2]`` in {W} to a polygon, zero inside; quick where it is convex."""
+def polygon_distance(polygon: shapely.Polygon, points: Float[np.ndarray, "*p 2"]) -> Scalar | Float[np.ndarray, "*p"]:
+    """Distance [m] of ``points`` in {W} to a polygon, zero inside; quick where it is convex."""
     corners = _convex_corners(polygon)
     if corners is None:
         return shapely.distance(polygon, shapely.points(points))
@@ -93,8 +94,8 @@ def polygon_distance(polygon: shapely.Polygon, points: np.ndarray) -> np.ndarray
     return np.where(off > 0, np.hypot(off, beyond), 0.0).reshape(points.shape[:-1])
 
 
-def _convex_corners(polygon: shapely.Polygon) -> np.ndarray | None:
-    """Corners ``[E, 2]`` anticlockwise, without doubles; None if the polygon is not convex or has holes."""
+def _convex_corners(polygon: shapely.Polygon) -> Float[np.ndarray, "E 2"] | None:
+    """Corners anticlockwise, without doubles; None if the polygon is not convex or has holes."""
     ring = np.asarray(polygon.exterior.coords)[:, :2]
     ring = ring[:-1][np.hypot(*np.diff(ring, axis=0).T) > 1e-9]
     if len(ring) < 3 or len(polygon.interiors):
@@ -109,24 +110,21 @@ def _convex_corners(polygon: shapely.Polygon) -> np.ndarray | None:
 
 def footprints_free(
     field: ClearanceField,
-    poses: Array,
-    half_extents: Array,
-    path: Array | None = None,
+    poses: Numbers | Float[Array, "3"] | Float[Array, "N 3"],
+    half_extents: Numbers | Float[Array, "2"],
+    path: Float[Array, "M 2"] | None = None,
     path_clearance: float = 0.0,
     wall_clearance: float = 0.0,
-) -> np.ndarray:
+) -> Bool[np.ndarray, "N"]:
     """Which placements of a rectangle touch neither walls nor the path; the whole footprint is looked at.
 
     Args:
         field: distance to walls, unknown cells and registered obstacles [m].
-        poses: ``[N, 3]`` in {W}.
-        half_extents: (2,) half sizes along {O} [m].
-        path: ``[M, 2]`` polyline in {W}, or None.
+        poses: in {W}; one is as good as a list of one.
+        half_extents: half sizes along {O} [m].
+        path: polyline in {W}, or None.
         path_clearance: distance that must be left between footprint and path [m].
         wall_clearance: distance that must be left between footprint and walls [m].
-
-    Returns:
-        bool ``[N]``.
     """
     poses = np.atleast_2d(np.asarray(poses, dtype=float))
     resolution = float(field.resolution)
@@ -142,19 +140,19 @@ def footprints_free(
     return free
 
 
-def _lattice(half_extents: np.ndarray, spacing: float) -> np.ndarray:
-    """Points ``[P, 2]`` that fill a rectangle, edges included, at most ``spacing`` apart."""
+def _lattice(half_extents: Float[np.ndarray, "2"], spacing: float) -> Float[np.ndarray, "P 2"]:
+    """Points that fill a rectangle, edges included, at most ``spacing`` apart."""
     axes = [np.linspace(-h, h, max(2, int(np.ceil(2 * h / spacing)) + 1)) for h in half_extents]
     return np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
 
 
-def _bounding_corners(polygon: shapely.Polygon) -> np.ndarray:
+def _bounding_corners(polygon: shapely.Polygon) -> Float[np.ndarray, "4 2"]:
     x0, y0, x1, y1 = polygon.bounds
     return np.array([[x0, y0], [x1, y0], [x0, y1], [x1, y1]])
 
 
-def _window(cells: np.ndarray, pad: int, shape: tuple[int, ...]) -> tuple[slice, slice]:
-    """The part of a map of this shape that holds ``cells [N, 2]`` (row, column) and ``pad`` cells round them."""
+def _window(cells: Int[np.ndarray, "N 2"], pad: int, shape: tuple[int, ...]) -> tuple[slice, slice]:
+    """The part of a map of this shape that holds ``cells`` (row, column) and ``pad`` cells round them."""
     low = np.clip(cells.min(axis=0) - pad, 0, shape)
     high = np.maximum(np.minimum(cells.max(axis=0) + pad + 1, shape), low)
     return slice(int(low[0]), int(high[0])), slice(int(low[1]), int(high[1]))

@@ -15,6 +15,7 @@ import shapely
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
+from shmoo_mjx.arrays import Bool, Float, Int
 from shmoo_mjx.navigation.clearance import ClearanceField
 from shmoo_mjx.navigation.footprints import window_near
 from shmoo_mjx.navigation.line_costs import PathConfig, line_costs, metre_cost
@@ -34,10 +35,10 @@ _TIGHT = 2.0
 class Lattice(NamedTuple):
     """The graph for one field, one radius and one configuration; N points, E directed lines."""
 
-    cells: np.ndarray
-    """int ``[N, 2]`` (row, column) of the points."""
-    number: np.ndarray
-    """int ``[BH, BW]``: the point in each block, or -1."""
+    cells: Int[np.ndarray, "N 2"]
+    """(row, column) of the points."""
+    number: Int[np.ndarray, "BH BW"]
+    """The point in each block, or -1."""
     side: int
     """Cells along a block."""
     graph: sparse.csr_matrix
@@ -76,11 +77,11 @@ def with_obstacles(
     polygons: Sequence[shapely.Polygon],
     radius: float,
     cfg: PathConfig,
-) -> tuple[Lattice, np.ndarray]:
+) -> tuple[Lattice, Bool[np.ndarray, "N"]]:
     """The lattice for ``field``, which is the lattice's own with the polygons added.
 
     Returns:
-        The lattice, and bool ``[N]``: the points at which something is different.
+        The lattice, and the points at which something is different.
     """
     cells, data = lattice.cells.copy(), lattice.graph.data.copy()
     touched = np.zeros(len(cells), dtype=bool)
@@ -100,13 +101,13 @@ def with_obstacles(
     return Lattice(cells, lattice.number, lattice.side, graph), changed
 
 
-def costs_from(lattice: Lattice, point: int) -> tuple[np.ndarray, np.ndarray]:
-    """Cost ``[N]`` of the cheapest way between each point and this one, and the next point ``[N]`` on it (or < 0)."""
+def costs_from(lattice: Lattice, point: int) -> tuple[Float[np.ndarray, "N"], Int[np.ndarray, "N"]]:
+    """Cost of the cheapest way between each point and this one, and the next point on it (or < 0)."""
     return dijkstra(lattice.graph, indices=point, return_predecessors=True)
 
 
-def nodes_in(lattice: Lattice, window: tuple[slice, slice]) -> np.ndarray:
-    """Numbers ``[M]`` of the points in a window of cells."""
+def nodes_in(lattice: Lattice, window: tuple[slice, slice]) -> Int[np.ndarray, "M"]:
+    """Numbers of the points in a window of cells."""
     side = lattice.side
     blocks = tuple(slice(part.start // side, -(-part.stop // side)) for part in window)
     number = lattice.number[blocks]
@@ -118,8 +119,8 @@ def nodes_in(lattice: Lattice, window: tuple[slice, slice]) -> np.ndarray:
 
 def _points(
     field: ClearanceField, blocks: tuple[slice, slice], side: int, radius: float, cfg: PathConfig
-) -> tuple[np.ndarray, np.ndarray]:
-    """Which blocks have a point, bool ``[h, w]``, and the cells (row, column) ``[h, w, 2]`` of the points."""
+) -> tuple[Bool[np.ndarray, "h w"], Int[np.ndarray, "h w 2"]]:
+    """Which blocks have a point, and the cells (row, column) of the points."""
     values = np.asarray(field.values)[tuple(slice(b.start * side, b.stop * side) for b in blocks)]
     h, w = (b.stop - b.start for b in blocks)
     padded = np.zeros((h * side, w * side))
@@ -134,8 +135,8 @@ def _points(
     return np.isfinite(score.min(axis=-1)), corner + offset[best]
 
 
-def _neighbours(number: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs ``[P]``, ``[P]`` of points in neighbouring blocks, each pair once."""
+def _neighbours(number: Int[np.ndarray, "BH BW"]) -> tuple[Int[np.ndarray, "P"], Int[np.ndarray, "P"]]:
+    """Pairs of points in neighbouring blocks, each pair once."""
     height, width = number.shape
     pairs = []
     for rows, cols in _HALF:
@@ -148,9 +149,9 @@ def _neighbours(number: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _line_costs(
-    starts: np.ndarray, ends: np.ndarray, field: ClearanceField, radius: float, cfg: PathConfig
-) -> np.ndarray:
-    """Cost ``[M]`` [m] of lines between cells ``[M, 2]``, infinite where there is no way."""
+    starts: Int[np.ndarray, "M 2"], ends: Int[np.ndarray, "M 2"], field: ClearanceField, radius: float, cfg: PathConfig
+) -> Float[np.ndarray, "M"]:
+    """Cost [m] of lines between cells, infinite where there is no way."""
     if not len(starts):
         return np.zeros(0)
     lowest, cost = line_costs(starts.astype(float), ends.astype(float), field, radius, cfg)
@@ -163,8 +164,10 @@ def _line_costs(
     return cost
 
 
-def is_tight(starts: np.ndarray, ends: np.ndarray, lowest: np.ndarray, radius: float) -> np.ndarray:
-    """bool ``[M]``: lines between cells that come nearer than the radius; neighbouring cells count as connected."""
+def is_tight(
+    starts: Int[np.ndarray, "M 2"], ends: Int[np.ndarray, "M 2"], lowest: Float[np.ndarray, "M"], radius: float
+) -> Bool[np.ndarray, "M"]:
+    """Lines between cells that come nearer than the radius; neighbouring cells count as connected."""
     return (lowest < radius - 1e-9) & (np.abs(ends - starts).max(axis=1) > 1)
 
 

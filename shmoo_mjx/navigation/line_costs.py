@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from shmoo_mjx.arrays import Float, Int
 from shmoo_mjx.navigation.clearance import ClearanceField
 
 __all__ = ["PathConfig", "line_costs", "metre_cost"]
@@ -22,28 +23,32 @@ class PathConfig:
     way in the open, 0 takes the shortest."""
 
 
-def metre_cost(distance: np.ndarray, radius: float, cfg: PathConfig) -> np.ndarray:
-    """Cost ``[...]`` of a metre driven at ``distance [...]`` from the nearest wall, by a disc of ``radius`` [m]."""
+def metre_cost(distance: Float[np.ndarray, "*d"], radius: float, cfg: PathConfig) -> Float[np.ndarray, "*d"]:
+    """Cost of a metre driven at ``distance`` from the nearest wall, by a disc of ``radius`` [m]."""
     reach = max(cfg.soft_clearance, 1e-9)
     nearness = np.minimum(np.maximum((radius + reach - distance) / reach, 0.0), 1.0)
     return 1.0 + cfg.soft_weight * nearness * nearness
 
 
 def line_costs(
-    starts: np.ndarray, ends: np.ndarray, field: ClearanceField, radius: float, cfg: PathConfig
-) -> tuple[np.ndarray, np.ndarray]:
+    starts: Float[np.ndarray, "M 2"],
+    ends: Float[np.ndarray, "M 2"],
+    field: ClearanceField,
+    radius: float,
+    cfg: PathConfig,
+) -> tuple[Float[np.ndarray, "M"], Float[np.ndarray, "M"]]:
     """Lowest clearance and cost of straight lines; sampled at least once in a cell's length.
 
     Args:
-        starts: ``[M, 2]`` (row, column) with fractions, as of ``ClearanceField.to_cells``; what lies off the map counts
+        starts: (row, column) with fractions, as of ``ClearanceField.to_cells``; what lies off the map counts
             as its border.
-        ends: ``[M, 2]`` likewise.
+        ends: likewise.
         field: distance to walls and obstacles [m].
         radius: of the disc [m].
         cfg: the cost of being near walls.
 
     Returns:
-        Lowest clearance ``[M]`` [m], and cost ``[M]`` [m, near-wall metres counted more].
+        Lowest clearance [m], and cost [m, near-wall metres counted more].
     """
     steps = ends - starts
     lengths = np.hypot(steps[:, 0], steps[:, 1])
@@ -63,8 +68,10 @@ def line_costs(
     return lowest, lengths * float(field.resolution) * (1.0 + excess / count)
 
 
-def _sampled(lines: np.ndarray, count: np.ndarray, first: np.ndarray, field: ClearanceField) -> np.ndarray:
-    """The field along lines, one after the other; ``lines [M, 4]`` are a first sample and the step to the next.
+def _sampled(
+    lines: Float[np.ndarray, "M 4"], count: Int[np.ndarray, "M"], first: Int[np.ndarray, "M"], field: ClearanceField
+) -> Float[np.ndarray, "S"]:
+    """The field along lines, one after the other; ``lines`` are a first sample and the step to the next.
 
     The same as ``ClearanceField.look_up`` with less of NumPy's overhead, for it is asked dozens of times per path.
     """

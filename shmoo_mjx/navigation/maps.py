@@ -10,7 +10,7 @@ import io
 import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import yaml
@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 from scipy.ndimage import binary_dilation, distance_transform_edt
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Bool, Float, Int, Numbers, Scalar, Shaped
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.files import write_whole
 from shmoo_mjx.navigation.clearance import ClearanceField
@@ -38,8 +39,6 @@ __all__ = [
     "save_map",
 ]
 
-Array = Any
-
 FREE = 0
 OCCUPIED = 100
 UNKNOWN = -1
@@ -52,8 +51,8 @@ _MOST_CELLS = 25_000_000
 class OccupancyGrid:
     """A map of square cells. Only cells that are exactly FREE may be driven on."""
 
-    cells: np.ndarray
-    """int8 ``[H, W]``, row 0 at the bottom: FREE 0, OCCUPIED 100, UNKNOWN -1, shades 1..99 in between."""
+    cells: Int[np.ndarray, "H W"]
+    """int8, row 0 at the bottom: FREE 0, OCCUPIED 100, UNKNOWN -1, shades 1..99 in between."""
     resolution: float
     """Side of a cell [m]."""
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -62,42 +61,42 @@ class OccupancyGrid:
     """The YAML file it was read from, if any."""
 
     @property
-    def free(self) -> np.ndarray:
-        """bool ``[H, W]``: known to be free."""
+    def free(self) -> Bool[np.ndarray, "H W"]:
+        """Known to be free."""
         return self.cells == FREE
 
     @property
-    def occupied(self) -> np.ndarray:
-        """bool ``[H, W]``: certainly occupied."""
+    def occupied(self) -> Bool[np.ndarray, "H W"]:
+        """Certainly occupied."""
         return self.cells >= OCCUPIED
 
-    def world_to_cell(self, points: Array) -> np.ndarray:
-        """(row, column) int ``[..., 2]`` of the cells that hold ``points [..., 2]`` in {W}; may lie off the map."""
+    def world_to_cell(self, points: Numbers | Float[Array, "*p 2"]) -> Int[np.ndarray, "*p 2"]:
+        """(row, column) of the cells that hold ``points`` in {W}; may lie off the map."""
         local = se2.inverse_transform_point(np.asarray(self.origin), np.asarray(points, dtype=float))
         # No int holds 1e308: what becomes of it is off the map, and no warning stands beside the sentence that says so.
         with np.errstate(invalid="ignore", over="ignore"):
             return np.floor(local[..., ::-1] / self.resolution).astype(int)
 
-    def cell_to_world(self, cells: Array) -> np.ndarray:
-        """Centres ``[..., 2]`` in {W} of the cells (row, column) ``[..., 2]``; fractions are allowed."""
+    def cell_to_world(self, cells: Numbers | Shaped[Array, "*c 2"]) -> Float[np.ndarray, "*c 2"]:
+        """Centres in {W} of the cells (row, column); fractions are allowed."""
         local = (np.asarray(cells, dtype=float)[..., ::-1] + 0.5) * self.resolution
         return se2.transform_point(np.asarray(self.origin), local)
 
-    def inside(self, cells: Array) -> np.ndarray:
-        """bool ``[...]``: are the cells (row, column) ``[..., 2]`` on the map."""
+    def inside(self, cells: Numbers | Shaped[Array, "*c 2"]) -> Scalar | Bool[np.ndarray, "*c"]:
+        """Are the cells (row, column) on the map."""
         cells = np.asarray(cells)
         return ((cells >= 0) & (cells < np.array(self.cells.shape))).all(axis=-1)
 
-    def values_at(self, points: Array) -> np.ndarray:
-        """int8 ``[...]``: the cells under ``points [..., 2]`` in {W}; UNKNOWN off the map."""
+    def values_at(self, points: Numbers | Float[Array, "*p 2"]) -> Int[np.ndarray, "*p"]:
+        """The cells under ``points`` in {W}; UNKNOWN off the map."""
         cells = self.world_to_cell(points)
         inside = self.inside(cells)
         rows, cols = np.moveaxis(np.where(inside[..., None], cells, 0), -1, 0)
         return np.where(inside, self.cells[rows, cols], UNKNOWN).astype(np.int8)
 
     @property
-    def centres(self) -> np.ndarray:
-        """``[H, W, 2]`` centres of all cells in {W} [m]."""
+    def centres(self) -> Float[np.ndarray, "H W 2"]:
+        """Centres of all cells in {W} [m]."""
         rows, cols = np.indices(self.cells.shape)
         return self.cell_to_world(np.stack([rows, cols], axis=-1))
 
@@ -149,8 +148,8 @@ def load_map(yaml_path: str | Path) -> OccupancyGrid:
     return OccupancyGrid(np.ascontiguousarray(cells[::-1]), float(meta.resolution), meta.origin, str(path))
 
 
-def _pixels(image_path: Path, yaml_path: Path) -> np.ndarray:
-    """The image as float RGBA ``[H, W, 4]`` in 0..1, or ``[H, W, 3]`` where it has no alpha channel."""
+def _pixels(image_path: Path, yaml_path: Path) -> Float[np.ndarray, "H W C"]:
+    """The image as RGBA in 0..1, or RGB where it has no alpha channel."""
     import imageio.v3 as iio
 
     try:
@@ -181,7 +180,7 @@ def _pixels(image_path: Path, yaml_path: Path) -> np.ndarray:
     return channels
 
 
-def _interpret(pixels: np.ndarray, meta: _MapYaml) -> np.ndarray:
+def _interpret(pixels: Float[np.ndarray, "H W C"], meta: _MapYaml) -> Int[np.ndarray, "H W"]:
     has_alpha = pixels.shape[2] == 4
     used = pixels if meta.mode == "trinary" else pixels[..., :3]
     shade = used.mean(axis=2)
@@ -228,8 +227,8 @@ def save_map(grid: OccupancyGrid, yaml_path: str | Path) -> OccupancyGrid:
     return replace(grid, source=str(path))
 
 
-def clearance(grid: OccupancyGrid) -> np.ndarray:
-    """Distance ``[H, W]`` [m] from each cell's centre to the nearest cell that is not free; zero in such cells.
+def clearance(grid: OccupancyGrid) -> Float[np.ndarray, "H W"]:
+    """Distance [m] from each cell's centre to the nearest cell that is not free; zero in such cells.
 
     Measured to the near face of that cell (too large by at most 0.21 cell sides on a diagonal). Off the map counts as
     not free.
@@ -246,8 +245,8 @@ def clearance_field(grid: OccupancyGrid) -> ClearanceField:
     return ClearanceField(values, np.array(grid.origin), grid.resolution)
 
 
-def inflate(grid: OccupancyGrid, radius: float) -> np.ndarray:
-    """bool ``[H, W]``: cells where a disc of ``radius`` [m] about the cell's centre touches only free cells."""
+def inflate(grid: OccupancyGrid, radius: float) -> Bool[np.ndarray, "H W"]:
+    """Cells where a disc of ``radius`` [m] about the cell's centre touches only free cells."""
     return grid.free & (clearance(grid) >= radius)
 
 

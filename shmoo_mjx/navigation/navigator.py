@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from shmoo_mjx.arrays import Array, Float, Numbers
 from shmoo_mjx.control import equilibrium_lean
 from shmoo_mjx.control.pushing import ObjectObservation
 from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
@@ -49,8 +50,6 @@ from shmoo_mjx.skills import approach, batched, contact, hold, push, retreat
 from shmoo_mjx.types import Command, Observation
 
 __all__ = ["MODES", "PROBE_ROOM", "Navigator", "init", "setup_of", "step"]
-
-Array = Any
 
 _NO_TRAJECTORY = 3.0
 """Time without a local trajectory after which another path is sought [s]."""
@@ -90,8 +89,8 @@ def setup_of(
     return Setup(sizes, controller, config, planner, first_status)
 
 
-def init(grid: OccupancyGrid, goal: Array, seed: int = 0) -> NavigatorState:
-    """State at the start, with nothing known but the map."""
+def init(grid: OccupancyGrid, goal: Numbers | Float[Array, "2"], seed: int = 0) -> NavigatorState:
+    """State at the start, with nothing known but the map; the goal is in {W} [m]."""
     return NavigatorState(np.asarray(goal, dtype=float)[:2], belief_of(grid), jax.random.key(seed))
 
 
@@ -196,8 +195,8 @@ def _turned(setup: Setup, state: NavigatorState, obs: Observation, yaw: float) -
 
 def _drive(
     setup: Setup, state: NavigatorState, obs: Observation, path: Path | None
-) -> tuple[NavigatorState, np.ndarray]:
-    """Lean ``[2]`` along ``path`` round everything that is known."""
+) -> tuple[NavigatorState, Float[np.ndarray, "2"]]:
+    """Lean along ``path`` round everything that is known."""
     driven, lean = drive.follow(setup.trajectories, state.drive, obs, path, state.belief.clearance)
     return replace(state, drive=driven), lean
 
@@ -321,7 +320,7 @@ class Navigator:
     def __init__(
         self,
         grid: OccupancyGrid,
-        goal: Array,
+        goal: Numbers | Float[Array, "2"],
         sizes: Sequence[tuple[float, float]],
         controller: Any,
         seed: int = 0,
@@ -338,8 +337,8 @@ class Navigator:
         self.events += events
         return command
 
-    def head_for(self, goal: Array, now: float) -> None:
-        """Go on to another goal ``[2]`` in {W}, with all that is known."""
+    def head_for(self, goal: Numbers | Float[Array, "2"], now: float) -> None:
+        """Go on to another goal in {W}, with all that is known."""
         state = replace(self.state, goal=np.asarray(goal, dtype=float)[:2], path=None, drive=drive.init())
         self.state = replace(state, mode=Mode.REPLAN, since=now, segment=None, pending=None, waits_from=None)
 

@@ -9,11 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Bool, Float, Int
 
 __all__ = [
     "AREA",
@@ -27,8 +28,6 @@ __all__ = [
     "planning_stage",
 ]
 
-Array = Any
-
 AREA = 2.0
 """Side of the square round the object that the first goals come from [m]: larger allows longer pushes."""
 _GRID_STEP = 0.1
@@ -38,8 +37,8 @@ CONE = math.radians(35)
 that steering hardly reaches."""
 BEST = 3
 """Number of roll-outs of least cost that K sums over; the paper does not give it."""
-CollisionFree = Callable[[np.ndarray], np.ndarray]
-"""(object poses ``[N, 3]`` in {W}) -> bool ``[N]``, True where the whole footprint is clear of map and path."""
+CollisionFree = Callable[[Float[np.ndarray, "N 3"]], Bool[np.ndarray, "N"]]
+"""(object poses in {W}) -> True where the whole footprint is clear of map and path."""
 
 
 @dataclass(frozen=True)
@@ -61,12 +60,12 @@ class ObjectPlannerConfig:
 class InitialGoal(NamedTuple):
     """Result of the initialisation stage."""
 
-    goal: np.ndarray | None
-    """``[3]`` pose in {W}, the object's yaw kept; None if no candidate is left."""
+    goal: Float[np.ndarray, "3"] | None
+    """Pose in {W}, the object's yaw kept; None if no candidate is left."""
     direction: int | None
     """Index of the push direction that the goal belongs to; None without directions or goal."""
-    candidates: np.ndarray
-    """``[M, 3]`` collision-free poses (the goal buffer), nearest first."""
+    candidates: Float[np.ndarray, "M 3"]
+    """Collision-free poses (the goal buffer), nearest first."""
     reason: str
 
 
@@ -78,15 +77,15 @@ class ObjectDecision(NamedTuple):
     """Sum over the best roll-outs of the squared end displacement [m^2]; NaN if no roll-out was finite."""
     G: float
     """Distance between the object and the mean end position of the best roll-outs [m], the text's criterion."""
-    goal: np.ndarray | None
-    """``[3]`` pose in {W}; None if the object is not manipulable or no roll-out ends clear."""
-    candidates: np.ndarray
-    """``[M, 3]`` collision-free end poses (the goal buffer), nearest first."""
+    goal: Float[np.ndarray, "3"] | None
+    """Pose in {W}; None if the object is not manipulable or no roll-out ends clear."""
+    candidates: Float[np.ndarray, "M 3"]
+    """Collision-free end poses (the goal buffer), nearest first."""
     reason: str
 
 
-def goal_grid(object_pose: Array, area: float = AREA) -> np.ndarray:
-    """Poses ``[N, 3]`` on a grid over a square with sides of ``area`` [m] round ``object_pose [3]``, its yaw kept."""
+def goal_grid(object_pose: Float[Array, "3"], area: float = AREA) -> Float[np.ndarray, "N 3"]:
+    """Poses on a grid over a square with sides of ``area`` [m] round ``object_pose``, its yaw kept."""
     pose = np.asarray(object_pose, dtype=float)
     count = math.floor(area / 2 / _GRID_STEP + 1e-9)
     ticks = np.arange(-count, count + 1) * _GRID_STEP
@@ -95,18 +94,18 @@ def goal_grid(object_pose: Array, area: float = AREA) -> np.ndarray:
 
 
 def initial_goal(
-    object_pose: Array,
+    object_pose: Float[Array, "3"],
     collision_free: CollisionFree,
-    push_directions: Array | None = None,
+    push_directions: Float[Array, "F"] | None = None,
     cfg: ObjectPlannerConfig | None = None,
     area: float = AREA,
 ) -> InitialGoal:
     """Algorithm 1, lines 1-6: the closest collision-free goal, before anything is known of the object's dynamics.
 
     Args:
-        object_pose: x^o_t ``[3]`` in {W}.
+        object_pose: x^o_t in {W}.
         collision_free: check of footprint poses against map and path.
-        push_directions: ``[F]`` headings in {W} [rad] in which the robot can push, one per face it can reach; goals
+        push_directions: headings in {W} [rad] in which the robot can push, one per face it can reach; goals
             outside every cone are left out. None allows all. Of goals equally close the one straightest ahead is taken.
         cfg: settings.
         area: side of the square round the object that the goals come from [m].
@@ -136,9 +135,9 @@ def initial_goal(
 
 
 def planning_stage(
-    end_poses: Array,
-    costs: Array,
-    object_pose: Array,
+    end_poses: Float[Array, "S 3"],
+    costs: Float[Array, "S"],
+    object_pose: Float[Array, "3"],
     collision_free: CollisionFree,
     cfg: ObjectPlannerConfig | None = None,
     manipulable: bool | None = None,
@@ -149,9 +148,9 @@ def planning_stage(
     goals still in it, as printed, the closest goal would often be one that no roll-out reaches).
 
     Args:
-        end_poses: x^{o,T} of each roll-out ``[S, 3]`` in {W}.
-        costs: cost of each roll-out ``[S]``; the least mark the optimal roll-outs x^*.
-        object_pose: x^o_t ``[3]`` in {W}.
+        end_poses: x^{o,T} of each roll-out in {W}.
+        costs: cost of each roll-out; the least mark the optimal roll-outs x^*.
+        object_pose: x^o_t in {W}.
         collision_free: check of footprint poses against map and path.
         cfg: settings.
         manipulable: whether the object can be moved, if something else than K decides it.
@@ -186,12 +185,14 @@ def planning_stage(
     return ObjectDecision(True, k, g, buffer[0], buffer, reason)
 
 
-def _distance(poses: np.ndarray, pose: np.ndarray) -> np.ndarray:
+def _distance(poses: Float[np.ndarray, "N 3"], pose: Float[np.ndarray, "3"]) -> Float[np.ndarray, "N"]:
     return np.linalg.norm(poses[:, :2] - pose[:2], axis=-1)
 
 
-def _deviation(poses: np.ndarray, pose: np.ndarray, directions: Array | None) -> tuple[np.ndarray, np.ndarray]:
-    """Angle ``[N]`` between each displacement and the nearest push direction, and that direction's index ``[N]``."""
+def _deviation(
+    poses: Float[np.ndarray, "N 3"], pose: Float[np.ndarray, "3"], directions: Float[Array, "F"] | None
+) -> tuple[Float[np.ndarray, "N"], Int[np.ndarray, "N"]]:
+    """Angle between each displacement and the nearest push direction, and that direction's index."""
     if directions is None:
         return np.zeros(len(poses)), np.zeros(len(poses), dtype=int)
     headings = np.atleast_1d(np.asarray(directions, dtype=float))

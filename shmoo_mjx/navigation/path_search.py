@@ -8,13 +8,14 @@ way is found exactly if the cells have one.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import shapely
 from scipy.ndimage import label
 from skimage.graph import MCP_Geometric
 
+from shmoo_mjx.arrays import Array, Bool, Float, Int
 from shmoo_mjx.navigation import lattice as lattices
 from shmoo_mjx.navigation.clearance import ClearanceField
 from shmoo_mjx.navigation.lattice import Lattice
@@ -22,7 +23,6 @@ from shmoo_mjx.navigation.line_costs import PathConfig, line_costs, metre_cost
 
 __all__ = ["cell_costs", "find_way"]
 
-Array = Any
 _ESCAPE_RADIUS = 0.35
 """Distance from a start nearer to a wall than the radius allows within which cells that are no nearer may be used [m]:
 the robot's radius and a reserve."""
@@ -35,13 +35,13 @@ class _Query(NamedTuple):
 
     field: ClearanceField
     """Distance to walls and obstacles."""
-    start: np.ndarray
-    """(2,) in {W} [m]."""
-    goal: np.ndarray
+    start: Float[np.ndarray, "2"]
+    """In {W} [m]."""
+    goal: Float[np.ndarray, "2"]
     radius: float
     cfg: PathConfig
 
-    def cell(self, point: np.ndarray) -> tuple[int, int]:
+    def cell(self, point: Float[np.ndarray, "2"]) -> tuple[int, int]:
         """(row, column) of the cell that holds the point."""
         row, col = np.floor(self.field.to_cells(point) + 0.5).astype(int)
         return int(row), int(col)
@@ -51,10 +51,10 @@ class _Known(NamedTuple):
     """What queries about the same walls share."""
 
     lattice: Lattice
-    trees: dict[int, tuple[np.ndarray, np.ndarray]]
+    trees: dict[int, tuple[Float[np.ndarray, "N"], Int[np.ndarray, "N"]]]
     """By point of the lattice: the ways to it past walls alone, of the last few goals."""
 
-    def tree(self, root: int) -> tuple[np.ndarray, np.ndarray]:
+    def tree(self, root: int) -> tuple[Float[np.ndarray, "N"], Int[np.ndarray, "N"]]:
         """``costs_from`` the point ``root``."""
         if root not in self.trees:
             while len(self.trees) >= _KEPT:
@@ -68,25 +68,25 @@ class _Window(NamedTuple):
 
     parts: tuple[slice, slice]
     search: MCP_Geometric
-    cost: np.ndarray
-    """``[h, w]`` [m, near-wall metres counted more]."""
+    cost: Float[np.ndarray, "h w"]
+    """[m, near-wall metres counted more]."""
 
     @property
-    def corner(self) -> np.ndarray:
+    def corner(self) -> Int[np.ndarray, "2"]:
         return np.array([part.start for part in self.parts])
 
-    def costs_at(self, cells: np.ndarray) -> np.ndarray:
-        """Cost ``[M]`` of the cheapest way to ``cells [M, 2]`` of the window."""
+    def costs_at(self, cells: Int[np.ndarray, "M 2"]) -> Float[np.ndarray, "M"]:
+        """Cost of the cheapest way to ``cells`` of the window."""
         rows, cols = (cells - self.corner).T
         return self.cost[rows, cols]
 
-    def way_to(self, cell: Array) -> np.ndarray:
-        """Cells ``[K, 2]`` of that way, from the end outwards."""
+    def way_to(self, cell: Int[np.ndarray, "2"]) -> Int[np.ndarray, "K 2"]:
+        """Cells of that way, from the end outwards."""
         return np.array(self.search.traceback(tuple(np.asarray(cell) - self.corner))) + self.corner
 
 
-def cell_costs(values: Array, radius: float, cfg: PathConfig) -> np.ndarray:
-    """Cost of each cell per metre, of the shape of ``values`` [m] of a clearance field; -1 where the disc can't be."""
+def cell_costs(values: Float[Array, "H W"], radius: float, cfg: PathConfig) -> Float[np.ndarray, "H W"]:
+    """Cost of each cell per metre, by the ``values`` [m] of a clearance field; -1 where the disc can't be."""
     values = np.asarray(values)
     return np.where(values >= radius, metre_cost(values, radius, cfg), -1.0)
 
@@ -95,24 +95,24 @@ def find_way(
     walls: ClearanceField,
     field: ClearanceField,
     obstacles: Sequence[shapely.Polygon],
-    start: np.ndarray,
-    goal: np.ndarray,
+    start: Float[np.ndarray, "2"],
+    goal: Float[np.ndarray, "2"],
     radius: float,
     cfg: PathConfig,
-) -> np.ndarray | None:
+) -> Int[np.ndarray, "N 2"] | None:
     """The cheapest way, or nearly, of a disc from start to goal as cells, or None if there is none.
 
     Args:
         walls: distance to walls; what is derived from it is kept in its ``memo``.
         field: the same with the obstacles.
         obstacles: footprints in {W}.
-        start: (2,) in {W} [m], on the map.
-        goal: (2,) in {W} [m], on the map.
+        start: in {W} [m], on the map.
+        goal: in {W} [m], on the map.
         radius: of the disc [m].
         cfg: see ``PathConfig``.
 
     Returns:
-        (row, column) ``[N, 2]``; neighbours are neighbouring cells, or points of the lattice with a clear line between.
+        (row, column); neighbours are neighbouring cells, or points of the lattice with a clear line between.
     """
     task = _Query(field, start, goal, radius, cfg)
     known = _known(walls, radius, cfg)
@@ -133,7 +133,7 @@ def _known(walls: ClearanceField, radius: float, cfg: PathConfig) -> _Known:
     return walls.memo[key]
 
 
-def _window(task: _Query, end: np.ndarray, side: int) -> _Window | None:
+def _window(task: _Query, end: Float[np.ndarray, "2"], side: int) -> _Window | None:
     """Ways from an end of the query to all cells near it; None if the disc can't be there."""
     cell, resolution = task.cell(end), float(task.field.resolution)
     half = max(int(np.ceil(_ESCAPE_RADIUS / resolution)), 2 * side) + 2
@@ -149,7 +149,7 @@ def _window(task: _Query, end: np.ndarray, side: int) -> _Window | None:
     return _Window(parts, search, total * resolution)
 
 
-def _opened_costs(task: _Query, parts: tuple[slice, slice]) -> np.ndarray:
+def _opened_costs(task: _Query, parts: tuple[slice, slice]) -> Float[np.ndarray, "h w"]:
     """The costs of some cells, with those added that the robot may use because of where it starts or ends."""
     field, radius, cfg = task.field, task.radius, task.cfg
     resolution = float(field.resolution)
@@ -172,7 +172,7 @@ def _opened_costs(task: _Query, parts: tuple[slice, slice]) -> np.ndarray:
 
 def _on_lattice(
     task: _Query, known: _Known, obstacles: Sequence[shapely.Polygon], near_start: _Window, near_goal: _Window
-) -> np.ndarray | None:
+) -> Int[np.ndarray, "K 2"] | None:
     """Cells of the cheapest way over the lattice; None if none surely keeps the radius."""
     lattice, changed = known.lattice, np.zeros(len(known.lattice.cells), dtype=bool)
     if obstacles:
@@ -191,14 +191,14 @@ def _on_lattice(
     return np.concatenate([near_start.way_to(first)[:-1], lattice.cells[route], near_goal.way_to(last)[-2::-1]])
 
 
-def _entries(lattice: Lattice, window: _Window) -> tuple[np.ndarray, np.ndarray]:
-    """Points ``[M]`` of the lattice that can be reached in a window, and at which cost ``[M]``."""
+def _entries(lattice: Lattice, window: _Window) -> tuple[Int[np.ndarray, "M"], Float[np.ndarray, "M"]]:
+    """Points of the lattice that can be reached in a window, and at which cost."""
     numbers = lattices.nodes_in(lattice, window.parts)
     cost = window.costs_at(lattice.cells[numbers])
     return numbers[np.isfinite(cost)], cost[np.isfinite(cost)]
 
 
-def _direct(task: _Query, near_start: _Window) -> tuple[float, np.ndarray | None]:
+def _direct(task: _Query, near_start: _Window) -> tuple[float, Int[np.ndarray, "K 2"] | None]:
     """Cost of the way that stays in the start's window, and its cells; infinite and None if there is none."""
     last = np.array(task.cell(task.goal))
     inside = ((last >= near_start.corner) & (last < near_start.corner + near_start.cost.shape)).all()
@@ -207,9 +207,13 @@ def _direct(task: _Query, near_start: _Window) -> tuple[float, np.ndarray | None
 
 
 def _route(
-    known: _Known, lattice: Lattice, changed: np.ndarray, entries: tuple[np.ndarray, np.ndarray], root: int
-) -> tuple[float, np.ndarray]:
-    """Cost [m] of the cheapest way from the start over a point it can reach to ``root``, and its points ``[K]``."""
+    known: _Known,
+    lattice: Lattice,
+    changed: Bool[np.ndarray, "N"],
+    entries: tuple[Int[np.ndarray, "M"], Float[np.ndarray, "M"]],
+    root: int,
+) -> tuple[float, Int[np.ndarray, "K"]]:
+    """Cost [m] of the cheapest way from the start over a point it can reach to ``root``, and its points."""
     if not changed.any():
         return _follow(known.tree(root), entries)
     if root in known.trees:
@@ -220,7 +224,10 @@ def _route(
     return _follow(lattices.costs_from(lattice, root), entries)
 
 
-def _follow(tree: tuple[np.ndarray, np.ndarray], entries: tuple[np.ndarray, np.ndarray]) -> tuple[float, np.ndarray]:
+def _follow(
+    tree: tuple[Float[np.ndarray, "N"], Int[np.ndarray, "N"]],
+    entries: tuple[Int[np.ndarray, "M"], Float[np.ndarray, "M"]],
+) -> tuple[float, Int[np.ndarray, "K"]]:
     total, following = tree
     cost = entries[1] + total[entries[0]]
     best = int(np.argmin(cost))
@@ -232,8 +239,8 @@ def _follow(tree: tuple[np.ndarray, np.ndarray], entries: tuple[np.ndarray, np.n
     return float(cost[best]), np.array(route)
 
 
-def _is_tight(task: _Query, cells: np.ndarray) -> bool:
-    """Whether some line of a route ``[K, 2]`` comes nearer to something than the radius, by half a cell at most."""
+def _is_tight(task: _Query, cells: Int[np.ndarray, "K 2"]) -> bool:
+    """Whether some line of a route comes nearer to something than the radius, by half a cell at most."""
     if len(cells) < 2:
         return False
     starts, ends = cells[:-1], cells[1:]
@@ -241,7 +248,7 @@ def _is_tight(task: _Query, cells: np.ndarray) -> bool:
     return bool(lattices.is_tight(starts, ends, lowest, task.radius).any())
 
 
-def _cell_by_cell(task: _Query) -> np.ndarray | None:
+def _cell_by_cell(task: _Query) -> Int[np.ndarray, "K 2"] | None:
     """The cheapest way over all cells of the map."""
     height, width = np.shape(task.field.values)
     costs = _opened_costs(task, (slice(0, height), slice(0, width)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from shmoo_mjx.arrays import Bool, Float, Int
 from shmoo_mjx.navigation.clearance import ClearanceField
 from shmoo_mjx.navigation.line_costs import PathConfig, line_costs, metre_cost
 
@@ -18,17 +19,19 @@ _STEPS = (0.20, 0.06)
 """How far corners are moved, in turn [m]."""
 
 
-def shorten(points: np.ndarray, field: ClearanceField, radius: float, cfg: PathConfig) -> np.ndarray:
+def shorten(
+    points: Float[np.ndarray, "N 2"], field: ClearanceField, radius: float, cfg: PathConfig
+) -> Float[np.ndarray, "M 2"]:
     """Replaces parts of a polyline by straight lines, then moves the corners that are left to where they cost least.
 
     Args:
-        points: ``[N, 2]`` in {W} [m].
+        points: in {W} [m].
         field: distance to walls and obstacles [m].
         radius: what straight lines must keep [m].
         cfg: the cost of being near walls.
 
     Returns:
-        ``[M, 2]`` with the same ends, M <= N.
+        One with the same ends, M <= N.
     """
     corners = _pull_taut(field.to_cells(points), field, radius, cfg)
     for step in _STEPS:
@@ -37,8 +40,10 @@ def shorten(points: np.ndarray, field: ClearanceField, radius: float, cfg: PathC
     return np.vstack([points[:1], inner, points[-1:]])
 
 
-def _pull_taut(points: np.ndarray, field: ClearanceField, radius: float, cfg: PathConfig) -> np.ndarray:
-    """The polyline ``[M, 2]`` with straight lines in place of all parts that cost no less [cells]."""
+def _pull_taut(
+    points: Float[np.ndarray, "N 2"], field: ClearanceField, radius: float, cfg: PathConfig
+) -> Float[np.ndarray, "M 2"]:
+    """The polyline with straight lines in place of all parts that cost no less [cells]."""
     total = np.concatenate([[0.0], np.cumsum(line_costs(points[:-1], points[1:], field, radius, cfg)[1])])
     kept, i, n = [0], 0, len(points)
     while i < n - 1:
@@ -51,13 +56,15 @@ def _pull_taut(points: np.ndarray, field: ClearanceField, radius: float, cfg: Pa
     return points[kept]
 
 
-def _look_ahead(i: int, n: int) -> np.ndarray:
+def _look_ahead(i: int, n: int) -> Int[np.ndarray, "K"]:
     """Candidates for the end of a straight line from point i, spaced ever wider, the last point among them."""
     farthest = n - 1 - i
     return i + np.append(_AHEAD[: np.searchsorted(_AHEAD, farthest)], farthest)
 
 
-def _settle(corners: np.ndarray, step: float, field: ClearanceField, radius: float, cfg: PathConfig) -> np.ndarray:
+def _settle(
+    corners: Float[np.ndarray, "N 2"], step: float, field: ClearanceField, radius: float, cfg: PathConfig
+) -> Float[np.ndarray, "M 2"]:
     """Sweeps over the corners, four at most, until none is dropped or moved by ``step`` [cells] any more.
 
     Every other corner is tried at once: between them lie corners that stay. One whose neighbours have stayed since it
@@ -84,14 +91,14 @@ def _settle(corners: np.ndarray, step: float, field: ClearanceField, radius: flo
 
 
 def _better(
-    corners: np.ndarray,
-    tried: np.ndarray,
+    corners: Float[np.ndarray, "N 2"],
+    tried: Int[np.ndarray, "K"],
     step: float,
     field: ClearanceField,
     radius: float,
     cfg: PathConfig,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Cheaper places ``[K, 2]`` for the corners ``tried [K]``, and which of them are better dropped, bool ``[K]``."""
+) -> tuple[Float[np.ndarray, "K 2"], Bool[np.ndarray, "K"]]:
+    """Cheaper places for the corners ``tried``, and which of them are better dropped."""
     before, after = corners[tried - 1], corners[tried + 1]
     candidates = corners[tried, None] + step * _MOVES
     candidates = np.clip(candidates, 0.0, np.array(field.values.shape) - 1.0)

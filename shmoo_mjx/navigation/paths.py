@@ -7,12 +7,13 @@ near, so that the path keeps to the middle where there is room; then the path is
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import shapely
 from skimage.graph import MCP_Geometric
 
+from shmoo_mjx.arrays import Array, Float, Numbers, Scalar
 from shmoo_mjx.navigation.footprints import add_obstacles, footprint_polygon, footprints_free
 from shmoo_mjx.navigation.maps import ClearanceField, OccupancyGrid, clearance_field
 from shmoo_mjx.navigation.path_search import cell_costs, find_way
@@ -33,22 +34,20 @@ __all__ = [
     "tangent_at",
 ]
 
-Array = Any
-
 
 class Path(NamedTuple):
     """A polyline on the floor."""
 
-    points: np.ndarray
-    """``[N, 2]`` in {W} [m], N >= 2."""
+    points: Float[np.ndarray, "N 2"]
+    """In {W} [m], N >= 2."""
     length: float
     """[m]"""
 
 
 def plan_path(
     grid: OccupancyGrid,
-    start: Array,
-    goal: Array,
+    start: Numbers | Float[Array, "2"],
+    goal: Numbers | Float[Array, "2"],
     obstacles: Sequence[shapely.Polygon] = (),
     robot_radius: float = 0.25,
     cfg: PathConfig = PathConfig(),  # noqa: B008  (frozen)
@@ -58,8 +57,8 @@ def plan_path(
 
     Args:
         grid: the map; unknown cells count as walls.
-        start: (2,) in {W} [m].
-        goal: (2,) in {W} [m].
+        start: in {W} [m].
+        goal: in {W} [m].
         obstacles: footprints in {W} that are to be avoided like walls.
         robot_radius: radius of the disc, margin included [m].
         cfg: see ``PathConfig``.
@@ -84,12 +83,12 @@ def plan_path(
 
 def cost_to_go(
     grid: OccupancyGrid,
-    goal: Array,
+    goal: Numbers | Float[Array, "2"],
     obstacles: Sequence[shapely.Polygon] = (),
     robot_radius: float = 0.25,
     cfg: PathConfig = PathConfig(),  # noqa: B008  (frozen)
-) -> np.ndarray:
-    """Cost ``[H, W]`` of the cheapest path from each cell's centre to the goal [m, near-wall metres counted more].
+) -> Float[np.ndarray, "H W"]:
+    """Cost of the cheapest path from each cell's centre to the goal [m, near-wall metres counted more].
 
     Infinite where no path exists. With ``soft_weight = 0`` it is the length of the shortest 8-connected path [m].
     """
@@ -102,25 +101,25 @@ def cost_to_go(
     return np.where(costs < 0, np.inf, total * grid.resolution)
 
 
-def path_length(points: Array) -> float:
-    """Length [m] of the polyline ``points [N, 2]``."""
+def path_length(points: Float[Array, "N 2"]) -> float:
+    """Length [m] of the polyline ``points``."""
     return float(arc_lengths(points)[-1])
 
 
-def arc_lengths(points: Array) -> np.ndarray:
-    """Arc length ``[N]`` [m] from the first point to each point of the polyline ``points [N, 2]``."""
+def arc_lengths(points: Float[Array, "N 2"]) -> Float[np.ndarray, "N"]:
+    """Arc length [m] from the first point to each point of the polyline ``points``."""
     steps = np.linalg.norm(np.diff(np.asarray(points, dtype=float), axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
-def point_at(path: Path, s: Array) -> np.ndarray:
-    """Points ``[..., 2]`` in {W} at arc lengths ``s [...]`` [m]; the ends hold beyond the ends."""
+def point_at(path: Path, s: Scalar | Float[Array, "*s"]) -> Float[np.ndarray, "*s 2"]:
+    """Points in {W} at arc lengths ``s`` [m]; the ends hold beyond the ends."""
     along = arc_lengths(path.points)
     return np.stack([np.interp(s, along, path.points[:, i]) for i in range(2)], axis=-1)
 
 
-def tangent_at(path: Path, s: Array) -> np.ndarray:
-    """Unit direction ``[..., 2]`` in {W} of the path at arc lengths ``s [...]`` [m]."""
+def tangent_at(path: Path, s: Scalar | Float[Array, "*s"]) -> Float[np.ndarray, "*s 2"]:
+    """Unit direction in {W} of the path at arc lengths ``s`` [m]."""
     along = arc_lengths(path.points)
     steps = np.diff(path.points, axis=0)
     long_enough = np.flatnonzero(np.diff(along) > 1e-9)
@@ -131,8 +130,8 @@ def tangent_at(path: Path, s: Array) -> np.ndarray:
     return chosen / np.linalg.norm(chosen, axis=-1, keepdims=True)
 
 
-def project(path: Path, point: Array, after: float = 0.0) -> float:
-    """Arc length [m] of the path's point nearest to ``point`` (2,) in {W}, not before ``after`` [m]."""
+def project(path: Path, point: Numbers | Float[Array, "2"], after: float = 0.0) -> float:
+    """Arc length [m] of the path's point nearest to ``point`` in {W}, not before ``after`` [m]."""
     along = arc_lengths(path.points)
     steps = np.diff(path.points, axis=0)
     lengths = np.diff(along)
@@ -162,6 +161,6 @@ def path_blocked_by(
     return True, float(min(touching))
 
 
-def _part_after(path: Path, s: float) -> np.ndarray:
+def _part_after(path: Path, s: float) -> Float[np.ndarray, "N 2"]:
     along = arc_lengths(path.points)
     return np.vstack([point_at(path, s), path.points[along > s], path.points[-1]])

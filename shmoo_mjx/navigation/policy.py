@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from shmoo_mjx import custom
+from shmoo_mjx.arrays import Array, Float, Numbers
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.navigation.maps import OccupancyGrid
 from shmoo_mjx.navigation.navigator import Navigator
@@ -16,8 +17,6 @@ from shmoo_mjx.navigation.records import Mode, NavigatorConfig, Transition
 from shmoo_mjx.types import Command, Observation
 
 __all__ = ["Policy", "PolicyMaker", "PolicyNavigator"]
-
-Array = Any
 
 
 class Policy(Protocol):
@@ -30,8 +29,10 @@ class Policy(Protocol):
         """The command for the next 0.1 s from what the robot perceives, both of one world (a batch of one)."""
 
 
-PolicyMaker = Callable[[OccupancyGrid, Array, Sequence[tuple[float, float]], Any, NavigatorConfig], Policy]
-"""Takes the map, the goal ``[2]`` in {W} [m], half extents of each object [m], a
+PolicyMaker = Callable[
+    [OccupancyGrid, Float[np.ndarray, "2"], Sequence[tuple[float, float]], Any, NavigatorConfig], Policy
+]
+"""Takes the map, the goal in {W} [m], half extents of each object [m], a
 :class:`~shmoo_mjx.control.pushing.PushController` for whoever wants one, and settings that state the latency."""
 
 
@@ -42,7 +43,7 @@ class PolicyNavigator(Navigator):
         name: of the policy, for errors.
         maker: makes it.
         grid: the map.
-        goal: ``[2]`` in {W} [m].
+        goal: in {W} [m].
         sizes: half extents of each object [m].
         controller: handed on to the policy.
         seed: of the run.
@@ -54,7 +55,7 @@ class PolicyNavigator(Navigator):
         name: str,
         maker: PolicyMaker,
         grid: OccupancyGrid,
-        goal: Array,
+        goal: Numbers | Float[Array, "2"],
         sizes: Sequence[tuple[float, float]],
         controller: Any,
         seed: int = 0,
@@ -81,7 +82,7 @@ class PolicyNavigator(Navigator):
             self._go(now, Mode.FOLLOW, f"{self._name} drives")
         return command
 
-    def head_for(self, goal: Array, now: float) -> None:
+    def head_for(self, goal: Numbers | Float[Array, "2"], now: float) -> None:
         """The policy begins anew, with another goal."""
         super().head_for(goal, now)
         self._policy = custom.asked("policy", self._name, self._make)

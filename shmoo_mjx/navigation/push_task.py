@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Float, Numbers
 from shmoo_mjx.control import equilibrium_lean
 from shmoo_mjx.control.cost import PushCost
 from shmoo_mjx.control.pushing import LocalDistanceField, ObjectObservation, PushConfig, local_distance_field
@@ -36,8 +37,6 @@ from shmoo_mjx.skills.push import Pusher
 from shmoo_mjx.types import DT, Command, Observation
 
 __all__ = ["AT_REST", "Phase", "PushTask", "PushTaskConfig", "pose_push_config"]
-
-Array = Any
 
 _LONGEST_RETREAT = 5.0
 """[s]"""
@@ -108,9 +107,8 @@ class _PushSegment:
     """One push on one face."""
 
     side: int
-    face: np.ndarray
-    goal: np.ndarray
-    """``[3]``"""
+    face: Float[np.ndarray, "4"]
+    goal: Float[np.ndarray, "3"]
     way: Path
     """To the stand-off pose."""
     approach: approach.ApproachState
@@ -118,7 +116,7 @@ class _PushSegment:
     contact: contact.ContactState | None = None
     push: push.PushState | None = None
     """Once there is contact."""
-    coasts: np.ndarray = field(default_factory=lambda: np.zeros(5))
+    coasts: Float[np.ndarray, "5"] = field(default_factory=lambda: np.zeros(5))
     """How far the object would coast along the push, in the last samples [m]."""
 
 
@@ -138,7 +136,7 @@ class PushTask:
         self,
         grid: OccupancyGrid,
         sizes: list[tuple[float, float]],
-        goal: Array,
+        goal: Numbers | Float[Array, "3"],
         pusher: Pusher,
         index: int = 0,
         seed: int = 0,
@@ -150,7 +148,7 @@ class PushTask:
         Args:
             grid: the map.
             sizes: half extents of each object [m].
-            goal: ``[3]`` pose in {W} to bring the object to.
+            goal: pose in {W} to bring the object to.
             pusher: the pushing controller.
             index: the object.
             seed: of the controller's random numbers.

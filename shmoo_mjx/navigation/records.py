@@ -9,6 +9,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from shmoo_mjx.arrays import Array, Float, Key
 from shmoo_mjx.control import equilibrium_lean
 from shmoo_mjx.control.pushing import LocalDistanceField
 from shmoo_mjx.navigation import drive
@@ -35,8 +36,6 @@ __all__ = [
     "Setup",
     "Transition",
 ]
-
-Array = Any
 
 
 class Mode(StrEnum):
@@ -103,14 +102,13 @@ class Decision(NamedTuple):
     K: float
     G: float
     manipulable: bool
-    goal: np.ndarray | None
+    goal: Float[np.ndarray, "3"] | None
     reason: str
-    rollouts: np.ndarray
-    """``[R, T, 2]`` predicted object positions, best first."""
-    candidates: np.ndarray
-    """``[C, 3]``"""
-    asked: np.ndarray
-    """``[3]`` where the roll-outs were to bring the object, in {W}."""
+    rollouts: Float[np.ndarray, "R T 2"]
+    """Predicted object positions, best first."""
+    candidates: Float[np.ndarray, "C 3"]
+    asked: Float[np.ndarray, "3"]
+    """Where the roll-outs were to bring the object, in {W}."""
     probability: float
     """That the object can be moved, by what the push has shown so far."""
 
@@ -126,8 +124,8 @@ class Planned(NamedTuple):
     """A global path that was taken, or on which a decision rests."""
 
     t: float
-    points: np.ndarray
-    """``[N, 2]`` in {W} [m]."""
+    points: Float[np.ndarray, "N 2"]
+    """In {W} [m]."""
 
 
 Event = Transition | Decision | Note | Planned
@@ -140,9 +138,9 @@ class Segment:
     object: int
     side: int
     """Index of the face among ``faces_of``."""
-    face: np.ndarray
-    goal: np.ndarray
-    """``[3]`` pose in {W} to bring the object to."""
+    face: Float[np.ndarray, "4"]
+    goal: Float[np.ndarray, "3"]
+    """Pose in {W} to bring the object to."""
     way: Path
     """To the stand-off pose."""
     approach: ApproachState
@@ -163,10 +161,10 @@ class Segment:
 class NavigatorState:
     """Complete state of the navigator; every step makes a new one."""
 
-    goal: np.ndarray
-    """``[2]`` in {W} [m]."""
+    goal: Float[np.ndarray, "2"]
+    """In {W} [m]."""
     belief: Belief
-    key: Array
+    key: Key[Array, ""]
     mode: Mode = Mode.REPLAN
     since: float = 0.0
     """When the mode began [s]."""
@@ -178,7 +176,7 @@ class NavigatorState:
     segment: Segment | None = None
     drive: drive.DriveState = field(default_factory=drive.init)
     lean_offset: equilibrium_lean.LeanOffset = field(default_factory=equilibrium_lean.init)
-    last_u: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    last_u: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
     last_obs: Observation | None = None
     pending: Pending | None = None
     events: tuple[Event, ...] = ()

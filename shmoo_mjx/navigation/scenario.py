@@ -243,8 +243,8 @@ def check_place(
     what: str,
     pose: Sequence[float],
     half_extents: tuple[float, float],
-    robot: Sequence[float],
-    others: Mapping[str, tuple[Sequence[float], tuple[float, float]]],
+    robot: Sequence[float] | np.ndarray,
+    others: Mapping[str, tuple[Sequence[float] | np.ndarray, tuple[float, float]]],
 ) -> None:
     """Checks that an object at ``pose`` (x, y, yaw) stands on free floor, beside the robot and beside the others.
 

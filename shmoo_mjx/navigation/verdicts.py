@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from shmoo_mjx.arrays import Bool, Float
 from shmoo_mjx.faces import heading
 from shmoo_mjx.navigation import mobility
 from shmoo_mjx.navigation.belief import Status
@@ -43,7 +44,7 @@ _SHOWN = 40
 """Roll-outs of a planning stage that are kept for pictures."""
 
 
-def rolled(push: PushState, pose: np.ndarray) -> bool:
+def rolled(push: PushState, pose: Float[np.ndarray, "3"]) -> bool:
     """Whether the object has moved so far that it gives way beyond doubt: a cart that rolls ahead of the hands gives
     little contact, but its motion tells as much."""
     return push.moved(pose) > _ROLLED
@@ -81,8 +82,10 @@ def _stalled(push: PushState) -> bool:
     return travelled is not None and travelled < _STALL[0]
 
 
-def _left(goal: np.ndarray, pose: np.ndarray, face: np.ndarray) -> np.ndarray:
-    """Way left to ``goal [..., 3]`` along the push [m]."""
+def _left(
+    goal: Float[np.ndarray, "*g 3"], pose: Float[np.ndarray, "3"], face: Float[np.ndarray, "4"]
+) -> Float[np.ndarray, "*g"]:
+    """Way left to ``goal`` along the push [m]."""
     ahead = heading(pose, face)
     return np.asarray((goal[..., :2] - pose[:2]) @ np.array([np.cos(ahead), np.sin(ahead)]))
 
@@ -125,7 +128,7 @@ def _worth_trying(segment: Segment) -> float:
     return min(0.5, _STALL[1] / (_STALL[1] + segment.detour / _PACE))
 
 
-def _probability(push: PushState, pose: np.ndarray) -> float:
+def _probability(push: PushState, pose: Float[np.ndarray, "3"]) -> float:
     return mobility.probability(push.moved(pose), push.impulse)
 
 
@@ -142,7 +145,7 @@ def _planning_stage(setup: Setup, state: NavigatorState, obs: Observation, push:
         state = state.with_events(Planned(now, path.points))
     free = routes.collision_free(position, known, state.belief.clearance(without=segment.object), path)
 
-    def reachable(ends: np.ndarray) -> np.ndarray:
+    def reachable(ends: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
         # What a roll-out turns may end a little behind, and a goal there would be passed before it is pushed to.
         return free(ends) & (_left(ends, known.pose, segment.face) > 0.0)
 
@@ -164,7 +167,7 @@ def _planning_stage(setup: Setup, state: NavigatorState, obs: Observation, push:
     return _verdict(setup, state, now, result)
 
 
-def _asked(setup: Setup, state: NavigatorState) -> np.ndarray:
+def _asked(setup: Setup, state: NavigatorState) -> Float[np.ndarray, "3"]:
     """Where the roll-outs are to bring the object. K asks how far it can be moved: a goal that is nearly reached, or
     already behind the object, would say nothing about that, so a place ahead takes its part."""
     segment, pose = state.current(), state.known().pose
@@ -173,7 +176,7 @@ def _asked(setup: Setup, state: NavigatorState) -> np.ndarray:
     return _straight_ahead(setup, segment, pose)
 
 
-def _straight_ahead(setup: Setup, segment: Segment, pose: np.ndarray) -> np.ndarray:
+def _straight_ahead(setup: Setup, segment: Segment, pose: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
     ahead, reach = heading(pose, segment.face), setup.config.planner.min_displacement
     return np.array([*(pose[:2] + reach * np.array([np.cos(ahead), np.sin(ahead)])), segment.goal[2]])
 

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
+from shmoo_mjx.arrays import Bool, Int, Scalar
+
 __all__ = ["cover_rectangles"]
 
 
-def cover_rectangles(mask: np.ndarray) -> np.ndarray:
+def cover_rectangles(mask: Bool[np.ndarray, "H W"]) -> Int[np.ndarray, "K 4"]:
     """Rectangles that together cover every True cell and no False one.
 
     Greedy: the cells with the longest straight run through them come first, each takes the larger of the two maximal
     rectangles grown from its row run and from its column run. Rectangles may overlap, which needs fewer of them than
     a partition where walls cross.
 
-    Args:
-        mask: bool ``[H, W]``.
-
     Returns:
-        int ``[K, 4]``: first row, last row + 1, first column, last column + 1.
+        First row, last row + 1, first column, last column + 1.
     """
     mask = np.asarray(mask, dtype=bool)
     rows, cols = np.nonzero(mask)
@@ -42,7 +41,7 @@ def cover_rectangles(mask: np.ndarray) -> np.ndarray:
     return np.array(found, dtype=int)
 
 
-def _runs(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _runs(mask: Bool[np.ndarray, "H W"]) -> tuple[Int[np.ndarray, "H W"], Int[np.ndarray, "H W"]]:
     """For each cell the first column and the end column of the run of True cells through it, along its row."""
     width = mask.shape[1]
     columns = np.arange(width)
@@ -51,7 +50,7 @@ def _runs(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return last_gap + 1, next_gap
 
 
-def _grow(mask: np.ndarray, row: int, start: int, end: int) -> tuple[int, int, int, int]:
+def _grow(mask: Bool[np.ndarray, "H W"], row: Scalar, start: Scalar, end: Scalar) -> tuple[int, int, int, int]:
     """Widens the run ``mask[row, start:end]`` over the rows above and below in which all of it is True."""
     full = mask[:, start:end].all(axis=1)
     gaps = np.flatnonzero(~full)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -25,6 +25,7 @@ _WITHIN = 0.3
 """Largest distance from the goal at which an object is let go [m]: after that it can't be steered."""
 
 
+@runtime_checkable
 class Pusher(Protocol):
     """Interface of pushing controllers: :class:`~shmoo_mjx.control.pushing.PushController`, or something to compare it
     with.

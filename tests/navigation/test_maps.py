@@ -160,7 +160,7 @@ def test_origin_with_yaw_turns_the_map() -> None:
     cells[0, 2] = OCCUPIED
     grid = OccupancyGrid(cells, 1.0, (10.0, 20.0, np.pi / 2))
     assert np.allclose(grid.cell_to_world([0, 2]), [9.5, 22.5])
-    assert grid.values_at([[9.5, 22.5], [9.5, 20.5], [0.0, 0.0]]).tolist() == [OCCUPIED, FREE, UNKNOWN]
+    assert grid.values_at(np.array([[9.5, 22.5], [9.5, 20.5], [0.0, 0.0]])).tolist() == [OCCUPIED, FREE, UNKNOWN]
     assert np.allclose(maps.occupied_rectangles(grid), [(9.5, 22.5, 0.5, 0.5)])
     assert np.allclose(grid.bounds, (8.0, 20.0, 10.0, 23.0))
 
@@ -195,7 +195,7 @@ def test_clearance_field_interpolates_and_is_zero_outside() -> None:
     cells[:, :2] = OCCUPIED
     field = maps.clearance_field(OccupancyGrid(cells, 0.1, (1.0, 0.0, 0.0)))
     # The wall's face is at x = 1.2; mid-height the other sides are farther away.
-    assert np.allclose(field.at([[1.7, 2.0], [2.03, 1.99]]), [0.5, 0.83], atol=0.01)
+    assert np.allclose(field.at(np.array([[1.7, 2.0], [2.03, 1.99]])), [0.5, 0.83], atol=0.01)
     assert field.at([0.5, 2.0]) == 0.0 and field.at([1.1, 2.0]) == 0.0
 
 

@@ -19,6 +19,8 @@ from shmoo_mjx import se2
 from shmoo_mjx.control.equilibrium_lean import arms_lean
 from shmoo_mjx.faces import faces_of
 from shmoo_mjx.hands import HAND_RADIUS
+from shmoo_mjx.learning import adaptation
+from shmoo_mjx.learning.adaptation import AdaptState
 from shmoo_mjx.navigation.belief import Status
 from shmoo_mjx.navigation.maps import FREE, OCCUPIED, OccupancyGrid, clearance_field
 from shmoo_mjx.navigation.navigator import MODES, PROBE_ROOM, Navigator, init, setup_of, step
@@ -32,19 +34,14 @@ from shmoo_mjx.types import DT, Command, Observation
 HALF = (0.25, 0.275)
 
 
-class Adapt(NamedTuple):
-    """Stands for what Eq. 8 has learned: how many samples it took in."""
-
-    mean: np.ndarray
-    samples: int = 0
-
-
 class State(NamedTuple):
     """Stands for the pushing controller's memory."""
 
-    adapt: Adapt
+    adapt: AdaptState
     face: np.ndarray
     pose: np.ndarray
+    samples: int = 0
+    """How many samples Eq. 8 took in."""
 
 
 class Stand(SimpleNamespace):
@@ -53,8 +50,8 @@ class Stand(SimpleNamespace):
     def __init__(self, world: World) -> None:
         super().__init__(world=world, rooms=[], foresees=False)
 
-    def init(self, now: Any, face: Any, half: Any, key: Any, adapt: Adapt | None = None) -> State:
-        return State(adapt or Adapt(np.zeros(18)), face, now.object_pose)
+    def init(self, now: Any, face: Any, half: Any, key: Any, adapt: AdaptState | None = None) -> State:
+        return State(adapt or adaptation.init(np.zeros(18), np.eye(18), np.eye(3)), face, now.object_pose)
 
     def step(
         self, state: State, now: Any, last_u: Any, goal: Any, around: Any, half: Any, governor_room: float | None = None
@@ -63,8 +60,8 @@ class Stand(SimpleNamespace):
         assert np.isfinite(now.object_pose).all() and np.isfinite(now.object_twist).all()
         forward = se2.rotate(now.robot_twist[:2], -now.robot_pose[2])
         lean = 0.1 * np.clip(0.25 - forward[0], -0.3, 0.3), -0.1 * forward[1]
-        adapt = state.adapt._replace(samples=state.adapt.samples + bool(now.detected))
-        return np.array([*lean, 0.0]), State(adapt, state.face, now.object_pose), SimpleNamespace(ok=True)
+        after = state._replace(pose=now.object_pose, samples=state.samples + bool(now.detected))
+        return np.array([*lean, 0.0]), after, SimpleNamespace(ok=True)
 
     def _foresees_motion(self) -> bool:
         return bool(self.foresees or (self.world.movable and self.world.foreseen))
@@ -410,7 +407,7 @@ def test_a_push_lives_through_a_second_without_the_objects_pose(length: float, s
         if navigator.mode is Mode.PUSH and not when:
             when.append(world.time)
         if navigator.segment is not None and navigator.segment.push is not None:
-            counts.append((world.time, navigator.segment.push.pusher.adapt.samples))
+            counts.append((world.time, navigator.segment.push.pusher.samples))
 
     navigator, _ = run(doors=1, happens=watch, sees=missing(0.15, 0.15 + length, when))
     assert navigator.mode is Mode.DONE

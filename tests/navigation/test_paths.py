@@ -173,8 +173,10 @@ BEND = Path(np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 3.0]]), 5.0)
 
 
 def test_point_tangent_and_projection() -> None:
-    assert np.allclose(paths.point_at(BEND, [-1.0, 1.0, 3.5, 9.0]), [[0.0, 0.0], [1.0, 0.0], [2.0, 1.5], [2.0, 3.0]])
-    assert np.allclose(paths.tangent_at(BEND, [0.0, 1.9, 2.1, 9.0]), np.eye(2)[[0, 0, 1, 1]])
+    assert np.allclose(
+        paths.point_at(BEND, np.array([-1.0, 1.0, 3.5, 9.0])), [[0.0, 0.0], [1.0, 0.0], [2.0, 1.5], [2.0, 3.0]]
+    )
+    assert np.allclose(paths.tangent_at(BEND, np.array([0.0, 1.9, 2.1, 9.0])), np.eye(2)[[0, 0, 1, 1]])
     assert paths.project(BEND, (1.2, -0.5)) == pytest.approx(1.2)
     assert paths.project(BEND, (2.4, 1.0)) == pytest.approx(3.0)
     assert paths.project(BEND, (0.1, 0.1), after=2.5) == pytest.approx(2.5)
@@ -201,7 +203,7 @@ def test_footprints_are_checked_whole() -> None:
     grid = corridor()
     field = maps.clearance_field(grid)
     half = (0.4, 0.2)
-    poses = [
+    places = [
         (1.0, 2.0, 0.0),  # open floor
         (3.55, 1.0, 0.0),  # its end is in the wall
         (3.55, 1.0, np.pi / 2),  # turned along the wall: free
@@ -209,10 +211,11 @@ def test_footprints_are_checked_whole() -> None:
         (3.95, 2.65, 0.0),  # a corner in the door post
         (0.3, 2.0, 0.0),  # off the map
     ]
+    poses = np.array(places)
     assert footprints.footprints_free(field, poses, half).tolist() == [True, False, True, True, False, False]
     wide = footprints.footprints_free(field, poses, half, wall_clearance=0.25)
     assert wide.tolist() == [True, False, False, True, False, False]
-    line = [(0.0, 2.5), (8.0, 2.5)]
+    line = np.array([(0.0, 2.5), (8.0, 2.5)])
     near = footprints.footprints_free(field, poses, half, line, path_clearance=0.25)
     assert near.tolist() == [True, False, True, False, False, False]
 

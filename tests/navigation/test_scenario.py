@@ -174,7 +174,9 @@ def test_an_object_where_none_can_stand_is_named(pose: tuple[float, float, float
 
 
 def test_objects_on_free_floor_pass() -> None:
-    scenario = Scenario(start=(0.5, 1, 0), goal=(2.5, 3), objects=(BOX, BOX.model_copy(update={"pose": (1.5, 3, 0)})))
+    scenario = Scenario(
+        start=(0.5, 1, 0), goal=(2.5, 3), objects=(BOX, BOX.model_copy(update={"pose": (1.5, 3.0, 0.0)}))
+    )
     check_places(two_rooms(), scenario, [(0.3, 0.3), (0.3, 0.3)])
 
 
