@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
+from shmoo_mjx.arrays import Scalar
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.learning import serialisation
 
 __all__ = ["Fitted", "Progress", "bounded_gradient", "run"]
 
-Array = Any
 Tree = Any
 
 CHECKPOINT = "training.safetensors"
@@ -53,9 +53,9 @@ def bounded_gradient() -> optax.GradientTransformation:
 
 def run(
     state: Tree,
-    epoch: Callable[[Tree], tuple[Tree, Array]],
+    epoch: Callable[[Tree], tuple[Tree, Scalar]],
     extract: Callable[[Tree], Tree],
-    evaluate: Callable[[Tree], Array],
+    evaluate: Callable[[Tree], Scalar],
     epochs: int,
     patience: int,
     identity: str = "",
