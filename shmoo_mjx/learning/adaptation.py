@@ -8,17 +8,16 @@ covariance, which stays positive definite where plain Euler steps of P do not. U
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
+from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.learning.identification import ContactEstimate, OnlineConfig
 from shmoo_mjx.types import DT
 
 __all__ = ["AdaptConfig", "AdaptState", "init", "step"]
-
-Array = Any
 
 
 @dataclass(frozen=True)
@@ -46,29 +45,30 @@ class AdaptConfig:
 class AdaptState(NamedTuple):
     """The estimate and what it relaxes to. n = 3 K coefficients."""
 
-    mean: Array
-    """``[..., n]`` a, flattened (axis-major)."""
-    covariance: Array
-    """``[..., n, n]`` P."""
-    prior_mean: Array
-    """``[..., n]``"""
-    prior_covariance: Array
-    """``[..., n, n]``"""
-    noise: Array
-    """``[..., 3, 3]`` covariance of a sample's residual [(m/s^2)^2, (rad/s^2)^2]."""
+    mean: Float[Array, "... n"]
+    """a, flattened (axis-major)."""
+    covariance: Float[Array, "... n n"]
+    """P."""
+    prior_mean: Float[Array, "... n"]
+    prior_covariance: Float[Array, "... n n"]
+    noise: Float[Array, "... 3 3"]
+    """Covariance of a sample's residual [(m/s^2)^2, (rad/s^2)^2]."""
     contact: ContactEstimate | None = None
     """Contact parameters of the object, if psi has the contact model; not touched by Eq. 8."""
 
 
 def init(
-    prior_mean: Array, prior_covariance: Array, noise: Array, contact: ContactEstimate | None = None
+    prior_mean: Float[Array, "3 K"] | Float[Array, "n"],
+    prior_covariance: Float[Array, "n n"],
+    noise: Float[Array, "3 3"],
+    contact: ContactEstimate | None = None,
 ) -> AdaptState:
     """Estimate before the object is touched: the prior.
 
     Args:
-        prior_mean: ``[3, K]`` or ``[n]``.
-        prior_covariance: ``[n, n]``, P at the start.
-        noise: ``[3, 3]`` covariance of a sample's residual.
+        prior_mean: of a.
+        prior_covariance: P at the start.
+        noise: covariance of a sample's residual.
         contact: from `identification.prior_state`, if psi has the contact model.
     """
     mean = jnp.asarray(prior_mean, dtype=jnp.float32).reshape(-1)
@@ -80,10 +80,10 @@ def init(
 def step(
     config: AdaptConfig,
     state: AdaptState,
-    phi: Array,
-    label: Array,
-    valid: Array | bool = True,
-    tracking_error: Array | None = None,
+    phi: Float[Array, "3 n"],
+    label: Float[Array, "3"],
+    valid: Scalar = True,
+    tracking_error: Float[Array, "3"] | None = None,
     dt: float = DT,
 ) -> AdaptState:
     """One sample of Eq. 8. A sample that is not valid or not finite leaves the state as it is.
@@ -91,10 +91,10 @@ def step(
     Args:
         config: gains; static.
         state: unbatched; vmap for more.
-        phi: ``[3, n]`` design matrix (`object_model.design_matrix`), the psi of Eq. 8.
-        label: ``[3]`` measured acceleration of the object in {O}, y of Eq. 8.
+        phi: design matrix (`object_model.design_matrix`), the psi of Eq. 8.
+        label: measured acceleration of the object in {O}, y of Eq. 8.
         valid: False without contact, with stale or missing poses.
-        tracking_error: ``[3]`` s of Eq. 8, used if config.tracking.
+        tracking_error: s of Eq. 8, used if config.tracking.
         dt: time since the last sample [s].
     """
     contact = state.contact

@@ -25,6 +25,7 @@ import jax
 import jax.numpy as jnp
 import optax
 
+from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.data import store
 from shmoo_mjx.dynamics import contact_model, networks, object_model
 from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
@@ -46,8 +47,6 @@ __all__ = [
     "train_object",
     "validation_scores",
 ]
-
-Array = Any
 
 
 @dataclass(frozen=True)
@@ -103,12 +102,11 @@ class ObjectFit(NamedTuple):
     """A trained psi with what is known of an object before it is touched."""
 
     params: ObjectParams
-    prior_mean: Array
-    """``[m, K]``"""
-    prior_covariance: Array
-    """``[m K, m K]``, axes coupled: what x shows says something about y and yaw."""
-    noise: Array
-    """``[m, m]`` covariance of a sample's residual."""
+    prior_mean: Float[Array, "m K"]
+    prior_covariance: Float[Array, "n n"]
+    """n = m K, axes coupled: what x shows says something about y and yaw."""
+    noise: Float[Array, "m m"]
+    """Covariance of a sample's residual."""
     score: float
     """Best validation score (see `validation_scores`; one-step and open-loop shares averaged)."""
     history: list[tuple[float, float]]
@@ -122,12 +120,11 @@ class Model(NamedTuple):
     """Learned parameters of psi and of the prior, the latter in the unit of normalised labels."""
 
     params: ObjectParams
-    mean: Array
-    """``[m, K]``"""
-    factor: Array
-    """``[m K, m K]`` factor of the prior covariance."""
-    log_noise: Array
-    """``[m]`` log of the standard deviation of a sample's residual."""
+    mean: Float[Array, "m K"]
+    factor: Float[Array, "n n"]
+    """Factor of the prior covariance, n = m K."""
+    log_noise: Float[Array, "m"]
+    """Log of the standard deviation of a sample's residual."""
 
 
 Discriminator = dict[str, dict[str, Array]]
@@ -166,8 +163,8 @@ def train_object(
 
 
 def fit(
-    train: Mapping[str, tuple[Array, Array]],
-    validation: Mapping[str, tuple[Array, Array]],
+    train: Mapping[str, tuple[Float[Array, "_N n_in"], Float[Array, "_N m"]]],
+    validation: Mapping[str, tuple[Float[Array, "_N n_in"], Float[Array, "_N m"]]],
     config: DaimlConfig | None = None,
     out_dir: str | Path | None = None,
     progress: Callable[[training.Progress], None] | None = None,
@@ -222,8 +219,8 @@ def fit_samples(
     return ObjectFit(model.params, *known, fitted.score, fitted.history, contact_prior, config.object)
 
 
-def contacts_seen(config: DaimlConfig, fitted: ObjectFit, samples: Samples) -> Array:
-    """The contact parameters ``[C, p]`` of conditions by their first ``config.fit_samples`` samples."""
+def contacts_seen(config: DaimlConfig, fitted: ObjectFit, samples: Samples) -> Float[Array, "C p"]:
+    """The contact parameters of conditions by their first ``config.fit_samples`` samples."""
     if not config.object.contact_model:
         return jnp.zeros((samples.inputs.shape[0], len(contact_model.PARAMETERS)))
     prior = jax.tree.map(jnp.asarray, fitted.contact_prior)
@@ -241,11 +238,13 @@ def _compiled(config: DaimlConfig) -> tuple[Any, Any, Any]:
     return tuple(jax.jit(partial(function, config)) for function in (_epoch, _model_scores, _prior))  # type: ignore[return-value]
 
 
-def validation_scores(config: DaimlConfig, samples: Samples, fitted: ObjectFit) -> tuple[Array, Array]:
+def validation_scores(
+    config: DaimlConfig, samples: Samples, fitted: ObjectFit
+) -> tuple[Float[Array, "C"], Float[Array, "C"]]:
     """Scores of psi on conditions it has not seen: a* from the first samples, scored on the later ones only.
 
     Returns:
-        Fraction of variance unexplained per condition ``[C]`` of one-step accelerations; and of the twist's change
+        Fraction of variance unexplained per condition, of one-step accelerations; and of the twist's change
         after H open-loop steps (the one-step share again if config.open_loop is off).
     """
 
@@ -375,19 +374,19 @@ def _epoch(
 
 
 def daiml_loss(
-    model: Model, discriminator: Discriminator, batch: Batch, contacts: Array, config: DaimlConfig
-) -> tuple[Array, dict[str, Array]]:
+    model: Model, discriminator: Discriminator, batch: Batch, contacts: Float[Array, "C p"], config: DaimlConfig
+) -> tuple[Scalar, dict[str, Float[Array, "..."]]]:
     """Eq. 6 for fixed h: the multi-step loss of Eq. 4 with a* of Eq. 5, less ``alpha`` times the cross-entropy of h.
 
     Args:
         model: psi and what is learned beside it.
         discriminator: h, which is trained in turn.
         batch: samples of C conditions: those that a* is fitted to, and windows that it is scored on.
-        contacts: ``[C, p]`` contact parameters of each condition.
+        contacts: contact parameters of each condition.
         config: settings.
 
     Returns:
-        The loss ``[]`` and its terms: "multi_step" ``[]``; and, with an adversary, "cross_entropy" ``[]`` and "psi"
+        The loss and its terms: "multi_step" ``[]``; and, with an adversary, "cross_entropy" ``[]`` and "psi"
         ``[C, N, n]``, which h is trained on next.
     """
     params = model.params

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.cluster.vq import kmeans2
 
+from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.dynamics import contact_model, features
 from shmoo_mjx.types import DT
 
@@ -33,8 +34,6 @@ __all__ = [
     "observe",
     "prior_state",
 ]
-
-Array = Any
 
 
 @dataclass(frozen=True)
@@ -73,33 +72,28 @@ class OnlineConfig:
 class ContactPrior(NamedTuple):
     """A mixture of G Gaussians over the p parameters of `contact_model.PARAMETERS`."""
 
-    mean: Array
-    """``[G, p]``"""
-    root: Array
-    """``[G, p, p]``: root (parameters - mean) is standard normal."""
-    log_weight: Array
-    """``[G]`` log of the share, and of the density at the mean."""
+    mean: Float[Array, "... G p"]
+    root: Float[Array, "... G p p"]
+    """root (parameters - mean) is standard normal."""
+    log_weight: Float[Array, "... G"]
+    """Log of the share, and of the density at the mean."""
 
 
 class ContactEstimate(NamedTuple):
     """Samples of an object so far, and the parameters that each Gaussian of the prior leads to."""
 
     prior: ContactPrior
-    scale: Array
-    """``[3]`` standard deviation of the labels in training."""
-    inputs: Array
-    """``[W, 13]`` of the last W samples, the newest last."""
-    labels: Array
-    """``[W, 3]``"""
-    weights: Array
-    """``[W]``"""
-    found: Array
-    """``[G, p]``"""
-    cost: Array
-    """``[G]``"""
+    scale: Float[Array, "... 3"]
+    """Standard deviation of the labels in training."""
+    inputs: Float[Array, "... W 13"]
+    """Of the last W samples, the newest last."""
+    labels: Float[Array, "... W 3"]
+    weights: Float[Array, "... W"]
+    found: Float[Array, "... G p"]
+    cost: Float[Array, "... G"]
 
 
-def prior_state(config: OnlineConfig, prior: ContactPrior, scale: Array) -> ContactEstimate:
+def prior_state(config: OnlineConfig, prior: ContactPrior, scale: Float[Array, "3"]) -> ContactEstimate:
     """Estimate before the first sample."""
     prior = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), prior)
     w = config.window
@@ -115,9 +109,13 @@ def prior_state(config: OnlineConfig, prior: ContactPrior, scale: Array) -> Cont
 
 
 def observe(
-    config: OnlineConfig, state: ContactEstimate, inputs: Array, label: Array, valid: Array | bool = True
+    config: OnlineConfig,
+    state: ContactEstimate,
+    inputs: Float[Array, "13"],
+    label: Float[Array, "3"],
+    valid: Scalar = True,
 ) -> ContactEstimate:
-    """One more sample: ``inputs [13]``, ``label [3]``. Not valid or not finite, it changes nothing."""
+    """One more sample. Not valid or not finite, it changes nothing."""
     use = jnp.all(jnp.isfinite(inputs)) & jnp.all(jnp.isfinite(label)) & jnp.asarray(valid)
 
     def appended(values: Array, new: Array) -> Array:
@@ -133,8 +131,8 @@ def observe(
     return jax.tree.map(lambda a, b: jnp.where(use, a, b), new, state)
 
 
-def best(state: ContactEstimate) -> Array:
-    """The likeliest parameters ``[p]``."""
+def best(state: ContactEstimate) -> Float[Array, "p"]:
+    """The likeliest parameters."""
     return state.found[jnp.argmin(state.cost - state.prior.log_weight)]
 
 
@@ -145,17 +143,22 @@ def broad_prior() -> ContactPrior:
 
 
 def identify(
-    config: IdentificationConfig, prior: ContactPrior, scale: Array, inputs: Array, labels: Array, weights: Array
-) -> Array:
-    """The likeliest parameters ``[p]`` given N samples and the prior.
+    config: IdentificationConfig,
+    prior: ContactPrior,
+    scale: Float[Array, "3"],
+    inputs: Float[Array, "N 13"],
+    labels: Float[Array, "N 3"],
+    weights: Float[Array, "N"],
+) -> Float[Array, "p"]:
+    """The likeliest parameters given N samples and the prior.
 
     Args:
         config: static.
         prior: G Gaussians; a fit starts from the mean of each.
-        scale: ``[3]`` standard deviation of the labels in training.
-        inputs: ``[N, 13]``.
-        labels: ``[N, 3]``.
-        weights: ``[N]`` 0 where a sample doesn't count.
+        scale: standard deviation of the labels in training.
+        inputs: as OBJECT_INPUTS lists them.
+        labels: accelerations in {O}.
+        weights: 0 where a sample doesn't count.
     """
     samples = _normalised(config, scale, inputs, labels, weights)
     found, cost = jax.vmap(lambda m, r: _fit(config.iterations, m, m, r, samples))(prior.mean, prior.root)
@@ -163,16 +166,20 @@ def identify(
 
 
 def learn_prior(
-    config: IdentificationConfig, scale: Array, inputs: Array, labels: Array, weights: Array
-) -> tuple[ContactPrior, Array]:
-    """The mixture that the training conditions are drawn from, and their own parameters ``[C, p]``.
+    config: IdentificationConfig,
+    scale: Float[Array, "3"],
+    inputs: Float[Array, "C N 13"],
+    labels: Float[Array, "C N 3"],
+    weights: Float[Array, "C N"],
+) -> tuple[ContactPrior, Float[Array, "C p"]]:
+    """The mixture that the training conditions are drawn from, and their own parameters.
 
     Args:
         config: settings.
-        scale: ``[3]`` standard deviation of the labels.
-        inputs: ``[C, N, 13]``.
-        labels: ``[C, N, 3]``.
-        weights: ``[C, N]``.
+        scale: standard deviation of the labels.
+        inputs: of C conditions.
+        labels: of C conditions.
+        weights: 0 where a sample doesn't count.
     """
     samples = tuple(jnp.asarray(a[:, :: config.stride]) for a in (inputs, labels, weights))
     guess = np.array(list(contact_model.PARAMETERS.values()))
@@ -200,21 +207,18 @@ def learn_prior(
 def from_stretches(
     config: IdentificationConfig,
     prior: ContactPrior,
-    scale: Array,
-    samples: tuple[Array, Array, Array],
+    scale: Float[Array, "3"],
+    samples: tuple[Float[Array, "C N 13"], Float[Array, "C N 3"], Float[Array, "C N"]],
     lengths: tuple[int, ...],
-) -> Array:
+) -> Float[Array, "C M p"]:
     """Parameters of each condition identified on stretches of contact of given lengths, from anywhere in its recording.
 
     Args:
         config: settings.
         prior: from `learn_prior`.
-        scale: ``[3]``
-        samples: inputs ``[C, N, 13]``, labels ``[C, N, 3]``, weights ``[C, N]``.
+        scale: standard deviation of the labels.
+        samples: inputs, labels, weights.
         lengths: samples that count, M numbers; 0 is the object not yet touched.
-
-    Returns:
-        Parameters ``[C, M, p]``.
     """
     count, total = samples[2].shape
     longest = min(2 * max(*lengths, 1), total)

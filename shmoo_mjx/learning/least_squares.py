@@ -2,30 +2,31 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 
+from shmoo_mjx.arrays import Array, Float, Scalar
+
 __all__ = ["cap_norm", "empirical_prior", "fraction_unexplained", "posterior", "posterior_from_factor", "ridge"]
 
-Array = Any
 
-
-def ridge(psi: Array, labels: Array, mean: Array, strength: float | Array, weights: Array | None = None) -> Array:
+def ridge(
+    psi: Float[Array, "N m K"],
+    labels: Float[Array, "N m"],
+    mean: Float[Array, "m K"],
+    strength: Scalar,
+    weights: Float[Array, "N"] | None = None,
+) -> Float[Array, "m K"]:
     """a* of Eq. 5, regularised: argmin sum_i |y_i - psi_i a|^2 + strength |a - mean|^2, one problem per axis.
 
     Solved by Cholesky, so gradients flow through it.
 
     Args:
-        psi: ``[N, m, K]`` basis at N samples for each of m axes.
-        labels: ``[N, m]`` in the unit psi a predicts.
-        mean: ``[m, K]`` what a is drawn towards.
+        psi: basis at N samples for each of m axes.
+        labels: in the unit psi a predicts.
+        mean: what a is drawn towards.
         strength: ridge, in samples times psi squared.
-        weights: ``[N]`` weight of each sample; ones if None.
-
-    Returns:
-        ``[m, K]``.
+        weights: weight of each sample; ones if None.
     """
     weights = jnp.ones(labels.shape[0]) if weights is None else weights
     weighted = psi * weights[:, None, None]
@@ -36,35 +37,42 @@ def ridge(psi: Array, labels: Array, mean: Array, strength: float | Array, weigh
     return mean + jax.scipy.linalg.cho_solve((factor, True), right[..., None])[..., 0]
 
 
-def cap_norm(a: Array, cap: float) -> Array:
-    """``a [m, K]`` scaled down so that the norm of all its entries is at most ``cap`` (gamma of DAIML)."""
+def cap_norm(a: Float[Array, "m K"], cap: float) -> Float[Array, "m K"]:
+    """``a`` scaled down so that the norm of all its entries is at most ``cap`` (gamma of DAIML)."""
     # The small constant keeps the gradient of the norm finite at a = 0.
     norm = jnp.sqrt(jnp.sum(a**2) + 1e-12)
     return a * jnp.minimum(1.0, cap / norm)
 
 
 def posterior(
-    phi: Array, labels: Array, mean: Array, covariance: Array, noise: Array, weights: Array | None = None
-) -> tuple[Array, Array]:
+    phi: Float[Array, "N m n"],
+    labels: Float[Array, "N m"],
+    mean: Float[Array, "n"],
+    covariance: Float[Array, "n n"],
+    noise: Float[Array, "m m"],
+    weights: Float[Array, "N"] | None = None,
+) -> tuple[Float[Array, "n"], Float[Array, "n n"]]:
     """Mean and covariance of a given N samples and the prior N(mean, covariance): Eq. 8 in one batch.
 
     Args:
-        phi: ``[N, m, n]`` design matrices, label = phi a + noise.
-        labels: ``[N, m]``.
-        mean: ``[n]`` of the prior.
-        covariance: ``[n, n]`` of the prior.
-        noise: ``[m, m]`` covariance of a sample's residual.
-        weights: ``[N]`` weight of each sample; ones if None.
-
-    Returns:
-        ``[n]`` and ``[n, n]``.
+        phi: design matrices, label = phi a + noise.
+        labels: of m axes.
+        mean: of the prior.
+        covariance: of the prior.
+        noise: covariance of a sample's residual.
+        weights: weight of each sample; ones if None.
     """
     return posterior_from_factor(phi, labels, mean, jnp.linalg.cholesky(covariance), noise, weights)
 
 
 def posterior_from_factor(
-    phi: Array, labels: Array, mean: Array, factor: Array, noise: Array, weights: Array | None = None
-) -> tuple[Array, Array]:
+    phi: Float[Array, "N m n"],
+    labels: Float[Array, "N m"],
+    mean: Float[Array, "n"],
+    factor: Float[Array, "n n"],
+    noise: Float[Array, "m m"],
+    weights: Float[Array, "N"] | None = None,
+) -> tuple[Float[Array, "n"], Float[Array, "n n"]]:
     """`posterior` with the prior covariance given as ``factor factor^T``."""
     weights = jnp.ones(labels.shape[0]) if weights is None else weights
     # In the coordinates where the prior is N(0, I) the precision is I + something: well conditioned in float32.
@@ -80,24 +88,30 @@ def posterior_from_factor(
 
 
 def empirical_prior(
-    phi: Array, labels: Array, mean: Array, covariance: Array, noise: Array, weights: Array, rounds: int = 8
-) -> tuple[Array, Array, Array]:
+    phi: Float[Array, "C N m n"],
+    labels: Float[Array, "C N m"],
+    mean: Float[Array, "n"],
+    covariance: Float[Array, "n n"],
+    noise: Float[Array, "m m"],
+    weights: Float[Array, "C N"],
+    rounds: int = 8,
+) -> tuple[Float[Array, "n"], Float[Array, "n n"], Float[Array, "m m"]]:
     """The prior and the noise under which the training conditions are most likely, by expectation maximisation.
 
     Plain statistics of a* over conditions would count what a condition's data could not tell as spread (or, with a
     strong ridge, as certainty); here each condition contributes its posterior.
 
     Args:
-        phi: ``[C, N, m, n]``.
-        labels: ``[C, N, m]``.
-        mean: ``[n]`` first guess.
-        covariance: ``[n, n]`` first guess.
-        noise: ``[m, m]`` first guess.
-        weights: ``[C, N]`` weight of each sample.
+        phi: design matrices of C conditions.
+        labels: of C conditions.
+        mean: first guess.
+        covariance: first guess.
+        noise: first guess.
+        weights: weight of each sample.
         rounds: number of EM rounds.
 
     Returns:
-        Prior mean ``[n]``, prior covariance ``[n, n]`` and residual covariance ``[m, m]``.
+        Prior mean, prior covariance and residual covariance.
     """
     n = mean.shape[0]
     floor = 1e-4 * jnp.diag(jnp.diag(covariance))
@@ -124,11 +138,16 @@ WORST = 2.0
 """Cap on what one validation condition leaves unexplained: one that diverges must not decide what is kept."""
 
 
-def fraction_unexplained(predicted: Array, labels: Array, weights: Array, floor: float | Array = 1e-9) -> Array:
+def fraction_unexplained(
+    predicted: Float[Array, "N m"],
+    labels: Float[Array, "N m"],
+    weights: Float[Array, "N"],
+    floor: Scalar | Float[Array, "m"] = 1e-9,
+) -> Scalar:
     """Fraction of the labels' variance left unexplained, the axes counted in units of their own variance.
 
-    ``predicted`` and ``labels`` are ``[N, m]``, ``weights [N]``. 0 is perfect, 1 is as good as the mean.
-    ``floor [m]`` is added to each axis' variance, so that an object that hardly moves is not judged by its noise.
+    0 is perfect, 1 is as good as the mean. ``floor`` is added to each axis' variance, so that an object that hardly
+    moves is not judged by its noise.
     """
     weights = weights[:, None]
     count = jnp.maximum(jnp.sum(weights), 1.0)

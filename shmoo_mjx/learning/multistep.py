@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.dynamics import features
 from shmoo_mjx.learning import least_squares
 from shmoo_mjx.learning.samples import Samples
@@ -16,22 +17,21 @@ from shmoo_mjx.types import DT
 
 __all__ = ["Predict", "loss", "open_loop", "scores"]
 
-Array = Any
-Predict = Callable[[Array], Array]
-"""Inputs ``[..., 13]`` -> accelerations ``[..., 3]`` in {O} of an object that is known."""
+Predict = Callable[[Float[Array, "... 13"]], Float[Array, "... 3"]]
+"""Inputs -> accelerations in {O} of an object that is known."""
 
 WHERE = features.slices(features.OBJECT_INPUTS)
 
 
-def open_loop(predict: Predict, inputs: Array) -> tuple[Array, Array]:
+def open_loop(predict: Predict, inputs: Float[Array, "B H 13"]) -> tuple[Float[Array, "B H 3"], Float[Array, "B H 3"]]:
     """Roll the object's twist out over H steps under the recorded wrench (Eq. 4), the predicted twist fed back.
 
     Args:
         predict: of the object.
-        inputs: ``[B, H, 13]`` recorded inputs of B windows.
+        inputs: recorded inputs of B windows.
 
     Returns:
-        Predicted accelerations ``[B, H, 3]`` in {O} and the twists before each step ``[B, H, 3]`` in {O}.
+        Predicted accelerations in {O} and the twists before each step in {O}.
     """
 
     def one(carry: tuple[Array, Array], x: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
@@ -49,20 +49,20 @@ def open_loop(predict: Predict, inputs: Array) -> tuple[Array, Array]:
 
 def loss(
     predict: Predict,
-    windows: tuple[Array, Array, Array],
-    precision: Array,
-    scale: Array,
+    windows: tuple[Float[Array, "B H n"], Float[Array, "B H m"], Float[Array, "B H n"]],
+    precision: Float[Array, "m m"],
+    scale: Float[Array, "m"],
     feed_back: bool = True,
     one_step: float = 1.0,
     on_twist: bool = True,
-) -> Array:
+) -> Scalar:
     """Eq. 4 on B windows of H steps of one condition: the share of the labels' variance that is left.
 
     Args:
         predict: of the object, after adapting.
-        windows: inputs ``[B, H, n]``, labels ``[B, H, m]`` and the inputs one sample later.
-        precision: ``[m, m]`` inverse of Sigma_C in units of ``scale``.
-        scale: ``[m]`` of the labels.
+        windows: inputs, labels and the inputs one sample later.
+        precision: inverse of Sigma_C in units of ``scale``.
+        scale: of the labels.
         feed_back: feed the predicted twist back; otherwise every step is predicted from the recorded one.
         one_step: weight of the error of one step from the recorded twists, beside that of the open loop.
         on_twist: take the open loop's error on the twist reached after each step, not on each step's acceleration.
@@ -90,25 +90,25 @@ def loss(
 def scores(
     samples: Samples,
     known: Any,
-    adapted: Callable[[Array, Array, Array, Any], Predict],
-    scale: Array,
+    adapted: Callable[[Float[Array, "N n"], Float[Array, "N m"], Float[Array, "N"], Any], Predict],
+    scale: Float[Array, "m"],
     fit_samples: int,
     horizon: int,
     floor: float,
-) -> tuple[Array, Array]:
+) -> tuple[Float[Array, "C"], Float[Array, "C"]]:
     """Adapt to each condition on its first samples and score the predictions on the later ones only.
 
     Args:
         samples: C conditions that were not trained on.
         known: what else is known of each, a tree of ``[C, ...]``.
         adapted: (inputs, labels, weights of some samples, what else is known) -> the object's predictor.
-        scale: ``[m]`` of the labels.
+        scale: of the labels.
         fit_samples: how many samples are adapted on, at most half of them.
         horizon: steps of the open-loop roll-out; 0 leaves it out.
         floor: share of scale squared added to each label's variance.
 
     Returns:
-        Fraction of variance unexplained per condition ``[C]`` of one-step accelerations; and of the twist's change
+        Fraction of variance unexplained per condition, of one-step accelerations; and of the twist's change
         after ``horizon`` steps (the one-step share again without a roll-out).
     """
     extra = floor * jnp.asarray(scale) ** 2

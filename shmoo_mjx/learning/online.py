@@ -7,10 +7,9 @@ twists. A psi without it, the paper's, learns by Eq. 8.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
+from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.dynamics import contact_model, object_model
 from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
 from shmoo_mjx.learning import adaptation, identification
@@ -18,17 +17,15 @@ from shmoo_mjx.learning.adaptation import AdaptConfig, AdaptState
 
 __all__ = ["contact_of", "learned", "observe"]
 
-Array = Any
-
 
 def observe(
     config: AdaptConfig,
     state: AdaptState,
     params: ObjectParams,
     shape: ObjectConfig,
-    inputs: Array,
-    label: Array,
-    valid: Array | bool = True,
+    inputs: Float[Array, "13"],
+    label: Float[Array, "3"],
+    valid: Scalar = True,
 ) -> AdaptState:
     """One sample of the object: contact parameters are identified anew, or Eq. 8, or one after the other.
 
@@ -37,8 +34,8 @@ def observe(
         state: unbatched; vmap for more.
         params: psi.
         shape: of psi; static.
-        inputs: ``[13]`` as OBJECT_INPUTS lists them.
-        label: ``[3]`` measured acceleration of the object in {O}.
+        inputs: as OBJECT_INPUTS lists them.
+        label: measured acceleration of the object in {O}.
         valid: False without contact, with stale or missing poses.
     """
     if state.contact is not None:
@@ -50,8 +47,8 @@ def observe(
     return adaptation.step(config, state, phi, label, valid)
 
 
-def contact_of(state: AdaptState) -> Array:
-    """Contact parameters ``[p]`` of the object; the first guess if psi has no contact model."""
+def contact_of(state: AdaptState) -> Float[Array, "p"]:
+    """Contact parameters of the object; the first guess if psi has no contact model."""
     return contact_model.guess() if state.contact is None else identification.best(state.contact)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import optax
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Float, Int
 from shmoo_mjx.data import store
 from shmoo_mjx.dynamics import core, features, networks, robot_model
 from shmoo_mjx.dynamics.core import CoreConfig
@@ -33,8 +34,6 @@ __all__ = [
     "samples_from_dataset",
     "train_robot",
 ]
-
-Array = Any
 
 
 @dataclass(frozen=True)
@@ -64,20 +63,19 @@ class RobotFitConfig:
 class RobotSamples(NamedTuple):
     """Samples of R, all conditions together; those of an episode follow one another."""
 
-    inputs: Array
-    """``[N, 28]``"""
-    labels: Array
-    """``[N, 5]`` base acceleration and force, {R}."""
+    inputs: Float[Array, "N 28"]
+    labels: Float[Array, "N 5"]
+    """Base acceleration and force, {R}."""
     state: SystemState
     """``[N, ...]`` at the start of the sample."""
-    u: Array
-    """``[N, 3]`` command [rad]."""
-    next_lean: Array
-    """``[N, 2]`` at the end of the sample [rad]."""
-    next_rate: Array
-    """``[N, 2]`` [rad/s]"""
-    following: Array
-    """``[N]`` how many samples of the same episode follow."""
+    u: Float[Array, "N 3"]
+    """Command [rad]."""
+    next_lean: Float[Array, "N 2"]
+    """At the end of the sample [rad]."""
+    next_rate: Float[Array, "N 2"]
+    """[rad/s]"""
+    following: Int[Array, "N"]
+    """How many samples of the same episode follow."""
 
 
 class RobotFit(NamedTuple):
@@ -86,8 +84,8 @@ class RobotFit(NamedTuple):
     params: RobotParams
     score: float
     """Best validation score: share of each output's variance left unexplained, mean over the five."""
-    per_output: Array
-    """``[5]`` the same for each output, on the validation conditions."""
+    per_output: Float[Array, "5"]
+    """The same for each output, on the validation conditions."""
     history: list[tuple[float, float]]
 
 

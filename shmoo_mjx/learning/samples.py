@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Float, Int, Key
 from shmoo_mjx.data import store
 from shmoo_mjx.dynamics import features
 
@@ -24,43 +25,40 @@ __all__ = [
     "samples_from_dataset",
 ]
 
-Array = Any
-
 
 class Samples(NamedTuple):
     """C conditions with N samples each, in the order they were recorded."""
 
-    inputs: Array
-    """``[C, N, n_in]``"""
-    labels: Array
-    """``[C, N, m]`` accelerations in {O} (or whatever the user predicts)."""
-    weights: Array
-    """``[C, N]`` 1 where a sample counts; 0 for padding and for objects that are neither touched nor moving."""
-    run: Array
-    """``[C, N]`` how many samples from here on, this one included, lie in the same episode."""
+    inputs: Float[Array, "C N n_in"]
+    labels: Float[Array, "C N m"]
+    """Accelerations in {O} (or whatever the user predicts)."""
+    weights: Float[Array, "C N"]
+    """1 where a sample counts; 0 for padding and for objects that are neither touched nor moving."""
+    run: Int[Array, "C N"]
+    """How many samples from here on, this one included, lie in the same episode."""
 
 
 class Sampler(NamedTuple):
     """Indices at which batches may start."""
 
-    samples: Array
-    """``[C, M]`` samples that a* may be fitted on."""
-    starts: Array
-    """``[C, M']`` ascending, first samples of windows of H steps within one episode."""
-    precision: Array
-    """``[C, m, m]`` inverse of Sigma_C in units of label_scale."""
+    samples: Int[Array, "C M"]
+    """Samples that a* may be fitted on."""
+    starts: Int[Array, "C S"]
+    """Ascending, first samples of windows of H steps within one episode."""
+    precision: Float[Array, "C m m"]
+    """Inverse of Sigma_C in units of label_scale."""
 
 
 class Batch(NamedTuple):
     """Samples of one update, for each of its conditions."""
 
-    condition: Array
-    """``[c]`` index among the training conditions."""
-    adapt: tuple[Array, Array, Array]
+    condition: Int[Array, "c"]
+    """Index among the training conditions."""
+    adapt: tuple[Float[Array, "c N n_in"], Float[Array, "c N m"], Float[Array, "c N"]]
     """Inputs, labels and weights of B^a."""
-    windows: tuple[Array, Array, Array]
+    windows: tuple[Float[Array, "c B H n_in"], Float[Array, "c B H m"], Float[Array, "c B H n_in"]]
     """Inputs, labels and the twist (inputs again) one sample later."""
-    precision: Array
+    precision: Float[Array, "c m m"]
 
 
 def samples_from_dataset(dataset: store.Dataset) -> Samples:
@@ -83,8 +81,8 @@ def samples_from_dataset(dataset: store.Dataset) -> Samples:
     return _stack(inputs, labels, weights, runs)
 
 
-def samples_from_arrays(data: Mapping[str, tuple[Array, Array]]) -> Samples:
-    """Samples of any {condition: (x [N, n_in], y [N, m])}; conditions may differ in N."""
+def samples_from_arrays(data: Mapping[str, tuple[Float[Array, "_N n_in"], Float[Array, "_N m"]]]) -> Samples:
+    """Samples of any {condition: (x, y)}; conditions may differ in N."""
     pairs = [(np.asarray(x), np.asarray(y)) for x, y in data.values()]
     return _stack(
         [x for x, _ in pairs],
@@ -94,8 +92,8 @@ def samples_from_arrays(data: Mapping[str, tuple[Array, Array]]) -> Samples:
     )
 
 
-def label_scale(samples: Samples) -> np.ndarray:
-    """Standard deviation of each label ``[m]`` over all samples that count."""
+def label_scale(samples: Samples) -> Float[np.ndarray, "m"]:
+    """Standard deviation of each label over all samples that count."""
     used = samples.labels[samples.weights > 0]
     return np.maximum(np.std(used, axis=0), 1e-6)
 
@@ -116,7 +114,13 @@ def sampler(samples: Samples, horizon: int, floor: float) -> Sampler:
 
 
 def draw(
-    samples: Samples, sampler: Sampler, key: Array, conditions: int, adapt_samples: int, windows: int, horizon: int
+    samples: Samples,
+    sampler: Sampler,
+    key: Key[Array, ""],
+    conditions: int,
+    adapt_samples: int,
+    windows: int,
+    horizon: int,
 ) -> Batch:
     """Draw a batch: ``conditions`` conditions, for each a stretch B^a and ``windows`` windows of ``horizon`` steps."""
     condition_key, sample_key, length_key, start_key, near_key = jax.random.split(key, 5)

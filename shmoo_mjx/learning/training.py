@@ -12,12 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
+from shmoo_mjx.arrays import Scalar
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.learning.checkpoints import Checkpoints
 
 __all__ = ["Fitted", "Progress", "bounded_gradient", "run"]
 
-Array = Any
 Tree = Any
 
 
@@ -52,9 +52,9 @@ def bounded_gradient() -> optax.GradientTransformation:
 
 def run(
     state: Tree,
-    epoch: Callable[[Tree], tuple[Tree, Array]],
+    epoch: Callable[[Tree], tuple[Tree, Scalar]],
     extract: Callable[[Tree], Tree],
-    evaluate: Callable[[Tree], Array],
+    evaluate: Callable[[Tree], Scalar],
     epochs: int,
     patience: int,
     identity: str = "",

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from shmoo_mjx.arrays import Array, Float
 from shmoo_mjx.dynamics import contact_model
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning import identification, serialisation
@@ -22,13 +23,11 @@ from shmoo_mjx.learning.samples import Samples, label_scale
 
 __all__ = ["STRETCHES", "Found", "identified", "nothing", "on_first_samples"]
 
-Array = Any
-
 STRETCHES = (0, 10, 10, 30, 30, 100, 100, 250)
 """Samples that a training condition's parameters are identified on, M numbers; 0 is the object not yet touched."""
 
-Found = tuple[ContactPrior, Array, Array]
-"""The prior, the parameters of training conditions ``[C, M, p]`` and those of validation conditions ``[C', p]``."""
+Found = tuple[ContactPrior, Float[Array, "C M p"], Float[Array, "C_validation p"]]
+"""The prior, the parameters of training conditions and those of validation conditions."""
 
 
 def identified(
@@ -69,9 +68,9 @@ def nothing(config: IdentificationConfig, train: Samples, validation: Samples, *
 
 
 def on_first_samples(
-    config: IdentificationConfig, prior: ContactPrior, scale: Array, samples: Samples, fit_samples: int
-) -> Array:
-    """The parameters ``[C, p]`` of conditions by their first ``fit_samples`` samples, at most half of them."""
+    config: IdentificationConfig, prior: ContactPrior, scale: Float[Array, "3"], samples: Samples, fit_samples: int
+) -> Float[Array, "C p"]:
+    """The parameters of conditions by their first ``fit_samples`` samples, at most half of them."""
     n = min(fit_samples, samples.inputs.shape[1] // 2)
     identify = partial(identification.identify, config, prior, jnp.asarray(scale))
     first = tuple(jnp.asarray(a[:, :n]) for a in samples[:3])

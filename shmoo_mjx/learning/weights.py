@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from shmoo_mjx.arrays import Array, Float
 from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.dynamics import core, object_model
 from shmoo_mjx.dynamics.core import CoreConfig, Params
@@ -35,8 +36,6 @@ __all__ = [
     "with_robot",
 ]
 
-Array = Any
-
 SCHEMA_VERSION = 5
 """Raised whenever a field of the file changes its meaning or its name."""
 _OLD_SCHEMAS = (3, 4)
@@ -58,10 +57,10 @@ class Weights(NamedTuple):
 
     params: Params
     """Its coefficients are the prior mean."""
-    prior_covariance: Array
-    """``[3 K, 3 K]``, P0 of Eq. 8."""
-    noise: Array
-    """``[3, 3]`` covariance of a sample's residual, R dt of Eq. 8."""
+    prior_covariance: Float[Array, "n n"]
+    """P0 of Eq. 8, n = 3 K."""
+    noise: Float[Array, "3 3"]
+    """Covariance of a sample's residual, R dt of Eq. 8."""
     contact_prior: ContactPrior
     """Prior of the contact parameters; of no use unless config.object.contact_model."""
     config: CoreConfig
@@ -88,15 +87,20 @@ def prior_state(weights: Weights, config: OnlineConfig | None = None) -> AdaptSt
     return adaptation.init(weights.params.coefficients, weights.prior_covariance, weights.noise, contact)
 
 
-def posterior_from_recording(weights: Weights, inputs: Array, labels: Array, sample_weights: Array) -> AdaptState:
+def posterior_from_recording(
+    weights: Weights,
+    inputs: Float[Array, "N 13"],
+    labels: Float[Array, "N 3"],
+    sample_weights: Float[Array, "N"],
+) -> AdaptState:
     """Estimate from a whole recording of an object, all samples at once: a* of Eq. 5, given the prior, and the contact
     parameters.
 
     Args:
         weights: trained.
-        inputs: ``[N, 13]``.
-        labels: ``[N, 3]``.
-        sample_weights: ``[N]``.
+        inputs: as OBJECT_INPUTS lists them.
+        labels: accelerations in {O}.
+        sample_weights: 0 where a sample doesn't count.
     """
     state, shape, params = prior_state(weights), weights.config.object, weights.params
     if state.contact is not None:

@@ -14,7 +14,7 @@ import functools
 import importlib.util
 import io
 from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +23,7 @@ import numpy as np
 from jax.sharding import AxisType, NamedSharding, PartitionSpec
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Bool, Float
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.plant import lowlevel
@@ -36,21 +37,19 @@ with contextlib.redirect_stdout(io.StringIO()):  # it prints that its optional W
 
 __all__ = ["MjxEngine", "MjxWorld", "check_backend", "stack_models"]
 
-Array = Any
-
 
 class MjxWorld(NamedTuple):
     """Complete state of W worlds; without W inside a vmap."""
 
-    physics: Array
-    """``[W, 1 + nq + nv]`` time, qpos, qvel: the layout of C MuJoCo's physics state."""
+    physics: Float[Array, "... n"]
+    """Time, qpos, qvel (1 + nq + nv): the layout of C MuJoCo's physics state."""
     control: lowlevel.LowLevelState
-    wall_contact: Array
-    """``[W]`` whether any part of the robot touched a wall in the last sample time."""
-    wall_parts: Array
-    """``[W, P]`` which of scene.PARTS did."""
-    warm_start: Array
-    """``[W, nv]`` acceleration the solver starts from [m/s^2, rad/s^2]."""
+    wall_contact: Bool[Array, "..."]
+    """Whether any part of the robot touched a wall in the last sample time."""
+    wall_parts: Bool[Array, "... P"]
+    """Which of scene.PARTS did."""
+    warm_start: Float[Array, "... nv"]
+    """Acceleration the solver starts from [m/s^2, rad/s^2]."""
 
 
 def check_backend(impl: str, walls: bool = False) -> None:
@@ -229,11 +228,11 @@ class MjxEngine:
         return observation(self.scenes[0], world.physics[..., 0], *self._split(world.physics), none)
 
     def step(
-        self, world: MjxWorld, command: Command, duration: float = DT, push: Array | None = None
+        self, world: MjxWorld, command: Command, duration: float = DT, push: Float[Array, "W 6"] | None = None
     ) -> tuple[MjxWorld, Observation]:
         """Hold ``command`` (fields batched ``[W, ...]``) for ``duration`` seconds.
 
-        ``push [W, 6]`` is an outside disturbance: force [N] and torque [N m] in {W} at the CoM of the robot's torso.
+        ``push`` is an outside disturbance: force [N] and torque [N m] in {W} at the CoM of the robot's torso.
         """
         push = np.zeros((*world.physics.shape[:-1], 6)) if push is None else push
         command, push = jax.device_put(jax.tree.map(jnp.asarray, (command, push)), self._placement)
@@ -244,7 +243,7 @@ class MjxEngine:
         model: mjx.Model,
         world: MjxWorld,
         command: Command,
-        push: Array,
+        push: Float[Array, "6"],
         substeps: int,
         gains: lowlevel.Gains | None = None,
     ) -> tuple[MjxWorld, Observation]:
@@ -278,12 +277,12 @@ class MjxEngine:
         """The robots' true state, batched ``[W, ...]``."""
         return readout(*self._split(world.physics))
 
-    def torque(self, world: MjxWorld, command: Command) -> Array:
-        """Motor torques ``[W, 9]`` [N m] that the control asks for now; what a robot measures as motor currents."""
+    def torque(self, world: MjxWorld, command: Command) -> Float[Array, "... 9"]:
+        """Motor torques [N m] that the control asks for now; what a robot measures as motor currents."""
         return self._asked(world, command)
 
-    def fallen(self, world: MjxWorld) -> Array:
-        """``[W]`` whether the body leans more than 0.6 rad."""
+    def fallen(self, world: MjxWorld) -> Bool[Array, "..."]:
+        """Whether the body leans more than 0.6 rad."""
         return jnp.any(jnp.abs(se2.wrap(self.robot(world).lean)) > 0.6, axis=-1)
 
     def _split(self, physics: Array) -> tuple[Array, Array]:

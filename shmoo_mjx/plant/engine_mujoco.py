@@ -20,6 +20,7 @@ import numpy as np
 from mujoco.rollout import Rollout
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Bool, Float
 from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.plant import lowlevel
 from shmoo_mjx.plant.observe import observation, planar_wrench
@@ -28,8 +29,6 @@ from shmoo_mjx.plant.scene import PARTS, Scene
 from shmoo_mjx.types import DT, Command, Observation
 
 __all__ = ["MujocoEngine", "World"]
-
-Array = Any
 
 _CONTROL_AND_FORCE = int(mujoco.mjtState.mjSTATE_CTRL) | int(mujoco.mjtState.mjSTATE_XFRC_APPLIED)
 
@@ -71,13 +70,13 @@ def _packed(fields: Sequence[Array]) -> np.ndarray:
 class World(NamedTuple):
     """Complete state of W worlds."""
 
-    physics: np.ndarray
-    """``[W, n]`` MuJoCo's full physics state."""
+    physics: Float[np.ndarray, "W n"]
+    """MuJoCo's full physics state."""
     control: lowlevel.LowLevelState
-    wall_contact: np.ndarray
-    """``[W]`` whether any part of the robot touched a wall in the last sample time."""
-    wall_parts: np.ndarray
-    """``[W, P]`` which of scene.PARTS did."""
+    wall_contact: Bool[np.ndarray, "W"]
+    """Whether any part of the robot touched a wall in the last sample time."""
+    wall_parts: Bool[np.ndarray, "W P"]
+    """Which of scene.PARTS did."""
 
 
 class _Part(NamedTuple):
@@ -148,11 +147,11 @@ class MujocoEngine:
         return observation(self.scenes[0], world.physics[:, 0], *self._split(world.physics), none)
 
     def step(
-        self, world: World, command: Command, duration: float = DT, push: np.ndarray | None = None
+        self, world: World, command: Command, duration: float = DT, push: Float[np.ndarray, "W 6"] | None = None
     ) -> tuple[World, Observation]:
         """Hold ``command`` (fields batched ``[W, ...]``) for ``duration`` seconds.
 
-        ``push [W, 6]`` is an outside disturbance: force [N] and torque [N m] in {W} at the CoM of the robot's torso.
+        ``push`` is an outside disturbance: force [N] and torque [N m] in {W} at the CoM of the robot's torso.
         """
         hold = functools.partial(self._hold, substeps=round(duration / self.timestep))
         pushes = [None if push is None else push[p.worlds] for p in self._parts]
@@ -187,8 +186,8 @@ class MujocoEngine:
         control = _unpacked(np.asarray(memory))
         return World(physics, control, touched.any(axis=-1), touched), wrench / substeps
 
-    def torque(self, world: World, command: Command) -> np.ndarray:
-        """Motor torques ``[W, 9]`` [N m] that the control asks for now; what a robot measures as motor currents."""
+    def torque(self, world: World, command: Command) -> Float[np.ndarray, "W 9"]:
+        """Motor torques [N m] that the control asks for now; what a robot measures as motor currents."""
         _, torque = self._control(_packed(world.control), self._robot_state(world.physics), _packed(command))
         return np.asarray(torque, dtype=np.float64)
 
@@ -222,8 +221,8 @@ class MujocoEngine:
     def _split(self, physics: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return physics[:, 1 : 1 + self._nq], physics[:, 1 + self._nq : 1 + self._nq + self._nv]
 
-    def fallen(self, world: World) -> np.ndarray:
-        """``[W]`` whether the body leans more than 0.6 rad."""
+    def fallen(self, world: World) -> Bool[np.ndarray, "W"]:
+        """Whether the body leans more than 0.6 rad."""
         return np.any(np.abs(se2.wrap(self.robot(world).lean)) > 0.6, axis=-1)
 
 

@@ -6,27 +6,24 @@ Arm torque less gravity is balanced by the hand's contact force, exactly so at r
 
 from __future__ import annotations
 
-from typing import Any
-
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Float
 from shmoo_mjx.plant.lowlevel import arm_gravity
 from shmoo_mjx.plant.robot import Robot, RobotState
 
 __all__ = ["hand_forces", "joint_torque_wrench"]
 
-Array = Any
 
-
-def hand_forces(robot: Robot, sensed: RobotState, arm_torque: Array) -> Array:
+def hand_forces(robot: Robot, sensed: RobotState, arm_torque: Float[Array, "... 6"]) -> Float[Array, "... 2 3"]:
     """Force of each hand on what it touches, in {R} [N].
 
     Args:
         robot: its numbers.
         sensed: its state.
-        arm_torque: motor torques ``[..., 6]`` (left, right) x (yaw, pitch, elbow) [N m].
+        arm_torque: motor torques (left, right) x (yaw, pitch, elbow) [N m].
 
     Returns:
-        ``[..., 2, 3]`` (left, right) x (x, y, z), from J^T f = tau - tau_gravity.
+        (left, right) x (x, y, z), from J^T f = tau - tau_gravity.
     """
     xp = se2.array_module(sensed.arms, arm_torque)
     torque = arm_torque.reshape(sensed.arms.shape) - arm_gravity(robot, sensed.arms, sensed.lean[..., :1])
@@ -35,14 +32,16 @@ def hand_forces(robot: Robot, sensed: RobotState, arm_torque: Array) -> Array:
     return xp.einsum("...ij,...hj->...hi", sensed.rotation, in_body)
 
 
-def joint_torque_wrench(robot: Robot, sensed: RobotState, arm_torque: Array, object_pose: Array) -> Array:
-    """Planar wrench of both hands on the object about its centre, in {W}: ``[..., 3]`` (fx, fy [N], tz [N m]).
+def joint_torque_wrench(
+    robot: Robot, sensed: RobotState, arm_torque: Float[Array, "... 6"], object_pose: Float[Array, "... 3"]
+) -> Float[Array, "... 3"]:
+    """Planar wrench of both hands on the object about its centre, in {W}: (fx, fy [N], tz [N m]).
 
     Args:
         robot: its numbers.
         sensed: its state.
-        arm_torque: ``[..., 6]`` [N m].
-        object_pose: ``[..., 3]`` of the object the hands touch, in {W}.
+        arm_torque: [N m].
+        object_pose: of the object the hands touch, in {W}.
     """
     xp = se2.array_module(sensed.arms, arm_torque, object_pose)
     force = hand_forces(robot, sensed, arm_torque)[..., :2]

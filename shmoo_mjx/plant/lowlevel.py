@@ -12,13 +12,12 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.hands import hand_targets
 from shmoo_mjx.plant.robot import Robot, RobotState, shmoobot
 from shmoo_mjx.types import Command
 
 __all__ = ["Gains", "LowLevelState", "arm_gravity", "control", "init", "velocity_to_lean"]
-
-Array = Any
 
 
 @dataclass(frozen=True)
@@ -60,20 +59,20 @@ class Gains:
 class LowLevelState(NamedTuple):
     """State of the low-level control."""
 
-    lean_ref: Array
-    """``[..., 2]`` filtered lean command [rad]."""
-    lean_ref_rate: Array
-    """``[..., 2]`` [rad/s]"""
-    lean_integral: Array
-    """``[..., 2]`` [rad s]"""
-    yaw_integral: Array
-    """``[...]`` [rad]"""
-    reach: Array
-    """``[...]`` [m]"""
-    hand_height: Array
-    """``[...]`` [m]"""
-    gamma: Array
-    """``[...]`` [rad]"""
+    lean_ref: Float[Array, "... 2"]
+    """Filtered lean command [rad]."""
+    lean_ref_rate: Float[Array, "... 2"]
+    """[rad/s]"""
+    lean_integral: Float[Array, "... 2"]
+    """[rad s]"""
+    yaw_integral: Scalar | Float[Array, "..."]
+    """[rad]"""
+    reach: Scalar | Float[Array, "..."]
+    """[m]"""
+    hand_height: Scalar | Float[Array, "..."]
+    """[m]"""
+    gamma: Scalar | Float[Array, "..."]
+    """[rad]"""
 
 
 def init(xp: Any, batch: tuple[int, ...], reach: float, hand_height: float) -> LowLevelState:
@@ -83,9 +82,13 @@ def init(xp: Any, batch: tuple[int, ...], reach: float, hand_height: float) -> L
 
 
 def velocity_to_lean(
-    gains: Gains, velocity: Array, lean_rate: Array, desired: Array, robot: Robot | None = None
-) -> Array:
-    """Outer loop of the cascade: lean command ``[..., 2]`` [rad] from velocities ``[..., 2]`` in {R} [m/s].
+    gains: Gains,
+    velocity: Float[Array, "... 2"],
+    lean_rate: Float[Array, "... 2"],
+    desired: Float[Array, "... 2"],
+    robot: Robot | None = None,
+) -> Float[Array, "... 2"]:
+    """Outer loop of the cascade: lean command [rad] from velocities in {R} [m/s].
 
     Regulates the velocity of the flat output S = x + (b/a) phi: the base itself first moves the wrong way when the lean
     changes, which a tight loop on it would amplify. The robot is Shmoobot unless another is given.
@@ -96,7 +99,9 @@ def velocity_to_lean(
     return xp.clip(gains.velocity_p * (desired - flat), -gains.lean_limit, gains.lean_limit)
 
 
-def _towards(xp: Any, value: Array, target: Array, step: float) -> Array:
+def _towards(
+    xp: Any, value: Scalar | Float[Array, "..."], target: Scalar | Float[Array, "..."], step: float
+) -> Scalar | Float[Array, "..."]:
     return value + xp.clip(target - value, -step, step)
 
 
@@ -115,7 +120,7 @@ def _references(gains: Gains, state: LowLevelState, command: Command, dt: float)
 
 
 def _drive_torque(
-    robot: Robot, gains: Gains, state: LowLevelState, sensed: RobotState, yaw: Array, dt: float
+    robot: Robot, gains: Gains, state: LowLevelState, sensed: RobotState, yaw: Scalar | Float[Array, "..."], dt: float
 ) -> tuple[LowLevelState, Array]:
     xp = se2.array_module(state.gamma, sensed.lean)
     # The CoM of the extended arms lies ahead of the body axis: lean the axis back by that angle.
@@ -156,9 +161,10 @@ def _arm_torque(robot: Robot, gains: Gains, state: LowLevelState, sensed: RobotS
     return xp.clip(torque, -gains.arm_torque_limit, gains.arm_torque_limit)
 
 
-def arm_gravity(robot: Robot, arms: Array, lean: Array = 0.0) -> Array:
-    """Joint torques ``[..., 2, 3]`` [N m] that hold the arms ``[..., 2, 3]`` against gravity, on a body that leans
-    forward by ``lean [..., 1]`` [rad]."""
+def arm_gravity(
+    robot: Robot, arms: Float[Array, "... 2 3"], lean: Scalar | Float[Array, "... 1"] = 0.0
+) -> Float[Array, "... 2 3"]:
+    """Joint torques [N m] that hold the arms against gravity, on a body that leans forward by ``lean`` [rad]."""
     xp = se2.array_module(arms)
     g, l1, l2 = 9.81, robot.upper_arm, robot.forearm
     pitch, fore = arms[..., 1] + lean, arms[..., 1] + arms[..., 2] + lean
@@ -169,11 +175,11 @@ def arm_gravity(robot: Robot, arms: Array, lean: Array = 0.0) -> Array:
 
 def control(
     robot: Robot, gains: Gains, state: LowLevelState, sensed: RobotState, command: Command, dt: float
-) -> tuple[LowLevelState, Array]:
+) -> tuple[LowLevelState, Float[Array, "... 9"]]:
     """One control period of ``dt`` seconds.
 
     Returns:
-        The new state and the motor torques ``[..., 9]`` [N m] in the order of ``ACTUATORS``: drive x, y, z in the body
+        The new state and the motor torques [N m] in the order of ``ACTUATORS``: drive x, y, z in the body
         frame, then left and right arm (yaw, pitch, elbow).
     """
     xp = se2.array_module(state.gamma, sensed.lean)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from shmoo_mjx.arrays import Float
 from shmoo_mjx.errors import ShmooError
 
 __all__ = ["Solid", "read_mjcf"]
@@ -25,13 +26,13 @@ _SHAPES = (
 class Solid(NamedTuple):
     """A rigid body in the axes of its file."""
 
-    points: np.ndarray
-    """``[V, 3]`` points whose convex hull is the object's [m]."""
+    points: Float[np.ndarray, "V 3"]
+    """Points whose convex hull is the object's [m]."""
     mass: float
-    com: np.ndarray
-    """``[3]`` [m]"""
-    inertia: np.ndarray
-    """``[3, 3]`` about the CoM, per mass [m^2]."""
+    com: Float[np.ndarray, "3"]
+    """[m]"""
+    inertia: Float[np.ndarray, "3 3"]
+    """About the CoM, per mass [m^2]."""
 
 
 def read_mjcf(path: Path) -> Solid:

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.plant.robot import readout
 from shmoo_mjx.plant.scene import Scene
 from shmoo_mjx.types import Observation
 
 __all__ = ["observation", "planar_wrench"]
-
-Array = Any
 
 
 def _object_poses(scene: Scene, qpos: Array, qvel: Array) -> tuple[Array, Array]:
@@ -27,8 +24,14 @@ def _object_poses(scene: Scene, qpos: Array, qvel: Array) -> tuple[Array, Array]
     return xp.concatenate([position, yaw[..., None]], axis=-1), twist
 
 
-def observation(scene: Scene, time: Array, qpos: Array, qvel: Array, wrench: Array) -> Observation:
-    """Observation from generalised coordinates ``[..., nq]``, ``[..., nv]`` and the mean wrench ``[..., N, 3]``."""
+def observation(
+    scene: Scene,
+    time: Scalar | Float[Array, "..."],
+    qpos: Float[Array, "... nq"],
+    qvel: Float[Array, "... nv"],
+    wrench: Float[Array, "... N 3"],
+) -> Observation:
+    """Observation from generalised coordinates and the mean wrench."""
     xp = se2.array_module(qpos, qvel)
     robot = readout(qpos, qvel)
     hands = xp.einsum("...ij,...hj->...hi", robot.rotation, scene.robot.hand_in_body(robot.arms))
@@ -50,8 +53,10 @@ def observation(scene: Scene, time: Array, qpos: Array, qvel: Array, wrench: Arr
     )
 
 
-def planar_wrench(scene: Scene, qpos: Array, sensordata: Array) -> Array:
-    """Wrench Gamma of both hands on each object about its centre, in {W}: ``[..., N, 3]`` (fx, fy, tz).
+def planar_wrench(
+    scene: Scene, qpos: Float[Array, "... nq"], sensordata: Float[Array, "... sensors"]
+) -> Float[Array, "... N 3"]:
+    """Wrench Gamma of both hands on each object about its centre, in {W}: (fx, fy, tz).
 
     Each contact sensor gives the net force and torque at a point; the planar moment about the object's centre is
     lever x force plus the vertical torque.

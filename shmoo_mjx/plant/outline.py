@@ -7,17 +7,16 @@ the side, a little behind.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH, hand_targets
 from shmoo_mjx.plant.robot import Robot, shmoobot
 
 __all__ = ["Outline", "Room", "outline", "room"]
-
-Array = Any
 
 _SPACING = 0.04
 """Of the discs along an arm [m]."""
@@ -26,24 +25,24 @@ _SPACING = 0.04
 class Outline(NamedTuple):
     """Discs in {R}."""
 
-    torso: np.ndarray
-    """``[2, 2]`` centres [m], of the torso's radius; the torso leans, so that its ends differ."""
-    arms: np.ndarray
-    """``[A, 2]`` centres, of the arms' radius."""
-    hands: np.ndarray
-    """``[2, 2]`` centres (left, right), of the hands' radius."""
+    torso: Float[np.ndarray, "2 2"]
+    """Centres [m], of the torso's radius; the torso leans, so that its ends differ."""
+    arms: Float[np.ndarray, "A 2"]
+    """Centres, of the arms' radius."""
+    hands: Float[np.ndarray, "2 2"]
+    """Centres (left, right), of the hands' radius."""
 
 
 class Room(NamedTuple):
-    """Distance of each part's surface from what is nearest ``[...]`` [m]; negative inside it."""
+    """Distance of each part's surface from what is nearest [m]; negative inside it."""
 
-    torso: np.ndarray
-    arms: np.ndarray
-    hands: np.ndarray
+    torso: Scalar | Float[np.ndarray, "..."]
+    arms: Scalar | Float[np.ndarray, "..."]
+    hands: Scalar | Float[np.ndarray, "..."]
 
     @property
-    def least(self) -> np.ndarray:
-        """``[...]`` of all parts."""
+    def least(self) -> Scalar | Float[np.ndarray, "..."]:
+        """Of all parts."""
         return np.minimum(np.minimum(self.torso, self.arms), self.hands)
 
 
@@ -94,8 +93,8 @@ def _along(start: np.ndarray, end: np.ndarray) -> np.ndarray:
 
 
 def room(
-    at: Callable[[np.ndarray], np.ndarray],
-    pose: Array,
+    at: Callable[[Float[np.ndarray, "... 2"]], Float[Array, "..."]],
+    pose: Float[Array, "... 3"],
     reach: float | Sequence[float] = REACH,
     gamma: float = 0.0,
     robot: Robot | None = None,
@@ -103,8 +102,8 @@ def room(
     """How far torso, arms and hands are from obstacles.
 
     Args:
-        at: distance to the nearest obstacle [m] at points ``[..., 2]`` in {W}, such as ``ClearanceField.at``.
-        pose: ``[..., 3]`` of {R} in {W}.
+        at: distance to the nearest obstacle [m] at points in {W}, such as ``ClearanceField.at``.
+        pose: of {R} in {W}.
         reach: x of the hands' midpoint [m]; of several the worst counts, as while the arms unfold.
         gamma: steering angle [rad].
         robot: Shmoobot by default.

@@ -14,11 +14,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from shmoo_mjx.arrays import Array, Float, Key, Scalar
 from shmoo_mjx.plant.scene import Scene
 
 __all__ = ["Factors", "Ranges", "perturbed", "randomize"]
-
-Array = Any
 
 
 @dataclass(frozen=True)
@@ -44,24 +43,24 @@ class Ranges:
 class Factors(NamedTuple):
     """How one world's model differs from the nominal one: factors, unless a unit is given. See :class:`Ranges`."""
 
-    body_mass: Array
-    arm_mass: Array
-    object_mass: Array
-    drive_friction: Array
-    body_com: Array
-    """``[3]`` [m]"""
-    hand_friction: Array
-    torque_gain: Array
-    """``[nu]``, or one for all motors."""
-    object_friction: Array
+    body_mass: Scalar
+    arm_mass: Scalar
+    object_mass: Scalar
+    drive_friction: Scalar
+    body_com: Float[Array, "3"]
+    """[m]"""
+    hand_friction: Scalar
+    torque_gain: Scalar | Float[Array, "nu"]
+    """One of each motor, or one for all."""
+    object_friction: Scalar
 
 
-def randomize(model: Any, keys: Array, scene: Scene, ranges: Ranges | None = None) -> tuple[Any, Any]:
+def randomize(model: Any, keys: Key[Array, "W"], scene: Scene, ranges: Ranges | None = None) -> tuple[Any, Any]:
     """Draw one model per key.
 
     Args:
         model: ``mjx.Model`` of ``scene``, not batched.
-        keys: ``[W]`` PRNG keys.
+        keys: one of each world.
         scene: names of bodies, joints and geoms.
         ranges: what to vary.
 
@@ -75,7 +74,7 @@ def randomize(model: Any, keys: Array, scene: Scene, ranges: Ranges | None = Non
     return model.tree_replace(drawn), in_axes.tree_replace(dict.fromkeys(drawn, 0))
 
 
-def perturbed(model: Any, factors: Factors, scene: Scene) -> dict[str, Array]:
+def perturbed(model: Any, factors: Factors, scene: Scene) -> dict[str, Float[Array, "..."]]:
     """The fields of ``mjx.Model`` that ``factors`` change, for one world, with their new values."""
     names = scene.model
     torso, ball = names.body("robot/torso").id, names.joint("robot/ball")

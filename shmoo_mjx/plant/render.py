@@ -11,6 +11,7 @@ from functools import cache
 import mujoco
 import numpy as np
 
+from shmoo_mjx.arrays import Float, Shaped
 from shmoo_mjx.plant.scene import Scene
 
 __all__ = ["can_render", "frames", "has_display", "overview"]
@@ -50,9 +51,9 @@ def has_display() -> bool:
 
 
 def frames(
-    scene: Scene, qpos: np.ndarray, width: int = 640, height: int = 480, distance: float = 3.6
-) -> Iterator[np.ndarray]:
-    """Draw configurations ``qpos [T, nq]`` from behind and above the robot; yields uint8 ``[height, width, 3]``.
+    scene: Scene, qpos: Float[np.ndarray, "T nq"], width: int = 640, height: int = 480, distance: float = 3.6
+) -> Iterator[Shaped[np.ndarray, "height width 3"]]:
+    """Draw configurations ``qpos`` from behind and above the robot; yields uint8.
 
     The camera follows the robot's position smoothly and does not turn with it, so that motion stays readable.
     """
@@ -82,8 +83,8 @@ def _plain(renderer: mujoco.Renderer) -> None:
         renderer.scene.flags[flag] = 0
 
 
-def overview(scene: Scene, width: int = 1280, height: int = 720) -> np.ndarray:
-    """The whole scene as it starts, seen from above at an angle: uint8 ``[height, width, 3]``."""
+def overview(scene: Scene, width: int = 1280, height: int = 720) -> Shaped[np.ndarray, "height width 3"]:
+    """The whole scene as it starts, seen from above at an angle; uint8."""
     model, data = scene.model, mujoco.MjData(scene.model)
     data.qpos[:] = scene.qpos0
     mujoco.mj_forward(model, data)

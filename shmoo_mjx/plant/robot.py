@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.assets import asset
 from shmoo_mjx.errors import ShmooError
 
@@ -28,8 +29,6 @@ __all__ = [
     "shmoobot",
     "with_arms",
 ]
-
-Array = Any
 
 _SIDES = ("left", "right")
 _ARM_JOINTS = ("shoulder_yaw", "shoulder_pitch", "elbow")
@@ -142,30 +141,29 @@ class Robot:
         return self.body_mass + 2 * (self.upper_arm_mass + self.forearm_mass + self.hand_mass)
 
     @functools.cached_property
-    def shoulders(self) -> np.ndarray:
-        """``[2, 3]`` left and right shoulder in the body frame [m]."""
+    def shoulders(self) -> Float[np.ndarray, "2 3"]:
+        """Left and right shoulder in the body frame [m]."""
         x, y, z = self.shoulder
         return np.array([(x, y, z), (x, -y, z)])
 
-    def hand_in_body(self, arms: Array) -> Array:
-        """Hand centres ``[..., 2, 3]`` in the body frame from joint angles ``[..., 2, 3]``."""
+    def hand_in_body(self, arms: Float[Array, "... 2 3"]) -> Float[Array, "... 2 3"]:
+        """Hand centres in the body frame from joint angles."""
         xp = se2.array_module(arms)
         yaw, pitch, fore = arms[..., 0], arms[..., 1], arms[..., 1] + arms[..., 2]
         out = self.upper_arm * xp.cos(pitch) + self.forearm * xp.cos(fore)
         down = self.upper_arm * xp.sin(pitch) + self.forearm * xp.sin(fore)
         return self.shoulders + xp.stack([out * xp.cos(yaw), out * xp.sin(yaw), -down], axis=-1)
 
-    def arm_angles(self, hands: np.ndarray) -> np.ndarray:
-        """Joint angles ``[2, 3]`` that put the hands ``[2, 3]`` (body frame) there, elbows up:
-        inverts `hand_in_body`."""
+    def arm_angles(self, hands: Float[np.ndarray, "2 3"]) -> Float[np.ndarray, "2 3"]:
+        """Joint angles that put the hands (body frame) there, elbows up: inverts `hand_in_body`."""
         x, y, z = (hands - self.shoulders).T
         out, l1, l2 = np.hypot(x, y), self.upper_arm, self.forearm
         elbow = -np.arccos(np.clip((out * out + z * z - l1 * l1 - l2 * l2) / (2 * l1 * l2), -1.0, 1.0))
         pitch = np.arctan2(-z, out) - np.arctan2(l2 * np.sin(elbow), l1 + l2 * np.cos(elbow))
         return np.stack([np.arctan2(y, x), pitch, elbow], axis=-1)
 
-    def arm_jacobian(self, arms: Array) -> Array:
-        """d hand / d joint angles ``[..., 2, 3, 3]`` (arm, x y z, joint) in the body frame."""
+    def arm_jacobian(self, arms: Float[Array, "... 2 3"]) -> Float[Array, "... 2 3 3"]:
+        """d hand / d joint angles (arm, x y z, joint) in the body frame."""
         xp = se2.array_module(arms)
         yaw, pitch, fore = arms[..., 0], arms[..., 1], arms[..., 1] + arms[..., 2]
         l1, l2 = self.upper_arm, self.forearm
@@ -181,8 +179,8 @@ class Robot:
         ]
         return xp.stack(columns, axis=-1)
 
-    def com_offset(self, arms: Array) -> Array:
-        """Horizontal CoM ``[..., 2]`` of body and arms in the body frame [m]: what the CoM feed-forward subtracts."""
+    def com_offset(self, arms: Float[Array, "... 2 3"]) -> Float[Array, "... 2"]:
+        """Horizontal CoM of body and arms in the body frame [m]: what the CoM feed-forward subtracts."""
         xp = se2.array_module(arms)
         yaw, pitch, fore = arms[..., 0], arms[..., 1], arms[..., 1] + arms[..., 2]
         l1, l2 = self.upper_arm, self.forearm
@@ -221,35 +219,35 @@ def shmoobot() -> Robot:
 class RobotState(NamedTuple):
     """The robot's state in the frames the control works in."""
 
-    pose: Array
-    """``[..., 3]`` of {R} in {W}."""
-    twist: Array
-    """``[..., 3]`` of {R} in {W}."""
-    rotation: Array
-    """``[..., 3, 3]`` body axes in the levelled robot frame {R} (columns)."""
-    lean: Array
-    """``[..., 2]`` lean of the body axis towards +x, +y of {R} [rad]."""
-    lean_rate: Array
-    """``[..., 2]`` [rad/s]"""
-    drive_rate: Array
-    """``[..., 3]`` angular velocity of the ball relative to the body, in the body frame [rad/s]."""
-    height: Array
-    """``[...]`` of the ball's centre above the floor [m]."""
-    arms: Array
-    """``[..., 2, 3]`` joint angles (left, right) x (yaw, pitch, elbow) [rad]."""
-    arm_rates: Array
-    """``[..., 2, 3]`` [rad/s]"""
+    pose: Float[Array, "... 3"]
+    """Of {R} in {W}."""
+    twist: Float[Array, "... 3"]
+    """Of {R} in {W}."""
+    rotation: Float[Array, "... 3 3"]
+    """Body axes in the levelled robot frame {R} (columns)."""
+    lean: Float[Array, "... 2"]
+    """Lean of the body axis towards +x, +y of {R} [rad]."""
+    lean_rate: Float[Array, "... 2"]
+    """[rad/s]"""
+    drive_rate: Float[Array, "... 3"]
+    """Angular velocity of the ball relative to the body, in the body frame [rad/s]."""
+    height: Float[Array, "..."]
+    """Of the ball's centre above the floor [m]."""
+    arms: Float[Array, "... 2 3"]
+    """Joint angles (left, right) x (yaw, pitch, elbow) [rad]."""
+    arm_rates: Float[Array, "... 2 3"]
+    """[rad/s]"""
 
 
-def quat_rotate(quat: Array, vector: Array) -> Array:
-    """Rotate ``vector [..., 3]`` by the unit quaternion ``quat [..., 4]`` (w, x, y, z)."""
+def quat_rotate(quat: Float[Array, "... 4"], vector: Float[Array, "... 3"]) -> Float[Array, "... 3"]:
+    """Rotate ``vector`` by the unit quaternion ``quat`` (w, x, y, z)."""
     xp = se2.array_module(quat, vector)
     w, q = quat[..., :1], quat[..., 1:]
     t = 2.0 * xp.stack(_cross(q, vector), axis=-1)
     return vector + w * t + xp.stack(_cross(q, t), axis=-1)
 
 
-def _cross(a: Array, b: Array) -> list[Array]:
+def _cross(a: Array, b: Array) -> list[Scalar | Float[Array, "..."]]:
     # numpy.cross costs ten times as much for one vector, and this runs at 500 Hz.
     return [
         a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
@@ -269,24 +267,24 @@ def _matrix(quat: Array) -> Array:
     return xp.stack(rows, axis=-1).reshape(*quat.shape[:-1], 3, 3)
 
 
-def arm_joints(qpos: Array) -> Array:
-    """Angles ``[..., 2, 3]`` of the arms' joints in qpos ``[..., NQ or more]``."""
+def arm_joints(qpos: Float[Array, "... nq"]) -> Float[Array, "... 2 3"]:
+    """Angles of the arms' joints in a qpos of NQ or more."""
     return qpos[..., _ARMS[0]].reshape(*qpos.shape[:-1], 2, 3)
 
 
-def with_arms(qpos: np.ndarray, arms: np.ndarray) -> np.ndarray:
-    """A copy of qpos ``[NQ or more]`` with these angles ``[2, 3]`` of the arms' joints."""
+def with_arms(qpos: Float[np.ndarray, "nq"], arms: Float[np.ndarray, "2 3"]) -> Float[np.ndarray, "nq"]:
+    """A copy of a qpos of NQ or more with these angles of the arms' joints."""
     qpos = qpos.copy()
     qpos[_ARMS[0]] = arms.ravel()
     return qpos
 
 
-def readout(qpos: Array, qvel: Array) -> RobotState:
+def readout(qpos: Float[Array, "... nq"], qvel: Float[Array, "... nv"]) -> RobotState:
     """Robot state from MuJoCo's generalised coordinates of the robot: root, ball, arms; what follows is not read.
 
     Args:
-        qpos: ``[..., NQ or more]``.
-        qvel: ``[..., NV or more]``; MuJoCo gives the angular velocity of free and ball joints in the child's own frame.
+        qpos: NQ or more.
+        qvel: NV or more; MuJoCo gives the angular velocity of free and ball joints in the child's own frame.
     """
     xp = se2.array_module(qpos, qvel)
     body = _matrix(qpos[..., 3:7])

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import mujoco
 import numpy as np
 
+from shmoo_mjx.arrays import Array, Float, Int
 from shmoo_mjx.assets import asset
 from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH, hand_targets
 from shmoo_mjx.plant.objects import Condition, object_spec
@@ -45,28 +46,28 @@ class Scene:
 
     model: mujoco.MjModel
     conditions: tuple[Condition, ...]
-    object_qpos: np.ndarray
-    """``[N]`` first index of each object's free joint in qpos."""
-    object_qvel: np.ndarray
-    """``[N]`` the same in qvel."""
-    contact_sensor: np.ndarray
-    """``[N, 2]`` first index in sensordata of (force, torque, position) of object x hand (left, right)."""
-    part_of_geom: np.ndarray
-    """``[ngeom]`` index into PARTS of each of the robot's shapes that collide, -1 for all other geoms."""
+    object_qpos: Int[np.ndarray, "N"]
+    """First index of each object's free joint in qpos."""
+    object_qvel: Int[np.ndarray, "N"]
+    """The same in qvel."""
+    contact_sensor: Int[np.ndarray, "N 2"]
+    """First index in sensordata of (force, torque, position) of object x hand (left, right)."""
+    part_of_geom: Int[np.ndarray, "ngeom"]
+    """Index into PARTS of each of the robot's shapes that collide, -1 for all other geoms."""
     wall_geoms: frozenset[int]
-    wall_sensor: np.ndarray
-    """``[P, 2]`` index in sensordata of how many contacts with walls each of PARTS has, for both of its geoms (the same
-    twice if it has one); ``[P, 0]`` without walls, and for MJX, whose sensors know no bodies."""
-    qpos0: np.ndarray
-    """``[nq]`` starting configuration."""
+    wall_sensor: Int[np.ndarray, "P 2"] | Int[np.ndarray, "P 0"]
+    """Index in sensordata of how many contacts with walls each of PARTS has, for both of its geoms (the same
+    twice if it has one); none without walls, and for MJX, whose sensors know no bodies."""
+    qpos0: Float[np.ndarray, "nq"]
+    """Starting configuration."""
     robot: Robot
     """Nominal: what ``adjust`` changed is not in it."""
     framed: bool = False
     """Whether the sensors report in the contact's own frame, with normal and tangent after the position: MJX knows no
     net wrench. A hand, being a sphere, has one contact with a convex hull, so that the two agree."""
 
-    def placed(self, robot_pose: Any, object_poses: Any) -> np.ndarray:
-        """The starting configuration ``[nq]`` with robot and objects at other poses (x, y, yaw) in {W}."""
+    def placed(self, robot_pose: Any, object_poses: Any) -> Float[np.ndarray, "nq"]:
+        """The starting configuration with robot and objects at other poses (x, y, yaw) in {W}."""
         qpos = self.qpos0.copy()
         qpos[:7] = _free(robot_pose, qpos[2])
         qpos[3:7] = _balanced(self.robot, qpos[3:7], arm_joints(qpos))
@@ -76,8 +77,8 @@ class Scene:
 
 
 def build_scene(
-    objects: Sequence[tuple[Condition, Sequence[float]]] = (),
-    robot_pose: Sequence[float] = (0.0, 0.0, 0.0),
+    objects: Sequence[tuple[Condition, Sequence[float] | Float[Array, "3"]]] = (),
+    robot_pose: Sequence[float] | Float[Array, "3"] = (0.0, 0.0, 0.0),
     walls: Sequence[tuple[float, float, float, float]] = (),
     wall_yaw: float = 0.0,
     wall_height: float = 0.6,
@@ -183,8 +184,8 @@ def _drop_idle_contacts(spec: mujoco.MjSpec) -> None:
 def _index(
     model: mujoco.MjModel,
     robot: Robot,
-    objects: Sequence[tuple[Condition, Sequence[float]]],
-    robot_pose: Sequence[float],
+    objects: Sequence[tuple[Condition, Any]],
+    robot_pose: Any,
     walls: int,
     framed: bool,
 ) -> Scene:
@@ -231,6 +232,6 @@ def _balanced(robot: Robot, quat: np.ndarray, arms: np.ndarray) -> np.ndarray:
     return out
 
 
-def _free(pose: Sequence[float], z: float) -> list[float]:
+def _free(pose: Any, z: float) -> list[float]:
     x, y, yaw = pose
     return [x, y, z, np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)]

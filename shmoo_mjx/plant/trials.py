@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Bool, Float
 from shmoo_mjx.assets import asset
 from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
@@ -24,12 +25,12 @@ __all__ = ["Track", "command", "drive", "object_alone", "pushed", "release", "se
 class Track(NamedTuple):
     """Planar motion of an object, sampled at every physics step."""
 
-    time: np.ndarray
-    """``[T]`` [s]"""
-    pose: np.ndarray
-    """``[T, 3]`` of {O} in {W}; yaw not wrapped."""
-    twist: np.ndarray
-    """``[T, 3]`` its derivative, in {W}."""
+    time: Float[np.ndarray, "T"]
+    """[s]"""
+    pose: Float[np.ndarray, "T 3"]
+    """Of {O} in {W}; yaw not wrapped."""
+    twist: Float[np.ndarray, "T 3"]
+    """Its derivative, in {W}."""
 
 
 def object_alone(condition: Condition) -> mujoco.MjModel:
@@ -47,15 +48,15 @@ def settled(model: mujoco.MjModel, seconds: float = 0.5) -> mujoco.MjData:
     return data
 
 
-def release(data: mujoco.MjData, twist: np.ndarray) -> None:
-    """Give the object the planar twist ``[3]`` in {W}, its wheels at rest."""
+def release(data: mujoco.MjData, twist: Float[np.ndarray, "3"]) -> None:
+    """Give the object the planar twist in {W}, its wheels at rest."""
     data.qvel[:2], data.qvel[5] = twist[:2], twist[2]
 
 
 def pushed(
     model: mujoco.MjModel,
     data: mujoco.MjData,
-    wrench: np.ndarray,
+    wrench: Float[np.ndarray, "3"] | Float[np.ndarray, "T 3"],
     seconds: float,
     height: float = 0.1,
     follow: bool = False,
@@ -65,7 +66,7 @@ def pushed(
     Args:
         model: as :func:`object_alone` gives it.
         data: state to start from.
-        wrench: ``[3]`` constant or ``[T, 3]`` per step: fx, fy [N], tz [N m].
+        wrench: constant or per step: fx, fy [N], tz [N m].
         seconds: duration.
         height: of the point of application above the floor [m].
         follow: the wrench is given in {O} and turns with the object, else in {W}.
@@ -96,13 +97,13 @@ def _yaw(qpos: np.ndarray) -> float:
 
 def command(
     worlds: int,
-    lean: np.ndarray | tuple[float, float] = (0.0, 0.0),
+    lean: Float[np.ndarray, "2"] | Float[np.ndarray, "W 2"] | tuple[float, float] = (0.0, 0.0),
     gamma: float = 0.0,
-    yaw: float | np.ndarray = 0.0,
+    yaw: float | Float[np.ndarray, "W"] = 0.0,
     reach: float = TUCKED_REACH,
     hand_height: float = TUCKED_HEIGHT,
 ) -> Command:
-    """The same command for W worlds; ``lean`` may be ``[W, 2]``, ``yaw`` ``[W]``."""
+    """The same command for W worlds, but for leans and yaws that are given for each."""
     u = np.zeros((worlds, 3))
     u[:, :2], u[:, 2] = lean, gamma
     return Command(u, np.broadcast_to(yaw, worlds).astype(float), np.full(worlds, reach), np.full(worlds, hand_height))
@@ -113,11 +114,11 @@ def drive(
     seconds: float,
     velocity: Callable[[float], tuple[float, float]] = lambda time: (0.0, 0.0),
     station: float = 0.0,
-    push: Callable[[float], np.ndarray | None] = lambda time: None,
+    push: Callable[[float], Float[np.ndarray, "W 6"] | None] = lambda time: None,
     yaw: float = 0.0,
     arms: Callable[[float], tuple[float, float]] = lambda time: (TUCKED_REACH, TUCKED_HEIGHT),
     sensor_noise: tuple[np.random.Generator, float, float] | None = None,
-) -> tuple[Observation, np.ndarray]:
+) -> tuple[Observation, Bool[np.ndarray, "W"]]:
     """Run the velocity loop of the cascade on every world of ``engine``.
 
     Args:
@@ -125,13 +126,13 @@ def drive(
         seconds: duration.
         velocity: wish in {R} [m/s] over time.
         station: gain of station keeping at the origin [1/s]; 0 is off.
-        push: wrench ``[W, 6]`` on the torso over time, or None.
+        push: wrench on the torso over time, or None.
         yaw: heading to hold [rad].
         arms: (reach, hand height) over time [m].
         sensor_noise: (generator, standard deviation of velocity [m/s], of lean rate [rad/s]) of the outer loop.
 
     Returns:
-        Observations stacked over time ``[T, W, ...]`` and whether each world ended fallen ``[W]``.
+        Observations stacked over time ``[T, W, ...]`` and whether each world ended fallen.
     """
     world = engine.init()
     seen = _numpy(engine.observe(world))

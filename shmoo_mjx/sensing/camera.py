@@ -10,18 +10,17 @@ lean is taken to be compensated by the inertial unit.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Bool, Float, Scalar
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.plant.scene import Scene
 from shmoo_mjx.sensing.rays import hidden
 
 __all__ = ["Camera", "Scenery", "deviation", "in_sight", "scenery_of"]
-
-Array = Any
 
 _CORNERS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 _INSET = 0.9
@@ -83,16 +82,16 @@ class Camera:
 class Scenery(NamedTuple):
     """Sizes and walls that lines of sight depend on. W worlds, N objects, K walls."""
 
-    eye: Array
-    """``[W, 3]`` the camera in {R}: x, y, and height above the floor [m]."""
-    half_extents: Array
-    """``[W, N, 2]`` of the objects' footprints [m]."""
-    tops: Array
-    """``[W, N]`` the objects' heights [m]."""
-    wall_pose: Array
-    """``[W, K, 3]`` in {W}."""
-    wall_half: Array
-    """``[W, K, 2]`` [m]"""
+    eye: Float[Array, "W 3"]
+    """The camera in {R}: x, y, and height above the floor [m]."""
+    half_extents: Float[Array, "W N 2"]
+    """Of the objects' footprints [m]."""
+    tops: Float[Array, "W N"]
+    """The objects' heights [m]."""
+    wall_pose: Float[Array, "W K 3"]
+    """In {W}."""
+    wall_half: Float[Array, "W K 2"]
+    """[m]"""
 
 
 def scenery_of(scenes: list[Scene]) -> Scenery:
@@ -111,14 +110,16 @@ def scenery_of(scenes: list[Scene]) -> Scenery:
     return Scenery(np.array(eyes), sizes[..., :2] / 2, sizes[..., 2], pose, half)
 
 
-def in_sight(camera: Camera, scenery: Scenery, robot_pose: Array, object_pose: Array) -> Array:
-    """``[W, N]`` whether some tag of each object is in the field of view, in range and not hidden.
+def in_sight(
+    camera: Camera, scenery: Scenery, robot_pose: Float[Array, "W 3"], object_pose: Float[Array, "W N 3"]
+) -> Bool[Array, "W N"]:
+    """Whether some tag of each object is in the field of view, in range and not hidden.
 
     Args:
         camera: its limits.
         scenery: sizes and walls.
-        robot_pose: true ``[W, 3]`` in {W}.
-        object_pose: true ``[W, N, 3]`` in {W}.
+        robot_pose: true, in {W}.
+        object_pose: true, in {W}.
     """
     xp = se2.array_module(robot_pose, object_pose)
     worlds, count = object_pose.shape[:2]
@@ -141,8 +142,8 @@ def in_sight(camera: Camera, scenery: Scenery, robot_pose: Array, object_pose: A
     return seen.any(axis=-1)
 
 
-def deviation(camera: Camera, distance: Array) -> Array:
-    """Standard deviations ``[..., 3]`` of a detected pose (x, y [m], yaw [rad]) at ``distance [...]`` [m]."""
+def deviation(camera: Camera, distance: Scalar | Float[Array, "..."]) -> Float[Array, "... 3"]:
+    """Standard deviations of a detected pose (x, y [m], yaw [rad]) at ``distance`` [m]."""
     xp = se2.array_module(distance)
     position = xp.maximum(camera.position_noise * distance, camera.least_position_noise)
     yaw = xp.maximum(camera.yaw_noise * distance, camera.least_yaw_noise)

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Bool, Float, Int
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
 from shmoo_mjx.plant.scene import Scene
@@ -38,10 +39,10 @@ _WATCHDOG = 0.3
 class PerfectState(NamedTuple):
     """State of perfect senses: where each object was last in sight."""
 
-    pose: np.ndarray
-    """``[W, N, 3]``, NaN before."""
-    at: np.ndarray
-    """``[W, N]`` tick, -inf before."""
+    pose: Float[np.ndarray, "W N 3"]
+    """NaN before."""
+    at: Float[np.ndarray, "W N"]
+    """Tick, -inf before."""
 
 
 class SensedWorld(NamedTuple):
@@ -51,25 +52,25 @@ class SensedWorld(NamedTuple):
     """The engine's own state."""
     held: Command
     """What the motors follow."""
-    pending: tuple[tuple[np.ndarray, Command], ...]
-    """(tick of arrival ``[W]``, command), in the order in which they were sent."""
+    pending: tuple[tuple[Int[np.ndarray, "W"], Command], ...]
+    """(tick of arrival, command), in the order in which they were sent."""
     sensor_state: SensorState | PerfectState
-    contact: np.ndarray
-    """``[W, N, 3]`` true mean wrench over the last sample, in {W}."""
-    wall_parts: np.ndarray
-    """``[W, P]`` which of scene.PARTS touched a wall in the last sample time."""
+    contact: Float[np.ndarray, "W N 3"]
+    """True mean wrench over the last sample, in {W}."""
+    wall_parts: Bool[np.ndarray, "W P"]
+    """Which of scene.PARTS touched a wall in the last sample time."""
     ticks: int
     silent: int = 0
     """Ticks since the last command ended."""
 
     @property
-    def wall_contact(self) -> np.ndarray:
-        """``[W]`` whether any did."""
+    def wall_contact(self) -> Bool[np.ndarray, "W"]:
+        """Whether any did."""
         return np.asarray(self.wall_parts.any(axis=-1))
 
     @property
-    def physics(self) -> np.ndarray:
-        """``[W, n]`` MuJoCo's full physics state, for pictures."""
+    def physics(self) -> Float[np.ndarray, "W n"]:
+        """MuJoCo's full physics state, for pictures."""
         return np.asarray(self.truth.physics)
 
 
@@ -104,7 +105,7 @@ class SensedEngine:
         self._drawn = sensing.draw(senses, seeds)
         self._know(scenes)
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> SensedEngine:
         return self
 
     def __exit__(
@@ -150,8 +151,8 @@ class SensedEngine:
         no_contact = np.zeros_like(np.asarray(truth.wall_parts))
         return SensedWorld(truth, _numpy(held), (), sensor_state, np.zeros_like(true.object_pose), no_contact, ticks)
 
-    def restarted(self, world: SensedWorld, truth: Any, which: np.ndarray) -> SensedWorld:
-        """The worlds ``which [W]`` begin anew, at rest as ``truth`` says of them; the others go on."""
+    def restarted(self, world: SensedWorld, truth: Any, which: Bool[np.ndarray, "W"]) -> SensedWorld:
+        """The worlds ``which`` begin anew, at rest as ``truth`` says of them; the others go on."""
         fresh = self.begin(truth, world.ticks)
         chosen = [
             jax.tree.map(lambda new, old: _chosen(which, new, old), getattr(fresh, name), getattr(world, name))
@@ -207,8 +208,8 @@ class SensedEngine:
         """What the simulator knows, for scoring; the wrench is the contacts' own."""
         return _numpy(self.engine.observe(world.truth))._replace(wrench=world.contact)
 
-    def fallen(self, world: SensedWorld) -> np.ndarray:
-        """``[W]`` whether the body leans more than 0.6 rad."""
+    def fallen(self, world: SensedWorld) -> Bool[np.ndarray, "W"]:
+        """Whether the body leans more than 0.6 rad."""
         return np.asarray(self.engine.fallen(world.truth))
 
     def step(
@@ -216,7 +217,7 @@ class SensedEngine:
         world: SensedWorld,
         command: Command | None,
         duration: float = DT,
-        push: np.ndarray | None = None,
+        push: Float[np.ndarray, "W 6"] | None = None,
         computing: float | None = None,
     ) -> tuple[SensedWorld, Observation]:
         """Go on for ``duration`` seconds.
@@ -226,7 +227,7 @@ class SensedEngine:
             command: fields ``[W, ...]``; held until the next one arrives. None is a sample in which none was sent: the
                 last one is held on, and after 0.3 s of that a watchdog brings the robot to rest.
             duration: a multiple of 10 ms.
-            push: ``[W, 6]`` outside disturbance, as for the engines.
+            push: outside disturbance, as for the engines.
             computing: time that this command took to compute [s], if not the senses' own.
         """
         ticks = round(duration / TICK)

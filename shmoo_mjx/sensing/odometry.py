@@ -8,16 +8,15 @@ is tracked (sensing/tracker.py) lives in {D}: a correction is then no motion of 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Float, Int, Scalar, Shaped
 from shmoo_mjx.errors import ShmooError
 
 __all__ = ["TICK", "Odometry", "OdometryConfig", "OdometryDraw", "draw", "estimate", "init", "step"]
-
-Array = Any
 
 TICK = 0.01
 """Time between two readings of the senses, and what delays are rounded to [s]."""
@@ -70,31 +69,31 @@ class OdometryConfig:
 
 
 class OdometryDraw(NamedTuple):
-    """What a robot's seed decides, ``[W]`` each."""
+    """What the seeds of W robots decide, or that of one."""
 
-    scale: Array
-    yaw_scale: Array
-    yaw_bias: Array
+    scale: Float[Array, "..."]
+    yaw_scale: Float[Array, "..."]
+    yaw_bias: Float[Array, "..."]
     """[rad/s]"""
-    delay: Array
-    """int, in ticks."""
-    fix_period: Array
-    """int, in ticks."""
+    delay: Int[Array, "..."]
+    """In ticks."""
+    fix_period: Int[Array, "..."]
+    """In ticks."""
 
 
 class Odometry(NamedTuple):
     """State of W robots; L ticks are remembered, the newest last."""
 
-    true: Array
-    """``[W, L, 3]`` of {R} in {W}: what the sensors measure, never reported as it is."""
-    pose: Array
-    """``[W, L, 3]`` of {R} in {D}."""
-    twist: Array
-    """``[W, 3]`` in {D}, filtered, of the newest pose that has arrived."""
-    frame: Array
-    """``[W, 3]`` of {D} in {W}, as the localiser has it."""
-    correction: Array
-    """``[W, 3]`` what it still has to add to the robot's pose in {W}."""
+    true: Float[Array, "W L 3"]
+    """Of {R} in {W}: what the sensors measure, never reported as it is."""
+    pose: Float[Array, "W L 3"]
+    """Of {R} in {D}."""
+    twist: Float[Array, "W 3"]
+    """In {D}, filtered, of the newest pose that has arrived."""
+    frame: Float[Array, "W 3"]
+    """Of {D} in {W}, as the localiser has it."""
+    correction: Float[Array, "W 3"]
+    """What it still has to add to the robot's pose in {W}."""
 
 
 def draw(config: OdometryConfig, rng: np.random.Generator) -> OdometryDraw:
@@ -111,8 +110,8 @@ def draw(config: OdometryConfig, rng: np.random.Generator) -> OdometryDraw:
     )
 
 
-def init(robot_pose: Array, length: int) -> Odometry:
-    """At rest at ``robot_pose [W, 3]``, which the robot knows; remembers ``length`` ticks."""
+def init(robot_pose: Float[Array, "W 3"], length: int) -> Odometry:
+    """At rest at ``robot_pose``, which the robot knows; remembers ``length`` ticks."""
     xp = se2.array_module(robot_pose)
     true = xp.repeat(robot_pose[:, None], length, axis=1)
     zero = xp.zeros_like(robot_pose)
@@ -120,7 +119,12 @@ def init(robot_pose: Array, length: int) -> Odometry:
 
 
 def step(
-    config: OdometryConfig, drawn: OdometryDraw, state: Odometry, robot_pose: Array, noise: Array, now: Any
+    config: OdometryConfig,
+    drawn: OdometryDraw,
+    state: Odometry,
+    robot_pose: Float[Array, "W 3"],
+    noise: Float[Array, "W 6"],
+    now: Scalar,
 ) -> Odometry:
     """One tick.
 
@@ -128,8 +132,8 @@ def step(
         config: see there.
         drawn: this robot.
         state: before the tick.
-        robot_pose: true ``[W, 3]`` after it.
-        noise: ``[W, 6]`` standard normal: of the walk and of a fix.
+        robot_pose: true, after it.
+        noise: standard normal: of the walk and of a fix.
         now: number of the tick.
     """
     xp = se2.array_module(robot_pose, noise, state.pose)
@@ -148,7 +152,7 @@ def step(
     return _localise(config, drawn, state, noise[:, 3:], now) if config.localised else state
 
 
-def _localise(config: OdometryConfig, drawn: OdometryDraw, state: Odometry, noise: Array, now: Any) -> Odometry:
+def _localise(config: OdometryConfig, drawn: OdometryDraw, state: Odometry, noise: Array, now: Scalar) -> Odometry:
     """A fix, where one is due, and a little of the correction."""
     xp = se2.array_module(noise, state.pose)
     late = round(config.fix_delay / TICK)
@@ -167,12 +171,12 @@ def _localise(config: OdometryConfig, drawn: OdometryDraw, state: Odometry, nois
     return state._replace(frame=frame, correction=correction - share)
 
 
-def estimate(drawn: OdometryDraw, state: Odometry) -> Array:
-    """The robot's pose ``[W, 3]`` in {D} now: the newest that has arrived, carried on by the twist."""
+def estimate(drawn: OdometryDraw, state: Odometry) -> Float[Array, "W 3"]:
+    """The robot's pose in {D} now: the newest that has arrived, carried on by the twist."""
     return ago(state.pose, drawn.delay) + state.twist * TICK * drawn.delay[:, None]
 
 
-def ago(history: Array, ticks: Array) -> Array:
-    """Of a history ``[W, L, ...]``, the entry ``ticks [W]`` before the newest one."""
+def ago(history: Shaped[Array, "W L ..."], ticks: Int[Array, "W"]) -> Shaped[Array, "W ..."]:
+    """Of a history, the entry ``ticks`` before the newest one."""
     xp = se2.array_module(history, ticks)
     return history[xp.arange(history.shape[0]), history.shape[1] - 1 - ticks]

@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Bool, Float
 
 __all__ = ["cast", "hidden"]
 
-Array = Any
 
-
-def cast(origins: Array, directions: Array, poses: Array, half_extents: Array, reach: float) -> Array:
-    """Distance ``[W, R]`` [m] along rays to the first of some rectangles, ``reach`` where none is nearer.
+def cast(
+    origins: Float[Array, "W 2"],
+    directions: Float[Array, "W R 2"],
+    poses: Float[Array, "W K 3"],
+    half_extents: Float[Array, "W K 2"],
+    reach: float,
+) -> Float[Array, "W R"]:
+    """Distance [m] along rays to the first of some rectangles, ``reach`` where none is nearer.
 
     Args:
-        origins: ``[W, 2]`` in {W}.
-        directions: ``[W, R, 2]`` unit vectors in {W}.
-        poses: ``[W, K, 3]`` of the rectangles in {W}.
-        half_extents: ``[W, K, 2]`` along their own axes [m].
+        origins: in {W}.
+        directions: unit vectors in {W}.
+        poses: of the rectangles in {W}.
+        half_extents: along their own axes [m].
         reach: of the rays [m].
     """
     xp = se2.array_module(origins, directions, poses, half_extents)
@@ -27,15 +30,21 @@ def cast(origins: Array, directions: Array, poses: Array, half_extents: Array, r
     return xp.minimum(distance.min(axis=1), reach)
 
 
-def hidden(eye: Array, points: Array, poses: Array, half_extents: Array, tops: Array) -> Array:
-    """``[W, K, R]`` whether each of K boxes that stand on the floor lies between the eye and each of R points.
+def hidden(
+    eye: Float[Array, "W 3"],
+    points: Float[Array, "W R 3"],
+    poses: Float[Array, "W K 3"],
+    half_extents: Float[Array, "W K 2"],
+    tops: Float[Array, "W K"],
+) -> Bool[Array, "W K R"]:
+    """Whether each of K boxes that stand on the floor lies between the eye and each of R points.
 
     Args:
-        eye: ``[W, 3]`` (x, y, z) in {W} [m].
-        points: ``[W, R, 3]`` in {W} [m].
-        poses: ``[W, K, 3]`` of the boxes' footprints in {W}.
-        half_extents: ``[W, K, 2]`` along their own axes [m].
-        tops: ``[W, K]`` their heights [m]; infinite for what nothing looks over.
+        eye: (x, y, z) in {W} [m].
+        points: in {W} [m].
+        poses: of the boxes' footprints in {W}.
+        half_extents: along their own axes [m].
+        tops: their heights [m]; infinite for what nothing looks over.
     """
     xp = se2.array_module(eye, points, poses, half_extents)
     along = points - eye[:, None]

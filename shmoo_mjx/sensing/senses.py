@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Bool, Float, Int, Scalar
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.plant.perturbation import Perturbation, PerturbedBody, adjustment, draw_body
 from shmoo_mjx.sensing import odometry, touch, tracker
@@ -38,8 +39,6 @@ __all__ = [
     "senses_named",
     "tick",
 ]
-
-Array = Any
 
 
 @dataclass(frozen=True)
@@ -116,31 +115,31 @@ class SensorDraw(NamedTuple):
     """What the seeds of W robots decide about their senses."""
 
     odometry: OdometryDraw
-    frame_delay: Array
-    """``[W]`` int: age of a camera frame when it is taken in, in ticks; odometry of that time must have arrived too."""
-    command_delay: Array
-    """``[W]`` int: of commands on their way to the motors, in ticks."""
+    frame_delay: Int[Array, "W"]
+    """Age of a camera frame when it is taken in, in ticks; odometry of that time must have arrived too."""
+    command_delay: Int[Array, "W"]
+    """Of commands on their way to the motors, in ticks."""
 
 
 class Noise(NamedTuple):
     """Random numbers of one tick."""
 
-    odometry: Array
-    """``[W, 6]`` standard normal."""
-    camera: Array
-    """``[W, N, 3]`` standard normal."""
-    lost: Array
-    """``[W, N, 2]`` uniform from 0 to 1: drop-out, burst."""
+    odometry: Float[Array, "W 6"]
+    """Standard normal."""
+    camera: Float[Array, "W N 3"]
+    """Standard normal."""
+    lost: Float[Array, "W N 2"]
+    """Uniform from 0 to 1: drop-out, burst."""
 
 
 class SensorState(NamedTuple):
     """State of the senses of W robots."""
 
     odometry: Odometry
-    objects: Array
-    """``[W, L, N, 3]`` true object poses of the last ticks, the newest last: what the camera still has to report."""
-    lost_until: Array
-    """``[W, N]`` tick up to which each object's tags stay lost."""
+    objects: Float[Array, "W L N 3"]
+    """True object poses of the last ticks, the newest last: what the camera still has to report."""
+    lost_until: Float[Array, "W N"]
+    """Tick up to which each object's tags stay lost."""
     tracks: Tracks
     arms: ArmScale
 
@@ -148,13 +147,13 @@ class SensorState(NamedTuple):
 class Estimates(NamedTuple):
     """Estimated poses and twists in {W}, now."""
 
-    robot_pose: Array
-    robot_twist: Array
-    object_pose: Array
-    object_twist: Array
-    robot_age: Array
-    object_age: Array
-    detected: Array
+    robot_pose: Float[Array, "W 3"]
+    robot_twist: Float[Array, "W 3"]
+    object_pose: Float[Array, "W N 3"]
+    object_twist: Float[Array, "W N 3"]
+    robot_age: Float[Array, "W"]
+    object_age: Float[Array, "W N"]
+    detected: Bool[Array, "W N"]
 
 
 def draw(senses: Senses, seeds: list[int]) -> SensorDraw:
@@ -176,9 +175,9 @@ def first_state(
     senses: Senses,
     drawn: SensorDraw,
     scenery: Scenery,
-    robot_pose: Array,
-    object_pose: Array,
-    noise: Array,
+    robot_pose: Float[Array, "W 3"],
+    object_pose: Float[Array, "W N 3"],
+    noise: Float[Array, "W N 3"],
     poses_known: bool = False,
     now: int = 0,
     remembers: float = 0.0,
@@ -189,9 +188,9 @@ def first_state(
         senses: see there.
         drawn: these robots.
         scenery: sizes and walls.
-        robot_pose: true ``[W, 3]``; the robot knows where it starts.
-        object_pose: true ``[W, N, 3]``.
-        noise: ``[W, N, 3]`` standard normal.
+        robot_pose: true; the robot knows where it starts.
+        object_pose: true.
+        noise: standard normal.
         poses_known: whether it knows the poses of all objects too, as exactly as its camera would see them from there.
         now: number of the tick.
         remembers: for how long poses are kept at least [s], where frames may be older than the senses' own.
@@ -220,10 +219,10 @@ def tick(
     drawn: SensorDraw,
     scenery: Scenery,
     sensor_state: SensorState,
-    robot_pose: Array,
-    object_pose: Array,
+    robot_pose: Float[Array, "W 3"],
+    object_pose: Float[Array, "W N 3"],
     noise: Noise,
-    now: Any,
+    now: Scalar,
 ) -> SensorState:
     """One tick of odometry and, in the worlds where a frame arrives, of the camera.
 
@@ -232,8 +231,8 @@ def tick(
         drawn: these robots.
         scenery: sizes and walls.
         sensor_state: before the tick.
-        robot_pose: true ``[W, 3]`` after it.
-        object_pose: true ``[W, N, 3]``.
+        robot_pose: true, after it.
+        object_pose: true.
         noise: of this tick.
         now: its number.
     """
@@ -287,7 +286,7 @@ def _taken_in(
     return sensor_state._replace(tracks=tracks)
 
 
-def estimates(senses: Senses, drawn: SensorDraw, sensor_state: SensorState, now: Any, sample: float) -> Estimates:
+def estimates(senses: Senses, drawn: SensorDraw, sensor_state: SensorState, now: Scalar, sample: float) -> Estimates:
     """What the robot publishes at tick ``now``, everything carried on to that time; ``sample`` is the sample time [s].
 
     Robot and objects go through the same estimate of {D} in {W}: seen from the robot, an object is where the camera
@@ -309,8 +308,8 @@ def estimates(senses: Senses, drawn: SensorDraw, sensor_state: SensorState, now:
     )
 
 
-def heading_error(sensor_state: SensorState) -> Array:
-    """``[W]`` believed minus true yaw [rad]: the low-level control holds headings by what the robot believes."""
+def heading_error(sensor_state: SensorState) -> Float[Array, "W"]:
+    """Believed minus true yaw [rad]: the low-level control holds headings by what the robot believes."""
     moved = sensor_state.odometry
     return se2.wrap(moved.frame[:, 2] + moved.pose[:, -1, 2] - moved.true[:, -1, 2])
 

@@ -8,19 +8,18 @@ calibrates them.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Float
 from shmoo_mjx.hands import REACH
 from shmoo_mjx.plant.joint_torque import joint_torque_wrench
 from shmoo_mjx.plant.lowlevel import arm_gravity
 from shmoo_mjx.plant.robot import Robot, RobotState
 
 __all__ = ["ArmScale", "TouchConfig", "calibrated", "felt", "init"]
-
-Array = Any
 
 
 @dataclass(frozen=True)
@@ -46,10 +45,10 @@ tolerance of motor constants is a motor that fails, or an arm that leans on some
 class ArmScale(NamedTuple):
     """Sums over the readings with the hands extended and free, for the arms' motors of W robots."""
 
-    products: Array
-    """``[W, 6]`` of torque asked for and torque of gravity [(N m)^2]."""
-    squares: Array
-    """``[W, 6]`` of the torque of gravity [(N m)^2]."""
+    products: Float[Array, "W 6"]
+    """Of torque asked for and torque of gravity [(N m)^2]."""
+    squares: Float[Array, "W 6"]
+    """Of the torque of gravity [(N m)^2]."""
 
 
 def init(worlds: int) -> ArmScale:
@@ -61,12 +60,12 @@ def calibrated(
     scale: ArmScale,
     robot: Robot,
     sensed: RobotState,
-    torque: Array,
-    reach: Array,
-    object_pose: Array,
-    half_extents: Array,
+    torque: Float[Array, "W 6"],
+    reach: Float[Array, "W"],
+    object_pose: Float[Array, "W N 3"],
+    half_extents: Float[Array, "W N 2"],
 ) -> ArmScale:
-    """The sums after one more reading; arguments as for :func:`felt`, ``half_extents [W, N, 2]`` of the objects [m]."""
+    """The sums after one more reading; arguments as for :func:`felt`, ``half_extents`` of the objects [m]."""
     extended = reach > REACH - 0.01
     if not extended.any():
         return scale
@@ -84,20 +83,20 @@ def felt(
     scale: ArmScale,
     robot: Robot,
     sensed: RobotState,
-    torque: Array,
-    reach: Array,
-    object_pose: Array,
-) -> np.ndarray:
-    """Gamma ``[W, N, 3]`` on each object about its centre, in {W}; all of it goes to the one nearest to the hands.
+    torque: Float[Array, "W 6"],
+    reach: Float[Array, "W"],
+    object_pose: Float[Array, "W N 3"],
+) -> Float[np.ndarray, "W N 3"]:
+    """Gamma on each object about its centre, in {W}; all of it goes to the one nearest to the hands.
 
     Args:
         touch: see there.
         scale: what is known of the motors.
         robot: its numbers.
         sensed: joint angles and lean, and as pose the one the robot believes in.
-        torque: of the arms' motors ``[W, 6]`` [N m].
-        reach: of the hands ``[W]`` [m].
-        object_pose: believed ``[W, N, 3]`` in {W}; NaN where unknown.
+        torque: of the arms' motors [N m].
+        reach: of the hands [m].
+        object_pose: believed, in {W}; NaN where unknown.
     """
     wrench = np.zeros_like(object_pose)
     if not wrench.size:

@@ -7,16 +7,15 @@ ones agree with it, the object has really been displaced and the filter starts a
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Bool, Float, Shaped
 from shmoo_mjx.sensing.odometry import TICK
 
 __all__ = ["TrackerConfig", "Tracks", "ahead", "init", "known", "update"]
-
-Array = Any
 
 
 @dataclass(frozen=True)
@@ -50,26 +49,24 @@ class TrackerConfig:
 class Tracks(NamedTuple):
     """W x N filters. Times are numbers of ticks."""
 
-    pose: Array
-    """``[W, N, 3]`` in {D}; NaN for an object that was never detected."""
-    rate: Array
-    """``[W, N, 3]``"""
-    variance: Array
-    """``[W, N, 3]`` variance of the pose."""
-    covariance: Array
-    """``[W, N, 3]`` covariance of pose and rate."""
-    rate_variance: Array
-    """``[W, N, 3]`` variance of the rate."""
-    at: Array
-    """``[W]`` time that the filters stand at: that of the last frame."""
-    detected_at: Array
-    """``[W, N]`` time of the last frame in which the object was detected (and believed); -inf before."""
-    arrived_at: Array
-    """``[W, N]`` when that frame arrived."""
-    odd: Array
-    """``[W, N, 3]`` the last detection that was held back."""
-    odds: Array
-    """``[W, N]`` how many in a row were, each near the one before."""
+    pose: Float[Array, "W N 3"]
+    """In {D}; NaN for an object that was never detected."""
+    rate: Float[Array, "W N 3"]
+    variance: Float[Array, "W N 3"]
+    """Of the pose."""
+    covariance: Float[Array, "W N 3"]
+    """Of pose and rate."""
+    rate_variance: Float[Array, "W N 3"]
+    at: Float[Array, "W"]
+    """Time that the filters stand at: that of the last frame."""
+    detected_at: Float[Array, "W N"]
+    """Time of the last frame in which the object was detected (and believed); -inf before."""
+    arrived_at: Float[Array, "W N"]
+    """When that frame arrived."""
+    odd: Float[Array, "W N 3"]
+    """The last detection that was held back."""
+    odds: Float[Array, "W N"]
+    """How many in a row were, each near the one before."""
 
 
 def init(worlds: int, objects: int) -> Tracks:
@@ -79,36 +76,36 @@ def init(worlds: int, objects: int) -> Tracks:
     return Tracks(zero + np.nan, zero, zero, zero, zero, np.zeros(worlds), never, never, zero, flat)
 
 
-def known(tracks: Tracks) -> Array:
-    """``[W, N]`` whether each object has ever been detected."""
+def known(tracks: Tracks) -> Bool[Array, "W N"]:
+    """Whether each object has ever been detected."""
     xp = se2.array_module(tracks.pose)
     return xp.isfinite(tracks.pose[..., 0])
 
 
-def ahead(tracks: Tracks, seconds: Array) -> Array:
-    """Poses ``[W, N, 3]`` in {D} ``seconds [W]`` after the filters' time."""
+def ahead(tracks: Tracks, seconds: Float[Array, "W"]) -> Float[Array, "W N 3"]:
+    """Poses in {D} ``seconds`` after the filters' time."""
     return tracks.pose + tracks.rate * seconds[:, None, None]
 
 
 def update(
     config: TrackerConfig,
     tracks: Tracks,
-    measured: Array,
-    deviation: Array,
-    found: Array,
-    seconds: Array,
-    time: tuple[Array, Array],
+    measured: Float[Array, "W N 3"],
+    deviation: Float[Array, "W N 3"],
+    found: Bool[Array, "W N"],
+    seconds: Float[Array, "W"],
+    time: tuple[Shaped[Array, "W"], Shaped[Array, "W"]],
 ) -> Tracks:
     """Take in one frame of each world; a world without one passes 0 seconds and nothing found, and stays as it is.
 
     Args:
         config: of the filter.
         tracks: as they were.
-        measured: ``[W, N, 3]`` detected poses in {D}.
-        deviation: ``[W, N, 3]`` their standard deviations.
-        found: ``[W, N]`` which were detected.
-        seconds: ``[W]`` since the frame before [s].
-        time: ``[W]`` numbers of the ticks at which the frame was taken and is taken in.
+        measured: detected poses in {D}.
+        deviation: their standard deviations.
+        found: which were detected.
+        seconds: since the frame before [s].
+        time: numbers of the ticks at which the frame was taken and is taken in.
     """
     xp = se2.array_module(tracks.pose, measured, seconds)
     dt = seconds[:, None, None]

@@ -97,10 +97,12 @@ def test_ablations_vary_one_thing_and_probe(options: ExperimentOptions, monkeypa
 
 def test_every_shipped_variant_is_a_configuration() -> None:
     from shmoo_mjx.learning.baselines.adaptive import daiml_config
-    from shmoo_mjx.learning.baselines.protocol import Job
+    from shmoo_mjx.learning.baselines.protocol import Job, Recordings
     from shmoo_mjx.learning.daiml import DaimlConfig
+    from shmoo_mjx.learning.samples import Samples
 
-    made = {n: daiml_config(Job(None, None, s), DaimlConfig()) for n, s in ablations.VARIANTS.items()}  # type: ignore[arg-type]
+    nothing = Recordings(Samples(*np.zeros((4, 0, 0))), *np.zeros((2, 0, 0)))
+    made = {n: daiml_config(Job(nothing, nothing, s), DaimlConfig()) for n, s in ablations.VARIANTS.items()}
     assert made["functions_3"].object.functions == 3 and made["alpha_1"].alpha == 1.0
     assert set(ablations.QUICK.variants) <= set(made)
     assert set(ablations.AblationsConfig().variants) == set(made)

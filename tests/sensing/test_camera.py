@@ -33,8 +33,8 @@ def sees(objects: list[tuple[float, float]], camera: Camera | None = None, yaw: 
 
 def test_scenery_has_the_models_own_numbers() -> None:
     box = draw_condition("box", 1)
-    scene = build_scene([(box, (2, 0, 0))], walls=[(1.0, 2.0, 0.5, 0.1)], wall_yaw=0.3)
-    bare = build_scene([(box, (2, 0, 0))])
+    scene = build_scene([(box, (2.0, 0.0, 0.0))], walls=[(1.0, 2.0, 0.5, 0.1)], wall_yaw=0.3)
+    bare = build_scene([(box, (2.0, 0.0, 0.0))])
     found = scenery_of([scene, bare])
     np.testing.assert_allclose(found.eye[0], EYE)
     np.testing.assert_allclose(found.wall_pose[0, 0], (1.0, 2.0, 0.3))

@@ -81,7 +81,8 @@ def test_perfect_senses_are_the_truth_and_no_slower() -> None:
 
 
 def test_perfect_senses_end_at_walls_and_at_their_range() -> None:
-    scene = build_scene([(BOX, (2.0, 0, 0)), (BOX, (-2.0, 0, 0)), (BOX, (0, 6.0, 0))], walls=[(1.0, 0.0, 0.05, 2.0)])
+    boxes = [(BOX, (2.0, 0.0, 0.0)), (BOX, (-2.0, 0.0, 0.0)), (BOX, (0.0, 6.0, 0.0))]
+    scene = build_scene(boxes, walls=[(1.0, 0.0, 0.05, 2.0)])
     with SensedEngine([scene], PERFECT) as engine:
         world, seen = engine.step(engine.init(), stand())
         assert seen.detected[0].tolist() == [False, True, False]
@@ -95,7 +96,7 @@ def test_perfect_senses_end_at_walls_and_at_their_range() -> None:
 
 
 def test_never_seen_objects_have_no_pose() -> None:
-    scene = build_scene([(BOX, (-2.0, 0, 0)), (BOX, (2.0, 0, 0))], adjust=REAL.adjust(0))
+    scene = build_scene([(BOX, (-2.0, 0.0, 0.0)), (BOX, (2.0, 0.0, 0.0))], adjust=REAL.adjust(0))
     with SensedEngine([scene], REAL) as engine:
         world = engine.init()
         world, seen = engine.step(world, stand())
@@ -111,7 +112,7 @@ def test_never_seen_objects_have_no_pose() -> None:
 def test_a_step_appears_after_the_stated_delay() -> None:
     """Frames come every 33 ms and are 20 to 40 ms old; a jump is believed from the third on."""
     believing = altered(EXACT, tracker={"gate": 1e9})
-    scene = build_scene([(BOX, (2.0, 0, 0))])
+    scene = build_scene([(BOX, (2.0, 0.0, 0.0))])
     for seed in range(4):
         with SensedEngine([scene], believing, seed) as engine:
             late = int(engine._drawn.frame_delay[0])
@@ -142,7 +143,7 @@ def test_noise_is_that_of_the_camera_and_less_in_what_is_published(distance: flo
     )
     raw = altered(still, tracker={"acceleration": 1e4, "yaw_acceleration": 1e4, "gate": 1e9})
     errors: dict[str, list[np.ndarray]] = {"raw": [], "published": []}
-    scene = build_scene([(BOX, (distance, 0, 0))])
+    scene = build_scene([(BOX, (distance, 0.0, 0.0))])
     for name, senses in (("raw", raw), ("published", still)):
         with SensedEngine([scene] * 20, senses, list(range(20))) as engine:
             world = engine.init()
@@ -160,7 +161,7 @@ def test_noise_is_that_of_the_camera_and_less_in_what_is_published(distance: flo
 
 
 def test_drop_outs_and_bursts() -> None:
-    scene = build_scene([(BOX, (1.5, 0, 0))])
+    scene = build_scene([(BOX, (1.5, 0.0, 0.0))])
     blind = altered(EXACT, camera={"drop_out": 1.0})
     with SensedEngine([scene], blind) as engine:
         world = engine.init()
@@ -186,7 +187,7 @@ def test_drop_outs_and_bursts() -> None:
 
 def test_an_object_behind_a_wall_or_another_object_is_carried_on() -> None:
     tall = draw_condition("box", 1, {"size": [0.6, 1.0, 1.0]})
-    scene = build_scene([(BOX, (3.0, 0, 0)), (tall, (1.5, 3.0, 0))])
+    scene = build_scene([(BOX, (3.0, 0.0, 0.0)), (tall, (1.5, 3.0, 0.0))])
     with SensedEngine([scene], EXACT) as engine:
         world, seen = engine.step(engine.init(), stand())
         assert seen.detected[0].tolist() == [True, False]
