@@ -18,8 +18,8 @@ import shmoo_mjx
 from shmoo_mjx import options as bounded
 from shmoo_mjx.environment import check_environment, prepare_environment
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.options import SENSES, SensesName
 from shmoo_mjx.seeds import UNSEEN_SEED, ConditionSeed, Seed, check_seed, seed_of
-from shmoo_mjx.types import SENSES, SensesName
 from shmoo_mjx.verbosity import with_verbosity
 
 __all__ = ["main"]

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from shmoo_mjx.navigation.floorplan import demo_scenario
-from shmoo_mjx.types import SensesName
+from shmoo_mjx.options import SensesName
 
 __all__ = ["run_demo"]
 

@@ -1,4 +1,4 @@
-"""Numbers as users give them on the command line: each option states its range, and refuses in one sentence."""
+"""What users give on the command line: numbers, of which each option states its range and refuses in one sentence."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ import re
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal, get_args
 
 from tyro.constructors import PrimitiveConstructorSpec
 
 from shmoo_mjx.errors import ShmooError
 
 __all__ = [
+    "SENSES",
     "Buildings",
     "Episodes",
     "Friction",
@@ -28,6 +29,7 @@ __all__ = [
     "Scale",
     "ScenariosOrSet",
     "Seconds",
+    "SensesName",
     "Side",
     "SwivelFriction",
     "Train",
@@ -38,6 +40,10 @@ __all__ = [
     "shortened",
     "whole_number",
 ]
+
+SensesName = Literal["real", "perfect"]
+"""How the robot perceives: as a robot does, or the simulator's truth (shmoo_mjx/sensing)."""
+SENSES: tuple[str, ...] = get_args(SensesName)
 
 
 def option(parse: Callable[[str], Any], metavar: str) -> PrimitiveConstructorSpec[Any]:

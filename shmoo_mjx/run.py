@@ -16,9 +16,9 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.files import claimed, write_whole
 from shmoo_mjx.navigation.maps import OccupancyGrid, save_map
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Scenario, check_scenario, save_scenario
-from shmoo_mjx.options import shortened
+from shmoo_mjx.options import SensesName, shortened
 from shmoo_mjx.seeds import check_seed
-from shmoo_mjx.types import DT, SensesName
+from shmoo_mjx.types import DT
 from shmoo_mjx.verbosity import is_quiet
 from shmoo_mjx.versions import versions
 

@@ -6,18 +6,14 @@ centre, yaw only). SI units, angles in rad. ``...`` stands for any batch dimensi
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple
 
 from shmoo_mjx.arrays import Array, Bool, Float, Scalar
 
-__all__ = ["DT", "SENSES", "Array", "Command", "Observation", "SensesName", "SystemState"]
+__all__ = ["DT", "Array", "Command", "Observation", "SystemState"]
 
 DT = 0.1
 """Sample time of the dynamics model and of the controllers [s] (Eq. 1)."""
-
-SensesName = Literal["real", "perfect"]
-"""How the robot perceives: as a robot does, or the simulator's truth (shmoo_mjx/sensing)."""
-SENSES: tuple[str, ...] = get_args(SensesName)
 
 
 class Command(NamedTuple):

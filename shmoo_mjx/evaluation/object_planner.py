@@ -37,8 +37,9 @@ from shmoo_mjx.navigation.object_planner import planning_stage
 from shmoo_mjx.navigation.records import Mode, NavigatorConfig
 from shmoo_mjx.navigation.scenario import Limits, Scenario
 from shmoo_mjx.navigation.verdicts import PROBE_TIME
+from shmoo_mjx.options import SensesName
 from shmoo_mjx.plant.objects import FAMILIES, Condition, draw_condition
-from shmoo_mjx.types import Array, SensesName
+from shmoo_mjx.types import Array
 
 __all__ = ["CRITERIA", "ObjectPlannerTrials", "auc", "calibration", "run"]
 

@@ -18,8 +18,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.files import write_whole
+from shmoo_mjx.options import SensesName
 from shmoo_mjx.seeds import MAX_CONDITION_SEED, UNSEEN_SEED, check_seed
-from shmoo_mjx.types import SensesName
 from shmoo_mjx.versions import versions
 
 __all__ = [

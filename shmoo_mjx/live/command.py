@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.types import DT, SensesName
+from shmoo_mjx.options import SensesName
+from shmoo_mjx.types import DT
 
 if TYPE_CHECKING:
     from shmoo_mjx.live.page import Page

@@ -38,11 +38,12 @@ from shmoo_mjx.navigation.scenario import (
     save_scenario,
 )
 from shmoo_mjx.navigation.yaml_input import read_mapping, validated
+from shmoo_mjx.options import SensesName
 from shmoo_mjx.run import checked_objects, save_run
 from shmoo_mjx.seeds import seed_of
 from shmoo_mjx.sensing import Senses, senses_named
 from shmoo_mjx.simulation import Simulation
-from shmoo_mjx.types import DT, SensesName
+from shmoo_mjx.types import DT
 
 __all__ = ["SceneLoader", "Session", "object_files", "scene_named", "scenes"]
 

@@ -27,7 +27,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.files import write_whole
 from shmoo_mjx.navigation.yaml_input import read_mapping, validated
-from shmoo_mjx.types import SENSES, SensesName
+from shmoo_mjx.options import SENSES, SensesName
 
 if TYPE_CHECKING:
     from shmoo_mjx.navigation.maps import OccupancyGrid

@@ -10,10 +10,10 @@ from typing import Any
 from shmoo_mjx.assets import asset
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.files import claimed
+from shmoo_mjx.options import SensesName
 from shmoo_mjx.sweep.cluster import Cluster, submit
 from shmoo_mjx.sweep.config import SweepConfig, load_sweep, quick
 from shmoo_mjx.sweep.run import ShardRunner, Sweep, duration, read_table
-from shmoo_mjx.types import SensesName
 
 __all__ = ["carry_out", "find"]
 

@@ -23,10 +23,10 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator,
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.navigation.yaml_input import closest_name, read_mapping, validated
+from shmoo_mjx.options import SensesName
 from shmoo_mjx.plant.objects import FAMILIES
 from shmoo_mjx.seeds import MAX_SEED, UNSEEN_SEED
 from shmoo_mjx.sweep.parameters import PARAMETERS
-from shmoo_mjx.types import SensesName
 
 __all__ = ["Controller", "Draw", "SweepConfig", "load_sweep", "quick", "sweep_fingerprint"]
 

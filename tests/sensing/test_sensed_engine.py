@@ -320,16 +320,18 @@ def test_names_of_senses() -> None:
 
 def test_real_senses_are_quick() -> None:
     scene = build_scene([(BOX, AHEAD)], walls=[(3.0, 0.0, 0.1, 2.0)] * 100)
-    took = {}
-    for senses in (PERFECT, REAL):
-        with SensedEngine([scene], senses) as engine:
-            world, _ = engine.step(engine.init(), stand())
-            # Of the processor: a busy neighbour must not count.
-            began = time.process_time()
-            for _ in range(20):
-                world, _ = engine.step(world, stand())
-            took[senses.name] = time.process_time() - began
-    assert took["real"] < 5.0 * took["perfect"]
+    with SensedEngine([scene], PERFECT) as plain, SensedEngine([scene], REAL) as sensed:
+        engines, ratios = (sensed, plain), []
+        worlds = [engine.step(engine.init(), stand())[0] for engine in engines]
+        for _ in range(5):  # as any of the pairs may share the machine with others
+            took = []
+            for i, engine in enumerate(engines):
+                began = time.process_time()
+                for _ in range(10):
+                    worlds[i], _ = engine.step(worlds[i], stand())
+                took.append(time.process_time() - began)
+            ratios.append(took[0] / took[1])
+    assert min(ratios) < 5.0
 
 
 def test_the_watchdog_brings_the_robot_to_rest_where_commands_stop() -> None:
