@@ -159,9 +159,9 @@ def load_weights(path: str | os.PathLike[str] | None = None) -> Weights:
         )
     try:
         config, info = _config(notes["config"]), dict(notes["info"])
+        like = jax.eval_shape(lambda: _arrays(untrained(config)))
     except (KeyError, TypeError, ValueError) as error:
         raise ShmooError(f"{path}: field 'config' or 'info' can not be read ({error}); train again.") from None
-    like = jax.eval_shape(lambda: _arrays(untrained(config)))
     tree, _ = serialisation.load_tree(path, like, _RENAMED if version in _OLD_SCHEMAS else {})
     _check_values(path, tree)
     arrays = jax.tree.map(jnp.asarray, tree)

@@ -114,3 +114,15 @@ def test_another_programs_file_is_called_so(tmp_path: Path) -> None:
     save_file({"layer.weight": np.zeros((2, 2), np.float32)}, tmp_path / "w.safetensors")
     with pytest.raises(ShmooError, match="another program's"):
         weights.load_weights(tmp_path / "w.safetensors")
+
+
+@pytest.mark.parametrize(
+    ("part", "field", "value"), [("robot", "activation", "elu"), ("object", "activation", 3), ("robot", "hidden", [7])]
+)
+def test_a_config_that_no_network_has_is_refused(path: Path, part: str, field: str, value: object) -> None:
+    notes = serialisation.read_notes(path)
+    notes["config"][part][field] = value
+    made = weights.load_weights(path)
+    serialisation.save_tree(path, weights._arrays(made), notes)
+    with pytest.raises(ShmooError, match="'config'"):
+        weights.load_weights(path)
