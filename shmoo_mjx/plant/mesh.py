@@ -110,6 +110,8 @@ def _measure(mesh_file: Path, scale: float, up: str, hull: bool) -> tuple[np.nda
     """Vertices of the convex hull [m], and CoM and inertia per mass (xx, yy, zz, xy, xz, yz) [m^2], z up."""
     mesh, name = _load(mesh_file), mesh_file.name
     points = np.asarray(mesh.vertices, dtype=float)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ShmooError(f"{name} has vertices that are not three numbers each; export the mesh again.")
     if len(mesh.faces) == 0 or len(points) < 4:
         raise ShmooError(f"{name} holds no surface; export the object as triangles.")
     if not np.isfinite(points).all():

@@ -281,3 +281,10 @@ def test_two_million_triangles(tmp_path: Path) -> None:
     made = add_object(tmp_path / "egg.stl", 8.0, 0.4, hull=True, out=tmp_path / "egg.json")
     assert len(read_object(made)["hull"]) <= 64
     settled(object_alone(draw_condition(str(made), 0)), 0.2)
+
+
+def test_a_vertex_of_two_numbers_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "chair.obj"
+    path.write_text("v 0 0 0\nv 0.5 0 0\nv 0 0.5 0\nv 0 0.6\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n")
+    with pytest.raises(ShmooError, match=r"chair\.obj"):
+        add_object(path, 4.0, 0.4)
