@@ -48,9 +48,8 @@ class Checkpoints:
                 for other in self._manager.all_steps():
                     self._manager.delete(other)
                 return None
-            return self._manager.restore(step, args=self._args.Composite(tree=self._args.StandardRestore(like)))[
-                "tree"
-            ], notes
+            parts = self._args.Composite(tree=self._args.StandardRestore(like))
+            return self._manager.restore(step, args=parts)["tree"], notes
 
     def save(self, step: int, tree: Tree, notes: dict[str, Any]) -> None:
         """Keep the state after ``step`` in place of the last one, whole or not at all.
