@@ -34,8 +34,8 @@ _SIDES = ("left", "right")
 _ARM_JOINTS = ("shoulder_yaw", "shoulder_pitch", "elbow")
 ACTUATORS = ("drive_x", "drive_y", "drive_z", *(f"{side}_{joint}" for side in _SIDES for joint in _ARM_JOINTS))
 """Motors of a robot, in the order of `lowlevel.control`'s torques."""
-_ROOT, _BALL, _ARMS = (slice(0, 7), slice(0, 6)), (slice(7, 11), slice(6, 9)), (slice(11, 17), slice(9, 15))
-"""Where the root's free joint, the ball and the arms' joints stand in qpos and qvel; `Robot.from_mjcf` sees to it."""
+_BALL, _ARMS = (slice(7, 11), slice(6, 9)), (slice(11, 17), slice(9, 15))
+"""Where the ball's and the arms' joints stand in qpos and qvel, after the root's; `Robot.from_mjcf` sees to it."""
 NQ, NV = 17, 15
 """Length of a robot's qpos and qvel, which come before those of everything else in a world."""
 

@@ -1,0 +1,43 @@
+"""Ours beside the frozen prior over several results of `shmoo experiment pushing`, all trials together.
+
+Run: python benchmarks/pooled_pushing.py A.json B.json.gz ...    what docs/results.md says of draws 104 to 107
+
+Older draws: git show 15cba3d:docs/results/pushing.json.gz (106), e95759d (105), bde0c4b (104).
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from shmoo_mjx.evaluation.paired import OURS, PairedDifference, paired_difference
+from shmoo_mjx.evaluation.result import read_result
+from shmoo_mjx.report.tables import markdown_table
+
+THEIRS, FIELDS = "frozen_prior", ("success", "offset_m")
+
+
+def main() -> None:
+    pairs = []
+    for file in sys.argv[1:]:
+        by_method = {
+            method: {row["trial"]: row for row in read_result(Path(file)).rows if row["method"] == method}
+            for method in (OURS, THEIRS)
+        }
+        pairs += [(row, by_method[THEIRS][trial]) for trial, row in by_method[OURS].items()]
+    rows = []
+    for field in FIELDS:
+        ours, theirs = ([float(row[field]) for row in side] for side in zip(*pairs, strict=True))
+        # What is compared with nothing is a mean with its interval.
+        compared = (ours, [0.0] * len(ours)), (theirs, [0.0] * len(theirs)), (ours, theirs)
+        rows.append([field, *(_cell(paired_difference(*sides)) for sides in compared)])
+    print(f"{len(pairs)} trials")
+    print(markdown_table(["", OURS, THEIRS, "difference"], rows))
+
+
+def _cell(found: PairedDifference | None) -> str:
+    return "" if found is None else f"{found.mean:.3f} ({found.low:.3f} to {found.high:.3f})"
+
+
+if __name__ == "__main__":
+    main()
