@@ -100,7 +100,6 @@ def neural_fly_epoch(epochs: int) -> Row:
         windows=256,
         coupled=False,
         alpha=0.01,
-        discriminator_share=0.5,
         epochs=CHUNKS,
         epoch_updates=3 * epochs,
         patience=CHUNKS,

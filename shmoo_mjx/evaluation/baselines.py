@@ -18,7 +18,7 @@ from shmoo_mjx.evaluation import replay, scoring, trainings
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result, over_seeds
 from shmoo_mjx.evaluation.trainings import Trainings, TrainingsConfig, prepare, rows_of
 from shmoo_mjx.evaluation.trials import run_trials
-from shmoo_mjx.learning.baselines import METHODS, REFERENCES, Budget, recordings
+from shmoo_mjx.learning.baselines import METHODS, Budget, recordings
 from shmoo_mjx.learning.baselines.adaptive import prior
 from shmoo_mjx.learning.baselines.protocol import Method, output_scale
 from shmoo_mjx.learning.samples import samples_from_dataset
@@ -45,9 +45,7 @@ REPLAY = "replay"
 class BaselinesConfig(TrainingsConfig):
     """What is compared and how hard each is tried."""
 
-    methods: tuple[str, ...] = tuple(METHODS)
-    references: tuple[str, ...] = (*REFERENCES, REPLAY)
-    """What needs no tuning."""
+    methods: tuple[str, ...] = (*METHODS, REPLAY)
     settings: int = 4
     """Settings that each method tries on the validation conditions, with seed 0 and the tuning budget."""
     tuning: Budget = field(default_factory=lambda: Budget(8, 150, 8))
@@ -80,8 +78,8 @@ def run(options: ExperimentOptions, config: BaselinesConfig | None = None) -> Ex
     """Tune, train and score every method; goes on from ``options.out`` after a stop."""
     config = config or (QUICK if options.quick else BaselinesConfig())
     # How many there are, of what, changes neither what a fit gives nor what it is compared with.
-    shared = prepare(__name__, "baselines", options, config, {"seeds": 1, "methods": (), "references": ()})
-    methods = [METHODS[name] for name in config.methods]
+    shared = prepare(__name__, "baselines", options, config, {"seeds": 1, "methods": ()})
+    methods = [METHODS[name] for name in config.methods if name != REPLAY]
     tried = _tune(methods, shared, config, options)
     chosen = {
         name: min(rows, key=lambda row: row["validation_fvu"])["number"] if rows else 0 for name, rows in tried.items()
@@ -89,7 +87,7 @@ def run(options: ExperimentOptions, config: BaselinesConfig | None = None) -> Ex
     fits = [
         _Fit("final", m.name, chosen[m.name], seed) for m in methods for seed in range(config.seeds if m.trained else 1)
     ]
-    fits += [_Fit("final", name) for name in config.references]
+    fits += [_Fit("final", REPLAY)] if REPLAY in config.methods else []
     rows = _run(fits, shared, config, options)
     tuning = [row for name in tried for row in tried[name]]
     result = make_result("baselines", options, config, _metrics(rows), PAPER, [*tuning, *rows])
@@ -122,7 +120,7 @@ def _scored(shared: Trainings, config: BaselinesConfig, fit: _Fit) -> list[dict[
         scale = output_scale(samples_from_dataset(store.of_training(shared.train).split("train")))
         found = replay.score(shared.objects(), scale, fit_samples)
         return rows_of(shared.objects(), found, {"method": REPLAY, "run": 0, "setting": {}})
-    method = (METHODS | REFERENCES)[fit.method]
+    method = METHODS[fit.method]
     budget = config.tuning if fit.stage == "tune" else config.final
     job = shared.job(fit.name, fit.number, budget, fit_samples, method.settings[fit.setting])
     scale = output_scale(job.train.samples)

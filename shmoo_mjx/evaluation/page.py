@@ -44,8 +44,8 @@ class Section:
     """Below the experiment's folder."""
     options: str = ""
     """What the command needs beside seeds."""
-    own_psi: bool = False
-    """It says nothing about the shipped psi, whose inputs and settings it does not share."""
+    without_psi: bool = False
+    """No weights play a part in it."""
 
 
 def _lines(labels: Mapping[str, str], *columns: str) -> tuple[tuple[str, tuple[str, ...]], ...]:
@@ -59,14 +59,14 @@ def _of_methods(labels: Mapping[str, str], *names: str) -> tuple[tuple[str, tupl
 
 
 _FAMILIES = ("box", "cart", "wheelchair")
-_PUSH_MODELS = ("", "physics_", "published_", "published_quadratic_", "linear_", "no_motion_")
+_PUSH_MODELS = ("", "published_", "published_quadratic_", "linear_", "no_motion_")
 _LEFT_OUT = {"": "pair left out", "shape_out_": "shape left out", "mlab_": "triangle's support left out"}
 
 SECTIONS = {
     "object_model": Section(
         "Predicting unseen objects (III-D, Fig. 4)",
         "psi adapts on the first 25 s of each unseen object and is scored on later rows.",
-        ("prior", "after 25 s", "zero", "constant velocity", "one MLP"),
+        ("prior", "after 25 s", "constant twist"),
         (
             *_lines(
                 {
@@ -74,10 +74,10 @@ SECTIONS = {
                     "fvu": "variance unexplained",
                     "fvu_median": "variance unexplained, median object",
                 },
-                *("{}_before", "{}_after", "{}_zero", "{}_constant_velocity", "{}_mlp"),
+                *("{}_before", "{}_after", "{}_constant_velocity"),
             ),
             *(
-                (f"variance unexplained, {family}", (f"fvu_before_{family}", f"fvu_after_{family}", "", "", ""))
+                (f"variance unexplained, {family}", (f"fvu_before_{family}", f"fvu_after_{family}", ""))
                 for family in _FAMILIES
             ),
             *_lines(
@@ -87,19 +87,18 @@ SECTIONS = {
                     "pos_rmse_3s_m": "position after 3 s [m]",
                     "yaw_rmse_3s_deg": "yaw after 3 s [deg]",
                 },
-                *("{}_before", "{}", "{}_zero", "{}_constant_velocity", "{}_mlp"),
+                *("{}_before", "{}", "{}_constant_velocity"),
             ),
             *_lines(
                 {
                     "ratio_after_before": "MSE after / before",
-                    "ratio_after_best_nonadaptive": "MSE after / best without adaptation",
                     "gap_closed_1s_median": "gap closed after 1 s of contact, median",
                     "gap_closed_1s_q25": "gap closed after 1 s, lower quartile",
                     "gap_closed_5s_median": "gap closed after 5 s, median",
                     "brake_fvu_unaware_median": "variance unexplained, a brake just put on, median",
                     "brake_fvu_known_median": "variance unexplained, a brake felt for 25 s, median",
                 },
-                *("", "{}", "", "", ""),
+                *("", "{}", ""),
             ),
         ),
         ("roll_outs.png", "adaptation.png"),
@@ -260,8 +259,8 @@ SECTIONS = {
     ),
     "real_pushing": Section(
         "Real pushes (other people's data)",
-        "Mean error of the final pose; published models of the same data beside ours.",
-        ("ours", "physics alone", "4th-order, published", "quadratic, published", "linear", "no motion"),
+        "Mean error of the final pose. Ours is a quasi-static model without psi; published models of the same data.",
+        ("ours", "4th-order, published", "quadratic, published", "linear", "no motion"),
         tuple(
             (f"{place}, {unit}", tuple(f"{prefix}{method}{metric}" for method in _PUSH_MODELS))
             for prefix, place in _LEFT_OUT.items()
@@ -269,7 +268,7 @@ SECTIONS = {
         ),
         ("real_pushing.png",),
         "--data DIR",
-        own_psi=True,
+        without_psi=True,
     ),
 }
 
@@ -318,7 +317,7 @@ def section_of(result: ExperimentResult, figures: Sequence[str]) -> str:
         return _reliability(result)
     section = SECTIONS[result.experiment]
     parts = [f"## {section.title}", section.what, f"`{_command(result, section)}`"]
-    if not same_weights(result) and not section.own_psi:
+    if not same_weights(result) and not section.without_psi:
         parts.append("**Measured with other weights than those shipped now.**")
     parts.append(_table(result, section))
     parts += [f"![{Path(path).stem.replace('_', ' ')}]({path})" for path in figures]

@@ -1,13 +1,14 @@
-"""Experiment real_pushing: the learner of psi on real pushes that other people's robots recorded.
+"""Experiment real_pushing: a quasi-static model identified from real pushes that other people's robots recorded.
 
-A condition (a shape-surface pair, or a support) is left out of the meta-training; the coefficients are fitted on 20 %
-of its pushes, drawn at random, and the other pushes are predicted. Published models are scored on exactly those rows.
+A condition (a shape-surface pair, or a support) is left out. The outline and the model's parameters are fitted on 20 %
+of its pushes, drawn at random, with what the other conditions say as prior; the other pushes are predicted. Published
+models are scored on exactly those rows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -17,18 +18,15 @@ import numpy as np
 from shmoo_mjx import se2
 from shmoo_mjx.data import real_pushes
 from shmoo_mjx.data.real_pushes import RealPushCondition
-from shmoo_mjx.dynamics.object_model import ObjectConfig
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.evaluation import push_learning, push_physics
-from shmoo_mjx.evaluation.push_learning import Prepared
+from shmoo_mjx.evaluation import push_outline, push_physics
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.fingerprints import fingerprint
-from shmoo_mjx.learning.daiml import DaimlConfig
 from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
 from shmoo_mjx.types import Array
 
-__all__ = ["QUICK", "RealPushing", "errors", "linear", "measure", "run"]
+__all__ = ["QUICK", "RealPushing", "credible", "errors", "fit", "linear", "measure", "run"]
 
 PREFIXES = {
     ("mit_push", "pair_out"): "",
@@ -52,33 +50,13 @@ class RealPushing:
     """What is tried."""
 
     seeds: int = 3
-    """Each draws the pushes to adapt on and the initial weights anew."""
+    """Each draws the pushes to fit on anew."""
     share: float = 0.2
-    """Of a condition's pushes that the coefficients are fitted on, as the published models were."""
-    members: int = 3
-    """psi's whose predictions are averaged; each stops on other validation conditions."""
-    daiml: DaimlConfig = field(
-        default_factory=lambda: DaimlConfig(
-            # Few conditions and noisy labels: a small psi, few coefficients, slow steps.
-            object=ObjectConfig(hidden=(32, 32), functions=3, linear_terms=False, contact_model=False),
-            horizon=1,
-            conditions=8,
-            adapt_samples=80,
-            windows=32,
-            label_floor=0.3,
-            spectral_cap=1.0,
-            alpha=0.0,
-            learning_rate=3e-4,
-            epochs=12,
-            epoch_updates=50,
-            patience=4,
-            fit_samples=60,
-        )
-    )
+    """Of a condition's pushes that are fitted on, as the published models were."""
     workers: int = 2
 
 
-QUICK = RealPushing(seeds=1, members=1, daiml=replace(RealPushing().daiml, epochs=4))
+QUICK = RealPushing(seeds=1)
 
 
 def run(options: ExperimentOptions) -> ExperimentResult:
@@ -142,15 +120,44 @@ def linear(condition: RealPushCondition, known: Array) -> np.ndarray:
     return np.asarray(x @ min(fitted, key=lambda f: f[0])[1])
 
 
+def credible(condition: RealPushCondition) -> np.ndarray:
+    """``[N]`` False where the point touched moved much farther than the pusher: the object's pose was lost.
+
+    It needs the outcome, so it may pick what is fitted on, never what is scored.
+    """
+    carried = np.linalg.norm(se2.transform_point(condition.motion, condition.start) - condition.start, axis=1)
+    return np.asarray(carried < 1.3 * np.linalg.norm(condition.end - condition.start, axis=1))
+
+
+def fit(
+    condition: RealPushCondition,
+    known: Array,
+    same_shape: Sequence[RealPushCondition] = (),
+    prior: tuple[Array, Array] | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Outline and quasi-static model from the credible ones of the pushes ``known [n]`` (indices).
+
+    Touches of ``same_shape``, other recordings of this shape, may be used for the outline.
+
+    Returns:
+        motions ``[N, 3]`` of all pushes [m, m, rad] and the model's parameters ``[7]``, of which ``prior`` is mean and
+        standard deviation.
+    """
+    known = known[credible(condition)[known]]
+    touched = condition.touch[known]
+    others = [push_outline.align(o.touch[credible(o)], touched) for o in same_shape]
+    corners = push_outline.estimate(np.concatenate([touched, *others]), condition.tip_radius)
+    start, end, radius = condition.start, condition.end, condition.tip_radius
+    if condition.touching_at_start:
+        start, end = push_physics.start_of_push(start, end, corners, radius)
+    parameters = push_physics.identify(start[known], end[known], condition.motion[known], corners, radius, prior)
+    return push_physics.push(start, end, corners, radius, parameters[None])[0], parameters
+
+
 def _trial(cfg: RealPushing, directory: Path, condition_seed: int, trial: tuple[str, str, int]) -> list[dict[str, Any]]:
     """Every condition left out once: one row each."""
     data_set, protocol, seed = trial
-    data, others = real_pushes.load(directory)[data_set], _training_side(directory, data_set)
-
-    @cache
-    def fits(*train: str) -> list[Any]:
-        return _fits(cfg, seed, {n: (others[n], np.flatnonzero(push_learning.credible(data[n]))) for n in train})
-
+    data, parameters = real_pushes.load(directory)[data_set], _parameters(directory, data_set)
     rows = []
     for i, (left_out, condition) in enumerate(data.items()):
         train = [
@@ -160,8 +167,12 @@ def _trial(cfg: RealPushing, directory: Path, condition_seed: int, trial: tuple[
         order = np.random.default_rng([condition_seed, seed, i]).permutation(len(condition.start))
         count = round(cfg.share * len(order))
         known, scored = order[:count], order[count:]
-        prior = _prior([others[n] for n in train])
-        predicted = _predictions(condition, known, [data[n] for n in same], prior, fits(*train))
+        predicted = {
+            "ours": fit(condition, known, [data[n] for n in same], _prior([parameters[n] for n in train]))[0],
+            **condition.published,
+            "linear": linear(condition, known[credible(condition)[known]]),
+            "no_motion": np.zeros_like(condition.motion),
+        }
         row: dict[str, Any] = {"trial": f"{data_set}-{protocol}", "seed": seed, "condition": left_out}
         row |= {"adapted_on": len(known), "scored": len(scored), "trained_on": train, "outline_from": [left_out, *same]}
         for name, motion in predicted.items():
@@ -171,48 +182,19 @@ def _trial(cfg: RealPushing, directory: Path, condition_seed: int, trial: tuple[
     return rows
 
 
-def _predictions(
-    condition: RealPushCondition,
-    known: Array,
-    same: list[RealPushCondition],
-    prior: tuple[Array, Array],
-    fits: list[Any],
-) -> dict[str, Array]:
-    """Motions ``[N, 3]`` of all pushes by every predictor; of the condition's outcomes only ``known`` are looked at."""
-    known = known[push_learning.credible(condition)[known]]
-    prepared = push_learning.prepare(condition, known, same, prior)
-    return {
-        "ours": np.mean([push_learning.adapted(fit, prepared, known) for fit in fits], axis=0),
-        **condition.published,
-        "physics": prepared.base,
-        "linear": linear(condition, known),
-        "no_motion": np.zeros_like(condition.motion),
-    }
-
-
-def _fits(cfg: RealPushing, seed: int, train: Mapping[str, tuple[Prepared, Array]]) -> list[Any]:
-    found = []
-    for member in range(cfg.members):
-        config = replace(cfg.daiml, seed=1000 * seed + member)
-        shuffled = np.random.default_rng(config.seed).permutation(list(train))
-        validation = [str(n) for n in shuffled[: max(1, len(train) // 4)]]
-        found.append(push_learning.trained(train, validation, config))
-    return found
-
-
 @cache
-def _training_side(directory: Path, data_set: str) -> dict[str, Prepared]:
-    """Each condition as meta-training sees it, from all of its own pushes and no other's."""
+def _parameters(directory: Path, data_set: str) -> dict[str, np.ndarray]:
+    """Of each condition, from all of its own pushes and no other's."""
     data = real_pushes.load(directory)[data_set]
-    return {n: push_learning.prepare(c, np.flatnonzero(push_learning.credible(c))) for n, c in data.items()}
+    return {n: fit(c, np.arange(len(c.start)))[1] for n, c in data.items()}
 
 
-def _prior(train: list[Prepared]) -> tuple[np.ndarray, np.ndarray]:
-    """What the training conditions' parameters say about the next one's."""
-    parameters = np.stack([p.parameters for p in train])
+def _prior(parameters: list[Array]) -> tuple[np.ndarray, np.ndarray]:
+    """What the other conditions' parameters say about the next one's."""
+    known = np.stack(parameters)
     # A few conditions show less than the true spread.
-    spread = np.sqrt(parameters.var(axis=0, ddof=1) + (0.2 * push_physics.SPREAD) ** 2)
-    return parameters.mean(axis=0), spread
+    spread = np.sqrt(known.var(axis=0, ddof=1) + (0.2 * push_physics.SPREAD) ** 2)
+    return known.mean(axis=0), spread
 
 
 def _figure(path: Path, rows: list[dict[str, Any]]) -> None:

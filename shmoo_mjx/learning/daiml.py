@@ -49,6 +49,17 @@ __all__ = [
 ]
 
 
+NORM_CAP = 20.0
+"""gamma: cap on ||a||."""
+DISCRIMINATOR_SHARE = 0.5
+"""Probability that an update also trains the discriminator."""
+SPECTRAL_CAP = 2.5
+"""Cap on the spectral norm of each layer of psi."""
+LABEL_FLOOR = 0.1
+"""Share of all conditions' label variance added to each condition's own in Sigma_C and in the validation score: an
+object that hardly moves must not outweigh the others by its noise."""
+
+
 @dataclass(frozen=True)
 class DaimlConfig:
     """Settings of the training of psi."""
@@ -74,17 +85,8 @@ class DaimlConfig:
     """Learn the prior's covariance over all axes; otherwise a ridge of fixed strength per axis."""
     ridge: float = 0.3
     """Strength of the ridge of Eq. 5 if not coupled [samples]."""
-    norm_cap: float = 20.0
-    """gamma: cap on ||a||."""
-    spectral_cap: float = 2.5
-    """Cap on the spectral norm of each layer of psi."""
-    label_floor: float = 0.1
-    """Share of all conditions' label variance added to each condition's own in Sigma_C and in the validation score: an
-    object that hardly moves must not outweigh the others by its noise."""
     alpha: float = 0.01
     """Weight of the adversarial term of Eq. 6; 0 leaves the discriminator out."""
-    discriminator_share: float = 0.5
-    """Probability that an update also trains the discriminator."""
     learning_rate: float = 2e-3
     epochs: int = 24
     """Most epochs; the learning rate falls to zero over them along a cosine."""
@@ -197,7 +199,7 @@ def fit_samples(
         find = training_contacts.identified if config.object.contact_model else training_contacts.nothing
         found = find(config.contact_fit, train, validation, config.fit_samples, out_dir)
     contact_prior, contacts, held_contacts = found
-    sampler = batches.sampler(train, config.horizon, config.label_floor)
+    sampler = batches.sampler(train, config.horizon, LABEL_FLOOR)
     epoch, scores, prior = _compiled(replace(config, seed=0))
     fitted = training.run(
         _init(config, train, contacts),
@@ -268,9 +270,7 @@ def _scores(
         return lambda inputs: object_model.predict(params, a, inputs, config.object, contact)
 
     horizon = config.horizon if config.open_loop else 0
-    return multistep.scores(
-        samples, contacts, adapted, params.label_scale, config.fit_samples, horizon, config.label_floor
-    )
+    return multistep.scores(samples, contacts, adapted, params.label_scale, config.fit_samples, horizon, LABEL_FLOOR)
 
 
 def _optimiser(config: DaimlConfig) -> optax.GradientTransformation:
@@ -338,7 +338,7 @@ def _coefficients(config: DaimlConfig, model: Model, x: Array, y: Array, w: Arra
     else:
         psi = object_model.basis(params, x, config.object, contact)
         a = least_squares.ridge(psi, labels, model.mean, config.ridge, w)
-    return least_squares.cap_norm(a, config.norm_cap)
+    return least_squares.cap_norm(a, NORM_CAP)
 
 
 def _epoch(
@@ -362,7 +362,7 @@ def _epoch(
         change, model_opt = optimiser.update(gradient, state.model_opt, learned)
         learned = optax.apply_updates(learned, change)
         model = _with_learned(state.model, learned, config.object)
-        net, vectors = networks.cap_spectral_norm(model.params.net, state.vectors, config.spectral_cap)
+        net, vectors = networks.cap_spectral_norm(model.params.net, state.vectors, SPECTRAL_CAP)
         model = model._replace(params=model.params._replace(net=net))
         new = state._replace(model=model, model_opt=model_opt, vectors=vectors, key=jax.random.key_data(key))
         if config.alpha > 0:
@@ -439,7 +439,7 @@ def _train_discriminator(config: DaimlConfig, state: _State, psi: Array, conditi
     gradient = jax.grad(_cross_entropy)(state.discriminator, jax.lax.stop_gradient(psi), condition)
     change, opt = _optimiser(config).update(gradient, state.discriminator_opt, state.discriminator)
     trained = optax.apply_updates(state.discriminator, change)
-    train = jax.random.bernoulli(key, config.discriminator_share)
+    train = jax.random.bernoulli(key, DISCRIMINATOR_SHARE)
     choose = partial(jax.tree.map, lambda new, old: jnp.where(train, new, old))
     return state._replace(
         discriminator=choose(trained, state.discriminator), discriminator_opt=choose(opt, state.discriminator_opt)

@@ -16,7 +16,7 @@ from shmoo_mjx.learning import daiml, identification, least_squares
 from shmoo_mjx.learning.baselines.networks import mlp
 from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, Recordings
 from shmoo_mjx.learning.baselines.sight import sight
-from shmoo_mjx.learning.daiml import DaimlConfig, ObjectFit
+from shmoo_mjx.learning.daiml import NORM_CAP, DaimlConfig, ObjectFit
 from shmoo_mjx.types import Array
 
 __all__ = [
@@ -72,15 +72,12 @@ def prior(job: Job) -> Predictor:
 def residual(job: Job) -> Predictor:
     """A network over all conditions, and psi on what it leaves over (Sec. V-B). Both train for the whole budget.
 
-    With setting["body"] both see the contact model, identified from what was felt and not from what is left over. What
-    the network leaves over in training is taken with each condition's best known contact parameters, and psi sees
-    those.
+    Both see the contact model, identified from what was felt and not from what is left over. What the network leaves
+    over in training is taken with each condition's best known contact parameters, and psi sees those.
     """
-    contact = job.setting.get("body", False)
-    common_job = replace(job, setting={"learning_rate": 1e-3, "body": contact}, directory=_beside(job, "common"))
-    common, sees = mlp(common_job), sight(common_job)
+    common_job = replace(job, setting={"learning_rate": 1e-3}, directory=_beside(job, "common"))
+    common, sees = mlp(common_job, contact_model=True), sight(common_job)
     config = replace(daiml_config(job, DaimlConfig()), open_loop=False, horizon=1)
-    config = replace(config, object=replace(config.object, contact_model=contact))
     prior, contacts, held_contacts = sees.found
 
     def predicted(context: Context) -> Array:
@@ -119,7 +116,7 @@ def from_fit(fitted: ObjectFit, config: DaimlConfig) -> Predictor:
         if not config.coupled:
             psi = object_model.basis(params, x, config.object, contact)
             a = least_squares.ridge(psi, y / params.label_scale, mean, config.ridge, w)
-            return least_squares.cap_norm(a, config.norm_cap), contact
+            return least_squares.cap_norm(a, NORM_CAP), contact
         phi = object_model.design_matrix(params, x, config.object, contact)
         known = (mean.reshape(-1), fitted.prior_covariance, fitted.noise)
         return least_squares.posterior(phi, y, *known, w)[0].reshape(mean.shape), contact

@@ -14,6 +14,7 @@ from shmoo_mjx.learning import least_squares, multistep, training
 from shmoo_mjx.learning import samples as batches
 from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, Recordings, output_scale
 from shmoo_mjx.learning.baselines.sight import Sight
+from shmoo_mjx.learning.daiml import LABEL_FLOOR
 from shmoo_mjx.learning.samples import Sampler, Samples
 from shmoo_mjx.types import Array
 
@@ -21,12 +22,10 @@ __all__ = ["MetaTask", "meta_train"]
 
 Tree = Any
 
-CONDITIONS, FLOOR = 12, 0.1
-"""Conditions per update and the floor of Sigma_C: those of DAIML."""
+CONDITIONS = 12
+"""Conditions per update: those of DAIML."""
 ROWS = 64
 """Samples per condition that the loss of one step is taken on."""
-WINDOWS, HORIZON = 16, 15
-"""Windows per condition and their length for a loss on what is fed back: those of DAIML."""
 
 
 class MetaTask(NamedTuple):
@@ -34,7 +33,7 @@ class MetaTask(NamedTuple):
 
     context: Context
     windows: tuple[Array, Array, Array]
-    """Inputs ``[B, H, n]`` and labels ``[B, H, m]`` that the loss is taken on, and the inputs one sample later."""
+    """Inputs ``[B, 1, n]`` and labels ``[B, 1, m]`` that the loss is taken on, and the inputs one sample later."""
     precision: Array
     """``[m, m]`` inverse of Sigma_C in units of the label scale."""
 
@@ -56,8 +55,7 @@ def meta_train(
     """Train ``params`` until the budget is spent or the validation conditions get no better.
 
     Args:
-        job: data, budget, seed; setting["learning_rate"], setting["decay"] (of the weights) and setting["feed_back"]
-            (train by psi's loss: H steps with the predictions fed back, and one step) are read here.
+        job: data, budget, seed; setting["learning_rate"] and setting["decay"] (of the weights) are read here.
         params: where it starts.
         predictor: parameters -> the predictor they make.
         name: of the method, part of the checkpoint's identity.
@@ -69,18 +67,19 @@ def meta_train(
         The parameters with the best validation score.
     """
     scale, samples, budget = output_scale(job.train.samples), job.train.samples, job.budget
-    feed_back = job.setting.get("feed_back", False)
-    windows, horizon = (WINDOWS, HORIZON) if feed_back else (ROWS, 1)
-    sampler = batches.sampler(samples, horizon, FLOOR)
+    sampler = batches.sampler(samples, 1, LABEL_FLOOR)
     optimiser = _optimiser(job)
-    task_loss = _eq4(predictor, scale, feed_back)
+
+    def task_loss(params: Tree, task: MetaTask) -> Array:
+        predict = _known(predictor(params), task.context)
+        return multistep.loss(predict, task.windows, task.precision, scale, feed_back=False)
 
     _, contacts, held_contacts = sees.found
 
     def epoch(train: Recordings, contacts: Array, sampler: Sampler, state: _State) -> tuple[_State, Array]:
         def update(state: _State, _: None) -> tuple[_State, Array]:
             key, batch_key = jax.random.split(jax.random.wrap_key_data(state.key))
-            tasks = _draw(train, contacts, sampler, batch_key, adapt_samples, windows, horizon)
+            tasks = _draw(train, contacts, sampler, batch_key, adapt_samples)
             total, gradient = jax.value_and_grad(lambda p: jnp.mean(jax.vmap(task_loss, (None, 0))(p, tasks)))(
                 state.params
             )
@@ -97,10 +96,8 @@ def meta_train(
         def adapted(x: Array, y: Array, w: Array, contact: Array) -> multistep.Predict:
             return _known(made, Context(x, y, w, jnp.zeros_like(w), contact))
 
-        shares = multistep.scores(
-            samples, contacts, adapted, scale, job.fit_samples, horizon if feed_back else 0, FLOOR
-        )
-        return jnp.mean(jnp.minimum(jnp.stack(shares), least_squares.WORST))
+        shares, _ = multistep.scores(samples, contacts, adapted, scale, job.fit_samples, 0, LABEL_FLOOR)
+        return jnp.mean(jnp.minimum(shares, least_squares.WORST))
 
     device, held_out = jax.tree.map(jnp.asarray, (job.train, job.validation))
     run_epoch = jax.jit(epoch)
@@ -126,26 +123,16 @@ def _optimiser(job: Job) -> optax.GradientTransformation:
     return optax.chain(training.bounded_gradient(), optax.adamw(rate, weight_decay=job.setting.get("decay", 0.0)))
 
 
-def _eq4(predictor: Callable[[Tree], Predictor], scale: Array, feed_back: bool) -> Callable[[Tree, MetaTask], Array]:
-    def loss(params: Tree, task: MetaTask) -> Array:
-        predict = _known(predictor(params), task.context)
-        return multistep.loss(predict, task.windows, task.precision, scale, feed_back)
-
-    return loss
-
-
 def _known(made: Predictor, context: Context) -> multistep.Predict:
     """What a predictor says of the object of ``context``; no method trained here looks at the time."""
     state = made.adapt(context)
     return lambda x: made.predict(state, x, jnp.zeros(x.shape[:-1]))
 
 
-def _draw(
-    train: Recordings, contacts: Array, sampler: Sampler, key: Array, adapt_samples: int, windows: int, horizon: int
-) -> MetaTask:
+def _draw(train: Recordings, contacts: Array, sampler: Sampler, key: Array, adapt_samples: int) -> MetaTask:
     """The batches that DAIML draws."""
     key, contact_key = jax.random.split(key)
-    batch = batches.draw(train.samples, sampler, key, CONDITIONS, adapt_samples, windows, horizon)
+    batch = batches.draw(train.samples, sampler, key, CONDITIONS, adapt_samples, ROWS, 1)
     x, y, w = batch.adapt
     which = jax.random.randint(contact_key, batch.condition.shape, 0, contacts.shape[1])
     contact = contacts[batch.condition, which]

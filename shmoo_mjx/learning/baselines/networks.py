@@ -24,10 +24,10 @@ CONTEXT_ROWS = 150
 """Most samples that the GRU reads in training; of 25 s of recording about as many count."""
 
 
-def mlp(job: Job) -> Predictor:
+def mlp(job: Job, contact_model: bool = False) -> Predictor:
     """One network for all conditions; of the one at hand it knows at most the identified contact parameters
     (`sight`)."""
-    sees, scale = sight(job), output_scale(job.train.samples)
+    sees, scale = sight(job, contact_model), output_scale(job.train.samples)
     network = MLP((*HIDDEN, scale.shape[0]), "relu")
     start = network.init(jax.random.key(job.seed), sees.mean)
 

@@ -7,7 +7,7 @@ it has not seen: ``adapt`` takes the condition's first samples, ``predict`` tell
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,7 +28,6 @@ __all__ = [
     "first_samples",
     "output_scale",
     "recordings",
-    "with_setting",
 ]
 
 State = Any
@@ -98,11 +97,6 @@ class Job:
 Fit = Callable[[Job], Predictor]
 
 
-def with_setting(fit: Fit, **setting: Any) -> Fit:
-    """The same method with these entries in every job's setting."""
-    return lambda job: fit(replace(job, setting=job.setting | setting))
-
-
 @dataclass(frozen=True)
 class Method:
     """A sample of the comparison."""
@@ -110,7 +104,7 @@ class Method:
     name: str
     fit: Fit
     settings: tuple[Setting, ...]
-    """What is tried on the validation conditions, the default first. Every method has as many."""
+    """What is tried on the validation conditions, the default first. Every method that learns has as many."""
     trained: bool = True
     """By gradient descent, so that the seed matters."""
 

@@ -1,6 +1,6 @@
 """Inputs of a learned method: those of psi and, if it is given one, the predictions of an identified contact model.
 
-With setting["body"] any method gets the inputs that psi has as shipped (`object_model.network_inputs`), from contact
+With the contact model a method gets the inputs that psi has as shipped (`object_model.network_inputs`), from contact
 parameters identified in the same way; so methods can be compared by what they learn, not by what they are told.
 """
 
@@ -33,7 +33,7 @@ class Sight:
     """Only ``contact_model`` and ``last_wrench`` matter."""
     fit: IdentificationConfig
     found: Found
-    """Bodies of the training and validation conditions; zeros if the method sees none."""
+    """Contact parameters of the training and validation conditions; zeros if the method sees none."""
     label_scale: Array
     """``[m]``"""
     mean: Array
@@ -58,10 +58,9 @@ class Sight:
         return (seen - self.mean) / self.spread
 
 
-def sight(job: Job) -> Sight:
-    """What a job's setting lets the method see; the contact parameters are kept beside the job's directory, for other
-    methods."""
-    config, fit = ObjectConfig(contact_model=job.setting.get("body", False)), IdentificationConfig()
+def sight(job: Job, contact_model: bool = True) -> Sight:
+    """What a method sees; the contact parameters are kept beside the job's directory, for other methods."""
+    config, fit = ObjectConfig(contact_model=contact_model), IdentificationConfig()
     find = training_contacts.identified if config.contact_model else training_contacts.nothing
     train = job.train.samples
     found = find(fit, train, job.validation.samples, job.fit_samples, job.directory)
