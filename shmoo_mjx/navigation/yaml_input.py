@@ -19,8 +19,23 @@ _PLAIN_TERMS = {"tuple": "list", "Input": "it", "dictionary": "mapping of 'key: 
 """Python's and pydantic's words for what a YAML file has."""
 
 
+_DEEPEST = 32
+"""More brackets within brackets cost recursion, and time with their square."""
+
+
 class _Loader(yaml.SafeLoader):
-    """Plain data, no key twice in one mapping: YAML would let the last one win in silence."""
+    """Plain data, not too deep, no key twice in one mapping: YAML would let the last one win in silence."""
+
+    _depth = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        if self._depth == _DEEPEST:
+            mark = self.peek_event().start_mark
+            raise yaml.composer.ComposerError(None, None, f"more than {_DEEPEST} levels stand within each other", mark)
+        self._depth += 1
+        node = super().compose_node(parent, index)
+        self._depth -= 1
+        return node
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[str] = set()
@@ -57,9 +72,9 @@ def read_mapping(path: str | Path, what: str) -> dict[str, Any]:
         where = f" at line {mark.line + 1}" if mark is not None else ""
         if isinstance(error, yaml.constructor.ConstructorError) and "twice" in str(error.problem):
             raise ShmooError(f"{path}: {error.problem}{where}; keep one of them.") from None
+        if isinstance(error, yaml.composer.ComposerError) and "levels" in str(error.problem):
+            raise ShmooError(f"{path}: {error.problem}{where}; no {what} file needs more than a few.") from None
         raise ShmooError(f"{path}: this is not valid YAML{where}; correct the syntax there.") from None
-    except RecursionError:
-        raise ShmooError(f"{path}: brackets are nested too deeply; no {what} file needs more than a few.") from None
     if not isinstance(data, dict):
         raise ShmooError(f"{path}: a {what} file must be a mapping of 'key: value' lines; this one is not.")
     return data

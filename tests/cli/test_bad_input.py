@@ -117,7 +117,7 @@ def documents(draw: st.DrawFn, good: dict[str, Any]) -> bytes:
     broken = {
         "cut": text[: draw(st.integers(0, len(text)))],
         "twice": text + f"{draw(st.sampled_from(list(good)))}: 1\n",
-        "nested": "a: " + "[" * draw(st.sampled_from([1, 3000])),
+        "nested": "a: " + "[" * draw(st.sampled_from([1, 40, 3000])),
         "anchors": "a: &a [x, x]\nb: &b [*a, *a]\nobjects: [*b, *b]\n" + text,
         "python": text + "map: !!python/object/apply:os.system ['touch executed']\n",
         "tabs": text.replace("  ", "\t"),

@@ -138,7 +138,7 @@ def test_a_good_scenario_passes_whatever_stands_about() -> None:
     [
         ("start: [0, 0, 0]\ngoal: [1, 1]\nseed: 1\nseed: 2\n", ("'seed'", "twice", "line 4")),
         ("start: [0, 0, 0]\ngoal: [1, 1]\nlimits: {time_s: 5, time_s: 6}\n", ("'time_s'", "twice")),
-        ("goal: " + "[" * 3000 + "]" * 3000, ("nested",)),
+        ("goal: " + "[" * 3000 + "]" * 3000, ("levels", "line 1")),
         ("goal: [1, 1", ("YAML",)),
     ],
     ids=["key twice", "inner key twice", "3,000 brackets", "open bracket"],
