@@ -139,6 +139,22 @@ SECTIONS = {
                 },
                 *("", "reduction_percent{}", "reduction_percent{}_more"),
             ),
+            *_lines(
+                {
+                    "success": "pushing to a pose, success",
+                    "offset_m": "pushing to a pose, offset [m]",
+                    "yaw_error_deg": "pushing to a pose, yaw error [deg]",
+                },
+                *("{}_before", "{}_after", ""),
+            ),
+            *_lines(
+                {
+                    "offset_m_difference": "offset, after less before [m]",
+                    "offset_m_difference_low": "95 % interval from [m]",
+                    "offset_m_difference_high": "to [m]",
+                },
+                *("", "{}", ""),
+            ),
         ),
         ("robot_finetune.png",),
     ),

@@ -3,7 +3,8 @@
 A robot with real senses stands for the hardware (plant/perturbation.py, sensing): another body, delay, noise, drift,
 force only by J tau. Scripted operators push objects with it for five minutes; R goes on training on these, and is
 scored on another two minutes, on objects of their own. Labels are what the robot itself measures, noise included, as on
-hardware. What eight times as much data bring shows how much there is to learn at all.
+hardware. What eight times as much data bring shows how much there is to learn at all. Then each robot pushes objects to
+goals, as in the experiment `pushing`, with R as it was and as it is.
 """
 
 from __future__ import annotations
@@ -22,6 +23,9 @@ from shmoo_mjx.data import store
 from shmoo_mjx.data.collect import CollectConfig, record
 from shmoo_mjx.dynamics import core, features, robot_model
 from shmoo_mjx.dynamics.robot_model import RobotParams
+from shmoo_mjx.evaluation.paired import OURS, difference_metrics
+from shmoo_mjx.evaluation.pushing import PushingConfig, one_core
+from shmoo_mjx.evaluation.pushing_trials import Runner, draw_trials
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.fingerprints import fingerprint
@@ -61,6 +65,8 @@ class RobotFinetuneConfig:
     """R is fine-tuned once more, on so many times as many episodes; 0 leaves that out."""
     seconds: float = 12.5
     test_seconds: float = 13.3
+    pushed: int = 3
+    """Objects per family that each robot pushes to each of three goals, with R before and after; 0 leaves it out."""
     fit: RobotFitConfig = RobotFitConfig(
         batch=256,
         epochs=30,
@@ -78,7 +84,9 @@ class RobotFinetuneConfig:
     """Processes."""
 
 
-QUICK = RobotFinetuneConfig(robots=1, train_episodes=2, validation_episodes=1, test_episodes=1, more=2, most_epochs=5)
+QUICK = RobotFinetuneConfig(
+    robots=1, train_episodes=2, validation_episodes=1, test_episodes=1, more=2, pushed=0, most_epochs=5
+)
 
 MODELS = ("before", "after", "more")
 """R as shipped, fine-tuned, and fine-tuned on more data; what metrics of each end in."""
@@ -107,7 +115,16 @@ class _Work:
         for label, robot in robots.items():
             mine = weights._replace(params=weights.params._replace(robot=robot))
             found.append({"robot": number, "model": label} | _one_step(mine, test) | _roll_outs(mine, test))
+            if label != "more":
+                found += [{"robot": number, "model": label} | row for row in self._pushed(mine, robot_seed)]
         return found
+
+    def _pushed(self, weights: Weights, robot_seed: int) -> list[dict[str, Any]]:
+        """Rows of `pushing` by this robot; for every R the same trials."""
+        runner = Runner(weights, PushingConfig().time_limit, senses_named(self.senses))
+        trials = draw_trials(self.first_unseen, self.seed, self.config.pushed)
+        rows = [runner.run(replace(trial, seed=robot_seed), OURS)[0] for trial in trials]
+        return [{name: row[name] for name in ("trial", "offset_m", "yaw_error_deg", "success", "fell")} for row in rows]
 
     def _tuned(self, weights: Weights, train: store.Dataset, number: int, fit: RobotFitConfig) -> RobotParams:
         """R trained further; the last episodes of each family, in the same share, are for early stopping."""
@@ -152,7 +169,8 @@ def run(options: ExperimentOptions, config: RobotFinetuneConfig | None = None) -
     }
     folder = options.out / "robot_finetune" / fingerprint(__name__, key, weights)
     work = _Work(weights, config, options.seed, options.first_unseen, options.senses)
-    rows = run_trials({f"robot-{i}": i for i in range(config.robots)}, work, folder, options.progress, config.workers)
+    trials = {f"robot-{i}": i for i in range(config.robots)}
+    rows = run_trials(trials, work, folder, options.progress, config.workers, one_core)
     result = make_result("robot_finetune", options, config, _metrics(rows), PAPER, rows)
     _figure(result, options.out / "robot_finetune" / "robot_finetune.png")
     return result
@@ -203,6 +221,7 @@ def _roll_outs(weights: Weights, dataset: store.Dataset) -> dict[str, float]:
 
 def _metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
     """Means over the robots; reductions are of the mean."""
+    pushes, rows = [row for row in rows if "trial" in row], [row for row in rows if "trial" not in row]
     measures = [name for name in rows[0] if name not in ("robot", "model")]
     of = {model: mine for model in MODELS if (mine := [row for row in rows if row["model"] == model])}
     found: dict[str, float] = {}
@@ -217,6 +236,11 @@ def _metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
         for name in OUTPUTS:
             ratio = found[f"mse_{name}_{model}"] / found[f"mse_{name}_before"]
             found[f"reduction_percent_{name}{suffix}"] = 100 * (1 - ratio)
+    before, after = ([row for row in pushes if row["model"] == model] for model in MODELS[:2])
+    for name in ("success", "offset_m", "yaw_error_deg") if pushes else ():
+        found |= {f"{name}_before": float(np.mean([row[name] for row in before]))}
+        found |= {f"{name}_after": float(np.mean([row[name] for row in after]))}
+        found |= difference_metrics(f"{name}_difference", name, list(zip(after, before, strict=True)))
     return found
 
 
