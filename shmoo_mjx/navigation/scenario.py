@@ -16,6 +16,7 @@ senses: real              # or perfect
 from __future__ import annotations
 
 import math
+import reprlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -95,14 +96,16 @@ class ObjectEntry(_Strict):
     def _known_family(cls, value: object) -> object:
         if value not in FAMILIES and not str(value).endswith(".json"):
             names = ", ".join(repr(name) for name in FAMILIES)
-            raise ValueError(f"is {value!r}, no object family; choose one of {names} or an object file (*.json).")
+            raise ValueError(
+                f"is {reprlib.repr(value)}, no object family; choose one of {names} or an object file (*.json)."
+            )
         return value
 
     @field_validator("properties", mode="before")
     @classmethod
     def _numbers_that_make_sense(cls, value: object) -> object:
         if not isinstance(value, dict):
-            raise ValueError(f"is {value!r}; give a mapping such as {{mass: 3.0}}.")
+            raise ValueError(f"is {reprlib.repr(value)}; give a mapping such as {{mass: 3.0}}.")
         for name, given in value.items():
             for number in given if isinstance(given, list | tuple) else [given]:
                 if not isinstance(number, int | float) or not math.isfinite(number):
@@ -143,7 +146,7 @@ class Scenario(_Strict):
     @classmethod
     def _known_senses(cls, value: object) -> object:
         if value is not None and value not in SENSES:
-            raise ValueError(f"is {value!r}; choose {' or '.join(SENSES)}.")
+            raise ValueError(f"is {reprlib.repr(value)}; choose {' or '.join(SENSES)}.")
         return value
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import reprlib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -112,7 +113,7 @@ def _sentence(error: ValidationError, model: type[BaseModel], path: str | Path) 
         return f"{path}: '{field}' {message.removeprefix('Value error, ')}" if field else f"{path}: {message[13:]}"
     for term, plain in _PLAIN_TERMS.items():
         message = message.replace(term, plain)
-    return f"{path}: '{field}' is {given!r}; {message[0].lower()}{message[1:]}."
+    return f"{path}: '{field}' is {reprlib.repr(given)}; {message[0].lower()}{message[1:]}."
 
 
 def _dotted(location: tuple[int | str, ...]) -> str:
