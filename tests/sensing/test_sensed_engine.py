@@ -334,9 +334,9 @@ def test_real_senses_are_quick() -> None:
     assert min(ratios) < 5.0
 
 
-def test_the_watchdog_brings_the_robot_to_rest_where_commands_stop() -> None:
+def test_the_watchdog_brings_the_robot_to_rest_where_commands_stop_and_keeps_it_there() -> None:
     for senses in (PERFECT, REAL):
-        with SensedEngine([build_scene()], senses) as engine:
+        with SensedEngine([build_scene(adjust=senses.adjust(0))], senses) as engine:
             world = engine.init()
             for _ in range(8):
                 world, _ = engine.step(world, command(1, (0.06, 0.0)))
@@ -345,9 +345,12 @@ def test_the_watchdog_brings_the_robot_to_rest_where_commands_stop() -> None:
                 world, _ = engine.step(world, None)
             # A lost command or two is not yet a stop: the last one is held.
             np.testing.assert_allclose(world.held.u[0, :2], (0.06, 0.0))
+            places = []
             for _ in range(80):
                 world, _ = engine.step(world, None)
+                places.append(engine.true_observation(world).robot_pose[0, :2])
             assert fast > 0.2 and np.abs(engine.true_observation(world).robot_twist[0, :2]).max() < 0.05
+            assert np.ptp(places[30:], axis=0).max() < 0.05
             world, _ = engine.step(world, command(1, (0.02, 0.0)))
             world, _ = engine.step(world, command(1, (0.02, 0.0)))
             np.testing.assert_allclose(world.held.u[0, :2], (0.02, 0.0))
