@@ -63,8 +63,6 @@ class Trajectory(NamedTuple):
     model: FlatModel
     reference: Float[np.ndarray, "K 2"]
     """Points of the path that were tracked, {W} [m]."""
-    corridor_excess: float
-    """How far the trajectory leaves its corridor at the worst sample [m]; in a recovery, or its speed limit [m/s]."""
     reaches_end: bool
     """Does the trajectory end at the path's end."""
     recovery: bool = False
@@ -113,8 +111,7 @@ def plan(planner: Planner, state: Float[Array, "4 2"], path: Path, field: Cleara
         speed, lean = np.linalg.norm(state[1]), np.linalg.norm(state[2]) * planner.model.a / planner.model.c
         text = f"no trajectory keeps the limits from a speed of {speed:.2f} m/s and a lean of {lean:.3f} rad"
         return _failed(planner, text, reference)
-    points, excess = solution
-    trajectory = Trajectory(True, "", points, cfg.horizon, planner.model, reference, excess, at_end, recovery)
+    trajectory = Trajectory(True, "", solution[0], cfg.horizon, planner.model, reference, at_end, recovery)
     reason = _leans_too_far(trajectory, planner) or ("" if field is None else _too_near(trajectory, planner, field))
     return trajectory._replace(ok=not reason, reason=reason)
 
@@ -191,4 +188,4 @@ def _too_near(trajectory: Trajectory, planner: Planner, field: ClearanceField) -
 
 def _failed(planner: Planner, reason: str, reference: Float[np.ndarray, "K 2"]) -> Trajectory:
     points = np.zeros((planner.position.shape[1], 2))
-    return Trajectory(False, reason, points, planner.cfg.horizon, planner.model, reference, np.inf, False)
+    return Trajectory(False, reason, points, planner.cfg.horizon, planner.model, reference, False)
