@@ -27,7 +27,7 @@ from shmoo_mjx.arrays import Array, Bool, Float
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.plant import lowlevel
-from shmoo_mjx.plant.observe import observation, planar_wrench
+from shmoo_mjx.plant.observe import observation, planar_wrench, scene_poses
 from shmoo_mjx.plant.robot import RobotState, readout
 from shmoo_mjx.plant.scene import PARTS, Scene
 from shmoo_mjx.types import DT, Command, Observation
@@ -137,6 +137,12 @@ class MjxEngine:
                 first.robot, self.gains, world.control, self.robot(world), command, self.timestep
             )[1]
         )
+
+        def observed(physics: Array) -> Observation:
+            none = jnp.zeros((*physics.shape[:-1], len(first.conditions), 3))
+            return observation(first, physics[..., 0], *self._split(physics), none)
+
+        self._observed = jax.jit(observed)
         if len(put) == 1:
             self._use(self._single, jax.tree.map(lambda _: None, self._single))
         else:
@@ -224,8 +230,7 @@ class MjxEngine:
 
     def observe(self, world: MjxWorld) -> Observation:
         """The worlds as they are, with no wrench."""
-        none = jnp.zeros((*world.physics.shape[:-1], len(self.scenes[0].conditions), 3))
-        return observation(self.scenes[0], world.physics[..., 0], *self._split(world.physics), none)
+        return self._observed(world.physics)
 
     def step(
         self, world: MjxWorld, command: Command, duration: float = DT, push: Float[Array, "W 6"] | None = None
@@ -272,6 +277,17 @@ class MjxEngine:
         world, wrenches = jax.lax.scan(substep, start, None, length=substeps)
         seen = observation(self.scenes[0], world.physics[0], *self._split(world.physics), wrenches.mean(axis=0))
         return world, seen
+
+    def advance(
+        self, world: MjxWorld, command: Command, duration: float, push: Float[Array, "W 6"] | None = None
+    ) -> tuple[MjxWorld, Float[Array, "W N 3"]]:
+        """As :meth:`step`, but the mean wrench alone is observed."""
+        world, seen = self.step(world, command, duration, push)
+        return world, seen.wrench
+
+    def poses(self, world: MjxWorld) -> tuple[Float[np.ndarray, "W 3"], Float[np.ndarray, "W N 3"]]:
+        """Of the robots and of the objects, in {W}."""
+        return scene_poses(self.scenes[0], np.asarray(world.physics, dtype=float))
 
     def robot(self, world: MjxWorld) -> RobotState:
         """The robots' true state, batched ``[W, ...]``."""

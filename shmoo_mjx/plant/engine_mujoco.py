@@ -23,7 +23,7 @@ from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Bool, Float
 from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.plant import lowlevel
-from shmoo_mjx.plant.observe import observation, planar_wrench
+from shmoo_mjx.plant.observe import observation, planar_wrench, scene_poses
 from shmoo_mjx.plant.robot import NQ, NV, Robot, RobotState, readout
 from shmoo_mjx.plant.scene import PARTS, Scene
 from shmoo_mjx.types import DT, Command, Observation
@@ -153,23 +153,29 @@ class MujocoEngine:
 
         ``push`` is an outside disturbance: force [N] and torque [N m] in {W} at the CoM of the robot's torso.
         """
+        world, wrench = self.advance(world, command, duration, push)
+        return world, observation(self.scenes[0], world.physics[:, 0], *self._split(world.physics), wrench)
+
+    def advance(
+        self, world: World, command: Command, duration: float, push: Float[np.ndarray, "W 6"] | None = None
+    ) -> tuple[World, Float[np.ndarray, "W N 3"]]:
+        """As :meth:`step`, but the mean wrench alone is observed."""
         hold = functools.partial(self._hold, substeps=round(duration / self.timestep))
         pushes = [None if push is None else push[p.worlds] for p in self._parts]
         if self._pool is None:
-            world, wrench = hold(self._parts[0], world, command, pushes[0])
-        else:
-            state, wanted = (jax.tree.map(np.asarray, tree) for tree in (world, command))
-            parted = [(_cut(state, p.worlds), _cut(wanted, p.worlds)) for p in self._parts]
-            done = list(self._pool.map(hold, self._parts, *zip(*parted, strict=True), pushes))
-            world, wrench = jax.tree.map(lambda *parts: np.concatenate(parts), *done)
-        return world, observation(self.scenes[0], world.physics[:, 0], *self._split(world.physics), wrench)
+            return hold(self._parts[0], world, command, pushes[0])
+        state, wanted = (jax.tree.map(np.asarray, tree) for tree in (world, command))
+        parted = [(_cut(state, p.worlds), _cut(wanted, p.worlds)) for p in self._parts]
+        done = list(self._pool.map(hold, self._parts, *zip(*parted, strict=True), pushes))
+        joined: tuple[World, np.ndarray] = jax.tree.map(lambda *parts: np.concatenate(parts), *done)
+        return joined
 
     def _hold(
         self, part: _Part, world: World, command: Command, push: np.ndarray | None, substeps: int
     ) -> tuple[World, np.ndarray]:
         """The part's worlds after ``substeps``, and their mean wrench ``[w, N, 3]``."""
         scene, physics = self.scenes[0], world.physics
-        memory, wanted = _packed(world.control), jnp.asarray(_packed(command))
+        memory, wanted = _packed(world.control), _packed(command)
         felt: list[tuple[np.ndarray, np.ndarray]] = []
         for _ in range(substeps):
             memory, torque = self._control(memory, self._robot_state(physics), wanted)
@@ -195,6 +201,10 @@ class MujocoEngine:
         """qpos and qvel of the robot ``[W, NQ + NV]``."""
         first_velocity = 1 + self._nq
         return np.concatenate([physics[:, 1 : 1 + NQ], physics[:, first_velocity : first_velocity + NV]], axis=-1)
+
+    def poses(self, world: World) -> tuple[Float[np.ndarray, "W 3"], Float[np.ndarray, "W N 3"]]:
+        """Of the robots and of the objects, in {W}."""
+        return scene_poses(self.scenes[0], world.physics)
 
     def robot(self, world: World) -> RobotState:
         """The robots' true state, batched ``[W, ...]``."""

@@ -170,7 +170,7 @@ def arm_gravity(
     pitch, fore = arms[..., 1] + lean, arms[..., 1] + arms[..., 2] + lean
     elbow = -g * l2 * xp.cos(fore) * (robot.forearm_mass / 2 + robot.hand_mass)
     shoulder = elbow - g * l1 * xp.cos(pitch) * (robot.upper_arm_mass / 2 + robot.forearm_mass + robot.hand_mass)
-    return xp.stack([xp.zeros_like(elbow), shoulder, elbow], axis=-1)
+    return se2.stack(xp.zeros_like(elbow), shoulder, elbow)
 
 
 def control(

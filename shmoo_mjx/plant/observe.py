@@ -5,23 +5,27 @@ from __future__ import annotations
 import numpy as np
 
 from shmoo_mjx import se2
-from shmoo_mjx.arrays import Array, Float, Scalar
+from shmoo_mjx.arrays import Array, Float, Int, Scalar
 from shmoo_mjx.plant.robot import readout
 from shmoo_mjx.plant.scene import Scene
 from shmoo_mjx.types import Observation
 
-__all__ = ["observation", "planar_wrench"]
+__all__ = ["observation", "planar_wrench", "scene_poses"]
 
 
-def _object_poses(scene: Scene, qpos: Array, qvel: Array) -> tuple[Array, Array]:
-    """Planar pose and twist ``[..., N, 3]`` of the objects in {W}."""
-    xp = se2.array_module(qpos, qvel)
-    position = qpos[..., scene.object_qpos[:, None] + np.array([0, 1])]
-    w, x, y, z = (qpos[..., scene.object_qpos + 3 + i] for i in range(4))
-    yaw = xp.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    # A free joint's angular velocity is in the body's own frame; objects stay level but for the sag of their contacts.
-    twist = qvel[..., scene.object_qvel[:, None] + np.array([0, 1, 5])]
-    return xp.concatenate([position, yaw[..., None]], axis=-1), twist
+def scene_poses(
+    scene: Scene, physics: Float[np.ndarray, "W n"]
+) -> tuple[Float[np.ndarray, "W 3"], Float[np.ndarray, "W N 3"]]:
+    """Poses in {W} of the robots and of the objects, from full physics states."""
+    poses = _planar_poses(physics[:, 1:], np.concatenate([[0], scene.object_qpos]))
+    return poses[:, 0], poses[:, 1:]
+
+
+def _planar_poses(qpos: Array, joints: Int[np.ndarray, "n"]) -> Array:
+    """Poses ``[..., n, 3]`` in {W} of the bodies whose free joints begin at ``joints`` in qpos."""
+    xp = se2.array_module(qpos)
+    x, y, qw, qx, qy, qz = (qpos[..., joints + i] for i in (0, 1, 3, 4, 5, 6))
+    return se2.stack(x, y, xp.arctan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz)))
 
 
 def observation(
@@ -35,8 +39,11 @@ def observation(
     xp = se2.array_module(qpos, qvel)
     robot = readout(qpos, qvel)
     hands = xp.einsum("...ij,...hj->...hi", robot.rotation, scene.robot.hand_in_body(robot.arms))
-    lift = xp.stack([xp.zeros_like(robot.height), xp.zeros_like(robot.height), robot.height], axis=-1)
-    pose, twist = _object_poses(scene, qpos, qvel)
+    level = xp.zeros_like(robot.height)
+    lift = se2.stack(level, level, robot.height)
+    pose = _planar_poses(qpos, scene.object_qpos)
+    # A free joint's angular velocity is in the body's own frame; objects stay level but for the sag of their contacts.
+    twist = qvel[..., scene.object_qvel[:, None] + np.array([0, 1, 5])]
     return Observation(
         time=time,
         robot_pose=robot.pose,

@@ -152,7 +152,7 @@ class Robot:
         yaw, pitch, fore = arms[..., 0], arms[..., 1], arms[..., 1] + arms[..., 2]
         out = self.upper_arm * xp.cos(pitch) + self.forearm * xp.cos(fore)
         down = self.upper_arm * xp.sin(pitch) + self.forearm * xp.sin(fore)
-        return self.shoulders + xp.stack([out * xp.cos(yaw), out * xp.sin(yaw), -down], axis=-1)
+        return self.shoulders + se2.stack(out * xp.cos(yaw), out * xp.sin(yaw), -down)
 
     def arm_angles(self, hands: Float[np.ndarray, "2 3"]) -> Float[np.ndarray, "2 3"]:
         """Joint angles that put the hands (body frame) there, elbows up: inverts `hand_in_body`."""
@@ -173,11 +173,11 @@ class Robot:
         fore_out = l2 * xp.cos(fore)
         zero = xp.zeros_like(out)
         columns = [
-            xp.stack([-out * s, out * c, zero], axis=-1),
-            xp.stack([-down * c, -down * s, -out], axis=-1),
-            xp.stack([-fore_down * c, -fore_down * s, -fore_out], axis=-1),
+            se2.stack(-out * s, out * c, zero),
+            se2.stack(-down * c, -down * s, -out),
+            se2.stack(-fore_down * c, -fore_down * s, -fore_out),
         ]
-        return xp.stack(columns, axis=-1)
+        return se2.stack(*columns)
 
     def com_offset(self, arms: Float[Array, "... 2 3"]) -> Float[Array, "... 2"]:
         """Horizontal CoM of body and arms in the body frame [m]: what the CoM feed-forward subtracts."""
@@ -241,10 +241,9 @@ class RobotState(NamedTuple):
 
 def quat_rotate(quat: Float[Array, "... 4"], vector: Float[Array, "... 3"]) -> Float[Array, "... 3"]:
     """Rotate ``vector`` by the unit quaternion ``quat`` (w, x, y, z)."""
-    xp = se2.array_module(quat, vector)
     w, q = quat[..., :1], quat[..., 1:]
-    t = 2.0 * xp.stack(_cross(q, vector), axis=-1)
-    return vector + w * t + xp.stack(_cross(q, t), axis=-1)
+    t = 2.0 * se2.stack(*_cross(q, vector))
+    return vector + w * t + se2.stack(*_cross(q, t))
 
 
 def _cross(a: Array, b: Array) -> list[Scalar | Float[Array, "..."]]:
@@ -257,14 +256,13 @@ def _cross(a: Array, b: Array) -> list[Scalar | Float[Array, "..."]]:
 
 
 def _matrix(quat: Array) -> Array:
-    xp = se2.array_module(quat)
     w, x, y, z = quat[..., 0], quat[..., 1], quat[..., 2], quat[..., 3]
     rows = [
         1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
         2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
         2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
     ]  # fmt: skip
-    return xp.stack(rows, axis=-1).reshape(*quat.shape[:-1], 3, 3)
+    return se2.stack(*rows).reshape(*quat.shape[:-1], 3, 3)
 
 
 def arm_joints(qpos: Float[Array, "... nq"]) -> Float[Array, "... 2 3"]:
@@ -294,16 +292,13 @@ def readout(qpos: Float[Array, "... nq"], qvel: Float[Array, "... nv"]) -> Robot
     rows = [c * body[..., 0, :] + s * body[..., 1, :], c * body[..., 1, :] - s * body[..., 0, :], body[..., 2, :]]
     rotation = xp.stack(rows, axis=-2)
     omega = xp.einsum("...ij,...j->...i", rotation, qvel[..., 3:6])
-    lean = xp.stack(
-        [xp.arctan2(rotation[..., 0, 2], rotation[..., 2, 2]), xp.arctan2(rotation[..., 1, 2], rotation[..., 2, 2])],
-        axis=-1,
-    )
+    lean = xp.arctan2(rotation[..., :2, 2], rotation[..., 2:, 2])
     return RobotState(
-        pose=xp.stack([qpos[..., 0], qpos[..., 1], yaw], axis=-1),
-        twist=xp.stack([qvel[..., 0], qvel[..., 1], omega[..., 2]], axis=-1),
+        pose=se2.stack(qpos[..., 0], qpos[..., 1], yaw),
+        twist=se2.stack(qvel[..., 0], qvel[..., 1], omega[..., 2]),
         rotation=rotation,
         lean=lean,
-        lean_rate=xp.stack([omega[..., 1], -omega[..., 0]], axis=-1),
+        lean_rate=se2.stack(omega[..., 1], -omega[..., 0]),
         drive_rate=quat_rotate(qpos[..., _BALL[0]], qvel[..., _BALL[1]]),
         height=qpos[..., 2],
         arms=arm_joints(qpos),

@@ -147,4 +147,4 @@ def deviation(camera: Camera, distance: Scalar | Float[Array, "..."]) -> Float[A
     xp = se2.array_module(distance)
     position = xp.maximum(camera.position_noise * distance, camera.least_position_noise)
     yaw = xp.maximum(camera.yaw_noise * distance, camera.least_yaw_noise)
-    return xp.stack([position, position, yaw], axis=-1)
+    return se2.stack(position, position, yaw)

@@ -257,19 +257,13 @@ class SensedEngine:
             held = world.held
             if isinstance(world.sensor_state, SensorState):
                 held = held._replace(yaw=se2.wrap(held.yaw - sensing.heading_error(world.sensor_state)))
-            truth, true = self.engine.step(world.truth, held, length * TICK, push)
-            true, now = _numpy(true), world.ticks + length
+            truth, mean = self.engine.advance(world.truth, held, length * TICK, push)
+            now = world.ticks + length
             if isinstance(world.sensor_state, SensorState):
                 noise = Noise(normal[i, :, :6], normal[i, :, 6:].reshape(worlds, objects, 3), uniform[i])
+                robot, others = self.engine.poses(truth)
                 sensor_state = sensing.tick(
-                    self.senses,
-                    self._drawn,
-                    self._scenery,
-                    world.sensor_state,
-                    true.robot_pose,
-                    true.object_pose,
-                    noise,
-                    now,
+                    self.senses, self._drawn, self._scenery, world.sensor_state, robot, others, noise, now
                 )
                 world = world._replace(truth=truth, sensor_state=sensor_state, ticks=now)
                 if (ticks - 1 - i) % _TOUCH_EVERY == 0:
@@ -277,8 +271,9 @@ class SensedEngine:
                     readings.append(reading)
             else:
                 world = world._replace(truth=truth, ticks=now)
-            contact += true.wrench * (length / ticks)
+            contact += np.asarray(mean, dtype=float) * (length / ticks)
             touched = touched | np.asarray(truth.wall_parts)
+        true = _numpy(self.engine.observe(world.truth))
         wrench = np.mean(readings, axis=0) if readings else contact
         if isinstance(world.sensor_state, PerfectState):
             world = world._replace(sensor_state=self._look(world.sensor_state, true, world.ticks))

@@ -69,7 +69,7 @@ def calibrated(
     extended = reach > REACH - 0.01
     if not extended.any():
         return scale
-    hands = se2.transform_point(sensed.pose, np.stack([reach, np.zeros_like(reach)], axis=-1))
+    hands = se2.transform_point(sensed.pose, se2.stack(reach, np.zeros_like(reach)))
     inside = np.abs(se2.rotate(hands[:, None] - object_pose[..., :2], -object_pose[..., 2]))
     away = np.linalg.norm(np.maximum(inside - half_extents, 0.0), axis=-1)
     # An object that has never been seen is not within reach; nor is what a comparison with NaN says nothing of.
@@ -101,7 +101,7 @@ def felt(
     wrench = np.zeros_like(object_pose)
     if not wrench.size:
         return wrench
-    hands = se2.transform_point(sensed.pose, np.stack([reach, np.zeros_like(reach)], axis=-1))
+    hands = se2.transform_point(sensed.pose, se2.stack(reach, np.zeros_like(reach)))
     far = np.linalg.norm(object_pose[..., :2] - hands[:, None], axis=-1)
     nearest = np.argmin(np.where(np.isfinite(far), far, np.inf), axis=1)
     rows = np.arange(len(nearest))
