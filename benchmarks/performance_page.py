@@ -34,6 +34,7 @@ ENGINES = {
 }
 RATIOS = {
     "p99_over_median": "p99 / median",
+    "gemm_p99_over_median": "of bare matrix products as long",
     "busy_over_plain_jax": "beside a busy process / plain JAX beside it",
     "64_problems_over_64_times_one": "64 problems in one call / 64 x one",
 }

@@ -8,6 +8,7 @@ the update; ours does the whole step from observation to command, with adaptatio
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
@@ -50,6 +51,10 @@ QUICK = MppiSizes(
 )
 """Half a minute on two quiet cores."""
 
+_JITTER = 1024
+"""Side of the matrices whose product takes about as long as a control step: how unsteady the machine itself is."""
+_PAUSE = 0.2
+"""Between two engines' turns [s]: threads of BLAS and OpenMP spin on for a while when their work is done."""
 
 Row = dict[str, Any]
 
@@ -113,6 +118,7 @@ def _take_turns(
         for i in range(cfg.rounds):
             progress("rounds", i / cfg.rounds)
             for name, worker in running.items():
+                time.sleep(_PAUSE)
                 worker.seconds(2)  # caches and clocks belong to the engine before
                 turns[name] += worker.seconds(1 if name == "gemm" else cfg.calls)[0]
     return turns, about
@@ -123,7 +129,10 @@ def _worst_case(cfg: MppiSizes, options: BenchOptions, busy: bool) -> Row:
     with ExitStack() as stack:
         ours = stack.enter_context(closing(workers.ours(_spec(cfg, options.seed, engine="ours"))))
         if not busy:
-            return _many(cfg, options, ours, "quiet")
+            row = _many(cfg, options, ours, "quiet")
+            bare = workers.peer(Path(sys.executable), "gemm", _JITTER, cfg.horizon, cfg.activation, options.seed)
+            ms = 1e3 * np.asarray(stack.enter_context(closing(bare)).seconds(max(cfg.steps // 4, 20))[0])
+            return row | {"gemm_p99_over_median": np.quantile(ms, 0.99) / np.median(ms)}
         plain = stack.enter_context(closing(workers.ours(_spec(cfg, options.seed, engine="plain_jax"), 1)))
         stack.enter_context(busy_neighbour())
         row = _many(cfg, options, ours, "busy")
@@ -196,6 +205,7 @@ def _metrics(cfg: MppiSizes, medians: dict[str, float], about: dict[str, Row], w
         "recompilations": quiet["recompilations"] + busy["recompilations"],
         "first_step_s": about["ours"]["first_s"],
         "p99_over_median": quiet["p99_ms"] / quiet["median_ms"],
+        "gemm_p99_over_median": quiet["gemm_p99_over_median"],
         "busy_over_plain_jax": busy["median_ms"] / busy["plain_jax_ms"],
     }
 
