@@ -547,9 +547,7 @@ def faults(
         result = matrix.run(options, runs, only, workers)
     target = json or out / "faults.json"
     write_result(target, result)
-    print(matrix.summary(result))
-    falls, silent = (round(result.metrics[name] or 0) for name in ("falls", "silent_wrong_successes"))
-    print(f"falls {falls}, silent wrong successes {silent}; {target}")
+    print(f"{matrix.summary(result)}\n{target}")
     return 0
 
 

@@ -304,14 +304,17 @@ def run(options: ExperimentOptions, runs: int, chosen: tuple[str, ...] = (), wor
 
 
 def summary(result: ExperimentResult) -> str:
-    """The matrix as a Markdown table."""
+    """The matrix as a Markdown table, and what must never happen."""
     lines = []
     for name, what in result.config["faults"].items():
         mine = [r for r in result.rows if r["fault"] == name]
         counts = [str(sum(r["outcome"] == outcome for r in mine)) for outcome in OUTCOMES]
         reasons = dict.fromkeys(r["reason"] for r in mine if r["outcome"] != "recovered")
-        lines.append([what, *counts, "; ".join(reasons)])
-    return markdown_table(["fault", *OUTCOMES, "reasons"], lines)
+        touched = sum(r["wall_contacts"] > 0 for r in mine)
+        lines.append([what, *counts, str(touched), "; ".join(reasons)])
+    table = markdown_table(["fault", *OUTCOMES, "touched a wall", "reasons"], lines)
+    falls, silent = (result.metrics[name] for name in ("falls", "silent_wrong_successes"))
+    return f"{table}\n\n{len(result.rows)} runs: {falls:g} falls, {silent:g} silent wrong successes."
 
 
 def _trial(weights: Path, trial: tuple[str, int]) -> list[dict[str, Any]]:

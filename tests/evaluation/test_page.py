@@ -126,11 +126,13 @@ def test_the_committed_page_says_what_the_committed_results_say() -> None:
 def test_faults_and_soak_have_their_tables_on_the_page(tmp_path: Path) -> None:
     about = {"runs": 2, "faults": {"camera_gone": "no object is detected for 5 s", "door_closes": "a door closes"}}
     rows = [
-        {"fault": "camera_gone", "outcome": "recovered", "reason": "goal reached"},
-        {"fault": "camera_gone", "outcome": "failed", "reason": "fell"},
-        {"fault": "door_closes", "outcome": "stopped safely", "reason": "blocked"},
+        {"fault": "camera_gone", "outcome": "recovered", "reason": "goal reached", "wall_contacts": 3},
+        {"fault": "camera_gone", "outcome": "failed", "reason": "fell", "wall_contacts": 0},
+        {"fault": "door_closes", "outcome": "stopped safely", "reason": "blocked", "wall_contacts": 0},
     ]
-    faults = make_result("faults", ExperimentOptions(seed=900), about, {"falls": 1}, {}, rows)
+    faults = make_result(
+        "faults", ExperimentOptions(seed=900), about, {"falls": 1, "silent_wrong_successes": 0}, {}, rows
+    )
     names = ("errands", "done", "falls", "livelocks", "wall_contacts", "memory_growth", "open_files_left")
     building = {"seed": 950, **dict.fromkeys(names, 7), "given_up": ["blocked", "blocked"]}
     kind = {"minutes": 60.0, "buildings": 10}
@@ -144,7 +146,7 @@ def test_faults_and_soak_have_their_tables_on_the_page(tmp_path: Path) -> None:
     page.write_page({"faults": faults, "soak": soak}, tmp_path, docs / "results.md", docs / "figures")
     text = (docs / "results.md").read_text()
     assert "`shmoo faults --runs 2 --seed 900`" in text and "by hand" not in text
-    assert "| no object is detected for 5 s | 1 | 0 | 1 | 0 | fell |" in text
+    assert "| no object is detected for 5 s | 1 | 0 | 1 | 0 | 1 | fell |" in text and "3 runs: 1 falls" in text
     assert "`shmoo soak --minutes 60 --buildings 10 --seed 950`" in text and "2 x blocked" in text
     assert text.index("## Caveats") < text.index("## Faults") < text.index("## Soak") and "\n\ntwo\n" in text
     kept = page.read_results(docs / "results")
