@@ -71,7 +71,7 @@ def summary(result: ExperimentResult) -> str:
     table = markdown_table([n.replace("_", " ") for n in names], [[str(row[n]) for n in names] for row in result.rows])
     reasons = [reason for row in result.rows for reason in row["given_up"]]
     counted = [f"{reasons.count(reason)} x {reason}" for reason in dict.fromkeys(reasons)]
-    return "\n".join([table, *counted])
+    return "\n\n".join([table, *counted])
 
 
 def play(trials: SoakTrials, seed: int, controller: PushController) -> dict[str, Any]:
