@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from subprocess import CompletedProcess
 
 import numpy as np
 import pyarrow
@@ -89,27 +90,26 @@ def test_a_heavy_one_can_t_be_moved(tmp_path: Path) -> None:
 
 
 def test_the_command_writes_the_page_from_what_must_be_there_alone(
-    light: dict[str, np.ndarray], tmp_path: Path
+    light: dict[str, np.ndarray],
+    shmoo: Callable[..., CompletedProcess[str]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     least = {name: values for name, values in light.items() if name in REQUIRED}
     least["object_x"] = np.where(np.arange(160) % 7 == 0, np.nan, least["object_x"])  # lost now and then
     written(least, tmp_path / "log.csv")
-    done = shmoo(tmp_path, "log.csv", "--size", "0.5", "0.4")
+    monkeypatch.chdir(tmp_path)
+    code = "from shmoo_mjx.cli import main; main()"
+    command = [sys.executable, "-c", code, "report", "log.csv", "--size", "0.5", "0.4"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     page = (tmp_path / "runs" / "report" / "report.html").read_text()
     for text in ("moves like", "can be moved", "shmoo report log.csv --size 0.5 0.4", "What it learned on the way"):
         assert text in page
     result = json.loads((tmp_path / "runs" / "report" / "result.json").read_text())
     assert set(result["learned"]) == set(result["prior"])
-    again = shmoo(tmp_path, "runs/report")
+    again = shmoo("report", "runs/report")
     assert again.returncode == 0 and "report.html" in again.stdout
-
-
-def shmoo(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    code = "from shmoo_mjx.cli import main; main()"
-    return subprocess.run(
-        [sys.executable, "-c", code, "report", *arguments], cwd=folder, capture_output=True, text=True, check=False
-    )
 
 
 Change = Callable[[dict[str, np.ndarray]], dict[str, np.ndarray]]
@@ -141,7 +141,10 @@ def test_a_bad_log_is_refused_with_its_column(
     assert str(refused.value).startswith(f"{file}: ") and "\n" not in str(refused.value)
 
 
-def test_bad_input_of_the_command_is_one_sentence_with_exit_code_2(tmp_path: Path) -> None:
+def test_bad_input_of_the_command_is_one_sentence_with_exit_code_2(
+    shmoo: Callable[..., CompletedProcess[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "odd.parquet").write_bytes(b"nothing")
     (tmp_path / "empty").mkdir()
     for arguments, says in (
@@ -151,7 +154,7 @@ def test_bad_input_of_the_command_is_one_sentence_with_exit_code_2(tmp_path: Pat
         (("odd.parquet", "--size", "1", "-1"), "--size '-1' must be a number"),
         (("empty",), "there is no result here"),
     ):
-        done = shmoo(tmp_path, *arguments)
+        done = shmoo("report", *arguments)
         assert done.returncode == 2 and len(done.stderr.splitlines()) == 1, done.stderr
         assert done.stderr.startswith("shmoo: ") and says in done.stderr
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
+from subprocess import CompletedProcess
 from typing import Any
 
 import numpy as np
@@ -23,13 +22,6 @@ from shmoo_mjx.evaluation.scenarios import KINDS, Generated
 from shmoo_mjx.navigation.maps import load_map, save_map
 
 SHIPPED = find_set(Path("floor_plans"))
-
-
-def shmoo(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    code = "from shmoo_mjx.cli import main; main()"
-    return subprocess.run(
-        [sys.executable, "-c", code, *arguments], cwd=folder, capture_output=True, text=True, check=False
-    )
 
 
 def drawn_quickly(grid: Any, kind: str, *rest: Any) -> Generated:
@@ -115,7 +107,10 @@ def test_a_damaged_set_is_refused_with_its_field(
         open_set(made, tmp_path / "elsewhere")
 
 
-def test_bad_input_is_one_sentence_with_exit_code_2(tmp_path: Path) -> None:
+def test_bad_input_is_one_sentence_with_exit_code_2(
+    shmoo: Callable[..., CompletedProcess[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "none").mkdir()
     (tmp_path / "odd.json").write_text("[1]")
     for command, says in (
@@ -129,17 +124,20 @@ def test_bad_input_is_one_sentence_with_exit_code_2(tmp_path: Path) -> None:
         (("experiment", "pushing", "--scenarios", "odd.json"), "for navigation alone"),
         (("experiment", "navigation", "--maps", "none", "--scenarios", "odd.json"), "without --maps"),
     ):
-        done = shmoo(tmp_path, *command)
+        done = shmoo(*command)
         assert done.returncode == 2 and len(done.stderr.splitlines()) == 1, done.stderr
         assert done.stderr.startswith("shmoo: ") and says in done.stderr
 
 
 @pytest.mark.slow
-def test_the_command_draws_a_set_that_is_the_same_again(tmp_path: Path) -> None:
+def test_the_command_draws_a_set_that_is_the_same_again(
+    shmoo: Callable[..., CompletedProcess[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for folder in (tmp_path / "a", tmp_path / "b"):
         (folder / "maps").mkdir(parents=True)
         save_map(toy_scenario(2, True)[0], folder / "maps" / "rooms.yaml")
-        done = shmoo(folder, "scenarios", "make", "--maps", "maps", "--out", "set.json", "--per-map", "1")
+        monkeypatch.chdir(folder)
+        done = shmoo("scenarios", "make", "--maps", "maps", "--out", "set.json", "--per-map", "1")
         assert done.returncode == 0 and "set.json: 1 scenario" in done.stdout, done.stderr
     assert (tmp_path / "a" / "set.json").read_bytes() == (tmp_path / "b" / "set.json").read_bytes()
     assert open_set(tmp_path / "a" / "set.json", tmp_path / "opened")[1] == 1

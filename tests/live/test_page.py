@@ -11,8 +11,9 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from subprocess import CompletedProcess
 from typing import Any
 
 import numpy as np
@@ -97,8 +98,10 @@ def test_paused_it_stands_still_but_for_single_samples(page: Page) -> None:
     assert page.session.simulation.time == pytest.approx(0.1)
 
 
-def test_what_it_can_t_show_is_said_in_one_sentence(tmp_path: Path) -> None:
-    code = "from shmoo_mjx.cli import main; main()"
+def test_what_it_can_t_show_is_said_in_one_sentence(
+    shmoo: Callable[..., CompletedProcess[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     for scene, more in (
         ("nonsense", ()),
         ("gone.yaml", ()),
@@ -106,8 +109,7 @@ def test_what_it_can_t_show_is_said_in_one_sentence(tmp_path: Path) -> None:
         ("demo -1", ()),
         ("demo 0", ("--host", "192.0.2.1")),
     ):
-        command = [sys.executable, "-c", code, "live", scene, *more]
-        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        done = shmoo("live", scene, *more)
         assert done.returncode == 2 and done.stderr.startswith("shmoo: ") and len(done.stderr.splitlines()) == 1
 
 
