@@ -16,10 +16,11 @@ from typing import Any
 import numpy as np
 
 from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
+from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.joint_torque import joint_torque_wrench
 from shmoo_mjx.plant.lowlevel import Gains
-from shmoo_mjx.plant.objects import Condition, draw_condition
+from shmoo_mjx.plant.objects import draw_condition
 from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.plant.scene import build_scene
 from shmoo_mjx.plant.trials import command, drive, object_alone, pushed, settled

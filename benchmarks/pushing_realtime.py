@@ -23,7 +23,8 @@ def measure(seconds: float) -> dict[str, Any]:
     import jax
 
     from shmoo_mjx.assets import WEIGHTS, asset
-    from shmoo_mjx.control.pushing import ObjectObservation, PushController, local_distance_field
+    from shmoo_mjx.control.observation import ObjectObservation, local_distance_field
+    from shmoo_mjx.control.pushing import PushController
     from shmoo_mjx.faces import faces_of, heading, stand_off
     from shmoo_mjx.hands import HAND_HEIGHT, REACH, touches
     from shmoo_mjx.learning.weights import load_weights

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-__all__ = ["WEIGHTS", "asset"]
-
 WEIGHTS = "experiments/weights/demo.safetensors"
 """The weights that come with the package (docs/models.md says how they are made)."""
 

@@ -22,8 +22,6 @@ from shmoo_mjx.options import SENSES, SensesName
 from shmoo_mjx.seeds import UNSEEN_SEED, ConditionSeed, Seed, check_seed, seed_of
 from shmoo_mjx.verbosity import with_verbosity
 
-__all__ = ["main"]
-
 
 def demo(
     seed: str = "0",

@@ -12,8 +12,6 @@ from typing import Any
 
 from shmoo_mjx.errors import ShmooError
 
-__all__ = ["asked", "kept_as", "named"]
-
 
 def named(kind: str, name: str) -> Callable[..., Any]:
     """The class or function that ``name``, "package.module:Name", says; modules in the present folder are found too.

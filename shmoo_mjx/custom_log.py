@@ -16,6 +16,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array
 from shmoo_mjx.data.differentiate import body_acceleration
 from shmoo_mjx.dynamics import object_model
 from shmoo_mjx.errors import ShmooError
@@ -28,10 +29,8 @@ from shmoo_mjx.navigation.records import NavigatorConfig
 from shmoo_mjx.navigation.verdicts import PROBE_TIME
 from shmoo_mjx.navigation.yaml_input import closest_name
 from shmoo_mjx.report.trace import Trace, save_trace
-from shmoo_mjx.types import DT, Array
+from shmoo_mjx.types import DT
 from shmoo_mjx.versions import versions
-
-__all__ = ["OPTIONAL", "REQUIRED", "Log", "read_log", "run_of_log", "write_run"]
 
 REQUIRED = ("t", "object_x", "object_y", "object_yaw", "force_x", "force_y")
 OPTIONAL = ("torque", "robot_x", "robot_y", "robot_yaw")

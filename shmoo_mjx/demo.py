@@ -9,8 +9,6 @@ from typing import Any
 from shmoo_mjx.navigation.floorplan import demo_scenario
 from shmoo_mjx.options import SensesName
 
-__all__ = ["run_demo"]
-
 
 def run_demo(
     seeds: Sequence[int], out: Path, weights: Path | None = None, video: bool = True, senses: SensesName = "real"

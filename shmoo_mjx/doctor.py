@@ -14,8 +14,6 @@ from typing import NamedTuple
 
 from shmoo_mjx.environment import device_problem, graphics_problem
 
-__all__ = ["Check", "checks", "report"]
-
 
 class Check(NamedTuple):
     """One finding."""

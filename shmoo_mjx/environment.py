@@ -9,8 +9,6 @@ from pathlib import Path
 
 from shmoo_mjx.errors import ShmooError
 
-__all__ = ["check_environment", "device_problem", "graphics_problem", "prepare_environment"]
-
 
 def prepare_environment() -> None:
     """Defaults for this process only; whatever the user has set stands."""

@@ -23,8 +23,6 @@ from shmoo_mjx.sensing import Senses, senses_named
 from shmoo_mjx.simulation import Simulation
 from shmoo_mjx.types import DT, Observation
 
-__all__ = ["Episode", "Hooks", "result_of", "run_episode", "trace_of"]
-
 Point = Sequence[float]
 
 

@@ -1,7 +1,5 @@
 """What a user can get wrong, said in one sentence: the file, the field and what would work."""
 
-__all__ = ["ShmooError"]
-
 
 class ShmooError(Exception):
     """Bad input from a user: a map, scenario, checkpoint, data set or option.

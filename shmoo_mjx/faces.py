@@ -8,8 +8,6 @@ from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.hands import HAND_RADIUS, REACH
 
-__all__ = ["faces_of", "heading", "stand_off"]
-
 
 def faces_of(half_extents: tuple[float, float]) -> Float[np.ndarray, "4 4"]:
     """Faces in {O}: centre x, y [m], direction of the inward normal [rad], half the width [m].

@@ -10,8 +10,6 @@ from pathlib import Path
 
 from shmoo_mjx.errors import ShmooError
 
-__all__ = ["claimed", "whole", "write_whole"]
-
 
 @contextmanager
 def claimed(folder: str | Path) -> Iterator[None]:

@@ -14,8 +14,6 @@ import numpy as np
 
 from shmoo_mjx.assets import asset
 
-__all__ = ["code_hash", "fingerprint"]
-
 _PACKAGE = "shmoo_mjx"
 _ROOT = Path(__file__).parent
 

@@ -5,19 +5,6 @@ from __future__ import annotations
 from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Bool, Float, Scalar
 
-__all__ = [
-    "CONTACT_FORCE",
-    "HAND_HEIGHT",
-    "HAND_RADIUS",
-    "REACH",
-    "SEPARATION",
-    "TUCKED_HEIGHT",
-    "TUCKED_REACH",
-    "hand_components",
-    "hand_targets",
-    "touches",
-]
-
 REACH = 0.42
 """x of the point midway between the hands in {R} when the arms are extended [m]."""
 TUCKED_REACH = 0.20

@@ -12,35 +12,6 @@ from tyro.constructors import PrimitiveConstructorSpec
 
 from shmoo_mjx.errors import ShmooError
 
-__all__ = [
-    "SENSES",
-    "Buildings",
-    "Episodes",
-    "Friction",
-    "GigaBytes",
-    "Jobs",
-    "Mass",
-    "Minutes",
-    "PerMap",
-    "Port",
-    "Radius",
-    "Rolling",
-    "Runs",
-    "Scale",
-    "ScenariosOrSet",
-    "Seconds",
-    "SensesName",
-    "Side",
-    "SwivelFriction",
-    "Train",
-    "Validation",
-    "WheelRadius",
-    "Workers",
-    "option",
-    "shortened",
-    "whole_number",
-]
-
 SensesName = Literal["real", "perfect"]
 """How the robot perceives: as a robot does, or the simulator's truth (shmoo_mjx/sensing)."""
 SENSES: tuple[str, ...] = get_args(SensesName)

@@ -11,8 +11,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 
-__all__ = ["process_pool"]
-
 _PATIENCE = 5.0
 """Longest time that ending the workers may take [s]."""
 

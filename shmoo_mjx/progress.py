@@ -10,8 +10,6 @@ from typing import Any
 
 from shmoo_mjx.verbosity import LOG, is_quiet, is_verbose
 
-__all__ = ["counter", "stages", "training"]
-
 _EVERY = 10.0
 """Time between two lines of a log that say the same but for its numbers [s]."""
 

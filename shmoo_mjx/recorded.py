@@ -11,8 +11,6 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.report.trace import read_arrays, write_arrays
 from shmoo_mjx.types import Command, Observation
 
-__all__ = ["RECORDED", "Recorded", "load_recorded", "save_recorded"]
-
 RECORDED = "recorded.npz"
 """Its name in a run's folder."""
 _VERSION = 1

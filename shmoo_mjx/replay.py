@@ -17,8 +17,6 @@ from shmoo_mjx.report.trace import load_result
 from shmoo_mjx.simulation import navigator_of
 from shmoo_mjx.types import Command, Observation
 
-__all__ = ["Difference", "differences", "replay"]
-
 
 class Difference(NamedTuple):
     """The first sample at which a replay gives another command."""

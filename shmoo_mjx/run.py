@@ -22,8 +22,6 @@ from shmoo_mjx.types import DT
 from shmoo_mjx.verbosity import is_quiet
 from shmoo_mjx.versions import versions
 
-__all__ = ["checked_objects", "load_inputs", "run_scenario", "save_run"]
-
 
 def run_scenario(
     grid: OccupancyGrid,
@@ -62,7 +60,8 @@ def run_scenario(
     check_scenario(grid, scenario, ROBOT_RADIUS, name)
     conditions = checked_objects(grid, scenario, name)
     # Only now what takes seconds to import: bad input is answered at once.
-    from shmoo_mjx.control.pushing import PushController, local_distance_field
+    from shmoo_mjx.control.observation import local_distance_field
+    from shmoo_mjx.control.pushing import PushController
     from shmoo_mjx.episode import Hooks, run_episode
     from shmoo_mjx.learning.weights import load_weights
     from shmoo_mjx.navigation.maps import clearance_field

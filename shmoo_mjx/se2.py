@@ -12,19 +12,6 @@ import numpy as np
 
 from shmoo_mjx.arrays import Array, Float, Scalar
 
-__all__ = [
-    "array_module",
-    "compose",
-    "cross",
-    "inverse_transform_point",
-    "relative",
-    "rotate",
-    "stack",
-    "transform_point",
-    "wrap",
-]
-
-
 _PLAIN = (np.ndarray, np.generic, float, int)
 
 

@@ -7,8 +7,6 @@ from typing import Annotated
 
 from shmoo_mjx.options import option, whole_number
 
-__all__ = ["MAX_CONDITION_SEED", "MAX_SEED", "UNSEEN_SEED", "ConditionSeed", "Seed", "check_seed", "seed_of"]
-
 MAX_SEED = 2**31 - 1
 """What every generator we use (numpy, JAX, Gymnasium) takes, with room to count on from."""
 

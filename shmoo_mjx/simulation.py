@@ -19,12 +19,10 @@ from shmoo_mjx.navigation.navigator import Navigator
 from shmoo_mjx.navigation.policy import PolicyNavigator
 from shmoo_mjx.navigation.records import Mode, NavigatorConfig
 from shmoo_mjx.navigation.scenario import Scenario
-from shmoo_mjx.plant.objects import Condition
+from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.scene import PARTS, Scene, build_scene
 from shmoo_mjx.sensing import PERFECT, REAL, SensedEngine, SensedWorld, Senses
 from shmoo_mjx.types import DT, Command, Observation
-
-__all__ = ["Record", "Simulation", "conditions_of", "navigator_of", "scene_of"]
 
 Point = Sequence[float]
 

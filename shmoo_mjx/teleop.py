@@ -14,11 +14,9 @@ from shmoo_mjx import se2
 from shmoo_mjx.data.collect import sample
 from shmoo_mjx.faces import faces_of
 from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
+from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
-from shmoo_mjx.plant.objects import Condition
 from shmoo_mjx.types import DT, Command, Observation
-
-__all__ = ["KEYS", "Driver", "TeleopSession", "begin", "command", "press", "save", "tick"]
 
 _SPEED, _TURN, _STEER = 0.05, np.deg2rad(7.5), 0.05
 """What one press changes: speed [m/s], heading [rad], steering angle [rad]."""

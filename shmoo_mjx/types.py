@@ -10,8 +10,6 @@ from typing import NamedTuple
 
 from shmoo_mjx.arrays import Array, Bool, Float, Scalar
 
-__all__ = ["DT", "Array", "Command", "Observation", "SystemState"]
-
 DT = 0.1
 """Sample time of the dynamics model and of the controllers [s] (Eq. 1)."""
 

@@ -20,8 +20,6 @@ from tyro.conf import FlagCreatePairsOff
 
 from shmoo_mjx.errors import ShmooError
 
-__all__ = ["LOG", "is_quiet", "is_verbose", "with_verbosity"]
-
 LOG = logging.getLogger("shmoo_mjx")
 
 _OPTIONS = """\

@@ -5,8 +5,6 @@ from __future__ import annotations
 import platform
 from importlib import metadata
 
-__all__ = ["versions"]
-
 
 def versions() -> dict[str, str]:
     """Versions of everything a result depends on."""

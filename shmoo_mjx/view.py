@@ -19,8 +19,6 @@ from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 from shmoo_mjx.plant.scene import Scene, build_scene
 from shmoo_mjx.types import DT
 
-__all__ = ["film", "interactive", "scene_named"]
-
 
 def scene_named(what: str, seed: int) -> Scene:
     """The scene a user names: robot, demo, an object family, an object file (*.json) or a scenario file (*.yaml).

@@ -3,7 +3,7 @@
 A metric's name tells what it is: of ``..._per_s`` and ``..._gflops`` more is better, of ``..._ms`` and ``..._s`` less.
 Memory and the worst single step are left out: they are up to chance. Ratios to another program's time, such as
 ``ratio_to_plain_jax``, are compared instead if asked for: two machines have nothing else in common. Not so
-``ratio_to_ideal``: how much of its matrix products a processor can reach is its own affair (0.9 on one, 2.0 on another).
+``ratio_to_ideal``: how near a processor comes to its rate is its own affair (0.9 on one, 2.0 on another).
 """
 
 from __future__ import annotations
@@ -14,8 +14,6 @@ from typing import NamedTuple
 
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.result import ExperimentResult, read_result
-
-__all__ = ["LIMIT", "Change", "compare_files", "compare_results"]
 
 LIMIT = 1.2
 """Times as slow as before from which on a metric is flagged."""

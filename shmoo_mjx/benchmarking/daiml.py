@@ -20,8 +20,6 @@ from shmoo_mjx.data import store
 from shmoo_mjx.evaluation.datasets import TRAINING
 from shmoo_mjx.processes import process_pool
 
-__all__ = ["FULL", "QUICK", "DaimlSizes", "run"]
-
 Row = dict[str, Any]
 
 CHUNKS = 6

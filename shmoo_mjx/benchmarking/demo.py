@@ -23,8 +23,6 @@ import numpy as np
 
 from shmoo_mjx.benchmarking.registry import BenchOptions, Measured
 
-__all__ = ["FULL", "PARTS", "QUICK", "DemoSizes", "PartClock", "run"]
-
 PARTS = {
     "physics": ("shmoo_mjx.plant.engine_mujoco:MujocoEngine._advance",),
     "low-level control, 500 Hz": ("shmoo_mjx.plant.engine_mujoco:MujocoEngine._hold",),

@@ -24,15 +24,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from shmoo_mjx.arrays import Array
 from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.benchmarking import mppi_problem as work
 from shmoo_mjx.benchmarking.peers import serve
 from shmoo_mjx.control import cost, mppi, pushing, sharding
+from shmoo_mjx.control.observation import ObjectObservation, local_distance_field
 from shmoo_mjx.dynamics import CoreConfig, ObjectConfig, RobotConfig, core
 from shmoo_mjx.learning import weights as weights_file
-from shmoo_mjx.types import Array, SystemState
-
-__all__ = ["batch", "main", "ours", "paper_form", "plain_jax"]
+from shmoo_mjx.types import SystemState
 
 HALF_EXTENTS = np.array([0.3, 0.25])
 FACE = np.array([-0.3, 0.0, 0.0, 0.25])
@@ -46,10 +46,10 @@ class _Corridor:
         return np.maximum(1.2 - np.abs(points[..., 1]), 0.0)
 
 
-def _sighting(rng: np.random.Generator) -> pushing.ObjectObservation:
+def _sighting(rng: np.random.Generator) -> ObjectObservation:
     """Hands on the face, and a little noise: no two steps see the same."""
     noise = 0.01 * rng.standard_normal((7, 3))
-    return pushing.ObjectObservation(
+    return ObjectObservation(
         robot_pose=noise[0],
         robot_twist=np.array([0.2, 0.0, 0.0]) + noise[1],
         lean=noise[2, :2],
@@ -73,7 +73,7 @@ def ours(weights: weights_file.Weights, config: pushing.PushConfig, seed: int) -
     controller = pushing.PushController(weights, config)
     rng = np.random.default_rng(seed)
     state = controller.init(_sighting(rng), FACE, HALF_EXTENTS, jax.random.key(seed))
-    around = pushing.local_distance_field(_Corridor(), np.zeros(2))
+    around = local_distance_field(_Corridor(), np.zeros(2))
     u = np.zeros(3)
 
     def step() -> Any:

@@ -22,8 +22,6 @@ from shmoo_mjx.benchmarking.registry import BenchOptions, Measured
 from shmoo_mjx.benchmarking.workers import Worker, busy_neighbour, usable_cores
 from shmoo_mjx.errors import ShmooError
 
-__all__ = ["FULL", "QUICK", "MppiSizes", "run"]
-
 
 @dataclass(frozen=True)
 class MppiSizes:

@@ -17,8 +17,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-__all__ = ["PSI_WIDTHS", "R_WIDTHS", "Problem", "cost", "draw", "flop", "transition"]
-
 Array = Any
 
 R_WIDTHS = (28, 128, 128, 50, 5)

@@ -21,8 +21,6 @@ from shmoo_mjx.navigation.paths import plan_path
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Limits, Scenario
 from shmoo_mjx.types import DT, Observation
 
-__all__ = ["FULL", "QUICK", "PlannerSizes", "run"]
-
 PLANNING = "planning stage"
 
 

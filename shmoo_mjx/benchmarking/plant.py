@@ -26,8 +26,6 @@ from shmoo_mjx.plant.objects import draw_condition
 from shmoo_mjx.plant.scene import Scene, build_scene
 from shmoo_mjx.plant.trials import command
 
-__all__ = ["FULL", "QUICK", "SCENES", "PlantSizes", "c_rows", "mjx_rows", "run", "scene_of"]
-
 Row = dict[str, Any]
 
 SCENES = ("robot", "box", "cart", "wheelchair", "room")

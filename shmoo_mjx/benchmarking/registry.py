@@ -16,8 +16,6 @@ from shmoo_mjx.benchmarking.workers import usable_cores
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result, table, write_result
 
-__all__ = ["BENCHMARKS", "BenchOptions", "Measured", "describe", "machine", "run_all", "run_benchmark"]
-
 BENCHMARKS = {
     "startup": "shmoo_mjx.benchmarking.startup",
     "plant": "shmoo_mjx.benchmarking.plant",

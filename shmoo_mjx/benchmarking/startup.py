@@ -14,8 +14,6 @@ import numpy as np
 
 from shmoo_mjx.benchmarking.registry import BenchOptions, Measured
 
-__all__ = ["FULL", "QUICK", "StartupSizes", "help_seconds", "run"]
-
 HELP = [sys.executable, "-c", "from shmoo_mjx.cli import main; main()", "--help"]
 """What the script ``shmoo --help`` does."""
 

@@ -14,8 +14,6 @@ from typing import Any
 
 from shmoo_mjx.errors import ShmooError
 
-__all__ = ["Worker", "busy_neighbour", "ours", "peer", "usable_cores"]
-
 
 def usable_cores() -> int:
     """Cores that this process may run on."""

@@ -18,26 +18,6 @@ from shmoo_mjx.dynamics.layout import SO2, once
 from shmoo_mjx.hands import REACH, hand_targets
 from shmoo_mjx.types import DT, SystemState
 
-__all__ = [
-    "HAND_MARGIN",
-    "DistanceField",
-    "PushCost",
-    "aim_error",
-    "allowed_speed",
-    "change",
-    "clearance_at",
-    "clearance_near",
-    "clearance_penalty",
-    "effort",
-    "face_misalignment",
-    "footprint_points",
-    "hand_points",
-    "overspeed",
-    "pose_distance",
-    "push_cost",
-    "terminal_speed",
-]
-
 HAND_MARGIN = 0.08
 """Clearance that the hands' centres keep [m]: their radius and a reserve."""
 

@@ -17,8 +17,6 @@ from shmoo_mjx.control.governor import static_lean
 from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.types import DT, Command, Observation
 
-__all__ = ["LIMIT", "LeanOffset", "arms_lean", "corrected", "init", "predicted", "shifted", "step"]
-
 _MEMORY = 4.0
 """Time over which the estimate averages [s]: shorter lets the noise of the twist through, longer follows a shift of
 the centre of mass late."""

@@ -17,8 +17,6 @@ from shmoo_mjx.hands import HAND_HEIGHT, touches
 from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.types import DT
 
-__all__ = ["INTEGRAL_LIMIT", "GovernorConfig", "forward_lean", "govern", "static_lean"]
-
 _INTEGRAL_GAIN = 0.1
 """Lean per metre by which the robot lags behind the speed allowed [rad/m]: what sticks is leant into within seconds."""
 INTEGRAL_LIMIT = 0.04

@@ -6,8 +6,6 @@ from shmoo_mjx.control.mppi import RolloutFn
 from shmoo_mjx.dynamics import core
 from shmoo_mjx.dynamics.core import CoreConfig, Params
 
-__all__ = ["learned"]
-
 
 def learned(params: Params, config: CoreConfig | None = None) -> RolloutFn:
     """R and psi a, with the coefficients that ``params`` holds: (SystemState, controls ``[S, T, 3]``) -> ``[S, T]``."""

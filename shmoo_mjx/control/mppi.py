@@ -16,19 +16,8 @@ from jax.sharding import Mesh
 
 from shmoo_mjx.arrays import Array, Bool, Float, Int, Key
 from shmoo_mjx.control import sharding
-from shmoo_mjx.control.mppi_config import SPARE, MppiConfig
-
-__all__ = [
-    "MppiConfig",
-    "MppiState",
-    "Plan",
-    "importance_weights",
-    "init",
-    "plan",
-    "sample_controls",
-    "shift",
-    "update",
-]
+from shmoo_mjx.control.mppi_config import SPARE
+from shmoo_mjx.control.mppi_config import MppiConfig as MppiConfig
 
 RolloutFn = Callable[[Any, Float[Array, "S T m"]], Any]
 """(x0, U) -> trajectory, a pytree of arrays ``[S, T, ...]``: the states *after* each control."""

@@ -10,8 +10,6 @@ import numpy as np
 
 from shmoo_mjx.arrays import Float
 
-__all__ = ["SPARE", "MppiConfig"]
-
 SPARE = 4096
 """By how many sequences the list of noise is longer than what a plan takes of it: so many different plans' noise."""
 

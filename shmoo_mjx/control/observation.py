@@ -10,8 +10,6 @@ import numpy as np
 from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.types import Observation
 
-__all__ = ["LocalDistanceField", "ObjectObservation", "local_distance_field"]
-
 
 class LocalDistanceField(NamedTuple):
     """Clearance round the object on a grid of fixed size, so that one compiled controller serves every map."""

@@ -21,25 +21,13 @@ from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float, Key, Scalar
 from shmoo_mjx.control import cost, models, mppi, sharding
 from shmoo_mjx.control.governor import GovernorConfig, forward_lean, govern
-from shmoo_mjx.control.observation import LocalDistanceField, ObjectObservation, local_distance_field
+from shmoo_mjx.control.observation import LocalDistanceField, ObjectObservation
 from shmoo_mjx.dynamics import contact_model, core, features, object_model
 from shmoo_mjx.faces import faces_of
 from shmoo_mjx.hands import touches
 from shmoo_mjx.learning import adaptation, online
 from shmoo_mjx.learning.weights import Weights, prior_state
 from shmoo_mjx.types import DT, SystemState
-
-__all__ = [
-    "ControllerState",
-    "LocalDistanceField",
-    "ObjectObservation",
-    "PushConfig",
-    "PushController",
-    "coast",
-    "local_distance_field",
-    "start",
-    "step",
-]
 
 _PLANNING_HORIZON = 50
 """T of the planning stage, in samples (Sec. IV-B)."""

@@ -16,12 +16,10 @@ from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float, Key, Scalar
 from shmoo_mjx.control.cost import PushCost, allowed_speed
 from shmoo_mjx.control.governor import GovernorConfig, forward_lean
-from shmoo_mjx.control.pushing import LocalDistanceField, ObjectObservation
+from shmoo_mjx.control.observation import LocalDistanceField, ObjectObservation
 from shmoo_mjx.hands import REACH
 from shmoo_mjx.learning.adaptation import AdaptState
 from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
-
-__all__ = ["LEAN_LIMIT", "QuasiStaticPusher", "QuasiStaticState", "control"]
 
 # Gains, tuned on objects of the development seeds.
 _STEER = 1.2

@@ -15,8 +15,6 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from shmoo_mjx.arrays import Array, Shaped
 
-__all__ = ["compiled", "each_problem", "on_all", "replicated", "rollout_mesh", "shared", "split"]
-
 _AXIS = "rollouts"
 _PROBLEMS = "problems"
 

@@ -21,13 +21,12 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.faces import faces_of, heading, stand_off
 from shmoo_mjx.files import claimed
 from shmoo_mjx.hands import HAND_HEIGHT, REACH
-from shmoo_mjx.plant.objects import FAMILIES, Condition, draw_condition
+from shmoo_mjx.plant.condition import Condition
+from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.processes import process_pool
 from shmoo_mjx.seeds import MAX_SEED, UNSEEN_SEED
 from shmoo_mjx.types import DT, Command, Observation
-
-__all__ = ["SPLIT_SEEDS", "CollectConfig", "collect", "conditions", "record", "sample"]
 
 SPLIT_SEEDS = {"train": 0, "validation": 100_000, "test": UNSEEN_SEED}
 """First object seed of each split; training can't reach the test seeds."""

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from shmoo_mjx import se2
-from shmoo_mjx.types import DT, Array
-
-__all__ = ["body_acceleration", "sample_acceleration"]
+from shmoo_mjx.arrays import Array
+from shmoo_mjx.types import DT
 
 
 def sample_acceleration(twist: Array, dt: float = DT) -> Array:

@@ -15,8 +15,6 @@ import numpy as np
 if TYPE_CHECKING:
     from shmoo_mjx.data.store import Dataset
 
-__all__ = ["mirrored", "mirrored_condition", "with_mirror_images"]
-
 _SUFFIX = "-mirrored"
 
 _SIGNS = {

@@ -24,23 +24,6 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.files import write_whole
 from shmoo_mjx.types import DT, SystemState
 
-__all__ = [
-    "FIELDS",
-    "SCHEMA_VERSION",
-    "SPLITS",
-    "Dataset",
-    "Samples",
-    "Store",
-    "adopt",
-    "create_or_open",
-    "fingerprint_of",
-    "of_training",
-    "read",
-    "read_manifest",
-    "system_states",
-    "write_condition",
-]
-
 SCHEMA_VERSION = 1
 """Raised whenever a field of a condition's file changes its meaning."""
 

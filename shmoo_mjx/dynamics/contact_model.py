@@ -22,8 +22,6 @@ from shmoo_mjx.dynamics import features
 from shmoo_mjx.hands import HAND_HEIGHT
 from shmoo_mjx.types import DT
 
-__all__ = ["PARAMETERS", "acceleration", "guess", "with_friction"]
-
 PARAMETERS: dict[str, tuple[float, float]] = {
     "log_mass": (2.5, 1.0),
     "log_gyration": (-0.5, 0.3),

@@ -29,8 +29,6 @@ from shmoo_mjx.dynamics.robot_model import LeanResponse, RobotConfig, RobotParam
 from shmoo_mjx.hands import HAND_RADIUS
 from shmoo_mjx.types import DT, SystemState
 
-__all__ = ["CoreConfig", "Params", "contact_wrench", "init", "rollout", "step"]
-
 
 @dataclass(frozen=True)
 class CoreConfig:

@@ -17,27 +17,6 @@ from shmoo_mjx.dynamics.layout import SO2, channels_first, channels_last, once, 
 from shmoo_mjx.hands import HAND_RADIUS, hand_components
 from shmoo_mjx.types import DT, SystemState
 
-__all__ = [
-    "GAP_LIMIT",
-    "OBJECT_INPUTS",
-    "OBJECT_OUTPUTS",
-    "ROBOT_INPUTS",
-    "ROBOT_OUTPUTS",
-    "Contact",
-    "Entry",
-    "Facing",
-    "contact",
-    "facing",
-    "last_sample",
-    "markdown_table",
-    "object_inputs",
-    "reflection",
-    "robot_inputs",
-    "slices",
-    "stacked_robot_inputs",
-    "width",
-]
-
 GAP_LIMIT = 0.15
 """Gaps between hand and face are clipped to +- this [m]: farther off, they say nothing about the force."""
 

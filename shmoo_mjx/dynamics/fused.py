@@ -14,8 +14,6 @@ import numpy as np
 from shmoo_mjx.arrays import Array, Float
 from shmoo_mjx.dynamics.networks import ACTIVATIONS, Network, parts
 
-__all__ = ["FusedEquivariantMLP", "FusedMLP", "fuse", "fuse_equivariant"]
-
 
 class FusedMLP(NamedTuple):
     """`networks.MLP`, ready for roll-outs."""

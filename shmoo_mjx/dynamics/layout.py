@@ -15,8 +15,6 @@ import jax.numpy as jnp
 from shmoo_mjx.arrays import Array, Float, Scalar, Shaped
 from shmoo_mjx.types import SystemState
 
-__all__ = ["SO2", "channels_first", "channels_last", "once", "to_channels_first", "to_channels_last"]
-
 
 def channels_first(x: Shaped[Array, "... n"]) -> Shaped[Array, "n ..."]:
     """The last axis first."""

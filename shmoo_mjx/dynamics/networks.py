@@ -21,19 +21,6 @@ from flax import linen as nn
 
 from shmoo_mjx.arrays import Array, Float, Key
 
-__all__ = [
-    "ACTIVATIONS",
-    "MLP",
-    "EquivariantMLP",
-    "Network",
-    "apply",
-    "cap_spectral_norm",
-    "init",
-    "parts",
-    "power_iterate",
-    "with_normaliser",
-]
-
 ACTIVATIONS: dict[str, Callable[[Array], Array]] = {"tanh": jnp.tanh, "relu": jax.nn.relu, "silu": jax.nn.silu}
 """Names a config may use."""
 

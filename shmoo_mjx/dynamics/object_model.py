@@ -14,21 +14,6 @@ from shmoo_mjx.arrays import Array, Float, Key
 from shmoo_mjx.dynamics import contact_model, features, networks
 from shmoo_mjx.dynamics import fused as fusing
 
-__all__ = [
-    "FusedObjectModel",
-    "ObjectConfig",
-    "ObjectParams",
-    "basis",
-    "coefficient_signs",
-    "design_matrix",
-    "forward",
-    "fuse",
-    "init",
-    "network_inputs",
-    "predict",
-    "reflections",
-]
-
 PREDICTED_LIMIT = 20.0
 """Cap on the contact model's predictions, in standard deviations of the labels."""
 FRICTION_SHIFTS = (-0.2, 0.0, 0.2)

@@ -14,17 +14,6 @@ from shmoo_mjx.dynamics import features, fused, networks
 from shmoo_mjx.dynamics.networks import Network
 from shmoo_mjx.types import DT
 
-__all__ = [
-    "LeanResponse",
-    "RobotConfig",
-    "RobotParams",
-    "fuse",
-    "init",
-    "lag",
-    "lean_step",
-    "predict",
-]
-
 REFLECTIONS = (features.reflection(features.ROBOT_INPUTS), features.reflection(features.ROBOT_OUTPUTS))
 """The mirror's matrices for R's inputs and outputs."""
 

@@ -26,8 +26,6 @@ from shmoo_mjx.learning.daiml import DaimlConfig
 from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
 from shmoo_mjx.types import DT
 
-__all__ = ["VARIANTS", "AblationsConfig", "run"]
-
 VARIANTS: dict[str, dict[str, Any]] = {
     "default": {},
     "horizon_1": {"horizon": 1},

@@ -25,8 +25,6 @@ from shmoo_mjx.learning.samples import samples_from_dataset
 from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
 from shmoo_mjx.types import DT
 
-__all__ = ["PAPER", "BaselinesConfig", "run"]
-
 PAPER = {
     "mse_ours": 0.4271,
     "mse_prior": 1.3131,

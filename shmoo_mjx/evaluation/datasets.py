@@ -11,9 +11,8 @@ from shmoo_mjx.data import store
 from shmoo_mjx.data.collect import SPLIT_SEEDS, CollectConfig, collect
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.result import ExperimentOptions
-from shmoo_mjx.plant.objects import FAMILIES, Condition, draw_condition
-
-__all__ = ["TRAINING", "collect_rows", "subset", "training_directory", "unseen_directory"]
+from shmoo_mjx.plant.condition import Condition
+from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 
 TRAINING = Path("data/train")
 """Where ``shmoo collect data/train`` of the docs puts the training set."""

@@ -10,8 +10,6 @@ from shmoo_mjx.evaluation import page
 from shmoo_mjx.evaluation.registry import EXPERIMENTS, run_experiment
 from shmoo_mjx.evaluation.result import ExperimentOptions, write_result
 
-__all__ = ["run_all"]
-
 
 def run_all(options: ExperimentOptions, pushes: Path | None) -> tuple[Path, dict[str, str]]:
     """Run every experiment, each with its JSON in ``options.out``; the page grows with each of them.

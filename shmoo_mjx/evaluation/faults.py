@@ -29,8 +29,6 @@ from shmoo_mjx.report.tables import markdown_table
 from shmoo_mjx.simulation import Simulation
 from shmoo_mjx.types import DT, Command, Observation
 
-__all__ = ["FAULTS", "OUTCOMES", "Fault", "play", "run", "summary"]
-
 OUTCOMES = ("recovered", "stopped safely", "failed", "did not occur")
 _AWAY = (-50.0, -50.0, 0.0)
 """Where what does not stand in the scene yet waits, and what was taken away is."""

@@ -24,14 +24,12 @@ from shmoo_mjx.evaluation.paired import OURS, metrics_by_method
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.evaluation.scenarios import PLANT, Generated, Kind, ScenarioConfig, Truth, draw_scenario, largest_room
 from shmoo_mjx.evaluation.trials import run_trials
+from shmoo_mjx.navigation.clearance import ClearanceField
 from shmoo_mjx.navigation.footprints import footprint_polygon
-from shmoo_mjx.navigation.maps import ClearanceField, OccupancyGrid, clearance_field, load_map
+from shmoo_mjx.navigation.maps import OccupancyGrid, clearance_field, load_map
 from shmoo_mjx.navigation.paths import Path as Route
 from shmoo_mjx.navigation.paths import path_blocked_by, plan_path
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Limits, ObjectEntry
-
-__all__ = ["GoalSequence", "LifelongTrials", "draw_sequence", "measure", "run"]
-
 
 _TRIES = 60
 """Draws of each further goal."""

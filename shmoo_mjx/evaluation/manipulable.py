@@ -14,13 +14,12 @@ import numpy as np
 from shmoo_mjx import se2
 from shmoo_mjx.faces import faces_of, heading, stand_off
 from shmoo_mjx.hands import HAND_HEIGHT, HAND_RADIUS, REACH
+from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
-from shmoo_mjx.plant.objects import Condition, draw_condition
+from shmoo_mjx.plant.objects import draw_condition
 from shmoo_mjx.plant.scene import build_scene
 from shmoo_mjx.types import DT, Command, Observation
-
-__all__ = ["BORDER", "IMMOVABLE", "SteadyPush", "draw_immovable", "manipulable", "near_border", "steady_push"]
 
 IMMOVABLE = ("heavy", "brakes", "fixed")
 """Kinds of objects that a robot like this can't move: too heavy, two wheels locked, fixed to the floor."""

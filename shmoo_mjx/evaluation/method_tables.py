@@ -7,8 +7,6 @@ import math
 from shmoo_mjx.evaluation.result import ExperimentResult
 from shmoo_mjx.report.tables import markdown_table
 
-__all__ = ["ablations_table", "baselines_table"]
-
 _NAMES = {
     "ours": "ours",
     "ours_paper": "ours, the paper's printed form",

@@ -42,19 +42,6 @@ from shmoo_mjx.plant.robot import shmoobot
 if TYPE_CHECKING:
     from shmoo_mjx.episode import Episode
 
-__all__ = [
-    "POLICIES",
-    "NavigationTrials",
-    "PolicyVariant",
-    "TestedRobot",
-    "play",
-    "robot_of",
-    "run",
-    "scores_of",
-    "told_of",
-    "trials_folder",
-]
-
 
 class PolicyVariant(NamedTuple):
     """How objects are dealt with."""

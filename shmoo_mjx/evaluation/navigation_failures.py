@@ -14,8 +14,6 @@ from shmoo_mjx.report.trace import load_trace, save_trace
 if TYPE_CHECKING:
     from shmoo_mjx.episode import Episode
 
-__all__ = ["keep_failure", "write_failures"]
-
 FPS, SPEED = 10.0, 4.0
 """Frames per second of a film, and seconds of the run per second of film."""
 

@@ -13,8 +13,6 @@ from shmoo_mjx.evaluation.scenarios import KINDS
 from shmoo_mjx.navigation.maps import OccupancyGrid, load_map
 from shmoo_mjx.report.style import COLOURS, SERIES, blank_figure, object_colour, outline, save_figure, show_cells
 
-__all__ = ["draw_figures"]
-
 SHOWN = 8
 """Scenarios in the picture of a map."""
 

@@ -10,15 +10,6 @@ import numpy as np
 from shmoo_mjx.evaluation.paired import OURS, difference_metrics, metrics_by_method
 from shmoo_mjx.evaluation.scenarios import KINDS, Generated
 
-__all__ = [
-    "COMPARED",
-    "cause_of",
-    "effort_by_force",
-    "effort_by_mass",
-    "interactive_score",
-    "measure",
-]
-
 COMPARED = {
     "success": ("success", True),
     "time_s": ("time, of scenarios that both solve [s]", False),

@@ -21,18 +21,6 @@ from shmoo_mjx.navigation.floorplan import draw_floorplan
 from shmoo_mjx.navigation.maps import OccupancyGrid, save_map
 from shmoo_mjx.navigation.scenario import Scenario
 
-__all__ = [
-    "FLOOR_PLANS",
-    "Places",
-    "as_data",
-    "find_maps",
-    "find_places",
-    "generated_from",
-    "kept",
-    "kept_scenario",
-    "kinds_of",
-]
-
 FLOOR_PLANS = 5
 """Generated where no maps are given."""
 

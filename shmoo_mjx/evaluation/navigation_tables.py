@@ -11,8 +11,6 @@ from shmoo_mjx.evaluation.result import ExperimentResult
 from shmoo_mjx.evaluation.scenarios import KINDS
 from shmoo_mjx.report.tables import markdown_table
 
-__all__ = ["navigation_tables"]
-
 
 def navigation_tables(result: ExperimentResult) -> str:
     """Differences from each baseline, scenarios by map and by number of objects, and the causes of our failures."""

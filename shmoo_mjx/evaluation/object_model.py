@@ -32,8 +32,6 @@ from shmoo_mjx.learning.daiml import DaimlConfig, ObjectFit
 from shmoo_mjx.plant.objects import draw_condition
 from shmoo_mjx.types import DT
 
-__all__ = ["PAPER", "ObjectModelConfig", "gap_closed", "run"]
-
 PAPER = {"mse_before": 1.3131, "mse_after": 0.4271, "ratio_after_before": 0.325}
 """Sec. V-A."""
 

@@ -15,8 +15,6 @@ from shmoo_mjx.learning.baselines import first_samples, recordings
 from shmoo_mjx.learning.baselines.protocol import Predictor
 from shmoo_mjx.report.style import SERIES, blank_figure, outline, save_figure
 
-__all__ = ["draw_curve", "draw_roll_outs"]
-
 BEFORE, AFTER = SERIES[1], SERIES[0]
 
 STEPS = 30

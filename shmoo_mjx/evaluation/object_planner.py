@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array
 from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.evaluation.manipulable import (
     IMMOVABLE,
@@ -38,10 +39,8 @@ from shmoo_mjx.navigation.records import Mode, NavigatorConfig
 from shmoo_mjx.navigation.scenario import Limits, Scenario
 from shmoo_mjx.navigation.verdicts import PROBE_TIME
 from shmoo_mjx.options import SensesName
-from shmoo_mjx.plant.objects import FAMILIES, Condition, draw_condition
-from shmoo_mjx.types import Array
-
-__all__ = ["CRITERIA", "ObjectPlannerTrials", "auc", "calibration", "run"]
+from shmoo_mjx.plant.condition import Condition
+from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 
 CRITERIA = ("probability", "K", "moved_m")
 """After the first second of contact: the probability by which the navigator decides, K of Algorithm 1, and how far the

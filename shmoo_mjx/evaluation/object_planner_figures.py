@@ -12,8 +12,6 @@ from shmoo_mjx.navigation.records import NavigatorConfig
 from shmoo_mjx.report.figures import draw_decision, evidence
 from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
 
-__all__ = ["draw_figures"]
-
 
 def draw_figures(folder: Path, rows: list[dict[str, Any]], episodes: Callable[[], list[tuple[str, Any, Any]]]) -> None:
     """Write reliability.png, confusion.png and planned_goals.png (the paper's Fig. 5) into ``folder``."""

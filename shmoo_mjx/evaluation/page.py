@@ -26,8 +26,6 @@ from shmoo_mjx.evaluation.result import ExperimentResult, as_json, read_result, 
 from shmoo_mjx.files import write_whole
 from shmoo_mjx.report.tables import markdown_table
 
-__all__ = ["RELIABILITY", "SECTIONS", "Section", "read_results", "render", "section_of", "write_page"]
-
 
 @dataclass(frozen=True)
 class Section:

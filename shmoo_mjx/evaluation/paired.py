@@ -9,16 +9,6 @@ import numpy as np
 
 from shmoo_mjx.report.tables import markdown_table
 
-__all__ = [
-    "OURS",
-    "PairedDifference",
-    "difference_metrics",
-    "differences_table",
-    "metrics_by_method",
-    "paired_difference",
-    "verdict",
-]
-
 OURS = "ours"
 
 Row = dict[str, Any]

@@ -14,14 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
+from shmoo_mjx.arrays import Array
 from shmoo_mjx.dynamics import features, object_model
 from shmoo_mjx.dynamics.networks import MLP
 from shmoo_mjx.learning import daiml
 from shmoo_mjx.learning.daiml import DaimlConfig, ObjectFit
 from shmoo_mjx.learning.samples import Samples
-from shmoo_mjx.types import Array
-
-__all__ = ["accuracy", "psi_of", "raw_without_size"]
 
 HIDDEN = (64, 64)
 BATCH = 1024

@@ -9,9 +9,7 @@ from scipy.optimize import least_squares
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 from shmoo_mjx import se2
-from shmoo_mjx.types import Array
-
-__all__ = ["Touch", "align", "contact", "estimate", "size"]
+from shmoo_mjx.arrays import Array
 
 _TOLERANCE = 1e-3
 """Corners of the hull that stick out less than this are noise [m]."""

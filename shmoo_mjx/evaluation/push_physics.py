@@ -10,10 +10,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array
 from shmoo_mjx.evaluation import push_outline
-from shmoo_mjx.types import Array
-
-__all__ = ["NOMINAL", "SPREAD", "identify", "push", "start_of_push"]
 
 NOMINAL = np.array([np.log(0.6), np.log(0.2), 0.0, 0.0, 0.0, 0.0, 0.0])
 """The parameters: log of (radius of gyration of friction / size), log of the friction coefficient at the pusher, two of

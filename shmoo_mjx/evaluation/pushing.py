@@ -24,8 +24,6 @@ from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.report.trace import write_arrays
 from shmoo_mjx.sensing import senses_named
 
-__all__ = ["PushingConfig", "one_core", "run"]
-
 
 @dataclass(frozen=True)
 class PushingConfig:

@@ -12,8 +12,6 @@ from shmoo_mjx.evaluation.pushing_trials import GOALS, METHODS, Trial, scene_of_
 from shmoo_mjx.report.style import COLOURS, SERIES, blank_figure, outline, save_figure
 from shmoo_mjx.sensing import Senses
 
-__all__ = ["draw_figure", "film"]
-
 _OWN = "0.45"  # Grey, for every method of the user's own.
 _COLOUR = dict(zip(METHODS, (SERIES[0], SERIES[3], SERIES[5], SERIES[2], SERIES[1], SERIES[4]), strict=True))
 

@@ -9,8 +9,6 @@ import numpy as np
 from shmoo_mjx.evaluation.paired import OURS, difference_metrics, differences_table, metrics_by_method
 from shmoo_mjx.evaluation.result import ExperimentResult
 
-__all__ = ["COMPARED", "PAPER", "enclosing_circle", "metrics_of", "pushing_differences"]
-
 PAPER = {"offset_goal1_m": 0.067, "offset_goal2_m": 0.124, "offset_goal3_m": 0.164}
 """Sec. VI-A: mean final distance from the goal. The circles of Fig. 7 are printed as a picture only."""
 COMPARED = {

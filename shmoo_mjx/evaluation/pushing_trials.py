@@ -19,21 +19,10 @@ from shmoo_mjx.learning.adaptation import AdaptState
 from shmoo_mjx.learning.weights import Weights
 from shmoo_mjx.navigation.maps import OccupancyGrid
 from shmoo_mjx.navigation.push_task import Pusher, PushTask, pose_push_config
-from shmoo_mjx.plant.objects import FAMILIES, Condition, draw_condition
+from shmoo_mjx.plant.condition import Condition
+from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 from shmoo_mjx.plant.scene import Scene, build_scene
 from shmoo_mjx.sensing import REAL, SensedEngine, Senses
-
-__all__ = [
-    "GOALS",
-    "METHODS",
-    "STRATA",
-    "Runner",
-    "Trial",
-    "draw_trials",
-    "hindsight",
-    "resistance",
-    "scene_of_trial",
-]
 
 METHODS = ("ours", "frozen_prior", "eq8", "hindsight", "quasi_static", "paper_form")
 """Ours: MPPI while the object's body is identified. The others run the same trials: with Eq. 8 on top, for one, and the

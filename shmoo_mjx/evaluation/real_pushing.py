@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array
 from shmoo_mjx.data import real_pushes
 from shmoo_mjx.data.real_pushes import RealPushCondition
 from shmoo_mjx.errors import ShmooError
@@ -24,9 +25,6 @@ from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, mak
 from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
-from shmoo_mjx.types import Array
-
-__all__ = ["QUICK", "RealPushing", "credible", "errors", "fit", "linear", "measure", "run"]
 
 PREFIXES = {
     ("mit_push", "pair_out"): "",

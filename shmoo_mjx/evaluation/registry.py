@@ -8,8 +8,6 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult
 from shmoo_mjx.files import claimed
 
-__all__ = ["EXPERIMENTS", "run_experiment"]
-
 EXPERIMENTS = {
     "object_model": "shmoo_mjx.evaluation.object_model",
     "baselines": "shmoo_mjx.evaluation.baselines",

@@ -23,10 +23,9 @@ from shmoo_mjx.dynamics import features
 from shmoo_mjx.evaluation import scoring
 from shmoo_mjx.hands import HAND_HEIGHT
 from shmoo_mjx.learning.baselines import Predictor, recordings
-from shmoo_mjx.plant.objects import Condition, object_spec
+from shmoo_mjx.plant.condition import Condition
+from shmoo_mjx.plant.objects import object_spec
 from shmoo_mjx.types import DT
-
-__all__ = ["accelerations", "score"]
 
 SETTLE = 0.4
 """Time for the object to sink into its contacts before a recording is replayed [s]."""

@@ -22,21 +22,6 @@ from shmoo_mjx.options import SensesName
 from shmoo_mjx.seeds import MAX_CONDITION_SEED, UNSEEN_SEED, check_seed
 from shmoo_mjx.versions import versions
 
-__all__ = [
-    "ExperimentOptions",
-    "ExperimentResult",
-    "as_json",
-    "file_id",
-    "make_result",
-    "over_seeds",
-    "read_result",
-    "same_weights",
-    "spread",
-    "table",
-    "weights_id",
-    "write_result",
-]
-
 _SAME_PARAMETERS = {"df8099b861": "4b18363693"}
 """Ids of weights files by an earlier one's that holds the same parameters, bit for bit, and not what made them."""
 _UNITS = ("m", "mm", "deg", "rad", "s", "ms", "kg", "N")

@@ -38,8 +38,6 @@ from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
 from shmoo_mjx.sensing import SensedEngine, senses_named
 from shmoo_mjx.types import SystemState
 
-__all__ = ["PAPER", "RobotFinetuneConfig", "run"]
-
 PAPER = {"reduction_percent": 27.3}
 """Sec. III-D.3."""
 

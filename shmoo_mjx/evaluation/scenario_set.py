@@ -25,8 +25,6 @@ from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Scenario, check_scenario
 from shmoo_mjx.navigation.yaml_input import validated
 from shmoo_mjx.run import checked_objects
 
-__all__ = ["find_set", "make_set", "open_set"]
-
 
 class _Map(BaseModel):
     """The two files of a map_server map."""

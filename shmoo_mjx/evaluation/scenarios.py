@@ -18,26 +18,17 @@ import shapely
 from scipy import ndimage
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.manipulable import IMMOVABLE, draw_immovable, manipulable, near_border
 from shmoo_mjx.faces import faces_of, heading, stand_off
+from shmoo_mjx.navigation.clearance import ClearanceField
 from shmoo_mjx.navigation.footprints import add_obstacles, footprint_polygon, footprints_free
-from shmoo_mjx.navigation.maps import ClearanceField, OccupancyGrid, clearance_field
+from shmoo_mjx.navigation.maps import OccupancyGrid, clearance_field
 from shmoo_mjx.navigation.paths import Path, path_blocked_by, plan_path, point_at, tangent_at
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Limits, ObjectEntry, Scenario
-from shmoo_mjx.plant.objects import FAMILIES, Condition, draw_condition
-from shmoo_mjx.types import Array
-
-__all__ = [
-    "KINDS",
-    "PLANT",
-    "Generated",
-    "Kind",
-    "ScenarioConfig",
-    "Truth",
-    "draw_scenario",
-    "largest_room",
-]
+from shmoo_mjx.plant.condition import Condition
+from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 
 Kind = Literal["push only", "detour only", "either"]
 KINDS: tuple[Kind, ...] = get_args(Kind)

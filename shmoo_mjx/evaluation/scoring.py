@@ -25,11 +25,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array
 from shmoo_mjx.dynamics import features
 from shmoo_mjx.learning.baselines.protocol import Predictor, Recordings, first_samples
-from shmoo_mjx.types import DT, Array
-
-__all__ = ["FIT_SAMPLES", "NAMES", "average", "roll_out", "score"]
+from shmoo_mjx.types import DT
 
 FIT_SAMPLES = 250
 """25 s of recording, in contact or not, to adapt on."""

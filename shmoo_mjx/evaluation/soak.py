@@ -17,7 +17,8 @@ import psutil
 import shapely
 
 from shmoo_mjx.assets import WEIGHTS, asset
-from shmoo_mjx.control.pushing import PushController, local_distance_field
+from shmoo_mjx.control.observation import local_distance_field
+from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.evaluation.scenarios import largest_room
 from shmoo_mjx.evaluation.trials import controller_of, run_trials
@@ -30,9 +31,6 @@ from shmoo_mjx.navigation.scenario import Limits, ObjectEntry, Scenario
 from shmoo_mjx.plant.objects import FAMILIES
 from shmoo_mjx.report.tables import markdown_table
 from shmoo_mjx.simulation import Record, Simulation
-
-__all__ = ["SoakTrials", "livelocks", "play", "run", "summary"]
-
 
 _ERRAND = 180.0
 """Time after which an errand is given up [s]: several times what one takes in three rooms."""

@@ -15,8 +15,6 @@ from shmoo_mjx.evaluation.result import ExperimentOptions
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning.baselines import Budget, Job, recordings
 
-__all__ = ["QUICK", "Trainings", "TrainingsConfig", "prepare", "rows_of"]
-
 
 @dataclass(frozen=True)
 class TrainingsConfig:

@@ -13,8 +13,6 @@ from typing import Any
 from shmoo_mjx.files import write_whole
 from shmoo_mjx.processes import process_pool
 
-__all__ = ["controller_of", "run_trials"]
-
 Work = Callable[[Any], list[dict[str, Any]]]
 """What is to be tried -> its rows. Must be picklable."""
 

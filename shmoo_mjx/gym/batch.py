@@ -21,8 +21,6 @@ from shmoo_mjx.plant.engine_mjx import MjxEngine, MjxWorld
 from shmoo_mjx.sensing import SensedEngine, SensedWorld, altered, senses_named
 from shmoo_mjx.types import Observation
 
-__all__ = ["NavigateVectorEnv", "PushVectorEnv", "ShmooVectorEnv"]
-
 
 class ShmooVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """A task in ``num_envs`` worlds that are stepped together.

@@ -12,14 +12,12 @@ from scipy.ndimage import distance_transform_edt, map_coordinates
 from shmoo_mjx import se2
 from shmoo_mjx.gym.task import ACTIONS, BODY, Outcome, Part, Start, body, command, flat, in_robot
 from shmoo_mjx.navigation.floorplan import RESOLUTION, demo_scenario
+from shmoo_mjx.navigation.line_costs import PathConfig
 from shmoo_mjx.navigation.maps import OccupancyGrid, occupied_rectangles
-from shmoo_mjx.navigation.path_shortening import PathConfig
 from shmoo_mjx.navigation.paths import cost_to_go
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS
 from shmoo_mjx.sensing.rays import cast
 from shmoo_mjx.types import Command, Observation
-
-__all__ = ["NavigateConfig", "NavigateTask", "Rooms"]
 
 _OBJECTS = 2
 """The demo's box and wheelchair."""

@@ -15,8 +15,6 @@ from shmoo_mjx.gym.task import ACTIONS, BODY, Outcome, Part, Start, body, comman
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 from shmoo_mjx.types import Command, Observation
 
-__all__ = ["PushEnvConfig", "PushEnvTask", "PushGoal"]
-
 
 @dataclass(frozen=True)
 class PushEnvConfig:

@@ -17,8 +17,6 @@ from shmoo_mjx.plant.render import can_render, frames, has_display
 from shmoo_mjx.sensing import SensedEngine, SensedWorld, senses_named
 from shmoo_mjx.types import DT, Observation
 
-__all__ = ["NavigateEnv", "PushEnv", "ShmooEnv", "checked", "space"]
-
 
 def space(parts: tuple[Part, ...], dtype: type = np.float32) -> gymnasium.spaces.Box:
     """The box that ``parts`` span."""

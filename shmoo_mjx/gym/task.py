@@ -15,23 +15,9 @@ import numpy as np
 
 from shmoo_mjx import se2
 from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
-from shmoo_mjx.plant.objects import Condition
+from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.scene import Scene, build_scene
 from shmoo_mjx.types import Command, Observation
-
-__all__ = [
-    "ACTIONS",
-    "BODY",
-    "Outcome",
-    "Part",
-    "Start",
-    "Task",
-    "body",
-    "command",
-    "flat",
-    "in_robot",
-]
-
 
 Adjust = Callable[[mujoco.MjSpec], None]
 

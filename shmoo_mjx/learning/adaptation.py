@@ -17,8 +17,6 @@ from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.learning.identification import ContactEstimate, OnlineConfig
 from shmoo_mjx.types import DT
 
-__all__ = ["AdaptConfig", "AdaptState", "init", "step"]
-
 
 @dataclass(frozen=True)
 class AdaptConfig:

@@ -9,8 +9,6 @@ from typing import Any
 
 from shmoo_mjx.errors import ShmooError
 
-__all__ = ["Checkpoints"]
-
 Tree = Any
 
 

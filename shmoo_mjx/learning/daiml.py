@@ -36,19 +36,6 @@ from shmoo_mjx.learning.identification import ContactPrior, IdentificationConfig
 from shmoo_mjx.learning.samples import Batch, Sampler, Samples, label_scale, samples_from_arrays, samples_from_dataset
 from shmoo_mjx.learning.training_contacts import Found
 
-__all__ = [
-    "DaimlConfig",
-    "Model",
-    "ObjectFit",
-    "contacts_seen",
-    "daiml_loss",
-    "fit",
-    "fit_samples",
-    "train_object",
-    "validation_scores",
-]
-
-
 NORM_CAP = 20.0
 """gamma: cap on ||a||."""
 DISCRIMINATOR_SHARE = 0.5

@@ -21,20 +21,6 @@ from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.dynamics import contact_model, features
 from shmoo_mjx.types import DT
 
-__all__ = [
-    "ContactEstimate",
-    "ContactPrior",
-    "IdentificationConfig",
-    "OnlineConfig",
-    "best",
-    "broad_prior",
-    "from_stretches",
-    "identify",
-    "learn_prior",
-    "observe",
-    "prior_state",
-]
-
 
 @dataclass(frozen=True)
 class IdentificationConfig:

@@ -7,8 +7,6 @@ import jax.numpy as jnp
 
 from shmoo_mjx.arrays import Array, Float, Scalar
 
-__all__ = ["cap_norm", "empirical_prior", "fraction_unexplained", "posterior", "posterior_from_factor", "ridge"]
-
 
 def ridge(
     psi: Float[Array, "N m K"],

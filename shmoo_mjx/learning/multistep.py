@@ -15,8 +15,6 @@ from shmoo_mjx.learning import least_squares
 from shmoo_mjx.learning.samples import Samples
 from shmoo_mjx.types import DT
 
-__all__ = ["Predict", "loss", "open_loop", "scores"]
-
 Predict = Callable[[Float[Array, "... 13"]], Float[Array, "... 3"]]
 """Inputs -> accelerations in {O} of an object that is known."""
 

@@ -15,8 +15,6 @@ from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
 from shmoo_mjx.learning import adaptation, identification
 from shmoo_mjx.learning.adaptation import AdaptConfig, AdaptState
 
-__all__ = ["contact_of", "learned", "observe"]
-
 
 def observe(
     config: AdaptConfig,

@@ -25,16 +25,6 @@ from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning import training
 from shmoo_mjx.types import DT, SystemState
 
-__all__ = [
-    "RobotFit",
-    "RobotFitConfig",
-    "RobotSamples",
-    "fit_lean",
-    "fit_samples",
-    "samples_from_dataset",
-    "train_robot",
-]
-
 
 @dataclass(frozen=True)
 class RobotFitConfig:

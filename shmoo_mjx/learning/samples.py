@@ -14,17 +14,6 @@ from shmoo_mjx.arrays import Array, Float, Int, Key
 from shmoo_mjx.data import store
 from shmoo_mjx.dynamics import features
 
-__all__ = [
-    "Batch",
-    "Sampler",
-    "Samples",
-    "draw",
-    "label_scale",
-    "sampler",
-    "samples_from_arrays",
-    "samples_from_dataset",
-]
-
 
 class Samples(NamedTuple):
     """C conditions with N samples each, in the order they were recorded."""

@@ -16,8 +16,6 @@ import numpy as np
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.files import write_whole
 
-__all__ = ["load_tree", "read_notes", "save_tree"]
-
 Tree = Any
 
 

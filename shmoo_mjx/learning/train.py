@@ -13,8 +13,6 @@ from shmoo_mjx.learning.identification import IdentificationConfig
 from shmoo_mjx.learning.training import Progress
 from shmoo_mjx.versions import versions
 
-__all__ = ["origin", "train_part"]
-
 _QUICK: dict[str, Any] = {"epochs": 3, "epoch_updates": 50}
 _QUICK_OBJECT: dict[str, Any] = _QUICK | {"contact_fit": IdentificationConfig(starts=64, refined=2, rounds=1)}
 _QUICK_CONDITIONS = {"train": 12, "validation": 3}

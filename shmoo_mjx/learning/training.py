@@ -16,8 +16,6 @@ from shmoo_mjx.arrays import Scalar
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.learning.checkpoints import Checkpoints
 
-__all__ = ["Fitted", "Progress", "bounded_gradient", "run"]
-
 Tree = Any
 
 

@@ -21,8 +21,6 @@ from shmoo_mjx.learning import identification, serialisation
 from shmoo_mjx.learning.identification import ContactPrior, IdentificationConfig
 from shmoo_mjx.learning.samples import Samples, label_scale
 
-__all__ = ["STRETCHES", "Found", "identified", "nothing", "on_first_samples"]
-
 STRETCHES = (0, 10, 10, 30, 30, 100, 100, 250)
 """Samples that a training condition's parameters are identified on, M numbers; 0 is the object not yet touched."""
 

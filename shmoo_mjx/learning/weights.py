@@ -24,18 +24,6 @@ from shmoo_mjx.learning.daiml import ObjectFit
 from shmoo_mjx.learning.identification import ContactPrior, IdentificationConfig, OnlineConfig
 from shmoo_mjx.learning.robot_fit import RobotFit
 
-__all__ = [
-    "SCHEMA_VERSION",
-    "Weights",
-    "load_weights",
-    "posterior_from_recording",
-    "prior_state",
-    "save_weights",
-    "untrained",
-    "with_object",
-    "with_robot",
-]
-
 SCHEMA_VERSION = 5
 """Raised whenever a field of the file changes its meaning or its name."""
 _OLD_SCHEMAS = (3, 4)

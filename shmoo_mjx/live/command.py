@@ -17,8 +17,6 @@ from shmoo_mjx.types import DT
 if TYPE_CHECKING:
     from shmoo_mjx.live.page import Page
 
-__all__ = ["go_on", "run_live"]
-
 _AT_HOME = ("127.0.0.1", "localhost", "::1")
 _IDLE = 0.02
 """Time between two looks at what is wanted while the world stands still [s]."""

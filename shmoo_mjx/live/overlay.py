@@ -8,15 +8,14 @@ from typing import NamedTuple
 import matplotlib
 import numpy as np
 
+from shmoo_mjx.arrays import Array
 from shmoo_mjx.control.mppi import Plan
 from shmoo_mjx.navigation.belief import Status
 from shmoo_mjx.navigation.clearance import ClearanceField
 from shmoo_mjx.navigation.navigator import Navigator
 from shmoo_mjx.report.style import COLOURS, outline
 from shmoo_mjx.sensing.camera import Camera
-from shmoo_mjx.types import Array, Observation
-
-__all__ = ["Lines", "believed", "clearance_picture", "field_of_view", "legend", "path", "rollouts"]
+from shmoo_mjx.types import Observation
 
 _CAMERA, _LOCAL, _REMEMBERED = "#56B4E9", "#CC79A7", "#777777"
 _COSTS = matplotlib.colormaps["plasma"]

@@ -34,8 +34,6 @@ from shmoo_mjx.navigation.scenario import FAMILIES
 from shmoo_mjx.plant.objects import draw_condition
 from shmoo_mjx.types import DT
 
-__all__ = ["PICTURES", "Page"]
-
 PICTURES = 20.0
 """Pictures that are sent each second."""
 _SPEEDS = {"0.25 x": 0.25, "0.5 x": 0.5, "1 x": 1.0, "2 x": 2.0, "as fast as it goes": 0.0}

@@ -17,7 +17,8 @@ import numpy as np
 
 from shmoo_mjx.assets import asset
 from shmoo_mjx.control.mppi import Plan
-from shmoo_mjx.control.pushing import PushController, local_distance_field
+from shmoo_mjx.control.observation import local_distance_field
+from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.episode import result_of, trace_of
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.learning import online
@@ -44,8 +45,6 @@ from shmoo_mjx.seeds import seed_of
 from shmoo_mjx.sensing import Senses, senses_named
 from shmoo_mjx.simulation import Simulation
 from shmoo_mjx.types import DT
-
-__all__ = ["SceneLoader", "Session", "object_files", "scene_named", "scenes"]
 
 SceneLoader = Callable[[], tuple[OccupancyGrid, Scenario]]
 """Loads a map and what stands in it."""

@@ -12,11 +12,10 @@ import shapely
 
 from shmoo_mjx.arrays import Float
 from shmoo_mjx.learning.adaptation import AdaptState
+from shmoo_mjx.navigation.clearance import ClearanceField
 from shmoo_mjx.navigation.footprints import add_obstacles, footprint_polygon
-from shmoo_mjx.navigation.maps import ClearanceField, OccupancyGrid, clearance_field
+from shmoo_mjx.navigation.maps import OccupancyGrid, clearance_field
 from shmoo_mjx.types import Observation
-
-__all__ = ["Belief", "KnownObject", "Status", "belief_of"]
 
 _DISPLACED = 0.15
 """An object that stands this far from where it was left has been moved by somebody else [m]."""

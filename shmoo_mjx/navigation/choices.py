@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from shmoo_mjx.control.pushing import local_distance_field
+from shmoo_mjx.control.observation import local_distance_field
 from shmoo_mjx.faces import faces_of, heading
 from shmoo_mjx.navigation import drive
 from shmoo_mjx.navigation.belief import Status
@@ -19,8 +19,6 @@ from shmoo_mjx.navigation.records import Mode, NavigatorState, Note, Planned, Se
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS
 from shmoo_mjx.skills import approach
 from shmoo_mjx.types import Observation
-
-__all__ = ["first_block", "look_ahead", "replan"]
 
 _FAR_AREA = 5.0
 """Side of the square in which first goals are sought where the planner's own holds none, as in a corridor [m]."""

@@ -10,8 +10,6 @@ import numpy as np
 from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Bool, Float, Numbers, Scalar, Shaped
 
-__all__ = ["ClearanceField"]
-
 
 class _Field(NamedTuple):
     values: Float[Array, "H W"]

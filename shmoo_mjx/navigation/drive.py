@@ -10,13 +10,12 @@ import numpy as np
 from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float
 from shmoo_mjx.navigation import flat_trajectory
-from shmoo_mjx.navigation.flat_trajectory import Planner, Trajectory
-from shmoo_mjx.navigation.maps import ClearanceField
+from shmoo_mjx.navigation.clearance import ClearanceField
+from shmoo_mjx.navigation.flat_qp import Planner
+from shmoo_mjx.navigation.flat_trajectory import Trajectory
 from shmoo_mjx.navigation.paths import Path, point_at, project
 from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
 from shmoo_mjx.types import Observation
-
-__all__ = ["DAMPING", "LEAD", "STIFFNESS", "DriveState", "follow", "init", "velocity_command", "yaw_ahead"]
 
 _REPLAN_EVERY = 0.5
 """Time between two local trajectories [s]: a seventh of their length, so that obstacles that appear are met in time."""

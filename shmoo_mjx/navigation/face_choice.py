@@ -13,10 +13,8 @@ import numpy as np
 
 from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float, Scalar
+from shmoo_mjx.navigation.clearance import ClearanceField
 from shmoo_mjx.navigation.footprints import footprints_free
-from shmoo_mjx.navigation.maps import ClearanceField
-
-__all__ = ["YAW_WEIGHT", "Choice", "arc_ends", "choose", "residual"]
 
 _CURVATURE = 0.45
 """Largest curvature of a push [1/m]: 26 deg over a metre, what steering gives light and heavy objects alike."""

@@ -12,8 +12,6 @@ import numpy as np
 
 from shmoo_mjx.arrays import Array, Float, Numbers, Scalar
 
-__all__ = ["FlatModel", "rest_to_rest", "rest_to_rest_time"]
-
 
 class FlatModel(NamedTuple):
     """Coefficients of a x'' + b phi'' = c phi, for both planes."""

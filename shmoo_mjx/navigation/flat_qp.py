@@ -19,18 +19,6 @@ from scipy.interpolate import BSpline
 from shmoo_mjx.arrays import Float
 from shmoo_mjx.navigation.flat_model import FlatModel
 
-__all__ = [
-    "DEGREE",
-    "LEAN_RECOVERY",
-    "SAMPLES",
-    "Planner",
-    "TrajectoryConfig",
-    "basis_splines",
-    "init",
-    "knot_vector",
-    "solve",
-]
-
 DEGREE = 5
 _ANGLES = np.arange(8) * np.pi / 4
 _NORMALS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=-1)

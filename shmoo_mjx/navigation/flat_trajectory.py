@@ -12,32 +12,17 @@ import numpy as np
 from scipy.interpolate import BSpline
 
 from shmoo_mjx.arrays import Array, Float, Scalar
-from shmoo_mjx.navigation.flat_model import FlatModel, rest_to_rest, rest_to_rest_time
+from shmoo_mjx.navigation.clearance import ClearanceField
+from shmoo_mjx.navigation.flat_model import FlatModel
 from shmoo_mjx.navigation.flat_qp import (
     DEGREE,
     LEAN_RECOVERY,
     SAMPLES,
     Planner,
-    TrajectoryConfig,
     basis_splines,
-    init,
     solve,
 )
-from shmoo_mjx.navigation.maps import ClearanceField
 from shmoo_mjx.navigation.paths import Path, point_at, project, tangent_at
-
-__all__ = [
-    "FlatModel",
-    "Planner",
-    "Trajectory",
-    "TrajectoryConfig",
-    "TrajectorySample",
-    "evaluate",
-    "init",
-    "plan",
-    "rest_to_rest",
-    "rest_to_rest_time",
-]
 
 _CORRIDOR = (0.04, 0.50)
 """Half width that the corridor is given where there is none, and at which it is cut off [m]: some is needed for the

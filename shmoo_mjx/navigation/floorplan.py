@@ -15,8 +15,6 @@ import numpy as np
 from shmoo_mjx.navigation.maps import FREE, OCCUPIED, OccupancyGrid
 from shmoo_mjx.navigation.scenario import ObjectEntry, Scenario
 
-__all__ = ["RESOLUTION", "Doorway", "Floorplan", "demo_scenario", "draw_floorplan"]
-
 Range = tuple[float, float]
 
 

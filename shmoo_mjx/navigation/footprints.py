@@ -10,16 +10,7 @@ import shapely
 
 from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Bool, Float, Int, Numbers, Scalar
-from shmoo_mjx.navigation.maps import ClearanceField
-
-__all__ = [
-    "add_obstacles",
-    "footprint_corners",
-    "footprint_polygon",
-    "footprints_free",
-    "polygon_distance",
-    "window_near",
-]
+from shmoo_mjx.navigation.clearance import ClearanceField
 
 _KEPT = 4
 """So many fields with obstacles are remembered; the robot knows a handful of objects, and asks with and without."""

@@ -20,8 +20,6 @@ from shmoo_mjx.navigation.clearance import ClearanceField
 from shmoo_mjx.navigation.footprints import window_near
 from shmoo_mjx.navigation.line_costs import PathConfig, line_costs, metre_cost
 
-__all__ = ["Lattice", "build", "costs_from", "is_tight", "nodes_in", "with_obstacles"]
-
 _SPACING = 0.30
 """Largest distance between the points of the lattice on which a way is sought [m]; at least a cell."""
 _POINTS = 5000

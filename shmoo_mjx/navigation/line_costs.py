@@ -9,8 +9,6 @@ import numpy as np
 from shmoo_mjx.arrays import Float, Int
 from shmoo_mjx.navigation.clearance import ClearanceField
 
-__all__ = ["PathConfig", "line_costs", "metre_cost"]
-
 
 @dataclass(frozen=True)
 class PathConfig:

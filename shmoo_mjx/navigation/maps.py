@@ -25,20 +25,6 @@ from shmoo_mjx.navigation.clearance import ClearanceField
 from shmoo_mjx.navigation.walls import cover_rectangles
 from shmoo_mjx.navigation.yaml_input import read_mapping, validated
 
-__all__ = [
-    "FREE",
-    "OCCUPIED",
-    "UNKNOWN",
-    "ClearanceField",
-    "OccupancyGrid",
-    "clearance",
-    "clearance_field",
-    "inflate",
-    "load_map",
-    "occupied_rectangles",
-    "save_map",
-]
-
 FREE = 0
 OCCUPIED = 100
 UNKNOWN = -1

@@ -10,8 +10,6 @@ import math
 
 from scipy.special import expit
 
-__all__ = ["features", "probability"]
-
 # Fitted to touches of objects of training: python benchmarks/fit_mobility.py FOLDER
 _BIAS = 18.787
 _SLOPES = (3.354, -2.666)

@@ -19,13 +19,13 @@ import numpy as np
 
 from shmoo_mjx.arrays import Array, Float, Numbers
 from shmoo_mjx.control import equilibrium_lean
-from shmoo_mjx.control.pushing import ObjectObservation
+from shmoo_mjx.control.observation import ObjectObservation
 from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.learning import online
-from shmoo_mjx.navigation import drive, flat_trajectory
+from shmoo_mjx.navigation import drive, flat_qp
 from shmoo_mjx.navigation.belief import Belief, Status, belief_of
 from shmoo_mjx.navigation.choices import look_ahead, replan
-from shmoo_mjx.navigation.flat_trajectory import FlatModel
+from shmoo_mjx.navigation.flat_model import FlatModel
 from shmoo_mjx.navigation.maps import OccupancyGrid
 from shmoo_mjx.navigation.paths import Path, project
 from shmoo_mjx.navigation.records import (
@@ -48,8 +48,6 @@ from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.sensing import finite
 from shmoo_mjx.skills import approach, batched, contact, hold, push, retreat
 from shmoo_mjx.types import Command, Observation
-
-__all__ = ["MODES", "PROBE_ROOM", "Navigator", "init", "setup_of", "step"]
 
 _NO_TRAJECTORY = 3.0
 """Time without a local trajectory after which another path is sought [s]."""
@@ -85,7 +83,7 @@ def setup_of(
 ) -> Setup:
     """Constant parts of a navigator; see the fields of :class:`~shmoo_mjx.navigation.records.Setup`."""
     config = config or NavigatorConfig()
-    planner = flat_trajectory.init(FlatModel(*shmoobot().flatness), config.trajectory)
+    planner = flat_qp.init(FlatModel(*shmoobot().flatness), config.trajectory)
     return Setup(sizes, controller, config, planner, first_status)
 
 

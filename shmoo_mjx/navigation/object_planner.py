@@ -16,18 +16,6 @@ import numpy as np
 from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Bool, Float, Int
 
-__all__ = [
-    "AREA",
-    "BEST",
-    "CONE",
-    "InitialGoal",
-    "ObjectDecision",
-    "ObjectPlannerConfig",
-    "goal_grid",
-    "initial_goal",
-    "planning_stage",
-]
-
 AREA = 2.0
 """Side of the square round the object that the first goals come from [m]: larger allows longer pushes."""
 _GRID_STEP = 0.1

@@ -21,8 +21,6 @@ from shmoo_mjx.navigation.clearance import ClearanceField
 from shmoo_mjx.navigation.lattice import Lattice
 from shmoo_mjx.navigation.line_costs import PathConfig, line_costs, metre_cost
 
-__all__ = ["cell_costs", "find_way"]
-
 _ESCAPE_RADIUS = 0.35
 """Distance from a start nearer to a wall than the radius allows within which cells that are no nearer may be used [m]:
 the robot's radius and a reserve."""

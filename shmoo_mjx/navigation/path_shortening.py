@@ -6,9 +6,7 @@ import numpy as np
 
 from shmoo_mjx.arrays import Bool, Float, Int
 from shmoo_mjx.navigation.clearance import ClearanceField
-from shmoo_mjx.navigation.line_costs import PathConfig, line_costs, metre_cost
-
-__all__ = ["PathConfig", "metre_cost", "shorten"]
+from shmoo_mjx.navigation.line_costs import PathConfig, line_costs
 
 _ANGLES = np.arange(8) * np.pi / 4
 _MOVES = np.vstack([[0.0, 0.0], np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=-1)])

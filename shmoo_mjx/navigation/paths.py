@@ -14,25 +14,12 @@ import shapely
 from skimage.graph import MCP_Geometric
 
 from shmoo_mjx.arrays import Array, Float, Numbers, Scalar
-from shmoo_mjx.navigation.footprints import add_obstacles, footprint_polygon, footprints_free
-from shmoo_mjx.navigation.maps import ClearanceField, OccupancyGrid, clearance_field
+from shmoo_mjx.navigation.clearance import ClearanceField
+from shmoo_mjx.navigation.footprints import add_obstacles
+from shmoo_mjx.navigation.line_costs import PathConfig
+from shmoo_mjx.navigation.maps import OccupancyGrid, clearance_field
 from shmoo_mjx.navigation.path_search import cell_costs, find_way
-from shmoo_mjx.navigation.path_shortening import PathConfig, shorten
-
-__all__ = [
-    "Path",
-    "PathConfig",
-    "arc_lengths",
-    "cost_to_go",
-    "footprint_polygon",
-    "footprints_free",
-    "path_blocked_by",
-    "path_length",
-    "plan_path",
-    "point_at",
-    "project",
-    "tangent_at",
-]
+from shmoo_mjx.navigation.path_shortening import shorten
 
 
 class Path(NamedTuple):

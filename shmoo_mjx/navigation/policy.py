@@ -16,8 +16,6 @@ from shmoo_mjx.navigation.navigator import Navigator
 from shmoo_mjx.navigation.records import Mode, NavigatorConfig, Transition
 from shmoo_mjx.types import Command, Observation
 
-__all__ = ["Policy", "PolicyMaker", "PolicyNavigator"]
-
 
 class Policy(Protocol):
     """A navigation policy."""

@@ -18,7 +18,8 @@ from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float, Numbers
 from shmoo_mjx.control import equilibrium_lean
 from shmoo_mjx.control.cost import PushCost
-from shmoo_mjx.control.pushing import LocalDistanceField, ObjectObservation, PushConfig, local_distance_field
+from shmoo_mjx.control.observation import LocalDistanceField, ObjectObservation, local_distance_field
+from shmoo_mjx.control.pushing import PushConfig
 from shmoo_mjx.faces import faces_of
 from shmoo_mjx.hands import TUCKED_REACH
 from shmoo_mjx.learning.adaptation import AdaptState
@@ -35,8 +36,6 @@ from shmoo_mjx.sensing import finite
 from shmoo_mjx.skills import approach, batched, contact, hold, push, retreat
 from shmoo_mjx.skills.push import Pusher
 from shmoo_mjx.types import DT, Command, Observation
-
-__all__ = ["AT_REST", "Phase", "PushTask", "PushTaskConfig", "pose_push_config"]
 
 _LONGEST_RETREAT = 5.0
 """[s]"""

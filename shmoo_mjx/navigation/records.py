@@ -11,10 +11,10 @@ import numpy as np
 
 from shmoo_mjx.arrays import Array, Float, Key
 from shmoo_mjx.control import equilibrium_lean
-from shmoo_mjx.control.pushing import LocalDistanceField
+from shmoo_mjx.control.observation import LocalDistanceField
 from shmoo_mjx.navigation import drive
 from shmoo_mjx.navigation.belief import Belief, KnownObject, Status
-from shmoo_mjx.navigation.flat_trajectory import Planner, TrajectoryConfig
+from shmoo_mjx.navigation.flat_qp import Planner, TrajectoryConfig
 from shmoo_mjx.navigation.object_planner import ObjectPlannerConfig
 from shmoo_mjx.navigation.paths import Path
 from shmoo_mjx.navigation.routes import Routes
@@ -22,20 +22,6 @@ from shmoo_mjx.skills.approach import ApproachState
 from shmoo_mjx.skills.contact import ContactState
 from shmoo_mjx.skills.push import PushState
 from shmoo_mjx.types import Observation
-
-__all__ = [
-    "Decision",
-    "Event",
-    "Mode",
-    "NavigatorConfig",
-    "NavigatorState",
-    "Note",
-    "Pending",
-    "Planned",
-    "Segment",
-    "Setup",
-    "Transition",
-]
 
 
 class Mode(StrEnum):

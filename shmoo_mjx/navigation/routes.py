@@ -13,15 +13,13 @@ from shmoo_mjx import se2
 from shmoo_mjx.faces import stand_off
 from shmoo_mjx.hands import REACH, TUCKED_REACH
 from shmoo_mjx.navigation.belief import Belief, KnownObject, Status
+from shmoo_mjx.navigation.clearance import ClearanceField
 from shmoo_mjx.navigation.footprints import footprint_polygon, footprints_free
-from shmoo_mjx.navigation.maps import ClearanceField
 from shmoo_mjx.navigation.paths import Path, plan_path
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS
 from shmoo_mjx.plant import outline
 from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.skills.approach import CONTACT_GAP
-
-__all__ = ["Routes"]
 
 _REACHING_ROOM = (0.06, 0.01)
 """Distance from walls and other objects that body, arms and hands keep from the stand-off pose to contact [m], where

@@ -32,22 +32,7 @@ from shmoo_mjx.options import SENSES, SensesName
 
 if TYPE_CHECKING:
     from shmoo_mjx.navigation.maps import OccupancyGrid
-    from shmoo_mjx.plant.objects import Condition
-
-__all__ = [
-    "FAMILIES",
-    "MOST_OBJECTS",
-    "ROBOT_RADIUS",
-    "Limits",
-    "ObjectEntry",
-    "Scenario",
-    "check_place",
-    "check_places",
-    "check_point",
-    "check_scenario",
-    "load_scenario",
-    "save_scenario",
-]
+    from shmoo_mjx.plant.condition import Condition
 
 FAMILIES = ("box", "cart", "wheelchair")
 ROBOT_RADIUS = 0.29

@@ -13,8 +13,6 @@ from shmoo_mjx.navigation.records import Decision, Mode, NavigatorState, Note, P
 from shmoo_mjx.skills.push import PushState
 from shmoo_mjx.types import DT, Observation
 
-__all__ = ["PROBE_TIME", "UNDETECTED_LIMIT", "judge", "review", "rolled"]
-
 PROBE_TIME = 1.0
 """Contact time before the planning stage (Algorithm 1) [s], as in the paper; what has rolled away by then is not waited
 for."""

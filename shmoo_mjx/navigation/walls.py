@@ -6,8 +6,6 @@ import numpy as np
 
 from shmoo_mjx.arrays import Bool, Int, Scalar
 
-__all__ = ["cover_rectangles"]
-
 
 def cover_rectangles(mask: Bool[np.ndarray, "H W"]) -> Int[np.ndarray, "K 4"]:
     """Rectangles that together cover every True cell and no False one.

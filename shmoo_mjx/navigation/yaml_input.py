@@ -13,9 +13,6 @@ from pydantic import BaseModel, ValidationError
 
 from shmoo_mjx.errors import ShmooError
 
-__all__ = ["closest_name", "read_mapping", "validated"]
-
-
 _PLAIN_TERMS = {"tuple": "list", "Input": "it", "dictionary": "mapping of 'key: value' lines"}
 """Python's and pydantic's words for what a YAML file has."""
 

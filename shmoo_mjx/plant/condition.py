@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-__all__ = ["Condition", "is_custom"]
-
 
 def is_custom(family: str) -> bool:
     """Whether the family is an object file of a user's own."""

@@ -35,8 +35,6 @@ from shmoo_mjx.types import DT, Command, Observation
 with contextlib.redirect_stdout(io.StringIO()):  # it prints that its optional Warp back end is missing
     from mujoco import mjx
 
-__all__ = ["MjxEngine", "MjxWorld", "check_backend", "stack_models"]
-
 
 class MjxWorld(NamedTuple):
     """Complete state of W worlds; without W inside a vmap."""

@@ -11,8 +11,6 @@ from shmoo_mjx.arrays import Array, Float
 from shmoo_mjx.plant.lowlevel import arm_gravity
 from shmoo_mjx.plant.robot import Robot, RobotState
 
-__all__ = ["hand_forces", "joint_torque_wrench"]
-
 
 def hand_forces(robot: Robot, sensed: RobotState, arm_torque: Float[Array, "... 6"]) -> Float[Array, "... 2 3"]:
     """Force of each hand on what it touches, in {R} [N].

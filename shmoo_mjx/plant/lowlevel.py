@@ -17,8 +17,6 @@ from shmoo_mjx.hands import hand_targets
 from shmoo_mjx.plant.robot import Robot, RobotState, shmoobot
 from shmoo_mjx.types import Command
 
-__all__ = ["Gains", "LowLevelState", "arm_gravity", "control", "init", "velocity_to_lean"]
-
 
 @dataclass(frozen=True)
 class Gains:

@@ -18,8 +18,6 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.files import write_whole
 from shmoo_mjx.plant.mjcf_object import read_mjcf
 
-__all__ = ["Wheels", "add_object"]
-
 Wheels = Literal["none", "casters", "rear"]
 _FORMATS = (".stl", ".obj", ".ply", ".glb", ".gltf", ".off")
 _Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])

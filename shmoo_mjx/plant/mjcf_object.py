@@ -11,8 +11,6 @@ import numpy as np
 from shmoo_mjx.arrays import Float
 from shmoo_mjx.errors import ShmooError
 
-__all__ = ["Solid", "read_mjcf"]
-
 _SHAPES = (
     mujoco.mjtGeom.mjGEOM_SPHERE,
     mujoco.mjtGeom.mjGEOM_CAPSULE,

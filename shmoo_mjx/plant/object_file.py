@@ -13,8 +13,6 @@ import numpy as np
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.plant.condition import Condition
 
-__all__ = ["custom_condition", "custom_spec", "read_object"]
-
 _FOOT = 0.01
 """Radius of the spheres an object without wheels slides on [m]."""
 _SWIVEL = {"damping": 0.01, "armature": 0.001}

@@ -17,8 +17,6 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.plant.condition import Condition, is_custom
 from shmoo_mjx.plant.object_file import custom_condition, custom_spec
 
-__all__ = ["FAMILIES", "Condition", "draw_condition", "object_spec"]
-
 FAMILIES = ("box", "cart", "wheelchair")
 _CASTER_RADIUS = {"cart": 0.05, "wheelchair": 0.08}
 _REAR_RADIUS = 0.28

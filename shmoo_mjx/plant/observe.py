@@ -10,8 +10,6 @@ from shmoo_mjx.plant.robot import readout
 from shmoo_mjx.plant.scene import Scene
 from shmoo_mjx.types import Observation
 
-__all__ = ["observation", "planar_wrench", "scene_poses"]
-
 
 def scene_poses(
     scene: Scene, physics: Float[np.ndarray, "W n"]

@@ -16,8 +16,6 @@ from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH, hand_targets
 from shmoo_mjx.plant.robot import Robot, shmoobot
 
-__all__ = ["Outline", "Room", "outline", "room"]
-
 _SPACING = 0.04
 """Of the discs along an arm [m]."""
 

@@ -14,8 +14,6 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-__all__ = ["Perturbation", "PerturbedBody", "adjustment", "draw_body"]
-
 _TICK = 0.01
 """What delays are rounded to [s]."""
 

@@ -17,8 +17,6 @@ import numpy as np
 from shmoo_mjx.arrays import Array, Float, Key, Scalar
 from shmoo_mjx.plant.scene import Scene
 
-__all__ = ["Factors", "Ranges", "perturbed", "randomize"]
-
 
 @dataclass(frozen=True)
 class Ranges:

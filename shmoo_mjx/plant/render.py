@@ -14,9 +14,6 @@ import numpy as np
 from shmoo_mjx.arrays import Float, Shaped
 from shmoo_mjx.plant.scene import Scene
 
-__all__ = ["can_render", "frames", "has_display", "overview"]
-
-
 _PROBE = """
 import mujoco
 model = mujoco.MjModel.from_xml_string("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")

@@ -17,19 +17,6 @@ from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.assets import asset
 from shmoo_mjx.errors import ShmooError
 
-__all__ = [
-    "ACTUATORS",
-    "NQ",
-    "NV",
-    "Robot",
-    "RobotState",
-    "arm_joints",
-    "quat_rotate",
-    "readout",
-    "shmoobot",
-    "with_arms",
-]
-
 _SIDES = ("left", "right")
 _ARM_JOINTS = ("shoulder_yaw", "shoulder_pitch", "elbow")
 ACTUATORS = ("drive_x", "drive_y", "drive_z", *(f"{side}_{joint}" for side in _SIDES for joint in _ARM_JOINTS))

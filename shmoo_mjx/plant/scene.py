@@ -12,10 +12,9 @@ import numpy as np
 from shmoo_mjx.arrays import Array, Float, Int
 from shmoo_mjx.assets import asset
 from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH, hand_targets
-from shmoo_mjx.plant.objects import Condition, object_spec
+from shmoo_mjx.plant.condition import Condition
+from shmoo_mjx.plant.objects import object_spec
 from shmoo_mjx.plant.robot import Robot, arm_joints, shmoobot, with_arms
-
-__all__ = ["PARTS", "WALL_HEIGHT", "Scene", "build_scene"]
 
 WALL_HEIGHT = 1.3
 """How high a wall stands in the physics [m]: higher than the robot."""

@@ -15,11 +15,10 @@ from shmoo_mjx import se2
 from shmoo_mjx.arrays import Bool, Float
 from shmoo_mjx.assets import asset
 from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH
+from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
-from shmoo_mjx.plant.objects import Condition, object_spec
+from shmoo_mjx.plant.objects import object_spec
 from shmoo_mjx.types import DT, Command, Observation
-
-__all__ = ["Track", "command", "drive", "object_alone", "pushed", "release", "settled"]
 
 
 class Track(NamedTuple):

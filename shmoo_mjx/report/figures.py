@@ -8,15 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from shmoo_mjx.arrays import Array
 from shmoo_mjx.report.style import COLOURS, SERIES, blank_figure, object_colour, outline, show_cells, window
 from shmoo_mjx.report.trace import Trace, is_number, object_index, object_name, telling_decisions
-from shmoo_mjx.types import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-__all__ = ["decision_figure", "draw_decision", "learned_figure", "map_figure", "timeline_figure"]
 
 _MOST_COLUMNS = 5
 """Pushes that fit beside each other in the figure of what was learned."""

@@ -25,8 +25,6 @@ from shmoo_mjx.report.trace import (
 )
 from shmoo_mjx.report.video import SPEED
 
-__all__ = ["MAX_VIDEO_BYTES", "render_report", "succeeded", "summary", "write_report"]
-
 MAX_VIDEO_BYTES = 12_000_000
 """Larger films are linked, not embedded."""
 _FILM = f"{SPEED:g} times as fast as the run."

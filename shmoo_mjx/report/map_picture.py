@@ -9,8 +9,6 @@ import numpy as np
 from shmoo_mjx.navigation.maps import OccupancyGrid, inflate
 from shmoo_mjx.report.style import blank_figure, save_figure, show_cells
 
-__all__ = ["draw_map"]
-
 
 def draw_map(grid: OccupancyGrid, radius: float, path: Path) -> Path:
     """Write ``path`` (PNG): walls dark, unknown grey, floor white, and in blue where a robot of ``radius`` [m] may be.

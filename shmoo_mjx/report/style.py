@@ -9,25 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array
 from shmoo_mjx.files import write_whole
 from shmoo_mjx.report.trace import Trace
-from shmoo_mjx.types import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-__all__ = [
-    "COLOURS",
-    "SERIES",
-    "blank_figure",
-    "object_colour",
-    "outline",
-    "save_figure",
-    "show_cells",
-    "to_png",
-    "window",
-]
 
 # Okabe and Ito's palette, told apart with any colour vision.
 SERIES = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#7A6A00", "#555555")

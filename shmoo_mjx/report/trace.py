@@ -23,22 +23,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from shmoo_mjx.arrays import Array
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.files import whole
-from shmoo_mjx.types import Array
-
-__all__ = [
-    "Trace",
-    "is_number",
-    "load_result",
-    "load_trace",
-    "object_index",
-    "object_name",
-    "read_arrays",
-    "save_trace",
-    "telling_decisions",
-    "write_arrays",
-]
 
 _RAGGED = ("plans", "decision_rollouts", "decision_candidates")
 _REQUIRED = ("outcome", "transitions", "decisions", "objects")

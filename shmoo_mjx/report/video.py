@@ -10,25 +10,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array
 from shmoo_mjx.files import whole
 from shmoo_mjx.report.style import COLOURS, object_colour, outline, window
 from shmoo_mjx.report.trace import Trace
-from shmoo_mjx.types import Array
 
 if TYPE_CHECKING:
     from PIL import Image, ImageFont
-
-__all__ = [
-    "SPEED",
-    "TopDown",
-    "caption_at",
-    "compose",
-    "narrate",
-    "top_down",
-    "topdown_frames",
-    "topdown_image",
-    "write_video",
-]
 
 _ROBOT_RADIUS = 0.19
 """Drawn radius of the robot's body [m]."""

@@ -20,8 +20,6 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.plant.scene import Scene
 from shmoo_mjx.sensing.rays import hidden
 
-__all__ = ["Camera", "Scenery", "deviation", "in_sight", "scenery_of"]
-
 _CORNERS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 _INSET = 0.9
 """Of the footprint's half extents: where a tag's centre is, which has to be seen."""

@@ -27,8 +27,6 @@ from shmoo_mjx.sensing.touch import calibrated, felt
 from shmoo_mjx.sensing.tracker import Tracks
 from shmoo_mjx.types import DT, Command, Observation
 
-__all__ = ["SensedEngine", "SensedWorld"]
-
 _TOUCH_EVERY = 2
 """Ticks between two readings of the joint torques: 50 Hz."""
 _NEVER = np.iinfo(np.int64).max

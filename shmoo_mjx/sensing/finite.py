@@ -6,8 +6,6 @@ import numpy as np
 
 from shmoo_mjx.types import DT, Observation
 
-__all__ = ["finite"]
-
 
 def finite(seen: Observation, last: Observation | None = None) -> Observation:
     """The observation with every NaN or infinity replaced; the same object if there was none.

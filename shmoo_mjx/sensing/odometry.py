@@ -16,8 +16,6 @@ from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float, Int, Scalar, Shaped
 from shmoo_mjx.errors import ShmooError
 
-__all__ = ["TICK", "Odometry", "OdometryConfig", "OdometryDraw", "draw", "estimate", "init", "step"]
-
 TICK = 0.01
 """Time between two readings of the senses, and what delays are rounded to [s]."""
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Bool, Float
 
-__all__ = ["cast", "hidden"]
-
 
 def cast(
     origins: Float[Array, "W 2"],

@@ -23,23 +23,6 @@ from shmoo_mjx.sensing.odometry import TICK, Odometry, OdometryConfig, OdometryD
 from shmoo_mjx.sensing.touch import ArmScale, TouchConfig
 from shmoo_mjx.sensing.tracker import TrackerConfig, Tracks
 
-__all__ = [
-    "PERFECT",
-    "REAL",
-    "Estimates",
-    "Noise",
-    "Senses",
-    "SensorDraw",
-    "SensorState",
-    "altered",
-    "draw",
-    "estimates",
-    "first_state",
-    "heading_error",
-    "senses_named",
-    "tick",
-]
-
 
 @dataclass(frozen=True)
 class Senses:

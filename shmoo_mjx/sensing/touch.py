@@ -19,8 +19,6 @@ from shmoo_mjx.plant.joint_torque import joint_torque_wrench
 from shmoo_mjx.plant.lowlevel import arm_gravity
 from shmoo_mjx.plant.robot import Robot, RobotState
 
-__all__ = ["ArmScale", "TouchConfig", "calibrated", "felt", "init"]
-
 
 @dataclass(frozen=True)
 class TouchConfig:

@@ -15,8 +15,6 @@ from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Bool, Float, Shaped
 from shmoo_mjx.sensing.odometry import TICK
 
-__all__ = ["TrackerConfig", "Tracks", "ahead", "init", "known", "update"]
-
 
 @dataclass(frozen=True)
 class TrackerConfig:

@@ -8,13 +8,11 @@ import numpy as np
 
 from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float
-from shmoo_mjx.control.pushing import ObjectObservation
+from shmoo_mjx.control.observation import ObjectObservation
 from shmoo_mjx.faces import stand_off
 from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.skills.settings import Move
 from shmoo_mjx.types import Command
-
-__all__ = ["ApproachState", "init", "step"]
 
 CONTACT_GAP = 0.12
 """Distance between hands and face at the stand-off pose [m]: more keeps off an object whose pose is uncertain, and

@@ -6,13 +6,11 @@ from typing import NamedTuple
 
 from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float, Scalar
-from shmoo_mjx.control.pushing import ObjectObservation
+from shmoo_mjx.control.observation import ObjectObservation
 from shmoo_mjx.faces import heading
 from shmoo_mjx.hands import HAND_HEIGHT, HAND_RADIUS, REACH, touches
 from shmoo_mjx.skills.settings import Move, hands_to_face, in_face, lean_for
 from shmoo_mjx.types import Command
-
-__all__ = ["ContactState", "init", "step"]
 
 _SPEED = 0.12
 """Speed at which contact is made [m/s]: faster knocks light objects away, slower takes longer."""

@@ -10,14 +10,12 @@ import numpy as np
 from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float, Key, Scalar
 from shmoo_mjx.control.mppi import Plan
-from shmoo_mjx.control.pushing import LocalDistanceField, ObjectObservation
+from shmoo_mjx.control.observation import LocalDistanceField, ObjectObservation
 from shmoo_mjx.faces import heading
 from shmoo_mjx.hands import HAND_HEIGHT, REACH, touches
 from shmoo_mjx.learning.adaptation import AdaptState
 from shmoo_mjx.skills.settings import hold
 from shmoo_mjx.types import DT, Command
-
-__all__ = ["PushState", "Pusher", "init", "lets_go", "step"]
 
 _LEAD = 0.015
 """An object is let go where it is expected to stop this far before its goal [m]: hands relax by about that much."""

@@ -6,12 +6,10 @@ import numpy as np
 
 from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float, Scalar
-from shmoo_mjx.control.pushing import ObjectObservation
+from shmoo_mjx.control.observation import ObjectObservation
 from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_REACH
 from shmoo_mjx.skills.settings import Move, hands_to_face, lean_for
 from shmoo_mjx.types import Command
-
-__all__ = ["CLEAR", "WITHDRAW", "step"]
 
 CLEAR = 0.05
 """Distance between the extended hands' place and the face at which a retreat stops and the arms fold [m]: more room for

@@ -8,12 +8,10 @@ import numpy as np
 
 from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float, Scalar
-from shmoo_mjx.control.pushing import ObjectObservation
+from shmoo_mjx.control.observation import ObjectObservation
 from shmoo_mjx.hands import HAND_HEIGHT, HAND_RADIUS, REACH, TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
 from shmoo_mjx.types import Command
-
-__all__ = ["Move", "batched", "hands_to_face", "hold", "in_face", "lean_for"]
 
 
 class Move(NamedTuple):

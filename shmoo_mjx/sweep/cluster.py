@@ -11,8 +11,6 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.sweep.config import SweepConfig
 from shmoo_mjx.sweep.run import ShardRunner, Sweep
 
-__all__ = ["Cluster", "job", "submit"]
-
 Cluster = Literal["slurm", "local", "debug"]
 """Slurm; other processes of this machine; or this process, one job after the other, for tests."""
 

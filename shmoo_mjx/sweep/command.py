@@ -15,8 +15,6 @@ from shmoo_mjx.sweep.cluster import Cluster, submit
 from shmoo_mjx.sweep.config import SweepConfig, load_sweep, quick
 from shmoo_mjx.sweep.run import ShardRunner, Sweep, duration, read_table
 
-__all__ = ["carry_out", "find"]
-
 Progress = Callable[[], AbstractContextManager[Callable[[str, float], None]]]
 
 

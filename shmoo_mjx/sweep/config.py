@@ -28,8 +28,6 @@ from shmoo_mjx.plant.objects import FAMILIES
 from shmoo_mjx.seeds import MAX_SEED, UNSEEN_SEED
 from shmoo_mjx.sweep.parameters import PARAMETERS
 
-__all__ = ["Controller", "Draw", "SweepConfig", "load_sweep", "quick", "sweep_fingerprint"]
-
 _KINDS = ("fixed", "uniform", "log_uniform", "normal", "choice")
 
 

@@ -9,12 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from shmoo_mjx.arrays import Array
 from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
 from shmoo_mjx.sweep.config import SweepConfig
 from shmoo_mjx.sweep.parameters import PARAMETERS, RESISTANCE
-from shmoo_mjx.types import Array
-
-__all__ = ["binned", "draw_figures", "rate", "summary"]
 
 Table = dict[str, list[Any]]
 

@@ -8,8 +8,6 @@ from typing import NamedTuple
 
 from shmoo_mjx.plant.lowlevel import Gains
 
-__all__ = ["MOST_DELAY", "PARAMETERS", "RESISTANCE", "Parameter"]
-
 MOST_DELAY = 0.3
 """Longest delay of commands and of the camera [s]."""
 

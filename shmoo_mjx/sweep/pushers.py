@@ -14,30 +14,16 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from shmoo_mjx.arrays import Array
 from shmoo_mjx.control import pushing, quasi_static
-from shmoo_mjx.control.pushing import ObjectObservation, PushConfig
+from shmoo_mjx.control.observation import ObjectObservation
+from shmoo_mjx.control.pushing import PushConfig
 from shmoo_mjx.learning.weights import Weights, prior_state
 from shmoo_mjx.navigation.push_task import pose_push_config
 from shmoo_mjx.skills import contact, hold, retreat
 from shmoo_mjx.skills.push import lets_go
 from shmoo_mjx.sweep.config import Controller
-from shmoo_mjx.types import Array, Command
-
-__all__ = [
-    "APPROACH",
-    "DONE",
-    "FELL",
-    "LET_GO",
-    "PUSH",
-    "UNSTABLE",
-    "PolicyState",
-    "PushPolicy",
-    "WorldGoal",
-    "init",
-    "policy_of",
-    "push_config",
-    "step",
-]
+from shmoo_mjx.types import Command
 
 APPROACH, PUSH, LET_GO, DONE, FELL, UNSTABLE = range(6)
 """Phases of a push; from DONE on nothing happens any more."""

@@ -8,14 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array
 from shmoo_mjx.evaluation.pushing_trials import resistance
 from shmoo_mjx.sweep import pushers
 from shmoo_mjx.sweep.config import SweepConfig
 from shmoo_mjx.sweep.parameters import RESISTANCE
 from shmoo_mjx.sweep.worlds import Drawn
-from shmoo_mjx.types import Array
-
-__all__ = ["Tally", "rows_of"]
 
 
 class Tally(NamedTuple):

@@ -26,8 +26,6 @@ from shmoo_mjx.versions import versions
 if TYPE_CHECKING:
     from shmoo_mjx.sweep.simulate import Batches
 
-__all__ = ["Estimate", "Shard", "ShardRunner", "Sweep", "duration", "read_table"]
-
 
 class Shard(NamedTuple):
     """Worlds first .. first + worlds - 1 of one family under one controller."""

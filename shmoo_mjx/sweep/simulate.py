@@ -19,7 +19,8 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from shmoo_mjx import se2
-from shmoo_mjx.control.pushing import ObjectObservation
+from shmoo_mjx.arrays import Array
+from shmoo_mjx.control.observation import ObjectObservation
 from shmoo_mjx.learning.weights import Weights
 from shmoo_mjx.navigation.push_task import AT_REST
 from shmoo_mjx.plant.engine_mjx import MjxEngine, MjxWorld
@@ -36,9 +37,7 @@ from shmoo_mjx.sweep.config import SweepConfig
 from shmoo_mjx.sweep.parameters import MOST_DELAY
 from shmoo_mjx.sweep.rows import Tally, rows_of
 from shmoo_mjx.sweep.worlds import Drawn, WorldSetup, draw, scene_of, setup
-from shmoo_mjx.types import DT, Array, Command
-
-__all__ = ["Batches", "State", "commands_ago"]
+from shmoo_mjx.types import DT, Command
 
 _TICKS = round(DT / TICK)
 _MOST = round(MOST_DELAY / TICK)

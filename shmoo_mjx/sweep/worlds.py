@@ -18,9 +18,11 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from shmoo_mjx.arrays import Array
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.faces import faces_of, stand_off
-from shmoo_mjx.plant.objects import Condition, draw_condition
+from shmoo_mjx.plant.condition import Condition
+from shmoo_mjx.plant.objects import draw_condition
 from shmoo_mjx.plant.randomize import Factors
 from shmoo_mjx.plant.scene import Scene, build_scene
 from shmoo_mjx.sensing import senses as sensing
@@ -29,9 +31,6 @@ from shmoo_mjx.sensing.camera import Scenery, scenery_of
 from shmoo_mjx.sensing.odometry import TICK
 from shmoo_mjx.sweep.config import SweepConfig
 from shmoo_mjx.sweep.parameters import PARAMETERS
-from shmoo_mjx.types import Array
-
-__all__ = ["TICK", "Drawn", "WorldSetup", "draw", "label", "scene_of", "setup"]
 
 _OBJECT = "object."
 _FIELDS = (

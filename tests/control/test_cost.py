@@ -27,7 +27,7 @@ from shmoo_mjx.control.cost import (
     terminal_speed,
 )
 from shmoo_mjx.hands import REACH
-from shmoo_mjx.navigation.maps import ClearanceField
+from shmoo_mjx.navigation.clearance import ClearanceField
 from shmoo_mjx.types import SystemState
 
 BARE = PushCost(effort=0.0, change=0.0)

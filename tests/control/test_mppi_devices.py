@@ -95,12 +95,13 @@ from dataclasses import replace
 import jax, numpy as np
 from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.control import pushing
+from shmoo_mjx.control.observation import local_distance_field
 from shmoo_mjx.learning.weights import load_weights
 
 config = pushing.PushConfig()
 config = replace(config, control=replace(config.control, num_rollouts=20, horizon=3))
 controller = pushing.PushController(load_weights(asset(WEIGHTS)), config)
-around = pushing.local_distance_field(type("Free", (), {"at": lambda self, p: p[..., 0] * 0 + 9.0})(), np.zeros(2))
+around = local_distance_field(type("Free", (), {"at": lambda self, p: p[..., 0] * 0 + 9.0})(), np.zeros(2))
 half, u = np.full(2, 0.3), np.zeros(3)
 seen = pushing._STILL
 state = controller.init(seen, np.array([-0.3, 0.0, 0.0, 0.3]), half, jax.random.key(0))

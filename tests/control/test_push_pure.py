@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from shmoo_mjx.control import pushing
-from shmoo_mjx.control.pushing import LocalDistanceField, ObjectObservation, PushController
+from shmoo_mjx.control.observation import LocalDistanceField, ObjectObservation
+from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.dynamics import contact_model
 from shmoo_mjx.faces import faces_of, stand_off
 from shmoo_mjx.learning.weights import load_weights, prior_state, untrained

@@ -12,7 +12,8 @@ from shmoo_mjx.data.mirror import mirrored, mirrored_condition, with_mirror_imag
 from shmoo_mjx.dynamics import features
 from shmoo_mjx.dynamics.features import OBJECT_INPUTS, ROBOT_INPUTS, slices
 from shmoo_mjx.learning import robot_fit, samples
-from shmoo_mjx.plant.objects import Condition, draw_condition
+from shmoo_mjx.plant.condition import Condition
+from shmoo_mjx.plant.objects import draw_condition
 
 ODD = {"base_twist": (1, -1, -1), "lean": (1, -1), "lean_rate": (1, -1), "face_pose": (1, -1, -1)}
 ODD |= {"relative_twist": (1, -1, -1), "last_force": (1, -1), "last_u": (1, -1, -1), "u": (1, -1, -1)}

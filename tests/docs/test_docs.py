@@ -12,7 +12,8 @@ import yaml
 
 from shmoo_mjx.dynamics import features
 from shmoo_mjx.navigation.scenario import Scenario
-from shmoo_mjx.plant.objects import FAMILIES, Condition, draw_condition
+from shmoo_mjx.plant.condition import Condition
+from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [

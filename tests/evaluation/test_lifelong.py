@@ -24,7 +24,8 @@ from shmoo_mjx.navigation.footprints import footprint_polygon
 from shmoo_mjx.navigation.maps import OccupancyGrid
 from shmoo_mjx.navigation.paths import path_blocked_by, plan_path
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS
-from shmoo_mjx.plant.objects import Condition, draw_condition
+from shmoo_mjx.plant.condition import Condition
+from shmoo_mjx.plant.objects import draw_condition
 
 
 def moves(condition: Condition, side: int) -> bool:

@@ -26,7 +26,8 @@ from shmoo_mjx.navigation.footprints import footprint_polygon, footprints_free
 from shmoo_mjx.navigation.maps import FREE, OccupancyGrid, clearance_field, load_map
 from shmoo_mjx.navigation.paths import Path, plan_path
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, check_scenario
-from shmoo_mjx.plant.objects import Condition, draw_condition
+from shmoo_mjx.plant.condition import Condition
+from shmoo_mjx.plant.objects import draw_condition
 
 CFG = ScenarioConfig(path=(3.0, 10.0))
 REAL_MAPS = FilePath(__file__).resolve().parents[3] / "shared" / "maps"

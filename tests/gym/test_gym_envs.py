@@ -20,10 +20,11 @@ from shmoo_mjx import se2
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.gym import navigate, single, task
 from shmoo_mjx.gym.push import PushEnvConfig, PushEnvTask
+from shmoo_mjx.navigation.clearance import ClearanceField
 from shmoo_mjx.navigation.floorplan import demo_scenario
 from shmoo_mjx.navigation.footprints import footprint_polygon
-from shmoo_mjx.navigation.maps import ClearanceField, OccupancyGrid, clearance_field
-from shmoo_mjx.navigation.path_shortening import PathConfig
+from shmoo_mjx.navigation.line_costs import PathConfig
+from shmoo_mjx.navigation.maps import OccupancyGrid, clearance_field
 from shmoo_mjx.navigation.paths import plan_path
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Scenario
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine

@@ -8,16 +8,16 @@ import pytest
 from shmoo_mjx import se2
 from shmoo_mjx.control import equilibrium_lean
 from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH
-from shmoo_mjx.navigation import drive, flat_trajectory
+from shmoo_mjx.navigation import drive, flat_qp
 from shmoo_mjx.navigation.clearance import ClearanceField
-from shmoo_mjx.navigation.flat_trajectory import FlatModel
+from shmoo_mjx.navigation.flat_model import FlatModel
 from shmoo_mjx.navigation.paths import Path
 from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.plant.scene import build_scene
 from shmoo_mjx.sensing import REAL, SensedEngine
 from shmoo_mjx.types import Command, Observation
 
-PLANNER = flat_trajectory.init(FlatModel(*shmoobot().flatness))
+PLANNER = flat_qp.init(FlatModel(*shmoobot().flatness))
 
 
 @pytest.mark.parametrize("rate", [-0.8, 0.0, 0.8])

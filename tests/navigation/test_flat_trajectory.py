@@ -9,14 +9,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shmoo_mjx.navigation import flat_qp, maps, paths
+from shmoo_mjx.navigation import flat_model, flat_qp, maps, paths
 from shmoo_mjx.navigation import flat_trajectory as flat
-from shmoo_mjx.navigation.flat_trajectory import FlatModel, TrajectoryConfig
+from shmoo_mjx.navigation.clearance import ClearanceField
+from shmoo_mjx.navigation.flat_model import FlatModel
+from shmoo_mjx.navigation.flat_qp import TrajectoryConfig
 from shmoo_mjx.navigation.maps import OCCUPIED, OccupancyGrid
 from shmoo_mjx.navigation.paths import Path
 
 MODEL = FlatModel(a=21.9053, b=14.269, c=174.618)
-PLANNER = flat.init(MODEL)
+PLANNER = flat_qp.init(MODEL)
 CFG = PLANNER.cfg
 
 
@@ -28,7 +30,7 @@ def at_rest(x: float = 0.0, y: float = 0.0) -> np.ndarray:
     return MODEL.flat_state([x, y], [0, 0], [0, 0], [0, 0])
 
 
-def follow(path: Path, field: maps.ClearanceField | None, seconds: float, every: float = 0.3) -> dict[str, np.ndarray]:
+def follow(path: Path, field: ClearanceField | None, seconds: float, every: float = 0.3) -> dict[str, np.ndarray]:
     """Receding horizon without disturbance: the state is where the trajectory said it would be."""
     state, samples, oks = at_rest(*path.points[0]), [], []
     for _ in range(round(seconds / every)):
@@ -91,9 +93,9 @@ def test_the_program_and_the_trajectory_mean_the_same_positions() -> None:
 
 def test_a_narrow_corridor_is_kept_where_smoothness_would_cut_the_bend(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(flat_qp, "_SMOOTH_WEIGHT", 0.05)
-    lazy = flat.init(MODEL)
+    lazy = flat_qp.init(MODEL)
     u = lazy.times / CFG.horizon
-    along = flat.rest_to_rest(0.7, CFG.horizon, lazy.times)[:, 0]
+    along = flat_model.rest_to_rest(0.7, CFG.horizon, lazy.times)[:, 0]
     reference = np.stack([along, 0.05 * np.sin(np.pi * u) ** 4], axis=-1)
 
     def deviation(width: float) -> float:
@@ -155,21 +157,21 @@ def test_says_in_words_why_there_is_no_trajectory() -> None:
 @settings(max_examples=20, deadline=None)
 @given(st.floats(0.2, 5.0), st.floats(0.02, 0.2))
 def test_rest_to_rest_keeps_its_limits_and_no_shorter_time_does(distance: float, lean_max: float) -> None:
-    duration = flat.rest_to_rest_time(MODEL, distance, lean_max)
-    s = flat.rest_to_rest(distance, duration, np.linspace(0.0, duration, 2001))
+    duration = flat_model.rest_to_rest_time(MODEL, distance, lean_max)
+    s = flat_model.rest_to_rest(distance, duration, np.linspace(0.0, duration, 2001))
     assert np.allclose(s[0], 0) and np.allclose(s[-1], [distance, 0, 0, 0, 0], atol=1e-9)
     assert np.abs(s[:, 2]).max() * MODEL.a / MODEL.c == pytest.approx(lean_max, rel=1e-3)
     assert np.abs(s[:, 1]).max() == pytest.approx(2.461 * distance / duration, rel=1e-3)
-    slow = flat.rest_to_rest_time(MODEL, distance, lean_max, speed_max=0.05)
+    slow = flat_model.rest_to_rest_time(MODEL, distance, lean_max, speed_max=0.05)
     assert slow >= duration and 2.461 * distance / slow <= 0.05 + 1e-9
 
 
 def test_spline_comes_close_to_the_degree_nine_oracle() -> None:
     """In the time the degree-9 motion needs under the same lean limit, the QP gets there too."""
     distance, lean_max = 0.8, 0.06
-    duration = flat.rest_to_rest_time(MODEL, distance, lean_max)
+    duration = flat_model.rest_to_rest_time(MODEL, distance, lean_max)
     cfg = TrajectoryConfig(horizon=duration, lean_max=lean_max, speed_max=2.0, speed=2.0, acceleration=2.0)
-    trajectory = flat.plan(flat.init(MODEL, cfg), at_rest(), straight(distance))
+    trajectory = flat.plan(flat_qp.init(MODEL, cfg), at_rest(), straight(distance))
     assert trajectory.ok
     assert np.allclose(flat.evaluate(trajectory, duration).position, [distance, 0.0], atol=0.01)
     lean = flat.evaluate(trajectory, np.linspace(0.0, duration, 300)).lean

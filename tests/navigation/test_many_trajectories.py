@@ -10,16 +10,18 @@ from scipy import ndimage
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from shmoo_mjx.navigation import drive, flat_trajectory, maps, paths
-from shmoo_mjx.navigation.flat_trajectory import FlatModel, TrajectoryConfig
-from shmoo_mjx.navigation.maps import OCCUPIED, ClearanceField, OccupancyGrid
-from shmoo_mjx.navigation.path_shortening import PathConfig
+from shmoo_mjx.navigation import drive, flat_qp, flat_trajectory, maps, paths
+from shmoo_mjx.navigation.clearance import ClearanceField
+from shmoo_mjx.navigation.flat_model import FlatModel
+from shmoo_mjx.navigation.flat_qp import TrajectoryConfig
+from shmoo_mjx.navigation.line_costs import PathConfig
+from shmoo_mjx.navigation.maps import OCCUPIED, OccupancyGrid
 from shmoo_mjx.navigation.paths import Path, plan_path
 from shmoo_mjx.plant.robot import shmoobot
 
 REAL_MAPS = sorted((FilePath(__file__).resolve().parents[3] / "shared" / "maps").glob("*/*.yaml"))
 MODEL = FlatModel(*shmoobot().flatness)
-PLANNER = flat_trajectory.init(MODEL, TrajectoryConfig(robot_radius=0.24))
+PLANNER = flat_qp.init(MODEL, TrajectoryConfig(robot_radius=0.24))
 
 
 def world(rng: np.random.Generator) -> tuple[OccupancyGrid, ClearanceField]:

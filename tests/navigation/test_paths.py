@@ -15,9 +15,10 @@ from scipy import ndimage, sparse
 from scipy.sparse.csgraph import dijkstra
 
 from shmoo_mjx.navigation import footprints, lattice, maps, path_search, paths
-from shmoo_mjx.navigation.line_costs import line_costs
+from shmoo_mjx.navigation.footprints import footprint_polygon
+from shmoo_mjx.navigation.line_costs import PathConfig, line_costs
 from shmoo_mjx.navigation.maps import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
-from shmoo_mjx.navigation.paths import Path, PathConfig, plan_path
+from shmoo_mjx.navigation.paths import Path, plan_path
 
 REAL_MAPS = FilePath(__file__).resolve().parents[3] / "shared" / "maps"
 SHORTEST = PathConfig(soft_weight=0.0)
@@ -84,7 +85,7 @@ def test_a_sparse_lattice_finds_a_way_exactly_where_the_cells_have_one(seed: int
     grid, radius = random_grid(seed, (36, 40)), 0.12
     rng = np.random.default_rng(seed)
     boxes = [
-        paths.footprint_polygon((*grid.cell_to_world(rng.uniform(0, 36, 2)), rng.uniform(-3, 3)), (0.3, 0.2))
+        footprint_polygon((*grid.cell_to_world(rng.uniform(0, 36, 2)), rng.uniform(-3, 3)), (0.3, 0.2))
         for _ in range(2)
     ]
     field = footprints.add_obstacles(maps.clearance_field(grid), boxes)
@@ -107,8 +108,8 @@ def test_a_sparse_lattice_finds_a_way_exactly_where_the_cells_have_one(seed: int
 def test_answers_do_not_depend_on_what_was_asked_before() -> None:
     grid = corridor()
     field, start, goal = maps.clearance_field(grid), (1.0, 0.8), (7.0, 0.8)
-    box = paths.footprint_polygon((3.95, 1.5, 0.3), (0.2, 0.2))
-    elsewhere = paths.footprint_polygon((1.0, 3.0, 0.0), (0.2, 0.2))
+    box = footprint_polygon((3.95, 1.5, 0.3), (0.2, 0.2))
+    elsewhere = footprint_polygon((1.0, 3.0, 0.0), (0.2, 0.2))
     queries: list[list[shapely.Polygon]] = [[], [box], [elsewhere], [], [box, elsewhere], [box]]
     shared = [plan_path(grid, start, goal, obstacles, field=field) for obstacles in queries]
     fresh = [plan_path(grid, start, goal, obstacles) for obstacles in queries]
@@ -148,7 +149,7 @@ def test_open_floor_gives_one_straight_line() -> None:
 
 def test_obstacles_unknown_cells_and_closed_doors_block() -> None:
     grid, start, goal = corridor(), (1.0, 2.0), (7.0, 2.0)
-    box = paths.footprint_polygon((3.95, 2.1, 0.3), (0.3, 0.3))
+    box = footprint_polygon((3.95, 2.1, 0.3), (0.3, 0.3))
     assert plan_path(grid, start, goal, [box]) is None
     assert plan_path(grid, start, goal, [box], robot_radius=0.1) is not None
     cells = grid.cells.copy()
@@ -161,7 +162,7 @@ def test_obstacles_unknown_cells_and_closed_doors_block() -> None:
 def test_robot_too_near_a_wall_gets_out_but_not_through_a_gap(monkeypatch: pytest.MonkeyPatch) -> None:
     path = plan_path(corridor(), (3.65, 0.8), (1.0, 2.0))  # 0.15 m from the wall
     assert path is not None and path.length < 3.3
-    box = paths.footprint_polygon((3.95, 2.1, 0.0), (0.3, 0.45))  # leaves 0.25 m on either side
+    box = footprint_polygon((3.95, 2.1, 0.0), (0.3, 0.45))  # leaves 0.25 m on either side
     beside = (3.45, 1.7)
     assert plan_path(corridor(), beside, (7.0, 2.0), [box]) is None
     assert plan_path(corridor(), beside, (1.0, 2.0), [box]) is not None
@@ -190,10 +191,10 @@ def test_projection_undoes_point_at(s: float) -> None:
 
 
 def test_a_path_is_blocked_where_the_disc_first_touches() -> None:
-    box = paths.footprint_polygon((2.0, 1.5, 0.0), (0.2, 0.3))
+    box = footprint_polygon((2.0, 1.5, 0.0), (0.2, 0.3))
     blocked, s = paths.path_blocked_by(BEND, box, 0.25)
     assert blocked and s == pytest.approx(2.0 + 1.2 - 0.25, abs=1e-3)
-    beside = paths.footprint_polygon((1.0, 0.6, 0.0), (0.2, 0.3))
+    beside = footprint_polygon((1.0, 0.6, 0.0), (0.2, 0.3))
     assert paths.path_blocked_by(BEND, beside, 0.29) == (False, None)
     assert paths.path_blocked_by(BEND, beside, 0.31)[0]
     assert paths.path_blocked_by(BEND, beside, 0.31, after=2.0) == (False, None)
@@ -225,7 +226,7 @@ def test_footprints_are_checked_whole() -> None:
 def test_footprint_check_agrees_with_exact_geometry(x: float, y: float, yaw: float) -> None:
     grid, half = corridor(), (0.45, 0.25)
     walls = [shapely.box(cx - hx, cy - hy, cx + hx, cy + hy) for cx, cy, hx, hy in maps.occupied_rectangles(grid)]
-    body = paths.footprint_polygon((x, y, yaw), half)
+    body = footprint_polygon((x, y, yaw), half)
     outside = shapely.box(-9, -9, 99, 99).difference(shapely.box(*grid.bounds))
     gap = min(body.distance(shape) for shape in (*walls, outside))
     assume(not 0.0 < gap < 0.05)
@@ -238,7 +239,7 @@ def test_footprint_check_agrees_with_exact_geometry(x: float, y: float, yaw: flo
 @given(st.floats(0.5, 7.5), st.floats(0.5, 3.5), st.floats(-3, 3))
 def test_field_with_obstacle_is_the_distance_to_it(x: float, y: float, yaw: float) -> None:
     grid = OccupancyGrid(np.zeros((40, 80), np.int8), 0.1, (0.0, 0.0, 0.1))
-    body = paths.footprint_polygon((x, y, yaw), (0.3, 0.2))
+    body = footprint_polygon((x, y, yaw), (0.3, 0.2))
     before = maps.clearance_field(grid)
     after = footprints.add_obstacles(before, [body], reach=1.0)
     centres = grid.centres
@@ -252,9 +253,9 @@ def test_field_with_obstacle_is_the_distance_to_it(x: float, y: float, yaw: floa
 @given(st.integers(0, 10**6), st.floats(0.0, 0.4), st.floats(-3, 3))
 def test_distance_to_a_polygon_is_that_of_shapely(seed: int, margin: float, yaw: float) -> None:
     rng = np.random.default_rng(seed)
-    convex = paths.footprint_polygon((0.3, -0.2, yaw), rng.uniform(0.05, 1.0, 2))
+    convex = footprint_polygon((0.3, -0.2, yaw), rng.uniform(0.05, 1.0, 2))
     shapes = [convex, convex.buffer(margin), convex.reverse(), shapely.MultiPoint(rng.normal(size=(9, 2))).convex_hull]
-    shapes.append(convex.union(paths.footprint_polygon((0.3, -0.2, yaw + 0.7), (1.2, 0.1))))  # not convex
+    shapes.append(convex.union(footprint_polygon((0.3, -0.2, yaw + 0.7), (1.2, 0.1))))  # not convex
     points = rng.normal(0.0, 1.5, size=(60, 5, 2))
     for shape in shapes:
         exact = shapely.distance(shape, shapely.points(points))
@@ -263,7 +264,7 @@ def test_distance_to_a_polygon_is_that_of_shapely(seed: int, margin: float, yaw:
 
 def test_fields_with_obstacles_are_remembered_and_never_mixed_up() -> None:
     field = maps.clearance_field(corridor())
-    box, other = (paths.footprint_polygon((x, 2.0, 0.2), (0.3, 0.2)) for x in (1.5, 2.0))
+    box, other = (footprint_polygon((x, 2.0, 0.2), (0.3, 0.2)) for x in (1.5, 2.0))
     first = footprints.add_obstacles(field, [box])
     assert footprints.add_obstacles(field, [shapely.Polygon(box)]) is first
     assert not np.array_equal(footprints.add_obstacles(field, [other]).values, first.values)

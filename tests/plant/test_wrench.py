@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 from shmoo_mjx import se2
 from shmoo_mjx.hands import HAND_HEIGHT, REACH
 from shmoo_mjx.plant import lowlevel
+from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.joint_torque import joint_torque_wrench
-from shmoo_mjx.plant.objects import Condition, draw_condition
+from shmoo_mjx.plant.objects import draw_condition
 from shmoo_mjx.plant.observe import planar_wrench
 from shmoo_mjx.plant.robot import readout, shmoobot
 from shmoo_mjx.plant.scene import Scene, build_scene

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shmoo_mjx.control.pushing import ObjectObservation
+from shmoo_mjx.control.observation import ObjectObservation
 from shmoo_mjx.faces import faces_of, stand_off
 from shmoo_mjx.hands import CONTACT_FORCE, REACH, TUCKED_REACH, touches
 from shmoo_mjx.skills import approach, batched, contact, hold, push, retreat

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from shmoo_mjx.control.pushing import ObjectObservation
+from shmoo_mjx.control.observation import ObjectObservation
 from shmoo_mjx.control.quasi_static import control
 from shmoo_mjx.faces import faces_of, stand_off
 from shmoo_mjx.hands import REACH

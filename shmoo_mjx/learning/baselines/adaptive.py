@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from shmoo_mjx.arrays import Array
 from shmoo_mjx.dynamics import contact_model, object_model
 from shmoo_mjx.dynamics.object_model import ObjectConfig
 from shmoo_mjx.learning import daiml, identification, least_squares
@@ -17,19 +18,6 @@ from shmoo_mjx.learning.baselines.networks import mlp
 from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, Recordings
 from shmoo_mjx.learning.baselines.sight import sight
 from shmoo_mjx.learning.daiml import NORM_CAP, DaimlConfig, ObjectFit
-from shmoo_mjx.types import Array
-
-__all__ = [
-    "daiml_config",
-    "from_fit",
-    "ours",
-    "paper_config",
-    "paper_form",
-    "prior",
-    "prior_of",
-    "residual",
-    "trained",
-]
 
 
 def paper_config() -> DaimlConfig:

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import optax
 
+from shmoo_mjx.arrays import Array
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning import least_squares, multistep, training
 from shmoo_mjx.learning import samples as batches
@@ -16,9 +17,6 @@ from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, Recor
 from shmoo_mjx.learning.baselines.sight import Sight
 from shmoo_mjx.learning.daiml import LABEL_FLOOR
 from shmoo_mjx.learning.samples import Sampler, Samples
-from shmoo_mjx.types import Array
-
-__all__ = ["MetaTask", "meta_train"]
 
 Tree = Any
 

@@ -8,13 +8,11 @@ import jax
 import jax.numpy as jnp
 from flax import linen as nn
 
+from shmoo_mjx.arrays import Array
 from shmoo_mjx.dynamics.networks import MLP
 from shmoo_mjx.learning.baselines.gradient import meta_train
 from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, output_scale
 from shmoo_mjx.learning.baselines.sight import sight
-from shmoo_mjx.types import Array
-
-__all__ = ["gru", "mlp"]
 
 HIDDEN = (128, 128, 50)
 """Hidden layers of every network here: those of psi."""

@@ -8,12 +8,11 @@ import jax
 import jax.numpy as jnp
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array
 from shmoo_mjx.dynamics import features
 from shmoo_mjx.learning import least_squares
 from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, output_scale
-from shmoo_mjx.types import DT, Array
-
-__all__ = ["constant_velocity", "trigonometric"]
+from shmoo_mjx.types import DT
 
 
 def trigonometric(job: Job) -> Predictor:

@@ -13,22 +13,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from shmoo_mjx.arrays import Array
 from shmoo_mjx.data import store
 from shmoo_mjx.learning.samples import Samples, label_scale, samples_from_dataset
-from shmoo_mjx.types import DT, Array
-
-__all__ = [
-    "Budget",
-    "Context",
-    "Fit",
-    "Job",
-    "Method",
-    "Predictor",
-    "Recordings",
-    "first_samples",
-    "output_scale",
-    "recordings",
-]
+from shmoo_mjx.types import DT
 
 State = Any
 Setting = dict[str, Any]

@@ -11,15 +11,13 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
+from shmoo_mjx.arrays import Array
 from shmoo_mjx.dynamics import object_model
 from shmoo_mjx.dynamics.object_model import ObjectConfig
 from shmoo_mjx.learning import identification, training_contacts
 from shmoo_mjx.learning.baselines.protocol import Context, Job, output_scale
 from shmoo_mjx.learning.identification import IdentificationConfig
 from shmoo_mjx.learning.training_contacts import Found
-from shmoo_mjx.types import Array
-
-__all__ = ["Sight", "sight"]
 
 NARROWEST = 1e-3
 """Least standard deviation that an input is divided by."""
