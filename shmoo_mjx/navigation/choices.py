@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import shapely
 
 from shmoo_mjx.control.observation import local_distance_field
 from shmoo_mjx.faces import faces_of, heading
@@ -28,6 +29,8 @@ _ASK_AGAIN = 1.0
 """Time between two looks meanwhile [s]."""
 _SLACK = 0.03
 """By how much an object may come nearer to the path than the robot's radius before it blocks it [m]."""
+_LEFT_AFTER = 2 * ROBOT_RADIUS
+"""Distance along the path after which it keeps the robot's radius from what the robot stood too near to [m]."""
 _FAILED_FACE = 5.0
 """Way round that is taken rather than another face, for each face that has failed [m]: a try takes some 10 s."""
 _ACT_WITHIN = 2.2
@@ -111,13 +114,19 @@ def _second_chance(setup: Setup, state: NavigatorState, obs: Observation) -> tup
 
 
 def first_block(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[int, float] | None:
-    """The known object that blocks the path first, and how far along the path [m]."""
+    """The known object that blocks the path first, and how far along the path [m].
+
+    What the robot stands too near to, as after a push, does not block the beginning of a path that leads away from it.
+    """
     assert state.path is not None
-    here, found = project(state.path, obs.robot_pose[0, :2]), []
+    position, found = obs.robot_pose[0, :2], []
+    here = project(state.path, position)
     for index, known in state.belief.objects.items():
-        blocked, s = path_blocked_by(state.path, known.polygon, ROBOT_RADIUS - _SLACK, here)
-        if blocked and s is not None and s - here < _ACT_WITHIN:
-            found.append((s - here, index))
+        nearest = float(shapely.distance(known.polygon, shapely.Point(position)))
+        for clearance, after in ((min(nearest, ROBOT_RADIUS), here), (ROBOT_RADIUS, here + _LEFT_AFTER)):
+            blocked, s = path_blocked_by(state.path, known.polygon, clearance - _SLACK, after)
+            if blocked and s is not None and s - here < _ACT_WITHIN:
+                found.append((s - here, index))
     return (min(found)[1], min(found)[0]) if found else None
 
 

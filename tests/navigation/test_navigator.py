@@ -231,6 +231,20 @@ def test_what_rolls_away_after_a_short_touch_can_be_moved_and_is_let_go() -> Non
     assert "lost" in lost.reason and lost.t - began < 6.0
 
 
+@pytest.mark.parametrize("status", [Status.FIXED, Status.PARKED, Status.UNKNOWN])
+@pytest.mark.parametrize("gap", [0.2, 0.24])
+def test_what_it_stands_too_near_to_does_not_keep_it_from_setting_out(status: Status, gap: float) -> None:
+    grid, scenario = toy_scenario(2, movable=False)
+    world = World((3.0 - HALF[0] - gap, 2.0, np.pi), scenario.objects[0].pose, movable=False)
+    navigator = Navigator(
+        grid, [1.0, 2.6], [HALF], Stand(world), config=NavigatorConfig(planning_time=0.1), first_status=[status]
+    )  # type: ignore[arg-type]
+    while not navigator.finished and world.time < 20.0:
+        world.step(navigator.tick(world.observe()))
+    assert navigator.mode is Mode.DONE
+    assert len(navigator.plans) == 1, reasons(navigator)
+
+
 def test_an_immovable_box_is_registered_and_gone_round() -> None:
     navigator, _ = run(doors=2, movable=False, config=NavigatorConfig(detour=0.1))
     assert navigator.mode is Mode.DONE
