@@ -88,6 +88,7 @@ def rollouts(result: ExperimentResult) -> str:
 
 BLOCKS: dict[str, tuple[tuple[str, ...], Callable[[ExperimentResult], str]]] = {
     "control step": (("bench_mppi.json", "bench_mppi_quick.json"), control_step),
+    "control step elsewhere": (("bench_mppi_epyc.json",), control_step),
     "demo": (("bench_demo.json",), demo),
     "roll-outs": (("rollouts.json",), rollouts),
 }

@@ -56,7 +56,8 @@ def map_figure(result: dict[str, Any], trace: Trace) -> Figure:
     for number in telling_decisions(result):
         _mark_decision(axes, result, trace, number, result["decisions"][number])
     _mark_ends(axes, result, trace)
-    axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.08), ncols=4, fontsize=8, frameon=False)
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.08), ncols=4, fontsize=8, frameon=False)
     return figure
 
 
