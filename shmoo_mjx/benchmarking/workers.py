@@ -39,8 +39,13 @@ class Worker:
                 command, env=env, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._errors, text=True
             )
         except OSError as error:
+            self._errors.close()
             raise ShmooError(f"{command[0]}: {error.strerror}; give the path of a Python interpreter.") from None
-        self.about: dict[str, Any] = self._read()
+        try:
+            self.about: dict[str, Any] = self._read()
+        except ShmooError:
+            self.close()
+            raise
 
     def seconds(self, calls: int) -> tuple[list[float], int]:
         """The durations of ``calls`` control steps [s], and how many programs have been compiled since it was ready."""
@@ -59,6 +64,8 @@ class Worker:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+        assert self._process.stdout
+        self._process.stdout.close()
         self._errors.close()
 
     def _read(self) -> dict[str, Any]:
