@@ -10,6 +10,7 @@ import numpy as np
 from shmoo_mjx.evaluation.pushing_measures import PAPER
 from shmoo_mjx.evaluation.pushing_trials import GOALS, METHODS, Trial, scene_of_trial
 from shmoo_mjx.report.style import COLOURS, SERIES, blank_figure, outline, save_figure
+from shmoo_mjx.report.trace import read_arrays
 from shmoo_mjx.sensing import Senses
 
 _OWN = "0.45"  # Grey, for every method of the user's own.
@@ -27,8 +28,7 @@ def draw_figure(path: Path, rows: list[dict[str, Any]], folder: Path) -> None:
     for axis, family in zip(axes, families, strict=False):
         for row in rows:
             if row["method"] == "ours" and row["family"] == family:
-                track = np.load(folder / f"ours-{row['trial']}.npz")
-                way = track["object_pose"][:, :2]
+                way = _track(folder, row["trial"])["object_pose"][:, :2]
                 pieces = np.stack([way[:-1], way[1:]], axis=1)
                 progress = np.linspace(0, 1, len(pieces))
                 lines = axis.add_collection(LineCollection(list(pieces), array=progress, cmap="viridis", lw=1.2))
@@ -82,6 +82,11 @@ def _offsets(axis: Any, rows: list[dict[str, Any]]) -> None:
     axis.set_title("final offsets (bars: mean)")
 
 
+def _track(folder: Path, trial: str) -> dict[str, np.ndarray]:
+    """What was recorded of one of our trials."""
+    return read_arrays(folder / f"ours-{trial}.npz", "track")
+
+
 def film(path: Path, trial: Trial, folder: Path, senses: Senses) -> Path | None:
     """The film of one of our trials, drawn by MuJoCo; None where that can't draw."""
     from shmoo_mjx.plant.render import can_render, frames
@@ -89,7 +94,7 @@ def film(path: Path, trial: Trial, folder: Path, senses: Senses) -> Path | None:
 
     if can_render():
         return None
-    track = np.load(folder / f"ours-{trial.name}.npz")
+    track = _track(folder, trial.name)
     scene = scene_of_trial(trial, trial.condition, senses)
     stride = 2
     views = frames(scene, track["qpos"][::stride].astype(float))

@@ -57,7 +57,7 @@ def map_figure(result: dict[str, Any], trace: Trace) -> Figure:
         _mark_decision(axes, result, trace, number, result["decisions"][number])
     _mark_ends(axes, result, trace)
     if axes.get_legend_handles_labels()[0]:
-        axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.08), ncols=4, fontsize=8, frameon=False)
+        figure.legend(loc="outside lower left", ncols=8, fontsize=8, frameon=False)
     return figure
 
 

@@ -115,11 +115,11 @@ def _object_sentence(result: dict[str, Any], item: dict[str, Any]) -> str:
     decided = [d for d in result["decisions"] if object_index(result, d["object"]) == index and is_number(d.get("K"))]
     # What settled a registered object was its last decision; one that was pushed, its first.
     told = f" ({figures.evidence(decided[-1 if item.get('registered') else 0])})" if decided else ""
-    name, moved = f"the {item['family']} {item['id']}", _moved(item)
+    name, moved = f"{item['family']} {item['id']}", _moved(item)
     if item.get("registered"):
         return f"It concluded that {name} can't be moved{told} and went on with it as an obstacle in the map."
     if moved > 0.05:
-        return f"It pushed {name} {moved:.2f} m{told}."
+        return f"It pushed {name} by {moved:.2f} m{told}."
     return f"It left {name} where it was{told}."
 
 

@@ -96,7 +96,8 @@ def read_arrays(path: Path, what: str) -> dict[str, np.ndarray]:
         ShmooError: the file is missing or damaged.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
+        # Given a path of what is no archive, NumPy leaves the file open.
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
     except FileNotFoundError:
         raise ShmooError(f"{path}: there is no {what} here; give the folder of a finished run.") from None

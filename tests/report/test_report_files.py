@@ -109,8 +109,8 @@ def test_large_film_is_linked(
 def test_summary_says_what_happened(result: dict[str, Any]) -> None:
     text = html.summary(result)
     assert text.startswith("The robot reached its goal after 40 s, having driven 9.3 m")
-    assert "pushed the box box-1 1.10 m (K = 1.91 m²)" in text
-    assert "the wheelchair chair-2 can't be moved (K = 0.01 m²)" in text
+    assert "pushed box box-1 by 1.10 m (K = 1.91 m²)" in text
+    assert "wheelchair chair-2 can't be moved (K = 0.01 m²)" in text
     assert text.endswith("It never fell and never touched a wall.")
     assert "0.14 m from the goal" in text
     failed = html.summary(
