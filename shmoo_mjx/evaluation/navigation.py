@@ -60,7 +60,7 @@ POLICIES = {
     OURS: PolicyVariant(NavigatorConfig()),
     "oracle": PolicyVariant(NavigatorConfig(planner=_ALL_MOVABLE), _as_they_are),
     "always_avoid": PolicyVariant(
-        NavigatorConfig(second_chance=False), lambda generated: [Status.FIXED for _ in generated.movable]
+        NavigatorConfig(chances=0), lambda generated: [Status.FIXED for _ in generated.movable]
     ),
     "always_push": PolicyVariant(NavigatorConfig(goes_round=False, planner=_ALL_MOVABLE)),
 }

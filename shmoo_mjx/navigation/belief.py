@@ -52,14 +52,14 @@ class KnownObject:
     """Pose at which it was registered or parked."""
     fixed_at: float = 0.0
     """When it was registered as an obstacle [s]."""
-    retried: bool = False
-    """Has it been given another chance after its registration."""
+    chances: int = 0
+    """How often it has been tried again after its registration."""
     manipulable: bool | None = None
     """What the planning stage has found; None before."""
     gave_way: bool = False
     """Has a push ever moved it."""
-    failed_faces: frozenset[int] = frozenset()
-    """Faces from which it could not be moved."""
+    failed_faces: tuple[int, ...] = ()
+    """Faces from which it could not be moved, each as often as that was tried."""
 
     @property
     def polygon(self) -> shapely.Polygon:
@@ -151,7 +151,7 @@ def _perceived(
     new = replace(new, registered=pose)
     if known.status is Status.FIXED and not fixed_for_good:
         # Whoever moved it may have released its brakes: what was learned no longer holds.
-        new = replace(new, status=Status.UNKNOWN, adapt=None, pushes=0, failed_faces=frozenset())
+        new = replace(new, status=Status.UNKNOWN, adapt=None, pushes=0, failed_faces=())
         text += "; it counts as unknown again"
     return new, [*notes, text]
 

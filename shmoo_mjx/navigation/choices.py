@@ -50,7 +50,7 @@ def replan(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorSt
     state = _take_up_again(setup, state, obs)
     path = _to_goal(setup, state, obs)
     if path is None:
-        state, again = _second_chance(setup, state, obs)
+        state, again = _another_chance(setup, state, obs)
         path = _to_goal(setup, state, obs) if again else None
     if path is not None:
         state = _on_path(replace(state, gone_round=frozenset(), waits_from=None), now, path)
@@ -91,24 +91,28 @@ def _take_up_again(setup: Setup, state: NavigatorState, obs: Observation) -> Nav
     return state
 
 
-def _second_chance(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, bool]:
-    """With every route blocked, each registered object is tried once more, as if it had never been touched.
+def _another_chance(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, bool]:
+    """With every route blocked, each registered object is tried again, with nothing learned of it but which faces have
+    failed, that with the fewest chances first.
 
     Not in the moment in which it was registered: what was out of reach then would be so still.
     """
     cfg, now, objects = setup.config, float(obs.time[0]), state.belief.objects
-    rested = [i for i, o in objects.items() if o.status in _AVOIDED and not o.retried and now - o.fixed_at > 1.0]
-    if not cfg.second_chance or not rested:
+    rested = [
+        i for i, o in objects.items() if o.status in _AVOIDED and o.chances < cfg.chances and now - o.fixed_at > 1.0
+    ]
+    if not rested:
         return state, False
     others = [o.polygon for i, o in objects.items() if i not in rested]
     through = setup.routes(state).plan(obs.robot_pose[0, :2], others)
-    for index in rested:
-        if through is not None and path_blocked_by(through, objects[index].polygon, ROBOT_RADIUS)[0]:
-            pushes = min(objects[index].pushes, cfg.max_pushes - 1)
+    for index in sorted(rested, key=lambda i: objects[i].chances):
+        known = objects[index]
+        if through is not None and path_blocked_by(through, known.polygon, ROBOT_RADIUS)[0]:
+            pushes = min(known.pushes, cfg.max_pushes - 1)
             state = state.with_object(
-                index, status=Status.UNKNOWN, retried=True, adapt=None, pushes=pushes, failed_faces=frozenset()
+                index, status=Status.UNKNOWN, chances=known.chances + 1, adapt=None, pushes=pushes
             )
-            text = f"every route is blocked: object {index}, registered as an obstacle, is tried once more"
+            text = f"every route is blocked: object {index}, registered as an obstacle, is tried again"
             return state.with_events(Note(now, text)), True
     return state, False
 
@@ -164,14 +168,18 @@ def _start_push(
         text = f"object {index} has been pushed {known.pushes} times without clearing the path"
         return _give_up(setup, state, obs, index, text)
     faces, position, everything = faces_of(known.half_extents), obs.robot_pose[0, :2], state.belief.clearance()
-    ways = {i: routes.path_to_face(position, index, face, everything) for i, face in enumerate(faces)}
+    ways = {
+        i: routes.path_to_face(position, index, face, everything, known.failed_faces.count(i))
+        for i, face in enumerate(faces)
+    }
     usable = {i: way for i, way in ways.items() if way is not None and way[0].length < longest}
     if not usable:
         return _give_up(setup, state, obs, index, f"no face of object {index} can be reached on a way worth taking")
-    usable = {i: way for i, way in usable.items() if i not in known.failed_faces}
-    if not usable:
+    fewest = min(known.failed_faces.count(i) for i in usable)
+    if fewest > known.chances:
         text = f"object {index} could not be moved from any face that can be reached"
         return _give_up(setup, state, obs, index, text)
+    usable = {i: way for i, way in usable.items() if known.failed_faces.count(i) == fewest}
     around = state.belief.clearance(without=index)
     first = _first_goal(setup, state, obs, index, [heading(known.pose, faces[i]) for i in usable])
     if first.goal is None or first.direction is None:

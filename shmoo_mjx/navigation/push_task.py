@@ -326,7 +326,7 @@ class PushTask:
             self._go(obs, Phase.RETREAT, f"the object has not been detected for {UNDETECTED_LIMIT:g} s")
         elif len(pushed.poses) >= count and errors[1] - errors[2] < _STALL[0]:
             if errors[0] - errors[2] < 0.1:
-                failed = known.failed_faces | {segment.side}
+                failed = (*known.failed_faces, segment.side)
                 self.belief = self.belief.with_object(self._index, failed_faces=failed)
             self._go(obs, Phase.RETREAT, f"hardly nearer to its goal after {_STALL[1]:g} s")
         elif float(obs.time[0]) - pushed.started > _PUSH_LIMIT:

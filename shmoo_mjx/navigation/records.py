@@ -65,8 +65,9 @@ class NavigatorConfig:
     """Pushes of one object before it is registered as an obstacle; more try longer."""
     goes_round: bool = True
     """False: every object in the way is pushed, none is ever registered or gone round. For comparison."""
-    second_chance: bool = True
-    """Try each registered object once more before giving up."""
+    chances: int = 3
+    """How often each registered object is tried again where every route is blocked; more gets through more often, and
+    gives up later."""
     planner: ObjectPlannerConfig = ObjectPlannerConfig()
     trajectory: TrajectoryConfig = TrajectoryConfig(robot_radius=0.27)
 

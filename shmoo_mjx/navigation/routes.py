@@ -44,6 +44,8 @@ _OTHER_PATHS = 12
 _ASIDE = (0.0, 0.1, -0.1, 0.2, -0.2)
 """Places along a face from which contact is sought, one after the other [m]: one hand at least is on it. All but the
 middle only with the wider `_REACHING_ROOM`."""
+_BEGINS = (0, 3, 4)
+"""With which of them: at first in the middle, after a failure at one end, after another at the other end."""
 _WIDER_GAPS = (0.2, 0.3, 0.4)
 """Distances between hands and face from which contact is sought where a wall leaves no room nearer by [m]."""
 
@@ -98,16 +100,19 @@ class Routes:
         return check
 
     def path_to_face(
-        self, position: np.ndarray, index: int, face: np.ndarray, clearance: ClearanceField
+        self, position: np.ndarray, index: int, face: np.ndarray, clearance: ClearanceField, failed: int = 0
     ) -> tuple[Path, float, float] | None:
         """Way to the nearest stand-off pose at ``face [4]`` of object ``index`` where the robot has room, and that
         pose's gap and place along the face [m]; None if there is no room or no way. ``clearance`` is that of everything
-        known. Beside the middle of the face only where there is no room at it."""
+        known. Beside the middle of the face where there is no room at it, or where it has ``failed`` so often there: what is
+        jammed against a wall is turned by a push on its other end."""
         known, obstacles = self.belief.objects[index], self.belief.polygons()
         others = self.belief.clearance(without=index)
         gaps = (CONTACT_GAP, *_WIDER_GAPS)
         roomy, tight = _REACHING_ROOM
-        places = [*itertools.product((roomy,), _ASIDE, gaps), *itertools.product((tight,), (0.0,), gaps)]
+        first = _BEGINS[failed % len(_BEGINS)]
+        aside = (*_ASIDE[first:], *_ASIDE[:first])
+        places = [*itertools.product((roomy,), aside, gaps), *itertools.product((tight,), (0.0,), gaps)]
         for reserve, lateral, gap in places:
             wanted = stand_off(known.pose, face, gap, lateral)
             forward = np.stack([stand_off(known.pose, face, g, lateral) for g in np.linspace(gap, 0.0, 4)])

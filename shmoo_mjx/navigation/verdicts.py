@@ -213,7 +213,7 @@ def _stuck(setup: Setup, state: NavigatorState, now: float, why: str) -> Navigat
         return state.go(now, Mode.RETREAT, f"{why}; but it has been moved {moved:.2f} m, and is left where it is")
     if not setup.config.goes_round:
         return state.go(now, Mode.RETREAT, f"{why}; tried again, since going round is not allowed")
-    state = state.with_object(segment.object, failed_faces=known.failed_faces | {segment.side})
+    state = state.with_object(segment.object, failed_faces=(*known.failed_faces, segment.side))
     if known.gave_way:
         state = state.with_object(segment.object, status=Status.PARKED)
         return state.go(now, Mode.RETREAT, f"{why}; but it has given way before, and is left where it is")

@@ -137,6 +137,13 @@ def test_the_way_to_a_face_ends_at_its_stand_off_pose() -> None:
     assert fixed.plan(np.array([1.0, 3.0]), fixed.belief.polygons((Status.FIXED,))) is None
 
 
+@pytest.mark.parametrize(("failed", "lateral"), [(0, 0.0), (1, 0.2), (2, -0.2), (3, 0.0)])
+def test_a_face_that_has_failed_is_pushed_at_one_end_then_at_the_other(failed: int, lateral: float) -> None:
+    ways, _ = routes((3.0,), (3.0, 3.0, 0.0))
+    way = ways.path_to_face(np.array([1.0, 3.0]), 0, faces_of(HALF)[0], ways.belief.clearance(), failed)
+    assert way is not None and way[1:] == (0.12, lateral)
+
+
 def test_a_retreat_leads_away_from_the_object_to_where_there_is_room() -> None:
     ways, known = routes((3.0,), (3.0, 3.0, 0.0))
     back = ways.retreat_path(np.array([2.4, 3.0]), known.pose)
