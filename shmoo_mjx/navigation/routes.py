@@ -45,7 +45,7 @@ _ASIDE = (0.0, 0.1, -0.1, 0.2, -0.2)
 """Places along a face from which contact is sought, one after the other [m]: one hand at least is on it. All but the
 middle only with the wider `_REACHING_ROOM`."""
 _BEGINS = (0, 3, 4)
-"""With which of them: at first in the middle, after a failure at one end, after another at the other end."""
+"""Which of them is sought first: the middle, after a failure one end, after another the other end."""
 _WIDER_GAPS = (0.2, 0.3, 0.4)
 """Distances between hands and face from which contact is sought where a wall leaves no room nearer by [m]."""
 
@@ -104,8 +104,8 @@ class Routes:
     ) -> tuple[Path, float, float] | None:
         """Way to the nearest stand-off pose at ``face [4]`` of object ``index`` where the robot has room, and that
         pose's gap and place along the face [m]; None if there is no room or no way. ``clearance`` is that of everything
-        known. Beside the middle of the face where there is no room at it, or where it has ``failed`` so often there: what is
-        jammed against a wall is turned by a push on its other end."""
+        known. Beside the middle of the face only where there is no room at it, or where pushes there have ``failed`` so
+        often: what is jammed against a wall is turned by a push at its end."""
         known, obstacles = self.belief.objects[index], self.belief.polygons()
         others = self.belief.clearance(without=index)
         gaps = (CONTACT_GAP, *_WIDER_GAPS)
