@@ -7,6 +7,7 @@ twists. A psi without it, the paper's, learns by Eq. 8.
 
 from __future__ import annotations
 
+import jax.numpy as jnp
 import numpy as np
 
 from shmoo_mjx.arrays import Array, Float, Scalar
@@ -14,6 +15,9 @@ from shmoo_mjx.dynamics import contact_model, object_model
 from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
 from shmoo_mjx.learning import adaptation, identification
 from shmoo_mjx.learning.adaptation import AdaptConfig, AdaptState
+
+_BELIEVABLE = 1e4
+"""Size from which on a sample holds no measurement and teaches nothing [SI units]: no robot of this kind comes near."""
 
 
 def observe(
@@ -36,6 +40,8 @@ def observe(
         label: measured acceleration of the object in {O}.
         valid: False without contact, with stale or missing poses.
     """
+    believable = jnp.all(jnp.abs(inputs) < _BELIEVABLE) & jnp.all(jnp.abs(label) < _BELIEVABLE)
+    valid = jnp.asarray(valid) & believable
     if state.contact is not None:
         contact = identification.observe(config.contact, state.contact, inputs, label, valid)
         if not config.coefficients:
