@@ -32,7 +32,7 @@ _SLACK = 0.03
 _LEFT_AFTER = 2 * ROBOT_RADIUS
 """Distance along the path after which it keeps the robot's radius from what the robot stood too near to [m]."""
 _FAILED_FACE = 5.0
-"""Way round that is taken rather than another face, for each face that has failed [m]: a try takes some 10 s."""
+"""Way round that is taken rather than another face, for each push that has failed [m]: it takes some 10 s."""
 _ACT_WITHIN = 2.2
 """Distance along the path within which an object in the way is dealt with [m]: room to brake and for a stand-off
 pose."""

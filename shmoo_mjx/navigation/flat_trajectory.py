@@ -94,8 +94,17 @@ def plan(planner: Planner, state: Float[Array, "4 2"], path: Path, field: Cleara
     if not np.isfinite(state).all():
         return _failed(planner, "the robot's state is not finite", np.zeros((SAMPLES, 2)))
     reference, width, at_end = _reference(planner, state, path, field)
-    aim = (state, reference, width, at_end)
-    found = _solved(planner, *aim) or _solved(planner, *aim, recovery=True)
+
+    def attempt(lean_max: float = cfg.lean_max, recovery: bool = False) -> Trajectory | None:
+        limited = planner._replace(cfg=replace(cfg, lean_max=lean_max))
+        solution = solve(limited, state, reference, width, at_end, recovery)
+        if solution is None:
+            return None
+        found = Trajectory(True, "", solution[0], cfg.horizon, planner.model, reference, at_end, recovery)
+        reason = _leans_too_far(found, planner)
+        return found._replace(ok=not reason, reason=reason)
+
+    found = attempt() or attempt(recovery=True)
     if found is None:
         speed, lean = np.linalg.norm(state[1]), np.linalg.norm(state[2]) * planner.model.a / planner.model.c
         text = f"no trajectory keeps the limits from a speed of {speed:.2f} m/s and a lean of {lean:.3f} rad"
@@ -104,7 +113,7 @@ def plan(planner: Planner, state: Float[Array, "4 2"], path: Path, field: Cleara
         return found
     if float(field.at(evaluate(found, 0.0).position)) < cfg.robot_radius + _NEAR:
         # To lean away from what it stands near to, its ball first rolls towards that: less far if it leans less.
-        gentle = _solved(planner, *aim, lean_max=_GENTLE_LEAN)
+        gentle = attempt(_GENTLE_LEAN)
         if gentle is not None and gentle.ok and not _too_near(gentle, planner, field):
             return gentle
     return found._replace(ok=False, reason=reason)
@@ -153,25 +162,6 @@ def _reference(
         s = min(s + v * step, path.length)
         along.append(s)
     return point_at(path, np.array(along)), np.interp(along, ahead, half_width), bool(path.length - s < 0.02)
-
-
-def _solved(
-    planner: Planner,
-    state: Float[np.ndarray, "4 2"],
-    reference: Float[np.ndarray, "K 2"],
-    width: Float[np.ndarray, "K"],
-    at_end: bool,
-    recovery: bool = False,
-    lean_max: float | None = None,
-) -> Trajectory | None:
-    """The trajectory as far as limits are concerned, arguments as of ``solve``; None if there is none."""
-    cfg = planner.cfg if lean_max is None else replace(planner.cfg, lean_max=lean_max)
-    solution = solve(planner._replace(cfg=cfg), state, reference, width, at_end, recovery)
-    if solution is None:
-        return None
-    found = Trajectory(True, "", solution[0], planner.cfg.horizon, planner.model, reference, at_end, recovery)
-    reason = _leans_too_far(found, planner)
-    return found._replace(ok=not reason, reason=reason)
 
 
 def _leans_too_far(trajectory: Trajectory, planner: Planner) -> str:
