@@ -10,6 +10,7 @@ import numpy as np
 import shapely
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Bool, Float
 from shmoo_mjx.faces import stand_off
 from shmoo_mjx.hands import REACH, TUCKED_REACH
 from shmoo_mjx.navigation.belief import Belief, KnownObject, Status
@@ -52,28 +53,28 @@ _WIDER_GAPS = (0.2, 0.3, 0.4)
 
 @dataclass(frozen=True)
 class Routes:
-    """Path queries. All ``position [2]`` are the robot's, in {W} [m]."""
+    """Path queries. Every ``position`` is the robot's, in {W} [m]."""
 
     belief: Belief
-    goal: np.ndarray
-    """``[2]`` in {W} [m]."""
+    goal: Float[np.ndarray, "2"]
+    """In {W} [m]."""
 
-    def path_clear(self, position: np.ndarray, known: KnownObject) -> bool:
+    def path_clear(self, position: Float[np.ndarray, "2"], known: KnownObject) -> bool:
         """Whether the way on passes the object where it stands, little longer than without it."""
         path = self.free_path(position, known)
         around = self.free_path(position, known, known.polygon.buffer(_PATH_MARGIN))
         return path is not None and around is not None and around.length < path.length + _PASSING
 
     def free_path(
-        self, position: np.ndarray, known: KnownObject, instead: shapely.Polygon | None = None
+        self, position: Float[np.ndarray, "2"], known: KnownObject, instead: shapely.Polygon | None = None
     ) -> Path | None:
         """The way on as if ``known`` were not there, or stood where ``instead`` is."""
         others = [o.polygon for o in self.belief.objects.values() if o is not known and o.status is not Status.UNKNOWN]
         return self.plan(position, others if instead is None else [*others, instead])
 
     def collision_free(
-        self, position: np.ndarray, known: KnownObject, around: ClearanceField, path: Path | None
-    ) -> Callable[[np.ndarray], np.ndarray]:
+        self, position: Float[np.ndarray, "2"], known: KnownObject, around: ClearanceField, path: Path | None
+    ) -> Callable[[Float[np.ndarray, "P 3"]], Bool[np.ndarray, "P"]]:
         """CollisionCheck(M, P, g): the footprint clear of walls, other objects and the path P, as if it were not there.
 
         Where no pose leaves the path free, poses that leave room for another path, little longer, are taken (a
@@ -82,7 +83,7 @@ class Routes:
         half = np.array(known.half_extents)
         clearance = ROBOT_RADIUS + _PATH_MARGIN
 
-        def check(poses: np.ndarray) -> np.ndarray:
+        def check(poses: Float[np.ndarray, "P 3"]) -> Bool[np.ndarray, "P"]:
             off_walls = footprints_free(around, poses, half, wall_clearance=_WALL_MARGIN)
             if path is None or not off_walls.any():
                 return off_walls
@@ -100,9 +101,14 @@ class Routes:
         return check
 
     def path_to_face(
-        self, position: np.ndarray, index: int, face: np.ndarray, clearance: ClearanceField, failed: int = 0
+        self,
+        position: Float[np.ndarray, "2"],
+        index: int,
+        face: Float[np.ndarray, "4"],
+        clearance: ClearanceField,
+        failed: int = 0,
     ) -> tuple[Path, float, float] | None:
-        """Way to the nearest stand-off pose at ``face [4]`` of object ``index`` where the robot has room, and that
+        """Way to the nearest stand-off pose at ``face`` of object ``index`` where the robot has room, and that
         pose's gap and place along the face [m]; None if there is no room or no way. ``clearance`` is that of everything
         known. Beside the middle of the face only where there is no room at it, or where pushes there have ``failed`` so
         often: what is jammed against a wall is turned by a push at its end."""
@@ -122,15 +128,17 @@ class Routes:
                 return None if path is None else (path, gap, lateral)
         return None
 
-    def plan(self, position: np.ndarray, obstacles: list[shapely.Polygon]) -> Path | None:
+    def plan(self, position: Float[np.ndarray, "2"], obstacles: list[shapely.Polygon]) -> Path | None:
         """The path to the goal clear of walls and of ``obstacles``."""
         return self._path(position, self.goal, obstacles)
 
-    def _path(self, start: np.ndarray, end: np.ndarray, obstacles: list[shapely.Polygon]) -> Path | None:
+    def _path(
+        self, start: Float[np.ndarray, "2"], end: Float[np.ndarray, "2"], obstacles: list[shapely.Polygon]
+    ) -> Path | None:
         radius = ROBOT_RADIUS
         return plan_path(self.belief.grid, start, end, obstacles, radius, field=self.belief.walls)
 
-    def retreat_path(self, position: np.ndarray, object_pose: np.ndarray) -> Path | None:
+    def retreat_path(self, position: Float[np.ndarray, "2"], object_pose: Float[np.ndarray, "3"]) -> Path | None:
         """A short straight way to where the robot has room to turn and to fold its arms, away from an object that it
         touches; None if there is none near by."""
         away = np.arctan2(*(position - object_pose[:2])[::-1])

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from shmoo_mjx.arrays import Array
+from shmoo_mjx.arrays import Array, Float
 from shmoo_mjx.dynamics import contact_model, object_model
 from shmoo_mjx.dynamics.object_model import ObjectConfig
 from shmoo_mjx.learning import daiml, identification, least_squares
@@ -68,10 +68,10 @@ def residual(job: Job) -> Predictor:
     config = replace(daiml_config(job, DaimlConfig()), open_loop=False, horizon=1)
     prior, contacts, held_contacts = sees.found
 
-    def predicted(context: Context) -> Array:
+    def predicted(context: Context) -> Float[Array, "N m"]:
         return common.predict(common.adapt(context), context.inputs, context.time)
 
-    def left(recorded: Recordings, contacts: Array) -> daiml.Samples:
+    def left(recorded: Recordings, contacts: Float[Array, "C p"]) -> daiml.Samples:
         samples = recorded.samples
         contexts = Context(*samples[:3], recorded.time, contacts)
         return samples._replace(labels=samples.labels - np.asarray(jax.jit(jax.vmap(predicted))(contexts)))
@@ -80,11 +80,13 @@ def residual(job: Job) -> Predictor:
     found = prior, contacts[:, -1:], held_contacts
     own = from_fit(daiml.fit_samples(samples, held_out, config, _beside(job, "psi"), found=found), config)
 
-    def adapt(context: Context) -> tuple[Array, Array]:
+    def adapt(context: Context) -> tuple[Any, Any]:
         known = context._replace(contact=sees.contact(context))
         return common.adapt(known), own.adapt(known._replace(labels=known.labels - predicted(known)))
 
-    def predict(state: tuple[Any, Any], x: Array, time: Array) -> Array:
+    def predict(
+        state: tuple[Any, Any], x: Float[Array, "*batch n"], time: Float[Array, "*batch"]
+    ) -> Float[Array, "*batch m"]:
         return common.predict(state[0], x, time) + own.predict(state[1], x, time)
 
     return Predictor(jax.jit(adapt), predict)
@@ -96,7 +98,7 @@ def from_fit(fitted: ObjectFit, config: DaimlConfig) -> Predictor:
     fitted = fitted._replace(**{name: jax.tree.map(jnp.asarray, getattr(fitted, name)) for name in arrays})
     params, mean = fitted.params, fitted.prior_mean
 
-    def adapt(context: Context) -> tuple[Array, Array]:
+    def adapt(context: Context) -> tuple[Float[Array, "m K"], Float[Array, "p"]]:
         x, y, w = context.inputs, context.labels, context.weights
         contact = jnp.zeros(len(contact_model.PARAMETERS)) if context.contact is None else context.contact
         if config.object.contact_model and context.contact is None:
@@ -109,7 +111,9 @@ def from_fit(fitted: ObjectFit, config: DaimlConfig) -> Predictor:
         known = (mean.reshape(-1), fitted.prior_covariance, fitted.noise)
         return least_squares.posterior(phi, y, *known, w)[0].reshape(mean.shape), contact
 
-    def predict(known: tuple[Array, Array], x: Array, time: Array) -> Array:
+    def predict(
+        known: tuple[Float[Array, "m K"], Float[Array, "p"]], x: Float[Array, "*batch n"], time: Float[Array, "*batch"]
+    ) -> Float[Array, "*batch m"]:
         return object_model.predict(params, known[0], x, config.object, known[1])
 
     return Predictor(jax.jit(adapt), predict)

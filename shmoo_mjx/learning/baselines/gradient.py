@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from shmoo_mjx.arrays import Array
+from shmoo_mjx.arrays import Array, Float, Key
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning import least_squares, multistep, training
 from shmoo_mjx.learning import samples as batches
@@ -30,10 +30,10 @@ class MetaTask(NamedTuple):
     """One condition of an update."""
 
     context: Context
-    windows: tuple[Array, Array, Array]
-    """Inputs ``[B, 1, n]`` and labels ``[B, 1, m]`` that the loss is taken on, and the inputs one sample later."""
-    precision: Array
-    """``[m, m]`` inverse of Sigma_C in units of the label scale."""
+    windows: tuple[Float[Array, "B 1 n"], Float[Array, "B 1 m"], Float[Array, "B 1 n"]]
+    """Inputs and labels that the loss is taken on, and the inputs one sample later."""
+    precision: Float[Array, "m m"]
+    """Inverse of Sigma_C in units of the label scale."""
 
 
 class _State(NamedTuple):
@@ -68,13 +68,15 @@ def meta_train(
     sampler = batches.sampler(samples, 1, LABEL_FLOOR)
     optimiser = _optimiser(job)
 
-    def task_loss(params: Tree, task: MetaTask) -> Array:
+    def task_loss(params: Tree, task: MetaTask) -> Float[Array, ""]:
         predict = _known(predictor(params), task.context)
         return multistep.loss(predict, task.windows, task.precision, scale, feed_back=False)
 
     _, contacts, held_contacts = sees.found
 
-    def epoch(train: Recordings, contacts: Array, sampler: Sampler, state: _State) -> tuple[_State, Array]:
+    def epoch(
+        train: Recordings, contacts: Float[Array, "C M p"], sampler: Sampler, state: _State
+    ) -> tuple[_State, Array]:
         def update(state: _State, _: None) -> tuple[_State, Array]:
             key, batch_key = jax.random.split(jax.random.wrap_key_data(state.key))
             tasks = _draw(train, contacts, sampler, batch_key, adapt_samples)
@@ -88,10 +90,12 @@ def meta_train(
         return state, jnp.mean(losses)
 
     @jax.jit
-    def score(params: Tree, samples: Samples, contacts: Array) -> Array:
+    def score(params: Tree, samples: Samples, contacts: Float[Array, "C p"]) -> Float[Array, ""]:
         made = predictor(params)
 
-        def adapted(x: Array, y: Array, w: Array, contact: Array) -> multistep.Predict:
+        def adapted(
+            x: Float[Array, "N n"], y: Float[Array, "N m"], w: Float[Array, "N"], contact: Float[Array, "p"]
+        ) -> multistep.Predict:
             return _known(made, Context(x, y, w, jnp.zeros_like(w), contact))
 
         shares, _ = multistep.scores(samples, contacts, adapted, scale, job.fit_samples, 0, LABEL_FLOOR)
@@ -127,7 +131,9 @@ def _known(made: Predictor, context: Context) -> multistep.Predict:
     return lambda x: made.predict(state, x, jnp.zeros(x.shape[:-1]))
 
 
-def _draw(train: Recordings, contacts: Array, sampler: Sampler, key: Array, adapt_samples: int) -> MetaTask:
+def _draw(
+    train: Recordings, contacts: Float[Array, "C M p"], sampler: Sampler, key: Key[Array, ""], adapt_samples: int
+) -> MetaTask:
     """The batches that DAIML draws."""
     key, contact_key = jax.random.split(key)
     batch = batches.draw(train.samples, sampler, key, CONDITIONS, adapt_samples, ROWS, 1)

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from flax import linen as nn
 
-from shmoo_mjx.arrays import Array
+from shmoo_mjx.arrays import Array, Float
 from shmoo_mjx.dynamics.networks import MLP
 from shmoo_mjx.learning.baselines.gradient import meta_train
 from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, output_scale
@@ -46,17 +46,23 @@ def gru(job: Job) -> Predictor:
     }
 
     def predictor(params: Any) -> Predictor:
-        def read(memory: Array, sample: tuple[Array, Array]) -> tuple[Array, None]:
+        def read(
+            memory: Float[Array, "M"], sample: tuple[Float[Array, "n"], Float[Array, ""]]
+        ) -> tuple[Float[Array, "M"], None]:
             seen, weight = sample
             # A sample that does not count leaves the memory as it was.
             return memory + weight * (cell.apply(params["cell"], memory, seen)[0] - memory), None
 
-        def adapt(context: Context) -> tuple[Array, Array]:
+        def adapt(context: Context) -> tuple[Float[Array, "M"], Float[Array, "p"]]:
             contact = sees.contact(context)
             samples = jnp.concatenate([sees(context.inputs, contact), context.labels / scale], axis=-1)
             return jax.lax.scan(read, empty, (samples, context.weights))[0], contact
 
-        def predict(state: tuple[Array, Array], x: Array, time: Array) -> Array:
+        def predict(
+            state: tuple[Float[Array, "M"], Float[Array, "p"]],
+            x: Float[Array, "*batch n"],
+            time: Float[Array, "*batch"],
+        ) -> Float[Array, "*batch m"]:
             memory, contact = state
             known = jnp.broadcast_to(memory, (*x.shape[:-1], MEMORY))
             return head.apply(params["head"], jnp.concatenate([sees(x, contact), known], axis=-1)) * scale

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from shmoo_mjx.arrays import Array
+from shmoo_mjx.arrays import Array, Float
 from shmoo_mjx.data import store
 from shmoo_mjx.learning.samples import Samples, label_scale, samples_from_dataset
 from shmoo_mjx.types import DT
@@ -26,24 +26,22 @@ class Recordings(NamedTuple):
     """C conditions as arrays."""
 
     samples: Samples
-    time: Array
-    """``[C, N]`` since the recording began, gaps between episodes left out [s]."""
-    pose: Array
-    """``[C, N, 3]`` of the object in {W} at the start of each sample."""
+    time: Float[Array, "C N"]
+    """Since the recording began, gaps between episodes left out [s]."""
+    pose: Float[Array, "C N 3"]
+    """Of the object in {W} at the start of each sample."""
 
 
 class Context(NamedTuple):
     """What a method adapts on: some samples of one condition in the order they were recorded."""
 
-    inputs: Array
-    """``[N, n]``"""
-    labels: Array
-    """``[N, m]``"""
-    weights: Array
-    """``[N]`` 0 where a sample does not count."""
-    time: Array
-    """``[N]`` [s]"""
-    contact: Array | None = None
+    inputs: Float[Array, "N n"]
+    labels: Float[Array, "N m"]
+    weights: Float[Array, "N"]
+    """0 where a sample does not count."""
+    time: Float[Array, "N"]
+    """[s]"""
+    contact: Float[Array, "p"] | None = None
     """Contact parameters of the condition, where they are known already (`sight`)."""
 
 
@@ -119,6 +117,6 @@ def first_samples(recorded: Recordings, condition: int, count: int) -> Context:
     return Context(samples.inputs[i, :n], samples.labels[i, :n], samples.weights[i, :n], recorded.time[i, :n])
 
 
-def output_scale(samples: Samples) -> np.ndarray:
-    """The unit ``[m]`` in which methods predict."""
+def output_scale(samples: Samples) -> Float[np.ndarray, "m"]:
+    """The unit in which methods predict."""
     return np.asarray(label_scale(samples), np.float32)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from shmoo_mjx.arrays import Array
+from shmoo_mjx.arrays import Array, Float
 from shmoo_mjx.dynamics import object_model
 from shmoo_mjx.dynamics.object_model import ObjectConfig
 from shmoo_mjx.learning import identification, training_contacts
@@ -32,15 +32,13 @@ class Sight:
     fit: IdentificationConfig
     found: Found
     """Contact parameters of the training and validation conditions; zeros if the method sees none."""
-    label_scale: Array
-    """``[m]``"""
-    mean: Array
-    """``[n]`` of what is seen."""
-    spread: Array
-    """``[n]``"""
+    label_scale: Float[Array, "m"]
+    mean: Float[Array, "n"]
+    """Of what is seen."""
+    spread: Float[Array, "n"]
 
-    def contact(self, context: Context) -> Array:
-        """The contact parameters ``[p]`` of the condition; zeros if the method has no contact model."""
+    def contact(self, context: Context) -> Float[Array, "p"]:
+        """The contact parameters of the condition; zeros if the method has no contact model."""
         if context.contact is not None:
             return context.contact
         if not self.config.contact_model:
@@ -50,8 +48,8 @@ class Sight:
             self.fit, prior, self.label_scale, context.inputs, context.labels, context.weights
         )
 
-    def __call__(self, inputs: Array, contact: Array) -> Array:
-        """``[..., n]`` of ``inputs [..., 13]``, for contact parameters ``[p]``."""
+    def __call__(self, inputs: Float[Array, "*batch 13"], contact: Float[Array, "p"]) -> Float[Array, "*batch n"]:
+        """What is seen of samples of an object with these contact parameters."""
         seen = object_model.network_inputs(self.label_scale, inputs, self.config, contact)
         return (seen - self.mean) / self.spread
 
