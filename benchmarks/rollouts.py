@@ -175,7 +175,9 @@ def summary(rows: list[Row], times: list[Row]) -> list[Row]:
             both = [t for t in base if t in mine]
             pair = paired_difference([mine[t]["cost_m"] for t in both], [base[t]["cost_m"] for t in both])
             line |= {} if pair is None else {"more_m": pair.mean, "more_low_m": pair.low, "more_high_m": pair.high}
-        for row in (t for t in times if t["variant"] == variant.name):
+        # Noise is drawn before: the kinds take the same time.
+        timed = replace(variant, kind=KINDS[0]).name
+        for row in (t for t in times if t["variant"] == timed):
             line |= {f"{key}_{row['cores']}_cores": row[key] for key in ("median_ms", "p99_ms")}
         found.append(line)
     return found
@@ -256,7 +258,8 @@ def main() -> None:
     folder = args.out / fingerprint(Runner.__module__, (settings, args.condition_seed, drawn), asset(WEIGHTS))
     if "trials" in args.parts:
         run_trials({v.name: v for v in VARIANTS}, partial(push, trials), folder, say, args.workers, one_core)
-    asked = {f"{v.name}-{n}-cores-{args.steps}": (v, n) for v in VARIANTS for n in (1, 2) if n <= usable_cores()}
+    timed = [v for v in VARIANTS if v.kind == KINDS[0]]
+    asked = {f"{v.name}-{n}-cores-{args.steps}": (v, n) for v in timed for n in (1, 2) if n <= usable_cores()}
     if "times" in args.parts:
         run_trials(asked, partial(_clocked, args.steps), folder / "times", say, workers=1)
     rows = _read(args.json, folder, [v.name for v in VARIANTS], "cost_m", args.condition_seed)

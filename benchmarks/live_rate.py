@@ -1,0 +1,79 @@
+"""How fast the live page goes: samples and pictures per second, with and without a browser that looks at it.
+
+Run: python benchmarks/live_rate.py --seconds 40 --picture page.png (needs Chromium with its chromedriver)
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import tempfile
+import time
+from contextlib import closing
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from selenium import webdriver
+
+from shmoo_mjx.environment import prepare_environment
+from shmoo_mjx.types import DT
+
+
+def browser() -> Any:
+    """A headless Chromium that draws in software, as on a machine without a graphics card."""
+    options = webdriver.ChromeOptions()
+    options.binary_location = str(shutil.which("chromium"))
+    for argument in ("--headless=new", "--no-sandbox", "--window-size=1280,800", "--use-angle=swiftshader"):
+        options.add_argument(argument)
+    return webdriver.Chrome(options=options, service=webdriver.ChromeService(shutil.which("chromedriver")))
+
+
+def measure(scene: str, seconds: float, clients: int, picture: Path | None) -> str:
+    """A row of the table; the page is watched by ``clients`` browsers."""
+    from shmoo_mjx.learning.weights import load_weights
+    from shmoo_mjx.live.command import go_on
+    from shmoo_mjx.live.page import Page
+    from shmoo_mjx.live.session import Session, scene_named
+
+    with tempfile.TemporaryDirectory() as out:
+        session = Session(load_weights(), partial(scene_named, scene, Path(out)), "real", Path(out))
+        session.compile()
+        with closing(session), closing(Page(session, port=8100)) as page:
+            watching = [browser() for _ in range(clients)]
+            try:
+                for one in watching:
+                    one.get(page.url)
+                go_on(page, 15.0)  # until the page has loaded
+                began, late = time.perf_counter(), session.late
+                pictures, simulated = page.pictures, session.simulation.time
+                go_on(page, seconds)
+                passed = time.perf_counter() - began
+                if watching and picture is not None:
+                    watching[0].save_screenshot(str(picture))
+            finally:
+                for one in watching:
+                    one.quit()
+            rates = (session.simulation.time - simulated) / DT / passed, (page.pictures - pictures) / passed
+            step = 1e3 * np.median(session.spent)
+            return f"| {clients} | {rates[0]:.1f} | {rates[1]:.1f} | {step:.0f} | {session.late - late} |"
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scene", default="demo 3")
+    parser.add_argument("--seconds", type=float, default=40.0)
+    parser.add_argument("--clients", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--picture", type=Path, help="file for a picture of the page")
+    args = parser.parse_args()
+    prepare_environment()
+    print("| browsers | samples/s | pictures/s | control step, median [ms] | steps over 100 ms |")
+    print("|---|---|---|---|---|")
+    for clients in args.clients:
+        print(measure(args.scene, args.seconds, clients, args.picture), flush=True)
+
+
+if __name__ == "__main__":
+    main()
