@@ -1,4 +1,4 @@
-"""How fast the live page goes: samples and pictures per second, with and without a browser that looks at it.
+"""How fast the live page goes: samples, pictures sent and pictures drawn per second, by number of browsers.
 
 Run: python benchmarks/live_rate.py --seconds 40 --picture page.png (needs Chromium with its chromedriver)
 """
@@ -19,6 +19,9 @@ from selenium import webdriver
 
 from shmoo_mjx.environment import prepare_environment
 from shmoo_mjx.types import DT
+
+_COUNT = "window.drawn = 0; (function draw() { window.drawn++; requestAnimationFrame(draw); })()"
+"""Counts the pictures that a browser draws."""
 
 
 def browser() -> Any:
@@ -46,10 +49,13 @@ def measure(scene: str, seconds: float, clients: int, picture: Path | None) -> s
                 for one in watching:
                     one.get(page.url)
                 go_on(page, 15.0)  # until the page has loaded
+                for one in watching:
+                    one.execute_script(_COUNT)
                 began, late = time.perf_counter(), session.late
                 pictures, simulated = page.pictures, session.simulation.time
                 go_on(page, seconds)
                 passed = time.perf_counter() - began
+                drawn = [one.execute_script("return window.drawn") / passed for one in watching]
                 if watching and picture is not None:
                     watching[0].save_screenshot(str(picture))
             finally:
@@ -57,7 +63,8 @@ def measure(scene: str, seconds: float, clients: int, picture: Path | None) -> s
                     one.quit()
             rates = (session.simulation.time - simulated) / DT / passed, (page.pictures - pictures) / passed
             step = 1e3 * np.median(session.spent)
-            return f"| {clients} | {rates[0]:.1f} | {rates[1]:.1f} | {step:.0f} | {session.late - late} |"
+            seen = ", ".join(f"{rate:.0f}" for rate in drawn)
+            return f"| {clients} | {rates[0]:.1f} | {rates[1]:.1f} | {seen} | {step:.0f} | {session.late - late} |"
 
 
 def main() -> None:
@@ -69,8 +76,8 @@ def main() -> None:
     parser.add_argument("--picture", type=Path, help="file for a picture of the page")
     args = parser.parse_args()
     prepare_environment()
-    print("| browsers | samples/s | pictures/s | control step, median [ms] | steps over 100 ms |")
-    print("|---|---|---|---|---|")
+    print("| browsers | samples/s | sent/s | drawn/s | control step, median [ms] | steps over 100 ms |")
+    print("|---|---|---|---|---|---|")
     for clients in args.clients:
         print(measure(args.scene, args.seconds, clients, args.picture), flush=True)
 
