@@ -18,7 +18,7 @@ from scipy.interpolate import make_interp_spline
 from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array
 from shmoo_mjx.data.differentiate import body_acceleration
-from shmoo_mjx.dynamics import object_model
+from shmoo_mjx.dynamics import contact_model, object_model
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.files import write_whole
 from shmoo_mjx.hands import touches
@@ -285,13 +285,13 @@ def _summary(
         return " ".join([*sentences, f"It moved less than {_TOLD:g} m, too little to tell its mass and friction."])
     if "log_mass" in prior:
         now = dict(zip(names, learned, strict=True))
-        (mass, along, across), before = (
-            [float(np.exp(of[name])) for name in ("log_mass", "log_friction_x", "log_friction_y")]
-            for of in (now, prior)
+        (along, across, mass), before = (
+            (*contact_model.resistance(of).values(), float(np.exp(of["log_mass"]))) for of in (now, prior)
         )
         sentences.append(
-            f"It moves like {mass:.1f} kg with a friction of {along:.2f} along and {across:.2f} across; before it was "
-            f"touched, {before[0]:.1f} kg, {before[1]:.2f} and {before[2]:.2f} were expected."
+            f"Friction holds it with up to {along:.0f} N along and {across:.0f} N across, and it moves like {mass:.1f} "
+            f"kg, which slow pushes hardly tell; before it was touched, {before[0]:.0f} N, {before[1]:.0f} N and "
+            f"{before[2]:.1f} kg were expected."
         )
     sentences.append(
         f"Of its accelerations, {errors['learned']:.0%} of the variance is left unexplained by what the samples before "

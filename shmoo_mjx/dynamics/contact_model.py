@@ -11,6 +11,7 @@ grip more along one axis (wheels that do not swivel) and more at one end or corn
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -56,6 +57,12 @@ def guess() -> Float[Array, "12"]:
 def with_friction(parameters: Float[Array, "12"], shift: float) -> Float[Array, "12"]:
     """The parameters with ``shift`` added to the logarithms of its friction."""
     return parameters + shift * np.array([name.startswith("log_friction") for name in PARAMETERS], np.float32)
+
+
+def resistance(named: Mapping[str, Any]) -> dict[str, Any]:
+    """Greatest friction along x and y of {O} [N], for parameters by name (numbers or arrays of any shape). A slow push
+    tells this product of mass and friction, and neither of the two."""
+    return {f"along {axis}": GRAVITY * np.exp(named["log_mass"] + named[f"log_friction_{axis}"]) for axis in "xy"}
 
 
 def acceleration(parameters: Float[Array, "12"], inputs: Float[Array, "n ..."]) -> Float[Array, "3 ..."]:

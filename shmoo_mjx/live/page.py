@@ -25,6 +25,7 @@ from mjviser import ViserMujocoScene
 from pydantic import ValidationError
 
 from shmoo_mjx import se2
+from shmoo_mjx.dynamics import contact_model
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.learning import online
 from shmoo_mjx.live import overlay
@@ -482,9 +483,8 @@ def _in_words(learned: dict[str, float], prior: dict[str, float]) -> str:
     """What was learned of an object against what it was taken to be at first, as far as it is told in a few words."""
     if "log_mass" not in learned:
         return "coefficients"
-    now, first = ({name: np.exp(value) for name, value in of.items() if "log" in name} for of in (learned, prior))
+    now, first = ((*contact_model.resistance(of).values(), float(np.exp(of["log_mass"]))) for of in (learned, prior))
     return (
-        f"moves like {now['log_mass']:.0f} kg (at first {first['log_mass']:.0f}), "
-        f"friction {now['log_friction_x']:.2f} ({first['log_friction_x']:.2f}) along, "
-        f"{now['log_friction_y']:.2f} ({first['log_friction_y']:.2f}) across"
+        f"friction {now[0]:.0f} N along (at first {first[0]:.0f}), {now[1]:.0f} N across ({first[1]:.0f}), "
+        f"mass {now[2]:.0f} kg ({first[2]:.0f}; a slow push hardly tells it)"
     )

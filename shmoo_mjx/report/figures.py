@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from shmoo_mjx.arrays import Array
+from shmoo_mjx.dynamics import contact_model
 from shmoo_mjx.report.style import COLOURS, SERIES, blank_figure, object_colour, outline, show_cells, window
 from shmoo_mjx.report.trace import Trace, is_number, object_index, object_name, telling_decisions
 
@@ -246,8 +247,8 @@ def _panels(trace: Trace) -> list[tuple[str, dict[str, np.ndarray]]]:
     known = dict(zip(trace.learned_names, values.T, strict=True))
     if "log_mass" in known:
         return [
+            ("friction [N]", contact_model.resistance(known)),
             ("mass [kg]", {"mass": np.exp(known["log_mass"])}),
-            ("friction [1]", {f"along {axis}": np.exp(known[f"log_friction_{axis}"]) for axis in "xy"}),
             ("centre of mass\n[half diagonals]", {axis: known[f"centre_{axis}"] for axis in "xy"}),
         ]
     most = np.max(np.abs(np.nan_to_num(values)), axis=0, initial=0.0)

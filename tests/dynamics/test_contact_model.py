@@ -57,6 +57,8 @@ def test_without_friction_it_obeys_newton() -> None:
 def test_it_holds_up_to_coulombs_limit_and_slides_beyond(axis: int) -> None:
     heavy = contact(log_mass=np.log(10.0), log_friction_x=np.log(0.4), log_friction_y=np.log(0.4))
     limit = 0.4 * 10.0 * contact_model.GRAVITY
+    named = dict(zip(contact_model.PARAMETERS, np.asarray(heavy), strict=True))
+    assert contact_model.resistance(named)[f"along {'xy'[axis]}"] == pytest.approx(limit, rel=1e-5)
     below, beyond = (acceleration(heavy, inputs(wrench=factor * limit * np.eye(3)[axis])) for factor in (0.6, 1.5))
     assert np.abs(below).max() < 1e-3
     np.testing.assert_allclose(beyond, 0.5 * limit / 10.0 * np.eye(3)[axis], atol=0.1)

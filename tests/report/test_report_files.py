@@ -186,11 +186,12 @@ def test_what_was_learned_has_a_column_per_push(trace: Trace, result: dict[str, 
     panels = figures.learned_figure(result, trace).axes
     assert len(panels) == 3 * 2
     assert [p.get_title() for p in panels[:2]] == ["box box-1", "wheelchair chair-2"]
-    drawn = [line for line in panels[2].lines if str(line.get_label()).startswith("along")]
+    drawn = [line for line in panels[0].lines if str(line.get_label()).startswith("along")]
     x = np.asarray(drawn[0].get_xdata(), dtype=float)
     assert len(drawn) == 2 and 12.0 < x[0] < 12.3 and 19.8 < x[-1] < 20.1
-    rubs = trace.learned[:, list(contact_model.PARAMETERS).index("log_friction_x")]
-    np.testing.assert_allclose(np.asarray(drawn[0].get_ydata(), dtype=float)[0], np.exp(rubs[trace.t > 12.0][0]))
+    learned = dict(zip(contact_model.PARAMETERS, trace.learned[trace.t > 12.0][0], strict=True))
+    most = contact_model.resistance(learned)["along x"]
+    np.testing.assert_allclose(np.asarray(drawn[0].get_ydata(), dtype=float)[0], most)
 
 
 def test_coefficients_are_drawn_where_they_are_what_adapts(trace: Trace, result: dict[str, Any]) -> None:
