@@ -139,10 +139,12 @@ def _pixels(image_path: Path, yaml_path: Path) -> Float[np.ndarray, "H W C"]:
     import imageio.v3 as iio
 
     try:
+        content = image_path.read_bytes()  # not the path: of a damaged image the library leaves the file open
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Pillow's, of large images
-            height, width = iio.improps(image_path).shape[:2]
-        image = np.zeros((0, 0)) if height * width > _MOST_CELLS else np.atleast_2d(iio.imread(image_path))
+            height, width = iio.improps(content).shape[:2]
+        small = height * width <= _MOST_CELLS
+        image = np.atleast_2d(iio.imread(content)) if small else np.zeros((0, 0))
     except Exception as error:  # Pillow raises many kinds for damaged files, none of which says more to the user
         if type(error).__name__ != "DecompressionBombError":
             raise ShmooError(
