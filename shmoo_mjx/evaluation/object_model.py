@@ -27,7 +27,7 @@ from shmoo_mjx.learning import adaptation, identification, online
 from shmoo_mjx.learning.adaptation import AdaptConfig
 from shmoo_mjx.learning.baselines import METHODS, Budget, Job, Recordings, first_samples, recordings
 from shmoo_mjx.learning.baselines.adaptive import from_fit, prior_of, trained
-from shmoo_mjx.learning.baselines.protocol import Predictor, output_scale
+from shmoo_mjx.learning.baselines.protocol import Context, Predictor, output_scale
 from shmoo_mjx.learning.daiml import DaimlConfig, ObjectFit
 from shmoo_mjx.plant.objects import draw_condition
 from shmoo_mjx.types import DT
@@ -111,40 +111,37 @@ def gap_closed(
     after, before = from_fit(fitted, config), prior_of(fitted, config)
     marks = np.round(np.array(SECONDS) / DT).astype(int)
     shares = np.full((len(recorded.samples.inputs), len(SECONDS)), np.nan)
+    error_of, learn = _error_of(after, scale), _online(fitted, config, adapt)
     for i in range(len(shares)):
-        known = first_samples(recorded, i, config.fit_samples)
-        error = _error_of(after, recorded, i, scale, config.fit_samples)
-        means = _online(fitted, config, adapt, known.inputs, known.labels, known.weights)
-        prior, best = error(before.adapt(known)), error(after.adapt(jax.tree.map(jnp.asarray, known)))
+        known = jax.tree.map(jnp.asarray, first_samples(recorded, i, config.fit_samples))
+        later = _later(recorded, i, config.fit_samples)
+        prior, best = (float(error_of(a, later)) for a in (before.adapt(known), after.adapt(known)))
         if best < prior:
-            count = int(np.sum(np.asarray(known.weights) > 0))
-            for k, mark in enumerate(marks):
-                shares[i, k] = (prior - error(means[mark - 1])) / (prior - best) if mark <= count else np.nan
+            learned = learn(known)
+            for k, mark in enumerate(marks[marks <= np.sum(known.weights > 0)]):
+                error = float(error_of(_after(learned, known.weights, mark), later))
+                shares[i, k] = (prior - error) / (prior - best)
     return shares
 
 
-def _error_of(
-    predictor: Predictor, recorded: Recordings, index: int, scale: np.ndarray, fit_samples: int
-) -> Callable[[Any], float]:
-    """The fraction of variance unexplained of one condition's later rows, as a function of the coefficients."""
-    rows, time = jax.tree.map(lambda v: jnp.asarray(v[index, fit_samples:]), (recorded.samples, recorded.time))
-    weight = rows.weights[:, None]
-    mean = jnp.sum(weight * rows.labels, axis=0) / jnp.maximum(jnp.sum(weight), 1.0)
-    variance = jnp.sum(weight * ((rows.labels - mean) / scale) ** 2)
+def _error_of(predictor: Predictor, scale: np.ndarray) -> Callable[[Any, Recordings], Any]:
+    """(coefficients, some rows of one condition) -> fraction of variance unexplained; compiled once for all."""
 
     @jax.jit
-    def error(a: Any) -> Any:
-        left = (rows.labels - predictor.predict(a, rows.inputs, time)) / scale
+    def error(a: Any, recorded: Recordings) -> Any:
+        rows = recorded.samples
+        weight = rows.weights[:, None]
+        mean = jnp.sum(weight * rows.labels, axis=0) / jnp.maximum(jnp.sum(weight), 1.0)
+        variance = jnp.sum(weight * ((rows.labels - mean) / scale) ** 2)
+        left = (rows.labels - predictor.predict(a, rows.inputs, recorded.time)) / scale
         return jnp.sum(weight * left**2) / variance
 
-    return lambda a: float(error(a))
+    return error
 
 
-def _online(
-    fitted: ObjectFit, config: DaimlConfig, adapt: AdaptConfig, x: Any, y: Any, w: Any
-) -> list[tuple[np.ndarray, np.ndarray]]:
-    """The coefficients ``[m, K]`` and the contact parameters ``[p]`` after each of the M rows that count."""
-    keep = np.asarray(w) > 0
+def _online(fitted: ObjectFit, config: DaimlConfig, adapt: AdaptConfig) -> Callable[[Context], Any]:
+    """Rows of one condition -> coefficients ``[N, m, K]`` and contact parameters ``[N, p]`` after each of them; rows
+    that do not count teach nothing. Compiled once for all conditions."""
     params, shape = jax.tree.map(jnp.asarray, fitted.params), config.object
     contact = (
         identification.prior_state(adapt.contact, fitted.contact_prior, params.label_scale)
@@ -157,9 +154,18 @@ def _online(
         state = online.observe(adapt, state, params, shape, *row)
         return state, (state.mean.reshape(fitted.prior_mean.shape), online.contact_of(state))
 
-    rows = jnp.asarray(np.asarray(x)[keep]), jnp.asarray(np.asarray(y)[keep])
-    means, contacts = jax.jit(lambda rows: jax.lax.scan(one, start, rows)[1])(rows)
-    return list(zip(np.asarray(means), np.asarray(contacts), strict=True))
+    return jax.jit(lambda known: jax.lax.scan(one, start, (known.inputs, known.labels, known.weights > 0))[1])
+
+
+def _after(learned: Any, weights: Any, count: int) -> Any:
+    """What was ``learned`` from ``count`` rows that count."""
+    row = np.flatnonzero(weights > 0)[count - 1]
+    return jax.tree.map(lambda values: values[row], learned)
+
+
+def _later(recorded: Recordings, index: int, fit_samples: int) -> Recordings:
+    """The rows of one condition that nothing is fitted on."""
+    return jax.tree.map(lambda values: jnp.asarray(values[index, fit_samples:]), recorded)
 
 
 def _metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
@@ -214,20 +220,20 @@ def _brake_metrics(
     directory = datasets.collect_rows(options, f"brake-{seeds[0]}-{count}", rows)
     recorded = recordings(store.read(directory, splits=("test",)))
     after = from_fit(fitted, settings)
+    error_of, learn = _error_of(after, scale), _online(fitted, settings, config.adapt)
     times, unaware, known = [], [], []
     # Names are read in alphabetical order: the braked ones come first.
     for i in range(count):
-        new, old = (
-            first_samples(recorded, i, settings.fit_samples),
-            first_samples(recorded, i + count, settings.fit_samples),
-        )
-        x, y, w = (np.concatenate([getattr(old, n), getattr(new, n)]) for n in ("inputs", "labels", "weights"))
-        means = _online(fitted, settings, config.adapt, x, y, w)
-        error = _error_of(after, recorded, i, scale, settings.fit_samples)
-        begun = int(np.sum(old.weights > 0))
-        wrong, best = error(means[begun - 1]), error(after.adapt(jax.tree.map(jnp.asarray, new)))
+        new, old = (jax.tree.map(jnp.asarray, first_samples(recorded, k, settings.fit_samples)) for k in (i, i + count))
+        both = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), old, new)
+        later, learned = _later(recorded, i, settings.fit_samples), learn(both)
+        begun, counted = (int(np.sum(rows.weights > 0)) for rows in (old, both))
+        wrong, best = (float(error_of(a, later)) for a in (_after(learned, both.weights, begun), after.adapt(new)))
+        enough = wrong - 0.6 * (wrong - best)
         marks = [
-            k for k in range(1, len(means) - begun, 2) if error(means[begun + k - 1]) <= wrong - 0.6 * (wrong - best)
+            k
+            for k in range(1, counted - begun, 2)
+            if float(error_of(_after(learned, both.weights, begun + k), later)) <= enough
         ]
         times.append(marks[0] * DT if marks and best < wrong else np.nan)
         unaware.append(wrong)

@@ -102,14 +102,16 @@ def test_rollout_is_step_repeated_and_batches() -> None:
     params = core.init(jax.random.key(0))._replace(coefficients=0.3 * jax.random.normal(jax.random.key(2), SHAPE))
     controls = 0.1 * jax.random.normal(jax.random.key(1), (4, 6, 3))
     state = touching()
-    one = state
+    one, step = state, jax.jit(core.step)
     for u in controls[0]:
-        one, _ = core.step(params, one, u)
+        one, _ = step(params, one, u)
     states, wrenches = jax.jit(jax.vmap(lambda c: core.rollout(params, state, c)))(controls)
     assert states.object_pose.shape == (4, 6, 3) and wrenches.shape == (4, 6, 3)
     np.testing.assert_allclose(states.object_pose[0, -1], one.object_pose, atol=1e-5)
     np.testing.assert_allclose(states.robot_twist[0, -1], one.robot_twist, atol=1e-5)
-    over_coefficients = jax.vmap(lambda a: core.rollout(params._replace(coefficients=a), state, controls[0])[0])
+    over_coefficients = jax.jit(
+        jax.vmap(lambda a: core.rollout(params._replace(coefficients=a), state, controls[0])[0])
+    )
     batch = jnp.stack([params.coefficients, 0 * params.coefficients])
     np.testing.assert_allclose(over_coefficients(batch).object_pose[0, -1], one.object_pose, atol=1e-5)
 

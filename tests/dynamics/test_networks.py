@@ -48,7 +48,8 @@ def test_psi_of_the_mirrored_push_is_psi_in_the_mirror(config: CoreConfig) -> No
     x = np.random.default_rng(2).normal(size=(40, 13)).astype(np.float32)
     axes = features.reflection(features.OBJECT_OUTPUTS)
     mirrored = x @ features.reflection(features.OBJECT_INPUTS)
-    psi, other = (object_model.basis(params.object, i, config.object, params.contact) for i in (x, mirrored))
+    basis = jax.jit(lambda x: object_model.basis(params.object, x, config.object, params.contact))
+    psi, other = basis(x), basis(mirrored)
     signs = object_model.coefficient_signs(config.object)
     # The body's feet are relaxed one after the other, which leaves a trace of their order.
     close = 2e-3 if config.object.contact_model else 1e-5

@@ -61,7 +61,7 @@ def plain_step(params: Params, state: SystemState, u: np.ndarray, config: CoreCo
     into = lambda a, v: np.array([*(rot(a) @ v[:2]), *v[2:]])  # noqa: E731
     heading, yaw, face = s["robot_pose"][2], s["object_pose"][2], s["face"]
     inputs = np.asarray(features.robot_inputs(state, u.astype(np.float32)), float)
-    out = np.asarray(robot_model.normalised(params.robot.net, inputs.astype(np.float32), config.robot), float)
+    out = np.asarray(NORMALISED(params.robot.net, inputs.astype(np.float32), config.robot), float)
     out = out * np.asarray(params.robot.output_scale) + np.asarray(params.robot.output_mean)
     base, force = out[:3], out[3:]
 
@@ -90,9 +90,7 @@ def plain_step(params: Params, state: SystemState, u: np.ndarray, config: CoreCo
     psi_inputs = np.asarray(
         features.object_inputs(twist, wrench, s["last_object_twist"], s["size"], s["last_wrench"]), np.float32
     )
-    push = np.asarray(
-        object_model.predict(params.object, params.coefficients, psi_inputs, config.object, params.contact), float
-    )
+    push = np.asarray(PREDICTED(params.object, params.coefficients, psi_inputs, config.object, params.contact), float)
     if config.unilateral:
         n = np.array([math.cos(face[2]), math.sin(face[2])])
         arm = face[0] * n[1] - face[1] * n[0] - lateral
@@ -126,6 +124,11 @@ def plain_step(params: Params, state: SystemState, u: np.ndarray, config: CoreCo
         "last_u": u,
     }, wrench
 
+
+# Not jitted, each call would compile the contact model's loop anew.
+NORMALISED = jax.jit(robot_model.normalised, static_argnums=2)
+PREDICTED = jax.jit(object_model.predict, static_argnums=3)
+ROLLED_OUT = jax.jit(core.rollout, static_argnums=3)
 
 CONFIGS = [
     CoreConfig(),
@@ -174,7 +177,7 @@ def test_folding_changes_no_prediction(config: CoreConfig) -> None:
     params = random_params(config)
     x = np.random.default_rng(4).standard_normal((7, 13)).astype(np.float32)
     x[:, 9] = 0.4
-    expected = object_model.predict(params.object, params.coefficients, x, config.object, params.contact)
+    expected = PREDICTED(params.object, params.coefficients, x, config.object, params.contact)
     fused = object_model.fuse(params.object, params.coefficients, config.object, params.contact)
     np.testing.assert_allclose(object_model.forward(fused, x.T, config.object).T, expected, atol=1e-5)
     assert fused.layers.biases[-1].shape == (3,)
@@ -187,8 +190,8 @@ def test_the_state_s_own_batch_and_the_controls_combine() -> None:
     states = [random_state(rng)._replace(face=np.array([-0.3, 0.0, 0.0, 0.2 + 0.02 * i], np.float32)) for i in range(3)]
     controls = 0.1 * rng.standard_normal((3, 5, 3)).astype(np.float32)
     batch = jax.tree.map(lambda *x: np.stack(x), *states)
-    together, _ = core.rollout(params, batch, controls, config)
+    together, _ = ROLLED_OUT(params, batch, controls, config)
     for i in range(3):
-        alone, _ = core.rollout(params, states[i], controls[i], config)
+        alone, _ = ROLLED_OUT(params, states[i], controls[i], config)
         np.testing.assert_allclose(together.object_pose[i], alone.object_pose, atol=2e-4)
         np.testing.assert_array_equal(together.face[i], alone.face)

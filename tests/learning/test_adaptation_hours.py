@@ -109,6 +109,7 @@ def check_sound(weights: Weights, coefficients: bool, samples: tuple[jax.Array, 
     scale = 1 / np.sqrt(np.diag(covariance))
     assert np.linalg.eigvalsh(covariance * np.outer(scale, scale)).min() > 0
     before = prior_state(weights)
-    phis = [object_model.design_matrix(weights.params.object, x, shape, online.contact_of(end)) for x in PROBE]
-    there, first = (np.abs([phi @ state.mean for phi in phis]).max() for state in (end, before))
+    params, contact = weights.params.object, online.contact_of(end)
+    phis = jax.jit(jax.vmap(lambda x: object_model.design_matrix(params, x, shape, contact)))(PROBE)
+    there, first = (np.abs(phis @ state.mean).max() for state in (end, before))
     assert there < 10 * first + 100.0

@@ -13,6 +13,10 @@ from shmoo_mjx.learning.identification import IdentificationConfig, OnlineConfig
 CONFIG = IdentificationConfig(noise=0.3, groups=2, starts=64, refined=2, stride=1, rounds=2)
 NAMES = list(contact_model.PARAMETERS)
 SCALE = np.array([0.3, 0.3, 0.8], np.float32)
+# Not jitted, each call would compile the contact model's loop anew.
+acceleration = jax.jit(contact_model.acceleration)
+identify = jax.jit(identification.identify, static_argnums=0)
+observe = jax.jit(identification.observe, static_argnums=0)
 
 
 def drawn(log_mass: float, log_friction: float, rng: np.random.Generator, rows: int = 120) -> tuple[np.ndarray, ...]:
@@ -27,7 +31,7 @@ def drawn(log_mass: float, log_friction: float, rng: np.random.Generator, rows: 
     inputs[:, 3:6] = rng.normal(size=(rows, 3)) * (limit + 3.0) * [0.7, 0.7, 0.15]
     inputs[:, 9] = 0.4
     known, pushes = (jnp.asarray(x, jnp.float32) for x in (parameters, inputs.T))
-    labels = np.asarray(contact_model.acceleration(known, pushes)).T
+    labels = np.asarray(acceleration(known, pushes)).T
     return parameters, inputs.astype(np.float32), labels
 
 
@@ -45,10 +49,8 @@ def test_groups_are_found_and_an_unseen_object_is_identified() -> None:
     np.testing.assert_allclose(friction, [-4.0, -0.8], atol=0.8)
     for kind in kinds:
         parameters, x, y = drawn(*kind, rng)
-        told = jax.jit(lambda x, y: identification.identify(CONFIG, prior, jnp.asarray(scale), x, y, jnp.ones(len(x))))(
-            x[:60], y[:60]
-        )
-        said = np.asarray(contact_model.acceleration(told, jnp.asarray(x[60:].T))).T
+        told = identify(CONFIG, prior, scale, x[:60], y[:60], np.ones(60))
+        said = np.asarray(acceleration(told, jnp.asarray(x[60:].T))).T
         left = np.sum(((said - y[60:]) / scale) ** 2) / np.sum(((y[60:] - y[60:].mean(axis=0)) / scale) ** 2)
         assert left < 0.1
         assert abs(float(told[mass]) - parameters[mass]) < 0.3
@@ -58,7 +60,7 @@ def test_what_was_not_felt_stays_as_training_objects_are() -> None:
     """No row counts: the mean of the likeliest group."""
     prior = identification.broad_prior()
     none = jnp.zeros((5, 3))
-    told = identification.identify(CONFIG, prior, jnp.ones(3), jnp.full((5, 13), 0.4), none, jnp.zeros(5))
+    told = identify(CONFIG, prior, jnp.ones(3), jnp.full((5, 13), 0.4), none, jnp.zeros(5))
     np.testing.assert_allclose(told, prior.mean[0], atol=1e-4)
 
 
@@ -67,12 +69,11 @@ def test_online_it_comes_close_and_forgets() -> None:
     rng = np.random.default_rng(3)
     online = OnlineConfig(window=80, memory=3.0, fit=CONFIG)
     state = identification.prior_state(online, identification.broad_prior(), SCALE)
-    observe = jax.jit(lambda state, x, y: identification.observe(online, state, x, y))
     friction = NAMES.index("log_friction_x")
     for log_friction in (-1.5, -0.2):
         parameters, inputs, labels = drawn(2.0, log_friction, rng)
         for x, y in zip(inputs, labels, strict=True):
-            state = observe(state, x, y)
+            state = observe(online, state, x, y)
         assert abs(float(identification.best(state)[friction]) - parameters[friction]) < 0.3
 
 
@@ -81,7 +82,7 @@ def test_a_bad_sample_changes_nothing() -> None:
     state = identification.prior_state(online, identification.broad_prior(), SCALE)
     x, y = jnp.full(13, 0.4), jnp.ones(3)
     for bad in ((x.at[0].set(jnp.nan), y, True), (x, y.at[1].set(jnp.inf), True), (x, y, False)):
-        after = identification.observe(online, state, *bad)
+        after = observe(online, state, *bad)
         jax.tree.map(np.testing.assert_array_equal, after, state)
 
 
@@ -97,5 +98,5 @@ def test_a_stretch_is_the_first_rows_that_count() -> None:
     for start, length, told in zip(starts, lengths, found[0], strict=True):
         turned = [np.roll(a, -start, axis=0)[:40] for a in (inputs, labels, weights)]
         counted = turned[2] * (np.cumsum(turned[2]) <= length)
-        expected = identification.identify(CONFIG, prior, jnp.asarray(SCALE), turned[0], turned[1], counted)
+        expected = identify(CONFIG, prior, SCALE, turned[0], turned[1], counted)
         np.testing.assert_allclose(told, expected, atol=2e-2)
