@@ -73,7 +73,7 @@ class Page:
         # Its button to share a page would hand this one to a server elsewhere.
         self.server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
         self.server.scene.set_up_direction("+z")
-        # Shadows halve the pictures per second of a browser that draws in software.
+        # Shadows cost a browser that draws in software a third of its pictures.
         self.server.scene.configure_default_lights(cast_shadow=False)
         self._build()
         self._redraw()
