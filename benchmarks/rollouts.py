@@ -234,7 +234,9 @@ def draw_figure(path: Path, lines: list[Row]) -> None:
     left.set_xticklabels([str(s) for s in sorted(ROLLOUTS)])
     left.minorticks_off()
     left.legend(fontsize=8)
-    right.set(xscale="log", xlabel="control step on one core [ms], shipped noise, S x T")
+    right.set(xscale="log", xlabel="control step on one core [ms], shipped noise, S x T", xlim=(1.8, 40))
+    right.set_xticks([2, 5, 10, 20], ["2", "5", "10", "20"])
+    right.minorticks_off()
     save_figure(path, figure, 110)
 
 
