@@ -19,6 +19,7 @@ from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array
 from shmoo_mjx.data.differentiate import body_acceleration
 from shmoo_mjx.dynamics import contact_model, object_model
+from shmoo_mjx.dynamics.core import Params
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.files import write_whole
 from shmoo_mjx.hands import touches
@@ -194,7 +195,7 @@ def _learned(
 ) -> tuple[np.ndarray, tuple[str, ...], dict[str, float], dict[str, float]]:
     """What is known after each sample ``[T, n]``, the names, the prior, and how much of the accelerations is left
     unexplained by the prior and by what each sample's forerunners have taught."""
-    config, shape, params = adaptation.AdaptConfig(), weights.config.object, weights.params.object
+    config, params = adaptation.AdaptConfig(), weights.params.object
     yaw = log.object_pose[:, 2]
     twist, wrench = se2.rotate(log.object_twist, -yaw), se2.rotate(log.wrench, -yaw)
     before = np.concatenate([np.zeros((1, 3)), twist[:-1]]), np.concatenate([np.zeros((1, 3)), wrench[:-1]])
@@ -204,23 +205,8 @@ def _learned(
     moving = np.hypot(twist[:, 0], twist[:, 1]) > 0.03
     valid = (touches(log.wrench) | moving) & np.isfinite(inputs).all(axis=1)
     start = prior_state(weights, config.contact)
-
-    def predicted(state: adaptation.AdaptState, x: Array) -> Array:
-        coefficients = state.mean.reshape(weights.params.coefficients.shape)
-        return object_model.predict(params, coefficients, x, shape, online.contact_of(state))
-
-    def told(state: adaptation.AdaptState) -> Array:
-        return state.mean if state.contact is None else identification.best(state.contact)
-
-    def step(state: adaptation.AdaptState, sample: Any) -> tuple[adaptation.AdaptState, tuple[Array, Array]]:
-        x, label, use = sample
-        guess = predicted(state, x)
-        state = online.observe(config, state, params, shape, x, label, use)
-        return state, (told(state), guess)
-
     rows = (np.nan_to_num(inputs).astype(np.float32), labels.astype(np.float32), valid)
-    _, (learned, guesses) = jax.jit(partial(jax.lax.scan, step))(start, rows)
-    first = jax.vmap(partial(predicted, start))(rows[0])
+    learned, guesses, first = _sample_by_sample(config, weights.config.object, weights.params, start, rows)
     use = valid & np.isfinite(labels).all(axis=1)
     spread = np.sum((labels[use] / np.asarray(params.label_scale)) ** 2)
     errors = {
@@ -229,6 +215,32 @@ def _learned(
     }
     prior = online.learned(start)
     return np.asarray(learned, dtype=float), tuple(prior), prior, errors
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _sample_by_sample(
+    config: adaptation.AdaptConfig,
+    shape: object_model.ObjectConfig,
+    params: Params,
+    start: adaptation.AdaptState,
+    rows: tuple[Array, Array, Array],
+) -> tuple[Array, Array, Array]:
+    """What is known after each of the ``rows`` (inputs, label, valid), and the acceleration that was predicted before
+    each by what was known then, and by ``start``."""
+
+    def predicted(state: adaptation.AdaptState, x: Array) -> Array:
+        coefficients = state.mean.reshape(params.coefficients.shape)
+        return object_model.predict(params.object, coefficients, x, shape, online.contact_of(state))
+
+    def step(state: adaptation.AdaptState, sample: Any) -> tuple[adaptation.AdaptState, tuple[Array, Array]]:
+        x, label, use = sample
+        guess = predicted(state, x)
+        state = online.observe(config, state, params.object, shape, x, label, use)
+        told = state.mean if state.contact is None else identification.best(state.contact)
+        return state, (told, guess)
+
+    _, (learned, guesses) = jax.lax.scan(step, start, rows)
+    return learned, guesses, jax.vmap(partial(predicted, start))(rows[0])
 
 
 def _pushes(log: Log) -> list[slice]:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from subprocess import CompletedProcess
@@ -99,9 +97,7 @@ def test_the_command_writes_the_page_from_what_must_be_there_alone(
     least["object_x"] = np.where(np.arange(160) % 7 == 0, np.nan, least["object_x"])  # lost now and then
     written(least, tmp_path / "log.csv")
     monkeypatch.chdir(tmp_path)
-    code = "from shmoo_mjx.cli import main; main()"
-    command = [sys.executable, "-c", code, "report", "log.csv", "--size", "0.5", "0.4"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = shmoo("report", "log.csv", "--size", "0.5", "0.4")
     assert done.returncode == 0, done.stderr
     page = (tmp_path / "runs" / "report" / "report.html").read_text()
     for text in ("moves like", "can be moved", "shmoo report log.csv --size 0.5 0.4", "What it learned on the way"):

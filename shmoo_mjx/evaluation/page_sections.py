@@ -1,0 +1,279 @@
+"""What the page of results says of each experiment: title, metrics by line and column, figures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from shmoo_mjx.evaluation.method_tables import ablations_table, baselines_table
+from shmoo_mjx.evaluation.navigation_tables import navigation_tables
+from shmoo_mjx.evaluation.pushing_measures import pushing_differences
+from shmoo_mjx.evaluation.result import ExperimentResult
+
+
+@dataclass(frozen=True)
+class Section:
+    """How an experiment is shown."""
+
+    title: str
+    what: str
+    """What was measured on what, in a sentence or two."""
+    columns: tuple[str, ...] = ()
+    """Heads of the table."""
+    lines: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    """(label, name of the metric of each column; "" leaves the cell empty)."""
+    figures: tuple[str, ...] = ()
+    """Below the experiment's folder."""
+    options: str = ""
+    """What the command needs beside seeds."""
+    without_psi: bool = False
+    """No weights play a part in it."""
+    table: Callable[[ExperimentResult], str] | None = None
+    """Makes the table, in the place of ``columns`` and ``lines``."""
+    more: Callable[[ExperimentResult], str] | None = None
+    """Tables after the first."""
+
+
+def _lines(labels: Mapping[str, str], *columns: str) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    """A line for each metric of ``labels``, which every column names in its own way, "{}_after" for example."""
+    return tuple((label, tuple(c.format(metric) for c in columns or ("{}",))) for metric, label in labels.items())
+
+
+def _of_methods(labels: Mapping[str, str], *names: str) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    """Lines whose columns are ours and the baselines ``names``."""
+    return _lines(labels, "{}", *(f"baseline_{name}_{{}}" for name in names))
+
+
+_FAMILIES = ("box", "cart", "wheelchair")
+_PUSH_MODELS = ("", "published_", "published_quadratic_", "linear_", "no_motion_")
+_LEFT_OUT = {"": "pair left out", "shape_out_": "shape left out", "mlab_": "triangle's support left out"}
+
+SECTIONS = {
+    "object_model": Section(
+        "Predicting unseen objects (III-D, Fig. 4)",
+        "psi adapts on the first 25 s of each unseen object and is scored on later rows.",
+        ("prior", "after 25 s", "constant twist"),
+        (
+            *_lines(
+                {
+                    "mse": "MSE of the acceleration",
+                    "fvu": "variance unexplained",
+                    "fvu_median": "variance unexplained, median object",
+                },
+                *("{}_before", "{}_after", "{}_constant_velocity"),
+            ),
+            *(
+                (f"variance unexplained, {family}", (f"fvu_before_{family}", f"fvu_after_{family}", ""))
+                for family in _FAMILIES
+            ),
+            *_lines(
+                {
+                    "pos_rmse_1s_m": "position after 1 s open loop [m]",
+                    "yaw_rmse_1s_deg": "yaw after 1 s [deg]",
+                    "pos_rmse_3s_m": "position after 3 s [m]",
+                    "yaw_rmse_3s_deg": "yaw after 3 s [deg]",
+                },
+                *("{}_before", "{}", "{}_constant_velocity"),
+            ),
+            *_lines(
+                {
+                    "ratio_after_before": "MSE after / before",
+                    "gap_closed_1s_median": "gap closed after 1 s of contact, median",
+                    "gap_closed_1s_q25": "gap closed after 1 s, lower quartile",
+                    "gap_closed_5s_median": "gap closed after 5 s, median",
+                    "brake_fvu_unaware_median": "variance unexplained, a brake just put on, median",
+                    "brake_fvu_known_median": "variance unexplained, a brake felt for 25 s, median",
+                },
+                *("", "{}", ""),
+            ),
+        ),
+        ("roll_outs.png", "adaptation.png"),
+    ),
+    "baselines": Section(
+        "Beside other ways to predict (V-B)",
+        "Every method is tuned on validation objects with the same budget.",
+        figures=("baselines.png",),
+        table=baselines_table,
+    ),
+    "ablations": Section(
+        "One choice at a time",
+        "Trainings that differ in one choice; a fresh probe measures how well psi identifies the condition.",
+        figures=("domain_invariance.png",),
+        table=ablations_table,
+    ),
+    "robot_finetune": Section(
+        "The robot's model on another robot (V-C, Fig. 8)",
+        "R is trained further on 5 minutes of the proxy robot, and on 40, and scored on 2 other minutes.",
+        ("before", "after", "after 40 minutes"),
+        (
+            *_lines(
+                {
+                    "mse": "MSE, all outputs",
+                    "mse_contact": "MSE in contact",
+                    "mse_free": "MSE without contact",
+                    "pos_rmse_3s_contact_m": "position after 3 s in contact [m]",
+                    "pos_rmse_3s_free_m": "position after 3 s without contact [m]",
+                },
+                *("{}_before", "{}_after", "{}_more"),
+            ),
+            *_lines(
+                {
+                    "": "reduction of the MSE [%]",
+                    "_acceleration_x": "reduction, acceleration x [%]",
+                    "_acceleration_y": "reduction, acceleration y [%]",
+                    "_acceleration_yaw": "reduction, acceleration yaw [%]",
+                    "_force_x": "reduction, force x [%]",
+                    "_force_y": "reduction, force y [%]",
+                },
+                *("", "reduction_percent{}", "reduction_percent{}_more"),
+            ),
+            *_lines(
+                {
+                    "success": "pushing to a pose, success",
+                    "offset_m": "pushing to a pose, offset [m]",
+                    "yaw_error_deg": "pushing to a pose, yaw error [deg]",
+                },
+                *("{}_before", "{}_after", ""),
+            ),
+            *_lines(
+                {
+                    "offset_m_difference": "offset, after less before [m]",
+                    "offset_m_difference_low": "95 % interval from [m]",
+                    "offset_m_difference_high": "to [m]",
+                },
+                *("", "{}", ""),
+            ),
+        ),
+        ("robot_finetune.png",),
+    ),
+    "pushing": Section(
+        "Pushing to a pose (VI-A, Fig. 7)",
+        "The proxy robot pushes unseen objects to three goals. Two strata: objects as drawn, and demanding ones (load "
+        "far off the centre, 25 to 45 N of resistance, half or twice the friction, a brake from the start). "
+        "Every method runs every trial.",
+        ("ours", "frozen prior", "and Eq. 8", "quasi-static", "hindsight a*", "psi as printed"),
+        (
+            *_of_methods(
+                {
+                    **{f"offset_goal{i}_m": f"offset, goal {i} [m]" for i in (1, 2, 3)},
+                    **{f"radius_goal{i}_m": f"enclosing circle, goal {i} [m]" for i in (1, 2, 3)},
+                    "success_rate": "success",
+                    "success_rate_drawn": "success, as drawn",
+                    "success_rate_demanding": "success, demanding",
+                    **{f"success_rate_{family}": f"success, {family}" for family in _FAMILIES},
+                    "success_rate_change_brake": "success, a brake pressed on the way",
+                    "offset_m": "offset, mean [m]",
+                    "offset_drawn_m": "offset, mean, as drawn [m]",
+                    "offset_demanding_m": "offset, mean, demanding [m]",
+                    "offset_median_m": "offset, median [m]",
+                    "yaw_error_deg": "yaw error [deg]",
+                    "falls": "falls",
+                    "worst_lean_rad": "worst lean [rad]",
+                    "time_s": "time [s]",
+                    "pushes": "pushes",
+                    "trials": "trials",
+                },
+                *("frozen_prior", "eq8", "quasi_static", "hindsight", "paper_form"),
+            ),
+            ("way from the prior's offset to hindsight's", ("way_to_hindsight", "", "", "", "", "")),
+        ),
+        ("pushing.png",),
+        more=pushing_differences,
+    ),
+    "object_planner": Section(
+        "Can it be moved? (IV-B, Algorithm 1, Fig. 5)",
+        "The navigator probes unseen objects, at least half of which are immovable, and decides.",
+        ("ours",),
+        _lines(
+            {
+                "accuracy": "accuracy",
+                "accuracy_clear": "accuracy, objects near the border left out",
+                "near_border": "objects near the border of manipulability",
+                "accuracy_after_1s": "accuracy after 1 s of contact",
+                "accuracy_of_K_after_1s": "accuracy of the paper's rule, K after 1 s",
+                "calibration_error_after_1s": "calibration error of the probability after 1 s",
+                "decision_time_s": "median time from the first touch [s]",
+                "decided_within_3s": "decided within 3 s",
+                "manipulable_called_manipulable": "manipulable, called so",
+                "manipulable_called_immovable": "manipulable, called immovable",
+                "immovable_called_immovable": "immovable, called so",
+                "immovable_called_manipulable": "immovable, called manipulable",
+                "undecided": "no verdict",
+                "auc_probability_after_1s": "ROC area after 1 s, probability",
+                "auc_K_after_1s": "ROC area after 1 s, K",
+                "auc_moved_m_after_1s": "ROC area after 1 s, distance moved",
+            }
+        ),
+        ("reliability.png", "confusion.png", "planned_goals.png"),
+    ),
+    "navigation": Section(
+        "Interactive navigation (VI-B)",
+        "Generated scenarios. Effort efficiency is 1 if nothing is pushed; the interactive navigation score is that of "
+        "Interactive Gibson, half path and half effort efficiency. Aims are those for ours.",
+        ("ours", "always avoid", "always push", "oracle"),
+        (
+            *_of_methods(
+                {
+                    "success_rate": "success (aim 0.96)",
+                    "success_rate_push_only": "success, push only (aim 0.92)",
+                    "success_rate_detour_only": "success, detour only (aim 0.92)",
+                    "success_rate_either": "success, either (aim 0.92)",
+                    "success_rate_border": "success, an object near the border of manipulability",
+                    "success_rate_clear": "success, none near it",
+                    "falls": "falls (aim 0)",
+                    "wall_contacts_per_100": "wall contacts in 100 runs (aim 1)",
+                    "time_s": "time of successes [s]",
+                    "path_length_m": "path of successes [m]",
+                    "displacement_m": "objects displaced by [m]",
+                    "efficiency": "path efficiency",
+                    "effort": "effort efficiency, mass moved",
+                    "effort_force": "effort efficiency, force",
+                    "ins": "interactive navigation score",
+                    "scenarios": "scenarios",
+                },
+                *("always_avoid", "always_push", "oracle"),
+            ),
+            ("time over the oracle's, where both succeed (aim 1.2)", ("time_over_oracle", "", "", "")),
+            ("scenarios that neither baseline can do", ("neither_baseline", "", "", "")),
+            ("scenarios that neither baseline can do and ours can", ("neither_baseline_but_ours", "", "", "")),
+        ),
+        ("success.png", "causes.png"),
+        "--maps DIR",
+        more=navigation_tables,
+    ),
+    "lifelong": Section(
+        "One goal after the other",
+        "Five goals in a row in a world that stays as the robot has left it, with what it remembers of objects. A "
+        "sequence ends where the robot gives up, falls or runs out of time.",
+        ("ours",),
+        _lines(
+            {
+                "success_rate": "all goals reached",
+                "goals_reached": "goals reached",
+                **{f"success_rate_goal{i}": f"goal {i} reached, of those begun" for i in range(1, 6)},
+                **{f"time_s_goal{i}": f"time to goal {i} [s]" for i in range(1, 6)},
+                **{f"efficiency_goal{i}": f"path efficiency to goal {i}" for i in range(1, 6)},
+                "falls": "falls",
+                "wall_contacts_per_100_goals": "wall contacts in 100 goals",
+                "effort": "effort efficiency, mass moved",
+                "effort_force": "effort efficiency, force",
+                "sequences": "sequences",
+            }
+        ),
+        (),
+        "--maps DIR",
+    ),
+    "real_pushing": Section(
+        "Real pushes (other people's data)",
+        "Mean error of the final pose. Ours is a quasi-static model without psi; published models of the same data.",
+        ("ours", "4th-order, published", "quadratic, published", "linear", "no motion"),
+        tuple(
+            (f"{place}, {unit}", tuple(f"{prefix}{method}{metric}" for method in _PUSH_MODELS))
+            for prefix, place in _LEFT_OUT.items()
+            for metric, unit in (("pos_error_mm", "mm"), ("angle_error_deg", "deg"))
+        ),
+        ("real_pushing.png",),
+        "--data DIR",
+        without_psi=True,
+    ),
+}
