@@ -161,7 +161,8 @@ class PushController:
     def compile(self, around: LocalDistanceField) -> None:
         """Compile all that a push needs, for which the first contact waits otherwise; any ``around`` will do."""
         goal, half = np.array([1.9, 0.0, 0.0]), np.full(2, 0.3)
-        state = self.init(_STILL, faces_of((0.3, 0.3))[0], half, jax.random.key(0))
+        _, key = jax.random.split(jax.random.key(0))
+        state = self.init(_STILL, faces_of((0.3, 0.3))[0], half, key)
         _, state, _ = self.step(state, _STILL, np.zeros(3), goal, around, half)
         self.planning_rollouts(state, goal, around, half)
         self.coast(state)

@@ -118,8 +118,8 @@ def observe(
 
 
 def best(state: ContactEstimate) -> Float[Array, "p"]:
-    """The likeliest parameters."""
-    return state.found[jnp.argmin(state.cost - state.prior.log_weight)]
+    """The likeliest parameters; of NumPy arrays without JAX, whose every operation outside jit is compiled apart."""
+    return state.found[(state.cost - state.prior.log_weight).argmin()]
 
 
 def broad_prior() -> ContactPrior:

@@ -7,6 +7,7 @@ twists. A psi without it, the paper's, learns by Eq. 8.
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -59,5 +60,6 @@ def contact_of(state: AdaptState) -> Float[Array, "p"]:
 def learned(state: AdaptState) -> dict[str, float]:
     """What adapts, by name: the contact parameters, or a1 ... an of a psi without contact model. Not for jit."""
     if state.contact is not None:
-        return dict(zip(contact_model.PARAMETERS, np.asarray(identification.best(state.contact)).tolist(), strict=True))
+        best = identification.best(jax.tree.map(np.asarray, state.contact))
+        return dict(zip(contact_model.PARAMETERS, best.tolist(), strict=True))
     return {f"a{k + 1}": a for k, a in enumerate(np.asarray(state.mean).tolist())}

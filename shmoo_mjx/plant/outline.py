@@ -7,6 +7,7 @@ the side, a little behind.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -44,6 +45,7 @@ class Room(NamedTuple):
         return np.minimum(np.minimum(self.torso, self.arms), self.hands)
 
 
+@lru_cache(maxsize=64)  # the same few postures are asked for again and again, and the arms' angles take a while
 def outline(
     reach: float = REACH,
     hand_height: float | None = None,
