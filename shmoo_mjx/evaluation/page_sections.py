@@ -151,7 +151,7 @@ SECTIONS = {
         "The proxy robot pushes unseen objects to three goals. Two strata: objects as drawn, and demanding ones (load "
         "far off the centre, 25 to 45 N of resistance, half or twice the friction, a brake from the start). "
         "Every method runs every trial.",
-        ("ours", "frozen prior", "and Eq. 8", "quasi-static", "hindsight a*", "psi as printed"),
+        ("ours", "frozen prior", "and Eq. 8", "quasi-static", "oracle coefficients", "psi as printed"),
         (
             *_of_methods(
                 {
@@ -173,9 +173,9 @@ SECTIONS = {
                     "pushes": "pushes",
                     "trials": "trials",
                 },
-                *("frozen_prior", "eq8", "quasi_static", "hindsight", "paper_form"),
+                *("frozen_prior", "eq8", "quasi_static", "oracle_coefficients", "paper_form"),
             ),
-            ("way from the prior's offset to hindsight's", ("way_to_hindsight", "", "", "", "", "")),
+            ("way from the prior's offset to the oracle's", ("way_to_oracle", "", "", "", "", "")),
         ),
         ("pushing.png",),
         more=pushing_differences,

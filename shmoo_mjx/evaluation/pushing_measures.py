@@ -27,11 +27,11 @@ def metrics_of(rows: Rows) -> dict[str, Any]:
     """Flat metrics: ours by their names, the other methods as ``baseline_<name>_*``.
 
     ``difference_<name>_<what>`` with ``_low``, ``_high`` and ``_pairs`` is the mean of ours - theirs over the trials
-    that both ran, with its 95 % interval; a group (stratum or family) stands in front of ``what``. ``way_to_hindsight``
-    is how much of the frozen prior's offset that hindsight saves is saved by ours.
+    that both ran, with its 95 % interval; a group (stratum or family) stands in front of ``what``. ``way_to_oracle``
+    is how much of the frozen prior's offset that oracle coefficients save is saved by ours.
     """
     of = {method: {r["trial"]: r for r in rows if r["method"] == method} for method in _values(rows, "method")}
-    return metrics_by_method(of, _scores, _differences) | _way_to_hindsight(of)
+    return metrics_by_method(of, _scores, _differences) | _way_to_oracle(of)
 
 
 def _values(rows: Rows, key: str) -> list[Any]:
@@ -55,17 +55,17 @@ def _differences(method: str, pairs: list[tuple[dict[str, Any], dict[str, Any]]]
     return metrics
 
 
-def _way_to_hindsight(of: dict[str, dict[str, Any]]) -> dict[str, float]:
-    """(prior - ours) / (prior - hindsight) of the mean offsets, over the trials that all three ran."""
-    if not {OURS, "frozen_prior", "hindsight"} <= set(of):
+def _way_to_oracle(of: dict[str, dict[str, Any]]) -> dict[str, float]:
+    """(prior - ours) / (prior - oracle) of the mean offsets, over the trials that all three ran."""
+    if not {OURS, "frozen_prior", "oracle_coefficients"} <= set(of):
         return {}
-    common = set(of[OURS]) & set(of["frozen_prior"]) & set(of["hindsight"])
+    common = set(of[OURS]) & set(of["frozen_prior"]) & set(of["oracle_coefficients"])
     if not common:
         return {}
     ours, prior, best = (
-        float(np.mean([of[m][t]["offset_m"] for t in common])) for m in (OURS, "frozen_prior", "hindsight")
+        float(np.mean([of[m][t]["offset_m"] for t in common])) for m in (OURS, "frozen_prior", "oracle_coefficients")
     )
-    return {"way_to_hindsight": (prior - ours) / (prior - best)} if prior > best else {}
+    return {"way_to_oracle": (prior - ours) / (prior - best)} if prior > best else {}
 
 
 def _scores(rows: Rows) -> dict[str, Any]:

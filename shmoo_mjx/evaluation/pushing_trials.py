@@ -24,7 +24,7 @@ from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 from shmoo_mjx.plant.scene import Scene, build_scene
 from shmoo_mjx.sensing import REAL, SensedEngine, Senses
 
-METHODS = ("ours", "frozen_prior", "eq8", "hindsight", "quasi_static", "paper_form")
+METHODS = ("ours", "frozen_prior", "eq8", "oracle_coefficients", "quasi_static", "paper_form")
 """Ours: MPPI while the object's body is identified. The others run the same trials: with Eq. 8 on top, for one, and the
 last with psi as the paper prints it."""
 
@@ -211,7 +211,7 @@ def _pusher(method: str, weights: Weights, config: PushConfig) -> Pusher:
     return PushController(weights, replace(config, adapt=adapt, adapts=method in ("ours", "eq8", "paper_form")))
 
 
-def hindsight(weights: Weights, condition: Condition, seed: int) -> AdaptState:
+def oracle_coefficients(weights: Weights, condition: Condition, seed: int) -> AdaptState:
     """a* of Eq. 5 from recorded pushes of this very object, with senses that don't err; it stays as it is."""
     import jax.numpy as jnp
 
@@ -255,9 +255,9 @@ class Runner:
         # It is told where the object stands, as it is told the goal: to find the object is not part of the task.
         engine = SensedEngine([scene], self.senses, trial.seed, poses_known=True)
         adapt, adapt_after = None, None
-        if method == "hindsight":
-            adapt = hindsight(self.weights, trial.condition, trial.seed % 10_000)
-            adapt_after = hindsight(self.weights, trial.changed, trial.seed % 10_000)
+        if method == "oracle_coefficients":
+            adapt = oracle_coefficients(self.weights, trial.condition, trial.seed % 10_000)
+            adapt_after = oracle_coefficients(self.weights, trial.changed, trial.seed % 10_000)
         grid = OccupancyGrid(np.zeros((240, 240), np.int8), 0.05, (-6.0, -6.0, 0.0))
         sizes = [trial.condition.half_extents]
         task = PushTask(grid, sizes, trial.goal_pose, self._pushers[method], seed=trial.seed, adapt=adapt)

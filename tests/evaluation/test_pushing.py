@@ -149,7 +149,7 @@ def test_differences_are_of_the_trials_that_both_ran() -> None:
     for i in range(8):
         rows.append(_row("ours", f"box-goal1-{i:02d}", 1, 0.05 + 0.002 * i))
         rows.append(_row("frozen_prior", f"box-goal1-{i:02d}", 1, 0.15 + 0.004 * i, change="mass"))
-        rows.append(_row("hindsight", f"box-goal1-{i:02d}", 1, 0.01))
+        rows.append(_row("oracle_coefficients", f"box-goal1-{i:02d}", 1, 0.01))
     rows.append(_row("ours", "cart-goal1-00", 1, 9.0))
     m = metrics_of(rows)
     assert m["difference_frozen_prior_offset_m"] == pytest.approx(-0.107)
@@ -157,7 +157,7 @@ def test_differences_are_of_the_trials_that_both_ran() -> None:
     assert m["difference_frozen_prior_offset_m_pairs"] == 8
     assert m["difference_frozen_prior_box_offset_m"] == pytest.approx(-0.107)
     assert "difference_frozen_prior_cart_offset_m" not in m
-    assert m["way_to_hindsight"] == pytest.approx((0.164 - 0.057) / (0.164 - 0.01))
+    assert m["way_to_oracle"] == pytest.approx((0.164 - 0.057) / (0.164 - 0.01))
     about = {"config": {"methods": list(METHODS)}, "versions": {}, "paper": {}}
     result = ExperimentResult(experiment="pushing", seed=0, metrics=m, rows=rows, **about)
     table = pushing_differences(result)
