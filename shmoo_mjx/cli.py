@@ -375,7 +375,7 @@ def experiment(
     senses: str = "real",
 ) -> int:
     """Run an experiment: object_model, baselines, ablations, robot_finetune, pushing, object_planner, real_pushing,
-    navigation; or all of them, with a page of their results.
+    navigation, lifelong; or all of them, with a page of their results.
 
     Example: shmoo experiment object_model --json object_model.json
 

@@ -2,7 +2,7 @@
 
 Every update draws some conditions; for each, a* is fitted on one batch of samples (Eq. 5, differentiable) and scored on
 windows of H steps elsewhere (Eq. 4); a discriminator tries to tell the condition from psi, and psi is paid for keeping
-it from that (Eq. 6). Readings:
+it from that (Eq. 6). Interpretations and deviations:
 
 * Eq. 4 is an open-loop roll-out of the object: the predicted twist is fed back for H steps under the recorded wrench.
   ``open_loop=False`` feeds the recorded twist instead.
@@ -10,7 +10,7 @@ it from that (Eq. 6). Readings:
 * a* is drawn towards a prior (the object not yet touched) whose mean and covariance are learned along with psi. The
   covariance couples the axes, so a push along x says something about y and yaw; ``coupled=False`` gives a plain ridge.
 * B^a is a stretch of consecutive samples of random length, as the robot meets them, not samples from all over the
-recording.
+  recording.
 """
 
 from __future__ import annotations
