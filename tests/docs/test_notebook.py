@@ -45,6 +45,7 @@ def test_the_tutorial_uses_the_same_code() -> None:
         assert f"```python\n{cell}\n```" in tutorial
 
 
+@pytest.mark.slow
 def test_the_short_form_pushes_adapts_and_plans() -> None:
     names = executed(CODE[:SHORT])
     log_mass = np.asarray(names["log_mass"])

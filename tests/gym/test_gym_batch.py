@@ -72,6 +72,7 @@ def test_other_objects_move_otherwise(pair: Any) -> None:
     pair.reset(seed=5)
 
 
+@pytest.mark.slow
 def test_one_world_may_begin_anew_while_the_other_goes_on(pair: Any) -> None:
     pair.reset(seed=3)
     forward = np.array([[0.08, 0, 0, 0]] * 2, dtype=np.float32)

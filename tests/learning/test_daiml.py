@@ -51,6 +51,7 @@ def test_the_prior_is_a_distribution(trained: daiml.ObjectFit) -> None:
     np.linalg.cholesky(noise)
 
 
+@pytest.mark.slow
 def test_killed_and_started_again_gives_the_same(
     tmp_path: Path, synthetic_dataset: store.Dataset, trained: daiml.ObjectFit
 ) -> None:

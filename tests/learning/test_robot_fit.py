@@ -24,6 +24,7 @@ def test_learns_base_and_force(synthetic_dataset: store.Dataset) -> None:
     np.testing.assert_allclose(fitted.params.lean.matrix, robot_model.lag(6.0, 0.7).matrix, atol=0.05)
 
 
+@pytest.mark.slow
 def test_killed_and_started_again_gives_the_same(tmp_path: Path, synthetic_dataset: store.Dataset) -> None:
     config = replace(SMALL, epochs=3, epoch_updates=10)
     whole = robot_fit.train_robot(synthetic_dataset, None, config)

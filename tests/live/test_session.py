@@ -178,6 +178,7 @@ def test_begin_again_is_the_scene_as_it_was_loaded(session: Session) -> None:
     assert len(session.scenario.objects) == 1 and session.simulation.time == 0.0
 
 
+@pytest.mark.slow
 def test_while_it_pushes_it_says_how_probable_it_is_that_the_object_can_be_moved(tmp_path: Path) -> None:
     said: dict[str, float | None] = {}
     for name in ("box_in_doorway", "locked_wheelchair"):
