@@ -19,6 +19,9 @@ from shmoo_mjx.types import Observation
 
 _DISPLACED = 0.15
 """An object that stands this far from where it was left has been moved by somebody else [m]."""
+_WIDER = 0.05
+"""What paths keep more from an object for each time after the first that it stood in a path round it [m]: from afar a
+gap may look wide enough that is not, and the robot would come back to it for ever."""
 _LOST = 0.5
 """Age from which an object counts as not detected [s]: a camera misses frames, and now and then half a second."""
 
@@ -60,6 +63,8 @@ class KnownObject:
     """Has a push ever moved it."""
     failed_faces: tuple[int, ...] = ()
     """Faces from which it could not be moved, each as often as that was tried."""
+    in_the_way: int = 0
+    """How often it has stood in a path that was planned round it."""
 
     @property
     def polygon(self) -> shapely.Polygon:
@@ -90,6 +95,11 @@ class Belief:
     ) -> list[shapely.Polygon]:
         """Footprints of the known objects with one of ``statuses``, except ``without``."""
         return [o.polygon for i, o in self.objects.items() if o.status in statuses and i != without]
+
+    def avoided(self) -> list[shapely.Polygon]:
+        """What paths to the goal lead round: the footprints of parked and registered objects, or wider ones."""
+        around = [o for o in self.objects.values() if o.status is not Status.UNKNOWN]
+        return [o.polygon.buffer(_WIDER * max(o.in_the_way - 1, 0)) for o in around]
 
     def clearance(self, without: int | None = None) -> ClearanceField:
         """Distance to walls and to every known object but ``without``."""

@@ -65,7 +65,7 @@ def replan(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorSt
 
 
 def _to_goal(setup: Setup, state: NavigatorState, obs: Observation) -> Path | None:
-    return setup.routes(state).plan(obs.robot_pose[0, :2], state.belief.polygons(_AVOIDED))
+    return setup.routes(state).plan(obs.robot_pose[0, :2], state.belief.avoided())
 
 
 def _on_path(state: NavigatorState, now: float, path: Path) -> NavigatorState:
@@ -78,7 +78,7 @@ def _take_up_again(setup: Setup, state: NavigatorState, obs: Observation) -> Nav
     if not parked:
         return state
     routes, position = setup.routes(state), obs.robot_pose[0, :2]
-    around = routes.plan(position, state.belief.polygons(_AVOIDED))
+    around = routes.plan(position, state.belief.avoided())
     through = routes.plan(position, state.belief.polygons((Status.FIXED,)))
     if through is None:
         return state
@@ -142,11 +142,12 @@ def look_ahead(setup: Setup, state: NavigatorState, obs: Observation) -> Navigat
     (index, distance), now, cfg = blocked, float(obs.time[0]), setup.config
     known, position = state.belief.objects[index], obs.robot_pose[0, :2]
     if known.status is not Status.UNKNOWN:
-        return state.go(now, Mode.REPLAN, f"object {index} ({known.status}) is in the way")
+        again = state.with_object(index, in_the_way=known.in_the_way + 1)
+        return again.go(now, Mode.REPLAN, f"object {index} ({known.status}) is in the way")
     remaining = state.path.length - project(state.path, position)
     # Not through another one that this path goes round already: it would turn from one to the other for ever.
     gone_round = [state.belief.objects[i].polygon for i in state.gone_round | {index}]
-    detour = setup.routes(state).plan(position, [*state.belief.polygons(_AVOIDED), *gone_round])
+    detour = setup.routes(state).plan(position, [*state.belief.avoided(), *gone_round])
     longer = np.inf if detour is None else detour.length - remaining
     if cfg.goes_round and detour is not None and longer < cfg.detour:
         state = _on_path(replace(state, gone_round=state.gone_round | {index}), now, detour)

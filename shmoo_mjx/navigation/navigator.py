@@ -336,10 +336,10 @@ class Navigator:
         return command
 
     def head_for(self, goal: Numbers | Float[Array, "2"], now: float) -> None:
-        """Go on to another goal in {W}, with all that is known; what could not be moved gets its chances anew."""
+        """Go on to another goal in {W}, with all that is known; objects get their pushes and chances anew."""
         state = replace(self.state, goal=np.asarray(goal, dtype=float)[:2], path=None, drive=drive.init())
         for index in state.belief.objects:
-            state = state.with_object(index, chances=0, failed_faces=())
+            state = state.with_object(index, pushes=0, chances=0, failed_faces=(), in_the_way=0)
         self.state = replace(state, mode=Mode.REPLAN, since=now, segment=None, pending=None, waits_from=None)
 
     def expect(self, sizes: Sequence[tuple[float, float]]) -> None:

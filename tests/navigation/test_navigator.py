@@ -118,6 +118,27 @@ def test_the_way_round_one_object_does_not_lead_through_another_that_is_gone_rou
     assert reasons(navigator).count("going round it costs") == 1
 
 
+def test_gaps_that_look_wide_enough_only_from_afar_are_not_tried_for_ever() -> None:
+    """A registered box in each of two doorways: the gap beside the one that is far always seems wide enough."""
+    cells = np.full((160, 120), FREE, dtype=np.int8)
+    cells[:2] = cells[-2:] = cells[:, :2] = cells[:, -2:] = cells[:, 59:61] = OCCUPIED
+    cells[20:41, 59:61] = cells[120:141, 59:61] = FREE
+    far = np.array([(3.0, 1.915, 0.0), (3.0, 6.915, 0.0)])
+    world = World((1.2, 4.0, 0.0), (3.0, 1.915, 0.0), movable=False)
+    navigator = Navigator(
+        OccupancyGrid(cells, 0.05), [5.0, 4.0], [HALF, HALF], Stand(world), config=NavigatorConfig(chances=0),
+        first_status=[Status.FIXED, Status.FIXED],
+    )  # type: ignore[arg-type]  # fmt: skip
+    still = {"object_twist": np.zeros((1, 2, 3)), "wrench": np.zeros((1, 2, 3)), "object_age": np.zeros((1, 2)),
+             "detected": np.ones((1, 2), dtype=bool)}  # fmt: skip
+    while not navigator.finished and world.time < 120.0:
+        seen = far.copy()
+        seen[np.linalg.norm(far[:, :2] - world.pose[:2], axis=1) < 2.5, 1] -= 0.14
+        world.step(navigator.tick(world.observe()._replace(object_pose=seen[None], **still)))
+    assert navigator.mode is Mode.FAILED, reasons(navigator)
+    assert reasons(navigator).count("(fixed) is in the way") == 4, reasons(navigator)
+
+
 def test_with_no_way_left_it_says_so_after_three_more_tries_and_stands_still() -> None:
     navigator, world = run(doors=1, movable=False)
     assert navigator.mode is Mode.FAILED
@@ -125,8 +146,9 @@ def test_with_no_way_left_it_says_so_after_three_more_tries_and_stands_still() -
     assert "object 0, registered as an obstacle, is tried again" in said(navigator)
     assert sum(t.target is Mode.PROBE for t in navigator.transitions) == 1 + navigator.config.chances
     assert np.linalg.norm(world.velocity) < 0.15
+    assert navigator.belief.objects[0].pushes > 0
     navigator.head_for([5.0, 2.0], world.time)
-    assert navigator.belief.objects[0].chances == 0
+    assert navigator.belief.objects[0].chances == navigator.belief.objects[0].pushes == 0
 
 
 def test_what_holds_the_hands_and_is_never_felt_is_given_up() -> None:
