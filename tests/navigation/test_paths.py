@@ -9,7 +9,7 @@ from pathlib import Path as FilePath
 import numpy as np
 import pytest
 import shapely
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from scipy import ndimage, sparse
 from scipy.sparse.csgraph import dijkstra
@@ -250,6 +250,7 @@ def test_field_with_obstacle_is_the_distance_to_it(x: float, y: float, yaw: floa
 
 
 @settings(max_examples=40, deadline=None)
+@example(0, 1e-8, 0.0)
 @given(st.integers(0, 10**6), st.floats(0.0, 0.4), st.floats(-3, 3))
 def test_distance_to_a_polygon_is_that_of_shapely(seed: int, margin: float, yaw: float) -> None:
     rng = np.random.default_rng(seed)
@@ -259,7 +260,8 @@ def test_distance_to_a_polygon_is_that_of_shapely(seed: int, margin: float, yaw:
     points = rng.normal(0.0, 1.5, size=(60, 5, 2))
     for shape in shapes:
         exact = shapely.distance(shape, shapely.points(points))
-        np.testing.assert_allclose(footprints.polygon_distance(shape, points), exact, atol=1e-9)
+        # Corners of rounded ones that are nanometres apart count as one.
+        np.testing.assert_allclose(footprints.polygon_distance(shape, points), exact, atol=2e-8)
 
 
 def test_fields_with_obstacles_are_remembered_and_never_mixed_up() -> None:
