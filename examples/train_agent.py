@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
@@ -48,36 +48,31 @@ def scores(pool: ProcessPoolExecutor, candidates: Sequence[np.ndarray], seeds: S
     return found.reshape(len(candidates), len(seeds), 2).mean(axis=1)
 
 
-def train(generations: int, workers: int, seed: int, out: Path) -> None:
-    """Search, and after every third generation draw the curve and keep the policy ``[4, 28]``."""
+def train(
+    pool: ProcessPoolExecutor, generations: int, seed: int
+) -> Iterator[tuple[tuple[int, float, float], np.ndarray]]:
+    """Search; after every third generation give (episodes, return, final distance [m]) and the policy ``[4, 28]``."""
     options = {"seed": seed + 1, "popsize": POPULATION, "verbose": -9}
     search = cma.CMAEvolutionStrategy(np.zeros(4 * (len(SCALE) + 1)), 0.3, options)
-    rng, began, curve = np.random.default_rng(seed), time.monotonic(), list[tuple[int, float, float]]()
-    with ProcessPoolExecutor(workers) as pool:
-        for generation in range(generations + 1):
-            if generation % 3 == 0:
-                gained, distance = scores(pool, [search.mean], HELD_OUT)[0].tolist()
-                curve.append((generation * POPULATION * EPISODES, gained, distance))
-                draw(curve, out)
-                np.save(out.with_suffix(".npy"), search.mean.reshape(4, -1))
-                minutes = (time.monotonic() - began) / 60
-                print(
-                    f"{minutes:5.1f} min, {curve[-1][0]:4d} episodes: return {gained:+.2f}, "
-                    f"final distance {distance:.2f} m",
-                    flush=True,
-                )
-            candidates = search.ask()
-            seeds = rng.integers(1000, 100_000, EPISODES).tolist()  # the same for all: what differs is the policy
-            search.tell(candidates, (-scores(pool, candidates, seeds)[:, 0]).tolist())
+    rng = np.random.default_rng(seed)
+    for generation in range(generations + 1):
+        if generation % 3 == 0:
+            gained, distance = scores(pool, [search.mean], HELD_OUT)[0].tolist()
+            yield (generation * POPULATION * EPISODES, gained, distance), search.mean.reshape(4, -1)
+        candidates = search.ask()
+        seeds = rng.integers(1000, 100_000, EPISODES).tolist()  # the same for all: what differs is the policy
+        search.tell(candidates, (-scores(pool, candidates, seeds)[:, 0]).tolist())
 
 
-def draw(curve: list[tuple[int, float, float]], file: Path) -> None:
-    """Return and final distance over the episodes of training."""
-    episodes, returns, distances = np.array(curve).T
+def draw(curves: Sequence[Sequence[tuple[int, float, float]]], file: Path) -> None:
+    """Return and final distance over the episodes of training: each training thin, the mean of whole ones thick."""
     figure = Figure(figsize=(6.0, 3.0), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    for axes, values, name in ((left, returns, "return"), (right, distances, "final distance from the goal [m]")):
-        axes.plot(episodes, values, "o-", color="#0072B2", ms=4)
+    whole = np.array([curve for curve in curves if len(curve) == len(curves[0])])
+    for column, name in ((1, "return"), (2, "final distance from the goal [m]")):
+        axes = figure.add_subplot(1, 2, column)
+        for curve in curves:
+            axes.plot(np.array(curve)[:, 0], np.array(curve)[:, column], color="#56B4E9", lw=0.8)
+        axes.plot(whole[0, :, 0], whole[:, :, column].mean(axis=0), "o-", color="#0072B2", ms=4)
         axes.set(xlabel="episodes of training", ylabel=name)
         axes.grid(alpha=0.3)
     figure.savefig(file, dpi=110)
@@ -87,8 +82,18 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--generations", type=int, default=36)
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seeds", type=int, default=1, help="trainings, one after the other")
     parser.add_argument("--out", type=Path, default=Path("agent.png"))
     given = parser.parse_args()
-    train(given.generations, given.workers, given.seed, given.out)
+    began, curves = time.monotonic(), list[list[tuple[int, float, float]]]()
+    with ProcessPoolExecutor(given.workers) as pool:
+        for seed in range(given.seeds):
+            curves.append([])
+            for point, policy in train(pool, given.generations, seed):
+                curves[-1].append(point)
+                draw(curves, given.out)
+                np.save(given.out.with_suffix(".npy"), policy)
+                minutes = (time.monotonic() - began) / 60
+                told = f"{point[0]:4d} episodes: return {point[1]:+.2f}, final distance {point[2]:.2f} m"
+                print(f"{minutes:5.1f} min, seed {seed}, {told}", flush=True)
     print(given.out)

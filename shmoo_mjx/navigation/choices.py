@@ -36,7 +36,6 @@ _FAILED_FACE = 5.0
 _ACT_WITHIN = 2.2
 """Distance along the path within which an object in the way is dealt with [m]: room to brake and for a stand-off
 pose."""
-_AVOIDED = (Status.PARKED, Status.FIXED)
 
 
 def replan(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState | None:
@@ -98,9 +97,8 @@ def _another_chance(setup: Setup, state: NavigatorState, obs: Observation) -> tu
     Not in the moment in which it was registered: what was out of reach then would be so still.
     """
     cfg, now, objects = setup.config, float(obs.time[0]), state.belief.objects
-    rested = [
-        i for i, o in objects.items() if o.status in _AVOIDED and o.chances < cfg.chances and now - o.fixed_at > 1.0
-    ]
+    tried = [(i, o) for i, o in objects.items() if o.status is not Status.UNKNOWN and o.chances < cfg.chances]
+    rested = [i for i, o in tried if now - o.fixed_at > 1.0]
     if not rested:
         return state, False
     others = [o.polygon for i, o in objects.items() if i not in rested]
