@@ -1,4 +1,4 @@
-"""The four sides of a rectangular footprint as faces to push on."""
+"""The four sides of a rectangular footprint as faces to push on, and its corners, held between the hands."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float, Scalar
-from shmoo_mjx.hands import HAND_RADIUS, REACH
+from shmoo_mjx.hands import HAND_RADIUS, REACH, SEPARATION
 
 
 def faces_of(half_extents: tuple[float, float]) -> Float[np.ndarray, "4 4"]:
@@ -16,6 +16,18 @@ def faces_of(half_extents: tuple[float, float]) -> Float[np.ndarray, "4 4"]:
     """
     a, b = half_extents
     return np.array([(-a, 0.0, 0.0, b), (0.0, -b, np.pi / 2, a), (a, 0.0, -np.pi, b), (0.0, b, -np.pi / 2, a)])
+
+
+def corners_of(half_extents: tuple[float, float]) -> Float[np.ndarray, "4 4"]:
+    """Corners as faces in {O}, as :func:`faces_of` has the sides: the hands touch a side each, the corner between them.
+
+    In the order rear right (pushes towards +x, +y), front right, front left, rear left.
+    """
+    deep = SEPARATION / 2 - (np.sqrt(2) - 1) * HAND_RADIUS  # from the corner to where the hands touch
+    signs = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
+    centres = signs * (np.array(half_extents) - deep / np.sqrt(2))
+    half_width = np.full((4, 1), SEPARATION / 2)
+    return np.concatenate([centres, np.arctan2(*-signs.T[::-1])[:, None], half_width], axis=1)
 
 
 def heading(object_pose: Float[Array, "... 3"], face: Float[Array, "... 4"]) -> Scalar | Float[Array, "..."]:

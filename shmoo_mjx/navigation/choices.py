@@ -11,7 +11,7 @@ import numpy as np
 import shapely
 
 from shmoo_mjx.control.observation import local_distance_field
-from shmoo_mjx.faces import faces_of, heading
+from shmoo_mjx.faces import corners_of, faces_of, heading
 from shmoo_mjx.navigation import drive
 from shmoo_mjx.navigation.belief import Status
 from shmoo_mjx.navigation.object_planner import InitialGoal, initial_goal
@@ -166,19 +166,23 @@ def _start_push(
     if known.pushes >= setup.config.max_pushes:
         text = f"object {index} has been pushed {known.pushes} times without clearing the path"
         return _give_up(setup, state, obs, index, text)
-    faces, position, everything = faces_of(known.half_extents), obs.robot_pose[0, :2], state.belief.clearance()
-    ways = {
-        i: routes.path_to_face(position, index, face, everything, known.failed_faces.count(i))
-        for i, face in enumerate(faces)
-    }
-    usable = {i: way for i, way in ways.items() if way is not None and way[0].length < longest}
+    position, everything, failed = obs.robot_pose[0, :2], state.belief.clearance(), known.failed_faces.count
+    faces = np.concatenate([faces_of(known.half_extents), corners_of(known.half_extents)])
+
+    def reached(sides: range) -> dict[int, tuple[Path, float, float]]:
+        ways = {i: routes.path_to_face(position, index, faces[i], everything, failed(i), i >= 4) for i in sides}
+        return {i: way for i, way in ways.items() if way is not None and way[0].length < longest}
+
+    usable = reached(range(4))
+    if all(failed(i) for i in usable):  # where none of the sides helps, or can be reached, a corner may
+        usable |= reached(range(4, 8))
     if not usable:
         return _give_up(setup, state, obs, index, f"no face of object {index} can be reached on a way worth taking")
-    fewest = min(known.failed_faces.count(i) for i in usable)
+    fewest = min(failed(i) for i in usable)
     if fewest > known.chances:
         text = f"object {index} could not be moved from any face that can be reached"
         return _give_up(setup, state, obs, index, text)
-    usable = {i: way for i, way in usable.items() if known.failed_faces.count(i) == fewest}
+    usable = {i: way for i, way in usable.items() if failed(i) == fewest}
     around = state.belief.clearance(without=index)
     first = _first_goal(setup, state, obs, index, [heading(known.pose, faces[i]) for i in usable])
     if first.goal is None or first.direction is None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,6 +45,8 @@ _OTHER_PATHS = 12
 _ASIDE = (0.0, 0.1, -0.1, 0.2, -0.2)
 """Places along a face from which contact is sought, one after the other [m]: one hand at least is on it. All but the
 middle only with the wider `_REACHING_ROOM`."""
+_BESIDE_CORNER = (0.0, 0.05, -0.05)
+"""The same for a corner [m]: farther aside one hand is off the object when the other touches it."""
 _BEGINS = (0, 3, 4)
 """Which of them is sought first: the middle, after a failure one end, after another the other end. Always the middle,
 2 of 5 doorways that a second push opens stay closed, and none of 5 others opens."""
@@ -108,19 +110,15 @@ class Routes:
         face: Float[np.ndarray, "4"],
         clearance: ClearanceField,
         failed: int = 0,
+        corner: bool = False,
     ) -> tuple[Path, float, float] | None:
         """Way to the nearest stand-off pose at ``face`` of object ``index`` where the robot has room, and that
         pose's gap and place along the face [m]; None if there is no room or no way. ``clearance`` is that of everything
         known. Beside the middle of the face only where there is no room at it, or where pushes there have ``failed`` so
-        often: what is jammed against a wall is turned by a push at its end."""
+        often: what is jammed against a wall is turned by a push at its end. A ``corner`` is met near its middle."""
         known, obstacles = self.belief.objects[index], self.belief.polygons()
         others = self.belief.clearance(without=index)
-        gaps = (CONTACT_GAP, *_WIDER_GAPS)
-        roomy, tight = _REACHING_ROOM
-        first = _BEGINS[failed % len(_BEGINS)]
-        aside = (*_ASIDE[first:], *_ASIDE[:first])
-        places = [*itertools.product((roomy,), aside, gaps), *itertools.product((tight,), (0.0,), gaps)]
-        for reserve, lateral, gap in places:
+        for reserve, lateral, gap in _stand_off_places(failed, corner):
             wanted = stand_off(known.pose, face, gap, lateral)
             forward = np.stack([stand_off(known.pose, face, g, lateral) for g in np.linspace(gap, 0.0, 4)])
             room = outline.room(others.at, forward, (TUCKED_REACH, REACH)).least
@@ -152,3 +150,12 @@ class Routes:
         if room[best] < shmoobot().radius:
             return None
         return Path(np.stack([position, ends[best]]), float(lengths[best]))
+
+
+def _stand_off_places(failed: int, corner: bool) -> Iterator[tuple[float, float, float]]:
+    """Room to keep, place along the face and gap from which contact is sought [m], in the order in which they are."""
+    gaps, (roomy, tight), first = (CONTACT_GAP, *_WIDER_GAPS), _REACHING_ROOM, _BEGINS[failed % len(_BEGINS)]
+    if corner:
+        return itertools.product((roomy, tight), _BESIDE_CORNER, gaps)
+    aside = (*_ASIDE[first:], *_ASIDE[:first])
+    return itertools.chain(itertools.product((roomy,), aside, gaps), itertools.product((tight,), (0.0,), gaps))

@@ -11,6 +11,7 @@ import pytest
 from toy import toy_scenario
 from toy_world import HALF, Stand, World, reasons, run, said, visited
 
+from shmoo_mjx.faces import heading
 from shmoo_mjx.navigation.belief import Status
 from shmoo_mjx.navigation.maps import FREE, OCCUPIED, OccupancyGrid
 from shmoo_mjx.navigation.navigator import PROBE_ROOM, Navigator
@@ -50,6 +51,18 @@ def test_in_a_corridor_the_first_goal_may_be_far() -> None:
     assert navigator.mode is Mode.APPROACH, reasons(navigator)
     assert navigator.segment is not None
     assert np.linalg.norm(navigator.segment.goal[:2] - world.box[:2]) > 1.5
+
+
+def test_a_box_that_stands_aslant_behind_a_doorway_is_pushed_at_its_corner() -> None:
+    """From the doorway the robot has room for none of its sides."""
+    grid, scenario = toy_scenario(1, True)
+    world = World(scenario.start, (3.4, 2.025, np.pi / 4), movable=True)
+    navigator = Navigator(grid, scenario.goal, [HALF], Stand(world))  # type: ignore[arg-type]
+    while navigator.mode in (Mode.REPLAN, Mode.FOLLOW):
+        world.step(navigator.tick(world.observe()))
+    assert navigator.mode is Mode.APPROACH, reasons(navigator)
+    assert navigator.segment is not None
+    assert heading(world.box, navigator.segment.face) == pytest.approx(0.0)
 
 
 @pytest.mark.parametrize("moves", [True, False])

@@ -12,7 +12,7 @@ from toy import toy_scenario
 
 from shmoo_mjx import se2
 from shmoo_mjx.control.equilibrium_lean import arms_lean
-from shmoo_mjx.faces import faces_of
+from shmoo_mjx.faces import corners_of, faces_of
 from shmoo_mjx.hands import HAND_RADIUS
 from shmoo_mjx.learning import adaptation
 from shmoo_mjx.learning.adaptation import AdaptState
@@ -112,7 +112,7 @@ class World:
         """Press the rectangle, or be stopped by it, where the hands are inside one of its faces."""
         ahead = np.array([np.cos(self.pose[2]), np.sin(self.pose[2])])
         tip = self.pose[:2] + (self.reach + HAND_RADIUS) * ahead
-        for face in faces_of(HALF):
+        for face in (*faces_of(HALF), *corners_of(HALF)):
             local = se2.relative(se2.compose(self.box, face[:3]), np.array([*tip, self.pose[2]]))
             if 0.0 < local[0] < 0.2 and abs(local[1]) < face[3] and abs(local[2]) < 0.5:
                 normal = np.array([np.cos(self.box[2] + face[2]), np.sin(self.box[2] + face[2])])
