@@ -5,6 +5,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from shmoo_mjx.dynamics import contact_model
 from shmoo_mjx.learning import identification
@@ -35,6 +36,7 @@ def drawn(log_mass: float, log_friction: float, rng: np.random.Generator, rows: 
     return parameters, inputs.astype(np.float32), labels
 
 
+@pytest.mark.slow
 def test_groups_are_found_and_an_unseen_object_is_identified() -> None:
     rng = np.random.default_rng(0)
     kinds = ((2.0, -0.8), (3.5, -4.0))
@@ -86,6 +88,7 @@ def test_a_bad_sample_changes_nothing() -> None:
         jax.tree.map(np.testing.assert_array_equal, after, state)
 
 
+@pytest.mark.slow
 def test_a_stretch_is_the_first_rows_that_count() -> None:
     """Short stretches are fitted on their own rows only, wherever rows that don't count lie between."""
     _, inputs, labels = drawn(2.0, -1.0, np.random.default_rng(1), 60)

@@ -75,6 +75,7 @@ def test_episodes_shorter_than_the_horizon_are_refused(synthetic_dataset: store.
         robot_fit.train_robot(synthetic_dataset, None, replace(SMALL, horizon=100))
 
 
+@pytest.mark.slow
 def test_training_on_roll_outs_lessens_the_drift(synthetic_dataset: store.Dataset) -> None:
     known = robot_fit.train_robot(synthetic_dataset, None, SMALL).params
     astray = known._replace(output_mean=known.output_mean + 0.5 * known.output_scale)
