@@ -27,7 +27,7 @@ def corners_of(half_extents: tuple[float, float]) -> Float[np.ndarray, "4 4"]:
     signs = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
     centres = signs * (np.array(half_extents) - deep / np.sqrt(2))
     half_width = np.full((4, 1), SEPARATION / 2)
-    return np.concatenate([centres, np.arctan2(*-signs.T[::-1])[:, None], half_width], axis=1)
+    return np.concatenate([centres, np.arctan2(-signs[:, 1], -signs[:, 0])[:, None], half_width], axis=1)
 
 
 def heading(object_pose: Float[Array, "... 3"], face: Float[Array, "... 4"]) -> Scalar | Float[Array, "..."]:

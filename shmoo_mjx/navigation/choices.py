@@ -167,15 +167,19 @@ def _start_push(
         text = f"object {index} has been pushed {known.pushes} times without clearing the path"
         return _give_up(setup, state, obs, index, text)
     position, everything, failed = obs.robot_pose[0, :2], state.belief.clearance(), known.failed_faces.count
-    faces = np.concatenate([faces_of(known.half_extents), corners_of(known.half_extents)])
+    sides, corners = faces_of(known.half_extents), corners_of(known.half_extents)
+    faces, first_corner = np.concatenate([sides, corners]), len(sides)
 
-    def reached(sides: range) -> dict[int, tuple[Path, float, float]]:
-        ways = {i: routes.path_to_face(position, index, faces[i], everything, failed(i), i >= 4) for i in sides}
+    def reached(those: range) -> dict[int, tuple[Path, float, float]]:
+        ways = {
+            i: routes.path_to_face(position, index, faces[i], everything, failed(i), corner=i >= first_corner)
+            for i in those
+        }
         return {i: way for i, way in ways.items() if way is not None and way[0].length < longest}
 
-    usable = reached(range(4))
+    usable = reached(range(first_corner))
     if all(failed(i) for i in usable):  # where none of the sides helps, or can be reached, a corner may
-        usable |= reached(range(4, 8))
+        usable |= reached(range(first_corner, len(faces)))
     if not usable:
         return _give_up(setup, state, obs, index, f"no face of object {index} can be reached on a way worth taking")
     fewest = min(failed(i) for i in usable)
@@ -193,7 +197,8 @@ def _start_push(
     segment = Segment(index, side, faces[side], first.goal, way, approach.init(now, *place), field, detour)
     state = replace(state, segment=segment, drive=drive.init())
     state = state.with_object(index, pushes=known.pushes + 1, registered=known.pose)
-    return state.go(now, Mode.APPROACH, f"{why}; first goal: {first.reason}")
+    where = "; at a corner, since no side helps" if side >= first_corner else ""
+    return state.go(now, Mode.APPROACH, f"{why}{where}; first goal: {first.reason}")
 
 
 def _first_goal(

@@ -63,6 +63,7 @@ def test_a_box_that_stands_aslant_behind_a_doorway_is_pushed_at_its_corner() -> 
     assert navigator.mode is Mode.APPROACH, reasons(navigator)
     assert navigator.segment is not None
     assert heading(world.box, navigator.segment.face) == pytest.approx(0.0)
+    assert "at a corner" in reasons(navigator)
 
 
 @pytest.mark.parametrize("moves", [True, False])
