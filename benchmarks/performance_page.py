@@ -4,6 +4,7 @@ Run: python benchmarks/performance_page.py (with --check: ends with code 1 if th
 
     shmoo bench mppi --peers-python peers/bin/python --json docs/results/bench_mppi.json
     shmoo bench demo --json docs/results/bench_demo.json
+    python benchmarks/gpu.py --out docs/results (on a machine with a GPU)
     python benchmarks/rollouts.py --json docs/results/rollouts.json --figure docs/figures/rollouts.png
 
 The control step's table is of the short form's result where there is none of the long form.
@@ -33,6 +34,7 @@ ENGINES = {
     "pytorch_mppi_eager_ms": "pytorch_mppi eager, roll-outs",
 }
 RATIOS = {
+    "512_problems_over_512_times_one": "512 problems in one call / 512 x one",
     "p99_over_median": "p99 / median",
     "gemm_p99_over_median": "of bare matrix products as long",
     "busy_over_plain_jax": "beside a busy process / plain JAX beside it",
@@ -51,7 +53,8 @@ def control_step(result: ExperimentResult) -> str:
         return "" if base is None else f"{value / base:.2f}"
 
     rows = [
-        [ENGINES[k], f"{v:.1f}", over(v, eager), over(v, ideal)] for k, v in sorted(found.items(), key=lambda x: x[1])
+        [ENGINES[k], f"{v:.1f}" if v > 0.1 else f"{v:.2f}", over(v, eager), over(v, ideal)]
+        for k, v in sorted(found.items(), key=lambda x: x[1])
     ]
     table = markdown_table(["", "ms", "over pytorch_mppi eager", "over ideal"], rows)
     more = [f"{label} {value:.2f}" for key, label in RATIOS.items() if (value := result.metrics.get(key)) is not None]
@@ -77,6 +80,16 @@ def demo(result: ExperimentResult) -> str:
     return f"{_machine(result)} {total}; {first}.\n\n{markdown_table(['', 's', 'share', ''], rows)}"
 
 
+def batches(result: ExperimentResult) -> str:
+    """Steps of a batch of worlds per second, beside C MuJoCo."""
+    rows = [
+        [row["engine"], *(str(row.get(k, "")) for k in ("batch", "threads", "state")), f"{row['steps_per_s']:,}"]
+        for row in result.rows
+    ]
+    table = markdown_table(["robot + cart", "worlds", "threads", "", "steps/s"], rows)
+    return f"{_machine(result)}\n\n{table}"
+
+
 def rollouts(result: ExperimentResult) -> str:
     """Cost and time of every variant."""
     sys.path.insert(0, str(Path(__file__).parent))
@@ -89,6 +102,8 @@ def rollouts(result: ExperimentResult) -> str:
 BLOCKS: dict[str, tuple[tuple[str, ...], Callable[[ExperimentResult], str]]] = {
     "control step": (("bench_mppi.json", "bench_mppi_quick.json"), control_step),
     "control step elsewhere": (("bench_mppi_epyc.json",), control_step),
+    "control step on a GPU": (("bench_mppi_gpu.json",), control_step),
+    "plant on a GPU": (("bench_plant_gpu.json",), batches),
     "demo": (("bench_demo.json",), demo),
     "roll-outs": (("rollouts.json",), rollouts),
 }
@@ -109,7 +124,8 @@ def page(text: str) -> str:
 
 def _machine(result: ExperimentResult) -> str:
     made: dict[str, Any] = result.config["machine"]
-    return f"{made['processor']}, {made['cores']} cores{', short form' if result.config.get('quick') else ''}:"
+    card = "" if made["device"] == "cpu" else f", {made['device']}"
+    return f"{made['processor']}, {made['cores']} cores{card}{', short form' if result.config.get('quick') else ''}:"
 
 
 def main() -> None:

@@ -40,8 +40,8 @@ def _mujoco() -> Check:
 def _jax() -> Check:
     version = metadata.version("jax")
     numbers = tuple(int(n) for n in version.split(".")[:2])
-    remedy = "pip install 'jax>=0.11': older ones can deadlock on machines with two cores"
-    return Check("JAX", numbers >= (0, 11), version, remedy)
+    remedy = "pip install 'jax>=0.12': older ones crash where MJX is compiled for several CPU devices"
+    return Check("JAX", numbers >= (0, 12), version, remedy)
 
 
 def _device() -> Check:

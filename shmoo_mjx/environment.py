@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import sys
 import warnings
@@ -19,11 +20,23 @@ def prepare_environment() -> None:
     if cores > 1 and "xla_force_host_platform_device_count" not in os.environ.get("XLA_FLAGS", ""):
         # XLA runs small matrix products on one core: MPPI shares its samples out among these devices.
         os.environ.setdefault("JAX_NUM_CPU_DEVICES", str(min(cores, 4)))
+    # On a GPU: several processes share it, and single precision is meant (TF32 keeps 10 bits of a product's factors).
+    os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
+    os.environ.setdefault("JAX_DEFAULT_MATMUL_PRECISION", "highest")
     if sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
-        # MuJoCo's default window system needs a display; EGL renders without one.
-        os.environ.setdefault("MUJOCO_GL", "egl")
+        # MuJoCo's default window system needs a display, and MuJoCo can't be imported if what is named is missing.
+        os.environ.setdefault("MUJOCO_GL", headless_graphics())
     # JAX warns of any fork. The video encoder and the renderer's trial run call exec at once and share no lock with it.
     warnings.filterwarnings("ignore", message=r"os\.fork\(\) was called", category=RuntimeWarning)
+
+
+def headless_graphics() -> str:
+    """What MUJOCO_GL must be without a display: egl, or disable where that library is missing."""
+    try:
+        ctypes.CDLL("libEGL.so.1")
+    except OSError:
+        return "disable"
+    return "egl"
 
 
 def check_environment() -> None:

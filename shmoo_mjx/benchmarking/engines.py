@@ -6,6 +6,7 @@ SPEC is JSON: engine, samples, horizon, problems, activation, seed. The engines:
   sampling, features, networks, contact rules, the cost of a push with its map, update.
 * ``ours_paper``: the same with the paper's widths of psi and no linear terms, untrained, and Eq. 9 as the only cost.
 * ``plain_jax``: the common problem of `mppi_problem` as one writes it in JAX: vmap, scan, jit.
+* ``gemm``: one matrix product of single precision, for the rate of a machine with a GPU.
 * ``batch``: several problems planned in one call, ``mppi.plan`` over the learned core for each; one problem has its
   roll-outs shared out among the devices, several are shared out themselves.
 """
@@ -124,6 +125,13 @@ def plain_jax(samples: int, horizon: int, activation: str, seed: int) -> Callabl
     return step
 
 
+def gemm(size: int) -> Callable[[], Any]:
+    """One float32 matrix product."""
+    a, b = jax.random.uniform(jax.random.key(0), (2, size, size))
+    product = jax.jit(jnp.matmul)
+    return lambda: jax.block_until_ready(product(a, b))
+
+
 def batch(samples: int, horizon: int, problems: int, seed: int) -> Callable[[], Any]:
     """Plans for ``problems`` states in one call, with Eq. 9 as the cost."""
     weights = weights_file.load_weights(asset(WEIGHTS))
@@ -185,6 +193,8 @@ def main() -> None:
         step = batch(*size, spec["problems"], spec["seed"])
     elif engine == "plain_jax":
         step = plain_jax(*size, spec["activation"], spec["seed"])
+    elif engine == "gemm":
+        step = gemm(spec["samples"])
     else:
         shipped = weights_file.load_weights(asset(WEIGHTS)), pushing.PushConfig()
         weights, config = paper_form(spec["activation"], spec["seed"]) if engine == "ours_paper" else shipped

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
 from shmoo_mjx.benchmarking import mppi_problem, workers
@@ -74,8 +75,10 @@ def run(cfg: MppiSizes, options: BenchOptions) -> Measured:
 def _starters(cfg: MppiSizes, seed: int, python: Path) -> dict[str, Callable[[], Worker]]:
     """How to start each engine."""
 
-    def own(engine: str, devices: int | None = None) -> Callable[[], Worker]:
-        return lambda: workers.ours(_spec(cfg, seed, engine=engine), devices)
+    on_cpu = jax.default_backend() == "cpu"
+
+    def own(engine: str, devices: int | None = None, samples: int = cfg.samples) -> Callable[[], Worker]:
+        return lambda: workers.ours(_spec(cfg, seed, engine=engine, samples=samples), devices)
 
     def other(engine: str, by: Path, samples: int = cfg.samples) -> Callable[[], Worker]:
         return lambda: workers.peer(by, engine, samples, cfg.horizon, cfg.activation, seed)
@@ -85,7 +88,7 @@ def _starters(cfg: MppiSizes, seed: int, python: Path) -> dict[str, Callable[[],
         "ours_paper": own("ours_paper"),
         "plain_jax": own("plain_jax", 1),
         "numpy": other("numpy", Path(sys.executable)),
-        "gemm": other("gemm", Path(sys.executable), cfg.gemm),
+        "gemm": other("gemm", Path(sys.executable), cfg.gemm) if on_cpu else own("gemm", 1, cfg.gemm),
         "pytorch_mppi_eager": other("pytorch_mppi_eager", python),
         "pytorch_mppi_compiled": other("pytorch_mppi_compiled", python),
     }

@@ -62,14 +62,18 @@ def numpy_engine(samples: int, horizon: int, activation: str, seed: int) -> Call
 def torch_engine(
     samples: int, horizon: int, activation: str, seed: int, threads: int, compiled: bool
 ) -> Callable[[], Any]:
-    """pytorch_mppi's own controller on the same networks and cost."""
+    """pytorch_mppi's own controller on the same networks and cost, on the GPU if torch has one."""
     import torch
     from pytorch_mppi import MPPI
 
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     torch.set_num_threads(threads)
     torch.manual_seed(seed)
     problem = work.draw(seed)
-    goal, a = torch.from_numpy(problem.goal), torch.from_numpy(problem.coefficients).T.contiguous()
+    goal, a = (
+        torch.from_numpy(problem.goal).to(device),
+        torch.from_numpy(problem.coefficients).T.contiguous().to(device),
+    )
 
     def net(layers: list) -> Any:
         modules: list[Any] = []
@@ -77,7 +81,7 @@ def torch_engine(
             layer = torch.nn.Linear(*weight.shape)
             layer.weight.data, layer.bias.data = torch.from_numpy(weight.T.copy()), torch.from_numpy(bias.copy())
             modules += [layer, torch.nn.Tanh() if activation == "tanh" else torch.nn.ReLU()]
-        return torch.nn.Sequential(*modules[:-1]).requires_grad_(False).eval()
+        return torch.nn.Sequential(*modules[:-1]).requires_grad_(False).eval().to(device)
 
     robot, psi = net(problem.robot), net(problem.psi)
 
@@ -91,29 +95,30 @@ def torch_engine(
         moved = torch.linalg.vector_norm(actions[..., 1:, :] - actions[..., :-1, :], dim=-1).sum(-1)
         return torch.linalg.vector_norm(states[..., -1, 25:28] - goal, dim=-1) + work.CHANGE * moved
 
-    bound = torch.full((3,), work.BOUND)
+    bound = torch.full((3,), work.BOUND, device=device)
     controller = MPPI(
         dynamics,
         running_cost,
         31,
-        work.SIGMA**2 * torch.eye(3),
+        work.SIGMA**2 * torch.eye(3, device=device),
         num_samples=samples,
         horizon=horizon,
         lambda_=work.TEMPERATURE,
         u_min=-bound,
         u_max=bound,
-        U_init=torch.zeros(horizon, 3),
+        U_init=torch.zeros(horizon, 3, device=device),
+        device=device,
         terminal_state_cost=terminal_cost,
     )
     if compiled:
         controller.compile()
-    x0 = torch.from_numpy(problem.x0)
+    x0 = torch.from_numpy(problem.x0).to(device)
     # torch.compile does not take inference mode.
     mode = torch.no_grad if compiled else torch.inference_mode
 
     def step() -> Array:
         with mode():
-            return controller.command(x0).numpy()
+            return controller.command(x0).cpu().numpy()
 
     return step
 

@@ -53,13 +53,13 @@ class Measured:
     """Numbers of others, by the names of the metrics that they compare with."""
 
 
-def run_benchmark(name: str, options: BenchOptions) -> ExperimentResult:
-    """Run one benchmark; its config says on which machine."""
+def run_benchmark(name: str, options: BenchOptions, sizes: Any = None) -> ExperimentResult:
+    """Run one benchmark, of other ``sizes`` than its own if given; its config says on which machine."""
     if name not in BENCHMARKS:
         names = ", ".join(BENCHMARKS)
         raise ShmooError(f"benchmark {name!r} is not known; choose one of {names}, all or compare.")
     module = import_module(BENCHMARKS[name])
-    config = module.QUICK if options.quick else module.FULL
+    config = sizes or (module.QUICK if options.quick else module.FULL)
     found: Measured = module.run(config, options)
     return _result(name, options, asdict(config) | found.setup, found.metrics, found.paper, found.rows)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import warnings
@@ -31,6 +32,8 @@ def can_render() -> str:
 
     Tried in a process of its own: a GL library that lacks a display may end the process it is loaded in.
     """
+    if os.environ.get("MUJOCO_GL") == "disable":
+        return "MUJOCO_GL is disable, as it is by default where there is neither a display nor EGL"
     done = subprocess.run([sys.executable, "-c", _PROBE], capture_output=True, text=True, timeout=120, check=False)
     if done.returncode == 0:
         return ""

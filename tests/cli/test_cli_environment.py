@@ -1,11 +1,14 @@
-"""Graphics and devices that the user's own settings name and this machine lacks."""
+"""Graphics and devices that this machine lacks, whether the user's own settings name them or not."""
 
+import ctypes
 import os
 import subprocess
 import sysconfig
 from pathlib import Path
 
 import pytest
+
+from shmoo_mjx.environment import prepare_environment
 
 SETTINGS = {"MUJOCO_GL": "nonsense", "JAX_PLATFORMS": "nonsense"}
 
@@ -30,3 +33,19 @@ def test_the_doctor_names_that_setting_and_goes_on(tmp_path: Path, variable: str
     done = shmoo("doctor", tmp_path, **{variable: SETTINGS[variable]})
     assert done.returncode == 1, done.stderr
     assert f"unset {variable}" in done.stdout and "shipped weights: demo.safetensors" in done.stdout
+
+
+def test_a_server_without_egl_goes_without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(name: str) -> None:
+        raise OSError(f"{name}: cannot open shared object file")
+
+    for there, wanted in ((True, "egl"), (False, "disable")):
+        monkeypatch.setattr(os, "environ", {})
+        monkeypatch.setattr(ctypes, "CDLL", (lambda name: None) if there else missing)
+        prepare_environment()
+        assert os.environ["MUJOCO_GL"] == wanted
+
+
+def test_without_graphics_the_doctor_says_so_and_is_content(tmp_path: Path) -> None:
+    done = shmoo("doctor", tmp_path, MUJOCO_GL="disable")
+    assert done.returncode == 0 and "note  3-D renderer: MUJOCO_GL is disable" in done.stdout
