@@ -81,7 +81,8 @@ def _starters(cfg: MppiSizes, seed: int, python: Path) -> dict[str, Callable[[],
         return lambda: workers.ours(_spec(cfg, seed, engine=engine, samples=samples), devices)
 
     def other(engine: str, by: Path, samples: int = cfg.samples) -> Callable[[], Worker]:
-        return lambda: workers.peer(by, engine, samples, cfg.horizon, cfg.activation, seed)
+        device = "cpu" if on_cpu else "cuda"
+        return lambda: workers.peer(by, engine, samples, cfg.horizon, cfg.activation, seed, device)
 
     return {
         "ours": own("ours"),

@@ -1,8 +1,8 @@
 """The peers, in a process and with an interpreter of their own: NumPy, and pytorch_mppi eager and compiled.
 
-Run by `mppi`: python peers.py ENGINE SAMPLES HORIZON ACTIVATION THREADS SEED. It says one line of JSON when it is
-ready, then answers each number n on its input with the seconds of n control steps. It needs NumPy, and for pytorch_mppi
-also ``pip install torch pytorch-mppi``; nothing of this package but the file beside it.
+Run by `mppi`: python peers.py ENGINE SAMPLES HORIZON ACTIVATION THREADS SEED DEVICE. It says one line of JSON when it
+is ready, then answers each number n on its input with the seconds of n control steps. It needs NumPy, and for
+pytorch_mppi also ``pip install torch pytorch-mppi``; nothing of this package but the file beside it.
 """
 
 from __future__ import annotations
@@ -60,20 +60,17 @@ def numpy_engine(samples: int, horizon: int, activation: str, seed: int) -> Call
 
 
 def torch_engine(
-    samples: int, horizon: int, activation: str, seed: int, threads: int, compiled: bool
+    samples: int, horizon: int, activation: str, seed: int, threads: int, device: str, compiled: bool
 ) -> Callable[[], Any]:
-    """pytorch_mppi's own controller on the same networks and cost, on the GPU if torch has one."""
+    """pytorch_mppi's own controller on the same networks and cost; ``device`` is cpu or cuda."""
     import torch
     from pytorch_mppi import MPPI
 
-    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     torch.set_num_threads(threads)
     torch.manual_seed(seed)
     problem = work.draw(seed)
-    goal, a = (
-        torch.from_numpy(problem.goal).to(device),
-        torch.from_numpy(problem.coefficients).T.contiguous().to(device),
-    )
+    goal = torch.from_numpy(problem.goal).to(device)
+    a = torch.from_numpy(problem.coefficients).T.contiguous().to(device)
 
     def net(layers: list) -> Any:
         modules: list[Any] = []
@@ -145,7 +142,7 @@ def serve(step: Callable[[], Any], about: dict[str, Any], compiled: Callable[[],
 
 def main() -> None:
     """Build the engine that the arguments name and serve it."""
-    engine, samples, horizon, activation, threads, seed = sys.argv[1:7]
+    engine, samples, horizon, activation, threads, seed, device = sys.argv[1:8]
     size = (int(samples), int(horizon), activation, int(seed))
     about: dict[str, Any] = {"numpy": np.__version__}
     if engine == "gemm":
@@ -155,8 +152,8 @@ def main() -> None:
     else:
         import torch
 
-        about["torch"] = torch.__version__
-        step = torch_engine(*size, int(threads), engine == "pytorch_mppi_compiled")
+        about |= {"torch": torch.__version__, "device": device}
+        step = torch_engine(*size, int(threads), device, engine == "pytorch_mppi_compiled")
     started = time.perf_counter()
     for _ in range(3):
         step()

@@ -87,10 +87,12 @@ def ours(spec: dict[str, Any], devices: int | None = None) -> Worker:
     return Worker(command, devices or min(usable_cores(), 4))
 
 
-def peer(python: Path, engine: str, samples: int, horizon: int, activation: str, seed: int) -> Worker:
-    """One of `peers`, run by the interpreter ``python``."""
+def peer(
+    python: Path, engine: str, samples: int, horizon: int, activation: str, seed: int, device: str = "cpu"
+) -> Worker:
+    """One of `peers`, run by the interpreter ``python``; torch's ``device`` is cpu or cuda."""
     script = Path(__file__).with_name("peers.py")
-    sizes = (samples, horizon, activation, usable_cores(), seed)
+    sizes = (samples, horizon, activation, usable_cores(), seed, device)
     return Worker([str(python), str(script), engine, *map(str, sizes)])
 
 
