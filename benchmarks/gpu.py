@@ -2,7 +2,7 @@
 
 Run: python benchmarks/gpu.py [mppi plant daiml] --out docs/results [--peers-python PYTHON]
 
-Writes bench_NAME_gpu.json for each; benchmarks/performance_page.py makes docs/performance.md's tables of them.
+Writes bench_NAME_gpu.json for each; benchmarks/performance_page.py makes docs/performance.md's tables of the first two.
 Without a GPU it measures the CPU, and says so in each result's config.
 """
 

@@ -34,11 +34,9 @@ ENGINES = {
     "pytorch_mppi_eager_ms": "pytorch_mppi eager, roll-outs",
 }
 RATIOS = {
-    "512_problems_over_512_times_one": "512 problems in one call / 512 x one",
     "p99_over_median": "p99 / median",
     "gemm_p99_over_median": "of bare matrix products as long",
     "busy_over_plain_jax": "beside a busy process / plain JAX beside it",
-    "64_problems_over_64_times_one": "64 problems in one call / 64 x one",
 }
 
 SWEEPS = {"samples": "S", "horizon": "T", "problems": "problems in one call"}
@@ -58,6 +56,9 @@ def control_step(result: ExperimentResult) -> str:
     ]
     table = markdown_table(["", "ms", "over pytorch_mppi eager", "over ideal"], rows)
     more = [f"{label} {value:.2f}" for key, label in RATIOS.items() if (value := result.metrics.get(key)) is not None]
+    for key, value in result.metrics.items():
+        count, found_it, _ = key.partition("_problems_over_")
+        more += [f"{count} problems in one call / {count} x one {value:.2f}"] if found_it else []
     steps = next(row["steps"] for row in result.rows if row["kind"] == "worst case")
     worst = f"{steps:,} steps: p99 {result.metrics['ours_p99_ms']:.1f} ms, worst {result.metrics['ours_max_ms']:.1f} ms"
     sweeps = [_sweep(result, kind, label) for kind, label in SWEEPS.items()]
@@ -86,7 +87,7 @@ def batches(result: ExperimentResult) -> str:
         [row["engine"], *(str(row.get(k, "")) for k in ("batch", "threads", "state")), f"{row['steps_per_s']:,}"]
         for row in result.rows
     ]
-    table = markdown_table(["robot + cart", "worlds", "threads", "", "steps/s"], rows)
+    table = markdown_table(["robot + cart", "worlds", "threads", "state", "steps/s"], rows)
     return f"{_machine(result)}\n\n{table}"
 
 
