@@ -48,15 +48,15 @@ def test_a_folder_that_another_process_keeps_is_refused_and_free_again_once_that
     folder = tmp_path / "runs" / "a"
     code = "import sys\nfrom shmoo_mjx.files import claimed\n"
     code += f"with claimed({str(folder)!r}):\n    print('kept', flush=True)\n    sys.stdin.read()"
-    other = subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-    assert other.stdout is not None and other.stdout.readline() == "kept\n"
-    with pytest.raises(ShmooError, match="another process writes there"), files.claimed(folder):
-        pass
-    with files.claimed(folder.with_name("b")):
-        pass
-    assert [path.name for path in folder.parent.iterdir()] == ["a"]
-    other.kill()
-    other.wait()
+    command = [sys.executable, "-c", code]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout is not None and other.stdout.readline() == "kept\n"
+        with pytest.raises(ShmooError, match="another process writes there"), files.claimed(folder):
+            pass
+        with files.claimed(folder.with_name("b")):
+            pass
+        assert [path.name for path in folder.parent.iterdir()] == ["a"]
+        other.kill()
     for _ in range(2):
         with files.claimed(folder):
             assert not list(folder.iterdir())
