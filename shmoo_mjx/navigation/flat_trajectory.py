@@ -178,8 +178,11 @@ def _too_near(trajectory: Trajectory, planner: Planner, field: ClearanceField) -
     """Why the trajectory must not be driven, or nothing."""
     times = np.linspace(0.0, trajectory.horizon, 120)
     distance = field.at(evaluate(trajectory, times).position)
-    # Half a cell is what the field itself is uncertain by; who stands too near already may not come nearer.
-    allowed = min(planner.cfg.robot_radius, float(distance[0])) - 0.5 * float(field.resolution)
+    # Nearer than the radius by no means, and nearer than it may stray only where the path is: a turn at speed would
+    # take it there. Who stands too near already may not come nearer. Half a cell is what the field is uncertain by.
+    radius, here = planner.cfg.robot_radius, float(distance[0])
+    path = float(np.min(field.at(trajectory.reference))) - _CORRIDOR[0]
+    allowed = min(max(radius, min(radius + _STRAY, path)), here) - 0.5 * float(field.resolution)
     worst = int(np.argmin(distance))
     if distance[worst] >= allowed:
         return ""

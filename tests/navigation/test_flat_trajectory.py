@@ -113,6 +113,27 @@ def test_a_narrow_corridor_is_kept_where_smoothness_would_cut_the_bend(monkeypat
     assert deviation(0.03) <= 0.03 + 1e-4
 
 
+def test_a_turn_at_speed_stays_off_walls_as_far_as_it_may_stray() -> None:
+    cells = np.zeros((80, 80), np.int8)
+    cells[:, 40:42] = OCCUPIED
+    field = maps.clearance_field(OccupancyGrid(cells, 0.05))
+
+    def turned(room: float, speed: float) -> flat.Trajectory:
+        """Driven towards the wall, and now to go along it."""
+        path = Path(np.array([[2.0 - room, 1.0], [2.0 - room, 3.5]]), 2.5)
+        state = MODEL.flat_state([2.0 - room, 1.0], [speed, 0.0], [0, 0], [0, 0])
+        return flat.plan(PLANNER, state, path, field)
+
+    for room, slow, fast in ((0.35, 0.1, 0.2), (0.5, 0.3, 0.4)):
+        assert turned(room, slow).ok
+        refused = turned(room, fast)
+        assert "of an obstacle after" in refused.reason
+        # So far from the wall its hands would still be free of it, if it did not stray.
+        nearest = field.at(flat.evaluate(refused, np.linspace(0.0, CFG.horizon, 120)).position).min()
+        assert nearest > CFG.robot_radius - 0.5 * field.resolution
+    assert turned(0.28, 0.0).ok  # where the path itself is as near
+
+
 def test_stays_at_rest_after_its_end() -> None:
     trajectory = flat.plan(PLANNER, at_rest(), straight(0.5))
     end, later = flat.evaluate(trajectory, CFG.horizon), flat.evaluate(trajectory, CFG.horizon + 5.0)
