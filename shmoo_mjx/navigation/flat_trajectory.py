@@ -86,7 +86,8 @@ def plan(planner: Planner, state: Float[Array, "4 2"], path: Path, field: Cleara
 
     Returns:
         The trajectory; ``ok`` is False, with the reason, where limits and state contradict each other or the robot
-        would come nearer to a wall than its radius (and nearer than it is now). From a state that can't keep the
+        would come nearer to a wall than its radius, or than it may stray where the path keeps off (and nearer than it
+        is now). From a state that can't keep the
         limits, a ``recovery`` may lean up to LEAN_RECOVERY and exceed ``speed_max`` as little as possible.
     """
     state = np.asarray(state, dtype=float)
@@ -178,11 +179,11 @@ def _too_near(trajectory: Trajectory, planner: Planner, field: ClearanceField) -
     """Why the trajectory must not be driven, or nothing."""
     times = np.linspace(0.0, trajectory.horizon, 120)
     distance = field.at(evaluate(trajectory, times).position)
-    # Nearer than the radius by no means, and nearer than it may stray only where the path is: a turn at speed would
-    # take it there. Who stands too near already may not come nearer. Half a cell is what the field is uncertain by.
+    # The radius, and what it may stray as well where the path has room for it: a turn at speed leaves the corridor,
+    # which has some width everywhere. Who stands too near may not come nearer. Half a cell is uncertain in the field.
     radius, here = planner.cfg.robot_radius, float(distance[0])
-    path = float(np.min(field.at(trajectory.reference))) - _CORRIDOR[0]
-    allowed = min(max(radius, min(radius + _STRAY, path)), here) - 0.5 * float(field.resolution)
+    beside_path = float(np.min(field.at(trajectory.reference))) - _CORRIDOR[0]
+    allowed = min(float(np.clip(beside_path, radius, radius + _STRAY)), here) - 0.5 * float(field.resolution)
     worst = int(np.argmin(distance))
     if distance[worst] >= allowed:
         return ""

@@ -128,7 +128,7 @@ def test_a_turn_at_speed_stays_off_walls_as_far_as_it_may_stray() -> None:
         assert turned(room, slow).ok
         refused = turned(room, fast)
         assert "of an obstacle after" in refused.reason
-        # So far from the wall its hands would still be free of it, if it did not stray.
+        # Its radius alone, of which half a cell is the field's, would have let it through.
         nearest = field.at(flat.evaluate(refused, np.linspace(0.0, CFG.horizon, 120)).position).min()
         assert nearest > CFG.robot_radius - 0.5 * field.resolution
     assert turned(0.28, 0.0).ok  # where the path itself is as near
