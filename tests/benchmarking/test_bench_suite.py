@@ -79,12 +79,17 @@ def test_the_command_that_fills_the_gpu_table_runs_here(monkeypatch: pytest.Monk
 
 
 def test_help_is_there_within_half_a_second() -> None:
-    # Seconds of the processor, the least of some runs. Neighbours slow even these (caches, shared cores), so that the
-    # import of the parser, measured between, says what half a second is worth just now; at rest it takes 0.2 s.
-    shown, parser = zip(
-        *((startup.help_seconds()[1], _processor_seconds("import tyro")) for _ in range(5)), strict=True
-    )
-    assert min(shown) < 0.5 * max(1.0, min(parser) / 0.2)
+    # Seconds of the processor. Neighbours slow even these (caches, shared cores), so that the import of the parser,
+    # measured between, says what half a second is worth just now; at rest it takes 0.2 s. What a neighbour holds up
+    # once may be quick the next time: the least of up to fifteen runs.
+    shown: list[float] = []
+    parser: list[float] = []
+    for _ in range(15):
+        shown.append(startup.help_seconds()[1])
+        parser.append(_processor_seconds("import tyro"))
+        if min(shown) < 0.5 * max(1.0, min(parser) / 0.2):
+            return
+    pytest.fail(f"shmoo --help takes {min(shown):.2f} s, importing tyro alone {min(parser):.2f} s")
 
 
 def _processor_seconds(code: str) -> float:
