@@ -26,10 +26,13 @@ if not os.environ.get("DISPLAY"):
 
 LONGEST = (
     "test_killed",
-    "test_real_pushing",
-    "test_daiml",
     "test_gym_batch",
     "test_comparison_experiments",
+    "test_navigator",
+    "test_navigator_steps",
+    "test_rollout_layout",
+    "test_code_blocks",
+    "test_adaptation",
     "test_cli",
 )
 """Files that take longest: they go first, so that no worker is left alone with one at the end."""

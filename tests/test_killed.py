@@ -149,6 +149,7 @@ def collected(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return directory
 
 
+@pytest.mark.slow
 def test_a_killed_collect_goes_on(collected: Path, tmp_path: Path) -> None:
     (tmp_path / "dying.py").write_text(DYING)
     directory = tmp_path / "data"

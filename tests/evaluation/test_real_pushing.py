@@ -150,6 +150,7 @@ def test_outcomes_of_scored_pushes_are_never_used(folder: Path) -> None:
     assert all(np.array_equal(a, b) for a, b in zip(whole, other, strict=True))
 
 
+@pytest.mark.slow
 def test_experiment_beats_the_poor_guess_and_resumes(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -75,7 +75,9 @@ def learned(weights: Weights, coefficients: bool) -> Any:
     return _COMPILED.setdefault(coefficients, jax.jit(run))
 
 
-@pytest.mark.parametrize("coefficients", [False, True], ids=["body", "body and Eq. 8"])
+@pytest.mark.parametrize(
+    "coefficients", [pytest.param(False, id="body"), pytest.param(True, id="body and Eq. 8", marks=pytest.mark.slow)]
+)
 @pytest.mark.parametrize("kind", ["random", "adversarial", "broken", "silent", "recorded"])
 def test_minutes_of_anything_leave_it_sound(
     kind: str, coefficients: bool, weights: Weights, synthetic_dataset: store.Dataset

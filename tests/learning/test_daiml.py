@@ -32,6 +32,7 @@ def trained(synthetic_dataset: store.Dataset) -> daiml.ObjectFit:
     return daiml.train_object(synthetic_dataset, None, SMALL)
 
 
+@pytest.mark.slow
 def test_unseen_objects_are_predicted(synthetic_dataset: store.Dataset, trained: daiml.ObjectFit) -> None:
     held_out = samples.samples_from_dataset(synthetic_dataset.split("test"))
     one_step, twist = daiml.validation_scores(SMALL, held_out, trained)
@@ -43,6 +44,7 @@ def test_unseen_objects_are_predicted(synthetic_dataset: store.Dataset, trained:
     assert trained.history[-1][0] < trained.history[0][0]
 
 
+@pytest.mark.slow
 def test_the_prior_is_a_distribution(trained: daiml.ObjectFit) -> None:
     covariance, noise = np.asarray(trained.prior_covariance, float), np.asarray(trained.noise, float)
     n = SMALL.object.functions
@@ -121,6 +123,7 @@ def test_design_matrix_is_the_model() -> None:
         np.testing.assert_allclose(phi @ a.reshape(-1), expected, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_any_arrays_will_do() -> None:
     rng = np.random.default_rng(0)
 

@@ -17,6 +17,7 @@ from shmoo_mjx.learning.robot_fit import RobotFitConfig
 SMALL = RobotFitConfig(robot=RobotConfig(hidden=(32, 32)), batch=128, epochs=5, epoch_updates=100, learning_rate=5e-3)
 
 
+@pytest.mark.slow
 def test_learns_base_and_force(synthetic_dataset: store.Dataset) -> None:
     fitted = robot_fit.train_robot(synthetic_dataset, None, SMALL)
     planar = fitted.per_output[[0, 1, 3, 4]]  # the synthetic robot does not turn

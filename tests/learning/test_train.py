@@ -79,6 +79,7 @@ def test_other_data_has_another_hash(tmp_path: Path) -> None:
     assert store.fingerprint_of(first) != before
 
 
+@pytest.mark.slow
 def test_the_short_form_says_so_and_leaves_an_interrupted_training_alone(
     synthetic_directory: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

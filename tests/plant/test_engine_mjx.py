@@ -67,6 +67,7 @@ def _parity(family: str | None, seeds: tuple[int, ...], samples: int, arms_out: 
     return strongest
 
 
+@pytest.mark.slow
 def test_two_different_boxes_in_one_batch_agree_with_c() -> None:
     assert _parity("box", (0, 1), 4) > 5
 
