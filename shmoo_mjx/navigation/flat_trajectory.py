@@ -86,9 +86,9 @@ def plan(planner: Planner, state: Float[Array, "4 2"], path: Path, field: Cleara
 
     Returns:
         The trajectory; ``ok`` is False, with the reason, where limits and state contradict each other or the robot
-        would come nearer to a wall than its radius, or than it may stray where the path keeps off (and nearer than it
-        is now). From a state that can't keep the
-        limits, a ``recovery`` may lean up to LEAN_RECOVERY and exceed ``speed_max`` as little as possible.
+        would come nearer to a wall than its radius and, where the path has room, what it may stray (and nearer than it
+        is now). From a state that can't keep the limits, a ``recovery`` may lean up to LEAN_RECOVERY and exceed
+        ``speed_max`` as little as possible.
     """
     state = np.asarray(state, dtype=float)
     cfg = planner.cfg
