@@ -1,38 +1,47 @@
 """Ours beside the frozen prior over several results of `shmoo experiment pushing`, all trials together.
 
-Run: python benchmarks/pooled_pushing.py A.json B.json.gz ...    what docs/results.md says of draws 104 to 107
+Run: python benchmarks/pooled_pushing.py A.json B.json.gz ...    what docs/results.md says of draws 104 to 108
 
-Older draws: git show 15cba3d:docs/results/pushing.json.gz (106), e95759d (105), bde0c4b (104).
+Older draws: git show fff292e:docs/results/pushing.json.gz (107), 15cba3d (106), e95759d (105), bde0c4b (104).
 """
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 from shmoo_mjx.evaluation.paired import OURS, PairedDifference, paired_difference
 from shmoo_mjx.evaluation.result import read_result
 from shmoo_mjx.report.tables import markdown_table
 
-THEIRS, FIELDS = "frozen_prior", ("success", "offset_m")
+THEIRS, FIELDS, GROUPS = (
+    "frozen_prior",
+    ("success", "offset_m", "yaw_error_deg", "time_s"),
+    ("stratum", "family", "change"),
+)
 
 
 def main() -> None:
-    pairs = []
+    pairs: list[tuple[dict[str, Any], dict[str, Any]]] = []
     for file in sys.argv[1:]:
         by_method = {
             method: {row["trial"]: row for row in read_result(Path(file)).rows if row["method"] == method}
             for method in (OURS, THEIRS)
         }
         pairs += [(row, by_method[THEIRS][trial]) for trial, row in by_method[OURS].items()]
+    subsets = {"all": pairs}
+    for key in GROUPS:
+        for value in dict.fromkeys(row[key] for row, _ in pairs):
+            subsets[f"{key} {value}"] = [pair for pair in pairs if pair[0][key] == value]
     rows = []
-    for field in FIELDS:
-        ours, theirs = ([float(row[field]) for row in side] for side in zip(*pairs, strict=True))
-        # What is compared with nothing is a mean with its interval.
-        compared = (ours, [0.0] * len(ours)), (theirs, [0.0] * len(theirs)), (ours, theirs)
-        rows.append([field, *(_cell(paired_difference(*sides)) for sides in compared)])
-    print(f"{len(pairs)} trials")
-    print(markdown_table(["", OURS, THEIRS, "difference"], rows))
+    for name, subset in subsets.items():
+        for field in FIELDS:
+            ours, theirs = ([float(row[field]) for row in side] for side in zip(*subset, strict=True))
+            # What is compared with nothing is a mean with its interval.
+            compared = (ours, [0.0] * len(ours)), (theirs, [0.0] * len(theirs)), (ours, theirs)
+            rows.append([name, str(len(subset)), field, *(_cell(paired_difference(*sides)) for sides in compared)])
+    print(markdown_table(["", "trials", "", OURS, THEIRS, "difference"], rows))
 
 
 def _cell(found: PairedDifference | None) -> str:
