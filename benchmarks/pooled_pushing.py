@@ -15,11 +15,10 @@ from shmoo_mjx.evaluation.paired import OURS, PairedDifference, paired_differenc
 from shmoo_mjx.evaluation.result import read_result
 from shmoo_mjx.report.tables import markdown_table
 
-THEIRS, FIELDS, GROUPS = (
-    "frozen_prior",
-    ("success", "offset_m", "yaw_error_deg", "time_s"),
-    ("stratum", "family", "change"),
-)
+THEIRS = "frozen_prior"
+FIELDS = ("success", "offset_m", "yaw_error_deg", "time_s")
+GROUPS = ("stratum", "family", "change")
+"""Columns of a trial by whose values its pairs are also compared apart."""
 
 
 def main() -> None:
