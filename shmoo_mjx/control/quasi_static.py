@@ -17,6 +17,7 @@ from shmoo_mjx.arrays import Array, Float, Key, Scalar
 from shmoo_mjx.control.cost import PushCost, allowed_speed
 from shmoo_mjx.control.governor import GovernorConfig, forward_lean
 from shmoo_mjx.control.observation import LocalDistanceField, ObjectObservation
+from shmoo_mjx.control.pushing import PushConfig
 from shmoo_mjx.hands import REACH
 from shmoo_mjx.learning.adaptation import AdaptState
 from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
@@ -32,8 +33,8 @@ _CENTRE = 0.8
 """Sideways speed per metre that the hands are off the face's centre [1/s]."""
 _SHIFT = 0.5
 """Metres that the hands are shifted along the face per rad of heading error [m/rad]."""
-LEAN_LIMIT = 0.12
-"""Largest forward lean [rad]: that of the pushing controller with a goal pose."""
+LEAN_LIMIT = PushConfig().control.high[0]
+"""Largest forward lean [rad]: the pushing controller's."""
 
 
 class QuasiStaticState(NamedTuple):

@@ -170,7 +170,7 @@ def _later(recorded: Recordings, index: int, fit_samples: int) -> Recordings:
 
 def _metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
     def of(predictor: str, measure: str, family: str | None = None, over_objects: Any = np.nanmean) -> list[float]:
-        """Mean over the objects, for each training."""
+        """Mean, or ``over_objects``, for each training."""
         mine = [r for r in rows if r["predictor"] == predictor and family in (None, r["family"])]
         runs = sorted({r["run"] for r in mine})
         return [float(over_objects([r[measure] for r in mine if r["run"] == k])) for k in runs]
@@ -188,8 +188,9 @@ def _metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
             if "rmse" in name:
                 found[f"{name}{suffix}"] = float(np.mean(of(predictor, name)))
     for family in dict.fromkeys(r["family"] for r in rows):
-        found[f"fvu_after_{family}"] = float(np.mean(of("after", "fvu", family)))
-        found[f"fvu_before_{family}"] = float(np.mean(of("before", "fvu", family)))
+        for predictor in ("before", "after"):
+            medians = of(predictor, "fvu", family, np.nanmedian)
+            found[f"fvu_median_{predictor}_{family}"] = float(np.mean(medians))
     return found | {"ratio_after_before": found["mse_after"] / found["mse_before"]}
 
 

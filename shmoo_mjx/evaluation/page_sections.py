@@ -63,7 +63,10 @@ SECTIONS = {
                 *("{}_before", "{}_after", "{}_constant_velocity"),
             ),
             *(
-                (f"variance unexplained, {family}", (f"fvu_before_{family}", f"fvu_after_{family}", ""))
+                (
+                    f"variance unexplained, median {family}",
+                    (f"fvu_median_before_{family}", f"fvu_median_after_{family}", ""),
+                )
                 for family in _FAMILIES
             ),
             *_lines(
@@ -151,7 +154,7 @@ SECTIONS = {
         "The proxy robot pushes unseen objects to three goals. Two strata: objects as drawn, and demanding ones (load "
         "far off the centre, 25 to 45 N of resistance, half or twice the friction, a brake from the start). "
         "Every method runs every trial.",
-        ("ours", "frozen prior", "and Eq. 8", "quasi-static", "oracle coefficients", "psi as printed"),
+        ("ours", "frozen prior", "eq8", "quasi-static", "oracle coefficients", "paper form"),
         (
             *_of_methods(
                 {

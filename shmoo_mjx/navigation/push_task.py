@@ -75,10 +75,7 @@ def pose_push_config() -> PushConfig:
         speed_limit=0.16, overspeed_weight=3.0, speed_weight=0.3, change=0.03,
     )  # fmt: skip
     # Small, slow noise: a plan that jumps about shakes what rolls off the hands.
-    control = replace(
-        base.control, sigma=(0.015, 0.012, 0.07), low=(-0.12, -0.06, -0.4), high=(0.12, 0.06, 0.4),
-        noise_correlation=0.95,
-    )  # fmt: skip
+    control = replace(base.control, sigma=(0.015, 0.012, 0.07), noise_correlation=0.95)
     # Accelerations are differences of noisy twists.
     adapt = replace(base.adapt, noise_scale=2.0)
     # What hardly resists is felt too weakly to teach much, but it coasts.
