@@ -57,7 +57,6 @@ SECTIONS = {
             *_lines(
                 {
                     "mse": "MSE of the acceleration",
-                    "fvu": "variance unexplained",
                     "fvu_median": "variance unexplained, median object",
                 },
                 *("{}_before", "{}_after", "{}_constant_velocity"),
