@@ -1,8 +1,9 @@
 """Ours beside the frozen prior over several results of `shmoo experiment pushing`, all trials together.
 
-Run: python benchmarks/pooled_pushing.py A.json B.json.gz ...    what docs/results.md says of draws 104 to 108
+Run: python benchmarks/pooled_pushing.py A.json B.json.gz ...    what docs/results.md says of draws 104 to 109
 
-Older draws: git show fff292e:docs/results/pushing.json.gz (107), 15cba3d (106), e95759d (105), bde0c4b (104).
+Older draws: git show 83dc77e:docs/results/pushing.json.gz (108), fff292e (107), 15cba3d (106), e95759d (105),
+bde0c4b (104).
 """
 
 from __future__ import annotations
