@@ -35,12 +35,14 @@ class ObjectObservation(NamedTuple):
     """Mean over the sample that just ended, about the object's centre, in {W}."""
     detected: Scalar = True
     """Whether the object's pose was detected in that sample, not carried on."""
+    age: Scalar = 0.0
+    """Time since the frame that the object's pose and twist were last seen in [s]."""
 
     @classmethod
     def of(cls, seen: Observation, index: int) -> ObjectObservation:
         """From an observation of one world (batch of one)."""
         robot = (seen.robot_pose, seen.robot_twist, seen.lean, seen.lean_rate)
-        of_object = (seen.object_pose, seen.object_twist, seen.wrench, seen.detected)
+        of_object = (seen.object_pose, seen.object_twist, seen.wrench, seen.detected, seen.object_age)
         return cls(*(np.asarray(v[0]) for v in robot), *(np.asarray(v[0, index]) for v in of_object))
 
 

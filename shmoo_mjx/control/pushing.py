@@ -240,7 +240,8 @@ def start(
 ) -> ControllerState:
     """The state with which a push on ``face`` begins; pure."""
     zero = np.zeros(3)
-    before = _system_state(obs, zero, zero, zero[:2], zero, face, half_extents)
+    felt = se2.rotate(obs.wrench, -obs.object_pose[2])
+    before = _system_state(obs, zero, felt, zero[:2], zero, face, half_extents)
     xp = se2.array_module(obs.wrench)
     return ControllerState(adapt, mppi.init(config.control, key), before, xp.asarray(obs.detected), xp.zeros(()))
 
@@ -305,7 +306,9 @@ def _perceive(
     twist_before = se2.rotate(before.object_twist, -before.object_pose[2])
     wrench = se2.rotate(obs.wrench, -before.object_pose[2])
     force = se2.rotate(obs.wrench[:2], -before.robot_pose[2])
-    inputs = xp.concatenate([twist_before, wrench, before.last_object_twist, before.size[None], before.last_wrench])
+    # What is seen has been filtered and is late, by one sample; what is felt is not.
+    felt = xp.where(obs.age > 0, before.last_wrench, wrench)
+    inputs = xp.concatenate([twist_before, felt, before.last_object_twist, before.size[None], before.last_wrench])
     label = se2.rotate((obs.object_twist - before.object_twist) / DT, -before.object_pose[2])
     coasts = xp.hypot(before.object_twist[0], before.object_twist[1]) > config.moving
     # A pose that was carried on, now or a sample ago, says nothing about the object.

@@ -8,7 +8,7 @@ their size, not its square, and the noise is set higher than the residual's.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -20,6 +20,11 @@ from scipy.cluster.vq import kmeans2
 from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.dynamics import contact_model, features
 from shmoo_mjx.types import DT
+
+_BLOCK = 5
+"""Online, so many samples' residuals are added up. A label is a difference of noisy twists: what a twist's noise takes
+from one it gives to the one before. Singly they make what rolls seem to rub, for friction opposes the twist, noise
+included, and the label has the same noise."""
 
 
 @dataclass(frozen=True)
@@ -47,12 +52,17 @@ class OnlineConfig:
     """Settings of `observe`; hashable."""
 
     window: int = 120
-    """The last so many samples are looked at."""
+    """The last so many samples are looked at, a multiple of 5."""
     memory: float = 8.0
     """A sample's weight falls by e in this time of contact [s]: properties may change."""
     iterations: int = 2
     """Levenberg-Marquardt steps per sample."""
-    fit: IdentificationConfig = field(default_factory=IdentificationConfig)
+    noise: float = 0.5
+    """Standard deviation of five samples' residuals added up, over the label's standard deviation in training."""
+
+    def __post_init__(self) -> None:
+        if self.window % _BLOCK:
+            raise ValueError(f"window: {self.window} samples; give a multiple of {_BLOCK}.")
 
 
 class ContactPrior(NamedTuple):
@@ -110,8 +120,8 @@ def observe(
     x = appended(state.inputs, jnp.where(use, inputs, state.inputs[-1]))
     y = appended(state.labels, jnp.where(use, label, 0.0))
     w = appended(state.weights * np.exp(-DT / config.memory), jnp.ones(()))
-    samples = _normalised(config.fit, state.scale, x, y, w)
-    fit = partial(_fit, config.iterations, samples=samples)
+    samples = _normalised(config.noise, state.scale, x, y, w)
+    fit = partial(_fit, config.iterations, samples=samples, block=_BLOCK)
     found, cost = jax.vmap(fit)(state.found, state.prior.mean, state.prior.root)
     new = state._replace(inputs=x, labels=y, weights=w, found=found, cost=cost)
     return jax.tree.map(lambda a, b: jnp.where(use, a, b), new, state)
@@ -146,7 +156,7 @@ def identify(
         labels: accelerations in {O}.
         weights: 0 where a sample doesn't count.
     """
-    samples = _normalised(config, scale, inputs, labels, weights)
+    samples = _normalised(config.noise, scale, inputs, labels, weights)
     found, cost = jax.vmap(lambda m, r: _fit(config.iterations, m, m, r, samples))(prior.mean, prior.root)
     return found[jnp.argmin(cost - prior.log_weight)]
 
@@ -226,17 +236,19 @@ def from_stretches(
     return jnp.stack([all_of(n, jnp.asarray(starts[:, i]), on_device) for i, n in enumerate(lengths)], axis=1)
 
 
-def _normalised(config: IdentificationConfig, scale: Array, inputs: Array, labels: Array, weights: Array) -> Any:
-    unit = scale * config.noise
+def _normalised(noise: float, scale: Array, inputs: Array, labels: Array, weights: Array) -> Any:
+    unit = scale * noise
     return inputs.T, labels.T / unit[:, None], weights, unit
 
 
-def _fit(iterations: int, start: Array, mean: Array, root: Array, samples: Any) -> tuple[Array, Array]:
+def _fit(iterations: int, start: Array, mean: Array, root: Array, samples: Any, block: int = 1) -> tuple[Array, Array]:
     """Levenberg-Marquardt from ``start [p]``: (parameters, half the sum of squares, robust and with the prior)."""
-    inputs, labels, weights, unit = samples
+    inputs, labels, each, unit = samples
+    weights = jnp.max(each.reshape(-1, block), axis=1)
 
     def residuals(parameters: Array) -> Array:
-        return contact_model.acceleration(parameters, inputs) / unit[:, None] - labels
+        left = contact_model.acceleration(parameters, inputs) / unit[:, None] - labels
+        return jnp.sum(jnp.where(each > 0, left, 0.0).reshape(len(unit), -1, block), axis=2)
 
     def cost_of(parameters: Array, left: Array) -> Array:
         robust = jnp.sum(weights * (jnp.sqrt(1.0 + left**2) - 1.0))
@@ -268,7 +280,7 @@ def _from_starts(
 ) -> Array:
     """The best of the fits from the most promising starts, under the broad prior."""
     prior = jax.tree.map(jnp.asarray, broad_prior())
-    samples = _normalised(config, scale, inputs, labels, weights)
+    samples = _normalised(config.noise, scale, inputs, labels, weights)
     x, y, _, unit = samples
 
     def badness(parameters: Array) -> Array:

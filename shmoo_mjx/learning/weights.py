@@ -92,9 +92,8 @@ def posterior_from_recording(
     """
     state, shape, params = prior_state(weights), weights.config.object, weights.params
     if state.contact is not None:
-        settings = OnlineConfig().fit
         samples = (inputs, labels, sample_weights)
-        contact = identification.identify(settings, state.contact.prior, state.contact.scale, *samples)
+        contact = identification.identify(IdentificationConfig(), state.contact.prior, state.contact.scale, *samples)
         found = jnp.broadcast_to(contact, state.contact.found.shape)
         state = state._replace(contact=state.contact._replace(found=found))
     phi = object_model.design_matrix(params.object, inputs, shape, online.contact_of(state))

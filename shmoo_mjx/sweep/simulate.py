@@ -262,11 +262,12 @@ def _perceived(
         )
         moved = jnp.concatenate([pose[:2] - before[:2], se2.wrap(pose[2:] - before[2:])])
         robot, speed, frame = truth.robot_pose, truth.robot_twist, jnp.concatenate([pose, moved / TICK])
-        detected = jnp.bool_(True)
+        detected, age = jnp.bool_(True), late * TICK
     else:
         found = sensing.estimates(senses, given.sensing, sensor_state, samples * _TICKS, DT)
         robot, speed = found.robot_pose[0], found.robot_twist[0]
-        frame, detected = jnp.concatenate([found.object_pose[0, 0], found.object_twist[0, 0]]), found.detected[0, 0]
+        frame = jnp.concatenate([found.object_pose[0, 0], found.object_twist[0, 0]])
+        detected, age = found.detected[0, 0], found.object_age[0, 0]
     frame = frame + error[4:10]
     push = jnp.zeros(3).at[0].set(error[10])
     return ObjectObservation(
@@ -278,6 +279,7 @@ def _perceived(
         object_twist=frame[3:],
         wrench=wrench + se2.rotate(push, truth.robot_pose[2]),
         detected=detected,
+        age=age,
     )
 
 

@@ -70,6 +70,20 @@ def test_two_mapped_pushes_are_the_two_controllers() -> None:
         np.testing.assert_allclose(rest[w], controller.coast(alone[w]), atol=1e-4)
 
 
+@pytest.mark.parametrize("age", [0.0, 0.05])
+def test_what_is_seen_late_answers_to_what_was_felt_a_sample_before(age: float) -> None:
+    config, yaw = pose_push_config(), 0.4
+    forces = [np.array([f, 0.0, 0.0]) for f in (9.0, 17.0, 25.0)]
+    pose = np.array([0.0, 0.0, yaw])
+    seen = [object_obs(0, 0)._replace(age=age, wrench=f, object_pose=pose) for f in forces]
+    state = pushing.start(config, None, seen[0], FACE, HALF, jax.random.key(0))  # type: ignore[arg-type]
+    for obs, earlier in zip(seen[1:], forces, strict=False):
+        system, learned = pushing._perceive(config, state, obs, np.zeros(3), HALF)
+        answered = earlier if age else obs.wrench
+        np.testing.assert_allclose(learned.inputs[3:5], answered[0] * np.array([np.cos(yaw), -np.sin(yaw)]), rtol=1e-5)
+        state = state._replace(before=system)
+
+
 @pytest.mark.parametrize("friction", [0.02, 0.05])
 @pytest.mark.parametrize("speed", [0.1, 0.2])
 def test_what_is_let_go_coasts_as_far_as_the_friction_of_its_contacts_lets_it(friction: float, speed: float) -> None:

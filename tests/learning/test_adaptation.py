@@ -146,5 +146,5 @@ def test_a_psi_without_contact_model_learns_by_eq_8() -> None:
 def psi_and_prior(contact: bool) -> tuple[ObjectConfig, ObjectParams, AdaptState]:
     config = ObjectConfig(hidden=(8,), functions=3, contact_model=contact)
     params = object_model.init(jax.random.key(0), config)
-    seen = identification.prior_state(OnlineConfig(window=4), identification.broad_prior(), np.ones(3))
+    seen = identification.prior_state(OnlineConfig(window=5), identification.broad_prior(), np.ones(3))
     return config, params, adaptation.init(jnp.ones(9), jnp.eye(9), 0.1 * jnp.eye(3), seen if contact else None)

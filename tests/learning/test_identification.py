@@ -70,7 +70,7 @@ def test_what_was_not_felt_stays_as_training_objects_are() -> None:
 def test_online_it_comes_close_and_forgets() -> None:
     """Sample by sample; then the same object with four times the friction."""
     rng = np.random.default_rng(3)
-    online = OnlineConfig(window=80, memory=3.0, fit=CONFIG)
+    online = OnlineConfig(window=80, memory=3.0)
     state = identification.prior_state(online, identification.broad_prior(), SCALE)
     friction = NAMES.index("log_friction_x")
     for log_friction in (-1.5, -0.2):
@@ -81,7 +81,7 @@ def test_online_it_comes_close_and_forgets() -> None:
 
 
 def test_a_bad_sample_changes_nothing() -> None:
-    online = OnlineConfig(window=5, fit=CONFIG)
+    online = OnlineConfig(window=5)
     state = identification.prior_state(online, identification.broad_prior(), SCALE)
     x, y = jnp.full(13, 0.4), jnp.ones(3)
     for bad in ((x.at[0].set(jnp.nan), y, True), (x, y.at[1].set(jnp.inf), True), (x, y, False)):
@@ -106,8 +106,6 @@ def test_a_stretch_is_the_first_rows_that_count() -> None:
         np.testing.assert_allclose(told, expected, atol=2e-2)
 
 
-@pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="friction opposes the twist, noise included, and the label has the same noise")
 def test_noise_of_the_twist_is_not_taken_for_friction() -> None:
     """A cart on casters, pushed and let go; each twist is seen with noise of its own, the label is their difference."""
     online, rng = OnlineConfig(), np.random.default_rng(0)
