@@ -16,6 +16,7 @@ from shmoo_mjx.control.observation import LocalDistanceField, ObjectObservation
 from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.dynamics import contact_model
 from shmoo_mjx.faces import faces_of, stand_off
+from shmoo_mjx.learning import adaptation
 from shmoo_mjx.learning.weights import load_weights, prior_state, untrained
 from shmoo_mjx.navigation.push_task import pose_push_config
 from shmoo_mjx.types import DT
@@ -76,7 +77,8 @@ def test_what_is_seen_late_answers_to_what_was_felt_a_sample_before(age: float) 
     forces = [np.array([f, 0.0, 0.0]) for f in (9.0, 17.0, 25.0)]
     pose = np.array([0.0, 0.0, yaw])
     seen = [object_obs(0, 0)._replace(age=age, wrench=f, object_pose=pose) for f in forces]
-    state = pushing.start(config, None, seen[0], FACE, HALF, jax.random.key(0))  # type: ignore[arg-type]
+    nothing = adaptation.init(np.zeros(3), np.eye(3), np.eye(3))
+    state = pushing.start(config, nothing, seen[0], FACE, HALF, jax.random.key(0))
     for obs, earlier in zip(seen[1:], forces, strict=False):
         system, learned = pushing._perceive(config, state, obs, np.zeros(3), HALF)
         answered = earlier if age else obs.wrench
