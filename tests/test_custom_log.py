@@ -66,7 +66,7 @@ def test_a_light_box_is_identified_and_judged(light: dict[str, np.ndarray], tmp_
     result, trace = run_of_log(log, (0.25, 0.2), load_weights())
     assert result["decisions"][0]["manipulable"] and result["decisions"][0]["probability"] > 0.9
     mass, friction = (np.exp(result["learned"][name]) for name in ("log_mass", "log_friction_x"))
-    assert mass == pytest.approx(8.0, rel=0.25) and friction == pytest.approx(0.4, rel=0.25)
+    assert mass == pytest.approx(8.0, rel=0.1) and friction == pytest.approx(0.4, rel=0.1)
     assert result["unexplained"]["learned"] < result["unexplained"]["prior"] - 0.05
     assert np.isfinite(trace.learned[trace.learned_object == 0]).all() and len(trace.t) == len(log.t)
 

@@ -240,7 +240,7 @@ def start(
 ) -> ControllerState:
     """The state with which a push on ``face`` begins; pure."""
     zero = np.zeros(3)
-    felt = se2.rotate(obs.wrench, -obs.object_pose[2])
+    felt = se2.rotate(obs.wrench, -obs.object_pose[2])  # while contact was made
     before = _system_state(obs, zero, felt, zero[:2], zero, face, half_extents)
     xp = se2.array_module(obs.wrench)
     return ControllerState(adapt, mppi.init(config.control, key), before, xp.asarray(obs.detected), xp.zeros(()))
@@ -306,7 +306,7 @@ def _perceive(
     twist_before = se2.rotate(before.object_twist, -before.object_pose[2])
     wrench = se2.rotate(obs.wrench, -before.object_pose[2])
     force = se2.rotate(obs.wrench[:2], -before.robot_pose[2])
-    # What is seen has been filtered and is late, by one sample; what is felt is not.
+    # The camera's delay and the tracker's filter make what is seen late by some 0.1 s; what is felt is not.
     felt = xp.where(obs.age > 0, before.last_wrench, wrench)
     inputs = xp.concatenate([twist_before, felt, before.last_object_twist, before.size[None], before.last_wrench])
     label = se2.rotate((obs.object_twist - before.object_twist) / DT, -before.object_pose[2])

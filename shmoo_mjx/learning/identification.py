@@ -3,7 +3,7 @@
 Objects that slide and objects that roll have little in common, so the prior is a mixture of Gaussians, found in the
 training conditions without labels of their families. An object is fitted once from the middle of each Gaussian, and the
 likeliest fit is kept. Residuals of dry friction are heavy-tailed and alike from sample to sample: large ones count by
-their size, not its square, and the noise is set higher than the residual's.
+their size, not its square, and in training the noise is set higher than the residual's.
 """
 
 from __future__ import annotations
@@ -58,7 +58,8 @@ class OnlineConfig:
     iterations: int = 2
     """Levenberg-Marquardt steps per sample."""
     noise: float = 0.5
-    """Standard deviation of five samples' residuals added up, over the label's standard deviation in training."""
+    """Standard deviation of five samples' residuals added up, over the label's standard deviation in training. Less
+    than real senses have (1.7), so that a second of pushing outweighs the prior; large ones count by their size."""
 
     def __post_init__(self) -> None:
         if self.window % _BLOCK:
@@ -244,7 +245,7 @@ def _normalised(noise: float, scale: Array, inputs: Array, labels: Array, weight
 def _fit(iterations: int, start: Array, mean: Array, root: Array, samples: Any, block: int = 1) -> tuple[Array, Array]:
     """Levenberg-Marquardt from ``start [p]``: (parameters, half the sum of squares, robust and with the prior)."""
     inputs, labels, each, unit = samples
-    weights = jnp.max(each.reshape(-1, block), axis=1)
+    weights = jnp.max(each.reshape(-1, block), axis=1)  # a block's newest sample's
 
     def residuals(parameters: Array) -> Array:
         left = contact_model.acceleration(parameters, inputs) / unit[:, None] - labels

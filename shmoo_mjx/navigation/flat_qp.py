@@ -54,7 +54,8 @@ class TrajectoryConfig:
     speed: float = 0.45
     """Speed aimed at [m/s]; more is sooner there and strays farther from its path."""
     speed_max: float = 0.60
-    """Speed never exceeded [m/s], except in a recovery; more lets the robot catch up after a stop."""
+    """Speed not exceeded at the sample times [m/s], and between them by little, except in a recovery; more lets the
+    robot catch up after a stop."""
     lean_max: float = 0.10
     """Lean never exceeded [rad], except in a recovery; more accelerates and brakes harder."""
     acceleration: float = 0.35

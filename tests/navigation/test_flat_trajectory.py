@@ -86,13 +86,12 @@ def test_starts_at_the_state_keeps_the_limits_and_ends_at_rest(
     assert np.allclose(start.position, [1.0, aside], atol=1e-5) and np.allclose(start.velocity, velocity, atol=1e-5)
     assert np.allclose(start.lean, [lean, 0.0], atol=1e-5) and np.allclose(start.lean_rate, [rate, 0.0], atol=1e-5)
     assert np.allclose(end.velocity, 0, atol=1e-4) and np.allclose(end.lean, 0, atol=1e-5)
-    # Some of these states can't keep the limits: they are left by a recovery.
-    most = (1.2 * CFG.speed_max, flat_qp.LEAN_RECOVERY) if trajectory.recovery else (CFG.speed_max, CFG.lean_max)
     imposed = flat.evaluate(trajectory, PLANNER.times)
-    between = flat.evaluate(trajectory, np.linspace(CFG.horizon / flat_qp.SAMPLES, CFG.horizon, 200))
-    for sample, tolerance in ((imposed, 1.001), (between, 1.1)):
-        assert np.linalg.norm(sample.velocity, axis=1).max() <= most[0] * tolerance
-        assert np.linalg.norm(sample.lean, axis=1).max() <= most[1] * tolerance
+    whole = flat.evaluate(trajectory, np.linspace(CFG.horizon / flat_qp.SAMPLES, CFG.horizon, 200))
+    # States that can't keep the limit of speed are left by a recovery; 1,500 random starts: 1.05, and 1.14 in those.
+    assert np.linalg.norm(whole.velocity, axis=1).max() <= CFG.speed_max * (1.2 if trajectory.recovery else 1.08)
+    assert np.linalg.norm(imposed.velocity, axis=1).max() <= CFG.speed_max * (1.2 if trajectory.recovery else 1.001)
+    assert np.linalg.norm(whole.lean, axis=1).max() <= CFG.lean_max * 1.02
 
 
 def test_the_program_and_the_trajectory_mean_the_same_positions() -> None:
