@@ -97,7 +97,7 @@ class ObjectFit(NamedTuple):
     noise: Float[Array, "m m"]
     """Covariance of a sample's residual."""
     score: float
-    """Best validation score (see `validation_scores`; one-step and open-loop shares averaged)."""
+    """Best validation score (see `_validation_scores`; one-step and open-loop shares averaged)."""
     history: list[tuple[float, float]]
     contact_prior: ContactPrior
     """Prior of the contact parameters; of no use unless config.contact_model."""
@@ -220,15 +220,15 @@ def contacts_seen(config: DaimlConfig, fitted: ObjectFit, samples: Samples) -> F
 
 @lru_cache(maxsize=8)
 def _compiled(config: DaimlConfig) -> tuple[Any, Any, Any]:
-    """`_epoch`, `_model_scores` and `_prior` for trainings that differ in seed and samples only.
+    """`_epoch`, `_validation_scores` and `_prior` for trainings that differ in seed and samples only.
 
     The samples are arguments, not constants: XLA would fold constants of this size at length.
     """
-    return tuple(jax.jit(partial(function, config)) for function in (_epoch, _model_scores, _prior))  # type: ignore[return-value]
+    return tuple(jax.jit(partial(function, config)) for function in (_epoch, _validation_scores, _prior))  # type: ignore[return-value]
 
 
-def validation_scores(
-    config: DaimlConfig, samples: Samples, fitted: ObjectFit
+def _validation_scores(
+    config: DaimlConfig, samples: Samples, contacts: Float[Array, "C p"], model: Model
 ) -> tuple[Float[Array, "C"], Float[Array, "C"]]:
     """Scores of psi on conditions it has not seen: a* from the first samples, scored on the later ones only.
 
@@ -237,27 +237,13 @@ def validation_scores(
         after H open-loop steps (the one-step share again if config.open_loop is off).
     """
 
-    def fit_one(x: Array, y: Array, w: Array, contact: Array) -> Array:
-        phi = object_model.design_matrix(fitted.params, x, config.object, contact)
-        prior = (fitted.prior_mean.reshape(-1), fitted.prior_covariance)
-        return least_squares.posterior(phi, y, *prior, fitted.noise, w)[0].reshape(fitted.prior_mean.shape)
-
-    return _scores(config, fitted.params, fit_one, samples, contacts_seen(config, fitted, samples))
-
-
-def _model_scores(config: DaimlConfig, samples: Samples, contacts: Array, model: Model) -> tuple[Array, Array]:
-    return _scores(config, model.params, partial(_coefficients, config, model), samples, contacts)
-
-
-def _scores(
-    config: DaimlConfig, params: ObjectParams, fit_one: Callable[..., Array], samples: Samples, contacts: Array
-) -> tuple[Array, Array]:
     def adapted(x: Array, y: Array, w: Array, contact: Array) -> multistep.Predict:
-        a = fit_one(x, y, w, contact)
-        return lambda inputs: object_model.predict(params, a, inputs, config.object, contact)
+        a = _coefficients(config, model, x, y, w, contact)
+        return lambda inputs: object_model.predict(model.params, a, inputs, config.object, contact)
 
     horizon = config.horizon if config.open_loop else 0
-    return multistep.scores(samples, contacts, adapted, params.label_scale, config.fit_samples, horizon, LABEL_FLOOR)
+    scale = model.params.label_scale
+    return multistep.scores(samples, contacts, adapted, scale, config.fit_samples, horizon, LABEL_FLOOR)
 
 
 def _optimiser(config: DaimlConfig) -> optax.GradientTransformation:
