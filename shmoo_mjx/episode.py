@@ -16,6 +16,7 @@ from shmoo_mjx.navigation.maps import OccupancyGrid
 from shmoo_mjx.navigation.navigator import Navigator
 from shmoo_mjx.navigation.records import Mode, NavigatorConfig
 from shmoo_mjx.navigation.scenario import Scenario
+from shmoo_mjx.plant.observe import toppled
 from shmoo_mjx.plant.scene import Scene
 from shmoo_mjx.recorded import Recorded
 from shmoo_mjx.report.trace import Trace
@@ -169,6 +170,7 @@ def result_of(simulation: Simulation, legs: Sequence[dict[str, Any]] = (), goals
     path = np.array([row["robot_pose"][:2] for row in record.rows])
     reached = sum(leg["success"] for leg in legs)
     outcome = last["outcome"] if reached < goals else "success"
+    over = toppled(simulation.scene, simulation.qpos)
     objects = []
     for i, (entry, condition) in enumerate(zip(scenario.objects, simulation.conditions, strict=True)):
         known = navigator.belief.objects.get(i)
@@ -182,6 +184,7 @@ def result_of(simulation: Simulation, legs: Sequence[dict[str, Any]] = (), goals
                 "half_extents": list(condition.half_extents),
                 "status": "not seen" if known is None else str(known.status),
                 "registered": known is not None and known.status == "fixed",
+                "toppled": bool(over[i]),
             }
         )
     return {

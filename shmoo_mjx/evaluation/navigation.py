@@ -192,6 +192,7 @@ def told_of(episode: Episode, generated: Generated) -> dict[str, Any]:
         "movable": list(generated.movable),
         "blocking": list(generated.blocking),
         "success": episode.result["outcome"] == "success",
+        "toppled": sum(item["toppled"] for item in episode.result["objects"]),
         "cause": cause_of(episode.result, generated),
         **{name: episode.result[name] for name in names},
     }

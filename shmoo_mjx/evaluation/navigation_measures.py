@@ -106,6 +106,7 @@ def _of_policy(rows: list[dict[str, Any]]) -> dict[str, Any]:
     return {
         **metrics,
         "falls": sum(r["falls"] for r in rows),
+        "toppled": sum(r["toppled"] for r in rows),
         "wall_contacts": sum(r["wall_contacts"] for r in rows),
         "wall_contacts_per_100": None if contacts is None else 100.0 * contacts,
         **{name: mean(name, good) for name in ("time_s", "path_length_m")},

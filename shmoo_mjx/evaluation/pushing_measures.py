@@ -90,6 +90,7 @@ def _scores(rows: Rows) -> dict[str, Any]:
         "offset_median_m": float(np.median([row["offset_m"] for row in rows])),
         "yaw_error_deg": mean("yaw_error_deg"),
         "falls": sum(row["fell"] for row in rows),
+        "toppled": sum(row["toppled"] for row in rows),
         "worst_lean_rad": max(row["worst_lean_rad"] for row in rows),
         "least_arm_margin_rad": min(row["arm_margin_rad"] for row in rows),
         "time_s": mean("time_s"),

@@ -21,6 +21,7 @@ from shmoo_mjx.navigation.maps import OccupancyGrid
 from shmoo_mjx.navigation.push_task import Pusher, PushTask, pose_push_config
 from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
+from shmoo_mjx.plant.observe import toppled
 from shmoo_mjx.plant.scene import Scene, build_scene
 from shmoo_mjx.sensing import REAL, SensedEngine, Senses
 
@@ -283,16 +284,23 @@ class Runner:
                 rows.append((*now, world.physics[0, 1 : 1 + scene.model.nq].copy(), float(np.hypot(*true.lean[0]))))
         names = ("t", "object_pose", "robot_pose", "phase", "qpos", "lean")
         track = {name: np.array(column) for name, column in zip(names, zip(*rows, strict=True), strict=True)}
-        row = _row(trial, method, task, track, changed_at, fell) | {"arm_margin_rad": _arm_margin(scene, track["qpos"])}
+        row = _row(trial, method, scene, task, track, changed_at, fell)
         return row, track | {"qpos": track["qpos"].astype(np.float32)}
 
 
 def _row(
-    trial: Trial, method: str, task: PushTask, track: dict[str, np.ndarray], changed_at: float | None, fell: bool
+    trial: Trial,
+    method: str,
+    scene: Scene,
+    task: PushTask,
+    track: dict[str, np.ndarray],
+    changed_at: float | None,
+    fell: bool,
 ) -> dict[str, Any]:
     final, goal = track["object_pose"][-1], trial.goal_pose
     offset = float(np.linalg.norm(final[:2] - goal[:2]))
     turned = float(np.rad2deg(abs(se2.wrap(final[2] - goal[2]))))
+    over = bool(toppled(scene, track["qpos"]).any())
     return {
         "trial": trial.name,
         "method": method,
@@ -302,11 +310,13 @@ def _row(
         "changed_at_s": changed_at,
         "offset_m": offset,
         "yaw_error_deg": turned,
-        "success": offset <= 0.25 and turned <= 20.0 and not fell,
+        "success": offset <= 0.25 and turned <= 20.0 and not fell and not over,
         "fell": fell,
+        "toppled": over,
         "time_s": float(track["t"][-1]),
         "pushes": task.pushes,
         "worst_lean_rad": float(track["lean"].max()),
+        "arm_margin_rad": _arm_margin(scene, track["qpos"]),
         "final_x": float(final[0]),
         "final_y": float(final[1]),
         "ended": str(task.phase) if task.finished else "time is up",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from shmoo_mjx import se2
-from shmoo_mjx.arrays import Array, Float, Int, Scalar
+from shmoo_mjx.arrays import Array, Bool, Float, Int, Scalar
 from shmoo_mjx.plant.robot import readout
 from shmoo_mjx.plant.scene import Scene
 from shmoo_mjx.types import Observation
@@ -24,6 +24,12 @@ def _planar_poses(qpos: Array, joints: Int[np.ndarray, "n"]) -> Array:
     xp = se2.array_module(qpos)
     x, y, qw, qx, qy, qz = (qpos[..., joints + i] for i in (0, 1, 3, 4, 5, 6))
     return se2.stack(x, y, xp.arctan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz)))
+
+
+def toppled(scene: Scene, qpos: Float[np.ndarray, "... nq"]) -> Bool[np.ndarray, "... N"]:
+    """Which objects lean more than 0.5 rad: they have fallen over, or are about to."""
+    qx, qy = (qpos[..., scene.object_qpos + i] for i in (4, 5))
+    return 1 - 2 * (qx**2 + qy**2) < np.cos(0.5)
 
 
 def observation(

@@ -6,7 +6,7 @@
     transitions     [{"t", "from", "to", "reason"}]
     decisions       [{"t", "object", "probability", "K", "G", "manipulable", "goal": [x, y, yaw] or null, "reason"}]
     objects         [{"id", "family", "start_pose", "final_pose", "half_extents", "registered"}], in the trace's order,
-                    each with an optional "description"
+                    each with an optional "description" and "toppled"
 
 and, drawn where present: ``reason`` (of the outcome), ``name``, ``seed``, ``time_s``, ``path_length_m``,
 ``goal_distance_m``, ``falls``, ``wall_contacts``, ``senses``, ``start`` and ``goal`` ([x, y, ...] in {W}),

@@ -104,6 +104,7 @@ class FakeEpisode(NamedTuple):
 def fake_result(outcome: str) -> dict[str, Any]:
     pose = [0.0, 0.0, 0.0]
     item = {"start_pose": pose, "final_pose": pose, "half_extents": [0.3, 0.3], "status": "parked", "family": "box"}
+    item["toppled"] = False
     numbers = {"falls": 0, "wall_contacts": 0, "wall_parts": {}, "time_s": 40.0, "path_length_m": 8.0}
     return numbers | {"decisions": []} | {"outcome": outcome, "reason": "state push", "objects": [item | {"id": 0}]}
 

@@ -111,7 +111,14 @@ def test_better_is_said_only_where_the_interval_excludes_zero() -> None:
 
 
 def row(scenario: int, policy: str, success: bool, kind: str = "push only", time: float = 50.0) -> dict[str, Any]:
-    numbers = {"falls": 0, "wall_contacts": 0, "time_s": time, "path_length_m": 8.0, "displacement_m": 1.0}
+    numbers = {
+        "falls": 0,
+        "toppled": 0,
+        "wall_contacts": 0,
+        "time_s": time,
+        "path_length_m": 8.0,
+        "displacement_m": 1.0,
+    }
     scores = {"efficiency": 0.5 * success, "effort": 0.9, "effort_force": 0.8, "ins": 0.25 * success + 0.425}
     about = {"map": "m", "scenario": scenario, "policy": policy, "kind": kind, "wanted": "push only"}
     objects = {"movable": [True, False], "blocking": [True, False], "border": scenario == 2}

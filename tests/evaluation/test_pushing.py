@@ -118,9 +118,9 @@ def test_the_circle_holds_all_points_and_no_smaller_one_does() -> None:
 def _row(method: str, trial: str, goal: int, offset: float, yaw: float = 5.0, **more: Any) -> dict[str, Any]:
     row = {
         "method": method, "trial": trial, "family": trial.split("-")[0], "goal": goal, "run": 0, "offset_m": offset,
-        "yaw_error_deg": yaw, "success": offset <= 0.25 and yaw <= 20, "fell": False, "time_s": 40.0, "pushes": 1,
-        "worst_lean_rad": 0.1, "arm_margin_rad": 0.3, "final_x": 1.0 + offset, "final_y": 0.0, "change": "none",
-        "object": "a box", "ended": "done", "stratum": "drawn",
+        "yaw_error_deg": yaw, "success": offset <= 0.25 and yaw <= 20, "fell": False, "toppled": False, "time_s": 40.0,
+        "pushes": 1, "worst_lean_rad": 0.1, "arm_margin_rad": 0.3, "final_x": 1.0 + offset, "final_y": 0.0,
+        "change": "none", "object": "a box", "ended": "done", "stratum": "drawn",
     }  # fmt: skip
     return row | more
 
@@ -214,6 +214,18 @@ def test_a_trial_with_real_senses_stays_within_its_limits(method: str) -> None:
     assert row["arm_margin_rad"] > 0.0
     assert row["offset_m"] < 0.25
     assert len(track["t"]) == len(track["qpos"])
+
+
+@pytest.mark.slow
+def test_a_box_that_is_pushed_over_is_no_success() -> None:
+    """0.46 m deep, 0.72 m high, with its load ahead of its centre: it tips before it slides."""
+    from shmoo_mjx.assets import asset
+    from shmoo_mjx.evaluation.pushing_trials import Runner
+    from shmoo_mjx.learning.weights import load_weights
+
+    trial = next(t for t in draw_trials(1_111_000, 0, 1, (1,), "demanding") if t.name == "demanding-box-goal1-00")
+    row, _ = Runner(load_weights(asset("experiments/weights/demo.safetensors")), 60.0).run(trial, "ours")
+    assert row["toppled"] and not row["success"] and not row["fell"]
 
 
 def test_a_controller_of_ones_own_pushes_in_the_place_of_ours(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

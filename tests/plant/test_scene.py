@@ -8,6 +8,7 @@ import numpy as np
 from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.objects import draw_condition
+from shmoo_mjx.plant.observe import toppled
 from shmoo_mjx.plant.scene import PARTS, build_scene
 from shmoo_mjx.plant.trials import command
 
@@ -26,6 +27,15 @@ def test_everything_starts_where_it_was_put() -> None:
     np.testing.assert_allclose(seen.robot_pose[0], (0.5, -0.3, 2.0), atol=1e-12)
     np.testing.assert_allclose(seen.object_pose[0], [pose for _, pose in OBJECTS], atol=1e-12)
     engine.close()
+
+
+def test_what_has_fallen_over_is_told_from_what_stands_or_has_turned() -> None:
+    scene = build_scene(OBJECTS)
+    qpos = np.tile(scene.qpos0, (2, 1))
+    half = 0.5 * np.array([0.4, 1.0, 3.0])
+    for angle, adr, axis in zip(half, scene.object_qpos, (0, 1, 2), strict=True):
+        qpos[1, adr + 3 : adr + 7] = [np.cos(angle), *(np.sin(angle) * np.eye(3)[axis])]
+    np.testing.assert_array_equal(toppled(scene, qpos), [[False, False, False], [False, True, False]])
 
 
 def test_objects_keep_their_conditions() -> None:
