@@ -100,7 +100,6 @@ SECTIONS = {
     "ablations": Section(
         "One choice at a time",
         "Trainings that differ in one choice; a fresh probe measures how well psi identifies the condition.",
-        figures=("domain_invariance.png",),
         table=ablations_table,
     ),
     "robot_finetune": Section(
