@@ -1,8 +1,9 @@
-"""Ours beside the frozen prior over several results of `shmoo experiment pushing`, all trials together.
+"""Ours beside another method over several results of `shmoo experiment pushing`, all trials together.
 
-Run: python benchmarks/pooled_pushing.py A.json B.json.gz ...    what docs/results.md says of draws 104 to 109
+Run: python benchmarks/pooled_pushing.py METHOD A.json B.json.gz ...
 
-Older draws: git show 83dc77e:docs/results/pushing.json.gz (108), fff292e (107), 15cba3d (106), e95759d (105),
+docs/results.md has frozen_prior on draws 104 to 109 and 111, paper_form and oracle_coefficients on 108 and 111. Older
+draws: git show 1ebbad9:docs/results/pushing.json.gz (109), 83dc77e (108), fff292e (107), 15cba3d (106), e95759d (105),
 bde0c4b (104).
 """
 
@@ -16,7 +17,6 @@ from shmoo_mjx.evaluation.paired import OURS, PairedDifference, paired_differenc
 from shmoo_mjx.evaluation.result import read_result
 from shmoo_mjx.report.tables import markdown_table
 
-THEIRS = "frozen_prior"
 FIELDS = ("success", "offset_m", "yaw_error_deg", "time_s")
 GROUPS = ("stratum", "family", "change")
 """Columns of a trial by whose values its pairs are also compared apart."""
@@ -24,12 +24,13 @@ GROUPS = ("stratum", "family", "change")
 
 def main() -> None:
     pairs: list[tuple[dict[str, Any], dict[str, Any]]] = []
-    for file in sys.argv[1:]:
+    theirs, *files = sys.argv[1:]
+    for file in files:
         by_method = {
             method: {row["trial"]: row for row in read_result(Path(file)).rows if row["method"] == method}
-            for method in (OURS, THEIRS)
+            for method in (OURS, theirs)
         }
-        pairs += [(row, by_method[THEIRS][trial]) for trial, row in by_method[OURS].items()]
+        pairs += [(row, by_method[theirs][trial]) for trial, row in by_method[OURS].items()]
     subsets = {"all": pairs}
     for key in GROUPS:
         for value in dict.fromkeys(row[key] for row, _ in pairs):
@@ -37,11 +38,11 @@ def main() -> None:
     rows = []
     for name, subset in subsets.items():
         for field in FIELDS:
-            ours, theirs = ([float(row[field]) for row in side] for side in zip(*subset, strict=True))
+            mine, other = ([float(row[field]) for row in side] for side in zip(*subset, strict=True))
             # What is compared with nothing is a mean with its interval.
-            compared = (ours, [0.0] * len(ours)), (theirs, [0.0] * len(theirs)), (ours, theirs)
+            compared = (mine, [0.0] * len(mine)), (other, [0.0] * len(other)), (mine, other)
             rows.append([name, str(len(subset)), field, *(_cell(paired_difference(*sides)) for sides in compared)])
-    print(markdown_table(["", "trials", "", OURS, THEIRS, "difference"], rows))
+    print(markdown_table(["", "trials", "", OURS, theirs, "difference"], rows))
 
 
 def _cell(found: PairedDifference | None) -> str:
