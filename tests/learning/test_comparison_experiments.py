@@ -98,7 +98,7 @@ def test_every_shipped_variant_is_a_configuration() -> None:
 
     nothing = Recordings(Samples(*np.zeros((4, 0, 0))), *np.zeros((2, 0, 0)))
     made = {n: daiml_config(Job(nothing, nothing, s), DaimlConfig()) for n, s in ablations.VARIANTS.items()}
-    assert made["functions_3"].object.functions == 3 and made["alpha_1"].alpha == 1.0
+    assert made["functions_3"].object.functions == 3 and made["no_adversary"].alpha == 0.0
     assert set(ablations.QUICK.variants) <= set(made)
     assert set(ablations.AblationsConfig().variants) == set(made)
     assert {"baselines", "ablations"} <= set(EXPERIMENTS)
