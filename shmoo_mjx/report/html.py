@@ -116,10 +116,10 @@ def _object_sentence(result: dict[str, Any], item: dict[str, Any]) -> str:
     # What settled a registered object was its last decision; one that was pushed, its first.
     told = f" ({figures.evidence(decided[-1 if item.get('registered') else 0])})" if decided else ""
     name, moved = f"{item['family']} {item['id']}", _moved(item)
-    if item.get("registered"):
-        return f"It concluded that {name} can't be moved{told} and went on with it as an obstacle in the map."
     if item.get("toppled"):
         return f"It knocked {name} over{told}."
+    if item.get("registered"):
+        return f"It concluded that {name} can't be moved{told} and went on with it as an obstacle in the map."
     if moved > 0.05:
         return f"It pushed {name} by {moved:.2f} m{told}."
     return f"It left {name} where it was{told}."

@@ -113,8 +113,10 @@ def test_summary_says_what_happened(result: dict[str, Any]) -> None:
     assert "wheelchair chair-2 can't be moved (K = 0.01 m²)" in text
     assert text.endswith("It never fell and never touched a wall.")
     assert "0.14 m from the goal" in text
-    box = {**result["objects"][0], "toppled": True}
-    assert "It knocked box box-1 over (K" in html.summary({**result, "objects": [box]})
+    for item in result["objects"]:
+        assert f"It knocked {item['family']} {item['id']} over (K" in html.summary(
+            {**result, "objects": [{**item, "toppled": True}]}
+        )
     failed = html.summary(
         {**result, "outcome": "no_route", "reason": "all routes are blocked.", "falls": 1, "decisions": []}
     )
