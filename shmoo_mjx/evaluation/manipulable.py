@@ -28,6 +28,12 @@ IMMOVABLE = ("heavy", "brakes", "fixed")
 BORDER = (0.2, 0.5)
 """Displacements [m] that count as near the border of manipulability: the threshold 0.316 m, 1.6 times less or more."""
 
+STRATA = {"drawn": "as drawn", "border": "near the border"}
+"""Objects as they come, and objects near the border of manipulability, by name."""
+
+HEAVIEST = 450.0
+"""Load that no object near the border exceeds [kg]."""
+
 
 @dataclass(frozen=True)
 class SteadyPush:
@@ -125,3 +131,30 @@ def draw_immovable(kind: str, family: str, seed: int) -> Condition:
     if family == "box":
         return draw_condition(family, seed, {"mass": float(rng.uniform(30.0, 90.0)), "friction": drawn.friction})
     return draw_condition(family, seed, {"payload": float(rng.uniform(200.0, 450.0)), "rolling": [0.08] * 4})
+
+
+def draw_near_border(
+    kind: str, family: str, seed: int, side: int, moves: bool, cfg: SteadyPush = SteadyPush()
+) -> Condition | None:
+    """An object so laden that the steady push on face ``side`` moves it only just far enough, or nearly.
+
+    Args:
+        kind: drawn, or a kind of `IMMOVABLE`, of which all but the load is kept.
+        family: of the object.
+        seed: draws everything but the load, which is found by bisection.
+        side: index of the face that is pushed.
+        moves: whether it is manipulable, just, or not, nearly; both are within `BORDER`.
+
+    Returns:
+        The object; None if no load up to `HEAVIEST` does it.
+    """
+    base = draw_condition(family, seed) if kind == "drawn" else draw_immovable(kind, family, seed)
+    nearest, farthest = (cfg.distance, BORDER[1]) if moves else (BORDER[0], cfg.distance)
+    light, heavy = 0.0, HEAVIEST
+    for _ in range(12):
+        condition = replace(base, payload=round((light + heavy) / 2, 3))
+        moved = steady_push(condition, side, replace(cfg, distance=farthest))
+        if nearest <= moved < farthest:
+            return condition
+        light, heavy = (condition.payload, heavy) if moved >= farthest else (light, condition.payload)
+    return None

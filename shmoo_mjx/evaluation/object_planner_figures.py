@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from shmoo_mjx.evaluation.manipulable import STRATA
 from shmoo_mjx.navigation.records import NavigatorConfig
 from shmoo_mjx.report.figures import draw_decision, evidence
 from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
@@ -22,49 +23,54 @@ def draw_figures(folder: Path, rows: list[dict[str, Any]], episodes: Callable[[]
 
 
 def _reliability(rows: list[dict[str, Any]]) -> Any:
-    """Left: how often what is said comes true. Right: both criteria after a second, by truth."""
+    """Left: how often what is said comes true, by stratum. Right: both criteria after a second, by truth."""
     figure = blank_figure(9.6, 3.6)
     left, right = figure.subplots(1, 2)
-    p = np.array([r["probability_first"] for r in rows])
-    truth = np.array([r["manipulable"] for r in rows], dtype=bool)
-    place = np.minimum((p * 5).astype(int), 4)
     left.plot((0, 1), (0, 1), color="black", lw=1.0, ls="--")
-    for b in np.unique(place):
-        said, came, count = p[place == b].mean(), truth[place == b].mean(), int(np.sum(place == b))
-        left.plot(said, came, "o", color=SERIES[0], ms=6)
-        away = {"xytext": (-7, -4), "ha": "right"} if said > 0.8 else {"xytext": (7, -4), "ha": "left"}
-        left.annotate(f"{count} objects", (said, came), textcoords="offset points", fontsize=8, **away)
+    for (stratum, name), colour, below in zip(STRATA.items(), SERIES, (-1, 1), strict=False):
+        of = [r for r in rows if r["stratum"] == stratum]
+        p = np.array([r["probability_first"] for r in of])
+        truth = np.array([r["manipulable"] for r in of], dtype=bool)
+        place = np.minimum((p * 5).astype(int), 4)
+        for b in np.unique(place):
+            said, came, count = p[place == b].mean(), truth[place == b].mean(), int(np.sum(place == b))
+            left.plot(said, came, "o", color=colour, ms=6, label=name if b == place.min() else None)
+            away = {"xytext": (-7, 6 * below - 3), "ha": "right"} if said > 0.8 else {"xytext": (7, 6 * below - 3)}
+            left.annotate(str(count), (said, came), textcoords="offset points", fontsize=8, color=colour, **away)
     left.set_xlabel("probability of being manipulable, after 1 s of contact")
     left.set_ylabel("share that is")
+    left.legend(fontsize=8, title="objects, and how many", title_fontsize=8)
     for value, label, colour in ((False, "not manipulable", SERIES[5]), (True, "manipulable", SERIES[0])):
-        of = [r for r in rows if r["manipulable"] == value]
-        k = np.clip([r["K_first"] for r in of], 1e-4, 1e2)
-        name = f"{label} ({len(of)})"
-        right.plot([r["probability_first"] for r in of], k, "o", ms=4, alpha=0.7, color=colour, label=name)
+        for stratum, marker in zip(STRATA, "ox", strict=True):
+            of = [r for r in rows if r["manipulable"] == value and r["stratum"] == stratum]
+            k = np.clip([r["K_first"] for r in of], 1e-4, 1e2)
+            name = f"{label}, {STRATA[stratum]} ({len(of)})"
+            right.plot([r["probability_first"] for r in of], k, marker, ms=4, alpha=0.7, color=colour, label=name)
     limit = NavigatorConfig().planner.threshold
     right.axhline(limit, color="black", lw=1.4, ls="--", label=f"K = {limit:g} m², the paper's rule")
     right.axvline(0.5, color="black", lw=1.0)
     right.set_yscale("log")
     right.set_xlabel("probability after 1 s of contact")
     right.set_ylabel("K after 1 s of contact [m²]")
-    right.legend(fontsize=8)
+    right.legend(fontsize=7)
     return figure
 
 
 def _confusion(rows: list[dict[str, Any]]) -> Any:
     names = ("not manipulable", "manipulable")
-    table = np.zeros((2, 2), dtype=int)
-    for r in rows:
-        table[int(r["manipulable"]), int(r["decided"])] += 1
-    figure = blank_figure(4.4, 3.6)
-    axes = figure.subplots()
-    axes.imshow(table, cmap="Blues", vmin=0, vmax=max(int(table.sum()) / 2, 1))
-    for (i, j), count in np.ndenumerate(table):
-        axes.text(j, i, str(count), ha="center", va="center", fontsize=15, color="white" if i == j else "black")
-    axes.set_xticks((0, 1), names)
-    axes.set_yticks((0, 1), names, rotation=90, va="center")
-    axes.set_xlabel("the robot's decision")
-    axes.set_ylabel("the plant's truth")
+    figure = blank_figure(8.4, 3.6)
+    for axes, (stratum, title) in zip(figure.subplots(1, len(STRATA)), STRATA.items(), strict=True):
+        table = np.zeros((2, 2), dtype=int)
+        for r in rows:
+            table[int(r["manipulable"]), int(r["decided"])] += r["stratum"] == stratum
+        axes.imshow(table, cmap="Blues", vmin=0, vmax=max(int(table.sum()) / 2, 1))
+        for (i, j), count in np.ndenumerate(table):
+            axes.text(j, i, str(count), ha="center", va="center", fontsize=15, color="white" if i == j else "black")
+        axes.set_title(title)
+        axes.set_xticks((0, 1), names)
+        axes.set_yticks((0, 1), names, rotation=90, va="center")
+        axes.set_xlabel("the robot's decision")
+        axes.set_ylabel("the plant's truth")
     return figure
 
 

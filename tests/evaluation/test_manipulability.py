@@ -9,8 +9,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shmoo_mjx.evaluation.manipulable import SteadyPush, draw_immovable, manipulable, near_border, steady_push
-from shmoo_mjx.evaluation.object_planner import auc, calibration, draw_object, measure, open_floor_scenario
+from shmoo_mjx.evaluation.manipulable import (
+    SteadyPush,
+    draw_immovable,
+    draw_near_border,
+    manipulable,
+    near_border,
+    steady_push,
+)
+from shmoo_mjx.evaluation.object_planner import (
+    auc,
+    calibration,
+    draw_border_object,
+    draw_object,
+    measure,
+    open_floor_scenario,
+)
 from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.faces import faces_of, heading
 from shmoo_mjx.plant.objects import draw_condition
@@ -53,6 +67,19 @@ def test_near_the_border_lies_what_nearly_moves_or_only_just(
 ) -> None:
     condition = draw_condition(family, seed)
     assert (manipulable(condition, side), near_border(condition, side)) == (moves, near)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("index", "kind"), [(6, "drawn"), (9, "heavy")])
+def test_a_load_brings_an_object_near_the_border_on_the_side_that_was_asked_for(index: int, kind: str) -> None:
+    condition, side, drawn = draw_border_object(index, 1_000_000, SteadyPush())
+    assert drawn == kind and near_border(condition, side)
+    assert manipulable(condition, side) == (index % 2 == 0)
+
+
+@pytest.mark.slow
+def test_what_is_fixed_comes_near_the_border_by_no_load() -> None:
+    assert draw_near_border("fixed", "box", 7, 2, False, QUICK) is None
 
 
 def test_what_is_fixed_is_not_near_the_border() -> None:
