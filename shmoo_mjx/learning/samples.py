@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -144,11 +144,12 @@ def _stack(inputs: list, labels: list, weights: list, runs: list) -> Samples:
     """Conditions of different lengths, padded at the end with samples that do not count."""
     longest = max(len(x) for x in inputs)
 
-    def pad(items: list) -> np.ndarray:
-        whole = [np.pad(a, [(0, longest - len(a))] + [(0, 0)] * (np.ndim(a) - 1)) for a in items]
+    def pad(items: list, mode: Literal["constant", "edge"] = "constant") -> np.ndarray:
+        whole = [np.pad(a, [(0, longest - len(a))] + [(0, 0)] * (np.ndim(a) - 1), mode=mode) for a in items]
         return np.stack(whole).astype(np.float32)
 
-    return Samples(pad(inputs), pad(labels), pad(weights), pad(runs).astype(np.int32))
+    # An input of zeros would be an object without a size, of which no contact model can tell a number.
+    return Samples(pad(inputs, "edge"), pad(labels), pad(weights), pad(runs).astype(np.int32))
 
 
 def _repeat(items: list[np.ndarray]) -> Array:

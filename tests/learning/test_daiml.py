@@ -15,6 +15,7 @@ from shmoo_mjx.learning import daiml, multistep, training
 from shmoo_mjx.learning.baselines.adaptive import from_fit, prior_of
 from shmoo_mjx.learning.baselines.protocol import recordings
 from shmoo_mjx.learning.daiml import DaimlConfig
+from shmoo_mjx.learning.samples import samples_from_dataset
 from shmoo_mjx.types import DT
 
 SMALL = DaimlConfig(
@@ -124,6 +125,17 @@ def test_design_matrix_is_the_model() -> None:
         phi = object_model.design_matrix(params, x, config, contact_model.guess())
         expected = object_model.predict(params, a, x, config, contact_model.guess())
         np.testing.assert_allclose(phi @ a.reshape(-1), expected, atol=1e-5)
+
+
+def test_a_condition_recorded_for_less_long_is_padded_with_what_the_contact_model_can_take(
+    synthetic_dataset: store.Dataset,
+) -> None:
+    few = synthetic_dataset.chosen([0, 1])
+    shorter = {name: values[:1] for name, values in few.arrays[0].items()}
+    samples = samples_from_dataset(few._replace(arrays=[shorter, few.arrays[1]]))
+    padding = samples.inputs[0, samples.labels.shape[1] // len(few.arrays[1]["size"]) :]
+    assert len(padding) and not samples.weights[0, -len(padding) :].any()
+    assert np.isfinite(contact_model.acceleration(contact_model.guess(), jnp.asarray(padding.T))).all()
 
 
 @pytest.mark.slow
