@@ -133,28 +133,25 @@ def draw_immovable(kind: str, family: str, seed: int) -> Condition:
     return draw_condition(family, seed, {"payload": float(rng.uniform(200.0, 450.0)), "rolling": [0.08] * 4})
 
 
-def draw_near_border(
-    kind: str, family: str, seed: int, side: int, moves: bool, cfg: SteadyPush = SteadyPush()
+def near_border_by_load(
+    condition: Condition, side: int, moves: bool, cfg: SteadyPush = SteadyPush()
 ) -> Condition | None:
-    """An object so laden that the steady push on face ``side`` moves it only just far enough, or nearly.
+    """The object so laden that the steady push on face ``side`` moves it only just far enough, or nearly.
 
     Args:
-        kind: drawn, or a kind of `IMMOVABLE`, of which all but the load is kept.
-        family: of the object.
-        seed: draws everything but the load, which is found by bisection.
+        condition: all but the load is kept, which is found by bisection.
         side: index of the face that is pushed.
         moves: whether it is manipulable, just, or not, nearly; both are within `BORDER`.
 
     Returns:
         The object; None if no load up to `HEAVIEST` does it.
     """
-    base = draw_condition(family, seed) if kind == "drawn" else draw_immovable(kind, family, seed)
     nearest, farthest = (cfg.distance, BORDER[1]) if moves else (BORDER[0], cfg.distance)
     light, heavy = 0.0, HEAVIEST
     for _ in range(12):
-        condition = replace(base, payload=round((light + heavy) / 2, 3))
-        moved = steady_push(condition, side, replace(cfg, distance=farthest))
+        load = round((light + heavy) / 2, 3)
+        moved = steady_push(replace(condition, payload=load), side, replace(cfg, distance=farthest))
         if nearest <= moved < farthest:
-            return condition
-        light, heavy = (condition.payload, heavy) if moved >= farthest else (light, condition.payload)
+            return replace(condition, payload=load)
+        light, heavy = (load, heavy) if moved >= farthest else (light, load)
     return None

@@ -9,7 +9,7 @@ manipulability, so laden that they move only just far enough, or nearly.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -25,9 +25,9 @@ from shmoo_mjx.evaluation.manipulable import (
     STRATA,
     SteadyPush,
     draw_immovable,
-    draw_near_border,
     manipulable,
     near_border,
+    near_border_by_load,
     steady_push,
 )
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
@@ -130,15 +130,21 @@ def draw_object(index: int, first_seed: int, cfg: SteadyPush) -> tuple[Condition
     raise AssertionError("every object that was drawn is the other kind")
 
 
-def draw_border_object(index: int, first_seed: int, cfg: SteadyPush) -> tuple[Condition, int, str]:
-    """(condition, side, kind) of object ``index`` near the border: even ones are manipulable on that side, just."""
+def draw_border_object(
+    index: int, first_seed: int, cfg: SteadyPush, pushed: Callable[[Condition, int], int]
+) -> tuple[Condition, int, str]:
+    """(condition, side, kind) of object ``index`` near the border: even ones are manipulable, just, odd ones nearly.
+
+    So they are on the side that ``pushed`` says the robot chooses of an object whose ``side`` faces it.
+    """
     family = FAMILIES[(index // 2) % 3]
     # A box has no wheels that a kind could lock or make heavy to turn.
     kind = "drawn" if family == "box" else ("drawn", "heavy", "brakes")[(index // 6) % 3]
     # From the last of its seeds, which `draw_object` hardly ever gets to.
     for seed in reversed(list(_seeds(index, first_seed))):
         side = int(np.random.default_rng([seed, 1]).integers(4))
-        condition = draw_near_border(kind, family, seed, side, index % 2 == 0, cfg)
+        base = draw_condition(family, seed) if kind == "drawn" else draw_immovable(kind, family, seed)
+        condition = near_border_by_load(base, pushed(base, side), index % 2 == 0, cfg)
         if condition is not None:
             return condition, side, kind
     raise AssertionError("no object that was drawn comes near the border by its load")
@@ -157,10 +163,21 @@ def _trial(
     from shmoo_mjx.episode import Hooks, run_episode
 
     stratum, number = trial
-    draw = draw_object if stratum == "drawn" else draw_border_object
-    condition, side, kind = draw(number, first_seed, cfg.truth)
-    scenario = open_floor_scenario(condition, side, 1000 * seed + number, cfg.time_s)
     controller = controller_of(weights)
+
+    def probed(condition: Condition, side: int, over: Callable[[Any], bool]) -> Any:
+        scenario = open_floor_scenario(condition, side, 1000 * seed + number, cfg.time_s)
+        return run_episode(open_floor(), scenario, controller, navigator_config(), Hooks(over=over), senses=senses)
+
+    def pushed(condition: Condition, side: int) -> int:
+        # The navigator chooses a face by what it sees, before it knows the load.
+        navigator = probed(condition, side, lambda navigator: navigator.segment is not None).navigator
+        return navigator.segment.side
+
+    if stratum == "drawn":
+        condition, side, kind = draw_object(number, first_seed, cfg.truth)
+    else:
+        condition, side, kind = draw_border_object(number, first_seed, cfg.truth, pushed)
     first: dict[str, Any] = {}
 
     def decided(navigator: Any) -> bool:
@@ -168,7 +185,7 @@ def _trial(
             first.update(_after_a_second(navigator, controller))
         return navigator.belief.objects[0].manipulable is not None if navigator.belief.objects else False
 
-    episode = run_episode(open_floor(), scenario, controller, navigator_config(), Hooks(over=decided), senses=senses)
+    episode = probed(condition, side, decided)
     row = {"stratum": stratum, "object": number, "family": condition.family, "kind": kind}
     row |= {"description": condition.describe()}
     row |= {"outcome": episode.result["outcome"], "transitions": len(episode.result["transitions"])}

@@ -12,9 +12,9 @@ import pytest
 from shmoo_mjx.evaluation.manipulable import (
     SteadyPush,
     draw_immovable,
-    draw_near_border,
     manipulable,
     near_border,
+    near_border_by_load,
     steady_push,
 )
 from shmoo_mjx.evaluation.object_planner import (
@@ -71,15 +71,16 @@ def test_near_the_border_lies_what_nearly_moves_or_only_just(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("index", "kind"), [(6, "drawn"), (9, "heavy")])
-def test_a_load_brings_an_object_near_the_border_on_the_side_that_was_asked_for(index: int, kind: str) -> None:
-    condition, side, drawn = draw_border_object(index, 1_000_000, SteadyPush())
-    assert drawn == kind and near_border(condition, side)
-    assert manipulable(condition, side) == (index % 2 == 0)
+def test_a_load_brings_an_object_near_the_border_on_the_side_that_is_pushed(index: int, kind: str) -> None:
+    condition, side, drawn = draw_border_object(index, 1_000_000, SteadyPush(), lambda _, side: (side + 1) % 4)
+    pushed = (side + 1) % 4
+    assert drawn == kind and near_border(condition, pushed)
+    assert manipulable(condition, pushed) == (index % 2 == 0)
 
 
 @pytest.mark.slow
 def test_what_is_fixed_comes_near_the_border_by_no_load() -> None:
-    assert draw_near_border("fixed", "box", 7, 2, False, QUICK) is None
+    assert near_border_by_load(draw_immovable("fixed", "box", 7), 2, False, QUICK) is None
 
 
 def test_what_is_fixed_is_not_near_the_border() -> None:
