@@ -63,9 +63,11 @@ def _confusion(rows: list[dict[str, Any]]) -> Any:
         table = np.zeros((2, 2), dtype=int)
         for r in rows:
             table[int(r["manipulable"]), int(r["decided"])] += r["stratum"] == stratum
-        axes.imshow(table, cmap="Blues", vmin=0, vmax=max(int(table.sum()) / 2, 1))
+        most = max(int(table.sum()) / 2, 1)
+        axes.imshow(table, cmap="Blues", vmin=0, vmax=most)
         for (i, j), count in np.ndenumerate(table):
-            axes.text(j, i, str(count), ha="center", va="center", fontsize=15, color="white" if i == j else "black")
+            colour = "white" if count > most / 2 else "black"
+            axes.text(j, i, str(count), ha="center", va="center", fontsize=15, color=colour)
         axes.set_title(title)
         axes.set_xticks((0, 1), names)
         axes.set_yticks((0, 1), names, rotation=90, va="center")

@@ -184,8 +184,8 @@ SECTIONS = {
     ),
     "object_planner": Section(
         "Can it be moved? (IV-B, Algorithm 1, Fig. 5)",
-        "The navigator probes unseen objects, half of which are immovable, and decides: objects as drawn, and objects "
-        "so laden that a steady push moves them 0.2 to 0.5 m, where 0.316 m count as manipulable.",
+        "The navigator probes unseen objects, at least half of them immovable, and decides: objects as drawn, and "
+        "objects so laden that a steady push moves them 0.2 to 0.5 m, where 0.316 m count as manipulable.",
         ("as drawn", "near the border", "both"),
         _lines(
             {
