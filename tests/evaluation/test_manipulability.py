@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.evaluation.manipulable import (
     SteadyPush,
     draw_immovable,
@@ -18,6 +19,8 @@ from shmoo_mjx.evaluation.manipulable import (
     steady_push,
 )
 from shmoo_mjx.evaluation.object_planner import (
+    ObjectPlannerTrials,
+    _trial,
     auc,
     calibration,
     draw_border_object,
@@ -76,6 +79,12 @@ def test_a_load_brings_an_object_near_the_border_on_the_side_that_is_pushed(inde
     pushed = (side + 1) % 4
     assert drawn == kind and near_border(condition, pushed)
     assert manipulable(condition, pushed) == (index % 2 == 0)
+
+
+@pytest.mark.slow
+def test_the_navigator_pushes_the_side_on_which_an_object_is_near_the_border() -> None:
+    row = _trial(ObjectPlannerTrials(), 1_010_000, 0, asset(WEIGHTS), "real", ("border", 4))[0]
+    assert row["border"] and row["manipulable"]
 
 
 @pytest.mark.slow
