@@ -148,6 +148,7 @@ def near_border_by_load(
     """
     nearest, farthest = (cfg.distance, BORDER[1]) if moves else (BORDER[0], cfg.distance)
     light, heavy = 0.0, HEAVIEST
+    # To 0.1 kg. Nothing to be solved for: any load within the band will do, and what sticks leaves it in a jump.
     for _ in range(12):
         load = round((light + heavy) / 2, 3)
         moved = steady_push(replace(condition, payload=load), side, replace(cfg, distance=farthest))

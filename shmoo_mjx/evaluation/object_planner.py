@@ -1,9 +1,10 @@
 """Experiment object_planner: can the robot tell, within seconds of touching it, whether an object can be moved?
 
-Unseen objects, half of them not manipulable, stand alone on open floor in the robot's way. The navigator runs as it is,
-from the approach to its verdict; the truth is the plant's (``manipulable``). What the paper's rule would have said, K
-after one second of contact, is measured on the same touches. A second stratum are objects near the border of
-manipulability, so laden that they move only just far enough, or nearly.
+Unseen objects stand alone on open floor in the robot's way. The navigator runs as it is, from the approach to its
+verdict; the truth is the plant's (``manipulable``) on the side that is pushed. What the paper's rule would have said, K
+after one second of contact, is measured on the same touches. Half of the objects are manipulable on the side that faces
+the robot; it pushes another one, on which fewer are. A second stratum are objects near the border of manipulability, so
+laden that they move only just far enough, or nearly, on the very side that is pushed.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ class ObjectPlannerTrials:
     """What is tried."""
 
     objects: int = 60
-    """Of each stratum; half of them manipulable."""
+    """Of each stratum."""
     time_s: float = 40.0
     """Longest trial [s]."""
     workers: int = 2
@@ -123,8 +124,7 @@ def draw_object(index: int, first_seed: int, cfg: SteadyPush) -> tuple[Condition
     family = FAMILIES[(index // 2) % 3]
     kind = "drawn" if index % 2 == 0 else IMMOVABLE[(index // 6) % 3]
     for seed in _seeds(index, first_seed):
-        side = int(np.random.default_rng([seed, 1]).integers(4))
-        condition = draw_condition(family, seed) if kind == "drawn" else draw_immovable(kind, family, seed)
+        condition, side = _of_kind(kind, family, seed)
         if manipulable(condition, side, cfg) == (kind == "drawn"):
             return condition, side, kind
     raise AssertionError("every object that was drawn is the other kind")
@@ -142,12 +142,17 @@ def draw_border_object(
     kind = "drawn" if family == "box" else ("drawn", "heavy", "brakes")[(index // 6) % 3]
     # From the last of its seeds, which `draw_object` hardly ever gets to.
     for seed in reversed(list(_seeds(index, first_seed))):
-        side = int(np.random.default_rng([seed, 1]).integers(4))
-        base = draw_condition(family, seed) if kind == "drawn" else draw_immovable(kind, family, seed)
+        base, side = _of_kind(kind, family, seed)
         condition = near_border_by_load(base, pushed(base, side), index % 2 == 0, cfg)
         if condition is not None:
             return condition, side, kind
     raise AssertionError("no object that was drawn comes near the border by its load")
+
+
+def _of_kind(kind: str, family: str, seed: int) -> tuple[Condition, int]:
+    """An object as drawn or of a kind of `IMMOVABLE`, and the side of it that faces the robot."""
+    condition = draw_condition(family, seed) if kind == "drawn" else draw_immovable(kind, family, seed)
+    return condition, int(np.random.default_rng([seed, 1]).integers(4))
 
 
 def _seeds(index: int, first_seed: int) -> Iterator[int]:

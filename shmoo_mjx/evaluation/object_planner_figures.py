@@ -32,9 +32,9 @@ def _reliability(rows: list[dict[str, Any]]) -> Any:
         p = np.array([r["probability_first"] for r in of])
         truth = np.array([r["manipulable"] for r in of], dtype=bool)
         place = np.minimum((p * 5).astype(int), 4)
-        for b in np.unique(place):
-            said, came, count = p[place == b].mean(), truth[place == b].mean(), int(np.sum(place == b))
-            left.plot(said, came, "o", color=colour, ms=6, label=name if b == place.min() else None)
+        bins = [(p[place == b].mean(), truth[place == b].mean(), int(np.sum(place == b))) for b in np.unique(place)]
+        left.plot([b[0] for b in bins], [b[1] for b in bins], "o", color=colour, ms=6, label=name)
+        for said, came, count in bins:
             away = {"xytext": (-7, 6 * below - 3), "ha": "right"} if said > 0.8 else {"xytext": (7, 6 * below - 3)}
             left.annotate(str(count), (said, came), textcoords="offset points", fontsize=8, color=colour, **away)
     left.set_xlabel("probability of being manipulable, after 1 s of contact")

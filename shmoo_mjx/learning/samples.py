@@ -148,7 +148,7 @@ def _stack(inputs: list, labels: list, weights: list, runs: list) -> Samples:
         whole = [np.pad(a, [(0, longest - len(a))] + [(0, 0)] * (np.ndim(a) - 1), mode=mode) for a in items]
         return np.stack(whole).astype(np.float32)
 
-    # An input of zeros would be an object without a size, of which no contact model can tell a number.
+    # An input of zeros would be an object of size 0, by which the contact model divides.
     return Samples(pad(inputs, "edge"), pad(labels), pad(weights), pad(runs).astype(np.int32))
 
 
