@@ -65,9 +65,6 @@ class PushConfig:
         speed_limit=0.25,
     )
     adapt: adaptation.AdaptConfig = field(default_factory=adaptation.AdaptConfig)
-    moving: float = float("inf")
-    """Speed of the object from which a sample without contact is learned from, too: how it coasts [m/s]; more learns
-    from fewer."""
     adapts: bool = True
     """False leaves what is known of the object as it is, for comparison."""
     governor: GovernorConfig = GovernorConfig()
@@ -310,10 +307,9 @@ def _perceive(
     felt = xp.where(obs.age > 0, before.last_wrench, wrench)
     inputs = xp.concatenate([twist_before, felt, before.last_object_twist, before.size[None], before.last_wrench])
     label = se2.rotate((obs.object_twist - before.object_twist) / DT, -before.object_pose[2])
-    coasts = xp.hypot(before.object_twist[0], before.object_twist[1]) > config.moving
     # A pose that was carried on, now or a sample ago, says nothing about the object.
     measured = xp.asarray(obs.detected) & xp.asarray(state.detected)
-    valid = xp.asarray(config.adapts & (touches(obs.wrench) | coasts) & measured)
+    valid = xp.asarray(config.adapts & touches(obs.wrench) & measured)
     system = _system_state(obs, twist_before, wrench, force, last_u, before.face, half_extents)
     return system, _Transition(_f32(inputs), _f32(label), valid)
 

@@ -78,10 +78,7 @@ def pose_push_config() -> PushConfig:
     control = replace(base.control, sigma=(0.015, 0.012, 0.07), noise_correlation=0.95)
     # Accelerations are differences of noisy twists.
     adapt = replace(base.adapt, noise_scale=2.0)
-    # What hardly resists is felt too weakly to teach much, but it coasts.
-    return replace(
-        base, cost=cost, control=control, adapt=adapt, governor_room=0.04, foresees_governor=True, moving=0.05
-    )
+    return replace(base, cost=cost, control=control, adapt=adapt, governor_room=0.04, foresees_governor=True)
 
 
 @dataclass(frozen=True)

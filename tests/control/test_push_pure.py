@@ -86,6 +86,15 @@ def test_what_is_seen_late_answers_to_what_was_felt_a_sample_before(age: float) 
         state = state._replace(before=system)
 
 
+@pytest.mark.parametrize(("force", "detected", "counts"), [(9.0, True, True), (0.0, True, False), (9.0, False, False)])
+def test_only_what_is_felt_and_seen_is_learned_from(force: float, detected: bool, counts: bool) -> None:
+    rolling = object_obs(0, 0)._replace(object_twist=np.array([0.3, 0.0, 0.0]), wrench=np.array([force, 0.0, 0.0]))
+    nothing = adaptation.init(np.zeros(3), np.eye(3), np.eye(3))
+    state = pushing.start(pose_push_config(), nothing, rolling, FACE, HALF, jax.random.key(0))
+    obs = rolling._replace(detected=np.array(detected))
+    assert bool(pushing._perceive(pose_push_config(), state, obs, np.zeros(3), HALF)[1].valid) == counts
+
+
 @pytest.mark.parametrize("friction", [0.02, 0.05])
 @pytest.mark.parametrize("speed", [0.1, 0.2])
 def test_what_is_let_go_coasts_as_far_as_the_friction_of_its_contacts_lets_it(friction: float, speed: float) -> None:
