@@ -16,28 +16,24 @@ from shmoo_mjx.learning.weights import Weights
 Make = Callable[[Weights, PushConfig], PushController]
 
 
-def _without(**terms: float) -> Make:
-    """Ours with other values of `PushCost`."""
-    return lambda weights, config: PushController(weights, replace(config, cost=replace(config.cost, **terms)))
+def _changed(change: Callable[[PushConfig], PushConfig]) -> Make:
+    return lambda weights, config: PushController(weights, change(config))
+
+
+def _cost(**terms: float) -> Make:
+    return _changed(lambda config: replace(config, cost=replace(config.cost, **terms)))
 
 
 running, lateral, heading, aim, speed = (
-    _without(**{f"{term}_weight": 0.0}) for term in ("running", "lateral", "heading", "aim", "speed")
+    _cost(**{f"{term}_weight": 0.0}) for term in ("running", "lateral", "heading", "aim", "speed")
 )
-overspeed = _without(overspeed_weight=0.0, slow_down=0.0)
+overspeed = _cost(overspeed_weight=0.0, slow_down=0.0)
 """Neither what speeding costs nor the governor's slowing down before the goal."""
-
-
-def governor(weights: Weights, config: PushConfig) -> PushController:
-    """No bounds on the forward lean, in plan and command."""
-    return PushController(weights, replace(config, governor=replace(config.governor, gain=0.0)))
-
-
-def governor_room(weights: Weights, config: PushConfig) -> PushController:
-    """The governor's upper bound alone."""
-    return PushController(weights, replace(config, governor_room=1.0))
-
-
-def foresees_governor(weights: Weights, config: PushConfig) -> PushController:
-    """Roll-outs that lean as far as they like."""
-    return PushController(weights, replace(config, foresees_governor=False))
+heading_and_overspeed = _cost(heading_weight=0.0, overspeed_weight=0.0, slow_down=0.0)
+"""Each of the two is hardly missed."""
+governor = _changed(lambda config: replace(config, governor=replace(config.governor, gain=0.0)))
+"""No bounds on the forward lean, in plan and command."""
+governor_room = _changed(lambda config: replace(config, governor_room=1.0))
+"""The governor's upper bound alone."""
+foresees_governor = _changed(lambda config: replace(config, foresees_governor=False))
+"""Roll-outs that lean as far as they like."""

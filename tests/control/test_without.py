@@ -1,0 +1,44 @@
+"""What `benchmarks/without.py` leaves out is a part that pushing to a pose has, and nothing else changes."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from shmoo_mjx import custom
+from shmoo_mjx.evaluation.pushing_trials import OWN
+from shmoo_mjx.learning.weights import untrained
+from shmoo_mjx.navigation.push_task import pose_push_config
+
+ROOT = Path(__file__).resolve().parents[2]
+LEFT_OUT = {
+    "running": {"cost.running_weight"},
+    "lateral": {"cost.lateral_weight"},
+    "heading": {"cost.heading_weight"},
+    "aim": {"cost.aim_weight"},
+    "speed": {"cost.speed_weight"},
+    "overspeed": {"cost.overspeed_weight", "cost.slow_down"},
+    "heading_and_overspeed": {"cost.heading_weight", "cost.overspeed_weight", "cost.slow_down"},
+    "governor": {"governor.gain"},
+    "governor_room": {"governor_room"},
+    "foresees_governor": {"foresees_governor"},
+}
+
+
+def _flat(settings: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, value in settings.items():
+        found |= _flat(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name: value}
+    return found
+
+
+@pytest.mark.parametrize("name", LEFT_OUT)
+def test_one_part_is_left_out(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    monkeypatch.chdir(ROOT)
+    whole = pose_push_config()
+    pusher = custom.named(OWN, f"benchmarks.without:{name}")(untrained(), whole)
+    before, after = _flat(asdict(whole)), _flat(asdict(pusher.config))
+    assert {key for key in before if before[key] != after[key]} == LEFT_OUT[name]
