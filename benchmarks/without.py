@@ -37,3 +37,9 @@ governor_room = _changed(lambda config: replace(config, governor_room=1.0))
 """The governor's upper bound alone."""
 foresees_governor = _changed(lambda config: replace(config, foresees_governor=False))
 """Roll-outs that lean as far as they like."""
+running_lateral_foresees = _changed(
+    lambda config: replace(
+        config, foresees_governor=False, cost=replace(config.cost, running_weight=0.0, lateral_weight=0.0)
+    )
+)
+"""Each of the three is hardly missed."""

@@ -25,6 +25,7 @@ LEFT_OUT = {
     "governor": {"governor.gain"},
     "governor_room": {"governor_room"},
     "foresees_governor": {"foresees_governor"},
+    "running_lateral_foresees": {"cost.running_weight", "cost.lateral_weight", "foresees_governor"},
 }
 
 
