@@ -19,7 +19,6 @@ from scipy.cluster.vq import kmeans2
 
 from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.dynamics import contact_model, features
-from shmoo_mjx.types import DT
 
 _BLOCK = 5
 """Online, so many samples' residuals are added up. A label is a difference of noisy twists: what a twist's noise takes
@@ -51,10 +50,9 @@ class IdentificationConfig:
 class OnlineConfig:
     """Settings of `observe`; hashable."""
 
-    window: int = 120
-    """The last so many samples are looked at, a multiple of 5."""
-    memory: float = 8.0
-    """A sample's weight falls by e in this time of contact [s]: properties may change."""
+    window: int = 60
+    """The last so many samples count, a multiple of 5: properties may change. More averages over more noise, and is
+    slower to learn of a change."""
     iterations: int = 2
     """Levenberg-Marquardt steps per sample."""
     noise: float = 0.5
@@ -120,7 +118,7 @@ def observe(
 
     x = appended(state.inputs, jnp.where(use, inputs, state.inputs[-1]))
     y = appended(state.labels, jnp.where(use, label, 0.0))
-    w = appended(state.weights * np.exp(-DT / config.memory), jnp.ones(()))
+    w = appended(state.weights, jnp.ones(()))
     samples = _normalised(config.noise, state.scale, x, y, w)
     fit = partial(_fit, config.iterations, samples=samples, block=_BLOCK)
     found, cost = jax.vmap(fit)(state.found, state.prior.mean, state.prior.root)
