@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 from shmoo_mjx.evaluation.paired import OURS, PairedDifference, paired_difference
@@ -41,8 +42,8 @@ def main() -> None:
         for field in FIELDS:
             mine, other = ([float(row[field]) for row in side] for side in zip(*subset, strict=True))
             # What is compared with nothing is a mean with its interval.
-            compared = (mine, [0.0] * len(mine)), (other, [0.0] * len(other)), (mine, other)
-            rows.append([name, str(len(subset)), field, *(_cell(paired_difference(*sides)) for sides in compared)])
+            means = [f"{_cell(paired_difference(x, [0.0] * len(x)))}, median {median(x):.3f}" for x in (mine, other)]
+            rows.append([name, str(len(subset)), field, *means, _cell(paired_difference(mine, other))])
     print(markdown_table(["", "trials", "", OURS, theirs, "difference"], rows))
 
 

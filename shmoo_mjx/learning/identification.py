@@ -51,8 +51,7 @@ class OnlineConfig:
     """Settings of `observe`; hashable."""
 
     window: int = 60
-    """The last so many samples count, a multiple of 5: properties may change. More averages over more noise, and is
-    slower to learn of a change."""
+    """The last so many samples count, all alike, a multiple of 5. Older ones do not: properties may change."""
     iterations: int = 2
     """Levenberg-Marquardt steps per sample."""
     noise: float = 0.5
@@ -84,6 +83,7 @@ class ContactEstimate(NamedTuple):
     """Of the last W samples, the newest last."""
     labels: Float[Array, "... W 3"]
     weights: Float[Array, "... W"]
+    """1, or 0 where there has been no sample yet."""
     found: Float[Array, "... G p"]
     cost: Float[Array, "... G"]
 
@@ -243,7 +243,7 @@ def _normalised(noise: float, scale: Array, inputs: Array, labels: Array, weight
 def _fit(iterations: int, start: Array, mean: Array, root: Array, samples: Any, block: int = 1) -> tuple[Array, Array]:
     """Levenberg-Marquardt from ``start [p]``: (parameters, half the sum of squares, robust and with the prior)."""
     inputs, labels, each, unit = samples
-    weights = jnp.max(each.reshape(-1, block), axis=1)  # a block's newest sample's
+    weights = jnp.max(each.reshape(-1, block), axis=1)  # a block counts from its first sample on
 
     def residuals(parameters: Array) -> Array:
         left = contact_model.acceleration(parameters, inputs) / unit[:, None] - labels
