@@ -19,6 +19,7 @@ from scipy.cluster.vq import kmeans2
 
 from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.dynamics import contact_model, features
+from shmoo_mjx.types import DT
 
 _BLOCK = 5
 """Online, so many samples' residuals are added up. A label is a difference of noisy twists: what a twist's noise takes
@@ -50,8 +51,10 @@ class IdentificationConfig:
 class OnlineConfig:
     """Settings of `observe`; hashable."""
 
-    window: int = 60
-    """The last so many samples count, all alike, a multiple of 5. Older ones do not: properties may change."""
+    window: int = 120
+    """The last so many samples are looked at, a multiple of 5."""
+    memory: float = 8.0
+    """A sample's weight falls by e in this time of contact [s]: properties may change."""
     iterations: int = 2
     """Levenberg-Marquardt steps per sample."""
     noise: float = 0.5
@@ -83,7 +86,6 @@ class ContactEstimate(NamedTuple):
     """Of the last W samples, the newest last."""
     labels: Float[Array, "... W 3"]
     weights: Float[Array, "... W"]
-    """1, or 0 where there has been no sample yet."""
     found: Float[Array, "... G p"]
     cost: Float[Array, "... G"]
 
@@ -118,7 +120,7 @@ def observe(
 
     x = appended(state.inputs, jnp.where(use, inputs, state.inputs[-1]))
     y = appended(state.labels, jnp.where(use, label, 0.0))
-    w = appended(state.weights, jnp.ones(()))
+    w = appended(state.weights * np.exp(-DT / config.memory), jnp.ones(()))
     samples = _normalised(config.noise, state.scale, x, y, w)
     fit = partial(_fit, config.iterations, samples=samples, block=_BLOCK)
     found, cost = jax.vmap(fit)(state.found, state.prior.mean, state.prior.root)
@@ -243,7 +245,7 @@ def _normalised(noise: float, scale: Array, inputs: Array, labels: Array, weight
 def _fit(iterations: int, start: Array, mean: Array, root: Array, samples: Any, block: int = 1) -> tuple[Array, Array]:
     """Levenberg-Marquardt from ``start [p]``: (parameters, half the sum of squares, robust and with the prior)."""
     inputs, labels, each, unit = samples
-    weights = jnp.max(each.reshape(-1, block), axis=1)  # a block counts from its first sample on
+    weights = jnp.max(each.reshape(-1, block), axis=1)  # a block's newest sample's
 
     def residuals(parameters: Array) -> Array:
         left = contact_model.acceleration(parameters, inputs) / unit[:, None] - labels

@@ -70,7 +70,7 @@ def test_what_was_not_felt_stays_as_training_objects_are() -> None:
 def test_online_it_comes_close_and_forgets() -> None:
     """Sample by sample; then the same object with four times the friction."""
     rng = np.random.default_rng(3)
-    online = OnlineConfig()
+    online = OnlineConfig(window=80, memory=3.0)
     state = identification.prior_state(online, identification.broad_prior(), SCALE)
     friction = NAMES.index("log_friction_x")
     for log_friction in (-1.5, -0.2):
