@@ -27,6 +27,19 @@ class Command(NamedTuple):
     """Height of the hands above the floor [m]."""
 
 
+class Track(NamedTuple):
+    """What an engine's W worlds went through while a command was held, at the ends of T equal parts of the time."""
+
+    physics: Float[Array, "T W n"]
+    """MuJoCo's full physics state."""
+    torque: Float[Array, "T W 9"]
+    """Motor torques that the control asks for [N m]."""
+    wrench: Float[Array, "W N 3"]
+    """Gamma on each object, about its centre, in {W}, mean over the whole time [N, N m]."""
+    wall_parts: Bool[Array, "W P"]
+    """Which of scene.PARTS touched a wall in that time."""
+
+
 class Observation(NamedTuple):
     """What the robot perceives at the end of a sample time; an engine's own observation is the truth. N objects."""
 

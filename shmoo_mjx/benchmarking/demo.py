@@ -24,8 +24,8 @@ import numpy as np
 from shmoo_mjx.benchmarking.registry import BenchOptions, Measured
 
 PARTS = {
-    "physics": ("shmoo_mjx.plant.engine_mujoco:MujocoEngine._advance",),
-    "low-level control, 500 Hz": ("shmoo_mjx.plant.engine_mujoco:MujocoEngine._hold",),
+    "physics": ("shmoo_mjx.plant.engine_mujoco:MujocoEngine._hold",),
+    "low-level control, 500 Hz": ("shmoo_mjx.plant.engine_mujoco:MujocoEngine._asked",),
     "senses": ("shmoo_mjx.sensing.engine:SensedEngine.step",),
     "MPPI and adaptation": (
         "shmoo_mjx.control.pushing:PushController.step",

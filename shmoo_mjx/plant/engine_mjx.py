@@ -27,10 +27,10 @@ from shmoo_mjx.arrays import Array, Bool, Float
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.plant import lowlevel
-from shmoo_mjx.plant.observe import observation, planar_wrench, scene_poses
+from shmoo_mjx.plant.observe import observation, planar_wrench
 from shmoo_mjx.plant.robot import RobotState, readout
 from shmoo_mjx.plant.scene import PARTS, Scene
-from shmoo_mjx.types import DT, Command, Observation
+from shmoo_mjx.types import DT, Command, Observation, Track
 
 with contextlib.redirect_stdout(io.StringIO()):  # it prints that its optional Warp back end is missing
     from mujoco import mjx
@@ -284,15 +284,20 @@ class MjxEngine:
         return world, seen
 
     def advance(
-        self, world: MjxWorld, command: Command, duration: float, push: Float[Array, "W 6"] | None = None
-    ) -> tuple[MjxWorld, Float[Array, "W N 3"]]:
-        """As :meth:`step`, but the mean wrench alone is observed."""
-        world, seen = self.step(world, command, duration, push)
-        return world, seen.wrench
-
-    def poses(self, world: MjxWorld) -> tuple[Float[np.ndarray, "W 3"], Float[np.ndarray, "W N 3"]]:
-        """Of the robots and of the objects, in {W}."""
-        return scene_poses(self.scenes[0], np.asarray(world.physics, dtype=float))
+        self,
+        world: MjxWorld,
+        command: Command,
+        duration: float,
+        readings: int,
+        push: Float[Array, "W 6"] | None = None,
+    ) -> tuple[MjxWorld, Track]:
+        """As :meth:`step`, but what is observed is the state at the end of each of ``readings`` parts of the time."""
+        rows = []
+        for _ in range(readings):
+            world, seen = self.step(world, command, duration / readings, push)
+            rows.append((world.physics, self.torque(world, command), seen.wrench, world.wall_parts))
+        physics, torque, wrench, touched = (np.stack(column) for column in zip(*rows, strict=True))
+        return world, Track(physics.astype(float), torque.astype(float), wrench.mean(axis=0), touched.any(axis=0))
 
     def robot(self, world: MjxWorld) -> RobotState:
         """The robots' true state, batched ``[W, ...]``."""

@@ -1,8 +1,8 @@
 """C MuJoCo behind the engines' signature: ``init() -> state`` and ``step(state, command) -> state, observation``.
 
 A batch of W worlds of one structure (the same family and number of objects) advances together: the control is one
-compiled function over all worlds, the physics is one call of ``mujoco.rollout``. With several threads, each takes a
-part of the worlds through the whole sample time: to meet after every 2 ms would cost what the second thread brings.
+compiled function over all worlds, the physics a call of ``mj_step`` for each. With several threads, each takes a part
+of the worlds through the whole sample time: to meet after every 2 ms would cost what the second thread brings.
 """
 
 from __future__ import annotations
@@ -17,36 +17,46 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from mujoco.rollout import Rollout
 
 from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Bool, Float
 from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.plant import lowlevel
-from shmoo_mjx.plant.observe import observation, planar_wrench, scene_poses
+from shmoo_mjx.plant.observe import observation, planar_wrench
 from shmoo_mjx.plant.robot import NQ, NV, Robot, RobotState, readout
 from shmoo_mjx.plant.scene import PARTS, Scene
-from shmoo_mjx.types import DT, Command, Observation
+from shmoo_mjx.types import DT, Command, Observation, Track
 
-_CONTROL_AND_FORCE = int(mujoco.mjtState.mjSTATE_CTRL) | int(mujoco.mjtState.mjSTATE_XFRC_APPLIED)
+_FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
+_MEMORY, _SENSED = 10, NQ + NV
+"""Numbers of the control's memory and of what it senses."""
+_FEW_WALLS = 32
+"""Up to which every wall stays in the physics."""
+_CELL = 1.0
+"""Walls are chosen anew where the robot or an object enters another cell of this width [m]."""
+_ROBOT_EXTENT = 1.0
+"""How far the robot reaches with its arms, generously [m]."""
+_SLACK = 0.5
+"""How far the robot or an object may move beyond its cell within a sample time [m]: at 5 m/s."""
+_MOST_KEPT = 16
+"""Models with different walls that are kept for coming back."""
 
 
 @functools.cache
-def _compiled_control(
-    robot: Robot, gains: lowlevel.Gains, timestep: float
-) -> Callable[[Array, Array, Array], tuple[Array, Array]]:
+def _compiled_control(robot: Robot, gains: lowlevel.Gains, timestep: float) -> Callable[[np.ndarray], Array]:
     """The low-level control, (memory, sensed, command) -> (memory, torque), compiled once for all engines.
 
-    Compiled even for one world: some 80 small array operations cost NumPy ten times as much. Each argument is one
-    array, since to hand over every field by itself takes longer than the computation: ``memory [W, 10]``, qpos and qvel
-    of the robot ``[W, NQ + NV]``, ``command [W, 6]``; torque ``[W, 9]``.
+    Compiled even for one world: some 80 small array operations cost NumPy twenty times as much. All arguments are one
+    array ``[W, 10 + (NQ + NV) + 6]``, and all results another one ``[W, 10 + 9]``, since to hand over every field by
+    itself takes longer than the computation.
     """
 
-    def control(memory: Array, sensed: Array, command: Array) -> tuple[Array, Array]:
+    def control(given: Array) -> Array:
+        sensed, command = given[:, _MEMORY : _MEMORY + _SENSED], given[:, _MEMORY + _SENSED :]
         now = readout(sensed[:, :NQ], sensed[:, NQ:])
         wanted = Command(command[:, :3], *(command[:, i] for i in (3, 4, 5)))
-        state, torque = lowlevel.control(robot, gains, _unpacked(memory), now, wanted, timestep)
-        return jnp.concatenate(_columns(state), axis=-1), torque
+        state, torque = lowlevel.control(robot, gains, _unpacked(given[:, :_MEMORY]), now, wanted, timestep)
+        return jnp.concatenate([*_columns(state), torque], axis=-1)
 
     return jax.jit(control)
 
@@ -61,8 +71,10 @@ def _columns(fields: Sequence[Array]) -> list[Array]:
     return [x if x.ndim == 2 else x[:, None] for x in fields]
 
 
-def _packed(fields: Sequence[Array]) -> np.ndarray:
-    return np.concatenate(_columns([np.asarray(x) for x in fields]), axis=-1).astype(np.float32)
+def _packed(*parts: Sequence[Array]) -> np.ndarray:
+    """The fields of all parts as one array ``[W, n]``."""
+    columns = [c for part in parts for c in _columns([np.asarray(x) for x in part])]
+    return np.concatenate(columns, axis=-1).astype(np.float32)
 
 
 class World(NamedTuple):
@@ -77,41 +89,37 @@ class World(NamedTuple):
     """Which of scene.PARTS did."""
 
 
-class _Part(NamedTuple):
-    """The worlds of one thread, and its own scratch memory."""
+class _Stage(NamedTuple):
+    """What a world is stepped with."""
 
-    worlds: slice
-    models: list[mujoco.MjModel]
-    data: list[mujoco.MjData]
-    rollout: Rollout
+    model: mujoco.MjModel
+    data: mujoco.MjData
 
 
 class MujocoEngine:
     """Steps W worlds of one structure. Holds compiled models and scratch memory, never state."""
 
     def __init__(self, scenes: Sequence[Scene], gains: lowlevel.Gains | None = None, threads: int = 1) -> None:
-        self.scenes = list(scenes)
         self.gains = gains or lowlevel.Gains()
-        first = self.scenes[0]
+        first = scenes[0]
         self.timestep = float(first.model.opt.timestep)
-        models = [s.model for s in self.scenes]
-        _check_structure(models)
-        ends = np.linspace(0, len(models), min(threads, len(models)) + 1).astype(int)
-        self._parts = [
-            _Part(slice(a, b), models[a:b], [mujoco.MjData(models[0])], Rollout(nthread=0))
-            for a, b in itertools.pairwise(ends)
-        ]
-        self._pool = ThreadPoolExecutor(len(self._parts)) if len(self._parts) > 1 else None
         self._nq, self._nv = first.model.nq, first.model.nv
         self._torso = first.model.body("robot/torso").id
         self._control = _compiled_control(first.robot, self.gains, self.timestep)
+        ends = np.linspace(0, len(scenes), min(threads, len(scenes)) + 1).astype(int)
+        self._parts = [slice(a, b) for a, b in itertools.pairwise(ends)]
+        self._pool = ThreadPoolExecutor(len(self._parts)) if len(self._parts) > 1 else None
+        self._use(scenes)
+
+    def _use(self, scenes: Sequence[Scene]) -> None:
+        _check_structure([s.model for s in scenes])
+        self.scenes = list(scenes)
+        self._stages: list[dict[Any, _Stage]] = [{} for _ in scenes]
 
     def close(self) -> None:
         """Stop the threads."""
         if self._pool is not None:
             self._pool.shutdown()
-        for part in self._parts:
-            part.rollout.close()
 
     def init(self) -> World:
         """All worlds at their scenes' starting configuration, arms folded."""
@@ -120,9 +128,7 @@ class MujocoEngine:
             data = mujoco.MjData(scene.model)
             data.qpos[:] = scene.qpos0
             mujoco.mj_forward(scene.model, data)
-            row = np.empty(mujoco.mj_stateSize(scene.model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
-            mujoco.mj_getState(scene.model, data, row, mujoco.mjtState.mjSTATE_FULLPHYSICS)
-            rows.append(row)
+            rows.append(_state(scene.model, data))
         batch = (len(rows),)
         control = lowlevel.init(np, batch, TUCKED_REACH, TUCKED_HEIGHT)
         return World(np.array(rows), control, np.zeros(batch, dtype=bool), np.zeros((*batch, len(PARTS)), dtype=bool))
@@ -132,12 +138,8 @@ class MujocoEngine:
 
         The worlds' states stay as they are. Poses in the new scenes' starting configurations mean nothing here.
         """
-        models = [s.model for s in scenes]
-        _check_structure([*self._parts[0].models[:1], *models])
-        self.scenes = list(scenes)
-        self._parts = [
-            part._replace(models=models[part.worlds], data=[mujoco.MjData(models[0])]) for part in self._parts
-        ]
+        _check_structure([self.scenes[0].model, *(s.model for s in scenes)])
+        self._use(scenes)
 
     def observe(self, world: World) -> Observation:
         """The worlds as they are, with no wrench."""
@@ -151,80 +153,96 @@ class MujocoEngine:
 
         ``push`` is an outside disturbance: force [N] and torque [N m] in {W} at the CoM of the robot's torso.
         """
-        world, wrench = self.advance(world, command, duration, push)
+        world, track = self.advance(world, command, duration, 1, push)
+        wrench = np.asarray(track.wrench)
         return world, observation(self.scenes[0], world.physics[:, 0], *self._split(world.physics), wrench)
 
     def advance(
-        self, world: World, command: Command, duration: float, push: Float[np.ndarray, "W 6"] | None = None
-    ) -> tuple[World, Float[np.ndarray, "W N 3"]]:
-        """As :meth:`step`, but the mean wrench alone is observed."""
-        hold = functools.partial(self._hold, substeps=round(duration / self.timestep))
-        pushes = [None if push is None else push[p.worlds] for p in self._parts]
+        self,
+        world: World,
+        command: Command,
+        duration: float,
+        readings: int,
+        push: Float[np.ndarray, "W 6"] | None = None,
+    ) -> tuple[World, Track]:
+        """As :meth:`step`, but what is observed is the state at the end of each of ``readings`` parts of the time."""
+        substeps = round(duration / self.timestep / readings)
+        hold = functools.partial(self._hold, readings=readings, substeps=substeps)
+        parts = [(p, _cut(world, p), _cut(command, p), None if push is None else push[p]) for p in self._parts]
         if self._pool is None:
-            return hold(self._parts[0], world, command, pushes[0])
-        state, wanted = (jax.tree.map(np.asarray, tree) for tree in (world, command))
-        parted = [(_cut(state, p.worlds), _cut(wanted, p.worlds)) for p in self._parts]
-        done = list(self._pool.map(hold, self._parts, *zip(*parted, strict=True), pushes))
-        joined: tuple[World, np.ndarray] = jax.tree.map(lambda *parts: np.concatenate(parts), *done)
-        return joined
+            return hold(*parts[0])
+        worlds, tracks = zip(*self._pool.map(hold, *zip(*parts, strict=True)), strict=True)
+        joined: World = jax.tree.map(lambda *each: np.concatenate(each), *worlds)
+        over_time = (np.concatenate([getattr(t, name) for t in tracks], axis=1) for name in ("physics", "torque"))
+        return joined, Track(*over_time, np.concatenate([t.wrench for t in tracks]), joined.wall_parts)
 
     def _hold(
-        self, part: _Part, world: World, command: Command, push: np.ndarray | None, substeps: int
-    ) -> tuple[World, np.ndarray]:
-        """The part's worlds after ``substeps``, and their mean wrench ``[w, N, 3]``."""
-        scene, physics = self.scenes[0], world.physics
-        memory, wanted = _packed(world.control), _packed(command)
-        felt: list[tuple[np.ndarray, np.ndarray]] = []
-        for _ in range(substeps):
-            memory, torque = self._control(memory, self._robot_state(physics), wanted)
-            state, sensors = self._advance(part, physics, np.asarray(torque, dtype=np.float64), push)
-            if sensors.any():
-                # Contact sensors belong to the configuration before the step.
-                felt.append((self._split(physics)[0], sensors))
-            physics = state
-        wrench, touched = np.zeros((len(physics), len(scene.conditions), 3)), np.zeros_like(world.wall_parts)
+        self, part: slice, world: World, command: Command, push: np.ndarray | None, readings: int, substeps: int
+    ) -> tuple[World, Track]:
+        """The part's worlds after ``readings`` times ``substeps``."""
+        scenes, stages = self.scenes[part], [*map(self._stage, range(part.start, part.stop), world.physics)]
+        for i, (model, data) in enumerate(stages):
+            _begin(model, data, world.physics[i])
+            if push is not None:
+                data.xfrc_applied[self._torso] = push[i]
+        given = _packed(world.control, np.zeros((1, len(stages), _SENSED)), command)
+        felt: list[tuple[int, np.ndarray, np.ndarray]] = []
+        physics, torques = np.empty((readings, *world.physics.shape)), np.empty((readings, len(stages), 9))
+        done = self._asked(given, stages)
+        for reading in range(readings):
+            for _ in range(substeps):
+                given[:, :_MEMORY] = done[:, :_MEMORY]
+                for i, (model, data) in enumerate(stages):
+                    data.ctrl[:] = done[i, _MEMORY:]
+                    before = data.qpos.copy()
+                    mujoco.mj_step(model, data)
+                    if data.sensordata.any():
+                        # Contact sensors belong to the configuration before the step.
+                        felt.append((i, before, data.sensordata.copy()))
+                done = self._asked(given, stages)
+            for i, (model, data) in enumerate(stages):
+                physics[reading, i] = _state(model, data)
+            torques[reading] = done[:, _MEMORY:]
+        wrench, touched = np.zeros((len(stages), len(scenes[0].conditions), 3)), np.zeros_like(world.wall_parts)
         if felt:
-            qpos, sensors = (np.stack(column) for column in zip(*felt, strict=True))
-            wrench += planar_wrench(scene, qpos, sensors).sum(axis=0)
-            touched |= (sensors[..., scene.wall_sensor] > 0).any(axis=(0, -1))
-        control = _unpacked(np.asarray(memory))
-        return World(physics, control, touched.any(axis=-1), touched), wrench / substeps
+            worlds, qpos, sensors = (np.stack(column) for column in zip(*felt, strict=True))
+            np.add.at(wrench, worlds, planar_wrench(scenes[0], qpos, sensors) / (readings * substeps))
+            np.logical_or.at(touched, worlds, (sensors[..., scenes[0].wall_sensor] > 0).any(axis=-1))
+        control = _unpacked(given[:, :_MEMORY])
+        return World(physics[-1], control, touched.any(axis=-1), touched), Track(physics, torques, wrench, touched)
+
+    def _asked(self, given: np.ndarray, stages: Sequence[_Stage]) -> np.ndarray:
+        """Memory and torque ``[w, 10 + 9]`` that the control answers to where the worlds are."""
+        for i, (_, data) in enumerate(stages):
+            given[i, _MEMORY : _MEMORY + NQ] = data.qpos[:NQ]
+            given[i, _MEMORY + NQ : _MEMORY + _SENSED] = data.qvel[:NV]
+        return np.asarray(self._control(given))
+
+    def _stage(self, index: int, state: Float[np.ndarray, "n"]) -> _Stage:
+        """Model and scratch memory of world ``index`` in this state: of many walls, with those alone that are near."""
+        scene, kept = self.scenes[index], self._stages[index]
+        places = state[1 + np.concatenate([[0], scene.object_qpos])[:, None] + [0, 1]]
+        many = len(scene.walls) > _FEW_WALLS
+        cells = np.round(places / _CELL) if many else np.zeros(0)
+        key = cells.tobytes()
+        if key not in kept:
+            if len(kept) >= _MOST_KEPT:
+                kept.pop(next(iter(kept)))
+            extents = np.array([_ROBOT_EXTENT, *(np.hypot(*c.half_extents) for c in scene.conditions)])
+            reach = extents + _SLACK + _CELL / np.sqrt(2)
+            model = scene.model_near(cells * _CELL, reach) if many else scene.model
+            kept[key] = _Stage(model, mujoco.MjData(model))
+        return kept[key]
 
     def torque(self, world: World, command: Command) -> Float[np.ndarray, "W 9"]:
         """Motor torques [N m] that the control asks for now; what a robot measures as motor currents."""
-        _, torque = self._control(_packed(world.control), self._robot_state(world.physics), _packed(command))
-        return np.asarray(torque, dtype=np.float64)
-
-    def _robot_state(self, physics: np.ndarray) -> np.ndarray:
-        """qpos and qvel of the robot ``[W, NQ + NV]``."""
-        first_velocity = 1 + self._nq
-        return np.concatenate([physics[:, 1 : 1 + NQ], physics[:, first_velocity : first_velocity + NV]], axis=-1)
-
-    def poses(self, world: World) -> tuple[Float[np.ndarray, "W 3"], Float[np.ndarray, "W N 3"]]:
-        """Of the robots and of the objects, in {W}."""
-        return scene_poses(self.scenes[0], world.physics)
+        qpos, qvel = self._split(world.physics)
+        given = _packed(world.control, [qpos[:, :NQ], qvel[:, :NV]], command)
+        return np.asarray(self._control(given), dtype=np.float64)[:, _MEMORY:]
 
     def robot(self, world: World) -> RobotState:
         """The robots' true state, batched ``[W, ...]``."""
         return readout(*self._split(world.physics))
-
-    def _advance(
-        self, part: _Part, physics: np.ndarray, torque: np.ndarray, push: np.ndarray | None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """One physics step of a part: states ``[w, n]`` after it and the sensors it computed."""
-        inputs, spec = torque, int(mujoco.mjtState.mjSTATE_CTRL)
-        if push is not None:
-            outside = np.zeros((len(torque), part.models[0].nbody, 6))
-            outside[:, self._torso] = push
-            inputs, spec = np.concatenate([torque, outside.reshape(len(torque), -1)], axis=-1), _CONTROL_AND_FORCE
-        state = np.empty((len(physics), 1, physics.shape[-1]))
-        sensors = np.empty((len(physics), 1, part.models[0].nsensordata))
-        # Its checks of every model at every step would take as long as a tenth of the physics.
-        part.rollout.rollout(
-            part.models, part.data, np.ascontiguousarray(physics), np.ascontiguousarray(inputs[:, None]),
-            control_spec=spec, skip_checks=True, nstep=1, state=state, sensordata=sensors,
-        )  # fmt: skip
-        return state[:, 0], sensors[:, 0]
 
     def _split(self, physics: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return physics[:, 1 : 1 + self._nq], physics[:, 1 + self._nq : 1 + self._nq + self._nv]
@@ -232,6 +250,26 @@ class MujocoEngine:
     def fallen(self, world: World) -> Bool[np.ndarray, "W"]:
         """Whether the body leans more than 0.6 rad."""
         return np.any(np.abs(se2.wrap(self.robot(world).lean)) > 0.6, axis=-1)
+
+
+def _begin(model: mujoco.MjModel, data: mujoco.MjData, state: np.ndarray) -> None:
+    """Scratch memory in the given state, with nothing left of what it was used for before.
+
+    MuJoCo gives what falls asleep a velocity of exactly zero. What has that may sleep again at once.
+    """
+    mujoco.mj_resetData(model, data)
+    mujoco.mj_setState(model, data, state, _FULL)
+    for tree in range(model.ntree):
+        first = model.tree_dofadr[tree]
+        if not data.qvel[first : first + model.tree_dofnum[tree]].any():
+            data.tree_asleep[tree] = -1
+
+
+def _state(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+    """MuJoCo's full physics state."""
+    out = np.empty(mujoco.mj_stateSize(model, _FULL))
+    mujoco.mj_getState(model, data, out, _FULL)
+    return out
 
 
 def _check_structure(models: Sequence[mujoco.MjModel]) -> None:

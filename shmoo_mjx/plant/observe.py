@@ -12,11 +12,11 @@ from shmoo_mjx.types import Observation
 
 
 def scene_poses(
-    scene: Scene, physics: Float[np.ndarray, "W n"]
-) -> tuple[Float[np.ndarray, "W 3"], Float[np.ndarray, "W N 3"]]:
+    scene: Scene, physics: Float[np.ndarray, "... n"]
+) -> tuple[Float[np.ndarray, "... 3"], Float[np.ndarray, "... N 3"]]:
     """Poses in {W} of the robots and of the objects, from full physics states."""
-    poses = _planar_poses(physics[:, 1:], np.concatenate([[0], scene.object_qpos]))
-    return poses[:, 0], poses[:, 1:]
+    poses = _planar_poses(physics[..., 1:], np.concatenate([[0], scene.object_qpos]))
+    return poses[..., 0, :], poses[..., 1:, :]
 
 
 def _planar_poses(qpos: Array, joints: Int[np.ndarray, "n"]) -> Array:

@@ -127,7 +127,7 @@ class Robot:
         """Mass of everything above the ball."""
         return self.body_mass + 2 * (self.upper_arm_mass + self.forearm_mass + self.hand_mass)
 
-    @functools.cached_property
+    @property
     def shoulders(self) -> Float[np.ndarray, "2 3"]:
         """Left and right shoulder in the body frame [m]."""
         x, y, z = self.shoulder

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import mujoco
 import numpy as np
 
+from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float, Int
 from shmoo_mjx.assets import asset
 from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH, hand_targets
@@ -61,9 +62,32 @@ class Scene:
     """Starting configuration."""
     robot: Robot
     """Nominal: what ``adjust`` changed is not in it."""
+    spec: mujoco.MjSpec
+    """Of robot, objects and their sensors, without walls."""
+    walls: Float[np.ndarray, "K 4"]
+    """Boxes (centre x, centre y, half length x, half length y): centres in {W}, lengths along the map's axes [m]."""
+    wall_yaw: float = 0.0
+    """Yaw of the map's axes [rad]."""
     framed: bool = False
     """Whether the sensors report in the contact's own frame, with normal and tangent after the position: MJX knows no
     net wrench. A hand, being a sphere, has one contact with a convex hull, so that the two agree."""
+
+    def model_near(self, places: Float[np.ndarray, "n 2"], reach: Float[np.ndarray, "n"]) -> mujoco.MjModel:
+        """The same world with those walls alone that lie within ``reach`` of some of ``places``, and none drawn.
+
+        States and sensors are laid out as in ``model``, and while nothing moves farther than ``reach`` the physics is
+        the same. MuJoCo looks at every wall in every step, so that a building's thousands would take most of the time.
+
+        Args:
+            places: in {W} [m].
+            reach: of each [m].
+        """
+        spec = self.spec.copy()
+        offset = se2.rotate(places[:, None] - self.walls[:, :2], np.array(-self.wall_yaw))
+        apart = np.linalg.norm(np.maximum(np.abs(offset) - self.walls[:, 2:], 0.0), axis=-1)
+        near = (apart <= reach[:, None]).any(axis=0)
+        _add_walls(spec, self.walls[near], self.wall_yaw)
+        return spec.compile()
 
     def placed(self, robot_pose: Any, object_poses: Any) -> Float[np.ndarray, "nq"]:
         """The starting configuration with robot and objects at other poses (x, y, yaw) in {W}."""
@@ -101,19 +125,22 @@ def build_scene(
             way).
     """
     framed, robot = engine == "mjx", robot or shmoobot()
+    boxes = np.array(walls, dtype=float).reshape(-1, 4)
     spec = mujoco.MjSpec.from_file(str(asset("models_xml/scene.xml")))
     spec.attach(mujoco.MjSpec.from_file(str(robot.mjcf)), prefix="robot/", frame=spec.worldbody.add_frame())
     for i, (condition, _) in enumerate(objects):
         spec.attach(object_spec(condition), prefix=f"object{i}/", frame=spec.worldbody.add_frame())
         _add_hand_sensors(spec, i, framed)
-    _add_walls(spec, walls, wall_yaw, wall_height)
-    if walls and not framed:
-        _add_wall_sensors(spec)
     if framed:
         _drop_idle_contacts(spec)
+    else:
+        # Objects at rest cost nothing until something touches them.
+        spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
     adjust(spec)
-    model = spec.compile()
-    return _index(model, robot, objects, robot_pose, len(walls), framed)
+    whole = spec.copy()
+    if len(boxes):
+        _add_walls(whole, boxes, wall_yaw, wall_height, sensors=not framed)
+    return _index(whole.compile(), spec, robot, objects, robot_pose, (boxes, wall_yaw), framed)
 
 
 def _add_hand_sensors(spec: mujoco.MjSpec, index: int, framed: bool) -> None:
@@ -137,29 +164,22 @@ def _add_hand_sensors(spec: mujoco.MjSpec, index: int, framed: bool) -> None:
 
 
 def _add_walls(
-    spec: mujoco.MjSpec, walls: Sequence[tuple[float, float, float, float]], yaw: float, drawn: float
+    spec: mujoco.MjSpec,
+    walls: Float[np.ndarray, "K 4"],
+    yaw: float,
+    drawn: float | None = None,
+    sensors: bool = True,
 ) -> None:
-    """Walls on a body of their own, which a sensor can name. They are drawn lower, so that one sees into the rooms."""
-    if not walls:
-        return
+    """Walls on a body of their own, and sensors of which parts of the robot touch it.
+
+    They are drawn ``drawn`` high, lower than they are, so that one sees into the rooms; None: not at all.
+    """
     body = spec.worldbody.add_body(name="walls")
     for i, (x, y, hx, hy) in enumerate(walls):
-        for name, height, affinity, group in ((f"wall{i}", WALL_HEIGHT, 14, 3), (f"wall{i}_drawn", drawn, 0, 0)):
-            body.add_geom(
-                name=name,
-                type=mujoco.mjtGeom.mjGEOM_BOX,
-                pos=[x, y, height / 2],
-                size=[hx, hy, height / 2],
-                euler=[0, 0, yaw],
-                contype=0,
-                conaffinity=affinity,
-                group=group,
-                material="wall",
-            )
-
-
-def _add_wall_sensors(spec: mujoco.MjSpec) -> None:
-    for shapes in _SHAPES.values():
+        _add_wall(body, f"wall{i}", (x, y), (hx, hy), yaw, WALL_HEIGHT, conaffinity=14, group=3)
+        if drawn is not None:
+            _add_wall(body, f"wall{i}_drawn", (x, y), (hx, hy), yaw, drawn, conaffinity=0, group=0)
+    for shapes in _SHAPES.values() if sensors else ():
         for shape in shapes:
             spec.add_sensor(
                 name=f"walls/{shape}",
@@ -172,6 +192,22 @@ def _add_wall_sensors(spec: mujoco.MjSpec) -> None:
             )
 
 
+def _add_wall(
+    body: Any, name: str, centre: Any, half: Any, yaw: float, height: float, conaffinity: int, group: int
+) -> None:
+    body.add_geom(
+        name=name,
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=[*centre, height / 2],
+        size=[*half, height / 2],
+        euler=[0, 0, yaw],
+        contype=0,
+        conaffinity=conaffinity,
+        group=group,
+        material="wall",
+    )
+
+
 def _drop_idle_contacts(spec: mujoco.MjSpec) -> None:
     """Body and hull against floor, arms and ball against hull: contacts that are open in any ordinary push."""
     for geom in spec.geoms:
@@ -182,10 +218,11 @@ def _drop_idle_contacts(spec: mujoco.MjSpec) -> None:
 
 def _index(
     model: mujoco.MjModel,
+    spec: mujoco.MjSpec,
     robot: Robot,
     objects: Sequence[tuple[Condition, Any]],
     robot_pose: Any,
-    walls: int,
+    walls: tuple[np.ndarray, float],
     framed: bool,
 ) -> Scene:
     joints = [model.joint(f"object{i}/object") for i in range(len(objects))]
@@ -197,7 +234,7 @@ def _index(
     touch = [
         [model.sensor(f"walls/{shapes[i]}").adr[0] for i in (0, -1)]
         for shapes in _SHAPES.values()
-        if walls and not framed
+        if len(walls[0]) and not framed
     ]
     qpos0 = with_arms(model.qpos0, _folded_arms(robot))
     scene = Scene(
@@ -207,10 +244,13 @@ def _index(
         object_qvel=np.array([j.dofadr[0] for j in joints], dtype=int),
         contact_sensor=np.array(sensors, dtype=int).reshape(-1, 2),
         part_of_geom=part_of_geom,
-        wall_geoms=frozenset(model.geom(f"wall{i}").id for i in range(walls)),
+        wall_geoms=frozenset(model.geom(f"wall{i}").id for i in range(len(walls[0]))),
         wall_sensor=np.array(touch, dtype=int).reshape(len(PARTS), -1),
         qpos0=qpos0,
         robot=robot,
+        spec=spec,
+        walls=walls[0],
+        wall_yaw=walls[1],
         framed=framed,
     )
     return replace(scene, qpos0=scene.placed(robot_pose, [pose for _, pose in objects]))

@@ -20,9 +20,15 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.plant.scene import Scene
 from shmoo_mjx.sensing.rays import hidden
 
-_CORNERS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+_CORNERS = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
 _INSET = 0.9
 """Of the footprint's half extents: where a tag's centre is, which has to be seen."""
+
+
+_FAR_AWAY = 1e6
+"""Where walls without size stand that fill up an array [m]."""
+_WAY = 1.0
+"""How far a robot may move while its near walls stay the same [m]."""
 
 
 @dataclass(frozen=True)
@@ -94,18 +100,37 @@ class Scenery(NamedTuple):
 
 def scenery_of(scenes: list[Scene]) -> Scenery:
     """The scenery of some worlds; where one has fewer walls than another, walls without size lie far away."""
-    most = max(len(s.wall_geoms) for s in scenes)
-    pose, half = np.full((len(scenes), most, 3), [1e6, 1e6, 0.0]), np.zeros((len(scenes), most, 2))
+    most = max(len(s.walls) for s in scenes)
+    pose, half = np.full((len(scenes), most, 3), [_FAR_AWAY, _FAR_AWAY, 0.0]), np.zeros((len(scenes), most, 2))
     eyes = []
     for i, scene in enumerate(scenes):
-        walls = sorted(scene.wall_geoms)
-        model = scene.model
-        pose[i, : len(walls), :2], half[i, : len(walls)] = model.geom_pos[walls, :2], model.geom_size[walls, :2]
-        pose[i, : len(walls), 2] = 2 * np.arctan2(model.geom_quat[walls, 3], model.geom_quat[walls, 0])
+        walls, model = scene.walls, scene.model
+        pose[i, : len(walls), :2], pose[i, : len(walls), 2], half[i, : len(walls)] = (
+            walls[:, :2],
+            scene.wall_yaw,
+            walls[:, 2:],
+        )
         x, y, z = model.geom("robot/torso_camera").pos
         eyes.append((x, y, z + model.geom("robot/ball").size[0]))
     sizes = np.array([[c.size for c in s.conditions] for s in scenes], dtype=float).reshape(len(scenes), -1, 3)
     return Scenery(np.array(eyes), sizes[..., :2] / 2, sizes[..., 2], pose, half)
+
+
+def near_walls(scenery: Scenery, camera: Camera, robot_pose: Float[np.ndarray, "W 3"]) -> Scenery:
+    """The scenery with those walls alone that can hide something from robots about there, for a sample time.
+
+    Their number is filled up to 0, 16, 64, 256, ..., with walls without size far away: what is compiled for one number
+    serves others.
+    """
+    offset = scenery.wall_pose[..., :2] - robot_pose[:, None, :2]
+    near = np.hypot(*np.moveaxis(offset, -1, 0)) - np.hypot(*np.moveaxis(scenery.wall_half, -1, 0)) < camera.far + _WAY
+    most = int(near.sum(axis=1).max(initial=0))
+    size = 0 if most == 0 else 4 ** max(2, int(np.ceil(np.log(most) / np.log(4) - 1e-9)))
+    pose, half = np.full((len(near), size, 3), [_FAR_AWAY, _FAR_AWAY, 0.0]), np.zeros((len(near), size, 2))
+    for i, which in enumerate(near):
+        count = int(which.sum())
+        pose[i, :count], half[i, :count] = scenery.wall_pose[i, which], scenery.wall_half[i, which]
+    return scenery._replace(wall_pose=pose, wall_half=half)
 
 
 def in_sight(
@@ -124,7 +149,9 @@ def in_sight(
     if not count:
         return xp.zeros((worlds, 0), dtype=bool)
     eye = xp.concatenate([se2.transform_point(robot_pose, scenery.eye[:, :2]), scenery.eye[:, 2:]], axis=-1)
-    corners = se2.transform_point(object_pose[:, :, None], _INSET * scenery.half_extents[:, :, None] * _CORNERS)
+    corners = se2.transform_point(
+        object_pose[:, :, None], scenery.half_extents[:, :, None] * _INSET * np.array(_CORNERS)
+    )
     height = xp.broadcast_to(scenery.tops[:, :, None, None], (*corners.shape[:-1], 1))
     tags = xp.concatenate([corners, height], axis=-1).reshape(worlds, -1, 3)
     offset = se2.rotate(tags[..., :2] - eye[:, None, :2], -robot_pose[:, None, 2])

@@ -17,23 +17,25 @@ from shmoo_mjx import se2
 from shmoo_mjx.arrays import Bool, Float, Int
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
+from shmoo_mjx.plant.observe import scene_poses
+from shmoo_mjx.plant.robot import NQ, NV
 from shmoo_mjx.plant.scene import Scene
 from shmoo_mjx.sensing import senses as sensing
 from shmoo_mjx.sensing import tracker
-from shmoo_mjx.sensing.camera import in_sight, scenery_of
+from shmoo_mjx.sensing.camera import in_sight, near_walls, scenery_of
 from shmoo_mjx.sensing.odometry import TICK
-from shmoo_mjx.sensing.senses import Noise, Senses, SensorState
-from shmoo_mjx.sensing.touch import calibrated, felt
+from shmoo_mjx.sensing.senses import Noise, Passed, Senses, SensorState
 from shmoo_mjx.sensing.tracker import Tracks
-from shmoo_mjx.types import DT, Command, Observation
+from shmoo_mjx.types import DT, Command, Observation, Track
 
-_TOUCH_EVERY = 2
-"""Ticks between two readings of the joint torques: 50 Hz."""
 _NEVER = np.iinfo(np.int64).max
 _WATCHDOG = 0.3
 """Time without a command after which the low-level control brings the robot to rest by itself [s]."""
 _STATION = 0.5
 """Gain with which it then keeps its place [1/s]: with zero velocity wished for, a CoM off the axis drifts at 7 cm/s."""
+
+
+_watch = jax.jit(sensing.watch, static_argnames=("senses", "robot"))
 
 
 class PerfectState(NamedTuple):
@@ -240,44 +242,56 @@ class SensedEngine:
             world = world._replace(silent=world.silent + ticks)
         rng = np.random.default_rng([11, self._entropy, world.ticks])
         worlds, objects = world.contact.shape[:2]
-        contact, readings = np.zeros_like(world.contact), []
-        touched = np.zeros_like(world.truth.wall_parts)
-        if self.senses.perfect:
-            lengths = self._stretches(world, ticks)
+        real = isinstance(world.sensor_state, SensorState)
+        # The low-level control holds headings as the robot believes them; the error hardly changes within a sample.
+        turned = sensing.heading_error(world.sensor_state) if real else 0.0
+        left_alone = TICK * world.silent > _WATCHDOG + 1e-6
+        tracks: list[Track] = []
+        for length in [1] * ticks if left_alone else self._stretches(world, ticks):
+            world = _arrived(world)
+            if left_alone:
+                world = self._to_rest(world)
+            held = world.held._replace(yaw=se2.wrap(world.held.yaw - turned))
+            truth, track = self.engine.advance(world.truth, held, length * TICK, length, push)
+            tracks.append(track)
+            world = world._replace(truth=truth, ticks=world.ticks + length)
+        shares = [len(track.physics) / ticks for track in tracks]
+        contact = sum(
+            share * np.asarray(track.wrench, dtype=float) for share, track in zip(shares, tracks, strict=True)
+        )
+        touched = np.any([track.wall_parts for track in tracks], axis=0)
+        true = _numpy(self.engine.observe(world.truth))
+        noisy: Any = 0.0
+        if isinstance(world.sensor_state, PerfectState):
+            wrench, sensor_state = contact, self._look(world.sensor_state, true, world.ticks)
         else:
-            lengths = [1] * ticks
             normal = rng.normal(size=(ticks, worlds, 6 + 3 * objects))
             uniform = rng.random((ticks, worlds, objects, 2))
-        for i, length in enumerate(lengths):
-            world = _arrived(world)
-            if TICK * world.silent > _WATCHDOG + 1e-6:
-                world = self._to_rest(world)
-            held = world.held
-            if isinstance(world.sensor_state, SensorState):
-                held = held._replace(yaw=se2.wrap(held.yaw - sensing.heading_error(world.sensor_state)))
-            truth, mean = self.engine.advance(world.truth, held, length * TICK, push)
-            now = world.ticks + length
-            if isinstance(world.sensor_state, SensorState):
-                noise = Noise(normal[i, :, :6], normal[i, :, 6:].reshape(worlds, objects, 3), uniform[i])
-                robot, others = self.engine.poses(truth)
-                sensor_state = sensing.tick(
-                    self.senses, self._drawn, self._scenery, world.sensor_state, robot, others, noise, now
-                )
-                world = world._replace(truth=truth, sensor_state=sensor_state, ticks=now)
-                if (ticks - 1 - i) % _TOUCH_EVERY == 0:
-                    world, reading = self._felt(world, held)
-                    readings.append(reading)
-            else:
-                world = world._replace(truth=truth, ticks=now)
-            contact += np.asarray(mean, dtype=float) * (length / ticks)
-            touched = touched | np.asarray(truth.wall_parts)
-        true = _numpy(self.engine.observe(world.truth))
-        wrench = np.mean(readings, axis=0) if readings else contact
-        if isinstance(world.sensor_state, PerfectState):
-            world = world._replace(sensor_state=self._look(world.sensor_state, true, world.ticks))
-        world = world._replace(contact=contact, wall_parts=touched)
-        noisy = 0.0 if self.senses.perfect else self.senses.lean_noise * rng.normal(size=(2, *true.lean.shape))
+            noisy = self.senses.lean_noise * rng.normal(size=(2, *true.lean.shape))
+            noise = Noise(normal[..., :6], normal[..., 6:].reshape(ticks, worlds, objects, 3), uniform)
+            sensor_state, wrench = self._watched(world, tracks, noise)
+        world = world._replace(sensor_state=sensor_state, contact=contact, wall_parts=touched)
         return world, self._perceived(world, true, wrench, noisy)
+
+    def _watched(self, world: SensedWorld, tracks: Sequence[Track], noise: Noise) -> tuple[SensorState, np.ndarray]:
+        """The senses after the ticks of a step, and the force that they report."""
+        physics = np.concatenate([track.physics for track in tracks])
+        torque = np.concatenate([track.torque for track in tracks])[..., 3:]
+        robot, others = scene_poses(self.scenes[0], physics)
+        scene = self.scenes[0]
+        first_velocity = 1 + scene.model.nq
+        coordinates = np.concatenate(
+            [physics[..., 1 : 1 + NQ], physics[..., first_velocity : first_velocity + NV]], axis=-1
+        )
+        passed = Passed(robot, others, coordinates, torque, np.asarray(world.truth.control.reach, dtype=float))
+        scenery = near_walls(self._scenery, self.senses.camera, robot[0])
+        # In double precision, as poses tens of metres from the origin are told apart by micrometres.
+        with jax.enable_x64(True):
+            found = _watch(
+                self.senses, scene.robot, self._drawn, scenery, world.sensor_state, passed, noise,
+                world.ticks - len(physics),
+            )  # fmt: skip
+        return _numpy(found)
 
     def _sent(self, world: SensedWorld, command: Command, computing: float) -> SensedWorld:
         """The command on its way; what would arrive after it is overtaken and never followed."""
@@ -324,19 +338,6 @@ class SensedEngine:
         if np.ndim(noise):
             true = true._replace(lean=true.lean + noise[0], lean_rate=true.lean_rate + 5 * noise[1])
         return true._replace(wrench=wrench, **found._asdict())
-
-    def _felt(self, world: SensedWorld, held: Command) -> tuple[SensedWorld, np.ndarray]:
-        sensor_state = world.sensor_state
-        assert isinstance(sensor_state, SensorState)
-        if not world.contact.size:
-            return world, world.contact
-        estimates = sensing.estimates(self.senses, self._drawn, sensor_state, world.ticks, DT)
-        sensed = _numpy(self.engine.robot(world.truth))._replace(pose=estimates.robot_pose)
-        torque = np.asarray(self.engine.torque(world.truth, held), dtype=float)[:, 3:]
-        reach = np.asarray(world.truth.control.reach, dtype=float)
-        where = self.engine.scenes[0].robot, sensed, torque, reach, estimates.object_pose
-        arms = calibrated(sensor_state.arms, *where, self._scenery.half_extents)
-        return world._replace(sensor_state=sensor_state._replace(arms=arms)), felt(self.senses.touch, arms, *where)
 
 
 def _arrived(world: SensedWorld) -> SensedWorld:

@@ -10,6 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 
@@ -17,11 +19,15 @@ from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Bool, Float, Int, Scalar
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.plant.perturbation import Perturbation, PerturbedBody, adjustment, draw_body
+from shmoo_mjx.plant.robot import NQ, Robot, readout
 from shmoo_mjx.sensing import odometry, touch, tracker
 from shmoo_mjx.sensing.camera import Camera, Scenery, deviation, in_sight
 from shmoo_mjx.sensing.odometry import TICK, Odometry, OdometryConfig, OdometryDraw
 from shmoo_mjx.sensing.touch import ArmScale, TouchConfig
 from shmoo_mjx.sensing.tracker import TrackerConfig, Tracks
+
+_TOUCH_EVERY = 2
+"""Ticks between two readings of the joint torques: 50 Hz."""
 
 
 @dataclass(frozen=True)
@@ -220,26 +226,90 @@ def tick(
         now: its number.
     """
     moved = odometry.step(senses.odometry, drawn.odometry, sensor_state.odometry, robot_pose, noise.odometry, now)
-    xp = se2.array_module(robot_pose, object_pose, sensor_state.objects)
-    sensor_state = sensor_state._replace(
-        odometry=moved, objects=xp.concatenate([sensor_state.objects[:, 1:], object_pose[:, None]], axis=1)
-    )
+    objects = jnp.concatenate([sensor_state.objects[:, 1:], object_pose[:, None]], axis=1)
+    sensor_state = sensor_state._replace(odometry=moved, objects=objects)
     taken = now - drawn.frame_delay
     frames = TICK * senses.camera.rate
-    due = (xp.floor(taken * frames + 1e-3) > xp.floor((taken - 1) * frames + 1e-3)) & (taken > sensor_state.tracks.at)
-    if xp is np and not np.any(due):
-        return sensor_state
-    robot_then = odometry.ago(moved.true, drawn.frame_delay)
-    objects_then = odometry.ago(sensor_state.objects, drawn.frame_delay)
-    burst = due[:, None] & (noise.lost[..., 1] < senses.camera.burst)
-    lost_until = xp.where(burst, taken[:, None] + senses.camera.burst_time / TICK, sensor_state.lost_until)
-    found = due[:, None] & in_sight(senses.camera, scenery, robot_then, objects_then)
-    found &= (lost_until <= taken[:, None]) & (noise.lost[..., 0] >= senses.camera.drop_out)
-    sensor_state = sensor_state._replace(lost_until=lost_until)
-    seconds = xp.where(due, TICK * (taken - sensor_state.tracks.at), 0.0)
-    return _taken_in(
-        senses, sensor_state, robot_then, objects_then, seconds, found, noise.camera, taken, now + 0 * taken, drawn
-    )
+    due = jnp.floor(taken * frames + 1e-3) > jnp.floor((taken - 1) * frames + 1e-3)
+    due &= taken > sensor_state.tracks.at
+
+    def with_frame(sensor_state: SensorState) -> SensorState:
+        robot_then = odometry.ago(moved.true, drawn.frame_delay)
+        objects_then = odometry.ago(sensor_state.objects, drawn.frame_delay)
+        burst = due[:, None] & (noise.lost[..., 1] < senses.camera.burst)
+        lost_until = jnp.where(burst, taken[:, None] + senses.camera.burst_time / TICK, sensor_state.lost_until)
+        found = due[:, None] & in_sight(senses.camera, scenery, robot_then, objects_then)
+        found &= (lost_until <= taken[:, None]) & (noise.lost[..., 0] >= senses.camera.drop_out)
+        seconds = jnp.where(due, TICK * (taken - sensor_state.tracks.at), 0.0)
+        after = _taken_in(
+            senses, sensor_state._replace(lost_until=lost_until), robot_then, objects_then, seconds, found,
+            noise.camera, taken, now + 0 * taken, drawn,
+        )  # fmt: skip
+        return jax.tree.map(lambda new, old: new.astype(old.dtype), after, sensor_state)
+
+    return jax.lax.cond(jnp.any(due), with_frame, lambda state: state, sensor_state)
+
+
+class Passed(NamedTuple):
+    """What T ticks bring to the senses of W robots."""
+
+    robot_pose: Float[Array, "T W 3"]
+    """True, after each tick."""
+    object_pose: Float[Array, "T W N 3"]
+    """True."""
+    coordinates: Float[Array, "T W q"]
+    """The robot's qpos and qvel."""
+    torque: Float[Array, "T W 6"]
+    """Of the arms' motors [N m]."""
+    reach: Float[Array, "W"]
+    """Of the hands [m]."""
+
+
+def watch(
+    senses: Senses,
+    robot: Robot,
+    drawn: SensorDraw,
+    scenery: Scenery,
+    sensor_state: SensorState,
+    passed: Passed,
+    noise: Noise,
+    before: Scalar,
+) -> tuple[SensorState, Float[Array, "W N 3"]]:
+    """The senses after T ticks, and the mean of the force readings, which are taken in every second tick.
+
+    To be compiled: in NumPy its thousands of small operations take longer than the physics.
+
+    Args:
+        senses: see there.
+        robot: its nominal numbers.
+        drawn: these robots.
+        scenery: sizes and walls.
+        sensor_state: before the ticks.
+        passed: what happened in them.
+        noise: of all ticks: fields ``[T, ...]``.
+        before: number of the tick before the first.
+    """
+    ticks = len(passed.robot_pose)
+    read = (ticks - 1 - np.arange(ticks)) % _TOUCH_EVERY == 0
+
+    def feel(given: tuple[SensorState, Array, Array, Scalar]) -> tuple[ArmScale, Array]:
+        state, coordinates, torque, now = given
+        found = estimates(senses, drawn, state, now, TICK)
+        sensed = readout(coordinates[:, :NQ], coordinates[:, NQ:])._replace(pose=found.robot_pose)
+        where = robot, sensed, torque, passed.reach, found.object_pose
+        arms = touch.calibrated(state.arms, *where, scenery.half_extents)
+        return arms, touch.felt(senses.touch, arms, *where)
+
+    def look(state: SensorState, given: Any) -> tuple[SensorState, Array]:
+        robot_pose, object_pose, coordinates, torque, drawn_noise, reads, now = given
+        after = tick(senses, drawn, scenery, state, robot_pose, object_pose, drawn_noise, now)
+        none = after.arms, jnp.zeros_like(object_pose)
+        arms, wrench = jax.lax.cond(reads, feel, lambda _: none, (after, coordinates, torque, now))
+        return jax.tree.map(lambda new, old: new.astype(old.dtype), after._replace(arms=arms), state), wrench
+
+    given = (passed.robot_pose, passed.object_pose, passed.coordinates, passed.torque, noise, read)
+    state, wrenches = jax.lax.scan(look, sensor_state, (*given, before + 1 + jnp.arange(ticks)))
+    return state, wrenches.sum(axis=0) / read.sum()
 
 
 def _taken_in(

@@ -64,15 +64,14 @@ def calibrated(
     half_extents: Float[Array, "W N 2"],
 ) -> ArmScale:
     """The sums after one more reading; arguments as for :func:`felt`, ``half_extents`` of the objects [m]."""
+    xp = se2.array_module(reach, torque, object_pose)
     extended = reach > REACH - 0.01
-    if not extended.any():
-        return scale
-    hands = se2.transform_point(sensed.pose, se2.stack(reach, np.zeros_like(reach)))
-    inside = np.abs(se2.rotate(hands[:, None] - object_pose[..., :2], -object_pose[..., 2]))
-    away = np.linalg.norm(np.maximum(inside - half_extents, 0.0), axis=-1)
+    hands = se2.transform_point(sensed.pose, se2.stack(reach, xp.zeros_like(reach)))
+    inside = xp.abs(se2.rotate(hands[:, None] - object_pose[..., :2], -object_pose[..., 2]))
+    away = xp.linalg.norm(xp.maximum(inside - half_extents, 0.0), axis=-1)
     # An object that has never been seen is not within reach; nor is what a comparison with NaN says nothing of.
     free = extended & ~(away < _FREE).any(axis=-1)
-    gravity = np.where(free[:, None], arm_gravity(robot, sensed.arms, sensed.lean[..., :1]).reshape(torque.shape), 0.0)
+    gravity = xp.where(free[:, None], arm_gravity(robot, sensed.arms, sensed.lean[..., :1]).reshape(torque.shape), 0.0)
     return ArmScale(scale.products + torque * gravity, scale.squares + gravity**2)
 
 
@@ -84,7 +83,7 @@ def felt(
     torque: Float[Array, "W 6"],
     reach: Float[Array, "W"],
     object_pose: Float[Array, "W N 3"],
-) -> Float[np.ndarray, "W N 3"]:
+) -> Float[Array, "W N 3"]:
     """Gamma on each object about its centre, in {W}; all of it goes to the one nearest to the hands.
 
     Args:
@@ -96,16 +95,16 @@ def felt(
         reach: of the hands [m].
         object_pose: believed, in {W}; NaN where unknown.
     """
-    wrench = np.zeros_like(object_pose)
-    if not wrench.size:
-        return wrench
-    hands = se2.transform_point(sensed.pose, se2.stack(reach, np.zeros_like(reach)))
-    far = np.linalg.norm(object_pose[..., :2] - hands[:, None], axis=-1)
-    nearest = np.argmin(np.where(np.isfinite(far), far, np.inf), axis=1)
-    rows = np.arange(len(nearest))
-    asked_over_exerted = np.clip((_PRIOR + scale.products) / (_PRIOR + scale.squares), 1 / _LIMIT, _LIMIT)
-    reading = joint_torque_wrench(robot, sensed, torque / asked_over_exerted, object_pose[rows, nearest])
+    if not object_pose.size:
+        return object_pose
+    xp = se2.array_module(reach, torque, object_pose)
+    hands = se2.transform_point(sensed.pose, se2.stack(reach, xp.zeros_like(reach)))
+    far = xp.linalg.norm(object_pose[..., :2] - hands[:, None], axis=-1)
+    nearest = xp.argmin(xp.where(xp.isfinite(far), far, xp.inf), axis=1)
+    asked_over_exerted = xp.clip((_PRIOR + scale.products) / (_PRIOR + scale.squares), 1 / _LIMIT, _LIMIT)
+    where = xp.take_along_axis(object_pose, nearest[:, None, None], axis=1)[:, 0]
+    reading = joint_torque_wrench(robot, sensed, torque / asked_over_exerted, where)
     # A comparison with NaN is false: what is not known anywhere is not touched either.
-    firm = (np.hypot(reading[:, 0], reading[:, 1]) > touch.least) & np.isfinite(reading).all(axis=-1)
-    wrench[rows, nearest] = np.where(firm[:, None], reading, 0.0)
-    return wrench
+    firm = (xp.hypot(reading[:, 0], reading[:, 1]) > touch.least) & xp.isfinite(reading).all(axis=-1)
+    there = firm[:, None] & (nearest[:, None] == np.arange(object_pose.shape[1]))
+    return xp.where(there[..., None], reading[:, None], 0.0)
