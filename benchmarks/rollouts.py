@@ -28,7 +28,6 @@ from shmoo_mjx.benchmarking.registry import machine
 from shmoo_mjx.benchmarking.workers import Worker, usable_cores
 from shmoo_mjx.control.mppi_config import SPARE, MppiConfig
 from shmoo_mjx.evaluation.paired import paired_difference
-from shmoo_mjx.evaluation.pushing import one_core
 from shmoo_mjx.evaluation.pushing_trials import STRATA, Runner, Trial, draw_trials
 from shmoo_mjx.evaluation.result import ExperimentOptions, make_result, read_result, write_result
 from shmoo_mjx.evaluation.trials import run_trials
@@ -264,7 +263,7 @@ def main() -> None:
     drawn = [t.name for t in trials]
     folder = args.out / fingerprint(Runner.__module__, (settings, args.condition_seed, drawn), asset(WEIGHTS))
     if "trials" in args.parts:
-        run_trials({v.name: v for v in VARIANTS}, partial(push, trials), folder, say, args.workers, one_core)
+        run_trials({v.name: v for v in VARIANTS}, partial(push, trials), folder, say, args.workers)
     timed = [v for v in VARIANTS if v.kind == KINDS[0]]
     asked = {f"{v.name}-{n}-cores-{args.steps}": (v, n) for v in timed for n in (1, 2) if n <= usable_cores()}
     if "times" in args.parts:

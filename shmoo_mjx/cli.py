@@ -434,11 +434,12 @@ def bench(
     quick: bool = False,
     peers_python: Path | None = None,
     ratios: bool = False,
+    maps: Path | None = None,
     seed: Seed = 0,
     out: Path = Path("runs/benchmarks"),
 ) -> int:
-    """Measure how fast a part is: mppi (control step), daiml (training), plant, planner, startup, or all of them; or
-    compare two results of one machine.
+    """Measure how fast a part is: mppi (control step), daiml (training), plant, planner, demo, navigation (a trial),
+    startup, or all of them; or compare two results of one machine.
 
     Example: shmoo bench mppi --peers-python peers/bin/python --json mppi.json
 
@@ -451,6 +452,7 @@ def bench(
         quick: a short form of the same shape.
         peers_python: Python interpreter with torch and pytorch-mppi (default: this one); absent peers are left out.
         ratios: for compare: only ratios, of results from two machines; up to 1.9 times as much is let pass.
+        maps: for navigation: folder of map_server maps, on each of which a trial is timed too.
         seed: of made-up weights and noise.
         out: folder for the result.
     """
@@ -464,7 +466,7 @@ def bench(
         print(text)
         return int(slower)
     with progress.stages() as report:
-        options = BenchOptions(quick, peers_python, seed, report)
+        options = BenchOptions(quick, peers_python, seed, report, maps)
         result = run_all(options, out) if name == "all" else run_benchmark(name, options)
     target = json or out / f"bench_{name}.json"
     write_result(target, result)

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from shmoo_mjx import custom, se2
@@ -51,11 +52,25 @@ def conditions_of(scenario: Scenario) -> list[Condition]:
     return [o.condition() for o in scenario.objects]
 
 
-def scene_of(grid: OccupancyGrid, scenario: Scenario, conditions: list[Condition], senses: Senses = PERFECT) -> Scene:
-    """The MuJoCo world: every wall of the map (a way round may lead anywhere), objects and the robot."""
+def scene_of(
+    grid: OccupancyGrid,
+    scenario: Scenario,
+    conditions: list[Condition],
+    senses: Senses = PERFECT,
+    alter: Callable[[mujoco.MjSpec], None] = lambda spec: None,
+) -> Scene:
+    """The MuJoCo world: every wall of the map (a way round may lead anywhere), objects and the robot.
+
+    ``alter`` makes last changes to the MJCF in place, after those of the robot's body.
+    """
     walls = occupied_rectangles(grid, unknown_borders=True)
     placed = [(c, o.pose) for c, o in zip(conditions, scenario.objects, strict=True)]
-    adjust = senses.adjust(scenario.seed)
+    body = senses.adjust(scenario.seed)
+
+    def adjust(spec: mujoco.MjSpec) -> None:
+        body(spec)
+        alter(spec)
+
     return build_scene(placed, scenario.start, walls, float(grid.origin[2]), adjust=adjust)
 
 
@@ -166,6 +181,11 @@ class Simulation:
         added = len(self.conditions) - len(before.conditions)
         if added:
             self._widen(added)
+
+    def alter(self, change: Callable[[mujoco.MjSpec], None]) -> None:
+        """Go on from the same state in a world whose MJCF ``change`` changes in place, such as a floor's friction."""
+        self.scene = scene_of(self.grid, self.scenario, self.conditions, self.senses, change)
+        self.engine.change([self.scene])
 
     def place(self, index: int, pose: Point) -> None:
         """Somebody puts object ``index`` to the pose (x, y, yaw) in {W}, where it rests."""

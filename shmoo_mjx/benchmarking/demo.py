@@ -1,50 +1,26 @@
 """Where the time of ``shmoo demo`` goes, film and report included: physics, control, planning, compilation, Python.
 
-The demo runs in a process of its own, first with an empty compilation cache, then with a warm one. Each part's seconds
-are those between entering and leaving it, less those of the parts inside; they add up to the process's time.
+The demo runs in a process of its own, first with an empty compilation cache, then with a warm one.
 """
 
 from __future__ import annotations
 
-import functools
 import json
 import os
 import subprocess
 import sys
 import tempfile
 import time
-from collections import defaultdict
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from shmoo_mjx.benchmarking.parts import PartClock, watch
 from shmoo_mjx.benchmarking.registry import BenchOptions, Measured
 
-PARTS = {
-    "physics": ("shmoo_mjx.plant.engine_mujoco:MujocoEngine._hold",),
-    "low-level control, 500 Hz": ("shmoo_mjx.plant.engine_mujoco:MujocoEngine._asked",),
-    "senses": ("shmoo_mjx.sensing.engine:SensedEngine.step",),
-    "MPPI and adaptation": (
-        "shmoo_mjx.control.pushing:PushController.step",
-        "shmoo_mjx.control.pushing:PushController.coast",
-        "shmoo_mjx.control.pushing:PushController.planning_rollouts",
-        "shmoo_mjx.control.pushing:PushController.compile",
-    ),
-    "global paths": ("shmoo_mjx.navigation.paths:plan_path", "shmoo_mjx.navigation.paths:cost_to_go"),
-    "local trajectories": ("shmoo_mjx.navigation.flat_trajectory:plan",),
-    "navigator, the rest": ("shmoo_mjx.navigation.navigator:Navigator.tick",),
-    "film": ("shmoo_mjx.run:_write_video",),
-    "report and files": (
-        "shmoo_mjx.run:save_run",
-        "shmoo_mjx.recorded:save_recorded",
-        "shmoo_mjx.report.html:write_report",
-    ),
-}
-"""Part to the functions whose time it is."""
-COMPILATION, START, REST = "tracing and compilation", "start and imports", "the rest"
+START, REST = "start and imports", "the rest"
 
 
 @dataclass(frozen=True)
@@ -59,36 +35,6 @@ class DemoSizes:
 
 FULL = DemoSizes()
 QUICK = DemoSizes(time_s=14.0, runs=1)
-
-
-@dataclass
-class PartClock:
-    """Seconds by part, each without those of the parts inside it."""
-
-    seconds: dict[str, float] = field(default_factory=lambda: defaultdict(float))
-    inside: list[float] = field(default_factory=lambda: [0.0])
-    """Of each part that is entered, the seconds of what was inside it so far."""
-
-    def timed(self, part: str, function: Callable[..., Any]) -> Callable[..., Any]:
-        """``function`` with its time counted as the part's."""
-
-        @functools.wraps(function)
-        def counted(*args: Any, **kwargs: Any) -> Any:
-            began = time.perf_counter()
-            self.inside.append(0.0)
-            try:
-                return function(*args, **kwargs)
-            finally:
-                took = time.perf_counter() - began
-                self.seconds[part] += took - self.inside.pop()
-                self.inside[-1] += took
-
-        return counted
-
-    def add(self, part: str, seconds: float) -> None:
-        """Count ``seconds`` that have just passed as the part's, not as those of the part that is entered."""
-        self.seconds[part] += seconds
-        self.inside[-1] += seconds
 
 
 def run(cfg: DemoSizes, options: BenchOptions) -> Measured:
@@ -130,33 +76,6 @@ def _demo(cfg: DemoSizes, seed: int, cache: str) -> dict[str, Any]:
     return {"simulated": found["simulated"], "wall_s": wall, "parts": parts}
 
 
-def _watch(clock: PartClock) -> None:
-    """Wrap the functions of PARTS wherever they are called by name, and listen to what JAX compiles."""
-    import importlib
-
-    import jax
-
-    for part, places in PARTS.items():
-        for place in places:
-            module, _, name = place.partition(":")
-            owner: Any = importlib.import_module(module)
-            *classes, name = name.split(".")
-            for kind in classes:
-                owner = getattr(owner, kind)
-            function = getattr(owner, name)
-            counted = clock.timed(part, function)
-            setattr(owner, name, counted)
-            for other in [m for key, m in sys.modules.items() if key.startswith("shmoo_mjx")]:
-                for key in [k for k, v in vars(other).items() if v is function]:
-                    setattr(other, key, counted)
-
-    def heard(event: str, duration_secs: float, **_: Any) -> None:
-        if event.startswith("/jax/core/compile/"):
-            clock.add(COMPILATION, duration_secs)
-
-    jax.monitoring.register_event_duration_secs_listener(heard)
-
-
 def main() -> None:
     """Run the demo of the seed with the clock on; prints one line of JSON."""
     from shmoo_mjx.environment import prepare_environment
@@ -169,7 +88,7 @@ def main() -> None:
     from shmoo_mjx.navigation.scenario import Limits
 
     clock = PartClock()
-    _watch(clock)
+    watch(clock)
     grid, scenario = demo_scenario(int(sys.argv[1]))
     scenario = scenario.model_copy(update={"limits": Limits(time_s=float(sys.argv[2]))})
     with tempfile.TemporaryDirectory() as out:

@@ -21,6 +21,7 @@ BENCHMARKS = {
     "plant": "shmoo_mjx.benchmarking.plant",
     "planner": "shmoo_mjx.benchmarking.planner",
     "demo": "shmoo_mjx.benchmarking.demo",
+    "navigation": "shmoo_mjx.benchmarking.navigation",
     "mppi": "shmoo_mjx.benchmarking.mppi",
     "daiml": "shmoo_mjx.benchmarking.daiml",
 }
@@ -39,6 +40,8 @@ class BenchOptions:
     """Of made-up weights and noise."""
     progress: Callable[[str, float], None] = lambda stage, fraction: None
     """Called with (stage, fraction done)."""
+    maps: Path | None = None
+    """Folder of map_server maps, for the benchmark navigation."""
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from shmoo_mjx import se2
@@ -128,7 +129,10 @@ def _jump(trial: _Trial) -> None:
 
 
 def _dead_shoulder(trial: _Trial) -> None:
-    trial.simulation.scene.model.actuator_gear[4] = 0.0  # the left shoulder's pitch
+    def cut(spec: mujoco.MjSpec) -> None:
+        spec.actuator("robot/left_shoulder_pitch").gear = np.zeros(6)
+
+    trial.simulation.alter(cut)
 
 
 def _slow(trial: _Trial) -> None:
@@ -140,11 +144,12 @@ def _slow(trial: _Trial) -> None:
 
 
 def _slippery(trial: _Trial) -> None:
-    model = trial.simulation.scene.model
-    for i in range(model.ngeom):
-        name = model.geom(i).name
-        if name in ("floor", "robot/ball") or any(part in name for part in ("sole", "wheel", "foot")):
-            model.geom_friction[i, 0] *= 0.5
+    def wet(spec: mujoco.MjSpec) -> None:
+        for geom in spec.geoms:
+            if geom.name in ("floor", "robot/ball") or any(part in geom.name for part in ("sole", "wheel", "foot")):
+                geom.friction = geom.friction * np.array([0.5, 1.0, 1.0])
+
+    trial.simulation.alter(wet)
 
 
 def _pushed_object(trial: _Trial) -> int:

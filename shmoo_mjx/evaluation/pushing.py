@@ -7,7 +7,6 @@ where it stopped.
 
 from __future__ import annotations
 
-import os
 from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
 from pathlib import Path
@@ -57,7 +56,7 @@ def run(options: ExperimentOptions) -> ExperimentResult:
     trials = {_name(m, t): (m, t) for m in config.methods for t in drawn}
     missing = any(m == "paper_form" and not (folder / f"{name}.json").exists() for name, (m, _) in trials.items())
     robot = weights, _paper_form(options, weights, folder) if missing else None, config.time_limit, options.senses
-    rows = run_trials(trials, partial(_trial, robot, folder), folder, options.progress, config.workers, one_core)
+    rows = run_trials(trials, partial(_trial, robot, folder), folder, options.progress, config.workers)
     draw_figure(options.out / "pushing" / "pushing.png", rows, folder)
     if config.videos:
         for family in dict.fromkeys(t.family for t in drawn):
@@ -94,14 +93,6 @@ def _paper_form(options: ExperimentOptions, weights: Path, folder: Path) -> Path
         fitted = daiml.train_object(data, folder / "paper_form.training" / "object", settings)
         save_weights(path, with_object(load_weights(weights), fitted))
     return path
-
-
-def one_core() -> None:
-    """Before a worker's first computation: the trials run side by side, so that each keeps to one core."""
-    import jax
-
-    jax.config.update("jax_num_cpu_devices", 1)
-    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_cpu_multi_thread_eigen=false".strip()
 
 
 @cache

@@ -24,7 +24,7 @@ from shmoo_mjx.data.collect import CollectConfig, record
 from shmoo_mjx.dynamics import core, features, robot_model
 from shmoo_mjx.dynamics.robot_model import RobotParams
 from shmoo_mjx.evaluation.paired import OURS, difference_metrics
-from shmoo_mjx.evaluation.pushing import PushingConfig, one_core
+from shmoo_mjx.evaluation.pushing import PushingConfig
 from shmoo_mjx.evaluation.pushing_trials import Runner, draw_trials
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.evaluation.trials import run_trials
@@ -168,7 +168,7 @@ def run(options: ExperimentOptions, config: RobotFinetuneConfig | None = None) -
     folder = options.out / "robot_finetune" / fingerprint(__name__, key, weights)
     work = _Work(weights, config, options.seed, options.first_unseen, options.senses)
     trials = {f"robot-{i}": i for i in range(config.robots)}
-    rows = run_trials(trials, work, folder, options.progress, config.workers, one_core)
+    rows = run_trials(trials, work, folder, options.progress, config.workers)
     result = make_result("robot_finetune", options, config, _metrics(rows), PAPER, rows)
     _figure(result, options.out / "robot_finetune" / "robot_finetune.png")
     return result

@@ -23,7 +23,6 @@ def run_trials(
     folder: Path,
     progress: Callable[[str, float], None],
     workers: int = 2,
-    prepare: Callable[[], None] | None = None,
 ) -> list[dict[str, Any]]:
     """The rows of every trial, in the order of ``trials``; those that ``folder`` has already are read from it.
 
@@ -33,27 +32,32 @@ def run_trials(
         folder: gets NAME.json for each.
         progress: called with (stage, fraction done).
         workers: processes.
-        prepare: called in each of these processes before its first trial.
     """
     folder.mkdir(parents=True, exist_ok=True)
     files = {name: folder / f"{name}.json" for name in trials}
     missing = {name: given for name, given in trials.items() if not files[name].is_file()}
     done = len(trials) - len(missing)
     progress(f"{done} of {len(trials)} trials were there", done / max(len(trials), 1))
-    for name, rows in _worked(missing, work, min(workers, len(missing)), prepare):
+    for name, rows in _worked(missing, work, min(workers, len(missing))):
         done += 1
         write_whole(files[name], (json.dumps(rows, indent=1) + "\n").encode())
         progress(f"trial {name}", done / len(trials))
     return [row for file in files.values() for row in json.loads(file.read_text())]
 
 
-def _worked(
-    trials: Mapping[str, Any], work: Work, workers: int, prepare: Callable[[], None] | None
-) -> Iterator[tuple[str, list[dict[str, Any]]]]:
+def one_core() -> None:
+    """Before a worker's first computation: the trials run side by side, so that each keeps to one core."""
+    import jax
+
+    jax.config.update("jax_num_cpu_devices", 1)
+    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_cpu_multi_thread_eigen=false".strip()
+
+
+def _worked(trials: Mapping[str, Any], work: Work, workers: int) -> Iterator[tuple[str, list[dict[str, Any]]]]:
     if workers <= 1:
         yield from ((name, work(given)) for name, given in trials.items())
         return
-    with process_pool(min(workers, os.cpu_count() or 1), prepare) as pool:
+    with process_pool(min(workers, os.cpu_count() or 1), one_core) as pool:
         waiting = {pool.submit(work, given): name for name, given in trials.items()}
         for future in as_completed(waiting):
             yield waiting[future], future.result()

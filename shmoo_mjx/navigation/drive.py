@@ -97,11 +97,10 @@ def _track(
     assert state.trajectory is not None
     a, b, c = planner.model
     elapsed = now - state.start
-    wanted = flat_trajectory.evaluate(state.trajectory, elapsed)
-    ahead = flat_trajectory.evaluate(state.trajectory, elapsed + LEAD)
-    position = wanted.position + b / a * wanted.lean
-    velocity = wanted.velocity + b / a * wanted.lean_rate
-    acceleration = c / a * ahead.lean + DAMPING * (velocity - flat[1]) + STIFFNESS * (position - flat[0])
+    wanted = flat_trajectory.evaluate(state.trajectory, np.array([elapsed, elapsed + LEAD]))
+    position = wanted.position[0] + b / a * wanted.lean[0]
+    velocity = wanted.velocity[0] + b / a * wanted.lean_rate[0]
+    acceleration = c / a * wanted.lean[1] + DAMPING * (velocity - flat[1]) + STIFFNESS * (position - flat[0])
     lean = a / c * acceleration
     norm = float(np.linalg.norm(lean))
     return se2.rotate(lean * min(1.0, _LEAN_LIMIT / max(norm, 1e-9)), -yaw)

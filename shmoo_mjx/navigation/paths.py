@@ -7,7 +7,8 @@ near, so that the path keeps to the middle where there is room; then the path is
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import shapely
@@ -22,13 +23,19 @@ from shmoo_mjx.navigation.path_search import cell_costs, find_way
 from shmoo_mjx.navigation.path_shortening import shorten
 
 
-class Path(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Path:
     """A polyline on the floor."""
 
     points: Float[np.ndarray, "N 2"]
     """In {W} [m], N >= 2."""
     length: float
     """[m]"""
+
+    @cached_property
+    def along(self) -> Float[np.ndarray, "N"]:
+        """Arc length [m] from the first point to each."""
+        return arc_lengths(self.points)
 
 
 def plan_path(
@@ -101,14 +108,12 @@ def arc_lengths(points: Float[Array, "N 2"]) -> Float[np.ndarray, "N"]:
 
 def point_at(path: Path, s: Scalar | Float[Array, "*s"]) -> Float[np.ndarray, "*s 2"]:
     """Points in {W} at arc lengths ``s`` [m]; the ends hold beyond the ends."""
-    along = arc_lengths(path.points)
-    return np.stack([np.interp(s, along, path.points[:, i]) for i in range(2)], axis=-1)
+    return np.stack([np.interp(s, path.along, path.points[:, i]) for i in range(2)], axis=-1)
 
 
 def tangent_at(path: Path, s: Scalar | Float[Array, "*s"]) -> Float[np.ndarray, "*s 2"]:
     """Unit direction in {W} of the path at arc lengths ``s`` [m]."""
-    along = arc_lengths(path.points)
-    steps = np.diff(path.points, axis=0)
+    along, steps = path.along, np.diff(path.points, axis=0)
     long_enough = np.flatnonzero(np.diff(along) > 1e-9)
     if long_enough.size == 0:
         return np.broadcast_to(np.array([1.0, 0.0]), (*np.shape(s), 2))
@@ -119,8 +124,7 @@ def tangent_at(path: Path, s: Scalar | Float[Array, "*s"]) -> Float[np.ndarray, 
 
 def project(path: Path, point: Numbers | Float[Array, "2"], after: float = 0.0) -> float:
     """Arc length [m] of the path's point nearest to ``point`` in {W}, not before ``after`` [m]."""
-    along = arc_lengths(path.points)
-    steps = np.diff(path.points, axis=0)
+    along, steps = path.along, np.diff(path.points, axis=0)
     lengths = np.diff(along)
     offset = np.asarray(point, dtype=float)[:2] - path.points[:-1]
     fraction = np.einsum("ij,ij->i", offset, steps) / np.maximum(lengths**2, 1e-18)
@@ -140,8 +144,10 @@ def path_blocked_by(
     Returns:
         (blocked, arc length [m] of the first touch or None).
     """
-    ahead = _part_after(path, after)
-    hit = shapely.LineString(ahead).intersection(polygon.buffer(max(clearance - 1e-6, 0.0), quad_segs=32))
+    ahead = shapely.LineString(_part_after(path, after))
+    if ahead.distance(polygon) > clearance:
+        return False, None
+    hit = ahead.intersection(polygon.buffer(max(clearance - 1e-6, 0.0), quad_segs=32))
     if hit.is_empty:
         return False, None
     touching = [project(path, xy, after) for xy in shapely.get_coordinates(hit)]
@@ -149,5 +155,4 @@ def path_blocked_by(
 
 
 def _part_after(path: Path, s: float) -> Float[np.ndarray, "N 2"]:
-    along = arc_lengths(path.points)
-    return np.vstack([point_at(path, s), path.points[along > s], path.points[-1]])
+    return np.vstack([point_at(path, s), path.points[path.along > s], path.points[-1]])

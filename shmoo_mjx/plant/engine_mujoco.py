@@ -173,8 +173,8 @@ class MujocoEngine:
             return hold(*parts[0])
         worlds, tracks = zip(*self._pool.map(hold, *zip(*parts, strict=True)), strict=True)
         joined: World = jax.tree.map(lambda *each: np.concatenate(each), *worlds)
-        over_time = (np.concatenate([getattr(t, name) for t in tracks], axis=1) for name in ("physics", "torque"))
-        return joined, Track(*over_time, np.concatenate([t.wrench for t in tracks]), joined.wall_parts)
+        physics, torque = (np.concatenate([getattr(t, name) for t in tracks], axis=1) for name in ("physics", "torque"))
+        return joined, Track(physics, torque, np.concatenate([t.wrench for t in tracks]), joined.wall_parts)
 
     def _hold(
         self, part: slice, world: World, command: Command, push: np.ndarray | None, readings: int, substeps: int
@@ -185,7 +185,7 @@ class MujocoEngine:
             _begin(model, data, world.physics[i])
             if push is not None:
                 data.xfrc_applied[self._torso] = push[i]
-        given = _packed(world.control, np.zeros((1, len(stages), _SENSED)), command)
+        given = _packed(world.control, [np.zeros((len(stages), _SENSED))], command)
         felt: list[tuple[int, np.ndarray, np.ndarray]] = []
         physics, torques = np.empty((readings, *world.physics.shape)), np.empty((readings, len(stages), 9))
         done = self._asked(given, stages)
@@ -195,6 +195,8 @@ class MujocoEngine:
                 for i, (model, data) in enumerate(stages):
                     data.ctrl[:] = done[i, _MEMORY:]
                     before = data.qpos.copy()
+                    # From its last answer the solver now and then stops at once, off by a jerk of some cm/s.
+                    data.qacc_warmstart[:] = 0.0
                     mujoco.mj_step(model, data)
                     if data.sensordata.any():
                         # Contact sensors belong to the configuration before the step.

@@ -122,8 +122,9 @@ def near_walls(scenery: Scenery, camera: Camera, robot_pose: Float[np.ndarray, "
     Their number is filled up to 0, 16, 64, 256, ..., with walls without size far away: what is compiled for one number
     serves others.
     """
-    offset = scenery.wall_pose[..., :2] - robot_pose[:, None, :2]
-    near = np.hypot(*np.moveaxis(offset, -1, 0)) - np.hypot(*np.moveaxis(scenery.wall_half, -1, 0)) < camera.far + _WAY
+    x, y = (scenery.wall_pose[..., i] - robot_pose[:, None, i] for i in range(2))
+    reach = scenery.wall_half.sum(axis=-1) + camera.far + _WAY
+    near = x * x + y * y < reach * reach
     most = int(near.sum(axis=1).max(initial=0))
     size = 0 if most == 0 else 4 ** max(2, int(np.ceil(np.log(most) / np.log(4) - 1e-9)))
     pose, half = np.full((len(near), size, 3), [_FAR_AWAY, _FAR_AWAY, 0.0]), np.zeros((len(near), size, 2))

@@ -242,9 +242,9 @@ class SensedEngine:
             world = world._replace(silent=world.silent + ticks)
         rng = np.random.default_rng([11, self._entropy, world.ticks])
         worlds, objects = world.contact.shape[:2]
-        real = isinstance(world.sensor_state, SensorState)
         # The low-level control holds headings as the robot believes them; the error hardly changes within a sample.
-        turned = sensing.heading_error(world.sensor_state) if real else 0.0
+        remembered = world.sensor_state
+        turned = sensing.heading_error(remembered) if isinstance(remembered, SensorState) else 0.0
         left_alone = TICK * world.silent > _WATCHDOG + 1e-6
         tracks: list[Track] = []
         for length in [1] * ticks if left_alone else self._stretches(world, ticks):
@@ -255,15 +255,13 @@ class SensedEngine:
             truth, track = self.engine.advance(world.truth, held, length * TICK, length, push)
             tracks.append(track)
             world = world._replace(truth=truth, ticks=world.ticks + length)
-        shares = [len(track.physics) / ticks for track in tracks]
-        contact = sum(
-            share * np.asarray(track.wrench, dtype=float) for share, track in zip(shares, tracks, strict=True)
-        )
+        contact = np.sum([len(track.physics) / ticks * np.asarray(track.wrench, float) for track in tracks], axis=0)
         touched = np.any([track.wall_parts for track in tracks], axis=0)
         true = _numpy(self.engine.observe(world.truth))
         noisy: Any = 0.0
-        if isinstance(world.sensor_state, PerfectState):
-            wrench, sensor_state = contact, self._look(world.sensor_state, true, world.ticks)
+        wrench, sensor_state = contact, remembered
+        if isinstance(remembered, PerfectState):
+            sensor_state = self._look(remembered, true, world.ticks)
         else:
             normal = rng.normal(size=(ticks, worlds, 6 + 3 * objects))
             uniform = rng.random((ticks, worlds, objects, 2))

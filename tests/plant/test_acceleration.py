@@ -34,6 +34,7 @@ def _push(scene: Scene, samples: int) -> tuple[np.ndarray, np.ndarray]:
                 shmoobot(), gains, state, readout(data.qpos[None], data.qvel[None]), wanted, 0.002
             )
             data.ctrl[:] = torque[0]
+            data.qacc_warmstart[:] = 0.0  # as the engine does
             mujoco.mj_step(model, data)
             accelerations[max(k, 0), i] = data.qacc[planar]
     return np.array([*twists[8:], data.qvel[planar]]), accelerations

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from shmoo_mjx.hands import HAND_HEIGHT, REACH
+from shmoo_mjx.plant import engine_mujoco
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine, World
 from shmoo_mjx.plant.objects import draw_condition
-from shmoo_mjx.plant.scene import Scene, build_scene
+from shmoo_mjx.plant.scene import PARTS, Scene, build_scene
 from shmoo_mjx.plant.trials import command
 from shmoo_mjx.types import Observation
 
@@ -78,4 +79,64 @@ def test_a_robot_that_leans_far_has_fallen() -> None:
     physics = world.physics.copy()
     physics[0, 4:8] = [np.cos(0.4), 0.0, np.sin(0.4), 0.0]
     assert engine.fallen(world._replace(physics=physics))[0]
+    engine.close()
+
+
+def _hall(count: int) -> Scene:
+    """A wall close ahead of the robot and one beyond the box, among ``count`` others farther off."""
+    rng = np.random.default_rng(0)
+    places = rng.uniform(4.0, 30.0, (count, 2)) * rng.choice([-1, 1], (count, 2))
+    walls = [(1.9, 0.0, 0.05, 1.0), (-0.45, 0.3, 0.05, 0.05), *((x, y, 0.2, 0.1) for x, y in places)]
+    return build_scene([(draw_condition("box", 2, {"mass": 3.0}), (0.9, 0.0, 0.0))], walls=walls, wall_yaw=0.1)
+
+
+def test_walls_out_of_reach_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, runs = _hall(100), []
+    for few in (0, 1000):
+        monkeypatch.setattr(engine_mujoco, "_FEW_WALLS", few)
+        engine = MujocoEngine([scene])
+        world, parts = engine.init(), np.zeros(len(PARTS), dtype=bool)
+        for i in range(40):
+            lean = (0.1, 0.0) if i < 25 else (-0.12, 0.05)
+            world, _ = engine.step(world, command(1, lean, reach=REACH, hand_height=HAND_HEIGHT))
+            parts |= world.wall_parts[0]
+        sizes = [stage.model.ngeom for stage in engine._stages[0].values()]
+        runs.append((world.physics, parts, sizes))
+        engine.close()
+    (near, touched, sizes), (whole, touched_too, [size]) = runs
+    np.testing.assert_allclose(near, whole, atol=1e-9)
+    np.testing.assert_array_equal(touched, touched_too)
+    assert touched.any(), "the robot has to meet a wall, or nothing is tested"
+    assert len(sizes) > 1 and max(sizes) < size - 100
+
+
+def test_what_rests_sleeps_until_it_is_touched() -> None:
+    engine = MujocoEngine([build_scene([(draw_condition("cart", 3), (1.2, 0.0, 0.0))])])
+    world, still = engine.init(), command(1)
+    speed = 1 + engine.scenes[0].model.nq + engine.scenes[0].object_qvel[0]
+    for _ in range(20):
+        world, _ = engine.step(world, still)
+    assert not world.physics[0, speed : speed + 6].any(), "it sleeps"
+    place, rest = world.physics[0, 1 + engine.scenes[0].object_qpos[0] :][:7].copy(), world
+    for _ in range(10):
+        rest, _ = engine.step(rest, still)
+    np.testing.assert_allclose(rest.physics[0, 1 + engine.scenes[0].object_qpos[0] :][:7], place, atol=1e-6)
+    pushed = world
+    for _ in range(30):
+        pushed, seen = engine.step(pushed, command(1, (0.08, 0.0), reach=REACH, hand_height=HAND_HEIGHT))
+    assert seen.object_pose[0, 0, 0] > place[0] + 0.05
+    engine.close()
+
+
+def test_readings_are_the_states_on_the_way() -> None:
+    engine = MujocoEngine([_scene(0), _scene(1)])
+    world, _ = _run(engine, 3)
+    wanted = command(2, (0.05, 0.0), reach=REACH, hand_height=HAND_HEIGHT)
+    after, track = engine.advance(world, wanted, 0.1, 5)
+    whole, _ = engine.step(world, wanted)
+    np.testing.assert_array_equal(track.physics[-1], after.physics)
+    np.testing.assert_array_equal(after.physics, whole.physics)
+    passed = track.physics[:, :, 0] - world.physics[:, 0]
+    np.testing.assert_allclose(passed, np.repeat(0.02 * np.arange(1, 6)[:, None], 2, axis=1), atol=1e-9)
+    np.testing.assert_allclose(track.torque[-1], engine.torque(after, wanted), atol=1e-4)
     engine.close()

@@ -11,7 +11,7 @@ import pytest
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.plant.objects import draw_condition
 from shmoo_mjx.plant.scene import build_scene
-from shmoo_mjx.sensing.camera import Camera, Scenery, deviation, in_sight, scenery_of
+from shmoo_mjx.sensing.camera import Camera, Scenery, deviation, in_sight, near_walls, scenery_of
 from shmoo_mjx.sensing.rays import cast, hidden
 from shmoo_mjx.sensing.senses import PERFECT
 
@@ -120,3 +120,28 @@ def test_impossible_numbers_are_refused_in_one_sentence(field: str, value: objec
         dataclasses.replace(Camera(), **{field: value})
     text = str(error.value)
     assert field in text and text.count(".\n") == 0 and text.endswith(".")
+
+
+@pytest.mark.parametrize("worlds", [1, 2])
+def test_walls_far_off_hide_nothing(worlds: int) -> None:
+    rng, hidden_by_some = np.random.default_rng(worlds), False
+    for _ in range(40):
+        centre, walls = rng.uniform(-20, 20, (worlds, 2)), rng.integers(0, 300)
+        pose = np.concatenate(
+            [rng.uniform(-30, 30, (worlds, walls, 2)), rng.uniform(-3, 3, (worlds, walls, 1))], axis=-1
+        )
+        half = rng.uniform(0.02, 1.5, (worlds, walls, 2)) * rng.choice([0.05, 1.0], (worlds, walls, 2))
+        full = Scenery(np.array([EYE] * worlds), np.full((worlds, 5, 2), 0.2), np.full((worlds, 5), 0.6), pose, half)
+        robot = np.concatenate([centre, rng.uniform(-3, 3, (worlds, 1))], axis=-1)
+        objects = np.concatenate(
+            [centre[:, None] + rng.uniform(-4, 4, (worlds, 5, 2)), np.zeros((worlds, 5, 1))], axis=-1
+        )
+        few = near_walls(full, Camera(), robot)
+        assert few.wall_pose.shape[1] in (0, 16, 64, 256)
+        # As seen from where the robot is within a sample time.
+        moved = robot + np.array([0.1, -0.1, 0.5])
+        shown = in_sight(Camera(), full, moved, objects)
+        np.testing.assert_array_equal(in_sight(Camera(), few, moved, objects), shown)
+        bare = full._replace(wall_pose=pose[:, :0], wall_half=half[:, :0])
+        hidden_by_some |= bool((in_sight(Camera(), bare, moved, objects) != shown).any())
+    assert hidden_by_some

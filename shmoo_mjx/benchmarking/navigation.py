@@ -1,0 +1,100 @@
+"""Where the time of a navigation trial goes, as ``shmoo experiment navigation`` runs thousands of them.
+
+Each trial runs twice in a process of its own that keeps to one core, as a worker of an experiment does; the second run
+counts, so that nothing is compiled any more. Trials in the demo's building need no files; ``--maps`` adds one scenario
+on each map of a folder.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from shmoo_mjx.benchmarking.parts import PartClock, watch
+from shmoo_mjx.benchmarking.registry import BenchOptions, Measured
+from shmoo_mjx.errors import ShmooError
+
+DEMO = "demo building"
+REST = "the rest"
+
+
+@dataclass(frozen=True)
+class NavigationSizes:
+    """Sizes of the benchmark."""
+
+    time_s: float = 180.0
+    """Longest simulated time of a trial [s]."""
+    demos: int = 3
+    """Trials in the demo's building."""
+
+
+FULL = NavigationSizes()
+QUICK = NavigationSizes(time_s=10.0, demos=1)
+
+
+def run(cfg: NavigationSizes, options: BenchOptions) -> Measured:
+    """Seconds of each part over simulated seconds, by place."""
+    from shmoo_mjx.evaluation.navigation_places import find_maps
+    from shmoo_mjx.evaluation.trials import one_core
+    from shmoo_mjx.processes import process_pool
+
+    trials: list[tuple[str, Any]] = [(DEMO, options.seed + i) for i in range(cfg.demos)]
+    trials += [] if options.maps is None else [*find_maps(options.maps).items()]
+    found: dict[str, list[dict[str, Any]]] = {}
+    for done, (place, what) in enumerate(trials):
+        options.progress(place, done / len(trials))
+        with process_pool(1, one_core) as pool:  # what one trial has compiled must not help the next
+            timed = pool.submit(partial(_timed, cfg.time_s, options.seed), place, what).result()
+        found.setdefault(place, []).append(timed)
+    metrics: dict[str, Any] = {}
+    rows = []
+    for place, runs in found.items():
+        simulated, wall = (sum(run[name] for run in runs) for name in ("simulated_s", "wall_s"))
+        name = place.replace(" ", "_")
+        metrics |= {f"{name}_simulated_s": simulated, f"{name}_ratio_to_simulated_time": wall / simulated}
+        for part in runs[0]["parts"]:
+            seconds = sum(run["parts"][part] for run in runs)
+            rows.append({"place": place, "part": part, "s": seconds, "ms_per_sample": 100 * seconds / simulated})
+    return Measured(metrics, rows)
+
+
+def _timed(time_s: float, seed: int, place: str, what: Any) -> dict[str, Any]:
+    """One trial: simulated_s, wall_s, and the seconds of each part. ``what`` is the demo's seed, or the map's YAML."""
+    from shmoo_mjx.assets import WEIGHTS, asset
+    from shmoo_mjx.episode import run_episode
+    from shmoo_mjx.evaluation.navigation_places import Places, kept_scenario
+    from shmoo_mjx.evaluation.result import ExperimentOptions
+    from shmoo_mjx.evaluation.scenarios import ScenarioConfig
+    from shmoo_mjx.evaluation.trials import controller_of
+    from shmoo_mjx.navigation.floorplan import demo_scenario
+    from shmoo_mjx.navigation.maps import load_map
+    from shmoo_mjx.navigation.scenario import Limits
+
+    if place == DEMO:
+        grid, scenario = demo_scenario(what)
+    else:
+        grid = load_map(what)
+        with TemporaryDirectory() as scratch:
+            places = Places({place: what}, Path(scratch), ExperimentOptions(seed=seed).first_unseen, ScenarioConfig())
+            _, generated = kept_scenario(places, grid, place, 0)
+        if generated is None:
+            raise ShmooError(f"bench navigation: {what} has no place for a scenario; leave this map out.")
+        scenario = generated.scenario
+    scenario = scenario.model_copy(update={"limits": Limits(time_s=time_s)})
+    play = partial(run_episode, grid, scenario, controller_of(asset(WEIGHTS)))
+    play()
+    clock = PartClock()
+    watch(clock)
+    began = time.perf_counter()
+    episode = play()
+    wall = time.perf_counter() - began
+    parts = dict(clock.seconds)
+    return {
+        "simulated_s": episode.result["time_s"],
+        "wall_s": wall,
+        "parts": parts | {REST: wall - sum(parts.values())},
+    }
