@@ -82,7 +82,7 @@ def _read(path: Path) -> ExperimentResult:
 
 def _kind(name: str, ratios: bool) -> str:
     if ratios:
-        return "time" if name.startswith("ratio_") and not name.endswith("_to_ideal") else ""
+        return "time" if name.startswith("ratio_") and not name.endswith("ideal") else ""
     if name.endswith(("_per_s", "_gflops")):
         return "rate"
     return "time" if name.endswith(("_ms", "_s")) and "max" not in name else ""

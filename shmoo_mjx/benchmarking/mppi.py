@@ -182,6 +182,7 @@ def _row(name: str, seconds: list[float], about: Row) -> Row:
 def _metrics(cfg: MppiSizes, medians: dict[str, float], about: dict[str, Row], worst: list[Row]) -> Row:
     rate = 2 * cfg.gemm**3 / (1e-3 * medians["gemm"])
     ours, ideal = medians["ours"], 1e3 * mppi_problem.flop(cfg.samples, cfg.horizon) / rate
+    shipped = 1e3 * _shipped_flop(cfg.samples, cfg.horizon) / rate
     eager, compiled = medians.get("pytorch_mppi_eager"), medians.get("pytorch_mppi_compiled")
     quiet, busy = worst
     return {
@@ -194,10 +195,12 @@ def _metrics(cfg: MppiSizes, medians: dict[str, float], about: dict[str, Row], w
         "numpy_ms": medians["numpy"],
         "plain_jax_ms": medians["plain_jax"],
         "ideal_ms": ideal,
+        "shipped_ideal_ms": shipped,
         "gemm_gflops": rate / 1e9,
         "ratio_to_pytorch_mppi_eager": ours / eager if eager else None,
         "ratio_to_plain_jax": ours / medians["plain_jax"],
         "ratio_to_ideal": ours / ideal,
+        "ratio_to_shipped_ideal": ours / shipped,
         "ratio_paper_networks_to_pytorch_mppi_eager": medians["ours_paper"] / eager if eager else None,
         "ratio_paper_networks_to_plain_jax": medians["ours_paper"] / medians["plain_jax"],
         "ratio_paper_networks_to_ideal": medians["ours_paper"] / ideal,
@@ -212,6 +215,17 @@ def _metrics(cfg: MppiSizes, medians: dict[str, float], about: dict[str, Row], w
         "gemm_p99_over_median": quiet["gemm_p99_over_median"],
         "busy_over_plain_jax": busy["median_ms"] / busy["plain_jax_ms"],
     }
+
+
+def _shipped_flop(samples: int, horizon: int) -> int:
+    """Floating point operations of the shipped networks' matrix products, as roll-outs do them."""
+    from shmoo_mjx.dynamics import object_model, robot_model
+    from shmoo_mjx.learning.weights import load_weights
+
+    params, config = (weights := load_weights()).params, weights.config
+    thing = object_model.fuse(params.object, params.coefficients, config.object, params.contact).layers
+    matrices = [x for x in jax.tree.leaves((robot_model.fuse(params.robot), thing)) if x.ndim == 2]
+    return 2 * samples * horizon * sum(x.size for x in matrices)
 
 
 def _batch_metrics(sweep: list[Row]) -> Row:
