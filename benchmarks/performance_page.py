@@ -4,6 +4,7 @@ Run: python benchmarks/performance_page.py (with --check: ends with code 1 if th
 
     shmoo bench mppi --peers-python peers/bin/python --json docs/results/bench_mppi.json
     shmoo bench demo --json docs/results/bench_demo.json
+    shmoo bench navigation --maps MAPS --json docs/results/bench_navigation.json
     python benchmarks/gpu.py --out docs/results (on a machine with a GPU)
     python benchmarks/rollouts.py --json docs/results/rollouts.json --figure docs/figures/rollouts.png
 
@@ -82,6 +83,17 @@ def demo(result: ExperimentResult) -> str:
     return f"{_machine(result)} {total}; {first}.\n\n{markdown_table(['', 's', 'share', ''], rows)}"
 
 
+def navigation(result: ExperimentResult) -> str:
+    """Time of a trial over the time that it simulates, by place, and each part's time per sample."""
+    places = list(dict.fromkeys(row["place"] for row in result.rows))
+    ms = {(row["part"], row["place"]): row["ms_per_sample"] for row in result.rows}
+    whole = [result.metrics[f"{place.replace(' ', '_')}_ratio_to_simulated_time"] for place in places]
+    rows = [["trial / simulated time", *(f"{ratio:.3f}" for ratio in whole)]]
+    parts = sorted({part for part, _ in ms}, key=lambda part: -sum(ms.get((part, place), 0.0) for place in places))
+    rows += [[f"{part} [ms per sample]", *(f"{ms.get((part, place), 0.0):.2f}" for place in places)] for part in parts]
+    return f"{_machine(result)}, one of them used:\n\n{markdown_table(['', *places], rows)}"
+
+
 def batches(result: ExperimentResult) -> str:
     """Steps of a batch of worlds per second, beside C MuJoCo."""
     rows = [
@@ -107,6 +119,7 @@ BLOCKS: dict[str, tuple[tuple[str, ...], Callable[[ExperimentResult], str]]] = {
     "control step on a GPU": (("bench_mppi_gpu.json",), control_step),
     "plant on a GPU": (("bench_plant_gpu.json",), batches),
     "demo": (("bench_demo.json",), demo),
+    "navigation": (("bench_navigation.json",), navigation),
     "roll-outs": (("rollouts.json",), rollouts),
 }
 """Name of a block of the page to the results that it may be of, the best first, and what makes it."""
