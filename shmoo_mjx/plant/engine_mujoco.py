@@ -20,7 +20,7 @@ import numpy as np
 from mujoco.rollout import Rollout
 
 from shmoo_mjx import se2
-from shmoo_mjx.arrays import Array, Bool, Float
+from shmoo_mjx.arrays import Array, Bool, Float, single_precision
 from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.plant import lowlevel
 from shmoo_mjx.plant.observe import observation, planar_wrench, scene_poses
@@ -168,6 +168,7 @@ class MujocoEngine:
         joined: tuple[World, np.ndarray] = jax.tree.map(lambda *parts: np.concatenate(parts), *done)
         return joined
 
+    @single_precision
     def _hold(
         self, part: _Part, world: World, command: Command, push: np.ndarray | None, substeps: int
     ) -> tuple[World, np.ndarray]:
@@ -190,6 +191,7 @@ class MujocoEngine:
         control = _unpacked(np.asarray(memory))
         return World(physics, control, touched.any(axis=-1), touched), wrench / substeps
 
+    @single_precision
     def torque(self, world: World, command: Command) -> Float[np.ndarray, "W 9"]:
         """Motor torques [N m] that the control asks for now; what a robot measures as motor currents."""
         _, torque = self._control(_packed(world.control), self._robot_state(world.physics), _packed(command))
