@@ -9,6 +9,7 @@ any other library that takes Gymnasium environments works as well, such as Stabl
 from __future__ import annotations
 
 import argparse
+import multiprocessing
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -86,7 +87,8 @@ if __name__ == "__main__":
     parser.add_argument("--out", type=Path, default=Path("agent.png"))
     given = parser.parse_args()
     began, curves = time.monotonic(), list[list[tuple[int, float, float]]]()
-    with ProcessPoolExecutor(given.workers) as pool:
+    # A forked process would inherit JAX's locks, and wait for them for ever.
+    with ProcessPoolExecutor(given.workers, multiprocessing.get_context("spawn")) as pool:
         for seed in range(given.seeds):
             curves.append([])
             for point, policy in train(pool, given.generations, seed):

@@ -6,14 +6,17 @@ Checked in tests: ``pytest --jaxtyping-packages=shmoo_mjx.dynamics,beartype.bear
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int, Key, Shaped
 
-__all__ = ["Array", "Bool", "Float", "Int", "Key", "Numbers", "Scalar", "Shaped"]
+__all__ = ["Array", "Bool", "Float", "Int", "Key", "Numbers", "Scalar", "Shaped", "single_precision"]
 
 if TYPE_CHECKING:
     # What both have in common can't be said to a type checker.
@@ -25,3 +28,43 @@ else:
 
 Numbers = Sequence[Scalar]
 """A point, a pose or sizes written out, as in ``(1.0, 2.0)``."""
+
+
+def single_precision[**P, R](function: Callable[P, R]) -> Callable[P, R]:
+    """``function`` computed in float32 and int32 with JAX's own promotion rules, whatever the process has set.
+
+    The weights are single precision, and MJX creates arrays of JAX's default type. With ``JAX_ENABLE_X64`` (or another
+    library's ``jax.config.update``) both would mix with float64, which ends in a TypeError at the first loop. Entry
+    points are decorated, so the flag changes neither the types nor the numbers they return. JAX arrays of 64 bits among
+    the arguments are rounded first.
+    """
+
+    @functools.wraps(function)
+    def run(*args: P.args, **kwargs: P.kwargs) -> R:
+        config = jax.config
+        wide = config.jax_enable_x64
+        if not wide and config.jax_numpy_dtype_promotion == "standard" and config.jax_numpy_rank_promotion == "allow":
+            return function(*args, **kwargs)
+        if wide:
+            args, kwargs = _narrow((args, kwargs))
+        with ExitStack() as settings:
+            settings.enter_context(jax.enable_x64(False))
+            settings.enter_context(jax.numpy_dtype_promotion("standard"))
+            settings.enter_context(jax.numpy_rank_promotion("allow"))
+            return function(*args, **kwargs)
+
+    return run
+
+
+def _narrow(tree: Any) -> Any:
+    """Its JAX arrays of 64 bits as ones of 32 bits, the rest as it is. JAX rounds NumPy arrays by itself."""
+    return jax.tree.map(_narrow_leaf, tree, is_leaf=lambda x: isinstance(x, dict))
+
+
+def _narrow_leaf(x: Any) -> Any:
+    if isinstance(x, dict):  # JAX would sort its keys, and a caller's order counts
+        return {key: _narrow(value) for key, value in x.items()}
+    if not isinstance(x, jax.Array) or jnp.issubdtype(x.dtype, jax.dtypes.extended) or x.dtype.itemsize < 8:
+        return x
+    kinds = {"f": jnp.float32, "i": jnp.int32, "u": jnp.uint32}
+    return x.astype(kinds[x.dtype.kind]) if x.dtype.kind in kinds else x

@@ -93,6 +93,8 @@ def _weights() -> Check:
         made_by = load_weights(path).info.get("made_by", {})
     except ShmooError as error:
         return Check("shipped weights", False, str(error), remedy)
+    except Exception as error:  # what the check before this one finds
+        return Check("shipped weights", False, f"{type(error).__name__}: {error}", remedy)
     of = "; ".join(
         f"{part}: {by['command']}, data {by['data']['sha256'][:8]}, score {by['score']:.3f}"
         for part, by in made_by.items()
@@ -100,7 +102,28 @@ def _weights() -> Check:
     return Check("shipped weights", True, f"{path.name} ({of})" if of else path.name, remedy)
 
 
-CHECKS: tuple[Callable[[], Check], ...] = (_python, _mujoco, _jax, _device, _renderer, _encoder, _weights)
+def _training() -> Check:
+    """Networks, optimiser and checkpoints, in the smallest form: versions of these packages often do not fit JAX's."""
+    remedy = "pip install --upgrade flax optax orbax-checkpoint"
+    try:
+        jax, optax = importlib.import_module("jax"), importlib.import_module("optax")
+        from shmoo_mjx.dynamics import core
+        from shmoo_mjx.learning.checkpoints import Checkpoints
+
+        params = core.init(jax.random.key(0)).object
+        state = {"params": params, "optimiser": optax.adam(1e-3).init(params)}
+        with tempfile.TemporaryDirectory() as folder:
+            kept = Checkpoints(Path(folder), "doctor")
+            kept.save(1, state, {})
+            kept.load(state)
+            kept.close()
+    except Exception as error:  # whatever does not fit
+        return Check("training", False, f"{type(error).__name__}: {str(error).partition(chr(10))[0]}", remedy)
+    versions = ", ".join(f"{name} {metadata.version(name)}" for name in ("flax", "optax", "orbax-checkpoint"))
+    return Check("training", True, versions, remedy)
+
+
+CHECKS: tuple[Callable[[], Check], ...] = (_python, _mujoco, _jax, _device, _renderer, _encoder, _training, _weights)
 
 
 def checks() -> list[Check]:

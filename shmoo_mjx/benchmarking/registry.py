@@ -12,6 +12,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from shmoo_mjx.arrays import single_precision
 from shmoo_mjx.benchmarking.workers import usable_cores
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result, table, write_result
@@ -56,6 +57,7 @@ class Measured:
     """Numbers of others, by the names of the metrics that they compare with."""
 
 
+@single_precision
 def run_benchmark(name: str, options: BenchOptions, sizes: Any = None) -> ExperimentResult:
     """Run one benchmark, of other ``sizes`` than its own if given; its config says on which machine."""
     if name not in BENCHMARKS:

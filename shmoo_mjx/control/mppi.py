@@ -18,6 +18,7 @@ from shmoo_mjx.arrays import Array, Bool, Float, Int, Key
 from shmoo_mjx.control import sharding
 from shmoo_mjx.control.mppi_config import SPARE
 from shmoo_mjx.control.mppi_config import MppiConfig as MppiConfig
+from shmoo_mjx.errors import ShmooError
 
 RolloutFn = Callable[[Any, Float[Array, "S T m"]], Any]
 """(x0, U) -> trajectory, a pytree of arrays ``[S, T, ...]``: the states *after* each control."""
@@ -99,19 +100,24 @@ def update(
 
     Returns:
         The plan with its roll-outs.
+
+    Raises:
+        ShmooError: while it is traced, if the states or the costs are not one row or number per roll-out.
     """
 
     def evaluate(controls: Array) -> tuple[Any, Array, Array]:
-        trajectories = rollout_fn(x0, controls)
-        costs = cost_fn(trajectories, controls, last_u)
+        trajectories = _checked_states(rollout_fn(x0, controls), len(controls))
+        costs = _checked_costs(cost_fn(trajectories, controls, last_u), len(controls))
         return trajectories, costs, jnp.isfinite(costs) & _finite((trajectories, controls), len(controls))
 
+    nominal = jnp.asarray(nominal)
     controls = sharding.split(mesh, sample_controls(cfg, key, nominal))
     trajectories, costs, valid = sharding.shared(mesh, evaluate)(controls)
     weights = importance_weights(cfg, costs, valid)
     mean = jnp.einsum("s,stm->tm", weights, jnp.where(valid[:, None, None], controls, 0.0))
     # The clip: rounding may carry the mean over a bound by one ulp, and zero, the mean of no sample, may lie outside.
-    return Plan(controls, trajectories, costs, weights, _clip(cfg, mean), jnp.sum(~valid), jnp.any(valid))
+    better = _clip(cfg, mean.astype(nominal.dtype))
+    return Plan(controls, trajectories, costs, weights, better, jnp.sum(~valid), jnp.any(valid))
 
 
 def sample_controls(cfg: MppiConfig, key: Key[Array, ""], nominal: Float[Array, "T m"]) -> Float[Array, "S T m"]:
@@ -121,9 +127,9 @@ def sample_controls(cfg: MppiConfig, key: Key[Array, ""], nominal: Float[Array, 
     key says which, and each sequence comes with its mirror image: what happens to be on one side of zero in the list
     would else pull each plan there.
     """
-    half = (cfg.num_rollouts + 1) // 2
-    first = jax.random.randint(key, (), 0, SPARE)
-    noise = jax.lax.dynamic_slice_in_dim(jnp.asarray(cfg.noise_list()), first, half)
+    nominal, half = jnp.asarray(nominal), (cfg.num_rollouts + 1) // 2
+    first = jax.random.randint(key, (), 0, SPARE, dtype=jnp.int32)
+    noise = jax.lax.dynamic_slice_in_dim(jnp.asarray(cfg.noise_list(), nominal.dtype), first, half)
     noise = jnp.concatenate([noise, -noise])[: cfg.num_rollouts].at[0].set(0.0)
     return _clip(cfg, nominal + noise).at[1].set(_clip(cfg, jnp.zeros_like(nominal)))
 
@@ -133,10 +139,13 @@ def importance_weights(cfg: MppiConfig, costs: Float[Array, "S"], valid: Bool[Ar
 
     The least cost is taken off before scaling, so costs of any size, equal or far apart, neither overflow nor vanish.
     """
-    best = jnp.min(jnp.where(valid, costs, jnp.inf))
-    excess = jnp.where(valid, costs - jnp.where(jnp.isfinite(best), best, 0.0), jnp.inf)
-    raw = jnp.where(valid, jnp.exp(-excess * (cfg.cost_scale / cfg.temperature)), 0.0)
-    return raw / jnp.maximum(jnp.sum(raw), 1.0)  # the best sample alone gives 1, so a sum below 1 means none is valid
+    best = jnp.argmin(jnp.where(valid, costs, jnp.inf))
+    excess = jnp.maximum(costs - costs[best], 0.0)
+    raw = jnp.exp(-excess * (cfg.cost_scale / cfg.temperature))
+    # A compiler may compute a cost twice, and round it otherwise for the minimum than for the difference from it. At
+    # large costs not even the best would then weigh anything.
+    raw = jnp.where(valid, jnp.where(jnp.arange(len(costs)) == best, 1.0, raw), 0.0)
+    return raw / jnp.maximum(jnp.sum(raw), 1.0)
 
 
 def shift(nominal: Float[Array, "T m"]) -> Float[Array, "T m"]:
@@ -145,7 +154,27 @@ def shift(nominal: Float[Array, "T m"]) -> Float[Array, "T m"]:
 
 
 def _clip(cfg: MppiConfig, u: Array) -> Array:
-    return jnp.clip(u, jnp.asarray(cfg.low), jnp.asarray(cfg.high))
+    return jnp.clip(u, jnp.asarray(cfg.low, u.dtype), jnp.asarray(cfg.high, u.dtype))
+
+
+def _checked_states(trajectories: Any, count: int) -> Any:
+    for leaf in jax.tree.leaves(trajectories):
+        if jnp.shape(leaf)[:1] != (count,):
+            raise ShmooError(
+                f"rollout_fn: the trajectory has an array of shape {jnp.shape(leaf)}; its first axis must be the "
+                f"{count} roll-outs."
+            )
+    return trajectories
+
+
+def _checked_costs(costs: Any, count: int) -> Array:
+    # Summed over the roll-outs too, they would all weigh the same.
+    if jnp.shape(costs) != (count,):
+        raise ShmooError(
+            f"cost_fn: the cost has shape {jnp.shape(costs)}; for {count} roll-outs it must have shape ({count},), one "
+            "number each."
+        )
+    return jnp.asarray(costs)
 
 
 def _finite(trees: Any, count: int) -> Array:

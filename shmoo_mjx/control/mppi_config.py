@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from shmoo_mjx.arrays import Float
+from shmoo_mjx.errors import ShmooError
 
 SPARE = 4096
 """By how many sequences the list of noise is longer than what a plan takes of it: so many different plans' noise."""
@@ -16,7 +18,11 @@ SPARE = 4096
 
 @dataclass(frozen=True)
 class MppiConfig:
-    """Static (hashable) settings, in the caller's units of control and cost."""
+    """Static (hashable) settings, in the caller's units of control and cost.
+
+    Raises:
+        ShmooError: a field that is not finite, out of its range, or not of the length of ``sigma``.
+    """
 
     sigma: tuple[float, ...]
     """Standard deviation of the control noise per channel; 0 freezes a channel, more searches wider and less finely."""
@@ -25,7 +31,8 @@ class MppiConfig:
     high: tuple[float, ...]
     """Upper bound per channel."""
     num_rollouts: int = 500
-    """S, roll-outs per plan; more make the plan less noisy, and computing time grows with them."""
+    """S, roll-outs per plan, at least 3: the first is the nominal, the second zero control, the others are sampled.
+    More make the plan less noisy, and computing time grows with them."""
     horizon: int = 30
     """T, time steps per roll-out; more see farther ahead, and computing time grows with them."""
     temperature: float = 0.7
@@ -38,16 +45,28 @@ class MppiConfig:
     deviation stays ``sigma``. 0 is Williams' white noise; near 1 each roll-out holds one perturbation throughout."""
 
     def __post_init__(self) -> None:
-        if not len(self.sigma) == len(self.low) == len(self.high):
-            raise ValueError("sigma, low and high need one entry per control channel")
-        if self.num_rollouts < 2 or self.horizon < 1:
-            raise ValueError("MPPI needs at least 2 roll-outs and a horizon of 1")
-        if not self.temperature > 0 or not self.cost_scale > 0:
-            raise ValueError("temperature and cost_scale must be positive")
+        for name in ("sigma", "low", "high"):
+            # Lists and arrays are welcome, but could not be hashed.
+            object.__setattr__(self, name, _numbers(name, getattr(self, name)))
+        for name in ("low", "high"):
+            count = len(getattr(self, name))
+            if count != self.controls:
+                raise ShmooError(
+                    f"MppiConfig: {name} has {count} entries and sigma {self.controls}; give one per control channel."
+                )
+        for name, least in (("num_rollouts", 3), ("horizon", 1)):
+            value = getattr(self, name)
+            if not isinstance(value, int | np.integer) or value < least:
+                raise ShmooError(f"MppiConfig: {name} is {value}; give a whole number from {least} on.")
+        for name in ("temperature", "cost_scale"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ShmooError(f"MppiConfig: {name} is {getattr(self, name)}; give a finite number above 0.")
         if not 0 <= self.noise_correlation < 1:
-            raise ValueError("noise_correlation must lie in [0, 1)")
-        if min(self.sigma) < 0 or any(lo > hi for lo, hi in zip(self.low, self.high, strict=True)):
-            raise ValueError("sigma must not be negative and low must not exceed high")
+            raise ShmooError(f"MppiConfig: noise_correlation is {self.noise_correlation}; give a number in [0, 1).")
+        if min(self.sigma) < 0:
+            raise ShmooError(f"MppiConfig: sigma is {self.sigma}; no entry may be negative.")
+        if any(low > high for low, high in zip(self.low, self.high, strict=True)):
+            raise ShmooError(f"MppiConfig: low is {self.low} and high {self.high}; low must not exceed high.")
 
     @property
     def controls(self) -> int:
@@ -57,6 +76,17 @@ class MppiConfig:
     def noise_list(self) -> Float[np.ndarray, "n T m"]:
         """Noise, of whose (S + 1) // 2 + SPARE sequences each plan takes a stretch; a subclass may have another."""
         return _coloured(self)
+
+
+def _numbers(name: str, values: Iterable[float]) -> tuple[float, ...]:
+    """One finite number per control channel."""
+    try:
+        found = tuple(float(value) for value in values)
+    except (TypeError, ValueError):
+        found = ()
+    if not found or not all(map(math.isfinite, found)):
+        raise ShmooError(f"MppiConfig: {name} is {values}; give one finite number per control channel.")
+    return found
 
 
 @lru_cache(maxsize=8)

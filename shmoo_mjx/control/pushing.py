@@ -18,7 +18,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from shmoo_mjx import se2
-from shmoo_mjx.arrays import Array, Float, Key, Scalar
+from shmoo_mjx.arrays import Array, Float, Key, Scalar, single_precision
 from shmoo_mjx.control import cost, models, mppi, sharding
 from shmoo_mjx.control.governor import GovernorConfig, forward_lean, govern
 from shmoo_mjx.control.observation import LocalDistanceField, ObjectObservation
@@ -123,6 +123,7 @@ class _Given(NamedTuple):
 class PushController:
     """Compiled functions for one set of weights and one configuration; no state of its own."""
 
+    @single_precision
     def __init__(self, weights: Weights, config: PushConfig | None = None) -> None:
         self.config = config or PushConfig()
         self.weights = weights
@@ -140,6 +141,7 @@ class PushController:
         )
         self._coast = jax.jit(partial(coast, self.config, weights.config))
 
+    @single_precision
     def init(
         self,
         obs: ObjectObservation,
@@ -155,6 +157,7 @@ class PushController:
         adapt, plan = sharding.replicated(self._mesh, (state.adapt, state.plan))
         return state._replace(adapt=adapt, plan=plan)
 
+    @single_precision
     def compile(self, around: LocalDistanceField) -> None:
         """Compile all that a push needs, for which the first contact waits otherwise; any ``around`` will do."""
         goal, half = np.array([1.9, 0.0, 0.0]), np.full(2, 0.3)
@@ -170,6 +173,7 @@ class PushController:
         state = self.init(_STILL, faces_of((0.3, 0.3))[0], half, jax.random.key(0))
         return _given(self.config, state, _STILL, np.zeros(3), np.zeros(3), half)[0]
 
+    @single_precision
     def step(
         self,
         state: ControllerState,
@@ -205,6 +209,7 @@ class PushController:
         u, *rest = self._compiled(params, adapt, plan, numbers, around)
         return np.asarray(u, dtype=float), *rest
 
+    @single_precision
     def planning_rollouts(
         self,
         state: ControllerState,
@@ -222,11 +227,13 @@ class PushController:
         )
         return np.asarray(poses), np.asarray(robots), np.asarray(costs)
 
+    @single_precision
     def coast(self, state: ControllerState) -> Float[np.ndarray, "3"]:
         """Where the object comes to rest in {W} if the hands let go of it now, as the adapted model has it."""
         return np.asarray(self._coast(self.weights.params, state.adapt, state.before), dtype=float)
 
 
+@single_precision
 def start(
     config: PushConfig,
     adapt: adaptation.AdaptState,
@@ -243,6 +250,7 @@ def start(
     return ControllerState(adapt, mppi.init(config.control, key), before, xp.asarray(obs.detected), xp.zeros(()))
 
 
+@single_precision
 def step(
     config: PushConfig,
     core_config: Any,
@@ -420,11 +428,13 @@ def _planning_rollouts(
     extra = _PLANNING_HORIZON - config.control.horizon
     nominal = jnp.concatenate([plan_state.nominal, jnp.repeat(plan_state.nominal[-1:], extra, axis=0)])
     rollout_fn, cost_fn = _functions(config, core_config, _with_coefficients(params, adapt), goal, around, half_extents)
-    key = jax.random.fold_in(plan_state.key, 1)
+    # Not 0 or 1: those are the keys that the next plan splits this one into.
+    key = jax.random.fold_in(plan_state.key, 2)
     plan = mppi.update(longer, rollout_fn, cost_fn, system, nominal, plan_state.last_u, key, mesh)
     return plan.trajectories.object_pose, plan.trajectories.robot_pose[..., :2], plan.costs
 
 
+@single_precision
 def coast(
     config: PushConfig, core_config: Any, params: core.Params, adapt: adaptation.AdaptState, state: SystemState
 ) -> Float[Array, "3"]:

@@ -20,7 +20,7 @@ from shmoo_mjx import se2
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.faces import faces_of, heading, stand_off
 from shmoo_mjx.files import claimed
-from shmoo_mjx.hands import HAND_HEIGHT, REACH
+from shmoo_mjx.hands import HAND_HEIGHT, REACH, touches
 from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 from shmoo_mjx.plant.robot import shmoobot
@@ -207,7 +207,7 @@ def sample(before: Observation, after: Observation, u: np.ndarray) -> dict[str, 
         "u": u,
         "force_robot": se2.rotate(wrench[:, :2], -before.robot_pose[:, 2]),
         "wrench_object": se2.rotate(wrench, -before.object_pose[:, 0, 2]),
-        "contact": np.hypot(wrench[:, 0], wrench[:, 1]) > 1.0,
+        "contact": touches(wrench),
     }
 
 

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from shmoo_mjx.arrays import Array, Float, Key, Scalar
+from shmoo_mjx.arrays import Array, Float, Key, Scalar, single_precision
 from shmoo_mjx.dynamics import contact_model, features, object_model, robot_model
 from shmoo_mjx.dynamics.features import Contact, Facing
 from shmoo_mjx.dynamics.fused import FusedEquivariantMLP
@@ -66,6 +66,7 @@ class _Models(NamedTuple):
     lean: LeanResponse
 
 
+@single_precision
 def init(key: Key[Array, ""], config: CoreConfig | None = None) -> Params:
     """Untrained parameters, with zero coefficients (an object that keeps its twist)."""
     config = config or CoreConfig()
@@ -78,6 +79,7 @@ def init(key: Key[Array, ""], config: CoreConfig | None = None) -> Params:
     )
 
 
+@single_precision
 def contact_wrench(
     state: SystemState,
     force: Float[Array, "... 2"],
@@ -97,6 +99,7 @@ def contact_wrench(
     return channels_last(_wrench(inside, face, touch, force, config))
 
 
+@single_precision
 def step(
     params: Params, state: SystemState, u: Float[Array, "... 3"], config: CoreConfig | None = None
 ) -> tuple[SystemState, Float[Array, "... 3"]]:
@@ -118,6 +121,7 @@ def step(
     return to_channels_last(new), channels_last(wrench)
 
 
+@single_precision
 def rollout(
     params: Params, state: SystemState, controls: Float[Array, "... T 3"], config: CoreConfig | None = None
 ) -> tuple[SystemState, Float[Array, "... T 3"]]:

@@ -208,7 +208,8 @@ def _pusher(method: str, weights: Weights, config: PushConfig) -> Pusher:
         return cast(Pusher, custom.asked(OWN, method, lambda: make(weights, config)))
     if method == "quasi_static":
         return QuasiStaticPusher(config.cost)
-    adapt = replace(config.adapt, coefficients=method == "eq8")
+    # For Eq. 8, which two of the methods learn by: its labels are differences of noisy twists.
+    adapt = replace(config.adapt, coefficients=method == "eq8", noise_scale=2.0)
     return PushController(weights, replace(config, adapt=adapt, adapts=method in ("ours", "eq8", "paper_form")))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from importlib import import_module
 
+from shmoo_mjx.arrays import single_precision
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult
 from shmoo_mjx.files import claimed
@@ -22,6 +23,7 @@ EXPERIMENTS = {
 """Name to module."""
 
 
+@single_precision
 def run_experiment(name: str, options: ExperimentOptions) -> ExperimentResult:
     """Run one experiment, in a folder of its own below ``options.out``."""
     if name not in EXPERIMENTS:

@@ -29,6 +29,7 @@ from shmoo_mjx.evaluation.pushing_trials import Runner, draw_trials
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.fingerprints import fingerprint
+from shmoo_mjx.hands import CONTACT_FORCE
 from shmoo_mjx.learning import online, robot_fit
 from shmoo_mjx.learning.robot_fit import RobotFitConfig, RobotSamples
 from shmoo_mjx.learning.samples import samples_from_dataset
@@ -187,7 +188,7 @@ def _one_step(weights: Weights, dataset: store.Dataset) -> dict[str, float]:
     rows: RobotSamples = robot_fit.samples_from_dataset(dataset)
     base, force = robot_model.predict(weights.params.robot, jnp.asarray(rows.inputs), weights.config.robot)
     error = (np.asarray(jnp.concatenate([base, force], axis=-1)) - rows.labels) ** 2 / rows.labels.var(axis=0)
-    touching = np.hypot(*rows.inputs[:, features.slices(features.ROBOT_INPUTS)["last_force"]].T) > 1.0
+    touching = np.hypot(*rows.inputs[:, features.slices(features.ROBOT_INPUTS)["last_force"]].T) > CONTACT_FORCE
     found = {f"mse_{name}": float(error[:, i].mean()) for i, name in enumerate(OUTPUTS)}
     found |= {"mse_contact": float(error[touching].mean()), "mse_free": float(error[~touching].mean())}
     return found | {"mse": float(error.mean())}

@@ -25,7 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from shmoo_mjx import se2
-from shmoo_mjx.arrays import Array
+from shmoo_mjx.arrays import Array, single_precision
 from shmoo_mjx.dynamics import features
 from shmoo_mjx.learning.baselines.protocol import Predictor, Recordings, first_samples
 from shmoo_mjx.types import DT
@@ -45,6 +45,7 @@ STRIDE = 5
 """Rows between the starts of two roll-outs."""
 
 
+@single_precision
 def score(
     predictor: Predictor,
     recorded: Recordings,

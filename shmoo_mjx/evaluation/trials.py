@@ -10,6 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from shmoo_mjx.arrays import single_precision
 from shmoo_mjx.files import write_whole
 from shmoo_mjx.processes import process_pool
 
@@ -55,12 +56,17 @@ def one_core() -> None:
 
 def _worked(trials: Mapping[str, Any], work: Work, workers: int) -> Iterator[tuple[str, list[dict[str, Any]]]]:
     if workers <= 1:
-        yield from ((name, work(given)) for name, given in trials.items())
+        yield from ((name, _tried(work, given)) for name, given in trials.items())
         return
     with process_pool(min(workers, os.cpu_count() or 1), one_core) as pool:
-        waiting = {pool.submit(work, given): name for name, given in trials.items()}
+        waiting = {pool.submit(_tried, work, given): name for name, given in trials.items()}
         for future in as_completed(waiting):
             yield waiting[future], future.result()
+
+
+@single_precision
+def _tried(work: Work, given: Any) -> list[dict[str, Any]]:
+    return work(given)
 
 
 @cache

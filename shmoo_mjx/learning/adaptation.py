@@ -13,7 +13,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from shmoo_mjx.arrays import Array, Float, Scalar
+from shmoo_mjx.arrays import Array, Float, Scalar, single_precision
 from shmoo_mjx.learning.identification import ContactEstimate, OnlineConfig
 from shmoo_mjx.types import DT
 
@@ -55,6 +55,7 @@ class AdaptState(NamedTuple):
     """Contact parameters of the object, if psi has the contact model; not touched by Eq. 8."""
 
 
+@single_precision
 def init(
     prior_mean: Float[Array, "3 K"] | Float[Array, "n"],
     prior_covariance: Float[Array, "n n"],
@@ -75,6 +76,7 @@ def init(
     return AdaptState(mean, covariance, mean, covariance, noise, contact)
 
 
+@single_precision
 def step(
     config: AdaptConfig,
     state: AdaptState,

@@ -25,7 +25,7 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from shmoo_mjx.arrays import Array, Float, Scalar
+from shmoo_mjx.arrays import Array, Float, Scalar, single_precision
 from shmoo_mjx.data import store
 from shmoo_mjx.dynamics import contact_model, networks, object_model
 from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
@@ -129,6 +129,7 @@ class _State(NamedTuple):
     key: Array
 
 
+@single_precision
 def train_object(
     data: str | Path | store.Dataset,
     out_dir: str | Path | None = None,
@@ -151,6 +152,7 @@ def train_object(
     return fit_samples(samples_from_dataset(train), samples_from_dataset(validation), config, out_dir, progress)
 
 
+@single_precision
 def fit(
     train: Mapping[str, tuple[Float[Array, "_N n_in"], Float[Array, "_N m"]]],
     validation: Mapping[str, tuple[Float[Array, "_N n_in"], Float[Array, "_N m"]]],
@@ -170,6 +172,7 @@ def fit(
     return fit_samples(samples_from_arrays(train), samples_from_arrays(validation), config, out_dir, progress)
 
 
+@single_precision
 def fit_samples(
     train: Samples,
     validation: Samples,
@@ -208,6 +211,7 @@ def fit_samples(
     return ObjectFit(model.params, *known, fitted.score, fitted.history, contact_prior, config.object)
 
 
+@single_precision
 def contacts_seen(config: DaimlConfig, fitted: ObjectFit, samples: Samples) -> Float[Array, "C p"]:
     """The contact parameters of conditions by their first ``config.fit_samples`` samples."""
     if not config.object.contact_model:

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.cluster.vq import kmeans2
 
-from shmoo_mjx.arrays import Array, Float, Scalar
+from shmoo_mjx.arrays import Array, Float, Scalar, single_precision
 from shmoo_mjx.dynamics import contact_model, features
 from shmoo_mjx.types import DT
 
@@ -90,6 +90,7 @@ class ContactEstimate(NamedTuple):
     cost: Float[Array, "... G"]
 
 
+@single_precision
 def prior_state(config: OnlineConfig, prior: ContactPrior, scale: Float[Array, "3"]) -> ContactEstimate:
     """Estimate before the first sample."""
     prior = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), prior)
@@ -105,6 +106,7 @@ def prior_state(config: OnlineConfig, prior: ContactPrior, scale: Float[Array, "
     )
 
 
+@single_precision
 def observe(
     config: OnlineConfig,
     state: ContactEstimate,
@@ -139,6 +141,7 @@ def broad_prior() -> ContactPrior:
     return ContactPrior(guess[None, :, 0], np.diag(1.0 / guess[:, 1])[None], np.zeros(1, np.float32))
 
 
+@single_precision
 def identify(
     config: IdentificationConfig,
     prior: ContactPrior,
@@ -162,6 +165,7 @@ def identify(
     return found[jnp.argmin(cost - prior.log_weight)]
 
 
+@single_precision
 def learn_prior(
     config: IdentificationConfig,
     scale: Float[Array, "3"],
@@ -201,6 +205,7 @@ def learn_prior(
     return prior, found
 
 
+@single_precision
 def from_stretches(
     config: IdentificationConfig,
     prior: ContactPrior,

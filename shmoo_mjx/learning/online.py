@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from shmoo_mjx.arrays import Array, Float, Scalar
+from shmoo_mjx.arrays import Array, Float, Scalar, single_precision
 from shmoo_mjx.dynamics import contact_model, object_model
 from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
 from shmoo_mjx.learning import adaptation, identification
@@ -21,6 +21,7 @@ _BELIEVABLE = 1e4
 """Size from which on a sample holds no measurement and teaches nothing [SI units]: no robot of this kind comes near."""
 
 
+@single_precision
 def observe(
     config: AdaptConfig,
     state: AdaptState,
@@ -52,6 +53,7 @@ def observe(
     return adaptation.step(config, state, phi, label, valid)
 
 
+@single_precision
 def contact_of(state: AdaptState) -> Float[Array, "p"]:
     """Contact parameters of the object; the first guess if psi has no contact model."""
     return contact_model.guess() if state.contact is None else identification.best(state.contact)

@@ -14,7 +14,7 @@ import numpy as np
 import optax
 
 from shmoo_mjx import se2
-from shmoo_mjx.arrays import Array, Float, Int
+from shmoo_mjx.arrays import Array, Float, Int, single_precision
 from shmoo_mjx.data import store
 from shmoo_mjx.dynamics import core, features, networks, robot_model
 from shmoo_mjx.dynamics.core import CoreConfig
@@ -85,6 +85,7 @@ class _State(NamedTuple):
     key: Array
 
 
+@single_precision
 def samples_from_dataset(dataset: store.Dataset) -> RobotSamples:
     """The samples of every condition of a data set; the first sample of an episode has no past and is left out."""
     found = [_condition_rows(arrays) for arrays in dataset.arrays]
@@ -107,6 +108,7 @@ def _condition_rows(arrays: dict[str, np.ndarray]) -> RobotSamples:
     return samples._replace(following=samples.following[:, 0].astype(np.int32))
 
 
+@single_precision
 def train_robot(
     data: str | Path | store.Dataset,
     out_dir: str | Path | None = None,
@@ -131,6 +133,7 @@ def train_robot(
     return fit_samples(samples_from_dataset(train), samples_from_dataset(validation), config, out_dir, progress, start)
 
 
+@single_precision
 def fit_samples(
     train: RobotSamples,
     validation: RobotSamples,
@@ -210,11 +213,11 @@ def _epoch(
     optimiser = _optimiser(config)
 
     def update(state: _State, _: None) -> tuple[_State, Array]:
-        key, sample_key, noise_key = jax.random.split(jax.random.wrap_key_data(state.key), 3)
+        key, sample_key, noise_key, window_key = jax.random.split(jax.random.wrap_key_data(state.key), 4)
         chosen = jax.random.randint(sample_key, (config.batch,), 0, samples.inputs.shape[0])
         x, y = samples.inputs[chosen], (samples.labels[chosen] - params.output_mean) / params.output_scale
         x = x + config.input_noise * state.net.scale * jax.random.normal(noise_key, x.shape)
-        picked = jax.random.randint(jax.random.fold_in(sample_key, 1), (config.windows,), 0, starts.shape[0])
+        picked = jax.random.randint(window_key, (config.windows,), 0, starts.shape[0])
 
         def loss_of(layers: Any) -> Array:
             net = state.net._replace(layers=layers)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from shmoo_mjx import se2
-from shmoo_mjx.arrays import Array, Float, Int, Key
+from shmoo_mjx.arrays import Array, Float, Int, Key, single_precision
 from shmoo_mjx.data import store
 from shmoo_mjx.dynamics import features
 
@@ -50,6 +50,7 @@ class Batch(NamedTuple):
     precision: Float[Array, "c m m"]
 
 
+@single_precision
 def samples_from_dataset(dataset: store.Dataset) -> Samples:
     """The samples of psi (OBJECT_INPUTS, acceleration in {O}) of every condition of a data set."""
     inputs, labels, weights, runs = [], [], [], []

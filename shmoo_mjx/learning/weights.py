@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from shmoo_mjx.arrays import Array, Float
+from shmoo_mjx.arrays import Array, Float, single_precision
 from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.dynamics import core, object_model
 from shmoo_mjx.dynamics.core import CoreConfig, Params
@@ -56,6 +56,7 @@ class Weights(NamedTuple):
     """What made each part (`learning.train.origin`), and scores; JSON-able."""
 
 
+@single_precision
 def untrained(config: CoreConfig | None = None, seed: int = 0) -> Weights:
     """Weights to fill in by `with_robot` and `with_object`."""
     config = config or CoreConfig()
@@ -66,6 +67,7 @@ def untrained(config: CoreConfig | None = None, seed: int = 0) -> Weights:
     return Weights(params, jnp.eye(n), jnp.eye(3), prior, config, {})
 
 
+@single_precision
 def prior_state(weights: Weights, config: OnlineConfig | None = None) -> AdaptState:
     """Initial state of the adaptation: the prior, before an object is touched."""
     contact = None
@@ -75,6 +77,7 @@ def prior_state(weights: Weights, config: OnlineConfig | None = None) -> AdaptSt
     return adaptation.init(weights.params.coefficients, weights.prior_covariance, weights.noise, contact)
 
 
+@single_precision
 def posterior_from_recording(
     weights: Weights,
     inputs: Float[Array, "N 13"],
@@ -109,6 +112,7 @@ def with_robot(weights: Weights, fit: RobotFit, config: RobotConfig | None = Non
     return weights._replace(params=params, config=core_config, info=info)
 
 
+@single_precision
 def with_object(weights: Weights, fit: ObjectFit) -> Weights:
     """The same weights with a newly trained psi and its prior."""
     prior = jax.tree.map(jnp.asarray, fit.contact_prior)
@@ -130,6 +134,7 @@ def save_weights(path: str | os.PathLike[str], weights: Weights) -> None:
     serialisation.save_tree(path, _arrays(weights), notes)
 
 
+@single_precision
 def load_weights(path: str | os.PathLike[str] | None = None) -> Weights:
     """Read what `save_weights` wrote, by default the weights that come with the package.
 

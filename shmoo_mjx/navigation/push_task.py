@@ -76,9 +76,7 @@ def pose_push_config() -> PushConfig:
     )  # fmt: skip
     # Small, slow noise: a plan that jumps about shakes what rolls off the hands.
     control = replace(base.control, sigma=(0.015, 0.012, 0.07), noise_correlation=0.95)
-    # Accelerations are differences of noisy twists.
-    adapt = replace(base.adapt, noise_scale=2.0)
-    return replace(base, cost=cost, control=control, adapt=adapt, governor_room=0.04, foresees_governor=True)
+    return replace(base, cost=cost, control=control, governor_room=0.04, foresees_governor=True)
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ import numpy as np
 from jax.sharding import AxisType, NamedSharding, PartitionSpec
 
 from shmoo_mjx import se2
-from shmoo_mjx.arrays import Array, Bool, Float
+from shmoo_mjx.arrays import Array, Bool, Float, single_precision
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.plant import lowlevel
@@ -66,6 +66,7 @@ def check_backend(impl: str, walls: bool = False) -> None:
         )
 
 
+@single_precision
 def stack_models(models: Sequence[mjx.Model]) -> tuple[mjx.Model, mjx.Model]:
     """One model whose differing arrays have a leading axis W, and the ``in_axes`` tree that says which those are."""
     leaves = [jax.tree.leaves(m) for m in models]
@@ -99,6 +100,7 @@ class MjxEngine:
     model: mjx.Model
     """Of all worlds; what differs between them has a leading axis W."""
 
+    @single_precision
     def __init__(
         self,
         scenes: Sequence[Scene],
@@ -151,6 +153,7 @@ class MjxEngine:
         self._dry = self._dry | np.any([model.dof_frictionloss > 0 for model in models.values()], axis=0)
         return {key: _put(model, self._impl, self._dry, *self._solver) for key, model in models.items()}
 
+    @single_precision
     def change(self, scenes: Sequence[Scene]) -> None:
         """Go on with other scenes of the same structure; the worlds' states stay as they are.
 
@@ -184,6 +187,7 @@ class MjxEngine:
         worlds = len(self.scenes) // self._mesh.size
         return mjx.make_data(model, impl="warp", naconmax=worlds * len(most.contact.dist), njmax=len(most.efc_type))
 
+    @single_precision
     def with_model(self, model: mjx.Model, in_axes: mjx.Model) -> MjxEngine:
         """The same engine on another model of the same structure, such as plant/randomize.py makes."""
         other = copy.copy(self)
@@ -208,6 +212,7 @@ class MjxEngine:
 
         self._batched = jax.jit(step_all, static_argnames="substeps", out_shardings=self._placement)
 
+    @single_precision
     def init(self) -> MjxWorld:
         """All worlds at their scenes' starting configuration, arms folded."""
         worlds, nv = len(self.scenes), self.scenes[0].model.nv
@@ -223,6 +228,7 @@ class MjxEngine:
         # As committed to the device as every later state is; or the second step would compile again.
         return jax.device_put(world, self._placement)
 
+    @single_precision
     def scratch_bytes(self) -> int:
         """Memory the compiled sample of all worlds takes beside its inputs and outputs, on all devices together."""
         world = self.init()
@@ -233,10 +239,12 @@ class MjxEngine:
         analysis = lowered.compile().memory_analysis()
         return 0 if analysis is None else int(analysis.temp_size_in_bytes) * self._mesh.size
 
+    @single_precision
     def observe(self, world: MjxWorld) -> Observation:
         """The worlds as they are, with no wrench."""
         return self._observed(world.physics)
 
+    @single_precision
     def step(
         self, world: MjxWorld, command: Command, duration: float = DT, push: Float[Array, "W 6"] | None = None
     ) -> tuple[MjxWorld, Observation]:
@@ -248,6 +256,7 @@ class MjxEngine:
         command, push = jax.device_put(jax.tree.map(jnp.asarray, (command, push)), self._placement)
         return self._batched(self.model, world, command, push, substeps=round(duration / self.timestep))
 
+    @single_precision
     def step_one(
         self,
         model: mjx.Model,
@@ -299,14 +308,17 @@ class MjxEngine:
         physics, torque, wrench, touched = (np.stack(column) for column in zip(*rows, strict=True))
         return world, Track(physics.astype(float), torque.astype(float), wrench.mean(axis=0), touched.any(axis=0))
 
+    @single_precision
     def robot(self, world: MjxWorld) -> RobotState:
         """The robots' true state, batched ``[W, ...]``."""
         return readout(*self._split(world.physics))
 
+    @single_precision
     def torque(self, world: MjxWorld, command: Command) -> Float[Array, "... 9"]:
         """Motor torques [N m] that the control asks for now; what a robot measures as motor currents."""
         return self._asked(world, command)
 
+    @single_precision
     def fallen(self, world: MjxWorld) -> Bool[Array, "..."]:
         """Whether the body leans more than 0.6 rad."""
         return jnp.any(jnp.abs(se2.wrap(self.robot(world).lean)) > 0.6, axis=-1)

@@ -19,7 +19,7 @@ import mujoco
 import numpy as np
 
 from shmoo_mjx import se2
-from shmoo_mjx.arrays import Array, Bool, Float
+from shmoo_mjx.arrays import Array, Bool, Float, single_precision
 from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.plant import lowlevel
 from shmoo_mjx.plant.observe import observation, planar_wrench
@@ -176,6 +176,7 @@ class MujocoEngine:
         physics, torque = (np.concatenate([getattr(t, name) for t in tracks], axis=1) for name in ("physics", "torque"))
         return joined, Track(physics, torque, np.concatenate([t.wrench for t in tracks]), joined.wall_parts)
 
+    @single_precision
     def _hold(
         self, part: slice, world: World, command: Command, push: np.ndarray | None, readings: int, substeps: int
     ) -> tuple[World, Track]:
@@ -236,6 +237,7 @@ class MujocoEngine:
             kept[key] = _Stage(model, mujoco.MjData(model))
         return kept[key]
 
+    @single_precision
     def torque(self, world: World, command: Command) -> Float[np.ndarray, "W 9"]:
         """Motor torques [N m] that the control asks for now; what a robot measures as motor currents."""
         qpos, qvel = self._split(world.physics)

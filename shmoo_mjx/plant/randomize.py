@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from shmoo_mjx.arrays import Array, Float, Key, Scalar
+from shmoo_mjx.arrays import Array, Float, Key, Scalar, single_precision
 from shmoo_mjx.plant.scene import Scene
 
 
@@ -53,6 +53,7 @@ class Factors(NamedTuple):
     object_friction: Scalar
 
 
+@single_precision
 def randomize(model: Any, keys: Key[Array, "W"], scene: Scene, ranges: Ranges | None = None) -> tuple[Any, Any]:
     """Draw one model per key.
 
@@ -72,6 +73,7 @@ def randomize(model: Any, keys: Key[Array, "W"], scene: Scene, ranges: Ranges | 
     return model.tree_replace(drawn), in_axes.tree_replace(dict.fromkeys(drawn, 0))
 
 
+@single_precision
 def perturbed(model: Any, factors: Factors, scene: Scene) -> dict[str, Float[Array, "..."]]:
     """The fields of ``mjx.Model`` that ``factors`` change, for one world, with their new values."""
     names = scene.model

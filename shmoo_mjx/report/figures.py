@@ -10,6 +10,7 @@ import numpy as np
 
 from shmoo_mjx.arrays import Array
 from shmoo_mjx.dynamics import contact_model
+from shmoo_mjx.hands import CONTACT_FORCE
 from shmoo_mjx.report.style import COLOURS, SERIES, blank_figure, object_colour, outline, show_cells, window
 from shmoo_mjx.report.trace import Trace, is_number, object_index, object_name, telling_decisions
 
@@ -19,8 +20,6 @@ if TYPE_CHECKING:
 
 _MOST_COLUMNS = 5
 """Pushes that fit beside each other in the figure of what was learned."""
-_CONTACT_FORCE = 1.0
-"""Force from which the hands count as touching, for the marks in the figures only [N]."""
 
 
 def map_figure(result: dict[str, Any], trace: Trace) -> Figure:
@@ -291,7 +290,7 @@ def _pushes(trace: Trace) -> list[slice]:
 
 
 def _contact_begins(trace: Trace) -> np.ndarray:
-    touching = np.linalg.norm(np.nan_to_num(np.asarray(trace.force, dtype=float)), axis=-1) > _CONTACT_FORCE
+    touching = np.linalg.norm(np.nan_to_num(np.asarray(trace.force, dtype=float)), axis=-1) > CONTACT_FORCE
     begins = np.flatnonzero(touching & ~np.r_[False, touching[:-1]])
     # Contact that flickers would fill the figure with lines: one per second is enough.
     kept: list[float] = []

@@ -6,10 +6,11 @@ Each device takes an equal part of the worlds and nothing passes between them.
 
 from __future__ import annotations
 
-import functools
 import os
 import time
 from collections.abc import Callable, Sequence
+from enum import IntEnum
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,8 +20,9 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from shmoo_mjx import se2
-from shmoo_mjx.arrays import Array
+from shmoo_mjx.arrays import Array, single_precision
 from shmoo_mjx.control.observation import ObjectObservation
+from shmoo_mjx.hands import CONTACT_FORCE
 from shmoo_mjx.learning.weights import Weights
 from shmoo_mjx.navigation.push_task import AT_REST
 from shmoo_mjx.plant.engine_mjx import MjxEngine, MjxWorld
@@ -47,6 +49,16 @@ _AT_ONCE = 4
 """Worlds whose plans a CPU computes at a time: more would leave its caches."""
 _SHARE = 0.8
 """Of the free memory that a batch may take."""
+
+
+class Stream(IntEnum):
+    """What a world's random numbers are for."""
+
+    CONTROLLER = 0
+    FIRST_LOOK = 1
+    SENSES = 2
+    DROP_OUTS = 3
+    SWEPT_NOISE = 4
 
 
 class State(NamedTuple):
@@ -76,6 +88,7 @@ class Batches:
         devices: to share the worlds out among; all that JAX sees by default.
     """
 
+    @single_precision
     def __init__(
         self,
         config: SweepConfig,
@@ -112,7 +125,7 @@ class Batches:
             lambda x: jax.ShapeDtypeStruct((self.batch, *x.shape[1:]), x.dtype, sharding=self._each), self._one
         )
         each, shared = PartitionSpec("world"), PartitionSpec()
-        parted = functools.partial(jax.shard_map, mesh=self.mesh, out_specs=each, check_vma=False)
+        parted = partial(jax.shard_map, mesh=self.mesh, out_specs=each, check_vma=False)
         begin = parted(jax.vmap(self._begin, in_axes=(None, 0)), in_specs=(shared, each))
         self._start = jax.jit(begin).lower(self._nominal, shapes).compile()
         state = jax.eval_shape(begin, self._nominal, shapes)
@@ -124,6 +137,7 @@ class Batches:
         size = sum(getattr(used, f"{part}_size_in_bytes", 0) for part in parts)
         self.bytes = int(size - getattr(used, "alias_size_in_bytes", 0)) * self.mesh.size
 
+    @single_precision
     def time_one(self) -> float:
         """Seconds that a whole batch takes, by its first second on the sweep's first world."""
         many = jax.tree.map(lambda x: jnp.repeat(x, self.batch, axis=0), self._one)
@@ -134,6 +148,7 @@ class Batches:
         jax.block_until_ready(self._advance(self._nominal, many, state))
         return (time.perf_counter() - began) * self.config.seconds
 
+    @single_precision
     def run(
         self, worlds: Sequence[Drawn], progress: Callable[[float], None] = lambda fraction: None
     ) -> list[dict[str, Any]]:
@@ -156,7 +171,7 @@ class Batches:
         physics = jnp.concatenate([jnp.zeros(1), given.qpos, jnp.zeros(self.scene.model.nv)])
         world = jax.tree.map(jnp.asarray, self._still)._replace(physics=physics)
         truth = self.engine.observe(world)
-        noise = jax.random.normal(jax.random.fold_in(given.key, 0), (1, 1, 3))
+        noise = jax.random.normal(key_of(given, Stream.FIRST_LOOK), (1, 1, 3))
         # It knows where the object stands.
         sensor_state = sensing.first_state(
             self._senses, given.sensing, given.scenery, truth.robot_pose[None], truth.object_pose[None], noise,
@@ -166,7 +181,7 @@ class Batches:
         still = Command(jnp.zeros(3), truth.robot_pose[2], world.control.reach, world.control.hand_height)
         sent = jax.tree.map(lambda x: jnp.broadcast_to(x, (_MOST // _TICKS + 1, *jnp.shape(x))), still)
         seen = _perceived(self._senses, given, truth, sensor_state, jnp.zeros(3), jnp.int32(0))
-        memory = pushers.init(self._policy, seen, _task(given), _controller_key(given))
+        memory = pushers.init(self._policy, seen, _task(given), key_of(given, Stream.CONTROLLER))
         zero = jnp.float32(0.0)
         tally = Tally(zero, zero, zero, zero, truth.object_pose[0])
         return State(world, sent, sensor_state, seen, memory, jnp.int32(0), tally)
@@ -179,7 +194,7 @@ class Batches:
             return pushers.step(self._policy, memory, seen, given[0], given[1], samples >= _SECOND)
 
         def sample(state: State, _: None) -> tuple[State, None]:
-            asked = (jax.vmap(_task)(given), jax.vmap(_controller_key)(given))
+            asked = (jax.vmap(_task)(given), jax.vmap(partial(key_of, stream=Stream.CONTROLLER))(given))
             known = (state.memory, state.seen, state.samples)
             if self.mesh.devices.flat[0].platform == "cpu":
                 command, memory = jax.lax.map(lambda x: step(*x), (asked, known), batch_size=_AT_ONCE)
@@ -220,8 +235,8 @@ class Batches:
 
     def _watched(self, given: WorldSetup, state: State, track: Any) -> SensorState:
         """The senses after the sample's ticks, of which ``track [T, ...]`` is the truth."""
-        key = jax.random.fold_in(jax.random.fold_in(given.key, 1_000_003), state.samples)
-        normal, uniform = jax.random.normal(key, (_TICKS, 9)), jax.random.uniform(key, (_TICKS, 1, 1, 2))
+        normal = jax.random.normal(key_of(given, Stream.SENSES, state.samples), (_TICKS, 9))
+        uniform = jax.random.uniform(key_of(given, Stream.DROP_OUTS, state.samples), (_TICKS, 1, 1, 2))
 
         def look(sensor_state: SensorState, at: Any) -> tuple[SensorState, None]:
             robot, thing, drawn, chance, number = at
@@ -245,15 +260,16 @@ def _task(given: WorldSetup) -> pushers.WorldGoal:
     return pushers.WorldGoal(given.face, given.half_extents, given.goal)
 
 
-def _controller_key(given: WorldSetup) -> Array:
-    return jax.random.fold_in(given.key, 0)
+def key_of(given: WorldSetup, stream: Stream, sample: Array | int = 0) -> Array:
+    """Random key of one world for one use in one sample; every random number of a batch is drawn with one of these."""
+    return jax.random.fold_in(jax.random.fold_in(given.key, stream), sample)
 
 
 def _perceived(
     senses: Senses, given: WorldSetup, truth: Any, sensor_state: SensorState, wrench: Array, samples: Array
 ) -> ObjectObservation:
     """What the robot's senses make of the truth, with the swept noise; perfect ones see late at most."""
-    error = given.noise * jax.random.normal(jax.random.fold_in(given.key, samples + 1), (11,))
+    error = given.noise * jax.random.normal(key_of(given, Stream.SWEPT_NOISE, samples), (11,))
     if senses.perfect:
         late = given.sensing.frame_delay
         pose, before = (
@@ -296,7 +312,7 @@ def _counted(tally: Tally, truth: Any, wrench: Array, samples: Array) -> Tally:
     force = jnp.hypot(wrench[0], wrench[1])
     return Tally(
         time=samples * DT,
-        contact=tally.contact + jnp.where(force > 2.0, DT, 0.0),
+        contact=tally.contact + jnp.where(force > CONTACT_FORCE, DT, 0.0),
         lean=jnp.maximum(tally.lean, jnp.hypot(truth.lean[0], truth.lean[1])),
         force=jnp.maximum(tally.force, force),
         pose=truth.object_pose[0],

@@ -180,6 +180,7 @@ def setup(config: SweepConfig, worlds: Sequence[Drawn], nominal: Any, scene: Sce
     pose = column("noise.position", "noise.position", "noise.yaw")
     twist = column("noise.velocity", "noise.velocity", "noise.yaw_rate")
     gains = [n for n in PARAMETERS if n.startswith("gains.")]
+    family = zlib.crc32(label(worlds[0].condition.family).encode())
     indices = jnp.asarray([w.index for w in worlds], dtype=jnp.uint32)
     return WorldSetup(
         fields=fields,
@@ -193,7 +194,7 @@ def setup(config: SweepConfig, worlds: Sequence[Drawn], nominal: Any, scene: Sce
         face=np.stack([w.face for w in worlds]).astype(np.float32),
         half_extents=np.array([w.condition.half_extents for w in worlds], dtype=np.float32),
         goal=np.stack([w.goal for w in worlds]).astype(np.float32),
-        key=jax.vmap(partial(jax.random.fold_in, jax.random.key(config.seed)))(indices),
+        key=jax.vmap(partial(jax.random.fold_in, jax.random.fold_in(jax.random.key(config.seed), family)))(indices),
     )
 
 

@@ -49,3 +49,19 @@ def test_a_server_without_egl_goes_without_pictures(monkeypatch: pytest.MonkeyPa
 def test_without_graphics_the_doctor_says_so_and_is_content(tmp_path: Path) -> None:
     done = shmoo("doctor", tmp_path, MUJOCO_GL="disable")
     assert done.returncode == 0 and "note  3-D renderer: MUJOCO_GL is disable" in done.stdout
+
+
+@pytest.mark.parametrize("package", ["flax", "orbax"])
+def test_the_doctor_finds_what_training_lacks(tmp_path: Path, package: str) -> None:
+    """As a version of the package does that is too old for JAX."""
+    (tmp_path / package).mkdir()
+    (tmp_path / package / "__init__.py").write_text("raise AttributeError('jax has no attribute of that name')")
+    done = shmoo("doctor", tmp_path, PYTHONPATH=str(tmp_path))
+    assert done.returncode == 1 and "Traceback" not in done.stderr + done.stdout
+    assert "FAIL  training: AttributeError: jax has no attribute of that name" in done.stdout
+    assert package in done.stdout.partition("FAIL  training")[2].splitlines()[1]
+
+
+def test_the_doctor_says_what_training_has(tmp_path: Path) -> None:
+    done = shmoo("doctor", tmp_path)
+    assert done.returncode == 0 and "ok    training: flax " in done.stdout

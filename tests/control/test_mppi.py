@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -14,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shmoo_mjx.control import mppi
+from shmoo_mjx.errors import ShmooError
 
 DT = 0.2
 CFG = mppi.MppiConfig(
@@ -83,6 +85,49 @@ def test_weights_sum_to_one_whatever_the_costs(costs: list[float], temperature: 
     assert np.isfinite(weights).all() and (weights >= 0).all()
     assert (weights[~np.asarray(valid)] == 0).all()
     assert weights.sum() == pytest.approx(1.0 if np.asarray(valid).any() else 0.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("scale", 10.0 ** np.arange(-3, 10))
+def test_under_jit_costs_of_any_size_choose_the_control_that_they_choose_eagerly(scale: float) -> None:
+    """A compiler may round a cost otherwise where it takes the minimum than where it takes the difference."""
+    cfg = replace(CFG, num_rollouts=64, horizon=10, sigma=(1.0,) * 3, temperature=0.7)
+
+    def cost(traj: Any, controls: Any, last_u: Any) -> Any:
+        return scale * jnp.sum((traj - 1) ** 2, axis=(-2, -1))
+
+    plan = partial(mppi.plan, cfg, integrate, cost, X0, mppi.init(cfg, jax.random.key(0)))
+    (u, _, jitted), (expected, _, eager) = jax.jit(plan)(), plan()
+    for found in (jitted, eager):
+        assert bool(found.ok) and float(found.weights.sum()) == pytest.approx(1.0, abs=1e-5)
+        assert float(found.weights[jnp.argmin(found.costs)]) == float(found.weights.max()) > 0
+    np.testing.assert_allclose(u, expected, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("cost", "shape"),
+    [
+        (lambda t, c, last: jnp.sum(t**2), "()"),
+        (lambda t, c, last: jnp.sum(t**2)[None], "(1,)"),
+        (lambda t, c, last: jnp.sum(t**2, axis=-1), "(600, 6)"),
+        (lambda t, c, last: 1.0, "()"),
+    ],
+)
+def test_a_cost_that_is_not_one_number_per_rollout_is_refused(cost: Any, shape: str) -> None:
+    run = partial(mppi.plan, CFG, integrate, cost, X0)
+    with pytest.raises(ShmooError, match=re.escape(shape)) as refused:
+        jax.jit(run).lower(mppi.init(CFG, jax.random.key(0)))
+    assert "(600,)" in str(refused.value) and "cost_fn" in str(refused.value)
+
+
+def test_a_trajectory_without_the_rollouts_first_is_refused() -> None:
+    run = partial(mppi.plan, CFG, lambda x0, c: jnp.swapaxes(integrate(x0, c), 0, 1), quadratic, X0)
+    with pytest.raises(ShmooError, match="rollout_fn"):
+        run(mppi.init(CFG, jax.random.key(0)))
+
+
+def test_lists_and_arrays_make_the_config_that_tuples_make() -> None:
+    assert replace(CFG, sigma=[0.3] * 3, low=np.full(3, -5.0), high=[5] * 3) == CFG
+    assert len({replace(CFG, sigma=[0.3] * 3), CFG}) == 1
 
 
 def test_temperature_limits_and_cost_scale() -> None:
@@ -222,13 +267,35 @@ def test_batch_equals_one_by_one_and_compiles_once() -> None:
     "bad",
     [
         {"temperature": 0.0},
-        {"num_rollouts": 1},
+        {"temperature": np.nan},
+        {"num_rollouts": 2},
+        {"num_rollouts": 20.5},
+        {"horizon": 0},
         {"noise_correlation": 1.0},
-        {"sigma": (0.1,)},
+        {"noise_correlation": np.nan},
+        {"sigma": (0.1, -0.1, 0.1)},
+        {"sigma": (0.1, np.nan, 0.1)},
+        {"sigma": 0.1},
+        {"sigma": ()},
         {"low": (6.0, 0.0, 0.0)},
+        {"low": (-1.0,)},
+        {"low": (np.nan, -1.0, -1.0)},
+        {"high": (np.inf, 1.0, 1.0)},
+        {"high": [1.0, 1.0]},
         {"cost_scale": -1.0},
+        {"cost_scale": np.inf},
     ],
 )
-def test_config_rejects_nonsense(bad: dict[str, Any]) -> None:
-    with pytest.raises(ValueError):
+def test_config_names_the_field_that_is_wrong(bad: dict[str, Any]) -> None:
+    with pytest.raises(ShmooError, match=next(iter(bad))):
         replace(CFG, **bad)
+
+
+def test_sigma_of_another_length_than_the_bounds_is_refused() -> None:
+    with pytest.raises(ShmooError, match="sigma"):
+        replace(CFG, sigma=(0.1,))
+
+
+def test_three_rollouts_are_the_least_and_do_sample() -> None:
+    _, _, plan = mppi.plan(replace(CFG, num_rollouts=3), integrate, quadratic, X0, mppi.init(CFG, jax.random.key(0)))
+    assert np.abs(plan.controls[2]).max() > 0.01

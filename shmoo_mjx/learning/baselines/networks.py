@@ -39,10 +39,12 @@ def gru(job: Job) -> Predictor:
     """A recurrent network reads inputs and labels of the context; its last memory goes into the network's inputs."""
     sees, scale = sight(job), output_scale(job.train.samples)
     cell, head = nn.GRUCell(MEMORY), MLP((*HIDDEN, scale.shape[0]), "relu")
-    keys, empty = jax.random.split(jax.random.key(job.seed)), jnp.zeros(MEMORY)
+    # `meta_train` folds 1 into the same key.
+    cell_key, head_key = jax.random.split(jax.random.fold_in(jax.random.key(job.seed), 0))
+    empty = jnp.zeros(MEMORY)
     start = {
-        "cell": cell.init(keys[0], empty, jnp.concatenate([sees.mean, scale])),
-        "head": head.init(keys[1], jnp.concatenate([sees.mean, empty])),
+        "cell": cell.init(cell_key, empty, jnp.concatenate([sees.mean, scale])),
+        "head": head.init(head_key, jnp.concatenate([sees.mean, empty])),
     }
 
     def predictor(params: Any) -> Predictor:
