@@ -248,11 +248,18 @@ def map_(
         out: picture to write.
         radius: robot radius [m].
     """
-    from shmoo_mjx.navigation.maps import load_map
+    from shmoo_mjx.navigation.maps import count_free_unknown, load_map
     from shmoo_mjx.report.map_picture import draw_map
 
-    draw_map(load_map(map), radius, out)
+    grid = load_map(map)
+    draw_map(grid, radius, out)
     print(out)
+    if count := count_free_unknown(map):
+        area = count * grid.resolution**2
+        print(
+            f"{count} cells ({area:.0f} m2) count as free only because 'free_thresh' lets grey 205 be free, which "
+            f"map_saver writes for unknown cells; if they are unknown, set free_thresh: 0.196 in {map}."
+        )
     return 0
 
 

@@ -130,6 +130,7 @@ LAYERS = (
         "progress",
         "processes",
         "seeds",
+        "schema",
         "options",
         "custom",
     },
