@@ -52,7 +52,8 @@ def test_thresholds_are_inclusive(tmp_path: Path) -> None:
     assert cells_of(tmp_path, [[204, 51]], free_thresh=0.2, occupied_thresh=0.8) == [[FREE, OCCUPIED]]
     assert cells_of(tmp_path, [[204, 51]], free_thresh=0.1999, occupied_thresh=0.8001) == [[UNKNOWN, UNKNOWN]]
     assert cells_of(tmp_path, [[51, 204]], free_thresh=0.2, occupied_thresh=0.8, negate=1) == [[FREE, OCCUPIED]]
-    assert cells_of(tmp_path, [[102]], free_thresh=0.6, occupied_thresh=0.6) == [[FREE]]
+    assert cells_of(tmp_path, [[51, 255]], free_thresh=0.8, occupied_thresh=0.8) == [[FREE, FREE]]
+    assert cells_of(tmp_path, [[255, 254, 0]], free_thresh=0.0, occupied_thresh=1.0) == [[FREE, UNKNOWN, OCCUPIED]]
 
 
 @pytest.mark.parametrize("negate", [1, True])
