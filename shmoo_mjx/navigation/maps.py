@@ -146,7 +146,7 @@ def count_free_unknown(yaml_path: str | Path) -> int:
     return int((unknown & (_interpret(grey, opaque, meta) == FREE)).sum()) if meta.mode != "raw" else 0
 
 
-def _read(path: Path) -> tuple[_MapYaml, Int[np.ndarray, "H W"], Bool[np.ndarray, "H W"]]:
+def _read(path: Path) -> tuple[_MapYaml, Shaped[np.ndarray, "H W"], Bool[np.ndarray, "H W"]]:
     """The YAML, the image's grey 0..255, and which of its pixels are opaque; row 0 at the top."""
     meta = validated(_MapYaml, read_mapping(path, "map"), path)
     image_path = path.parent / meta.image
@@ -155,7 +155,7 @@ def _read(path: Path) -> tuple[_MapYaml, Int[np.ndarray, "H W"], Bool[np.ndarray
     return meta, *_pixels(image_path, path)
 
 
-def _pixels(image_path: Path, yaml_path: Path) -> tuple[Int[np.ndarray, "H W"], Bool[np.ndarray, "H W"]]:
+def _pixels(image_path: Path, yaml_path: Path) -> tuple[Shaped[np.ndarray, "H W"], Bool[np.ndarray, "H W"]]:
     from PIL import Image
 
     what = f"{yaml_path}: 'image' names {image_path.name}, which"
@@ -188,7 +188,9 @@ def _pixels(image_path: Path, yaml_path: Path) -> tuple[Int[np.ndarray, "H W"], 
         raise ShmooError(f"{what} is no readable image; give a whole PGM or PNG file.") from None
 
 
-def _interpret(grey: Int[np.ndarray, "H W"], opaque: Bool[np.ndarray, "H W"], meta: _MapYaml) -> Int[np.ndarray, "H W"]:
+def _interpret(
+    grey: Shaped[np.ndarray, "H W"], opaque: Bool[np.ndarray, "H W"], meta: _MapYaml
+) -> Int[np.ndarray, "H W"]:
     if meta.mode == "raw":
         return np.where(grey <= OCCUPIED, grey.astype(np.int16), UNKNOWN).astype(np.int8)
     # In single precision as there, so that thresholds that a grey just meets fall to the same side.

@@ -97,6 +97,8 @@ class ObjectEntry(_Strict):
             for number in given if isinstance(given, list | tuple) else [given]:
                 if not isinstance(number, int | float) or not math.isfinite(number):
                     raise ValueError(f"gives {name} = {number!r}; give a finite number, true, false or a list of them.")
+                if isinstance(number, bool) and name != "locked":
+                    raise ValueError(f"gives {name} = {str(number).lower()}; give a number.")
                 if number < 0 and name in _NEVER_NEGATIVE:
                     raise ValueError(f"gives {name} = {number:g}, which must not be negative; give a positive number.")
         return value

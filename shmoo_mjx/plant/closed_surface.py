@@ -78,14 +78,14 @@ def _closed(part: Any) -> _Surface | None:
     return None
 
 
-def _edges(faces: Int[np.ndarray, "F 3"], vertices: int) -> tuple[Int[np.ndarray, "3F"], Int[np.ndarray, "E"]]:
+def _edges(faces: Int[np.ndarray, "F 3"], vertices: int) -> tuple[Int[np.ndarray, "3*F"], Int[np.ndarray, "E"]]:
     """Number of the edge of each side of each face, and how many faces each edge has."""
     ends = np.sort(_sides(faces), axis=1).astype(np.int64)
     _, edge, count = np.unique(ends[:, 0] * vertices + ends[:, 1], return_inverse=True, return_counts=True)
     return edge, count
 
 
-def _sides(faces: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, "3F 2"]:
+def _sides(faces: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, "3*F 2"]:
     return np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
 
 
