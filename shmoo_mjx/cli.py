@@ -248,11 +248,18 @@ def map_(
         out: picture to write.
         radius: robot radius [m].
     """
-    from shmoo_mjx.navigation.maps import load_map
+    from shmoo_mjx.navigation.maps import count_free_unknown, load_map
     from shmoo_mjx.report.map_picture import draw_map
 
-    draw_map(load_map(map), radius, out)
+    grid = load_map(map)
+    draw_map(grid, radius, out)
     print(out)
+    if count := count_free_unknown(map):
+        area = count * grid.resolution**2
+        print(
+            f"{count} cells ({area:.0f} m2) count as free only because 'free_thresh' lets grey 205 be free, which "
+            f"map_saver writes for unknown cells; if they are unknown, set free_thresh: 0.196 in {map}."
+        )
     return 0
 
 
@@ -297,7 +304,7 @@ def object_(
     hull: bool = False,
     out: Path | None = None,
 ) -> int:
-    """Turn a mesh (STL, OBJ, PLY, GLB) or MJCF file into an object that a scenario can name as its family.
+    """Turn a mesh (STL, OBJ, PLY, GLB, Collada) or MJCF file into an object that a scenario can name as its family.
 
     Example: shmoo object add chair.stl --mass 7 --friction 0.4 --wheels casters
 
@@ -310,8 +317,8 @@ def object_(
         wheel_radius: [m].
         rolling: rolling resistance coefficient of each wheel.
         swivel_friction: dry friction of each caster's swivel [N m].
-        scale: metres per unit of the file; 0.001 for millimetres.
-        up: which axis of the file points up; auto is y for GLB and glTF, else z.
+        scale: metres per unit of the file: 0.001 for millimetres, 0.01 for centimetres, 0.0254 for inches.
+        up: which axis of the file points up; auto is y for GLB and glTF, what a Collada file states, else z.
         hull: take the mass distribution of the convex hull, for a mesh that is not closed.
         out: file to write (default: the source's name with .json, in the present folder).
     """

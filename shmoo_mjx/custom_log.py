@@ -28,8 +28,8 @@ from shmoo_mjx.learning.weights import Weights, prior_state
 from shmoo_mjx.navigation import mobility
 from shmoo_mjx.navigation.records import NavigatorConfig
 from shmoo_mjx.navigation.verdicts import PROBE_TIME
-from shmoo_mjx.navigation.yaml_input import closest_name
 from shmoo_mjx.report.trace import Trace, save_trace
+from shmoo_mjx.schema import closest_name
 from shmoo_mjx.types import DT
 from shmoo_mjx.versions import versions
 

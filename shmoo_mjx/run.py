@@ -17,6 +17,7 @@ from shmoo_mjx.files import claimed, write_whole
 from shmoo_mjx.navigation.maps import OccupancyGrid, save_map
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Scenario, check_scenario, save_scenario
 from shmoo_mjx.options import SensesName, shortened
+from shmoo_mjx.schema import check_angle
 from shmoo_mjx.seeds import check_seed
 from shmoo_mjx.types import DT
 from shmoo_mjx.verbosity import is_quiet
@@ -192,4 +193,9 @@ def _numbers(option: str, text: str, count: int) -> Any:
         values = ()
     if len(values) != count or not all(map(math.isfinite, values)):
         raise ShmooError(f"{option} {shortened(text)!r} must be {count} finite numbers separated by commas.")
+    for yaw in values[2:]:
+        try:
+            check_angle(yaw)
+        except ValueError as error:
+            raise ShmooError(f"{option} {shortened(text)!r}: the yaw {error}") from None
     return values

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import re
 from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 from shmoo_mjx.files import write_whole
 from shmoo_mjx.report.trace import load_trace, save_trace
@@ -44,7 +46,9 @@ def write_failures(
         name = f"{row['map']}-{row['scenario']}"
         progress(f"film of {name}", number / len(failed))
         film = _film(store / "failures", name)
-        title = name if film is None else f"[{name}]({film.relative_to(folder).as_posix()})"
+        title = re.sub(r"([\[\]])", r"\\\1", name)
+        if film is not None:
+            title = f"[{title}]({quote(film.relative_to(folder).as_posix())})"
         mark = ", near the border of manipulability" if row.get("border") else ""
         by_cause[row["cause"]].append(f"- {title}, {row['kind']}{mark}, {row['time_s']:.0f} s: {row['reason']}")
     lines = [f"# {len(failed)} of {len(rows)} runs failed"]

@@ -20,6 +20,7 @@ from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.navigation.floorplan import draw_floorplan
 from shmoo_mjx.navigation.maps import OccupancyGrid, save_map
 from shmoo_mjx.navigation.scenario import Scenario
+from shmoo_mjx.navigation.yaml_input import yaml_files
 
 FLOOR_PLANS = 5
 """Generated where no maps are given."""
@@ -51,15 +52,21 @@ def find_places(options: ExperimentOptions, folder: Path, config: ScenarioConfig
 
 
 def find_maps(folder: Path) -> dict[str, Path]:
-    """Name to YAML of every map_server map below ``folder``.
+    """Name to YAML of every map_server map (*.yaml or *.yml) below ``folder``.
 
     Raises:
-        ShmooError: there is none.
+        ShmooError: there is none, or there are two of one name.
     """
-    found = sorted(p for p in folder.rglob("*.yaml") if "image:" in p.read_text(errors="replace"))
+    found = [p for p in yaml_files(folder, below=True) if "image:" in p.read_text(errors="replace")]
     if not found:
         raise ShmooError(f"--maps {folder}: holds no map_server YAML with the field 'image'; give a folder of maps.")
-    return {"_".join(p.relative_to(folder).with_suffix("").parts): p for p in found}
+    maps: dict[str, Path] = {}
+    for path in found:
+        name = "_".join(path.relative_to(folder).with_suffix("").parts)
+        if name in maps:
+            raise ShmooError(f"--maps {folder}: {maps[name]} and {path} are both called {name}; rename one of them.")
+        maps[name] = path
+    return maps
 
 
 def _floor_plans(folder: Path, first_unseen: int) -> dict[str, Path]:

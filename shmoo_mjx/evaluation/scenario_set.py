@@ -22,8 +22,8 @@ from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.files import write_whole
 from shmoo_mjx.navigation.maps import load_map, save_map
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Scenario, check_scenario
-from shmoo_mjx.navigation.yaml_input import validated
 from shmoo_mjx.run import checked_objects
+from shmoo_mjx.schema import Number, WholeNumber, read_json, validated
 
 
 class _Map(BaseModel):
@@ -40,21 +40,21 @@ class _Entry(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
     map: str
-    number: int = Field(ge=0)
+    number: WholeNumber = Field(ge=0)
     wanted: Kind
     scenario: Scenario
     kind: Kind
     movable: tuple[bool, ...]
     blocking: tuple[bool, ...]
-    shortest: float = Field(gt=0)
-    detour: float | None
+    shortest: Number = Field(gt=0)
+    detour: Number | None
     border: tuple[bool, ...]
 
 
 class _Set(BaseModel):
     model_config = ConfigDict(extra="forbid")
     format: Literal["shmoo_mjx scenario set 1"] = "shmoo_mjx scenario set 1"
-    condition_seeds: tuple[int, ...]
+    condition_seeds: tuple[WholeNumber, ...]
     maps: dict[str, _Map] = Field(min_length=1)
     scenarios: tuple[_Entry, ...] = Field(min_length=1)
 
@@ -115,29 +115,18 @@ def find_set(name: Path) -> Path:
     return shipped if not name.exists() and shipped.is_file() else name
 
 
-def _read(file: Path) -> dict[str, Any]:
-    try:
-        data = json.loads(file.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ShmooError(f"{file}: there is no such scenario set; make one by shmoo scenarios make.") from None
-    except (ValueError, IsADirectoryError):
-        data = None
-    if not isinstance(data, dict):
-        raise ShmooError(f"{file}: this is no scenario set; make one by shmoo scenarios make.")
-    return data
-
-
 def open_set(file: Path, folder: Path) -> tuple[Places, int]:
     """Where its scenarios take place, and how many the map with the most of them has; maps are written to ``folder``.
 
     Raises:
         ShmooError: the file is missing or damaged, or a scenario does not fit its map.
     """
-    found = validated(_Set, _read(file), file)
+    found = validated(_Set, read_json(file, "scenario set", "shmoo scenarios make"), file)
     maps = {name: folder / f"{name}.yaml" for name in found.maps}
     for name, packed in found.maps.items():
-        if not re.fullmatch(r"\w[\w.-]*", name):
-            raise ShmooError(f"{file}: 'maps' has {name!r}; name maps by letters, digits, '_', '-' and '.'.")
+        # The name becomes that of a file in the folder.
+        if not re.fullmatch(r"[^/\\\x00-\x1f]{1,200}", name):
+            raise ShmooError(f"{file}: 'maps' has {name!r}; name maps by letters, digits and signs other than slashes.")
         try:
             image = base64.b64decode(packed.png, validate=True)
         except ValueError:

@@ -23,7 +23,7 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.manipulable import IMMOVABLE, draw_immovable, manipulable, near_border
 from shmoo_mjx.faces import faces_of, heading, stand_off
 from shmoo_mjx.navigation.clearance import ClearanceField
-from shmoo_mjx.navigation.footprints import add_obstacles, footprint_polygon, footprints_free
+from shmoo_mjx.navigation.footprints import add_obstacles, footprint_polygon, footprints_free, wall_distance
 from shmoo_mjx.navigation.maps import OccupancyGrid, clearance_field
 from shmoo_mjx.navigation.paths import Path, path_blocked_by, plan_path, point_at, tangent_at
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Limits, ObjectEntry, Scenario
@@ -269,7 +269,9 @@ def _fits(site: _Site, placed: _Placed) -> bool:
     others = add_obstacles(site.walls, site.polygons())
     free = footprints_free(others, placed.pose, placed.condition.half_extents, wall_clearance=site.cfg.margin)[0]
     ends = shapely.MultiPoint([site.start, site.goal])
-    return bool(free) and placed.polygon.distance(ends) > ROBOT_RADIUS + 0.15
+    room = bool(free) and placed.polygon.distance(ends) > ROBOT_RADIUS + 0.15
+    # The corner of a wall may lie between the points at which the footprint is looked at.
+    return room and wall_distance(site.grid, placed.polygon, 0.0) > 0
 
 
 def _stops(path: Path, narrow: _Narrow, placed: _Placed) -> bool:

@@ -38,9 +38,10 @@ from shmoo_mjx.navigation.scenario import (
     load_scenario,
     save_scenario,
 )
-from shmoo_mjx.navigation.yaml_input import read_mapping, validated
+from shmoo_mjx.navigation.yaml_input import read_mapping, yaml_files
 from shmoo_mjx.options import SensesName
 from shmoo_mjx.run import checked_objects, save_run
+from shmoo_mjx.schema import validated
 from shmoo_mjx.seeds import seed_of
 from shmoo_mjx.sensing import Senses, senses_named
 from shmoo_mjx.simulation import Simulation
@@ -64,7 +65,7 @@ def scenes(own: Path) -> dict[str, SceneLoader]:
     """
     found: dict[str, SceneLoader] = {f"demo {seed}": partial(demo_scenario, seed) for seed in range(_DEMOS)}
     shipped = [asset(f"experiments/{kind}") for kind in ("scenarios", "maps")]
-    for path in (path for folder in (*shipped, *_own_folders(own)) for path in sorted(folder.glob("*.yaml"))):
+    for path in (path for folder in (*shipped, *_own_folders(own)) for path in yaml_files(folder)):
         text = path.read_text(errors="replace")
         if "image:" in text:
             found[f"map {path.stem.removesuffix('.map')}"] = partial(_from_file, path)

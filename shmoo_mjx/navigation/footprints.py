@@ -11,6 +11,7 @@ import shapely
 from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Bool, Float, Int, Numbers, Scalar
 from shmoo_mjx.navigation.clearance import ClearanceField
+from shmoo_mjx.navigation.maps import OccupancyGrid
 
 _KEPT = 4
 """So many fields with obstacles are remembered; the robot knows a handful of objects, and asks with and without."""
@@ -28,6 +29,21 @@ def footprint_corners(
 def footprint_polygon(pose: Numbers | Float[Array, "3"], half_extents: Numbers | Float[Array, "2"]) -> shapely.Polygon:
     """The footprint in {W} of a rectangle at ``pose`` with ``half_extents`` along {O} [m]."""
     return shapely.Polygon(footprint_corners(pose, half_extents))
+
+
+def wall_distance(grid: OccupancyGrid, shape: shapely.Geometry, reach: float) -> float:
+    """Distance [m] from a shape in {W} to the nearest cell that is not free, the cells taken as areas.
+
+    Zero where they touch, infinite where every such cell on the map is farther away than ``reach`` [m].
+    """
+    corners = shapely.get_coordinates(shape.envelope.buffer(reach + grid.resolution, join_style="mitre"))
+    local = se2.inverse_transform_point(np.asarray(grid.origin), corners) / grid.resolution
+    low = np.clip(np.floor(local.min(axis=0)).astype(int), 0, grid.cells.shape[::-1])
+    high = np.clip(np.ceil(local.max(axis=0)).astype(int), low, grid.cells.shape[::-1])
+    cells = np.argwhere(~grid.free[low[1] : high[1], low[0] : high[0]]) + low[::-1]
+    squares = grid.cell_to_world(cells[:, None] + 0.5 * _SIGNS)
+    distance = shapely.distance(shape, shapely.polygons(squares)).min(initial=np.inf)
+    return float(distance) if distance <= reach else float("inf")
 
 
 def add_obstacles(field: ClearanceField, polygons: Iterable[shapely.Polygon], reach: float = 1.5) -> ClearanceField:

@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 from scipy.ndimage import binary_dilation, distance_transform_edt
 
 from shmoo_mjx import se2
@@ -23,7 +22,8 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.files import write_whole
 from shmoo_mjx.navigation.clearance import ClearanceField
 from shmoo_mjx.navigation.walls import cover_rectangles
-from shmoo_mjx.navigation.yaml_input import read_mapping, validated
+from shmoo_mjx.navigation.yaml_input import read_mapping, yaml_text
+from shmoo_mjx.schema import Angle, Number, validated
 
 FREE = 0
 OCCUPIED = 100
@@ -31,6 +31,8 @@ UNKNOWN = -1
 
 _MOST_CELLS = 25_000_000
 """Largest map that is read: 250 m by 250 m at 0.05 m."""
+_MAP_SAVER_UNKNOWN = 205
+"""Grey that map_saver writes for an unknown cell."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,11 +102,11 @@ class _MapYaml(BaseModel):
 
     model_config = ConfigDict(extra="ignore")
     image: str = Field(min_length=1)
-    resolution: FiniteFloat = Field(gt=0)
-    origin: tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+    resolution: Number = Field(gt=0)
+    origin: tuple[Number, Number, Angle]
     negate: bool = False
-    occupied_thresh: FiniteFloat = Field(default=0.65, ge=0, le=1)
-    free_thresh: FiniteFloat = Field(default=0.196, ge=0, le=1)
+    occupied_thresh: Number = Field(default=0.65, ge=0, le=1)
+    free_thresh: Number = Field(default=0.196, ge=0, le=1)
     mode: Literal["trinary", "scale", "raw"] = "trinary"
 
     @model_validator(mode="after")
@@ -117,74 +119,90 @@ class _MapYaml(BaseModel):
 def load_map(yaml_path: str | Path) -> OccupancyGrid:
     """Reads a map_server YAML and its image (PGM, PNG or what else Pillow reads).
 
-    The rules are those of nav2's map_server. With shade = mean of the colour channels / 255 and occ = 1 - shade (shade
-    if ``negate``), trinary gives occ > occupied_thresh occupied, occ < free_thresh free, else unknown, and averages an
-    alpha channel in with the colours; scale keeps the shades between the thresholds as 1..99 and takes any transparency
-    as unknown; raw keeps pixel values 0..100 and takes all others as unknown. The image path is relative to the YAML.
+    The rules are those of navigation2's map server since version 1.4.0. The image is turned into 8-bit grey, colours by
+    their luminance; shade = grey / 255, and occ = 1 - shade (shade if ``negate``). In the modes trinary and scale a
+    cell is free if occ <= free_thresh and occupied if occ >= occupied_thresh. Between the thresholds trinary gives
+    unknown, and scale gives 0..100 in proportion. In both a pixel that is not opaque is unknown. The mode raw keeps
+    grey 0..100 and takes the rest as unknown. The image path is relative to the YAML. The thresholds default to 0.65
+    and 0.196.
 
     Raises:
         ShmooError: names the file, the field and the remedy.
     """
     path = Path(yaml_path)
+    meta, grey, opaque = _read(path)
+    cells = _interpret(grey, opaque, meta)
+    return OccupancyGrid(np.ascontiguousarray(cells[::-1]), float(meta.resolution), meta.origin, str(path))
+
+
+def count_free_unknown(yaml_path: str | Path) -> int:
+    """How many cells are free only because the thresholds let grey 205, which map_saver writes for unknown, be free.
+
+    Raises:
+        ShmooError: as :func:`load_map`.
+    """
+    meta, grey, opaque = _read(Path(yaml_path))
+    unknown = grey == _MAP_SAVER_UNKNOWN
+    return int((unknown & (_interpret(grey, opaque, meta) == FREE)).sum()) if meta.mode != "raw" else 0
+
+
+def _read(path: Path) -> tuple[_MapYaml, Shaped[np.ndarray, "H W"], Bool[np.ndarray, "H W"]]:
+    """The YAML, the image's grey 0..255, and which of its pixels are opaque; row 0 at the top."""
     meta = validated(_MapYaml, read_mapping(path, "map"), path)
     image_path = path.parent / meta.image
     if not image_path.is_file():
         raise ShmooError(f"{path}: 'image' names {meta.image}, which does not exist beside it; correct the path.")
-    cells = _interpret(_pixels(image_path, path), meta)
-    return OccupancyGrid(np.ascontiguousarray(cells[::-1]), float(meta.resolution), meta.origin, str(path))
+    return meta, *_pixels(image_path, path)
 
 
-def _pixels(image_path: Path, yaml_path: Path) -> Float[np.ndarray, "H W C"]:
-    """The image as RGBA in 0..1, or RGB where it has no alpha channel."""
-    import imageio.v3 as iio
+def _pixels(image_path: Path, yaml_path: Path) -> tuple[Shaped[np.ndarray, "H W"], Bool[np.ndarray, "H W"]]:
+    from PIL import Image
 
+    what = f"{yaml_path}: 'image' names {image_path.name}, which"
+    large = f"{what} has more pixels than the {_MOST_CELLS // 10**6} million that are read; crop it or make it coarser."
     try:
-        content = image_path.read_bytes()  # not the path: of a damaged image the library leaves the file open
-        with warnings.catch_warnings():
+        # Of a damaged image the library leaves the file open, so it gets the content.
+        with warnings.catch_warnings(), Image.open(io.BytesIO(image_path.read_bytes())) as image:
             warnings.simplefilter("ignore")  # Pillow's, of large images
-            height, width = iio.improps(content).shape[:2]
-        small = height * width <= _MOST_CELLS
-        image = np.atleast_2d(iio.imread(content)) if small else np.zeros((0, 0))
-    except Exception as error:  # Pillow raises many kinds for damaged files, none of which says more to the user
-        if type(error).__name__ != "DecompressionBombError":
-            raise ShmooError(
-                f"{yaml_path}: 'image' names {image_path.name}, which is no readable image; "
-                "give a whole PGM or PNG file."
-            ) from None
-        image = np.zeros((0, 0))
-    if not image.size:
-        raise ShmooError(
-            f"{yaml_path}: 'image' names {image_path.name}, which has more pixels than the {_MOST_CELLS // 10**6} "
-            "million that are read; crop it or make it coarser."
-        )
-    if image.ndim > 3:
-        raise ShmooError(f"{yaml_path}: 'image' names {image_path.name}, which holds several frames; give a still one.")
-    scale = 1.0 if image.dtype == bool else float(np.iinfo(image.dtype).max)
-    if image.dtype.itemsize > 2:  # Pillow widens 16-bit grey images to 32 bits without rescaling
-        scale = 65535.0
-    channels = image.reshape(*image.shape[:2], -1) / scale
-    if channels.shape[2] <= 2:
-        channels = np.concatenate([channels[..., :1].repeat(3, axis=2), channels[..., 1:]], axis=2)
-    return channels
+            if image.width * image.height > _MOST_CELLS:
+                raise ShmooError(large)
+            if getattr(image, "n_frames", 1) > 1:
+                raise ShmooError(f"{what} holds several frames; give a still one.")
+            # Pillow stretches a PGM of 16 bits to the whole range; other images of such modes can mean anything.
+            if image.mode == "F" or (image.mode == "I" and image.format != "PPM"):
+                raise ShmooError(
+                    f"{what} has greys whose black and white are not known; save it with 8 bits per pixel."
+                )
+            if image.mode.startswith("I"):
+                grey = np.rint(np.asarray(image) / 257.0).astype(np.uint8)
+                return grey, np.ones(grey.shape, dtype=bool)
+            alpha = np.asarray(image.convert("RGBA"))[..., 3] if image.has_transparency_data else None
+            # An image in CMYK has no direct way to grey.
+            grey = np.asarray(image.convert("RGB").convert("L") if image.mode == "CMYK" else image.convert("L"))
+            return grey, np.ones(grey.shape, dtype=bool) if alpha is None else alpha == 255
+    except Image.DecompressionBombError:
+        raise ShmooError(large) from None
+    except ShmooError:
+        raise
+    except Exception:  # Pillow raises many kinds for damaged files, none of which says more to the user
+        raise ShmooError(f"{what} is no readable image; give a whole PGM or PNG file.") from None
 
 
-def _interpret(pixels: Float[np.ndarray, "H W C"], meta: _MapYaml) -> Int[np.ndarray, "H W"]:
-    has_alpha = pixels.shape[2] == 4
-    used = pixels if meta.mode == "trinary" else pixels[..., :3]
-    shade = used.mean(axis=2)
-    occ = shade if meta.negate else 1.0 - shade
-    cells = np.full(occ.shape, UNKNOWN, dtype=np.int8)
+def _interpret(
+    grey: Shaped[np.ndarray, "H W"], opaque: Bool[np.ndarray, "H W"], meta: _MapYaml
+) -> Int[np.ndarray, "H W"]:
     if meta.mode == "raw":
-        value = np.rint(shade * 255)
-        return np.where(value <= OCCUPIED, value, UNKNOWN).astype(np.int8)
-    if meta.mode == "scale":
-        span = max(meta.occupied_thresh - meta.free_thresh, 1e-9)
-        cells = np.clip(np.rint((occ - meta.free_thresh) / span * 100), 1, 99).astype(np.int8)
-    cells[occ > meta.occupied_thresh] = OCCUPIED
-    cells[occ < meta.free_thresh] = FREE
-    if meta.mode == "scale" and has_alpha:
-        cells[pixels[..., 3] < 1.0] = UNKNOWN
-    return cells
+        return np.where(grey <= OCCUPIED, grey.astype(np.int16), UNKNOWN).astype(np.int8)
+    # In single precision as there, so that thresholds that a grey just meets fall to the same side.
+    shade = grey.astype(np.float32) / np.float32(255)
+    occ = shade if meta.negate else np.float32(1) - shade
+    free, occupied = np.float32(meta.free_thresh), np.float32(meta.occupied_thresh)
+    between = np.full(occ.shape, UNKNOWN, dtype=np.int8)
+    if meta.mode == "scale" and free < occupied:
+        part = np.clip((occ - free) / (occupied - free), 0, 1)
+        between = np.floor(part * 100 + np.float32(0.5)).astype(np.int8)
+    cells = np.select([occ <= free, occ >= occupied], [FREE, OCCUPIED], between)
+    return np.where(opaque, cells, UNKNOWN).astype(np.int8)
 
 
 def save_map(grid: OccupancyGrid, yaml_path: str | Path) -> OccupancyGrid:
@@ -211,7 +229,7 @@ def save_map(grid: OccupancyGrid, yaml_path: str | Path) -> OccupancyGrid:
         "free_thresh": 0.196,
     }
     write_whole(image_path, buffer.getvalue())
-    write_whole(path, yaml.safe_dump(meta, sort_keys=False).encode())
+    write_whole(path, yaml_text(meta))
     return replace(grid, source=str(path))
 
 

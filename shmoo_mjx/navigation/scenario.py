@@ -22,13 +22,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator
 
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.files import write_whole
-from shmoo_mjx.navigation.yaml_input import read_mapping, validated
+from shmoo_mjx.navigation.yaml_input import read_mapping, yaml_text
 from shmoo_mjx.options import SENSES, SensesName
+from shmoo_mjx.schema import Angle, Number, WholeNumber, validated
 
 if TYPE_CHECKING:
     from shmoo_mjx.navigation.maps import OccupancyGrid
@@ -39,11 +39,13 @@ ROBOT_RADIUS = 0.29
 """Radius of the disc that paths keep clear: body, folded hands and a reserve [m]."""
 MOST_OBJECTS = 50
 """What a scene may hold: each is a body to simulate and to look for."""
-Pose = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+Pose = tuple[Number, Number, Angle]
 Property = bool | FiniteFloat
 
 _OVERLAP = 1e-4
 """Two footprints that share less touch each other [m^2]."""
+_DEPTH = 0.005
+"""How far a footprint may reach into a wall [m]: less is how exactly poses are written."""
 _NEVER_NEGATIVE = ("size", "mass", "payload", "friction", "rolling", "swivel_friction")
 """Properties of which a negative number makes no sense; the plant checks names and ranges."""
 
@@ -59,7 +61,7 @@ class ObjectEntry(_Strict):
     """Kind of object: one of FAMILIES, or an object file (*.json) that ``shmoo object add`` made."""
     pose: Pose
     """(x, y, yaw) of its centre in {W} [m, m, rad]."""
-    seed: int = Field(default=0, ge=0)
+    seed: WholeNumber = Field(default=0, ge=0)
     """Draws every property that is not given; where a mass is given and no load, there is none."""
     properties: dict[str, Property | list[Property]] = Field(default_factory=dict)
     """Properties given instead of drawn, in SI units; the plant checks their names."""
@@ -95,6 +97,8 @@ class ObjectEntry(_Strict):
             for number in given if isinstance(given, list | tuple) else [given]:
                 if not isinstance(number, int | float) or not math.isfinite(number):
                     raise ValueError(f"gives {name} = {number!r}; give a finite number, true, false or a list of them.")
+                if isinstance(number, bool) and name != "locked":
+                    raise ValueError(f"gives {name} = {str(number).lower()}; give a number.")
                 if number < 0 and name in _NEVER_NEGATIVE:
                     raise ValueError(f"gives {name} = {number:g}, which must not be negative; give a positive number.")
         return value
@@ -103,9 +107,9 @@ class ObjectEntry(_Strict):
 class Limits(_Strict):
     """When a run ends without success."""
 
-    time_s: FiniteFloat = Field(default=180.0, ge=0.1, le=86_400)
+    time_s: Number = Field(default=180.0, ge=0.1, le=86_400)
     """Simulated time [s]."""
-    goal_tolerance_m: FiniteFloat = Field(default=0.25, ge=0.05)
+    goal_tolerance_m: Number = Field(default=0.25, ge=0.05)
     """Distance from the goal that counts as reached [m]."""
 
 
@@ -116,11 +120,11 @@ class Scenario(_Strict):
     """Path of the map's YAML; None where the map comes from elsewhere."""
     start: Pose
     """(x, y, yaw) of the robot in {W} [m, m, rad]."""
-    goal: tuple[FiniteFloat, FiniteFloat]
+    goal: tuple[Number, Number]
     """(x, y) in {W} [m]."""
     objects: tuple[ObjectEntry, ...] = Field(default=(), max_length=MOST_OBJECTS)
     """What stands in the map and is not drawn in it."""
-    seed: int = Field(default=0, ge=0)
+    seed: WholeNumber = Field(default=0, ge=0)
     """Seeds everything random in the run."""
     limits: Limits = Limits()
     """When to give up."""
@@ -156,7 +160,7 @@ def load_scenario(path: str | Path) -> Scenario:
 def save_scenario(scenario: Scenario, path: str | Path) -> None:
     """Writes a scenario file that ``load_scenario`` reads back as it is (the map path as given)."""
     data = scenario.model_dump(mode="json", exclude_none=True)
-    write_whole(path, yaml.safe_dump(data, sort_keys=False, default_flow_style=None).encode())
+    write_whole(path, yaml_text(data))
 
 
 def check_scenario(grid: OccupancyGrid, scenario: Scenario, robot_radius: float, name: str = "scenario") -> None:
@@ -189,6 +193,9 @@ def check_point(grid: OccupancyGrid, point: Sequence[float], robot_radius: float
     Raises:
         ShmooError: the point is off the map or too near a wall.
     """
+    import shapely
+
+    from shmoo_mjx.navigation.footprints import wall_distance
     from shmoo_mjx.navigation.maps import clearance_field
 
     where = f"{name} ({point[0]:g}, {point[1]:g})"
@@ -199,7 +206,9 @@ def check_point(grid: OccupancyGrid, point: Sequence[float], robot_radius: float
     if grid.values_at(point) != 0:
         kind = "unknown space" if grid.values_at(point) < 0 else "a wall"
         raise ShmooError(f"{where} lies inside {kind}; choose a point on free floor.")
-    distance = float(clearance_field(grid).at(point))
+    # The field, by which paths are planned, can be too large beside a wall of a coarse map.
+    exact = wall_distance(grid, shapely.Point(point), robot_radius)
+    distance = min(float(clearance_field(grid).at(point)), exact)
     if distance < robot_radius:
         need = f"{distance:.2f} m from a wall, but the robot needs {robot_radius:.2f} m"
         raise ShmooError(f"{where} is only {need}; move it away from the wall.")
@@ -249,15 +258,13 @@ def check_place(
     """
     import shapely
 
-    from shmoo_mjx.navigation.footprints import footprint_polygon
-    from shmoo_mjx.navigation.maps import FREE
+    from shmoo_mjx.navigation.footprints import footprint_polygon, wall_distance
     from shmoo_mjx.plant.robot import shmoobot
 
     polygon = footprint_polygon(pose, half_extents)
     if not np.all(grid.inside(grid.world_to_cell(np.asarray(polygon.exterior.coords)))):
         raise ShmooError(f"{what} reaches off the map; move it inwards.")
-    blocked = grid.cell_to_world(np.argwhere(grid.cells != FREE))
-    if shapely.contains_xy(polygon, blocked).any():
+    if wall_distance(grid, polygon.buffer(-_DEPTH), 0.0) == 0:
         raise ShmooError(f"{what} stands in a wall or in unknown space; move it away.")
     if polygon.distance(shapely.Point(robot)) < shmoobot().radius:
         raise ShmooError(f"{what} stands where the robot is; move one of them.")

@@ -1,24 +1,31 @@
-"""Reading a user's YAML file into a checked model, every fault said in one sentence."""
+"""Reads a user's YAML file, with the numbers of YAML 1.2, and writes files that it reads back as they were."""
 
 from __future__ import annotations
 
-import difflib
-import reprlib
-from collections.abc import Iterable
+import re
 from pathlib import Path
 from typing import Any
 
 import yaml
-from pydantic import BaseModel, ValidationError
 
 from shmoo_mjx.errors import ShmooError
 
-_PLAIN_TERMS = {"tuple": "list", "Input": "it", "dictionary": "mapping of 'key: value' lines"}
-"""Python's and pydantic's words for what a YAML file has."""
-
-
 _DEEPEST = 32
 """More brackets within brackets cost recursion, and time with their square."""
+_LONGEST_NUMBER = 300
+"""Characters; a longer whole number is no float."""
+# The core schema of YAML 1.2 (chapter 10.3.2). PyYAML follows 1.1, where 010 is 8, 1:30 is 90, yes is true, and 1e1 is
+# text.
+_CORE = {
+    "bool": ("tTfF", re.compile(r"(true|True|TRUE|false|False|FALSE)$")),
+    "int": ("-+0123456789", re.compile(r"([-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+)$")),
+    "float": (
+        "-+.0123456789",
+        re.compile(r"([-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN))$"),
+    ),
+}
+"""First characters and pattern of what is no text."""
+_TAG = "tag:yaml.org,2002:"
 
 
 class _Loader(yaml.SafeLoader):
@@ -45,6 +52,46 @@ class _Loader(yaml.SafeLoader):
             if isinstance(key.value, str):
                 seen.add(key.value)
         return super().construct_mapping(node, deep)
+
+    def construct_core(self, node: yaml.ScalarNode) -> bool | int | float:
+        """A value of YAML 1.2, whether its kind is seen from its text or given by a tag."""
+        text, kind = str(node.value), node.tag.removeprefix(_TAG)
+        if not _CORE[kind][1].match(text) or len(text) > _LONGEST_NUMBER:
+            raise yaml.constructor.ConstructorError(None, None, f"no {kind}", node.start_mark)
+        if kind == "bool":
+            return text.lower() == "true"
+        if kind == "int":
+            return int(text, {"0o": 8, "0x": 16}.get(text[:2], 10))
+        return float(re.sub(r"\.(?=[iInN])", "", text))
+
+
+class _Dumper(yaml.SafeDumper):
+    """Quotes text that either version of YAML would take for something else."""
+
+
+_Loader.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in resolvers if tag in (f"{_TAG}null", f"{_TAG}merge")]
+    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+_Loader.yaml_constructors = {
+    tag: yaml.SafeLoader.yaml_constructors[tag]
+    for tag in (f"{_TAG}null", f"{_TAG}str", f"{_TAG}seq", f"{_TAG}map", None)
+}
+for _kind, (_first, _pattern) in _CORE.items():
+    _Loader.add_implicit_resolver(_TAG + _kind, _pattern, list(_first))
+    _Dumper.add_implicit_resolver(_TAG + _kind, _pattern, list(_first))
+    _Loader.add_constructor(_TAG + _kind, _Loader.construct_core)
+
+
+def yaml_text(data: dict[str, Any]) -> bytes:
+    """``data`` as a YAML file, lists of plain values on one line."""
+    return yaml.dump(data, Dumper=_Dumper, sort_keys=False, default_flow_style=None).encode()
+
+
+def yaml_files(folder: Path, below: bool = False) -> list[Path]:
+    """The files *.yaml and *.yml in ``folder``, sorted; with ``below`` also those in the folders in it."""
+    found = folder.rglob("*") if below else folder.glob("*")
+    return sorted(p for p in found if p.suffix.lower() in (".yaml", ".yml") and p.is_file())
 
 
 def read_mapping(path: str | Path, what: str) -> dict[str, Any]:
@@ -76,56 +123,3 @@ def read_mapping(path: str | Path, what: str) -> dict[str, Any]:
     if not isinstance(data, dict):
         raise ShmooError(f"{path}: a {what} file must be a mapping of 'key: value' lines; this one is not.")
     return data
-
-
-def closest_name(name: object, valid: Iterable[str]) -> str:
-    """Advice on a name that is not among ``valid``: the nearest one if there is one, all of them otherwise."""
-    names = list(valid)
-    near = difflib.get_close_matches(str(name).lower(), names, n=1, cutoff=0.6)
-    return f"did you mean '{near[0]}'?" if near else f"valid names are {', '.join(names)}."
-
-
-def validated[Model: BaseModel](model: type[Model], data: dict[str, Any], path: str | Path) -> Model:
-    """``data`` as an instance of ``model``.
-
-    Raises:
-        ShmooError: the first fault found, with the file, the field and the remedy.
-    """
-    try:
-        return model.model_validate(data)
-    except ValidationError as error:
-        raise ShmooError(_sentence(error, model, path)) from None
-
-
-def _sentence(error: ValidationError, model: type[BaseModel], path: str | Path) -> str:
-    # A misspelt key also makes the right key "missing"; naming the misspelling helps more, so it goes first.
-    first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
-    field = _dotted(first["loc"])
-    kind, message, given = first["type"], first["msg"].split(" or instance of")[0], first.get("input")
-    if kind == "extra_forbidden":
-        return f"{path}: '{field}' is not a known key; {closest_name(first['loc'][-1], _keys_at(model, first['loc']))}"
-    if kind == "missing":
-        return f"{path}: '{field}' is missing; add it."
-    if kind == "value_error":  # our own validators write the remedy themselves
-        return f"{path}: '{field}' {message.removeprefix('Value error, ')}" if field else f"{path}: {message[13:]}"
-    for term, plain in _PLAIN_TERMS.items():
-        message = message.replace(term, plain)
-    return f"{path}: '{field}' is {reprlib.repr(given)}; {message[0].lower()}{message[1:]}."
-
-
-def _dotted(location: tuple[int | str, ...]) -> str:
-    text = ""
-    for part in location:
-        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else str(part)
-    return text
-
-
-def _keys_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
-    """The field names valid where ``location`` points, by walking the nested models."""
-    for part in location[:-1]:
-        if isinstance(part, int) or part not in model.model_fields:  # of a list, or a key that the user may name
-            continue
-        annotation: Any = model.model_fields[part].annotation
-        candidates = [annotation, *getattr(annotation, "__args__", ())]
-        model = next((c for c in candidates if isinstance(c, type) and issubclass(c, BaseModel)), model)
-    return list(model.model_fields)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import warnings
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,10 +17,14 @@ import shapely
 
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.files import write_whole
+from shmoo_mjx.plant.closed_surface import closed_solid
 from shmoo_mjx.plant.mjcf_object import read_mjcf
+from shmoo_mjx.plant.object_file import ObjectFile, Wheels
+from shmoo_mjx.schema import validated
 
-Wheels = Literal["none", "casters", "rear"]
-_FORMATS = (".stl", ".obj", ".ply", ".glb", ".gltf", ".off")
+_FORMATS = (".stl", ".obj", ".ply", ".glb", ".gltf", ".off", ".dae")
+_CONVERT = "convert it to GLB or STL, for instance with Blender"
+_UNITS = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254}
 _Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """Turns a file's axes with y up into z up."""
 _HULL_VERTICES = 64
@@ -42,7 +47,7 @@ def add_object(
     """Turn a mesh file or an MJCF file into an object file.
 
     Args:
-        source: STL, OBJ, PLY, OFF, GLB, glTF, or MJCF (.xml) of one rigid object.
+        source: STL, OBJ, PLY, OFF, GLB, glTF, Collada (with pycollada), or MJCF (.xml) of one rigid object.
         mass: of the whole object, wheels included [kg]; None takes that of an MJCF file.
         friction: Coulomb coefficient of feet or wheels on the floor.
         wheels: none (slides on its feet), casters (a swivel caster at each foot), rear (two fixed wheels behind, two
@@ -50,8 +55,10 @@ def add_object(
         wheel_radius: [m].
         rolling: rolling resistance coefficient of each wheel.
         swivel_friction: dry friction of each caster's swivel [N m].
-        scale: metres per unit of the file; 0.001 for millimetres.
-        up: which axis of the file points up; auto is y for GLB and glTF, as that format says, else z.
+        scale: metres per unit of the file: 0.001 for millimetres, 0.01 for centimetres, 0.0254 for inches. A Collada
+            file states its unit, by which it is multiplied.
+        up: which axis of the file points up; auto is y for GLB and glTF, as that format says, what a Collada file
+            states, else z.
         hull: take the mass distribution of the convex hull, for a mesh that isn't closed.
         out: file to write (default: the source's name with .json, in the present folder).
 
@@ -84,7 +91,6 @@ def add_object(
         feet = np.array([(-x, y), (-x, -y), (x, y), (x, -y)])
     else:
         feet = _feet(vertices, name)
-    _check_balance(feet, com, name)
     data = {
         "schema": 1,
         "source": {"file": name, "sha256": hashlib.sha256(source.read_bytes()).hexdigest()},
@@ -100,35 +106,32 @@ def add_object(
         "rolling": rolling,
         "swivel_friction": swivel_friction,
     }
+    validated(ObjectFile, data, name)
     target = Path(out) if out else Path(source.stem + ".json")
     return write_whole(target, json.dumps(data, indent=1).encode())
 
 
 def _measure(mesh_file: Path, scale: float, up: str, hull: bool) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Vertices of the convex hull [m], and CoM and inertia per mass (xx, yy, zz, xy, xz, yz) [m^2], z up."""
-    mesh, name = _load(mesh_file), mesh_file.name
-    points = np.asarray(mesh.vertices, dtype=float)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise ShmooError(f"{name} has vertices that are not three numbers each; export the mesh again.")
-    if len(mesh.faces) == 0 or len(points) < 4:
+    import trimesh
+
+    parts, unit, own_up = _load(mesh_file)
+    name = mesh_file.name
+    for part in parts:
+        if part.vertices.ndim != 2 or part.vertices.shape[1] != 3:
+            raise ShmooError(f"{name} has vertices that are not three numbers each; export the mesh again.")
+        if not np.isfinite(part.vertices).all():
+            raise ShmooError(f"{name} has vertices that are not finite numbers; export the mesh again.")
+        if (own_up if up == "auto" else up) == "y":
+            part.vertices = part.vertices @ _Y_UP.T
+        part.apply_scale(scale * unit)
+    points = np.concatenate([part.vertices[part.faces].reshape(-1, 3) for part in parts] or [np.zeros((0, 3))])
+    if len(points) < 12:
         raise ShmooError(f"{name} holds no surface; export the object as triangles.")
-    if not np.isfinite(points).all():
-        raise ShmooError(f"{name} has vertices that are not finite numbers; export the mesh again.")
-    if up == "y" or (up == "auto" and mesh_file.suffix.lower() in (".glb", ".gltf")):
-        turn = np.eye(4)
-        turn[:3, :3] = _Y_UP
-        mesh.apply_transform(turn)
-    mesh.apply_scale(scale)
-    size = _checked_size(np.asarray(mesh.vertices), name)
-    mesh.merge_vertices()
-    if not hull and not mesh.is_watertight:
-        raise ShmooError(f"{name} is not closed (it has open edges); repair it or pass --hull to use its convex hull.")
-    shell = mesh.convex_hull
-    solid = shell if hull else mesh
+    size = _checked_size(points, name, scale)
+    shell = trimesh.convex.convex_hull(points)
+    solid = shell if hull else closed_solid(parts, name)
     volume = float(solid.volume)
-    if volume < 0:
-        solid.invert()
-        volume = -volume
     if volume < 1e-3 * float(np.prod(size)):
         raise ShmooError(
             f"{name} encloses hardly any volume ({volume:.2g} m^3); give its walls a thickness or pass --hull."
@@ -143,7 +146,7 @@ def _measure_mjcf(source: Path, scale: float, up: str, hull: bool) -> tuple[np.n
     solid = read_mjcf(source)
     axes = _Y_UP if up == "y" else np.eye(3)
     points = scale * solid.points @ axes.T
-    _checked_size(points, source.name)
+    _checked_size(points, source.name, scale)
     shell = trimesh.convex.convex_hull(points)
     if hull:
         inertial = _inertial(shell.center_mass, np.asarray(shell.moment_inertia) / float(shell.volume))
@@ -156,28 +159,66 @@ def _inertial(com: Any, inertia: np.ndarray) -> dict[str, np.ndarray]:
     return {"com": np.asarray(com), "inertia": inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]}
 
 
-def _checked_size(points: np.ndarray, name: str) -> np.ndarray:
+def _checked_size(points: np.ndarray, name: str, scale: float) -> np.ndarray:
     size: np.ndarray = np.ptp(points, axis=0)
-    if max(size) < 0.2 or max(size) > 2.5 or min(size) < 0.05:
-        text = " x ".join(f"{s:.3g}" for s in size)
-        raise ShmooError(
-            f"{name} measures {text} m, but an object's longest side is 0.2 to 2.5 m and its shortest at least 0.05 m; "
-            "give --scale in metres per unit of the file (0.001 for millimetres)."
-        )
-    return size
+    if _is_size(size):
+        return size
+    likely = [f"{scale * unit:g} if it is in {units}" for units, unit in _UNITS.items() if _is_size(size * unit)]
+    text = " x ".join(f"{s:.3g}" for s in size)
+    raise ShmooError(
+        f"{name} measures {text} m, but an object's longest side is 0.2 to 2.5 m and its shortest at least 0.05 m; "
+        f"give --scale in metres per unit of the file ({', '.join(likely) or '0.001 for millimetres'})."
+    )
 
 
-def _load(mesh_file: Path) -> Any:
+def _is_size(size: np.ndarray) -> bool:
+    return bool(0.2 <= max(size) <= 2.5 and min(size) >= 0.05)
+
+
+def _load(mesh_file: Path) -> tuple[list[Any], float, str]:
+    """The parts of a mesh file, its unit [m], and its axis that points up."""
     import trimesh
 
-    if mesh_file.suffix.lower() not in _FORMATS:
-        raise ShmooError(f"{mesh_file.name} is no format known here: use one of {', '.join(_FORMATS)} or .xml (MJCF).")
+    name, kind = mesh_file.name, mesh_file.suffix.lower()
+    if kind in (".urdf", ".xacro", ".sdf", ".world"):
+        raise ShmooError(
+            f"{name} describes bodies and joints, not a mesh: give the mesh file that it names (<mesh>), or write the "
+            "object as MJCF (.xml), which MuJoCo makes of a URDF by mujoco.mj_saveLastXML."
+        )
+    if kind not in _FORMATS:
+        raise ShmooError(
+            f"{name} is no format known here: use one of {', '.join(_FORMATS)} or .xml (MJCF), or {_CONVERT}."
+        )
     if not mesh_file.is_file():
         raise ShmooError(f"{mesh_file} does not exist; give the path of a mesh file.")
     try:
-        return trimesh.load(mesh_file, force="mesh", process=False)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of pycollada, about NumPy
+            unit, up = _collada_axes(mesh_file) if kind == ".dae" else (1.0, "y" if kind in (".glb", ".gltf") else "z")
+            scene = trimesh.load_scene(mesh_file, process=False)
+            parts = [part for part in scene.dump() if isinstance(part, trimesh.Trimesh) and len(part.faces)]
+    except ShmooError:
+        raise
     except Exception as error:
-        raise ShmooError(f"{mesh_file.name} can't be read as a mesh ({error}); export it again.") from error
+        raise ShmooError(
+            f"{name} can't be read as a mesh ({' '.join(str(error).split())}); export it again."
+        ) from error
+    return parts, unit, up
+
+
+def _collada_axes(mesh_file: Path) -> tuple[float, str]:
+    """Unit [m] and upward axis that a Collada file states; the format's defaults are 1 m and y."""
+    try:
+        import collada
+    except ImportError:
+        raise ShmooError(
+            f"{mesh_file.name} is a Collada file, which needs the package pycollada, not installed here; "
+            f"pip install pycollada (in a clone, '.[meshes]'), or {_CONVERT}."
+        ) from None
+    asset = collada.Collada(str(mesh_file), ignore=[collada.common.DaeError]).assetInfo
+    if asset.upaxis == collada.asset.UP_AXIS.X_UP:
+        raise ShmooError(f"{mesh_file.name} has x pointing up, which is not known here; {_CONVERT}, with z up.")
+    return float(asset.unitmeter or 1.0), "z" if asset.upaxis == collada.asset.UP_AXIS.Z_UP else "y"
 
 
 def _fewer(vertices: np.ndarray) -> np.ndarray:
@@ -216,12 +257,6 @@ def _feet(vertices: np.ndarray, name: str) -> np.ndarray:
         tolerance *= 1.3
         outline = np.asarray(shapely.Polygon(outline).simplify(tolerance).exterior.coords)[:-1]
     return outline
-
-
-def _check_balance(feet: np.ndarray, com: np.ndarray, name: str) -> None:
-    support = shapely.MultiPoint(feet).convex_hull
-    if not support.buffer(-0.02).contains(shapely.Point(com[:2])):
-        raise ShmooError(f"{name} would topple: its centre of mass is not above its feet; turn it or give --up y.")
 
 
 def _rounded(values: np.ndarray) -> list[Any]:

@@ -2,38 +2,115 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import mujoco
 import numpy as np
+import shapely
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+from scipy.spatial import ConvexHull, QhullError
 
-from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.arrays import Float
 from shmoo_mjx.plant.condition import Condition
+from shmoo_mjx.schema import Number, read_json, validated
 
 _FOOT = 0.01
 """Radius of the spheres an object without wheels slides on [m]."""
+_CLOSE = 0.01
+"""How exactly the parts of an object file must fit each other [m]; the hull has fewer corners than the mesh."""
 _SWIVEL = {"damping": 0.01, "armature": 0.001}
 _ROLL = {"damping": 0.001, "armature": 0.0005}
 
 
+Wheels = Literal["none", "casters", "rear"]
+Point = tuple[Number, Number, Number]
+_Side = Annotated[Number, Field(ge=0.05, le=2.5)]
+
+
+class _Source(BaseModel):
+    """What the object was made of."""
+
+    model_config = ConfigDict(extra="forbid")
+    file: str
+    sha256: str
+
+
+class ObjectFile(BaseModel):
+    """An object file: hull, mass distribution, and feet or wheels, in {O} with z = 0 on the floor."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    version: Literal[1] = Field(alias="schema")
+    source: _Source | None = None
+    size: tuple[_Side, _Side, _Side]
+    """Length (x of {O}), width and height [m]."""
+    mass: Number = Field(ge=0.5, le=500)
+    """Of the whole object, wheels included [kg]."""
+    friction: Number = Field(ge=0.05, le=2)
+    """Coulomb coefficient of feet or wheels on the floor."""
+    com: Point
+    """Centre of mass [m]."""
+    inertia_per_mass: tuple[Number, Number, Number, Number, Number, Number]
+    """About the centre of mass: xx, yy, zz, xy, xz, yz [m^2]."""
+    hull: tuple[Point, ...] = Field(min_length=4, max_length=1000)
+    """Points whose convex hull is the object's [m]."""
+    feet: tuple[tuple[Number, Number], ...] = Field(min_length=3, max_length=12)
+    """(x, y) of what it stands on [m]; with wheels "rear", the two fixed wheels come first."""
+    wheels: Wheels
+    """None, a swivel caster at each foot, or two fixed wheels behind and casters in front."""
+    wheel_radius: Number = Field(gt=0)
+    """[m]"""
+    rolling: Number = Field(ge=0, le=0.5)
+    """Rolling resistance coefficient of each wheel."""
+    swivel_friction: Number = Field(ge=0, le=5)
+    """Dry friction of each caster's swivel [N m]."""
+
+    @model_validator(mode="after")
+    def _could_exist(self) -> ObjectFile:
+        hull, feet, com, size = (np.array(v) for v in (self.hull, self.feet, self.com, self.size))
+        low, high = np.array([*-size[:2] / 2, 0.0]), np.array([*size[:2] / 2, size[2]])
+        if (hull < low - _CLOSE).any() or (hull > high + _CLOSE).any():
+            raise ValueError("'hull' reaches out of the box of 'size' that stands on the floor; make the object again.")
+        if (np.abs(feet) > size[:2] / 2 + _CLOSE).any():
+            raise ValueError("'feet' has one that is not below the object; make the object again.")
+        if self.wheels != "none" and self.wheel_radius >= min(size) / 2:
+            raise ValueError(f"'wheel_radius' is {self.wheel_radius:g}; it must be below half the shortest side.")
+        wheels = 0 if self.wheels == "none" else len(feet) * _wheel_mass(self.mass)
+        if self.mass - wheels < 0.5:
+            raise ValueError(f"'mass' is {self.mass:g}, of which the wheels take {wheels:g}; 0.5 kg must be left.")
+        try:
+            planes = ConvexHull(hull).equations
+        except QhullError:
+            raise ValueError("'hull' encloses no volume; give the corners of a solid.") from None
+        if (planes @ [*com, 1.0]).max() > _CLOSE:
+            raise ValueError(f"'com' is {list(self.com)}, outside the hull; give the centre of mass in metres.")
+        moments = np.linalg.eigvalsh(inertia_matrix(self.inertia_per_mass))
+        farthest = np.linalg.norm(hull - com, axis=1).max() + _CLOSE
+        if not (moments[0] > 0 and moments[0] + moments[1] >= moments[2] and moments.sum() <= 2 * farthest**2):
+            raise ValueError(
+                f"'inertia_per_mass' is {list(self.inertia_per_mass)}, which no body in this hull has; "
+                "give xx, yy, zz, xy, xz, yz about the centre of mass, divided by the mass, in m^2."
+            )
+        if not shapely.MultiPoint(feet).convex_hull.buffer(-0.02).contains(shapely.Point(com[:2])):
+            raise ValueError("'com' is not above the feet, so it would topple; turn the object, or give --up y.")
+        return self
+
+
+def inertia_matrix(values: Sequence[float]) -> Float[np.ndarray, "3 3"]:
+    """The symmetric matrix of (xx, yy, zz, xy, xz, yz)."""
+    xx, yy, zz, xy, xz, yz = values
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
 def read_object(path: str | Path) -> dict[str, Any]:
-    """The object file as plain data.
+    """The object file as plain data, of the form of :class:`ObjectFile`.
 
     Raises:
-        ShmooError: the file is missing or not one that ``shmoo object add`` wrote.
+        ShmooError: the file is missing, or the first fault in it, with its field and remedy.
     """
-    try:
-        data = json.loads(Path(path).read_text())
-        if data["schema"] != 1 or not {"size", "mass", "hull", "feet", "wheels"} <= data.keys():
-            raise KeyError
-    except FileNotFoundError as error:
-        raise ShmooError(f"object file {path} does not exist; make it with shmoo object add.") from error
-    except (ValueError, KeyError, TypeError) as error:
-        raise ShmooError(f"{path} is not an object file; make it with shmoo object add.") from error
-    return data
+    data = read_json(path, "object file", "shmoo object add")
+    return validated(ObjectFile, data, path).model_dump(by_alias=True)
 
 
 def custom_condition(path: str, seed: int) -> dict[str, Any]:
@@ -46,7 +123,7 @@ def custom_condition(path: str, seed: int) -> dict[str, Any]:
         "family": path,
         "seed": seed,
         "size": tuple(data["size"]),
-        "mass": data["mass"] - wheels * _wheel_mass(data),
+        "mass": data["mass"] - wheels * _wheel_mass(data["mass"]),
         "payload": 0.0,
         "payload_x": 0.0,
         "payload_y": 0.0,
@@ -58,9 +135,9 @@ def custom_condition(path: str, seed: int) -> dict[str, Any]:
     }
 
 
-def _wheel_mass(data: Mapping[str, Any]) -> float:
+def _wheel_mass(mass: float) -> float:
     """Mass of one wheel with its fork [kg]: 0.4, less for a light object."""
-    return min(0.4, 0.05 * data["mass"])
+    return min(0.4, 0.05 * mass)
 
 
 def custom_spec(condition: Condition) -> mujoco.MjSpec:
@@ -98,7 +175,7 @@ def custom_spec(condition: Condition) -> mujoco.MjSpec:
 
 
 def _add_wheels(root: Any, c: Condition, data: Mapping[str, Any]) -> None:
-    radius, mass = data["wheel_radius"], _wheel_mass(data)
+    radius, mass = data["wheel_radius"], _wheel_mass(data["mass"])
     hinge = mujoco.mjtJoint.mjJNT_HINGE
     dry = {"solref_friction": [0.005, 1], "solimp_friction": [0.99, 0.9999, 0.001, 0.5, 2]}
     fixed = 2 if data["wheels"] == "rear" else 0

@@ -16,6 +16,7 @@ from shmoo_mjx.assets import asset
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.plant.condition import Condition, is_custom
 from shmoo_mjx.plant.object_file import custom_condition, custom_spec
+from shmoo_mjx.schema import check_angle
 
 FAMILIES = ("box", "cart", "wheelchair")
 _CASTER_RADIUS = {"cart": 0.05, "wheelchair": 0.08}
@@ -137,22 +138,26 @@ def _check(c: Condition, drawn: Condition) -> None:
             raise ShmooError(f"{what}: {name} must be a list of {length} entries.")
     if is_custom(c.family) and c.size != drawn.size:
         raise ShmooError(f"{what}: size is that of its mesh; make the object again with another --scale.")
-    if not is_custom(c.family) and (min(c.size) < 0.2 or max(c.size) > 2.5):
+    if not is_custom(c.family) and (any(isinstance(s, bool) for s in c.size) or min(c.size) < 0.2 or max(c.size) > 2.5):
         raise ShmooError(f"{what}: size {c.size} must be three lengths between 0.2 and 2.5 m.")
     for name, low, high in (("mass", 0.5, 500.0), ("payload", 0.0, 500.0), ("friction", 0.05, 2.0)):
         value = getattr(c, name)
-        if isinstance(value, tuple) or not (np.isfinite(value) and low <= value <= high):
+        if isinstance(value, bool | tuple) or not (np.isfinite(value) and low <= value <= high):
             raise ShmooError(f"{what}: {name} {value} must be a number between {low} and {high}.")
     for name, values, low, high in (
         ("rolling", c.rolling, 0.0, 0.5),
         ("swivel_friction", (c.swivel_friction,), 0.0, 5.0),
-        ("caster_angle", c.caster_angle, -10.0, 10.0),
         ("payload_x", (c.payload_x,), -c.size[0] / 2, c.size[0] / 2),
         ("payload_y", (c.payload_y,), -c.size[1] / 2, c.size[1] / 2),
     ):
         for value in values:
             if isinstance(value, bool | tuple) or not (np.isfinite(value) and low <= value <= high):
                 raise ShmooError(f"{what}: {name} {value} must lie between {low:.3g} and {high:.3g}.")
+    for angle in c.caster_angle:
+        try:
+            check_angle(angle)
+        except ValueError as error:
+            raise ShmooError(f"{what}: caster_angle {error}") from None
     if not all(isinstance(on, bool | np.bool_) for on in c.locked):
         raise ShmooError(f"{what}: locked {list(c.locked)} must be true or false for each wheel.")
 

@@ -18,13 +18,14 @@ import math
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.fingerprints import fingerprint
-from shmoo_mjx.navigation.yaml_input import closest_name, read_mapping, validated
+from shmoo_mjx.navigation.yaml_input import read_mapping
 from shmoo_mjx.options import SensesName
 from shmoo_mjx.plant.objects import FAMILIES
+from shmoo_mjx.schema import Number, WholeNumber, closest_name, validated
 from shmoo_mjx.seeds import MAX_SEED, UNSEEN_SEED
 from shmoo_mjx.sweep.parameters import PARAMETERS
 
@@ -38,12 +39,12 @@ class _Strict(BaseModel):
 class Draw(_Strict):
     """How a parameter is drawn; a bare number is the same in every world."""
 
-    fixed: FiniteFloat | None = None
-    uniform: tuple[FiniteFloat, FiniteFloat] | None = None
-    log_uniform: tuple[FiniteFloat, FiniteFloat] | None = None
-    normal: tuple[FiniteFloat, FiniteFloat] | None = None
+    fixed: Number | None = None
+    uniform: tuple[Number, Number] | None = None
+    log_uniform: tuple[Number, Number] | None = None
+    normal: tuple[Number, Number] | None = None
     """Mean and standard deviation; cut off at the parameter's bounds."""
-    choice: tuple[FiniteFloat, ...] | None = None
+    choice: tuple[Number, ...] | None = None
 
     @model_validator(mode="before")
     @classmethod
@@ -93,17 +94,17 @@ class Controller(_Strict):
 
     kind: Literal["mppi", "quasi_static"] = "mppi"
     """The pushing controller of the paper, or the pusher without a model (control/quasi_static.py)."""
-    samples: int = Field(default=500, ge=16, le=100_000)
+    samples: WholeNumber = Field(default=500, ge=16, le=100_000)
     """S of MPPI."""
-    horizon: int = Field(default=30, ge=1, le=200)
+    horizon: WholeNumber = Field(default=30, ge=1, le=200)
     """T of MPPI."""
-    temperature: FiniteFloat = Field(default=0.7, gt=0)
+    temperature: Number = Field(default=0.7, gt=0)
     """lambda of MPPI."""
     adapts: bool = True
     """False leaves what is known of the object at the prior."""
-    governor: FiniteFloat = Field(default=0.25, ge=0)
+    governor: Number = Field(default=0.25, ge=0)
     """Gain of the governor on the lean [rad s/m]; 0 switches it off."""
-    speed_limit: FiniteFloat = Field(default=0.16, gt=0, le=1)
+    speed_limit: Number = Field(default=0.16, gt=0, le=1)
     """Speed of the robot that is free of charge [m/s]."""
 
 
@@ -112,25 +113,25 @@ class SweepConfig(_Strict):
 
     question: str = ""
     """What it is to answer; stands above figures and tables."""
-    seed: int = Field(default=0, ge=0, le=MAX_SEED)
-    worlds: int = Field(default=256, ge=1, le=10_000_000)
+    seed: WholeNumber = Field(default=0, ge=0, le=MAX_SEED)
+    worlds: WholeNumber = Field(default=256, ge=1, le=10_000_000)
     """Worlds per family and controller; world i of a family is the same for each controller."""
     families: tuple[str, ...] = Field(default=("box",), min_length=1)
     controllers: dict[str, Controller] = Field(default_factory=lambda: {"ours": Controller()}, min_length=1)
     vary: dict[str, Draw] = Field(default_factory=dict)
-    first_object: int = Field(default=UNSEEN_SEED, ge=0, le=MAX_SEED)
+    first_object: WholeNumber = Field(default=UNSEEN_SEED, ge=0, le=MAX_SEED)
     """Seed of world 0's object, world i has this plus i; those from 1,000,000 on take no part in training."""
-    seconds: int = Field(default=20, ge=1, le=600)
+    seconds: WholeNumber = Field(default=20, ge=1, le=600)
     """Longest push, with 1 s in which the arms unfold."""
-    face: int = Field(default=0, ge=0, le=3)
+    face: WholeNumber = Field(default=0, ge=0, le=3)
     """Pushed side: rear, right, front, left."""
-    tolerance_m: float = Field(default=0.25, gt=0)
+    tolerance_m: Number = Field(default=0.25, gt=0)
     """A push succeeds if the object ends this near to its goal [m]."""
-    tolerance_deg: float = Field(default=20.0, gt=0)
+    tolerance_deg: Number = Field(default=20.0, gt=0)
     """Yaw error up to which such a push succeeds [deg]."""
     senses: SensesName = "real"
     """What the controller perceives: real senses (docs/sensing.md), or the truth; either with swept noise and delay."""
-    shard: int = Field(default=256, ge=1)
+    shard: WholeNumber = Field(default=256, ge=1)
     """Worlds per file of results: what is lost if the machine stops."""
     map: tuple[str, str] | None = None
     """Two varied parameters over which successes are mapped."""

@@ -37,6 +37,9 @@ BAD_INPUT: dict[str, tuple[str, tuple[str, ...]]] = {
         "navigate --map room.yaml --start -1,x,0 --goal 2,1",
         ("--start", "3 finite numbers"),
     ),
+    "start in degrees": ("navigate --map room.yaml --start 1,1,90 --goal 2,1", ("--start", "radians", "1.571")),
+    "pose in degrees": ("navigate --scenario degrees.yaml", ("'objects[0].pose[2]'", "radians")),
+    "number in quotes": ("navigate --scenario quoted.yaml", ("'goal[0]'", "'4'", "quotes")),
     "start off the map": ("navigate --map room.yaml --start -90,1,0 --goal -2,1", ("-90",)),
     "neither scenario nor start": ("navigate --map room.yaml", ("--scenario", "--start", "--goal")),
     "training without data": ("train object nothing_here", ("nothing_here", "shmoo collect")),
@@ -64,6 +67,8 @@ def write_inputs(folder: Path) -> None:
         "good": good,
         "wall": good | {"start": [0.02, 1.0, 0.0]},
         "split": good | {"map": "two_rooms.yaml"},
+        "degrees": good | {"objects": [box | {"pose": [3.0, 1.5, 90]}]},
+        "quoted": good | {"goal": ["4", 2]},
         "family": good | {"objects": [box | {"family": "sofa"}]},
         "mass": good | {"objects": [box | {"properties": {"mass": -3.0}}]},
         "box_in_wall": good | {"objects": [box | {"pose": [3.5, 0.42, 0.0], "properties": {"size": [0.5, 0.8, 0.6]}}]},
@@ -128,6 +133,18 @@ def test_help_names_every_command(done: dict[str, Done]) -> None:
     assert done["help"].returncode == 0
     for command in ("demo", "navigate", "collect", "train", "map", "doctor"):
         assert f"• {command} " in done["help"].stdout
+
+
+def test_map_show_says_what_is_free_only_by_its_threshold(
+    folder: Path, shmoo: Callable[..., Done], tmp_path: Path
+) -> None:
+    meta = yaml.safe_load((folder / "room.yaml").read_text()) | {"image": "unknown.pgm", "resolution": 0.5}
+    (tmp_path / "unknown.pgm").write_bytes(b"P5\n3 1\n255\n" + bytes([205, 205, 254]))
+    for threshold, said in ((0.25, "2 cells"), (0.196, "")):
+        (tmp_path / "m.yml").write_text(yaml.safe_dump(meta | {"free_thresh": threshold}))
+        shown = shmoo("map", "show", str(tmp_path / "m.yml"), "--out", str(tmp_path / "shown.png"))
+        assert shown.returncode == 0, shown.stderr
+        assert ("205" in shown.stdout) == bool(said) and said in shown.stdout
 
 
 def test_a_map_is_drawn(done: dict[str, Done], folder: Path) -> None:

@@ -127,6 +127,7 @@ LAYERS = (
         "progress",
         "processes",
         "seeds",
+        "schema",
         "options",
         "custom",
     },

@@ -48,7 +48,12 @@ def test_maps_are_found_below_a_folder(tmp_path: Path) -> None:
     save_map(grid, tmp_path / "a" / "one.yaml")
     save_map(grid, tmp_path / "two.yaml")
     (tmp_path / "scenario.yaml").write_text("start: [0, 0, 0]\n")
-    assert list(find_maps(tmp_path)) == ["a_one", "two"]
+    save_map(grid, tmp_path / "floor 2 [new].yml")
+    (tmp_path / "folder.yaml").mkdir()
+    assert list(find_maps(tmp_path)) == ["a_one", "floor 2 [new]", "two"]
+    save_map(grid, tmp_path / "a_one.yml")
+    with pytest.raises(ShmooError, match="both called a_one"):
+        find_maps(tmp_path)
     with pytest.raises(ShmooError, match="holds no map_server YAML"):
         find_maps(tmp_path / "a" / "nothing")
 

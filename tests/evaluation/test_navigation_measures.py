@@ -227,6 +227,9 @@ def test_each_failure_gets_a_film_and_a_line_below_its_cause(tmp_path: Path) -> 
     assert text.startswith("# 2 of 3 runs failed\n\n## fall (2)\n")
     assert "- m-2, push only, near the border of manipulability, 50 s: reason 2" in text
     assert "- [m-3](trials/failures/m-3.mp4), push only, 50 s: reason 3" in text
+    keep_failure(store, "a [b] (c)-3", failed_episode())
+    oddly_named = write_failures(tmp_path, [rows[2] | {"map": "a [b] (c)"}], store).read_text()
+    assert "- [a \\[b\\] (c)-3](trials/failures/a%20%5Bb%5D%20%28c%29-3.mp4), push only" in oddly_named
     film = store / "failures" / "m-3.mp4"
     drawn = film.stat().st_mtime_ns
     assert film.stat().st_size > 1000

@@ -22,6 +22,7 @@ from shmoo_mjx.evaluation.scenarios import KINDS, Generated
 from shmoo_mjx.navigation.maps import load_map, save_map
 
 SHIPPED = find_set(Path("floor_plans"))
+TWO = "the (2nd) [floor]"
 
 
 def drawn_quickly(grid: Any, kind: str, *rest: Any) -> Generated:
@@ -38,8 +39,8 @@ def made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(navigation_places, "draw_scenario", drawn_quickly)
     monkeypatch.setattr(scenario_set, "run_trials", at_once)
     (tmp_path / "maps").mkdir()
-    for name in ("one", "two"):
-        save_map(toy_scenario(1, True)[0], tmp_path / "maps" / f"{name}.yaml")
+    for name in ("one.yaml", "the (2nd) [floor].yml"):
+        save_map(toy_scenario(1, True)[0], tmp_path / "maps" / name)
     count = make_set(tmp_path / "set.json", tmp_path / "maps", (7, 8), per_map=2, drawn=tmp_path / "drawn")
     assert count == 8
     return tmp_path / "set.json"
@@ -47,11 +48,11 @@ def made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_a_set_is_opened_as_it_was_made_wherever_it_is(made: Path, tmp_path: Path) -> None:
     places, count = open_set(made, tmp_path / "elsewhere")
-    assert count == 4 and set(places.maps) == {"one", "two"}
+    assert count == 4 and set(places.maps) == {"one", TWO}
     grid = toy_scenario(1, True)[0]
     opened = load_map(places.maps["one"])
     assert np.array_equal(opened.cells, grid.cells) and opened.resolution == grid.resolution
-    wanted, found = kept_scenario(places, opened, "two", 3)
+    wanted, found = kept_scenario(places, opened, TWO, 3)
     assert wanted in KINDS and found is not None and found.scenario.objects == toy_scenario(1, True)[1].objects
     text = made.read_text()
     assert str(tmp_path) not in text and json.loads(text)["condition_seeds"] == [7, 8]
@@ -71,7 +72,7 @@ def test_navigation_runs_the_set_and_says_which(made: Path, tmp_path: Path, monk
     monkeypatch.setattr("shmoo_mjx.evaluation.navigation_figures.draw_figures", lambda *given: None)
     options = ExperimentOptions(out=tmp_path, scenario_set=made, policies=("ours",))
     result = navigation.run(options)
-    assert sorted(ran) == sorted(f"{name}-{i}-ours" for name in ("one", "two") for i in range(4))
+    assert sorted(ran) == sorted(f"{name}-{i}-ours" for name in ("one", TWO) for i in range(4))
     assert result.config["scenario_set"] == file_id(made) and result.config["generated_maps"] is False
     other = navigation.trials_folder(ExperimentOptions(out=tmp_path), tmp_path, navigation.NavigationTrials().scenario)
     assert navigation.trials_folder(options, tmp_path, navigation.NavigationTrials().scenario) != other
@@ -92,6 +93,8 @@ def test_the_shipped_set_has_20_scenarios_of_every_kind_that_fit_their_maps(tmp_
         (lambda d: d["scenarios"][0]["scenario"].update(goal=[900.0, 0.0]), "'goal' \\(900, 0\\) lies off the map"),
         (lambda d: d["scenarios"][0].update(kind="odd"), "'scenarios\\[0\\].kind'"),
         (lambda d: d["maps"].update({"../x": d["maps"]["one"]}), "name maps by letters"),
+        (lambda d: d["maps"].update({"x\n": d["maps"]["one"]}), "name maps by letters"),
+        (lambda d: d["scenarios"][0].update(number="1"), "'scenarios\\[0\\].number'"),
         (lambda d: d["maps"]["one"].update(png="?"), "'maps.one.png' is no base64"),
         (lambda d: d.update(scenarios=[]), "'scenarios'"),
         (lambda d: d.update(format="other"), "'format'"),

@@ -18,12 +18,15 @@ from shmoo_mjx.evaluation.scenarios import (
     Kind,
     ScenarioConfig,
     Truth,
+    _fits,
+    _Placed,
+    _Site,
     draw_scenario,
     entry_of,
 )
 from shmoo_mjx.navigation.floorplan import draw_floorplan
-from shmoo_mjx.navigation.footprints import footprint_polygon, footprints_free
-from shmoo_mjx.navigation.maps import FREE, OccupancyGrid, clearance_field, load_map
+from shmoo_mjx.navigation.footprints import footprint_polygon, footprints_free, wall_distance
+from shmoo_mjx.navigation.maps import FREE, OCCUPIED, OccupancyGrid, clearance_field, load_map
 from shmoo_mjx.navigation.paths import Path, plan_path
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, check_scenario
 from shmoo_mjx.plant.condition import Condition
@@ -87,6 +90,25 @@ def test_objects_stand_free_and_the_scenario_is_sound(kind: Kind) -> None:
         assert shape.distance(shapely.Point(found.scenario.start[:2])) > ROBOT_RADIUS
     parts = shapes(found)
     assert all(a.distance(b) > 0 for i, a in enumerate(parts) for b in parts[:i])
+
+
+def test_no_corner_of_a_wall_reaches_into_an_object() -> None:
+    """It may lie between the points at which the clearance is looked up, above all in coarse maps."""
+    cells = np.zeros((30, 30), np.int8)
+    cells[15, 15] = OCCUPIED
+    grid = OccupancyGrid(cells, 0.25)
+    walls, rng, box = clearance_field(grid), np.random.default_rng(0), draw_condition("box", 0)
+    ends = np.array([0.5, 0.5]), np.array([7.0, 7.0])
+    path = plan_path(grid, *ends, field=walls)
+    assert path is not None
+    site = _Site(grid, walls, rng, iter(()), Truth(moves), CFG, *ends, path)
+    poses = rng.uniform((3, 3, -np.pi), (5, 5, np.pi), (1000, 3))
+    placed = [_Placed(box, pose, True, True) for pose in poses]
+    clear = np.array([wall_distance(grid, p.polygon, 0.0) > 0 for p in placed])
+    looked_up = footprints_free(walls, poses, box.half_extents, wall_clearance=CFG.margin)
+    assert (looked_up & ~clear).any()
+    fits = np.array([_fits(site, p) for p in placed])
+    assert fits.any() and not (fits & ~clear).any()
 
 
 def test_same_seed_same_scenario() -> None:

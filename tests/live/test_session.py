@@ -203,9 +203,10 @@ def test_objects_and_maps_of_ones_own_are_found_by_name(
     Path("other.json").write_text("{}")
     Path("compose.yaml").write_text("services: {}\n")
     save_map(session.simulation.grid, "floor.yaml")
+    save_map(session.simulation.grid, "floor [2].yml")
     assert object_files(session.out) == {"stool": here / "stool.json"}
     found = scenes(session.out)
-    assert {"map floor", "map office", "three_objects"} <= set(found) and "compose" not in found
+    assert {"map floor", "map floor [2]", "map office", "three_objects"} <= set(found) and "compose" not in found
     for load in (found["map floor"], partial(scene_named, "floor.yaml", session.out)):
         session.load(load)
         run(session, 5)

@@ -15,6 +15,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from PIL import Image
 
 from shmoo_mjx import se2
 from shmoo_mjx.errors import ShmooError
@@ -46,10 +47,13 @@ def test_pixel_205_depends_on_free_thresh(tmp_path: Path, free_thresh: float, ce
     assert cells_of(tmp_path, [[205]], free_thresh=free_thresh) == [[cell]]
 
 
-def test_thresholds_are_strict(tmp_path: Path) -> None:
-    # 204 gives occ = 0.2 and 51 gives occ = 0.8, up to rounding; move the thresholds to either side of them.
-    assert cells_of(tmp_path, [[204, 51]], free_thresh=0.2001, occupied_thresh=0.7999) == [[FREE, OCCUPIED]]
+def test_thresholds_are_inclusive(tmp_path: Path) -> None:
+    # 204 gives occ = 0.2 and 51 gives occ = 0.8.
+    assert cells_of(tmp_path, [[204, 51]], free_thresh=0.2, occupied_thresh=0.8) == [[FREE, OCCUPIED]]
     assert cells_of(tmp_path, [[204, 51]], free_thresh=0.1999, occupied_thresh=0.8001) == [[UNKNOWN, UNKNOWN]]
+    assert cells_of(tmp_path, [[51, 204]], free_thresh=0.2, occupied_thresh=0.8, negate=1) == [[FREE, OCCUPIED]]
+    assert cells_of(tmp_path, [[51, 255]], free_thresh=0.8, occupied_thresh=0.8) == [[FREE, FREE]]
+    assert cells_of(tmp_path, [[255, 254, 0]], free_thresh=0.0, occupied_thresh=1.0) == [[FREE, UNKNOWN, OCCUPIED]]
 
 
 @pytest.mark.parametrize("negate", [1, True])
@@ -63,21 +67,88 @@ def test_scale_keeps_shades_between_the_thresholds(tmp_path: Path) -> None:
     assert cells == [[FREE, OCCUPIED, round(middle), round(darker)]]
 
 
+def test_scale_over_the_whole_range_has_free_and_occupied_cells(tmp_path: Path) -> None:
+    cells = cells_of(tmp_path, [[255, 254, 1, 0, 127]], mode="scale", free_thresh=0.0, occupied_thresh=1.0)
+    assert cells == [[FREE, FREE, OCCUPIED, OCCUPIED, 50]]
+
+
 def test_raw_keeps_values_up_to_100(tmp_path: Path) -> None:
     assert cells_of(tmp_path, [[0, 37, 100, 101, 255]], mode="raw") == [[0, 37, 100, UNKNOWN, UNKNOWN]]
 
 
-def test_colours_are_averaged(tmp_path: Path) -> None:
-    # The mean of (255, 0, 0) is 85: occ 2/3 > 0.65.
-    assert cells_of(tmp_path, [[[255, 0, 0], [255, 255, 0]]]) == [[OCCUPIED, UNKNOWN]]
+def test_colours_count_by_luminance(tmp_path: Path) -> None:
+    # Grey 76, 226, 29 and 150: occ 0.70, 0.11, 0.89 and 0.41.
+    colours = [[255, 0, 0], [255, 255, 0], [0, 0, 255], [0, 255, 0]]
+    assert cells_of(tmp_path, [colours]) == [[OCCUPIED, FREE, OCCUPIED, UNKNOWN]]
 
 
-def test_alpha_is_unknown_in_scale_and_averaged_in_trinary(tmp_path: Path) -> None:
+def test_what_is_not_opaque_is_unknown_but_in_raw(tmp_path: Path) -> None:
     pixels = [[[254, 254, 254, 255], [254, 254, 254, 254], [0, 0, 0, 255], [0, 0, 0, 0]]]
-    assert cells_of(tmp_path, pixels, mode="scale") == [[FREE, UNKNOWN, OCCUPIED, UNKNOWN]]
-    assert cells_of(tmp_path, pixels) == [[FREE, FREE, OCCUPIED, OCCUPIED]]
-    grey = np.array([[[205, 205, 205, 255]]], np.uint8)  # (3 * 205 + 255) / 4 = 217.5: occ 0.147
-    assert maps.load_map(write_map(tmp_path, grey)).cells.tolist() == [[FREE]]
+    for mode in ("trinary", "scale"):
+        assert cells_of(tmp_path, pixels, mode=mode) == [[FREE, UNKNOWN, OCCUPIED, UNKNOWN]]
+    assert cells_of(tmp_path, [[[40, 40, 40, 0]]], mode="raw") == [[40]]
+    # Alpha takes no part in the grey: with it 205 would be lighter.
+    assert cells_of(tmp_path, [[[205, 205, 205, 255]]]) == [[UNKNOWN]]
+
+
+GREYS = np.array([[254, 205, 100, 0]], np.uint8)
+CELLS = [[FREE, UNKNOWN, UNKNOWN, OCCUPIED]]
+
+
+def kinds_of_image() -> dict[str, Image.Image]:
+    grey = Image.fromarray(GREYS)
+    see_through = grey.convert("P")
+    see_through.info["transparency"] = 0  # what is black
+    wide = Image.fromarray(GREYS.astype(np.uint16) * 257)
+    return {
+        "grey.pgm": grey, "grey.gif": grey, "grey.bmp": grey, "grey.tif": grey, "palette.png": grey.convert("P"),
+        "alpha.png": grey.convert("LA"), "rgb.ppm": grey.convert("RGB"), "rgba.png": grey.convert("RGBA"),
+        "cmyk.tif": grey.convert("CMYK"), "wide.png": wide, "wide.tif": wide, "wide.pgm": wide,
+        "holes.png": see_through, "holes.gif": see_through,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("name", kinds_of_image())
+def test_every_kind_of_image_gives_the_same_cells(tmp_path: Path, name: str) -> None:
+    path = write_map(tmp_path, GREYS, image=name)
+    kinds_of_image()[name].save(tmp_path / name)
+    black = UNKNOWN if name.startswith("holes") else OCCUPIED
+    assert maps.load_map(path).cells.tolist() == [[*CELLS[0][:3], black]]
+
+
+def test_a_cmyk_jpeg_is_read_as_the_same_picture_in_grey(tmp_path: Path) -> None:
+    picture = Image.fromarray(np.kron(GREYS, np.ones((16, 16), np.uint8)))
+    for name, kind in (("grey.jpg", "L"), ("cmyk.jpg", "CMYK")):
+        picture.convert(kind).save(tmp_path / name, quality=100, subsampling=0)
+        cells = maps.load_map(write_map(tmp_path, GREYS, image=name)).cells
+        assert cells[8, 8::16].tolist() == CELLS[0]
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [("float.tif", "8 bits"), ("integers.tif", "8 bits"), ("film.gif", "several frames"), ("film.png", "frames")],
+)
+def test_an_image_of_unclear_meaning_is_refused_in_one_sentence(tmp_path: Path, kind: str, words: str) -> None:
+    path = write_map(tmp_path, GREYS, image=kind)
+    if kind.startswith("film"):
+        Image.fromarray(GREYS).save(tmp_path / kind, save_all=True, append_images=[Image.fromarray(255 - GREYS)])
+    else:
+        Image.fromarray(GREYS.astype(np.float32 if kind == "float.tif" else np.int32)).save(tmp_path / kind)
+    with pytest.raises(ShmooError, match=words) as error:
+        maps.load_map(path)
+    assert kind in str(error.value) and str(path) in str(error.value) and "\n" not in str(error.value)
+
+
+def test_cells_that_only_the_thresholds_make_free_are_counted(tmp_path: Path) -> None:
+    for free_thresh, count in ((0.196, 0), (0.25, 3)):
+        path = write_map(tmp_path, np.array([[205, 205, 254], [0, 205, 204]], np.uint8), free_thresh=free_thresh)
+        assert maps.count_free_unknown(path) == count
+
+
+@pytest.mark.parametrize("file", ["m.yaml", "m.yml", "the (old) [map] 2.yml"])
+def test_a_map_may_have_any_name(tmp_path: Path, file: str) -> None:
+    path = write_map(tmp_path, GREYS, name="a picture [1].png").rename(tmp_path / file)
+    assert maps.load_map(path).cells.tolist() == CELLS
 
 
 def test_image_path_is_relative_to_the_yaml(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -94,6 +165,8 @@ def test_image_path_is_relative_to_the_yaml(tmp_path: Path, monkeypatch: pytest.
         ({"resolution": 0.0}, ("'resolution'", "greater than 0")),
         ({"resolution": "fine"}, ("'resolution'", "number")),
         ({"resolution": float("nan")}, ("'resolution'", "finite")),
+        ({"resolution": "0.05"}, ("'resolution'", "quotes")),
+        ({"origin": [0, 0, 90]}, ("'origin[2]'", "radians")),
         ({"image": None}, ("'image'", "missing")),
         ({"image": "lost.pgm"}, ("'image'", "lost.pgm", "does not exist")),
         ({"origin": [0.0, 0.0]}, ("'origin[2]'", "missing")),

@@ -3,23 +3,34 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import shapely
 import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydantic import ValidationError
 
+from shmoo_mjx import se2
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.navigation import yaml_input
+from shmoo_mjx.navigation.footprints import footprint_polygon, wall_distance
 from shmoo_mjx.navigation.maps import OCCUPIED, UNKNOWN, OccupancyGrid
 from shmoo_mjx.navigation.scenario import (
     FAMILIES,
     ROBOT_RADIUS,
     ObjectEntry,
     Scenario,
+    check_place,
     check_places,
+    check_point,
     check_scenario,
     load_scenario,
     save_scenario,
 )
+from shmoo_mjx.navigation.yaml_input import read_mapping, yaml_text
 from shmoo_mjx.run import load_inputs
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -68,6 +79,13 @@ def test_written_scenarios_come_back(tmp_path: Path) -> None:
         ({"start": [0.0, 1.0]}, ("'start[2]'", "missing")),
         ({"goal": [0.0, "east"]}, ("'goal[1]'", "'east'")),
         ({"goal": [0.0, float("inf")]}, ("'goal[1]'", "finite")),
+        ({"goal": [0.0, "0.4"]}, ("'goal[1]'", "'0.4'", "without quotes")),
+        ({"goal": [0.0, True]}, ("'goal[1]'", "true", "number")),
+        ({"seed": "3"}, ("'seed'", "'3'", "without quotes")),
+        ({"limits": {"time_s": "60"}}, ("'limits.time_s'", "without quotes")),
+        ({"start": [1, 1, 90]}, ("'start[2]'", "90", "radians", "1.571")),
+        ({"start": [1, 1, -6.4]}, ("'start[2]'", "radians")),
+        ({"objects": [{"family": "box", "pose": [0, 0, 180]}]}, ("'objects[0].pose[2]'", "radians", "3.142")),
         ({"seed": -1}, ("'seed'", "-1")),
         ({"senses": "keen"}, ("'senses'", "'keen'", "real or perfect")),
         ({"limits": {"time": 5}}, ("'limits.time'", "'time_s'")),
@@ -96,6 +114,67 @@ def test_faults_are_said_in_one_sentence(tmp_path: Path, change: dict, words: tu
     text = str(error.value)
     assert str(path) in text and all(word in text for word in words), text
     assert "\n" not in text and text.endswith((".", "?")) and "Value error" not in text and "instance" not in text
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("010", 10), ("08", 8), ("0o17", 15), ("0x1F", 31), ("+5", 5), ("1e1", 10.0), ("5e-2", 0.05), (".5", 0.5),
+        ("5.", 5.0), ("1.5E+3", 1500.0), ("true", True), ("FALSE", False), ("~", None), ("", None), ("1:30", "1:30"),
+        ("1_000", "1_000"), ("yes", "yes"), ("off", "off"), ("0b11", "0b11"), ("2026-01-01", "2026-01-01"),
+        ('"0.4"', "0.4"), ("!!float 3", 3.0),
+    ],
+)  # fmt: skip
+def test_values_are_those_of_yaml_1_2(tmp_path: Path, text: str, value: object) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text(f"a: {text}\n")
+    found = read_mapping(path, "scenario")["a"]
+    assert found == value and type(found) is type(value)
+
+
+@pytest.mark.parametrize("text", ["!!int 1:30", "!!int x", "!!bool yes", "!!timestamp 2026-13-45", "9" * 5000])
+def test_a_value_that_its_tag_does_not_fit_is_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text(f"a: {text}\n")
+    with pytest.raises(ShmooError, match="line 1"):
+        read_mapping(path, "scenario")
+
+
+SIGNS = st.text("0123456789.:_eExo+-trueFALSEnyi~#'\" ", max_size=6)
+PLAIN = st.one_of(
+    st.floats(allow_nan=False, allow_infinity=False), st.integers(-(10**40), 10**40), st.booleans(), st.none(), SIGNS
+)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.dictionaries(st.sampled_from(["a", "b", "c"]), PLAIN))
+def test_what_is_written_is_read_back_as_it_was(tmp_path_factory: pytest.TempPathFactory, data: dict) -> None:
+    path = tmp_path_factory.mktemp("yaml") / "a.yaml"
+    path.write_bytes(yaml_text(data))
+    assert read_mapping(path, "scenario") == data
+    assert yaml.safe_load(path.read_bytes()) == data  # and by other programs, which know YAML 1.1
+
+
+def test_a_mass_is_a_number() -> None:
+    for mass in ("010", "1e1"):
+        entry = ObjectEntry(family="box", pose=(0, 0, 0), properties={"mass": yaml_value(mass)})
+        assert entry.condition().mass == 10.0
+    for mass in ("yes", "true", "'3'"):
+        with pytest.raises((ShmooError, ValidationError), match="mass"):
+            ObjectEntry(family="box", pose=(0, 0, 0), properties={"mass": yaml_value(mass)}).condition()
+    with pytest.raises(ShmooError, match="radians"):
+        properties = {"caster_angle": [90.0, 0.0, 0.0, 0.0]}
+        ObjectEntry(family="cart", pose=(0, 0, 0), properties=properties).condition()
+
+
+def yaml_value(text: str) -> Any:
+    return yaml.load(f"a: {text}", yaml_input._Loader)["a"]
+
+
+@pytest.mark.parametrize("yaw", ["90", "-180", "6.4"])
+def test_degrees_on_the_command_line_are_refused(tmp_path: Path, yaw: str) -> None:
+    with pytest.raises(ShmooError, match=r"--start .* radians"):
+        load_inputs(tmp_path / "room.yaml", None, f"1,1,{yaw}", "2,1")
 
 
 def test_offsets_may_be_negative(tmp_path: Path) -> None:
@@ -171,6 +250,44 @@ def test_an_object_where_none_can_stand_is_named(pose: tuple[float, float, float
     with pytest.raises(ShmooError) as error:
         check_places(two_rooms(), scenario, [(0.3, 0.3), (0.3, 0.3)], "scene.yaml")
     assert all(word in str(error.value) for word in ("scene.yaml: 'objects[1].pose'", *words)), str(error.value)
+
+
+@pytest.mark.parametrize("resolution", [0.05, 0.1, 0.5, 1.0])
+@pytest.mark.parametrize("yaw", [0.0, 0.7])
+def test_cells_are_areas_however_coarse_the_map(resolution: float, yaw: float) -> None:
+    """A wall from x = 4 on in a map turned by ``yaw``: a box of 0.4 m has room up to x = 3.8, the robot up to 4 - r."""
+    side = round(6 / resolution)
+    cells = np.zeros((side, side), np.int8)
+    cells[:, round(4 / resolution) :] = OCCUPIED
+    grid = OccupancyGrid(cells, resolution, (1.0, -2.0, yaw))
+
+    def pose(x: float) -> tuple[float, float, float]:
+        return (*se2.transform_point(np.array(grid.origin), np.array([x, 3.0])).tolist(), yaw)
+
+    robot, half = pose(1.0)[:2], (0.2, 0.2)
+    for x in (3.5, 3.79, 3.8):
+        check_place(grid, "the box", pose(x), half, robot, {})
+    for x in (3.82, 3.9, 4.1, 4.19):
+        with pytest.raises(ShmooError, match="stands in a wall"):
+            check_place(grid, "the box", pose(x), half, robot, {})
+    check_point(grid, pose(4 - 0.31)[:2], ROBOT_RADIUS, "the goal")
+    for x in (4 - 0.27, 3.9, 3.99):
+        with pytest.raises(ShmooError, match="from a wall"):
+            check_point(grid, pose(x)[:2], ROBOT_RADIUS, "the goal")
+
+
+@settings(deadline=None)
+@given(st.floats(0, 6), st.floats(0, 6), st.floats(-3, 3), st.floats(0, 2))
+def test_the_distance_to_cells_is_that_of_their_union(x: float, y: float, yaw: float, reach: float) -> None:
+    cells = np.zeros((12, 12), np.int8)
+    cells[2:5, 3], cells[8, 6:9] = OCCUPIED, UNKNOWN
+    grid = OccupancyGrid(cells, 0.5, (-1.0, 0.5, 0.4))
+    walls = shapely.union_all([shapely.box(3, 2, 4, 5), shapely.box(6, 8, 9, 9)])
+    local = footprint_polygon((x, y, yaw), (0.3, 0.2))
+    shape = shapely.transform(local, lambda p: se2.transform_point(np.array(grid.origin), p))
+    true = shapely.distance(local, shapely.transform(walls, lambda p: 0.5 * p))
+    found = wall_distance(grid, shape, reach)
+    assert found == pytest.approx(true, abs=1e-9) if true < reach - 1e-9 else found >= reach - 1e-9
 
 
 def test_objects_on_free_floor_pass() -> None:

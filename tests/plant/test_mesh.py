@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import importlib.util
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.hands import HAND_HEIGHT, REACH
@@ -133,6 +137,236 @@ def test_a_mesh_turned_inside_out_is_the_same_object(tmp_path: Path) -> None:
     ]
     np.testing.assert_allclose(made[0]["inertia_per_mass"], made[1]["inertia_per_mass"], atol=1e-5)
     np.testing.assert_allclose(made[0]["com"], made[1]["com"], atol=1e-5)
+
+
+def _placed(mesh: Any, x: float, y: float, z: float) -> Any:
+    return mesh.apply_translation((x, y, z))
+
+
+def _wooden_table() -> Any:
+    """A top on four legs that reach into it, with a hollow ball on it."""
+    legs = [_placed(trimesh.creation.box((0.05, 0.05, 0.6)), x, y, 0.3) for x in (-0.3, 0.3) for y in (-0.2, 0.2)]
+    ball, hole = (trimesh.creation.icosphere(subdivisions=1, radius=r) for r in (0.08, 0.06))
+    hole.invert()
+    shell = [_placed(sphere, 0.1, 0.05, 0.7) for sphere in (ball, hole)]
+    return trimesh.util.concatenate([_placed(trimesh.creation.box((0.7, 0.5, 0.04)), 0, 0, 0.59), *legs, *shell])
+
+
+def _inertial_of(mesh: Any, file: Path, **options: Any) -> np.ndarray:
+    """Centre of mass, inertia and size of what is made of the mesh when it is written as ``file``."""
+    mesh.export(file)
+    data = read_object(add_object(file, 8.0, 0.4, out=file.with_suffix(".json"), **options))
+    return np.concatenate([data["com"], data["inertia_per_mass"], data["size"]])
+
+
+@pytest.fixture(scope="module")
+def true_table(tmp_path_factory: pytest.TempPathFactory) -> np.ndarray:
+    return _inertial_of(_wooden_table(), tmp_path_factory.mktemp("table") / "table.stl")
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_winding_changes_no_mass_property_or_is_refused(
+    data: st.DataObject, true_table: np.ndarray, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """Some faces, or all, of some bodies are wound the other way."""
+    mesh = _wooden_table()
+    bodies = trimesh.graph.connected_components(mesh.face_adjacency)
+    assert len(bodies) == 7
+    rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1), "seed"))
+    faces = mesh.faces.copy()
+    chosen = data.draw(st.sets(st.sampled_from(range(7)), min_size=1), "bodies")
+    for body in chosen:
+        share = data.draw(st.sampled_from([0.1, 0.5, 1.0]), "share")
+        turned = bodies[body][rng.random(len(bodies[body])) <= share]
+        faces[turned] = faces[turned][:, ::-1]
+    turned_mesh = trimesh.Trimesh(mesh.vertices, faces, process=False)
+    try:
+        found = _inertial_of(turned_mesh, tmp_path_factory.mktemp("turned") / "table.stl")
+    except ShmooError as error:
+        assert "cavity" in str(error) and any(len(bodies[body]) == 80 for body in chosen)  # of the hollow ball
+    else:
+        np.testing.assert_allclose(found, true_table, atol=2e-5)
+
+
+@pytest.mark.parametrize("turned", [[0], [0, 5, 7], list(range(12))])
+def test_a_cube_with_faces_turned_is_the_cube(turned: list[int], tmp_path: Path) -> None:
+    cube = trimesh.creation.box((0.5, 0.5, 0.6))
+    faces = cube.faces.copy()
+    faces[turned] = faces[turned][:, ::-1]
+    found = _inertial_of(trimesh.Trimesh(cube.vertices, faces, process=False), tmp_path / "cube.stl")
+    np.testing.assert_allclose(found[:3], (0, 0, 0.3), atol=1e-5)
+    np.testing.assert_allclose(found[3:6], [0.61 / 12, 0.61 / 12, 0.5 / 12], rtol=1e-4)
+    build_scene([(draw_condition(str(tmp_path / "cube.json"), 0), (1.0, 0.0, 0.0))])
+
+
+@pytest.mark.parametrize(("inverted", "clear"), [("inner", True), ("outer", True), ("", False), ("both", False)])
+def test_a_cavity_is_empty_and_a_doubtful_one_is_refused(inverted: str, clear: bool, tmp_path: Path) -> None:
+    """Clear is what is wound as it should be, or all the other way round."""
+    outer, inner = (trimesh.creation.box(size) for size in ((0.6, 0.5, 0.8), (0.4, 0.3, 0.2)))
+    middle = np.array([0.05, 0.0, -0.2])
+    inner.apply_translation(middle)
+    centre = -middle * inner.volume / (outer.volume - inner.volume) + (0, 0, 0.4)
+    for name, mesh in (("inner", inner), ("outer", outer)):
+        if inverted in (name, "both"):
+            mesh.invert()
+    hollow = trimesh.util.concatenate([outer, inner])
+    if clear:
+        np.testing.assert_allclose(_inertial_of(hollow, tmp_path / "hollow.stl")[:3], centre, atol=1e-5)
+    else:
+        with pytest.raises(ShmooError, match=r"hollow\.stl .*cavity"):
+            _inertial_of(hollow, tmp_path / "hollow.stl")
+
+
+def _textured_cube(path: Path, normals: bool, material_per_side: bool) -> Path:
+    """An OBJ cube of 0.5 m with vertices of its own for each side, as texture or normals ask for."""
+    sides = [((0, 0, 0), (0, 1, 0), (1, 0, 0)), ((0, 0, 0), (1, 0, 0), (0, 0, 1)), ((0, 0, 0), (0, 0, 1), (0, 1, 0))]
+    sides += [((1, 1, 1), tuple(-x for x in v), tuple(-x for x in u)) for _, u, v in sides]
+    lines = []
+    for i, (corner, u, v) in enumerate(sides):
+        corners = 0.5 * (np.array(corner) + np.array([(0, 0, 0), u, np.add(u, v), v]))
+        lines += [f"v {x} {y} {z}" for x, y, z in corners]
+        lines += [f"vt {s} {t}" for s, t in ((0, 0), (1, 0), (1, 1), (0, 1))]
+        lines += ["vn {} {} {}".format(*np.cross(u, v))] * normals
+        lines += [f"usemtl side{i}"] * material_per_side
+        four = [f"{4 * i + k + 1}/{4 * i + k + 1}" + f"/{i + 1}" * normals for k in range(4)]
+        lines += [f"f {four[0]} {four[1]} {four[2]}", f"f {four[0]} {four[2]} {four[3]}"]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+@pytest.mark.parametrize("normals", [False, True])
+@pytest.mark.parametrize("material_per_side", [False, True])
+def test_seams_of_texture_and_normals_open_nothing(normals: bool, material_per_side: bool, tmp_path: Path) -> None:
+    path = _textured_cube(tmp_path / "cube.obj", normals, material_per_side)
+    data = read_object(add_object(path, 8.0, 0.4, out=tmp_path / "cube.json"))
+    np.testing.assert_allclose(data["com"], (0, 0, 0.25), atol=1e-6)
+    np.testing.assert_allclose(data["inertia_per_mass"], [0.5**2 / 6] * 3 + [0] * 3, atol=1e-6)
+
+
+def _with_degenerate_faces(mesh: Any) -> Any:
+    """A face twice, a face whose corners are one point, one that is a line, and a vertex that nothing uses."""
+    vertices = np.concatenate([mesh.vertices, mesh.vertices[:1], [[5.0, 5.0, 5.0]]])
+    more = [mesh.faces[0], [0, len(mesh.vertices), 1], [2, 2, 3]]
+    return trimesh.Trimesh(vertices, np.concatenate([mesh.faces, more]), process=False)
+
+
+def test_degenerate_and_doubled_faces_and_unused_vertices_change_nothing(tmp_path: Path) -> None:
+    cube = trimesh.creation.box((0.5, 0.4, 0.7))
+    expected = _inertial_of(cube, tmp_path / "cube.off")
+    np.testing.assert_allclose(_inertial_of(_with_degenerate_faces(cube), tmp_path / "more.off"), expected, atol=1e-6)
+
+
+def test_bodies_that_touch_are_one_object(tmp_path: Path) -> None:
+    """Two halves of a box share a wall of equal faces, or touch as two parts of a file whose edges meet."""
+    whole = _inertial_of(trimesh.creation.box((0.6, 0.4, 0.8)), tmp_path / "whole.stl")
+    lower, upper = (_placed(trimesh.creation.box((0.6, 0.4, 0.4)), 0, 0, z) for z in (0.2, 0.6))
+    for name, upper_half in (("same.glb", upper), ("other.glb", upper.copy().apply_transform(np.diag([-1, 1, 1, 1])))):
+        scene = trimesh.Scene([lower, upper_half])
+        np.testing.assert_allclose(_inertial_of(scene, tmp_path / name, up="z"), whole, atol=1e-5)
+    mirrored = _placed(lower.copy().apply_transform(np.diag([1, 1, -1, 1])), 0, 0, 0.8)
+    soup = trimesh.util.concatenate([lower, mirrored])
+    np.testing.assert_allclose(_inertial_of(soup, tmp_path / "soup.stl"), whole, atol=1e-5)
+
+
+def test_a_surface_with_one_side_is_refused(tmp_path: Path) -> None:
+    """A Klein bottle: a grid of triangles whose tube comes back turned over."""
+    n = 12
+    faces = []
+    for i in range(n):
+        for j in range(n):
+            a, d = i * n + j, i * n + (j + 1) % n
+            b, c = ((i + 1) % n * n + (k if i < n - 1 else -k) % n for k in (j, j + 1))
+            faces += [(a, b, c), (a, c, d)]
+    bottle = trimesh.Trimesh(np.random.default_rng(0).uniform(0, 0.6, (n * n, 3)), faces, process=False)
+    with pytest.raises(ShmooError, match=r"bottle\.off .*inside and outside"):
+        _inertial_of(bottle, tmp_path / "bottle.off")
+
+
+_COLLADA = """<?xml version="1.0"?>
+<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+  <asset>{asset}</asset>
+  <library_geometries><geometry id="g"><mesh>
+    <source id="p"><float_array id="a" count="{count}">{points}</float_array><technique_common>
+      <accessor source="#a" count="8" stride="3">
+        <param name="X" type="float"/><param name="Y" type="float"/><param name="Z" type="float"/>
+      </accessor></technique_common></source>
+    <vertices id="v"><input semantic="POSITION" source="#p"/></vertices>
+    <triangles count="12"><input semantic="VERTEX" source="#v" offset="0"/><p>{faces}</p></triangles>
+  </mesh></geometry></library_geometries>
+  <library_visual_scenes><visual_scene id="s"><node id="n"><instance_geometry url="#g"/></node></visual_scene>
+  </library_visual_scenes>
+  <scene><instance_visual_scene url="#s"/></scene>
+</COLLADA>
+"""
+
+
+def _collada(path: Path, asset: str, size: tuple[float, float, float]) -> Path:
+    box = trimesh.creation.box(size)
+    points, faces = (" ".join(map(str, a.ravel().tolist())) for a in (np.asarray(box.vertices), np.asarray(box.faces)))
+    path.write_text(_COLLADA.format(asset=asset, points=points, faces=faces, count=24))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("asset", "options", "size"),
+    [
+        ('<unit name="m" meter="1"/><up_axis>Z_UP</up_axis>', {}, (0.5, 0.4, 0.7)),
+        ('<unit name="cm" meter="0.01"/><up_axis>Z_UP</up_axis>', {}, (50, 40, 70)),
+        ('<unit name="inch" meter="0.0254"/><up_axis>Y_UP</up_axis>', {}, (20, 28, 16)),
+        ("", {"scale": 0.001}, (500, 700, 400)),
+        ("<up_axis>Y_UP</up_axis>", {"up": "z"}, (0.5, 0.4, 0.7)),
+    ],
+)
+def test_collada_files_have_their_own_unit_and_axis(
+    asset: str, options: dict[str, Any], size: tuple[float, float, float], tmp_path: Path
+) -> None:
+    pytest.importorskip("collada")
+    path = _collada(tmp_path / "crate.dae", asset, size)
+    made = read_object(add_object(path, 8.0, 0.4, out=tmp_path / "crate.json", **options))
+    inches = 0.0254 * np.array([20, 16, 28])
+    np.testing.assert_allclose(made["size"], inches if "inch" in asset else (0.5, 0.4, 0.7), atol=1e-5)
+
+
+def test_collada_without_its_package_or_with_x_up_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = _collada(tmp_path / "crate.dae", "<up_axis>X_UP</up_axis>", (0.5, 0.4, 0.7))
+    if importlib.util.find_spec("collada"):
+        with pytest.raises(ShmooError, match=r"crate\.dae has x pointing up"):
+            add_object(path, 8.0, 0.4, out=tmp_path / "crate.json")
+    monkeypatch.setitem(sys.modules, "collada", None)
+    with pytest.raises(ShmooError, match=r"crate\.dae .*pip install pycollada .*convert it to GLB or STL"):
+        add_object(path, 8.0, 0.4, out=tmp_path / "crate.json")
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [("r.urdf", ("mesh file", "mj_saveLastXML")), ("r.sdf", ("mesh file", "MJCF")), ("r.fbx", ("convert", "STL"))],
+)
+def test_formats_that_are_no_mesh_say_how_to_convert(name: str, words: tuple[str, ...], tmp_path: Path) -> None:
+    (tmp_path / name).write_text("<robot/>")
+    with pytest.raises(ShmooError) as error:
+        add_object(tmp_path / name, 8.0, 0.4, out=tmp_path / "r.json")
+    assert all(word in str(error.value) for word in (name, *words)) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("factor", "scale", "words"),
+    [
+        (1000, 1.0, ("0.001 if it is in millimetres",)),
+        (100, 1.0, ("0.01 if it is in centimetres",)),
+        (1 / 0.0254, 1.0, ("0.0254 if it is in inches",)),
+        (1, 0.001, ("--scale",)),
+    ],
+)
+def test_a_size_that_no_object_has_names_the_likely_units(
+    factor: float, scale: float, words: tuple[str, ...], tmp_path: Path
+) -> None:
+    mesh = trimesh.creation.box((0.5, 0.4, 0.7)).apply_scale(factor)
+    with pytest.raises(ShmooError) as error:
+        _inertial_of(mesh, tmp_path / "crate.stl", scale=scale)
+    assert all(word in str(error.value) for word in ("crate.stl", *words))
+    if factor == 1000:
+        assert "inches" not in str(error.value)
 
 
 _TABLE = """
