@@ -473,7 +473,7 @@ def write_run(file: Path, size: tuple[float, float], out: Path, weights: Weights
     check_folder(out, {"trace.npz": ARRAYS, "result.json": RECORDING, "report.html": HTML}, "trace.npz")
     result, trace = run_of_log(read_log(file), (size[0] / 2, size[1] / 2), weights)
     for warning in result["warnings"]:
-        LOG.warning("%s: %s", file, warning)
+        LOG.warning("shmoo: %s: %s", file, warning)
     command = f"uv run shmoo report {shlex.quote(file.name)} --size {size[0]:g} {size[1]:g}"
     save_trace(out / "trace.npz", trace)
     write_whole(out / "result.json", (json.dumps(result | {"name": file.stem, "command": command}) + "\n").encode())

@@ -101,10 +101,10 @@ def check_folder(folder: Path, files: Mapping[str, str], mark: str) -> None:
     Raises:
         ShmooError: one of them may not be written.
     """
-    marked = (folder / mark).is_file()
     for name, kind in files.items():
         check_output(folder / name, kind)
-        if not marked and (folder / name).is_file():
+    for name in files:
+        if (folder / name).is_file() and not (folder / mark).is_file():
             raise ShmooError(f"{folder / name}: is of no earlier run; choose another folder for the output.")
 
 
