@@ -18,6 +18,7 @@ import shmoo_mjx
 from shmoo_mjx import options as bounded
 from shmoo_mjx.environment import check_environment, prepare_environment
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.inputs import with_inputs_kept
 from shmoo_mjx.options import SENSES, SensesName
 from shmoo_mjx.seeds import UNSEEN_SEED, ConditionSeed, Seed, check_seed, seed_of
 from shmoo_mjx.verbosity import with_verbosity
@@ -128,7 +129,7 @@ def replay(run: Positional[Path], weights: Path | None = None) -> int:
 
     Args:
         run: folder that demo or navigate has left.
-        weights: those of the run (default: the shipped ones).
+        weights: those of the run (default: the ones in its folder, or else the shipped ones).
     """
     from shmoo_mjx.replay import replay as compare
 
@@ -235,25 +236,24 @@ def train(
 def map_(
     action: Positional[Literal["show"]],
     map: Positional[Path],
-    out: Path = Path("map.png"),
+    out: Path | None = None,
     radius: bounded.Radius = 0.29,
 ) -> int:
     """Draw a map with the free space of a robot of the given radius.
 
-    Example: shmoo map show office.yaml --out office.png
+    Example: shmoo map show office.yaml
 
     Args:
         action: show.
         map: map_server YAML.
-        out: picture to write.
+        out: PNG picture to write (default: the map's name with _free_space.png, in the present folder).
         radius: robot radius [m].
     """
     from shmoo_mjx.navigation.maps import count_free_unknown, load_map
     from shmoo_mjx.report.map_picture import draw_map
 
     grid = load_map(map)
-    draw_map(grid, radius, out)
-    print(out)
+    print(draw_map(grid, radius, out or Path(f"{map.stem}_free_space.png")))
     if count := count_free_unknown(map):
         area = count * grid.resolution**2
         print(
@@ -408,7 +408,10 @@ def experiment(
     from shmoo_mjx.evaluation.everything import run_all
     from shmoo_mjx.evaluation.registry import run_experiment
     from shmoo_mjx.evaluation.result import ExperimentOptions, table, write_result
+    from shmoo_mjx.guard import EXPERIMENT, check_output
 
+    target = json or out / f"{name}.json"
+    check_output(target, EXPERIMENT)
     count, scenario_set = (None, scenarios) if isinstance(scenarios, Path) else (scenarios, None)
     if scenario_set is not None:
         from shmoo_mjx.evaluation.scenario_set import find_set
@@ -427,7 +430,6 @@ def experiment(
             print(page)
             return 0
         result = run_experiment(name, options)
-    target = json or out / f"{name}.json"
     write_result(target, result)
     print(table(result))
     print(target)
@@ -467,15 +469,17 @@ def bench(
     from shmoo_mjx.benchmarking.compare import compare_files
     from shmoo_mjx.benchmarking.registry import BenchOptions, describe, run_all, run_benchmark
     from shmoo_mjx.evaluation.result import write_result
+    from shmoo_mjx.guard import EXPERIMENT, check_output
 
     if name == "compare":
         text, slower = compare_files(files, ratios)
         print(text)
         return int(slower)
+    target = json or out / f"bench_{name}.json"
+    check_output(target, EXPERIMENT)
     with progress.stages() as report:
         options = BenchOptions(quick, peers_python, seed, report, maps)
         result = run_all(options, out) if name == "all" else run_benchmark(name, options)
-    target = json or out / f"bench_{name}.json"
     write_result(target, result)
     print(describe(result))
     print(target)
@@ -548,11 +552,13 @@ def faults(
     from shmoo_mjx.evaluation import faults as matrix
     from shmoo_mjx.evaluation.result import ExperimentOptions, write_result
     from shmoo_mjx.files import claimed
+    from shmoo_mjx.guard import EXPERIMENT, check_output
 
+    target = json or out / "faults.json"
+    check_output(target, EXPERIMENT)
     with progress.stages() as report, claimed(out):
         options = ExperimentOptions(seed, weights=weights, out=out, progress=report)
         result = matrix.run(options, runs, only, workers)
-    target = json or out / "faults.json"
     write_result(target, result)
     print(f"{matrix.summary(result)}\n{target}")
     return 0
@@ -585,11 +591,13 @@ def soak(
     from shmoo_mjx.evaluation import soak as errands
     from shmoo_mjx.evaluation.result import ExperimentOptions, write_result
     from shmoo_mjx.files import claimed
+    from shmoo_mjx.guard import EXPERIMENT, check_output
 
+    target = json or out / "soak.json"
+    check_output(target, EXPERIMENT)
     with progress.stages() as report, claimed(out):
         options = ExperimentOptions(seed, weights=weights, out=out, progress=report)
         result = errands.run(options, errands.SoakTrials(minutes, buildings), workers)
-    target = json or out / "soak.json"
     write_result(target, result)
     print(errands.summary(result))
     print(target)
@@ -654,7 +662,7 @@ def _run(arguments: list[str] | None = None) -> int:
         raise ShmooError(f"there is no command {given[0]!r}; {hint}")
     if given and given[0] in _COMMANDS and given[0] not in _NEED_NO_DEVICE and not {"--help", "-h"} & set(given):
         check_environment()
-    commands = {name: with_verbosity(command) for name, command in _COMMANDS.items()}
+    commands = {name: with_verbosity(with_inputs_kept(command)) for name, command in _COMMANDS.items()}
     code: int = tyro.extras.subcommand_cli_from_dict(
         commands, prog="shmoo", description=str(shmoo_mjx.__doc__).partition("\n")[0], args=given
     )

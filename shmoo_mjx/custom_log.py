@@ -6,7 +6,10 @@ comes after it. Only twists are found with hindsight, by a parabola through the 
 
 from __future__ import annotations
 
+import csv
 import json
+import re
+import shlex
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,6 +25,7 @@ from shmoo_mjx.dynamics import contact_model, object_model
 from shmoo_mjx.dynamics.core import Params
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.files import write_whole
+from shmoo_mjx.guard import ARRAYS, HTML, RECORDING, check_folder
 from shmoo_mjx.hands import touches
 from shmoo_mjx.learning import adaptation, identification, online
 from shmoo_mjx.learning.weights import Weights, prior_state
@@ -31,6 +35,7 @@ from shmoo_mjx.navigation.verdicts import PROBE_TIME
 from shmoo_mjx.report.trace import Trace, save_trace
 from shmoo_mjx.schema import closest_name
 from shmoo_mjx.types import DT
+from shmoo_mjx.verbosity import LOG
 from shmoo_mjx.versions import versions
 
 REQUIRED = ("t", "object_x", "object_y", "object_yaw", "force_x", "force_y")
@@ -42,6 +47,21 @@ _SLOWEST = 0.12
 """Longest usual time between two rows [s]."""
 _FASTEST = (5.0, 10.0)
 """Speed [m/s] and yaw rate [rad/s] above which numbers are in other units."""
+_NOTHING = ("", "nan", "na", "n/a", "#n/a", "null", "none")
+"""What stands in a cell whose number is not known."""
+_LONGEST = (60.0, 4 * 3600.0)
+"""Longest time between two rows, and from the first to the last [s]."""
+_FARTHEST = (
+    dict.fromkeys(("object_x", "object_y", "robot_x", "robot_y"), 100.0)
+    | dict.fromkeys(("object_yaw", "robot_yaw"), 1000.0)
+    | dict.fromkeys(("force_x", "force_y", "torque"), 10_000.0)
+)
+"""What a column may differ from its median [m, rad, N, N m]."""
+_MASSES = (0.5, 500.0)
+"""A mass outside was hardly pushed by hands [kg]."""
+_AGAINST = -0.3
+"""Work of the hands over the sum of its magnitude, below which the force points against the motion. An object at rest
+whose pose is noisy comes near zero."""
 _LOST = 1.0
 """A push ends when the hands have not touched for so long [s]."""
 _TOLD = 0.05
@@ -63,23 +83,24 @@ class Log(NamedTuple):
     """``[T, 3]`` of the hands on the object about its centre, mean over the sample"""
     robot_pose: np.ndarray
     """``[T, 3]``"""
+    doubts: tuple[str, ...] = ()
+    """Sentences about numbers that may be in other units."""
 
 
 def read_log(path: str | Path) -> Log:
     """The recording in a CSV or Parquet file (docs/make_your_own.md lists its columns), as samples of 0.1 s.
 
+    Columns of a CSV file are separated by commas, semicolons or tabs.
+
     Raises:
-        ShmooError: the file can't be read, a column is missing, or its numbers can't be what they should.
+        ShmooError: the file can't be read, a column is missing or stands twice, or its numbers can't be what they
+            should; it names the column, and the row where one is at fault (the first one below the header is row 1).
     """
     file = Path(path)
     columns = _columns(file)
+    _check_values(file, columns)
     t = columns["t"]
-    back = np.flatnonzero(np.diff(t) <= 0)
-    if not np.isfinite(t).all() or back.size:
-        row = int(back[0]) + 2 if back.size else int(np.flatnonzero(~np.isfinite(t))[0]) + 1
-        raise ShmooError(f"{file}: the column 't' must grow from row to row, in s; row {row} does not.")
-    if len(t) < 10 or t[-1] - t[0] < 1.0 or np.median(np.diff(t)) > _SLOWEST:
-        raise ShmooError(f"{file}: give at least 1 s with 10 rows each second; 't' has {len(t)} from {t[0]:g} s on.")
+    _check_times(file, t)
     pose = np.stack([columns[f"object_{name}"] for name in ("x", "y", "yaw")], axis=-1)
     robot = np.stack([columns.get(f"robot_{name}", np.full(len(t), np.nan)) for name in ("x", "y", "yaw")], axis=-1)
     grid = np.arange(t[0], t[-1] - DT, DT)
@@ -87,47 +108,148 @@ def read_log(path: str | Path) -> Log:
     fast = np.hypot(object_twist[:, 0], object_twist[:, 1]), np.abs(object_twist[:, 2])
     for values, name, unit, limit in zip(fast, ("object_x", "object_yaw"), ("m", "rad"), _FASTEST, strict=True):
         if np.nanquantile(np.r_[values, 0.0], 0.98) > limit:
-            raise ShmooError(f"{file}: '{name}' changes by more than {limit:g} {unit}/s; give it in {unit}.")
+            row = int(np.nanargmax(np.abs(columns[name] - np.nanmedian(columns[name])))) + 1
+            raise ShmooError(
+                f"{file}: '{name}' changes by more than {limit:g} {unit}/s, as in row {row}; give it in {unit}, or "
+                "leave the cell empty where it is not known."
+            )
+    _check_extents(file, columns)
     force = np.stack([columns[name] if name in columns else 0 * t for name in ("force_x", "force_y", "torque")], -1)
     wrench = _means(t, force, grid)
-    if not touches(wrench).any():
+    touching = touches(wrench)
+    if not touching.any():
         raise ShmooError(f"{file}: 'force_x' and 'force_y' never reach 2 N, so nothing was pushed; give them in N.")
-    return Log(grid - grid[0], object_pose, object_twist, wrench, _smoothed(t, robot, grid)[0])
+    if not np.isfinite(object_pose[touching]).all(axis=1).any():
+        raise ShmooError(
+            f"{file}: 'object_x', 'object_y' and 'object_yaw' are never known together while the hands push; "
+            "give all three in the same rows."
+        )
+    return Log(
+        grid - grid[0], object_pose, object_twist, wrench, _smoothed(t, robot, grid)[0], tuple(_in_degrees(columns))
+    )
+
+
+def _check_values(file: Path, columns: dict[str, np.ndarray]) -> None:
+    if not len(columns["t"]):
+        raise ShmooError(f"{file}: has a header but no rows; give a recording.")
+    for name, values in columns.items():
+        endless = np.flatnonzero(np.isinf(values))
+        if endless.size:
+            row = int(endless[0]) + 1
+            raise ShmooError(f"{file}: row {row}: '{name}' is not finite; leave the cell empty if it is not known.")
+        if name in REQUIRED and np.isnan(values).all():
+            raise ShmooError(f"{file}: the column '{name}' holds no numbers; fill it in.")
+
+
+def _check_times(file: Path, t: np.ndarray) -> None:
+    steps = np.diff(t)
+    back = np.flatnonzero(steps <= 0)
+    if np.isnan(t).any() or back.size:
+        row = int(back[0]) + 2 if back.size else int(np.flatnonzero(np.isnan(t))[0]) + 1
+        raise ShmooError(f"{file}: the column 't' must grow from row to row, in s; row {row} does not.")
+    gap, most = _LONGEST
+    if steps.size and steps.max() > gap:
+        row = int(steps.argmax()) + 2
+        raise ShmooError(
+            f"{file}: row {row}: 't' is {t[row - 1]:g}, which is {steps.max():g} s after the row before it; give it in "
+            f"s, and cut a recording that pauses for more than {gap:g} s."
+        )
+    if len(t) < 10 or t[-1] - t[0] < 1.0 or np.median(steps) > _SLOWEST:
+        raise ShmooError(f"{file}: give at least 1 s with 10 rows each second; 't' has {len(t)} from {t[0]:g} s on.")
+    if t[-1] - t[0] > most:
+        raise ShmooError(f"{file}: 't' spans {t[-1] - t[0]:g} s; cut the recording to {most:g} s or less.")
+
+
+def _check_extents(file: Path, columns: dict[str, np.ndarray]) -> None:
+    for name, values in columns.items():
+        limit = _FARTHEST.get(name, np.inf)
+        if np.isnan(values).all():
+            continue
+        away = np.abs(np.nan_to_num(values - np.nanmedian(values)))
+        if away.max() > limit:
+            row = int(away.argmax()) + 1
+            raise ShmooError(
+                f"{file}: row {row}: '{name}' is {values[row - 1]:g}, more than {limit:g} from what it is mostly; "
+                "correct it, or leave the cell empty."
+            )
+
+
+def _in_degrees(columns: dict[str, np.ndarray]) -> list[str]:
+    found = []
+    for name in ("object_yaw", "robot_yaw"):
+        largest = float(np.nanmax(np.abs(columns.get(name, np.zeros(1))), initial=0.0))
+        if largest > 2 * np.pi:
+            found.append(f"'{name}' goes up to {largest:.0f}, which is more than a whole turn; if it is in degrees, "
+                         "give it in rad.")  # fmt: skip
+    return found
 
 
 def _columns(file: Path) -> dict[str, np.ndarray]:
-    import pyarrow
-    from pyarrow import csv, parquet
-
     if not file.is_file():
         raise ShmooError(f"{file}: there is no such file; give a log as CSV or Parquet.")
     try:
-        table = parquet.read_table(file) if file.suffix.lower() in (".parquet", ".pq") else csv.read_csv(file)
-        names = table.column_names
-    except (pyarrow.ArrowException, OSError, UnicodeDecodeError):
+        return (_parquet if file.suffix.lower() in (".parquet", ".pq") else _csv)(file)
+    except (OSError, ValueError, RuntimeError, csv.Error):  # pyarrow's errors are of these kinds
         raise ShmooError(f"{file}: this is no CSV with a header, and no Parquet file (*.parquet).") from None
+
+
+def _places(file: Path, names: list[str]) -> dict[str, int]:
+    """Where the columns that we know stand among all."""
     for name in REQUIRED:
         if name not in names:
-            near = closest_name(name, names) if names else ""
+            near = closest_name(name, names)
             hint = near if near.startswith("did") else f"there are {', '.join(names)[:120]}."
             raise ShmooError(f"{file}: the column '{name}' is missing; {hint}")
-    given = [name for name in (*REQUIRED, *OPTIONAL) if name in names]
-    for name in given:
-        kind = table.schema.field(name).type
-        if not (pyarrow.types.is_floating(kind) or pyarrow.types.is_integer(kind) or pyarrow.types.is_null(kind)):
-            first = next((str(v) for v in table[name].to_pylist() if not _is_number(v)), "")
-            raise ShmooError(
-                f"{file}: the column '{name}' holds {first[:40]!r}; give numbers, or nothing where unknown."
-            )
-    return {name: table[name].cast(pyarrow.float64()).to_numpy(zero_copy_only=False) for name in given}
+    for name in (*REQUIRED, *OPTIONAL):
+        if names.count(name) > 1:
+            raise ShmooError(f"{file}: the column '{name}' stands {names.count(name)} times; keep one of them.")
+    return {name: names.index(name) for name in (*REQUIRED, *OPTIONAL) if name in names}
 
 
-def _is_number(value: Any) -> bool:
-    try:
-        float(value or 0.0)
-    except (TypeError, ValueError):
-        return False
-    return True
+def _parquet(file: Path) -> dict[str, np.ndarray]:
+    from pyarrow import parquet
+
+    names = parquet.read_schema(file).names
+    places = _places(file, [name.strip() for name in names])
+    table = parquet.read_table(file, columns=[names[i] for i in places.values()])
+    return {name: _numbers(file, name, table[names[i]].to_pylist()) for name, i in places.items()}
+
+
+def _csv(file: Path) -> dict[str, np.ndarray]:
+    """Columns are separated by what splits the header into the most names that we know."""
+    with file.open(encoding="utf-8-sig", newline="") as opened:
+        lines = (line for line in opened if line.strip())
+        header = next(lines, "")
+
+        def split(delimiter: str) -> list[str]:
+            return [name.strip() for name in next(csv.reader([header], delimiter=delimiter), [])]
+
+        delimiter = max(",;\t", key=lambda d: len({*REQUIRED, *OPTIONAL} & {*split(d)}))
+        names = split(delimiter)
+        if not any(names):
+            raise ValueError
+        places, rows = _places(file, names), list(csv.reader(lines, delimiter=delimiter))
+    for number, row in enumerate(rows, 1):
+        if len(row) < len(names) or any(cell.strip() for cell in row[len(names) :]):
+            remedy = "write a point for a decimal comma" if len(row) > len(names) else "give every column a cell"
+            raise ShmooError(f"{file}: row {number} has {len(row)} cells, the header {len(names)}; {remedy}.")
+    return {name: _numbers(file, name, [row[i] for row in rows]) for name, i in places.items()}
+
+
+def _numbers(file: Path, name: str, values: list[Any]) -> np.ndarray:
+    """The values of a column, NaN where nothing stands."""
+    found = np.full(len(values), np.nan)
+    for i, value in enumerate(values):
+        text = "" if value is None else str(value).strip()
+        if text.lower() in _NOTHING:
+            continue
+        try:
+            found[i] = float(text)
+        except ValueError:
+            comma = re.fullmatch(r"[+-]?\d*,\d+(e[+-]?\d+)?", text, re.IGNORECASE)
+            remedy = "write a point for the decimal comma." if comma else "give numbers, or nothing where unknown."
+            raise ShmooError(f"{file}: row {i + 1}: the column '{name}' holds {text[:40]!r}; {remedy}") from None
+    return found
 
 
 def _smoothed(t: np.ndarray, pose: np.ndarray, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -181,9 +303,12 @@ def run_of_log(log: Log, half_extents: tuple[float, float], weights: Weights) ->
     }
     item["description"] = f"{2 * half_extents[0]:g} x {2 * half_extents[1]:g} m"
     ends = {"start_pose": poses[0].tolist(), "final_pose": poses[-1].tolist()}
+    warnings = [*log.doubts, *_doubts(log, dict(zip(names, learned[-1], strict=True)))]
     result = {
-        "outcome": "log", "summary": _summary(log, pushes, moves, learned[-1], names, prior, errors),
-        "transitions": [], "decisions": decisions, "objects": [item | ends], "time_s": float(log.t[-1]),
+        "outcome": "log",
+        "summary": " ".join([_summary(log, pushes, moves, learned[-1], names, prior, errors), *warnings]),
+        "warnings": warnings, "transitions": [], "decisions": decisions, "objects": [item | ends],
+        "time_s": float(log.t[-1]),
         "learned": dict(zip(names, learned[-1].tolist(), strict=True)), "prior": prior, "unexplained": errors,
         "versions": versions(),
     }  # fmt: skip
@@ -194,7 +319,7 @@ def _learned(
     log: Log, half_extents: tuple[float, float], weights: Weights
 ) -> tuple[np.ndarray, tuple[str, ...], dict[str, float], dict[str, float]]:
     """What is known after each sample ``[T, n]``, the names, the prior, and how much of the accelerations is left
-    unexplained by the prior and by what each sample's forerunners have taught."""
+    unexplained by the prior and by what each sample's forerunners have taught; nothing if none is known."""
     config, params = adaptation.AdaptConfig(), weights.params.object
     yaw = log.object_pose[:, 2]
     twist, wrench = se2.rotate(log.object_twist, -yaw), se2.rotate(log.wrench, -yaw)
@@ -212,6 +337,7 @@ def _learned(
     errors = {
         name: float(np.sum(((np.asarray(p)[use] - labels[use]) / np.asarray(params.label_scale)) ** 2) / spread)
         for name, p in (("prior", first), ("learned", guesses))
+        if spread > 0
     }
     prior = online.learned(start)
     return np.asarray(learned, dtype=float), tuple(prior), prior, errors
@@ -241,6 +367,30 @@ def _sample_by_sample(
 
     _, (learned, guesses) = jax.lax.scan(step, start, rows)
     return learned, guesses, jax.vmap(partial(predicted, start))(rows[0])
+
+
+def _doubts(log: Log, learned: dict[str, float]) -> list[str]:
+    """What speaks against the result: work that no hand does, and a mass that none moves."""
+    if _moved(log) < _TOLD:
+        return []
+    found = []
+    power = np.nan_to_num(np.sum(log.wrench * log.object_twist, axis=1)) * touches(log.wrench)
+    work = float(power.sum()) * DT
+    if work < _AGAINST * float(np.abs(power).sum()) * DT:
+        found.append(
+            f"The hands do {work:.1f} J of work on the object, so the force points against its motion: it must be that "
+            "of the hands on the object, in the frame of the poses."
+        )
+    mass = float(np.exp(learned.get("log_mass", 0.0)))
+    if not _MASSES[0] <= mass <= _MASSES[1]:
+        found.append(f"A mass of {mass:.3g} kg is not plausible: check units, sign and frame of the forces.")
+    return found
+
+
+def _moved(log: Log) -> float:
+    """How far the object came from where it was first seen [m]."""
+    poses = log.object_pose[np.isfinite(log.object_pose).all(axis=1), :2]
+    return float(np.linalg.norm(poses - poses[0], axis=1).max())
 
 
 def _pushes(log: Log) -> list[slice]:
@@ -292,8 +442,7 @@ def _summary(
         )
     else:
         sentences.append("No push was long enough for a verdict: 1 s of contact, or 0.1 m.")
-    poses = log.object_pose[np.isfinite(log.object_pose).all(axis=1), :2]
-    if np.linalg.norm(poses - poses[0], axis=1).max() < _TOLD:
+    if _moved(log) < _TOLD:
         return " ".join([*sentences, f"It moved less than {_TOLD:g} m, too little to tell its mass and friction."])
     if "log_mass" in prior:
         now = dict(zip(names, learned, strict=True))
@@ -305,10 +454,11 @@ def _summary(
             f"kg, which slow pushes hardly tell; before it was touched, {before[0]:.0f} N, {before[1]:.0f} N and "
             f"{before[2]:.1f} kg were expected."
         )
-    sentences.append(
-        f"Of its accelerations, {errors['learned']:.0%} of the variance is left unexplained by what the samples before "
-        f"each had taught, {errors['prior']:.0%} by what was expected."
-    )
+    if errors:
+        sentences.append(
+            f"Of its accelerations, {errors['learned']:.0%} of the variance is left unexplained by what the samples "
+            f"before each had taught, {errors['prior']:.0%} by what was expected."
+        )
     return " ".join(sentences)
 
 
@@ -316,12 +466,15 @@ def write_run(file: Path, size: tuple[float, float], out: Path, weights: Weights
     """Write what `run_of_log` makes of ``file``, with an object of ``size [2]`` [m], into ``out``; the report's page.
 
     Raises:
-        ShmooError: as `read_log`.
+        ShmooError: as `read_log`; or a file in ``out`` is not one of an earlier report of a recording.
     """
     from shmoo_mjx.report.html import write_report
 
+    check_folder(out, {"trace.npz": ARRAYS, "result.json": RECORDING, "report.html": HTML}, "trace.npz")
     result, trace = run_of_log(read_log(file), (size[0] / 2, size[1] / 2), weights)
-    command = f"uv run shmoo report {file.name} --size {size[0]:g} {size[1]:g}"
+    for warning in result["warnings"]:
+        LOG.warning("shmoo: %s: %s", file, warning)
+    command = f"uv run shmoo report {shlex.quote(file.name)} --size {size[0]:g} {size[1]:g}"
     save_trace(out / "trace.npz", trace)
     write_whole(out / "result.json", (json.dumps(result | {"name": file.stem, "command": command}) + "\n").encode())
     return write_report(out)

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -177,7 +178,7 @@ def result_of(simulation: Simulation, legs: Sequence[dict[str, Any]] = (), goals
         objects.append(
             {
                 "id": i,
-                "family": entry.family,
+                "family": Path(entry.family).stem,
                 "description": condition.describe(),
                 "start_pose": list(entry.pose),
                 "final_pose": _floats(seen.object_pose[0, i]),

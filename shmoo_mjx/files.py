@@ -1,4 +1,7 @@
-"""Files that are there whole or not at all, whenever their writer is stopped, in folders that one process keeps."""
+"""Files that are there whole or not at all, whenever their writer is stopped, in folders that one process keeps.
+
+None of them replaces an input or a file of another kind (guard.py).
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.guard import check_output, kind_of
 
 
 @contextmanager
@@ -45,13 +49,16 @@ def whole(path: str | Path, suffix: str = "") -> Iterator[Path]:
 
     Raises:
         OSError: with ``path`` as its file, whatever could not be written.
+        ShmooError: ``path`` is an input or a file of another kind.
     """
     path = Path(path)
+    check_output(path)
     temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp{suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         _clear_abandoned(path)
         yield temporary
+        check_output(path, kind_of(temporary, path.name) if path.exists() else "")
         os.replace(temporary, path)
     except OSError as error:
         if error.filename not in (None, temporary, str(temporary)):
@@ -63,7 +70,11 @@ def whole(path: str | Path, suffix: str = "") -> Iterator[Path]:
 
 
 def write_whole(path: str | Path, content: bytes) -> Path:
-    """Write ``content`` to ``path``, whole or not at all; returns the path."""
+    """Write ``content`` to ``path``, whole or not at all; returns the path.
+
+    Raises:
+        OSError, ShmooError: as `whole`.
+    """
     with whole(path) as temporary, open(temporary, "wb") as file:
         file.write(content)
         file.flush()

@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.recorded import RECORDED, Recorded, load_recorded
 from shmoo_mjx.report.trace import load_result
+from shmoo_mjx.run import OWN_WEIGHTS
 from shmoo_mjx.simulation import navigator_of
 from shmoo_mjx.types import Command, Observation
 
@@ -39,6 +39,8 @@ class Difference(NamedTuple):
 def replay(run: Path, weights: Path | None = None) -> Difference | None:
     """The first command that differs when the recording in folder ``run`` is fed to this version's navigator, or None.
 
+    With the ``weights`` that the folder holds, or else the shipped ones, if none are given.
+
     Raises:
         ShmooError: a file is missing, damaged or of another version, or the run was made with other weights.
     """
@@ -49,7 +51,8 @@ def replay(run: Path, weights: Path | None = None) -> Difference | None:
     from shmoo_mjx.sensing import senses_named
 
     result, recorded = load_result(run / "result.json"), load_recorded(run / RECORDED)
-    loaded = load_weights(weights or asset(WEIGHTS))
+    own = run / OWN_WEIGHTS
+    loaded = load_weights(weights or (own if own.is_file() else None))
     if result.get("weights") != loaded.info:
         raise ShmooError(f"{run}: the run was made with other weights; give them with --weights.")
     scenario = load_scenario(run / "scenario.yaml")

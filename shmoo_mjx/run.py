@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -11,17 +12,42 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx.assets import WEIGHTS, asset
+from shmoo_mjx.assets import WEIGHTS as SHIPPED
+from shmoo_mjx.assets import asset
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.files import claimed, write_whole
+from shmoo_mjx.guard import ARRAYS, FILM, HTML, MAP, PNG, RUN, SCENARIO, VIEWER, WEIGHTS, check_folder
 from shmoo_mjx.navigation.maps import OccupancyGrid, save_map
-from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Scenario, check_scenario, save_scenario
-from shmoo_mjx.options import SensesName, shortened
+from shmoo_mjx.navigation.scenario import (
+    ROBOT_RADIUS,
+    Scenario,
+    check_scenario,
+    portable,
+    save_scenario,
+    with_own_objects,
+)
+from shmoo_mjx.options import SENSES, SensesName, shortened
 from shmoo_mjx.schema import check_angle
 from shmoo_mjx.seeds import check_seed
 from shmoo_mjx.types import DT
 from shmoo_mjx.verbosity import is_quiet
 from shmoo_mjx.versions import versions
+
+OWN_WEIGHTS = "weights.safetensors"
+"""What a run's folder calls the weights of a run, if they are not the shipped ones."""
+_FILES = {
+    "trace.npz": ARRAYS,
+    "result.json": RUN,
+    "scenario.yaml": SCENARIO,
+    "map.yaml": MAP,
+    "map.png": PNG,
+    OWN_WEIGHTS: WEIGHTS,
+    "recorded.npz": ARRAYS,
+    "report.html": HTML,
+    "episode.mp4": FILM,
+    "episode.rrd": VIEWER,
+}
+"""Files of a run's folder; the first one is written first."""
 
 
 def run_scenario(
@@ -56,8 +82,10 @@ def run_scenario(
         The result, as in result.json.
 
     Raises:
-        ShmooError: the scenario does not fit the map, or the weights can't be read.
+        ShmooError: the scenario does not fit the map, the weights can't be read, or a file in ``out`` is not one of an
+            earlier run.
     """
+    check_run_folder(out)
     check_scenario(grid, scenario, ROBOT_RADIUS, name)
     conditions = checked_objects(grid, scenario, name)
     # Only now what takes seconds to import: bad input is answered at once.
@@ -74,8 +102,10 @@ def run_scenario(
     if record:
         require_viewer()
     config = NavigatorConfig()
-    controller = PushController(load_weights(weights or asset(WEIGHTS)))
+    controller = PushController(load_weights(weights or asset(SHIPPED)))
     with claimed(out):
+        # Before the run, which they might not outlive.
+        scenario = with_own_objects(scenario, out)
         if not is_quiet():
             for i, condition in enumerate(conditions):
                 print(f"object {i}: {condition.describe()}")
@@ -102,24 +132,59 @@ def run_scenario(
         return result
 
 
+def check_run_folder(out: Path) -> None:
+    """Check that a run may leave its files in ``out``.
+
+    Raises:
+        ShmooError: one of them would replace an input, or what is not of an earlier run.
+    """
+    check_folder(out, _FILES, "trace.npz")
+
+
 def save_run(
     out: Path, grid: OccupancyGrid, scenario: Scenario, result: dict[str, Any], trace: Any, controller: Any
 ) -> dict[str, Any]:
-    """Write what a report is made of into the folder ``out``: map, scenario, trace.npz and result.json.
+    """Write what a report is made of into the folder ``out``, and all that it takes to run it again, wherever the
+    folder is: trace.npz, map, scenario, object files, weights that are not the shipped ones, and result.json.
 
     Returns:
-        The result as it is written, with the versions, weights and settings that it depends on.
+        The result as it is written, with the versions, weights and settings that it depends on, and the command that
+        repeats it.
+
+    Raises:
+        ShmooError: a file in ``out`` is not one of an earlier run.
     """
+    from shmoo_mjx.learning.weights import load_weights, save_weights
     from shmoo_mjx.report.trace import save_trace
 
-    whole = {"name": out.name, **result, "versions": versions(), "weights": controller.weights.info}
-    whole["config"] = result["config"] | {"pushing": asdict(controller.config)}
+    check_run_folder(out)
     out.mkdir(parents=True, exist_ok=True)
-    save_map(grid, out / "map.yaml")
-    save_scenario(scenario.model_copy(update={"map": "map.yaml"}), out / "scenario.yaml")
     save_trace(out / "trace.npz", trace)
+    save_map(grid, out / "map.yaml")
+    perceived = result["senses"] if result["senses"] in SENSES else scenario.senses
+    own = with_own_objects(scenario.model_copy(update={"map": str(out / "map.yaml"), "senses": perceived}), out)
+    save_scenario(own, out / "scenario.yaml")
+    shipped = controller.weights.info == load_weights().info
+    if shipped:
+        (out / OWN_WEIGHTS).unlink(missing_ok=True)
+    else:
+        save_weights(out / OWN_WEIGHTS, controller.weights)
+    whole = {"name": out.resolve().name, **result, "versions": versions(), "weights": controller.weights.info}
+    whole["command"] = _command(whole["name"], shipped, result["policy"])
+    whole["config"] = result["config"] | {
+        "pushing": asdict(controller.config),
+        "scenario": portable(own, out).model_dump(mode="json"),
+    }
     write_whole(out / "result.json", (json.dumps(whole, indent=1, default=float) + "\n").encode())
     return whole
+
+
+def _command(name: str, shipped_weights: bool, policy: str | None) -> str:
+    """What repeats a run, from where its folder ``name`` lies."""
+    words = ["uv", "run", "shmoo", "navigate", "--scenario", f"{name}/scenario.yaml"]
+    words += [] if shipped_weights else ["--weights", f"{name}/{OWN_WEIGHTS}"]
+    words += [] if policy is None else ["--policy", policy]
+    return shlex.join([*words, "--out", f"{name}-again"])
 
 
 def checked_objects(grid: OccupancyGrid, scenario: Scenario, name: str) -> list[Any]:

@@ -13,6 +13,7 @@ import numpy as np
 from shmoo_mjx import teleop
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.files import whole
+from shmoo_mjx.guard import FILM, PNG, check_output
 from shmoo_mjx.hands import HAND_RADIUS, REACH
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
@@ -79,13 +80,15 @@ def film(scene: Scene, out: Path, seconds: float = 8.0) -> list[Path]:
     """A still of the whole scene and a film of the robot, which pushes the one object there is or looks round.
 
     Raises:
-        ShmooError: no renderer works here.
+        ShmooError: no renderer works here, or a file in ``out`` may not be replaced.
     """
     from PIL import Image
 
     from shmoo_mjx.plant.render import can_render, frames, overview
     from shmoo_mjx.report.video import write_video
 
+    for name, kind in (("scene.png", PNG), ("view.mp4", FILM)):
+        check_output(out / name, kind)
     if problem := can_render():
         raise ShmooError(f"view: no window and no 3-D renderer here ({problem}); shmoo doctor says what to install.")
     with whole(out / "scene.png") as temporary:

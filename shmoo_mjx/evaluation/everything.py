@@ -9,6 +9,7 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import page
 from shmoo_mjx.evaluation.registry import EXPERIMENTS, run_experiment
 from shmoo_mjx.evaluation.result import ExperimentOptions, write_result
+from shmoo_mjx.guard import EXPERIMENT, check_output
 
 
 def run_all(options: ExperimentOptions, pushes: Path | None) -> tuple[Path, dict[str, str]]:
@@ -21,6 +22,8 @@ def run_all(options: ExperimentOptions, pushes: Path | None) -> tuple[Path, dict
     """
     target, left_out = options.out / "results.md", dict[str, str]()
     done = dict[str, page.ExperimentResult]()
+    for name in EXPERIMENTS:
+        check_output(options.out / f"{name}.json", EXPERIMENT)
     for i, name in enumerate(EXPERIMENTS):
 
         def report(stage: str, fraction: float, name: str = name, i: int = i) -> None:

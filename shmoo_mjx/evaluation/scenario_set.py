@@ -20,8 +20,9 @@ from shmoo_mjx.evaluation.result import ExperimentOptions
 from shmoo_mjx.evaluation.scenarios import Kind, ScenarioConfig
 from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.files import write_whole
+from shmoo_mjx.guard import SCENARIO_SET, check_output
 from shmoo_mjx.navigation.maps import load_map, save_map
-from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Scenario, check_scenario
+from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Scenario, check_scenario, located
 from shmoo_mjx.run import checked_objects
 from shmoo_mjx.schema import Number, WholeNumber, read_json, validated
 
@@ -73,8 +74,9 @@ def make_set(
     for it. The folder ``drawn`` keeps each scenario, so that a stopped command goes on.
 
     Raises:
-        ShmooError: there are no maps, or they have no place for any scenario.
+        ShmooError: there are no maps, they have no place for any scenario, or ``out`` is a file of another kind.
     """
+    check_output(out, SCENARIO_SET)
     written: dict[str, _Map] = {}
     entries: list[_Entry] = []
     for turn, seed in enumerate(dict.fromkeys(condition_seeds)):
@@ -138,6 +140,7 @@ def open_set(file: Path, folder: Path) -> tuple[Places, int]:
         where = f"{file}: 'scenarios[{i}]'"
         if entry.map not in maps:
             raise ShmooError(f"{where} is on {entry.map!r}, which is not among its maps; add the map.")
+        entry.scenario = located(entry.scenario, file.parent)
         grid = load_map(maps[entry.map])
         check_scenario(grid, entry.scenario, ROBOT_RADIUS, where)
         count = len(checked_objects(grid, entry.scenario, where))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import socket
 import time
-from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -42,9 +41,9 @@ def run_live(
     _check_host(host)
     from shmoo_mjx.learning.weights import load_weights
     from shmoo_mjx.live.page import Page
-    from shmoo_mjx.live.session import Session, scene_named
+    from shmoo_mjx.live.session import Session, loader_named
 
-    session = Session(load_weights(weights or asset(WEIGHTS)), partial(scene_named, scene, out), senses, out)
+    session = Session(load_weights(weights or asset(WEIGHTS)), loader_named(scene, out), senses, out)
     session.compile()
     page = Page(session, host, port)
     if host not in _AT_HOME:

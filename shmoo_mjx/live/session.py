@@ -21,6 +21,8 @@ from shmoo_mjx.control.observation import local_distance_field
 from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.episode import result_of, trace_of
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.guard import MAP, PNG, SCENARIO, check_output, protected
+from shmoo_mjx.inputs import files_read
 from shmoo_mjx.learning import online
 from shmoo_mjx.learning.weights import Weights, prior_state
 from shmoo_mjx.navigation import mobility
@@ -37,6 +39,7 @@ from shmoo_mjx.navigation.scenario import (
     check_scenario,
     load_scenario,
     save_scenario,
+    with_own_objects,
 )
 from shmoo_mjx.navigation.yaml_input import read_mapping, yaml_files
 from shmoo_mjx.options import SensesName
@@ -87,13 +90,18 @@ def _own_folders(own: Path) -> tuple[Path, Path]:
 
 def scene_named(name: str, own: Path) -> tuple[OccupancyGrid, Scenario]:
     """Load the scene of that name, a demo of any seed, or a scenario file."""
+    return loader_named(name, own)()
+
+
+def loader_named(name: str, own: Path) -> SceneLoader:
+    """What loads the scene of that name, a demo of any seed, or a scenario file."""
     known = scenes(own)
     if name in known:
-        return known[name]()
+        return known[name]
     if name.startswith("demo ") and name[5:].isdigit():
-        return demo_scenario(seed_of("the scene's seed", name[5:]))
+        return partial(demo_scenario, seed_of("the scene's seed", name[5:]))
     if name.endswith((".yaml", ".yml")):
-        return _from_file(Path(name))
+        return partial(_from_file, Path(name))
     others = ", ".join(known_name for known_name in known if not known_name.startswith("demo "))
     raise ShmooError(f"{name!r} is no scene; choose 'demo SEED', a scenario or map file (*.yaml), or one of {others}.")
 
@@ -117,6 +125,11 @@ def _empty(grid: OccupancyGrid) -> tuple[OccupancyGrid, Scenario]:
         raise ShmooError(f"{grid.source}: has no room for a robot of radius {ROBOT_RADIUS:.2f} m; give another map.")
     x, y = (round(float(v), 3) for v in grid.cell_to_world(np.unravel_index(room.argmax(), room.shape)))
     return grid, Scenario(start=(x, y, 0.0), goal=(x, y))
+
+
+def _files_of(scene: SceneLoader) -> set[Path]:
+    """Every file that a loader of `scenes` or `loader_named` reads."""
+    return files_read(getattr(scene, "args", ()))
 
 
 class _Watched(PushController):
@@ -144,7 +157,7 @@ class Session:
         """Samples that took longer to compute than they last."""
         self.started = 0
         """How many worlds there have been: a page draws a new one anew, and one with other objects too."""
-        self._start = load()
+        self._start, self._inputs = load(), _files_of(load)
         self._begin(*self._start)
 
     @property
@@ -184,7 +197,7 @@ class Session:
         """Another map and scenario."""
         loaded = scene()
         self._begin(*loaded)
-        self._start = loaded
+        self._start, self._inputs = loaded, _files_of(scene)
 
     def reset(self) -> None:
         """The scene as it was loaded."""
@@ -281,11 +294,17 @@ class Session:
         return self.scenario.model_copy(update={"start": tuple(true.robot_pose[0].tolist()), "objects": objects})
 
     def save_scenario(self, name: str) -> Path:
-        """Write the present scene and its map as NAME.yaml and NAME.map.yaml into the session's folder."""
+        """Write the present scene and its map as NAME.yaml and NAME.map.yaml into the session's folder, which gets a
+        copy of each object file too; the files of the scene that was loaded are not written over."""
         path = self.out / f"{_checked(name)}.yaml"
+        map_path = path.with_suffix(".map.yaml")
         self.out.mkdir(parents=True, exist_ok=True)
-        save_map(self.simulation.grid, path.with_suffix(".map.yaml"))
-        save_scenario(self.as_it_stands().model_copy(update={"map": f"{name}.map.yaml"}), path)
+        with protected(self._inputs):
+            for file, kind in ((path, SCENARIO), (map_path, MAP), (map_path.with_suffix(".png"), PNG)):
+                check_output(file, kind)
+            scene = with_own_objects(self.as_it_stands().model_copy(update={"map": str(map_path)}), self.out)
+            save_map(self.simulation.grid, map_path)
+            save_scenario(scene, path)
         return path
 
     def save_report(self, name: str) -> Path:
@@ -295,9 +314,12 @@ class Session:
         folder, simulation = self.out / _checked(name), self.simulation
         if not simulation.record.rows:
             raise ShmooError("Nothing has happened yet; let the robot run first.")
-        save_run(folder, simulation.grid, self.scenario, result_of(simulation), trace_of(simulation), self.controller)
-        (folder / "episode.mp4").unlink(missing_ok=True)
-        write_report(folder)
+        with protected(self._inputs):
+            save_run(
+                folder, simulation.grid, self.scenario, result_of(simulation), trace_of(simulation), self.controller
+            )
+            (folder / "episode.mp4").unlink(missing_ok=True)
+            write_report(folder)
         return folder / "report.html"
 
 

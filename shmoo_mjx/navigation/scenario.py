@@ -16,6 +16,7 @@ senses: real              # or perfect
 from __future__ import annotations
 
 import math
+import os
 import reprlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -146,20 +147,68 @@ def load_scenario(path: str | Path) -> Scenario:
         ShmooError: names the file, the field and the remedy.
     """
     path = Path(path)
-    scenario = validated(Scenario, read_mapping(path, "scenario"), path)
-    objects = tuple(
-        entry.model_copy(update={"family": str(path.parent / entry.family)})
-        if entry.family.endswith(".json")
-        else entry
-        for entry in scenario.objects
-    )
-    map_path = None if scenario.map is None else str(path.parent / scenario.map)
+    return located(validated(Scenario, read_mapping(path, "scenario"), path), path.parent)
+
+
+def located(scenario: Scenario, folder: Path) -> Scenario:
+    """A scenario whose paths are relative to ``folder``, with paths that can be opened from here."""
+    objects = tuple(_with_file(entry, str(folder / entry.family)) for entry in scenario.objects)
+    map_path = None if scenario.map is None else str(folder / scenario.map)
     return scenario.model_copy(update={"map": map_path, "objects": objects})
 
 
+def portable(scenario: Scenario, folder: Path) -> Scenario:
+    """The reverse of `located`: files that can be opened from here are named relative to ``folder``.
+
+    What is no file here stays as it is, and so does a relative map path that already holds in ``folder``.
+    """
+
+    def seen_from_there(path: str) -> str:
+        if not Path(path).is_file():
+            return path
+        real = Path(path).parent.resolve() / Path(path).name  # ".." behind a link leads elsewhere than it looks
+        return Path(os.path.relpath(real, folder.resolve())).as_posix()
+
+    objects = tuple(_with_file(entry, seen_from_there(entry.family)) for entry in scenario.objects)
+    map_path = scenario.map
+    if map_path is not None and (Path(map_path).is_absolute() or not (folder / map_path).is_file()):
+        map_path = seen_from_there(map_path)
+    return scenario.model_copy(update={"map": map_path, "objects": objects})
+
+
+def with_own_objects(scenario: Scenario, folder: Path) -> Scenario:
+    """The scenario with copies of its object files in ``folder / "objects"``, so that the folder can be moved.
+
+    Files that lie in ``folder`` already are not copied. A copy never replaces another file: it gets a number.
+
+    Raises:
+        ShmooError: an object file is missing or is none.
+    """
+    from shmoo_mjx.plant.object_file import read_object
+
+    def copied(path: str) -> str:
+        read_object(path)
+        source, number = Path(path), 1
+        if source.resolve().is_relative_to(folder.resolve()):
+            return path
+        content, target = source.read_bytes(), folder / "objects" / source.name
+        while target.exists() and not (target.is_file() and target.read_bytes() == content):
+            number += 1
+            target = target.with_name(f"{source.stem}-{number}.json")
+        return str(target if target.exists() else write_whole(target, content))
+
+    objects = tuple(_with_file(e, copied(e.family)) if e.family.endswith(".json") else e for e in scenario.objects)
+    return scenario.model_copy(update={"objects": objects})
+
+
+def _with_file(entry: ObjectEntry, path: str) -> ObjectEntry:
+    """The entry with another path, if it has an object file."""
+    return entry.model_copy(update={"family": path}) if entry.family.endswith(".json") else entry
+
+
 def save_scenario(scenario: Scenario, path: str | Path) -> None:
-    """Writes a scenario file that ``load_scenario`` reads back as it is (the map path as given)."""
-    data = scenario.model_dump(mode="json", exclude_none=True)
+    """Writes a scenario file. Map and object files are named relative to it (`portable`), as `load_scenario` reads."""
+    data = portable(scenario, Path(path).parent).model_dump(mode="json", exclude_none=True)
     write_whole(path, yaml_text(data))
 
 

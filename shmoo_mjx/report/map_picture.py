@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from shmoo_mjx.navigation.maps import OccupancyGrid, inflate
-from shmoo_mjx.report.style import blank_figure, save_figure, show_cells
+from shmoo_mjx.report.style import blank_figure, extent, save_figure, show_cells
 
 
 def draw_map(grid: OccupancyGrid, radius: float, path: Path) -> Path:
@@ -31,14 +31,9 @@ def draw_map(grid: OccupancyGrid, radius: float, path: Path) -> Path:
     height, width = grid.cells.shape
     figure = blank_figure(1.0, 1.0)
     axes = figure.add_subplot()
-    place = show_cells(axes, picture, grid.resolution, grid.origin)
+    show_cells(axes, picture, grid.resolution, grid.origin)
     # Maps made by SLAM often lie in a wide frame of cells of which nothing is known.
-    rows, columns = np.nonzero(grid.free | grid.occupied)
-    if len(rows) == 0:
-        rows, columns = np.array([0, height - 1]), np.array([0, width - 1])
-    left, right, bottom, top = columns.min(), columns.max() + 1, rows.min(), rows.max() + 1
-    corners = place.transform([(left, bottom), (right, bottom), (right, top), (left, top)])
-    low, high = corners.min(axis=0), corners.max(axis=0)
+    low, high = extent(grid.free | grid.occupied, grid.resolution, grid.origin)
     size = (high - low) * 9.0 / (high - low).max()
     figure.set_size_inches(max(size[0], 3.0) + 1.0, size[1] + 1.6)
     axes.set(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +35,13 @@ COLOURS = {
     "registered": "#D55E00",
 }
 _FAMILIES = {"box": "#E69F00", "cart": "#CC79A7", "wheelchair": "#8E5BB5"}
+_OTHER_SCRIPTS = (
+    "Noto Sans CJK JP", "Noto Sans CJK SC", "Source Han Sans", "WenQuanYi Zen Hei", "Droid Sans Fallback",
+    "Microsoft YaHei", "Yu Gothic", "Malgun Gothic", "PingFang SC", "Hiragino Sans", "Arial Unicode MS",
+)  # fmt: skip
+"""Fonts that have characters which matplotlib's own lacks, in the order in which they are tried."""
+_RIM = 0.1
+"""What is shown beyond a map's end [m]."""
 _SIGNS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 
 
@@ -45,10 +53,30 @@ def blank_figure(width: float, height: float) -> Figure:
 
 
 def to_png(figure: Figure, dpi: int = 110) -> bytes:
-    """The figure as a PNG file."""
+    """The figure as a PNG file. All text is drawn as it is: a name may hold a "$" or characters of any script."""
+    _take_literally(figure)
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=dpi, facecolor="white")
+    with warnings.catch_warnings():
+        # No font of this machine has the character: a box stands in its place.
+        warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from", UserWarning)
+        figure.savefig(buffer, format="png", dpi=dpi, facecolor="white")
     return buffer.getvalue()
+
+
+def _take_literally(figure: Figure) -> None:
+    from matplotlib import font_manager
+    from matplotlib.text import Text
+    from matplotlib.ticker import LogFormatter
+
+    axes = [axis for part in figure.axes for axis in (part.xaxis, part.yaxis)]
+    powers = [axis for axis in axes if isinstance(axis.get_major_formatter(), LogFormatter)]
+    mathematics = {label for axis in powers for label in axis.get_ticklabels(which="both")}
+    known = set(font_manager.get_font_names())
+    families = ["DejaVu Sans", *(name for name in _OTHER_SCRIPTS if name in known)]
+    for text in figure.findobj(Text):
+        if text not in mathematics:
+            text.set_parse_math(False)
+            text.set_fontfamily(families)
 
 
 def save_figure(path: Path, figure: Figure, dpi: int = 110) -> Path:
@@ -56,13 +84,10 @@ def save_figure(path: Path, figure: Figure, dpi: int = 110) -> Path:
     return write_whole(path, to_png(figure, dpi))
 
 
-def show_cells(axes: Axes, picture: Array, resolution: float, origin: Array, **options: Any) -> Any:
+def show_cells(axes: Axes, picture: Array, resolution: float, origin: Array, **options: Any) -> None:
     """Draw a map's cells, ``[H, W]`` or ``[H, W, 3]``, row 0 at the bottom, where they lie in {W}.
 
     ``resolution`` is a cell's side [m], ``origin`` the pose of the lower-left corner, ``options`` are imshow's.
-
-    Returns:
-        The matplotlib transform from (column, row) of cells' corners to {W}.
     """
     from matplotlib.transforms import Affine2D
 
@@ -71,7 +96,6 @@ def show_cells(axes: Axes, picture: Array, resolution: float, origin: Array, **o
     place = Affine2D().scale(resolution).rotate(yaw).translate(x, y)
     image = axes.imshow(picture, origin="lower", extent=(0, width, 0, height), interpolation="nearest", **options)
     image.set_transform(place + axes.transData)
-    return place
 
 
 def object_colour(item: dict[str, Any], number: int) -> str:
@@ -88,7 +112,11 @@ def outline(pose: Array, half_extents: Array) -> np.ndarray:
 
 
 def window(result: dict[str, Any], trace: Trace, margin: float = 1.2) -> tuple[float, float, float, float]:
-    """(x_min, x_max, y_min, y_max) in {W} [m] of all that happened, with a margin, cut to the map."""
+    """(x_min, x_max, y_min, y_max) in {W} [m] of all that happened, with a margin.
+
+    Where the map ends soon beyond, which is within 3 m or half of what is shown, the side reaches to the map's end: its
+    outer walls are in the picture. It never reaches past it. Cells of which nothing is known are no part of the map.
+    """
     parts = [np.asarray(trace.robot_pose)[:, :2], *(np.asarray(p)[:, :2] for p in trace.plans if len(p))]
     parts += [
         outline(item[key], item["half_extents"]) for item in result["objects"] for key in ("start_pose", "final_pose")
@@ -99,8 +127,20 @@ def window(result: dict[str, Any], trace: Trace, margin: float = 1.2) -> tuple[f
     points = np.concatenate(parts)
     points = points[np.isfinite(points).all(axis=1)]
     low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
-    height, width = np.shape(trace.map_cells)
-    corners = np.array([[0, 0], [width, 0], [0, height], [width, height]]) * trace.map_resolution
-    corners = se2.transform_point(np.asarray(trace.map_origin, dtype=float), corners)
-    low, high = np.maximum(low, corners.min(axis=0) - 0.1), np.minimum(high, corners.max(axis=0) + 0.1)
+    first, last = extent(np.asarray(trace.map_cells) != -1, trace.map_resolution, trace.map_origin)
+    reach = np.maximum(3.0, 0.5 * (high - low))
+    low = np.where(low - reach <= first, first - _RIM, low)
+    high = np.where(high + reach >= last, last + _RIM, high)
     return float(low[0]), float(high[0]), float(low[1]), float(high[1])
+
+
+def extent(cells: Array, resolution: float, origin: Array) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest (x, y) in {W} [m] of the marked ``cells [H, W]``; of all cells if none is marked.
+
+    ``resolution`` is a cell's side [m], ``origin`` the pose of the lower-left corner of cell (0, 0).
+    """
+    rows, columns = np.nonzero(cells) if np.any(cells) else np.nonzero(np.ones_like(cells))
+    left, right, bottom, top = columns.min(), columns.max() + 1, rows.min(), rows.max() + 1
+    corners = np.array([[left, bottom], [right, bottom], [left, top], [right, top]]) * resolution
+    corners = se2.transform_point(np.asarray(origin, dtype=float), corners)
+    return corners.min(axis=0), corners.max(axis=0)

@@ -213,4 +213,6 @@ def sweep_fingerprint(config: SweepConfig, weights: Path) -> str:
     """What decides about a shard's rows: a folder of results with another one belongs to another sweep."""
     deciding = config.model_dump(exclude={"question", "map", "worlds"}, mode="json")
     own = [Path(f) for f in config.families if f.endswith(".json")]
+    # What an object file holds decides, not the path by which it is reached from here.
+    deciding["families"] = [Path(f).name for f in config.families]
     return fingerprint("shmoo_mjx.sweep.simulate", deciding, weights, *own)

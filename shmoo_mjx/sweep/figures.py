@@ -134,8 +134,8 @@ def _draw_parameters(config: SweepConfig, table: Table, path: Path) -> Path:
     for axis, name in zip(axes.flat, names, strict=False):
         for number, ((family, controller), mine) in enumerate(groups_of(table).items()):
             colour = SERIES[number % len(SERIES)]
-            _draw_rate(axis, table, name, "success", mine, colour, "-", f"{family}, {controller}: success")
-            _draw_rate(axis, table, name, "fell", mine, colour, "--", f"{family}, {controller}: fall")
+            _draw_rate(axis, table, name, "success", mine, colour, "-", f"success: {family}, {controller}")
+            _draw_rate(axis, table, name, "fell", mine, colour, "--", f"fall: {family}, {controller}")
         _scale(axis, "x", name == RESISTANCE or bool(config.vary[name].log_uniform))
         unit = "N" if name == RESISTANCE else PARAMETERS[name].unit
         axis.set_xlabel(f"{name} [{unit}]", fontsize=8)

@@ -7,6 +7,7 @@ kill, on another machine, or several jobs side by side. When all are there they 
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -19,12 +20,17 @@ import pyarrow.parquet as pq
 from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.files import write_whole
+from shmoo_mjx.guard import PNG, SWEEP, TABLE, TEXT, check_folder
 from shmoo_mjx.sweep.config import SweepConfig, sweep_fingerprint
 from shmoo_mjx.sweep.worlds import draw, label
 from shmoo_mjx.versions import versions
 
 if TYPE_CHECKING:
     from shmoo_mjx.sweep.simulate import Batches
+
+NOTES = "sweep.json"
+"""What a sweep's folder holds first."""
+_FILES = {NOTES: SWEEP, "results.parquet": TABLE, "summary.txt": TEXT, "parameters.png": PNG, "map.png": PNG}
 
 
 class Shard(NamedTuple):
@@ -73,13 +79,16 @@ class Sweep:
         """Begin in ``out`` or go on there.
 
         Raises:
-            ShmooError: there are no such weights, or ``out`` holds another sweep.
+            ShmooError: there are no such weights, or ``out`` holds another sweep or somebody else's files.
         """
+        check_folder(out, _FILES, NOTES)
         sweep = cls(config, out, Path(weights or asset(WEIGHTS)))
         if not sweep.weights.is_file():
             raise ShmooError(f"{sweep.weights}: there is no such weights file; give one that shmoo train made.")
-        notes, mark = out / "sweep.json", sweep_fingerprint(config, sweep.weights)
-        values = {"fingerprint": mark, "config": config.model_dump(mode="json"), "versions": versions()}
+        notes, mark = out / NOTES, sweep_fingerprint(config, sweep.weights)
+        told = config.model_dump(mode="json")
+        told["families"] = [os.path.relpath(f, out) if f.endswith(".json") else f for f in config.families]
+        values = {"fingerprint": mark, "config": told, "versions": versions()}
         found = json.loads(notes.read_text()) if notes.exists() else {}
         if found.get("fingerprint", mark) != mark:
             raise ShmooError(f"{out}: holds another sweep, or this one with other settings; choose another --out.")

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 from toy import toy_scenario
 
 from shmoo_mjx.assets import asset
@@ -20,6 +21,7 @@ from shmoo_mjx.evaluation.result import ExperimentOptions, file_id
 from shmoo_mjx.evaluation.scenario_set import find_set, make_set, open_set
 from shmoo_mjx.evaluation.scenarios import KINDS, Generated
 from shmoo_mjx.navigation.maps import load_map, save_map
+from shmoo_mjx.plant.mesh import add_object
 
 SHIPPED = find_set(Path("floor_plans"))
 TWO = "the (2nd) [floor]"
@@ -56,6 +58,19 @@ def test_a_set_is_opened_as_it_was_made_wherever_it_is(made: Path, tmp_path: Pat
     assert wanted in KINDS and found is not None and found.scenario.objects == toy_scenario(1, True)[1].objects
     text = made.read_text()
     assert str(tmp_path) not in text and json.loads(text)["condition_seeds"] == [7, 8]
+
+
+def test_object_files_are_relative_to_the_set(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    trimesh.creation.box((0.3, 0.3, 0.5)).export("stool.stl")
+    add_object(Path("stool.stl"), mass=5.0, friction=0.35)
+    data = json.loads(made.read_text())
+    data["scenarios"][0]["scenario"]["objects"][0] |= {"family": "stool.json", "properties": {}}
+    made.write_text(json.dumps(data))
+    monkeypatch.chdir("/")
+    places, _ = open_set(made, tmp_path / "elsewhere")
+    found = kept_scenario(places, load_map(places.maps["one"]), "one", 0)[1]
+    assert found is not None and found.scenario.objects[0].condition().mass == 5.0
 
 
 def test_navigation_runs_the_set_and_says_which(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -161,6 +161,41 @@ def test_a_saved_scene_is_a_scenario_and_a_saved_run_a_report(session: Session, 
     assert load_scenario(page.parent / "scenario.yaml").objects
 
 
+def test_saved_scenes_and_runs_can_be_moved(
+    session: Session, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    here = tmp_path_factory.mktemp("here")
+    monkeypatch.chdir(here)
+    trimesh.creation.cylinder(radius=0.25, height=0.6).export("stool.stl")
+    stool = add_object(Path("stool.stl"), mass=5.0, friction=0.35).resolve()
+    session.add(str(stool), free_place(session), {})
+    run(session, 3)
+    files = session.save_scenario("mine"), session.save_report("run").parent / "scenario.yaml"
+    stool.unlink()
+    moved = here / "moved"
+    tmp_path.rename(moved)
+    for file in files:
+        text = (moved / file.relative_to(tmp_path)).read_text()
+        assert "stool.json" in text and str(here) not in text and str(tmp_path) not in text
+        _, scenario = load_inputs(None, moved / file.relative_to(tmp_path), None, None)
+        assert scenario.objects[-1].condition().mass == 5.0
+    moved.rename(tmp_path)
+
+
+def test_what_a_scene_was_loaded_from_is_not_saved_over(session: Session, tmp_path: Path) -> None:
+    scene = session.save_scenario("mine")
+    assert session.save_scenario("mine") == scene  # one's own, as often as one likes
+    (tmp_path / "floor.yaml").write_text((tmp_path / "mine.map.yaml").read_text())
+    before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
+    session.load(scenes(tmp_path)["mine"])
+    run(session, 2)
+    for name, says in (("mine", "input of this command"), ("floor", "is a map's YAML")):
+        with pytest.raises(ShmooError, match=says):
+            session.save_scenario(name)
+    assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
+    assert session.save_scenario("other").is_file()
+
+
 def test_a_run_in_which_objects_came_makes_a_report(session: Session) -> None:
     run(session, 4)
     session.add("box", free_place(session), {"mass": 5.0})

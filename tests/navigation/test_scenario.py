@@ -28,12 +28,16 @@ from shmoo_mjx.navigation.scenario import (
     check_point,
     check_scenario,
     load_scenario,
+    portable,
     save_scenario,
+    with_own_objects,
 )
 from shmoo_mjx.navigation.yaml_input import read_mapping, yaml_text
+from shmoo_mjx.plant.mesh import add_object
 from shmoo_mjx.run import load_inputs
 
 ROOT = Path(__file__).resolve().parents[2]
+TETRAHEDRON = "v 0 0 0\nv 0.5 0 0\nv 0 0.5 0\nv 0 0 0.6\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
 GOOD = {
     "map": "maps/office.yaml",
     "start": [1.0, 1.0, 0.0],
@@ -69,6 +73,49 @@ def test_written_scenarios_come_back(tmp_path: Path) -> None:
     save_scenario(scenario, tmp_path / "new" / "scene.yaml")
     assert load_scenario(tmp_path / "new" / "scene.yaml") == scenario
     assert [p.name for p in (tmp_path / "new").iterdir()] == ["scene.yaml"]
+
+
+def test_files_are_named_relative_to_the_file_that_names_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for folder in ("scenes", "things"):
+        (tmp_path / folder).mkdir()
+    Path(tmp_path / "link").symlink_to(tmp_path / "scenes")
+    for name in ("floor.yaml", "table.json"):
+        (tmp_path / "things" / name).touch()
+    monkeypatch.chdir(tmp_path)
+    entry = ObjectEntry(family="things/table.json", pose=(1, 1, 0))
+    scenario = Scenario(map=str(tmp_path / "things" / "floor.yaml"), start=(0, 0, 0), goal=(1, 0), objects=(entry,))
+    for out in ("scenes/one.yaml", str(tmp_path / "scenes" / "two.yaml"), "link/three.yaml", "four.yaml"):
+        save_scenario(scenario, out)
+        saved = yaml.safe_load(Path(out).read_text())
+        up = "" if out == "four.yaml" else "../"
+        assert saved["map"] == f"{up}things/floor.yaml" and saved["objects"][0]["family"] == f"{up}things/table.json"
+    monkeypatch.chdir("/")
+    back = load_scenario(tmp_path / "link" / "three.yaml")
+    assert Path(str(back.map)).is_file() and Path(back.objects[0].family).is_file()
+    beside = Scenario(map="room.yaml", start=(0, 0, 0), goal=(1, 0))
+    assert portable(beside, tmp_path) == beside
+
+
+def test_object_files_are_copied_once_and_over_nothing(tmp_path: Path) -> None:
+    entries = []
+    for name, mass in (("a", 3.0), ("b", 4.0), ("c", 3.0)):
+        (tmp_path / name).mkdir()
+        (tmp_path / "box.obj").write_text(TETRAHEDRON)
+        file = add_object(tmp_path / "box.obj", mass=mass, friction=0.4, out=tmp_path / name / "table.json")
+        entries.append(ObjectEntry(family=str(file), pose=(1, 1, 0)))
+    entries.append(ObjectEntry(family="box", pose=(3, 3, 0)))
+    scenario = Scenario(start=(0, 0, 0), goal=(1, 0), objects=tuple(entries))
+    folder = tmp_path / "out"
+    for _ in range(2):
+        own = with_own_objects(scenario, folder)
+        names = [Path(o.family).name for o in own.objects]
+        assert names == ["table.json", "table-2.json", "table.json", "box"]
+        assert sorted(p.name for p in (folder / "objects").iterdir()) == ["table-2.json", "table.json"]
+    assert [o.condition().mass for o in own.objects[:3]] == [3.0, 4.0, 3.0]
+    assert with_own_objects(own, folder) == own
+    gone = ObjectEntry(family="gone.json", pose=(1, 1, 0))
+    with pytest.raises(ShmooError, match=r"gone\.json"):
+        with_own_objects(scenario.model_copy(update={"objects": (gone,)}), folder)
 
 
 @pytest.mark.parametrize(

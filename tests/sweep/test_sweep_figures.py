@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from shmoo_mjx.report.style import to_png
+from shmoo_mjx.sweep import figures
 from shmoo_mjx.sweep.config import SweepConfig
 from shmoo_mjx.sweep.figures import binned, cells, draw_figures, rate, summary
 from shmoo_mjx.sweep.run import ShardRunner, Sweep, read_table
@@ -64,3 +67,18 @@ def test_figures_are_drawn(config: SweepConfig, table: dict[str, list[Any]], tmp
         picture = np.asarray(Image.open(path).convert("RGB"), dtype=float)
         assert picture.shape[0] > 300 and picture.std() > 10
     assert draw_figures(config.model_copy(update={"vary": {}, "map": None}), table, tmp_path) == []
+
+
+def test_every_family_has_its_line_whatever_its_name(
+    config: SweepConfig, table: dict[str, list[Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Any] = []
+    monkeypatch.setattr(figures, "save_figure", lambda path, figure, dpi: (drawn.append(figure), path)[1])
+    names = {"box": "_table", "cart": r"ta$\frac$ 桌子"}
+    odd = table | {"family": [names[family] for family in table["family"]]}
+    draw_figures(config.model_copy(update={"question": "$?$"}), odd, tmp_path)
+    labels = {text.get_text() for text in drawn[0].legends[0].get_texts()}
+    assert labels == {f"{what}: {name}, ours" for name in names.values() for what in ("success", "fall")}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert all(to_png(figure).startswith(b"\x89PNG") for figure in drawn)

@@ -14,7 +14,7 @@ import pytest
 
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.sweep import run
-from shmoo_mjx.sweep.config import SweepConfig
+from shmoo_mjx.sweep.config import SweepConfig, load_sweep
 from shmoo_mjx.sweep.run import ShardRunner, Sweep, read_table
 
 
@@ -54,6 +54,22 @@ def test_only_what_is_missing_is_computed(config: SweepConfig, tmp_path: Path, p
     pretend.simulated.clear()
     again = finish(Sweep.open(config, tmp_path), pretend)
     assert [s.first for s in again.missing] == [5] and pretend.simulated == [5, 6, 7, 8, 9]
+
+
+def test_a_sweep_goes_on_from_another_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An own object counts by what its file holds, not by the way to it."""
+    (tmp_path / "inner").mkdir()
+    (tmp_path / "thing.json").write_text("{}")
+    (tmp_path / "sweep.yaml").write_text("worlds: 2\nfamilies: [thing.json]\n")
+    written = []
+    for here, way in (("", ""), ("inner", "../"), ("", f"{tmp_path}/")):
+        monkeypatch.chdir(tmp_path / here)
+        Sweep.open(load_sweep(f"{way}sweep.yaml"), Path(f"{way}out"))
+        written.append((tmp_path / "out" / "sweep.json").read_text())
+    assert len(set(written)) == 1 and str(tmp_path) not in written[0]
+    (tmp_path / "thing.json").write_text('{"other": 1}')
+    with pytest.raises(ShmooError, match="another sweep"):
+        Sweep.open(load_sweep("sweep.yaml"), Path("out"))
 
 
 def test_more_worlds_keep_the_full_shards(config: SweepConfig, tmp_path: Path, pretend: Any) -> None:
@@ -100,7 +116,7 @@ import sys, time
 from pathlib import Path
 sys.path.insert(0, sys.argv[2])
 from conftest import Pretend
-from shmoo_mjx.sweep.config import SweepConfig
+from shmoo_mjx.sweep.config import SweepConfig, load_sweep
 from shmoo_mjx.sweep.run import ShardRunner, Sweep
 class Slow(Pretend):
     def run(self, worlds, progress=lambda fraction: None):

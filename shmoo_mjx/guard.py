@@ -1,0 +1,153 @@
+"""What may be written where: no file that a command reads, and no file of another kind, is ever replaced."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from pathlib import Path
+
+from shmoo_mjx.errors import ShmooError
+
+PNG = "a PNG picture"
+FILM = "a film"
+HTML = "an HTML page"
+TEXT = "a text file"
+BINARY = "a binary file"
+VIEWER = "a recording for the Rerun viewer"
+ARRAYS = "an archive of arrays"
+TABLE = "a Parquet table"
+WEIGHTS = "a weights file"
+MAP = "a map's YAML"
+SCENARIO = "a scenario"
+RUN = "the result of a run"
+RECORDING = "the result of a recording"
+EXPERIMENT = "the result of an experiment"
+SCENARIO_SET = "a scenario set"
+SWEEP = "the notes of a sweep"
+
+_MAGIC = {
+    b"\x89PNG": PNG,
+    b"\xff\xd8\xff": "a JPEG picture",
+    b"GIF8": "a GIF picture",
+    b"PK\x03\x04": ARRAYS,
+    b"PAR1": TABLE,
+    b"\x1f\x8b": "a compressed file",
+    b"RRF": VIEWER,
+    b"%PDF": "a PDF document",
+}
+_YAML_KEYS = {"image": MAP, "start": SCENARIO}
+_JSON_KEYS = {
+    "experiment": EXPERIMENT,
+    "outcome": RUN,
+    "hull": "an object file",
+    "scenarios": SCENARIO_SET,
+    "fingerprint": SWEEP,
+    "conditions": "the manifest of a data set",
+}
+"""The top-level key that tells a kind from the others."""
+
+_Identity = tuple[int, int]
+_INPUTS: ContextVar[Mapping[_Identity, Path]] = ContextVar("inputs", default={})  # noqa: B039  (never changed)
+
+
+@contextmanager
+def protected(inputs: Iterable[str | Path]) -> Iterator[None]:
+    """While it lasts, `check_output` refuses every one of the files ``inputs``, under whatever name or link."""
+    found = dict(_INPUTS.get())
+    for path in map(Path, inputs):
+        if (identity := _identity(path)) is not None:
+            found[identity] = path
+    token = _INPUTS.set(found)
+    try:
+        yield
+    finally:
+        _INPUTS.reset(token)
+
+
+def check_output(path: str | Path, kind: str = "") -> None:
+    """Check that ``path`` may be written.
+
+    Args:
+        path: of a file that need not exist.
+        kind: what is to be written there, as `kind_of` says it; not checked if it is not given.
+
+    Raises:
+        ShmooError: the file is an input, or is not empty and of another kind.
+    """
+    path = Path(path)
+    identity = _identity(path)
+    if identity is None:
+        return
+    if identity in _INPUTS.get():
+        read = _INPUTS.get()[identity]
+        which = "" if read == path else f"{read}, "
+        raise ShmooError(f"{path}: is {which}an input of this command; choose another place for the output.")
+    if kind and path.is_file() and path.stat().st_size and (there := kind_of(path)) != kind:
+        raise ShmooError(f"{path}: is {there}, which {kind} would replace; choose another place for the output.")
+
+
+def check_folder(folder: Path, files: Mapping[str, str], mark: str) -> None:
+    """Check, before anything is computed, that all ``files`` of an output may be written into ``folder``.
+
+    Args:
+        folder: need not exist.
+        files: kind of each file, by its name.
+        mark: name of the file that is written first. A folder without it holds no earlier output, so that files with
+            the other names are somebody else's.
+
+    Raises:
+        ShmooError: one of them may not be written.
+    """
+    for name, kind in files.items():
+        check_output(folder / name, kind)
+    for name in files:
+        if (folder / name).is_file() and not (folder / mark).is_file():
+            raise ShmooError(f"{folder / name}: is of no earlier run; choose another folder for the output.")
+
+
+def kind_of(path: Path, name: str = "") -> str:
+    """What a file holds, in words; told by its content, and for YAML by the ending of ``name`` (default: its own)."""
+    with path.open("rb") as file:
+        head = file.read(4096)
+    for magic, kind in _MAGIC.items():
+        if head.startswith(magic):
+            return kind
+    if head[4:8] == b"ftyp":
+        return FILM
+    if head[8:9] == b"{" and int.from_bytes(head[:8], "little") < 100_000_000:
+        return "a recorded condition" if b'"condition":' in head else WEIGHTS
+    if b"\0" in head:
+        return BINARY
+    start = head.lstrip(b"\xef\xbb\xbf \t\r\n").lower()
+    if start.startswith((b"<!doctype html", b"<html")):
+        return HTML
+    if start.startswith((b"{", b"[")):
+        return _json_kind(path)
+    if Path(name or path).suffix.lower() in (".yaml", ".yml"):
+        keys = re.findall(rb"^[\"']?(\w+)[\"']?\s*:", path.read_bytes(), re.MULTILINE)
+        return next((kind for key, kind in _YAML_KEYS.items() if key.encode() in keys), "a YAML file")
+    return TEXT
+
+
+def _json_kind(path: Path) -> str:
+    try:
+        data = json.loads(path.read_bytes())
+    except (ValueError, RecursionError):
+        return TEXT
+    if not isinstance(data, dict):
+        return "a JSON file"
+    if data.get("outcome") == "log":
+        return RECORDING
+    return next((kind for key, kind in _JSON_KEYS.items() if key in data), "a JSON file")
+
+
+def _identity(path: Path) -> _Identity | None:
+    """What `os.path.samefile` compares; None where there is no file."""
+    try:
+        found = path.stat()
+    except (OSError, ValueError):
+        return None
+    return (found.st_dev, found.st_ino) if found.st_ino else None
