@@ -18,7 +18,7 @@ from shmoo_mjx.gym.push import PushEnvTask
 from shmoo_mjx.gym.single import checked, space
 from shmoo_mjx.gym.task import Outcome, Start, Task
 from shmoo_mjx.plant.engine_mjx import MjxEngine, MjxWorld
-from shmoo_mjx.sensing import SensedEngine, SensedWorld, altered, senses_named
+from shmoo_mjx.sensing import SensedEngine, SensedWorld, senses_named
 from shmoo_mjx.types import Observation
 
 
@@ -40,8 +40,7 @@ class ShmooVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def __init__(
         self, num_envs: int = 1, max_episode_steps: int | None = None, config: Any = None, senses: str = "real"
     ) -> None:
-        # MJX's state has no room for the motors' lag.
-        self.senses = altered(senses_named(senses), body={"motor_lag": 0.0})
+        self.senses = senses_named(senses)
         self.task: Task = self.kind(config)
         self.num_envs, self.limit = num_envs, max_episode_steps or self.steps
         self.single_observation_space, self.single_action_space = space(self.task.observation), space(self.task.action)

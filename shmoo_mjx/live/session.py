@@ -198,8 +198,8 @@ class Session:
         self.late, self.started = 0, self.started + 1
 
     def step(self) -> None:
-        """One sample of 0.1 s. A robot that has fallen lies there."""
-        if self.simulation.record.falls:
+        """One sample of 0.1 s. A robot that has fallen lies there; a world that has diverged stands still."""
+        if self.simulation.record.ended:
             return
         began = time.perf_counter()
         command = self.simulation.decide()

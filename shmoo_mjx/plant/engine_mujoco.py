@@ -19,13 +19,13 @@ import mujoco
 import numpy as np
 from mujoco.rollout import Rollout
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Bool, Float
 from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH
-from shmoo_mjx.plant import lowlevel
+from shmoo_mjx.plant import lowlevel, observe
 from shmoo_mjx.plant.observe import observation, planar_wrench, scene_poses
 from shmoo_mjx.plant.robot import NQ, NV, Robot, RobotState, readout
 from shmoo_mjx.plant.scene import PARTS, Scene
+from shmoo_mjx.processes import check_forked
 from shmoo_mjx.types import DT, Command, Observation
 
 _CONTROL_AND_FORCE = int(mujoco.mjtState.mjSTATE_CTRL) | int(mujoco.mjtState.mjSTATE_XFRC_APPLIED)
@@ -46,7 +46,9 @@ def _compiled_control(
         now = readout(sensed[:, :NQ], sensed[:, NQ:])
         wanted = Command(command[:, :3], *(command[:, i] for i in (3, 4, 5)))
         state, torque = lowlevel.control(robot, gains, _unpacked(memory), now, wanted, timestep)
-        return jnp.concatenate(_columns(state), axis=-1), torque
+        # MuJoCo resets a world that diverges, but warns at every step of motors that are not finite.
+        after = jnp.concatenate(_columns(state), axis=-1), torque
+        return jax.tree.map(lambda values: jnp.where(jnp.isfinite(values), values, 0.0), after)
 
     return jax.jit(control)
 
@@ -90,6 +92,7 @@ class MujocoEngine:
     """Steps W worlds of one structure. Holds compiled models and scratch memory, never state."""
 
     def __init__(self, scenes: Sequence[Scene], gains: lowlevel.Gains | None = None, threads: int = 1) -> None:
+        check_forked()
         self.scenes = list(scenes)
         self.gains = gains or lowlevel.Gains()
         first = self.scenes[0]
@@ -105,6 +108,10 @@ class MujocoEngine:
         self._nq, self._nv = first.model.nq, first.model.nv
         self._torso = first.model.body("robot/torso").id
         self._control = _compiled_control(first.robot, self.gains, self.timestep)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A copy compiles anew, as threads and scratch memory can't be copied; worlds are none of an engine's state."""
+        return type(self), (self.scenes, self.gains, len(self._parts))
 
     def close(self) -> None:
         """Stop the threads."""
@@ -188,6 +195,12 @@ class MujocoEngine:
             wrench += planar_wrench(scene, qpos, sensors).sum(axis=0)
             touched |= (sensors[..., scene.wall_sensor] > 0).any(axis=(0, -1))
         control = _unpacked(np.asarray(memory))
+        end = world.physics[:, 0] + substeps * self.timestep
+        # MuJoCo resets a world that it can't simulate on to its first state and to time 0.
+        lost = ~(np.isfinite(world.physics.sum(axis=-1)) & (physics[:, 0] > end - 0.5 * self.timestep))
+        if lost.any():
+            physics = np.where(lost[:, None], np.nan, physics)
+            physics[lost, 0] = end[lost]
         return World(physics, control, touched.any(axis=-1), touched), wrench / substeps
 
     def torque(self, world: World, command: Command) -> Float[np.ndarray, "W 9"]:
@@ -230,8 +243,12 @@ class MujocoEngine:
         return physics[:, 1 : 1 + self._nq], physics[:, 1 + self._nq : 1 + self._nq + self._nv]
 
     def fallen(self, world: World) -> Bool[np.ndarray, "W"]:
-        """Whether the body leans more than 0.6 rad."""
-        return np.any(np.abs(se2.wrap(self.robot(world).lean)) > 0.6, axis=-1)
+        """Whether the body leans more than 0.6 rad; true of a world that has diverged."""
+        return np.asarray(observe.fallen(self.robot(world).lean))
+
+    def diverged(self, world: World) -> Bool[np.ndarray, "W"]:
+        """Whether the physics is lost (`observe.diverged`); the world stays so."""
+        return np.asarray(observe.diverged(*self._split(world.physics)))
 
 
 def _check_structure(models: Sequence[mujoco.MjModel]) -> None:
