@@ -19,6 +19,8 @@ import gymnasium
 import numpy as np
 from matplotlib.figure import Figure
 
+from shmoo_mjx.processes import process_pool
+
 STEPS = 120  # 12 s of each episode
 SCALE = np.repeat([0.1, 0.5, 0.5, 0.5, 1.0, 0.5, 50.0, 1.0, 0.5], [2, 2, 3, 4, 4, 3, 3, 4, 2])  # of the observations
 HELD_OUT = range(900, 912)
@@ -86,7 +88,7 @@ if __name__ == "__main__":
     parser.add_argument("--out", type=Path, default=Path("agent.png"))
     given = parser.parse_args()
     began, curves = time.monotonic(), list[list[tuple[int, float, float]]]()
-    with ProcessPoolExecutor(given.workers) as pool:
+    with process_pool(given.workers) as pool:
         for seed in range(given.seeds):
             curves.append([])
             for point, policy in train(pool, given.generations, seed):

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from shmoo_mjx.arrays import finite_numbers
 from shmoo_mjx.assets import asset
 from shmoo_mjx.control.mppi import Plan
 from shmoo_mjx.control.observation import local_distance_field
@@ -211,8 +212,7 @@ class Session:
     def head_for(self, x: float, y: float) -> None:
         """Another goal in {W} [m]."""
         simulation = self.simulation
-        if not np.isfinite((x, y)).all():
-            raise ShmooError(f"the goal ({x}, {y}) must be two finite numbers.")
+        finite_numbers("the goal", (x, y), "x, y")
         check_point(simulation.grid, (x, y), ROBOT_RADIUS, "the goal")
         simulation.scenario = self.scenario.model_copy(update={"goal": (float(x), float(y))})
         simulation.navigator.head_for(np.array([x, y]), simulation.time)
