@@ -5,10 +5,11 @@ Whatever is asked for and can't be is refused with a :class:`~shmoo_mjx.errors.S
 
 from __future__ import annotations
 
+import math
 import re
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -65,8 +66,7 @@ def scenes(own: Path) -> dict[str, SceneLoader]:
     """
     found: dict[str, SceneLoader] = {f"demo {seed}": partial(demo_scenario, seed) for seed in range(_DEMOS)}
     shipped = [asset(f"experiments/{kind}") for kind in ("scenarios", "maps")]
-    for path in (path for folder in (*shipped, *_own_folders(own)) for path in sorted(folder.glob("*.yaml"))):
-        text = path.read_text(errors="replace")
+    for path, text in _texts((*shipped, *_own_folders(own)), "*.yaml"):
         if "image:" in text:
             found[f"map {path.stem.removesuffix('.map')}"] = partial(_from_file, path)
         elif "start:" in text:
@@ -76,9 +76,19 @@ def scenes(own: Path) -> dict[str, SceneLoader]:
 
 def object_files(own: Path) -> dict[str, Path]:
     """What ``shmoo object add`` has made in the present folder or in ``own``, by name."""
-    files = (path for folder in _own_folders(own) for path in sorted(folder.glob("*.json")))
-    small = (path for path in files if path.stat().st_size < _OBJECT_FILE)
-    return {path.stem: path.resolve() for path in small if '"hull"' in path.read_text(errors="replace")}
+    files = _texts(_own_folders(own), "*.json", _OBJECT_FILE)
+    return {path.stem: path.resolve() for path, text in files if '"hull"' in text}
+
+
+def _texts(folders: Iterable[Path], pattern: str, longest: float = math.inf) -> Iterator[tuple[Path, str]]:
+    """The files that can be read, of at most ``longest`` bytes, with what they hold."""
+    for path in (path for folder in folders for path in sorted(folder.glob(pattern))):
+        try:
+            text = path.read_text(errors="replace") if path.stat().st_size <= longest else None
+        except OSError:  # a folder, a link that leads nowhere, somebody else's file
+            continue
+        if text is not None:
+            yield path, text
 
 
 def _own_folders(own: Path) -> tuple[Path, Path]:
