@@ -9,7 +9,6 @@ any other library that takes Gymnasium environments works as well, such as Stabl
 from __future__ import annotations
 
 import argparse
-import multiprocessing
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -19,6 +18,8 @@ import cma
 import gymnasium
 import numpy as np
 from matplotlib.figure import Figure
+
+from shmoo_mjx.processes import process_pool
 
 STEPS = 120  # 12 s of each episode
 SCALE = np.repeat([0.1, 0.5, 0.5, 0.5, 1.0, 0.5, 50.0, 1.0, 0.5], [2, 2, 3, 4, 4, 3, 3, 4, 2])  # of the observations
@@ -87,8 +88,7 @@ if __name__ == "__main__":
     parser.add_argument("--out", type=Path, default=Path("agent.png"))
     given = parser.parse_args()
     began, curves = time.monotonic(), list[list[tuple[int, float, float]]]()
-    # A forked process would inherit JAX's locks, and wait for them for ever.
-    with ProcessPoolExecutor(given.workers, multiprocessing.get_context("spawn")) as pool:
+    with process_pool(given.workers) as pool:
         for seed in range(given.seeds):
             curves.append([])
             for point, policy in train(pool, given.generations, seed):

@@ -16,7 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int, Key, Shaped
 
-__all__ = ["Array", "Bool", "Float", "Int", "Key", "Numbers", "Scalar", "Shaped", "single_precision"]
+from shmoo_mjx.errors import ShmooError
+
+__all__ = ["Array", "Bool", "Float", "Int", "Key", "Numbers", "Scalar", "Shaped", "finite_numbers", "single_precision"]
 
 if TYPE_CHECKING:
     # What both have in common can't be said to a type checker.
@@ -68,3 +70,19 @@ def _narrow_leaf(x: Any) -> Any:
         return x
     kinds = {"f": jnp.float32, "i": jnp.int32, "u": jnp.uint32}
     return x.astype(kinds[x.dtype.kind]) if x.dtype.kind in kinds else x
+
+
+def finite_numbers(what: str, given: Any, names: str) -> Float[np.ndarray, "n"]:
+    """A point or pose that a user gave, as an array of doubles with one number for each of the ``names`` "x, y".
+
+    Raises:
+        ShmooError: it has another length, or a value that is no finite number; ``what`` says whose it is.
+    """
+    try:
+        numbers = np.asarray(given, dtype=float)
+    except (TypeError, ValueError):
+        numbers = np.zeros(0)
+    count = len(names.split(", "))
+    if numbers.shape != (count,) or not np.isfinite(numbers).all():
+        raise ShmooError(f"{what} must be {count} finite numbers ({names}), not {given!r}.")
+    return numbers

@@ -17,7 +17,7 @@ from shmoo_mjx.navigation.maps import OccupancyGrid
 from shmoo_mjx.navigation.navigator import Navigator
 from shmoo_mjx.navigation.records import Mode, NavigatorConfig
 from shmoo_mjx.navigation.scenario import Scenario
-from shmoo_mjx.plant.observe import toppled
+from shmoo_mjx.plant.observe import DIVERGED, toppled
 from shmoo_mjx.plant.scene import Scene
 from shmoo_mjx.recorded import Recorded
 from shmoo_mjx.report.trace import Trace
@@ -65,7 +65,7 @@ def run_episode(
     real_time: bool = False,
     policy: str | None = None,
 ) -> Episode:
-    """Run ``scenario`` until the navigator ends, the robot falls or time is up.
+    """Run ``scenario`` until the navigator ends, the robot falls, the physics diverges or time is up.
 
     Args:
         grid: the map.
@@ -90,7 +90,7 @@ def run_episode(
             began = simulation.time
             if number:
                 navigator.head_for(goal, began)
-            while not navigator.finished and simulation.time < scenario.limits.time_s and not simulation.record.falls:
+            while not navigator.finished and simulation.time < scenario.limits.time_s and not simulation.record.ended:
                 tick = time.perf_counter()
                 command = simulation.decide(hooks.perceive)
                 hooks.progress(simulation.time, str(navigator.mode))
@@ -237,6 +237,8 @@ def result_of(simulation: Simulation, legs: Sequence[dict[str, Any]] = (), goals
 
 def _outcome(simulation: Simulation, distance: float) -> tuple[str, str]:
     scenario, navigator, record = simulation.scenario, simulation.navigator, simulation.record
+    if record.diverged:
+        return "diverged", DIVERGED
     if record.falls:
         return "fall", f"the robot fell while it was to {navigator.mode}"
     if navigator.mode is Mode.FAILED:

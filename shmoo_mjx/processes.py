@@ -1,4 +1,4 @@
-"""A pool of worker processes that does not outlive the process it works for."""
+"""A pool of worker processes that does not outlive the process it works for, and a check of processes of others."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+
+from shmoo_mjx.errors import ShmooError
 
 _PATIENCE = 5.0
 """Longest time that ending the workers may take [s]."""
@@ -40,6 +42,26 @@ def process_pool(workers: int, prepare: Callable[[], None] | None = None) -> Ite
             left[0].join(timeout=0.1)
         raise
     pool.shutdown()
+
+
+def check_forked() -> None:
+    """Refuse to compute in a process in which JAX would wait for ever.
+
+    A fork copies JAX's state without the threads that JAX works with. Checked where the system lists a process's
+    threads (Linux); elsewhere new processes are not forked by default.
+
+    Raises:
+        ShmooError: this process was forked from one in which JAX was running.
+    """
+    # Imported late: worker processes that never compute need no JAX.
+    from jax._src import xla_bridge
+
+    with suppress(OSError):
+        if len(os.listdir("/proc/self/task")) == 1 and xla_bridge.backends_are_initialized():
+            raise ShmooError(
+                "JAX can't run in this process, which was forked from one that already used it; start processes with "
+                "multiprocessing.get_context('spawn'), or gymnasium.make_vec with vector_kwargs={'context': 'spawn'}."
+            )
 
 
 def _begin(prepare: Callable[[], None] | None) -> None:

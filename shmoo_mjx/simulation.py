@@ -40,11 +40,18 @@ class Record:
     late: list[dict[str, Any]] = field(default_factory=list)
     """Missed deadlines, against the wall clock."""
     falls: int = 0
+    diverged: bool = False
+    """Whether the physics was lost in the last sample; the simulation then stays as it was before."""
     wall_contacts: int = 0
     touching: bool = False
     wall_parts: dict[str, int] = field(default_factory=dict)
     touches: list[dict[str, Any]] = field(default_factory=list)
     """Contacts with walls, as events."""
+
+    @property
+    def ended(self) -> bool:
+        """Whether a fall or a divergence has ended the run."""
+        return self.falls > 0 or self.diverged
 
 
 def conditions_of(scenario: Scenario) -> list[Condition]:
@@ -146,14 +153,18 @@ class Simulation:
             command: what the robot does; None if the command got lost on its way.
             spent: wall-clock time that it took to compute [s], if that is to pass in the world.
         """
-        self.world, self.seen = self.engine.step(self.world, command, computing=spent)
+        world, seen = self.engine.step(self.world, command, computing=spent)
         if spent is not None and spent > DT:
-            late = {"t": round(float(self.seen.time[0]), 1), "state": str(self.navigator.mode)}
+            late = {"t": round(float(seen.time[0]), 1), "state": str(self.navigator.mode)}
             self.record.late.append(late | {"ms": round(1e3 * spent)})
             for _ in range(int(spent / DT)):
-                self.world, self.seen = self.engine.step(self.world, command, computing=0.0)
+                world, seen = self.engine.step(world, command, computing=0.0)
             # The controller's samples are DT apart: what spans a longer time teaches nothing.
-            self.seen = self.seen._replace(detected=np.zeros_like(self.seen.detected))
+            seen = seen._replace(detected=np.zeros_like(seen.detected))
+        if self.engine.diverged(world)[0]:
+            self.record.diverged = True
+            return
+        self.world, self.seen = world, seen
         self.true = self.engine.true_observation(self.world)
         self._count_contacts()
         self.record.falls += int(self.engine.fallen(self.world)[0])

@@ -62,3 +62,45 @@ def test_workers_of_a_killed_process_end(tmp_path: Path, how: signal.Signals) ->
 def test_an_error_in_a_worker_comes_through() -> None:
     with pytest.raises(ValueError, match="this one"), process_pool(1) as pool:
         pool.submit(_fail, "this one").result()
+
+
+FORKED = """
+import sys
+import gymnasium
+import jax.numpy as jnp
+import numpy as np
+
+if __name__ == "__main__":
+    live, context = sys.argv[1] == "live", sys.argv[2]
+    if live:
+        jnp.zeros(3).sum().block_until_ready()
+    worlds = gymnasium.make_vec(
+        "shmoo_mjx.gym:ShmooPush-v0", num_envs=2, vectorization_mode="async", vector_kwargs={"context": context}
+    )
+    for _ in range(2):
+        worlds.reset(seed=3)
+        seen, *_ = worlds.step(np.zeros((2, 4), dtype=np.float32))
+    print("seen", seen.shape)
+    worlds.close()
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs /proc")
+@pytest.mark.parametrize(
+    ("live", "context"),
+    [
+        ("live", "fork"),
+        pytest.param("live", "spawn", marks=pytest.mark.slow),
+        pytest.param("idle", "fork", marks=pytest.mark.slow),
+    ],
+)
+def test_environments_in_processes_run_or_say_why_they_can_t(tmp_path: Path, live: str, context: str) -> None:
+    pytest.importorskip("gymnasium")
+    (tmp_path / "main.py").write_text(FORKED)
+    command = [sys.executable, "-W", "ignore", str(tmp_path / "main.py"), live, context]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    if (live, context) == ("live", "fork"):
+        last = done.stderr.strip().splitlines()[-1]
+        assert done.returncode == 1 and "ShmooError" in last and "vector_kwargs={'context': 'spawn'}" in last
+    else:
+        assert done.returncode == 0 and "seen (2, 27)" in done.stdout

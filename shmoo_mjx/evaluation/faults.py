@@ -26,6 +26,7 @@ from shmoo_mjx.navigation.floorplan import demo_scenario
 from shmoo_mjx.navigation.maps import clearance_field
 from shmoo_mjx.navigation.records import Mode
 from shmoo_mjx.navigation.scenario import ObjectEntry
+from shmoo_mjx.plant.observe import DIVERGED
 from shmoo_mjx.report.tables import markdown_table
 from shmoo_mjx.simulation import Simulation
 from shmoo_mjx.types import DT, Command, Observation
@@ -250,7 +251,7 @@ def play(name: str, seed: int, weights: Path) -> dict[str, Any]:
             if active and fault.loses_commands:
                 command = None
             simulation.advance(command)
-            if simulation.record.falls or (active and fault.loses_commands and trial.since > 10.0):
+            if simulation.record.ended or (active and fault.loses_commands and trial.since > 10.0):
                 break
         return {"fault": name, "seed": seed, **_judged(trial, fault)}
 
@@ -264,6 +265,8 @@ def _judged(trial: _Trial, fault: Fault) -> dict[str, Any]:
     silent = says_done and distance > simulation.scenario.limits.goal_tolerance_m
     if trial.began is None:
         outcome, reason = "did not occur", f"the robot was never to {fault.on}"
+    elif record.diverged:
+        outcome, reason = "failed", DIVERGED
     elif record.falls:
         outcome, reason = "failed", f"fell while it was to {navigator.mode}"
     elif silent:

@@ -52,7 +52,7 @@ def cause_of(result: dict[str, Any], generated: Generated) -> str:
     if outcome == "wall contact":
         parts = sorted(p for p, count in result.get("wall_parts", {}).items() if count)
         return outcome + (f": {', '.join(parts)}" if parts else "")
-    if outcome == "fall":
+    if outcome in ("fall", "diverged"):
         return outcome
     wrong = _wrong_verdict(result, generated)
     if outcome == "timeout":

@@ -21,7 +21,7 @@ from shmoo_mjx.navigation.maps import OccupancyGrid
 from shmoo_mjx.navigation.push_task import Pusher, PushTask, pose_push_config
 from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
-from shmoo_mjx.plant.observe import toppled
+from shmoo_mjx.plant.observe import DIVERGED, toppled
 from shmoo_mjx.plant.scene import Scene, build_scene
 from shmoo_mjx.sensing import REAL, SensedEngine, Senses
 
@@ -269,8 +269,8 @@ class Runner:
         with engine:
             world = engine.init()
             seen, true = engine.observe(world), engine.true_observation(world)
-            changed_at, fell = None, False
-            while not task.finished and float(seen.time[0]) < self.time_limit and not fell:
+            changed_at, fell, lost = None, False, False
+            while not task.finished and float(seen.time[0]) < self.time_limit and not (fell or lost):
                 gone = float(np.linalg.norm(true.object_pose[0, 0, :2] - start)) / way
                 if changed_at is None and trial.change != "none" and gone > trial.change_at:
                     changed_at = float(seen.time[0])
@@ -279,13 +279,18 @@ class Runner:
                         task.know(adapt_after)
                 tick = partial(task.tick, seen)
                 command = tick() if method in METHODS else custom.asked(OWN, method, tick)
-                world, seen = engine.step(world, command)
-                true, fell = engine.true_observation(world), bool(engine.fallen(world)[0])
+                after = engine.step(world, command)
+                lost = bool(engine.diverged(after[0])[0])
+                if not lost:  # or the last whole state remains
+                    world, seen = after
+                    true, fell = engine.true_observation(world), bool(engine.fallen(world)[0])
                 now = float(true.time[0]), true.object_pose[0, 0], true.robot_pose[0], str(task.phase)
                 rows.append((*now, world.physics[0, 1 : 1 + scene.model.nq].copy(), float(np.hypot(*true.lean[0]))))
         names = ("t", "object_pose", "robot_pose", "phase", "qpos", "lean")
         track = {name: np.array(column) for name, column in zip(names, zip(*rows, strict=True), strict=True)}
         row = _row(trial, method, scene, task, track, changed_at, fell)
+        if lost:
+            row |= {"success": False, "ended": "diverged", "reason": DIVERGED}
         return row, track | {"qpos": track["qpos"].astype(np.float32)}
 
 

@@ -29,6 +29,7 @@ from shmoo_mjx.navigation.maps import clearance_field
 from shmoo_mjx.navigation.records import Mode, Transition
 from shmoo_mjx.navigation.scenario import Limits, ObjectEntry, Scenario
 from shmoo_mjx.plant.objects import FAMILIES
+from shmoo_mjx.plant.observe import DIVERGED
 from shmoo_mjx.report.tables import markdown_table
 from shmoo_mjx.simulation import Record, Simulation
 
@@ -93,8 +94,8 @@ def play(trials: SoakTrials, seed: int, controller: PushController) -> dict[str,
     row: dict[str, Any] = {"seed": seed, "errands": 0, "done": 0, "given_up": [], "livelocks": 0}
     totals = {"falls": 0, "wall_contacts": 0, "moved": 0}
     with closing(Simulation(grid, scenario, controller)) as simulation:
-        moved = 0.0
-        while simulation.time < 60 * trials.minutes and not totals["falls"]:
+        moved, lost = 0.0, False
+        while simulation.time < 60 * trials.minutes and not lost:
             began = simulation.time
             while not _over(simulation, began + _ERRAND):
                 simulation.advance(simulation.decide())
@@ -107,6 +108,7 @@ def play(trials: SoakTrials, seed: int, controller: PushController) -> dict[str,
             if simulation.navigator.mode is not Mode.DONE:
                 row["given_up"].append(_reason(simulation))
             totals["falls"] += simulation.record.falls
+            lost = simulation.record.ended
             totals["wall_contacts"] += simulation.record.wall_contacts
             memory.append(this.memory_info().rss)
             # What has been is of no more use; a record of hours would be all that grows.
@@ -138,11 +140,13 @@ def livelocks(transitions: list[Transition], record: Record) -> int:
 
 
 def _over(simulation: Simulation, until: float) -> bool:
-    return simulation.navigator.finished or simulation.time >= until or simulation.record.falls > 0
+    return simulation.navigator.finished or simulation.time >= until or simulation.record.ended
 
 
 def _reason(simulation: Simulation) -> str:
     navigator = simulation.navigator
+    if simulation.record.diverged:
+        return DIVERGED
     if simulation.record.falls:
         return f"fell while it was to {navigator.mode}"
     if navigator.mode is Mode.FAILED:

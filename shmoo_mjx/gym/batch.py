@@ -12,23 +12,26 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.gym import EPISODE_STEPS
 from shmoo_mjx.gym.navigate import NavigateTask
 from shmoo_mjx.gym.push import PushEnvTask
 from shmoo_mjx.gym.single import checked, space
-from shmoo_mjx.gym.task import Outcome, Start, Task
+from shmoo_mjx.gym.task import Judged, Outcome, Start, Task, begun, info_of, judged, seed_of
 from shmoo_mjx.plant.engine_mjx import MjxEngine, MjxWorld
-from shmoo_mjx.sensing import SensedEngine, SensedWorld, altered, senses_named
+from shmoo_mjx.processes import check_forked
+from shmoo_mjx.sensing import SensedEngine, SensedWorld, senses_named
 from shmoo_mjx.types import Observation
 
 
 class ShmooVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """A task in ``num_envs`` worlds that are stepped together.
 
-    World i is drawn as a single environment seeded with ``seed + i`` would draw it. Its objects and walls stay until
+    World i is that of a single environment seeded with ``seed + i``, noise included. Its objects and walls stay until
     the next ``reset(seed=...)``; an episode that ends is followed by another one in the same world, with a new start
     and goal where the task draws them apart. That one begins with the step after the last (NEXT_STEP), whose action
-    does nothing in this world and whose reward is 0.
+    does nothing in this world and whose reward is 0. What happens in a world depends on its seed and its actions alone:
+    one world with ``seed + i`` repeats any episode of world i.
     """
 
     metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012 (as Gymnasium declares it)
@@ -38,10 +41,20 @@ class ShmooVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """After which an episode is cut off, unless told otherwise."""
 
     def __init__(
-        self, num_envs: int = 1, max_episode_steps: int | None = None, config: Any = None, senses: str = "real"
+        self,
+        num_envs: int = 1,
+        max_episode_steps: int | None = None,
+        config: Any = None,
+        senses: str = "real",
+        render_mode: str | None = None,
     ) -> None:
-        # MJX's state has no room for the motors' lag.
-        self.senses = altered(senses_named(senses), body={"motor_lag": 0.0})
+        if render_mode is not None:
+            raise ShmooError(
+                f"render_mode {render_mode!r}: many worlds in one program are not drawn; leave it out, or make single "
+                "environments with vectorization_mode='sync'."
+            )
+        self.render_mode = render_mode
+        self.senses = senses_named(senses)
         self.task: Task = self.kind(config)
         self.num_envs, self.limit = num_envs, max_episode_steps or self.steps
         self.single_observation_space, self.single_action_space = space(self.task.observation), space(self.task.action)
@@ -51,6 +64,7 @@ class ShmooVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._sensed: SensedEngine
         self._world: SensedWorld
         self._seen: Observation
+        self._outcome: Outcome
         self._starts: list[Start]
         self._over = np.zeros(num_envs, dtype=bool)
         self._steps = np.zeros(num_envs, dtype=int)
@@ -59,6 +73,8 @@ class ShmooVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Begin an episode in every world, with a seed (and the first time) in new worlds. There are no options."""
+        check_forked()
+        seed = seed_of(seed, options)
         super().reset(seed=seed)
         if self._engine is None or seed is not None:
             first = int(self.np_random.integers(2**31)) if seed is None else seed
@@ -68,7 +84,8 @@ class ShmooVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self._begin(np.ones(self.num_envs, dtype=bool), drawn=True)
         else:
             self._begin(np.ones(self.num_envs, dtype=bool))
-        return self.task.observe(self._context, self._seen), self._infos(np.zeros(self.num_envs, dtype=bool))
+        self._outcome = self._judged()
+        return self.task.observe(self._context, self._seen), self._infos(begun(self._outcome))
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Hold ``actions [W, m]`` for 0.1 s."""
@@ -77,20 +94,22 @@ class ShmooVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         resetting = self._over
         assert isinstance(self.action_space, gymnasium.spaces.Box)
         wanted = self.task.command(checked(actions, self.action_space), self._seen)
-        before = self._judged()
-        self._world, self._seen = self._sensed.step(self._world, wanted)
+        self._world, seen = self._sensed.step(self._world, wanted)
+        diverged = self._sensed.diverged(self._world)
+        # A world that has diverged is shown as it was at last.
+        self._seen = jax.tree.map(lambda new, old: _chosen(np, diverged, old, new), seen, self._seen)
         self._steps += 1
         if resetting.any():
             self._begin(resetting)
-        after, fallen = self._judged(), self._sensed.fallen(self._world) & ~resetting
-        success = after.success & ~fallen & ~resetting
-        reward = after.progress - before.progress + self.task.bonus * success + self.task.fall * fallen
-        reward += self.task.bump * self._world.wall_contact
-        terminated = success | fallen
-        truncated = (self._steps >= self.limit) & ~terminated
-        self._over = terminated | truncated
-        rewards = np.where(resetting, 0.0, reward)
-        return self.task.observe(self._context, self._seen), rewards, terminated, truncated, self._infos(fallen)
+        fallen, touching = self._sensed.fallen(self._world), self._world.wall_contact
+        fresh = begun(self._judged())
+        step = judged(self.task, self._outcome, fresh.outcome, fallen, diverged, touching)
+        step = jax.tree.map(lambda new, old: np.where(resetting, new, old), fresh, step)
+        self._outcome = step.outcome
+        truncated = (self._steps >= self.limit) & ~step.terminated
+        self._over = step.terminated | truncated
+        observed = self.task.observe(self._context, self._seen)
+        return observed, step.reward, step.terminated, truncated, self._infos(step)
 
     @property
     def starts(self) -> tuple[Start, ...]:
@@ -136,14 +155,8 @@ class ShmooVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def _judged(self) -> Outcome:
         return self.task.judge(self._context, self._sensed.true_observation(self._world))
 
-    def _infos(self, fallen: np.ndarray) -> dict[str, Any]:
-        outcome = self._judged()
-        found = {
-            "success": outcome.success & ~fallen,
-            "distance": outcome.distance,
-            "fallen": fallen,
-            "wall_contact": self._world.wall_contact,
-        }
+    def _infos(self, step: Judged) -> dict[str, Any]:
+        found = info_of(step, self._world.wall_contact)
         return found | {f"_{name}": np.ones(self.num_envs, dtype=bool) for name in found}
 
 

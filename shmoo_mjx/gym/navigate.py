@@ -10,7 +10,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from shmoo_mjx import se2
-from shmoo_mjx.gym.task import ACTIONS, BODY, Outcome, Part, Start, body, command, flat, in_robot
+from shmoo_mjx.gym.task import ACTIONS, BODY, Outcome, Part, Start, body, command, config_of, flat, in_robot, widened
 from shmoo_mjx.navigation.floorplan import RESOLUTION, demo_scenario
 from shmoo_mjx.navigation.line_costs import PathConfig
 from shmoo_mjx.navigation.maps import OccupancyGrid, occupied_rectangles
@@ -30,7 +30,7 @@ class NavigateConfig:
     """Choices of the task, SI units."""
 
     reach: float = 3.5
-    """Longest of the ranges [m]."""
+    """Longest of the ranges [m]; the observation space is as wide."""
     arrived: float = 0.25
     """Distance from the goal that counts as success [m]."""
     slow: float = 0.1
@@ -82,7 +82,8 @@ class NavigateTask:
     poses_known = False
 
     def __init__(self, config: NavigateConfig | None = None) -> None:
-        self.config = config or NavigateConfig()
+        self.config = config_of(NavigateConfig, config)
+        self.observation = widened(type(self).observation, ("ranges",), self.config.reach)
         self.fall, self.bonus, self.bump = self.config.fall, self.config.bonus, self.config.bump
         angles = 2 * np.pi * np.arange(_RAYS) / _RAYS
         self._rays = np.stack([np.cos(angles), np.sin(angles)], axis=-1)

@@ -9,10 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from shmoo_mjx import se2
-from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.faces import faces_of, stand_off
-from shmoo_mjx.gym.task import ACTIONS, BODY, Outcome, Part, Start, body, command, flat, in_robot
-from shmoo_mjx.plant.objects import FAMILIES, draw_condition
+from shmoo_mjx.gym.task import ACTIONS, BODY, Outcome, Part, Start, body, command, config_of, flat, in_robot, widened
+from shmoo_mjx.plant.objects import draw_condition
 from shmoo_mjx.types import Command, Observation
 
 
@@ -21,7 +20,7 @@ class PushEnvConfig:
     """Choices of the task, SI units."""
 
     family: str = "box"
-    """box, cart or wheelchair."""
+    """box, cart or wheelchair, or an object file (*.json)."""
     distance: tuple[float, float] = (0.6, 1.6)
     """Range of the way to the goal [m]."""
     bearing: float = 0.3
@@ -70,16 +69,17 @@ class PushEnvTask:
     poses_known = True
 
     def __init__(self, config: PushEnvConfig | None = None) -> None:
-        self.config = config or PushEnvConfig()
-        if self.config.family not in FAMILIES:
-            names = ", ".join(FAMILIES)
-            raise ShmooError(f"PushEnvConfig: family {self.config.family!r} is unknown; choose one of {names}.")
+        self.config = config_of(PushEnvConfig, config)
+        self._family = str(self.config.family)
+        draw_condition(self._family, 0)  # refuses what is no family
+        far = 2.0 + self.config.gap[1] + self.config.distance[1]
+        self.observation = widened(type(self).observation, ("object", "goal"), far)
         self.fall, self.bonus = self.config.fall, self.config.bonus
 
     def draw(self, rng: np.random.Generator, same_world: Start | None = None) -> Start:
         """An object (unless given) at the origin, the robot behind it, and a goal ahead."""
         cfg = self.config
-        thing = same_world.conditions[0] if same_world else draw_condition(cfg.family, int(rng.integers(2**31)))
+        thing = same_world.conditions[0] if same_world else draw_condition(self._family, int(rng.integers(2**31)))
         face = faces_of(thing.half_extents)[0]
         robot = stand_off(np.zeros(3), face, rng.uniform(*cfg.gap), rng.uniform(-cfg.lateral, cfg.lateral))
         bearing, far = rng.uniform(-cfg.bearing, cfg.bearing), rng.uniform(*cfg.distance)

@@ -12,8 +12,9 @@ import numpy as np
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.gym.navigate import NavigateTask
 from shmoo_mjx.gym.push import PushEnvTask
-from shmoo_mjx.gym.task import Outcome, Part, Start, Task
+from shmoo_mjx.gym.task import Judged, Outcome, Part, Start, Task, begun, info_of, judged, seed_of
 from shmoo_mjx.plant.render import can_render, frames, has_display
+from shmoo_mjx.processes import check_forked
 from shmoo_mjx.sensing import SensedEngine, SensedWorld, senses_named
 from shmoo_mjx.types import DT, Observation
 
@@ -46,13 +47,15 @@ class _Episode(NamedTuple):
     world: SensedWorld
     seen: Observation
     outcome: Outcome
+    """Of the last whole state, as world and seen are."""
 
 
 class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """A task in one world; every reset draws another one, and another robot if the senses are real ones.
 
     The reward of a step is what it has gained in the task's potential, plus what the task gives for success, for a fall
-    and for contact with a wall. An episode ends with success or a fall.
+    and for contact with a wall. An episode ends with success, with a fall, or where the physics diverges; ``info`` has
+    the reason. A copy (``copy.deepcopy``, ``pickle``) goes on where the original stands.
     """
 
     # As Gymnasium declares it.
@@ -81,7 +84,8 @@ class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Draw and begin an episode. There are no options."""
-        super().reset(seed=seed)
+        check_forked()
+        super().reset(seed=seed_of(seed, options))
         self._stop()
         start = self.task.draw(self.np_random)
         robot = int(self.np_random.integers(2**31))
@@ -92,21 +96,23 @@ class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         outcome = self.task.judge(context, engine.true_observation(world))
         self._now = _Episode(start, context, engine, world, seen, outcome)
         self._show()
-        return self.task.observe(context, seen)[0], self._info(False)
+        return self.task.observe(context, seen)[0], _info(begun(outcome), world.wall_contact)
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Hold ``action`` for 0.1 s. It never truncates: the registered limit of steps does."""
         now = self._episode()
         wanted = self.task.command(checked(action, self._box)[None], now.seen)
         world, seen = now.engine.step(now.world, wanted)
-        outcome = self.task.judge(now.context, now.engine.true_observation(world))
-        fallen = bool(now.engine.fallen(world)[0])
-        self._now = now._replace(world=world, seen=seen, outcome=outcome)
+        fallen, diverged, touching = now.engine.fallen(world), now.engine.diverged(world), world.wall_contact
+        after = now.outcome
+        if not diverged[0]:
+            after = self.task.judge(now.context, now.engine.true_observation(world))
+            now = now._replace(world=world, seen=seen)
+        step = judged(self.task, now.outcome, after, fallen, diverged, touching)
+        self._now = now._replace(outcome=step.outcome)
         self._show()
-        success = bool(outcome.success[0]) and not fallen
-        reward = float(outcome.progress[0] - now.outcome.progress[0])
-        reward += success * self.task.bonus + fallen * self.task.fall + bool(world.wall_contact[0]) * self.task.bump
-        return self.task.observe(now.context, seen)[0], reward, success or fallen, False, self._info(fallen)
+        observed = self.task.observe(now.context, now.seen)[0]
+        return observed, float(step.reward[0]), bool(step.terminated[0]), False, _info(step, touching)
 
     def render(self) -> np.ndarray | None:  # type: ignore[override]
         """The world from behind and above the robot, uint8 ``[480, 640, 3]``; in the mode human a window shows it."""
@@ -158,14 +164,8 @@ class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             raise gymnasium.error.ResetNeeded("call reset before step or render")
         return self._now
 
-    def _info(self, fallen: bool) -> dict[str, Any]:
-        now = self._episode()
-        return {
-            "success": bool(now.outcome.success[0]) and not fallen,
-            "distance": float(now.outcome.distance[0]),
-            "fallen": fallen,
-            "wall_contact": bool(now.world.wall_contact[0]),
-        }
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_window": None}
 
     def _stop(self) -> None:
         if self._window is not None:
@@ -178,6 +178,10 @@ class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         if self._now is not None:
             self._now.engine.close()
             self._now = None
+
+
+def _info(step: Judged, touching: np.ndarray) -> dict[str, Any]:
+    return {name: values.tolist()[0] for name, values in info_of(step, touching).items()}
 
 
 class PushEnv(ShmooEnv):

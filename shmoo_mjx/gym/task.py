@@ -7,19 +7,23 @@ rooms look alike from all sides.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import operator
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, NamedTuple, Protocol
 
 import mujoco
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.scene import Scene, build_scene
 from shmoo_mjx.types import Command, Observation
 
 Adjust = Callable[[mujoco.MjSpec], None]
+_SIGNED = ("fall", "bonus", "bump")
+"""Fields of a config that are rewards; all other numbers are lengths, angles, speeds or weights."""
 
 
 class Part(NamedTuple):
@@ -81,6 +85,19 @@ class Outcome(NamedTuple):
     success: np.ndarray
 
 
+class Judged(NamedTuple):
+    """What a step brought W worlds, ``[W]`` each."""
+
+    outcome: Outcome
+    """After the step; a world that has diverged keeps the one before."""
+    reward: np.ndarray
+    success: np.ndarray
+    fallen: np.ndarray
+    terminated: np.ndarray
+    reason: np.ndarray
+    """Why the episode is over: "success", "fallen", "diverged", or "" while it goes on."""
+
+
 class Task(Protocol):
     """What to do, and how it is seen and judged. ``context`` is what :meth:`gather` made of the worlds' starts."""
 
@@ -109,6 +126,94 @@ class Task(Protocol):
 
     def judge(self, context: Any, true: Observation) -> Outcome:
         """How far the worlds are, by the truth, whatever the robot perceives."""
+
+
+def judged(
+    task: Task, before: Outcome, after: Outcome, fallen: np.ndarray, diverged: np.ndarray, touching: np.ndarray
+) -> Judged:
+    """Rewards and ends of one step.
+
+    Args:
+        task: gives the rewards.
+        before: outcome before the step.
+        after: outcome after it.
+        fallen: which robots lie on the floor ``[W]``.
+        diverged: which worlds the physics has lost ``[W]``; this ends an episode as a fall does.
+        touching: which robots touched a wall ``[W]``.
+    """
+    after = Outcome(*(np.where(diverged, old, new) for old, new in zip(before, after, strict=True)))
+    lost = fallen | diverged
+    success = after.success & ~lost
+    reward = after.progress - before.progress + (success * task.bonus + lost * task.fall + touching * task.bump)
+    reason = np.select([diverged, fallen, success], ["diverged", "fallen", "success"], "").astype(object)
+    return Judged(after, reward, success, fallen & ~diverged, success | lost, reason)
+
+
+def begun(outcome: Outcome) -> Judged:
+    """What is reported of an episode that begins."""
+    no = np.zeros(outcome.success.shape, dtype=bool)
+    return Judged(outcome, np.zeros(no.shape), outcome.success, no, no, np.full(no.shape, "", dtype=object))
+
+
+def info_of(step: Judged, touching: np.ndarray) -> dict[str, np.ndarray]:
+    """What the environments report as ``info``, ``[W]`` each."""
+    return {
+        "success": step.success,
+        "distance": step.outcome.distance,
+        "fallen": step.fallen,
+        "wall_contact": touching,
+        "reason": step.reason,
+    }
+
+
+def seed_of(seed: Any, options: Mapping[str, Any] | None) -> int | None:
+    """The seed given to ``reset``; any kind of whole number will do.
+
+    Raises:
+        ShmooError: there are options, of which no environment knows any, or the seed is no whole number.
+    """
+    if options:
+        raise ShmooError(f"reset knows no options, and was given {', '.join(map(repr, options))}; leave them out.")
+    try:
+        return None if seed is None else operator.index(seed)
+    except TypeError:
+        raise ShmooError(f"the seed must be a whole number, not {seed!r}.") from None
+
+
+def config_of[Config](kind: type[Config], given: Config | None) -> Config:
+    """The config itself, or the default one for None.
+
+    Raises:
+        ShmooError: it is of another kind, or a field of it is not the number or pair of numbers that it should be.
+    """
+    usual = kind()
+    config = usual if given is None else given
+    if not isinstance(config, kind):
+        raise ShmooError(f"the config must be a {kind.__name__}, not {given!r}.")
+    for name, default in vars(usual).items():
+        low, value, shape = -np.inf if name in _SIGNED else 0.0, getattr(config, name), np.shape(default)
+        if isinstance(default, str) or _numbers_from(low, value, shape):
+            continue
+        wanted = "two finite numbers, the smaller one first" if shape else "a finite number"
+        raise ShmooError(f"{kind.__name__}: {name} is {value!r}; give {wanted}{', not below 0' if low == 0 else ''}.")
+    return config
+
+
+def _numbers_from(low: float, value: Any, shape: tuple[int, ...]) -> bool:
+    try:
+        numbers = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        return False
+    ordered = numbers.ndim == 0 or bool((np.diff(numbers) >= 0).all())
+    return numbers.shape == shape and bool((np.isfinite(numbers) & (numbers >= low)).all()) and ordered
+
+
+def widened(parts: Sequence[Part], names: Sequence[str], reach: float) -> tuple[Part, ...]:
+    """The parts, with the ranges of those that are named at least from -``reach`` (or 0) to ``reach``."""
+    return tuple(
+        p._replace(low=min(p.low, -reach) if p.low < 0 else p.low, high=max(p.high, reach)) if p.name in names else p
+        for p in parts
+    )
 
 
 def command(actions: np.ndarray, seen: Observation, arms: np.ndarray | float = 1.0) -> Command:

@@ -16,7 +16,6 @@ from shmoo_mjx.types import DT
 if TYPE_CHECKING:
     from shmoo_mjx.live.page import Page
 
-_AT_HOME = ("127.0.0.1", "localhost", "::1")
 _IDLE = 0.02
 """Time between two looks at what is wanted while the world stands still [s]."""
 
@@ -40,13 +39,14 @@ def run_live(
         raise ShmooError(f"shmoo live needs {names}, not installed here; in a clone, pip install '.[live]'.")
     _check_host(host)
     from shmoo_mjx.learning.weights import load_weights
+    from shmoo_mjx.live.own_page import AT_HOME
     from shmoo_mjx.live.page import Page
     from shmoo_mjx.live.session import Session, loader_named
 
     session = Session(load_weights(weights or asset(WEIGHTS)), loader_named(scene, out), senses, out)
     session.compile()
-    page = Page(session, host, port)
-    if host not in _AT_HOME:
+    page = Page(session, host, port, scene)
+    if host not in AT_HOME:
         print(f"Everybody who reaches {host} can use this page; it asks for no password.")
     print(f"{page.url}   (Ctrl-C ends it)", flush=True)
     try:

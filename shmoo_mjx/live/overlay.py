@@ -33,7 +33,7 @@ class Lines(NamedTuple):
     points: np.ndarray
     """``[N, 2, 3]`` [m]"""
     colours: np.ndarray
-    """``[N, 2, 3]`` uint8"""
+    """``[N, 2, 3]`` uint8, linear light: the browser encodes what it draws of lines as sRGB."""
 
 
 def _lines(points: Array, colours: Array) -> Lines:
@@ -45,7 +45,13 @@ def _lines(points: Array, colours: Array) -> Lines:
     pairs = np.stack([found[:, :-1], found[:, 1:]], axis=2)
     shades = np.broadcast_to(np.atleast_2d(colours)[:, None, None, :3], pairs.shape)
     whole = np.isfinite(pairs).all(axis=(2, 3))
-    return Lines(pairs[whole], (255 * shades[whole]).astype(np.uint8))
+    return Lines(pairs[whole], np.round(255 * _linear(shades[whole])).astype(np.uint8))
+
+
+def _linear(srgb: Array) -> np.ndarray:
+    """Linear light of sRGB values, both 0 to 1."""
+    values = np.asarray(srgb)
+    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
 
 
 def _rgb(colour: str) -> np.ndarray:

@@ -11,6 +11,7 @@ import io
 import queue
 import threading
 import time
+import traceback
 from collections.abc import Callable
 from contextlib import redirect_stdout
 from functools import partial
@@ -29,10 +30,13 @@ from shmoo_mjx.dynamics import contact_model
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.learning import online
 from shmoo_mjx.live import overlay
-from shmoo_mjx.live.session import Session, object_files, scenes
+from shmoo_mjx.live.own_page import obeying_own_page
+from shmoo_mjx.live.session import SceneLoader, Session, object_files, scene_named, scenes
 from shmoo_mjx.navigation import flat_trajectory
 from shmoo_mjx.navigation.scenario import FAMILIES
+from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.objects import draw_condition
+from shmoo_mjx.plant.observe import DIVERGED
 from shmoo_mjx.types import DT
 
 PICTURES = 20.0
@@ -54,11 +58,14 @@ class _World(NamedTuple):
 
 
 class Page:
-    """A page in the browser on ``http://host:port``, or the next free port; whoever makes it steps the session."""
+    """A page in the browser on ``http://host:port``, or the next free port; whoever makes it steps the session.
 
-    def __init__(self, session: Session, host: str = "127.0.0.1", port: int = 8080) -> None:
-        self.session = session
-        with redirect_stdout(io.StringIO()):  # its banner
+    ``scene`` is what the session has loaded, as `scene_named` takes it; the page's list of scenes begins with it.
+    """
+
+    def __init__(self, session: Session, host: str = "127.0.0.1", port: int = 8080, scene: str = "demo 0") -> None:
+        self.session, self._first_scene = session, scene
+        with obeying_own_page(host), redirect_stdout(io.StringIO()):  # its banner
             self.server = viser.ViserServer(host=host, port=port, label="shmoo live", verbose=False)
         self.speed, self.pictures = 1.0, 0
         self._wanted: queue.SimpleQueue[Callable[[], str | None]] = queue.SimpleQueue()
@@ -68,6 +75,9 @@ class Page:
         self._world: _World | None = None
         self._samples: tuple[np.ndarray, np.ndarray, float] | None = None
         self._handles: list[Any] = []
+        self._dragged: set[int] = set()
+        """Objects whose handles somebody holds."""
+        self._told_goal: tuple[float, float] | None = None
         self._history: list[tuple[float, float, float, float]] = []
         self._clearance: Any = None
         # Its button to share a page would hand this one to a server elsewhere.
@@ -109,19 +119,30 @@ class Page:
 
     def carry_out(self) -> bool:
         """Do what was asked for on the page since the last call; whether a sample is due then."""
+        asked = False
         while True:
             try:
                 wanted = self._wanted.get_nowait()
             except queue.Empty:
                 break
-            try:
-                self._say(wanted() or "")
-            except ShmooError as error:
-                self._say(str(error), refused=True)
-            except (ValidationError, ValueError, OSError) as error:
-                self._say(f"That can't be done: {error}", refused=True)
+            asked = True
+            self._attempt(wanted)
         due, self._single = not self.paused or self._single, False
+        if asked and not due:
+            self.show()
         return due
+
+    def _attempt(self, wanted: Callable[[], str | None]) -> None:
+        """Do it, and say how that went; whatever fails, the run goes on."""
+        try:
+            self._say(wanted() or "")
+        except ShmooError as error:
+            self._say(str(error), refused=True)
+        except (ValidationError, ValueError, OSError) as error:
+            self._say(f"That can't be done: {error}", refused=True)
+        except Exception as error:
+            traceback.print_exc()
+            self._say(f"That failed ({type(error).__name__}: {error}).", refused=True)
 
     def show(self) -> None:
         """Take in the session's last sample: lines, words and curves at once, the world from now on."""
@@ -134,6 +155,7 @@ class Page:
         with self._lock:
             before = now if self._samples is None or len(self._samples[1]) != len(now) else self._samples[1]
             self._samples = (before, now, time.perf_counter())
+        self._move_handles()
         self._draw_lines()
         self._tell()
 
@@ -168,27 +190,28 @@ class Page:
             speed = gui.add_dropdown("speed", tuple(_SPEEDS), initial_value="1 x")
             reset = gui.add_button("begin again")
         with gui.add_folder("Scene", expand_by_default=False):
-            self._scene = gui.add_dropdown("scene", tuple(scenes(self.session.out)))
+            self._scene = gui.add_dropdown("scene", tuple(self._scenes()), initial_value=self._first_scene)
             load = gui.add_button("load it")
             name = gui.add_text("name", "mine")
             save = gui.add_button("save the scene as it is now")
             report = gui.add_button("save the run as a report")
         with gui.add_folder("Goal and new objects"):
             self._click = gui.add_dropdown("a click on the floor", (_GOAL, _NEW))
-            self._goal = gui.add_vector2("goal x, y [m]", self.session.scenario.goal, step=0.05)
+            self._goal: Any = gui.add_vector2("goal x, y [m]", self.session.scenario.goal, step=0.05)
             go = gui.add_button("go there")
             self._family = gui.add_dropdown("family", FAMILIES)
             mass: Any = gui.add_slider("mass [kg]", 1.0, 80.0, 0.5, 8.0)
             load_mass: Any = gui.add_slider("load [kg]", 0.0, 100.0, 1.0, 0.0)
             friction: Any = gui.add_slider("friction", 0.1, 1.2, 0.01, 0.4)
             braked = gui.add_checkbox("brakes on", False)
-            self._where = gui.add_vector3("x, y [m], heading [deg]", (0.0, 0.0, 0.0), step=0.05)
+            self._where: Any = gui.add_vector3("x, y [m], heading [deg]", (0.0, 0.0, 0.0), step=0.05)
             put = gui.add_button("put it there")
         with gui.add_folder("An object that is there"):
             self._which = gui.add_dropdown("object", ("none",))
-            heavier = gui.add_slider("load [kg]", 0.0, 100.0, 1.0, 0.0)
-            slippery = gui.add_slider("friction", 0.1, 1.2, 0.01, 0.4)
-            brakes = gui.add_checkbox("brakes on", False)
+            heavier: Any = gui.add_slider("load [kg]", 0.0, 100.0, 1.0, 0.0)
+            slippery: Any = gui.add_slider("friction", 0.1, 1.2, 0.01, 0.4)
+            brakes: Any = gui.add_checkbox("brakes on", False)
+            self._present = (heavier, slippery, brakes)
             alter = gui.add_button_group("now", ("set load", "set friction", "set brakes"))
             self._drag = gui.add_checkbox("drag objects by handles", False)
         with gui.add_folder("Show", expand_by_default=False):
@@ -202,13 +225,16 @@ class Page:
         report.on_click(lambda _: self._ask(partial(self._report, name.value)))
         go.on_click(lambda _: self._ask(partial(self._head_for, *self._goal.value)))
 
-        def own_object(_: Any) -> None:
+        def own_object() -> None:
             # An object of one's own has a mass and friction already.
             if path := object_files(self.session.out).get(self._family.value):
                 known = draw_condition(str(path), 0)
-                mass.value, load_mass.value, friction.value = known.mass, 0.0, known.friction
+                _set(mass, known.mass)
+                _set(load_mass, 0.0)
+                _set(friction, known.friction)
 
-        self._family.on_update(own_object)
+        self._family.on_update(lambda _: self._attempt(own_object))
+        self._which.on_update(lambda _: self._ask(self._show_chosen))
 
         def new(x: float, y: float) -> Callable[[], str]:
             properties = {"mass": mass.value, "payload": load_mass.value, "friction": friction.value}
@@ -226,15 +252,24 @@ class Page:
         for box in self._shown.values():
             box.on_update(lambda _: self._ask(self._draw_lines))
         self.server.on_client_connect(lambda _: self._ask(self._look_for_files))
+        # Whoever leaves lets go.
+        self.server.on_client_disconnect(lambda _: self._ask(self._handles_anew))
 
     def _look_for_files(self) -> None:
         """What has been made meanwhile is there to choose when the page is loaded anew."""
         for menu, names in (
-            (self._scene, scenes(self.session.out)),
+            (self._scene, self._scenes()),
             (self._family, [*FAMILIES, *object_files(self.session.out)]),
         ):
             if menu.options != tuple(names):
                 menu.options = tuple(names)
+
+    def _scenes(self) -> dict[str, SceneLoader]:
+        """What can be loaded, first of all what the page began with."""
+        first, found = self._first_scene, scenes(self.session.out)
+        if first in found:
+            return found
+        return {first: partial(scene_named, first, self.session.out), **found}
 
     def _clicked(self, event: viser.SceneClickEvent) -> None:
         start, along = np.asarray(event.ray_origin), np.asarray(event.ray_direction)
@@ -254,7 +289,7 @@ class Page:
         return "The scene begins again."
 
     def _load(self, name: str) -> str:
-        found = scenes(self.session.out)
+        found = self._scenes()
         if name not in found:
             raise ShmooError(f"There is no scene {name!r} any more.")
         self.session.load(found[name])
@@ -263,7 +298,7 @@ class Page:
 
     def _save(self, name: str) -> str:
         path = self.session.save_scenario(name)
-        self._scene.options = tuple(scenes(self.session.out))
+        self._scene.options = tuple(self._scenes())
         return f"Saved {path}; shmoo navigate --scenario {path}"
 
     def _report(self, name: str) -> str:
@@ -278,12 +313,13 @@ class Page:
         session.add(str(object_files(session.out).get(family, family)), pose, properties)
         if session.simulation.conditions[index].locked:
             session.brake(index, braked)
+        self._where.value = (round(pose[0], 2), round(pose[1], 2), round(float(np.rad2deg(pose[2])), 1))
         return f"Object {index}: {session.simulation.conditions[index].describe()}."
 
     def _alter(self, which: str, what: str, value: Any) -> str:
-        if not which.isdigit():
+        index, session = _index(which), self.session
+        if index is None:
             raise ShmooError("There is no object yet; put one down first.")
-        index, session = int(which), self.session
         if what == "set brakes":
             session.brake(index, bool(value))
         else:
@@ -297,30 +333,51 @@ class Page:
             self._handles_anew()
         return f"Object {index} stands at ({pose[0]:.2f}, {pose[1]:.2f})."
 
+    def _show_chosen(self) -> None:
+        """The controls of an object that is there show what it is."""
+        index, (heavier, slippery, brakes) = _index(self._which.value), self._present
+        if index is not None and index < len(self.session.simulation.conditions):
+            condition = self.session.simulation.conditions[index]
+            _set(heavier, condition.payload)
+            _set(slippery, condition.friction)
+            brakes.value = any(condition.locked)
+
+    def _move_handles(self) -> None:
+        """Every handle goes with its object, but for one that somebody holds."""
+        for index, handle in enumerate(self._handles):
+            if index not in self._dragged:
+                handle.position, handle.wxyz = _placed(self.session.simulation.true.object_pose[0, index])
+
     def _handles_anew(self) -> None:
         """A handle on every object, where it stands now."""
         for handle in self._handles:
             handle.remove()
         self._handles = []
+        self._dragged.clear()
         if not self._drag.value:
             return
         for index, pose in enumerate(self.session.simulation.true.object_pose[0]):
+            position, wxyz = _placed(pose)
             handle = self.server.scene.add_transform_controls(
                 f"/handles/{index}",
                 scale=0.7,
                 active_axes=(True, True, False),
-                position=(pose[0], pose[1], 0.05),
-                wxyz=(np.cos(pose[2] / 2), 0.0, 0.0, np.sin(pose[2] / 2)),
+                position=position,
+                wxyz=wxyz,
                 depth_test=False,
             )
-
-            def dropped(_: Any, index: int = index, handle: Any = handle) -> None:
-                yaw = 2 * np.arctan2(handle.wxyz[3], handle.wxyz[0])
-                place = (float(handle.position[0]), float(handle.position[1]), float(se2.wrap(yaw)))
-                self._ask(partial(self._place, index, place))
-
-            handle.on_drag_end(dropped)
+            handle.on_update(partial(self._dragging, index))
             self._handles.append(handle)
+
+    async def _dragging(self, index: int, event: viser.TransformControlsEvent) -> None:
+        """A handle is taken, moved or let go. On the server's loop, as only there the phases come in their order."""
+        if event.phase != "end":
+            self._dragged.add(index)
+            return
+        handle = event.target
+        yaw = 2 * np.arctan2(handle.wxyz[3], handle.wxyz[0])
+        place = (float(handle.position[0]), float(handle.position[1]), float(se2.wrap(yaw)))
+        self._ask(partial(self._place, index, place))
 
     # Pictures.
 
@@ -339,8 +396,9 @@ class Page:
             now = session.simulation.qpos
             self._samples = (now, now, time.perf_counter())
         self._handles = []
-        count = len(session.scenario.objects)
-        self._which.options = tuple(str(i) for i in range(count)) or ("none",)
+        names = (_name(i, c) for i, c in enumerate(session.simulation.conditions))
+        self._which.options = tuple(names) or ("none",)
+        self._show_chosen()
         self._handles_anew()
         self._draw_lines()
         self._tell()
@@ -444,7 +502,12 @@ class Page:
             force = float(np.linalg.norm(true.wrench[0, :, :2].sum(axis=0)))
         lean = float(np.rad2deg(np.linalg.norm(true.lean[0])))
         said = navigator.transitions[-1].reason if navigator.transitions else "it looks for a way"
-        state = f"{navigator.mode}" if not simulation.record.falls else "fallen; begin again"
+        state = f"{navigator.mode}"
+        if simulation.record.ended:
+            state, said = "stopped; begin again", DIVERGED if simulation.record.diverged else "it has fallen"
+        if session.scenario.goal != self._told_goal:
+            self._told_goal = session.scenario.goal
+            self._goal.value = (round(self._told_goal[0], 2), round(self._told_goal[1], 2))
         p = session.probability
         chance = "" if p is None else f", P(can be moved) **{p:.2f}**"
         spent = 1e3 * np.array(session.spent or [0.0])
@@ -467,7 +530,7 @@ class Page:
         """What the robot thinks of each object, as a Markdown list: a table would be too wide for a phone."""
         navigator, lines = self.session.simulation.navigator, list[str]()
         for index, condition in enumerate(self.session.simulation.conditions):
-            name, known = f"{index} {Path(condition.family).stem}", navigator.belief.objects.get(index)
+            name, known = _name(index, condition), navigator.belief.objects.get(index)
             if known is None:
                 lines.append(f"- **{name}** not seen yet")
                 continue
@@ -479,6 +542,28 @@ class Page:
                 parts.append(_in_words(online.learned(known.adapt), self.session.prior))
             lines.append(f"- **{name}** {'; '.join(parts)}")
         return "\n".join(lines)
+
+
+def _name(index: int, condition: Condition) -> str:
+    return f"{index} {Path(condition.family).stem}"
+
+
+def _index(name: str) -> int | None:
+    """The number that an object's name begins with; None for "none"."""
+    number = name.partition(" ")[0]
+    return int(number) if number.isdigit() else None
+
+
+def _set(slider: Any, value: float) -> None:
+    """The value, also where the slider's usual range ends before it."""
+    slider.min, slider.max = min(slider.min, value), max(slider.max, value)
+    slider.value = value
+
+
+def _placed(pose: np.ndarray) -> tuple[tuple[float, float, float], tuple[float, float, float, float]]:
+    """Position and quaternion of a handle on an object at ``pose [3]``."""
+    x, y, half = (float(v) for v in (pose[0], pose[1], pose[2] / 2))
+    return (x, y, 0.05), (float(np.cos(half)), 0.0, 0.0, float(np.sin(half)))
 
 
 def _in_words(learned: dict[str, float], prior: dict[str, float]) -> str:

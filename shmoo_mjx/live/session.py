@@ -5,16 +5,18 @@ Whatever is asked for and can't be is refused with a :class:`~shmoo_mjx.errors.S
 
 from __future__ import annotations
 
+import math
 import re
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from shmoo_mjx.arrays import finite_numbers
 from shmoo_mjx.assets import asset
 from shmoo_mjx.control.mppi import Plan
 from shmoo_mjx.control.observation import local_distance_field
@@ -68,8 +70,7 @@ def scenes(own: Path) -> dict[str, SceneLoader]:
     """
     found: dict[str, SceneLoader] = {f"demo {seed}": partial(demo_scenario, seed) for seed in range(_DEMOS)}
     shipped = [asset(f"experiments/{kind}") for kind in ("scenarios", "maps")]
-    for path in (path for folder in (*shipped, *_own_folders(own)) for path in yaml_files(folder)):
-        text = path.read_text(errors="replace")
+    for path, text in _texts(path for folder in (*shipped, *_own_folders(own)) for path in yaml_files(folder)):
         if "image:" in text:
             found[f"map {path.stem.removesuffix('.map')}"] = partial(_from_file, path)
         elif "start:" in text:
@@ -79,9 +80,19 @@ def scenes(own: Path) -> dict[str, SceneLoader]:
 
 def object_files(own: Path) -> dict[str, Path]:
     """What ``shmoo object add`` has made in the present folder or in ``own``, by name."""
-    files = (path for folder in _own_folders(own) for path in sorted(folder.glob("*.json")))
-    small = (path for path in files if path.stat().st_size < _OBJECT_FILE)
-    return {path.stem: path.resolve() for path in small if '"hull"' in path.read_text(errors="replace")}
+    paths = (path for folder in _own_folders(own) for path in sorted(folder.glob("*.json")))
+    return {path.stem: path.resolve() for path, text in _texts(paths, _OBJECT_FILE) if '"hull"' in text}
+
+
+def _texts(paths: Iterable[Path], longest: float = math.inf) -> Iterator[tuple[Path, str]]:
+    """Those of the files that can be read and have at most ``longest`` bytes, with what they hold."""
+    for path in paths:
+        try:
+            text = path.read_text(errors="replace") if path.stat().st_size <= longest else None
+        except OSError:  # a folder, a link that leads nowhere, somebody else's file
+            continue
+        if text is not None:
+            yield path, text
 
 
 def _own_folders(own: Path) -> tuple[Path, Path]:
@@ -212,8 +223,8 @@ class Session:
         self.late, self.started = 0, self.started + 1
 
     def step(self) -> None:
-        """One sample of 0.1 s. A robot that has fallen lies there."""
-        if self.simulation.record.falls:
+        """One sample of 0.1 s. A robot that has fallen lies there; a world that has diverged stands still."""
+        if self.simulation.record.ended:
             return
         began = time.perf_counter()
         command = self.simulation.decide()
@@ -225,8 +236,7 @@ class Session:
     def head_for(self, x: float, y: float) -> None:
         """Another goal in {W} [m]."""
         simulation = self.simulation
-        if not np.isfinite((x, y)).all():
-            raise ShmooError(f"the goal ({x}, {y}) must be two finite numbers.")
+        finite_numbers("the goal", (x, y), "x, y")
         check_point(simulation.grid, (x, y), ROBOT_RADIUS, "the goal")
         simulation.scenario = self.scenario.model_copy(update={"goal": (float(x), float(y))})
         simulation.navigator.head_for(np.array([x, y]), simulation.time)

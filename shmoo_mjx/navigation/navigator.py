@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from shmoo_mjx.arrays import Array, Float, Numbers
+from shmoo_mjx.arrays import Array, Float, Numbers, finite_numbers
 from shmoo_mjx.control import equilibrium_lean
 from shmoo_mjx.control.observation import ObjectObservation
 from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
@@ -89,7 +89,12 @@ def setup_of(
 
 def init(grid: OccupancyGrid, goal: Numbers | Float[Array, "2"], seed: int = 0) -> NavigatorState:
     """State at the start, with nothing known but the map; the goal is in {W} [m]."""
-    return NavigatorState(np.asarray(goal, dtype=float)[:2], belief_of(grid), jax.random.key(seed))
+    return NavigatorState(_goal(goal), belief_of(grid), jax.random.key(seed))
+
+
+def _goal(given: Numbers | Float[Array, "n"]) -> np.ndarray:
+    """The place ``[2]`` of a goal, which may have a yaw too."""
+    return finite_numbers("the goal", given[:2], "x, y")
 
 
 def step(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Command, tuple[Event, ...]]:
@@ -337,7 +342,7 @@ class Navigator:
 
     def head_for(self, goal: Numbers | Float[Array, "2"], now: float) -> None:
         """Go on to another goal in {W}, with all that is known; objects get their pushes and chances anew."""
-        state = replace(self.state, goal=np.asarray(goal, dtype=float)[:2], path=None, drive=drive.init())
+        state = replace(self.state, goal=_goal(goal), path=None, drive=drive.init())
         for index in state.belief.objects:
             state = state.with_object(index, pushes=0, chances=0, failed_faces=(), in_the_way=0)
         self.state = replace(state, mode=Mode.REPLAN, since=now, segment=None, pending=None, waits_from=None)

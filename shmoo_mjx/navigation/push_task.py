@@ -15,11 +15,12 @@ import jax
 import numpy as np
 
 from shmoo_mjx import se2
-from shmoo_mjx.arrays import Array, Float, Numbers
+from shmoo_mjx.arrays import Array, Float, Numbers, finite_numbers
 from shmoo_mjx.control import equilibrium_lean
 from shmoo_mjx.control.cost import PushCost
 from shmoo_mjx.control.observation import LocalDistanceField, ObjectObservation, local_distance_field
 from shmoo_mjx.control.pushing import PushConfig
+from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.faces import faces_of
 from shmoo_mjx.hands import TUCKED_REACH
 from shmoo_mjx.learning.adaptation import AdaptState
@@ -139,15 +140,20 @@ class PushTask:
         Args:
             grid: the map.
             sizes: half extents of each object [m].
-            goal: pose in {W} to bring the object to.
+            goal: pose (x, y, yaw) in {W} to bring the object to.
             pusher: the pushing controller.
             index: the object.
             seed: of the controller's random numbers.
             config: settings.
             adapt: coefficients to start from; the prior if not given.
+
+        Raises:
+            ShmooError: the goal is not three finite numbers, or there is no object ``index``.
         """
+        if not 0 <= index < len(sizes):
+            raise ShmooError(f"PushTask: there is no object {index}; sizes has {len(sizes)}, counted from 0.")
         self.config = config or PushTaskConfig()
-        self.goal = np.asarray(goal, dtype=float)
+        self.goal = finite_numbers("PushTask: the goal", goal, "x, y, yaw")
         self.belief = belief_of(grid)
         self.phase = Phase.CHOOSE
         self.since = 0.0

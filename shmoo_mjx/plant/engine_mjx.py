@@ -14,7 +14,7 @@ import functools
 import importlib.util
 import io
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -22,14 +22,14 @@ import mujoco
 import numpy as np
 from jax.sharding import AxisType, NamedSharding, PartitionSpec
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Bool, Float, single_precision
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH
-from shmoo_mjx.plant import lowlevel
+from shmoo_mjx.plant import lowlevel, observe
 from shmoo_mjx.plant.observe import observation, planar_wrench
 from shmoo_mjx.plant.robot import RobotState, readout
 from shmoo_mjx.plant.scene import PARTS, Scene
+from shmoo_mjx.processes import check_forked
 from shmoo_mjx.types import DT, Command, Observation, Track
 
 with contextlib.redirect_stdout(io.StringIO()):  # it prints that its optional Warp back end is missing
@@ -40,7 +40,7 @@ class MjxWorld(NamedTuple):
     """Complete state of W worlds; without W inside a vmap."""
 
     physics: Float[Array, "... n"]
-    """Time, qpos, qvel (1 + nq + nv): the layout of C MuJoCo's physics state."""
+    """Time, qpos, qvel, motors (1 + nq + nv + na): the layout of C MuJoCo's physics state."""
     control: lowlevel.LowLevelState
     wall_contact: Bool[Array, "..."]
     """Whether any part of the robot touched a wall in the last sample time."""
@@ -111,6 +111,7 @@ class MjxEngine:
         devices: Sequence[jax.Device] | None = None,
         impl: Literal["jax", "warp"] = "jax",
     ) -> None:
+        check_forked()
         self.scenes = list(scenes)
         check_backend(impl, bool(self.scenes[0].wall_geoms))
         self._impl = impl
@@ -120,6 +121,7 @@ class MjxEngine:
             raise ValueError("MjxEngine needs scenes built with engine='mjx'")
         self.timestep = float(first.model.opt.timestep)
         self._solver = (iterations, line_search, tolerance)
+        self._other_model = False
         self._dry = np.zeros(first.model.nv, dtype=bool)
         put = self._put_once(self.scenes)
         chosen = list(devices or jax.devices())
@@ -145,6 +147,12 @@ class MjxEngine:
             self._use(self._single, jax.tree.map(lambda _: None, self._single))
         else:
             self._use(*stack_models([put[id(s.model)] for s in self.scenes]))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A copy compiles anew, on all devices that there are."""
+        if self._other_model:
+            raise TypeError("an engine made by with_model can't be copied; copy the first one, and call with_model")
+        return type(self), (self.scenes, self.gains, *self._solver, None, self._impl)
 
     def _put_once(self, scenes: Sequence[Scene]) -> dict[int, mjx.Model]:
         """The scenes' models on the device, by the ids of C MuJoCo's."""
@@ -190,7 +198,8 @@ class MjxEngine:
     @single_precision
     def with_model(self, model: mjx.Model, in_axes: mjx.Model) -> MjxEngine:
         """The same engine on another model of the same structure, such as plant/randomize.py makes."""
-        other = copy.copy(self)
+        other = object.__new__(type(self))
+        other.__dict__ = self.__dict__ | {"_other_model": True}
         other._use(model, in_axes)
         return other
 
@@ -215,9 +224,9 @@ class MjxEngine:
     @single_precision
     def init(self) -> MjxWorld:
         """All worlds at their scenes' starting configuration, arms folded."""
-        worlds, nv = len(self.scenes), self.scenes[0].model.nv
+        worlds, nv, na = len(self.scenes), self.scenes[0].model.nv, self.scenes[0].model.na
         qpos = np.stack([s.qpos0 for s in self.scenes])
-        physics = np.concatenate([np.zeros((worlds, 1)), qpos, np.zeros((worlds, nv))], axis=-1)
+        physics = np.concatenate([np.zeros((worlds, 1)), qpos, np.zeros((worlds, nv + na))], axis=-1)
         world = MjxWorld(
             physics=jnp.asarray(physics, dtype=jnp.float32),
             control=lowlevel.init(jnp, (worlds,), TUCKED_REACH, TUCKED_HEIGHT),
@@ -277,13 +286,14 @@ class MjxEngine:
             control, torque = lowlevel.control(
                 self.scenes[0].robot, gains or self.gains, carry.control, readout(qpos, qvel), command, self.timestep
             )
+            motors = carry.physics[1 + len(qpos) + len(qvel) :]
             now = data.replace(
-                time=carry.physics[0], qpos=qpos, qvel=qvel, ctrl=torque, qacc_warmstart=carry.warm_start
+                time=carry.physics[0], qpos=qpos, qvel=qvel, act=motors, ctrl=torque, qacc_warmstart=carry.warm_start
             )
             after = mjx.step(model, now)
             # Contact sensors belong to the configuration before the step.
             wrench = planar_wrench(self.scenes[0], qpos, after.sensordata)
-            physics = jnp.concatenate([jnp.atleast_1d(after.time), after.qpos, after.qvel])
+            physics = jnp.concatenate([jnp.atleast_1d(after.time), after.qpos, after.qvel, after.act])
             parts = carry.wall_parts | self._touched(after)
             return MjxWorld(physics, control, parts.any(), parts, after.qacc_warmstart), wrench
 
@@ -320,12 +330,17 @@ class MjxEngine:
 
     @single_precision
     def fallen(self, world: MjxWorld) -> Bool[Array, "..."]:
-        """Whether the body leans more than 0.6 rad."""
-        return jnp.any(jnp.abs(se2.wrap(self.robot(world).lean)) > 0.6, axis=-1)
+        """Whether the body leans more than 0.6 rad; true of a world that has diverged."""
+        return observe.fallen(self.robot(world).lean)
+
+    @single_precision
+    def diverged(self, world: MjxWorld) -> Bool[Array, "..."]:
+        """Whether the physics is lost (`observe.diverged`)."""
+        return observe.diverged(*self._split(world.physics))
 
     def _split(self, physics: Array) -> tuple[Array, Array]:
-        nq = self.scenes[0].model.nq
-        return physics[..., 1 : 1 + nq], physics[..., 1 + nq :]
+        nq, nv = self.scenes[0].model.nq, self.scenes[0].model.nv
+        return physics[..., 1 : 1 + nq], physics[..., 1 + nq : 1 + nq + nv]
 
     def _touched(self, data: mjx.Data) -> Array:
         """``[P]`` which of PARTS touch a wall."""

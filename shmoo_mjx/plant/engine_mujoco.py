@@ -18,13 +18,13 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Bool, Float, single_precision
 from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH
-from shmoo_mjx.plant import lowlevel
+from shmoo_mjx.plant import lowlevel, observe
 from shmoo_mjx.plant.observe import observation, planar_wrench
 from shmoo_mjx.plant.robot import NQ, NV, Robot, RobotState, readout
 from shmoo_mjx.plant.scene import PARTS, Scene
+from shmoo_mjx.processes import check_forked
 from shmoo_mjx.types import DT, Command, Observation, Track
 
 _FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -56,7 +56,9 @@ def _compiled_control(robot: Robot, gains: lowlevel.Gains, timestep: float) -> C
         now = readout(sensed[:, :NQ], sensed[:, NQ:])
         wanted = Command(command[:, :3], *(command[:, i] for i in (3, 4, 5)))
         state, torque = lowlevel.control(robot, gains, _unpacked(given[:, :_MEMORY]), now, wanted, timestep)
-        return jnp.concatenate([*_columns(state), torque], axis=-1)
+        after = jnp.concatenate([*_columns(state), torque], axis=-1)
+        # MuJoCo resets a world that diverges, but warns at every step of motors that are not finite.
+        return jnp.where(jnp.isfinite(after), after, 0.0)
 
     return jax.jit(control)
 
@@ -100,6 +102,7 @@ class MujocoEngine:
     """Steps W worlds of one structure. Holds compiled models and scratch memory, never state."""
 
     def __init__(self, scenes: Sequence[Scene], gains: lowlevel.Gains | None = None, threads: int = 1) -> None:
+        check_forked()
         self.gains = gains or lowlevel.Gains()
         first = scenes[0]
         self.timestep = float(first.model.opt.timestep)
@@ -115,6 +118,10 @@ class MujocoEngine:
         _check_structure([s.model for s in scenes])
         self.scenes = list(scenes)
         self._stages: list[dict[Any, _Stage]] = [{} for _ in scenes]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A copy compiles anew, as threads and scratch memory can't be copied; worlds are none of an engine's state."""
+        return type(self), (self.scenes, self.gains, len(self._parts))
 
     def close(self) -> None:
         """Stop the threads."""
@@ -211,8 +218,12 @@ class MujocoEngine:
             worlds, qpos, sensors = (np.stack(column) for column in zip(*felt, strict=True))
             np.add.at(wrench, worlds, planar_wrench(scenes[0], qpos, sensors) / (readings * substeps))
             np.logical_or.at(touched, worlds, (sensors[..., scenes[0].wall_sensor] > 0).any(axis=-1))
-        control = _unpacked(given[:, :_MEMORY])
-        return World(physics[-1], control, touched.any(axis=-1), touched), Track(physics, torques, wrench, touched)
+        ends = world.physics[:, 0] + substeps * self.timestep * np.arange(1, readings + 1)[:, None]
+        # MuJoCo resets a world that it can't simulate on to its first state and to time 0.
+        lost = ~(np.isfinite(world.physics.sum(axis=-1)) & (physics[..., 0] > ends - 0.5 * self.timestep))
+        physics[lost], physics[lost, 0] = np.nan, ends[lost]
+        after = World(physics[-1], _unpacked(given[:, :_MEMORY]), touched.any(axis=-1), touched)
+        return after, Track(physics, torques, wrench, touched)
 
     def _asked(self, given: np.ndarray, stages: Sequence[_Stage]) -> np.ndarray:
         """Memory and torque ``[w, 10 + 9]`` that the control answers to where the worlds are."""
@@ -252,8 +263,12 @@ class MujocoEngine:
         return physics[:, 1 : 1 + self._nq], physics[:, 1 + self._nq : 1 + self._nq + self._nv]
 
     def fallen(self, world: World) -> Bool[np.ndarray, "W"]:
-        """Whether the body leans more than 0.6 rad."""
-        return np.any(np.abs(se2.wrap(self.robot(world).lean)) > 0.6, axis=-1)
+        """Whether the body leans more than 0.6 rad; true of a world that has diverged."""
+        return np.asarray(observe.fallen(self.robot(world).lean))
+
+    def diverged(self, world: World) -> Bool[np.ndarray, "W"]:
+        """Whether the physics is lost (`observe.diverged`); the world stays so."""
+        return np.asarray(observe.diverged(*self._split(world.physics)))
 
 
 def _begin(model: mujoco.MjModel, data: mujoco.MjData, state: np.ndarray) -> None:

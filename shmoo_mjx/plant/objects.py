@@ -6,6 +6,7 @@ A condition is re-created from (family, seed); every law and range stands in ``_
 from __future__ import annotations
 
 import dataclasses
+import operator
 from collections.abc import Mapping
 from typing import Any
 
@@ -98,6 +99,7 @@ def draw_condition(family: str, seed: int, properties: Mapping[str, Any] | None 
     Raises:
         ShmooError: unknown family, unknown property, or a value no object can have.
     """
+    seed = operator.index(seed)
     if is_custom(family):
         values = custom_condition(family, seed)
     elif family in _DRAW:

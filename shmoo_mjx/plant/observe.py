@@ -26,6 +26,24 @@ def _planar_poses(qpos: Array, joints: Int[np.ndarray, "n"]) -> Array:
     return se2.stack(x, y, xp.arctan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz)))
 
 
+DIVERGED = "the simulation diverged: a number in its state is not finite or far beyond what can happen"
+"""Reason of a run that ended so."""
+_FASTEST = 1e4
+"""Speed of any joint from which a world counts as diverged [m/s, rad/s]."""
+
+
+def diverged(qpos: Float[Array, "... nq"], qvel: Float[Array, "... nv"]) -> Bool[Array, "..."]:
+    """Which worlds are lost: NaN or infinite coordinates, or a joint that moves faster than 10^4 m/s or rad/s."""
+    xp = se2.array_module(qpos, qvel)
+    return ~(xp.isfinite(qpos).all(axis=-1) & (xp.abs(qvel) < _FASTEST).all(axis=-1))
+
+
+def fallen(lean: Float[Array, "... 2"]) -> Bool[Array, "..."]:
+    """Which robots lean more than 0.6 rad, or by no number at all."""
+    xp = se2.array_module(lean)
+    return ~(xp.abs(se2.wrap(lean)) <= 0.6).all(axis=-1)
+
+
 def toppled(scene: Scene, qpos: Float[np.ndarray, "... nq"]) -> Bool[np.ndarray, "... N"]:
     """Which objects lean more than 0.5 rad: they have fallen over, or are about to."""
     qx, qy = (qpos[..., scene.object_qpos + i] for i in (4, 5))

@@ -62,8 +62,8 @@ class Scene:
     """Starting configuration."""
     robot: Robot
     """Nominal: what ``adjust`` changed is not in it."""
-    spec: mujoco.MjSpec
-    """Of robot, objects and their sensors, without walls."""
+    spec: mujoco.MjSpec | None
+    """Of robot, objects and their sensors, without walls; None in a copy, which MuJoCo can't make of it."""
     walls: Float[np.ndarray, "K 4"]
     """Boxes (centre x, centre y, half length x, half length y): centres in {W}, lengths along the map's axes [m]."""
     wall_yaw: float = 0.0
@@ -71,6 +71,9 @@ class Scene:
     framed: bool = False
     """Whether the sensors report in the contact's own frame, with normal and tangent after the position: MJX knows no
     net wrench. A hand, being a sphere, has one contact with a convex hull, so that the two agree."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"spec": None}
 
     def model_near(self, places: Float[np.ndarray, "n 2"], reach: Float[np.ndarray, "n"]) -> mujoco.MjModel:
         """The same world with those walls alone that lie within ``reach`` of some of ``places``, and none drawn.
@@ -82,6 +85,8 @@ class Scene:
             places: in {W} [m].
             reach: of each [m].
         """
+        if self.spec is None:
+            return self.model
         spec = self.spec.copy()
         offset = se2.rotate(places[:, None] - self.walls[:, :2], np.array(-self.wall_yaw))
         apart = np.linalg.norm(np.maximum(np.abs(offset) - self.walls[:, 2:], 0.0), axis=-1)

@@ -6,6 +6,8 @@ delay after the observation that it answers, and until then the last one is held
 
 from __future__ import annotations
 
+import operator
+from collections import Counter
 from collections.abc import Sequence
 from types import TracebackType
 from typing import Any, NamedTuple
@@ -84,7 +86,8 @@ class SensedEngine:
     Args:
         scenes: built with ``adjust=senses.adjust(seed)``.
         senses: REAL, PERFECT or others.
-        seed: of the robot (body, delays, drift) and of all noise; a sequence gives each world a robot of its own.
+        seed: of the robot (body, delays, drift) and of all noise, one for all worlds or one for each. A world behaves
+            as it does alone with its seed. Worlds with the same seed have the same robot and different noise.
         gains: of the low-level control, which knows nominal values only.
         threads: as for :class:`~shmoo_mjx.plant.engine_mujoco.MujocoEngine`.
         poses_known: whether the robot knows at the start where all objects stand, in sight or not.
@@ -103,10 +106,9 @@ class SensedEngine:
     ) -> None:
         self.engine = backend or MujocoEngine(scenes, gains, threads)
         self.senses, self.poses_known = senses, poses_known
-        seeds = [seed] * len(scenes) if isinstance(seed, int) else list(seed)
-        self.seeds = seeds
-        self._entropy = int(np.random.SeedSequence(seeds).generate_state(1)[0])
-        self._drawn = sensing.draw(senses, seeds)
+        self.seeds = [operator.index(one) for one in np.broadcast_to(seed, len(scenes))]
+        self._entropy = _entropies(self.seeds)
+        self._drawn = sensing.draw(senses, self.seeds)
         self._know(scenes)
 
     def __enter__(self) -> SensedEngine:
@@ -140,7 +142,7 @@ class SensedEngine:
         true = _numpy(self.engine.observe(truth))
         control = truth.control
         held = Command(np.zeros((len(true.robot_pose), 3)), true.robot_pose[:, 2], control.reach, control.hand_height)
-        noise = np.random.default_rng([5, self._entropy, ticks]).normal(size=true.object_pose.shape)
+        noise = np.stack([rng.normal(size=true.object_pose.shape[1:]) for rng in self._generators(5, ticks)])
         given = (self.senses, self._drawn, self._scenery, true.robot_pose, true.object_pose, noise)
         sensor_state: SensorState | PerfectState
         if self.senses.perfect:
@@ -213,8 +215,12 @@ class SensedEngine:
         return _numpy(self.engine.observe(world.truth))._replace(wrench=world.contact)
 
     def fallen(self, world: SensedWorld) -> Bool[np.ndarray, "W"]:
-        """Whether the body leans more than 0.6 rad."""
+        """Whether the body leans more than 0.6 rad; true of a world that has diverged."""
         return np.asarray(self.engine.fallen(world.truth))
+
+    def diverged(self, world: SensedWorld) -> Bool[np.ndarray, "W"]:
+        """Whether the physics of a world is lost (`observe.diverged`); the other worlds are not touched by it."""
+        return np.asarray(self.engine.diverged(world.truth))
 
     def step(
         self,
@@ -240,7 +246,7 @@ class SensedEngine:
             world = world._replace(silent=0, station=None)
         else:
             world = world._replace(silent=world.silent + ticks)
-        rng = np.random.default_rng([11, self._entropy, world.ticks])
+        generators = self._generators(11, world.ticks)
         worlds, objects = world.contact.shape[:2]
         # The low-level control holds headings as the robot believes them; the error hardly changes within a sample.
         remembered = world.sensor_state
@@ -263,9 +269,9 @@ class SensedEngine:
         if isinstance(remembered, PerfectState):
             sensor_state = self._look(remembered, true, world.ticks)
         else:
-            normal = rng.normal(size=(ticks, worlds, 6 + 3 * objects))
-            uniform = rng.random((ticks, worlds, objects, 2))
-            noisy = self.senses.lean_noise * rng.normal(size=(2, *true.lean.shape))
+            normal = np.stack([rng.normal(size=(ticks, 6 + 3 * objects)) for rng in generators], axis=1)
+            uniform = np.stack([rng.random((ticks, objects, 2)) for rng in generators], axis=1)
+            noisy = self.senses.lean_noise * np.stack([rng.normal(size=(2, 2)) for rng in generators], axis=1)
             noise = Noise(normal[..., :6], normal[..., 6:].reshape(ticks, worlds, objects, 3), uniform)
             sensor_state, wrench = self._watched(world, tracks, noise)
         world = world._replace(sensor_state=sensor_state, contact=contact, wall_parts=touched)
@@ -290,6 +296,10 @@ class SensedEngine:
                 world.ticks - len(physics),
             )  # fmt: skip
         return _numpy(found)
+
+    def _generators(self, purpose: int, ticks: int) -> list[np.random.Generator]:
+        """Each world's generator at this tick, which no other world has a part in."""
+        return [np.random.default_rng([purpose, entropy, ticks]) for entropy in self._entropy]
 
     def _sent(self, world: SensedWorld, command: Command, computing: float) -> SensedWorld:
         """The command on its way; what would arrive after it is overtaken and never followed."""
@@ -336,6 +346,15 @@ class SensedEngine:
         if np.ndim(noise):
             true = true._replace(lean=true.lean + noise[0], lean_rate=true.lean_rate + 5 * noise[1])
         return true._replace(wrench=wrench, **found._asdict())
+
+
+def _entropies(seeds: Sequence[int]) -> list[int]:
+    """Entropy of each world's noise. The first world with a seed has that of the seed alone."""
+    before, found = Counter[int](), list[int]()
+    for seed in seeds:
+        found.append(int(np.random.SeedSequence([seed, before[seed]]).generate_state(1)[0]))
+        before[seed] += 1
+    return found
 
 
 def _arrived(world: SensedWorld) -> SensedWorld:

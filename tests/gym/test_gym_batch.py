@@ -3,6 +3,9 @@
 # ruff: noqa: E402 (without the extra the file is skipped before it imports what needs it)
 from __future__ import annotations
 
+import copy
+import pickle
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -23,9 +26,9 @@ def pair() -> Any:
     batch.close()
 
 
-def agree(batch: Any, name: str, steps: int) -> None:
+def agree(batch: Any, name: str, steps: int, senses: str = "perfect", atol: float = 5e-3) -> None:
     """The batch does what single environments of the same seeds do."""
-    singles = [gymnasium.make(name, senses="perfect") for _ in range(batch.num_envs)]
+    singles = [gymnasium.make(name, senses=senses) for _ in range(batch.num_envs)]
     seen, _ = batch.reset(seed=5)
     np.testing.assert_allclose(seen, [e.reset(seed=5 + i)[0] for i, e in enumerate(singles)], atol=1e-5)
     rng, high = np.random.default_rng(0), batch.single_action_space.high
@@ -33,7 +36,7 @@ def agree(batch: Any, name: str, steps: int) -> None:
         actions = (0.5 * high * rng.uniform(0, 1, (len(singles), len(high)))).astype(np.float32)
         seen, reward, terminated, _, info = batch.step(actions)
         alone = [e.step(a) for e, a in zip(singles, actions, strict=True)]
-        np.testing.assert_allclose(seen, [a[0] for a in alone], atol=5e-3)
+        np.testing.assert_allclose(seen, [a[0] for a in alone], atol=atol)
         np.testing.assert_allclose(reward, [a[1] for a in alone], atol=1e-4)
         assert terminated.tolist() == [a[2] for a in alone]
         assert info["distance"].tolist() == pytest.approx([a[4]["distance"] for a in alone], abs=1e-3)
@@ -102,7 +105,74 @@ def test_real_senses_in_a_batch() -> None:
     batch._over = np.array([True, False])
     after, reward, *_ = batch.step(forward)
     assert reward[0] == 0.0 and np.isfinite(after).all()
+    lost(batch)
     batch.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("worlds", [2, 3])
+def test_with_real_senses_each_world_is_the_single_environment_of_its_seed(worlds: int) -> None:
+    batch = gymnasium.make_vec("ShmooPush-v0", num_envs=worlds, max_episode_steps=LIMIT)
+    # Errors of the camera are centimetres, and the robots' bodies differ by 15 %.
+    agree(batch, "ShmooPush-v0", LIMIT, senses="real", atol=1e-3)
+    batch.close()
+
+
+@pytest.mark.slow
+def test_any_episode_of_a_world_is_repeated_by_its_seed_alone() -> None:
+    batch, alone = (gymnasium.make_vec("ShmooPush-v0", num_envs=n, max_episode_steps=LIMIT) for n in (3, 1))
+    seen, same = batch.reset(seed=np.int64(5))[0], alone.reset(seed=7)[0]
+    np.testing.assert_allclose(seen[2:], same, atol=1e-5)
+    rng, ends = np.random.default_rng(0), 0
+    for _ in range(2 * LIMIT + 3):
+        actions = rng.uniform(0.0, 0.07, (3, 4)).astype(np.float32)
+        (seen, reward, *_), (same, also, _, truncated, _) = batch.step(actions), alone.step(actions[2:])
+        np.testing.assert_allclose(seen[2:], same, atol=1e-3)
+        np.testing.assert_allclose(reward[2:], also, atol=1e-4)
+        ends += int(truncated[0])
+    assert ends == 2
+    batch.close()
+    alone.close()
+
+
+def lost(batch: Any) -> None:
+    """World 0 of two diverges: it ends with a reason, nothing is NaN, and world 1 does not notice."""
+    forward = np.array([[0.05, 0, 0, 0]] * 2, dtype=np.float32)
+    batch.reset(seed=5)
+    batch.step(forward)
+    seen, reward, *_ = copy.deepcopy(batch).step(forward)
+    sound = batch._world.truth
+    batch._world = batch._world._replace(truth=sound._replace(physics=sound.physics.at[0, 3].set(np.nan)))
+    after, paid, terminated, truncated, info = batch.step(forward)
+    np.testing.assert_array_equal(after[1], seen[1])
+    assert paid.tolist() == [batch.task.fall, reward[1]]
+    assert terminated.tolist() == [True, False] and not truncated.any()
+    assert info["reason"].tolist() == ["diverged", ""] and not info["fallen"].any()
+    assert after in batch.observation_space and np.isfinite(info["distance"]).all()
+    after, paid, terminated, _, info = batch.step(forward)
+    assert paid[0] == 0.0 and not terminated.any() and info["reason"].tolist() == ["", ""]
+    after, paid, terminated, *_ = batch.step(forward)
+    assert np.isfinite(after).all() and np.isfinite(paid).all() and not terminated.any()
+
+
+@pytest.mark.slow
+def test_a_world_that_diverges_ends_and_touches_no_other(pair: Any) -> None:
+    lost(pair)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_a_copy_goes_on_where_the_original_stands(pair: Any, copied: Callable[[Any], Any]) -> None:
+    copied(gymnasium.make_vec("ShmooPush-v0", num_envs=2)).close()
+    forward = np.array([[0.05, 0, 0, 0]] * 2, dtype=np.float32)
+    pair.reset(seed=2)
+    pair.step(forward)
+    other = copied(pair)
+    for _ in range(2 * LIMIT):
+        (seen, reward, *_), (same, also, *_) = pair.step(forward), other.step(forward)
+        np.testing.assert_array_equal(seen, same)
+        np.testing.assert_array_equal(reward, also)
+    other.close()
 
 
 @pytest.mark.slow

@@ -3,15 +3,19 @@
 # ruff: noqa: E402 (without the extra the file is skipped before it imports what needs it)
 from __future__ import annotations
 
+import copy
 import importlib
+import pickle
 import sys
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import shapely
+import trimesh
 
 gymnasium = pytest.importorskip("gymnasium", reason="the extra gym (gymnasium) is not installed")
 
@@ -19,6 +23,7 @@ import shmoo_mjx.gym
 from shmoo_mjx import se2
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.gym import navigate, single, task
+from shmoo_mjx.gym.navigate import NavigateConfig
 from shmoo_mjx.gym.push import PushEnvConfig, PushEnvTask
 from shmoo_mjx.navigation.clearance import ClearanceField
 from shmoo_mjx.navigation.floorplan import demo_scenario
@@ -28,6 +33,8 @@ from shmoo_mjx.navigation.maps import OccupancyGrid, clearance_field
 from shmoo_mjx.navigation.paths import plan_path
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Scenario
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
+from shmoo_mjx.plant.mesh import add_object
+from shmoo_mjx.plant.objects import draw_condition
 from shmoo_mjx.plant.render import can_render, has_display
 from shmoo_mjx.report.tables import markdown_table
 from shmoo_mjx.types import Observation
@@ -316,3 +323,113 @@ def test_human_shows_every_step_in_a_window_or_says_in_one_sentence_that_none_ca
         env.step(np.array([0.1, 0.0, 0.0, 0.0], dtype=np.float32))
     env.close()
     assert [len(q) > 0 for q in shown] == [True, True, True, False] and not np.array_equal(shown[0], shown[2])
+
+
+def test_a_world_that_diverges_ends_its_episode_with_a_reason_and_no_nan() -> None:
+    env = gymnasium.make("ShmooPush-v0")
+    env.reset(seed=0)
+    _, _, terminated, _, info = env.step(np.zeros(4))
+    assert not terminated and info["reason"] == ""
+    now = env.unwrapped._now
+    physics = now.world.truth.physics.copy()
+    physics[0, 3] = np.nan
+    env.unwrapped._now = now._replace(world=now.world._replace(truth=now.world.truth._replace(physics=physics)))
+    seen, reward, terminated, truncated, last = env.step(np.zeros(4))
+    assert terminated and not truncated and reward == env.unwrapped.task.fall
+    assert last["reason"] == "diverged" and not last["fallen"] and last["distance"] == info["distance"]
+    assert seen in env.observation_space
+    assert env.reset(seed=0)[1]["reason"] == ""
+    env.close()
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+@pytest.mark.parametrize("name", NAMES)
+def test_a_copy_goes_on_where_the_original_stands(name: str, copied: Callable[[Any], Any]) -> None:
+    env = gymnasium.make(name)
+    copied(env).close()
+    roll(env, 3, 3)
+    other = copied(env)
+    actions = [env.action_space.sample() for _ in range(3)]
+    mine = [env.step(a)[:2] for a in actions]
+    for (seen, reward), action in zip(mine, actions, strict=True):
+        again, same, *_ = other.step(action)
+        np.testing.assert_array_equal(again, seen)
+        assert same == reward
+    np.testing.assert_array_equal(env.reset()[0], other.reset()[0])
+    env.close()
+    other.close()
+
+
+def test_an_object_file_is_a_family(tmp_path: Path) -> None:
+    trimesh.creation.cylinder(radius=0.25, height=0.6).export(tmp_path / "stool.stl")
+    made = add_object(tmp_path / "stool.stl", mass=5.0, friction=0.35, out=tmp_path / "stool.json")
+    for family in (str(made), made):
+        env = gymnasium.make("ShmooPush-v0", config=PushEnvConfig(family=family))
+        env.reset(seed=1)
+        assert start_of(env).conditions[0].mass == 5.0
+        assert env.step(np.zeros(4, dtype=np.float32))[0] in env.observation_space
+        env.close()
+
+
+def test_ranges_are_as_long_as_they_are_asked_for() -> None:
+    for reach, most in ((1.0, 1.0), (3.5, 3.5), (10.0, 6.0)):
+        env = gymnasium.make("ShmooNavigate-v0", config=NavigateConfig(reach=reach), senses="perfect")
+        seen, _ = env.reset(seed=0)
+        assert seen in env.observation_space
+        assert most <= part(env, seen, "ranges").max() <= reach
+        env.close()
+    env = gymnasium.make("ShmooPush-v0", config=PushEnvConfig(distance=(15.0, 15.0)), senses="perfect")
+    seen, info = env.reset(seed=0)
+    goal, thing = part(env, seen, "goal")[:2], part(env, seen, "object")[:2]
+    assert np.linalg.norm(goal - thing) == pytest.approx(15.0, abs=1e-3) == info["distance"]
+    env.close()
+
+
+@pytest.mark.parametrize("make", [gymnasium.make, gymnasium.make_vec])
+@pytest.mark.parametrize(
+    "name, config, words",
+    [
+        ("ShmooPush-v0", NavigateConfig(), ("PushEnvConfig", "NavigateConfig")),
+        ("ShmooNavigate-v0", PushEnvConfig(), ("NavigateConfig", "PushEnvConfig")),
+        ("ShmooPush-v0", {"family": "cart"}, ("PushEnvConfig", "cart")),
+        ("ShmooPush-v0", PushEnvConfig, ("PushEnvConfig",)),
+        ("ShmooPush-v0", PushEnvConfig(family="gone.json"), ("gone.json",)),
+        ("ShmooPush-v0", PushEnvConfig(family=None), ("None", "box, cart, wheelchair")),
+        ("ShmooPush-v0", PushEnvConfig(distance=(1.6, 0.6)), ("distance", "smaller one first")),
+        ("ShmooPush-v0", PushEnvConfig(distance=1.0), ("distance", "two finite numbers")),
+        ("ShmooPush-v0", PushEnvConfig(arrived=float("nan")), ("arrived", "finite")),
+        ("ShmooNavigate-v0", NavigateConfig(reach=-1.0), ("reach", "not below 0")),
+        ("ShmooNavigate-v0", NavigateConfig(bonus="much"), ("bonus", "finite")),
+    ],
+)
+def test_a_wrong_config_is_refused_in_a_sentence(make: Any, name: str, config: Any, words: tuple[str, ...]) -> None:
+    with pytest.raises(ShmooError) as refused:
+        make(name, config=config)
+    assert all(word in str(refused.value) for word in words)
+
+
+@pytest.mark.parametrize("make", [gymnasium.make, lambda name: gymnasium.make_vec(name, num_envs=2)])
+def test_options_and_seeds_that_no_environment_knows_are_refused(make: Any) -> None:
+    env = make("ShmooPush-v0")
+    with pytest.raises(ShmooError, match="'goal'"):
+        env.reset(seed=0, options={"goal": (1.0, 0.0, 0.0)})
+    for seed in (1.5, "three", [1, 2]):
+        with pytest.raises(ShmooError, match="whole number"):
+            env.reset(seed=seed)
+    env.close()
+
+
+def test_numpy_integers_are_seeds() -> None:
+    env = gymnasium.make("ShmooPush-v0")
+    first, _ = env.reset(seed=3, options={})
+    for kind in (np.int64, np.uint8):
+        np.testing.assert_array_equal(env.reset(seed=kind(3))[0], first)
+    env.close()
+    assert draw_condition("box", np.int64(3)) == draw_condition("box", 3)
+    assert draw_condition("box", np.int64(3)).fingerprint() == draw_condition("box", 3).fingerprint()
+
+
+def test_worlds_of_a_batch_are_not_drawn() -> None:
+    gymnasium.make_vec("ShmooPush-v0", num_envs=2, render_mode=None).close()
+    with pytest.raises(ShmooError, match="vectorization_mode='sync'"):
+        gymnasium.make_vec("ShmooPush-v0", num_envs=2, render_mode="rgb_array")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import json
 import os
 import re
 import shutil
@@ -14,6 +16,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from subprocess import CompletedProcess
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -23,11 +26,14 @@ import trimesh
 pytest.importorskip("viser")
 pytest.importorskip("mjviser")
 
+from shmoo_mjx.assets import asset
 from shmoo_mjx.learning.weights import load_weights
+from shmoo_mjx.live import overlay
 from shmoo_mjx.live.command import go_on
 from shmoo_mjx.live.page import PICTURES, Page
 from shmoo_mjx.live.session import Session, scene_named
 from shmoo_mjx.plant.mesh import add_object
+from shmoo_mjx.sensing import REAL
 
 
 def free_port() -> int:
@@ -68,13 +74,14 @@ def test_what_is_asked_for_happens_and_what_can_t_be_is_refused_with_a_sentence(
     page.carry_out()
     page.show()
     assert len(page.session.scenario.objects) == count + 1 and said(page).startswith("**Done.** Object 1: box")
-    assert page._which.options == ("0", "1")
+    assert page._which.options == ("0 box", "1 box")
     for wanted in (
         page._new(*place),
         page._new(float("nan"), 0.0),
         lambda: page._alter("none", "set load", 3.0),
-        lambda: page._alter("1", "set load", -3.0),
-        lambda: page._alter("1", "set brakes", True),
+        lambda: page._alter("1 box", "set load", -3.0),
+        lambda: page._alter("1 box", "set brakes", True),
+        lambda: page._alter("7 box", "set load", 3.0),
         lambda: page._head_for(1e9, 0.0),
         lambda: page._save("../../etc/passwd"),
         lambda: page._load("gone"),
@@ -96,6 +103,149 @@ def test_paused_it_stands_still_but_for_single_samples(page: Page) -> None:
     page._ask(page._one_sample)
     go_on(page, 0.5)
     assert page.session.simulation.time == pytest.approx(0.1)
+
+
+def test_a_click_on_the_floor_is_told_in_the_box_of_the_goal(page: Page) -> None:
+    page.paused = True
+    go_on(page, 0.1)
+    assert page._goal.value == pytest.approx(page.session.scenario.goal)
+    x, y, yaw = page.session.simulation.true.robot_pose[0]
+    goal = (float(x + 0.8 * np.cos(yaw)), float(y + 0.8 * np.sin(yaw)))
+    click = SimpleNamespace(ray_origin=(goal[0], goal[1] - 2.0, 2.0), ray_direction=(0.0, 2.0, -2.0))
+    page._clicked(click)  # type: ignore[arg-type]
+    go_on(page, 0.1)
+    assert page._goal.value == pytest.approx(goal, abs=0.006)
+    assert said(page).startswith("**Done.** It heads for")
+    before = page._goal.value
+    page._clicked(SimpleNamespace(ray_origin=(1e3, 0.0, 1.0), ray_direction=(0.0, 0.0, -1.0)))  # type: ignore[arg-type]
+    go_on(page, 0.1)
+    assert said(page).startswith("**Refused.**") and page._goal.value == before
+    page._ask(page._reset)
+    go_on(page, 0.1)
+    assert page._goal.value == pytest.approx(page.session.scenario.goal) and page._goal.value != before
+    page._click.value = "puts down the new object"
+    place = (round(float(x), 2), round(float(y), 2) + 1.0)
+    page._clicked(SimpleNamespace(ray_origin=(*place, 1.0), ray_direction=(0.0, 0.0, -1.0)))  # type: ignore[arg-type]
+    go_on(page, 0.1)
+    assert page._where.value[:2] == pytest.approx(place, abs=0.006)
+    assert page._which.options == ("0 box", "1 box")  # drawn at once, though time stands still
+
+
+def test_the_list_of_objects_shows_what_they_are(page: Page) -> None:
+    x, y, yaw = page.session.simulation.true.robot_pose[0]
+    place = (float(x + 1.2 * np.cos(yaw)), float(y + 1.2 * np.sin(yaw)), 0.0)
+    page.session.add("wheelchair", place, {"mass": 12.0, "payload": 120.0, "friction": 0.75, "locked": [True] * 4})
+    page.show()
+    heavier, slippery, brakes = page._present
+    own = page.session.simulation.conditions[0]
+    assert (heavier.value, slippery.value, brakes.value) == (own.payload, own.friction, False)
+    assert page._which.options == ("0 box", "1 wheelchair")
+    page._which.value = "1 wheelchair"
+    page.carry_out()
+    assert (heavier.value, slippery.value, brakes.value) == (120.0, 0.75, True) and heavier.max >= 120.0
+    page._ask(lambda: page._alter("1 wheelchair", "set load", 7.0))
+    page.carry_out()
+    page.show()
+    assert (heavier.value, page._which.value) == (7.0, "1 wheelchair")
+
+
+def test_handles_go_with_their_objects_but_not_out_of_a_hand(page: Page) -> None:
+    page._drag.value = True
+    page.carry_out()
+    x, y, yaw = page.session.simulation.true.robot_pose[0]
+    pose = (float(x + 1.2 * np.cos(yaw)), float(y + 1.2 * np.sin(yaw)), 0.4)
+
+    def stands() -> bool:
+        (handle,), true = page._handles, page.session.simulation.true.object_pose[0, 0]
+        return bool(np.allclose(handle.position[:2], true[:2]) and np.isclose(2 * np.arcsin(handle.wxyz[3]), true[2]))
+
+    page.session.place(0, pose)
+    page.show()
+    assert stands() and np.allclose(page._handles[0].position[:2], pose[:2])
+    (handle,) = page._handles
+    asyncio.run(page._dragging(0, SimpleNamespace(phase="start", target=handle)))  # type: ignore[arg-type]
+    handle.position = (pose[0] + 0.2, pose[1], 0.05)
+    page.show()
+    assert not stands()
+    asyncio.run(page._dragging(0, SimpleNamespace(phase="end", target=handle)))  # type: ignore[arg-type]
+    page.carry_out()
+    page.show()
+    assert stands() and page.session.simulation.true.object_pose[0, 0, 0] == pytest.approx(pose[0] + 0.2)
+
+
+@pytest.mark.parametrize("scene", ["demo 3", "demo 33", "box_in_doorway", "a file"])
+def test_the_box_of_scenes_says_what_was_loaded(tmp_path: Path, scene: str) -> None:
+    if scene == "a file":
+        scene = str(asset("experiments/scenarios/three_objects.yaml"))
+    session = Session(load_weights(), lambda: scene_named(scene, tmp_path), "perfect", tmp_path)
+    page = Page(session, port=free_port(), scene=scene)
+    assert page._scene.value == scene
+    count, start = len(session.scenario.objects), session.scenario.start
+    page._look_for_files()
+    page._load("office" if "office" in page._scene.options else "demo 1")
+    page._load(scene)
+    assert (len(session.scenario.objects), session.scenario.start) == (count, start)
+    page.close()
+    session.close()
+
+
+def test_a_line_is_drawn_in_the_colour_of_its_legend() -> None:
+    """Lines are sent as linear light, which the browser encodes as sRGB; the legend is sRGB."""
+    names = dict(re.findall(r"color: (#\w{6}).*?</span> ([^&]*) &ensp;", overlay.legend(None)))
+    drawn = {
+        "global path": overlay.path(np.eye(2)),
+        "local trajectory": overlay.path(np.eye(2), local=True),
+        "camera's field of view": overlay.field_of_view(REAL.camera, np.zeros(3)),
+    }
+    for colour, name in names.items():
+        if name in drawn:
+            light = drawn[name].colours[0, 0] / 255
+            shown = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+            wanted = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+            np.testing.assert_allclose(shown, wanted, atol=0.03)
+    assert set(drawn) <= set(names.values())
+
+
+DAMAGED: dict[str, Callable[[dict[str, Any]], Any]] = {
+    "no friction": lambda data: {k: v for k, v in data.items() if k != "friction"},
+    "no centre of mass": lambda data: {k: v for k, v in data.items() if k != "com"},
+    "a mass of text": lambda data: data | {"mass": "5"},
+    "a hull of nothing": lambda data: data | {"hull": []},
+    "a hull of text": lambda data: data | {"hull": "round"},
+    "two numbers for a size": lambda data: data | {"size": data["size"][:2]},
+    "no feet": lambda data: data | {"feet": None},
+    "not a mapping": lambda data: ["hull", data],
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGED)
+def test_a_damaged_object_file_is_refused_and_the_run_goes_on(page: Page, tmp_path: Path, damage: str) -> None:
+    trimesh.creation.cylinder(radius=0.25, height=0.6).export(tmp_path / "stool.stl")
+    made = add_object(tmp_path / "stool.stl", mass=5.0, friction=0.35, out=tmp_path / "stool.json")
+    made.write_text(json.dumps(DAMAGED[damage](json.loads(made.read_text()))))
+    page._look_for_files()
+    page._family.value = "stool"
+    x, y, _ = page.session.simulation.true.robot_pose[0]
+    page._message.content = ""
+    page._ask(page._new(float(x), float(y - 1.0)))
+    page.carry_out()
+    assert said(page).startswith("**Refused.**")
+    before = page.session.simulation.time
+    page.session.step()
+    page.show()
+    assert page.session.simulation.time > before and len(page.session.scenario.objects) == 1
+
+
+def test_what_cannot_be_read_is_no_scene_and_no_object(page: Page, tmp_path: Path) -> None:
+    for name in ("folder.json", "folder.yaml"):
+        (tmp_path / name).mkdir()
+    for name in ("link.json", "link.yaml"):
+        (tmp_path / name).symlink_to(tmp_path / "nowhere")
+    page._look_for_files()
+    assert not {"folder", "link"} & {*page._scene.options, *page._family.options}
+    page._ask(lambda: 1 / 0)  # type: ignore[arg-type, return-value]
+    page.carry_out()
+    assert said(page).startswith("**Refused.**") and "ZeroDivisionError" in said(page)
 
 
 def test_what_it_can_t_show_is_said_in_one_sentence(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import shapely
@@ -9,6 +11,7 @@ import shapely
 from shmoo_mjx import se2
 from shmoo_mjx.control.equilibrium_lean import arms_lean
 from shmoo_mjx.control.quasi_static import QuasiStaticPusher
+from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.hands import HAND_RADIUS, TUCKED_REACH
 from shmoo_mjx.navigation.footprints import footprint_polygon
 from shmoo_mjx.navigation.maps import OCCUPIED, OccupancyGrid
@@ -73,6 +76,20 @@ def _grid(corridor: bool = False) -> OccupancyGrid:
 
 def _task(goal: np.ndarray, grid: OccupancyGrid | None = None) -> PushTask:
     return PushTask(grid or _grid(), [HALF], goal, QuasiStaticPusher(pose_push_config().cost))
+
+
+@pytest.mark.parametrize(
+    "goal", [(0.5, 0.0), (0.5, 0.0, 0.0, 1.0), 0.5, (0.5, np.nan, 0.0), (np.inf, 0.0, 0.0), ("a", "b", "c"), None]
+)
+def test_a_goal_that_is_no_pose_is_refused_at_once(goal: Any) -> None:
+    with pytest.raises(ShmooError, match=r"3 finite numbers \(x, y, yaw\)"):
+        _task(goal)
+
+
+@pytest.mark.parametrize("index", [1, -1])
+def test_an_object_that_is_not_there_is_refused_at_once(index: int) -> None:
+    with pytest.raises(ShmooError, match=f"no object {index}"):
+        PushTask(_grid(), [HALF], (0.5, 0.0, 0.0), QuasiStaticPusher(pose_push_config().cost), index)
 
 
 def _run(task: PushTask, world: _World, seconds: float = 120.0, meddle: object = None) -> None:

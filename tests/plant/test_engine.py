@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
+from collections.abc import Callable
+from typing import Any
+
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from shmoo_mjx.hands import HAND_HEIGHT, REACH
-from shmoo_mjx.plant import engine_mujoco
+from shmoo_mjx.plant import engine_mujoco, observe
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine, World
 from shmoo_mjx.plant.objects import draw_condition
 from shmoo_mjx.plant.scene import PARTS, Scene, build_scene
@@ -55,6 +61,45 @@ def test_a_state_is_a_value() -> None:
     np.testing.assert_array_equal(seen.robot_pose, seen_again.robot_pose)
     assert seen.time[0] == pytest.approx(0.1)
     engine.close()
+
+
+@pytest.mark.parametrize("how", ["a push", "NaN", "NaN at the start", "infinity"])
+def test_a_world_that_mujoco_resets_counts_as_diverged_and_stays_so(how: str) -> None:
+    engine = MujocoEngine([_scene(0), _scene(1)])
+    start = engine.init()
+    if how != "NaN at the start":
+        start, _ = engine.step(start, command(2, (0.0, 0.0)))
+    physics, push = start.physics.copy(), None
+    if how == "a push":
+        push = np.array([[1e8, 0, 0, 0, 0, 0], [0.0] * 6])
+    else:
+        physics[0, 5] = np.inf if how == "infinity" else np.nan
+    world, seen = engine.step(start._replace(physics=physics), command(2, (0.0, 0.0)), push=push)
+    for later in (1, 2, 3):
+        assert engine.diverged(world).tolist() == engine.fallen(world).tolist() == [True, False]
+        assert seen.time[0] == pytest.approx(start.physics[1, 0] + 0.1 * later)
+        world, seen = engine.step(world, command(2, (0.0, 0.0)))
+    engine.close()
+
+
+@pytest.mark.parametrize("xp", [np, jnp])
+def test_what_has_fallen_or_diverged_is_not_passed_by_nan(xp: Any) -> None:
+    lean = xp.array([[0.1, -0.2], [0.1, 0.7], [xp.nan, 0.0], [0.0, -3.0]])
+    assert observe.fallen(lean).tolist() == [False, True, True, True]
+    qpos = xp.array([[5e5, 0.0], [xp.nan, 0.0], [0.0, xp.inf], [0.0, 0.0], [0.0, 0.0]])
+    qvel = xp.array([[300.0], [0.0], [0.0], [-1e5], [xp.nan]])
+    assert observe.diverged(qpos, qvel).tolist() == [False, True, True, True, True]
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda whole: pickle.loads(pickle.dumps(whole))])
+def test_a_copy_goes_on_like_the_original(copied: Callable[[Any], Any]) -> None:
+    engine = MujocoEngine([_scene(i) for i in range(3)], threads=2)
+    world, _ = _run(engine, 2)
+    other, same = copied((engine, world))
+    (one, _), (two, _) = (e.step(w, command(3, (0.05, 0.0))) for e, w in ((engine, world), (other, same)))
+    np.testing.assert_array_equal(one.physics, two.physics)
+    engine.close()
+    other.close()
 
 
 def test_no_push_is_a_push_of_nothing() -> None:

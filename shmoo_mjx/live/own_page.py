@@ -1,0 +1,81 @@
+"""Who may use the live page: its own page in a browser, and nobody through a page or a name of somebody else.
+
+A page from elsewhere can open a websocket to this machine, and a name from elsewhere can be made to lead to it (DNS
+rebinding). A browser tells both: the page in ``Origin``, the name in ``Host``.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from http import HTTPStatus
+from typing import Any
+from unittest import mock
+from urllib.parse import urlsplit
+
+import websockets.asyncio.server
+
+from shmoo_mjx.errors import ShmooError
+
+AT_HOME = ("127.0.0.1", "localhost", "::1")
+
+
+@contextmanager
+def obeying_own_page(host: str) -> Iterator[None]:
+    """The server that viser starts within listens on ``host`` and refuses (403) what comes from elsewhere.
+
+    viser has no setting for this, so that what it starts its server with is replaced meanwhile.
+
+    Raises:
+        ShmooError: the server was started in another way, unguarded.
+    """
+    serve, guarded = websockets.asyncio.server.serve, list[bool]()
+
+    def guard(*given: Any, process_request: Callable[..., Any], **more: Any) -> Any:
+        def checked(connection: Any, request: Any) -> Any:
+            if refused(host, request.headers.get_all("Host"), request.headers.get_all("Origin")):
+                return connection.respond(HTTPStatus.FORBIDDEN, "This page answers to its own address only.\n")
+            return process_request(connection, request)
+
+        guarded.append(True)
+        return serve(*given, process_request=checked, **more)
+
+    with mock.patch.object(websockets.asyncio.server, "serve", guard):
+        yield
+    if not guarded:
+        raise ShmooError("shmoo live can't guard its page with this version of viser; install the version it pins.")
+
+
+def refused(host: str, hosts: list[str], origins: list[str]) -> bool:
+    """Whether a request to a server that listens on ``host`` comes from elsewhere.
+
+    Args:
+        host: what the server was told to listen on.
+        hosts: the request's ``Host`` headers: there must be one, with a name of this server.
+        origins: its ``Origin`` headers: none (no browser), or one of the same host and port.
+    """
+    if len(hosts) != 1 or not _is_own(host, hosts[0]):
+        return True
+    own = {f"{scheme}://{hosts[0]}".lower() for scheme in ("http", "https")}
+    return len(origins) > 1 or any(origin.lower() not in own for origin in origins)
+
+
+def _is_own(host: str, asked: str) -> bool:
+    """Whether a ``Host`` header names the server that listens on ``host``; any port, as tunnels change it."""
+    try:
+        name = (urlsplit(f"//{asked}").hostname or "").lower()
+    except ValueError:
+        return False
+    if name in (*AT_HOME, host.lower()):
+        return True
+    if host in AT_HOME:
+        return False
+    this = socket.gethostname().lower()
+    if name in (this, f"{this}.local", socket.getfqdn().lower()):
+        return True
+    # Listening on every address: an address, unlike a name, can't be made to lead elsewhere.
+    with suppress(ValueError):
+        return ipaddress.ip_address(host).is_unspecified and bool(ipaddress.ip_address(name))
+    return False
