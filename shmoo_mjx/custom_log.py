@@ -6,9 +6,7 @@ comes after it. Only twists are found with hindsight, by a parabola through the 
 
 from __future__ import annotations
 
-import csv
 import json
-import re
 import shlex
 from functools import partial
 from pathlib import Path
@@ -29,6 +27,9 @@ from shmoo_mjx.guard import ARRAYS, HTML, RECORDING, check_folder
 from shmoo_mjx.hands import touches
 from shmoo_mjx.learning import adaptation, identification, online
 from shmoo_mjx.learning.weights import Weights, prior_state
+from shmoo_mjx.log_table import OPTIONAL as OPTIONAL
+from shmoo_mjx.log_table import REQUIRED as REQUIRED
+from shmoo_mjx.log_table import check_extents, in_degrees, read_columns
 from shmoo_mjx.navigation import mobility
 from shmoo_mjx.navigation.records import NavigatorConfig
 from shmoo_mjx.navigation.verdicts import PROBE_TIME
@@ -38,25 +39,10 @@ from shmoo_mjx.types import DT
 from shmoo_mjx.verbosity import LOG
 from shmoo_mjx.versions import versions
 
-REQUIRED = ("t", "object_x", "object_y", "object_yaw", "force_x", "force_y")
-OPTIONAL = ("torque", "robot_x", "robot_y", "robot_yaw")
-
 _WINDOW = 0.15
 """Poses so far before and after a sample's start give its twist [s]."""
-_SLOWEST = 0.12
-"""Longest usual time between two rows [s]."""
 _FASTEST = (5.0, 10.0)
 """Speed [m/s] and yaw rate [rad/s] above which numbers are in other units."""
-_NOTHING = ("", "nan", "na", "n/a", "#n/a", "null", "none")
-"""What stands in a cell whose number is not known."""
-_LONGEST = (60.0, 4 * 3600.0)
-"""Longest time between two rows, and from the first to the last [s]."""
-_FARTHEST = (
-    dict.fromkeys(("object_x", "object_y", "robot_x", "robot_y"), 100.0)
-    | dict.fromkeys(("object_yaw", "robot_yaw"), 1000.0)
-    | dict.fromkeys(("force_x", "force_y", "torque"), 10_000.0)
-)
-"""What a column may differ from its median [m, rad, N, N m]."""
 _MASSES = (0.5, 500.0)
 """A mass outside was hardly pushed by hands [kg]."""
 _AGAINST = -0.3
@@ -90,17 +76,12 @@ class Log(NamedTuple):
 def read_log(path: str | Path) -> Log:
     """The recording in a CSV or Parquet file (docs/make_your_own.md lists its columns), as samples of 0.1 s.
 
-    Columns of a CSV file are separated by commas, semicolons or tabs.
-
     Raises:
-        ShmooError: the file can't be read, a column is missing or stands twice, or its numbers can't be what they
-            should; it names the column, and the row where one is at fault (the first one below the header is row 1).
+        ShmooError: as `read_columns`; or the numbers can't be what they should.
     """
     file = Path(path)
-    columns = _columns(file)
-    _check_values(file, columns)
+    columns = read_columns(file)
     t = columns["t"]
-    _check_times(file, t)
     pose = np.stack([columns[f"object_{name}"] for name in ("x", "y", "yaw")], axis=-1)
     robot = np.stack([columns.get(f"robot_{name}", np.full(len(t), np.nan)) for name in ("x", "y", "yaw")], axis=-1)
     grid = np.arange(t[0], t[-1] - DT, DT)
@@ -113,7 +94,7 @@ def read_log(path: str | Path) -> Log:
                 f"{file}: '{name}' changes by more than {limit:g} {unit}/s, as in row {row}; give it in {unit}, or "
                 "leave the cell empty where it is not known."
             )
-    _check_extents(file, columns)
+    check_extents(file, columns)
     force = np.stack([columns[name] if name in columns else 0 * t for name in ("force_x", "force_y", "torque")], -1)
     wrench = _means(t, force, grid)
     touching = touches(wrench)
@@ -125,131 +106,8 @@ def read_log(path: str | Path) -> Log:
             "give all three in the same rows."
         )
     return Log(
-        grid - grid[0], object_pose, object_twist, wrench, _smoothed(t, robot, grid)[0], tuple(_in_degrees(columns))
+        grid - grid[0], object_pose, object_twist, wrench, _smoothed(t, robot, grid)[0], tuple(in_degrees(columns))
     )
-
-
-def _check_values(file: Path, columns: dict[str, np.ndarray]) -> None:
-    if not len(columns["t"]):
-        raise ShmooError(f"{file}: has a header but no rows; give a recording.")
-    for name, values in columns.items():
-        endless = np.flatnonzero(np.isinf(values))
-        if endless.size:
-            row = int(endless[0]) + 1
-            raise ShmooError(f"{file}: row {row}: '{name}' is not finite; leave the cell empty if it is not known.")
-        if name in REQUIRED and np.isnan(values).all():
-            raise ShmooError(f"{file}: the column '{name}' holds no numbers; fill it in.")
-
-
-def _check_times(file: Path, t: np.ndarray) -> None:
-    steps = np.diff(t)
-    back = np.flatnonzero(steps <= 0)
-    if np.isnan(t).any() or back.size:
-        row = int(back[0]) + 2 if back.size else int(np.flatnonzero(np.isnan(t))[0]) + 1
-        raise ShmooError(f"{file}: the column 't' must grow from row to row, in s; row {row} does not.")
-    gap, most = _LONGEST
-    if steps.size and steps.max() > gap:
-        row = int(steps.argmax()) + 2
-        raise ShmooError(
-            f"{file}: row {row}: 't' is {t[row - 1]:g}, which is {steps.max():g} s after the row before it; give it in "
-            f"s, and cut a recording that pauses for more than {gap:g} s."
-        )
-    if len(t) < 10 or t[-1] - t[0] < 1.0 or np.median(steps) > _SLOWEST:
-        raise ShmooError(f"{file}: give at least 1 s with 10 rows each second; 't' has {len(t)} from {t[0]:g} s on.")
-    if t[-1] - t[0] > most:
-        raise ShmooError(f"{file}: 't' spans {t[-1] - t[0]:g} s; cut the recording to {most:g} s or less.")
-
-
-def _check_extents(file: Path, columns: dict[str, np.ndarray]) -> None:
-    for name, values in columns.items():
-        limit = _FARTHEST.get(name, np.inf)
-        if np.isnan(values).all():
-            continue
-        away = np.abs(np.nan_to_num(values - np.nanmedian(values)))
-        if away.max() > limit:
-            row = int(away.argmax()) + 1
-            raise ShmooError(
-                f"{file}: row {row}: '{name}' is {values[row - 1]:g}, more than {limit:g} from what it is mostly; "
-                "correct it, or leave the cell empty."
-            )
-
-
-def _in_degrees(columns: dict[str, np.ndarray]) -> list[str]:
-    found = []
-    for name in ("object_yaw", "robot_yaw"):
-        largest = float(np.nanmax(np.abs(columns.get(name, np.zeros(1))), initial=0.0))
-        if largest > 2 * np.pi:
-            found.append(f"'{name}' goes up to {largest:.0f}, which is more than a whole turn; if it is in degrees, "
-                         "give it in rad.")  # fmt: skip
-    return found
-
-
-def _columns(file: Path) -> dict[str, np.ndarray]:
-    if not file.is_file():
-        raise ShmooError(f"{file}: there is no such file; give a log as CSV or Parquet.")
-    try:
-        return (_parquet if file.suffix.lower() in (".parquet", ".pq") else _csv)(file)
-    except (OSError, ValueError, RuntimeError, csv.Error):  # pyarrow's errors are of these kinds
-        raise ShmooError(f"{file}: this is no CSV with a header, and no Parquet file (*.parquet).") from None
-
-
-def _places(file: Path, names: list[str]) -> dict[str, int]:
-    """Where the columns that we know stand among all."""
-    for name in REQUIRED:
-        if name not in names:
-            near = closest_name(name, names)
-            hint = near if near.startswith("did") else f"there are {', '.join(names)[:120]}."
-            raise ShmooError(f"{file}: the column '{name}' is missing; {hint}")
-    for name in (*REQUIRED, *OPTIONAL):
-        if names.count(name) > 1:
-            raise ShmooError(f"{file}: the column '{name}' stands {names.count(name)} times; keep one of them.")
-    return {name: names.index(name) for name in (*REQUIRED, *OPTIONAL) if name in names}
-
-
-def _parquet(file: Path) -> dict[str, np.ndarray]:
-    from pyarrow import parquet
-
-    names = parquet.read_schema(file).names
-    places = _places(file, [name.strip() for name in names])
-    table = parquet.read_table(file, columns=[names[i] for i in places.values()])
-    return {name: _numbers(file, name, table[names[i]].to_pylist()) for name, i in places.items()}
-
-
-def _csv(file: Path) -> dict[str, np.ndarray]:
-    """Columns are separated by what splits the header into the most names that we know."""
-    with file.open(encoding="utf-8-sig", newline="") as opened:
-        lines = (line for line in opened if line.strip())
-        header = next(lines, "")
-
-        def split(delimiter: str) -> list[str]:
-            return [name.strip() for name in next(csv.reader([header], delimiter=delimiter), [])]
-
-        delimiter = max(",;\t", key=lambda d: len({*REQUIRED, *OPTIONAL} & {*split(d)}))
-        names = split(delimiter)
-        if not any(names):
-            raise ValueError
-        places, rows = _places(file, names), list(csv.reader(lines, delimiter=delimiter))
-    for number, row in enumerate(rows, 1):
-        if len(row) < len(names) or any(cell.strip() for cell in row[len(names) :]):
-            remedy = "write a point for a decimal comma" if len(row) > len(names) else "give every column a cell"
-            raise ShmooError(f"{file}: row {number} has {len(row)} cells, the header {len(names)}; {remedy}.")
-    return {name: _numbers(file, name, [row[i] for row in rows]) for name, i in places.items()}
-
-
-def _numbers(file: Path, name: str, values: list[Any]) -> np.ndarray:
-    """The values of a column, NaN where nothing stands."""
-    found = np.full(len(values), np.nan)
-    for i, value in enumerate(values):
-        text = "" if value is None else str(value).strip()
-        if text.lower() in _NOTHING:
-            continue
-        try:
-            found[i] = float(text)
-        except ValueError:
-            comma = re.fullmatch(r"[+-]?\d*,\d+(e[+-]?\d+)?", text, re.IGNORECASE)
-            remedy = "write a point for the decimal comma." if comma else "give numbers, or nothing where unknown."
-            raise ShmooError(f"{file}: row {i + 1}: the column '{name}' holds {text[:40]!r}; {remedy}") from None
-    return found
 
 
 def _smoothed(t: np.ndarray, pose: np.ndarray, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

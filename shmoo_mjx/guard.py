@@ -105,7 +105,9 @@ def check_folder(folder: Path, files: Mapping[str, str], mark: str) -> None:
         check_output(folder / name, kind)
     for name in files:
         if (folder / name).is_file() and not (folder / mark).is_file():
-            raise ShmooError(f"{folder / name}: is of no earlier run; choose another folder for the output.")
+            raise ShmooError(
+                f"{folder / name}: was not written by an earlier run; choose another folder for the output."
+            )
 
 
 def kind_of(path: Path, name: str = "") -> str:

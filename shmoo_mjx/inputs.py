@@ -38,7 +38,7 @@ def files_read(values: Iterable[Any]) -> set[Path]:
             found |= files_read(value)
         elif isinstance(value, str | Path) and os.path.isfile(value):
             _add(Path(value), found)
-        elif isinstance(value, Path) and value.is_dir():
+        elif isinstance(value, Path) and os.path.isdir(value):
             for folder, _, names in os.walk(value):
                 for name in names:
                     if _is_yaml(name):

@@ -118,7 +118,7 @@ def test_a_folder_without_the_mark_of_an_earlier_output_is_somebody_elses(tmp_pa
     (tmp_path / "readme.txt").write_text("of no interest")
     check_folder(tmp_path, files, "trace.npz")
     (tmp_path / "map.yaml").write_text("image: a.png\n")
-    with pytest.raises(ShmooError, match=r"map\.yaml: is of no earlier run"):
+    with pytest.raises(ShmooError, match=r"map\.yaml: was not written by an earlier run"):
         check_folder(tmp_path, files, "trace.npz")
     write_arrays(tmp_path / "trace.npz", {"t": np.zeros(3)})
     check_folder(tmp_path, files, "trace.npz")

@@ -140,7 +140,7 @@ LAYERS = (
     {"skills"},
     {"navigation"},
     {"report"},
-    {"inputs", "recorded", "simulation"},
+    {"inputs", "log_table", "recorded", "simulation"},
     {"episode", "teleop"},
     {"run"},
     {"demo", "doctor", "custom_log", "replay", "view", "evaluation", "gym"},
