@@ -34,7 +34,6 @@ from shmoo_mjx.navigation import mobility
 from shmoo_mjx.navigation.records import NavigatorConfig
 from shmoo_mjx.navigation.verdicts import PROBE_TIME
 from shmoo_mjx.report.trace import Trace, save_trace
-from shmoo_mjx.schema import closest_name
 from shmoo_mjx.types import DT
 from shmoo_mjx.verbosity import LOG
 from shmoo_mjx.versions import versions

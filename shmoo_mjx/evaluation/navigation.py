@@ -1,7 +1,8 @@
-"""Experiment navigation: generated scenarios on any maps, our policy against three others on the same scenarios.
+"""Experiment navigation: generated scenarios on any maps, our policy against four others on the same scenarios.
 
-*oracle* is told of each object whether it can be moved and needs no planning stage to find out; coefficients it learns
-as we do. *always_avoid* takes every object for a wall. *always_push* pushes whatever is in the way, never goes round.
+*lazy* goes round whenever there is a way round, however long, and pushes otherwise. *oracle* is told of each object
+whether it can be moved and needs no planning stage to find out; coefficients it learns as we do. *always_avoid* takes
+every object for a wall. *always_push* pushes whatever is in the way and never goes round.
 """
 
 from __future__ import annotations
@@ -58,6 +59,7 @@ def _as_they_are(generated: Generated) -> list[Status]:
 _ALL_MOVABLE = ObjectPlannerConfig(threshold=0.0)
 POLICIES = {
     OURS: PolicyVariant(NavigatorConfig()),
+    "lazy": PolicyVariant(NavigatorConfig(detour=1e3)),
     "oracle": PolicyVariant(NavigatorConfig(planner=_ALL_MOVABLE), _as_they_are),
     "always_avoid": PolicyVariant(
         NavigatorConfig(chances=0), lambda generated: [Status.FIXED for _ in generated.movable]

@@ -32,11 +32,12 @@ def test_policies_know_what_they_are_meant_to_know() -> None:
     assert avoid is not None and avoid(found) == [Status.FIXED] * 2
     assert oracle is not None and oracle(found) == [Status.UNKNOWN, Status.FIXED]
     assert POLICIES["ours"].first_status is None and POLICIES["always_push"].first_status is None
+    assert POLICIES["lazy"].config.detour > 100 and POLICIES["lazy"].config.goes_round
     assert not POLICIES["always_push"].config.goes_round and POLICIES["ours"].config.goes_round
 
 
 def test_policies_run_in_their_own_order_and_unknown_ones_are_refused() -> None:
-    assert ExperimentOptions().chosen(POLICIES) == ("ours", "oracle", "always_avoid", "always_push")
+    assert ExperimentOptions().chosen(POLICIES) == ("ours", "lazy", "oracle", "always_avoid", "always_push")
     assert ExperimentOptions(policies=("always_push", "ours")).chosen(POLICIES) == ("ours", "always_push")
     with pytest.raises(ShmooError, match="--policies never"):
         ExperimentOptions(policies=("never",)).chosen(POLICIES)
@@ -140,7 +141,15 @@ def one_worker(settings: Any) -> Any:
 
 def test_all_policies_run_on_all_scenarios_ours_first(tmp_path: Path, fakes: list[str]) -> None:
     result = navigation.run(ExperimentOptions(out=tmp_path, quick=True, senses="perfect"))
-    assert fakes == ["ours", "ours", "kept plan_1-0", *["oracle"] * 2, *["always_avoid"] * 2, *["always_push"] * 2]
+    assert fakes == [
+        "ours",
+        "ours",
+        "kept plan_1-0",
+        *["lazy"] * 2,
+        *["oracle"] * 2,
+        *["always_avoid"] * 2,
+        *["always_push"] * 2,
+    ]
     assert result.metrics["success_rate"] == 0.5 and result.metrics["baseline_always_push_scenarios"] == 2
     assert result.config["senses"] == "perfect" and result.config["generated_maps"] is True
     assert {r["policy"] for r in result.rows} == set(POLICIES) and "driven" not in result.rows[0]

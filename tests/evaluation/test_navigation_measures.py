@@ -179,11 +179,11 @@ def test_the_page_says_better_by_interval_and_which_kinds_a_map_lacks() -> None:
         "navigation", ExperimentOptions(senses="perfect"), {"policies": tuple(POLICIES)}, metrics, {}, many
     )
     text = navigation_tables(found)
-    assert "| success | -0.25 (" in text and "**worse**" in text and "**better**" in text
+    assert "| success | " in text and "| -0.25 (" in text and "**worse**" in text and "**better**" in text
     assert "| m | 16 / 24 | 8 / 8 | - | push only: 8 |" in text
     assert "| all | 24 / 32 |" in text and "- fall: 8" in text
     page = render({"navigation": found}, {})
-    assert text in page and "| success (aim 0.96) | 0.75 | 0.25 | 0.25 | 1 |" in page
+    assert text in page and "| success (aim 0.96) | 0.75 | 0 | 0.25 | 0.25 | 1 |" in page
     assert "`shmoo experiment navigation --maps DIR --seed 0 --condition-seed 0 --senses perfect`" in page
 
 
