@@ -4,6 +4,7 @@ from .episode import run_episode as run_episode
 from .errors import ShmooError as ShmooError
 from .learning.daiml import DaimlConfig as DaimlConfig
 from .learning.daiml import fit as fit
+from .learning.object_fit import load_fit as load_fit
 from .learning.weights import load_weights as load_weights
 from .navigation.maps import OccupancyGrid as OccupancyGrid
 from .navigation.maps import load_map as load_map

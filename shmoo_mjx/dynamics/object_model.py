@@ -80,16 +80,19 @@ def init(
     """Untrained parameters; ``n_in`` and ``n_axes`` differ from 13 and 3 only for other people's data."""
     config = config or ObjectConfig()
     n_in = features.width(features.OBJECT_INPUTS) if n_in is None else n_in
-    n_seen = (
-        n_in
-        - 3 * (not config.last_wrench)
-        + n_axes * (len(FRICTION_SHIFTS) + config.last_wrench) * config.contact_model
-    )
+    n_seen = n_in - inputs_of(config, 0, n_axes)
     n_out = config.functions * (n_axes if config.per_axis else 1)
     net_key, linear_key = jax.random.split(key)
     linear = jax.random.normal(linear_key, (n_seen, n_out)) / jnp.sqrt(n_seen) * float(config.linear_terms)
     net = networks.init(_module(config, n_axes), net_key, n_seen)
     return ObjectParams(net, linear, jnp.ones(n_axes))
+
+
+def inputs_of(config: ObjectConfig, seen: int, n_axes: int) -> int:
+    """Number of inputs of psi whose network sees ``seen`` numbers: more by the contact model's, fewer by the last
+    wrench."""
+    answers = n_axes * (len(FRICTION_SHIFTS) + config.last_wrench) * config.contact_model
+    return seen + 3 * (not config.last_wrench) - answers
 
 
 def network_inputs(

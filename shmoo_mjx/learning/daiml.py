@@ -32,7 +32,8 @@ from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning import least_squares, multistep, training, training_contacts
 from shmoo_mjx.learning import samples as batches
-from shmoo_mjx.learning.identification import ContactPrior, IdentificationConfig
+from shmoo_mjx.learning.identification import IdentificationConfig
+from shmoo_mjx.learning.object_fit import ObjectFit
 from shmoo_mjx.learning.samples import Batch, Sampler, Samples, label_scale, samples_from_arrays, samples_from_dataset
 from shmoo_mjx.learning.training_contacts import Found
 
@@ -85,24 +86,6 @@ class DaimlConfig:
     contact_fit: IdentificationConfig = field(default_factory=IdentificationConfig)
     """How contact parameters are identified, if psi has the contact model."""
     seed: int = 0
-
-
-class ObjectFit(NamedTuple):
-    """A trained psi with what is known of an object before it is touched."""
-
-    params: ObjectParams
-    prior_mean: Float[Array, "m K"]
-    prior_covariance: Float[Array, "n n"]
-    """n = m K, axes coupled: what x shows says something about y and yaw."""
-    noise: Float[Array, "m m"]
-    """Covariance of a sample's residual."""
-    score: float
-    """Best validation score (see `_validation_scores`; one-step and open-loop shares averaged)."""
-    history: list[tuple[float, float]]
-    contact_prior: ContactPrior
-    """Prior of the contact parameters; of no use unless config.contact_model."""
-    config: ObjectConfig
-    """What psi is; `fit` leaves out of what it was asked for whatever needs inputs of a known meaning."""
 
 
 class Model(NamedTuple):

@@ -20,8 +20,8 @@ from shmoo_mjx.dynamics.robot_model import RobotConfig
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.learning import adaptation, identification, least_squares, online, serialisation
 from shmoo_mjx.learning.adaptation import AdaptState
-from shmoo_mjx.learning.daiml import ObjectFit
 from shmoo_mjx.learning.identification import ContactPrior, IdentificationConfig, OnlineConfig
+from shmoo_mjx.learning.object_fit import ObjectFit
 from shmoo_mjx.learning.robot_fit import RobotFit
 
 SCHEMA_VERSION = 5

@@ -33,7 +33,7 @@ PRINTS = {
 }
 NEEDS = {"docs/gym.md": "gymnasium"}
 LINES_OF_A_TASK = 32
-TRAINS = ("docs/models.md", f"{OWN}#Learner")
+TRAINS = (f"{OWN}#Other data", f"{OWN}#Learner")
 """Pages whose examples train or record for half a minute."""
 
 
@@ -75,7 +75,7 @@ WITH_COMMANDS = [page for page in PAGES if commands(page)]
 
 def test_the_pages_are_found() -> None:
     assert {f"{OWN}#{title}" for title in SECTIONS} <= set(WITH_PYTHON)
-    assert {"README.md", "docs/tutorial.md", "docs/gym.md", "docs/models.md"} <= set(WITH_PYTHON)
+    assert {"README.md", "docs/tutorial.md", "docs/gym.md", f"{OWN}#Other data"} <= set(WITH_PYTHON)
     assert {"README.md", "docs/tutorial.md", "docs/performance.md", "docs/sweeps.md"} <= set(WITH_COMMANDS)
 
 

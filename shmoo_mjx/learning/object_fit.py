@@ -1,0 +1,123 @@
+"""A trained psi with its prior: adapt it to one object, predict, keep it in a file."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import asdict
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from shmoo_mjx.arrays import Array, Float, single_precision
+from shmoo_mjx.dynamics import object_model
+from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.learning import identification, least_squares, serialisation
+from shmoo_mjx.learning.identification import ContactPrior, IdentificationConfig
+
+_ARRAYS = ("params", "prior_mean", "prior_covariance", "noise", "contact_prior")
+
+
+class ObjectFit(NamedTuple):
+    """A trained psi with what is known of an object: of any object, or after `adapt` of one."""
+
+    params: ObjectParams
+    prior_mean: Float[Array, "m K"]
+    prior_covariance: Float[Array, "n n"]
+    """n = m K, axes coupled: what x shows says something about y and yaw."""
+    noise: Float[Array, "m m"]
+    """Covariance of a sample's residual."""
+    score: float
+    """Best validation score (see `daiml._validation_scores`; one-step and open-loop shares averaged)."""
+    history: list[tuple[float, float]]
+    contact_prior: ContactPrior
+    """Prior of the contact parameters; of no use unless config.contact_model."""
+    config: ObjectConfig
+    """What psi is; `daiml.fit` leaves out of what it was asked for whatever needs inputs of a known meaning."""
+
+    @single_precision
+    def adapt(self, x: Float[Array, "N n_in"], y: Float[Array, "N m"]) -> ObjectFit:
+        """The fit for the object that N samples come from: the posterior takes the prior's place (Eq. 5).
+
+        More samples of the same object can be added by adapting again.
+
+        Args:
+            x: inputs, as psi was trained on.
+            y: labels, in their unit.
+
+        Raises:
+            ShmooError: x or y is not finite, or of another shape than psi was trained on.
+        """
+        x, y = self._checked("x", x, self._inputs()), self._checked("y", y, len(self.params.label_scale))
+        if len(x) != len(y) or not len(x):
+            raise ShmooError(f"adapt: x has {len(x)} rows and y {len(y)}; give as many of each, and at least one.")
+        prior = self.contact_prior
+        if self.config.contact_model:
+            known, scale, ones = IdentificationConfig(), self.params.label_scale, jnp.ones(len(x))
+            found = identification.identify(known, jax.tree.map(jnp.asarray, prior), scale, x, y, ones)
+            prior = prior._replace(mean=jnp.broadcast_to(found, np.shape(prior.mean)))
+        adapted = self._replace(contact_prior=prior)
+        phi = object_model.design_matrix(self.params, x, self.config, adapted._contact())
+        mean, covariance = least_squares.posterior(
+            phi, y, self.prior_mean.reshape(-1), self.prior_covariance, self.noise
+        )
+        return adapted._replace(prior_mean=mean.reshape(self.prior_mean.shape), prior_covariance=covariance)
+
+    @single_precision
+    def predict(self, x: Float[Array, "N n_in"]) -> Float[np.ndarray, "N m"]:
+        """Labels of N samples, in their unit: psi a, with the mean of what is known of a.
+
+        Raises:
+            ShmooError: x is not finite, or of another shape than psi was trained on.
+        """
+        x = self._checked("x", x, self._inputs())
+        return np.asarray(object_model.predict(self.params, self.prior_mean, x, self.config, self._contact()))
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the fit to one safetensors file, which `load_fit` reads; whole or not at all."""
+        notes = {"object_fit": asdict(self.config), "score": float(self.score), "history": self.history}
+        shape = {"inputs": self._inputs(), "axes": len(self.params.label_scale), "groups": len(self.contact_prior.mean)}
+        serialisation.save_tree(path, {name: getattr(self, name) for name in _ARRAYS}, notes | shape)
+
+    def _inputs(self) -> int:
+        """Number of inputs, of which psi's network may see more or fewer."""
+        return object_model.inputs_of(self.config, self.params.linear.shape[0], len(self.params.label_scale))
+
+    def _contact(self) -> Array:
+        return jnp.asarray(self.contact_prior.mean)[jnp.argmax(jnp.asarray(self.contact_prior.log_weight))]
+
+    def _checked(self, name: str, values: Any, width: int) -> Array:
+        found = np.asarray(values, np.float32)
+        if found.ndim != 2 or found.shape[1] != width:
+            raise ShmooError(f"{name}: the array has shape {found.shape}; give [N, {width}], as in training.")
+        if not np.isfinite(found).all():
+            raise ShmooError(f"{name}: not all numbers are finite; leave those rows out.")
+        return jnp.asarray(found)
+
+
+@single_precision
+def load_fit(path: str | os.PathLike[str]) -> ObjectFit:
+    """Read what `ObjectFit.save` wrote.
+
+    Raises:
+        ShmooError: no such file, damaged, or a safetensors file of something else.
+    """
+    notes = serialisation.read_notes(path)
+    try:
+        told = dict(notes["object_fit"])
+        config = ObjectConfig(**told | {"hidden": tuple(told["hidden"])})
+        axes, groups = int(notes["axes"]), int(notes["groups"])
+        score, history = float(notes["score"]), [(float(a), float(b)) for a, b in notes["history"]]
+        make = lambda: object_model.init(jax.random.key(0), config, int(notes["inputs"]), axes)  # noqa: E731
+        params = jax.eval_shape(make)
+    except (KeyError, TypeError, ValueError) as error:
+        raise ShmooError(f"{path}: is no fit that ObjectFit.save wrote ({error!r}); give one that is.") from None
+    n, p = axes * config.functions, len(identification.contact_model.PARAMETERS)
+    shapes = {"prior_mean": (axes, config.functions), "prior_covariance": (n, n), "noise": (axes, axes)}
+    like: dict[str, Any] = {name: jax.ShapeDtypeStruct(shape, jnp.float32) for name, shape in shapes.items()}
+    prior = ContactPrior(*(jax.ShapeDtypeStruct(s, jnp.float32) for s in ((groups, p), (groups, p, p), (groups,))))
+    tree, _ = serialisation.load_tree(path, like | {"params": params, "contact_prior": prior})
+    arrays = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), tree)
+    return ObjectFit(**arrays, score=score, history=history, config=config)
