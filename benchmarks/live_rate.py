@@ -43,7 +43,7 @@ def measure(scene: str, seconds: float, clients: int, picture: Path | None) -> s
     with tempfile.TemporaryDirectory() as out:
         session = Session(load_weights(), partial(scene_named, scene, Path(out)), "real", Path(out))
         session.compile()
-        with closing(session), closing(Page(session, port=8100)) as page:
+        with closing(session), closing(Page(session, port=8100, scene=scene)) as page:
             watching = [browser() for _ in range(clients)]
             try:
                 for one in watching:

@@ -13,11 +13,14 @@ import pytest
 
 from shmoo_mjx.assets import asset
 from shmoo_mjx.control.pushing import PushController
+from shmoo_mjx.data.collect import CollectConfig, record
+from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import soak
 from shmoo_mjx.evaluation.pushing_trials import Runner, draw_trials
 from shmoo_mjx.learning.weights import load_weights
 from shmoo_mjx.live.session import Session, scene_named
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine, World
+from shmoo_mjx.plant.objects import draw_condition
 from shmoo_mjx.plant.observe import DIVERGED
 from shmoo_mjx.report.trace import load_trace
 
@@ -55,6 +58,12 @@ def test_a_pushing_trial_fails_with_a_reason() -> None:
     assert (row["ended"], row["reason"]) == ("diverged", DIVERGED)
     assert all(np.isfinite(values).all() for name, values in track.items() if name != "phase")
     json.dumps(row, allow_nan=False)
+
+
+def test_no_recording_is_made_of_it() -> None:
+    condition = draw_condition("box", 3)
+    with pytest.raises(ShmooError, match="diverged"):
+        list(record(CollectConfig(episodes=1, seconds=1.0), [condition], 0))
 
 
 @pytest.mark.slow

@@ -161,8 +161,12 @@ def record(
     Arrays: robot_pose, robot_twist, lean, lean_rate, object_pose, object_twist at the start of each sample ({W}); u
     held over it; force_robot ({R}) and wrench_object ({O}, about the object's centre), the hands' mean over it in the
     frames of its start; contact; per episode face [4] and size.
+
+    Raises:
+        ShmooError: the simulation of an object diverged.
     """
     from shmoo_mjx.plant.engine_mujoco import MujocoEngine
+    from shmoo_mjx.plant.observe import DIVERGED
     from shmoo_mjx.plant.scene import build_scene
 
     rng = np.random.default_rng([config.seed, seed])
@@ -186,7 +190,10 @@ def record(
         before = seen
         world, seen = engine.step(world, command)
         rows.append(sample(before, seen, command.u))
+    lost = np.flatnonzero(engine.diverged(world))
     engine.close()
+    if len(lost):
+        raise ShmooError(f"{chunk[lost[0] // episodes].describe()}: {DIVERGED}; leave this object out.")
     arrays = {k: np.stack([r[k] for r in rows], axis=1).astype(np.float32) for k in rows[0]}
     arrays["face"] = operator.face.astype(np.float32)
     arrays["size"] = np.hypot(*np.array(half_extents).T).astype(np.float32)

@@ -31,7 +31,7 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.learning import online
 from shmoo_mjx.live import overlay
 from shmoo_mjx.live.own_page import obeying_own_page
-from shmoo_mjx.live.session import SceneLoader, Session, object_files, scene_named, scenes
+from shmoo_mjx.live.session import SceneLoader, Session, object_files, scenes
 from shmoo_mjx.navigation import flat_trajectory
 from shmoo_mjx.navigation.scenario import FAMILIES
 from shmoo_mjx.plant.condition import Condition
@@ -60,10 +60,12 @@ class _World(NamedTuple):
 class Page:
     """A page in the browser on ``http://host:port``, or the next free port; whoever makes it steps the session.
 
-    ``scene`` is what the session has loaded, as `scene_named` takes it; the page's list of scenes begins with it.
+    ``scene`` is what the session has loaded, as `scene_named` takes it; the page's box of scenes shows it at first.
     """
 
-    def __init__(self, session: Session, host: str = "127.0.0.1", port: int = 8080, scene: str = "demo 0") -> None:
+    def __init__(
+        self, session: Session, host: str = "127.0.0.1", port: int = 8080, scene: str = "the first scene"
+    ) -> None:
         self.session, self._first_scene = session, scene
         with obeying_own_page(host), redirect_stdout(io.StringIO()):  # its banner
             self.server = viser.ViserServer(host=host, port=port, label="shmoo live", verbose=False)
@@ -266,10 +268,8 @@ class Page:
 
     def _scenes(self) -> dict[str, SceneLoader]:
         """What can be loaded, first of all what the page began with."""
-        first, found = self._first_scene, scenes(self.session.out)
-        if first in found:
-            return found
-        return {first: partial(scene_named, first, self.session.out), **found}
+        found = scenes(self.session.out)
+        return found if self._first_scene in found else {self._first_scene: self.session.first, **found}
 
     def _clicked(self, event: viser.SceneClickEvent) -> None:
         start, along = np.asarray(event.ray_origin), np.asarray(event.ray_direction)

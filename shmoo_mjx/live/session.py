@@ -168,6 +168,8 @@ class Session:
         """Samples that took longer to compute than they last."""
         self.started = 0
         """How many worlds there have been: a page draws a new one anew, and one with other objects too."""
+        self.first = load
+        """Makes the first scene again."""
         self._start, self._inputs = load(), _files_of(load)
         self._begin(*self._start)
 
