@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.navigation.yaml_input import closest_name
+from shmoo_mjx.schema import closest_name
 
 REQUIRED = ("t", "object_x", "object_y", "object_yaw", "force_x", "force_y")
 OPTIONAL = ("torque", "robot_x", "robot_y", "robot_yaw")
