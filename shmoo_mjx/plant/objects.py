@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import operator
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, SupportsIndex
 
 import mujoco
 import numpy as np
@@ -88,7 +88,7 @@ def _draw_wheelchair(rng: np.random.Generator) -> dict[str, Any]:
 _DRAW = {"box": _draw_box, "cart": _draw_cart, "wheelchair": _draw_wheelchair}
 
 
-def draw_condition(family: str, seed: int, properties: Mapping[str, Any] | None = None) -> Condition:
+def draw_condition(family: str, seed: SupportsIndex, properties: Mapping[str, Any] | None = None) -> Condition:
     """The condition with this family and seed, with single properties replaced by ``properties``.
 
     Args:

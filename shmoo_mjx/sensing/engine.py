@@ -10,7 +10,7 @@ import operator
 from collections import Counter
 from collections.abc import Sequence
 from types import TracebackType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, SupportsIndex
 
 import jax
 import numpy as np
@@ -98,7 +98,7 @@ class SensedEngine:
         self,
         scenes: Sequence[Scene],
         senses: Senses = sensing.REAL,
-        seed: int | Sequence[int] = 0,
+        seed: SupportsIndex | Sequence[SupportsIndex] = 0,
         gains: Gains | None = None,
         threads: int = 1,
         poses_known: bool = False,
@@ -106,7 +106,7 @@ class SensedEngine:
     ) -> None:
         self.engine = backend or MujocoEngine(scenes, gains, threads)
         self.senses, self.poses_known = senses, poses_known
-        self.seeds = [operator.index(one) for one in np.broadcast_to(seed, len(scenes))]
+        self.seeds = [operator.index(one) for one in np.broadcast_to(np.asarray(seed), len(scenes))]
         self._entropy = _entropies(self.seeds)
         self._drawn = sensing.draw(senses, self.seeds)
         self._know(scenes)
