@@ -1,11 +1,6 @@
 """Ours beside another method over several results of `shmoo experiment pushing`, all trials together.
 
 Run: python benchmarks/pooled_pushing.py METHOD A.json B.json.gz ...
-
-docs/results.md has frozen_prior on draws 104 to 109, 111 and 112, paper_form and oracle_coefficients on 108, 111 and
-112, quasi_static on 105 and 112. Draw 112 is docs/results/pushing.json.gz. Older ones: git show
-0b19446:docs/results/pushing.json.gz (111), 1ebbad9 (109), 83dc77e (108), fff292e (107), 15cba3d (106), e95759d (105),
-bde0c4b (104).
 """
 
 from __future__ import annotations

@@ -1,10 +1,12 @@
 """One page for all experiments: each number beside the paper's, each table with the command that makes it anew.
 
-python -m shmoo_mjx.evaluation.page runs/experiments docs/results.md (or runs/faults, runs/soak)
+python -m shmoo_mjx.evaluation.page FOLDER docs/results.md
+
+FOLDER holds new results (runs/experiments, runs/faults or runs/soak), or is docs/results, to write the page anew.
 
 Numbers, spreads, versions and commands come from the experiments' JSON, of which compressed copies are kept beside
-the page; a test makes each of their sections anew. Sections of experiments that are not in the folder stay as they are,
-and so do sections of any other title: written by hand, they stay before or behind those of the experiments.
+the page. The page shows the results of FOLDER and, for other experiments, the copies; the README gets the page's first
+table. Sections of other titles are written by hand: they stay before or behind those of the experiments.
 """
 
 from __future__ import annotations
@@ -12,12 +14,14 @@ from __future__ import annotations
 import base64
 import gzip
 import html
+import re
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from shmoo_mjx.evaluation import faults, soak
 from shmoo_mjx.evaluation.page_sections import SECTIONS, Section
+from shmoo_mjx.evaluation.page_summary import summary
 from shmoo_mjx.evaluation.registry import EXPERIMENTS
 from shmoo_mjx.evaluation.result import ExperimentResult, as_json, read_result, same_weights
 from shmoo_mjx.files import write_whole
@@ -28,6 +32,8 @@ RELIABILITY = {
     "soak": ("Soak", "Errand after errand in one building while others move objects.", soak.summary),
 }
 """Title, what was done, and the table of what ``shmoo faults`` and ``shmoo soak`` write."""
+
+_IN_README = re.compile(r"(?<=<!-- results -->\n).*?(?=<!-- end -->)", re.DOTALL)
 
 
 def read_results(folder: Path) -> dict[str, ExperimentResult]:
@@ -50,7 +56,8 @@ def render(results: Mapping[str, ExperimentResult], figures: Mapping[str, list[s
     made |= {title for name, (title, *_) in RELIABILITY.items() if name in results}
     first = next((i for i, title in enumerate(titles) if title in made), len(titles))
     written = [(i < first, f"## {title}\n\n{kept[title]}") for i, title in enumerate(titles) if title not in made]
-    parts = ["# Results", _about(results), *(text for is_before, text in written if is_before)]
+    parts = ["# Results", _about(results), *([summary_table(results)] if summary(results) else [])]
+    parts += [text for is_before, text in written if is_before]
     for name, section in SECTIONS.items():
         if name in results:
             parts.append(section_of(results[name], figures.get(name, [])))
@@ -59,6 +66,22 @@ def render(results: Mapping[str, ExperimentResult], figures: Mapping[str, list[s
             parts.append(f"## {section.title}\n\n{kept.get(section.title, f'Not run. `{command}` measures it.')}")
     parts += [section_of(results[name], []) for name in RELIABILITY if name in results]
     return "\n\n".join([*parts, *(text for is_before, text in written if not is_before)]) + "\n"
+
+
+def summary_table(results: Mapping[str, ExperimentResult], commands: bool = True) -> str:
+    """The numbers that the page begins with, as Markdown; without ``commands`` as the README shows them."""
+    rows = [
+        [row.label, row.value, f"{row.trials:,}", row.paper]
+        + ([f"`{_command(results[row.experiment], SECTIONS[row.experiment])}`"] if commands else [])
+        for row in summary(results)
+    ]
+    return markdown_table(["measure", "here", "n", "paper", *(["command"] if commands else [])], rows)
+
+
+def with_summary(readme: str, results: Mapping[str, ExperimentResult]) -> str:
+    """The README with today's numbers between its comments ``<!-- results -->`` and ``<!-- end -->``."""
+    table = summary_table(results, commands=False)
+    return _IN_README.sub(lambda _: f"{table}\n", readme)
 
 
 def section_of(result: ExperimentResult, figures: Sequence[str]) -> str:
@@ -77,31 +100,44 @@ def section_of(result: ExperimentResult, figures: Sequence[str]) -> str:
 def write_page(results: Mapping[str, ExperimentResult], made_in: Path, page: Path, copies: Path | None = None) -> None:
     """Write ``page`` as Markdown, with the figures in ``made_in``, and as HTML beside it if these stay where they are.
 
-    With ``copies``, a folder apart from the run, figures are copied there and results into ``results`` beside the page.
+    With ``copies``, a folder apart from the run, figures are copied there and results into ``results`` beside the page;
+    the page then shows all results that are kept there, and the README one folder up gets its first table.
     """
-    shown = {name: SECTIONS[name].figures for name in results if name in SECTIONS}
-    found = {name: [p for p in (made_in / name / f for f in files) if p.is_file()] for name, files in shown.items()}
     page.parent.mkdir(parents=True, exist_ok=True)
-    named: dict[str, list[str]] = {}
-    for name, files in found.items():
-        if copies is not None:
-            copies.mkdir(parents=True, exist_ok=True)
-            kept = [copies / f"{name}_{f.name}" if f.stem != name else copies / f.name for f in files]
-            for source, target in zip(files, kept, strict=True):
-                write_whole(target, source.read_bytes())
-            files = kept
-        named[name] = [Path(f).resolve().relative_to(page.parent.resolve()).as_posix() for f in files]
-    before = ""
-    if copies is not None:
-        kept_results = page.parent / "results"
-        kept_results.mkdir(exist_ok=True)
-        for name, result in results.items():
-            write_whole(kept_results / f"{name}.json.gz", gzip.compress(as_json(result), mtime=0))
-        before = page.read_text() if page.is_file() else ""
-    text = render(results, named, before)
-    write_whole(page, text.encode())
     if copies is None:
+        named = {name: _named(page, [made_in / name / f for f in _figures(name)]) for name in results}
+        text = render(results, named)
+        write_whole(page, text.encode())
         write_whole(page.with_suffix(".html"), _as_html(text, page.parent).encode())
+        return
+    copies.mkdir(parents=True, exist_ok=True)
+    kept_results = page.parent / "results"
+    kept_results.mkdir(exist_ok=True)
+    for name, result in results.items():
+        for figure, kept in zip(_figures(name), kept_figures(name, copies), strict=True):
+            if (source := made_in / name / figure).is_file():
+                write_whole(kept, source.read_bytes())
+        write_whole(kept_results / f"{name}.json.gz", gzip.compress(as_json(result), mtime=0))
+    results = read_results(kept_results)
+    before = page.read_text() if page.is_file() else ""
+    named = {name: _named(page, kept_figures(name, copies)) for name in results}
+    write_whole(page, render(results, named, before).encode())
+    if (readme := page.parent.parent / "README.md").is_file():
+        write_whole(readme, with_summary(readme.read_text(), results).encode())
+
+
+def kept_figures(name: str, copies: Path) -> list[Path]:
+    """Where the copies of an experiment's figures are, or would be."""
+    return [copies / (f if Path(f).stem == name else f"{name}_{f}") for f in _figures(name)]
+
+
+def _figures(name: str) -> tuple[str, ...]:
+    return SECTIONS[name].figures if name in SECTIONS else ()
+
+
+def _named(page: Path, figures: Sequence[Path]) -> list[str]:
+    """The figures that are there, as the page names them."""
+    return [f.resolve().relative_to(page.parent.resolve()).as_posix() for f in figures if f.is_file()]
 
 
 def _reliability(result: ExperimentResult) -> str:
@@ -116,13 +152,17 @@ def _reliability(result: ExperimentResult) -> str:
 def _about(results: Mapping[str, ExperimentResult]) -> str:
     if not results:
         return "Nothing has been run."
-    versions = {k: v for r in results.values() for k, v in r.versions.items()}
+    found: dict[str, set[str]] = {}
+    for result in results.values():
+        for name, version in result.versions.items():
+            found.setdefault(name, set()).add(version)
     quick = sorted(name for name, r in results.items() if r.config.get("quick"))
     lines = [
-        "Measured in simulation, on objects and scenarios outside the training seeds; the real pushes are others' "
-        "recordings. Numbers after ± are standard deviations over seeds. The paper's numbers come from its own "
-        "simulator, objects and robot.",
-        "Versions: " + ", ".join(f"{k} {v}" for k, v in versions.items()) + ".",
+        "All numbers come from simulation, except the section on recorded pushes. Objects and scenarios are drawn from "
+        "seeds that training does not use. Numbers in brackets are 95 % intervals: bootstrap intervals over trials for "
+        "differences, Wilson intervals for rates. Numbers after ± are standard deviations over seeds. The paper's "
+        "numbers come from its own simulator, objects and robot.",
+        "Versions: " + ", ".join(f"{name} {' and '.join(sorted(v))}" for name, v in found.items()) + ".",
     ]
     if quick:
         lines.append(f"**Short form (--quick), for the shape of the page only:** {', '.join(quick)}.")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import everything, page
+from shmoo_mjx.evaluation.page_summary import summary
 from shmoo_mjx.evaluation.registry import EXPERIMENTS
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result, read_result
 
@@ -110,17 +112,58 @@ def test_sections_written_by_hand_stay_where_they_are() -> None:
     assert page.render({}, {}, text).count("## Caveats") == 1
 
 
-def test_the_committed_page_says_what_the_committed_results_say() -> None:
-    docs = Path(__file__).parents[2] / "docs"
-    text = (docs / "results.md").read_text()
-    results = page.read_results(docs / "results")
-    assert results
-    for name, result in results.items():
-        title = page.RELIABILITY[name][0] if name in page.RELIABILITY else page.SECTIONS[name].title
-        shown = text[text.index(f"## {title}") :].split("\n## ")[0]
-        figures = re.findall(r"\]\((figures/.+)\)", shown)
-        assert all((docs / figure).is_file() for figure in figures)
-        assert page.section_of(result, figures) in text, f"{name}: make docs/results.md anew"
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+def test_the_committed_page_and_readme_are_those_of_the_committed_results(tmp_path: Path) -> None:
+    results = page.read_results(DOCS / "results")
+    assert len(results) > 5
+    docs = tmp_path / "docs"
+    shutil.copytree(DOCS / "figures", docs / "figures")
+    for name in ("docs/results.md", "README.md"):
+        shutil.copy(DOCS.parent / name, tmp_path / name)
+    page.write_page(results, DOCS / "results", docs / "results.md", docs / "figures")
+    for name in ("docs/results.md", "README.md"):
+        remedy = f"{name}: run python -m shmoo_mjx.evaluation.page docs/results docs/results.md"
+        assert (tmp_path / name).read_text() == (DOCS.parent / name).read_text(), remedy
+
+
+def test_the_summary_shows_at_most_ten_numbers_and_skips_what_was_not_measured() -> None:
+    results = page.read_results(DOCS / "results")
+    rows = summary(results)
+    assert 5 < len(rows) <= 10 and all(row.trials > 0 for row in rows)
+    pushing = results["pushing"]
+    fewer = {name: v for name, v in pushing.metrics.items() if not name.startswith("difference_frozen_prior")}
+    alone = summary({"pushing": pushing.model_copy(update={"metrics": fewer | {"offset_median_m": None}})})
+    assert [row.label for row in alone] == ["Success rate of pushing to a pose"]
+    assert not summary({}) and not summary({"lifelong": results["lifelong"]})
+
+
+def test_the_summary_gives_values_with_intervals() -> None:
+    navigation = {
+        "success_rate": 0.9,
+        "scenarios": 100.0,
+        "difference_always_avoid_success": 0.125,
+        "difference_always_avoid_success_low": -0.034,
+        "difference_always_avoid_success_high": 0.2,
+        "difference_always_avoid_success_pairs": 80.0,
+    }
+    pushing = {"trials": 30.0, "offset_m": 0.1, "offset_median_m": 0.054}
+    paper = {"offset_goal1_m": 0.1, "offset_goal2_m": 0.12, "offset_goal3_m": 0.14}
+    results = {
+        "navigation": make_result("navigation", ExperimentOptions(), {}, navigation, {}, []),
+        "pushing": make_result("pushing", ExperimentOptions(), {}, pushing, paper, []),
+    }
+    # Wilson's interval of 90 in 100 is 0.826 to 0.945.
+    assert [row[2:] for row in summary(results)] == [
+        ("90 % (83 to 94)", 100, ""),
+        ("+12 points (-3.4 to 20)", 80, ""),
+        ("10 cm (median 5.4 cm)", 30, "12 cm"),
+    ]
+    readme = "# A\n\n<!-- results -->\nold\n<!-- end -->\n\nkept\n"
+    text = page.with_summary(readme, results)
+    assert "old" not in text and text.endswith("<!-- end -->\n\nkept\n") and "+12 points" in text
+    assert page.with_summary(text, results) == text and "`shmoo" in page.summary_table(results)
 
 
 def test_faults_and_soak_have_their_tables_on_the_page(tmp_path: Path) -> None:
