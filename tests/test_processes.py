@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import signal
 import subprocess
@@ -62,3 +63,16 @@ def test_workers_of_a_killed_process_end(tmp_path: Path, how: signal.Signals) ->
 def test_an_error_in_a_worker_comes_through() -> None:
     with pytest.raises(ValueError, match="this one"), process_pool(1) as pool:
         pool.submit(_fail, "this one").result()
+
+
+def test_every_pool_spawns_its_workers() -> None:
+    """A forked process waits for ever for JAX's locks, if JAX has computed in its parent."""
+    root = Path(__file__).resolve().parents[1]
+    for source in (path for top in ("shmoo_mjx", "examples", "benchmarks") for path in (root / top).rglob("*.py")):
+        for node in ast.walk(ast.parse(source.read_text(encoding="utf-8"))):
+            call = ast.unparse(node) if isinstance(node, ast.Call) else ""
+            name = call.partition("(")[0].rpartition(".")[2]
+            if name == "get_context":
+                assert call.endswith("get_context('spawn')"), f"{source}: {call}"
+            if name in ("ProcessPoolExecutor", "Pool"):
+                assert "get_context('spawn')" in call or "mp_context=context" in call, f"{source}: {call}"
