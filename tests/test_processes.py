@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import signal
 import subprocess
@@ -104,3 +105,16 @@ def test_environments_in_processes_run_or_say_why_they_can_t(tmp_path: Path, liv
         assert done.returncode == 1 and "ShmooError" in last and "vector_kwargs={'context': 'spawn'}" in last
     else:
         assert done.returncode == 0 and "seen (2, 27)" in done.stdout
+
+
+def test_every_pool_spawns_its_workers() -> None:
+    """A forked process waits for ever for JAX's locks, if JAX has computed in its parent."""
+    root = Path(__file__).resolve().parents[1]
+    for source in (path for top in ("shmoo_mjx", "examples", "benchmarks") for path in (root / top).rglob("*.py")):
+        for node in ast.walk(ast.parse(source.read_text(encoding="utf-8"))):
+            call = ast.unparse(node) if isinstance(node, ast.Call) else ""
+            name = call.partition("(")[0].rpartition(".")[2]
+            if name == "get_context":
+                assert call.endswith("get_context('spawn')"), f"{source}: {call}"
+            if name in ("ProcessPoolExecutor", "Pool"):
+                assert "get_context('spawn')" in call or "mp_context=context" in call, f"{source}: {call}"
