@@ -14,6 +14,8 @@ from shmoo_mjx.guard import protected
 
 _OUTPUTS = ("out", "json", "record", "directory")
 """Parameters of commands that name what is written; every other path is read."""
+_FOLDERS = ("maps",)
+"""Parameters of commands that name a folder whose YAML files are read, wherever below it they lie."""
 
 
 def with_inputs_kept(command: Callable[..., int]) -> Callable[..., int]:
@@ -23,8 +25,8 @@ def with_inputs_kept(command: Callable[..., int]) -> Callable[..., int]:
     @functools.wraps(command)
     def run(*arguments: Any, **options: Any) -> int:
         given = signature.bind(*arguments, **options).arguments
-        read = [value for name, value in given.items() if name not in _OUTPUTS]
-        with protected(files_read(read)):
+        read = {name: value for name, value in given.items() if name not in _OUTPUTS}
+        with protected(files_read(value for name, value in read.items() if name in _FOLDERS or _is_file(value))):
             return command(*arguments, **options)
 
     return run
@@ -44,6 +46,11 @@ def files_read(values: Iterable[Any]) -> set[Path]:
                     if _is_yaml(name):
                         _add(Path(folder, name), found)
     return found
+
+
+def _is_file(value: Any) -> bool:
+    """Whether it names no folder: to look through any folder that somebody names, a home say, would take minutes."""
+    return not (isinstance(value, Path) and value.is_dir())
 
 
 def _add(file: Path, found: set[Path]) -> None:
