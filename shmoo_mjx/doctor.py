@@ -85,11 +85,12 @@ def _encoder() -> Check:
 def _weights() -> Check:
     from shmoo_mjx.assets import WEIGHTS, asset
     from shmoo_mjx.errors import ShmooError
-    from shmoo_mjx.learning.weights import load_weights
 
     path = asset(WEIGHTS)
     remedy = "reinstall, or make them anew: shmoo collect, shmoo train (docs/models.md)"
     try:
+        from shmoo_mjx.learning.weights import load_weights
+
         made_by = load_weights(path).info.get("made_by", {})
     except ShmooError as error:
         return Check("shipped weights", False, str(error), remedy)
