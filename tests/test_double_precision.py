@@ -149,7 +149,7 @@ def sweep(folder: Path) -> Any:
 ENTRIES: dict[str, Callable[[Path], Any]] = {
     f.__name__: f for f in (mjx_engine, vector_env, fit, push, plan, robot_training, demo, sweep)
 }
-SLOW = ("mjx_engine", "vector_env", "robot_training", "demo", "sweep")
+SLOW = ("mjx_engine", "vector_env", "fit", "push", "robot_training", "demo", "sweep")
 
 
 def numbers(tree: Any) -> list[float]:

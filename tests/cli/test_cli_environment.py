@@ -51,7 +51,7 @@ def test_without_graphics_the_doctor_says_so_and_is_content(tmp_path: Path) -> N
     assert done.returncode == 0 and "note  3-D renderer: MUJOCO_GL is disable" in done.stdout
 
 
-@pytest.mark.parametrize("package", ["flax", "orbax"])
+@pytest.mark.parametrize("package", ["flax", pytest.param("orbax", marks=pytest.mark.slow)])
 def test_the_doctor_finds_what_training_lacks(tmp_path: Path, package: str) -> None:
     """As a version of the package does that is too old for JAX."""
     (tmp_path / package).mkdir()
@@ -62,6 +62,7 @@ def test_the_doctor_finds_what_training_lacks(tmp_path: Path, package: str) -> N
     assert package in done.stdout.partition("FAIL  training")[2].splitlines()[1]
 
 
+@pytest.mark.slow
 def test_the_doctor_says_what_training_has(tmp_path: Path) -> None:
     done = shmoo("doctor", tmp_path)
     assert done.returncode == 0 and "ok    training: flax " in done.stdout
