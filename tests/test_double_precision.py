@@ -125,7 +125,8 @@ def demo(folder: Path) -> Any:
 
     assert run_demo(range(1), folder, None, False, "real") == 0
     trace = load_trace(folder / "demo-0" / "trace.npz")
-    return trace.robot_pose[::20], trace.object_pose[::20]
+    # Until the first contact, from which on the last bits grow.
+    return trace.robot_pose[:80:10], trace.object_pose[:80:10]
 
 
 def sweep(folder: Path) -> Any:

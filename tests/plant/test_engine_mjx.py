@@ -38,6 +38,7 @@ def _parity(family: str | None, seeds: tuple[int, ...], samples: int, arms_out: 
         # With the scene's 20 line-search iterations C stops short of the solution where the ball's dry friction sticks:
         # 3 mm and 0.8 N off after 1 s, by its own solution with 50, which MJX agrees with.
         reference.model.opt.ls_iterations = 50
+        reference.model.opt.enableflags = 0  # MJX knows no sleep
     plain = MujocoEngine(references)
     traced = MjxEngine([_scene(family, s, "mjx") for s in seeds])
     world = plain.init()
