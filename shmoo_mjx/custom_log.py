@@ -1,7 +1,7 @@
 """A recording of somebody's own robot, as a run that the report draws: what is learned of the object, and verdicts.
 
 The same identification and the same probability as on the robot, sample by sample: a sample tells nothing of what
-comes after it. Only twists are found with hindsight, by a parabola through the poses of 0.15 s before and after.
+comes after it. Only twists use later poses: a parabola is fitted to the poses of 0.15 s before and after.
 """
 
 from __future__ import annotations
@@ -175,8 +175,8 @@ def run_of_log(log: Log, half_extents: tuple[float, float], weights: Weights) ->
 def _learned(
     log: Log, half_extents: tuple[float, float], weights: Weights
 ) -> tuple[np.ndarray, tuple[str, ...], dict[str, float], dict[str, float]]:
-    """What is known after each sample ``[T, n]``, the names, the prior, and how much of the accelerations is left
-    unexplained by the prior and by what each sample's forerunners have taught; nothing if none is known."""
+    """What is known after each sample ``[T, n]``, the names, the prior, and which share of the accelerations is left
+    unexplained by the prior and by the estimate from all earlier samples; empty if nothing was learned."""
     config, params = adaptation.AdaptConfig(), weights.params.object
     yaw = log.object_pose[:, 2]
     twist, wrench = se2.rotate(log.object_twist, -yaw), se2.rotate(log.wrench, -yaw)

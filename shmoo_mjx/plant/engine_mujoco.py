@@ -236,7 +236,7 @@ class MujocoEngine:
         """Model and scratch memory of world ``index`` in this state: of many walls, with those alone that are near."""
         scene, kept = self.scenes[index], self._stages[index]
         places = state[1 + np.concatenate([[0], scene.object_qpos])[:, None] + [0, 1]]
-        many = len(scene.walls) > _FEW_WALLS
+        many = len(scene.walls) > _FEW_WALLS and scene.spec is not None
         cells = np.round(places / _CELL) if many else np.zeros(0)
         key = cells.tobytes()
         if key not in kept:

@@ -85,8 +85,7 @@ class Scene:
             places: in {W} [m].
             reach: of each [m].
         """
-        if self.spec is None:
-            return self.model
+        assert self.spec is not None, "a copied scene has its whole model alone"
         spec = self.spec.copy()
         offset = se2.rotate(places[:, None] - self.walls[:, :2], np.array(-self.wall_yaw))
         apart = np.linalg.norm(np.maximum(np.abs(offset) - self.walls[:, 2:], 0.0), axis=-1)

@@ -105,11 +105,8 @@ def scenery_of(scenes: list[Scene]) -> Scenery:
     eyes = []
     for i, scene in enumerate(scenes):
         walls, model = scene.walls, scene.model
-        pose[i, : len(walls), :2], pose[i, : len(walls), 2], half[i, : len(walls)] = (
-            walls[:, :2],
-            scene.wall_yaw,
-            walls[:, 2:],
-        )
+        pose[i, : len(walls), :2], half[i, : len(walls)] = walls[:, :2], walls[:, 2:]
+        pose[i, : len(walls), 2] = scene.wall_yaw
         x, y, z = model.geom("robot/torso_camera").pos
         eyes.append((x, y, z + model.geom("robot/ball").size[0]))
     sizes = np.array([[c.size for c in s.conditions] for s in scenes], dtype=float).reshape(len(scenes), -1, 3)
