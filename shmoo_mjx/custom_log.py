@@ -19,13 +19,14 @@ from scipy.interpolate import make_interp_spline
 from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array
 from shmoo_mjx.data.differentiate import body_acceleration
-from shmoo_mjx.dynamics import contact_model, object_model
+from shmoo_mjx.dynamics import object_model
 from shmoo_mjx.dynamics.core import Params
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.files import write_whole
 from shmoo_mjx.guard import ARRAYS, HTML, RECORDING, check_folder
 from shmoo_mjx.hands import touches
-from shmoo_mjx.learning import adaptation, identification, online
+from shmoo_mjx.learning import online
+from shmoo_mjx.learning.estimate import EstimateConfig, Sighting
 from shmoo_mjx.learning.weights import Weights, prior_state
 from shmoo_mjx.log_table import OPTIONAL as OPTIONAL
 from shmoo_mjx.log_table import REQUIRED as REQUIRED
@@ -177,22 +178,28 @@ def _learned(
 ) -> tuple[np.ndarray, tuple[str, ...], dict[str, float], dict[str, float]]:
     """What is known after each sample ``[T, n]``, the names, the prior, and which share of the accelerations is left
     unexplained by the prior and by the estimate from all earlier samples; empty if nothing was learned."""
-    config, params = adaptation.AdaptConfig(), weights.params.object
-    yaw = log.object_pose[:, 2]
+    params, shape, yaw = weights.params, weights.config.object, log.object_pose[:, 2]
+    # Poses of a log have no age: those of the robot's own camera are late, and its arms weigh.
+    config = EstimateConfig(lag=0.0, force_bias=0.0)
+    learner = online.learner(shape, config)
     twist, wrench = se2.rotate(log.object_twist, -yaw), se2.rotate(log.wrench, -yaw)
     before = np.concatenate([np.zeros((1, 3)), twist[:-1]]), np.concatenate([np.zeros((1, 3)), wrench[:-1]])
-    size = np.full((len(log.t), 1), np.hypot(*half_extents))
-    inputs = np.concatenate([twist, wrench, before[0], size, before[1]], axis=-1)
+    size = np.full(len(log.t), np.hypot(*half_extents))
+    inputs = np.concatenate([twist, wrench, before[0], size[:, None], before[1]], axis=-1)
     labels = np.concatenate([body_acceleration(log.object_pose, log.object_twist), np.full((1, 3), np.nan)])
     moving = np.hypot(twist[:, 0], twist[:, 1]) > 0.03
     valid = (touches(log.wrench) | moving) & np.isfinite(inputs).all(axis=1)
-    start = prior_state(weights, config.contact)
-    rows = (np.nan_to_num(inputs).astype(np.float32), labels.astype(np.float32), valid)
-    learned, guesses, first = _sample_by_sample(config, weights.config.object, weights.params, start, rows)
-    use = valid & np.isfinite(labels).all(axis=1)
-    spread = np.sum((labels[use] / np.asarray(params.label_scale)) ** 2)
+    end = np.minimum(np.arange(len(log.t)) + 1, len(log.t) - 1)
+    known = np.isfinite(log.object_pose[end]).all(axis=1) & np.isfinite(log.object_twist[end]).all(axis=1)
+    poses, twists = np.nan_to_num(log.object_pose[end]), np.nan_to_num(log.object_twist[end])
+    seen = Sighting(poses, twists, np.zeros(len(end)), known, log.wrench, size)
+    start = prior_state(weights, config)
+    rows = online.Transition(np.nan_to_num(inputs).astype(np.float32), labels.astype(np.float32), valid, seen)
+    learned, guesses, first = _sample_by_sample(learner, shape, params, start, rows)
+    use, scale = valid & np.isfinite(labels).all(axis=1), np.asarray(params.object.label_scale)
+    spread = np.sum((labels[use] / scale) ** 2)
     errors = {
-        name: float(np.sum(((np.asarray(p)[use] - labels[use]) / np.asarray(params.label_scale)) ** 2) / spread)
+        name: float(np.sum(((np.asarray(p)[use] - labels[use]) / scale) ** 2) / spread)
         for name, p in (("prior", first), ("learned", guesses))
         if spread > 0
     }
@@ -202,28 +209,26 @@ def _learned(
 
 @partial(jax.jit, static_argnums=(0, 1))
 def _sample_by_sample(
-    config: adaptation.AdaptConfig,
+    learner: online.Learner,
     shape: object_model.ObjectConfig,
     params: Params,
-    start: adaptation.AdaptState,
-    rows: tuple[Array, Array, Array],
+    start: online.Known,
+    rows: online.Transition,
 ) -> tuple[Array, Array, Array]:
-    """What is known after each of the ``rows`` (inputs, label, valid), and the acceleration that was predicted before
-    each by what was known then, and by ``start``."""
+    """What is known after each of the ``rows``, and the acceleration that was predicted before each by what was known
+    then, and by ``start``."""
 
-    def predicted(state: adaptation.AdaptState, x: Array) -> Array:
-        coefficients = state.mean.reshape(params.coefficients.shape)
-        return object_model.predict(params.object, coefficients, x, shape, online.contact_of(state))
+    def predicted(known: Any, x: Array) -> Array:
+        own = learner.params_for_rollout(known, params)
+        return object_model.predict(own.object, own.coefficients, x, shape, own.contact)
 
-    def step(state: adaptation.AdaptState, sample: Any) -> tuple[adaptation.AdaptState, tuple[Array, Array]]:
-        x, label, use = sample
-        guess = predicted(state, x)
-        state = online.observe(config, state, params.object, shape, x, label, use)
-        told = state.mean if state.contact is None else identification.best(state.contact)
-        return state, (told, guess)
+    def step(known: Any, sample: online.Transition) -> tuple[Any, tuple[Array, Array]]:
+        guess = predicted(known, sample.inputs)
+        known = learner.adapt(known, params, sample)
+        return known, (online.told(known), guess)
 
     _, (learned, guesses) = jax.lax.scan(step, start, rows)
-    return learned, guesses, jax.vmap(partial(predicted, start))(rows[0])
+    return learned, guesses, jax.vmap(partial(predicted, start))(rows.inputs)
 
 
 def _doubts(log: Log, learned: dict[str, float]) -> list[str]:
@@ -238,7 +243,7 @@ def _doubts(log: Log, learned: dict[str, float]) -> list[str]:
             f"The hands do {work:.1f} J of work on the object, so the force points against its motion: it must be that "
             "of the hands on the object, in the frame of the poses."
         )
-    mass = float(np.exp(learned.get("log_mass", 0.0)))
+    mass = learned.get("mass", 1.0)
     if not _MASSES[0] <= mass <= _MASSES[1]:
         found.append(f"A mass of {mass:.3g} kg is not plausible: check units, sign and frame of the forces.")
     return found
@@ -301,15 +306,17 @@ def _summary(
         sentences.append("No push was long enough for a verdict: 1 s of contact, or 0.1 m.")
     if _moved(log) < _TOLD:
         return " ".join([*sentences, f"It moved less than {_TOLD:g} m, too little to tell its mass and friction."])
-    if "log_mass" in prior:
-        now = dict(zip(names, learned, strict=True))
+    if "mass" in prior:
         (along, across, mass), before = (
-            (*contact_model.resistance(of).values(), float(np.exp(of["log_mass"]))) for of in (now, prior)
+            [
+                f"{of[name]:.3g} {unit} ({of[f'{name}_low']:.3g} to {of[f'{name}_high']:.3g})"
+                for name, unit in (("friction_x", "N"), ("friction_y", "N"), ("mass", "kg"))
+            ]
+            for of in (dict(zip(names, learned, strict=True)), prior)
         )
         sentences.append(
-            f"Friction holds it with up to {along:.0f} N along and {across:.0f} N across, and it moves like {mass:.1f} "
-            f"kg, which slow pushes hardly tell; before it was touched, {before[0]:.0f} N, {before[1]:.0f} N and "
-            f"{before[2]:.1f} kg were expected."
+            f"Friction holds it with up to {along} along and {across} across, and it moves like {mass}; in brackets "
+            f"the 80 % bands. Before it was touched, {before[0]}, {before[1]} and {before[2]} were expected."
         )
     if errors:
         sentences.append(

@@ -80,7 +80,7 @@ def push(folder: Path) -> Any:
             planned += task.phase == "push"
     assert task.segment is not None and task.segment.push is not None
     state = task.segment.push.pusher
-    return seen.object_pose, seen.robot_pose, state.plan.nominal, state.adapt.contact.found, pusher.coast(state)
+    return seen.object_pose, seen.robot_pose, state.plan.nominal, state.adapt.parameters, pusher.coast(state)
 
 
 def plan(folder: Path) -> Any:

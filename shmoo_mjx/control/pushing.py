@@ -26,6 +26,8 @@ from shmoo_mjx.dynamics import contact_model, core, features, object_model
 from shmoo_mjx.faces import faces_of
 from shmoo_mjx.hands import touches
 from shmoo_mjx.learning import adaptation, online
+from shmoo_mjx.learning.estimate import EstimateConfig, Sighting
+from shmoo_mjx.learning.online import Known, Transition
 from shmoo_mjx.learning.weights import Weights, prior_state
 from shmoo_mjx.types import DT, SystemState
 
@@ -64,7 +66,10 @@ class PushConfig:
         overspeed_weight=15.0,
         speed_limit=0.25,
     )
+    estimate: EstimateConfig = EstimateConfig()
+    """How contact parameters are learned (`online.Posterior`)."""
     adapt: adaptation.AdaptConfig = field(default_factory=adaptation.AdaptConfig)
+    """How a psi without contact model learns (`online.Printed`)."""
     adapts: bool = True
     """False leaves what is known of the object as it is, for comparison."""
     governor: GovernorConfig = GovernorConfig()
@@ -89,7 +94,7 @@ _STILL = ObjectObservation(_ZERO, _ZERO, _FLAT, _FLAT, np.array([0.9, 0.0, 0.0])
 class ControllerState(NamedTuple):
     """State of one push."""
 
-    adapt: adaptation.AdaptState
+    adapt: Known
     plan: mppi.MppiState
     before: SystemState
     """State one sample ago, with the memory it had then."""
@@ -99,21 +104,11 @@ class ControllerState(NamedTuple):
     """Lean that the governor grants for lagging behind [rad]."""
 
 
-class _Transition(NamedTuple):
-    """What is learned from: the sample that just ended."""
-
-    inputs: Float[Array, "13"]
-    """Inputs of psi at its start, measured wrench included."""
-    label: Float[Array, "3"]
-    """Measured acceleration in {O}."""
-    valid: Scalar
-
-
 class _Given(NamedTuple):
     """What a step is given of the world: some seventy numbers, which reach the compiled step as one array."""
 
     system: SystemState
-    transition: _Transition
+    transition: Transition
     goal: Float[Array, "3"]
     half_extents: Float[Array, "2"]
     lean: Float[Array, "2"]
@@ -148,10 +143,10 @@ class PushController:
         face: Float[Array, "4"],
         half_extents: Float[Array, "2"],
         key: Key[Array, ""],
-        adapt: adaptation.AdaptState | None = None,
+        adapt: Known | None = None,
     ) -> ControllerState:
         """Start a push on ``face``; ``adapt`` carries over what was learned of this object before."""
-        adapt = adapt or prior_state(self.weights, self.config.adapt.contact)
+        adapt = adapt or prior_state(self.weights, self.config.estimate, jax.random.fold_in(key, 3))
         state = start(self.config, adapt, obs, face, half_extents, key)
         # Placed as what `step` gives back is: it would else be compiled for either.
         adapt, plan = sharding.replicated(self._mesh, (state.adapt, state.plan))
@@ -236,7 +231,7 @@ class PushController:
 @single_precision
 def start(
     config: PushConfig,
-    adapt: adaptation.AdaptState,
+    adapt: Known,
     obs: ObjectObservation,
     face: Float[Array, "4"],
     half_extents: Float[Array, "2"],
@@ -247,7 +242,9 @@ def start(
     felt = se2.rotate(obs.wrench, -obs.object_pose[2])  # while contact was made
     before = _system_state(obs, zero, felt, zero[:2], zero, face, half_extents)
     xp = se2.array_module(obs.wrench)
-    return ControllerState(adapt, mppi.init(config.control, key), before, xp.asarray(obs.detected), xp.zeros(()))
+    return ControllerState(
+        online.relocated(adapt), mppi.init(config.control, key), before, xp.asarray(obs.detected), xp.zeros(())
+    )
 
 
 @single_precision
@@ -306,7 +303,7 @@ def _given(
 
 def _perceive(
     config: PushConfig, state: ControllerState, obs: ObjectObservation, last_u: Array, half_extents: Array
-) -> tuple[SystemState, _Transition]:
+) -> tuple[SystemState, Transition]:
     before, xp = state.before, se2.array_module(obs.wrench)
     twist_before = se2.rotate(before.object_twist, -before.object_pose[2])
     wrench = se2.rotate(obs.wrench, -before.object_pose[2])
@@ -317,9 +314,12 @@ def _perceive(
     label = se2.rotate((obs.object_twist - before.object_twist) / DT, -before.object_pose[2])
     # A pose that was carried on, now or a sample ago, says nothing about the object.
     measured = xp.asarray(obs.detected) & xp.asarray(state.detected)
-    valid = xp.asarray(config.adapts & touches(obs.wrench) & measured)
+    valid = xp.asarray(touches(obs.wrench) & measured)
+    seen = Sighting(
+        obs.object_pose, obs.object_twist, xp.asarray(obs.age), xp.asarray(obs.detected), obs.wrench, before.size
+    )
     system = _system_state(obs, twist_before, wrench, force, last_u, before.face, half_extents)
-    return system, _Transition(_f32(inputs), _f32(label), valid)
+    return system, Transition(_f32(inputs), _f32(label), valid, seen)
 
 
 def _governor(
@@ -370,9 +370,8 @@ def _system_state(
     return SystemState(*(_f32(v) for v in values))
 
 
-def _with_coefficients(params: core.Params, adapt: adaptation.AdaptState) -> core.Params:
-    coefficients = adapt.mean.reshape(params.coefficients.shape)
-    return params._replace(coefficients=coefficients, contact=online.contact_of(adapt))
+def _learner(config: PushConfig, core_config: Any) -> online.Learner:
+    return online.learner(core_config.object, config.estimate, config.adapt)
 
 
 def _functions(
@@ -399,13 +398,15 @@ def _adapt_and_plan(
     core_config: Any,
     mesh: Any,
     params: core.Params,
-    adapt: adaptation.AdaptState,
+    adapt: Known,
     plan_state: mppi.MppiState,
     given: _Given,
     around: LocalDistanceField | None,
-) -> tuple[Array, adaptation.AdaptState, mppi.MppiState, mppi.Plan]:
-    adapt = online.observe(config.adapt, adapt, params.object, core_config.object, *given.transition)
-    params = _with_coefficients(params, adapt)
+) -> tuple[Array, Known, mppi.MppiState, mppi.Plan]:
+    learner = _learner(config, core_config)
+    if config.adapts:
+        adapt = learner.adapt(adapt, params, given.transition)
+    params = learner.params_for_rollout(adapt, params)
     rollout_fn, cost_fn = _functions(config, core_config, params, given.goal, around, given.half_extents, given.lean)
     plan_state = plan_state._replace(last_u=given.system.last_u)
     u, plan_state, plan = mppi.plan(config.control, rollout_fn, cost_fn, given.system, plan_state, mesh)
@@ -417,7 +418,7 @@ def _planning_rollouts(
     core_config: Any,
     mesh: Any,
     params: core.Params,
-    adapt: adaptation.AdaptState,
+    adapt: Known,
     plan_state: mppi.MppiState,
     system: SystemState,
     goal: Array,
@@ -427,7 +428,8 @@ def _planning_rollouts(
     longer = replace(config.control, horizon=_PLANNING_HORIZON)
     extra = _PLANNING_HORIZON - config.control.horizon
     nominal = jnp.concatenate([plan_state.nominal, jnp.repeat(plan_state.nominal[-1:], extra, axis=0)])
-    rollout_fn, cost_fn = _functions(config, core_config, _with_coefficients(params, adapt), goal, around, half_extents)
+    params = _learner(config, core_config).params_for_rollout(adapt, params)
+    rollout_fn, cost_fn = _functions(config, core_config, params, goal, around, half_extents)
     # Not 0 or 1: those are the keys that the next plan splits this one into.
     key = jax.random.fold_in(plan_state.key, 2)
     plan = mppi.update(longer, rollout_fn, cost_fn, system, nominal, plan_state.last_u, key, mesh)
@@ -436,10 +438,10 @@ def _planning_rollouts(
 
 @single_precision
 def coast(
-    config: PushConfig, core_config: Any, params: core.Params, adapt: adaptation.AdaptState, state: SystemState
+    config: PushConfig, core_config: Any, params: core.Params, adapt: Known, state: SystemState
 ) -> Float[Array, "3"]:
     """Pose in {W} at which the object comes to rest without a force; it slows down, and never turns back."""
-    params = _with_coefficients(params, adapt)
+    params = _learner(config, core_config).params_for_rollout(adapt, params)
 
     def free(inputs: Array) -> Array:
         # Where it comes to rest is for dry friction to say: the contact model has it, and psi a comes close to it only.

@@ -19,7 +19,7 @@ from shmoo_mjx.control.governor import GovernorConfig, forward_lean
 from shmoo_mjx.control.observation import LocalDistanceField, ObjectObservation
 from shmoo_mjx.control.pushing import PushConfig
 from shmoo_mjx.hands import REACH
-from shmoo_mjx.learning.adaptation import AdaptState
+from shmoo_mjx.learning.online import Known
 from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
 
 # Gains, tuned on objects of the development seeds.
@@ -42,7 +42,7 @@ class QuasiStaticState(NamedTuple):
 
     face: Float[np.ndarray, "4"]
     pose: Float[np.ndarray, "3"]
-    adapt: AdaptState | None
+    adapt: Known | None
     more: Scalar
     """Lean that the governor grants for lagging behind [rad]."""
 
@@ -59,7 +59,7 @@ class QuasiStaticPusher:
         face: Float[Array, "4"],
         half_extents: Float[Array, "2"] | None,
         key: Key[Array, ""] | None,
-        adapt: AdaptState | None = None,
+        adapt: Known | None = None,
     ) -> QuasiStaticState:
         """Start a push on ``face``."""
         return QuasiStaticState(np.asarray(face), obs.object_pose, adapt, np.zeros(()))

@@ -5,71 +5,92 @@ friction. Here it is sharp: each point holds or slips by Coulomb's law, solved i
 Friction that sets in gradually with speed would let an object creep that is pushed below its break-away force, and
 whoever fits such a model to data makes up for it with a hundredfold mass.
 
-A push at the height of the hands loads the far points and relieves the near ones, which turns the object. Points may
-grip more along one axis (wheels that do not swivel) and more at one end or corner (a locked wheel).
+A push at the height of the hands loads the far points and relieves the near ones, which turns the object. Each point
+has friction of its own along x and along y of {O}: a wheel rolls along x and grips along y, a locked wheel grips along
+both, a free caster along neither.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float
 from shmoo_mjx.dynamics import features
 from shmoo_mjx.hands import HAND_HEIGHT
 from shmoo_mjx.types import DT
 
-PARAMETERS: dict[str, tuple[float, float]] = {
-    "log_mass": (2.5, 1.0),
-    "log_gyration": (-0.5, 0.3),
-    "centre_x": (0.0, 0.15),
-    "centre_y": (0.0, 0.15),
-    "log_friction_x": (-2.0, 1.5),
-    "log_friction_y": (-2.0, 1.5),
-    "grip_x": (0.0, 0.4),
-    "grip_y": (0.0, 0.4),
-    "log_foot_x": (-0.5, 0.3),
-    "log_foot_y": (-0.5, 0.3),
-    "feet_x": (0.0, 0.15),
-    "feet_y": (0.0, 0.15),
-}
-"""Parameters of the model, each with a first guess and how far that may be off.
+POINTS = {"front_left": (1.0, 1.0), "front_right": (1.0, -1.0), "rear_left": (-1.0, 1.0), "rear_right": (-1.0, -1.0)}
+"""The four points, and where each lies along x and y of {O} from the middle of them, in half distances."""
 
-Mass [log kg]; friction coefficients along x and y of {O} [log]; by how much their logarithm grows from the middle to
-the front and left points; all else over half the diagonal of the footprint: radius of gyration [log], centre of mass,
-half distances of the points [log], and the point in the middle of them."""
+GUESS: dict[str, float] = {
+    "log_mass": 3.0,
+    "log_gyration": -0.7,
+    "centre_x": 0.0,
+    "centre_y": 0.0,
+    "log_foot_x": -0.5,
+    "log_foot_y": -0.5,
+    "feet_x": 0.0,
+    "feet_y": 0.0,
+    **{f"log_friction_{axis}_{point}": -2.0 for axis in "xy" for point in POINTS},
+}
+"""Parameters of the model, each with a value for what nothing is known of.
+
+Mass [log kg]; friction coefficient of each point along x and y of {O} [log]; all else over half the diagonal of the
+footprint: radius of gyration [log], centre of mass, half distances of the points [log], and the point in the middle of
+them. Wheels that turn with the object's motion count as mass by their rotary inertia."""
+
+PARAMETERS = tuple(GUESS)
+"""Names of the parameters, in order."""
 
 GRAVITY = 9.81
 GAUSS_SEIDEL_ITERATIONS = 5
 """Projected Gauss-Seidel iterations over the four points: what one holds changes what the others have to hold."""
-POINTS = ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0))
 
 
-def guess() -> Float[Array, "12"]:
-    """The first guess of PARAMETERS."""
-    return jnp.array([first for first, _ in PARAMETERS.values()])
+def guess() -> Float[Array, "16"]:
+    """GUESS as an array."""
+    return jnp.array(list(GUESS.values()))
 
 
-def with_friction(parameters: Float[Array, "12"], shift: float) -> Float[Array, "12"]:
+def with_friction(parameters: Float[Array, "16"], shift: float) -> Float[Array, "16"]:
     """The parameters with ``shift`` added to the logarithms of its friction."""
     return parameters + shift * np.array([name.startswith("log_friction") for name in PARAMETERS], np.float32)
 
 
-def resistance(named: Mapping[str, Any]) -> dict[str, Any]:
-    """Greatest friction along x and y of {O} [N], for parameters by name (numbers or arrays of any shape). A slow push
-    tells this product of mass and friction, and neither of the two."""
-    return {f"along {axis}": GRAVITY * np.exp(named["log_mass"] + named[f"log_friction_{axis}"]) for axis in "xy"}
+def resistance(parameters: Float[Array, "... 16"]) -> Float[Array, "... 2"]:
+    """Friction against straight motion along x and y of {O} [N]: each point's share of the weight times its friction.
+
+    A slow push tells this product of mass and friction, and neither of the two.
+    """
+    xp = se2.array_module(parameters)
+    named = {name: parameters[..., i] for i, name in enumerate(PARAMETERS)}
+    weight = GRAVITY * xp.exp(named["log_mass"])
+    load_x, load_y = (
+        xp.clip((named[f"centre_{axis}"] - named[f"feet_{axis}"]) / xp.exp(named[f"log_foot_{axis}"]), -0.98, 0.98)
+        for axis in "xy"
+    )
+    return xp.stack(
+        [
+            sum(
+                weight / 4 * (1 + front * load_x) * (1 + left * load_y) * xp.exp(named[f"log_friction_{axis}_{point}"])
+                for point, (front, left) in POINTS.items()
+            )
+            for axis in "xy"
+        ],
+        axis=-1,
+    )
 
 
-def acceleration(parameters: Float[Array, "12"], inputs: Float[Array, "n ..."]) -> Float[Array, "3 ..."]:
+def acceleration(parameters: Float[Array, "16 ..."], inputs: Float[Array, "n ..."]) -> Float[Array, "3 ..."]:
     """Mean acceleration in {O} over a sample under the inputs' wrench, channels first.
 
     Args:
-        parameters: as PARAMETERS lists them.
+        parameters: as PARAMETERS lists them; of one object, or of as many as there are inputs.
         inputs: as OBJECT_INPUTS lists them; the last wrench may be left out.
     """
     where = features.slices(features.OBJECT_INPUTS)
@@ -87,14 +108,13 @@ def acceleration(parameters: Float[Array, "12"], inputs: Float[Array, "n ..."]) 
     tip = HAND_HEIGHT / (mass * GRAVITY)
     load_x = jnp.clip((tip * fx - mid_x) / half_x, -0.98, 0.98)
     load_y = jnp.clip((tip * fy - mid_y) / half_y, -0.98, 0.98)
-    rub_x, rub_y = jnp.exp(named["log_friction_x"]), jnp.exp(named["log_friction_y"])
     points = []
-    for front, left in POINTS:
+    for name, (front, left) in POINTS.items():
         lx, ly = mid_x + front * half_x, mid_y + left * half_y
         weight = DT * mass * GRAVITY / 4 * (1 + front * load_x) * (1 + left * load_y)
-        most = weight * jnp.exp(front * named["grip_x"] + left * named["grip_y"])
+        grip_x, grip_y = (weight * jnp.exp(named[f"log_friction_{axis}_{name}"]) for axis in "xy")
         stiffness = 1.0 / (inverse_mass + (lx**2 + ly**2) * inverse_inertia)
-        points.append((lx, ly, 1.0 / (most * rub_x), 1.0 / (most * rub_y), stiffness))
+        points.append((lx, ly, 1.0 / grip_x, 1.0 / grip_y, stiffness))
     # Twist of the centre of mass after the push alone; then the points take from it what they hold.
     pushed = (
         vx - spin * y + DT * inverse_mass * fx,

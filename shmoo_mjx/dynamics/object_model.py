@@ -43,6 +43,8 @@ class ObjectConfig:
     contact_model: bool = True
     """Inputs of psi include what the four-point Coulomb contact model (`contact_model`), identified online, predicts
     for the same push and, with ``last_wrench``, by how much it was wrong a sample ago; not in the paper."""
+    residual: bool = True
+    """False leaves out psi: the acceleration is what the contact model predicts, for comparison."""
     equivariant: bool = True
     """No preferred side by construction (`networks.EquivariantMLP`); not in the paper."""
 
@@ -148,6 +150,8 @@ def predict(
     contact: Float[Array, "p"],
 ) -> Float[Array, "... axes"]:
     """O of Eq. 3: acceleration in {O}."""
+    if not config.residual:
+        return jnp.moveaxis(contact_model.acceleration(contact, jnp.moveaxis(inputs, -1, 0)), 0, -1)
     return jnp.sum(basis(params, inputs, config, contact) * coefficients, axis=-1) * params.label_scale
 
 
@@ -185,6 +189,8 @@ def forward(
     fused: FusedObjectModel, inputs: Float[Array, "n_in ..."], config: ObjectConfig
 ) -> Float[Array, "axes ..."]:
     """What `predict` gives, with channels first."""
+    if not config.residual:
+        return contact_model.acceleration(fused.contact, inputs)
     seen = _seen(fused.label_scale, inputs, config, fused.contact)
     return fused.layers.forward(seen, config.activation)
 

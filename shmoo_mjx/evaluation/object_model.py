@@ -23,12 +23,12 @@ from shmoo_mjx.evaluation.object_model_figures import draw_curve, draw_roll_outs
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result, spread
 from shmoo_mjx.evaluation.trainings import QUICK, Trainings, TrainingsConfig, prepare, rows_of
 from shmoo_mjx.evaluation.trials import run_trials
-from shmoo_mjx.learning import adaptation, identification, online
-from shmoo_mjx.learning.adaptation import AdaptConfig
+from shmoo_mjx.learning import estimate
 from shmoo_mjx.learning.baselines import METHODS, Budget, Job, Recordings, first_samples, recordings
 from shmoo_mjx.learning.baselines.adaptive import from_fit, prior_of, trained
 from shmoo_mjx.learning.baselines.protocol import Context, Predictor, output_scale
 from shmoo_mjx.learning.daiml import DaimlConfig, ObjectFit
+from shmoo_mjx.learning.estimate import EstimateConfig
 from shmoo_mjx.plant.objects import draw_condition
 from shmoo_mjx.types import DT
 
@@ -47,8 +47,8 @@ class ObjectModelConfig(TrainingsConfig):
     """Of each training: that of the shipped psi."""
     fit_seconds: float = 25.0
     """Recording that a* is fitted on [s]."""
-    adapt: AdaptConfig = AdaptConfig(coefficients=True)
-    """Gains of the online adaptation."""
+    estimate: EstimateConfig = EstimateConfig()
+    """Of the contact parameters, online."""
 
 
 def run(options: ExperimentOptions, config: ObjectModelConfig | None = None) -> ExperimentResult:
@@ -63,7 +63,7 @@ def run(options: ExperimentOptions, config: ObjectModelConfig | None = None) -> 
     job = _job(shared, config, 0)
     fitted, daiml_settings = trained(job, DaimlConfig())
     objects, scale = shared.objects(), output_scale(job.train.samples)
-    shares = gap_closed(fitted, daiml_settings, config.adapt, recordings(objects), scale)
+    shares = gap_closed(fitted, daiml_settings, config.estimate, recordings(objects), scale)
     metrics |= _curve_metrics(shares) | _brake_metrics(options, config, fitted, daiml_settings, scale)
     curve = [
         {"curve": "gap_closed", "condition": condition, "contact_s": s, "share": shares[i, k]}
@@ -98,7 +98,7 @@ def _scored(shared: Trainings, config: ObjectModelConfig, trial: tuple[str, int]
 
 
 def gap_closed(
-    fitted: ObjectFit, config: DaimlConfig, adapt: AdaptConfig, recorded: Recordings, scale: np.ndarray
+    fitted: ObjectFit, config: DaimlConfig, online: EstimateConfig, recorded: Recordings, scale: np.ndarray
 ) -> np.ndarray:
     """Share of the way from the prior's error to that of a* that Eq. 8 has covered after SECONDS of contact.
 
@@ -111,7 +111,7 @@ def gap_closed(
     after, before = from_fit(fitted, config), prior_of(fitted, config)
     marks = np.round(np.array(SECONDS) / DT).astype(int)
     shares = np.full((len(recorded.samples.inputs), len(SECONDS)), np.nan)
-    error_of, learn = _error_of(after, scale), _online(fitted, config, adapt)
+    error_of, learn = _error_of(after, scale), _online(fitted, online)
     for i in range(len(shares)):
         known = jax.tree.map(jnp.asarray, first_samples(recorded, i, config.fit_samples))
         later = _later(recorded, i, config.fit_samples)
@@ -139,20 +139,15 @@ def _error_of(predictor: Predictor, scale: np.ndarray) -> Callable[[Any, Recordi
     return error
 
 
-def _online(fitted: ObjectFit, config: DaimlConfig, adapt: AdaptConfig) -> Callable[[Context], Any]:
+def _online(fitted: ObjectFit, online: EstimateConfig) -> Callable[[Context], Any]:
     """Rows of one condition -> coefficients ``[N, m, K]`` and contact parameters ``[N, p]`` after each of them; rows
     that do not count teach nothing. Compiled once for all conditions."""
-    params, shape = jax.tree.map(jnp.asarray, fitted.params), config.object
-    contact = (
-        identification.prior_state(adapt.contact, fitted.contact_prior, params.label_scale)
-        if shape.contact_model
-        else None
-    )
-    start = adaptation.init(fitted.prior_mean, fitted.prior_covariance, fitted.noise, contact)
+    start, coefficients = estimate.init(online, fitted.contact_prior), jnp.asarray(fitted.prior_mean)
 
     def one(state: Any, row: Any) -> tuple[Any, Any]:
-        state = online.observe(adapt, state, params, shape, *row)
-        return state, (state.mean.reshape(fitted.prior_mean.shape), online.contact_of(state))
+        x, y, counts = row
+        state = estimate.learn(online, state, x, y, fitted.params.label_scale, counts)
+        return state, (coefficients, estimate.mean(state))
 
     return jax.jit(lambda known: jax.lax.scan(one, start, (known.inputs, known.labels, known.weights > 0))[1])
 
@@ -221,7 +216,7 @@ def _brake_metrics(
     directory = datasets.collect_rows(options, f"brake-{seeds[0]}-{count}", rows)
     recorded = recordings(store.read(directory, splits=("test",)))
     after = from_fit(fitted, settings)
-    error_of, learn = _error_of(after, scale), _online(fitted, settings, config.adapt)
+    error_of, learn = _error_of(after, scale), _online(fitted, config.estimate)
     times, unaware, known = [], [], []
     # Names are read in alphabetical order: the braked ones come first.
     for i in range(count):

@@ -153,7 +153,7 @@ SECTIONS = {
         "far off the centre, 25 to 45 N of resistance, half or twice the friction, a brake from the start). "
         "Both leave out objects with a locked wheel and objects that resist with more than 32 N (demanding: 43 N). "
         "Every method runs every trial.",
-        ("ours", "frozen prior", "eq8", "quasi-static", "oracle coefficients", "paper form"),
+        ("ours", "frozen prior", "contact model", "quasi-static", "oracle coefficients", "paper form"),
         (
             *_of_methods(
                 {
@@ -176,7 +176,7 @@ SECTIONS = {
                     "pushes": "pushes",
                     "trials": "trials",
                 },
-                *("frozen_prior", "eq8", "quasi_static", "oracle_coefficients", "paper_form"),
+                *("frozen_prior", "contact_model", "quasi_static", "oracle_coefficients", "paper_form"),
             ),
             ("way from the prior's offset to the oracle's", ("way_to_oracle", "", "", "", "", "")),
         ),

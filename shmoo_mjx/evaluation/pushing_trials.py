@@ -15,7 +15,7 @@ import numpy as np
 
 from shmoo_mjx import custom, se2
 from shmoo_mjx.control.pushing import PushConfig
-from shmoo_mjx.learning.adaptation import AdaptState
+from shmoo_mjx.learning.online import Known
 from shmoo_mjx.learning.weights import Weights
 from shmoo_mjx.navigation.maps import OccupancyGrid
 from shmoo_mjx.navigation.push_task import Pusher, PushTask, pose_push_config
@@ -25,7 +25,7 @@ from shmoo_mjx.plant.observe import DIVERGED, toppled
 from shmoo_mjx.plant.scene import Scene, build_scene
 from shmoo_mjx.sensing import REAL, SensedEngine, Senses
 
-METHODS = ("ours", "frozen_prior", "eq8", "oracle_coefficients", "quasi_static", "paper_form")
+METHODS = ("ours", "frozen_prior", "contact_model", "oracle_coefficients", "quasi_static", "paper_form")
 """Ours: MPPI while the object's body is identified. The others run the same trials: with Eq. 8 on top, for one, and the
 last with psi as the paper prints it."""
 
@@ -208,12 +208,14 @@ def _pusher(method: str, weights: Weights, config: PushConfig) -> Pusher:
         return cast(Pusher, custom.asked(OWN, method, lambda: make(weights, config)))
     if method == "quasi_static":
         return QuasiStaticPusher(config.cost)
-    # For Eq. 8, which two of the methods learn by: its labels are differences of noisy twists.
-    adapt = replace(config.adapt, coefficients=method == "eq8", noise_scale=2.0)
-    return PushController(weights, replace(config, adapt=adapt, adapts=method in ("ours", "eq8", "paper_form")))
+    # For Eq. 8, by which the paper's form learns: its labels are differences of noisy twists.
+    adapt = replace(config.adapt, noise_scale=2.0)
+    return PushController(
+        weights, replace(config, adapt=adapt, adapts=method in ("ours", "contact_model", "paper_form"))
+    )
 
 
-def oracle_coefficients(weights: Weights, condition: Condition, seed: int) -> AdaptState:
+def oracle_coefficients(weights: Weights, condition: Condition, seed: int) -> Known:
     """a* of Eq. 5 from recorded pushes of this very object, with senses that don't err; it stays as it is."""
     import jax.numpy as jnp
 
@@ -252,6 +254,9 @@ class Runner:
             weights = self.paper_form if method == "paper_form" else self.weights
             if weights is None:
                 raise ValueError("the method paper_form needs weights of its own")
+            if method == "contact_model":
+                core = weights.config
+                weights = weights._replace(config=replace(core, object=replace(core.object, residual=False)))
             self._pushers[method] = _pusher(method, weights, self.config)
         scene = scene_of_trial(trial, trial.condition, self.senses)
         # It is told where the object stands, as it is told the goal: to find the object is not part of the task.

@@ -202,15 +202,16 @@ def _roll_outs(weights: Weights, dataset: store.Dataset) -> dict[str, float]:
     rows = jax.tree.map(jnp.asarray, samples_from_dataset(dataset))
     params, config = weights.params, weights.config
     rollout = jax.jit(lambda p, s, u: core.rollout(p, s, u, config)[0])
+    learner = online.learner(config.object)
     square: dict[str, list[float]] = {"contact": [], "free": []}
     for i, arrays in enumerate(dataset.arrays):
         known = posterior_from_recording(weights, rows.inputs[i], rows.labels[i], rows.weights[i])
-        found = {"coefficients": known.mean.reshape(params.coefficients.shape), "contact": online.contact_of(known)}
+        found = learner.params_for_rollout(known, params)
         samples = store.system_states(arrays)
         starts = np.arange(1, samples.u.shape[1] - STEPS, 10)
         start = SystemState(*(np.asarray(v)[0, starts] for v in samples.state))
         controls = np.stack([samples.u[0, s : s + STEPS] for s in starts])
-        ends = rollout(params._replace(**found), start, controls).robot_pose[:, -1]
+        ends = rollout(found, start, controls).robot_pose[:, -1]
         truth = arrays["robot_pose"][0, starts + STEPS]
         touched = [samples.contact[0, s : s + STEPS].mean() >= 0.5 for s in starts]
         for miss, touch in zip(np.sum((np.asarray(ends) - truth)[:, :2] ** 2, axis=-1), touched, strict=True):

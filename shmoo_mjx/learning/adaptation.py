@@ -7,14 +7,13 @@ covariance, which stays positive definite where plain Euler steps of P do not. U
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from shmoo_mjx.arrays import Array, Float, Scalar, single_precision
-from shmoo_mjx.learning.identification import ContactEstimate, OnlineConfig
 from shmoo_mjx.types import DT
 
 
@@ -22,8 +21,6 @@ from shmoo_mjx.types import DT
 class AdaptConfig:
     """Gains of Eq. 8."""
 
-    coefficients: bool = False
-    """Eq. 8 is at work even where contact parameters are identified (`online`)."""
     decay: float = 0.01
     """lambda [1/s]: forgetting, towards the prior or towards zero."""
     to_prior: bool = True
@@ -36,8 +33,6 @@ class AdaptConfig:
     """Squared Mahalanobis distance of the innovation above which a sample's noise is raised in proportion [1]."""
     tracking: bool = False
     """Use the term +P psi^T s dt."""
-    contact: OnlineConfig = field(default_factory=OnlineConfig)
-    """How contact parameters are identified online."""
 
 
 class AdaptState(NamedTuple):
@@ -51,8 +46,6 @@ class AdaptState(NamedTuple):
     prior_covariance: Float[Array, "... n n"]
     noise: Float[Array, "... 3 3"]
     """Covariance of a sample's residual [(m/s^2)^2, (rad/s^2)^2]."""
-    contact: ContactEstimate | None = None
-    """Contact parameters of the object, if psi has the contact model; not touched by Eq. 8."""
 
 
 @single_precision
@@ -60,7 +53,6 @@ def init(
     prior_mean: Float[Array, "3 K"] | Float[Array, "n"],
     prior_covariance: Float[Array, "n n"],
     noise: Float[Array, "3 3"],
-    contact: ContactEstimate | None = None,
 ) -> AdaptState:
     """Estimate before the object is touched: the prior.
 
@@ -68,12 +60,11 @@ def init(
         prior_mean: of a.
         prior_covariance: P at the start.
         noise: covariance of a sample's residual.
-        contact: from `identification.prior_state`, if psi has the contact model.
     """
     mean = jnp.asarray(prior_mean, dtype=jnp.float32).reshape(-1)
     covariance = jnp.asarray(prior_covariance, dtype=jnp.float32)
     noise = jnp.asarray(noise, dtype=jnp.float32)
-    return AdaptState(mean, covariance, mean, covariance, noise, contact)
+    return AdaptState(mean, covariance, mean, covariance, noise)
 
 
 @single_precision
@@ -97,8 +88,6 @@ def step(
         tracking_error: s of Eq. 8, used if config.tracking.
         dt: time since the last sample [s].
     """
-    contact = state.contact
-    state = state._replace(contact=None)
     finite = jnp.all(jnp.isfinite(phi)) & jnp.all(jnp.isfinite(label))
     if tracking_error is not None:
         finite &= jnp.all(jnp.isfinite(tracking_error))
@@ -126,7 +115,7 @@ def step(
     new = state._replace(mean=new_mean, covariance=new_covariance)
     # Finite inputs can still overflow float32; such a sample is dropped as well.
     use &= jnp.all(jnp.isfinite(new_mean)) & jnp.all(jnp.isfinite(new_covariance))
-    return jax.tree.map(lambda a, b: jnp.where(use, a, b), new, state)._replace(contact=contact)
+    return jax.tree.map(lambda a, b: jnp.where(use, a, b), new, state)
 
 
 def _propagate(config: AdaptConfig, state: AdaptState, dt: float) -> tuple[Array, Array]:

@@ -32,7 +32,7 @@ from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
 from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning import least_squares, multistep, training, training_contacts
 from shmoo_mjx.learning import samples as batches
-from shmoo_mjx.learning.identification import IdentificationConfig
+from shmoo_mjx.learning.estimate import EstimateConfig
 from shmoo_mjx.learning.object_fit import ObjectFit
 from shmoo_mjx.learning.samples import Batch, Sampler, Samples, label_scale, samples_from_arrays, samples_from_dataset
 from shmoo_mjx.learning.training_contacts import Found
@@ -83,8 +83,8 @@ class DaimlConfig:
     """Epochs without a better validation score before stopping."""
     fit_samples: int = 250
     """First samples of a validation condition that a* is fitted on; it is scored on the later ones."""
-    contact_fit: IdentificationConfig = field(default_factory=IdentificationConfig)
-    """How contact parameters are identified, if psi has the contact model."""
+    contact_fit: EstimateConfig = EstimateConfig()
+    """How contact parameters are estimated, if psi has the contact model."""
     seed: int = 0
 
 
@@ -169,7 +169,7 @@ def fit_samples(
     device = jax.tree.map(jnp.asarray, train)
     held_out = jax.tree.map(jnp.asarray, validation)
     if found is None:
-        find = training_contacts.identified if config.object.contact_model else training_contacts.nothing
+        find = training_contacts.estimated if config.object.contact_model else training_contacts.nothing
         found = find(config.contact_fit, train, validation, config.fit_samples, out_dir)
     contact_prior, contacts, held_contacts = found
     sampler = batches.sampler(train, config.horizon, LABEL_FLOOR)
@@ -199,9 +199,8 @@ def contacts_seen(config: DaimlConfig, fitted: ObjectFit, samples: Samples) -> F
     """The contact parameters of conditions by their first ``config.fit_samples`` samples."""
     if not config.object.contact_model:
         return jnp.zeros((samples.inputs.shape[0], len(contact_model.PARAMETERS)))
-    prior = jax.tree.map(jnp.asarray, fitted.contact_prior)
     return training_contacts.on_first_samples(
-        config.contact_fit, prior, fitted.params.label_scale, samples, config.fit_samples
+        config.contact_fit, fitted.contact_prior, fitted.params.label_scale, samples, config.fit_samples
     )
 
 

@@ -12,10 +12,11 @@ import numpy as np
 
 from shmoo_mjx.arrays import Array, Float, single_precision
 from shmoo_mjx.dynamics import object_model
+from shmoo_mjx.dynamics.contact_model import PARAMETERS
 from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.learning import identification, least_squares, serialisation
-from shmoo_mjx.learning.identification import ContactPrior, IdentificationConfig
+from shmoo_mjx.learning import estimate, least_squares, serialisation
+from shmoo_mjx.learning.estimate import EstimateConfig
 
 _ARRAYS = ("params", "prior_mean", "prior_covariance", "noise", "contact_prior")
 
@@ -32,8 +33,8 @@ class ObjectFit(NamedTuple):
     score: float
     """Best validation score (see `daiml._validation_scores`; one-step and open-loop shares averaged)."""
     history: list[tuple[float, float]]
-    contact_prior: ContactPrior
-    """Prior of the contact parameters; of no use unless config.contact_model."""
+    contact_prior: Float[Array, "M p"]
+    """Draws from the prior of the contact parameters; of no use unless config.contact_model."""
     config: ObjectConfig
     """What psi is; `daiml.fit` leaves out of what it was asked for whatever needs inputs of a known meaning."""
 
@@ -55,9 +56,8 @@ class ObjectFit(NamedTuple):
             raise ShmooError(f"adapt: x has {len(x)} rows and y {len(y)}; give as many of each, and at least one.")
         prior = self.contact_prior
         if self.config.contact_model:
-            known, scale, ones = IdentificationConfig(), self.params.label_scale, jnp.ones(len(x))
-            found = identification.identify(known, jax.tree.map(jnp.asarray, prior), scale, x, y, ones)
-            prior = prior._replace(mean=jnp.broadcast_to(found, np.shape(prior.mean)))
+            after = estimate.after_rows(EstimateConfig(), prior, self.params.label_scale, x, y, jnp.ones(len(x)))
+            prior = estimate.draw(after, jax.random.key(0), len(prior))
         adapted = self._replace(contact_prior=prior)
         phi = object_model.design_matrix(self.params, x, self.config, adapted._contact())
         mean, covariance = least_squares.posterior(
@@ -78,7 +78,7 @@ class ObjectFit(NamedTuple):
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the fit to one safetensors file, which `load_fit` reads; whole or not at all."""
         notes = {"object_fit": asdict(self.config), "score": float(self.score), "history": self.history}
-        shape = {"inputs": self._inputs(), "axes": len(self.params.label_scale), "groups": len(self.contact_prior.mean)}
+        shape = {"inputs": self._inputs(), "axes": len(self.params.label_scale), "draws": len(self.contact_prior)}
         serialisation.save_tree(path, {name: getattr(self, name) for name in _ARRAYS}, notes | shape)
 
     def _inputs(self) -> int:
@@ -86,7 +86,7 @@ class ObjectFit(NamedTuple):
         return object_model.inputs_of(self.config, self.params.linear.shape[0], len(self.params.label_scale))
 
     def _contact(self) -> Array:
-        return jnp.asarray(self.contact_prior.mean)[jnp.argmax(jnp.asarray(self.contact_prior.log_weight))]
+        return jnp.mean(jnp.asarray(self.contact_prior), axis=0)
 
     def _checked(self, name: str, values: Any, width: int) -> Array:
         found = np.asarray(values, np.float32)
@@ -108,16 +108,18 @@ def load_fit(path: str | os.PathLike[str]) -> ObjectFit:
     try:
         told = dict(notes["object_fit"])
         config = ObjectConfig(**told | {"hidden": tuple(told["hidden"])})
-        axes, groups = int(notes["axes"]), int(notes["groups"])
+        axes, draws = int(notes["axes"]), int(notes["draws"])
         score, history = float(notes["score"]), [(float(a), float(b)) for a, b in notes["history"]]
         make = lambda: object_model.init(jax.random.key(0), config, int(notes["inputs"]), axes)  # noqa: E731
         params = jax.eval_shape(make)
     except (KeyError, TypeError, ValueError) as error:
         raise ShmooError(f"{path}: is no fit that ObjectFit.save wrote ({error!r}); give one that is.") from None
-    n, p = axes * config.functions, len(identification.contact_model.PARAMETERS)
+    n, p = axes * config.functions, len(PARAMETERS)
     shapes = {"prior_mean": (axes, config.functions), "prior_covariance": (n, n), "noise": (axes, axes)}
+    shapes["contact_prior"] = (draws, p)
     like: dict[str, Any] = {name: jax.ShapeDtypeStruct(shape, jnp.float32) for name, shape in shapes.items()}
-    prior = ContactPrior(*(jax.ShapeDtypeStruct(s, jnp.float32) for s in ((groups, p), (groups, p, p), (groups,))))
-    tree, _ = serialisation.load_tree(path, like | {"params": params, "contact_prior": prior})
+    tree, _ = serialisation.load_tree(
+        path, like | {"params": params, "contact_prior": jax.ShapeDtypeStruct((draws, p), jnp.float32)}
+    )
     arrays = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), tree)
     return ObjectFit(**arrays, score=score, history=history, config=config)

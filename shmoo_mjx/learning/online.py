@@ -1,67 +1,123 @@
-"""Online learning of the object at hand: its contact parameters, its coefficients by Eq. 8, or both.
+"""Online learning of the object at hand, in two ways behind one protocol.
 
-A psi with the contact model learns by identifying it, and its coefficients stay where training left them: with real
-senses Eq. 8 on top of that made pushes end turned by some degrees more, for accelerations are differences of noisy
-twists. A psi without it, the paper's, learns by Eq. 8.
+`Posterior` learns the contact parameters of a psi with the contact model; its coefficients stay where training left
+them. `Printed` learns the coefficients of the paper's psi by Eq. 8.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from shmoo_mjx.arrays import Array, Float, Scalar, single_precision
+from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.dynamics import contact_model, object_model
-from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
-from shmoo_mjx.learning import adaptation, identification
+from shmoo_mjx.dynamics.core import Params
+from shmoo_mjx.dynamics.object_model import ObjectConfig
+from shmoo_mjx.learning import adaptation, estimate
 from shmoo_mjx.learning.adaptation import AdaptConfig, AdaptState
+from shmoo_mjx.learning.estimate import EstimateConfig, ObjectEstimate, Sighting
 
 _BELIEVABLE = 1e4
 """Size from which on a sample holds no measurement and teaches nothing [SI units]: no robot of this kind comes near."""
+BAND = (0.1, 0.5, 0.9)
+"""Quantiles that `learned` gives: the median and an 80 % band."""
+
+NAMES = tuple(f"{name}{end}" for name in ("mass", "friction_x", "friction_y") for end in ("_low", "", "_high"))
+"""What `learned` tells of a posterior."""
+
+Known = ObjectEstimate | AdaptState
+"""What is known of an object; a pytree."""
 
 
-@single_precision
-def observe(
-    config: AdaptConfig,
-    state: AdaptState,
-    params: ObjectParams,
-    shape: ObjectConfig,
-    inputs: Float[Array, "13"],
-    label: Float[Array, "3"],
-    valid: Scalar = True,
-) -> AdaptState:
-    """One sample of the object: contact parameters are identified anew, or Eq. 8, or one after the other.
+class Transition(NamedTuple):
+    """What is learned from: the sample that just ended."""
 
-    Args:
-        config: gains; static.
-        state: unbatched; vmap for more.
-        params: psi.
-        shape: of psi; static.
-        inputs: as OBJECT_INPUTS lists them.
-        label: measured acceleration of the object in {O}.
-        valid: False without contact, with stale or missing poses.
-    """
-    believable = jnp.all(jnp.abs(inputs) < _BELIEVABLE) & jnp.all(jnp.abs(label) < _BELIEVABLE)
-    valid = jnp.asarray(valid) & believable
-    if state.contact is not None:
-        contact = identification.observe(config.contact, state.contact, inputs, label, valid)
-        if not config.coefficients:
-            return state._replace(contact=contact)
-        state = state._replace(contact=contact)
-    phi = object_model.design_matrix(params, inputs, shape, contact_of(state))
-    return adaptation.step(config, state, phi, label, valid)
+    inputs: Float[Array, "13"]
+    """Inputs of psi at its start, measured wrench included."""
+    label: Float[Array, "3"]
+    """Measured acceleration in {O}."""
+    valid: Scalar
+    """False without contact, with stale or missing poses: inputs and label say nothing."""
+    seen: Sighting
+    """What was perceived at its end."""
 
 
-@single_precision
-def contact_of(state: AdaptState) -> Float[Array, "p"]:
-    """Contact parameters of the object; the first guess if psi has no contact model."""
-    return contact_model.guess() if state.contact is None else identification.best(state.contact)
+class Learner(Protocol):
+    """A way to learn an object online; hashable and without state of its own."""
+
+    def adapt(self, known: Any, params: Params, sample: Transition) -> Any:
+        """What is known after one more sample; one that is not finite changes nothing. Pure."""
+
+    def params_for_rollout(self, known: Any, params: Params) -> Params:
+        """The parameters of the dynamics core for this object."""
 
 
-def learned(state: AdaptState) -> dict[str, float]:
-    """What adapts, by name: the contact parameters, or a1 ... an of a psi without contact model. Not for jit."""
-    if state.contact is not None:
-        best = identification.best(jax.tree.map(np.asarray, state.contact))
-        return dict(zip(contact_model.PARAMETERS, best.tolist(), strict=True))
-    return {f"a{k + 1}": a for k, a in enumerate(np.asarray(state.mean).tolist())}
+@dataclass(frozen=True)
+class Posterior:
+    """The contact parameters as a particle posterior (`estimate`); roll-outs take its mean."""
+
+    config: EstimateConfig = EstimateConfig()
+
+    def adapt(self, known: ObjectEstimate, params: Params, sample: Transition) -> ObjectEstimate:
+        """See `Learner`."""
+        return estimate.step(self.config, known, sample.seen)
+
+    def params_for_rollout(self, known: ObjectEstimate, params: Params) -> Params:
+        """See `Learner`."""
+        return params._replace(contact=estimate.mean(known))
+
+
+@dataclass(frozen=True)
+class Printed:
+    """The coefficients a of psi, by Eq. 8."""
+
+    shape: ObjectConfig
+    config: AdaptConfig = AdaptConfig()
+
+    def adapt(self, known: AdaptState, params: Params, sample: Transition) -> AdaptState:
+        """See `Learner`."""
+        inputs, label = sample.inputs, sample.label
+        believable = jnp.all(jnp.abs(inputs) < _BELIEVABLE) & jnp.all(jnp.abs(label) < _BELIEVABLE)
+        phi = object_model.design_matrix(params.object, inputs, self.shape, params.contact)
+        return adaptation.step(self.config, known, phi, label, jnp.asarray(sample.valid) & believable)
+
+    def params_for_rollout(self, known: AdaptState, params: Params) -> Params:
+        """See `Learner`."""
+        return params._replace(coefficients=known.mean.reshape(params.coefficients.shape))
+
+
+def learner(shape: ObjectConfig, contact: EstimateConfig | None = None, adapt: AdaptConfig | None = None) -> Learner:
+    """How an object is learned by a psi of this ``shape``; ``contact`` or ``adapt`` are the settings of that."""
+    if shape.contact_model:
+        return Posterior(contact or EstimateConfig())
+    return Printed(shape, adapt or AdaptConfig())
+
+
+def learned(known: Known) -> dict[str, float]:
+    """What is known, by name: mass [kg], friction along x and y of {O} [N], each the median with `_low` and `_high` of
+    an 80 % band; or a1 ... an of a psi without contact model. Not for jit."""
+    known = jax.tree.map(
+        lambda leaf: leaf if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key) else np.asarray(leaf), known
+    )
+    values = told(known).tolist()
+    names = [f"a{k + 1}" for k in range(len(values))] if isinstance(known, AdaptState) else NAMES
+    return dict(zip(names, values, strict=True))
+
+
+def told(known: Known) -> Float[Array, "n"]:
+    """The numbers of `learned`, in order; for jit too."""
+    if isinstance(known, AdaptState):
+        return known.mean
+    xp = se2.array_module(known.parameters)
+    values = xp.concatenate([xp.exp(known.parameters[:, :1]), contact_model.resistance(known.parameters)], axis=-1)
+    return estimate.quantiles(known, values, BAND).T.reshape(-1)
+
+
+def relocated(known: Known) -> Known:
+    """The same at the start of another push."""
+    return known if isinstance(known, AdaptState) else estimate.relocated(known)

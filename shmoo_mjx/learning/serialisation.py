@@ -5,8 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import re
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -40,20 +38,14 @@ def read_notes(path: str | os.PathLike[str]) -> dict[str, Any]:
     return _read(Path(path))[1]
 
 
-def load_tree(
-    path: str | os.PathLike[str], like: Tree, renamed: Mapping[str, str] | None = None
-) -> tuple[Tree, dict[str, Any]]:
+def load_tree(path: str | os.PathLike[str], like: Tree) -> tuple[Tree, dict[str, Any]]:
     """Read what `save_tree` wrote, into the structure of ``like`` (arrays or shapes).
-
-    ``renamed`` gives the present names of branches that the file has under former ones.
 
     Raises:
         ShmooError: no such file, damaged, or other names or shapes than ``like``.
     """
     path = Path(path)
     arrays, notes = _read(path)
-    for old, new in (renamed or {}).items():
-        arrays = {re.sub(rf"^{re.escape(old)}(?=\.|$)", new, name): array for name, array in arrays.items()}
     leaves = jax.tree_util.tree_leaves_with_path(like)
     wanted = {jax.tree_util.keystr(key, simple=True, separator="."): leaf for key, leaf in leaves}
     for name, leaf in wanted.items():

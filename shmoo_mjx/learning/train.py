@@ -9,12 +9,12 @@ from typing import Any, Literal
 from shmoo_mjx.data import store
 from shmoo_mjx.files import claimed
 from shmoo_mjx.learning import daiml, robot_fit, weights
-from shmoo_mjx.learning.identification import IdentificationConfig
+from shmoo_mjx.learning.estimate import EstimateConfig
 from shmoo_mjx.learning.training import Progress
 from shmoo_mjx.versions import versions
 
 _QUICK: dict[str, Any] = {"epochs": 3, "epoch_updates": 50}
-_QUICK_OBJECT: dict[str, Any] = _QUICK | {"contact_fit": IdentificationConfig(starts=64, refined=2, rounds=1)}
+_QUICK_OBJECT: dict[str, Any] = _QUICK | {"contact_fit": EstimateConfig(particles=128)}
 _QUICK_CONDITIONS = {"train": 12, "validation": 3}
 """Conditions of each split that the short form trains on."""
 

@@ -1,7 +1,7 @@
-"""Contact parameters of the conditions of a training, identified once for each data set.
+"""Contact parameters of the conditions of a training, estimated once for each data set.
 
-psi works with parameters that a robot has identified online. So in training it meets some that are known badly and
-well: each training condition's are identified on short and long stretches of its recording.
+psi works with the parameters that a robot has estimated so far. So in training it meets some that are known badly and
+well: each training condition's are estimated from short and long stretches of its recording.
 """
 
 from __future__ import annotations
@@ -14,32 +14,32 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from shmoo_mjx.arrays import Array, Float
+from shmoo_mjx.arrays import Array, Float, single_precision
 from shmoo_mjx.dynamics import contact_model
 from shmoo_mjx.fingerprints import fingerprint
-from shmoo_mjx.learning import identification, serialisation
-from shmoo_mjx.learning.identification import ContactPrior, IdentificationConfig
+from shmoo_mjx.learning import contact_prior, estimate, serialisation
+from shmoo_mjx.learning.estimate import EstimateConfig
 from shmoo_mjx.learning.samples import Samples, label_scale
 
 STRETCHES = (0, 10, 10, 30, 30, 100, 100, 250)
-"""Samples that a training condition's parameters are identified on, M numbers; 0 is the object not yet touched."""
+"""Samples from which a training condition's parameters are estimated, S numbers; 0 is the object not yet touched."""
 
-Found = tuple[ContactPrior, Float[Array, "C M p"], Float[Array, "C_validation p"]]
-"""The prior, the parameters of training conditions and those of validation conditions."""
+Found = tuple[Float[Array, "M p"], Float[Array, "C S p"], Float[Array, "C_validation p"]]
+"""Draws from the prior, the parameters of training conditions and those of validation conditions."""
 
 
-def identified(
-    config: IdentificationConfig,
+def estimated(
+    config: EstimateConfig,
     train: Samples,
     validation: Samples,
     fit_samples: int,
     out_dir: str | Path | None = None,
 ) -> Found:
-    """Identify the parameters, or take them from beside ``out_dir`` where another training on these samples has left
+    """Estimate the parameters, or take them from beside ``out_dir`` where another training on these samples has left
     them.
 
     Args:
-        config: of the identification.
+        config: of the estimate.
         train: C conditions.
         validation: C' conditions.
         fit_samples: first samples of a validation condition that count, at most half of them.
@@ -49,37 +49,68 @@ def identified(
     identity = fingerprint(__name__, (config, fit_samples), *measured)
     path = None if out_dir is None else Path(out_dir).parent / f"contacts-{identity[:10]}.safetensors"
     if path is not None and path.is_file() and serialisation.read_notes(path).get("identity") == identity:
-        return _single(serialisation.load_tree(path, _empty(config, train, validation))[0])
-    scale = label_scale(train)
-    prior, _ = identification.learn_prior(config, scale, train.inputs, train.labels, train.weights)
-    prior = _single(prior)
-    contacts = identification.from_stretches(config, prior, scale, tuple(train[:3]), STRETCHES)
-    found = prior, contacts, on_first_samples(config, prior, scale, validation, fit_samples)
+        return _single(serialisation.load_tree(path, nothing(config, train, validation))[0])
+    scale, prior = label_scale(train), contact_prior.draws()
+    contacts = from_stretches(config, prior, scale, train, STRETCHES)
+    found = _single((prior, contacts, on_first_samples(config, prior, scale, validation, fit_samples)))
     if path is not None:
         serialisation.save_tree(path, found, {"identity": identity})
     return found
 
 
-def nothing(config: IdentificationConfig, train: Samples, validation: Samples, *_: Any) -> Found:
-    """`identified` for a psi without contact model: zeros of the same shapes."""
-    return _single(_empty(config, train, validation))
+def nothing(config: EstimateConfig, train: Samples, validation: Samples, *_: Any) -> Found:
+    """`estimated` for a psi without contact model: zeros of the same shapes."""
+    p, counts = len(contact_model.PARAMETERS), [samples.inputs.shape[0] for samples in (train, validation)]
+    shapes = (contact_prior.COUNT, p), (counts[0], len(STRETCHES), p), (counts[1], p)
+    return _single(tuple(np.zeros(shape) for shape in shapes))
+
+
+@single_precision
+def from_stretches(
+    config: EstimateConfig,
+    prior: Float[Array, "M p"],
+    scale: Float[Array, "3"],
+    samples: Samples,
+    lengths: tuple[int, ...],
+) -> Float[Array, "C S p"]:
+    """Parameters of each condition estimated from stretches of contact of given lengths, from anywhere in its
+    recording.
+
+    Args:
+        config: static.
+        prior: draws from it.
+        scale: standard deviation of the labels.
+        samples: of C conditions.
+        lengths: samples that count, S numbers; 0 is the object not yet touched.
+    """
+    rows = tuple(jnp.asarray(a) for a in samples[:3])
+    count, total = rows[2].shape
+    starts = np.random.default_rng(0).integers(0, total, (count, len(lengths)))
+    longest = min(2 * max(*lengths, 1), total)
+
+    @partial(jax.jit, static_argnums=0)
+    def all_of(length: int, starts: Array, rows: Any) -> Array:
+        def one(condition: tuple[Array, Any]) -> Array:
+            start, (inputs, labels, weights) = condition
+            at = (start + jnp.arange(longest)) % total
+            # The samples that count, in order, and no others: most stretches are short.
+            at = at[jnp.argsort(weights[at] == 0, stable=True)[: max(length, 1)]]
+            own = inputs[at], labels[at], weights[at] * (length > 0)
+            return estimate.from_rows(config, jnp.asarray(prior), jnp.asarray(scale), *own)
+
+        return jax.lax.map(one, (starts, rows))
+
+    return jnp.stack([all_of(n, jnp.asarray(starts[:, i]), rows) for i, n in enumerate(lengths)], axis=1)
 
 
 def on_first_samples(
-    config: IdentificationConfig, prior: ContactPrior, scale: Float[Array, "3"], samples: Samples, fit_samples: int
+    config: EstimateConfig, prior: Float[Array, "M p"], scale: Float[Array, "3"], samples: Samples, fit_samples: int
 ) -> Float[Array, "C p"]:
     """The parameters of conditions by their first ``fit_samples`` samples, at most half of them."""
     n = min(fit_samples, samples.inputs.shape[1] // 2)
-    identify = partial(identification.identify, config, prior, jnp.asarray(scale))
+    one = partial(estimate.from_rows, config, jnp.asarray(prior), jnp.asarray(scale))
     first = tuple(jnp.asarray(a[:, :n]) for a in samples[:3])
-    return jax.jit(lambda r: jax.lax.map(lambda c: identify(*c), r))(first)
-
-
-def _empty(config: IdentificationConfig, train: Samples, validation: Samples) -> Found:
-    p, groups = len(contact_model.PARAMETERS), config.groups
-    prior = ContactPrior(np.zeros((groups, p)), np.zeros((groups, p, p)), np.zeros(groups))
-    counts = [samples.inputs.shape[0] for samples in (train, validation)]
-    return prior, np.zeros((counts[0], len(STRETCHES), p)), np.zeros((counts[1], p))
+    return jax.jit(lambda rows: jax.lax.map(lambda row: one(*row), rows))(first)
 
 
 def _single(tree: Any) -> Any:

@@ -11,33 +11,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from shmoo_mjx.arrays import Array, Float, single_precision
+from shmoo_mjx.arrays import Array, Float, Key, single_precision
 from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.dynamics import core, object_model
 from shmoo_mjx.dynamics.core import CoreConfig, Params
 from shmoo_mjx.dynamics.object_model import ObjectConfig
 from shmoo_mjx.dynamics.robot_model import RobotConfig
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.learning import adaptation, identification, least_squares, online, serialisation
-from shmoo_mjx.learning.adaptation import AdaptState
-from shmoo_mjx.learning.identification import ContactPrior, IdentificationConfig, OnlineConfig
+from shmoo_mjx.learning import adaptation, contact_prior, estimate, least_squares, serialisation
+from shmoo_mjx.learning.estimate import EstimateConfig
 from shmoo_mjx.learning.object_fit import ObjectFit
+from shmoo_mjx.learning.online import Known
 from shmoo_mjx.learning.robot_fit import RobotFit
 
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 """Raised whenever a field of the file changes its meaning or its name."""
-_OLD_SCHEMAS = (3, 4)
-_RENAMED = {
-    "params.body": "params.contact",
-    "body_prior": "contact_prior",
-    **{
-        f"params.{part}.net.{old}.{i}": f"params.{part}.net.layers.layer{i}.{new}"
-        for part in ("robot", "object")
-        for old, new in (("weights", "kernel"), ("biases", "bias"))
-        for i in range(8)
-    },
-}
-"""Arrays of these schemas, which are read as well, and what they are called now."""
 
 
 class Weights(NamedTuple):
@@ -49,8 +37,8 @@ class Weights(NamedTuple):
     """P0 of Eq. 8, n = 3 K."""
     noise: Float[Array, "3 3"]
     """Covariance of a sample's residual, R dt of Eq. 8."""
-    contact_prior: ContactPrior
-    """Prior of the contact parameters; of no use unless config.object.contact_model."""
+    contact_prior: Float[Array, "M p"]
+    """Draws from the prior of the contact parameters; of no use unless config.object.contact_model."""
     config: CoreConfig
     info: dict[str, Any]
     """What made each part (`learning.train.origin`), and scores; JSON-able."""
@@ -62,19 +50,16 @@ def untrained(config: CoreConfig | None = None, seed: int = 0) -> Weights:
     config = config or CoreConfig()
     n = 3 * config.object.functions
     params = core.init(jax.random.key(seed), config)
-    groups, p = IdentificationConfig().groups, params.contact.shape[0]
-    prior = ContactPrior(jnp.tile(params.contact, (groups, 1)), jnp.tile(jnp.eye(p), (groups, 1, 1)), jnp.zeros(groups))
+    prior = jnp.tile(params.contact, (contact_prior.COUNT, 1))
     return Weights(params, jnp.eye(n), jnp.eye(3), prior, config, {})
 
 
 @single_precision
-def prior_state(weights: Weights, config: OnlineConfig | None = None) -> AdaptState:
-    """Initial state of the adaptation: the prior, before an object is touched."""
-    contact = None
+def prior_state(weights: Weights, config: EstimateConfig | None = None, key: Key[Array, ""] | None = None) -> Known:
+    """What is known before an object is touched: the prior. ``key`` decides the draws of a posterior's particles."""
     if weights.config.object.contact_model:
-        scale = weights.params.object.label_scale
-        contact = identification.prior_state(config or OnlineConfig(), weights.contact_prior, scale)
-    return adaptation.init(weights.params.coefficients, weights.prior_covariance, weights.noise, contact)
+        return estimate.init(config or EstimateConfig(), weights.contact_prior, key)
+    return adaptation.init(weights.params.coefficients, weights.prior_covariance, weights.noise)
 
 
 @single_precision
@@ -83,9 +68,9 @@ def posterior_from_recording(
     inputs: Float[Array, "N 13"],
     labels: Float[Array, "N 3"],
     sample_weights: Float[Array, "N"],
-) -> AdaptState:
-    """Estimate from a whole recording of an object, all samples at once: a* of Eq. 5, given the prior, and the contact
-    parameters.
+) -> Known:
+    """What a whole recording of an object tells: the posterior of its contact parameters, or a* of Eq. 5 given the
+    prior.
 
     Args:
         weights: trained.
@@ -93,15 +78,14 @@ def posterior_from_recording(
         labels: accelerations in {O}.
         sample_weights: 0 where a sample doesn't count.
     """
-    state, shape, params = prior_state(weights), weights.config.object, weights.params
-    if state.contact is not None:
-        samples = (inputs, labels, sample_weights)
-        contact = identification.identify(IdentificationConfig(), state.contact.prior, state.contact.scale, *samples)
-        found = jnp.broadcast_to(contact, state.contact.found.shape)
-        state = state._replace(contact=state.contact._replace(found=found))
-    phi = object_model.design_matrix(params.object, inputs, shape, online.contact_of(state))
+    params, shape, scale = weights.params, weights.config.object, weights.params.object.label_scale
+    if shape.contact_model:
+        return estimate.after_rows(EstimateConfig(), weights.contact_prior, scale, inputs, labels, sample_weights)
+    phi = object_model.design_matrix(params.object, inputs, shape, params.contact)
     known = (params.coefficients.reshape(-1), weights.prior_covariance, weights.noise)
-    return state._replace(mean=least_squares.posterior(phi, labels, *known, sample_weights)[0])
+    mean = least_squares.posterior(phi, labels, *known, sample_weights)[0]
+    state = adaptation.init(params.coefficients, weights.prior_covariance, weights.noise)
+    return state._replace(mean=mean)
 
 
 def with_robot(weights: Weights, fit: RobotFit, config: RobotConfig | None = None) -> Weights:
@@ -115,8 +99,8 @@ def with_robot(weights: Weights, fit: RobotFit, config: RobotConfig | None = Non
 @single_precision
 def with_object(weights: Weights, fit: ObjectFit) -> Weights:
     """The same weights with a newly trained psi and its prior."""
-    prior = jax.tree.map(jnp.asarray, fit.contact_prior)
-    contact = prior.mean[jnp.argmax(prior.log_weight)]
+    prior = jnp.asarray(fit.contact_prior)
+    contact = jnp.mean(prior, axis=0)
     params = weights.params._replace(object=fit.params, coefficients=jnp.asarray(fit.prior_mean), contact=contact)
     info = weights.info | {"object_score": float(fit.score)}
     core_config = _replace(weights.config, object=fit.config)
@@ -145,7 +129,7 @@ def load_weights(path: str | os.PathLike[str] | None = None) -> Weights:
     path = asset(WEIGHTS) if path is None else path
     notes = serialisation.read_notes(path)
     version = notes.get("schema_version")
-    if version not in (*_OLD_SCHEMAS, SCHEMA_VERSION):
+    if version != SCHEMA_VERSION:
         raise ShmooError(
             f"{path}: field 'schema_version' is {version}, this version reads {SCHEMA_VERSION}; train again."
         )
@@ -154,7 +138,7 @@ def load_weights(path: str | os.PathLike[str] | None = None) -> Weights:
         like = jax.eval_shape(lambda: _arrays(untrained(config)))
     except (KeyError, TypeError, ValueError) as error:
         raise ShmooError(f"{path}: field 'config' or 'info' can not be read ({error}); train again.") from None
-    tree, _ = serialisation.load_tree(path, like, _RENAMED if version in _OLD_SCHEMAS else {})
+    tree, _ = serialisation.load_tree(path, like)
     _check_values(path, tree)
     arrays = jax.tree.map(jnp.asarray, tree)
     return Weights(**arrays, config=config, info=info)
@@ -187,7 +171,5 @@ def _replace(config: CoreConfig, **changes: Any) -> CoreConfig:
 def _config(values: dict[str, Any]) -> CoreConfig:
     values = dict(values)
     robot, thing = dict(values.pop("robot")), dict(values.pop("object"))
-    if "body" in thing:
-        thing["contact_model"] = thing.pop("body")
     robot["hidden"], thing["hidden"] = tuple(robot["hidden"]), tuple(thing["hidden"])
     return CoreConfig(robot=RobotConfig(**robot), object=ObjectConfig(**thing), **values)

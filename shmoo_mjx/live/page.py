@@ -26,7 +26,6 @@ from mjviser import ViserMujocoScene
 from pydantic import ValidationError
 
 from shmoo_mjx import se2
-from shmoo_mjx.dynamics import contact_model
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.learning import online
 from shmoo_mjx.live import overlay
@@ -568,10 +567,14 @@ def _placed(pose: np.ndarray) -> tuple[tuple[float, float, float], tuple[float, 
 
 def _in_words(learned: dict[str, float], prior: dict[str, float]) -> str:
     """What was learned of an object against what it was taken to be at first, as far as it is told in a few words."""
-    if "log_mass" not in learned:
+    if "mass" not in learned:
         return "coefficients"
-    now, first = ((*contact_model.resistance(of).values(), float(np.exp(of["log_mass"]))) for of in (learned, prior))
-    return (
-        f"friction {now[0]:.0f} N along (at first {first[0]:.0f}), {now[1]:.0f} N across ({first[1]:.0f}), "
-        f"mass {now[2]:.0f} kg ({first[2]:.0f}; a slow push hardly tells it)"
-    )
+    units = {"friction_x": "N along", "friction_y": "N across", "mass": "kg"}
+    parts = (f"{_band(learned, name)} {unit} (at first {_band(prior, name)})" for name, unit in units.items())
+    return "friction {}, {}, mass {}".format(*parts)
+
+
+def _band(learned: dict[str, float], name: str) -> str:
+    """Median and 80 % band of one quantity."""
+    low, middle, high = (learned[f"{name}{end}"] for end in ("_low", "", "_high"))
+    return f"{middle:.0f} [{low:.0f} to {high:.0f}]"

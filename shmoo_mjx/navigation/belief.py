@@ -11,7 +11,7 @@ import numpy as np
 import shapely
 
 from shmoo_mjx.arrays import Float
-from shmoo_mjx.learning.adaptation import AdaptState
+from shmoo_mjx.learning.online import Known
 from shmoo_mjx.navigation.clearance import ClearanceField
 from shmoo_mjx.navigation.footprints import add_obstacles, footprint_polygon
 from shmoo_mjx.navigation.maps import OccupancyGrid, clearance_field
@@ -47,7 +47,7 @@ class KnownObject:
     status: Status = Status.UNKNOWN
     pushes: int = 0
     """How often a push has been started."""
-    adapt: AdaptState | None = None
+    adapt: Known | None = None
     """Coefficients learned from contact so far."""
     age: float = 0.0
     """Time since the object was last detected [s]."""

@@ -23,7 +23,7 @@ from shmoo_mjx.control.pushing import PushConfig
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.faces import faces_of
 from shmoo_mjx.hands import TUCKED_REACH
-from shmoo_mjx.learning.adaptation import AdaptState
+from shmoo_mjx.learning.online import Known
 from shmoo_mjx.navigation import drive
 from shmoo_mjx.navigation.belief import KnownObject, belief_of
 from shmoo_mjx.navigation.face_choice import YAW_WEIGHT, choose, residual
@@ -133,7 +133,7 @@ class PushTask:
         index: int = 0,
         seed: int = 0,
         config: PushTaskConfig | None = None,
-        adapt: AdaptState | None = None,
+        adapt: Known | None = None,
     ) -> None:
         """Set up the task.
 
@@ -185,11 +185,11 @@ class PushTask:
         return self.phase in (Phase.DONE, Phase.FAILED)
 
     @property
-    def adapt(self) -> AdaptState | None:
+    def adapt(self) -> Known | None:
         """What has been learned of the object."""
         return self._adapt
 
-    def know(self, adapt: AdaptState) -> None:
+    def know(self, adapt: Known) -> None:
         """Take over coefficients from elsewhere, in the middle of a push too."""
         self._adapt = adapt
         if self.segment is not None and self.segment.push is not None:

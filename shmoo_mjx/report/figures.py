@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from shmoo_mjx.arrays import Array
-from shmoo_mjx.dynamics import contact_model
 from shmoo_mjx.hands import CONTACT_FORCE
 from shmoo_mjx.report.style import COLOURS, SERIES, blank_figure, object_colour, outline, show_cells, window
 from shmoo_mjx.report.trace import Trace, is_number, object_index, object_name, telling_decisions
@@ -240,16 +239,18 @@ def _draw_states(axes: Axes, trace: Trace) -> None:
     axes.grid(alpha=0.25, axis="x")
 
 
+def _band(known: dict[str, np.ndarray], name: str) -> np.ndarray:
+    """``[T, 3]`` low, median and high."""
+    return np.stack([known[f"{name}{end}"] for end in ("_low", "", "_high")], axis=-1)
+
+
 def _panels(trace: Trace) -> list[tuple[str, dict[str, np.ndarray]]]:
-    """Rows of the figure: name with unit, and its curves ``[T]`` by name."""
+    """Rows of the figure: name with unit, and its curves ``[T]`` by name, or ``[T, 3]`` with an 80 % band."""
     values = np.asarray(trace.learned, dtype=float)
     known = dict(zip(trace.learned_names, values.T, strict=True))
-    if "log_mass" in known:
-        return [
-            ("friction [N]", contact_model.resistance(known)),
-            ("mass [kg]", {"mass": np.exp(known["log_mass"])}),
-            ("centre of mass\n[half diagonals]", {axis: known[f"centre_{axis}"] for axis in "xy"}),
-        ]
+    if "mass" in known:
+        friction = {f"along {axis}": _band(known, f"friction_{axis}") for axis in "xy"}
+        return [("friction [N]", friction), ("mass [kg]", {"mass": _band(known, "mass")})]
     most = np.max(np.abs(np.nan_to_num(values)), axis=0, initial=0.0)
     shown = values / np.where(most > 0, most, 1.0)
     thirds = np.array_split(np.arange(values.shape[1]), 3)
@@ -261,7 +262,11 @@ def _panels(trace: Trace) -> list[tuple[str, dict[str, np.ndarray]]]:
 
 def _draw_learned(axes: Axes, result: dict[str, Any], trace: Trace, curves: dict[str, np.ndarray], push: slice) -> None:
     for k, (name, values) in enumerate(curves.items()):
-        axes.plot(trace.t[push], values[push], lw=1.4, color=SERIES[k % len(SERIES)], label=name)
+        colour = SERIES[k % len(SERIES)]
+        if values.ndim == 2:
+            axes.fill_between(trace.t[push], values[push, 0], values[push, 2], color=colour, alpha=0.2, lw=0)
+            values = values[:, 1]
+        axes.plot(trace.t[push], values[push], lw=1.4, color=colour, label=name)
     begin, end = float(trace.t[push][0]), float(trace.t[push][-1])
     for t in _contact_begins(trace):
         if begin - 0.2 <= t <= end:

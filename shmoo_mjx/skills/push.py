@@ -13,7 +13,7 @@ from shmoo_mjx.control.mppi import Plan
 from shmoo_mjx.control.observation import LocalDistanceField, ObjectObservation
 from shmoo_mjx.faces import heading
 from shmoo_mjx.hands import HAND_HEIGHT, REACH, touches
-from shmoo_mjx.learning.adaptation import AdaptState
+from shmoo_mjx.learning.online import Known
 from shmoo_mjx.skills.settings import hold
 from shmoo_mjx.types import DT, Command
 
@@ -37,7 +37,7 @@ class Pusher(Protocol):
         face: Float[Array, "4"],
         half_extents: Float[Array, "2"],
         key: Key[Array, ""],
-        adapt: AdaptState | None = None,
+        adapt: Known | None = None,
     ) -> Any:
         """Start a push."""
 
@@ -98,7 +98,7 @@ def init(
     face: Float[Array, "4"],
     half_extents: tuple[float, float] | Float[Array, "2"],
     key: Key[Array, ""] | None,
-    adapt: AdaptState | None,
+    adapt: Known | None,
 ) -> PushState:
     """A push on ``face`` that starts at ``time`` [s]. Its first step comes a sample later: a pusher that was
     stepped with the very observation it began with would take the object to have been pushed and not moved."""

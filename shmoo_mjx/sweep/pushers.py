@@ -75,7 +75,7 @@ def policy_of(controller: Controller, weights: Weights) -> PushPolicy:
     core, params = weights.config, weights.params
 
     def begin(obs: ObjectObservation, task: WorldGoal, key: Array) -> Any:
-        adapt = prior_state(weights, config.adapt.contact)
+        adapt = prior_state(weights, config.estimate)
         return pushing.start(config, adapt, obs, task.face, task.half_extents, key)
 
     def advance(state: Any, obs: ObjectObservation, last_u: Array, task: WorldGoal) -> tuple[Array, Any]:

@@ -17,6 +17,7 @@ from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.dynamics import contact_model
 from shmoo_mjx.faces import faces_of, stand_off
 from shmoo_mjx.learning import adaptation
+from shmoo_mjx.learning.estimate import ObjectEstimate
 from shmoo_mjx.learning.weights import load_weights, prior_state, untrained
 from shmoo_mjx.navigation.push_task import pose_push_config
 from shmoo_mjx.types import DT
@@ -49,8 +50,8 @@ def test_two_mapped_pushes_are_the_two_controllers() -> None:
     controller = PushController(weights, config)
     open_floor = LocalDistanceField(np.full((4, 4), 9.0, np.float32), np.full(3, -20, np.float32), np.float32(10.0))
     keys = jax.random.split(jax.random.key(3), 2)
-    alone = [controller.init(object_obs(w, 0), FACE, HALF, keys[w]) for w in range(2)]
-    prior = prior_state(weights)
+    prior = prior_state(weights, config.estimate, jax.random.key(5))
+    alone = [controller.init(object_obs(w, 0), FACE, HALF, keys[w], prior) for w in range(2)]
     stacked = jax.tree.map(lambda *x: jnp.stack(x), *(object_obs(w, 0) for w in range(2)))
     together = jax.vmap(lambda now, key: pushing.start(config, prior, now, FACE, HALF, key))(stacked, keys)
     step = jax.jit(jax.vmap(partial(pushing.step, config, weights.config), in_axes=(None, 0, 0, 0, 0, None)))
@@ -63,7 +64,9 @@ def test_two_mapped_pushes_are_the_two_controllers() -> None:
         for w in range(2):
             expected, alone[w], _ = controller.step(alone[w], seen[w], last[w], GOALS[w], open_floor, HALF)
             np.testing.assert_allclose(u[w], expected, atol=2e-5)
-            np.testing.assert_allclose(together.adapt.mean[w], alone[w].adapt.mean, atol=1e-3, rtol=1e-3)
+            np.testing.assert_allclose(
+                together.adapt.parameters[w].mean(0), alone[w].adapt.parameters.mean(0), atol=1e-3, rtol=1e-3
+            )
         last = np.asarray(u, dtype=float)
     assert np.abs(u[0] - u[1]).max() > 1e-3
     rest = coast(weights.params, together.adapt, together.before)
@@ -99,14 +102,10 @@ def test_only_what_is_felt_and_seen_is_learned_from(force: float, detected: bool
 @pytest.mark.parametrize("speed", [0.1, 0.2])
 def test_what_is_let_go_coasts_as_far_as_the_friction_of_its_contacts_lets_it(friction: float, speed: float) -> None:
     weights, config, heading = untrained(), pose_push_config(), 0.7
-    shift = float(np.log(friction) - contact_model.PARAMETERS["log_friction_x"][0])
+    shift = float(np.log(friction) - contact_model.GUESS["log_friction_x_front_left"])
     adapt = prior_state(weights)
-    assert adapt.contact is not None
-    adapt = adapt._replace(
-        contact=adapt.contact._replace(
-            found=jax.vmap(lambda p: contact_model.with_friction(p, shift))(adapt.contact.found)
-        )
-    )
+    assert isinstance(adapt, ObjectEstimate)
+    adapt = adapt._replace(parameters=contact_model.with_friction(adapt.parameters, shift))
     along = np.array([np.cos(heading), np.sin(heading), 0.0])
     now = object_obs(0, 0)._replace(object_pose=np.array([1.0, 2.0, heading]), object_twist=speed * along)
     state = pushing.start(config, adapt, now, FACE, HALF, jax.random.key(0))

@@ -10,6 +10,7 @@ import pytest
 from shmoo_mjx.dynamics import contact_model, core, features, fused, networks, object_model, robot_model
 from shmoo_mjx.dynamics.core import CoreConfig
 from shmoo_mjx.dynamics.object_model import ObjectConfig
+from shmoo_mjx.learning import contact_prior
 
 PER_AXIS = CoreConfig()
 SHARED = CoreConfig(object=ObjectConfig(per_axis=False, last_wrench=False, functions=6, contact_model=False))
@@ -30,10 +31,12 @@ def trained(config: CoreConfig, symmetrical: bool = True) -> core.Params:
     net = networks.with_normaliser(net, jnp.asarray(rng.normal(size=(50, len(seen))) + 0.5), seen)
     signs = object_model.coefficient_signs(config.object)
     coefficients = jnp.asarray(rng.normal(size=signs.shape), jnp.float32)
-    even = [not name.endswith("_y") or name in ("log_friction_y", "log_foot_y") for name in contact_model.PARAMETERS]
     contact = contact_model.guess() + 0.1
     if symmetrical:
-        coefficients, contact = jnp.where(signs > 0, coefficients, 0.0), jnp.where(jnp.array(even), contact, 0.0)
+        coefficients, contact = (
+            jnp.where(signs > 0, coefficients, 0.0),
+            (contact + contact_prior.mirrored(np.asarray(contact))) / 2,
+        )
     return core.Params(
         params.robot._replace(net=robot, output_mean=jnp.array([0.1, 0.0, 0.0, 2.0, 0.0])),
         params.object._replace(net=net, linear=moved(params.object.linear), label_scale=jnp.array([0.5, 0.4, 0.9])),

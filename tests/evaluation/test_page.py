@@ -201,7 +201,7 @@ def test_a_method_that_did_not_run_has_no_column() -> None:
     ours = {name: value for name, value in alone.metrics.items() if not name.startswith("baseline_")}
     shown = page.section_of(alone.model_copy(update={"metrics": ours}), [])
     assert "| | ours | paper |\n|---|---|---|\n" in shown and "quasi-static" not in shown
-    assert "| ours | frozen prior | eq8 | quasi-static |" in page.section_of(alone, [])
+    assert "| ours | frozen prior | contact model | quasi-static |" in page.section_of(alone, [])
 
 
 def test_nothing_could_be_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,11 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shmoo_mjx.dynamics import contact_model, object_model
-from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
-from shmoo_mjx.learning import adaptation, identification, online
+from shmoo_mjx.dynamics import core
+from shmoo_mjx.dynamics.core import CoreConfig
+from shmoo_mjx.dynamics.object_model import ObjectConfig
+from shmoo_mjx.learning import adaptation, online
 from shmoo_mjx.learning.adaptation import AdaptConfig, AdaptState
-from shmoo_mjx.learning.identification import OnlineConfig
+from shmoo_mjx.learning.estimate import Sighting
 
 N = 6
 
@@ -123,28 +124,17 @@ def test_covariance_stays_positive_definite(seed: int, size: float, config: Adap
     assert np.all(np.linalg.eigvalsh(covariance * np.outer(scale, scale)) > 0)
 
 
-@pytest.mark.parametrize("coefficients", [False, True])
-def test_a_psi_with_the_contact_model_learns_by_it_and_by_eq_8_only_if_told(coefficients: bool) -> None:
-    config, params, prior = psi_and_prior(contact=True)
-    inputs, label = jnp.full(13, 0.3).at[3].set(30.0), jnp.array([0.4, 0.0, 0.1])
-    adapt = AdaptConfig(coefficients=coefficients)
-    end = jax.jit(lambda: online.observe(adapt, prior, params, config, inputs, label))()
-    assert not np.allclose(online.contact_of(end), online.contact_of(prior))
-    assert np.allclose(end.mean, prior.mean) != coefficients
-    assert online.learned(end) == pytest.approx(
-        dict(zip(contact_model.PARAMETERS, np.asarray(online.contact_of(end)), strict=True))
-    )
-
-
 def test_a_psi_without_contact_model_learns_by_eq_8() -> None:
-    config, params, prior = psi_and_prior(contact=False)
-    end = online.observe(AdaptConfig(), prior, params, config, jnp.full(13, 0.3), jnp.array([0.4, 0.0, 0.1]))
+    config = ObjectConfig(hidden=(8,), functions=3, contact_model=False)
+    params = core.init(jax.random.key(0), CoreConfig(object=config))
+    prior = adaptation.init(jnp.ones(9), jnp.eye(9), 0.1 * jnp.eye(3))
+    seen = Sighting(jnp.zeros(3), jnp.zeros(3), jnp.asarray(0.0), jnp.asarray(True), jnp.zeros(3), jnp.asarray(0.4))
+    learner = online.learner(config)
+    sample = online.Transition(jnp.full(13, 0.3), jnp.array([0.4, 0.0, 0.1]), jnp.asarray(True), seen)
+    end = learner.adapt(prior, params, sample)
     assert not np.allclose(end.mean, prior.mean)
     assert list(online.learned(end).values()) == pytest.approx(np.asarray(end.mean).tolist())
-
-
-def psi_and_prior(contact: bool) -> tuple[ObjectConfig, ObjectParams, AdaptState]:
-    config = ObjectConfig(hidden=(8,), functions=3, contact_model=contact)
-    params = object_model.init(jax.random.key(0), config)
-    seen = identification.prior_state(OnlineConfig(window=5), identification.broad_prior(), np.ones(3))
-    return config, params, adaptation.init(jnp.ones(9), jnp.eye(9), 0.1 * jnp.eye(3), seen if contact else None)
+    np.testing.assert_array_equal(learner.params_for_rollout(end, params).coefficients.reshape(-1), end.mean)
+    jax.tree.map(
+        np.testing.assert_array_equal, learner.adapt(prior, params, sample._replace(valid=False)).mean, 1.0 * prior.mean
+    )

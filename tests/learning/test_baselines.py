@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from shmoo_mjx.data import store
-from shmoo_mjx.dynamics import contact_model, object_model
+from shmoo_mjx.dynamics import object_model
 from shmoo_mjx.dynamics.object_model import ObjectConfig
 from shmoo_mjx.evaluation import scoring
-from shmoo_mjx.learning import training_contacts
+from shmoo_mjx.learning import contact_prior, training_contacts
 from shmoo_mjx.learning.baselines import (
     METHODS,
     Budget,
@@ -81,15 +81,16 @@ def test_the_gru_uses_its_context(job: Job, unseen: Recordings) -> None:
 
 @pytest.fixture
 def contacts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Contact parameters of conditions as drawn, not identified, which would take a minute."""
-    guess = np.array(list(contact_model.PARAMETERS.values()), np.float32)
+    """Contact parameters of conditions as drawn, not estimated, which would take a minute."""
+    prior = contact_prior.draws(96)
 
     def drawn(config: Any, train: Samples, validation: Samples, *_: Any) -> training_contacts.Found:
-        prior, of_training, of_validation = training_contacts.nothing(config, train, validation)
+        of_prior, of_training, of_validation = training_contacts.nothing(config, train, validation)
         spread = np.random.default_rng(0).normal(size=of_training.shape)
-        return prior, jnp.asarray(guess[:, 0] + guess[:, 1] * spread, jnp.float32), of_validation + guess[:, 0]
+        own = jnp.asarray(prior.mean(0) + prior.std(0) * spread, jnp.float32)
+        return of_prior, own, of_validation + prior.mean(0)
 
-    monkeypatch.setattr(training_contacts, "identified", drawn)
+    monkeypatch.setattr(training_contacts, "estimated", drawn)
 
 
 def test_what_sees_the_contact_model_sees_what_psi_sees(contacts: None, job: Job) -> None:
@@ -107,10 +108,10 @@ def test_what_sees_the_contact_model_sees_what_psi_sees(contacts: None, job: Job
 def test_predictions_depend_on_the_contact_parameters_seen(name: str, contacts: None, job: Job) -> None:
     predictor = METHODS[name].fit(replace(job, setting=METHODS[name].settings[0], budget=Budget(2, 30, 2)))
     context, x = first_samples(job.validation, 0, 100), jnp.asarray(job.validation.samples.inputs[0, 100:150])
-    guess = np.array(list(contact_model.PARAMETERS.values()), np.float32)
+    prior = contact_prior.draws(96)
     one, other = (
         predictor.predict(predictor.adapt(context._replace(contact=jnp.asarray(contact))), x, jnp.zeros(50))
-        for contact in (guess[:, 0], guess[:, 0] + guess[:, 1])
+        for contact in (prior.mean(0), prior.mean(0) + prior.std(0))
     )
     assert bool(jnp.all(jnp.isfinite(one))) and float(jnp.max(jnp.abs(one - other))) > 1e-3
 

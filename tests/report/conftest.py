@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shmoo_mjx.dynamics import contact_model
+from shmoo_mjx.learning import online
 from shmoo_mjx.report.trace import Trace
 
 STATES = ("follow path", "approach", "probe", "push", "retreat", "replan", "done")
@@ -26,7 +26,8 @@ def make_trace(yaw: float = 0.0) -> Trace:
     objects[:, 0, 0] += np.interp(t, [12, 20], [0, 1.1])
     pushing = (t > 12) & (t < 20)
     rng = np.random.default_rng(0)
-    wander = np.cumsum(rng.normal(size=(len(t), len(contact_model.PARAMETERS))) * pushing[:, None] * 0.05, axis=0) + 1
+    wander = np.exp(np.cumsum(rng.normal(size=(len(t), 3, 1)) * pushing[:, None, None] * 0.05, axis=0) + 1)
+    wander = (wander * [0.8, 1.0, 1.3]).reshape(len(t), 9)
     ends = [np.array([3.2, 1.5]) + np.linspace(0, 1, 50)[:, None] * rng.normal([1, 0], 0.3, (1, 2)) for _ in range(40)]
     fan = np.stack(ends)
     stuck = np.tile([5.8, 3.4], (30, 50, 1)) + 0.05 * rng.normal(size=(30, 1, 2)) * np.linspace(0, 1, 50)[None, :, None]
@@ -38,7 +39,7 @@ def make_trace(yaw: float = 0.0) -> Trace:
         object_pose=objects,
         force=np.stack([20 + np.sin(3 * t), 2 * np.cos(t)], axis=-1) * pushing[:, None],
         learned=wander,
-        learned_names=tuple(contact_model.PARAMETERS),
+        learned_names=online.NAMES,
         learned_object=np.where(pushing, 0, np.where(t > 28, 1, -1)),
         state=np.digitize(t, [10, 12, 13, 20, 22, 24]).clip(0, 6),
         state_names=STATES,

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shmoo_mjx.dynamics import contact_model
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.report import html
 from shmoo_mjx.report.style import to_png
@@ -188,13 +187,12 @@ def test_what_was_learned_has_a_column_per_push(trace: Trace, result: dict[str, 
     from shmoo_mjx.report import figures
 
     panels = figures.learned_figure(result, trace).axes
-    assert len(panels) == 3 * 2
+    assert len(panels) == 2 * 2
     assert [p.get_title() for p in panels[:2]] == ["box box-1", "wheelchair chair-2"]
     drawn = [line for line in panels[0].lines if str(line.get_label()).startswith("along")]
     x = np.asarray(drawn[0].get_xdata(), dtype=float)
     assert len(drawn) == 2 and 12.0 < x[0] < 12.3 and 19.8 < x[-1] < 20.1
-    learned = dict(zip(contact_model.PARAMETERS, trace.learned[trace.t > 12.0][0], strict=True))
-    most = contact_model.resistance(learned)["along x"]
+    most = dict(zip(trace.learned_names, trace.learned[trace.t > 12.0][0], strict=True))["friction_x"]
     np.testing.assert_allclose(np.asarray(drawn[0].get_ydata(), dtype=float)[0], most)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from shmoo_mjx.arrays import Array, Float
 from shmoo_mjx.dynamics import contact_model, object_model
 from shmoo_mjx.dynamics.object_model import ObjectConfig
-from shmoo_mjx.learning import daiml, identification, least_squares
+from shmoo_mjx.learning import daiml, estimate, least_squares
 from shmoo_mjx.learning.baselines.networks import mlp
 from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, Recordings
 from shmoo_mjx.learning.baselines.sight import sight
@@ -60,7 +60,7 @@ def prior(job: Job) -> Predictor:
 def residual(job: Job) -> Predictor:
     """A network over all conditions, and psi on what it leaves over (Sec. V-B). Both train for the whole budget.
 
-    Both see the contact model, identified from what was felt and not from what is left over. What the network leaves
+    Both see the contact model, estimated from what was felt and not from what is left over. What the network leaves
     over in training is taken with each condition's best known contact parameters, and psi sees those.
     """
     common_job = replace(job, setting={"learning_rate": 1e-3}, directory=_beside(job, "common"))
@@ -102,7 +102,7 @@ def from_fit(fitted: ObjectFit, config: DaimlConfig) -> Predictor:
         x, y, w = context.inputs, context.labels, context.weights
         contact = jnp.zeros(len(contact_model.PARAMETERS)) if context.contact is None else context.contact
         if config.object.contact_model and context.contact is None:
-            contact = identification.identify(config.contact_fit, fitted.contact_prior, params.label_scale, x, y, w)
+            contact = estimate.from_rows(config.contact_fit, fitted.contact_prior, params.label_scale, x, y, w)
         if not config.coupled:
             psi = object_model.basis(params, x, config.object, contact)
             a = least_squares.ridge(psi, y / params.label_scale, mean, config.ridge, w)
@@ -121,8 +121,7 @@ def from_fit(fitted: ObjectFit, config: DaimlConfig) -> Predictor:
 
 def prior_of(fitted: ObjectFit, config: DaimlConfig) -> Predictor:
     """The same psi before the object is touched."""
-    prior = fitted.contact_prior
-    known = jnp.asarray(fitted.prior_mean), jnp.asarray(prior.mean[np.argmax(prior.log_weight)])
+    known = jnp.asarray(fitted.prior_mean), jnp.mean(jnp.asarray(fitted.contact_prior), axis=0)
     return from_fit(fitted, config)._replace(adapt=lambda context: known)
 
 

@@ -23,7 +23,7 @@ CONTEXT_ROWS = 150
 
 
 def mlp(job: Job, contact_model: bool = False) -> Predictor:
-    """One network for all conditions; of the one at hand it knows at most the identified contact parameters
+    """One network for all conditions; of the one at hand it knows at most the estimated contact parameters
     (`sight`)."""
     sees, scale = sight(job, contact_model), output_scale(job.train.samples)
     network = MLP((*HIDDEN, scale.shape[0]), "relu")

@@ -1,7 +1,7 @@
-"""Inputs of a learned method: those of psi and, if it is given one, the predictions of an identified contact model.
+"""Inputs of a learned method: those of psi and, if it is given one, the predictions of an estimated contact model.
 
 With the contact model a method gets the inputs that psi has as shipped (`object_model.network_inputs`), from contact
-parameters identified in the same way; so methods can be compared by what they learn, not by what they are told.
+parameters estimated in the same way; so methods can be compared by what they learn, not by what they are told.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ import jax.numpy as jnp
 from shmoo_mjx.arrays import Array, Float
 from shmoo_mjx.dynamics import object_model
 from shmoo_mjx.dynamics.object_model import ObjectConfig
-from shmoo_mjx.learning import identification, training_contacts
+from shmoo_mjx.learning import estimate, training_contacts
 from shmoo_mjx.learning.baselines.protocol import Context, Job, output_scale
-from shmoo_mjx.learning.identification import IdentificationConfig
+from shmoo_mjx.learning.estimate import EstimateConfig
 from shmoo_mjx.learning.training_contacts import Found
 
 NARROWEST = 1e-3
@@ -29,7 +29,7 @@ class Sight:
 
     config: ObjectConfig
     """Only ``contact_model`` and ``last_wrench`` matter."""
-    fit: IdentificationConfig
+    fit: EstimateConfig
     found: Found
     """Contact parameters of the training and validation conditions; zeros if the method sees none."""
     label_scale: Float[Array, "m"]
@@ -43,10 +43,8 @@ class Sight:
             return context.contact
         if not self.config.contact_model:
             return jnp.zeros(self.found[1].shape[-1])
-        prior = self.found[0]
-        return identification.identify(
-            self.fit, prior, self.label_scale, context.inputs, context.labels, context.weights
-        )
+        rows = context.inputs, context.labels, context.weights
+        return estimate.from_rows(self.fit, self.found[0], self.label_scale, *rows)
 
     def __call__(self, inputs: Float[Array, "*batch 13"], contact: Float[Array, "p"]) -> Float[Array, "*batch n"]:
         """What is seen of samples of an object with these contact parameters."""
@@ -56,8 +54,8 @@ class Sight:
 
 def sight(job: Job, contact_model: bool = True) -> Sight:
     """What a method sees; the contact parameters are kept beside the job's directory, for other methods."""
-    config, fit = ObjectConfig(contact_model=contact_model), IdentificationConfig()
-    find = training_contacts.identified if config.contact_model else training_contacts.nothing
+    config, fit = ObjectConfig(contact_model=contact_model), EstimateConfig()
+    find = training_contacts.estimated if config.contact_model else training_contacts.nothing
     train = job.train.samples
     found = find(fit, train, job.validation.samples, job.fit_samples, job.directory)
     scale = jnp.asarray(output_scale(train))

@@ -1,0 +1,91 @@
+"""What contact parameters an object has, by its condition; and the prior: those of many training conditions."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from shmoo_mjx.arrays import Float
+from shmoo_mjx.dynamics.contact_model import PARAMETERS, POINTS
+from shmoo_mjx.plant.condition import Condition
+from shmoo_mjx.plant.objects import FAMILIES, draw_condition, object_spec
+
+FIRST_SEED = 50_000
+"""Seed of the first condition that the prior is drawn from: between those of training and validation."""
+
+COUNT = 1024
+"""Objects that the prior is made of, an even number."""
+
+
+def parameters_of(condition: Condition) -> Float[np.ndarray, "p"]:
+    """The contact parameters of an object whose MuJoCo model is known, as `contact_model.PARAMETERS` lists them.
+
+    A wheel that rolls has its rolling resistance as friction along the way it rolls, and a free caster along both axes.
+    """
+    model = object_spec(condition).compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    size = float(np.hypot(*condition.half_extents))
+    mass = model.body_mass.sum()
+    centre = model.body_mass @ data.xipos / mass
+    turned = data.ximat.reshape(-1, 3, 3)
+    own = np.einsum("bi,bi->b", turned[:, 2] ** 2, model.body_inertia)
+    inertia = np.sum(own + model.body_mass * np.sum((data.xipos - centre)[:, :2] ** 2, axis=1))
+    corners, friction, rolling_mass = _points(condition, model, data)
+    half = (corners.max(axis=0) - corners.min(axis=0)) / 2
+    middle = (corners.max(axis=0) + corners.min(axis=0)) / 2
+    values = {
+        "log_mass": np.log(mass + rolling_mass),
+        "log_gyration": 0.5 * np.log(inertia / mass) - np.log(size),
+        "centre_x": centre[0] / size,
+        "centre_y": centre[1] / size,
+        "log_foot_x": np.log(half[0] / size),
+        "log_foot_y": np.log(half[1] / size),
+        "feet_x": middle[0] / size,
+        "feet_y": middle[1] / size,
+    }
+    for point, both in zip(POINTS, friction, strict=True):
+        values |= {f"log_friction_{axis}_{point}": np.log(mu) for axis, mu in zip("xy", both, strict=True)}
+    return np.array([values[name] for name in PARAMETERS])
+
+
+def draws(count: int = COUNT, first_seed: int = FIRST_SEED) -> Float[np.ndarray, "count p"]:
+    """The parameters of ``count`` objects, of every family as many; half of them are the mirror images of the others,
+    for nothing prefers a side."""
+    seeds = [(FAMILIES[i % len(FAMILIES)], first_seed + i // len(FAMILIES)) for i in range(count // 2)]
+    own = np.array([parameters_of(draw_condition(*seed)) for seed in seeds], np.float32)
+    return np.concatenate([own, mirrored(own)])
+
+
+def mirrored(parameters: Float[np.ndarray, "... p"]) -> Float[np.ndarray, "... p"]:
+    """The parameters of the object in the mirror of its x-z plane."""
+    other = {"left": "right", "right": "left"}
+    names = ["_".join(other.get(word, word) for word in name.split("_")) for name in PARAMETERS]
+    signs = np.array([-1.0 if name in ("centre_y", "feet_y") else 1.0 for name in PARAMETERS], np.float32)
+    return signs * parameters[..., [PARAMETERS.index(name) for name in names]]
+
+
+def _points(condition: Condition, model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray, float]:
+    """Where the object stands on the floor ``[4, 2]`` in the order of POINTS, its friction there along x and y
+    ``[4, 2]``, and what its wheels' rotary inertia adds to its mass."""
+    if not condition.rolling:
+        corners = np.array(list(POINTS.values())) * model.geom("sole").size[:2]
+        return corners, np.full((4, 2), condition.friction), 0.0
+    names = [f"wheel{k}" for k in range(len(condition.rolling))]
+    places = np.array([data.geom(name).xpos[:2] for name in names])
+    swivels = np.array([_has(model, f"{name}_swivel") for name in names])
+    # A caster stands under its swivel on average, wherever it trails at present.
+    places[swivels] = [data.joint(f"{name}_swivel").xanchor[:2] for name, on in zip(names, swivels, strict=True) if on]
+    locked, rolling = np.array(condition.locked), np.array(condition.rolling)
+    along = np.where(locked, condition.friction, rolling)
+    across = np.where(swivels, along, condition.friction)
+    bodies = [model.geom(name).bodyid[0] for name in names]
+    radii = [model.geom(name).size[0] for name in names]
+    turning = sum(model.body_inertia[b].max() / r**2 for b, r in zip(bodies, radii, strict=True))
+    middle = places.mean(axis=0)
+    order = [int(np.argmax((places - middle) @ np.array(sign))) for sign in POINTS.values()]
+    return places[order], np.stack([along, across], axis=1)[order], float(turning)
+
+
+def _has(model: mujoco.MjModel, joint: str) -> bool:
+    return mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, joint) >= 0
