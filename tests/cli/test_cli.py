@@ -132,6 +132,7 @@ def test_help_names_every_command(done: dict[str, Done]) -> None:
     assert done["help"].returncode == 0
     for command in ("demo", "navigate", "collect", "train", "map", "doctor"):
         assert f"• {command} " in done["help"].stdout
+    assert "shmoo COMMAND --help" in done["help"].stdout
 
 
 def test_map_show_says_what_is_free_only_by_its_threshold(
