@@ -30,12 +30,20 @@ LONGEST = (
     "test_comparison_experiments",
     "test_navigator",
     "test_navigator_steps",
+    "test_sensed_engine",
     "test_rollout_layout",
     "test_code_blocks",
     "test_adaptation",
     "test_cli",
 )
 """Files that take longest: they go first, so that no worker is left alone with one at the end."""
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Quick tests compile without optimisation, which halves the time of a first run; slow ones compile as users do."""
+    flags = os.environ.get("XLA_FLAGS", "")
+    if config.getoption("markexpr") == "not slow" and "xla_backend_optimization_level" not in flags:
+        os.environ["XLA_FLAGS"] = f"{flags} --xla_backend_optimization_level=0".strip()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

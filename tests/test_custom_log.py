@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 from subprocess import CompletedProcess
+from typing import Any
 
 import numpy as np
 import pyarrow
@@ -14,14 +15,16 @@ import pyarrow.csv
 import pyarrow.parquet
 import pytest
 
-from shmoo_mjx.custom_log import OPTIONAL, REQUIRED, read_log, run_of_log
+from shmoo_mjx.custom_log import OPTIONAL, REQUIRED, Log, read_log, run_of_log
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.learning.weights import load_weights
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.objects import draw_condition
 from shmoo_mjx.plant.scene import build_scene
 from shmoo_mjx.plant.trials import command
+from shmoo_mjx.report.trace import Trace
 
+LogRun = tuple[Log, dict[str, Any], Trace]
 ROOT = Path(__file__).resolve().parents[1]
 STEP = 0.05
 
@@ -60,11 +63,17 @@ def light() -> dict[str, np.ndarray]:
     return recorded(8.0, 0.4)
 
 
-def test_a_light_box_is_identified_and_judged(light: dict[str, np.ndarray], tmp_path: Path) -> None:
-    log = read_log(written(light, tmp_path / "log.csv"))
+@pytest.fixture(scope="module")
+def light_run(light: dict[str, np.ndarray], tmp_path_factory: pytest.TempPathFactory) -> LogRun:
+    """The log, its result and its trace."""
+    log = read_log(written(light, tmp_path_factory.mktemp("light") / "log.csv"))
+    return log, *run_of_log(log, (0.25, 0.2), load_weights())
+
+
+def test_a_light_box_is_identified_and_judged(light: dict[str, np.ndarray], light_run: LogRun) -> None:
+    log, result, trace = light_run
     np.testing.assert_allclose(np.diff(log.t), 0.1)
     np.testing.assert_allclose(log.object_pose[10, :2], [light["object_x"][20], light["object_y"][20]], atol=0.01)
-    result, trace = run_of_log(log, (0.25, 0.2), load_weights())
     assert result["decisions"][0]["manipulable"] and result["decisions"][0]["probability"] > 0.9
     mass, friction = (np.exp(result["learned"][name]) for name in ("log_mass", "log_friction_x"))
     assert mass == pytest.approx(8.0, rel=0.1) and friction == pytest.approx(0.4, rel=0.1)
@@ -72,11 +81,12 @@ def test_a_light_box_is_identified_and_judged(light: dict[str, np.ndarray], tmp_
     assert np.isfinite(trace.learned[trace.learned_object == 0]).all() and len(trace.t) == len(log.t)
 
 
-def test_what_a_sample_teaches_is_not_known_before(light: dict[str, np.ndarray], tmp_path: Path) -> None:
+def test_what_a_sample_teaches_is_not_known_before(
+    light: dict[str, np.ndarray], light_run: LogRun, tmp_path: Path
+) -> None:
     short = {name: values[:60] for name, values in light.items()}
-    half, whole = (
-        run_of_log(read_log(written(c, tmp_path / "log.csv")), (0.25, 0.2), load_weights())[1] for c in (short, light)
-    )
+    half = run_of_log(read_log(written(short, tmp_path / "log.csv")), (0.25, 0.2), load_weights())[1]
+    whole = light_run[2]
     count = len(half.t) - 4
     np.testing.assert_allclose(half.learned[:count], whole.learned[:count], rtol=1e-4)
 

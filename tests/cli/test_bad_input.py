@@ -271,12 +271,12 @@ def tries(count: int) -> Any:
     return settings(max_examples=count, deadline=None, suppress_health_check=ignored)
 
 
-@pytest.mark.parametrize("count", [150, pytest.param(5000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [60, pytest.param(5000, marks=pytest.mark.slow)])
 def test_spoilt_files(count: int, spoiling: Path, good: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tries(count)(given(cases(good))(lambda case: check_files(case, spoiling, good, monkeypatch)))()
 
 
-@pytest.mark.parametrize("count", [150, pytest.param(5000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [60, pytest.param(5000, marks=pytest.mark.slow)])
 def test_options_at_any_value(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
     tries(count)(given(options())(lambda words: check_options(words, monkeypatch)))()
 

@@ -47,7 +47,6 @@ BAD_INPUT: dict[str, tuple[str, tuple[str, ...]]] = {
 IN_A_PROCESS = {
     "bad input": BAD_INPUT["map without its image"][0],
     "help": "--help",
-    "picture": "map show room.yaml --out room_picture.png",
     "drive": "navigate --scenario drive.yaml --no-video --out drive",
 }
 
@@ -133,6 +132,7 @@ def test_help_names_every_command(done: dict[str, Done]) -> None:
     assert done["help"].returncode == 0
     for command in ("demo", "navigate", "collect", "train", "map", "doctor"):
         assert f"• {command} " in done["help"].stdout
+    assert "shmoo COMMAND --help" in done["help"].stdout
 
 
 def test_map_show_says_what_is_free_only_by_its_threshold(
@@ -147,9 +147,10 @@ def test_map_show_says_what_is_free_only_by_its_threshold(
         assert ("205" in shown.stdout) == bool(said) and said in shown.stdout
 
 
-def test_a_map_is_drawn(done: dict[str, Done], folder: Path) -> None:
-    assert done["picture"].returncode == 0, done["picture"].stderr
-    assert (folder / "room_picture.png").read_bytes().startswith(b"\x89PNG")
+def test_a_map_is_drawn(folder: Path, shmoo: Callable[..., Done], tmp_path: Path) -> None:
+    drawn = shmoo("map", "show", str(folder / "room.yaml"), "--out", str(tmp_path / "picture.png"))
+    assert drawn.returncode == 0, drawn.stderr
+    assert (tmp_path / "picture.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_drive_leaves_its_folder(done: dict[str, Done], folder: Path) -> None:

@@ -21,6 +21,8 @@ from shmoo_mjx.learning.adaptation import AdaptConfig, AdaptState
 from shmoo_mjx.learning.samples import samples_from_dataset
 from shmoo_mjx.learning.weights import Weights, load_weights, prior_state
 
+RARER = ("adversarial", "silent", "recorded")
+"""Kinds of sequences that the slow tests alone try."""
 SIZE = jnp.array([0.3, 0.3, 0.5, 40.0, 40.0, 10.0, 0.3, 0.3, 0.5, 40.0, 40.0, 10.0, 0.5])
 """What the 13 inputs are about, twists and wrenches now and a sample ago; nothing depends on their exact order."""
 
@@ -78,7 +80,10 @@ def learned(weights: Weights, coefficients: bool) -> Any:
 @pytest.mark.parametrize(
     "coefficients", [pytest.param(False, id="body"), pytest.param(True, id="body and Eq. 8", marks=pytest.mark.slow)]
 )
-@pytest.mark.parametrize("kind", ["random", "adversarial", "broken", "silent", "recorded"])
+@pytest.mark.parametrize(
+    "kind",
+    ["random", "broken", *(pytest.param(k, marks=pytest.mark.slow) for k in ("adversarial", "silent", "recorded"))],
+)
 def test_minutes_of_anything_leave_it_sound(
     kind: str, coefficients: bool, weights: Weights, synthetic_dataset: store.Dataset
 ) -> None:

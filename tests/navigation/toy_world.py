@@ -24,6 +24,8 @@ from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.types import DT, Command, Observation
 
 HALF = (0.25, 0.275)
+FACES = np.array([*faces_of(HALF), *corners_of(HALF)])
+"""Sides, then corners ``[n, 4]``."""
 
 
 class State(NamedTuple):
@@ -112,9 +114,13 @@ class World:
         """Press the rectangle, or be stopped by it, where the hands are inside one of its faces."""
         ahead = np.array([np.cos(self.pose[2]), np.sin(self.pose[2])])
         tip = self.pose[:2] + (self.reach + HAND_RADIUS) * ahead
-        for face in (*faces_of(HALF), *corners_of(HALF)):
+        hand = np.array([*tip, self.pose[2]])
+        # Most of the time nothing is touched, which one comparison of all faces tells.
+        if not _inside(se2.relative(se2.compose(self.box, FACES[:, :3]), hand), FACES[:, 3]).any():
+            return
+        for face in FACES:
             local = se2.relative(se2.compose(self.box, face[:3]), np.array([*tip, self.pose[2]]))
-            if 0.0 < local[0] < 0.2 and abs(local[1]) < face[3] and abs(local[2]) < 0.5:
+            if _inside(local, face[3]):
                 normal = np.array([np.cos(self.box[2] + face[2]), np.sin(self.box[2] + face[2])])
                 self.force = (self.resistance if self.movable else 40.0) * normal
                 if self.movable:
@@ -122,6 +128,12 @@ class World:
                 else:
                     self.pose[:2] -= local[0] * normal
                     self.velocity = self.velocity - max(self.velocity @ normal, 0.0) * normal
+
+
+def _inside(local: np.ndarray, half_width: Any) -> Any:
+    """Whether a hand at ``local`` in the frame of a face presses it."""
+    depth, aside, turned = local[..., 0], np.abs(local[..., 1]), np.abs(local[..., 2])
+    return (depth > 0.0) & (depth < 0.2) & (aside < half_width) & (turned < 0.5)
 
 
 def run(
