@@ -58,7 +58,8 @@ def _differences(result: ExperimentResult) -> str:
     others = [p for p in result.config.get("policies", []) if f"difference_{p}_success" in result.metrics]
     if not others:
         return ""
-    lines = [(label, name, more) for name, (label, more) in COMPARED.items()]
+    measured = [n for n in COMPARED if any(f"difference_{other}_{n}" in result.metrics for other in others)]
+    lines = [(COMPARED[name][0], name, COMPARED[name][1]) for name in measured]
     return differences_table(result.metrics, others, lines, "policy", "scenarios")
 
 
