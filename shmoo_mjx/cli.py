@@ -31,6 +31,7 @@ def demo(
     video: bool = True,
     quick: bool = False,
     senses: str = "real",
+    scene: Literal["generated", "paper"] = "generated",
 ) -> int:
     """Run the whole story on a generated floor plan: push a box away, recognise a locked wheelchair, go round.
 
@@ -43,10 +44,11 @@ def demo(
         video: draw episode.mp4 (--no-video is about twice as fast).
         quick: a short form for checks: no video.
         senses: real (camera, odometry, joint torques) or perfect (the simulator's truth).
+        scene: generated, or paper (a box of 2.8 kg, an empty wheelchair of 11.9 kg with locked wheels).
     """
     from shmoo_mjx.demo import run_demo
 
-    return run_demo(_seeds(seed), out, weights, video and not quick, _senses(senses))
+    return run_demo(_seeds(seed), out, weights, video and not quick, _senses(senses), scene)
 
 
 def navigate(
@@ -270,14 +272,14 @@ def scenarios(
     condition_seed: tuple[ConditionSeed, ...] = (0,),
     per_map: bounded.PerMap = 4,
 ) -> int:
-    """Draw scenarios on your maps and write them into one file, so that others can compare on the same ones.
+    """Draw scenarios with certificates on your maps, in one file, so that others can compare on the same ones.
 
     Example: shmoo scenarios make --maps maps --condition-seed 7 --out set.json
 
     Args:
         action: make.
         out: file to write: maps, scenarios, and what is known about each.
-        maps: folder with map_server maps (default: five floor plans are generated for each seed).
+        maps: folder with map_server maps (default: five buildings are generated for each seed).
         condition_seed: one or several; each draws scenarios of its own on every map.
         per_map: scenarios on each map for each seed.
     """
@@ -395,7 +397,7 @@ def experiment(
         data: data set, for the experiments that take one (made if absent; real_pushing: a folder of recorded pushes).
         maps: folder with map_server maps, for navigation.
         scenarios: scenarios per map, for navigation; or a scenario set in the place of maps: a file made by shmoo
-            scenarios make, or floor_plans, the shipped one.
+            scenarios make, or arena or floor_plans, the shipped ones.
         policies: which policies (navigation, lifelong) or pushing controllers (pushing) run, by their names (default:
             all); for navigation and pushing also your own, as package.module:Name.
         weights: trained weights (default: the shipped ones).

@@ -6,14 +6,21 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from shmoo_mjx.navigation.floorplan import demo_scenario
+from shmoo_mjx.navigation.floorplan import SCENES
 from shmoo_mjx.options import SensesName
 
 
 def run_demo(
-    seeds: Sequence[int], out: Path, weights: Path | None = None, video: bool = True, senses: SensesName = "real"
+    seeds: Sequence[int],
+    out: Path,
+    weights: Path | None = None,
+    video: bool = True,
+    senses: SensesName = "real",
+    scene: str = "generated",
 ) -> int:
     """Run the demo for each seed, in a folder ``out / demo-SEED`` of its own; 0 if all succeeded, 1 otherwise.
+
+    ``scene`` is one of `SCENES`; the folders of others than "generated" are called SCENE-SEED.
 
     It prints the outcome and decisions of each run, the success rate, and where the last report is.
     """
@@ -21,18 +28,19 @@ def run_demo(
     from shmoo_mjx.run import run_scenario
 
     results: list[dict[str, Any]] = []
+    prefix = "demo" if scene == "generated" else scene
     for seed in seeds:
-        grid, scenario = demo_scenario(seed)
+        grid, scenario = SCENES[scene](seed)
         with progress.stages() as report:
             result = run_scenario(
-                grid, scenario, out / f"demo-{seed}", weights, video, f"demo seed {seed}", report, senses=senses
+                grid, scenario, out / f"{prefix}-{seed}", weights, video, f"{prefix} seed {seed}", report, senses=senses
             )
         results.append(result)
         print(_line(seed, result), flush=True)
     good = sum(r["outcome"] == "success" for r in results)
     if len(seeds) > 1:
         print(f"success rate {good}/{len(seeds)}")
-    print(f"report: {out / f'demo-{seeds[-1]}' / 'report.html'}")
+    print(f"report: {out / f'{prefix}-{seeds[-1]}' / 'report.html'}")
     return 0 if good == len(seeds) else 1
 
 

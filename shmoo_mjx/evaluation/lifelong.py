@@ -22,7 +22,7 @@ from shmoo_mjx.evaluation.navigation_failures import keep_failure, write_failure
 from shmoo_mjx.evaluation.navigation_places import Places, as_data, find_places, generated_from, kept
 from shmoo_mjx.evaluation.paired import OURS, metrics_by_method
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
-from shmoo_mjx.evaluation.scenarios import PLANT, Generated, Kind, ScenarioConfig, Truth, draw_scenario, largest_room
+from shmoo_mjx.evaluation.scenarios import Extra, Generated, ScenarioConfig, draw_scenario, largest_room
 from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.navigation.clearance import ClearanceField
 from shmoo_mjx.navigation.footprints import footprint_polygon
@@ -106,10 +106,11 @@ def _trial(
 
 
 def _kept_sequence(places: Places, grid: OccupancyGrid, map_name: str, number: int, count: int) -> GoalSequence | None:
-    """Sequence ``number`` of a map, of the kind whose turn it is, or of another where the map has no place for it."""
+    """Sequence ``number`` of a map, for the range of the extra length whose turn it is."""
 
-    def draw(kind: Kind, rng: np.random.Generator) -> dict[str, Any]:
-        found = draw_sequence(grid, kind, rng, places.first_unseen, count, PLANT, places.config)
+    def draw(extra: Extra, rng: np.random.Generator) -> dict[str, Any]:
+        first = draw_scenario(grid, extra, rng, places.first_unseen, places.config)
+        found = draw_sequence(first, grid, rng, count, places.config)
         return found._asdict() | {"generated": as_data(found.generated)}
 
     data = kept(places, grid, map_name, (number, count), draw)
@@ -165,26 +166,17 @@ def _mean(values: list[Any]) -> float | None:
 
 
 def draw_sequence(
-    grid: OccupancyGrid,
-    kind: Kind,
-    rng: np.random.Generator,
-    first_seed: int,
-    count: int,
-    truth: Truth,
-    cfg: ScenarioConfig,
+    found: Generated, grid: OccupancyGrid, rng: np.random.Generator, count: int, cfg: ScenarioConfig
 ) -> GoalSequence:
-    """Draw a scenario of ``kind`` and further goals in it.
+    """Draw further goals in a scenario, ``count`` with its own; the time limit of ``cfg`` is that of each goal.
 
     Each goal can be reached from the one before if those objects are gone that stand in the way and can be moved. Every
     second path leads through an object where it stood at first, if such a goal is found: what the robot has learned of
     that object, or done to it, is of use then. What its own pushes have blocked meanwhile is its own affair.
 
-    The first leg is of ``kind``, as `draw_scenario` draws it; the time limit of ``cfg`` is that of each goal.
-
     Raises:
         ShmooError: the map has no place for such a sequence.
     """
-    found = draw_scenario(grid, kind, rng, first_seed, truth, cfg)
     walls = clearance_field(grid)
     goals, shortest = [found.scenario.goal], [found.shortest]
     while len(goals) < count:

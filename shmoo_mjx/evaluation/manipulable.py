@@ -12,6 +12,7 @@ from functools import cache
 import numpy as np
 
 from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Bool, Float
 from shmoo_mjx.faces import faces_of, heading, stand_off
 from shmoo_mjx.hands import HAND_HEIGHT, HAND_RADIUS, REACH
 from shmoo_mjx.plant.condition import Condition
@@ -68,7 +69,8 @@ def steady_push(condition: Condition, side: int, cfg: SteadyPush = SteadyPush())
             contact = float(seen.time[0])
         if contact is not None and float(seen.time[0]) - contact >= cfg.seconds:
             break
-        lean = _lean(cfg, seen, face, lean, contact is not None)
+        touching = np.array([contact is not None])
+        lean = steady_lean(cfg, seen, seen.object_pose[:, 0], face[None], lean[None], touching)[0]
         u, yaw = np.array([[*lean, 0.0]]), np.array([heading(seen.object_pose[0, 0], face)])
         world, seen = engine.step(world, Command(u, yaw, np.array([REACH]), np.array([HAND_HEIGHT])))
         moved = float(np.linalg.norm(seen.object_pose[0, 0, :2]))
@@ -78,18 +80,36 @@ def steady_push(condition: Condition, side: int, cfg: SteadyPush = SteadyPush())
     return moved
 
 
-def _lean(cfg: SteadyPush, seen: Observation, face: np.ndarray, last: np.ndarray, touching: bool) -> np.ndarray:
-    """Lean command ``[2]`` in {R}: arms out at rest for 1.5 s, slowly forward, then into the object with full lean."""
-    in_face = se2.relative(se2.compose(seen.object_pose[0, 0], face[:3]), seen.robot_pose[0])
-    velocity = se2.rotate(seen.robot_twist[0, :2], -seen.robot_pose[0, 2])
-    ahead = 0.0 if float(seen.time[0]) < 1.5 else 0.12
-    wish = np.array([ahead, float(np.clip(-0.8 * in_face[1], -0.1, 0.1))])
-    lean = np.array(velocity_to_lean(Gains(), velocity, seen.lean_rate[0], wish))
-    if touching:
-        full = cfg.lean * float(np.clip((cfg.speed - velocity[0]) / 0.1, -0.5, 1.0))
-        off = -in_face[0] - REACH - HAND_RADIUS > 0.10
-        # Out of touch the hands follow the object at its own pace; in touch the lean grows by no more than 0.1 rad/s.
-        lean[0] = lean[0] if off else last[0] + np.clip(full - last[0], -0.2 * DT, 0.1 * DT)
+def steady_lean(
+    cfg: SteadyPush,
+    seen: Observation,
+    objects: Float[Array, "W 3"],
+    faces: Float[Array, "W 4"],
+    last: Float[Array, "W 2"],
+    touching: Bool[Array, "W"],
+    lateral: Float[Array, "W"] | float = 0.0,
+) -> Float[np.ndarray, "W 2"]:
+    """Lean commands in {R} [rad]: arms out at rest for 1.5 s, slowly forward, then into the object with full lean.
+
+    Args:
+        cfg: settings.
+        seen: of W worlds.
+        objects: poses in {W} of the objects that are pushed.
+        faces: that are pushed.
+        last: lean commands before.
+        touching: whether the object has been touched.
+        lateral: place along the face that the robot keeps to, to its left [m].
+    """
+    in_face = se2.relative(se2.compose(objects, faces[:, :3]), seen.robot_pose)
+    velocity = se2.rotate(seen.robot_twist[:, :2], -seen.robot_pose[:, 2])
+    ahead = np.where(np.asarray(seen.time) < 1.5, 0.0, 0.12)
+    wish = np.stack([ahead, np.clip(-0.8 * (in_face[:, 1] - lateral), -0.1, 0.1)], axis=-1)
+    lean = np.array(velocity_to_lean(Gains(), velocity, seen.lean_rate, wish))
+    full = cfg.lean * np.clip((cfg.speed - velocity[:, 0]) / 0.1, -0.5, 1.0)
+    off = -in_face[:, 0] - REACH - HAND_RADIUS > 0.10
+    # Out of touch the hands follow the object at its own pace; in touch the lean grows by no more than 0.1 rad/s.
+    grown = last[:, 0] + np.clip(full - last[:, 0], -0.2 * DT, 0.1 * DT)
+    lean[:, 0] = np.where(touching & ~off, grown, lean[:, 0])
     return lean
 
 

@@ -1,8 +1,12 @@
-"""Experiment navigation: generated scenarios on any maps, our policy against four others on the same scenarios.
+"""Experiment navigation: generated scenarios on any maps, our policy against six others on the same scenarios.
 
-*lazy* goes round whenever there is a way round, however long, and pushes otherwise. *oracle* is told of each object
-whether it can be moved and needs no planning stage to find out; coefficients it learns as we do. *always_avoid* takes
-every object for a wall. *always_push* pushes whatever is in the way and never goes round.
+*lazy* goes round whenever there is a way round, however long, and pushes otherwise. *oracle* is told by the certificate
+which objects the best option pushes, pushes these and goes round all others; without a certificate it is told which
+objects can be moved. Coefficients it learns as we do. *always_avoid* takes every object for a wall. *always_push*
+pushes whatever is in the way and never goes round. *paper* decides by K < 0.3 m^2 after 1 s of contact, as printed.
+*geometric* takes whatever is in the way for movable, as planners after Stilman do, pushes wherever that makes the path
+shorter, and registers what a push has not moved. The *reference* is the best option of each certificate, and is not
+run.
 """
 
 from __future__ import annotations
@@ -21,6 +25,7 @@ from shmoo_mjx.evaluation.manipulable import BORDER
 from shmoo_mjx.evaluation.navigation_failures import keep_failure, write_failures
 from shmoo_mjx.evaluation.navigation_measures import (
     cause_of,
+    choice_of,
     effort_by_force,
     effort_by_mass,
     interactive_score,
@@ -53,7 +58,10 @@ class PolicyVariant(NamedTuple):
 
 
 def _as_they_are(generated: Generated) -> list[Status]:
-    return [Status.UNKNOWN if movable else Status.FIXED for movable in generated.movable]
+    movable = generated.movable
+    if generated.certificate is not None:
+        movable = tuple(i in generated.certificate.pushed for i in range(len(movable)))
+    return [Status.UNKNOWN if moves else Status.FIXED for moves in movable]
 
 
 _ALL_MOVABLE = ObjectPlannerConfig(threshold=0.0)
@@ -65,6 +73,8 @@ POLICIES = {
         NavigatorConfig(chances=0), lambda generated: [Status.FIXED for _ in generated.movable]
     ),
     "always_push": PolicyVariant(NavigatorConfig(goes_round=False, planner=_ALL_MOVABLE)),
+    "paper": PolicyVariant(NavigatorConfig(decides_by="K")),
+    "geometric": PolicyVariant(NavigatorConfig(decides_by="K", planner=_ALL_MOVABLE, detour=0.0)),
 }
 """In the order in which they run: of an experiment that is stopped, ours is there first."""
 
@@ -92,7 +102,7 @@ class NavigationTrials:
     scenarios: int = 20
     """Per map; each policy runs all of them."""
     generated_scenarios: int = 4
-    """Per generated floor plan, where no maps are given."""
+    """Per generated building, where no maps are given."""
     policies: tuple[str, ...] = tuple(POLICIES)
     workers: int = 2
     scenario: ScenarioConfig = ScenarioConfig()
@@ -175,6 +185,8 @@ def play(
     from shmoo_mjx.episode import run_episode
 
     config, first_status = POLICIES.get(policy, POLICIES[OURS])
+    if policy == "oracle" and generated.certificate is not None:
+        config = replace(config, detour=0.0)  # what it does not take for a wall is to be pushed
     return run_episode(
         grid,
         generated.scenario.model_copy(update={"seed": generated.scenario.seed + robot.seed}),
@@ -210,6 +222,8 @@ def _row(episode: Episode, generated: Generated) -> dict[str, Any]:
         "outcome": result["outcome"],
         "shortest_m": generated.shortest,
         "detour_m": generated.detour,
+        "extra_m": generated.extra,
+        **choice_of(result, trace, generated),
         **scores_of(episode, generated.scenario, generated.shortest),
         "displacement_m": float(np.linalg.norm(displaced, axis=1).sum()),
         "decisions": [{k: d[k] for k in ("t", "object", "K", "manipulable")} for d in result["decisions"]],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +19,13 @@ SHOWN = 8
 
 
 def draw_figures(folder: Path, rows: list[dict[str, Any]], maps: dict[str, Path]) -> None:
-    """Write success.png, causes.png and one picture of the runs per map into ``folder``."""
+    """Write success.png, causes.png and one picture of the runs per map; time_over_extra.png too for certificates."""
     if not rows:
         return
     save_figure(folder / "success.png", _success(rows))
     save_figure(folder / "causes.png", _causes(rows))
+    if any(r.get("reference_s") is not None for r in rows):
+        save_figure(folder / "time_over_extra.png", _time_over_extra(rows))
     for name in dict.fromkeys(r["map"] for r in rows):
         of = [r for r in rows if r["map"] == name]
         save_figure(folder / f"runs-{name}.png", _runs(of, load_map(maps[name])))
@@ -49,6 +52,33 @@ def _success(rows: list[dict[str, Any]]) -> Any:
     axes.set_ylabel("share of runs that reach the goal")
     axes.set_ylim(0, 1.12)
     figure.legend(loc="outside upper center", ncols=4, fontsize=8, frameon=False)
+    return figure
+
+
+def _time_over_extra(rows: list[dict[str, Any]]) -> Any:
+    """Time of each run over the extra length of the way round, with a running mean per policy, and the reference."""
+    figure = blank_figure(8.0, 4.2)
+    axes = figure.subplots()
+    certified = [r for r in rows if r.get("reference_s") is not None]
+    nowhere = 120.0  # where the scenarios without a way round stand on the axis [m]
+    for k, policy in enumerate([*_policies(certified), "reference"]):
+        reference = policy == "reference"
+        of = list({(r["map"], r["scenario"]): r for r in certified if reference or r["policy"] == policy}.values())
+        extra = np.array([nowhere if r["extra_m"] is None else max(r["extra_m"], 0.5) for r in of])
+        good = np.array([reference or r["success"] for r in of])
+        time = np.array([r["reference_s"] if reference else r["regret_s"] + r["reference_s"] for r in of])
+        colour = "black" if reference else SERIES[k % len(SERIES)]
+        axes.plot(extra[good], time[good], ".", color=colour, ms=4, alpha=0.6)
+        axes.plot(extra[~good], time[~good], "x", color=colour, ms=4, alpha=0.6)
+        bounds = [0.0, 2.5, 5.0, 10.0, 20.0, 60.5, 1e3]
+        parts = [(extra >= a) & (extra < b) for a, b in pairwise(bounds)]
+        means = [(np.exp(np.log(extra[p]).mean()), time[p].mean()) for p in parts if p.any()]
+        axes.plot(*np.array(means).T, color=colour, label=policy.replace("_", " "), lw=2.0 if reference else 1.2)
+    axes.set_xscale("log")
+    axes.set_xticks([1, 3, 10, 30, nowhere], ["1", "3", "10", "30", "none"])
+    axes.set_xlabel("extra length of the way round [m]")
+    axes.set_ylabel("time [s], failures (x) at reference + 120 s")
+    figure.legend(loc="outside upper center", ncols=5, fontsize=8, frameon=False)
     return figure
 
 

@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from shmoo_mjx import se2
 from shmoo_mjx.evaluation.paired import OURS, difference_metrics, metrics_by_method
 from shmoo_mjx.evaluation.scenarios import KINDS, Generated
+from shmoo_mjx.hands import CONTACT_FORCE
 
 COMPARED = {
     "success": ("success", True),
@@ -17,8 +19,15 @@ COMPARED = {
     "effort": ("effort efficiency, mass moved", True),
     "effort_force": ("effort efficiency, force", True),
     "ins": ("interactive navigation score", True),
+    "regret_s": ("regret [s]", False),
 }
 """What policies are compared by, scenario by scenario: label, and whether more of it is better."""
+FAILURE_S = 120.0
+"""Regret of a failure [s]."""
+TIE_S = 3.0
+"""A first choice is right if it leads to the goal within this of the reference [s]."""
+EXTRA_BANDS = {"to_5m": (0.0, 5.0), "to_15m": (5.0, 15.0), "over_15m": (15.0, 1e3), "no_way_round": None}
+"""Ranges of the extra length of the way round [m] for which regret is given."""
 _GRAVITY = 9.81
 
 
@@ -42,6 +51,37 @@ def effort_by_force(robot_mass: float, force: np.ndarray) -> float:
 def interactive_score(efficiency: float, by_mass: float, by_force: float) -> float:
     """The interactive navigation score INS_0.5: half path, half effort efficiency (the mean of its parts)."""
     return 0.5 * efficiency + 0.25 * (by_mass + by_force)
+
+
+def choice_of(result: dict[str, Any], trace: Any, generated: Generated) -> dict[str, Any]:
+    """How a run compares with the certificate; all None without one.
+
+    Returns:
+        ``reference_s``: time of the best option [s], None if none works. ``regret_s``: time of the run minus it,
+        `FAILURE_S` for a failure. ``first_choice``: the object that was touched first, None if none was.
+        ``right_choice``: whether the best certified option that begins so is within `TIE_S` of the reference.
+    """
+    told = generated.certificate
+    if told is None or told.reference_s is None:
+        return dict.fromkeys(("reference_s", "regret_s", "first_choice", "right_choice"))
+    success = result["outcome"] == "success"
+    first = _touched_first(trace, [item["half_extents"] for item in result["objects"]])
+    return {
+        "reference_s": told.reference_s,
+        "regret_s": result["time_s"] - told.reference_s if success else FAILURE_S,
+        "first_choice": first,
+        "right_choice": told.options().get(first, np.inf) <= told.reference_s + TIE_S,
+    }
+
+
+def _touched_first(trace: Any, half_extents: list[Any]) -> int | None:
+    """The object nearest to the robot when its hands first felt one."""
+    felt = np.flatnonzero(np.linalg.norm(np.asarray(trace.force), axis=1) > CONTACT_FORCE)
+    if not felt.size:
+        return None
+    robot, objects = trace.robot_pose[felt[0]], trace.object_pose[felt[0]]
+    local = np.abs(se2.inverse_transform_point(objects, robot[None, :2]))
+    return int(np.argmin(np.linalg.norm(np.maximum(local - np.array(half_extents), 0.0), axis=1)))
 
 
 def cause_of(result: dict[str, Any], generated: Generated) -> str:
@@ -112,14 +152,45 @@ def _of_policy(rows: list[dict[str, Any]]) -> dict[str, Any]:
         **{name: mean(name, good) for name in ("time_s", "path_length_m")},
         **{name: mean(name, rows) for name in ("displacement_m", "efficiency", "effort", "effort_force", "ins")},
         "scenarios": len(rows),
+        **_against_reference(rows),
     }
+
+
+def _against_reference(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """What certificates tell of a policy; empty where no scenario has one."""
+    certified = [r for r in rows if r.get("reference_s") is not None]
+    if not certified:
+        return {}
+    unsolvable = [r for r in rows if r["kind"] == "unsolvable"]
+    regret = [r["regret_s"] for r in certified]
+    metrics = {
+        "certified": len(certified),
+        "success_rate_certified": float(np.mean([r["success"] for r in certified])),
+        "reference_s": float(np.mean([r["reference_s"] for r in certified])),
+        "regret_s": float(np.mean(regret)),
+        "regret_s_median": float(np.median(regret)),
+        "right_first_choice": float(np.mean([r["right_choice"] for r in certified])),
+        "unsolvable": len(unsolvable),
+        "unsolvable_called_blocked": sum(r["outcome"] == "blocked" for r in unsolvable),
+    }
+    for name, band in EXTRA_BANDS.items():
+        here = [r["regret_s"] for r in certified if in_band(r["extra_m"], band)]
+        metrics |= {f"regret_s_{name}": float(np.mean(here)) if here else None, f"certified_{name}": len(here)}
+    return metrics
+
+
+def in_band(extra: float | None, band: tuple[float, float] | None) -> bool:
+    """Whether the extra length of a way round lies in one of `EXTRA_BANDS`."""
+    return extra is None if band is None else extra is not None and band[0] <= extra < band[1]
 
 
 def _differences(policy: str, pairs: list[tuple[dict[str, Any], dict[str, Any]]]) -> dict[str, Any]:
     solved = [(a, b) for a, b in pairs if a["success"] and b["success"]]
     metrics: dict[str, Any] = {}
+    certified = [(a, b) for a, b in pairs if a.get("regret_s") is not None and b.get("regret_s") is not None]
+    chosen = {"time_s": solved, "regret_s": certified}
     for name in COMPARED:
-        metrics |= difference_metrics(f"difference_{policy}_{name}", name, solved if name == "time_s" else pairs)
+        metrics |= difference_metrics(f"difference_{policy}_{name}", name, chosen.get(name, pairs))
     return metrics
 
 

@@ -12,17 +12,17 @@ from zlib import crc32
 import numpy as np
 
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.evaluation.manipulable import BORDER, SteadyPush
+from shmoo_mjx.evaluation.certify import Certificate, CertifyConfig
 from shmoo_mjx.evaluation.result import ExperimentOptions
-from shmoo_mjx.evaluation.scenarios import KINDS, PLANT, Generated, Kind, ScenarioConfig, draw_scenario
+from shmoo_mjx.evaluation.scenarios import EXTRAS, Extra, Generated, Kind, ScenarioConfig, draw_scenario
 from shmoo_mjx.files import write_whole
 from shmoo_mjx.fingerprints import fingerprint
-from shmoo_mjx.navigation.floorplan import draw_floorplan
+from shmoo_mjx.navigation.floorplan import draw_building
 from shmoo_mjx.navigation.maps import OccupancyGrid, save_map
 from shmoo_mjx.navigation.scenario import Scenario
 from shmoo_mjx.navigation.yaml_input import yaml_files
 
-FLOOR_PLANS = 5
+BUILDINGS = 5
 """Generated where no maps are given."""
 
 
@@ -42,12 +42,12 @@ class Places:
 
 
 def find_places(options: ExperimentOptions, folder: Path, config: ScenarioConfig, most: int | None = None) -> Places:
-    """The maps of ``options.maps``, or else generated floor plans, which are written into ``folder``; ``most`` of them.
+    """The maps of ``options.maps``, or else generated buildings, which are written into ``folder``; ``most`` of them.
 
     Raises:
         ShmooError: ``options.maps`` holds none.
     """
-    maps = _floor_plans(folder / "plans", options.first_unseen) if options.maps is None else find_maps(options.maps)
+    maps = _buildings(folder / "plans", options.first_unseen) if options.maps is None else find_maps(options.maps)
     return Places(dict(list(maps.items())[:most]), folder / "scenarios", options.first_unseen, config)
 
 
@@ -69,22 +69,19 @@ def find_maps(folder: Path) -> dict[str, Path]:
     return maps
 
 
-def _floor_plans(folder: Path, first_unseen: int) -> dict[str, Path]:
+def _buildings(folder: Path, first_unseen: int) -> dict[str, Path]:
     folder.mkdir(parents=True, exist_ok=True)
-    files = {f"plan_{k}": folder / f"plan_{first_unseen}_{k}.yaml" for k in range(FLOOR_PLANS)}
+    files = {f"building_{k}": folder / f"building_{first_unseen}_{k}.yaml" for k in range(BUILDINGS)}
     for k, file in enumerate(files.values()):
-        save_map(draw_floorplan(np.random.default_rng([first_unseen, k])).grid, file)
+        save_map(draw_building(np.random.default_rng([first_unseen, k])), file)
     return files
 
 
-def kinds_of(map_name: str, number: int) -> list[Kind]:
-    """The kind that scenario ``number`` of a map is to be, then the others in the order in which they may replace it.
-
-    The kinds take turns. Those that stand in for a kind that a map has no place for take turns as well.
-    """
-    first = (number + crc32(map_name.encode())) % len(KINDS)
-    others = [kind for kind in KINDS if kind != KINDS[first]]
-    return [KINDS[first], *(others if number // len(KINDS) % 2 else others[::-1])]
+def extras_of(map_name: str, number: int) -> list[Extra]:
+    """The range of the extra length for which scenario ``number`` of a map is drawn, then those that may replace it."""
+    first = (3 * number + crc32(map_name.encode())) % len(EXTRAS)
+    others = [extra for extra in (*EXTRAS[first + 1 :], *EXTRAS[:first]) if extra is not None]
+    return [EXTRAS[first], *others, *({None} - {EXTRAS[first]})]
 
 
 def kept_scenario(places: Places, grid: OccupancyGrid, map_name: str, number: int) -> tuple[Kind, Generated | None]:
@@ -93,23 +90,27 @@ def kept_scenario(places: Places, grid: OccupancyGrid, map_name: str, number: in
         entry = dict(places.given[f"{map_name}-{number}"])
         return entry.pop("wanted"), generated_from(entry)
 
-    def draw(kind: Kind, rng: np.random.Generator) -> dict[str, Any]:
-        return as_data(draw_scenario(grid, kind, rng, places.first_unseen, PLANT, places.config))
+    def draw(extra: Extra, rng: np.random.Generator) -> dict[str, Any]:
+        return as_data(draw_scenario(grid, extra, rng, places.first_unseen, places.config))
 
     data = kept(places, grid, map_name, (number,), draw)
-    wanted = kinds_of(map_name, number)[0]
-    return wanted, None if data is None else generated_from(data)
+    found = None if data is None else generated_from(data)
+    return "unsolvable" if found is None else found.kind, found
 
 
 def as_data(found: Generated) -> dict[str, Any]:
     """A scenario as it is written."""
-    return found._asdict() | {"scenario": found.scenario.model_dump(mode="json")}
+    certificate = None if found.certificate is None else found.certificate.model_dump(mode="json")
+    return found._asdict() | {"scenario": found.scenario.model_dump(mode="json"), "certificate": certificate}
 
 
 def generated_from(data: dict[str, Any]) -> Generated:
     """A scenario as it was written."""
     lists = {name: tuple(data[name]) for name in ("movable", "blocking", "border")}
-    return Generated(**data | lists | {"scenario": Scenario.model_validate(data["scenario"])})
+    told = data.get("certificate")
+    certificate = None if told is None else Certificate.model_validate(told)
+    scenario = Scenario.model_validate(data["scenario"])
+    return Generated(**data | lists | {"scenario": scenario, "certificate": certificate})
 
 
 def kept(
@@ -117,9 +118,9 @@ def kept(
     grid: OccupancyGrid,
     map_name: str,
     number: tuple[int, ...],
-    draw: Callable[[Kind, np.random.Generator], dict[str, Any]],
+    draw: Callable[[Extra, np.random.Generator], dict[str, Any]],
 ) -> dict[str, Any] | None:
-    """What ``draw`` returns for the first kind in turn that the map has a place for, or None if it has for no kind.
+    """What ``draw`` returns for the first range of the extra length in turn that the map has a place for, or None.
 
     It is kept as a file that goes with the function, the map, the settings and the plant. ``number`` begins with the
     scenario's; with map and objects it fixes the random numbers, and other maps beside this one change nothing.
@@ -127,17 +128,17 @@ def kept(
     settings = {
         "frame": [grid.resolution, *grid.origin],
         "scenario": asdict(places.config),
-        "truth": [asdict(SteadyPush()), BORDER],
+        "truth": asdict(CertifyConfig()),
         "first_unseen": places.first_unseen,
     }
     mark = fingerprint(draw.__module__, settings, grid.cells)
     file = places.scenarios / f"{'-'.join([map_name, *map(str, number)])}-{mark}.json"
     if not file.is_file():
         found = None
-        for turn, kind in enumerate(kinds_of(map_name, number[0])):
+        for turn, extra in enumerate(extras_of(map_name, number[0])):
             seed = [places.first_unseen, crc32(map_name.encode()), number[0], turn, *number[1:]]
             try:
-                found = draw(kind, np.random.default_rng(seed))
+                found = draw(extra, np.random.default_rng(seed))
             except ShmooError:
                 continue
             break

@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from shmoo_mjx.assets import asset
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.evaluation.certify import Certificate
 from shmoo_mjx.evaluation.navigation_places import Places, as_data, find_places, kept_scenario
 from shmoo_mjx.evaluation.result import ExperimentOptions
 from shmoo_mjx.evaluation.scenarios import Kind, ScenarioConfig
@@ -50,6 +51,7 @@ class _Entry(BaseModel):
     shortest: Number = Field(gt=0)
     detour: Number | None
     border: tuple[bool, ...]
+    certificate: Certificate | None = None
 
 
 class _Set(BaseModel):
@@ -70,7 +72,7 @@ def make_set(
 ) -> int:
     """Draw scenarios and write them with their maps into ``out``; how many there are.
 
-    Each of ``condition_seeds`` draws ``per_map`` scenarios on every map below ``maps``, or on floor plans made
+    Each of ``condition_seeds`` draws ``per_map`` scenarios on every map below ``maps``, or on buildings made
     for it. The folder ``drawn`` keeps each scenario, so that a stopped command goes on.
 
     Raises:
@@ -112,7 +114,7 @@ def _drawn(places: Places, trial: tuple[str, int]) -> list[dict[str, Any]]:
 
 
 def find_set(name: Path) -> Path:
-    """The file of that name, or the shipped set that is called so (``floor_plans``)."""
+    """The file of that name, or the shipped set that is called so (``arena``, ``floor_plans``)."""
     shipped = asset(f"experiments/scenario_sets/{name}.json")
     return shipped if not name.exists() and shipped.is_file() else name
 

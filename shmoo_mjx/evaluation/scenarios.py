@@ -1,17 +1,15 @@
-"""Navigation scenarios on any map: objects block doorways and corridors, and a way to the goal is known to exist.
+"""Navigation scenarios on any map: objects block doorways and corridors, and each scenario has a certificate.
 
-A scenario is kept only with a proof of its kind. *Detour*: a path clear of walls and of every object where it stands.
-*Push*: a face that can be walked to, a straight push from it through free space, a path to the goal past the object
-where that push ends, and a plant in which the robot's steady push on that face moves it. What pushes over and around
-several objects could do beyond that is left to the robot.
+A scenario is drawn for a range of the extra length of the way round. Whether its objects can be pushed out of the way
+is an outcome, told by the certificate (`certify`), and so is its kind.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from itertools import cycle
-from typing import Any, Literal, NamedTuple, get_args
+from itertools import cycle, pairwise
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import shapely
@@ -20,8 +18,8 @@ from scipy import ndimage
 from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.evaluation.manipulable import IMMOVABLE, draw_immovable, manipulable, near_border
-from shmoo_mjx.faces import faces_of, heading, stand_off
+from shmoo_mjx.evaluation.certify import Certificate, certify
+from shmoo_mjx.evaluation.manipulable import IMMOVABLE, SteadyPush, draw_immovable
 from shmoo_mjx.navigation.clearance import ClearanceField
 from shmoo_mjx.navigation.footprints import add_obstacles, footprint_polygon, footprints_free, wall_distance
 from shmoo_mjx.navigation.maps import OccupancyGrid, clearance_field
@@ -30,20 +28,14 @@ from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Limits, ObjectEntry, Sce
 from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 
-Kind = Literal["push only", "detour only", "either"]
-KINDS: tuple[Kind, ...] = get_args(Kind)
-
-
-class Truth(NamedTuple):
-    """What is known about a push on a face of an object; each takes (condition, side)."""
-
-    moves: Callable[[Condition, int], bool]
-    """Does the robot's push move the object."""
-    near: Callable[[Condition, int], bool] = lambda condition, side: False
-    """Is it near the border between the two."""
-
-
-PLANT = Truth(manipulable, near_border)
+Kind = Literal["push only", "detour only", "either", "unsolvable"]
+KINDS: tuple[Kind, ...] = ("push only", "detour only", "either")
+"""Kinds of scenarios that can be solved."""
+Extra = tuple[float, float] | None
+"""Range of how much longer the way round is [m]; None: there is no way round."""
+_BOUNDS = np.geomspace(1.0, 60.0, 9).round(2).tolist()
+EXTRAS: tuple[Extra, ...] = (*pairwise(_BOUNDS[:5]), None, *pairwise(_BOUNDS[4:]), None)
+"""What scenarios are drawn for in turn: even in the logarithm from 1 to 60 m, and a fifth without a way round."""
 
 
 @dataclass(frozen=True)
@@ -52,24 +44,20 @@ class ScenarioConfig:
 
     path: tuple[float, float] = (4.0, 14.0)
     """Length of the shortest path from start to goal past no object."""
-    longest: float = 32.0
-    """Length of the longest way round that counts as one."""
     start_clearance: float = 0.45
     """Room round start and goal."""
     narrow: tuple[float, float] = (0.75, 1.80)
     """Width of a doorway or corridor, for it to be blocked."""
-    blocked: float = 1.0
-    """A path is blocked by objects that make the way round at least this much longer."""
+    movable: float = 0.8
+    """Share of objects that are drawn as any of their family; the others are heavy, have locked wheels or are fixed."""
     ahead: tuple[float, float] = (1.6, 1.0)
     """How far a blocked place is from start and from goal, along the path."""
     objects: int = 4
     """Most objects. How many there shall be is drawn evenly; what blocks nothing is added until there are so many."""
     margin: float = 0.04
     """Room between objects and walls."""
-    reach: float = 2.5
-    """Longest straight push that is looked at."""
     attempts: int = 150
-    """Draws of start and goal before a kind is given up."""
+    """Draws of start and goal before a range of the extra length is given up."""
     time_s: float = 240.0
     """Limit of the run [s]."""
 
@@ -80,7 +68,8 @@ class Generated(NamedTuple):
     scenario: Scenario
     kind: Kind
     movable: tuple[bool, ...]
-    """Of each object, as the plant says for the face of the proof."""
+    """Of each object: does some push of the certificate move it along the push. What was not tried counts as it was
+    drawn."""
     blocking: tuple[bool, ...]
     """Of each object: was it put into a blocked place, or does it stand about."""
     shortest: float
@@ -88,7 +77,14 @@ class Generated(NamedTuple):
     detour: float | None
     """Length of the path round all of them, if there is one."""
     border: tuple[bool, ...] = ()
-    """Of each object: is it near the border of manipulability, so that the verdict hangs on little."""
+    """Of each object: is it near the border of manipulability. None is known to be in newly drawn scenarios."""
+    certificate: Certificate | None = None
+    """What each option leads to; None in sets of the older form."""
+
+    @property
+    def extra(self) -> float | None:
+        """How much longer the way round is [m], None where there is none."""
+        return None if self.detour is None else self.detour - self.shortest
 
 
 @dataclass
@@ -114,7 +110,6 @@ class _Site:
     rng: np.random.Generator
     seeds: Iterator[int]
     """Of the objects."""
-    truth: Truth
     cfg: ScenarioConfig
     start: np.ndarray
     goal: np.ndarray
@@ -131,13 +126,14 @@ class _Site:
 
 def draw_scenario(
     grid: OccupancyGrid,
-    kind: Kind,
+    extra: Extra,
     rng: np.random.Generator,
     first_seed: int,
-    truth: Truth = PLANT,
     cfg: ScenarioConfig = ScenarioConfig(),
+    certifier: Callable[[OccupancyGrid, Scenario], Certificate] = certify,
 ) -> Generated:
-    """Draw a scenario of ``kind``, whose objects have some of the 1,000 seeds from ``first_seed`` on.
+    """Draw a scenario whose way round is longer by ``extra``; its objects have some of the 1,000 seeds from
+    ``first_seed`` on.
 
     Raises:
         ShmooError: the map has no place for such a scenario.
@@ -149,15 +145,13 @@ def draw_scenario(
         ends = _draw_ends(grid, walls, room, rng, cfg)
         if ends is None:
             continue
-        site = _Site(grid, walls, rng, seeds, truth, cfg, *ends)
-        if not _block(site, kind):
-            continue
-        _add_bystanders(site)
-        found = _classify(site)
-        if found is not None and found.kind == kind:
-            return found._replace(scenario=found.scenario.model_copy(update={"seed": int(rng.integers(10**6))}))
+        site = _Site(grid, walls, rng, seeds, cfg, *ends)
+        if _block(site, extra):
+            _add_bystanders(site)
+            return _certified(site, certifier)
+    wanted = "no way round" if extra is None else f"a way round longer by {extra[0]:g} to {extra[1]:g} m"
     source = grid.source or "the map"
-    raise ShmooError(f"{source}: no '{kind}' scenario was found in {cfg.attempts} draws; give another map.")
+    raise ShmooError(f"{source}: no scenario with {wanted} was found in {cfg.attempts} draws; give another map.")
 
 
 def largest_room(clearance: np.ndarray, radius: float) -> np.ndarray:
@@ -218,30 +212,30 @@ def _narrow_places(site: _Site, path: Path) -> list[_Narrow]:
     return [_Narrow(*place) for place in zip(middle, along, width[good], strict=True)]
 
 
-def _block(site: _Site, kind: Kind) -> bool:
-    """Put objects in the way until the kind of solution that is wanted is the one there is, so far as can be seen."""
-    path, movable, cfg = site.path, kind != "detour only", site.cfg
-    while _block_path(site, path, movable):
+def _block(site: _Site, extra: Extra) -> bool:
+    """Put objects in the way, and in the way round, until the way round is as long as wanted."""
+    path = site.path
+    while _block_path(site, path):
         around = site.way(site.start, site.polygons())
         if around is None:
-            return kind == "push only"
-        if around.length < path.length + cfg.blocked:
+            return extra is None
+        longer = around.length - site.path.length
+        if extra is not None and longer >= extra[0]:
+            return longer < extra[1]
+        if len(site.placed) >= site.cfg.objects:
             return False
-        if kind != "push only":
-            return around.length <= cfg.longest
-        if len(site.placed) >= cfg.objects:
-            return False
-        path, movable = around, False
+        path = around
     return False
 
 
-def _block_path(site: _Site, path: Path, movable: bool) -> bool:
+def _block_path(site: _Site, path: Path) -> bool:
     """Put one object into a narrow place of ``path`` so that nobody gets past it there."""
     places = _narrow_places(site, path)
     for i in site.rng.permutation(len(places))[:6]:
-        for _ in range(6):
+        for _ in range(3):
+            movable = bool(site.rng.random() < site.cfg.movable)
             placed = _place(places[i], _draw_object(site, movable), movable, site.rng)
-            if _fits(site, placed) and _stops(path, places[i], placed) and _as_wanted(site, placed):
+            if _fits(site, placed) and _stops(path, places[i], placed):
                 site.placed.append(placed)
                 return True
     return False
@@ -255,13 +249,10 @@ def _place(narrow: _Narrow, condition: Condition, movable: bool, rng: np.random.
 
 
 def _draw_object(site: _Site, movable: bool) -> Condition:
-    """One that may be of the wanted sort, as the plant has to say. A quarter of the immovable ones are drawn as any."""
+    """Any of its family, or one that ought not to move."""
     seed, rng = int(next(site.seeds)), site.rng
-    family, sort = FAMILIES[rng.integers(3)], int(rng.integers(len(IMMOVABLE) + 1))
-    # Only these, which nothing was done to, can be so near the border that they nearly move.
-    if movable or sort == len(IMMOVABLE):
-        return draw_condition(family, seed)
-    return draw_immovable(IMMOVABLE[sort], family, seed)
+    family, sort = FAMILIES[rng.integers(3)], IMMOVABLE[rng.integers(len(IMMOVABLE))]
+    return draw_condition(family, seed) if movable else draw_immovable(sort, family, seed)
 
 
 def _fits(site: _Site, placed: _Placed) -> bool:
@@ -282,42 +273,6 @@ def _stops(path: Path, narrow: _Narrow, placed: _Placed) -> bool:
     return widest < 2 * ROBOT_RADIUS and path_blocked_by(path, placed.polygon, ROBOT_RADIUS)[0]
 
 
-def _as_wanted(site: _Site, placed: _Placed) -> bool:
-    """Does the plant agree that it can be moved from a face where a push helps, or can't be from any in reach."""
-    sides = _helpful_sides(site, placed) if placed.movable else _reachable_sides(site, placed)
-    return any(site.truth.moves(placed.condition, side) for side in sides) == placed.movable
-
-
-def _reachable_sides(site: _Site, placed: _Placed) -> Iterator[int]:
-    obstacles = [*site.polygons(placed), placed.polygon]
-    room = add_obstacles(site.walls, obstacles)
-    for side, face in enumerate(faces_of(placed.condition.half_extents)):
-        stand = stand_off(placed.pose, face, 0.12)[:2]
-        if room.at(stand) >= ROBOT_RADIUS and site.way(site.start, obstacles, stand) is not None:
-            yield side
-
-
-def _helpful_sides(site: _Site, placed: _Placed) -> Iterator[int]:
-    """Faces from which a straight push through free space opens the way to the goal."""
-    others = site.polygons(placed)
-    room = add_obstacles(site.walls, others)
-    half = placed.condition.half_extents
-    for side in _reachable_sides(site, placed):
-        face = faces_of(half)[side]
-        direction = heading(placed.pose, face)
-        steps = np.arange(0.1, site.cfg.reach, 0.1)
-        poses = placed.pose + steps[:, None] * np.array([np.cos(direction), np.sin(direction), 0.0])
-        free = footprints_free(room, poses, half, wall_clearance=site.cfg.margin)
-        count = len(steps) if free.all() else int(np.argmin(free))
-        for pose in poses[2:count:3]:
-            robot = stand_off(pose, face, 0.12)[:2]
-            if room.at(robot) < ROBOT_RADIUS - 0.02:
-                break
-            if site.way(robot, [*others, footprint_polygon(pose, half)]) is not None:
-                yield side
-                break
-
-
 def _add_bystanders(site: _Site) -> None:
     """Objects beside the path that block nothing, until there are as many as drawn."""
     rng = site.rng
@@ -325,15 +280,13 @@ def _add_bystanders(site: _Site) -> None:
     for _ in range(20):
         if len(site.placed) >= wanted:
             return
-        movable = bool(rng.random() < 0.5)
+        movable = bool(rng.random() < site.cfg.movable)
         s, side = rng.uniform(0.0, site.path.length), rng.choice([-1.0, 1.0])
         along = tangent_at(site.path, s)
         place = point_at(site.path, s) + side * rng.uniform(0.8, 1.8) * np.array([-along[1], along[0]])
-        condition = _draw_object(site, movable)
-        placed = _Placed(condition, np.array([*place, rng.uniform(-np.pi, np.pi)]), movable, False)
+        placed = _Placed(_draw_object(site, movable), np.array([*place, rng.uniform(-np.pi, np.pi)]), movable, False)
         open_floor = _fits(site, placed) and not path_blocked_by(site.path, placed.polygon, ROBOT_RADIUS)[0]
         if open_floor and _leaves_ways(site, placed):
-            placed.movable = any(site.truth.moves(condition, face) for face in _reachable_sides(site, placed))
             site.placed.append(placed)
 
 
@@ -344,14 +297,9 @@ def _leaves_ways(site: _Site, placed: _Placed) -> bool:
     return after.length < before.length + 0.3
 
 
-def _classify(site: _Site) -> Generated | None:
-    """The finished scenario with its kind, or None if no solution is known."""
+def _certified(site: _Site, certifier: Callable[[OccupancyGrid, Scenario], Certificate]) -> Generated:
+    """The finished scenario with its certificate and its kind."""
     around = site.way(site.start, site.polygons())
-    pushes = any(_as_wanted(site, p) for p in site.placed if p.movable and p.blocking)
-    detour = None if around is None or around.length > site.cfg.longest else around.length
-    if detour is None and not pushes:
-        return None
-    kind: Kind = "detour only" if not pushes else "push only" if around is None else "either"
     along = tangent_at(site.path, 0.3)
     start = (*site.start, np.arctan2(along[1], along[0]))
     scenario = Scenario(
@@ -359,20 +307,27 @@ def _classify(site: _Site) -> Generated | None:
         goal=_rounded(site.goal),
         objects=tuple(entry_of(p.condition, p.pose) for p in site.placed),
         limits=Limits(time_s=site.cfg.time_s),
+        seed=int(site.rng.integers(10**6)),
     )
-    movable, blocking = tuple(p.movable for p in site.placed), tuple(p.blocking for p in site.placed)
-    border = tuple(_near_border(site, p) for p in site.placed)
-    return Generated(scenario, kind, movable, blocking, site.path.length, detour, border)
-
-
-def _near_border(site: _Site, placed: _Placed) -> bool:
-    """Of what can be moved: is it so from no face without doubt. Of what can't: is there a face that raises a doubt."""
-    truth = site.truth
-    if placed.movable:
-        sides = _helpful_sides(site, placed) if placed.blocking else _reachable_sides(site, placed)
-        near = [truth.near(placed.condition, side) for side in sides if truth.moves(placed.condition, side)]
-        return bool(near) and all(near)
-    return any(truth.near(placed.condition, side) for side in _reachable_sides(site, placed))
+    found = certifier(site.grid, scenario)
+    pushes = any(a.result == "free" for a in found.attempts)
+    kinds: dict[tuple[bool, bool], Kind] = {
+        (True, True): "either",
+        (True, False): "push only",
+        (False, True): "detour only",
+        (False, False): "unsolvable",
+    }
+    movable = tuple(found.moves(i, SteadyPush().distance, p.movable) for i, p in enumerate(site.placed))
+    return Generated(
+        scenario,
+        kinds[pushes, around is not None],
+        movable,
+        tuple(p.blocking for p in site.placed),
+        site.path.length,
+        None if around is None else around.length,
+        (False,) * len(movable),
+        found,
+    )
 
 
 def entry_of(condition: Condition, pose: Array) -> ObjectEntry:

@@ -117,6 +117,27 @@ def demo_scenario(seed: int) -> tuple[OccupancyGrid, Scenario]:
     return _mirrored(plan.grid, scenario) if rng.random() < 0.5 else (plan.grid, scenario)
 
 
+def paper_scenario(seed: int) -> tuple[OccupancyGrid, Scenario]:
+    """The paper's own scene (Sec. VI-B): a box of 2.8 kg and an empty wheelchair of 11.9 kg with locked wheels.
+
+    The floor plan is the demo's, since the paper gives none, and so are sizes and friction; ``seed`` draws them. With
+    its rear wheels alone locked the robot could push the empty wheelchair from behind; the paper's is not manipulable.
+    """
+    grid, scenario = demo_scenario(seed)
+    box, chair = scenario.objects
+    empty: dict[str, Any] = {"payload": 0.0, "payload_x": 0.0}
+    given = (empty | {"mass": 2.8}, empty | {"mass": 11.9, "locked": [True] * 4})
+    objects = tuple(
+        entry.model_copy(update={"properties": entry.properties | own})
+        for entry, own in zip((box, chair), given, strict=True)
+    )
+    return grid, scenario.model_copy(update={"objects": objects})
+
+
+SCENES = {"generated": demo_scenario, "paper": paper_scenario}
+"""Scenes of `shmoo demo`, drawn from a seed."""
+
+
 def _draw_box(rng: np.random.Generator, door: Doorway, side: float) -> ObjectEntry:
     pose = _rounded(door.x + rng.uniform(0.0, 0.2), door.y + rng.uniform(-0.04, 0.04), rng.uniform(-0.22, 0.02))
     properties: dict[str, Any] = {
@@ -165,3 +186,46 @@ def _cells(lengths: tuple[float, ...], resolution: float) -> tuple[int, ...]:
 def _rounded(*values: float) -> Any:
     # Three decimals keep a written scenario readable and equal to the drawn one.
     return tuple(round(float(v), 3) for v in values)
+
+
+def draw_building(rng: np.random.Generator) -> OccupancyGrid:
+    """Draws a building of many rooms and corridors.
+
+    Walls divide a rectangle again and again, each with one doorway, so that every room can be reached. Some walls get a
+    second doorway: the fewer there are, the longer are the ways round.
+    """
+    size = np.array([_snap(rng.uniform(14.0, 32.0), RESOLUTION), _snap(rng.uniform(10.0, 22.0), RESOLUTION)])
+    cells = np.full(_cells((size[1], size[0]), RESOLUTION), FREE, dtype=np.int8)
+    edge = round(_WALL / RESOLUTION)
+    cells[:edge] = cells[-edge:] = cells[:, :edge] = cells[:, -edge:] = OCCUPIED
+    least, second = rng.uniform(1.4, 3.0) / RESOLUTION, rng.uniform(0.4, 1.0)
+    _divide(cells, rng, (edge, edge, cells.shape[1] - edge, cells.shape[0] - edge), least, second)
+    return OccupancyGrid(cells, RESOLUTION)
+
+
+def _divide(
+    cells: np.ndarray, rng: np.random.Generator, room: tuple[int, int, int, int], least: float, second: float
+) -> None:
+    """Divide a room (left, low, right, high) [cells] by a wall, and both parts in turn, down to about ``least``."""
+    left, low, right, high = room
+    upright = right - left > high - low
+    begin, end = (left, right) if upright else (low, high)
+    grid, edge = cells if upright else cells.T, round(_WALL / RESOLUTION)
+    bottom, top = (low, high) if upright else (left, right)
+    places = [
+        at
+        for at in range(round(begin + least), round(end - least - edge))
+        # No wall ends in a doorway.
+        if (grid[[bottom - 1, top], max(at - 8, 0) : at + edge + 8] == OCCUPIED).all()
+    ]
+    if end - begin < 2.4 * least or top - bottom < 1.6 / RESOLUTION or not places:
+        return
+    at = int(rng.choice(places))
+    grid[bottom:top, at : at + edge] = OCCUPIED
+    for _ in range(2 if rng.random() < second and top - bottom > 3.0 / RESOLUTION else 1):
+        width = round(rng.uniform(0.9, 1.4) / RESOLUTION)
+        first = int(rng.integers(bottom + 2, top - width - 1))
+        grid[first : first + width, at : at + edge] = FREE
+    parts = ((begin, at), (at + edge, end))
+    for a, b in parts:
+        _divide(cells, rng, (a, low, b, high) if upright else (left, a, right, b), least, second)

@@ -50,7 +50,7 @@ class NavigatorConfig:
     latency: float = 0.0
     """Time from what a command answers to its effect [s]; the robot's motion is foreseen for so long, the less exactly
     the longer."""
-    detour: float = 3.0
+    detour: float = 9.0
     """Extra length up to which a way round is taken rather than a push [m]; more makes for fewer pushes. A push takes
     some 15 s, in which the robot walks twice as far."""
     decides_by: Literal["mobility", "K"] = "mobility"

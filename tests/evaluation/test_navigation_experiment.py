@@ -13,10 +13,11 @@ from toy import toy_scenario
 
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import navigation, navigation_places
+from shmoo_mjx.evaluation.certify import Attempt, Certificate
 from shmoo_mjx.evaluation.navigation import POLICIES
-from shmoo_mjx.evaluation.navigation_places import FLOOR_PLANS, find_maps, find_places, kept_scenario, kinds_of
+from shmoo_mjx.evaluation.navigation_places import BUILDINGS, extras_of, find_maps, find_places, kept_scenario
 from shmoo_mjx.evaluation.result import ExperimentOptions
-from shmoo_mjx.evaluation.scenarios import KINDS, Generated, ScenarioConfig
+from shmoo_mjx.evaluation.scenarios import EXTRAS, Generated, ScenarioConfig
 from shmoo_mjx.navigation.belief import Status
 from shmoo_mjx.navigation.maps import load_map, save_map
 
@@ -37,7 +38,7 @@ def test_policies_know_what_they_are_meant_to_know() -> None:
 
 
 def test_policies_run_in_their_own_order_and_unknown_ones_are_refused() -> None:
-    assert ExperimentOptions().chosen(POLICIES) == ("ours", "lazy", "oracle", "always_avoid", "always_push")
+    assert ExperimentOptions().chosen(POLICIES) == tuple(POLICIES)
     assert ExperimentOptions(policies=("always_push", "ours")).chosen(POLICIES) == ("ours", "always_push")
     with pytest.raises(ShmooError, match="--policies never"):
         ExperimentOptions(policies=("never",)).chosen(POLICIES)
@@ -59,41 +60,49 @@ def test_maps_are_found_below_a_folder(tmp_path: Path) -> None:
         find_maps(tmp_path / "a" / "nothing")
 
 
-def test_without_maps_floor_plans_are_drawn(tmp_path: Path) -> None:
+def test_without_maps_buildings_are_drawn(tmp_path: Path) -> None:
     places = find_places(ExperimentOptions(condition_seed=3), tmp_path, ScenarioConfig())
-    assert len(places.maps) == FLOOR_PLANS
+    assert len(places.maps) == BUILDINGS
     cells = [load_map(path).cells for path in places.maps.values()]
     assert any(a.shape != b.shape or (a != b).any() for a, b in pairwise(cells))
     assert len(find_places(ExperimentOptions(), tmp_path, ScenarioConfig(), most=2).maps) == 2
 
 
-def test_kinds_take_turns_and_so_do_those_that_stand_in() -> None:
+def test_ranges_of_the_extra_length_take_turns_and_none_stands_in_last() -> None:
     for name in ("depot", "willow"):
-        orders = [kinds_of(name, n) for n in range(18)]
-        assert all(sorted(order) == sorted(KINDS) for order in orders)
-        for kind in KINDS:
-            replaced = [order[1] for order in orders if order[0] == kind]
-            assert len(replaced) == 6 and {replaced.count(other) for other in set(replaced)} == {3}
+        orders = [extras_of(name, n) for n in range(10)]
+        assert sorted(map(str, (order[0] for order in orders))) == sorted(map(str, EXTRAS))
+        assert all({*order} == {*EXTRAS} and None not in order[1:-1] for order in orders)
 
 
 def test_a_scenario_is_drawn_once_and_again_for_another_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    drawn: list[str] = []
+    drawn: list[Any] = []
 
-    def draw(grid: Any, kind: str, *rest: Any) -> Generated:
-        drawn.append(kind)
-        if kind != kinds_of("plan_0", 0)[1]:
+    def draw(grid: Any, extra: Any, *rest: Any) -> Generated:
+        drawn.append(extra)
+        if extra != extras_of("building_0", 0)[1]:
             raise ShmooError("no place.")
-        return generated(True)._replace(kind=kind)  # type: ignore[arg-type]
+        return generated(True)
 
     monkeypatch.setattr(navigation_places, "draw_scenario", draw)
     places = find_places(ExperimentOptions(), tmp_path, ScenarioConfig())
-    grid = load_map(places.maps["plan_0"])
-    wanted, found = kept_scenario(places, grid, "plan_0", 0)
-    order = kinds_of("plan_0", 0)
-    assert drawn == order[:2] and wanted == order[0] and found is not None and found.kind == order[1]
-    assert kept_scenario(places, grid, "plan_0", 0) == (wanted, found) and len(drawn) == 2
-    kept_scenario(places, load_map(places.maps["plan_1"]), "plan_0", 0)
+    grid = load_map(places.maps["building_0"])
+    wanted, found = kept_scenario(places, grid, "building_0", 0)
+    assert drawn == extras_of("building_0", 0)[:2] and found is not None and wanted == found.kind
+    assert kept_scenario(places, grid, "building_0", 0) == (wanted, found) and len(drawn) == 2
+    kept_scenario(places, load_map(places.maps["building_1"]), "building_0", 0)
     assert len(drawn) == 4
+
+
+def test_the_oracle_pushes_what_the_best_certified_option_pushes() -> None:
+    found = generated(True, True)
+    way = {"face": 0, "lateral": 0.0, "steering": 0.0, "start": (0.0, 0.0, 0.0), "progress": 0.9}
+    push = Attempt.model_validate(way | {"object": 1, "result": "free", "seconds": 30.0})
+    told = Certificate(attempts=(push,), round_s=90.0, reference_s=30.0, best=(0,))
+    oracle = POLICIES["oracle"].first_status
+    assert oracle is not None and oracle(found._replace(certificate=told)) == [Status.FIXED, Status.UNKNOWN]
+    walk = Certificate(attempts=(push,), round_s=20.0, reference_s=20.0, best=())
+    assert oracle(found._replace(certificate=walk)) == [Status.FIXED] * 2
 
 
 class FakeTrace(NamedTuple):
@@ -144,11 +153,13 @@ def test_all_policies_run_on_all_scenarios_ours_first(tmp_path: Path, fakes: lis
     assert fakes == [
         "ours",
         "ours",
-        "kept plan_1-0",
+        "kept building_1-0",
         *["lazy"] * 2,
         *["oracle"] * 2,
         *["always_avoid"] * 2,
         *["always_push"] * 2,
+        *["paper"] * 2,
+        *["geometric"] * 2,
     ]
     assert result.metrics["success_rate"] == 0.5 and result.metrics["baseline_always_push_scenarios"] == 2
     assert result.config["senses"] == "perfect" and result.config["generated_maps"] is True
@@ -159,12 +170,12 @@ def test_all_policies_run_on_all_scenarios_ours_first(tmp_path: Path, fakes: lis
 def test_ours_alone_is_there_for_the_others_to_join(tmp_path: Path, fakes: list[str]) -> None:
     options = ExperimentOptions(out=tmp_path, scenarios=1, policies=("ours",))
     alone = navigation.run(options)
-    assert fakes.count("ours") == FLOOR_PLANS and set(alone.config["policies"]) == {"ours"}
+    assert fakes.count("ours") == BUILDINGS and set(alone.config["policies"]) == {"ours"}
     navigation.run(ExperimentOptions(out=tmp_path, scenarios=1))
-    assert fakes.count("ours") == FLOOR_PLANS and fakes.count("always_push") == FLOOR_PLANS
+    assert fakes.count("ours") == BUILDINGS and fakes.count("always_push") == BUILDINGS
     # Other senses, other runs.
     navigation.run(ExperimentOptions(out=tmp_path, scenarios=1, policies=("ours",), senses="perfect"))
-    assert fakes.count("ours") == 2 * FLOOR_PLANS
+    assert fakes.count("ours") == 2 * BUILDINGS
 
 
 @pytest.mark.slow

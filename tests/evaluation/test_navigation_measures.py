@@ -9,16 +9,21 @@ import numpy as np
 import pytest
 from toy import toy_scenario
 
+from shmoo_mjx.evaluation.certify import Attempt, Certificate
 from shmoo_mjx.evaluation.navigation import POLICIES
 from shmoo_mjx.evaluation.navigation_failures import keep_failure, write_failures
+from shmoo_mjx.evaluation.navigation_figures import _time_over_extra
 from shmoo_mjx.evaluation.navigation_measures import (
+    EXTRA_BANDS,
+    FAILURE_S,
     cause_of,
+    choice_of,
     effort_by_force,
     effort_by_mass,
     interactive_score,
     measure,
 )
-from shmoo_mjx.evaluation.navigation_tables import navigation_tables
+from shmoo_mjx.evaluation.navigation_tables import navigation_tables, reference_table
 from shmoo_mjx.evaluation.page import render
 from shmoo_mjx.evaluation.paired import paired_difference, verdict
 from shmoo_mjx.evaluation.result import ExperimentOptions, make_result
@@ -163,6 +168,66 @@ def test_differences_are_paired_and_times_are_those_that_both_solve() -> None:
     )
     # One scenario alone is solved by both.
     assert "difference_always_push_time_s" not in metrics
+
+
+class _Touching(NamedTuple):
+    force: Any
+    robot_pose: Any
+    object_pose: Any
+
+
+def certified(touched: int | None, outcome: str = "success", time: float = 40.0) -> dict[str, Any]:
+    """A run in a scenario with two objects: pushing the first takes 30 s, the second 32 s, going round 50 s."""
+    way = {"face": 0, "lateral": 0.0, "steering": 0.0, "start": (0.0, 0.0, 0.0), "progress": 0.9, "result": "free"}
+    pushes = [Attempt.model_validate(way | {"object": i, "seconds": 30.0 + 2 * i}) for i in range(2)]
+    told = Certificate(attempts=tuple(pushes), round_s=50.0, reference_s=30.0, best=(0,))
+    found = Generated(toy_scenario(1, True)[1], "either", (True,) * 2, (True,) * 2, 4.0, 14.0, (False,) * 2, told)
+    force = np.zeros((5, 2))
+    if touched is not None:
+        force[2] = 9.0
+    objects = np.tile([[2.0, 0.0, 0.0], [2.0, 4.0, 0.0]], (5, 1, 1))
+    robot = np.tile([1.2, 4.0 * (touched or 0), 0.0], (5, 1))
+    result = {"outcome": outcome, "time_s": time, "objects": [{"half_extents": [0.3, 0.3]}] * 2}
+    return choice_of(result, _Touching(force, robot, objects), found)
+
+
+def test_regret_is_time_minus_the_reference_and_a_failure_has_a_price() -> None:
+    assert certified(0)["regret_s"] == 10.0 and certified(0, "timeout", 240.0)["regret_s"] == FAILURE_S
+
+
+def test_a_first_choice_is_right_if_it_leads_nearly_as_quickly_to_the_goal() -> None:
+    assert [certified(i)["first_choice"] for i in (0, 1, None)] == [0, 1, None]
+    assert [certified(i)["right_choice"] for i in (0, 1, None)] == [True, True, False]
+
+
+def test_policies_are_compared_with_the_certificates_of_what_can_be_solved() -> None:
+    told = {"reference_s": 30.0, "first_choice": None, "right_choice": True, "outcome": "success"}
+    rows = [
+        row(n, policy, True, "either") | told | {"regret_s": 10.0 * n + 5.0 * (policy == "lazy"), "extra_m": extra}
+        for policy in ("ours", "lazy")
+        for n, extra in enumerate((2.0, 8.0, 40.0, None))
+    ]
+    none = dict.fromkeys(("reference_s", "regret_s", "first_choice", "right_choice", "extra_m"))
+    rows += [row(9, p, False, "unsolvable") | none | {"outcome": "blocked"} for p in ("ours", "lazy")]
+    metrics = measure(rows, ("ours", "lazy"))
+    assert metrics["certified"] == 4 and metrics["success_rate_certified"] == 1.0 and metrics["regret_s"] == 15.0
+    assert [metrics[f"regret_s_{band}"] for band in EXTRA_BANDS] == [0.0, 10.0, 20.0, 30.0]
+    assert metrics["unsolvable"] == metrics["unsolvable_called_blocked"] == 1
+    assert metrics["difference_lazy_regret_s"] == -5.0 and metrics["difference_lazy_regret_s_pairs"] == 4
+    config = {"policies": ("ours", "lazy")}
+    text = reference_table(make_result("navigation", ExperimentOptions(), config, metrics, {}, rows))
+    assert (
+        "| lazy | 1.00 | 20.0 | 20.0 | 5.0 | 15.0 | 25.0 | 35.0 | 1.00 | 1 / 1 |" in text
+        and "-5.0 (-5.0 to -5.0)" in text
+    )
+    assert _time_over_extra([r for r in rows if r["reference_s"] is not None]) is not None
+
+
+def test_without_certificates_there_is_no_such_table() -> None:
+    metrics = measure(ROWS, tuple(POLICIES))
+    assert "certified" not in metrics
+    config = {"policies": tuple(POLICIES)}
+    assert reference_table(make_result("navigation", ExperimentOptions(), config, metrics, {}, ROWS)) == ""
 
 
 def test_some_policies_alone_are_measured_as_well() -> None:

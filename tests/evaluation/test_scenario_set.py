@@ -16,6 +16,7 @@ from toy import toy_scenario
 from shmoo_mjx.assets import asset
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import navigation, navigation_places, scenario_set
+from shmoo_mjx.evaluation.certify import Certificate
 from shmoo_mjx.evaluation.navigation_places import kept_scenario
 from shmoo_mjx.evaluation.result import ExperimentOptions, file_id
 from shmoo_mjx.evaluation.scenario_set import find_set, make_set, open_set
@@ -27,9 +28,12 @@ SHIPPED = find_set(Path("floor_plans"))
 TWO = "the (2nd) [floor]"
 
 
-def drawn_quickly(grid: Any, kind: str, *rest: Any) -> Generated:
+CERTIFICATE = Certificate(attempts=(), round_s=30.0, reference_s=30.0, best=())
+
+
+def drawn_quickly(grid: Any, extra: Any, *rest: Any) -> Generated:
     scenario = toy_scenario(1, True)[1]
-    return Generated(scenario, kind, (True,), (True,), 4.0, None, (False,))  # type: ignore[arg-type]
+    return Generated(scenario, "detour only", (True,), (True,), 4.0, 9.0, (False,), CERTIFICATE)
 
 
 def at_once(trials: dict[str, Any], work: Callable[[Any], list[Any]], *rest: Any) -> list[Any]:
@@ -56,6 +60,7 @@ def test_a_set_is_opened_as_it_was_made_wherever_it_is(made: Path, tmp_path: Pat
     assert np.array_equal(opened.cells, grid.cells) and opened.resolution == grid.resolution
     wanted, found = kept_scenario(places, opened, TWO, 3)
     assert wanted in KINDS and found is not None and found.scenario.objects == toy_scenario(1, True)[1].objects
+    assert found.certificate == CERTIFICATE and found.extra == 5.0
     text = made.read_text()
     assert str(tmp_path) not in text and json.loads(text)["condition_seeds"] == [7, 8]
 
@@ -93,6 +98,31 @@ def test_navigation_runs_the_set_and_says_which(made: Path, tmp_path: Path, monk
     assert navigation.trials_folder(options, tmp_path, navigation.NavigationTrials().scenario) != other
 
 
+def test_the_arena_has_100_certified_scenarios_without_maps_of_others(tmp_path: Path) -> None:
+    places, _ = open_set(find_set(Path("arena")), tmp_path)
+    assert places.given is not None and len(places.given) == 100 and len(places.maps) == 25
+    entries = [entry["certificate"] for entry in places.given.values()]
+    assert all(entry is not None for entry in entries)
+    solvable = [entry["reference_s"] is not None for entry in entries]
+    assert 80 <= sum(solvable) < 100
+    kinds = [entry["kind"] for entry in places.given.values()]
+    assert [kind != "unsolvable" for kind in kinds] == solvable
+    assert find_set(Path("arena")).stat().st_size < 500_000
+
+
+def test_a_set_of_the_older_form_has_no_certificates_and_loads(tmp_path: Path) -> None:
+    places, _ = open_set(SHIPPED, tmp_path)
+    assert "certificate" not in SHIPPED.read_text() and places.given is not None
+    name = next(iter(places.given))
+    found = kept_scenario(places, load_map(places.maps[name.rpartition("-")[0]]), *_place(name))[1]
+    assert found is not None and found.certificate is None
+
+
+def _place(name: str) -> tuple[str, int]:
+    map_name, _, number = name.rpartition("-")
+    return map_name, int(number)
+
+
 def test_the_shipped_set_has_20_scenarios_of_every_kind_that_fit_their_maps(tmp_path: Path) -> None:
     assert asset("experiments/scenario_sets/floor_plans.json") == SHIPPED and SHIPPED.stat().st_size < 200_000
     places, _ = open_set(SHIPPED, tmp_path)
@@ -107,6 +137,10 @@ def test_the_shipped_set_has_20_scenarios_of_every_kind_that_fit_their_maps(tmp_
         (lambda d: d["scenarios"][1].update(movable=[]), "'scenarios\\[1\\]' must say 'movable'"),
         (lambda d: d["scenarios"][0]["scenario"].update(goal=[900.0, 0.0]), "'goal' \\(900, 0\\) lies off the map"),
         (lambda d: d["scenarios"][0].update(kind="odd"), "'scenarios\\[0\\].kind'"),
+        (
+            lambda d: d["scenarios"][0]["certificate"].update(best=[-1]),
+            "'scenarios\\[0\\].certificate' names an attempt",
+        ),
         (lambda d: d["maps"].update({"../x": d["maps"]["one"]}), "name maps by letters"),
         (lambda d: d["maps"].update({"x\n": d["maps"]["one"]}), "name maps by letters"),
         (lambda d: d["scenarios"][0].update(number="1"), "'scenarios\\[0\\].number'"),

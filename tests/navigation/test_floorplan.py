@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import shapely
+from scipy import ndimage
 
-from shmoo_mjx.navigation.floorplan import demo_scenario, draw_floorplan
+from shmoo_mjx.evaluation.manipulable import manipulable
+from shmoo_mjx.navigation.floorplan import demo_scenario, draw_building, draw_floorplan, paper_scenario
 from shmoo_mjx.navigation.footprints import footprint_polygon, footprints_free
 from shmoo_mjx.navigation.maps import clearance_field, occupied_rectangles
 from shmoo_mjx.navigation.paths import path_blocked_by, plan_path
@@ -81,3 +83,22 @@ def test_doorways_are_open_and_as_wide_as_said() -> None:
         low, high = gap[gap < row].max(), gap[gap > row].min()
         assert (high - low - 1) * plan.grid.resolution == pytest.approx(door.width)
     assert len(occupied_rectangles(plan.grid)) == 9
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_every_room_of_a_building_can_be_reached(seed: int) -> None:
+    grid = draw_building(np.random.default_rng(seed))
+    _, rooms = ndimage.label(grid.free)
+    _, reached = ndimage.label(np.asarray(clearance_field(grid).values) > 0.40)
+    assert rooms == 1 and reached == 1
+    assert (draw_building(np.random.default_rng(seed)).cells == grid.cells).all()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_papers_scene_has_its_box_and_its_wheelchair_and_they_are_what_it_says(seed: int) -> None:
+    grid, scenario = paper_scenario(seed)
+    check_places(grid, scenario, [tuple(half_extents(entry)) for entry in scenario.objects])
+    box, chair = (entry.condition() for entry in scenario.objects)
+    assert (box.family, box.total_mass) == ("box", 2.8)
+    assert (chair.family, chair.total_mass, chair.locked) == ("wheelchair", 11.9, (True,) * 4)
+    assert manipulable(box, 0) and not manipulable(chair, 0) and not manipulable(chair, 2)

@@ -1,0 +1,215 @@
+"""Scripted pushes in the actual scene, many at a time: what the options about an object lead to in C MuJoCo.
+
+The robot begins at rest at a stand-off pose, extends its arms, makes contact, and leans into the face with a constant
+steering angle until its way is free or the object no longer moves. Then it backs away and folds its arms. It perceives
+true poses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Bool, Float
+from shmoo_mjx.evaluation.manipulable import SteadyPush, steady_lean
+from shmoo_mjx.faces import heading
+from shmoo_mjx.hands import HAND_HEIGHT, HAND_RADIUS, REACH, TUCKED_HEIGHT, TUCKED_REACH
+from shmoo_mjx.plant.engine_mujoco import MujocoEngine
+from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
+from shmoo_mjx.plant.observe import toppled
+from shmoo_mjx.plant.robot import NQ
+from shmoo_mjx.plant.scene import Scene
+from shmoo_mjx.skills.retreat import WITHDRAW
+from shmoo_mjx.types import DT, Command, Observation
+
+WORLDS = 12
+"""Pushes that advance together. Always as many, so that the control is compiled once."""
+
+
+@dataclass(frozen=True)
+class ScriptConfig:
+    """Settings of a scripted push, SI units."""
+
+    push: SteadyPush = SteadyPush(lean=0.15, speed=0.3)
+    seconds: float = 18.0
+    """Longest time from the stand-off pose to the beginning of the retreat [s]."""
+    stall: tuple[float, float] = (0.03, 3.0)
+    """A push ends if the object moves less than this [m] in so much time [s] of contact."""
+    look: tuple[float, float] = (0.8, 0.08)
+    """Whether the way is free is asked so often [s], if the object has moved so far since it was last asked [m]."""
+    back: tuple[float, float] = (1.6, 1.0)
+    """Time of backing away, and of folding the arms at rest [s]."""
+
+
+class ScriptedPush(NamedTuple):
+    """One push to be tried."""
+
+    object: int
+    face: np.ndarray
+    """As `faces_of` or `corners_of` has it."""
+    lateral: float
+    """Place along the face, to the robot's left [m]."""
+    steering: float
+    """[rad]"""
+    start: np.ndarray
+    """Pose ``[3]`` of the robot in {W} at which it begins."""
+
+
+class PushEnd(NamedTuple):
+    """What a push has led to."""
+
+    freed: bool
+    """Whether the robot's way was found free during the push."""
+    ok: bool
+    """No fall, no divergence, no wall touched by the robot, nothing toppled."""
+    seconds: float
+    """From the stand-off pose to the end of the retreat [s]."""
+    moved: float
+    """Distance that the object has moved [m]."""
+    progress: float
+    """The part of it along the heading of the push [m]."""
+    qpos: np.ndarray
+    """``[nq]`` at the end."""
+    robot: np.ndarray
+    """Pose ``[3]`` of the robot at the end."""
+    objects: np.ndarray
+    """Poses ``[N, 3]`` at the end."""
+
+
+@dataclass
+class _Progress:
+    """Where W pushes stand."""
+
+    contact: Float[np.ndarray, "W"]
+    """Time of the first contact [s]; infinite before it."""
+    left: Float[np.ndarray, "W"]
+    """Time at which the retreat began [s]."""
+    freed: Bool[np.ndarray, "W"]
+    ok: Bool[np.ndarray, "W"]
+    looked: Float[np.ndarray, "W 2"]
+    """Where the object was when the way was last asked about."""
+    lean: Float[np.ndarray, "W 2"]
+
+
+def run_pushes(
+    scene: Scene,
+    qpos: Float[np.ndarray, "nq"],
+    pushes: Sequence[ScriptedPush],
+    free: Callable[[int, np.ndarray, np.ndarray], bool],
+    cfg: ScriptConfig = ScriptConfig(),
+) -> list[PushEnd]:
+    """What each of up to `WORLDS` pushes leads to.
+
+    Args:
+        scene: robot, objects and the walls near by.
+        qpos: of the world before the push; the robot is put to the start of each push.
+        pushes: what to try.
+        free: (object, robot's position ``[2]``, objects' poses ``[N, 3]``) -> whether the robot's way past the object
+            is free.
+        cfg: settings.
+    """
+    many = [*pushes, *[pushes[-1]] * (WORLDS - len(pushes))]
+    engine = MujocoEngine([replace(scene, qpos0=_at(scene, qpos, p.start), spec=None) for p in many])
+    world = engine.init()
+    seen = engine.observe(world)
+    rows, which = np.arange(WORLDS), np.array([p.object for p in many])
+    first = seen.object_pose[rows, which].copy()
+    never = np.full(WORLDS, np.inf)
+    now = _Progress(
+        never, never.copy(), np.zeros(WORLDS, bool), np.ones(WORLDS, bool), first[:, :2].copy(), np.zeros((WORLDS, 2))
+    )
+    now.left[len(pushes) :] = -np.inf
+    trail: list[np.ndarray] = []
+    while not (_over(now, cfg, seen) | ~now.ok).all():
+        command = _command(now, many, which, seen, cfg)
+        world, seen = engine.step(world, command)
+        places = seen.object_pose[rows, which, :2]
+        trail.append(places)
+        nq = scene.model.nq
+        broken = engine.fallen(world) | engine.diverged(world) | world.wall_contact
+        now.ok &= ~(broken | toppled(scene, world.physics[:, 1 : 1 + nq]).any(axis=-1))
+        time = float(seen.time[0])
+        felt = np.hypot(*seen.wrench[rows, which, :2].T) > cfg.push.touch
+        begins = np.isinf(now.contact) & (felt | (np.linalg.norm(places - first[:, :2], axis=1) > 0.03))
+        now.contact[begins] = time
+        _leave(now, cfg, seen, trail, many, which, free)
+    engine.close()
+    ends = seen.object_pose[rows, which]
+    along = np.array([heading(a, p.face) for a, p in zip(first, many, strict=True)])
+    shift = ends[:, :2] - first[:, :2]
+    progress = shift[:, 0] * np.cos(along) + shift[:, 1] * np.sin(along)
+    return [
+        PushEnd(
+            freed=bool(now.freed[k]),
+            ok=bool(now.ok[k]),
+            seconds=float(min(now.left[k], seen.time[0]) + sum(cfg.back)),
+            moved=float(np.linalg.norm(shift[k])),
+            progress=float(progress[k]),
+            qpos=world.physics[k, 1 : 1 + scene.model.nq].copy(),
+            robot=seen.robot_pose[k].copy(),
+            objects=seen.object_pose[k].copy(),
+        )
+        for k in range(len(pushes))
+    ]
+
+
+def _at(scene: Scene, qpos: np.ndarray, robot: np.ndarray) -> np.ndarray:
+    """The world of ``qpos`` with the robot at rest at another pose, arms folded."""
+    placed = scene.placed(robot, np.zeros((len(scene.conditions), 3)))
+    return np.concatenate([placed[:NQ], qpos[NQ:]])
+
+
+def _over(now: _Progress, cfg: ScriptConfig, seen: Observation) -> Bool[np.ndarray, "W"]:
+    return np.asarray(seen.time[0] >= now.left + sum(cfg.back) - 1e-6)
+
+
+def _command(
+    now: _Progress, pushes: Sequence[ScriptedPush], which: Array, seen: Observation, cfg: ScriptConfig
+) -> Command:
+    rows, time = np.arange(WORLDS), float(seen.time[0])
+    poses = seen.object_pose[rows, which]
+    faces, lateral = np.stack([p.face for p in pushes]), np.array([p.lateral for p in pushes])
+    now.lean = steady_lean(cfg.push, seen, poses, faces, now.lean, np.isfinite(now.contact), lateral)
+    pushing, since = np.isinf(now.left), time - now.left
+    backing = ~pushing & (since < cfg.back[0])
+    wish = np.where(backing[:, None], np.array([-0.2, 0.0]), 0.0)
+    velocity = se2.rotate(seen.robot_twist[:, :2], -seen.robot_pose[:, 2])
+    lean = np.where(pushing[:, None], now.lean, velocity_to_lean(Gains(), velocity, seen.lean_rate, wish))
+    steering = np.where(pushing, [p.steering for p in pushes], 0.0)
+    yaw = np.where(pushing, heading(poses, faces), seen.robot_pose[:, 2])
+    reach = np.where(pushing, REACH, np.where(backing, REACH - WITHDRAW, TUCKED_REACH))
+    height = np.where(pushing | backing, HAND_HEIGHT, TUCKED_HEIGHT)
+    return Command(np.concatenate([lean, steering[:, None]], axis=1), yaw, reach, height)
+
+
+def _leave(
+    now: _Progress,
+    cfg: ScriptConfig,
+    seen: Observation,
+    trail: list[np.ndarray],
+    pushes: Sequence[ScriptedPush],
+    which: Array,
+    free: Callable[[int, np.ndarray, np.ndarray], bool],
+) -> None:
+    """End pushes whose way is free, whose object no longer moves, and that have lost it or their time."""
+    time, window = float(seen.time[0]), round(cfg.stall[1] / DT)
+    pushing = np.isinf(now.left) & now.ok
+    places = trail[-1]
+    if len(trail) % round(cfg.look[0] / DT) == 0:
+        for k in np.flatnonzero(pushing & (np.linalg.norm(places - now.looked, axis=1) > cfg.look[1])):
+            now.looked[k] = places[k]
+            now.freed[k] = free(int(which[k]), seen.robot_pose[k, :2], seen.object_pose[k])
+    touched = time - now.contact
+    still = np.zeros(WORLDS, bool)
+    if len(trail) > window:
+        still = (np.linalg.norm(places - trail[-window - 1], axis=1) < cfg.stall[0]) & (touched > cfg.stall[1])
+    faces = np.stack([p.face for p in pushes])
+    poses = seen.object_pose[np.arange(WORLDS), which]
+    local = se2.relative(se2.compose(poses, faces[:, :3]), seen.robot_pose)
+    lost = (-local[:, 0] - REACH - HAND_RADIUS > 0.6) | (abs(local[:, 1]) > faces[:, 3] + 0.3)
+    ends = pushing & (now.freed | still | lost | (time > cfg.seconds) | (np.isinf(now.contact) & (time > 8.0)))
+    now.left[ends] = time
