@@ -84,7 +84,7 @@ def conditions(config: CollectConfig) -> list[tuple[str, str, Condition]]:
     return rows
 
 
-def _start(
+def operators(
     rng: np.random.Generator, worlds: int, half_extents: list[tuple[float, float]]
 ) -> tuple[Operator, np.ndarray]:
     """Operators and the robots' starting poses ``[W, 3]`` with every object at the origin."""
@@ -123,7 +123,7 @@ def _reconsider(rng: np.random.Generator, op: Operator, who: np.ndarray) -> Oper
     )
 
 
-def _drive(rng: np.random.Generator, op: Operator, seen: Observation) -> tuple[Operator, Command]:
+def drive(rng: np.random.Generator, op: Operator, seen: Observation) -> tuple[Operator, Command]:
     """One decision of each operator: velocity loop along the face, lateral loop to its place, smooth noise on u."""
     n = len(op.speed)
     op = _reconsider(rng, op, rng.random(n) < DT / 1.8)
@@ -172,7 +172,7 @@ def record(
     rng = np.random.default_rng([config.seed, seed])
     episodes, worlds = config.episodes, len(chunk) * config.episodes
     half_extents = [c.half_extents for c in chunk for _ in range(episodes)]
-    operator, poses = _start(rng, worlds, half_extents)
+    operator, poses = operators(rng, worlds, half_extents)
     compiled = [build_scene([(c, (0.0, 0.0, 0.0))], adjust=adjust) for c in chunk]
     scenes = []
     for i, pose in enumerate(poses):
@@ -186,7 +186,7 @@ def record(
     world, seen = engine.step(world, settle, 1.0)
     rows: list[dict[str, np.ndarray]] = []
     for _ in range(round(config.seconds / DT)):
-        operator, command = _drive(rng, operator, seen)
+        operator, command = drive(rng, operator, seen)
         before = seen
         world, seen = engine.step(world, command)
         rows.append(sample(before, seen, command.u))

@@ -91,6 +91,22 @@ SECTIONS = {
         ),
         ("roll_outs.png", "adaptation.png"),
     ),
+    "estimate": Section(
+        "What the estimate knows of an object",
+        "Scripted operators push 20 unseen objects of each family, heavy ones and locked wheels included, with the "
+        "robot's own senses. Errors are of the posterior's median; coverage is the share of true values in its 80 % "
+        "band. Friction is that along the push.",
+        tuple(f"{family}, {seconds:g} s" for family in _FAMILIES for seconds in (1, 3, 10)),
+        _lines(
+            {
+                "friction_error": "friction, relative error, median",
+                "friction_coverage": "friction, coverage",
+                "mass_error": "mass, relative error, median",
+                "mass_coverage": "mass, coverage",
+            },
+            *(f"{{}}_{family}_{seconds:g}s" for family in _FAMILIES for seconds in (1, 3, 10)),
+        ),
+    ),
     "baselines": Section(
         "Beside other ways to predict (V-B)",
         "Every method is tuned on validation objects with the same budget.",
