@@ -43,8 +43,8 @@ _WINDOW = 0.15
 """Poses so far before and after a sample's start give its twist [s]."""
 _FASTEST = (5.0, 10.0)
 """Speed [m/s] and yaw rate [rad/s] above which numbers are in other units."""
-_MASSES = (0.5, 500.0)
-"""A mass outside was hardly pushed by hands [kg]."""
+_UNEXPLAINED = 1.5
+"""Share of the accelerations' variance left unexplained, above which the forces can hardly be those that acted."""
 _AGAINST = -0.3
 """Work of the hands over the sum of its magnitude, below which the force points against the motion. An object at rest
 whose pose is noisy comes near zero."""
@@ -161,7 +161,7 @@ def run_of_log(log: Log, half_extents: tuple[float, float], weights: Weights) ->
     }
     item["description"] = f"{2 * half_extents[0]:g} x {2 * half_extents[1]:g} m"
     ends = {"start_pose": poses[0].tolist(), "final_pose": poses[-1].tolist()}
-    warnings = [*log.doubts, *_doubts(log, dict(zip(names, learned[-1], strict=True)))]
+    warnings = [*log.doubts, *_doubts(log, errors)]
     result = {
         "outcome": "log",
         "summary": " ".join([_summary(log, pushes, moves, learned[-1], names, prior, errors), *warnings]),
@@ -231,8 +231,8 @@ def _sample_by_sample(
     return learned, guesses, jax.vmap(partial(predicted, start))(rows.inputs)
 
 
-def _doubts(log: Log, learned: dict[str, float]) -> list[str]:
-    """What speaks against the result: work that no hand does, and a mass that none moves."""
+def _doubts(log: Log, errors: dict[str, float]) -> list[str]:
+    """What speaks against the result: work that no hand does, and motion that no object of the prior has."""
     if _moved(log) < _TOLD:
         return []
     found = []
@@ -243,9 +243,11 @@ def _doubts(log: Log, learned: dict[str, float]) -> list[str]:
             f"The hands do {work:.1f} J of work on the object, so the force points against its motion: it must be that "
             "of the hands on the object, in the frame of the poses."
         )
-    mass = learned.get("mass", 1.0)
-    if not _MASSES[0] <= mass <= _MASSES[1]:
-        found.append(f"A mass of {mass:.3g} kg is not plausible: check units, sign and frame of the forces.")
+    if errors.get("learned", 0.0) > _UNEXPLAINED:
+        found.append(
+            f"What was learned explains {1 - errors['learned']:.0%} of the variance of its accelerations, which is not "
+            "plausible: check units, sign and frame of the forces."
+        )
     return found
 
 
