@@ -30,6 +30,7 @@ from shmoo_mjx.learning.estimate import EstimateConfig, Sighting
 from shmoo_mjx.learning.online import Known, Transition
 from shmoo_mjx.learning.weights import Weights, prior_state
 from shmoo_mjx.types import DT, SystemState
+from shmoo_mjx.verbosity import LOG
 
 _PLANNING_HORIZON = 50
 """T of the planning stage, in samples (Sec. IV-B)."""
@@ -190,11 +191,13 @@ class PushController:
             half_extents: of the object's footprint [m].
             governor_room: in place of the configuration's, for this step.
         """
-        u, state, plan = step(
+        u, after, plan = step(
             self.config, self.weights.config, self._params, state, obs, np.asarray(goal, dtype=float), last_u,
             half_extents, around, governor_room, self._adapt_and_plan,
         )  # fmt: skip
-        return np.asarray(u), state, plan
+        if online.restarts(after.adapt) > online.restarts(state.adapt):
+            LOG.warning("the estimate of the pushed object had lost all weight and begins anew from the prior")
+        return np.asarray(u), after, plan
 
     def _adapt_and_plan(
         self, params: core.Params, adapt: Any, plan: mppi.MppiState, given: _Given, around: LocalDistanceField | None

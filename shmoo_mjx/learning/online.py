@@ -121,3 +121,8 @@ def told(known: Known) -> Float[Array, "n"]:
 def relocated(known: Known) -> Known:
     """The same at the start of another push."""
     return known if isinstance(known, AdaptState) else estimate.relocated(known)
+
+
+def restarts(known: Known) -> int:
+    """How many times a posterior had lost all weight and began anew from the prior. Not for jit."""
+    return 0 if isinstance(known, AdaptState) else int(known.restarts)

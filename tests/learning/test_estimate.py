@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from shmoo_mjx.dynamics import contact_model
-from shmoo_mjx.learning import contact_prior, estimate
+from shmoo_mjx.learning import contact_prior, estimate, online
 from shmoo_mjx.learning.estimate import EstimateConfig, ObjectEstimate, Sighting
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 from shmoo_mjx.types import DT
