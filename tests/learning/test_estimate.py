@@ -103,7 +103,7 @@ def test_what_has_lost_all_weight_begins_anew_and_says_so() -> None:
     samples = pushed(box(6.0, 0.4), pulses(24.0, 8))
     lost = after(samples)[-1]._replace(twist=jnp.full((CONFIG.particles, 3), jnp.nan))
     again = STEP(CONFIG, lost, jax.tree.map(jnp.asarray, samples[-1]))
-    assert int(again.restarts) == 1 and all(
+    assert online.restarts(again) == 1 and all(
         np.isfinite(leaf).all() for leaf in jax.tree.leaves(again._replace(key=None))
     )
     np.testing.assert_allclose(estimate.mean(again), PRIOR.mean(axis=0), atol=0.25)
