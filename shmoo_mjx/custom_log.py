@@ -1,7 +1,7 @@
 """A recording of somebody's own robot, as a run that the report draws: what is learned of the object, and verdicts.
 
-The same identification and the same probability as on the robot, sample by sample: a sample tells nothing of what
-comes after it. Only twists use later poses: a parabola is fitted to the poses of 0.15 s before and after.
+The estimate and the probability are those of the robot, sample by sample, so they use no later samples. Only twists
+use later poses: a parabola is fitted to the poses of 0.15 s before and after.
 """
 
 from __future__ import annotations
@@ -43,8 +43,6 @@ _WINDOW = 0.15
 """Poses so far before and after a sample's start give its twist [s]."""
 _FASTEST = (5.0, 10.0)
 """Speed [m/s] and yaw rate [rad/s] above which numbers are in other units."""
-_MASSES = (0.5, 500.0)
-"""A mass outside was hardly pushed by hands [kg]."""
 _AGAINST = -0.3
 """Work of the hands over the sum of its magnitude, below which the force points against the motion. An object at rest
 whose pose is noisy comes near zero."""
@@ -161,7 +159,7 @@ def run_of_log(log: Log, half_extents: tuple[float, float], weights: Weights) ->
     }
     item["description"] = f"{2 * half_extents[0]:g} x {2 * half_extents[1]:g} m"
     ends = {"start_pose": poses[0].tolist(), "final_pose": poses[-1].tolist()}
-    warnings = [*log.doubts, *_doubts(log, dict(zip(names, learned[-1], strict=True)))]
+    warnings = [*log.doubts, *_doubts(log, dict(zip(names, learned[-1], strict=True)), prior)]
     result = {
         "outcome": "log",
         "summary": " ".join([_summary(log, pushes, moves, learned[-1], names, prior, errors), *warnings]),
@@ -231,8 +229,8 @@ def _sample_by_sample(
     return learned, guesses, jax.vmap(partial(predicted, start))(rows.inputs)
 
 
-def _doubts(log: Log, learned: dict[str, float]) -> list[str]:
-    """What speaks against the result: work that no hand does, and a mass that none moves."""
+def _doubts(log: Log, learned: dict[str, float], prior: dict[str, float]) -> list[str]:
+    """What speaks against the result: work that no hand does, and a mass that the prior hardly has."""
     if _moved(log) < _TOLD:
         return []
     found = []
@@ -243,9 +241,13 @@ def _doubts(log: Log, learned: dict[str, float]) -> list[str]:
             f"The hands do {work:.1f} J of work on the object, so the force points against its motion: it must be that "
             "of the hands on the object, in the frame of the poses."
         )
-    mass = learned.get("mass", 1.0)
-    if not _MASSES[0] <= mass <= _MASSES[1]:
-        found.append(f"A mass of {mass:.3g} kg is not plausible: check units, sign and frame of the forces.")
+    if "mass" in learned and not (
+        learned["mass_low"] <= prior["mass_high"] and prior["mass_low"] <= learned["mass_high"]
+    ):
+        found.append(
+            f"A mass of {learned['mass']:.3g} kg is not plausible, since most objects of training have "
+            f"{prior['mass_low']:.2g} to {prior['mass_high']:.2g} kg: check units, sign and frame of the forces."
+        )
     return found
 
 
