@@ -2,8 +2,8 @@
 
 Run: python benchmarks/pushing_realtime.py [--seconds 60] [--json pushing.json]
 
-The goal stays ahead of the object, so that every sample is one of pushing: observation, Eq. 8, MPPI (S = 500, T = 30),
-governor, 50 physics steps with the low-level control. Compilation is left out and printed.
+The goal stays ahead of the object, so that every sample is one of pushing: observation, estimate, MPPI (S = 500,
+T = 30), governor, 50 physics steps with the low-level control. Compilation is left out and printed.
 """
 
 from __future__ import annotations

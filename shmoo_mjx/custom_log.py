@@ -1,7 +1,7 @@
 """A recording of somebody's own robot, as a run that the report draws: what is learned of the object, and verdicts.
 
-The same identification and the same probability as on the robot, sample by sample: a sample tells nothing of what
-comes after it. Only twists use later poses: a parabola is fitted to the poses of 0.15 s before and after.
+The estimate and the probability are those of the robot, sample by sample, so they use no later samples. Only twists
+use later poses: a parabola is fitted to the poses of 0.15 s before and after.
 """
 
 from __future__ import annotations

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from shmoo_mjx.control.pushing import PushController
+from shmoo_mjx.learning.contact_prior import true_values
 from shmoo_mjx.navigation.belief import Status
 from shmoo_mjx.navigation.maps import OccupancyGrid
 from shmoo_mjx.navigation.navigator import Navigator
@@ -183,6 +184,7 @@ def result_of(simulation: Simulation, legs: Sequence[dict[str, Any]] = (), goals
                 "start_pose": list(entry.pose),
                 "final_pose": _floats(seen.object_pose[0, i]),
                 "half_extents": list(condition.half_extents),
+                "true": {name: round(value, 3) for name, value in true_values(condition).items()},
                 "status": "not seen" if known is None else str(known.status),
                 "registered": known is not None and known.status == "fixed",
                 "toppled": bool(over[i]),

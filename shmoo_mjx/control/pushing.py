@@ -277,7 +277,7 @@ def step(
         half_extents: of the object's footprint [m].
         around: clearance round the object, the object itself left out; None on a floor without obstacles.
         governor_room: in place of the configuration's, for this step.
-        adapt_and_plan: a compiled version of what Eq. 8 and MPPI do in it; PushController's.
+        adapt_and_plan: a compiled version of the online learning and MPPI in it; PushController's.
 
     Returns:
         The command u to apply now, the next state, and the plan.

@@ -41,7 +41,7 @@ class ObjectConfig:
     last_wrench: bool = True
     """psi sees the last of OBJECT_INPUTS too; otherwise the paper's 10."""
     contact_model: bool = True
-    """Inputs of psi include what the four-point Coulomb contact model (`contact_model`), identified online, predicts
+    """Inputs of psi include what the four-point Coulomb contact model (`contact_model`), estimated online, predicts
     for the same push and, with ``last_wrench``, by how much it was wrong a sample ago; not in the paper."""
     residual: bool = True
     """False leaves out psi: the acceleration is what the contact model predicts, for comparison."""

@@ -1,9 +1,9 @@
 """Experiment `object_model`: what psi and 25 s of an unseen object are worth (Sec. V-A, Fig. 4).
 
 psi is trained with several seeds, adapts to each unseen object on its first 25 s, and is scored on later rows, beside
-the prior (the same psi, object not yet touched) and a constant twist. With the first psi, online adaptation
-(Eq. 8) is run sample by sample: how much of the way from the prior to a* is covered after how much contact, and how
-long it takes to notice a brake.
+the prior (the same psi, object not yet touched) and a constant twist. With the first psi, the online estimate is run
+sample by sample: how much of the way from the prior to the adapted psi it covers after how much contact, and how long
+it takes to notice a brake.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class ObjectModelConfig(TrainingsConfig):
     budget: Budget = field(default_factory=lambda: Budget(DaimlConfig().epochs, 150, DaimlConfig().patience))
     """Of each training: that of the shipped psi."""
     fit_seconds: float = 25.0
-    """Recording that a* is fitted on [s]."""
+    """Recording that psi adapts on [s]."""
     estimate: EstimateConfig = EstimateConfig()
     """Of the contact parameters, online."""
 
@@ -100,13 +100,14 @@ def _scored(shared: Trainings, config: ObjectModelConfig, trial: tuple[str, int]
 def gap_closed(
     fitted: ObjectFit, config: DaimlConfig, online: EstimateConfig, recorded: Recordings, scale: np.ndarray
 ) -> np.ndarray:
-    """Share of the way from the prior's error to that of a* that Eq. 8 has covered after SECONDS of contact.
+    """Share of the way from the prior's error to that of the adapted psi that the online estimate has covered after
+    SECONDS of contact.
 
-    Errors are on the rows after those that a* is fitted on. The adaptation starts at the prior and sees only rows that
+    Errors are on the rows after those that psi adapts on. The estimate starts at the prior and sees only rows that
     count, in the order of the recording.
 
     Returns:
-        ``[C, len(SECONDS)]``; NaN where the recording has less contact, or a* is no better than the prior.
+        ``[C, len(SECONDS)]``; NaN where the recording has less contact, or the adapted psi is no better than the prior.
     """
     after, before = from_fit(fitted, config), prior_of(fitted, config)
     marks = np.round(np.array(SECONDS) / DT).astype(int)
@@ -202,7 +203,7 @@ def _brake_metrics(
 ) -> dict[str, float]:
     """What a brake that is put on costs: error on the braked object when it is not yet felt, and when it is known.
 
-    And seconds of contact until Eq. 8 has covered 60 % of the way between the two, where there is a way to go.
+    And seconds of contact until the estimate has covered 60 % of the way between the two, where there is a way to go.
     """
     count = max(config.unseen.get("wheelchair", 0), 1)
     seeds = range(options.first_unseen + 500, options.first_unseen + 500 + count)

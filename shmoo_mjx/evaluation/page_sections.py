@@ -115,7 +115,7 @@ SECTIONS = {
     ),
     "ablations": Section(
         "One choice at a time",
-        "Trainings that differ in one choice; a fresh probe measures how well psi identifies the condition.",
+        "Trainings that differ in one choice; a fresh probe measures how well the condition can be read from psi.",
         table=ablations_table,
     ),
     "robot_finetune": Section(

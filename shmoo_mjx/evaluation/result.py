@@ -22,8 +22,6 @@ from shmoo_mjx.options import SensesName
 from shmoo_mjx.seeds import MAX_CONDITION_SEED, UNSEEN_SEED, check_seed
 from shmoo_mjx.versions import versions
 
-_SAME_PARAMETERS = {"df8099b861": "4b18363693"}
-"""Ids of weights files by an earlier one's that holds the same parameters, bit for bit, and not what made them."""
 _UNITS = ("m", "mm", "deg", "rad", "s", "ms", "kg", "N")
 """That names of metrics end with."""
 
@@ -134,9 +132,8 @@ def weights_id(weights: Path | None = None) -> str:
 
 
 def same_weights(result: ExperimentResult) -> bool:
-    """Whether a result was measured with the parameters that are shipped."""
-    found = str(result.config.get("weights"))
-    return _SAME_PARAMETERS.get(found, found) == weights_id()
+    """Whether a result was measured with the weights that are shipped."""
+    return str(result.config.get("weights")) == weights_id()
 
 
 def file_id(file: Path) -> str:

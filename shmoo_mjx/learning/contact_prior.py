@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from shmoo_mjx.arrays import Float
-from shmoo_mjx.dynamics.contact_model import PARAMETERS, POINTS
+from shmoo_mjx.dynamics.contact_model import PARAMETERS, POINTS, resistance
 from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition, object_spec
 
@@ -21,6 +21,7 @@ def parameters_of(condition: Condition) -> Float[np.ndarray, "p"]:
     """The contact parameters of an object whose MuJoCo model is known, as `contact_model.PARAMETERS` lists them.
 
     A wheel that rolls has its rolling resistance as friction along the way it rolls, and a free caster along both axes.
+    Of more than four wheels the outermost count.
     """
     model = object_spec(condition).compile()
     data = mujoco.MjData(model)
@@ -49,6 +50,17 @@ def parameters_of(condition: Condition) -> Float[np.ndarray, "p"]:
     return np.array([values[name] for name in PARAMETERS])
 
 
+def true_values(condition: Condition) -> dict[str, float]:
+    """Ground truth of what `online.learned` estimates, by name: mass [kg], friction along x and y of {O} [N].
+
+    As in the contact model, the rotary inertia of wheels that roll counts as mass.
+    """
+    parameters = parameters_of(condition)
+    friction_x, friction_y = resistance(parameters).tolist()
+    mass = float(np.exp(parameters[PARAMETERS.index("log_mass")]))
+    return {"mass": mass, "friction_x": friction_x, "friction_y": friction_y}
+
+
 def draws(count: int = COUNT, first_seed: int = FIRST_SEED) -> Float[np.ndarray, "count p"]:
     """The parameters of ``count`` objects, of every family as many; half of them are the mirror images of the others,
     for nothing prefers a side."""
@@ -69,7 +81,10 @@ def _points(condition: Condition, model: mujoco.MjModel, data: mujoco.MjData) ->
     """Where the object stands on the floor ``[4, 2]`` in the order of POINTS, its friction there along x and y
     ``[4, 2]``, and what its wheels' rotary inertia adds to its mass."""
     if not condition.rolling:
-        corners = np.array(list(POINTS.values())) * model.geom("sole").size[:2]
+        soles = [i for i in range(model.ngeom) if model.geom(i).name.endswith("sole")]
+        centres, halves = data.geom_xpos[soles, :2], model.geom_aabb[soles, 3:5]
+        low, high = (centres - halves).min(axis=0), (centres + halves).max(axis=0)
+        corners = (low + high) / 2 + np.array(list(POINTS.values())) * (high - low) / 2
         return corners, np.full((4, 2), condition.friction), 0.0
     names = [f"wheel{k}" for k in range(len(condition.rolling))]
     places = np.array([data.geom(name).xpos[:2] for name in names])

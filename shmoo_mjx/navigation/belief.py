@@ -48,7 +48,7 @@ class KnownObject:
     pushes: int = 0
     """How often a push has been started."""
     adapt: Known | None = None
-    """Coefficients learned from contact so far."""
+    """What was learned from contact so far (`online.Known`)."""
     age: float = 0.0
     """Time since the object was last detected [s]."""
     registered: Float[np.ndarray, "3"] | None = None

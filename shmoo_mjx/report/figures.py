@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+_LABELS = {"friction_x": "along x", "friction_y": "along y"}
 _MOST_COLUMNS = 5
 """Pushes that fit beside each other in the figure of what was learned."""
 
@@ -119,17 +120,18 @@ def learned_figure(result: dict[str, Any], trace: Trace) -> Figure:
     grid = figure.subplots(len(panels), len(pushes), sharex="col", sharey="row", squeeze=False, width_ratios=widths)
     for column, push in enumerate(pushes):
         index = int(trace.learned_object[push.start])
-        name = object_name(result, result["objects"][index]["id"]) if 0 <= index < len(result["objects"]) else ""
-        grid[0, column].set_title(name, fontsize=10)
+        item = result["objects"][index] if 0 <= index < len(result["objects"]) else {}
+        grid[0, column].set_title(object_name(result, item["id"]) if item else "", fontsize=10)
         grid[-1, column].set_xlabel("time [s]")
         for axes, (_, curves) in zip(grid[:, column], panels, strict=True):
-            _draw_learned(axes, result, trace, curves, push)
+            _draw_learned(axes, result, trace, curves, push, item.get("true", {}))
     for row, (name, curves) in zip(grid, panels, strict=True):
         row[0].set_ylabel(name, fontsize=9)
         if len(curves) > 1:
-            row[-1].legend(*_named_once([row[-1]], *curves), fontsize=7, framealpha=0.8)
-    marks = _named_once(grid.ravel(), "contact begins", "decision")
-    figure.legend(*marks, loc="outside upper center", ncols=2, fontsize=8, frameon=False)
+            names = (_LABELS.get(curve, curve) for curve in curves)
+            row[-1].legend(*_named_once([row[-1]], *names), fontsize=7, framealpha=0.8)
+    marks = _named_once(grid.ravel(), "contact begins", "decision", "true value")
+    figure.legend(*marks, loc="outside upper center", ncols=3, fontsize=8, frameon=False)
     return figure
 
 
@@ -249,7 +251,7 @@ def _panels(trace: Trace) -> list[tuple[str, dict[str, np.ndarray]]]:
     values = np.asarray(trace.learned, dtype=float)
     known = dict(zip(trace.learned_names, values.T, strict=True))
     if "mass" in known:
-        friction = {f"along {axis}": _band(known, f"friction_{axis}") for axis in "xy"}
+        friction = {name: _band(known, name) for name in ("friction_x", "friction_y")}
         return [("friction [N]", friction), ("mass [kg]", {"mass": _band(known, "mass")})]
     most = np.max(np.abs(np.nan_to_num(values)), axis=0, initial=0.0)
     shown = values / np.where(most > 0, most, 1.0)
@@ -260,13 +262,22 @@ def _panels(trace: Trace) -> list[tuple[str, dict[str, np.ndarray]]]:
     ]
 
 
-def _draw_learned(axes: Axes, result: dict[str, Any], trace: Trace, curves: dict[str, np.ndarray], push: slice) -> None:
+def _draw_learned(
+    axes: Axes,
+    result: dict[str, Any],
+    trace: Trace,
+    curves: dict[str, np.ndarray],
+    push: slice,
+    true: dict[str, float],
+) -> None:
     for k, (name, values) in enumerate(curves.items()):
         colour = SERIES[k % len(SERIES)]
         if values.ndim == 2:
             axes.fill_between(trace.t[push], values[push, 0], values[push, 2], color=colour, alpha=0.2, lw=0)
             values = values[:, 1]
-        axes.plot(trace.t[push], values[push], lw=1.4, color=colour, label=name)
+        axes.plot(trace.t[push], values[push], lw=1.4, color=colour, label=_LABELS.get(name, name))
+        if name in true:
+            axes.axhline(true[name], lw=0.9, color=colour, ls="--", label="true value")
     begin, end = float(trace.t[push][0]), float(trace.t[push][-1])
     for t in _contact_begins(trace):
         if begin - 0.2 <= t <= end:

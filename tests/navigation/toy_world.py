@@ -35,7 +35,7 @@ class State(NamedTuple):
     face: np.ndarray
     pose: np.ndarray
     samples: int = 0
-    """How many samples Eq. 8 took in."""
+    """How many samples were learned from."""
 
 
 class Stand(SimpleNamespace):

@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.learning.contact_prior import true_values
 from shmoo_mjx.plant.object_file import ObjectFile, read_object
 from shmoo_mjx.plant.objects import draw_condition
 from shmoo_mjx.plant.scene import build_scene
@@ -150,3 +151,12 @@ def test_a_scenario_with_a_damaged_object_file_ends_with_one_sentence(
         done = shmoo("view", "crate.json", "--no-window")
         assert done.returncode == 2 and done.stderr.startswith("shmoo: crate.json: '"), done.stderr
         assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(("wheels", "coefficient"), [("none", 0.4), ("casters", 0.02)])
+def test_its_true_friction_is_that_of_its_feet_or_wheels(wheels: str, coefficient: float, tmp_path: Path) -> None:
+    crate = draw_condition(str(_written(tmp_path, GOOD | {"wheels": wheels})), 0, {"payload": 2.0})
+    true = true_values(crate)
+    weight = 9.81 * 10.0
+    assert true["mass"] == pytest.approx(10.0, rel=0.05)
+    assert true["friction_x"] == pytest.approx(coefficient * weight, rel=0.05) == true["friction_y"]

@@ -102,6 +102,7 @@ def make_result() -> dict[str, Any]:
                 "start_pose": [3.2, 1.5, 0.1],
                 "final_pose": [4.3, 1.5, 0.1],
                 "half_extents": [0.25, 0.3],
+                "true": {"mass": 6.0, "friction_x": 23.5, "friction_y": 24.5},
                 "registered": False,
             },
             {

@@ -196,6 +196,14 @@ def test_what_was_learned_has_a_column_per_push(trace: Trace, result: dict[str, 
     np.testing.assert_allclose(np.asarray(drawn[0].get_ydata(), dtype=float)[0], most)
 
 
+def test_the_true_values_are_drawn_where_they_are_known(trace: Trace, result: dict[str, Any]) -> None:
+    from shmoo_mjx.report import figures
+
+    panels = figures.learned_figure(result, trace).axes
+    true = [[line.get_ydata()[0] for line in p.lines if line.get_label() == "true value"] for p in panels]
+    assert true == [[23.5, 24.5], [], [6.0], []]
+
+
 def test_coefficients_are_drawn_where_they_are_what_adapts(trace: Trace, result: dict[str, Any]) -> None:
     from shmoo_mjx.report import figures
 
