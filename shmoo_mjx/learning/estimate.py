@@ -26,6 +26,9 @@ from shmoo_mjx.dynamics import contact_model, features
 from shmoo_mjx.hands import touches
 from shmoo_mjx.types import DT
 
+_DEFAULT_KEY = 580
+"""Seed of an estimate that is given no key: not 0, with which others begin who draw beside it."""
+
 
 @dataclass(frozen=True)
 class EstimateConfig:
@@ -103,7 +106,7 @@ def init(config: EstimateConfig, prior: Float[Array, "M p"], key: Key[Array, ""]
         key: decides all later draws; equal keys give equal estimates.
     """
     prior = jnp.asarray(prior, jnp.float32)
-    key = jax.random.key(0) if key is None else key
+    key = jax.random.key(_DEFAULT_KEY) if key is None else key
     first, force, later = jax.random.split(key, 3)
     none = jnp.zeros((config.particles, 3))
     return ObjectEstimate(
@@ -114,8 +117,8 @@ def init(config: EstimateConfig, prior: Float[Array, "M p"], key: Key[Array, ""]
         _even(config.particles),
         prior,
         later,
-        jnp.asarray(False),
-        jnp.asarray(0),
+        jnp.zeros((), bool),
+        jnp.zeros((), jnp.int32),
     )
 
 
@@ -199,9 +202,10 @@ def from_rows(
     inputs: Float[Array, "N 13"],
     labels: Float[Array, "N 3"],
     weights: Float[Array, "N"],
+    key: Key[Array, ""] | None = None,
 ) -> Float[Array, "p"]:
     """Mean of the posterior `after_rows`."""
-    return mean(after_rows(config, prior, scale, inputs, labels, weights))
+    return mean(after_rows(config, prior, scale, inputs, labels, weights, key))
 
 
 @single_precision
@@ -212,6 +216,7 @@ def after_rows(
     inputs: Float[Array, "N 13"],
     labels: Float[Array, "N 3"],
     weights: Float[Array, "N"],
+    key: Key[Array, ""] | None = None,
 ) -> ObjectEstimate:
     """The posterior after N recorded samples (`learn`), of which those with weight 0 don't count."""
 
@@ -220,7 +225,7 @@ def after_rows(
         return learn(config, state, x, y, scale, w > 0), None
 
     rows = tuple(jnp.asarray(a, jnp.float32) for a in (inputs, labels, weights))
-    return jax.lax.scan(one, init(config, prior), rows)[0]
+    return jax.lax.scan(one, init(config, prior, key), rows)[0]
 
 
 def relocated(state: ObjectEstimate) -> ObjectEstimate:
@@ -280,7 +285,8 @@ def _updated(config: EstimateConfig, state: ObjectEstimate, log_likelihood: Arra
     raw = state.log_weight + config.discount * log_likelihood
     log_weight = raw - jax.nn.logsumexp(raw)
     sound = jnp.all(jnp.isfinite(state.twist)) & jnp.all(jnp.isfinite(log_weight) | (log_weight == -jnp.inf))
-    fresh = init(config, state.prior, key)._replace(restarts=state.restarts + 1)
+    fresh_key, key = jax.random.split(key)
+    fresh = init(config, state.prior, fresh_key)._replace(restarts=state.restarts + 1)
     state = jax.tree.map(lambda a, b: jnp.where(sound, a, b), state._replace(log_weight=log_weight), fresh)
     effective = 1.0 / jnp.sum(jnp.exp(2.0 * state.log_weight))
     return jax.lax.cond(effective < 0.5 * config.particles, lambda s: _resampled(config, s, key), lambda s: s, state)
@@ -314,4 +320,4 @@ def _from_prior(key: Array, prior: Array, count: int) -> Array:
 
 
 def _even(count: int) -> Array:
-    return jnp.full(count, -jnp.log(float(count)))
+    return jnp.full(count, -np.log(count), jnp.float32)

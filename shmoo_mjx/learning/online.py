@@ -7,7 +7,7 @@ them. `Printed` learns the coefficients of the paper's psi by Eq. 8.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -47,6 +47,7 @@ class Transition(NamedTuple):
     """What was perceived at its end."""
 
 
+@runtime_checkable
 class Learner(Protocol):
     """A way to learn an object online; hashable and without state of its own."""
 

@@ -24,6 +24,9 @@ from shmoo_mjx.learning.samples import Samples, label_scale
 STRETCHES = (0, 10, 10, 30, 30, 100, 100, 250)
 """Samples from which a training condition's parameters are estimated, S numbers; 0 is the object not yet touched."""
 
+_KEYS = 581
+"""Seed of the estimates of training conditions; the next one is that of validation conditions."""
+
 Found = tuple[Float[Array, "M p"], Float[Array, "C S p"], Float[Array, "C_validation p"]]
 """Draws from the prior, the parameters of training conditions and those of validation conditions."""
 
@@ -88,19 +91,21 @@ def from_stretches(
     starts = np.random.default_rng(0).integers(0, total, (count, len(lengths)))
     longest = min(2 * max(*lengths, 1), total)
 
+    keys = jax.random.split(jax.random.key(_KEYS), (len(lengths), count))
+
     @partial(jax.jit, static_argnums=0)
-    def all_of(length: int, starts: Array, rows: Any) -> Array:
-        def one(condition: tuple[Array, Any]) -> Array:
-            start, (inputs, labels, weights) = condition
+    def all_of(length: int, keys: Array, starts: Array, rows: Any) -> Array:
+        def one(condition: tuple[Array, Array, Any]) -> Array:
+            key, start, (inputs, labels, weights) = condition
             at = (start + jnp.arange(longest)) % total
             # The samples that count, in order, and no others: most stretches are short.
             at = at[jnp.argsort(weights[at] == 0, stable=True)[: max(length, 1)]]
             own = inputs[at], labels[at], weights[at] * (length > 0)
-            return estimate.from_rows(config, jnp.asarray(prior), jnp.asarray(scale), *own)
+            return estimate.from_rows(config, jnp.asarray(prior), jnp.asarray(scale), *own, key)
 
-        return jax.lax.map(one, (starts, rows))
+        return jax.lax.map(one, (keys, starts, rows))
 
-    return jnp.stack([all_of(n, jnp.asarray(starts[:, i]), rows) for i, n in enumerate(lengths)], axis=1)
+    return jnp.stack([all_of(n, keys[i], jnp.asarray(starts[:, i]), rows) for i, n in enumerate(lengths)], axis=1)
 
 
 def on_first_samples(
@@ -110,7 +115,8 @@ def on_first_samples(
     n = min(fit_samples, samples.inputs.shape[1] // 2)
     one = partial(estimate.from_rows, config, jnp.asarray(prior), jnp.asarray(scale))
     first = tuple(jnp.asarray(a[:, :n]) for a in samples[:3])
-    return jax.jit(lambda rows: jax.lax.map(lambda row: one(*row), rows))(first)
+    keys = jax.random.split(jax.random.key(_KEYS + 1), len(first[0]))
+    return jax.jit(lambda rows: jax.lax.map(lambda row: one(*row), rows))((*first, keys))
 
 
 def _single(tree: Any) -> Any:
