@@ -57,7 +57,7 @@ def guess() -> Float[Array, "16"]:
     return jnp.array(list(GUESS.values()))
 
 
-def with_friction(parameters: Float[Array, "16"], shift: float) -> Float[Array, "16"]:
+def with_friction(parameters: Float[Array, "*many 16"], shift: float) -> Float[Array, "*many 16"]:
     """The parameters with ``shift`` added to the logarithms of its friction."""
     return parameters + shift * np.array([name.startswith("log_friction") for name in PARAMETERS], np.float32)
 
