@@ -147,6 +147,7 @@ class PushController:
         adapt: Known | None = None,
     ) -> ControllerState:
         """Start a push on ``face``; ``adapt`` carries over what was learned of this object before."""
+        # Not 0 to 2, which MPPI and the planning stage take of this key.
         adapt = adapt or prior_state(self.weights, self.config.estimate, jax.random.fold_in(key, 3))
         state = start(self.config, adapt, obs, face, half_extents, key)
         # Placed as what `step` gives back is: it would else be compiled for either.

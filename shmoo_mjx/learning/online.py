@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -102,12 +101,11 @@ def learner(shape: ObjectConfig, contact: EstimateConfig | None = None, adapt: A
 def learned(known: Known) -> dict[str, float]:
     """What is known, by name: mass [kg], friction along x and y of {O} [N], each the median with `_low` and `_high` of
     an 80 % band; or a1 ... an of a psi without contact model. Not for jit."""
-    known = jax.tree.map(
-        lambda leaf: leaf if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key) else np.asarray(leaf), known
-    )
-    values = told(known).tolist()
-    names = [f"a{k + 1}" for k in range(len(values))] if isinstance(known, AdaptState) else NAMES
-    return dict(zip(names, values, strict=True))
+    if isinstance(known, AdaptState):
+        return {f"a{k + 1}": a for k, a in enumerate(np.asarray(known.mean).tolist())}
+    # In NumPy: outside jit, JAX compiles every operation apart.
+    on_host = known._replace(parameters=np.asarray(known.parameters), log_weight=np.asarray(known.log_weight))
+    return dict(zip(NAMES, told(on_host).tolist(), strict=True))
 
 
 def told(known: Known) -> Float[Array, "n"]:

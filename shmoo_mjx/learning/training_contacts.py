@@ -90,7 +90,7 @@ def from_stretches(
     count, total = rows[2].shape
     starts = np.random.default_rng(0).integers(0, total, (count, len(lengths)))
     longest = min(2 * max(*lengths, 1), total)
-
+    after = partial(estimate.after_rows, config, jnp.asarray(prior), jnp.asarray(scale))
     keys = jax.random.split(jax.random.key(_KEYS), (len(lengths), count))
 
     @partial(jax.jit, static_argnums=0)
@@ -101,7 +101,7 @@ def from_stretches(
             # The samples that count, in order, and no others: most stretches are short.
             at = at[jnp.argsort(weights[at] == 0, stable=True)[: max(length, 1)]]
             own = inputs[at], labels[at], weights[at] * (length > 0)
-            return estimate.from_rows(config, jnp.asarray(prior), jnp.asarray(scale), *own, key)
+            return estimate.mean(after(*own, key))
 
         return jax.lax.map(one, (keys, starts, rows))
 
@@ -113,10 +113,10 @@ def on_first_samples(
 ) -> Float[Array, "C p"]:
     """The parameters of conditions by their first ``fit_samples`` samples, at most half of them."""
     n = min(fit_samples, samples.inputs.shape[1] // 2)
-    one = partial(estimate.from_rows, config, jnp.asarray(prior), jnp.asarray(scale))
+    after = partial(estimate.after_rows, config, jnp.asarray(prior), jnp.asarray(scale))
     first = tuple(jnp.asarray(a[:, :n]) for a in samples[:3])
     keys = jax.random.split(jax.random.key(_KEYS + 1), len(first[0]))
-    return jax.jit(lambda rows: jax.lax.map(lambda row: one(*row), rows))((*first, keys))
+    return jax.jit(lambda rows: jax.lax.map(lambda row: estimate.mean(after(*row)), rows))((*first, keys))
 
 
 def _single(tree: Any) -> Any:

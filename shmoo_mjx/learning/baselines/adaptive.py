@@ -102,7 +102,9 @@ def from_fit(fitted: ObjectFit, config: DaimlConfig) -> Predictor:
         x, y, w = context.inputs, context.labels, context.weights
         contact = jnp.zeros(len(contact_model.PARAMETERS)) if context.contact is None else context.contact
         if config.object.contact_model and context.contact is None:
-            contact = estimate.from_rows(config.contact_fit, fitted.contact_prior, params.label_scale, x, y, w)
+            contact = estimate.mean(
+                estimate.after_rows(config.contact_fit, fitted.contact_prior, params.label_scale, x, y, w)
+            )
         if not config.coupled:
             psi = object_model.basis(params, x, config.object, contact)
             a = least_squares.ridge(psi, y / params.label_scale, mean, config.ridge, w)

@@ -44,7 +44,7 @@ class Sight:
         if not self.config.contact_model:
             return jnp.zeros(self.found[1].shape[-1])
         rows = context.inputs, context.labels, context.weights
-        return estimate.from_rows(self.fit, self.found[0], self.label_scale, *rows)
+        return estimate.mean(estimate.after_rows(self.fit, self.found[0], self.label_scale, *rows))
 
     def __call__(self, inputs: Float[Array, "*batch 13"], contact: Float[Array, "p"]) -> Float[Array, "*batch n"]:
         """What is seen of samples of an object with these contact parameters."""
