@@ -27,8 +27,8 @@ from shmoo_mjx.sensing import REAL, SensedEngine, Senses
 
 METHODS = ("ours", "frozen_prior", "contact_model", "oracle_coefficients", "quasi_static", "paper_form")
 """Ours: MPPI while the object's contact parameters are estimated. The others run the same trials: without learning,
-with the contact model alone and no psi, with the posterior of a whole recording of this object, without a learned model,
-and with psi and Eq. 8 as the paper prints them."""
+with the contact model alone and no psi, with the posterior of a whole recording of this object, without a learned
+model, and with psi and Eq. 8 as the paper prints them."""
 
 OWN = "pushing controller"
 """What a method of the user's own is called in errors."""
