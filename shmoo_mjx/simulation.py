@@ -14,6 +14,7 @@ import numpy as np
 
 from shmoo_mjx import custom, se2
 from shmoo_mjx.control.pushing import PushController
+from shmoo_mjx.learning.contact_prior import kind_of
 from shmoo_mjx.navigation.belief import Status
 from shmoo_mjx.navigation.maps import OccupancyGrid, occupied_rectangles
 from shmoo_mjx.navigation.navigator import Navigator
@@ -95,11 +96,12 @@ def navigator_of(
     What it has to compute takes as long as ``senses`` say.
     """
     config = replace(config or NavigatorConfig(), planning_time=senses.planning, latency=senses.latency)
-    sizes = [c.half_extents for c in conditions_of(scenario)]
+    conditions = conditions_of(scenario)
+    sizes, kinds = [c.half_extents for c in conditions], [kind_of(c) for c in conditions]
     if policy is not None:
         maker = custom.named("policy", policy)
         return PolicyNavigator(policy, maker, grid, scenario.goal, sizes, controller, scenario.seed, config)
-    return Navigator(grid, scenario.goal, sizes, controller, scenario.seed, config, first_status)
+    return Navigator(grid, scenario.goal, sizes, controller, scenario.seed, config, first_status, kinds)
 
 
 class Simulation:
@@ -186,7 +188,7 @@ class Simulation:
         self.engine.close()
         self.scenario, self.conditions, self.scene = scenario, conditions, scene
         self.engine, self.world = engine, world
-        self.navigator.expect([c.half_extents for c in self.conditions])
+        self.navigator.expect([c.half_extents for c in conditions], [kind_of(c) for c in conditions])
         self.seen = self.engine.observe(self.world)
         self.true = self.engine.true_observation(self.world)
         added = len(self.conditions) - len(before.conditions)

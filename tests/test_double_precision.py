@@ -71,7 +71,7 @@ def push(folder: Path) -> Any:
     scene = shmoo.build_scene([(box, (0.0, 0.0, 0.0))], robot_pose=(-0.95, 0.0, 0.0))
     room = shmoo.OccupancyGrid(np.zeros((160, 160), np.int8), resolution=0.05, origin=(-4.0, -4.0, 0.0))
     pusher = shmoo.PushController(shmoo.load_weights(), shmoo.pose_push_config().light())
-    task = shmoo.PushTask(room, [box.half_extents], goal=(0.5, 0.0, 0.0), pusher=pusher)
+    task = shmoo.PushTask(room, [box.half_extents], goal=(0.5, 0.0, 0.0), pusher=pusher, kinds=["box"])
     planned = 0
     with shmoo.SensedEngine([scene], shmoo.REAL, poses_known=True) as robot:
         seen = robot.observe(world := robot.init())

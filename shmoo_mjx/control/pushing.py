@@ -145,10 +145,12 @@ class PushController:
         half_extents: Float[Array, "2"],
         key: Key[Array, ""],
         adapt: Known | None = None,
+        kind: str | None = None,
     ) -> ControllerState:
-        """Start a push on ``face``; ``adapt`` carries over what was learned of this object before."""
+        """Start a push on ``face``; ``adapt`` carries over what was learned of this object before, ``kind`` says what
+        it looks like (`contact_prior.of_kind`)."""
         # Not 0 to 2, which MPPI and the planning stage take of this key.
-        adapt = adapt or prior_state(self.weights, self.config.estimate, jax.random.fold_in(key, 3))
+        adapt = adapt or prior_state(self.weights, self.config.estimate, jax.random.fold_in(key, 3), kind)
         state = start(self.config, adapt, obs, face, half_extents, key)
         # Placed as what `step` gives back is: it would else be compiled for either.
         adapt, plan = sharding.replicated(self._mesh, (state.adapt, state.plan))

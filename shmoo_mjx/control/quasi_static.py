@@ -60,6 +60,7 @@ class QuasiStaticPusher:
         half_extents: Float[Array, "2"] | None,
         key: Key[Array, ""] | None,
         adapt: Known | None = None,
+        kind: str | None = None,
     ) -> QuasiStaticState:
         """Start a push on ``face``."""
         return QuasiStaticState(np.asarray(face), obs.object_pose, adapt, np.zeros(()))

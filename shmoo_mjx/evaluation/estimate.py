@@ -88,7 +88,9 @@ def _trial(asked: _Asked, config: ObjectEstimateConfig, trial: tuple[str, int]) 
     seeds = [asked.first_unseen + first + i for i in range(count)]
     conditions = [draw_condition(family, seed) for seed in seeds]
     seen, axes = _recorded(asked, config, conditions, seeds)
-    bands, masses = (np.asarray(a) for a in _filter(config.estimate, _prior(asked.weights), seen))
+    bands, masses = (
+        np.asarray(a) for a in _filter(config.estimate, contact_prior.of_kind(_prior(asked.weights), family), seen)
+    )
     contact = np.cumsum(touches(seen.wrench) & seen.detected, axis=1)
     rows = []
     for i, condition in enumerate(conditions):

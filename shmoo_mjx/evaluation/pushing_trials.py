@@ -15,6 +15,7 @@ import numpy as np
 
 from shmoo_mjx import custom, se2
 from shmoo_mjx.control.pushing import PushConfig
+from shmoo_mjx.learning.contact_prior import kind_of
 from shmoo_mjx.learning.online import Known
 from shmoo_mjx.learning.weights import Weights
 from shmoo_mjx.navigation.maps import OccupancyGrid
@@ -268,7 +269,8 @@ class Runner:
             adapt_after = oracle_coefficients(self.weights, trial.changed, trial.seed % 10_000)
         grid = OccupancyGrid(np.zeros((240, 240), np.int8), 0.05, (-6.0, -6.0, 0.0))
         sizes = [trial.condition.half_extents]
-        task = PushTask(grid, sizes, trial.goal_pose, self._pushers[method], seed=trial.seed, adapt=adapt)
+        pusher, kinds = self._pushers[method], [kind_of(trial.condition)]
+        task = PushTask(grid, sizes, trial.goal_pose, pusher, seed=trial.seed, adapt=adapt, kinds=kinds)
         start = np.array(trial.object_pose[:2])
         way = float(np.linalg.norm(trial.goal_pose[:2] - start))
         rows: list[tuple[Any, ...]] = []

@@ -5,16 +5,18 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from shmoo_mjx.arrays import Float
+from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Float
 from shmoo_mjx.dynamics.contact_model import PARAMETERS, POINTS, resistance
-from shmoo_mjx.plant.condition import Condition
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.plant.condition import Condition, is_custom
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition, object_spec
 
 FIRST_SEED = 50_000
 """Seed of the first condition that the prior is drawn from: between those of training and validation."""
 
-COUNT = 1024
-"""Objects that the prior is made of, an even number."""
+COUNT = 1026
+"""Objects that the prior is made of: as many of each family, half of them mirrored."""
 
 
 def parameters_of(condition: Condition) -> Float[np.ndarray, "p"]:
@@ -62,11 +64,36 @@ def true_values(condition: Condition) -> dict[str, float]:
 
 
 def draws(count: int = COUNT, first_seed: int = FIRST_SEED) -> Float[np.ndarray, "count p"]:
-    """The parameters of ``count`` objects, of every family as many; half of them are the mirror images of the others,
-    for nothing prefers a side."""
+    """The parameters of ``count`` objects, a multiple of six: row i is of family FAMILIES[i % 3]. Half of them are the
+    mirror images of the others, for nothing prefers a side."""
     seeds = [(FAMILIES[i % len(FAMILIES)], first_seed + i // len(FAMILIES)) for i in range(count // 2)]
     own = np.array([parameters_of(draw_condition(*seed)) for seed in seeds], np.float32)
     return np.concatenate([own, mirrored(own)])
+
+
+def of_kind(prior: Float[Array, "M p"], kind: str | None) -> Float[Array, "M p"]:
+    """What is known of an object by its looks: the draws of its family alone, as many; all of them for None.
+
+    Args:
+        prior: from `draws`.
+        kind: one of FAMILIES, or None for what looks like none of them.
+
+    Raises:
+        ShmooError: another kind.
+    """
+    if kind is None:
+        return prior
+    if kind not in FAMILIES:
+        raise ShmooError(f"object kind {kind!r} is unknown: choose one of {', '.join(FAMILIES)}, or None.")
+    own = prior[FAMILIES.index(kind) :: len(FAMILIES)]
+    return se2.array_module(own).tile(own, (len(FAMILIES), 1))
+
+
+def kind_of(condition: Condition) -> str | None:
+    """What an object looks like, one of FAMILIES; None for an object file with wheels."""
+    if not is_custom(condition.family):
+        return condition.family
+    return None if condition.rolling else "box"
 
 
 def mirrored(parameters: Float[np.ndarray, "... p"]) -> Float[np.ndarray, "... p"]:

@@ -24,7 +24,7 @@ from shmoo_mjx.learning.object_fit import ObjectFit
 from shmoo_mjx.learning.online import Known
 from shmoo_mjx.learning.robot_fit import RobotFit
 
-SCHEMA_VERSION = 6
+SCHEMA_VERSION = 7
 """Raised whenever a field of the file changes its meaning or its name."""
 
 
@@ -38,7 +38,7 @@ class Weights(NamedTuple):
     noise: Float[Array, "3 3"]
     """Covariance of a sample's residual, R dt of Eq. 8."""
     contact_prior: Float[Array, "M p"]
-    """Draws from the prior of the contact parameters; of no use unless config.object.contact_model."""
+    """`contact_prior.draws`; of no use unless config.object.contact_model."""
     config: CoreConfig
     info: dict[str, Any]
     """What made each part (`learning.train.origin`), and scores; JSON-able."""
@@ -55,10 +55,22 @@ def untrained(config: CoreConfig | None = None, seed: int = 0) -> Weights:
 
 
 @single_precision
-def prior_state(weights: Weights, config: EstimateConfig | None = None, key: Key[Array, ""] | None = None) -> Known:
-    """What is known before an object is touched: the prior. ``key`` decides the draws of a posterior's particles."""
+def prior_state(
+    weights: Weights,
+    config: EstimateConfig | None = None,
+    key: Key[Array, ""] | None = None,
+    kind: str | None = None,
+) -> Known:
+    """What is known before an object is touched: the prior.
+
+    Args:
+        weights: trained.
+        config: of the posterior.
+        key: decides the draws of its particles.
+        kind: what the object looks like (`contact_prior.of_kind`).
+    """
     if weights.config.object.contact_model:
-        return estimate.init(config or EstimateConfig(), weights.contact_prior, key)
+        return estimate.init(config or EstimateConfig(), contact_prior.of_kind(weights.contact_prior, kind), key)
     return adaptation.init(weights.params.coefficients, weights.prior_covariance, weights.noise)
 
 

@@ -44,6 +44,8 @@ class KnownObject:
     pose: Float[np.ndarray, "3"]
     """In {W}."""
     half_extents: tuple[float, float]
+    kind: str | None = None
+    """What it looks like, "box", "cart" or "wheelchair"; None for none of them."""
     status: Status = Status.UNKNOWN
     pushes: int = 0
     """How often a push has been started."""
@@ -111,14 +113,16 @@ class Belief:
         sizes: Sequence[tuple[float, float]],
         pushed: int | None = None,
         first_status: Sequence[Status] | None = None,
+        kinds: Sequence[str | None] | None = None,
     ) -> tuple[Belief, list[str]]:
-        """Take in an observation: poses and sizes, as markers on an object's corners give them; never dynamics.
+        """Take in an observation: poses, sizes and kinds, as markers on an object's corners give them; never dynamics.
 
         Args:
             obs: one world; the pose of an object that was never detected is NaN.
             sizes: half extents of each object [m].
             pushed: the object that the robot itself is dealing with.
             first_status: what each object is taken to be at first sight; UNKNOWN if not given. Such a status stays.
+            kinds: what each object looks like, see `KnownObject`.
 
         Returns:
             The new belief and what was noticed.
@@ -131,7 +135,9 @@ class Belief:
             known, age = objects.get(index), float(obs.object_age[0, index])
             if known is None:
                 status = Status.UNKNOWN if first_status is None else first_status[index]
-                objects[index] = KnownObject(pose, size, status, age=age, registered=pose)
+                objects[index] = KnownObject(
+                    pose, size, kinds[index] if kinds else None, status, age=age, registered=pose
+                )
                 continue
             objects[index], said = _perceived(known, pose, age, index == pushed, first_status is not None)
             notes += [f"object {index} {text}" for text in said]

@@ -80,11 +80,12 @@ def setup_of(
     controller: Any,
     config: NavigatorConfig | None = None,
     first_status: Sequence[Status] | None = None,
+    kinds: Sequence[str | None] | None = None,
 ) -> Setup:
     """Constant parts of a navigator; see the fields of :class:`~shmoo_mjx.navigation.records.Setup`."""
     config = config or NavigatorConfig()
     planner = flat_qp.init(FlatModel(*shmoobot().flatness), config.trajectory)
-    return Setup(sizes, controller, config, planner, first_status)
+    return Setup(sizes, controller, config, planner, first_status, kinds)
 
 
 def init(grid: OccupancyGrid, goal: Numbers | Float[Array, "2"], seed: int = 0) -> NavigatorState:
@@ -112,7 +113,7 @@ def _perceive(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[Na
     obs = finite(obs, state.last_obs)
     now = float(obs.time[0])
     pushed = None if state.segment is None else state.segment.object
-    belief, notes = state.belief.update(obs, setup.sizes, pushed, setup.first_status)
+    belief, notes = state.belief.update(obs, setup.sizes, pushed, setup.first_status, setup.kinds)
     state = replace(state, last_obs=obs, belief=belief, lean_offset=equilibrium_lean.step(state.lean_offset, obs))
     return state.with_events(*(Note(now, text) for text in notes)), equilibrium_lean.corrected(state.lean_offset, obs)
 
@@ -247,7 +248,9 @@ def _contact(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[Nav
     _, move = contact.step(segment.contact, object_obs, segment.face)
     if move.over:
         key, own = jax.random.split(state.key)
-        begun = push.init(setup.controller, now, object_obs, segment.face, known.half_extents, own, known.adapt)
+        begun = push.init(
+            setup.controller, now, object_obs, segment.face, known.half_extents, own, known.adapt, known.kind
+        )
         state = replace(state, key=key).with_segment(push=begun)
         state = state.go(now, Mode.PROBE, f"contact with object {segment.object}")
     elif move.failed:
@@ -329,8 +332,9 @@ class Navigator:
         seed: int = 0,
         config: NavigatorConfig | None = None,
         first_status: Sequence[Status] | None = None,
+        kinds: Sequence[str | None] | None = None,
     ) -> None:
-        self.setup = setup_of(sizes, controller, config, first_status)
+        self.setup = setup_of(sizes, controller, config, first_status, kinds)
         self.state = init(grid, goal, seed)
         self.events: list[Event] = []
 
@@ -347,9 +351,9 @@ class Navigator:
             state = state.with_object(index, pushes=0, chances=0, failed_faces=(), in_the_way=0)
         self.state = replace(state, mode=Mode.REPLAN, since=now, segment=None, pending=None, waits_from=None)
 
-    def expect(self, sizes: Sequence[tuple[float, float]]) -> None:
-        """There are more objects, or others: half extents of each [m]. What is being computed is dropped."""
-        self.setup = self.setup._replace(sizes=sizes)
+    def expect(self, sizes: Sequence[tuple[float, float]], kinds: Sequence[str | None] | None = None) -> None:
+        """There are more objects, or others: half extents [m] and looks of each. What is being computed is dropped."""
+        self.setup = self.setup._replace(sizes=sizes, kinds=kinds)
         self.state = replace(self.state, last_obs=None, pending=None)
 
     @property

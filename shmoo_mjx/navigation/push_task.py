@@ -7,6 +7,7 @@ follows, on another face where that helps: what has gone too far is pushed back 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import NamedTuple
@@ -134,6 +135,7 @@ class PushTask:
         seed: int = 0,
         config: PushTaskConfig | None = None,
         adapt: Known | None = None,
+        kinds: Sequence[str | None] | None = None,
     ) -> None:
         """Set up the task.
 
@@ -146,6 +148,8 @@ class PushTask:
             seed: of the controller's random numbers.
             config: settings.
             adapt: coefficients to start from; the prior if not given.
+            kinds: what each object looks like: "box", "cart", "wheelchair", or None for none of them, as all are if not
+                given. It decides the prior.
 
         Raises:
             ShmooError: the goal is not three finite numbers, or there is no object ``index``.
@@ -161,7 +165,7 @@ class PushTask:
         self.pushes = 0
         self.segment: _PushSegment | None = None
         self.lean_offset = equilibrium_lean.init()
-        self._setup = setup_of(sizes, pusher, self.config.moves)
+        self._setup = setup_of(sizes, pusher, self.config.moves, kinds=kinds)
         self._index = index
         self._pusher = pusher
         self._adapt = adapt
@@ -199,7 +203,7 @@ class PushTask:
     def tick(self, obs: Observation) -> Command:
         """One decision."""
         obs = self._seen = finite(obs, self._seen)
-        self.belief, _ = self.belief.update(obs, self._setup.sizes, self._index)
+        self.belief, _ = self.belief.update(obs, self._setup.sizes, self._index, kinds=self._setup.kinds)
         self.lean_offset = equilibrium_lean.step(self.lean_offset, obs)
         obs = equilibrium_lean.corrected(self.lean_offset, obs)
         result = self._handlers[self.phase](equilibrium_lean.predicted(obs, self.config.moves.latency))
@@ -279,7 +283,8 @@ class PushTask:
             self._key, key = jax.random.split(self._key)
             now, half = float(obs.time[0]), known.half_extents
             self.segment = replace(
-                segment, push=push.init(self._pusher, now, object_obs, segment.face, half, key, self._adapt)
+                segment,
+                push=push.init(self._pusher, now, object_obs, segment.face, half, key, self._adapt, known.kind),
             )
             self._go(obs, Phase.PUSH, "contact")
         elif move.failed:

@@ -217,6 +217,8 @@ class Setup(NamedTuple):
     trajectories: Planner
     first_status: Sequence[Status] | None = None
     """What each object is taken to be at first sight; UNKNOWN if not given."""
+    kinds: Sequence[str | None] | None = None
+    """What each object looks like: "box", "cart", "wheelchair", or None for none of them, as all are if not given."""
 
     def routes(self, state: NavigatorState) -> Routes:
         """Path queries on the present belief."""

@@ -38,8 +38,10 @@ class Pusher(Protocol):
         half_extents: Float[Array, "2"],
         key: Key[Array, ""],
         adapt: Known | None = None,
+        kind: str | None = None,
     ) -> Any:
-        """Start a push."""
+        """Start a push; ``kind`` is what the object looks like, "box", "cart" or "wheelchair", None for none of
+        them."""
 
     def step(
         self,
@@ -99,10 +101,11 @@ def init(
     half_extents: tuple[float, float] | Float[Array, "2"],
     key: Key[Array, ""] | None,
     adapt: Known | None,
+    kind: str | None = None,
 ) -> PushState:
     """A push on ``face`` that starts at ``time`` [s]. Its first step comes a sample later: a pusher that was
     stepped with the very observation it began with would take the object to have been pushed and not moved."""
-    return PushState(pusher.init(obs, face, np.asarray(half_extents), key, adapt), time)
+    return PushState(pusher.init(obs, face, np.asarray(half_extents), key, adapt, kind), time)
 
 
 def step(

@@ -63,8 +63,8 @@ class PolicyState(NamedTuple):
     """``[5]`` how far the object would have coasted on in the last samples [m]."""
 
 
-def policy_of(controller: Controller, weights: Weights) -> PushPolicy:
-    """The controller that a sweep file asks for."""
+def policy_of(controller: Controller, weights: Weights, kind: str | None = None) -> PushPolicy:
+    """The controller that a sweep file asks for, for objects that look like ``kind`` (`contact_prior.of_kind`)."""
     config = push_config(controller)
     if controller.kind == "quasi_static":
         return PushPolicy(
@@ -75,7 +75,7 @@ def policy_of(controller: Controller, weights: Weights) -> PushPolicy:
     core, params = weights.config, weights.params
 
     def begin(obs: ObjectObservation, task: WorldGoal, key: Array) -> Any:
-        adapt = prior_state(weights, config.estimate)
+        adapt = prior_state(weights, config.estimate, kind=kind)
         return pushing.start(config, adapt, obs, task.face, task.half_extents, key)
 
     def advance(state: Any, obs: ObjectObservation, last_u: Array, task: WorldGoal) -> tuple[Array, Any]:

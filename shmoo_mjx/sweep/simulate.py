@@ -23,6 +23,7 @@ from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, single_precision
 from shmoo_mjx.control.observation import ObjectObservation
 from shmoo_mjx.hands import CONTACT_FORCE
+from shmoo_mjx.learning.contact_prior import kind_of
 from shmoo_mjx.learning.weights import Weights
 from shmoo_mjx.navigation.push_task import AT_REST
 from shmoo_mjx.plant.engine_mjx import MjxEngine, MjxWorld
@@ -107,7 +108,7 @@ class Batches:
         self._still = jax.tree.map(lambda x: np.asarray(x)[0], self.engine.init())
         self.mesh = Mesh(np.asarray(chosen), ("world",))
         self._each = NamedSharding(self.mesh, PartitionSpec("world"))
-        self._policy = pushers.policy_of(config.controllers[controller], weights)
+        self._policy = pushers.policy_of(config.controllers[controller], weights, kind_of(first.condition))
         nominal = jax.device_get(self.engine.model)
         self._nominal = jax.device_put(nominal, NamedSharding(self.mesh, PartitionSpec()))
         self._one = setup(config, [first], nominal, self.scene)

