@@ -114,7 +114,7 @@ def acceleration(parameters: Float[Array, "16 ..."], inputs: Float[Array, "n ...
         weight = DT * mass * GRAVITY / 4 * (1 + front * load_x) * (1 + left * load_y)
         grip_x, grip_y = (weight * jnp.exp(named[f"log_friction_{axis}_{name}"]) for axis in "xy")
         stiffness = 1.0 / (inverse_mass + (lx**2 + ly**2) * inverse_inertia)
-        points.append((lx, ly, 1.0 / grip_x, 1.0 / grip_y, stiffness))
+        points.append((lx, ly, grip_x, grip_y, stiffness))
     # Twist of the centre of mass after the push alone; then the points take from it what they hold.
     pushed = (
         vx - spin * y + DT * inverse_mass * fx,
@@ -126,10 +126,9 @@ def acceleration(parameters: Float[Array, "16 ..."], inputs: Float[Array, "n ...
         """Point by point: the impulse that would stop it, cut to what its load allows."""
         (ux, uy, turn), impulses = carry
         held = []
-        for (lx, ly, per_x, per_y, stiffness), (old_x, old_y) in zip(points, impulses, strict=True):
+        for (lx, ly, grip_x, grip_y, stiffness), (old_x, old_y) in zip(points, impulses, strict=True):
             new_x, new_y = old_x - stiffness * (ux - turn * ly), old_y - stiffness * (uy + turn * lx)
-            share = jax.lax.rsqrt(jnp.maximum(1.0, (new_x * per_x) ** 2 + (new_y * per_y) ** 2))
-            new_x, new_y = new_x * share, new_y * share
+            new_x, new_y = _within_grip(new_x, new_y, grip_x, grip_y)
             dx, dy = new_x - old_x, new_y - old_y
             ux, uy = ux + inverse_mass * dx, uy + inverse_mass * dy
             turn = turn + inverse_inertia * (lx * dy - ly * dx)
@@ -140,3 +139,17 @@ def acceleration(parameters: Float[Array, "16 ..."], inputs: Float[Array, "n ...
     start = (pushed, ((none, none),) * len(POINTS))
     ((ux, uy, turn), _), _ = jax.lax.scan(iterate, start, length=GAUSS_SEIDEL_ITERATIONS)
     return jnp.stack([ux + turn * y - vx, uy - turn * x - vy, turn - spin]) / DT
+
+
+def _within_grip(x: Array, y: Array, grip_x: Array, grip_y: Array) -> tuple[Array, Array]:
+    """The impulse nearest to ``(x, y)`` that a point can hold: within Coulomb's circle, whose radius is the larger of
+    both grips, and within each grip along its axis. A wheel's rolling resistance thus takes nothing from its grip
+    across."""
+    grip = jnp.maximum(grip_x, grip_y)
+    share = jnp.minimum(1.0, grip * jax.lax.rsqrt(jnp.maximum(x**2 + y**2, 1e-12)))
+    along, across = x * share, y * share
+    rest_x, rest_y = (jnp.sqrt(jnp.maximum(grip**2 - own**2, 0.0)) for own in (grip_y, grip_x))
+    cut_x, cut_y = jnp.abs(along) > grip_x, jnp.abs(across) > grip_y
+    new_x = jnp.where(cut_x, jnp.clip(x, -grip_x, grip_x), jnp.where(cut_y, jnp.clip(x, -rest_x, rest_x), along))
+    new_y = jnp.where(cut_y, jnp.clip(y, -grip_y, grip_y), jnp.where(cut_x, jnp.clip(y, -rest_y, rest_y), across))
+    return new_x, new_y

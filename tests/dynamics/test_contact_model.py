@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,6 +15,7 @@ from shmoo_mjx.dynamics import contact_model
 from shmoo_mjx.evaluation import replay
 from shmoo_mjx.learning import contact_prior
 from shmoo_mjx.plant.objects import draw_condition
+from shmoo_mjx.types import DT
 
 GUESS = np.array(list(contact_model.GUESS.values()))
 SPREAD = contact_prior.draws(96).std(axis=0)
@@ -99,3 +102,32 @@ def test_it_is_the_simulators_box(seed: int) -> None:
     said = jax.vmap(lambda x: contact_model.acceleration(told, x))(jnp.asarray(rows, jnp.float32))
     left = np.sum((truth - said) ** 2, axis=0) / np.sum((truth - truth.mean(axis=0)) ** 2, axis=0)
     assert left.max() < 0.1, left
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.tuples(st.floats(-5, 5), st.floats(-5, 5)), st.sampled_from([(1.0, 1.0), (0.05, 1.0), (0.8, 1.0), (1.0, 0.3)])
+)
+def test_a_point_holds_the_impulse_nearest_to_what_would_stop_it(trial: tuple[float, float], grips: Any) -> None:
+    held = contact_model._within_grip(*(jnp.asarray(a, jnp.float32) for a in (*trial, *grips)))
+    angle = np.linspace(-np.pi, np.pi, 2001)
+    rim = max(grips) * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    allowed = np.concatenate([s * np.clip(rim, -np.array(grips), grips) for s in np.linspace(0, 1, 101)])
+    nearest = np.linalg.norm(allowed - trial, axis=1).min()
+    assert np.all(np.abs(held) <= np.array(grips) + 1e-5) and np.hypot(*held) <= max(grips) + 1e-5
+    assert abs(np.linalg.norm(np.array(held) - trial) - nearest) < 0.02
+
+
+@pytest.mark.parametrize("payload", [5.0, 60.0])
+def test_a_wheel_that_rolls_keeps_its_grip_across(payload: float) -> None:
+    chair = contact_prior.parameters_of(draw_condition("wheelchair", 3, {"payload": payload, "locked": [False] * 4}))
+    named, size = dict(zip(contact_model.PARAMETERS, chair.tolist(), strict=True)), 0.48
+    sideways = 0.5 * float(contact_model.resistance(chair)[1])
+    axle = size * (named["feet_x"] - np.exp(named["log_foot_x"]))
+    twist = np.zeros(3)
+    for _ in range(10):
+        rows = inputs(twist, (0.2 * sideways, sideways, axle * sideways)).at[9].set(size)
+        twist = twist + np.asarray(contact_model.acceleration(jnp.asarray(chair, jnp.float32), rows)) * DT
+    # Pushed across at its axle it rolls along x, and does not slide.
+    assert twist[0] > 0.3
+    assert abs(twist[1] + twist[2] * axle) < 0.05
