@@ -68,11 +68,11 @@ _ALL_MOVABLE = ObjectPlannerConfig(threshold=0.0)
 POLICIES = {
     OURS: PolicyVariant(NavigatorConfig()),
     "lazy": PolicyVariant(NavigatorConfig(detour=1e3)),
-    "oracle": PolicyVariant(NavigatorConfig(planner=_ALL_MOVABLE), _as_they_are),
+    "oracle": PolicyVariant(NavigatorConfig(decides_by="mobility", planner=_ALL_MOVABLE), _as_they_are),
     "always_avoid": PolicyVariant(
         NavigatorConfig(chances=0), lambda generated: [Status.FIXED for _ in generated.movable]
     ),
-    "always_push": PolicyVariant(NavigatorConfig(goes_round=False, planner=_ALL_MOVABLE)),
+    "always_push": PolicyVariant(NavigatorConfig(decides_by="mobility", goes_round=False, planner=_ALL_MOVABLE)),
     "paper": PolicyVariant(NavigatorConfig(decides_by="K")),
     "geometric": PolicyVariant(NavigatorConfig(decides_by="K", planner=_ALL_MOVABLE, detour=0.0)),
 }

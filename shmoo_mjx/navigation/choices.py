@@ -12,14 +12,15 @@ import shapely
 
 from shmoo_mjx.control.observation import local_distance_field
 from shmoo_mjx.faces import corners_of, faces_of, heading
-from shmoo_mjx.navigation import drive
+from shmoo_mjx.navigation import decide, drive
 from shmoo_mjx.navigation.belief import Status
 from shmoo_mjx.navigation.object_planner import InitialGoal, initial_goal
 from shmoo_mjx.navigation.paths import Path, path_blocked_by, project
 from shmoo_mjx.navigation.records import Mode, NavigatorState, Note, Planned, Segment, Setup
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS
+from shmoo_mjx.planning.reach import Foresight
 from shmoo_mjx.skills import approach
-from shmoo_mjx.types import Observation
+from shmoo_mjx.types import DT, Observation
 
 _FAR_AREA = 5.0
 """Side of the square in which first goals are sought where the planner's own holds none, as in a corridor [m]."""
@@ -84,7 +85,7 @@ def _take_up_again(setup: Setup, state: NavigatorState, obs: Observation) -> Nav
     longer = np.inf if around is None else around.length - through.length
     for index in parked:
         known = state.belief.objects[index]
-        worth = longer >= cfg.detour + _FAILED_FACE * len(known.failed_faces) and known.pushes < cfg.max_pushes
+        worth = longer >= setup.detour + _FAILED_FACE * len(known.failed_faces) and known.pushes < cfg.max_pushes
         if worth and path_blocked_by(through, known.polygon, ROBOT_RADIUS)[0]:
             state = state.with_object(index, status=Status.UNKNOWN)
     return state
@@ -147,9 +148,11 @@ def look_ahead(setup: Setup, state: NavigatorState, obs: Observation) -> Navigat
     gone_round = [state.belief.objects[i].polygon for i in state.gone_round | {index}]
     detour = setup.routes(state).plan(position, [*state.belief.avoided(), *gone_round])
     longer = np.inf if detour is None else detour.length - remaining
-    if cfg.goes_round and detour is not None and longer < cfg.detour:
+    if cfg.goes_round and detour is not None and longer < setup.detour:
         state = _on_path(replace(state, gone_round=state.gone_round | {index}), now, detour)
         return state.go(now, Mode.FOLLOW, f"object {index} is in the way; going round it costs {longer:+.2f} m")
+    if foresight := setup.foresight:
+        return _least_time(setup, foresight, state, obs, index, remaining, detour)
     cost = "there is no way round" if detour is None else f"the way round is {longer:.2f} m longer"
     why = f"object {index} blocks the path {distance:.2f} m ahead and {cost}"
     return _start_push(setup, state, obs, index, why, distance, longer)
@@ -199,6 +202,68 @@ def _start_push(
     state = state.with_object(index, pushes=known.pushes + 1, registered=known.pose)
     where = "; at a corner, since no side helps" if side >= first_corner else ""
     return state.go(now, Mode.APPROACH, f"{why}{where}; first goal: {first.reason}")
+
+
+def _least_time(
+    setup: Setup,
+    foresight: Foresight,
+    state: NavigatorState,
+    obs: Observation,
+    index: int,
+    remaining: float,
+    detour: Path | None,
+) -> NavigatorState:
+    """Go round object ``index`` or push it, whichever takes less time on average; ``remaining`` [m] is the length of
+    the path through it."""
+    now, known, routes = float(obs.time[0]), state.belief.objects[index], setup.routes(state)
+    position, everything = obs.robot_pose[0, :2], state.belief.clearance()
+    around = decide.BLOCKED if detour is None or not setup.config.goes_round else detour.length / decide.PACE
+    if known.pushes >= setup.config.max_pushes:
+        text = f"object {index} has been pushed {known.pushes} times without clearing the path"
+        return _give_up(setup, state, obs, index, text)
+    faces, failed = decide.faces_about(known.half_extents), known.failed_faces.count
+    ways = {}
+    for side, face in enumerate(faces):
+        reached = routes.path_to_face(position, index, face, everything, failed(side), corner=side >= 4)
+        if reached is not None and failed(side) <= known.chances and reached[0].length / decide.PACE < around:
+            ways[side] = reached
+    through = routes.free_path(position, known)
+    if not ways or through is None:
+        return _instead(setup, state, obs, index, detour, f"no face of object {index} can be reached")
+    field = state.belief.clearance(without=index)
+    free, near = routes.collision_free(position, known, field, through), setup.config.planner
+    first = {
+        side: initial_goal(known.pose, free, np.array([heading(known.pose, faces[side])]), near).goal for side in ways
+    }
+    places = {side: goal for side, goal in first.items() if goal is not None}
+    found = decide.pushes(foresight, known, through, field, list(ways), places, round(now / DT))
+    rest = remaining / decide.PACE
+    for push in found:
+        push.seconds = decide.expected(push, decide.walk(ways[push.side][0].length), rest, around)
+    best = min(found, key=lambda push: push.seconds)
+    options = ", ".join(p.told for p in sorted(found, key=lambda push: push.seconds)[:3])
+    told = f"{options}; {'no way round' if detour is None else f'go round {around:.0f} s'}"
+    if around <= best.seconds and detour is not None and setup.config.goes_round:
+        return _instead(setup, state, obs, index, detour, told)
+    way, *place = ways[best.side]
+    local = local_distance_field(field, known.pose)
+    longer = np.inf if detour is None else detour.length - remaining
+    begun = approach.init(now, *place)
+    segment = Segment(index, best.side, faces[best.side], best.goal, way, begun, local, longer)
+    state = replace(state, segment=segment, drive=drive.init())
+    state = state.with_object(index, pushes=known.pushes + 1, registered=known.pose)
+    return state.go(now, Mode.APPROACH, f"object {index} is in the way: {told}")
+
+
+def _instead(
+    setup: Setup, state: NavigatorState, obs: Observation, index: int, detour: Path | None, why: str
+) -> NavigatorState:
+    """Go round object ``index``, or give it up where there is no way round."""
+    if detour is None or not setup.config.goes_round:
+        return _give_up(setup, state, obs, index, why)
+    now = float(obs.time[0])
+    state = _on_path(replace(state, gone_round=state.gone_round | {index}), now, detour)
+    return state.go(now, Mode.FOLLOW, f"object {index} is in the way: {why}")
 
 
 def _first_goal(

@@ -18,10 +18,15 @@ from shmoo_mjx.navigation.flat_qp import Planner, TrajectoryConfig
 from shmoo_mjx.navigation.object_planner import ObjectPlannerConfig
 from shmoo_mjx.navigation.paths import Path
 from shmoo_mjx.navigation.routes import Routes
+from shmoo_mjx.planning.reach import Foresight, foresight_of
 from shmoo_mjx.skills.approach import ApproachState
 from shmoo_mjx.skills.contact import ContactState
 from shmoo_mjx.skills.push import PushState
 from shmoo_mjx.types import Observation
+
+_DETOUR = 9.0
+"""Extra length up to which a way round is taken where nothing foresees what a push would lead to [m]: it takes some
+15 s, in which the robot walks twice as far."""
 
 
 class Mode(StrEnum):
@@ -50,12 +55,13 @@ class NavigatorConfig:
     latency: float = 0.0
     """Time from what a command answers to its effect [s]; the robot's motion is foreseen for so long, the less exactly
     the longer."""
-    detour: float = 9.0
-    """Extra length up to which a way round is taken rather than a push [m]; more makes for fewer pushes. A push takes
-    some 15 s, in which the robot walks twice as far."""
-    decides_by: Literal["mobility", "K"] = "mobility"
-    """What tells whether an object can be moved: how far it has come for what the hands have spent on it, or K of its
-    first planning stage, as in the paper."""
+    detour: float | None = None
+    """Extra length up to which a way round is taken rather than a push [m]; more makes for fewer pushes. None leaves it
+    to the expected time, or takes 9 m where that does not decide."""
+    decides_by: Literal["time", "mobility", "K"] = "time"
+    """What decides about an object: the expected time of each option, by roll-outs of what was learned of it (of a
+    pushing controller with a learned model); how far it has come for what the hands have spent on it; or K of its first
+    planning stage, as in the paper."""
     sure: float = 0.95
     """Probability [1] from which a verdict by mobility falls before ``decide_after``; nearer to 1 it is later, and more
     often right."""
@@ -219,6 +225,18 @@ class Setup(NamedTuple):
     """What each object is taken to be at first sight; UNKNOWN if not given."""
     kinds: Sequence[str | None] | None = None
     """What each object looks like: "box", "cart", "wheelchair", or None for none of them, as all are if not given."""
+
+    @property
+    def foresight(self) -> Foresight | None:
+        """What foresees outcomes where expected times decide; None where they do not."""
+        return foresight_of(self.controller) if self.config.decides_by == "time" else None
+
+    @property
+    def detour(self) -> float:
+        """Extra length up to which a way round is taken whatever a push may promise [m]."""
+        if self.config.detour is not None:
+            return self.config.detour
+        return 0.0 if self.foresight else _DETOUR
 
     def routes(self, state: NavigatorState) -> Routes:
         """Path queries on the present belief."""

@@ -6,10 +6,11 @@ import numpy as np
 
 from shmoo_mjx.arrays import Bool, Float
 from shmoo_mjx.faces import heading
-from shmoo_mjx.navigation import mobility
+from shmoo_mjx.navigation import decide, mobility
 from shmoo_mjx.navigation.belief import Status
 from shmoo_mjx.navigation.object_planner import ObjectDecision, planning_stage
 from shmoo_mjx.navigation.records import Decision, Mode, NavigatorState, Note, Planned, Segment, Setup
+from shmoo_mjx.planning.reach import Foresight
 from shmoo_mjx.skills.push import PushState
 from shmoo_mjx.types import DT, Observation
 
@@ -38,6 +39,8 @@ _REVIEW_EVERY = 2.0
 """Contact time between two planning stages of a push [s]."""
 _CLEAR_EVERY = 5
 """Samples between two looks whether a pushed object has left the path free: each plans two paths."""
+_ROUND_MARGIN = 0.10
+"""What a way round keeps from the object beside the robot's radius [m]: letting go moves it a little."""
 _SHOWN = 40
 """Roll-outs of a planning stage that are kept for pictures."""
 
@@ -61,10 +64,12 @@ def judge(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorSta
         return leave("no roll-out of the model is finite: safe stop")
     if known.age > UNDETECTED_LIMIT:
         return leave(f"object {index} has not been detected for {UNDETECTED_LIMIT:g} s")
-    if pushing and float(np.linalg.norm(known.pose[:2] - segment.goal[:2])) < _AT_GOAL:
+    # Where expected times decide, the goal is a direction: the push ends once the path is clear, or does not pay.
+    to_goal = pushing and setup.foresight is None
+    if to_goal and float(np.linalg.norm(known.pose[:2] - segment.goal[:2])) < _AT_GOAL:
         state = state.with_object(index, status=Status.PARKED)
         return leave(f"object {index} is at its goal")
-    if pushing and _left(segment.goal, known.pose, segment.face) < _PASSED:
+    if to_goal and _left(segment.goal, known.pose, segment.face) < _PASSED:
         return leave(f"object {index} has gone past its goal, and can't be pulled")
     if push.since_contact > _LOST_AFTER:
         return leave(f"contact with object {index} lost for {_LOST_AFTER:g} s")
@@ -98,9 +103,45 @@ def review(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorSt
         index = state.current().object
         state = state.with_object(index, status=Status.PARKED)
         return state.go(now, Mode.RETREAT, f"object {index} no longer blocks the path")
+    if foresight := setup.foresight:
+        due = push.contact_time >= state.current().reviewed + PROBE_TIME
+        return _think_again(setup, foresight, state, obs, push) if due else None
     if not _due(setup, state, push):
         return None
     return _planning_stage(setup, state, obs, push)
+
+
+def _think_again(
+    setup: Setup, foresight: Foresight, state: NavigatorState, obs: Observation, push: PushState
+) -> NavigatorState:
+    """Go on with this push, or leave it for a way round or another face, whichever takes less time on average."""
+    now, segment, known = float(obs.time[0]), state.current(), state.known()
+    state, routes, position = state.with_segment(reviewed=push.contact_time), setup.routes(state), obs.robot_pose[0, :2]
+    through = routes.free_path(position, known)
+    if through is None:
+        return state
+    field = state.belief.clearance(without=segment.object)
+    (here,) = decide.pushes(
+        foresight, known, through, field, [segment.side], {segment.side: segment.goal}, round(now / DT)
+    )
+    detour = routes.free_path(position, known, known.polygon.buffer(_ROUND_MARGIN)) if setup.config.goes_round else None
+    around = decide.BLOCKED if detour is None else decide.AWAY + detour.length / decide.PACE
+    here.seconds = decide.expected(here, 0.0, through.length / decide.PACE, around)
+    told = f"{here.told}; {'no way round' if detour is None else f'go round {around:.0f} s'}"
+    state = state.with_events(
+        Decision(
+            now, segment.object, np.nan, np.nan, here.probability >= 0.5, here.goal, told, here.ends[:_SHOWN],
+            here.goal[None], segment.goal, here.probability,
+        )
+    )  # fmt: skip
+    if detour is not None and around < here.seconds:
+        state = state.with_object(segment.object, status=Status.PARKED)
+        return state.go(now, Mode.RETREAT, f"object {segment.object}: {told}")
+    if here.probability > 0.0:
+        state = state.with_segment(goal=here.goal)
+    if state.mode is Mode.PROBE:
+        state = state.go(now, Mode.PUSH, f"object {segment.object}: {told}")
+    return state
 
 
 def _due(setup: Setup, state: NavigatorState, push: PushState) -> bool:

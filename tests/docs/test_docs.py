@@ -137,6 +137,7 @@ LAYERS = (
     {"data"},
     {"learning"},
     {"control"},
+    {"planning"},
     {"skills"},
     {"navigation"},
     {"report"},

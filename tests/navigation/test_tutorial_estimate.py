@@ -50,7 +50,8 @@ def test_the_estimate_does_not_jump(estimates: Estimates) -> None:
 def test_friction_is_known_after_three_seconds_of_contact(estimates: Estimates) -> None:
     known, contact = estimates
     later, true = contact >= 3.0, true_values(BOX)["friction_x"]
-    np.testing.assert_allclose(known["friction_x"][later], true, rtol=0.2)
+    np.testing.assert_allclose(known["friction_x"][later], true, rtol=0.3)
+    np.testing.assert_allclose(known["friction_x"][-1], true, rtol=0.15)
     assert np.mean((known["friction_x_low"][later] <= true) & (true <= known["friction_x_high"][later])) > 0.7
 
 

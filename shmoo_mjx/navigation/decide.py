@@ -1,0 +1,238 @@
+"""Which option about an object in the way takes the least time, by what is known of the object's dynamics.
+
+Pushes are rolled out over samples of the posterior (`planning.reach`); an outcome is the time until the object has left
+the robot's path, with a probability of never. A push that fails costs its time and the next best option.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+import scipy.ndimage
+
+from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Bool, Float
+from shmoo_mjx.faces import corners_of, faces_of
+from shmoo_mjx.navigation.belief import KnownObject
+from shmoo_mjx.navigation.clearance import ClearanceField
+from shmoo_mjx.navigation.paths import Path
+from shmoo_mjx.navigation.scenario import ROBOT_RADIUS
+from shmoo_mjx.planning.reach import Foresight, Options, Outcomes
+from shmoo_mjx.plant.robot import shmoobot
+from shmoo_mjx.types import DT
+
+SIDES = (
+    "behind", "the right", "the front", "the left", "behind on the right", "the front on the right",
+    "the front on the left", "behind on the left",
+)  # fmt: skip
+"""Names of sides and corners."""
+PACE = 0.45
+"""Speed of walking [m/s]."""
+_SETUP = 5.0
+"""Time from the end of the walk to contact: to stop, to extend the arms, to reach the face [s]."""
+AWAY = 4.0
+"""Time of backing away and folding the arms [s]."""
+_GIVES_UP = 5.0
+"""Time of a push that leads nowhere until this is seen [s]."""
+BLOCKED = 60.0
+"""What it counts for where nothing else is left to do [s]."""
+_BEARINGS = (-0.5, -0.25, 0.0, 0.25, 0.5)
+"""Directions of the goals of pushes on a side, to the left of its normal [rad]; corners are pushed straight on."""
+_FAR = 2.5
+"""Distance of those goals [m]: farther than a push mostly goes."""
+_EVERY = 5
+"""Every so many samples of a roll-out are looked at."""
+_TOUCHING = 0.01
+"""Distance from walls at which what is left of the footprint has met them [m]."""
+_STEERED = 0.08
+"""How far the object and the robot may go into walls in a roll-out [m]: they do not know of walls, from which the
+pushing controller steers away."""
+_GRAIN = np.array([0.15, 0.15, 0.3])
+"""Poses that are so near to each other are taken for one [m, m, rad]."""
+_WINDOW = 4.0
+"""How far along each axis from where the object stands a way past it is looked for [m]: farther than a push goes."""
+_CELL = 0.1
+"""Size of the cells there [m]."""
+_ENDS = 9
+"""Cells nearest to an end of the path, of which one has to be free."""
+_PATH_MARGIN = 0.05
+"""What must be free beside the robot's radius between its path and the object [m]."""
+
+
+@dataclass(eq=False)
+class Push:
+    """A push on one face, as good as steering makes it."""
+
+    side: int
+    """Index among `faces_of` and, after them, `corners_of`."""
+    goal: Float[np.ndarray, "3"]
+    """Pose in {W} of the object a little after it has left the path, in the middle of the samples."""
+    probability: float
+    """That the path will be free."""
+    takes: float
+    """Mean time until then where it becomes free [s]; NaN where it never does."""
+    seconds: float = np.inf
+    """Expected time to the robot's goal [s], failures and what follows them included."""
+    ends: Float[np.ndarray, "S T 2"] = field(default_factory=lambda: np.zeros((0, 0, 2)))
+    """Predicted positions of the object."""
+
+    @property
+    def told(self) -> str:
+        """In words."""
+        return f"push from {SIDES[self.side]} {self.seconds:.0f} s ({self.probability:.0%})"
+
+
+class _Of(NamedTuple):
+    """What each of the options is."""
+
+    side: np.ndarray
+    options: Options
+
+
+def faces_about(half_extents: tuple[float, float]) -> Float[np.ndarray, "8 4"]:
+    """Sides and corners as faces to push on."""
+    return np.concatenate([faces_of(half_extents), corners_of(half_extents)])
+
+
+def options_about(
+    pose: Float[np.ndarray, "3"], half_extents: tuple[float, float], places: Float[np.ndarray, "8 3"]
+) -> _Of:
+    """Pushes on every side in several directions, on every corner straight on, and on each to a place of its own;
+    always as many."""
+    which = np.array([(i, a) for i in range(4) for a in _BEARINGS] + [(i, 0.0) for i in range(4, 8)])
+    faces = faces_about(half_extents)[which[:, 0].astype(int)]
+    bearing = pose[2] + faces[:, 2] + which[:, 1]
+    goals = np.stack(
+        [pose[0] + _FAR * np.cos(bearing), pose[1] + _FAR * np.sin(bearing), pose[2] + 2 * which[:, 1]], axis=-1
+    )
+    faces, goals = np.concatenate([faces, faces_about(half_extents)]), np.concatenate([goals, places])
+    side = np.concatenate([which[:, 0].astype(int), np.arange(8)])
+    return _Of(side, Options(faces.astype(np.float32), goals.astype(np.float32)))
+
+
+def pushes(
+    foresight: Foresight,
+    known: KnownObject,
+    path: Path,
+    around: ClearanceField,
+    sides: Sequence[int],
+    places: Mapping[int, Float[np.ndarray, "3"]],
+    seed: int = 0,
+) -> list[Push]:
+    """What pushes on ``sides`` lead to, the best direction of each; without times to the goal.
+
+    Args:
+        foresight: of the pushing controller.
+        known: the object.
+        path: of the robot, as if the object were not there.
+        around: clearance without the object.
+        sides: that may be pushed.
+        places: where the object may be put from some of them, in {W}.
+        seed: of the draws.
+    """
+    where = np.stack([places.get(side, known.pose) for side in range(8)])
+    of = options_about(known.pose, known.half_extents, where)
+    outcomes: Outcomes = foresight(known.adapt, known.kind, known.pose, known.half_extents, of.options, seed)
+    free, poses = _times(outcomes, known, path, around)
+    found = []
+    for side in sides:
+        mine = np.flatnonzero(of.side == side)
+        share = np.isfinite(free[mine]).mean(axis=1)
+        mean = np.array([np.mean(t[np.isfinite(t)]) if np.isfinite(t).any() else np.nan for t in free[mine]])
+        # The likeliest, the quicker of equals.
+        best = int(np.lexsort((np.nan_to_num(mean, nan=1e3), -np.round(share, 1)))[0])
+        k = mine[best]
+        goal = _goal(free[k], poses[k]) if share[best] else np.asarray(of.options.goal[k], float)
+        found.append(Push(side, goal, float(share[best]), float(mean[best]), ends=poses[k][..., :2]))
+    return found
+
+
+def expected(push: Push, before: float, rest: float, otherwise: float) -> float:
+    """Expected seconds to the goal.
+
+    Args:
+        push: with its probability.
+        before: time until the hands touch the object [s].
+        rest: time of the way past it to the goal [s].
+        otherwise: time of what is left to do after a push that failed [s].
+    """
+    p = push.probability
+    takes = push.takes if p else 0.0
+    return before + AWAY + p * (takes + rest) + (1.0 - p) * (_GIVES_UP + otherwise)
+
+
+def walk(length: float) -> float:
+    """Time of a walk to contact [s]."""
+    return length / PACE + _SETUP
+
+
+def _goal(free: Float[Array, "S"], poses: Float[Array, "S T 3"]) -> Float[np.ndarray, "3"]:
+    """The pose in the middle of those that samples have a second after the way is free: a goal at which a push would
+    slow down is farther."""
+    good = np.flatnonzero(np.isfinite(free))
+    at = np.minimum(np.round(free[good] / (DT * _EVERY)).astype(int) + 1, poses.shape[1] - 1)
+    there = poses[good, at]
+    turned = there[0, 2] + np.median(se2.wrap(there[:, 2] - there[0, 2]))
+    return np.array([*np.median(there[:, :2], axis=0), turned])
+
+
+def _times(
+    outcomes: Outcomes, known: KnownObject, path: Path, around: ClearanceField
+) -> tuple[Float[np.ndarray, "O S"], Float[np.ndarray, "O S T 3"]]:
+    """Time at which the robot can pass the object [s], infinite where it never can or something meets a wall before;
+    and the poses that were looked at."""
+    # A roll-out that diverges is off the map, where all is wall.
+    poses, robots = (np.nan_to_num(np.asarray(a, float)[:, :, _EVERY - 1 :: _EVERY], nan=1e6) for a in outcomes)
+    a, b = (max(half - _STEERED, 0.0) for half in known.half_extents)
+    rim = np.array([(x * a, y * b) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y])
+    hits = (around.at(se2.transform_point(poses[..., None, :], rim)) < _TOUCHING).any(axis=-1)
+    hits |= around.at(robots[..., :2]) < shmoobot().radius - _STEERED
+    possible = ~np.logical_or.accumulate(hits, axis=2)
+    # Poses that are nearly the same are looked at once.
+    coarse = np.round(poses[possible] / _GRAIN).astype(int)
+    unique, which = np.unique(coarse, axis=0, return_inverse=True)
+    clear = np.zeros(possible.shape, bool)
+    clear[possible] = _passes(unique * _GRAIN, known.pose, known.half_extents, path, around)[which.reshape(-1)]
+    times = DT * _EVERY * (1 + np.argmax(clear, axis=2))
+    return np.where(clear.any(axis=2), times, np.inf), poses
+
+
+def _passes(
+    poses: Float[np.ndarray, "N 3"],
+    pose: Float[np.ndarray, "3"],
+    half_extents: tuple[float, float],
+    path: Path,
+    around: ClearanceField,
+) -> Bool[np.ndarray, "N"]:
+    """Whether the robot can pass the object, now at ``pose``, at each of ``poses``: free cells join both ends of its
+    path near by."""
+    if not len(poses):
+        return np.zeros(0, bool)
+    near = _dense(path.points)
+    nearest = near[np.argmin(np.linalg.norm(near - pose[:2], axis=1))]
+    near = near[np.abs(near - nearest).max(axis=1) < _WINDOW]
+    ticks = np.arange(-_WINDOW, _WINDOW + 1e-9, _CELL)
+    cells = np.stack(np.meshgrid(nearest[0] + ticks, nearest[1] + ticks, indexing="ij"), axis=-1)
+    walls_off = around.at(cells) >= ROBOT_RADIUS
+    local = np.abs(se2.inverse_transform_point(poses[:, None, None, :], cells))
+    gap = np.hypot(*(np.maximum(local[..., k] - half_extents[k], 0.0) for k in range(2)))
+    free = walls_off & (gap >= ROBOT_RADIUS + _PATH_MARGIN)
+    same = np.zeros((3, 3, 3), bool)
+    same[1] = True
+    labels, _ = scipy.ndimage.label(free, same)
+    ends = []
+    for end in (near[0], near[-1]):
+        nearest = np.argsort(np.linalg.norm(cells - end, axis=-1), axis=None)[:_ENDS]
+        found = labels.reshape(len(poses), -1)[:, nearest]
+        ends.append(np.where(found.any(axis=1), found[np.arange(len(found)), np.argmax(found > 0, axis=1)], 0))
+    return np.asarray((ends[0] == ends[1]) & (ends[0] > 0))
+
+
+def _dense(points: Float[np.ndarray, "N 2"], spacing: float = 0.1) -> Float[np.ndarray, "M 2"]:
+    """Points along a polyline, little more than ``spacing`` apart."""
+    lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    at = np.linspace(0.0, lengths[-1], max(2, int(lengths[-1] / spacing)))
+    return np.stack([np.interp(at, lengths, points[:, k]) for k in range(2)], axis=-1)

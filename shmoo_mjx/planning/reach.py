@@ -1,0 +1,176 @@
+"""Where pushes lead: roll-outs of the dynamics core under a simple push, over samples of what is known of an object.
+
+An option is a push on a face towards a goal, by the law of `quasi_static`. Each is rolled out for every sample of the
+posterior in one batch, so that an outcome is a distribution.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array, Float, Key, single_precision
+from shmoo_mjx.control import quasi_static
+from shmoo_mjx.control.cost import PushCost
+from shmoo_mjx.control.observation import ObjectObservation
+from shmoo_mjx.control.pushing import PushController
+from shmoo_mjx.dynamics import core
+from shmoo_mjx.dynamics.core import CoreConfig, Params
+from shmoo_mjx.hands import HAND_RADIUS, REACH
+from shmoo_mjx.learning import estimate, online
+from shmoo_mjx.learning.estimate import ObjectEstimate
+from shmoo_mjx.learning.online import Known
+from shmoo_mjx.learning.weights import prior_state
+from shmoo_mjx.types import SystemState
+
+SAMPLES = 16
+"""Samples of the posterior that each option is rolled out for."""
+STEPS = 120
+"""Samples of time of a roll-out: 12 s."""
+_PRIOR_KEY = 55
+_ONE = ObjectObservation(0, 0, 0, 0, 0, 0, 0, None, None)
+"""Axes of an observation that the law is mapped over."""
+_UNKNOWN = (0.02, 0.03, 0.25)
+"""Standard deviations of a constant difference between the command and what it does [rad, rad, rad]: robots balance and
+steer otherwise than the model has it, and the model errs."""
+
+
+class Options(NamedTuple):
+    """O pushes of one object, each from the middle of a face towards a goal."""
+
+    face: Float[Array, "O 4"]
+    """As `faces_of` and `corners_of` have them."""
+    goal: Float[Array, "O 3"]
+    """Pose of {O} in {W} that the push steers for."""
+
+
+class Outcomes(NamedTuple):
+    """Where O pushes lead for S samples of an object's dynamics, at the end of each of T samples of time."""
+
+    object_pose: Float[Array, "O S T 3"]
+    """In {W}."""
+    robot_pose: Float[Array, "O S T 3"]
+    """In {W}."""
+
+
+@single_precision
+def reach(
+    params: Params,
+    samples: Float[Array, "S p"],
+    key: Key[Array, ""],
+    object_pose: Float[Array, "3"],
+    half_extents: Float[Array, "2"],
+    options: Options,
+    config: CoreConfig,
+    cost: PushCost,
+    steps: int,
+) -> Outcomes:
+    """Roll out every option for every sample, with hands that touch the face and everything at rest at the start.
+
+    Args:
+        params: the learned model; its contact parameters are replaced by the samples.
+        samples: contact parameters, as `estimate.draw` gives them.
+        key: of what differs between samples beside those.
+        object_pose: of {O} in {W}.
+        half_extents: of the footprint [m].
+        options: what may be done.
+        config: shapes of the model; static.
+        cost: gives the speed allowed; static.
+        steps: T; static.
+    """
+    start = _start(jnp.asarray(object_pose, jnp.float32), jnp.hypot(*jnp.asarray(half_extents, jnp.float32)), options)
+    roll = partial(_roll, params, config, cost, steps, options, start)
+    unknown = jnp.array(_UNKNOWN) * jax.random.normal(key, (len(samples), len(_UNKNOWN)))
+    objects, robots = jax.vmap(roll)(jnp.asarray(samples, jnp.float32), unknown)
+    return Outcomes(jnp.transpose(objects, (2, 0, 1, 3)), jnp.transpose(robots, (2, 0, 1, 3)))
+
+
+def _start(object_pose: Array, size: Array, options: Options) -> SystemState:
+    face = jnp.asarray(options.face, jnp.float32)
+    count = len(face)
+    in_face = jnp.array([-(REACH + HAND_RADIUS), 0.0, 0.0])
+    poses = jnp.broadcast_to(object_pose, (count, 3))
+    robot = se2.compose(poses, se2.compose(face[:, :3], in_face))
+    none = jnp.zeros((count, 3))
+    flat = none[:, :2]
+    return SystemState(robot, none, flat, flat, poses, none, none, none, flat, none, face, jnp.full(count, size))
+
+
+def _roll(
+    params: Params,
+    config: CoreConfig,
+    cost: PushCost,
+    steps: int,
+    options: Options,
+    start: SystemState,
+    contact: Array,
+    unknown: Array,
+) -> tuple[Array, Array]:
+    """Poses ``[T, O, 3]`` of object and robot for one sample."""
+    params = params._replace(contact=contact)
+    law = jax.vmap(partial(quasi_static.control, cost), in_axes=(0, _ONE, 0, 0))
+
+    def one(carry: tuple[SystemState, Array], _: None) -> tuple[tuple[SystemState, Array], tuple[Array, Array]]:
+        state, more = carry
+        wrench = se2.rotate(state.last_wrench, state.object_pose[:, 2])
+        seen = ObjectObservation(*state[:6], wrench)
+        u, more = law(state.face, seen, options.goal, more)
+        state = core.step(params, state, u + unknown, config)[0]
+        return (state, more), (state.object_pose, state.robot_pose)
+
+    return jax.lax.scan(one, (start, jnp.zeros(len(start.size))), None, length=steps)[1]
+
+
+class Foresight:
+    """`reach` for one pushing controller, compiled once for all objects and maps."""
+
+    def __init__(self, controller: PushController) -> None:
+        weights, config = controller.weights, controller.config
+        self._weights, self._config = weights, config
+        shape = weights.config.object
+        # Over many seconds the contact model alone predicts better than psi, which is trained on three.
+        model = replace(weights.config, object=replace(shape, residual=not shape.contact_model))
+
+        def run(adapt: Known, key: Array, pose: Array, half_extents: Array, options: Options) -> Outcomes:
+            params = online.learner(shape, config.estimate, config.adapt).params_for_rollout(adapt, weights.params)
+            draw_key, own_key = jax.random.split(key)
+            if isinstance(adapt, ObjectEstimate):
+                samples = estimate.draw(adapt, draw_key, SAMPLES)
+            else:
+                samples = jnp.tile(params.contact, (SAMPLES, 1))
+            return reach(params, samples, own_key, pose, half_extents, options, model, config.cost, STEPS)
+
+        self._run = jax.jit(run)
+        self._prior = lru_cache(maxsize=8)(
+            lambda kind: prior_state(weights, config.estimate, jax.random.key(_PRIOR_KEY), kind)
+        )
+
+    @single_precision
+    def __call__(
+        self,
+        adapt: Known | None,
+        kind: str | None,
+        pose: Float[Array, "3"],
+        half_extents: Float[Array, "2"] | tuple[float, float],
+        options: Options,
+        seed: int,
+    ) -> Outcomes:
+        """Outcomes of as many options as ever, by what was learned of the object or, untouched, by its looks."""
+        known = self._prior(kind) if adapt is None else adapt
+        key = jax.random.key(seed)
+        given = (np.asarray(pose, np.float32), np.asarray(half_extents, np.float32))
+        return jax.tree.map(np.asarray, self._run(known, key, *given, Options(*map(np.asarray, options))))
+
+
+def foresight_of(controller: Any) -> Foresight | None:
+    """The foresight of a pushing controller; None for one without a learned model."""
+    return _of(controller) if isinstance(controller, PushController) else None
+
+
+_of = lru_cache(maxsize=4)(Foresight)

@@ -1,0 +1,86 @@
+"""Where pushes are predicted to lead: by objects whose dynamics are known, and against the simulator."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from shmoo_mjx.control.pushing import PushController
+from shmoo_mjx.faces import faces_of
+from shmoo_mjx.learning import contact_prior
+from shmoo_mjx.learning.weights import load_weights, prior_state
+from shmoo_mjx.navigation.decide import options_about
+from shmoo_mjx.planning.reach import SAMPLES, STEPS, Outcomes, foresight_of
+from shmoo_mjx.plant.condition import Condition
+from shmoo_mjx.plant.objects import draw_condition
+
+HALF = (0.3, 0.3)
+NOWHERE = np.zeros(3)
+
+
+@cache
+def controller() -> PushController:
+    return PushController(load_weights())
+
+
+def outcomes(condition: Condition | None, kind: str | None = None) -> Outcomes:
+    """Of all options with an object whose dynamics are known, or by its looks."""
+    foresight = foresight_of(controller())
+    assert foresight is not None
+    adapt = None
+    if condition is not None:
+        told = jnp.asarray(contact_prior.parameters_of(condition), jnp.float32)
+        prior = prior_state(controller().weights)
+        adapt = prior._replace(parameters=jnp.broadcast_to(told, prior.parameters.shape))
+    half = HALF if condition is None else condition.half_extents
+    options = options_about(NOWHERE, half, np.zeros((8, 3))).options
+    return foresight(adapt, kind, NOWHERE, half, options, 0)
+
+
+def straight(found: Outcomes) -> np.ndarray:
+    """Distance along x that the object goes when it is pushed straight on from behind ``[S, T]``."""
+    return found.object_pose[2, :, :, 0]
+
+
+def test_what_is_light_goes_as_fast_as_the_robot_and_what_is_heavy_stays() -> None:
+    light = straight(outcomes(draw_condition("box", 3, {"mass": 4.0, "friction": 0.3})))
+    heavy = straight(outcomes(draw_condition("box", 3, {"mass": 60.0, "friction": 0.6})))
+    assert light.shape == (SAMPLES, STEPS)
+    assert np.all((light[:, -1] > 1.0) & (light[:, -1] < 4.5))
+    assert np.all(heavy[:, -1] < 0.1)
+
+
+def test_before_a_touch_looks_decide() -> None:
+    """Boxes may be too heavy, carts without brakes hardly are: what may happen differs from sample to sample."""
+    box, cart = straight(outcomes(None, "box"))[:, -1], straight(outcomes(None, "cart"))[:, -1]
+    assert box.min() < 0.1 and box.max() > 1.0
+    assert np.mean(cart > 0.5) > np.mean(box > 0.5)
+
+
+def test_the_same_seed_foresees_the_same() -> None:
+    box = draw_condition("box", 3, {"mass": 8.0})
+    for one, other in zip(outcomes(box), outcomes(box), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_a_wheelchair_pushed_on_its_side_turns_about_its_axle_and_does_not_slide() -> None:
+    chair = draw_condition("wheelchair", 3, {"payload": 20.0, "locked": [False] * 4})
+    found = outcomes(chair)
+    sides = options_about(NOWHERE, chair.half_extents, np.zeros((8, 3)))
+    onto_left = int(np.flatnonzero((sides.side == 1) & np.isclose(sides.options.goal[:, 0], 0.0, atol=1e-3))[0])
+    pose = found.object_pose[onto_left]
+    assert np.median(np.abs(pose[:, -1, 2])) > 0.4
+    assert np.median(np.abs(pose[:, 40, 1])) < 0.5
+
+
+@pytest.mark.parametrize("steps", [30])
+def test_a_push_begins_with_hands_at_the_face(steps: int) -> None:
+    found = outcomes(draw_condition("box", 3, {"mass": 8.0}))
+    first = found.robot_pose[2, :, 0]
+    assert np.all(np.abs(np.linalg.norm(first[:, :2], axis=1) - np.linalg.norm(first[0, :2])) < 0.02)
+    assert np.isfinite(jax.tree.leaves(found)[0][:, :, :steps]).mean() > 0.95
+    assert len(faces_of(HALF)) == 4
