@@ -239,8 +239,6 @@ SECTIONS = {
                     "success_rate_push_only": "success, push only (aim 0.92)",
                     "success_rate_detour_only": "success, detour only (aim 0.92)",
                     "success_rate_either": "success, either (aim 0.92)",
-                    "success_rate_border": "success, an object near the border of manipulability",
-                    "success_rate_clear": "success, none near it",
                     "falls": "falls (aim 0)",
                     "toppled": "objects toppled",
                     "wall_contacts_per_100": "wall contacts in 100 runs (aim 1)",
