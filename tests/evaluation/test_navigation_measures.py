@@ -153,7 +153,6 @@ def test_measures_of_every_policy_and_what_neither_baseline_can_do() -> None:
 def test_kinds_and_objects_are_counted() -> None:
     metrics = measure(ROWS, tuple(POLICIES))
     assert (metrics["scenarios_push_only"], metrics["scenarios_detour_only"]) == (3, 1)
-    assert (metrics["wanted_push_only_m"], metrics["scenarios_push_only_m"]) == (4, 3)
     assert metrics["scenarios_with_2_objects"] == metrics["scenarios_with_1_objects_in_the_way"] == 4
 
 
@@ -235,7 +234,7 @@ def test_some_policies_alone_are_measured_as_well() -> None:
     assert oracle["baseline_oracle_success_rate"] == 1.0 and "success_rate" not in oracle
 
 
-def test_the_page_says_better_by_interval_and_which_kinds_a_map_lacks() -> None:
+def test_the_page_says_better_by_interval_and_what_failed() -> None:
     many = [r | {"scenario": 4 * k + r["scenario"]} for k in range(8) for r in ROWS]
     metrics = measure(many, tuple(POLICIES))
     found = make_result(
@@ -243,10 +242,9 @@ def test_the_page_says_better_by_interval_and_which_kinds_a_map_lacks() -> None:
     )
     text = navigation_tables(found)
     assert "| success | " in text and "| -0.25 (" in text and "**worse**" in text and "**better**" in text
-    assert "| m | 16 / 24 | 8 / 8 | - | push only: 8 |" in text
     assert "| all | 24 / 32 |" in text and "- fall: 8" in text
     page = render({"navigation": found}, {})
-    assert text in page and "| success (aim 0.96) | 0.75 | 0 | 0.25 | 0.25 | 1 |" in page
+    assert text in page and "| success (aim 0.96) | 0.75 | 0 | 0.25 | 0.25 | 0 | 0 | 1 |" in page
     assert "`shmoo experiment navigation --maps DIR --seed 0 --condition-seed 0 --senses perfect`" in page
 
 
