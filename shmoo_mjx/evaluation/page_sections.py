@@ -212,10 +212,11 @@ SECTIONS = {
     ),
     "object_planner": Section(
         "Can it be moved? (IV-B, Algorithm 1, Fig. 5)",
-        "The navigator probes unseen objects, at least half of them immovable, and decides. An object is manipulable if "
-        "a steady push moves it 0.316 m along the push before it has turned by 30 deg. Objects near the border are so "
-        "laden that it moves them 0.2 to 0.5 m. Criteria after 1 s of contact are logistic regressions that are fitted "
-        "to objects of training: on displacement and impulse (as the navigator has it), on K, and on displacement.",
+        "The navigator probes unseen objects, at least half of them immovable, and decides. An object is manipulable "
+        "if a steady push moves it 0.316 m along the push before it has turned by 30 deg. Objects near the border are "
+        "so laden that it moves them 0.2 to 0.5 m. Criteria after 1 s of contact are logistic regressions that are "
+        "fitted to objects of training: on displacement and impulse (as the navigator has it), on K, and on "
+        "displacement.",
         ("as drawn", "near the border", "both"),
         _lines(
             {
