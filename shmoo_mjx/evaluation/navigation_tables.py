@@ -6,7 +6,7 @@ from collections import Counter
 from typing import Any
 
 from shmoo_mjx.evaluation.navigation_measures import COMPARED, EXTRA_BANDS, FAILURE_S, TIE_S
-from shmoo_mjx.evaluation.paired import OURS, differences_table
+from shmoo_mjx.evaluation.paired import OURS, differences_table, shown_name
 from shmoo_mjx.evaluation.result import ExperimentResult
 from shmoo_mjx.report.tables import markdown_table
 
@@ -34,7 +34,7 @@ def reference_table(result: ExperimentResult) -> str:
         versus = "" if mean is None or low is None or high is None else f"{mean:+.1f} ({low:.1f} to {high:.1f})"
         regrets = [shown(f"regret_s_{band}", ".1f") for band in EXTRA_BANDS]
         called = f"{shown('unsolvable_called_blocked', '.0f')} / {shown('unsolvable', '.0f')}"
-        row = [policy.replace("_", " "), shown("success_rate_certified", ".2f"), shown("regret_s", ".1f")]
+        row = [shown_name(policy), shown("success_rate_certified", ".2f"), shown("regret_s", ".1f")]
         row += [shown("regret_s_median", ".1f"), *regrets, shown("right_first_choice", ".2f"), called]
         row += [shown("falls", ".0f"), shown("wall_contacts", ".0f"), shown("ins", ".2f"), versus]
         lines.append(row)

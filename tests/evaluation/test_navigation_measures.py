@@ -200,21 +200,21 @@ def test_a_first_choice_is_right_if_it_leads_nearly_as_quickly_to_the_goal() -> 
 def test_policies_are_compared_with_the_certificates_of_what_can_be_solved() -> None:
     told = {"reference_s": 30.0, "first_choice": None, "right_choice": True, "outcome": "success"}
     rows = [
-        row(n, policy, True, "either") | told | {"regret_s": 10.0 * n + 5.0 * (policy == "lazy"), "extra_m": extra}
-        for policy in ("ours", "lazy")
+        row(n, policy, True, "either") | told | {"regret_s": 10.0 * n + 5.0 * (policy == "my_own:P"), "extra_m": extra}
+        for policy in ("ours", "my_own:P")
         for n, extra in enumerate((2.0, 8.0, 40.0, None))
     ]
     none = dict.fromkeys(("reference_s", "regret_s", "first_choice", "right_choice", "extra_m"))
-    rows += [row(9, p, False, "unsolvable") | none | {"outcome": "blocked"} for p in ("ours", "lazy")]
-    metrics = measure(rows, ("ours", "lazy"))
+    rows += [row(9, p, False, "unsolvable") | none | {"outcome": "blocked"} for p in ("ours", "my_own:P")]
+    metrics = measure(rows, ("ours", "my_own:P"))
     assert metrics["certified"] == 4 and metrics["success_rate_certified"] == 1.0 and metrics["regret_s"] == 15.0
     assert [metrics[f"regret_s_{band}"] for band in EXTRA_BANDS] == [0.0, 10.0, 20.0, 30.0]
     assert metrics["unsolvable"] == metrics["unsolvable_called_blocked"] == 1
-    assert metrics["difference_lazy_regret_s"] == -5.0 and metrics["difference_lazy_regret_s_pairs"] == 4
-    config = {"policies": ("ours", "lazy")}
+    assert metrics["difference_my_own:P_regret_s"] == -5.0 and metrics["difference_my_own:P_regret_s_pairs"] == 4
+    config = {"policies": ("ours", "my_own:P")}
     text = reference_table(make_result("navigation", ExperimentOptions(), config, metrics, {}, rows))
     assert (
-        "| lazy | 1.00 | 20.0 | 20.0 | 5.0 | 15.0 | 25.0 | 35.0 | 1.00 | 1 / 1 |" in text
+        "| my_own:P | 1.00 | 20.0 | 20.0 | 5.0 | 15.0 | 25.0 | 35.0 | 1.00 | 1 / 1 |" in text
         and "-5.0 (-5.0 to -5.0)" in text
     )
     assert _time_over_extra([r for r in rows if r["reference_s"] is not None]) is not None
