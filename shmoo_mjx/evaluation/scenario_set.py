@@ -117,7 +117,7 @@ def _drawn(places: Places, trial: tuple[str, int]) -> list[dict[str, Any]]:
 def find_set(name: Path) -> Path:
     """The file of that name, or the shipped set that is called so (``arena``, ``floor_plans``)."""
     shipped = asset(f"experiments/scenario_sets/{name}.json")
-    return shipped if not name.exists() and shipped.is_file() else name
+    return shipped if not name.is_file() and shipped.is_file() else name
 
 
 def open_set(file: Path, folder: Path) -> tuple[Places, int]:

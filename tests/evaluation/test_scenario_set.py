@@ -98,6 +98,16 @@ def test_navigation_runs_the_set_and_says_which(made: Path, tmp_path: Path, monk
     assert navigation.trials_folder(options, tmp_path, navigation.NavigationTrials().scenario) != other
 
 
+def test_a_folder_of_the_name_of_a_shipped_set_does_not_hide_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("arena").mkdir()
+    assert find_set(Path("arena")) == asset("experiments/scenario_sets/arena.json")
+    Path("floor_plans").write_text("{}")
+    assert find_set(Path("floor_plans")) == Path("floor_plans")
+
+
 def test_the_arena_has_100_certified_scenarios_without_maps_of_others(tmp_path: Path) -> None:
     places, _ = open_set(find_set(Path("arena")), tmp_path)
     assert places.given is not None and len(places.given) == 100 and len(places.maps) == 25
