@@ -103,7 +103,7 @@ def _real_pushes(result: ExperimentResult) -> Value:
 _ROWS: tuple[tuple[str, str, Callable[[ExperimentResult], Value]], ...] = (
     (
         "navigation",
-        "Success rate of navigation, of scenarios that can be solved",
+        "Success rate of navigation, solvable scenarios",
         _rate("success_rate_certified", lambda r: _metric(r, "certified")),
     ),
     (
@@ -113,7 +113,7 @@ _ROWS: tuple[tuple[str, str, Callable[[ExperimentResult], Value]], ...] = (
     ),
     (
         "navigation",
-        "Time lost compared with going round whenever there is a way (a failure counts 120 s)",
+        "Time lost compared with going round if possible",
         _difference("difference_lazy_regret_s", "s"),
     ),
     ("pushing", "Success rate of pushing to a pose", _rate("success_rate", lambda r: _metric(r, "trials"))),
