@@ -84,14 +84,15 @@ def demo(result: ExperimentResult) -> str:
 
 
 def navigation(result: ExperimentResult) -> str:
-    """Time of a trial over the time that it simulates, by place, and each part's time per sample."""
-    places = list(dict.fromkeys(row["place"] for row in result.rows))
+    """Time of a trial over the time that it simulates, and each part's ms per sample, with a row per place."""
     ms = {(row["part"], row["place"]): row["ms_per_sample"] for row in result.rows}
-    whole = [result.metrics[f"{place.replace(' ', '_')}_ratio_to_simulated_time"] for place in places]
-    rows = [["trial / simulated time", *(f"{ratio:.3f}" for ratio in whole)]]
+    places = list(dict.fromkeys(place for _, place in ms))
     parts = sorted({part for part, _ in ms}, key=lambda part: -sum(ms.get((part, place), 0.0) for place in places))
-    rows += [[f"{part} [ms per sample]", *(f"{ms.get((part, place), 0.0):.2f}" for place in places)] for part in parts]
-    return f"{_machine(result)}, one of them used:\n\n{markdown_table(['', *places], rows)}"
+    rows = []
+    for place in places:
+        ratio = result.metrics[f"{place.replace(' ', '_')}_ratio_to_simulated_time"]
+        rows.append([place, f"{ratio:.3f}", *(f"{ms.get((part, place), 0.0):.2f}" for part in parts)])
+    return f"{_machine(result)}\n\n{markdown_table(['', 'trial / simulated time', *parts], rows)}"
 
 
 def batches(result: ExperimentResult) -> str:

@@ -408,6 +408,7 @@ def experiment(
     perceived = _senses(senses)
     from shmoo_mjx import progress
     from shmoo_mjx.evaluation.everything import run_all
+    from shmoo_mjx.evaluation.navigation_tables import reference_table
     from shmoo_mjx.evaluation.registry import run_experiment
     from shmoo_mjx.evaluation.result import ExperimentOptions, table, write_result
     from shmoo_mjx.guard import EXPERIMENT, check_output
@@ -433,7 +434,7 @@ def experiment(
             return 0
         result = run_experiment(name, options)
     write_result(target, result)
-    print(table(result))
+    print(reference_table(result) or table(result))
     print(target)
     return 0
 

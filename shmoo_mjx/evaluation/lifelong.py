@@ -16,7 +16,6 @@ import numpy as np
 import shapely
 
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.evaluation.manipulable import BORDER
 from shmoo_mjx.evaluation.navigation import POLICIES, TestedRobot, play, robot_of, scores_of, told_of, trials_folder
 from shmoo_mjx.evaluation.navigation_failures import keep_failure, write_failures
 from shmoo_mjx.evaluation.navigation_places import Places, as_data, find_places, generated_from, kept
@@ -80,7 +79,7 @@ def run(options: ExperimentOptions) -> ExperimentResult:
     rows = run_trials(trials, work, store, options.progress, cfg.workers)
     write_failures(folder, [r for r in rows if r["policy"] == OURS], store, options.progress)
     metrics = measure(rows, cfg.policies, cfg.goals)
-    about = {"senses": options.senses, "maps": maps, "generated_maps": options.maps is None, "border_m": BORDER}
+    about = {"senses": options.senses, "maps": maps, "generated_maps": options.maps is None}
     return make_result("lifelong", options, asdict(cfg) | about, metrics, {}, rows)
 
 

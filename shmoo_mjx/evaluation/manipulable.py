@@ -1,7 +1,7 @@
 """What "manipulable" means, told by the plant alone, and objects drawn on both sides of that line.
 
 No model, planner or controller of the system takes part: the robot leans into the object as far as the pushing
-controller may, and how far the object has gone is the truth that decisions are compared with.
+controller may, and how far the object has gone along the push is the truth that decisions are compared with.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ IMMOVABLE = ("heavy", "brakes", "fixed")
 
 
 BORDER = (0.2, 0.5)
-"""Displacements [m] that count as near the border of manipulability: the threshold 0.316 m, 1.6 times less or more."""
+"""Progress [m] that counts as near the border of manipulability: the threshold 0.316 m, 1.6 times less or more."""
 
 STRATA = {"drawn": "as drawn", "border": "near the border"}
 """Objects as they come, and objects near the border of manipulability, by name."""
@@ -47,16 +47,19 @@ class SteadyPush:
     seconds: float = 6.5
     """Time from the first contact: about 1.5 s until the lean is up, then the planning stage's horizon of 5 s [s]."""
     distance: float = 0.316
-    """Displacement from which an object counts as manipulable [m]: what K = 0.3 m^2 asks of each of three roll-outs."""
+    """Progress along the push from which an object counts as manipulable [m]: what K = 0.3 m^2 asks of each of three
+    roll-outs, and what certificates call movable."""
+    turn: float = float(np.radians(30.0))
+    """The push ends once the object has turned this far [rad]: it turns away instead of going along."""
     touch: float = 5.0
     """Force that counts as the first contact [N]."""
 
 
 @cache
 def steady_push(condition: Condition, side: int, cfg: SteadyPush = SteadyPush()) -> float:
-    """How far [m] the object goes when the robot leans into face ``side`` (of ``faces_of``) with all it has.
+    """Progress [m] of the object along the push when the robot leans into face ``side`` as far as it may.
 
-    It ends once the object has gone ``cfg.distance``, or after ``cfg.seconds`` of contact.
+    It ends once the object has gone ``cfg.distance`` or turned by ``cfg.turn``, or after ``cfg.seconds`` of contact.
     """
     face = faces_of(condition.half_extents)[side]
     start = stand_off(np.zeros(3), face, 0.10)
@@ -73,9 +76,10 @@ def steady_push(condition: Condition, side: int, cfg: SteadyPush = SteadyPush())
         lean = steady_lean(cfg, seen, seen.object_pose[:, 0], face[None], lean[None], touching)[0]
         u, yaw = np.array([[*lean, 0.0]]), np.array([heading(seen.object_pose[0, 0], face)])
         world, seen = engine.step(world, Command(u, yaw, np.array([REACH]), np.array([HAND_HEIGHT])))
-        moved = float(np.linalg.norm(seen.object_pose[0, 0, :2]))
-        if engine.fallen(world)[0]:
+        pose = seen.object_pose[0, 0]
+        if engine.fallen(world)[0] or abs(se2.wrap(pose[2])) > cfg.turn:
             break
+        moved = float(pose[0] * np.cos(face[2]) + pose[1] * np.sin(face[2]))
     engine.close()
     return moved
 
@@ -114,7 +118,7 @@ def steady_lean(
 
 
 def manipulable(condition: Condition, side: int = 0, cfg: SteadyPush = SteadyPush()) -> bool:
-    """Whether the robot's steady push on face ``side`` moves the object."""
+    """Whether the robot's steady push on face ``side`` moves the object along the push."""
     return steady_push(condition, side, cfg) >= cfg.distance
 
 

@@ -21,7 +21,6 @@ import numpy as np
 
 from shmoo_mjx import custom
 from shmoo_mjx.assets import WEIGHTS, asset
-from shmoo_mjx.evaluation.manipulable import BORDER
 from shmoo_mjx.evaluation.navigation_failures import keep_failure, write_failures
 from shmoo_mjx.evaluation.navigation_measures import (
     cause_of,
@@ -140,7 +139,6 @@ def run(options: ExperimentOptions) -> ExperimentResult:
         "senses": options.senses,
         "maps": list(places.maps),
         "generated_maps": options.maps is None and options.scenario_set is None,
-        "border_m": BORDER,
         "scenario_set": options.scenario_set and file_id(options.scenario_set),
     }
     return make_result("navigation", options, asdict(cfg) | about, metrics, {}, [_light(row) for row in rows])
@@ -214,11 +212,9 @@ def told_of(episode: Episode, generated: Generated) -> dict[str, Any]:
 
 def _row(episode: Episode, generated: Generated) -> dict[str, Any]:
     result, trace = episode.result, episode.trace
-    blocking = zip(generated.border, generated.blocking, strict=True)
     displaced = np.array([np.subtract(o["final_pose"], o["start_pose"])[:2] for o in result["objects"]]).reshape(-1, 2)
     return {
         **told_of(episode, generated),
-        "border": any(near and in_the_way for near, in_the_way in blocking),
         "outcome": result["outcome"],
         "shortest_m": generated.shortest,
         "detour_m": generated.detour,

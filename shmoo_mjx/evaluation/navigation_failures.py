@@ -49,8 +49,7 @@ def write_failures(
         title = re.sub(r"([\[\]])", r"\\\1", name)
         if film is not None:
             title = f"[{title}]({quote(film.relative_to(folder).as_posix())})"
-        mark = ", near the border of manipulability" if row.get("border") else ""
-        by_cause[row["cause"]].append(f"- {title}, {row['kind']}{mark}, {row['time_s']:.0f} s: {row['reason']}")
+        by_cause[row["cause"]].append(f"- {title}, {row['kind']}, {row['time_s']:.0f} s: {row['reason']}")
     lines = [f"# {len(failed)} of {len(rows)} runs failed"]
     for cause, items in sorted(by_cause.items(), key=lambda item: -len(item[1])):
         lines += [f"## {cause} ({len(items)})", "\n".join(items)]

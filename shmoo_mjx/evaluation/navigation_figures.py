@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx.evaluation.paired import OURS
+from shmoo_mjx.evaluation.paired import OURS, shown_name
 from shmoo_mjx.evaluation.scenarios import KINDS
 from shmoo_mjx.navigation.maps import OccupancyGrid, load_map
 from shmoo_mjx.report.style import COLOURS, SERIES, blank_figure, object_colour, outline, save_figure, show_cells
@@ -45,7 +45,7 @@ def _success(rows: list[dict[str, Any]]) -> Any:
         for g, kind in enumerate(groups):
             of = [r["success"] for r in rows if r["policy"] == policy and r["kind"] == kind]
             place = g + (k - (len(policies) - 1) / 2) * 0.8 / len(policies)
-            label = policy.replace("_", " ") if g == 0 else None
+            label = shown_name(policy) if g == 0 else None
             axes.bar(place, np.mean(of), 0.75 / len(policies), color=SERIES[k], label=label)
             axes.text(place, float(np.mean(of)), f"{sum(of)}/{len(of)}", ha="center", va="bottom", fontsize=7)
     axes.set_xticks(range(len(groups)), groups)
@@ -56,24 +56,30 @@ def _success(rows: list[dict[str, Any]]) -> Any:
 
 
 def _time_over_extra(rows: list[dict[str, Any]]) -> Any:
-    """Time of each run over the extra length of the way round, with a running mean per policy, and the reference."""
+    """Time of each run over the extra length of the way round, with a running mean per policy, and the reference.
+
+    Scenarios without a way round stand at the right, with a diamond for the mean.
+    """
     figure = blank_figure(8.0, 4.2)
     axes = figure.subplots()
     certified = [r for r in rows if r.get("reference_s") is not None]
     nowhere = 120.0  # where the scenarios without a way round stand on the axis [m]
-    for k, policy in enumerate([*_policies(certified), "reference"]):
+    policies = [*_policies(certified), "reference"]
+    for k, policy in enumerate(policies):
         reference = policy == "reference"
         of = list({(r["map"], r["scenario"]): r for r in certified if reference or r["policy"] == policy}.values())
-        extra = np.array([nowhere if r["extra_m"] is None else max(r["extra_m"], 0.5) for r in of])
+        beside = nowhere * 1.07 ** (k - len(policies) / 2)
+        extra = np.array([beside if r["extra_m"] is None else max(r["extra_m"], 0.5) for r in of])
         good = np.array([reference or r["success"] for r in of])
         time = np.array([r["reference_s"] if reference else r["regret_s"] + r["reference_s"] for r in of])
         colour = "black" if reference else SERIES[k % len(SERIES)]
         axes.plot(extra[good], time[good], ".", color=colour, ms=4, alpha=0.6)
         axes.plot(extra[~good], time[~good], "x", color=colour, ms=4, alpha=0.6)
-        bounds = [0.0, 2.5, 5.0, 10.0, 20.0, 60.5, 1e3]
-        parts = [(extra >= a) & (extra < b) for a, b in pairwise(bounds)]
+        parts = [(extra >= a) & (extra < b) for a, b in pairwise([0.0, 2.5, 5.0, 10.0, 20.0, 60.5])]
         means = [(np.exp(np.log(extra[p]).mean()), time[p].mean()) for p in parts if p.any()]
-        axes.plot(*np.array(means).T, color=colour, label=policy.replace("_", " "), lw=2.0 if reference else 1.2)
+        axes.plot(*np.array(means).reshape(-1, 2).T, color=colour, label=shown_name(policy), lw=1.2 + 0.8 * reference)
+        if (extra == beside).any():
+            axes.plot(beside, time[extra == beside].mean(), "D", color=colour, ms=6, markeredgecolor="white")
     axes.set_xscale("log")
     axes.set_xticks([1, 3, 10, 30, nowhere], ["1", "3", "10", "30", "none"])
     axes.set_xlabel("extra length of the way round [m]")
@@ -94,7 +100,7 @@ def _causes(rows: list[dict[str, Any]]) -> Any:
     left = np.zeros(len(causes))
     for k, policy in enumerate(policies):
         width = np.array([counts[cause, policy] for cause in causes], dtype=float)
-        axes.barh(range(len(causes)), width, left=left, color=SERIES[k], label=policy.replace("_", " "))
+        axes.barh(range(len(causes)), width, left=left, color=SERIES[k], label=shown_name(policy))
         left += width
     axes.set_yticks(range(len(causes)), causes, fontsize=8)
     axes.set_xlabel("failed runs")

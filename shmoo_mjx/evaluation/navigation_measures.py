@@ -139,7 +139,6 @@ def _of_policy(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
     good = [r for r in rows if r["success"]]
     parts = {_key(kind): [r for r in rows if r["kind"] == kind] for kind in KINDS}
-    parts |= {name: [r for r in rows if r["border"] is near] for name, near in (("border", True), ("clear", False))}
     metrics = {"success_rate": mean("success", rows)}
     metrics |= {f"success_rate_{name}": mean("success", of) for name, of in parts.items()}
     contacts = mean("wall_contacts", rows)
@@ -212,15 +211,11 @@ def _what_neither_can(of: dict[str, dict[Any, Any]]) -> dict[str, int]:
 
 
 def _of_scenarios(rows: list[dict[str, Any]]) -> dict[str, int]:
-    """How many scenarios there are of each kind, by map as well, and with how many objects."""
+    """How many scenarios there are of each kind, and with how many objects."""
     scenarios = list({(r["map"], r["scenario"]): r for r in rows}.values())
-    metrics = {"scenarios_border": sum(r["border"] for r in scenarios)}
+    metrics = dict[str, int]()
     for kind in KINDS:
         metrics[f"scenarios_{_key(kind)}"] = sum(r["kind"] == kind for r in scenarios)
-        for name in sorted({r["map"] for r in scenarios}):
-            here = [r for r in scenarios if r["map"] == name]
-            metrics[f"scenarios_{_key(kind)}_{name}"] = sum(r["kind"] == kind for r in here)
-            metrics[f"wanted_{_key(kind)}_{name}"] = sum(r["wanted"] == kind for r in here)
     for name, key in (("objects", "movable"), ("objects_in_the_way", "blocking")):
         counts = Counter(sum(r["blocking"]) if key == "blocking" else len(r["movable"]) for r in scenarios)
         metrics |= {f"scenarios_with_{n}_{name}": counts[n] for n in sorted(counts)}

@@ -106,7 +106,7 @@ def as_data(found: Generated) -> dict[str, Any]:
 
 def generated_from(data: dict[str, Any]) -> Generated:
     """A scenario as it was written."""
-    lists = {name: tuple(data[name]) for name in ("movable", "blocking", "border")}
+    lists = {name: tuple(data[name]) for name in ("movable", "blocking")}
     told = data.get("certificate")
     certificate = None if told is None else Certificate.model_validate(told)
     scenario = Scenario.model_validate(data["scenario"])

@@ -6,15 +6,14 @@ from collections import Counter
 from typing import Any
 
 from shmoo_mjx.evaluation.navigation_measures import COMPARED, EXTRA_BANDS, FAILURE_S, TIE_S
-from shmoo_mjx.evaluation.paired import OURS, differences_table
+from shmoo_mjx.evaluation.paired import OURS, differences_table, shown_name
 from shmoo_mjx.evaluation.result import ExperimentResult
-from shmoo_mjx.evaluation.scenarios import KINDS
 from shmoo_mjx.report.tables import markdown_table
 
 
 def navigation_tables(result: ExperimentResult) -> str:
-    """Differences from each baseline, scenarios by map and by number of objects, and the causes of our failures."""
-    parts = [reference_table(result), _differences(result), _maps(result), _objects(result), _causes(result)]
+    """Regret, differences from each baseline, scenarios by number of objects, and the causes of our failures."""
+    parts = [reference_table(result), _differences(result), _objects(result), _causes(result)]
     return "\n\n".join(part for part in parts if part)
 
 
@@ -35,7 +34,7 @@ def reference_table(result: ExperimentResult) -> str:
         versus = "" if mean is None or low is None or high is None else f"{mean:+.1f} ({low:.1f} to {high:.1f})"
         regrets = [shown(f"regret_s_{band}", ".1f") for band in EXTRA_BANDS]
         called = f"{shown('unsolvable_called_blocked', '.0f')} / {shown('unsolvable', '.0f')}"
-        row = [policy.replace("_", " "), shown("success_rate_certified", ".2f"), shown("regret_s", ".1f")]
+        row = [shown_name(policy), shown("success_rate_certified", ".2f"), shown("regret_s", ".1f")]
         row += [shown("regret_s_median", ".1f"), *regrets, shown("right_first_choice", ".2f"), called]
         row += [shown("falls", ".0f"), shown("wall_contacts", ".0f"), shown("ins", ".2f"), versus]
         lines.append(row)
@@ -61,28 +60,6 @@ def _differences(result: ExperimentResult) -> str:
     measured = [n for n in COMPARED if any(f"difference_{other}_{n}" in result.metrics for other in others)]
     lines = [(COMPARED[name][0], name, COMPARED[name][1]) for name in measured]
     return differences_table(result.metrics, others, lines, "policy", "scenarios")
-
-
-def _maps(result: ExperimentResult) -> str:
-    """How many scenarios of each kind each map has, and how many of each ours solves."""
-    rows = [r for r in result.rows if r["policy"] == OURS and "wanted" in r]
-    if not rows:
-        return ""
-    lines = []
-    for name in dict.fromkeys(r["map"] for r in rows):
-        here = [r for r in rows if r["map"] == name]
-        lacking = [f"{kind}: {_lacking(here, kind)}" for kind in KINDS if _lacking(here, kind)]
-        cells = [_solved([r for r in here if r["kind"] == kind]) for kind in KINDS]
-        lines.append([name, *cells, ", ".join(lacking)])
-    return (
-        "Scenarios by map (solved by ours / there are). A map that has no place for a kind gets others in its stead."
-        f"\n\n{markdown_table(['map', *KINDS, 'no place for'], lines)}"
-    )
-
-
-def _lacking(rows: list[dict[str, Any]], kind: str) -> int:
-    """Scenarios that were to be of this kind and are not."""
-    return sum(r["wanted"] == kind != r["kind"] for r in rows)
 
 
 def _objects(result: ExperimentResult) -> str:

@@ -1,10 +1,12 @@
 """Experiment object_planner: can the robot tell, within seconds of touching it, whether an object can be moved?
 
 Unseen objects stand alone on open floor in the robot's way. The navigator runs as it is, from the approach to its
-verdict; the truth is the plant's (``manipulable``) on the side that is pushed. What the paper's rule would have said, K
-after one second of contact, is measured on the same touches. Half of the objects are manipulable on the side that faces
-the robot; it pushes another one, on which fewer are. A second stratum are objects near the border of manipulability, so
-laden that they move only just far enough, or nearly, on the very side that is pushed.
+verdict; the truth is the plant's (``manipulable``): progress along the push of the side that is pushed. What three
+criteria would have said after one second of contact is measured on the same touches: displacement and impulse, K, and
+displacement alone. Each is turned into a probability by a logistic regression that is fitted to objects of training.
+Half of the objects are manipulable on the side that faces the robot; it pushes another one, on which fewer are. A
+second stratum are objects near the border of manipulability, so laden that they move only just far enough, or nearly,
+on the very side that is pushed.
 """
 
 from __future__ import annotations
@@ -17,9 +19,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.special import expit
 
 from shmoo_mjx import se2
-from shmoo_mjx.arrays import Array
+from shmoo_mjx.arrays import Array, Float
 from shmoo_mjx.assets import WEIGHTS, asset
 from shmoo_mjx.evaluation.manipulable import (
     IMMOVABLE,
@@ -46,9 +49,12 @@ from shmoo_mjx.options import SensesName
 from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 
-CRITERIA = ("probability", "K", "moved_m")
-"""After the first second of contact: the probability by which the navigator decides, K of Algorithm 1, and how far the
-object has come."""
+CRITERIA = {"probability": (28.173, 3.931, -5.141), "K": (0.817, 1.148), "moved_m": (13.111, 4.519)}
+"""What may decide after the first second of contact: displacement and impulse (as the navigator does), K of Algorithm
+1, and displacement alone. Bias and slopes of each logistic regression are fitted to touches of objects of training:
+python benchmarks/fit_mobility.py FOLDER"""
+LEAST_K = 1e-4
+"""A smaller K counts as this [m^2]."""
 
 _BINS = 5
 """Of the calibration error."""
@@ -93,7 +99,7 @@ def run(options: ExperimentOptions) -> ExperimentResult:
 
 def navigator_config() -> NavigatorConfig:
     """The navigator as it is, but on open floor it must not just walk round the object."""
-    return NavigatorConfig(goes_round=False)
+    return NavigatorConfig(decides_by="mobility", goes_round=False)
 
 
 def open_floor(length: float = 9.0, width: float = 7.0, resolution: float = 0.05) -> OccupancyGrid:
@@ -187,7 +193,7 @@ def _trial(
 
     def decided(navigator: Any) -> bool:
         if not first and _touched(navigator):
-            first.update(_after_a_second(navigator, controller))
+            first.update(after_a_second(navigator, controller))
         return navigator.belief.objects[0].manipulable is not None if navigator.belief.objects else False
 
     episode = probed(condition, side, decided)
@@ -215,7 +221,7 @@ def _touched(navigator: Any) -> bool:
     return push is not None and (push.contact_time >= PROBE_TIME or bool(navigator.decisions))
 
 
-def _after_a_second(navigator: Any, controller: Any) -> dict[str, Any]:
+def after_a_second(navigator: Any, controller: Any) -> dict[str, Any]:
     """What the touch has shown so far, and K as the planning stage would find it now."""
     segment, planner = navigator.segment, navigator.config.planner
     push, known = segment.push, navigator.belief.objects[segment.object]
@@ -229,8 +235,21 @@ def _after_a_second(navigator: Any, controller: Any) -> dict[str, Any]:
         "K_first": stage.K,
         "moved_m_first": moved,
         "impulse_Ns_first": push.impulse,
-        "probability_first": mobility.probability(moved, push.impulse),
     }
+
+
+def features_of(row: dict[str, Any], criterion: str) -> tuple[float, ...]:
+    """What a criterion goes by after the first second of contact."""
+    if criterion == "K":
+        return (float(np.log(max(row["K_first"], LEAST_K))),)
+    moved, impulse = mobility.features(row["moved_m_first"], row["impulse_Ns_first"])
+    return (moved,) if criterion == "moved_m" else (moved, impulse)
+
+
+def told_by(criterion: str, rows: list[dict[str, Any]]) -> Float[np.ndarray, "N"]:
+    """Probability of being manipulable by a criterion after the first second of contact, of each of N touches."""
+    bias, *slopes = CRITERIA[criterion]
+    return np.array([expit(bias + np.dot(slopes, features_of(row, criterion))) for row in rows])
 
 
 def measure(rows: list[dict[str, Any]]) -> dict[str, float]:
@@ -240,16 +259,12 @@ def measure(rows: list[dict[str, Any]]) -> dict[str, float]:
     clear = [r["decided"] == r["manipulable"] for r in rows if not r["border"]]
     times = np.array([r["decision_time_s"] for r in found])
     touched = [r for r in rows if "K_first" in r]
-    truths, threshold = np.array([r["manipulable"] for r in touched]), NavigatorConfig().planner.threshold
-    likely = np.array([r["probability_first"] for r in touched])
+    truths = np.array([r["manipulable"] for r in touched], dtype=bool)
     metrics = {
         # An object that no decision was made about counts as a mistake.
         "accuracy": sum(right) / len(rows),
         "accuracy_clear": float(np.mean(clear)) if clear else np.nan,
         "near_border": len(rows) - len(clear),
-        "accuracy_after_1s": float(np.sum((likely >= 0.5) == truths)) / len(rows),
-        "accuracy_of_K_after_1s": sum((r["K_first"] >= threshold) == r["manipulable"] for r in touched) / len(rows),
-        "calibration_error_after_1s": calibration(likely, truths),
         "undecided": len(rows) - len(found),
         "decision_time_s": float(np.median(times)),
         "decision_time_90_s": float(np.quantile(times, 0.9)),
@@ -260,9 +275,20 @@ def measure(rows: list[dict[str, Any]]) -> dict[str, float]:
         metrics[f"{name}_called_manipulable"] = sum(r["decided"] for r in of)
         metrics[f"{name}_called_immovable"] = sum(not r["decided"] for r in of)
     for criterion in CRITERIA:
-        values = np.array([r[f"{criterion}_first"] for r in touched], dtype=float)
-        metrics[f"auc_{criterion}_after_1s"] = auc(values, truths)
+        p = told_by(criterion, touched)
+        metrics |= {
+            f"accuracy_{criterion}_after_1s": float(np.sum((p >= 0.5) == truths)) / len(rows),
+            f"log_score_{criterion}_after_1s": log_score(p, truths),
+            f"calibration_error_{criterion}_after_1s": calibration(p, truths),
+            f"auc_{criterion}_after_1s": auc(p, truths),
+        }
     return metrics
+
+
+def log_score(probability: Array, truth: Array) -> float:
+    """Mean logarithm of the probability ``[N]`` that was given to what is true: 0 is best, -0.69 is a coin's."""
+    p = np.clip(np.where(np.asarray(truth, dtype=bool), probability, 1.0 - np.asarray(probability)), 1e-6, 1.0)
+    return float(np.log(p).mean()) if p.size else float("nan")
 
 
 def calibration(probability: Array, truth: Array) -> float:

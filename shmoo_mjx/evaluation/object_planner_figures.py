@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from shmoo_mjx.evaluation.manipulable import STRATA
+from shmoo_mjx.evaluation.object_planner import CRITERIA, LEAST_K, told_by
 from shmoo_mjx.navigation.records import NavigatorConfig
 from shmoo_mjx.report.figures import draw_decision, evidence
 from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
@@ -29,7 +30,7 @@ def _reliability(rows: list[dict[str, Any]]) -> Any:
     left.plot((0, 1), (0, 1), color="black", lw=1.0, ls="--")
     for (stratum, name), colour, below in zip(STRATA.items(), SERIES, (-1, 1), strict=False):
         of = [r for r in rows if r["stratum"] == stratum]
-        p = np.array([r["probability_first"] for r in of])
+        p = told_by("probability", of)
         truth = np.array([r["manipulable"] for r in of], dtype=bool)
         place = np.minimum((p * 5).astype(int), 4)
         bins = [(p[place == b].mean(), truth[place == b].mean(), int(np.sum(place == b))) for b in np.unique(place)]
@@ -43,11 +44,13 @@ def _reliability(rows: list[dict[str, Any]]) -> Any:
     for value, label, colour in ((False, "not manipulable", SERIES[5]), (True, "manipulable", SERIES[0])):
         for stratum, marker in zip(STRATA, "ox", strict=True):
             of = [r for r in rows if r["manipulable"] == value and r["stratum"] == stratum]
-            k = np.clip([r["K_first"] for r in of], 1e-4, 1e2)
+            k = np.clip([r["K_first"] for r in of], LEAST_K, 1e2)
             name = f"{label}, {STRATA[stratum]} ({len(of)})"
-            right.plot([r["probability_first"] for r in of], k, marker, ms=4, alpha=0.7, color=colour, label=name)
-    limit = NavigatorConfig().planner.threshold
+            right.plot(told_by("probability", of), k, marker, ms=4, alpha=0.7, color=colour, label=name)
+    limit, (bias, slope) = NavigatorConfig().planner.threshold, CRITERIA["K"]
     right.axhline(limit, color="black", lw=1.4, ls="--", label=f"K = {limit:g} m², the paper's rule")
+    fitted = float(np.exp(-bias / slope))
+    right.axhline(fitted, color="black", lw=1.0, ls=":", label=f"K = {fitted:.2g} m², fitted")
     right.axvline(0.5, color="black", lw=1.0)
     right.set_yscale("log")
     right.set_xlabel("probability after 1 s of contact")

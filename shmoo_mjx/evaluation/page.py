@@ -6,7 +6,8 @@ FOLDER holds new results (runs/experiments, runs/faults or runs/soak), or is doc
 
 Numbers, spreads, versions and commands come from the experiments' JSON, of which compressed copies are kept beside
 the page. The page shows the results of FOLDER and, for other experiments, the copies; the README gets the page's first
-table. Sections of other titles are written by hand: they stay before or behind those of the experiments.
+table, and arena.md beside the page the table of policies. Sections of other titles are written by hand: they stay
+before or behind those of the experiments.
 """
 
 from __future__ import annotations
@@ -20,10 +21,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from shmoo_mjx.evaluation import faults, soak
+from shmoo_mjx.evaluation.navigation_tables import reference_table
 from shmoo_mjx.evaluation.page_sections import SECTIONS, Section
 from shmoo_mjx.evaluation.page_summary import summary
 from shmoo_mjx.evaluation.registry import EXPERIMENTS
-from shmoo_mjx.evaluation.result import ExperimentResult, as_json, read_result, same_weights
+from shmoo_mjx.evaluation.result import ExperimentResult, as_json, file_id, read_result, same_weights
+from shmoo_mjx.evaluation.scenario_set import find_set
 from shmoo_mjx.files import write_whole
 from shmoo_mjx.report.tables import markdown_table
 
@@ -33,7 +36,7 @@ RELIABILITY = {
 }
 """Title, what was done, and the table of what ``shmoo faults`` and ``shmoo soak`` write."""
 
-_IN_README = re.compile(r"(?<=<!-- results -->\n).*?(?=<!-- end -->)", re.DOTALL)
+_BLOCK = re.compile(r"(?<=<!-- results -->\n).*?(?=<!-- end -->)", re.DOTALL)
 
 
 def read_results(folder: Path) -> dict[str, ExperimentResult]:
@@ -78,10 +81,9 @@ def summary_table(results: Mapping[str, ExperimentResult], commands: bool = True
     return markdown_table(["measure", "here", "n", "paper", *(["command"] if commands else [])], rows)
 
 
-def with_summary(readme: str, results: Mapping[str, ExperimentResult]) -> str:
-    """The README with today's numbers between its comments ``<!-- results -->`` and ``<!-- end -->``."""
-    table = summary_table(results, commands=False)
-    return _IN_README.sub(lambda _: f"{table}\n", readme)
+def with_block(text: str, block: str) -> str:
+    """The text with ``block`` between its comments ``<!-- results -->`` and ``<!-- end -->``."""
+    return _BLOCK.sub(lambda _: f"{block}\n", text)
 
 
 def section_of(result: ExperimentResult, figures: Sequence[str]) -> str:
@@ -101,7 +103,8 @@ def write_page(results: Mapping[str, ExperimentResult], made_in: Path, page: Pat
     """Write ``page`` as Markdown, with the figures in ``made_in``, and as HTML beside it if these stay where they are.
 
     With ``copies``, a folder apart from the run, figures are copied there and results into ``results`` beside the page;
-    the page then shows all results that are kept there, and the README one folder up gets its first table.
+    the page then shows all results that are kept there, the README one folder up gets its first table, and arena.md
+    beside the page the table of policies.
     """
     page.parent.mkdir(parents=True, exist_ok=True)
     if copies is None:
@@ -122,8 +125,12 @@ def write_page(results: Mapping[str, ExperimentResult], made_in: Path, page: Pat
     before = page.read_text() if page.is_file() else ""
     named = {name: _named(page, kept_figures(name, copies)) for name in results}
     write_whole(page, render(results, named, before).encode())
-    if (readme := page.parent.parent / "README.md").is_file():
-        write_whole(readme, with_summary(readme.read_text(), results).encode())
+    blocks = {page.parent.parent / "README.md": summary_table(results, commands=False)}
+    if "navigation" in results and (table := reference_table(results["navigation"])):
+        blocks[page.parent / "arena.md"] = f"`{_command(results['navigation'], SECTIONS['navigation'])}`\n\n{table}"
+    for file, block in blocks.items():
+        if file.is_file():
+            write_whole(file, with_block(file.read_text(), block).encode())
 
 
 def kept_figures(name: str, copies: Path) -> list[Path]:
@@ -172,7 +179,9 @@ def _about(results: Mapping[str, ExperimentResult]) -> str:
 def _command(result: ExperimentResult, section: Section) -> str:
     # Navigation goes without maps as well, on floor plans of its own.
     options = "" if result.config.get("generated_maps") else section.options
-    options = "--scenarios FILE" if result.config.get("scenario_set") else options
+    if (given := result.config.get("scenario_set")) is not None:
+        shipped = (file for file in find_set(Path("arena")).parent.glob("*.json") if file_id(file) == given)
+        options = f"--scenarios {next((file.stem for file in shipped), 'FILE')}"
     words = ["shmoo experiment", result.experiment, options]
     words += [f"--seed {result.seed}", f"--condition-seed {result.config.get('condition_seed', 0)}"]
     words += ["--senses perfect"] if result.config.get("senses") == "perfect" else []

@@ -14,6 +14,11 @@ OURS = "ours"
 Row = dict[str, Any]
 
 
+def shown_name(method: str) -> str:
+    """The name of a method in words; that of a user's own, "package.module:Name", stays as it is."""
+    return method if ":" in method else method.replace("_", " ")
+
+
 class PairedDifference(NamedTuple):
     """Mean of (ours - theirs), with a 95 % interval."""
 
@@ -88,7 +93,7 @@ def differences_table(
         f"Ours minus each other {method} over the same {trials}, with 95 % bootstrap intervals over {trials}; better "
         "and worse are said where the interval excludes zero.\n\n"
     ) + markdown_table(
-        ["", *(f"- {other.replace('_', ' ')}" for other in others)],
+        ["", *(f"- {shown_name(other)}" for other in others)],
         [
             [label, *(_cell(metrics, f"difference_{other}_{name}", more_is_better) for other in others)]
             for label, name, more_is_better in lines

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from shmoo_mjx.evaluation.paired import shown_name
 from shmoo_mjx.evaluation.pushing_measures import PAPER
 from shmoo_mjx.evaluation.pushing_trials import GOALS, METHODS, Trial, scene_of_trial
 from shmoo_mjx.report.style import COLOURS, SERIES, blank_figure, outline, save_figure
@@ -70,7 +71,7 @@ def _offsets(axis: Any, rows: list[dict[str, Any]]) -> None:
             x = goal - 0.4 + (i + 0.5) * width
             jitter = np.linspace(-0.3, 0.3, len(offsets)) * width
             axis.plot(x + jitter, np.minimum(offsets, 1.5), ".", ms=3, alpha=0.6, color=_COLOUR.get(method, _OWN))
-            label = method.replace("_", " ") if goal == min(r["goal"] for r in rows) else None
+            label = shown_name(method) if goal == min(r["goal"] for r in rows) else None
             axis.bar(x, offsets.mean(), 0.9 * width, color=_COLOUR.get(method, _OWN), alpha=0.45, label=label)
     for goal in sorted({row["goal"] for row in rows}):
         label = "paper" if goal == 1 else None

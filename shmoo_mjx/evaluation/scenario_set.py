@@ -50,7 +50,8 @@ class _Entry(BaseModel):
     blocking: tuple[bool, ...]
     shortest: Number = Field(gt=0)
     detour: Number | None
-    border: tuple[bool, ...]
+    border: Any = Field(None, exclude=True)
+    """In older files; ignored."""
     certificate: Certificate | None = None
 
 
@@ -116,7 +117,7 @@ def _drawn(places: Places, trial: tuple[str, int]) -> list[dict[str, Any]]:
 def find_set(name: Path) -> Path:
     """The file of that name, or the shipped set that is called so (``arena``, ``floor_plans``)."""
     shipped = asset(f"experiments/scenario_sets/{name}.json")
-    return shipped if not name.exists() and shipped.is_file() else name
+    return shipped if not name.is_file() and shipped.is_file() else name
 
 
 def open_set(file: Path, folder: Path) -> tuple[Places, int]:
@@ -146,8 +147,8 @@ def open_set(file: Path, folder: Path) -> tuple[Places, int]:
         grid = load_map(maps[entry.map])
         check_scenario(grid, entry.scenario, ROBOT_RADIUS, where)
         count = len(checked_objects(grid, entry.scenario, where))
-        if not len(entry.movable) == len(entry.blocking) == len(entry.border) == count:
-            raise ShmooError(f"{where} must say 'movable', 'blocking' and 'border' of each of its {count} objects.")
+        if not len(entry.movable) == len(entry.blocking) == count:
+            raise ShmooError(f"{where} must say 'movable' and 'blocking' of each of its {count} objects.")
         given[f"{entry.map}-{entry.number}"] = entry.model_dump(mode="json", exclude={"map", "number"})
     most = 1 + max(entry.number for entry in found.scenarios)
     return Places(maps, folder, 0, ScenarioConfig(), given), most

@@ -76,8 +76,6 @@ class Generated(NamedTuple):
     """Length of the path past no object."""
     detour: float | None
     """Length of the path round all of them, if there is one."""
-    border: tuple[bool, ...] = ()
-    """Of each object: is it near the border of manipulability. None is known to be in newly drawn scenarios."""
     certificate: Certificate | None = None
     """What each option leads to; None in sets of the older form."""
 
@@ -325,7 +323,6 @@ def _certified(site: _Site, certifier: Callable[[OccupancyGrid, Scenario], Certi
         tuple(p.blocking for p in site.placed),
         site.path.length,
         None if around is None else around.length,
-        (False,) * len(movable),
         found,
     )
 

@@ -110,7 +110,7 @@ def test_legs_are_measured_one_by_one(tmp_path: Path, monkeypatch: pytest.Monkey
         return FakeEpisode(runs[len(asked) - 1])
 
     _, scenario = toy_scenario(1, True)
-    world = Generated(scenario, "push only", (True,), (True,), 4.0, None, (False,))
+    world = Generated(scenario, "push only", (True,), (True,), 4.0, None)
     sequence = GoalSequence(world, ((5.0, 2.6), (1.2, 2.0)), (4.0, 4.0))
     kept: list[str] = []
     monkeypatch.setattr(lifelong, "play", fake_play)
@@ -141,7 +141,7 @@ def test_goals_that_were_not_begun_are_not_reached() -> None:
 
 def test_a_run_is_given_what_it_can_take(monkeypatch: pytest.MonkeyPatch) -> None:
     grid, scenario = toy_scenario(1, True)
-    world = Generated(scenario, "push only", (True,), (True,), 4.0, None, (False,))
+    world = Generated(scenario, "push only", (True,), (True,), 4.0, None)
     taken: list[dict[str, Any]] = []
 
     def able(

@@ -24,7 +24,7 @@ from shmoo_mjx.navigation.maps import load_map, save_map
 
 def generated(*movable: bool) -> Generated:
     many = (True,) * len(movable)
-    return Generated(toy_scenario(1, True)[1], "push only", movable, many, 4.0, None, (False,) * len(movable))
+    return Generated(toy_scenario(1, True)[1], "push only", movable, many, 4.0, None)
 
 
 def test_policies_know_what_they_are_meant_to_know() -> None:

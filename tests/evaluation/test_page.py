@@ -115,15 +115,16 @@ def test_sections_written_by_hand_stay_where_they_are() -> None:
 DOCS = Path(__file__).parents[2] / "docs"
 
 
-def test_the_committed_page_and_readme_are_those_of_the_committed_results(tmp_path: Path) -> None:
+def test_the_committed_pages_are_those_of_the_committed_results(tmp_path: Path) -> None:
     results = page.read_results(DOCS / "results")
     assert len(results) > 5
     docs = tmp_path / "docs"
     shutil.copytree(DOCS / "figures", docs / "figures")
-    for name in ("docs/results.md", "README.md"):
+    written = ("docs/results.md", "docs/arena.md", "README.md")
+    for name in written:
         shutil.copy(DOCS.parent / name, tmp_path / name)
     page.write_page(results, DOCS / "results", docs / "results.md", docs / "figures")
-    for name in ("docs/results.md", "README.md"):
+    for name in written:
         remedy = f"{name}: run python -m shmoo_mjx.evaluation.page docs/results docs/results.md"
         assert (tmp_path / name).read_text() == (DOCS.parent / name).read_text(), remedy
 
@@ -141,8 +142,8 @@ def test_the_summary_shows_at_most_ten_numbers_and_skips_what_was_not_measured()
 
 def test_the_summary_gives_values_with_intervals() -> None:
     navigation = {
-        "success_rate": 0.9,
-        "scenarios": 100.0,
+        "success_rate_certified": 0.9,
+        "certified": 100.0,
         "difference_always_avoid_success": 0.125,
         "difference_always_avoid_success_low": -0.034,
         "difference_always_avoid_success_high": 0.2,
@@ -161,9 +162,10 @@ def test_the_summary_gives_values_with_intervals() -> None:
         ("10 cm (median 5.4 cm)", 30, "12 cm"),
     ]
     readme = "# A\n\n<!-- results -->\nold\n<!-- end -->\n\nkept\n"
-    text = page.with_summary(readme, results)
+    text = page.with_block(readme, page.summary_table(results, commands=False))
     assert "old" not in text and text.endswith("<!-- end -->\n\nkept\n") and "+12 points" in text
-    assert page.with_summary(text, results) == text and "`shmoo" in page.summary_table(results)
+    assert page.with_block(text, page.summary_table(results, commands=False)) == text
+    assert "`shmoo" in page.summary_table(results)
 
 
 def test_faults_and_soak_have_their_tables_on_the_page(tmp_path: Path) -> None:

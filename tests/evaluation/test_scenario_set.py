@@ -33,7 +33,7 @@ CERTIFICATE = Certificate(attempts=(), round_s=30.0, reference_s=30.0, best=())
 
 def drawn_quickly(grid: Any, extra: Any, *rest: Any) -> Generated:
     scenario = toy_scenario(1, True)[1]
-    return Generated(scenario, "detour only", (True,), (True,), 4.0, 9.0, (False,), CERTIFICATE)
+    return Generated(scenario, "detour only", (True,), (True,), 4.0, 9.0, CERTIFICATE)
 
 
 def at_once(trials: dict[str, Any], work: Callable[[Any], list[Any]], *rest: Any) -> list[Any]:
@@ -62,7 +62,7 @@ def test_a_set_is_opened_as_it_was_made_wherever_it_is(made: Path, tmp_path: Pat
     assert wanted in KINDS and found is not None and found.scenario.objects == toy_scenario(1, True)[1].objects
     assert found.certificate == CERTIFICATE and found.extra == 5.0
     text = made.read_text()
-    assert str(tmp_path) not in text and json.loads(text)["condition_seeds"] == [7, 8]
+    assert str(tmp_path) not in text and "border" not in text and json.loads(text)["condition_seeds"] == [7, 8]
 
 
 def test_object_files_are_relative_to_the_set(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -98,6 +98,16 @@ def test_navigation_runs_the_set_and_says_which(made: Path, tmp_path: Path, monk
     assert navigation.trials_folder(options, tmp_path, navigation.NavigationTrials().scenario) != other
 
 
+def test_a_folder_of_the_name_of_a_shipped_set_does_not_hide_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("arena").mkdir()
+    assert find_set(Path("arena")) == asset("experiments/scenario_sets/arena.json")
+    Path("floor_plans").write_text("{}")
+    assert find_set(Path("floor_plans")) == Path("floor_plans")
+
+
 def test_the_arena_has_100_certified_scenarios_without_maps_of_others(tmp_path: Path) -> None:
     places, _ = open_set(find_set(Path("arena")), tmp_path)
     assert places.given is not None and len(places.given) == 100 and len(places.maps) == 25
@@ -112,7 +122,8 @@ def test_the_arena_has_100_certified_scenarios_without_maps_of_others(tmp_path: 
 
 def test_a_set_of_the_older_form_has_no_certificates_and_loads(tmp_path: Path) -> None:
     places, _ = open_set(SHIPPED, tmp_path)
-    assert "certificate" not in SHIPPED.read_text() and places.given is not None
+    older = json.loads(SHIPPED.read_text())["scenarios"][0]
+    assert "certificate" not in older and "border" in older and places.given is not None
     name = next(iter(places.given))
     found = kept_scenario(places, load_map(places.maps[name.rpartition("-")[0]]), *_place(name))[1]
     assert found is not None and found.certificate is None
