@@ -34,6 +34,9 @@ from shmoo_mjx.verbosity import LOG
 
 _PLANNING_HORIZON = 50
 """T of the planning stage, in samples (Sec. IV-B)."""
+_LEANS = 0.10
+"""Distance from a wall or another object at which the pushed one may lean on it [m]: the error of its pose, and how far
+it goes until that is seen."""
 _COAST_SAMPLES = 40
 """How far ahead `coast` looks, in samples: at the speed allowed near a goal the least drag stops anything sooner."""
 _LEAST_DRAG = 0.08
@@ -411,7 +414,13 @@ def _adapt_and_plan(
 ) -> tuple[Array, Known, mppi.MppiState, mppi.Plan]:
     learner = _learner(config, core_config)
     if config.adapts:
-        adapt = learner.adapt(adapt, params, given.transition)
+        adapted = learner.adapt(adapt, params, given.transition)
+        if around is not None:
+            # What a wall holds is not the object's friction.
+            rim = cost.footprint_points(given.system.object_pose, given.half_extents)
+            leans = jnp.min(cost.clearance_at(around, rim)) < _LEANS
+            adapted = jax.tree.map(partial(jnp.where, leans), online.unchanged(adapt, adapted), adapted)
+        adapt = adapted
     params = learner.params_for_rollout(adapt, params)
     rollout_fn, cost_fn = _functions(config, core_config, params, given.goal, around, given.half_extents, given.lean)
     plan_state = plan_state._replace(last_u=given.system.last_u)

@@ -122,6 +122,14 @@ def relocated(known: Known) -> Known:
     return known if isinstance(known, AdaptState) else estimate.relocated(known)
 
 
+def unchanged(before: Known, after: Known) -> Known:
+    """What was known before a sample that says nothing of the object; the next one places a posterior's particles anew
+    and makes draws of its own."""
+    if isinstance(before, AdaptState) or isinstance(after, AdaptState):
+        return before
+    return estimate.relocated(before)._replace(key=after.key)
+
+
 def restarts(known: Known) -> int:
     """How many times a posterior had lost all weight and began anew from the prior. Not for jit."""
     return 0 if isinstance(known, AdaptState) else int(known.restarts)

@@ -48,7 +48,9 @@ def test_two_mapped_pushes_are_the_two_controllers() -> None:
     base = pose_push_config()
     config = replace(base, control=replace(base.control, num_rollouts=40, horizon=6))
     controller = PushController(weights, config)
-    open_floor = LocalDistanceField(np.full((4, 4), 9.0, np.float32), np.full(3, -20, np.float32), np.float32(10.0))
+    open_floor = LocalDistanceField(
+        np.full((4, 4), 9.0, np.float32), np.array([-20, -20, 0], np.float32), np.float32(10.0)
+    )
     keys = jax.random.split(jax.random.key(3), 2)
     prior = prior_state(weights, config.estimate, jax.random.key(5))
     alone = [controller.init(object_obs(w, 0), FACE, HALF, keys[w], prior) for w in range(2)]
@@ -113,3 +115,23 @@ def test_what_is_let_go_coasts_as_far_as_the_friction_of_its_contacts_lets_it(fr
     way = speed**2 / (2 * friction * 9.81)
     # It stops within a sample, which the trapezoidal rule does not see.
     np.testing.assert_allclose(rest - now.object_pose, way * along, atol=0.6 * friction * 9.81 * DT**2)
+
+
+def test_what_a_wall_holds_is_not_learned_as_friction() -> None:
+    weights = load_weights(ROOT / "experiments/weights/demo.safetensors")
+    base = pose_push_config()
+    config = replace(base, control=replace(base.control, num_rollouts=8, horizon=3))
+    prior = prior_state(weights, config.estimate, jax.random.key(5))
+    step = jax.jit(partial(pushing.step, config, weights.config))
+
+    def known(clearance: float) -> ObjectEstimate:
+        field = LocalDistanceField(
+            jnp.full((4, 4), clearance, jnp.float32), jnp.array([-20, -20, 0], jnp.float32), jnp.float32(10.0)
+        )
+        state = pushing.start(config, prior, object_obs(0, 0), FACE, HALF, jax.random.key(3))
+        for sample in range(1, 6):
+            _, state, _ = step(weights.params, state, object_obs(0, sample), GOALS[0], np.zeros(3), HALF, field)
+        return state.adapt
+
+    np.testing.assert_array_equal(known(0.02).parameters, prior.parameters)
+    assert np.abs(known(0.5).parameters - prior.parameters).max() > 0.1
