@@ -112,7 +112,11 @@ _ROWS: tuple[tuple[str, str, Callable[[ExperimentResult], Value]], ...] = (
         "Time compared with never pushing, where both arrive",
         _difference("difference_always_avoid_time_s", "s"),
     ),
-    ("pushing", "Success rate of pushing to a pose", _rate("success_rate", lambda r: _metric(r, "trials"))),
+    (
+        "pushing",
+        "Success rate of pushing movable objects to a pose",
+        _rate("success_rate", lambda r: _metric(r, "trials")),
+    ),
     (
         "pushing",
         "Success rate compared with no adaptation",
