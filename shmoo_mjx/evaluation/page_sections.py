@@ -95,7 +95,9 @@ SECTIONS = {
         "What the estimate knows of an object",
         "Scripted operators push 20 unseen objects of each family, heavy ones and locked wheels included, with the "
         "robot's own senses. Errors are of the posterior's median; coverage is the share of true values in its 80 % "
-        "band. Friction is that along the push.",
+        "band. Friction is that along the push. Roll-outs of 32 draws with psi, under the sensed force, predict the "
+        "position 3 s ahead: the error is that of their mean, and the coverage is the share of x and y in their 80 % "
+        "band. The prior's draws start from the same pose.",
         tuple(f"{family}, {seconds:g} s" for family in _FAMILIES for seconds in (1, 3, 10)),
         _lines(
             {
@@ -103,6 +105,10 @@ SECTIONS = {
                 "friction_coverage": "friction, coverage",
                 "mass_error": "mass, relative error, median",
                 "mass_coverage": "mass, coverage",
+                "ahead_error": "position 3 s ahead, error, median [m]",
+                "prior_ahead_error": "position 3 s ahead, draws from the prior [m]",
+                "ahead_coverage": "position 3 s ahead, coverage",
+                "prior_ahead_coverage": "position 3 s ahead, coverage of the prior",
             },
             *(f"{{}}_{family}_{seconds:g}s" for family in _FAMILIES for seconds in (1, 3, 10)),
         ),
