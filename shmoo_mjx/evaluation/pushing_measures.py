@@ -156,7 +156,7 @@ def _about_everything(result: ExperimentResult) -> str:
     """What the stratum "everything" holds, and the scores of each method."""
     trials = result.metrics["trials"] or 0.0
     counts = {kind: result.metrics.get(f"trials_kind_{kind}") or 0.0 for kind in KINDS}
-    held = ", ".join(f"{counts[kind] / trials:.0%} {label}".replace("%", " %") for kind, label in KINDS.items())
+    held = "; ".join(f"{counts[kind] / trials:.0%} {label}".replace("%", " %") for kind, label in KINDS.items())
     methods = _values(result.rows, "method")
     prefixes = ["" if m == OURS else f"baseline_{m}_" for m in methods]
     lines = [

@@ -51,13 +51,13 @@ _MOST = {"movable": 40.0, "demanding": 45.0}
 """Resistance up to which an object counts as movable, before and after the change [N]: about half of what the robot can
 push with at its lean limit."""
 STRONGEST = 75.0
-"""Resistance from which no push moves an object [N]: a steady push at the lean limit (`manipulable.steady_push`) moves
-boxes of 70 N and not those of 80 N."""
+"""Resistance from which no push moves an object straight on [N]: a steady push at the lean limit
+(`manipulable.steady_push`) moves boxes of 70 N and not those of 80 N."""
 KINDS = {
     "movable": "movable: no locked wheel, up to 32 N",
     "locked": "with a locked wheel",
     "heavy": "of 32 to 75 N",
-    "immovable": "of more than 75 N: no push moves them",
+    "immovable": "of more than 75 N: no push moves them straight on",
 }
 """Kinds of objects in the stratum "everything", by name."""
 _LEAST_HEAVY = 25.0
