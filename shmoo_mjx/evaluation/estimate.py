@@ -2,7 +2,8 @@
 
 Scripted operators push objects as they are drawn, heavy ones and locked wheels included, with the robot's own senses.
 After some seconds of contact, the posterior's median is compared with the truth of the simulator (`contact_prior`), and
-how often its 80 % band holds the truth is counted.
+how often its 80 % band holds the truth is counted. Roll-outs of draws from the posterior, with psi, are compared with
+where the object went in the 3 s that followed.
 """
 
 from __future__ import annotations
@@ -16,8 +17,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from shmoo_mjx import se2
+from shmoo_mjx.arrays import Array
 from shmoo_mjx.data.collect import drive, operators
-from shmoo_mjx.dynamics import contact_model
+from shmoo_mjx.dynamics import contact_model, features, object_model
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.fingerprints import fingerprint
@@ -25,7 +28,7 @@ from shmoo_mjx.hands import HAND_HEIGHT, REACH, touches
 from shmoo_mjx.learning import contact_prior, estimate
 from shmoo_mjx.learning.estimate import EstimateConfig, ObjectEstimate, Sighting
 from shmoo_mjx.learning.online import BAND
-from shmoo_mjx.learning.weights import load_weights
+from shmoo_mjx.learning.weights import Weights, load_weights
 from shmoo_mjx.options import SensesName
 from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
@@ -37,6 +40,10 @@ from shmoo_mjx.types import DT, Command
 SECONDS = (1.0, 3.0, 10.0)
 """Of contact, after which the estimate is looked at [s]."""
 _MASS = contact_model.PARAMETERS.index("log_mass")
+_AHEAD = 30
+"""Samples that are rolled out."""
+_DRAWS = 32
+"""Roll-outs, each of another draw."""
 JUMP = 1.5
 """Ratio of the masses of two samples in a row from which on the estimate has jumped."""
 
@@ -87,10 +94,11 @@ def _trial(asked: _Asked, config: ObjectEstimateConfig, trial: tuple[str, int]) 
     count = min(5, config.objects - first)
     seeds = [asked.first_unseen + first + i for i in range(count)]
     conditions = [draw_condition(family, seed) for seed in seeds]
-    seen, axes = _recorded(asked, config, conditions, seeds)
-    bands, masses = (
-        np.asarray(a) for a in _filter(config.estimate, contact_prior.of_kind(_prior(asked.weights), family), seen)
-    )
+    seen, poses, axes = _recorded(asked, config, conditions, seeds)
+    weights = _weights(asked.weights)
+    prior = contact_prior.of_kind(weights.contact_prior, family)
+    *found, states = _filter(config.estimate, prior, seen)
+    bands, masses = (np.asarray(a) for a in found)
     contact = np.cumsum(touches(seen.wrench) & seen.detected, axis=1)
     rows = []
     for i, condition in enumerate(conditions):
@@ -118,15 +126,67 @@ def _trial(asked: _Asked, config: ObjectEstimateConfig, trial: tuple[str, int]) 
                     f"{name}_error": float(abs(np.expm1(middle - true[k]))),
                     f"{name}_covered": bool(low <= true[k] <= high),
                 }
+            if at + _AHEAD < contact.shape[1]:
+                state = jax.tree.map(lambda a, i=i, at=at: a[i, at], states)
+                wrenches = seen.wrench[i, at : at + _AHEAD + 1]
+                row |= _ahead(
+                    config.estimate, weights, prior, state, wrenches, seen.size[i, 0], poses[i, at + _AHEAD, :2]
+                )
             rows.append(row)
     return rows
 
 
+def _ahead(
+    config: EstimateConfig,
+    weights: Weights,
+    prior: Array,
+    state: ObjectEstimate,
+    wrenches: np.ndarray,
+    size: float,
+    true: np.ndarray,
+) -> dict[str, float]:
+    """Errors [m] of the mean position 3 s ahead of draws from the posterior and from the prior, and the share of the
+    two axes of {W} on which the true position lies in the draws' 80 % band."""
+    before = estimate.init(config, prior, jax.random.key(1))._replace(pose=state.pose, twist=state.twist)
+    row = {}
+    for name, known in (("ahead", state), ("prior_ahead", before)):
+        ends = np.asarray(_roll_outs(config, weights.config.object, weights.params, known, wrenches, size))
+        low, high = np.quantile(ends, (BAND[0], BAND[-1]), axis=0)
+        row[f"{name}_error"] = float(np.hypot(*(ends.mean(axis=0) - true)))
+        row[f"{name}_covered"] = float(np.mean((low <= true) & (true <= high)))
+    return row
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _roll_outs(
+    config: EstimateConfig, shape: Any, params: Any, state: ObjectEstimate, wrenches: Array, size: Array
+) -> Array:
+    """``[_DRAWS, 2]`` positions in {W} of the object after the sensed ``wrenches [1 + T, 3]``, of which the first is
+    that of the sample before."""
+    key, noise_key = jax.random.split(jax.random.key(0))
+    chosen = jax.random.categorical(key, state.log_weight, shape=(_DRAWS,))
+    contact, force, pose, twist = (a[chosen] for a in (state.parameters, state.force, state.pose, state.twist))
+    accelerations = jax.vmap(partial(object_model.predict, params.object, params.coefficients, config=shape))
+
+    def sample(carry: tuple[Array, ...], given: tuple[Array, Array]) -> tuple[tuple[Array, ...], None]:
+        pose, twist, last_twist, last_wrench = carry
+        wrench = se2.rotate(estimate.true_wrench(config, force, *given), -pose[:, 2])
+        inside = se2.rotate(twist, -pose[:, 2])
+        inputs = features.object_inputs(inside, wrench, last_twist, size, last_wrench)
+        acceleration = se2.rotate(accelerations(inputs=inputs, contact=contact), pose[:, 2])
+        pose = pose + twist * DT + 0.5 * acceleration * DT**2
+        return (pose, twist + acceleration * DT, inside, wrench), None
+
+    before = se2.rotate(jnp.broadcast_to(wrenches[0], pose.shape), -pose[:, 2])
+    start = (pose, twist, se2.rotate(twist, -pose[:, 2]), before)
+    return jax.lax.scan(sample, start, (wrenches[1:], jax.random.split(noise_key, _AHEAD)))[0][0][:, :2]
+
+
 def _recorded(
     asked: _Asked, config: ObjectEstimateConfig, conditions: list[Condition], seeds: list[int]
-) -> tuple[Sighting, np.ndarray]:
-    """What is perceived ``[W, T, ...]`` of W objects that operators push, and the axis of {O} that each is pushed along
-    (0 or 1)."""
+) -> tuple[Sighting, np.ndarray, np.ndarray]:
+    """What is perceived ``[W, T, ...]`` of W objects that operators push, their true poses ``[W, T, 3]`` in {W}, and
+    the axis of {O} that each is pushed along (0 or 1)."""
     senses, count = senses_named(asked.senses), len(conditions)
     rng = np.random.default_rng([asked.seed, *seeds[:1], FAMILIES.index(conditions[0].family)])
     half_extents = [c.half_extents for c in conditions]
@@ -136,7 +196,7 @@ def _recorded(
         build_scene([(c, (0.0, 0.0, 0.0))], pose.tolist(), adjust=senses.adjust(seed))
         for c, pose, seed in zip(conditions, poses, seeds, strict=True)
     ]
-    sizes, columns = np.hypot(*np.array(half_extents).T), []
+    sizes, columns, true = np.hypot(*np.array(half_extents).T), [], []
     with SensedEngine(scenes, senses, seeds, poses_known=True) as engine:
         ones = np.ones(count)
         still = Command(np.zeros((count, 3)), poses[:, 2], REACH * ones, HAND_HEIGHT * ones)
@@ -148,31 +208,34 @@ def _recorded(
             of_object = (seen.object_pose, seen.object_twist, seen.object_age, seen.detected, seen.wrench)
             pose, twist, age, detected, wrench = (np.asarray(value[:, 0]) for value in of_object)
             columns.append(Sighting(pose, twist, age, detected, wrench, sizes))
+            true.append(engine.true_observation(world).object_pose[:, 0])
     stacked = jax.tree.map(lambda *column: np.stack(column, axis=1), *columns)
-    return stacked, (np.abs(np.cos(operator.face[:, 2])) < 0.5).astype(int)
+    return stacked, np.stack(true, axis=1), (np.abs(np.cos(operator.face[:, 2])) < 0.5).astype(int)
 
 
 @cache
-def _prior(weights: Path | None) -> Any:
-    return load_weights(weights).contact_prior
+def _weights(weights: Path | None) -> Weights:
+    return load_weights(weights)
 
 
 @partial(jax.jit, static_argnums=0)
-def _filter(config: EstimateConfig, prior: Any, seen: Sighting) -> tuple[Any, Any]:
-    """Bands ``[W, T, 3, 3]`` (low, median, high) of friction along x and y and of mass, the mean mass ``[W, T]``."""
+def _filter(config: EstimateConfig, prior: Any, seen: Sighting) -> tuple[Any, Any, ObjectEstimate]:
+    """Bands ``[W, T, 3, 3]`` (low, median, high) of friction along x and y and of mass, the mean mass ``[W, T]``, and
+    the posteriors after each sample, without what does not change."""
 
     def step(state: ObjectEstimate, sample: Sighting) -> tuple[ObjectEstimate, Any]:
         state = estimate.step(config, state, sample)
         friction = contact_model.resistance(state.parameters)
         told = jnp.concatenate([friction, jnp.exp(state.parameters[:, _MASS, None])], axis=-1)
-        return state, (estimate.quantiles(state, told, BAND), jnp.exp(estimate.mean(state)[_MASS]))
+        bands = estimate.quantiles(state, told, BAND)
+        return state, (bands, jnp.exp(estimate.mean(state)[_MASS]), state._replace(prior=None, key=None))
 
     def one(samples: Sighting, key: Any) -> Any:
         return jax.lax.scan(step, estimate.init(config, prior, key), samples)[1]
 
     samples = jax.tree.map(lambda a: jnp.asarray(a, bool if a.dtype == bool else jnp.float32), seen)
-    bands: tuple[Any, Any] = jax.vmap(one)(samples, jax.random.split(jax.random.key(0), len(seen.size)))
-    return bands
+    found: tuple[Any, Any, ObjectEstimate] = jax.vmap(one)(samples, jax.random.split(jax.random.key(0), len(seen.size)))
+    return found
 
 
 def _metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
@@ -181,14 +244,12 @@ def _metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
     for family in FAMILIES:
         for seconds in SECONDS:
             mine = [r for r in rows if r["family"] == family and r["contact_s"] == seconds]
-            for name in ("friction", "mass"):
+            for name in ("friction", "mass", "ahead", "prior_ahead"):
                 suffix = f"{family}_{seconds:g}s"
-                found[f"{name}_error_{suffix}"] = (
-                    float(np.median([r[f"{name}_error"] for r in mine])) if mine else np.nan
-                )
-                found[f"{name}_coverage_{suffix}"] = (
-                    float(np.mean([r[f"{name}_covered"] for r in mine])) if mine else np.nan
-                )
+                # A recording may end before that.
+                known = [r for r in mine if f"{name}_error" in r]
+                found[f"{name}_error_{suffix}"] = float(np.median([r[f"{name}_error"] for r in known] or [np.nan]))
+                found[f"{name}_coverage_{suffix}"] = float(np.mean([r[f"{name}_covered"] for r in known] or [np.nan]))
         jumps = {r["seed"]: r["jumps"] for r in rows if r["family"] == family}
         found[f"jumps_{family}"] = float(np.median([*jumps.values()] or [np.nan]))
     return found

@@ -116,7 +116,11 @@ _ROWS: tuple[tuple[str, str, Callable[[ExperimentResult], Value]], ...] = (
         "Time lost compared with going round if possible",
         _difference("difference_lazy_regret_s", "s"),
     ),
-    ("pushing", "Success rate of pushing to a pose", _rate("success_rate", lambda r: _metric(r, "trials"))),
+    (
+        "pushing",
+        "Success rate of pushing movable objects to a pose",
+        _rate("success_rate", lambda r: _metric(r, "trials")),
+    ),
     (
         "pushing",
         "Success rate compared with no adaptation",

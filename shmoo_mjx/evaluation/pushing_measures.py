@@ -7,7 +7,10 @@ from typing import Any
 import numpy as np
 
 from shmoo_mjx.evaluation.paired import OURS, difference_metrics, differences_table, metrics_by_method
+from shmoo_mjx.evaluation.pushing_trials import EVERYTHING, KINDS
 from shmoo_mjx.evaluation.result import ExperimentResult
+from shmoo_mjx.plant.objects import FAMILIES
+from shmoo_mjx.report.tables import markdown_table
 
 PAPER = {"offset_goal1_m": 0.067, "offset_goal2_m": 0.124, "offset_goal3_m": 0.164}
 """Sec. VI-A: mean final distance from the goal. The circles of Fig. 7 are printed as a picture only."""
@@ -20,6 +23,20 @@ COMPARED = {
 }
 """What methods are compared by, trial by trial: label, and whether more of it is better."""
 
+_PREFIX = f"{EVERYTHING}_"
+_EVERYTHING = {
+    "success_rate": "success",
+    **{f"success_rate_{family}": f"success, {family}" for family in FAMILIES},
+    **{f"success_rate_kind_{kind}": f"success, {label}" for kind, label in KINDS.items()},
+    "offset_median_m": "offset, median [m]",
+    "yaw_error_median_deg": "yaw error, median [deg]",
+    "falls": "falls",
+    "toppled": "objects toppled",
+    "time_s": "time [s]",
+    "trials": "trials",
+}
+"""Lines of the table of the stratum "everything"."""
+
 Rows = list[dict[str, Any]]
 
 
@@ -28,26 +45,37 @@ def metrics_of(rows: Rows) -> dict[str, Any]:
 
     ``difference_<name>_<what>`` with ``_low``, ``_high`` and ``_pairs`` is the mean of ours - theirs over the trials
     that both ran, with its 95 % interval; a group (stratum or family) stands in front of ``what``. ``way_to_oracle``
-    is how much of the frozen prior's offset that oracle coefficients save is saved by ours.
+    is how much of the frozen prior's offset that oracle coefficients save is saved by ours. The stratum "everything"
+    counts by itself: its metrics have the same names with ``everything_`` in front.
     """
+    chosen, all_drawn = _parts(rows)
+    return _metrics(chosen) | {_PREFIX + name: value for name, value in _metrics(all_drawn).items()}
+
+
+def _parts(rows: Rows) -> tuple[Rows, Rows]:
+    """The rows of the strata that leave objects out, and those of the one that does not."""
+    return [r for r in rows if r["stratum"] != EVERYTHING], [r for r in rows if r["stratum"] == EVERYTHING]
+
+
+def _metrics(rows: Rows) -> dict[str, Any]:
     of = {method: {r["trial"]: r for r in rows if r["method"] == method} for method in _values(rows, "method")}
     return metrics_by_method(of, _scores, _differences) | _way_to_oracle(of)
 
 
 def _values(rows: Rows, key: str) -> list[Any]:
-    return list(dict.fromkeys(row[key] for row in rows))
+    return list(dict.fromkeys(row[key] for row in rows if row.get(key, "")))
 
 
 def _groups(rows: Rows) -> dict[str, tuple[str, Any]]:
     """Name of each group that is looked at by itself, and the field and value that its rows have."""
-    named = {"stratum": "", "family": "", "change": "change_"}
+    named = {"stratum": "", "family": "", "change": "change_", "kind": "kind_"}
     return {prefix + value: (key, value) for key, prefix in named.items() for value in _values(rows, key)}
 
 
 def _differences(method: str, pairs: list[tuple[dict[str, Any], dict[str, Any]]]) -> dict[str, float]:
     parts = {"": pairs}
     for group, (key, value) in _groups([ours for ours, _ in pairs]).items():
-        parts[f"{group}_"] = [pair for pair in pairs if pair[0][key] == value]
+        parts[f"{group}_"] = [pair for pair in pairs if pair[0].get(key) == value]
     metrics: dict[str, float] = {}
     for group, there in parts.items():
         for name in COMPARED:
@@ -82,13 +110,15 @@ def _scores(rows: Rows) -> dict[str, Any]:
         finals = np.array([[row["final_x"], row["final_y"]] for row in there])
         scores[f"radius_goal{goal}_m"] = enclosing_circle(finals)[1]
     for name, (key, value) in _groups(rows).items():
-        there = [row for row in rows if row[key] == value]
+        there = [row for row in rows if row.get(key) == value]
+        scores[f"trials_{name}"] = len(there)
         scores |= {f"success_rate_{name}": mean("success", there), f"offset_{name}_m": mean("offset_m", there)}
     return scores | {
         "success_rate": mean("success"),
         "offset_m": mean("offset_m"),
         "offset_median_m": float(np.median([row["offset_m"] for row in rows])),
         "yaw_error_deg": mean("yaw_error_deg"),
+        "yaw_error_median_deg": float(np.median([row["yaw_error_deg"] for row in rows])),
         "falls": sum(row["fell"] for row in rows),
         "toppled": sum(row["toppled"] for row in rows),
         "worst_lean_rad": max(row["worst_lean_rad"] for row in rows),
@@ -111,13 +141,41 @@ def enclosing_circle(points: np.ndarray) -> tuple[np.ndarray, float]:
     return np.array([centre.x, centre.y]), float(shapely.minimum_bounding_radius(cloud))
 
 
+def pushing_tables(result: ExperimentResult) -> str:
+    """The tables below the first: differences between methods, and the stratum "everything" by itself."""
+    own = {name.removeprefix(_PREFIX): v for name, v in result.metrics.items() if name.startswith(_PREFIX)}
+    chosen, all_drawn = _parts(result.rows)
+    tables = [pushing_differences(result.model_copy(update={"rows": chosen}))]
+    if all_drawn:
+        everything = result.model_copy(update={"rows": all_drawn, "metrics": own})
+        tables += ["### Everything that is drawn", _about_everything(everything), pushing_differences(everything)]
+    return "\n\n".join(table for table in tables if table)
+
+
+def _about_everything(result: ExperimentResult) -> str:
+    """What the stratum "everything" holds, and the scores of each method."""
+    trials = result.metrics["trials"] or 0.0
+    counts = {kind: result.metrics.get(f"trials_kind_{kind}") or 0.0 for kind in KINDS}
+    held = "; ".join(f"{counts[kind] / trials:.0%} {label}".replace("%", " %") for kind, label in KINDS.items())
+    methods = _values(result.rows, "method")
+    prefixes = ["" if m == OURS else f"baseline_{m}_" for m in methods]
+    lines = [
+        [label, *(f"{value:.3g}" if (value := result.metrics.get(p + name)) is not None else "" for p in prefixes)]
+        for name, label in _EVERYTHING.items()
+    ]
+    table = markdown_table(["", *(m.replace("_", " ") for m in methods)], lines)
+    return f"Objects as they are drawn; none is left out, and none changes on the way. Trials: {held}.\n\n{table}"
+
+
 def pushing_differences(result: ExperimentResult) -> str:
-    """Ours minus each other method: every measure over all trials, and offset and success by stratum and family."""
+    """Ours minus each other method: every measure over all trials, and offset and success by group."""
     others = [m for m in result.config.get("methods", []) if f"difference_{m}_offset_m" in result.metrics]
     if not others:
         return ""
     lines = [(label, name, more) for name, (label, more) in COMPARED.items()]
-    for group in _groups(result.rows):
+    for group, (key, _) in _groups(result.rows).items():
+        if len(_values(result.rows, key)) < 2:
+            continue
         for name in ("offset_m", "success"):
             label, more = COMPARED[name]
             lines.append((f"{label}, {group.replace('_', ' ')}", f"{group}_{name}", more))

@@ -34,9 +34,11 @@ model, and with psi and Eq. 8 as the paper prints them."""
 OWN = "pushing controller"
 """What a method of the user's own is called in errors."""
 
-STRATA = ("drawn", "demanding")
-"""Objects and changes as drawn; and what adaptation is for: objects at the edge of training or beyond, all of which
-change on the way."""
+EVERYTHING = "everything"
+STRATA = ("movable", "demanding", EVERYTHING)
+"""Drawn objects that are movable: no wheel is locked, and they resist with at most 32 N. Objects at the edge of
+training or beyond, which ask for adaptation and all change on the way. And objects as they are drawn: none is left out,
+and none changes."""
 
 GOALS = ((1.2, 0.0), (1.3, 0.28), (1.7, -0.42))
 """Positions of the three goals in {W} [m]; an object starts near the origin, its x axis about along x of {W}. Straight
@@ -45,9 +47,19 @@ feasible; the yaw of a goal is therefore that at the end of the arc which starts
 -28 deg), on arcs that steering gives light and heavy objects alike (0.32 and 0.27 per metre)."""
 
 _GRAVITY = 9.81
-_MOST = {"drawn": 40.0, "demanding": 45.0}
+_MOST = {"movable": 40.0, "demanding": 45.0}
 """Resistance up to which an object counts as movable, before and after the change [N]: about half of what the robot can
 push with at its lean limit."""
+STRONGEST = 75.0
+"""Resistance from which no push moves an object straight on [N]: a steady push at the lean limit
+(`manipulable.steady_push`) moves boxes of 70 N and not those of 80 N."""
+KINDS = {
+    "movable": "movable: no locked wheel, up to 32 N",
+    "locked": "with a locked wheel",
+    "heavy": "of 32 to 75 N",
+    "immovable": "of more than 75 N: no push moves them straight on",
+}
+"""Kinds of objects in the stratum "everything", by name."""
 _LEAST_HEAVY = 25.0
 """Resistance from which a demanding object counts as heavy [N]."""
 _DEMANDS = {
@@ -103,10 +115,19 @@ def resistance(c: Condition) -> float:
     return float(np.mean(share)) * c.total_mass * _GRAVITY
 
 
+def kind_by_resistance(condition: Condition) -> str:
+    """Whether a push can move an object, one of KINDS."""
+    if resistance(condition) > STRONGEST:
+        return "immovable"
+    if any(condition.locked):
+        return "locked"
+    return "movable" if resistance(condition) <= 0.8 * _MOST["movable"] else "heavy"
+
+
 def _movable(family: str, first_seed: int, count: int) -> list[tuple[Condition, str]]:
     """The first ``count`` objects from ``first_seed`` on that can be pushed and have no brake on yet."""
     drawn = (draw_condition(family, seed) for seed in range(first_seed, first_seed + 1000))
-    good = ((c, "") for c in drawn if resistance(c) <= 0.8 * _MOST["drawn"] and not any(c.locked))
+    good = ((c, "") for c in drawn if kind_by_resistance(c) == "movable")
     return list(islice(good, count))
 
 
@@ -126,6 +147,14 @@ def _demanding(family: str, first_seed: int, count: int) -> list[tuple[Condition
         if least <= resistance(condition) <= 0.95 * _MOST["demanding"]:
             found.append((condition, demand))
     return found
+
+
+def _everything(family: str, first_seed: int, count: int) -> list[tuple[Condition, str]]:
+    """``count`` objects as they are drawn; other objects than those of `_movable` and `_demanding`."""
+    return [(draw_condition(family, first_seed + 200 + i), "") for i in range(count)]
+
+
+_OBJECTS = dict(zip(STRATA, (_movable, _demanding, _everything), strict=True))
 
 
 def _demand(rng: np.random.Generator, condition: Condition, demand: str) -> Condition:
@@ -174,21 +203,20 @@ def draw_trials(
 ) -> list[Trial]:
     """All trials of a stratum: three families x goals x runs. Run r of a family is the same object for each goal."""
     trials = []
-    demanding = stratum == "demanding"
+    more = [at] if (at := STRATA.index(stratum)) else []
     for number, family in enumerate(FAMILIES):
-        objects = (_demanding if demanding else _movable)(family, first_unseen, runs)
-        for run, (condition, demand) in enumerate(objects):
+        for run, (condition, demand) in enumerate(_OBJECTS[stratum](family, first_unseen, runs)):
             for goal in goals:
-                rng = np.random.default_rng([seed, first_unseen, number, goal, run, *([1] if demanding else [])])
+                rng = np.random.default_rng([seed, first_unseen, number, goal, run, *more])
                 kinds: tuple[str, ...] = ("none", "mass") if family == "box" else ("none", "mass", "brake")
-                kinds = kinds[1:] if demanding else kinds
+                kinds = {"demanding": kinds[1:], EVERYTHING: ("none",)}.get(stratum, kinds)
                 kind = str(rng.choice(kinds))
                 shift = rng.uniform([-0.1, -0.1, -np.deg2rad(8)], [0.1, 0.1, np.deg2rad(8)])
                 angle, far = rng.uniform(-np.pi, np.pi), rng.uniform(1.2, 1.9)
                 robot = (float(far * np.cos(angle)), float(far * np.sin(angle)), float(rng.uniform(-np.pi, np.pi)))
                 trials.append(
                     Trial(
-                        family, goal, run, condition, _changed(rng, condition, kind, _MOST[stratum]), kind,
+                        family, goal, run, condition, _changed(rng, condition, kind, _MOST.get(stratum, 0.0)), kind,
                         float(rng.uniform(0.25, 0.6)), tuple(shift.tolist()), robot, int(rng.integers(2**31)),
                         stratum, demand,
                     )
@@ -320,6 +348,7 @@ def _row(
         "method": method,
         **{name: getattr(trial, name) for name in ("family", "goal", "run", "stratum", "demand", "change")},
         "object_seed": trial.condition.seed,
+        "kind": kind_by_resistance(trial.condition) if trial.stratum == EVERYTHING else "",
         "object": trial.condition.describe(),
         "changed_at_s": changed_at,
         "offset_m": offset,

@@ -141,7 +141,7 @@ def step(config: EstimateConfig, state: ObjectEstimate, seen: Sighting) -> Objec
     twist = jnp.where(state.located, state.twist, seen.twist)
 
     inside = se2.rotate(twist, -pose[:, 2])
-    wrench = se2.rotate(_true_wrench(config, state.force, seen.wrench, noise_key), -pose[:, 2])
+    wrench = se2.rotate(true_wrench(config, state.force, seen.wrench, noise_key), -pose[:, 2])
     acceleration = se2.rotate(_acceleration(state.parameters, inside, wrench, seen.size), pose[:, 2])
     new_twist = twist + acceleration * DT
     new_pose = pose + 0.5 * (twist + new_twist) * DT
@@ -255,8 +255,10 @@ def _acceleration(parameters: Array, twist: Array, wrench: Array, size: Array) -
     return contact_model.acceleration(parameters.T, inputs).T
 
 
-def _true_wrench(config: EstimateConfig, force: Array, wrench: Array, key: Array) -> Array:
-    """``[N, 3]`` what the sensed ``wrench [3]`` was if each particle's errors are right: longer or shorter by them."""
+def true_wrench(
+    config: EstimateConfig, force: Float[Array, "N 2"], wrench: Float[Array, "3"], key: Key[Array, ""]
+) -> Float[Array, "N 3"]:
+    """What the sensed ``wrench`` was if each particle's errors of the force are right: longer or shorter by them."""
     scale, offset = config.force_error
     size = jnp.hypot(wrench[0], wrench[1])
     noise = offset * force[:, 1] - config.force_bias + config.force_noise * jax.random.normal(key, force.shape[:1])

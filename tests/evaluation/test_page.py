@@ -136,7 +136,7 @@ def test_the_summary_shows_at_most_ten_numbers_and_skips_what_was_not_measured()
     pushing = results["pushing"]
     fewer = {name: v for name, v in pushing.metrics.items() if not name.startswith("difference_frozen_prior")}
     alone = summary({"pushing": pushing.model_copy(update={"metrics": fewer | {"offset_median_m": None}})})
-    assert [row.label for row in alone] == ["Success rate of pushing to a pose"]
+    assert [row.label for row in alone] == ["Success rate of pushing movable objects to a pose"]
     assert not summary({}) and not summary({"lifelong": results["lifelong"]})
 
 

@@ -11,11 +11,11 @@ import pytest
 
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import pushing
-from shmoo_mjx.evaluation.pushing_measures import enclosing_circle, metrics_of, pushing_differences
-from shmoo_mjx.evaluation.pushing_trials import METHODS, draw_trials, resistance
+from shmoo_mjx.evaluation.pushing_measures import enclosing_circle, metrics_of, pushing_differences, pushing_tables
+from shmoo_mjx.evaluation.pushing_trials import KINDS, METHODS, draw_trials, kind_by_resistance, resistance
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
-from shmoo_mjx.plant.objects import draw_condition
+from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 from shmoo_mjx.plant.scene import build_scene
 from shmoo_mjx.plant.trials import command
 
@@ -70,6 +70,20 @@ def test_demanding_objects_ask_for_adaptation_and_all_change_on_the_way() -> Non
     assert all(t.condition.payload_x >= 0 for t in trials if t.family == "wheelchair")
 
 
+def test_everything_leaves_no_object_out() -> None:
+    trials = draw_trials(1_000_000, 0, 5, stratum="everything")
+    assert len(trials) == 45
+    assert {t.condition for t in trials} == {draw_condition(f, 1_000_200 + i) for f in FAMILIES for i in range(5)}
+    assert all(t.changed == t.condition and t.change == "none" for t in trials)
+    others = [t for s in ("movable", "demanding") for t in draw_trials(1_000_000, 0, 10, stratum=s)]
+    assert not {t.name for t in trials} & {t.name for t in others}
+    assert not {t.condition.seed for t in trials} & {t.condition.seed for t in others}
+    kinds = {kind_by_resistance(t.condition): t.condition for t in trials}
+    assert set(kinds) == set(KINDS)
+    assert resistance(kinds["immovable"]) > 75.0 >= resistance(kinds["heavy"]) > 32.0 and any(kinds["locked"].locked)
+    assert {kind_by_resistance(t.condition) for t in draw_trials(1_000_000, 0, 10)} == {"movable"}
+
+
 def test_start_poses_lie_all_round_the_object() -> None:
     poses = np.array([t.robot_pose for t in draw_trials(1_000_000, 0, 10)])
     quadrants = set(np.floor(np.arctan2(poses[:, 1], poses[:, 0]) / (np.pi / 2)).astype(int).tolist())
@@ -120,7 +134,7 @@ def _row(method: str, trial: str, goal: int, offset: float, yaw: float = 5.0, **
         "method": method, "trial": trial, "family": trial.split("-")[0], "goal": goal, "run": 0, "offset_m": offset,
         "yaw_error_deg": yaw, "success": offset <= 0.25 and yaw <= 20, "fell": False, "toppled": False, "time_s": 40.0,
         "pushes": 1, "worst_lean_rad": 0.1, "arm_margin_rad": 0.3, "final_x": 1.0 + offset, "final_y": 0.0,
-        "change": "none", "object": "a box", "ended": "done", "stratum": "drawn",
+        "change": "none", "object": "a box", "ended": "done", "stratum": "movable",
     }  # fmt: skip
     return row | more
 
@@ -141,7 +155,7 @@ def test_metrics_have_the_names_that_were_agreed() -> None:
     assert m["worst_lean_rad"] == 0.5
     assert m["baseline_frozen_prior_offset_goal1_m"] == 0.5
     assert m["baseline_frozen_prior_success_rate"] == 0.0
-    assert m["success_rate_drawn"] == pytest.approx(1 / 3)
+    assert m["success_rate_movable"] == pytest.approx(1 / 3)
 
 
 def test_differences_are_of_the_trials_that_both_ran() -> None:
@@ -166,6 +180,24 @@ def test_differences_are_of_the_trials_that_both_ran() -> None:
     assert "**worse**" in table
 
 
+def test_everything_is_measured_by_itself() -> None:
+    rows = [_row(m, "box-goal1-00", 1, offset) for m, offset in (("ours", 0.1), ("frozen_prior", 0.2))]
+    chosen = metrics_of(rows)
+    for i, kind in enumerate(["movable", "immovable", "locked", "immovable"]):
+        more = {"stratum": "everything", "kind": kind}
+        rows += [_row("ours", f"everything-cart-goal1-{i:02d}", 1, 0.1 + 0.3 * (kind == "immovable"), **more)]
+        rows += [_row("frozen_prior", f"everything-cart-goal1-{i:02d}", 1, 0.4, **more)]
+    m = metrics_of(rows)
+    assert chosen.items() <= m.items()
+    assert m["everything_success_rate"] == 0.5 and m["everything_success_rate_kind_immovable"] == 0.0
+    assert m["everything_difference_frozen_prior_success"] == 0.5
+    about = {"config": {"methods": ["ours", "frozen_prior"]}, "versions": {}, "paper": {}}
+    tables = pushing_tables(ExperimentResult(experiment="pushing", seed=0, metrics=m, rows=rows, **about))
+    everything = tables.split("### Everything that is drawn")[1]
+    assert "50 % of more than 75 N" in everything and "| trials | 4 | 4 |" in everything
+    assert "| success | +0.5 (0 to 1, 4 pairs) |" in everything
+
+
 def test_finished_trials_are_not_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
     stops = [5]
@@ -187,7 +219,7 @@ def test_finished_trials_are_not_run_again(tmp_path: Path, monkeypatch: pytest.M
     with pytest.raises(KeyboardInterrupt):
         pushing.run(options)
     result = pushing.run(options)
-    total = 12 * len(METHODS)
+    total = 18 * len(METHODS)
     assert len(asked) == total == len(set(asked))
     assert len(result.rows) == total
     assert result.metrics["success_rate"] == 1.0
