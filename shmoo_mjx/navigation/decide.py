@@ -6,7 +6,7 @@ the robot's path, with a probability of never. A push that fails costs its time 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -20,7 +20,7 @@ from shmoo_mjx.navigation.belief import KnownObject
 from shmoo_mjx.navigation.clearance import ClearanceField
 from shmoo_mjx.navigation.paths import Path
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS
-from shmoo_mjx.planning.reach import Foresight, Options, Outcomes
+from shmoo_mjx.planning.reach import Options, Outcomes
 from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.types import DT
 
@@ -114,7 +114,7 @@ def options_about(
 
 
 def pushes(
-    foresight: Foresight,
+    foresight: Callable[..., Outcomes],
     known: KnownObject,
     path: Path,
     around: ClearanceField,
@@ -125,7 +125,7 @@ def pushes(
     """What pushes on ``sides`` lead to, the best direction of each; without times to the goal.
 
     Args:
-        foresight: of the pushing controller.
+        foresight: of the pushing controller (`planning.reach.Foresight`).
         known: the object.
         path: of the robot, as if the object were not there.
         around: clearance without the object.
