@@ -148,7 +148,8 @@ def _within_grip(x: Array, y: Array, grip_x: Array, grip_y: Array) -> tuple[Arra
     grip = jnp.maximum(grip_x, grip_y)
     share = jnp.minimum(1.0, grip * jax.lax.rsqrt(jnp.maximum(x**2 + y**2, 1e-12)))
     along, across = x * share, y * share
-    rest_x, rest_y = (jnp.sqrt(jnp.maximum(grip**2 - own**2, 0.0)) for own in (grip_y, grip_x))
+    # Not zero, where a root has no derivative.
+    rest_x, rest_y = (jnp.sqrt(jnp.maximum(grip**2 - own**2, 1e-12)) for own in (grip_y, grip_x))
     cut_x, cut_y = jnp.abs(along) > grip_x, jnp.abs(across) > grip_y
     new_x = jnp.where(cut_x, jnp.clip(x, -grip_x, grip_x), jnp.where(cut_y, jnp.clip(x, -rest_x, rest_x), along))
     new_y = jnp.where(cut_y, jnp.clip(y, -grip_y, grip_y), jnp.where(cut_x, jnp.clip(y, -rest_y, rest_y), across))

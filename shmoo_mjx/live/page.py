@@ -534,7 +534,7 @@ class Page:
                 lines.append(f"- **{name}** not seen yet")
                 continue
             verdicts = [d for d in navigator.decisions if d.object == index]
-            last = f"P = {verdicts[-1].probability:.2f}, K = {verdicts[-1].K:.2f} m²" if verdicts else "not touched"
+            last = verdicts[-1].reason if verdicts else "not touched"
             moves = {None: "not known", True: "can be moved", False: "can't be moved"}[known.manipulable]
             parts = [f"{known.status}: {moves} ({last})"]
             if known.adapt is not None:

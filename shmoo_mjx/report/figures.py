@@ -99,7 +99,10 @@ def draw_decision(axes: Axes, result: dict[str, Any], trace: Trace, number: int)
     axes.plot(*robot[:2], "o", color=COLOURS["robot"], ms=9, label="robot")
     verdict = "can be moved" if decision["manipulable"] else "can't be moved"
     known, name = is_number(decision.get("K")), object_name(result, decision["object"])
-    says = f"{verdict}, {evidence(decision)}" if known else "first goal, dynamics not known yet"
+    if not known and is_number(decision.get("probability")):
+        says = str(decision["reason"])  # by expected time
+    else:
+        says = f"{verdict}, {evidence(decision)}" if known else "first goal, dynamics not known yet"
     axes.set_title(f"{number + 1}. At {float(decision['t']):.1f} s, {name}: {says}", fontsize=10)
     axes.legend(loc="best", fontsize=7, framealpha=0.9)
 

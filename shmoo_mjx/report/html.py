@@ -112,7 +112,8 @@ def summary(result: dict[str, Any]) -> str:
 
 def _object_sentence(result: dict[str, Any], item: dict[str, Any]) -> str:
     index = object_index(result, item["id"])
-    decided = [d for d in result["decisions"] if object_index(result, d["object"]) == index and is_number(d.get("K"))]
+    mine = [d for d in result["decisions"] if object_index(result, d["object"]) == index]
+    decided = [d for d in mine if is_number(d.get("K")) or is_number(d.get("probability"))]
     # What settled a registered object was its last decision; one that was pushed, its first.
     told = f" ({figures.evidence(decided[-1 if item.get('registered') else 0])})" if decided else ""
     name, moved = f"{item['family']} {item['id']}", _moved(item)

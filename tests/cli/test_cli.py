@@ -144,7 +144,8 @@ def test_map_show_says_what_is_free_only_by_its_threshold(
         (tmp_path / "m.yml").write_text(yaml.safe_dump(meta | {"free_thresh": threshold}))
         shown = shmoo("map", "show", str(tmp_path / "m.yml"), "--out", str(tmp_path / "shown.png"))
         assert shown.returncode == 0, shown.stderr
-        assert ("205" in shown.stdout) == bool(said) and said in shown.stdout
+        told = shown.stdout.replace(str(tmp_path), "")  # whose name may hold any number
+        assert ("205" in told) == bool(said) and said in told
 
 
 def test_a_map_is_drawn(folder: Path, shmoo: Callable[..., Done], tmp_path: Path) -> None:
