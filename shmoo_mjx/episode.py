@@ -214,8 +214,8 @@ def result_of(simulation: Simulation, legs: Sequence[dict[str, Any]] = (), goals
             {
                 "t": round(d.t, 2),
                 "object": d.object,
-                "K": round(d.K, 4),
-                "G": round(d.G, 4),
+                "K": round(d.K, 4) if np.isfinite(d.K) else None,
+                "G": round(d.G, 4) if np.isfinite(d.G) else None,
                 "probability": round(d.probability, 4),
                 "manipulable": d.manipulable,
                 "goal": None if d.goal is None else _floats(d.goal),
