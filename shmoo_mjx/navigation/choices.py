@@ -242,7 +242,7 @@ def _least_time(
         push.seconds = decide.expected(push, decide.walk(ways[push.side][0].length), rest, around)
     best = min(found, key=lambda push: push.seconds)
     options = ", ".join(p.told for p in sorted(found, key=lambda push: push.seconds)[:3])
-    told = f"{options}; {'no way round' if detour is None else f'go round {around:.0f} s'}"
+    told = f"{options}; {decide.round_told(None if detour is None else around)}"
     if around <= best.seconds and detour is not None and setup.config.goes_round:
         return _instead(setup, state, obs, index, detour, told)
     way, *place = ways[best.side]

@@ -1,7 +1,7 @@
 """Which option about an object in the way takes the least time, by what is known of the object's dynamics.
 
 Pushes are rolled out over samples of the posterior (`planning.reach`); an outcome is the time until the object has left
-the robot's path, with a probability of never. A push that fails costs its time and the next best option.
+the robot's path, with a probability of never. A push that fails costs its time and the way round.
 """
 
 from __future__ import annotations
@@ -162,6 +162,11 @@ def expected(push: Push, before: float, rest: float, otherwise: float) -> float:
     p = push.probability
     takes = push.takes if p else 0.0
     return before + AWAY + p * (takes + rest) + (1.0 - p) * (_GIVES_UP + otherwise)
+
+
+def round_told(seconds: float | None) -> str:
+    """Going round, in words; None where there is no way round."""
+    return "no way round" if seconds is None else f"go round {seconds:.0f} s"
 
 
 def walk(length: float) -> float:

@@ -127,7 +127,7 @@ def _think_again(
     detour = routes.free_path(position, known, known.polygon.buffer(_ROUND_MARGIN)) if setup.config.goes_round else None
     around = decide.BLOCKED if detour is None else decide.AWAY + detour.length / decide.PACE
     here.seconds = decide.expected(here, 0.0, through.length / decide.PACE, around)
-    told = f"{here.told}; {'no way round' if detour is None else f'go round {around:.0f} s'}"
+    told = f"{here.told}; {decide.round_told(None if detour is None else around)}"
     state = state.with_events(
         Decision(
             now, segment.object, np.nan, np.nan, here.probability >= 0.5, here.goal, told, here.ends[:_SHOWN],

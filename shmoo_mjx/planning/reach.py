@@ -34,6 +34,7 @@ SAMPLES = 16
 STEPS = 120
 """Samples of time of a roll-out: 12 s."""
 _PRIOR_KEY = 55
+"""Seed of the particles of objects that nobody has touched."""
 _ONE = ObjectObservation(0, 0, 0, 0, 0, 0, 0, None, None)
 """Axes of an observation that the law is mapped over."""
 _UNKNOWN = (0.02, 0.03, 0.25)
@@ -132,7 +133,6 @@ class Foresight:
 
     def __init__(self, controller: PushController) -> None:
         weights, config = controller.weights, controller.config
-        self._weights, self._config = weights, config
         shape = weights.config.object
         # Over many seconds the contact model alone predicts better than psi, which is trained on three.
         model = replace(weights.config, object=replace(shape, residual=not shape.contact_model))

@@ -7,10 +7,8 @@ from functools import cache
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 
 from shmoo_mjx.control.pushing import PushController
-from shmoo_mjx.faces import faces_of
 from shmoo_mjx.learning import contact_prior
 from shmoo_mjx.learning.weights import load_weights, prior_state
 from shmoo_mjx.navigation.decide import options_about
@@ -77,10 +75,8 @@ def test_a_wheelchair_pushed_on_its_side_turns_about_its_axle_and_does_not_slide
     assert np.median(np.abs(pose[:, 40, 1])) < 0.5
 
 
-@pytest.mark.parametrize("steps", [30])
-def test_a_push_begins_with_hands_at_the_face(steps: int) -> None:
+def test_a_push_begins_with_hands_at_the_face() -> None:
     found = outcomes(draw_condition("box", 3, {"mass": 8.0}))
     first = found.robot_pose[2, :, 0]
     assert np.all(np.abs(np.linalg.norm(first[:, :2], axis=1) - np.linalg.norm(first[0, :2])) < 0.02)
-    assert np.isfinite(jax.tree.leaves(found)[0][:, :, :steps]).mean() > 0.95
-    assert len(faces_of(HALF)) == 4
+    assert np.isfinite(jax.tree.leaves(found)[0][:, :, :30]).mean() > 0.95
