@@ -50,12 +50,10 @@ _TOUCHING = 0.01
 _STEERED = 0.08
 """How far the object and the robot may go into walls in a roll-out [m]: they do not know of walls, from which the
 pushing controller steers away."""
-_GRAIN = np.array([0.15, 0.15, 0.3])
-"""Poses that are so near to each other are taken for one [m, m, rad]."""
-_WINDOW = 4.0
-"""How far along each axis from where the object stands a way past it is looked for [m]: farther than a push goes."""
-_CELL = 0.1
-"""Size of the cells there [m]."""
+_GRAIN = np.array([0.1, 0.1, 0.3])
+"""Poses that are so near to each other are taken for one [m, m, rad]; also the size of cells."""
+_WINDOW = 3.0
+"""How far along each axis from where the object stands a way past it is looked for [m]: what is farther is a way round."""
 _ENDS = 9
 """Cells nearest to an end of the path, of which one has to be free."""
 _PATH_MARGIN = 0.05
@@ -217,23 +215,47 @@ def _passes(
     if not len(poses):
         return np.zeros(0, bool)
     near = _dense(path.points)
-    nearest = near[np.argmin(np.linalg.norm(near - pose[:2], axis=1))]
-    near = near[np.abs(near - nearest).max(axis=1) < _WINDOW]
-    ticks = np.arange(-_WINDOW, _WINDOW + 1e-9, _CELL)
-    cells = np.stack(np.meshgrid(nearest[0] + ticks, nearest[1] + ticks, indexing="ij"), axis=-1)
+    middle = near[np.argmin(np.linalg.norm(near - pose[:2], axis=1))]
+    near = near[np.abs(near - middle).max(axis=1) < _WINDOW]
+    ticks = np.arange(-_WINDOW, _WINDOW + 1e-9, _GRAIN[0])
+    cells = np.stack(np.meshgrid(middle[0] + ticks, middle[1] + ticks, indexing="ij"), axis=-1)
     walls_off = around.at(cells) >= ROBOT_RADIUS
-    local = np.abs(se2.inverse_transform_point(poses[:, None, None, :], cells))
-    gap = np.hypot(*(np.maximum(local[..., k] - half_extents[k], 0.0) for k in range(2)))
-    free = walls_off & (gap >= ROBOT_RADIUS + _PATH_MARGIN)
+    free = np.repeat(walls_off[None], len(poses), axis=0)
+    at = np.clip(np.round((poses[:, :2] - cells[0, 0]) / _GRAIN[:2]).astype(int), -len(ticks), 2 * len(ticks))
+    turns = np.round(poses[:, 2] / _GRAIN[2]).astype(int)
+    for turn in np.unique(turns):
+        taken = _taken(turn * _GRAIN[2], half_extents)
+        mine = turns == turn
+        for n, corner in zip(np.flatnonzero(mine), at[mine] - len(taken) // 2, strict=True):
+            low, high = np.maximum(corner, 0), np.maximum(corner + len(taken), 0)
+            part = free[n, low[0] : high[0], low[1] : high[1]]
+            begin = low - corner
+            part &= ~taken[begin[0] :, begin[1] :][: part.shape[0], : part.shape[1]]
+    on_path = tuple(np.round((near - cells[0, 0]) / _GRAIN[:2]).astype(int).T)
+    passes = (free[:, *on_path] == walls_off[on_path]).all(axis=1)
+    passes[~passes] = _joined(free[~passes], [np.linalg.norm(cells - end, axis=-1) for end in (near[0], near[-1])])
+    return passes
+
+
+def _joined(free: Bool[np.ndarray, "N c c"], from_end: Sequence[Float[np.ndarray, "c c"]]) -> Bool[np.ndarray, "N"]:
+    """Whether free cells join both ends, given each cell's distance from them."""
     same = np.zeros((3, 3, 3), bool)
     same[1] = True
     labels, _ = scipy.ndimage.label(free, same)
     ends = []
-    for end in (near[0], near[-1]):
-        nearest = np.argsort(np.linalg.norm(cells - end, axis=-1), axis=None)[:_ENDS]
-        found = labels.reshape(len(poses), -1)[:, nearest]
+    for distance in from_end:
+        found = labels.reshape(len(free), -1)[:, np.argsort(distance, axis=None)[:_ENDS]]
         ends.append(np.where(found.any(axis=1), found[np.arange(len(found)), np.argmax(found > 0, axis=1)], 0))
     return np.asarray((ends[0] == ends[1]) & (ends[0] > 0))
+
+
+def _taken(yaw: float, half_extents: tuple[float, float]) -> Bool[np.ndarray, "c c"]:
+    """Cells about an object, which the middle one's middle is the middle of, that the robot can't stand in."""
+    reach = int((np.hypot(*half_extents) + ROBOT_RADIUS + _PATH_MARGIN) / _GRAIN[0]) + 1
+    ticks = _GRAIN[0] * np.arange(-reach, reach + 1)
+    cells = np.stack(np.meshgrid(ticks, ticks, indexing="ij"), axis=-1)
+    local = np.abs(se2.inverse_transform_point(np.array([0.0, 0.0, yaw]), cells))
+    return np.linalg.norm(np.maximum(local - half_extents, 0.0), axis=-1) < ROBOT_RADIUS + _PATH_MARGIN
 
 
 def _dense(points: Float[np.ndarray, "N 2"], spacing: float = 0.1) -> Float[np.ndarray, "M 2"]:
