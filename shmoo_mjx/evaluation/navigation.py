@@ -1,8 +1,9 @@
-"""Experiment navigation: generated scenarios on any maps, our policy against six others on the same scenarios.
+"""Experiment navigation: generated scenarios on any maps, our policy against seven others on the same scenarios.
 
-*lazy* goes round whenever there is a way round, however long, and pushes otherwise. *oracle* is told by the certificate
-which objects the best option pushes, pushes these and goes round all others; without a certificate it is told which
-objects can be moved. Coefficients it learns as we do. *always_avoid* takes every object for a wall. *always_push*
+*lazy* goes round whenever there is a way round, however long, and pushes otherwise. *frozen* learns nothing: what is
+known of an object stays what it looks like. *oracle* is told by the certificate which objects the best option pushes,
+pushes these and goes round all others; without a certificate it is told which objects can be moved. Coefficients it
+learns as we do. *always_avoid* takes every object for a wall. *always_push*
 pushes whatever is in the way and never goes round. *paper* decides by K < 0.3 m^2 after 1 s of contact, as printed.
 *geometric* takes whatever is in the way for movable, as planners after Stilman do, pushes wherever that makes the path
 shorter, and registers what a push has not moved. The *reference* is the best option of each certificate, and is not
@@ -21,6 +22,7 @@ import numpy as np
 
 from shmoo_mjx import custom
 from shmoo_mjx.assets import WEIGHTS, asset
+from shmoo_mjx.control.pushing import PushConfig
 from shmoo_mjx.evaluation.navigation_failures import keep_failure, write_failures
 from shmoo_mjx.evaluation.navigation_measures import (
     cause_of,
@@ -54,6 +56,7 @@ class PolicyVariant(NamedTuple):
     config: NavigatorConfig
     first_status: Callable[[Generated], list[Status]] | None = None
     """What the robot takes each object to be from the start."""
+    push: PushConfig = PushConfig()
 
 
 def _as_they_are(generated: Generated) -> list[Status]:
@@ -66,14 +69,13 @@ def _as_they_are(generated: Generated) -> list[Status]:
 _ALL_MOVABLE = ObjectPlannerConfig(threshold=0.0)
 POLICIES = {
     OURS: PolicyVariant(NavigatorConfig()),
-    "lazy": PolicyVariant(NavigatorConfig(detour=1e3)),
-    "oracle": PolicyVariant(NavigatorConfig(decides_by="mobility", planner=_ALL_MOVABLE), _as_they_are),
-    "always_avoid": PolicyVariant(
-        NavigatorConfig(chances=0), lambda generated: [Status.FIXED for _ in generated.movable]
-    ),
-    "always_push": PolicyVariant(NavigatorConfig(decides_by="mobility", goes_round=False, planner=_ALL_MOVABLE)),
+    "lazy": PolicyVariant(NavigatorConfig(goes_round="always")),
+    "frozen": PolicyVariant(NavigatorConfig(), push=PushConfig(adapts=False)),
+    "oracle": PolicyVariant(NavigatorConfig(goes_round="never"), _as_they_are),
+    "always_avoid": PolicyVariant(NavigatorConfig(), lambda generated: [Status.FIXED for _ in generated.movable]),
+    "always_push": PolicyVariant(NavigatorConfig(goes_round="never")),
     "paper": PolicyVariant(NavigatorConfig(decides_by="K")),
-    "geometric": PolicyVariant(NavigatorConfig(decides_by="K", planner=_ALL_MOVABLE, detour=0.0)),
+    "geometric": PolicyVariant(NavigatorConfig(decides_by="K", planner=_ALL_MOVABLE)),
 }
 """In the order in which they run: of an experiment that is stopped, ours is there first."""
 
@@ -149,7 +151,7 @@ def trials_folder(options: ExperimentOptions, folder: Path, scenario: ScenarioCo
     robot = robot_of(options)
     settings: dict[str, Any] = {"seeds": [robot.seed, options.condition_seed], "senses": robot.senses}
     settings["scenario"] = asdict(scenario)
-    settings["policies"] = {name: asdict(policy.config) for name, policy in POLICIES.items()}
+    settings["policies"] = {name: [asdict(policy.config), asdict(policy.push)] for name, policy in POLICIES.items()}
     given = () if options.scenario_set is None else (options.scenario_set,)
     return folder / f"trials-{fingerprint(__name__, settings, robot.weights, *given)}"
 
@@ -182,13 +184,11 @@ def play(
     """
     from shmoo_mjx.episode import run_episode
 
-    config, first_status = POLICIES.get(policy, POLICIES[OURS])
-    if policy == "oracle" and generated.certificate is not None:
-        config = replace(config, detour=0.0)  # what it does not take for a wall is to be pushed
+    config, first_status, push = POLICIES.get(policy, POLICIES[OURS])
     return run_episode(
         grid,
         generated.scenario.model_copy(update={"seed": generated.scenario.seed + robot.seed}),
-        controller_of(robot.weights),
+        controller_of(robot.weights, push),
         config,
         first_status=None if first_status is None else first_status(generated),
         senses=robot.senses,

@@ -70,9 +70,9 @@ def _tried(work: Work, given: Any) -> list[dict[str, Any]]:
 
 
 @cache
-def controller_of(weights: Path) -> Any:
-    """The pushing controller of a weights file, compiled once in each process."""
+def controller_of(weights: Path, config: Any = None) -> Any:
+    """The pushing controller of a weights file, with a `PushConfig` if given, compiled once in each process."""
     from shmoo_mjx.control.pushing import PushController
     from shmoo_mjx.learning.weights import load_weights
 
-    return PushController(load_weights(weights))
+    return PushController(load_weights(weights), config)

@@ -55,16 +55,14 @@ class KnownObject:
     """Time since the object was last detected [s]."""
     registered: Float[np.ndarray, "3"] | None = None
     """Pose at which it was registered or parked."""
-    fixed_at: float = 0.0
-    """When it was registered as an obstacle [s]."""
-    chances: int = 0
-    """How often it has been tried again after its registration."""
+    given_up: int | None = None
+    """How many pushes of anything there had been when it was registered as an obstacle; None where it never was."""
     manipulable: bool | None = None
-    """What the planning stage has found; None before."""
-    gave_way: bool = False
-    """Has a push ever moved it."""
+    """What the last decision has found; None before."""
     failed_faces: tuple[int, ...] = ()
-    """Faces from which it could not be moved, each as often as that was tried."""
+    """Faces on which a push did not free the way, each as often as that was tried."""
+    price: float | None = None
+    """Expected time that it takes to push it out of the way, failures included [s]; None before that was looked at."""
     in_the_way: int = 0
     """How often it has stood in a path that was planned round it."""
 
@@ -72,6 +70,11 @@ class KnownObject:
     def polygon(self) -> shapely.Polygon:
         """Footprint in {W}."""
         return footprint_polygon(self.pose, self.half_extents)
+
+    @property
+    def avoided(self) -> shapely.Polygon:
+        """What paths lead round: the footprint, or a wider one."""
+        return self.polygon.buffer(_WIDER * max(self.in_the_way - 1, 0))
 
     @property
     def displaced(self) -> bool:
@@ -92,16 +95,16 @@ class Belief:
         """The belief with these fields of object ``index`` changed."""
         return replace(self, objects={**self.objects, index: replace(self.objects[index], **changes)})
 
+    @property
+    def pushes(self) -> int:
+        """How many pushes there have been."""
+        return sum(known.pushes for known in self.objects.values())
+
     def polygons(
         self, statuses: tuple[Status, ...] = tuple(Status), without: int | None = None
     ) -> list[shapely.Polygon]:
         """Footprints of the known objects with one of ``statuses``, except ``without``."""
         return [o.polygon for i, o in self.objects.items() if o.status in statuses and i != without]
-
-    def avoided(self) -> list[shapely.Polygon]:
-        """What paths to the goal lead round: the footprints of parked and registered objects, or wider ones."""
-        around = [o for o in self.objects.values() if o.status is not Status.UNKNOWN]
-        return [o.polygon.buffer(_WIDER * max(o.in_the_way - 1, 0)) for o in around]
 
     def clearance(self, without: int | None = None) -> ClearanceField:
         """Distance to walls and to every known object but ``without``."""
@@ -164,10 +167,10 @@ def _perceived(
     if not new.displaced or age > _LOST:
         return new, notes
     text = f"({known.status}) stands {_distance(pose, known.registered):.2f} m from where it was: somebody has moved it"
-    new = replace(new, registered=pose)
+    new = replace(new, registered=pose, price=None)
     if known.status is Status.FIXED and not fixed_for_good:
         # Whoever moved it may have released its brakes: what was learned no longer holds.
-        new = replace(new, status=Status.UNKNOWN, adapt=None, pushes=0, failed_faces=())
+        new = replace(new, status=Status.UNKNOWN, adapt=None, failed_faces=())
         text += "; it counts as unknown again"
     return new, [*notes, text]
 

@@ -6,12 +6,14 @@ the robot's path, with a probability of never. A push that fails costs its time 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 import scipy.ndimage
+import shapely
 
 from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Bool, Float
@@ -19,8 +21,9 @@ from shmoo_mjx.faces import corners_of, faces_of
 from shmoo_mjx.navigation.belief import KnownObject
 from shmoo_mjx.navigation.clearance import ClearanceField
 from shmoo_mjx.navigation.paths import Path
+from shmoo_mjx.navigation.routes import PACE
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS
-from shmoo_mjx.planning.reach import Options, Outcomes
+from shmoo_mjx.planning.reach import STEPS, Options, Outcomes
 from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.types import DT
 
@@ -29,16 +32,20 @@ SIDES = (
     "the front on the left", "behind on the left",
 )  # fmt: skip
 """Names of sides and corners."""
-PACE = 0.45
-"""Speed of walking [m/s]."""
-_SETUP = 5.0
+_SETUP = 3.2
 """Time from the end of the walk to contact: to stop, to extend the arms, to reach the face [s]."""
-AWAY = 4.0
-"""Time of backing away and folding the arms [s]."""
-_GIVES_UP = 5.0
+AWAY = 3.5
+"""Time of backing away, of folding the arms, and of setting out again [s]."""
+LEAST = _SETUP + AWAY
+"""What every push takes at least [s]."""
+GIVES_UP = 6.0
 """Time of a push that leads nowhere until this is seen [s]."""
-BLOCKED = 60.0
-"""What it counts for where nothing else is left to do [s]."""
+BLOCKED = 600.0
+"""What it counts for to give up [s]: somebody has to come."""
+_TRUST = 0.25
+"""What a push that failed leaves of the probability of another one on that side: something is not as it is modelled."""
+_ERRS = 0.05
+"""Share of roll-outs in which it comes otherwise."""
 _BEARINGS = (-0.5, -0.25, 0.0, 0.25, 0.5)
 """Directions of the goals of pushes on a side, to the left of its normal [rad]; corners are pushed straight on."""
 _FAR = 2.5
@@ -52,8 +59,10 @@ _STEERED = 0.08
 pushing controller steers away."""
 _GRAIN = np.array([0.1, 0.1, 0.3])
 """Poses that are so near to each other are taken for one [m, m, rad]; also the size of cells."""
-_WINDOW = 3.0
-"""How far along each axis from where the object stands a way past it is looked for [m]: what is farther is a way round."""
+_WINDOW = 5.0
+"""How far along each axis from the object its path is looked at [m]: farther than a push goes."""
+_BESIDE = 1.0
+"""How far beside its path the robot may pass it [m]: what is farther is a way round."""
 _ENDS = 9
 """Cells nearest to an end of the path, of which one has to be free."""
 _PATH_MARGIN = 0.05
@@ -62,20 +71,20 @@ _PATH_MARGIN = 0.05
 
 @dataclass(eq=False)
 class Push:
-    """A push on one face, as good as steering makes it."""
+    """A push on one face in one direction."""
 
     side: int
     """Index among `faces_of` and, after them, `corners_of`."""
     goal: Float[np.ndarray, "3"]
     """Pose in {W} of the object a little after it has left the path, in the middle of the samples."""
-    probability: float
+    free: Float[np.ndarray, "S"]
+    """Time until the path is free in each sample [s]; infinite where it never is."""
+    ends: Float[np.ndarray, "S T 2"]
+    """Predicted positions of the object."""
+    probability: float = 0.0
     """That the path will be free."""
-    takes: float
-    """Mean time until then where it becomes free [s]; NaN where it never does."""
     seconds: float = np.inf
     """Expected time to the robot's goal [s], failures and what follows them included."""
-    ends: Float[np.ndarray, "S T 2"] = field(default_factory=lambda: np.zeros((0, 0, 2)))
-    """Predicted positions of the object."""
 
     @property
     def told(self) -> str:
@@ -120,7 +129,7 @@ def pushes(
     places: Mapping[int, Float[np.ndarray, "3"]],
     seed: int = 0,
 ) -> list[Push]:
-    """What pushes on ``sides`` lead to, the best direction of each; without times to the goal.
+    """What pushes on ``sides`` lead to, in several directions each.
 
     Args:
         foresight: of the pushing controller (`planning.reach.Foresight`).
@@ -136,30 +145,42 @@ def pushes(
     outcomes: Outcomes = foresight(known.adapt, known.kind, known.pose, known.half_extents, of.options, seed)
     free, poses = _times(outcomes, known, path, around)
     found = []
-    for side in sides:
-        mine = np.flatnonzero(of.side == side)
-        share = np.isfinite(free[mine]).mean(axis=1)
-        mean = np.array([np.mean(t[np.isfinite(t)]) if np.isfinite(t).any() else np.nan for t in free[mine]])
-        # The likeliest, the quicker of equals.
-        best = int(np.lexsort((np.nan_to_num(mean, nan=1e3), -np.round(share, 1)))[0])
-        k = mine[best]
-        goal = _goal(free[k], poses[k]) if share[best] else np.asarray(of.options.goal[k], float)
-        found.append(Push(side, goal, float(share[best]), float(mean[best]), ends=poses[k][..., :2]))
+    for k in np.flatnonzero(np.isin(of.side, list(sides))):
+        goal = _goal(free[k], poses[k]) if np.isfinite(free[k]).any() else np.asarray(of.options.goal[k], float)
+        found.append(Push(int(of.side[k]), goal, free[k], poses[k][..., :2]))
     return found
 
 
-def expected(push: Push, before: float, rest: float, otherwise: float) -> float:
-    """Expected seconds to the goal.
+def weigh(
+    found: Sequence[Push], walks: Mapping[int, float], failed: Sequence[int], rest: float, otherwise: float
+) -> list[Push]:
+    """The best push on each side, the quickest first, with probability and expected seconds to the goal.
+
+    What a push costs that fails is the best of what is left: another side, for those samples in which this one fails,
+    or what can be done without a push.
 
     Args:
-        push: with its probability.
-        before: time until the hands touch the object [s].
+        found: what can be done.
+        walks: time until the hands touch each side [s].
+        failed: sides of pushes of this object that failed before.
         rest: time of the way past it to the goal [s].
-        otherwise: time of what is left to do after a push that failed [s].
+        otherwise: time to the goal without a push [s].
     """
-    p = push.probability
-    takes = push.takes if p else 0.0
-    return before + AWAY + p * (takes + rest) + (1.0 - p) * (_GIVES_UP + otherwise)
+    side = np.array([push.side for push in found])
+    free = np.stack([push.free for push in found])
+    trust = np.array([_TRUST ** list(failed).count(i) for i in side])[:, None]
+    p = trust * np.where(np.isfinite(free), 1.0 - _ERRS, _ERRS)
+    succeeds = p * (np.where(np.isfinite(free), free, DT * STEPS) + rest)
+    before = np.array([walks[i] for i in side])[:, None] + AWAY
+    alone = before + succeeds + (1.0 - p) * (GIVES_UP + otherwise)
+    next_best = (1.0 - p) @ alone.T / (1.0 - p).sum(axis=1, keepdims=True)
+    next_best[side[:, None] == side] = np.inf
+    after = np.minimum(next_best.min(axis=1, initial=np.inf), otherwise)[:, None]
+    seconds = (before + succeeds + (1.0 - p) * (GIVES_UP + after)).mean(axis=1)
+    for push, probability, expected in zip(found, p.mean(axis=1), seconds, strict=True):
+        push.probability, push.seconds = float(probability), float(expected)
+    best = {push.side: push for push in sorted(found, key=lambda push: -push.seconds)}
+    return sorted(best.values(), key=lambda push: push.seconds)
 
 
 def round_told(seconds: float | None) -> str:
@@ -214,14 +235,17 @@ def _passes(
     path near by."""
     if not len(poses):
         return np.zeros(0, bool)
-    near = _dense(path.points)
-    middle = near[np.argmin(np.linalg.norm(near - pose[:2], axis=1))]
-    near = near[np.abs(near - middle).max(axis=1) < _WINDOW]
-    ticks = np.arange(-_WINDOW, _WINDOW + 1e-9, _GRAIN[0])
-    cells = np.stack(np.meshgrid(middle[0] + ticks, middle[1] + ticks, indexing="ij"), axis=-1)
-    walls_off = around.at(cells) >= ROBOT_RADIUS
+    whole = _dense(path.points)
+    middle = whole[np.argmin(np.linalg.norm(whole - pose[:2], axis=1))]
+    inside = np.abs(whole - middle).max(axis=1) < _WINDOW
+    near, beyond = whole[inside], whole[~inside]
+    ticks = [np.arange(side.min() - _BESIDE, side.max() + _BESIDE, _GRAIN[0]) for side in near.T]
+    cells = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1)
+    beside = shapely.distance(shapely.LineString(path.points), shapely.points(cells)) < _BESIDE
+    walls_off = (around.at(cells) >= ROBOT_RADIUS) & beside
     free = np.repeat(walls_off[None], len(poses), axis=0)
-    at = np.clip(np.round((poses[:, :2] - cells[0, 0]) / _GRAIN[:2]).astype(int), -len(ticks), 2 * len(ticks))
+    size = np.array(walls_off.shape)
+    at = np.clip(np.round((poses[:, :2] - cells[0, 0]) / _GRAIN[:2]).astype(int), -size, 2 * size)
     turns = np.round(poses[:, 2] / _GRAIN[2]).astype(int)
     for turn in np.unique(turns):
         taken = _taken(turn * _GRAIN[2], half_extents)
@@ -234,6 +258,8 @@ def _passes(
     on_path = tuple(np.round((near - cells[0, 0]) / _GRAIN[:2]).astype(int).T)
     passes = (free[:, *on_path] == walls_off[on_path]).all(axis=1)
     passes[~passes] = _joined(free[~passes], [np.linalg.norm(cells - end, axis=-1) for end in (near[0], near[-1])])
+    far = np.flatnonzero(np.abs(poses[:, :2] - middle).max(axis=1) > _WINDOW - np.hypot(*half_extents) - ROBOT_RADIUS)
+    passes[far] &= ~_near(poses[far, None], half_extents, beyond).any(axis=1)
     return passes
 
 
@@ -244,7 +270,7 @@ def _joined(free: Bool[np.ndarray, "N c c"], from_end: Sequence[Float[np.ndarray
     labels, _ = scipy.ndimage.label(free, same)
     ends = []
     for distance in from_end:
-        found = labels.reshape(len(free), -1)[:, np.argsort(distance, axis=None)[:_ENDS]]
+        found = labels.reshape(len(free), math.prod(free.shape[1:]))[:, np.argsort(distance, axis=None)[:_ENDS]]
         ends.append(np.where(found.any(axis=1), found[np.arange(len(found)), np.argmax(found > 0, axis=1)], 0))
     return np.asarray((ends[0] == ends[1]) & (ends[0] > 0))
 
@@ -254,8 +280,15 @@ def _taken(yaw: float, half_extents: tuple[float, float]) -> Bool[np.ndarray, "c
     reach = int((np.hypot(*half_extents) + ROBOT_RADIUS + _PATH_MARGIN) / _GRAIN[0]) + 1
     ticks = _GRAIN[0] * np.arange(-reach, reach + 1)
     cells = np.stack(np.meshgrid(ticks, ticks, indexing="ij"), axis=-1)
-    local = np.abs(se2.inverse_transform_point(np.array([0.0, 0.0, yaw]), cells))
-    return np.linalg.norm(np.maximum(local - half_extents, 0.0), axis=-1) < ROBOT_RADIUS + _PATH_MARGIN
+    return _near(np.array([0.0, 0.0, yaw]), half_extents, cells)
+
+
+def _near(
+    pose: Float[np.ndarray, "*b 3"], half_extents: tuple[float, float], points: Float[np.ndarray, "*b 2"]
+) -> Bool[np.ndarray, "*b"]:
+    """Whether an object at ``pose`` leaves the robot no room at a point."""
+    local = np.abs(se2.inverse_transform_point(pose, points))
+    return np.asarray(np.linalg.norm(np.maximum(local - half_extents, 0.0), axis=-1) < ROBOT_RADIUS + _PATH_MARGIN)
 
 
 def _dense(points: Float[np.ndarray, "N 2"], spacing: float = 0.1) -> Float[np.ndarray, "M 2"]:

@@ -60,8 +60,8 @@ _LONGEST_RETREAT = 6.0
 _LONGEST_CONTACT = 10.0
 """Time to feel the object after which something else must hold the hands [s]; two are usual."""
 PROBE_ROOM = 0.03
-"""How far the probe's lean may stay below what the governor grants, while the object has not moved yet [rad]: a verdict
-on what was only touched gently would be worth little."""
+"""How far the lean may stay below what the governor grants, while the object has not moved yet [rad]: a verdict on what
+was only touched gently would be worth little."""
 
 
 class _Mode(NamedTuple):
@@ -234,9 +234,8 @@ def _approach(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[Na
         state = replace(state.with_segment(contact=begun), drive=drive.init())
         state = state.go(now, Mode.CONTACT, "at the stand-off pose, arms extended")
     elif move.failed:
-        state = state.go(now, Mode.REPLAN, "the stand-off pose was not reached in time")
+        state = state.failed().go(now, Mode.REPLAN, "the stand-off pose was not reached in time")
     elif state.known().displaced:
-        state = state.with_object(segment.object, pushes=state.known().pushes - 1)
         state = state.go(now, Mode.REPLAN, f"object {segment.object} was moved while it was being approached")
     return state, move.command
 
@@ -254,25 +253,24 @@ def _contact(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[Nav
         state = replace(state, key=key).with_segment(push=begun)
         state = state.go(now, Mode.PROBE, f"contact with object {segment.object}")
     elif move.failed:
-        state = state.go(now, Mode.REPLAN, "drifted off the face while making contact")
+        state = state.failed().go(now, Mode.REPLAN, "drifted off the face while making contact")
     elif now - state.since > _LONGEST_CONTACT:
         text = f"object {segment.object} was not felt in {_LONGEST_CONTACT:g} s of reaching for it"
-        state = replace(state, drive=drive.init()).go(now, Mode.RETREAT, text)
+        state = replace(state.failed(), drive=drive.init()).go(now, Mode.RETREAT, text)
     return state, move.command
 
 
 def _push(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Command]:
     segment, known = state.current(), state.known()
     assert segment.push is not None
-    firm = PROBE_ROOM if state.mode is Mode.PROBE and not rolled(segment.push, known.pose) else None
+    firm = None if rolled(segment.push, known.pose) else PROBE_ROOM
     object_obs = ObjectObservation.of(obs, segment.object)
     pushed, command = push.step(
         setup.controller, segment.push, object_obs, segment.face, state.last_u, segment.goal, segment.around,
         known.half_extents, firm,
     )  # fmt: skip
     state = state.with_segment(push=pushed)
-    gave_way = known.gave_way or rolled(pushed, known.pose)
-    state = state.with_object(segment.object, adapt=pushed.pusher.adapt, gave_way=gave_way)
+    state = state.with_object(segment.object, adapt=pushed.pusher.adapt)
     state = judge(setup, state, obs)
     return _retreat(setup, state, obs) if state.mode is Mode.RETREAT else (state, command)
 
@@ -345,10 +343,12 @@ class Navigator:
         return command
 
     def head_for(self, goal: Numbers | Float[Array, "2"], now: float) -> None:
-        """Go on to another goal in {W}, with all that is known; objects get their pushes and chances anew."""
+        """Go on to another goal in {W}, with all that is known; each side of an object may be tried anew."""
         state = replace(self.state, goal=_goal(goal), path=None, drive=drive.init())
         for index in state.belief.objects:
-            state = state.with_object(index, pushes=0, chances=0, failed_faces=(), in_the_way=0)
+            state = state.with_object(index, failed_faces=(), price=None, in_the_way=0)
+            if state.belief.objects[index].given_up is not None:
+                state = state.with_object(index, given_up=-1)
         self.state = replace(state, mode=Mode.REPLAN, since=now, segment=None, pending=None, waits_from=None)
 
     def expect(self, sizes: Sequence[tuple[float, float]], kinds: Sequence[str | None] | None = None) -> None:

@@ -18,15 +18,15 @@ from shmoo_mjx.navigation.flat_qp import Planner, TrajectoryConfig
 from shmoo_mjx.navigation.object_planner import ObjectPlannerConfig
 from shmoo_mjx.navigation.paths import Path
 from shmoo_mjx.navigation.routes import Routes
-from shmoo_mjx.planning.reach import Foresight, foresight_of
 from shmoo_mjx.skills.approach import ApproachState
 from shmoo_mjx.skills.contact import ContactState
 from shmoo_mjx.skills.push import PushState
 from shmoo_mjx.types import Observation
 
-_DETOUR = 9.0
-"""Extra length up to which a way round is taken where nothing foresees what a push would lead to [m]: it takes some
-15 s, in which the robot walks twice as far."""
+_MOVED = 0.3
+"""After a push that has moved an object this far its sides are others than before [m]."""
+_PRICES = {"when quicker": None, "always": 1e4, "never": 0.0}
+"""What it is taken to cost to push an object aside, where that does not come from what is known of it [s]."""
 
 
 class Mode(StrEnum):
@@ -55,25 +55,12 @@ class NavigatorConfig:
     latency: float = 0.0
     """Time from what a command answers to its effect [s]; the robot's motion is foreseen for so long, the less exactly
     the longer."""
-    detour: float | None = None
-    """Extra length up to which a way round is taken rather than a push [m]; more makes for fewer pushes. None leaves it
-    to the expected time, or takes 9 m where that does not decide."""
-    decides_by: Literal["time", "mobility", "K"] = "time"
-    """What decides about an object: the expected time of each option, by roll-outs of what was learned of it (of a
-    pushing controller with a learned model); how far it has come for what the hands have spent on it; or K of its first
-    planning stage, as in the paper."""
-    sure: float = 0.95
-    """Probability [1] from which a verdict by mobility falls before ``decide_after``; nearer to 1 it is later, and more
-    often right."""
-    decide_after: float = 3.0
-    """Contact time after which a verdict falls whatever its probability [s]; later it is more often right."""
-    max_pushes: int = 4
-    """Pushes of one object before it is registered as an obstacle; more try longer."""
-    goes_round: bool = True
-    """False: every object in the way is pushed, none is ever registered or gone round. For comparison."""
-    chances: int = 3
-    """How often each registered object is tried again where every route is blocked; more gets through more often, and
-    gives up later."""
+    decides_by: Literal["time", "K"] = "time"
+    """What decides about an object: the expected time of each option, by roll-outs of what was learned of it; or
+    Algorithm 1 of the paper, which pushes whatever is in the way and goes round where K says that it can't be moved."""
+    goes_round: Literal["when quicker", "always", "never"] = "when quicker"
+    """Whether a way round is taken, where expected times decide: where it takes less time than a push, wherever there
+    is one, or never. The last two are for comparison."""
     planner: ObjectPlannerConfig = ObjectPlannerConfig()
     trajectory: TrajectoryConfig = TrajectoryConfig(robot_radius=0.27)
 
@@ -88,7 +75,7 @@ class Transition(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """One planning stage of the object planner, with its evidence."""
+    """What to do about an object, with the evidence."""
 
     t: float
     object: int
@@ -100,10 +87,8 @@ class Decision(NamedTuple):
     rollouts: Float[np.ndarray, "R T 2"]
     """Predicted object positions, best first."""
     candidates: Float[np.ndarray, "C 3"]
-    asked: Float[np.ndarray, "3"]
-    """Where the roll-outs were to bring the object, in {W}."""
     probability: float
-    """That the object can be moved, by what the push has shown so far."""
+    """That a push frees the path, of the best option; NaN where K decides."""
 
 
 class Note(NamedTuple):
@@ -138,16 +123,12 @@ class Segment:
     """To the stand-off pose."""
     approach: ApproachState
     around: LocalDistanceField
-    detour: float
-    """How much longer the way round is than the path through the object [m]; infinite where there is none."""
     contact: ContactState | None = None
     push: PushState | None = None
     back: Path | None = None
     """Away from the object, once the push is over."""
     reviewed: float = 0.0
     """Contact time at the last planning stage [s]."""
-    straight_from: float | None = None
-    """Since when the object has been pushed straight ahead, wherever it was to go before it stuck [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,8 +143,6 @@ class NavigatorState:
     since: float = 0.0
     """When the mode began [s]."""
     path: Path | None = None
-    gone_round: frozenset[int] = frozenset()
-    """Objects that the path has been led round since the last plan."""
     waits_from: float | None = None
     """Since when no way to the goal has been known [s]."""
     segment: Segment | None = None
@@ -201,6 +180,19 @@ class NavigatorState:
         """The state with these fields of object ``index`` changed."""
         return replace(self, belief=self.belief.with_object(index, **changes))
 
+    def failed(self) -> NavigatorState:
+        """The state in which the push has not freed the way: one that has hardly moved the object counts against its
+        side."""
+        known, segment = self.known(), self.current()
+        if segment.push is not None and segment.push.moved(known.pose) > _MOVED:
+            return self
+        return self.with_object(segment.object, failed_faces=(*known.failed_faces, segment.side))
+
+    def given_up(self, index: int) -> NavigatorState:
+        """The state in which object ``index`` is registered as an obstacle."""
+        known, pushes = self.belief.objects[index], self.belief.pushes
+        return self.with_object(index, status=Status.FIXED, registered=known.pose, given_up=pushes)
+
 
 @dataclass(frozen=True, eq=False)
 class Pending:
@@ -227,17 +219,12 @@ class Setup(NamedTuple):
     """What each object looks like: "box", "cart", "wheelchair", or None for none of them, as all are if not given."""
 
     @property
-    def foresight(self) -> Foresight | None:
-        """What foresees outcomes where expected times decide; None where they do not."""
-        return foresight_of(self.controller) if self.config.decides_by == "time" else None
-
-    @property
-    def detour(self) -> float:
-        """Extra length up to which a way round is taken whatever a push may promise [m]."""
-        if self.config.detour is not None:
-            return self.config.detour
-        return 0.0 if self.foresight else _DETOUR
+    def by_time(self) -> bool:
+        """Whether expected times decide."""
+        return self.config.decides_by == "time"
 
     def routes(self, state: NavigatorState) -> Routes:
         """Path queries on the present belief."""
-        return Routes(state.belief, state.goal)
+        if not self.by_time:
+            return Routes(state.belief, state.goal, (Status.UNKNOWN,), 0.0)
+        return Routes(state.belief, state.goal, price=_PRICES[self.config.goes_round])

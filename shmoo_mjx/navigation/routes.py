@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import heapq
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -16,12 +18,18 @@ from shmoo_mjx.hands import REACH, TUCKED_REACH
 from shmoo_mjx.navigation.belief import Belief, KnownObject, Status
 from shmoo_mjx.navigation.clearance import ClearanceField
 from shmoo_mjx.navigation.footprints import footprint_polygon, footprints_free
-from shmoo_mjx.navigation.paths import Path, plan_path
+from shmoo_mjx.navigation.paths import Path, path_blocked_by, plan_path
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS
 from shmoo_mjx.plant import outline
 from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.skills.approach import CONTACT_GAP
 
+PACE = 0.45
+"""Speed of walking [m/s]."""
+PUSH = 20.0
+"""What it is taken to cost to push an object aside that has not been looked at yet [s]."""
+SLACK = 0.03
+"""By how much an object may come nearer to the path than the robot's radius before it blocks it [m]."""
 _REACHING_ROOM = (0.06, 0.01)
 """Distance from walls and other objects that body, arms and hands keep from the stand-off pose to contact [m], where
 there is a way to; and where not."""
@@ -54,6 +62,14 @@ _WIDER_GAPS = (0.2, 0.3, 0.4)
 """Distances between hands and face from which contact is sought where a wall leaves no room nearer by [m]."""
 
 
+class Route(NamedTuple):
+    """A way to the goal."""
+
+    path: Path
+    seconds: float
+    """Expected time, that of pushing aside what it leads through included [s]."""
+
+
 @dataclass(frozen=True)
 class Routes:
     """Path queries. Every ``position`` is the robot's, in {W} [m]."""
@@ -61,12 +77,52 @@ class Routes:
     belief: Belief
     goal: Float[np.ndarray, "2"]
     """In {W} [m]."""
+    pushed: tuple[Status, ...] = (Status.UNKNOWN, Status.PARKED)
+    """What may be pushed aside; the rest is gone round."""
+    price: float | None = None
+    """Expected time that this takes [s]; None where it is each object's own."""
 
-    def path_clear(self, position: Float[np.ndarray, "2"], known: KnownObject) -> bool:
-        """Whether the way on passes the object where it stands, little longer than without it."""
-        path = self.free_path(position, known)
-        around = self.free_path(position, known, known.polygon.buffer(_PATH_MARGIN))
-        return path is not None and around is not None and around.length < path.length + _PASSING
+    def quickest(
+        self, position: Float[np.ndarray, "2"], round_it: Mapping[int, float] | None = None, without: int | None = None
+    ) -> Route | None:
+        """The way to the goal of least expected time, which leads round some objects and through others.
+
+        Paths round more and more of what is in the way are sought, those first that could be the quickest.
+
+        Args:
+            position: of the robot.
+            round_it: what is not to be pushed aside, with the margin to keep from it [m].
+            without: an object that is taken not to be there.
+        """
+        objects, round_it = self.belief.objects, round_it or {}
+        there = {i: o for i, o in objects.items() if i != without}
+        soft = {i: o for i, o in there.items() if o.status in self.pushed and i not in round_it}
+        hard = [o.avoided.buffer(round_it.get(i, 0.0)) for i, o in there.items() if i not in soft]
+        best: Route | None = None
+        waiting, met = [(0.0, 0, frozenset[int]())], 0
+        while waiting and (best is None or waiting[0][0] < best.seconds):
+            _, _, kept_from = heapq.heappop(waiting)
+            path = self.plan(position, [*hard, *(soft[i].avoided for i in kept_from)])
+            if path is None:
+                continue
+            walk, near = path.length / PACE, ROBOT_RADIUS - SLACK
+            through = [i for i in soft.keys() - kept_from if path_blocked_by(path, soft[i].polygon, near)[0]]
+            seconds = walk + sum(self._price(soft[i]) for i in through)
+            best = Route(path, seconds) if best is None or seconds < best.seconds else best
+            for i in through:
+                met += 1
+                if all(kept_from | {i} != other for _, _, other in waiting):
+                    heapq.heappush(waiting, (walk, met, kept_from | {i}))
+        return best
+
+    def _price(self, known: KnownObject) -> float:
+        own = PUSH if known.price is None else known.price
+        return own if self.price is None else self.price
+
+    def path_clear(self, position: Float[np.ndarray, "2"], index: int) -> bool:
+        """Whether the way on passes object ``index`` where it stands, little longer than without it."""
+        through, around = self.quickest(position, without=index), self.quickest(position, {index: _PATH_MARGIN})
+        return through is not None and around is not None and around.seconds < through.seconds + _PASSING / PACE
 
     def free_path(
         self, position: Float[np.ndarray, "2"], known: KnownObject, instead: shapely.Polygon | None = None

@@ -6,6 +6,7 @@ posterior in one batch, so that an outcome is a distribution.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
@@ -168,9 +169,10 @@ class Foresight:
         return jax.tree.map(np.asarray, self._run(known, key, *given, Options(*map(np.asarray, options))))
 
 
-def foresight_of(controller: Any) -> Foresight | None:
-    """The foresight of a pushing controller; None for one without a learned model."""
-    return _of(controller) if isinstance(controller, PushController) else None
+def foresight_of(controller: Any) -> Callable[..., Outcomes]:
+    """What foresees where a controller's pushes lead: `Foresight`, or a method ``foresee`` of its own like it."""
+    foresee: Callable[..., Outcomes] = _of(controller) if isinstance(controller, PushController) else controller.foresee
+    return foresee
 
 
 _of = lru_cache(maxsize=4)(Foresight)

@@ -10,7 +10,8 @@ import pytest
 from shmoo_mjx.faces import faces_of
 from shmoo_mjx.navigation.belief import KnownObject, Status, belief_of
 from shmoo_mjx.navigation.maps import FREE, OCCUPIED, OccupancyGrid
-from shmoo_mjx.navigation.routes import Routes
+from shmoo_mjx.navigation.paths import path_blocked_by
+from shmoo_mjx.navigation.routes import PACE, PUSH, Routes
 from shmoo_mjx.types import Observation
 
 HALF = (0.25, 0.25)
@@ -96,14 +97,40 @@ def routes(doors: tuple[float, ...], pose: tuple[float, float, float]) -> tuple[
 
 @pytest.mark.parametrize(("y", "clear"), [(3.0, False), (4.6, True)])
 def test_the_path_is_clear_once_the_object_stands_beside_it(y: float, clear: bool) -> None:
-    ways, known = routes((3.0,), (3.6 if clear else 3.0, y, 0.0))
-    assert ways.path_clear(np.array([1.0, 3.0]), known) is clear
+    ways, _ = routes((3.0,), (3.6 if clear else 3.0, y, 0.0))
+    assert ways.path_clear(np.array([1.0, 3.0]), 0) is clear
 
 
 def test_the_way_through_another_door_is_not_a_clear_path() -> None:
     ways, known = routes((3.0, 5.0), (3.0, 3.0, 0.0))
     assert ways.plan(np.array([1.0, 3.0]), [known.polygon]) is not None
-    assert not ways.path_clear(np.array([1.0, 3.0]), known)
+    assert not ways.path_clear(np.array([1.0, 3.0]), 0)
+
+
+@pytest.mark.parametrize(
+    ("prices", "goes_through"), [((None, None), {0}), ((1.0, 9.0), {0}), ((30.0, 1.0), {1}), ((1e4, 1e4), {0})]
+)
+def test_the_quickest_way_leads_through_what_is_cheapest_to_push(
+    prices: tuple[float | None, float | None], goes_through: set[int]
+) -> None:
+    """An object in each of two doorways, the nearer one first; without a third way one of them has to be pushed."""
+    objects = {
+        i: KnownObject(np.array((3.0, y, 0.0)), HALF, price=price)
+        for i, (y, price) in enumerate(zip((3.0, 5.0), prices, strict=True))
+    }
+    ways = Routes(replace(belief_of(rooms((3.0, 5.0))), objects=objects), np.array([5.0, 3.0]))
+    here = np.array([1.0, 3.0])
+    way = ways.quickest(here)
+    assert way is not None
+    met = {i for i, o in objects.items() if path_blocked_by(way.path, o.polygon, 0.2)[0]}
+    assert met == goes_through
+    told = [PUSH if p is None else p for p in prices]
+    assert way.seconds == pytest.approx(way.path.length / PACE + sum(told[i] for i in met))
+    other = ways.quickest(here, {next(iter(met)): 0.0})
+    assert other is not None and other.seconds >= way.seconds
+    free = ways.quickest(here, without=next(iter(met)))
+    assert free is not None and free.seconds <= way.seconds
+    assert ways.quickest(here, {0: 0.0, 1: 0.0}) is None
 
 
 def test_goals_keep_off_walls_and_the_path() -> None:

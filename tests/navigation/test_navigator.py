@@ -12,10 +12,10 @@ from toy import toy_scenario
 from toy_world import HALF, Stand, World, reasons, run, said, visited
 
 from shmoo_mjx.faces import heading
+from shmoo_mjx.navigation import decide
 from shmoo_mjx.navigation.belief import Status
 from shmoo_mjx.navigation.maps import FREE, OCCUPIED, OccupancyGrid
 from shmoo_mjx.navigation.navigator import PROBE_ROOM, Navigator
-from shmoo_mjx.navigation.object_planner import ObjectPlannerConfig
 from shmoo_mjx.navigation.records import Mode, NavigatorConfig
 from shmoo_mjx.types import DT, Observation
 
@@ -24,7 +24,6 @@ def test_a_movable_box_in_the_only_doorway_is_pushed_away() -> None:
     navigator, world = run(doors=1)
     assert navigator.mode is Mode.DONE
     assert {Mode.APPROACH, Mode.CONTACT, Mode.PROBE, Mode.PUSH, Mode.RETREAT} <= visited(navigator)
-    assert navigator.belief.objects[0].status is Status.PARKED
     assert np.linalg.norm(world.box[:2] - (3.0, 2.025)) > 0.3
 
 
@@ -63,7 +62,7 @@ def test_a_box_that_stands_aslant_behind_a_doorway_is_pushed_at_its_corner() -> 
     assert navigator.mode is Mode.APPROACH, reasons(navigator)
     assert navigator.segment is not None
     assert heading(world.box, navigator.segment.face) == pytest.approx(0.0)
-    assert "at a corner" in reasons(navigator)
+    assert navigator.segment.side >= 4
 
 
 @pytest.mark.parametrize("moves", [True, False])
@@ -79,9 +78,7 @@ def test_only_what_stands_still_is_called_immovable_once_it_has_been_called_mova
     assert (navigator.mode is Mode.DONE) == moves
 
 
-def test_what_rolls_away_after_a_short_touch_can_be_moved_and_is_let_go() -> None:
-    """Too little contact for anything but its own motion to tell, which is enough."""
-
+def test_what_rolls_away_after_a_short_touch_is_let_go() -> None:
     def rolls(world: World, navigator: Navigator) -> None:
         if navigator.segment is not None and navigator.segment.push is not None:
             world.foreseen = False
@@ -90,10 +87,8 @@ def test_what_rolls_away_after_a_short_touch_can_be_moved_and_is_let_go() -> Non
 
     navigator, _ = run(1, happens=rolls, seconds=25.0)
     began = next(t.t for t in navigator.transitions if t.target is Mode.PROBE)
-    judged = next(t for t in navigator.transitions if t.source is Mode.PROBE)
-    assert "is manipulable" in judged.reason and judged.t - began < 1.0
-    lost = next(t for t in navigator.transitions if t.source is Mode.PUSH)
-    assert "lost" in lost.reason and lost.t - began < 6.0
+    lost = next(t for t in navigator.transitions if t.target is Mode.RETREAT)
+    assert ("lost" in lost.reason or "no longer blocks" in lost.reason) and lost.t - began < 6.0
 
 
 @pytest.mark.parametrize("status", [Status.FIXED, Status.PARKED, Status.UNKNOWN])
@@ -111,14 +106,14 @@ def test_what_it_stands_too_near_to_does_not_keep_it_from_setting_out(status: St
 
 
 def test_an_immovable_box_is_registered_and_gone_round() -> None:
-    navigator, _ = run(doors=2, movable=False, config=NavigatorConfig(detour=0.1))
+    navigator, _ = run(doors=2, movable=False, config=NavigatorConfig(decides_by="K"))
     assert navigator.mode is Mode.DONE
     assert navigator.belief.objects[0].status is Status.FIXED
     assert Mode.PUSH not in visited(navigator) and not navigator.decisions[-1].manipulable
 
 
 def test_the_way_round_one_object_does_not_lead_through_another_that_is_gone_round() -> None:
-    """A box in each of two doorways, equally far: it stops to push one, where it once turned from one to the other."""
+    """A box in each of two doorways, equally far: it stops to push one, and does not turn from one to the other."""
     grid, scenario = toy_scenario(2, True)
     world = World((1.8, 1.3, 0.0), scenario.objects[0].pose, movable=True)
     navigator = Navigator(grid, scenario.goal, [HALF, HALF], Stand(world))  # type: ignore[arg-type]
@@ -129,7 +124,7 @@ def test_the_way_round_one_object_does_not_lead_through_another_that_is_gone_rou
     for _ in range(4):
         navigator.tick(seen._replace(**both))
     assert navigator.mode is Mode.APPROACH, reasons(navigator)
-    assert reasons(navigator).count("going round it costs") == 1
+    assert len([t for t in navigator.transitions if t.target is Mode.FOLLOW]) <= 2
 
 
 def test_gaps_that_look_wide_enough_only_from_afar_are_not_tried_for_ever() -> None:
@@ -140,7 +135,7 @@ def test_gaps_that_look_wide_enough_only_from_afar_are_not_tried_for_ever() -> N
     far = np.array([(3.0, 1.915, 0.0), (3.0, 6.915, 0.0)])
     world = World((1.2, 4.0, 0.0), (3.0, 1.915, 0.0), movable=False)
     navigator = Navigator(
-        OccupancyGrid(cells, 0.05), [5.0, 4.0], [HALF, HALF], Stand(world), config=NavigatorConfig(chances=0),
+        OccupancyGrid(cells, 0.05), [5.0, 4.0], [HALF, HALF], Stand(world),
         first_status=[Status.FIXED, Status.FIXED],
     )  # type: ignore[arg-type]  # fmt: skip
     still = {"object_twist": np.zeros((1, 2, 3)), "wrench": np.zeros((1, 2, 3)), "object_age": np.zeros((1, 2)),
@@ -153,16 +148,28 @@ def test_gaps_that_look_wide_enough_only_from_afar_are_not_tried_for_ever() -> N
     assert reasons(navigator).count("(fixed) is in the way") == 4, reasons(navigator)
 
 
-def test_with_no_way_left_it_says_so_after_three_more_tries_and_stands_still() -> None:
+def test_with_no_way_left_it_says_so_and_stands_still() -> None:
     navigator, world = run(doors=1, movable=False)
     assert navigator.mode is Mode.FAILED
     assert "every route to the goal is blocked" in navigator.transitions[-1].reason
-    assert "object 0, registered as an obstacle, is tried again" in said(navigator)
-    assert sum(t.target is Mode.PROBE for t in navigator.transitions) == 1 + navigator.config.chances
     assert np.linalg.norm(world.velocity) < 0.15
-    assert navigator.belief.objects[0].pushes > 0
+    known = navigator.belief.objects[0]
+    assert known.pushes > 0 and known.failed_faces and known.given_up == known.pushes
     navigator.head_for([5.0, 2.0], world.time)
-    assert navigator.belief.objects[0].chances == navigator.belief.objects[0].pushes == 0
+    assert navigator.belief.objects[0].failed_faces == ()
+
+
+@pytest.mark.parametrize(("pushes", "again"), [(2, False), (3, True)])
+def test_what_was_given_up_is_looked_at_again_once_something_has_been_pushed_since(pushes: int, again: bool) -> None:
+    grid, scenario = toy_scenario(1, False)
+    world = World(scenario.start, scenario.objects[0].pose, movable=False)
+    navigator = Navigator(grid, scenario.goal, [HALF], Stand(world))  # type: ignore[arg-type]
+    navigator.tick(world.observe())
+    given_up = navigator.state.with_object(0, status=Status.FIXED, given_up=2, pushes=pushes)
+    navigator.state = replace(given_up, mode=Mode.REPLAN)
+    navigator.tick(world.observe())
+    assert ("is looked at again" in said(navigator)) == again
+    assert (navigator.mode is Mode.FOLLOW) == again
 
 
 def test_what_holds_the_hands_and_is_never_felt_is_given_up() -> None:
@@ -176,44 +183,30 @@ def test_what_holds_the_hands_and_is_never_felt_is_given_up() -> None:
     assert Mode.PROBE not in visited(navigator) and "was not felt" in reasons(navigator)
 
 
-@pytest.mark.parametrize("held", [0.0, 1.3])
-def test_the_verdict_waits_for_what_holds_at_first(held: float) -> None:
-    """The roll-outs foresee motion all along; the box holds for a while."""
-    places: list[tuple[np.ndarray, np.ndarray]] = []
-
-    def holds(world: World, navigator: Navigator) -> None:
-        push = None if navigator.segment is None else navigator.segment.push
-        if navigator.mode is Mode.PROBE and push is not None and push.contact_time < held:
-            places.append((world.box.copy(), world.pose.copy()))
-            world.box[:], world.pose[:] = places[0]
-
-    navigator, _ = run(1, happens=holds)
+@pytest.mark.parametrize("decides_by", ["time", "K"])
+def test_the_first_decision_falls_after_a_second_of_contact(decides_by: Any) -> None:
+    navigator, _ = run(1, config=NavigatorConfig(decides_by=decides_by))
     began = next(t.t for t in navigator.transitions if t.target is Mode.PROBE)
-    believed = next(t.t for t in navigator.transitions if t.target is Mode.PUSH)
-    first = navigator.decisions[0]
-    assert first.manipulable and first.probability > navigator.config.sure
-    assert held - DT <= believed - began < max(held, 1.0) + 1.0
+    decided = next(t.t for t in navigator.transitions if t.target is Mode.PUSH)
+    assert 1.0 - DT < decided - began < 2.0
 
 
-@pytest.mark.parametrize(
-    ("decides_by", "doors", "verdict", "longest"),
-    [("mobility", 2, False, 3.5), ("mobility", 1, False, 6.5), ("K", 1, True, 1.5)],
-)
-def test_what_holds_is_immovable_whatever_the_model_foresees(
-    decides_by: Any, doors: int, verdict: bool, longest: float
-) -> None:
-    """By K, the paper's rule, the model is believed after a second; where there is no way round, the probe goes on
-    until it stalls."""
+@pytest.mark.parametrize(("decides_by", "doors"), [("time", 2), ("time", 1), ("K", 2)])
+def test_what_holds_is_left_however_well_the_model_speaks_of_it(decides_by: Any, doors: int) -> None:
+    """Each push ends once it stalls, and the next one on that side is trusted less; by Algorithm 1 it is registered."""
 
     def holds(world: World, navigator: Navigator) -> None:
         world.movable, navigator.setup.controller.foresees = False, True
 
-    config = NavigatorConfig(decides_by=decides_by, detour=0.1)
-    navigator, _ = run(doors, movable=False, happens=holds, config=config, seconds=30.0)
-    began = next(t.t for t in navigator.transitions if t.target is Mode.PROBE)
-    judged = next(t for t in navigator.transitions if t.source is Mode.PROBE)
-    assert navigator.decisions[0].manipulable == verdict
-    assert longest / 2 - 1.0 < judged.t - began < longest
+    config = NavigatorConfig(decides_by=decides_by)
+    navigator, _ = run(doors, movable=False, happens=holds, config=config, seconds=240.0)
+    assert navigator.mode is (Mode.DONE if doors == 2 else Mode.FAILED)
+    for begun, ended in zip(
+        [t.t for t in navigator.transitions if t.target is Mode.PROBE],
+        [t.t for t in navigator.transitions if t.target is Mode.RETREAT],
+        strict=True,
+    ):
+        assert ended - begun < decide.GIVES_UP + 1.0
 
 
 @pytest.mark.parametrize("movable", [True, False])
@@ -225,23 +218,6 @@ def test_the_probe_leans_in_firmly_until_the_object_moves(movable: bool) -> None
     assert all(firm) != movable
 
 
-def test_without_another_chance_it_gives_up_at_once() -> None:
-    navigator, _ = run(doors=1, movable=False, config=NavigatorConfig(chances=0))
-    assert navigator.mode is Mode.FAILED and "tried again" not in said(navigator)
-
-
-def test_an_object_that_was_registered_and_becomes_free_is_pushed_after_all() -> None:
-    def release(world: World, navigator: Navigator) -> None:
-        if navigator.belief.objects and navigator.belief.objects[0].status is Status.FIXED:
-            world.movable = True
-
-    navigator, _ = run(doors=1, movable=False, happens=release)
-    assert navigator.mode is Mode.DONE
-    assert "is tried again" in said(navigator)
-    assert [d.manipulable for d in navigator.decisions][-1]
-    assert not navigator.decisions[0].manipulable
-
-
 def test_a_registered_object_that_somebody_moves_counts_as_unknown_again() -> None:
     moved_at = []
 
@@ -251,8 +227,7 @@ def test_a_registered_object_that_somebody_moves_counts_as_unknown_again() -> No
             world.box[:] = (4.6, 1.0, 0.3)
             moved_at.append(world.time)
 
-    # Going round is far: the robot is still in sight of the object when it is carried away.
-    navigator, _ = run(doors=2, movable=False, config=NavigatorConfig(detour=0.1), happens=carry)
+    navigator, _ = run(doors=2, movable=False, config=NavigatorConfig(decides_by="K"), happens=carry)
     assert navigator.mode is Mode.DONE and moved_at
     assert "object 0 (fixed) stands" in said(navigator) and "counts as unknown again" in said(navigator)
 
@@ -337,17 +312,23 @@ def test_a_goal_that_becomes_unreachable_ends_the_run_with_the_reason() -> None:
 
 
 def test_a_policy_that_avoids_everything_touches_nothing() -> None:
-    config = NavigatorConfig(chances=0)
-    navigator, world = run(doors=2, config=config, first_status=[Status.FIXED])
+    navigator, world = run(doors=2, first_status=[Status.FIXED])
     assert navigator.mode is Mode.DONE and Mode.APPROACH not in visited(navigator)
     np.testing.assert_allclose(world.box[:2], (3.0, 2.025))
-    blocked, _ = run(doors=1, config=config, first_status=[Status.FIXED])
+    blocked, _ = run(doors=1, first_status=[Status.FIXED])
     assert blocked.mode is Mode.FAILED and Mode.APPROACH not in visited(blocked)
 
 
 def test_a_policy_that_never_goes_round_pushes_until_it_gives_up() -> None:
-    config = replace(NavigatorConfig(goes_round=False), planner=ObjectPlannerConfig(threshold=0.0))
-    navigator, _ = run(doors=2, movable=False, config=config, seconds=200.0)
+    navigator, _ = run(doors=1, movable=False, config=NavigatorConfig(goes_round="never"), seconds=200.0)
     assert navigator.mode is Mode.FAILED
     assert "going round is not allowed" in navigator.transitions[-1].reason
-    assert navigator.belief.objects[0].pushes == config.max_pushes
+    assert navigator.belief.objects[0].pushes > 0
+
+
+def test_a_policy_that_always_goes_round_pushes_only_where_there_is_no_way_round() -> None:
+    config = NavigatorConfig(goes_round="always")
+    navigator, _ = run(doors=2, config=config)
+    assert navigator.mode is Mode.DONE and Mode.APPROACH not in visited(navigator)
+    navigator, _ = run(doors=1, config=config)
+    assert navigator.mode is Mode.DONE and Mode.PUSH in visited(navigator)

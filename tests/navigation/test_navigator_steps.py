@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from toy import toy_scenario
-from toy_world import HALF, Stand, World, reasons, run, said
+from toy_world import HALF, Stand, World, reasons, run
 
 from shmoo_mjx.navigation.maps import FREE, OCCUPIED, OccupancyGrid
 from shmoo_mjx.navigation.navigator import MODES, Navigator, init, setup_of, step
@@ -122,45 +122,35 @@ def test_a_probe_that_lost_contact_does_not_plan_at_every_sample() -> None:
 
 
 @pytest.mark.parametrize("doors", [1, 2])
-def test_what_has_given_way_before_and_sticks_is_not_tried_on_the_same_face_for_ever(doors: int) -> None:
-    """One side and two corners can be reached. With a way round it is pushed once; without one at each, and three times
-    more."""
-
+def test_what_sticks_is_left_for_the_way_round_and_without_one_tried_on_every_side_until_none_is_worth_it(
+    doors: int,
+) -> None:
     def sticks(world: World, navigator: Navigator) -> None:
         if navigator.mode is Mode.PUSH and world.box[0] > 3.15:
             world.foreseen = world.movable = False
 
-    navigator, _ = run(doors, happens=sticks, seconds=150.0, config=NavigatorConfig(detour=0.1))
-    assert "given way before, and is left where it is" in reasons(navigator)
-    assert navigator.mode is (Mode.FAILED if doors == 1 else Mode.DONE)
-    assert [t.target for t in navigator.transitions].count(Mode.PROBE) == (6 if doors == 1 else 1)
+    navigator, _ = run(doors, happens=sticks, seconds=200.0)
+    probes = [t.target for t in navigator.transitions].count(Mode.PROBE)
+    if doors == 2:
+        assert navigator.mode is Mode.DONE and probes <= 1
+        return
+    assert navigator.mode is Mode.FAILED and "registered as an obstacle" in reasons(navigator)
+    tried = navigator.belief.objects[0].failed_faces
+    assert len(tried) == probes and len(set(tried)) >= 2
 
 
-def test_an_object_that_sticks_on_the_way_to_its_goal_is_pushed_straight_ahead() -> None:
-    """It turns no further, say, but gives way straight ahead."""
-
-    def sticks(world: World, navigator: Navigator) -> None:
-        segment = navigator.segment
-        if navigator.mode is Mode.PUSH and segment is not None and world.box[0] > 3.15:
-            world.foreseen = world.movable = segment.straight_from is not None
-
-    navigator, world = run(1, happens=sticks, seconds=90.0)
-    assert "pushes it straight ahead" in said(navigator)
-    assert navigator.mode is Mode.DONE and world.box[0] > 3.3
-
-
-def test_an_object_out_of_reach_is_not_given_up_twice_in_one_sample() -> None:
-    """It closes a corridor so that no face can be stood off from; the second try comes later, not at once."""
+def test_an_object_out_of_reach_is_given_up_once() -> None:
+    """It closes a corridor so that no face can be stood off from, and nothing changes that."""
     cells = np.full((80, 120), OCCUPIED, dtype=np.int8)
     cells[31:49, 6:114] = FREE
-    world = World((0.8, 2.0, 0.0), (1.45, 2.0, 0.0), movable=True)
+    world = World((0.6, 2.0, 0.0), (1.15, 2.0, 0.0), movable=True)
     navigator = Navigator(OccupancyGrid(cells, 0.05), [5.2, 2.0], [HALF], Stand(world))
     seen = world.observe()
     while not navigator.finished and world.time < 15.0:
         seen = world.step(navigator.tick(seen))
     given_up = [t.t for t in navigator.transitions if "registered as an obstacle" in t.reason]
     assert navigator.mode is Mode.FAILED
-    assert len(given_up) == 1 + navigator.config.chances and np.diff(given_up).min() > 1.0
+    assert len(given_up) == 1
 
 
 def test_a_replay_of_what_was_perceived_gives_the_same_commands() -> None:

@@ -20,6 +20,7 @@ from shmoo_mjx.navigation.belief import Status
 from shmoo_mjx.navigation.maps import clearance_field
 from shmoo_mjx.navigation.navigator import Navigator
 from shmoo_mjx.navigation.records import Mode, NavigatorConfig
+from shmoo_mjx.planning.reach import SAMPLES, STEPS, Options, Outcomes
 from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.types import DT, Command, Observation
 
@@ -61,6 +62,17 @@ class Stand(SimpleNamespace):
 
     def _foresees_motion(self) -> bool:
         return bool(self.foresees or (self.world.movable and self.world.foreseen))
+
+    def foresee(self, adapt: Any, kind: Any, pose: Any, half: Any, options: Options, seed: int) -> Outcomes:
+        """Before a push everything follows it at walking pace; after it, what the world says."""
+        moves = self._foresees_motion() or adapt is None
+        ahead = np.asarray(pose)[2] + options.face[:, 2] if len(options.face) else np.zeros(0)
+        way = (0.3 if moves else 0.0) * DT * np.arange(1, STEPS + 1)
+        places = pose[:2] + way[:, None] * np.stack([np.cos(ahead), np.sin(ahead)], -1)[:, None, None]
+        yaw = np.full((*places.shape[:3], 1), pose[2])
+        objects = np.broadcast_to(np.concatenate([places, yaw], -1), (len(ahead), SAMPLES, STEPS, 3))
+        robot = objects - 0.75 * np.stack([np.cos(ahead), np.sin(ahead), 0 * ahead], -1)[:, None, None]
+        return Outcomes(objects, robot)
 
     def planning_rollouts(
         self, state: State, goal: Any, around: Any, half: Any
