@@ -20,6 +20,7 @@ PARTS = {
         "shmoo_mjx.control.pushing:PushController.planning_rollouts",
         "shmoo_mjx.control.pushing:PushController.compile",
     ),
+    "where pushes lead": ("shmoo_mjx.navigation.decide:pushes",),
     "global paths": ("shmoo_mjx.navigation.paths:plan_path", "shmoo_mjx.navigation.paths:cost_to_go"),
     "local trajectories": ("shmoo_mjx.navigation.flat_trajectory:plan",),
     "navigator, the rest": ("shmoo_mjx.navigation.navigator:Navigator.tick",),

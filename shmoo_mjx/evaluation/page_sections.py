@@ -48,7 +48,7 @@ _FAMILIES = ("box", "cart", "wheelchair")
 _PUSH_MODELS = ("", "published_", "published_quadratic_", "linear_", "no_motion_")
 _LEFT_OUT = {"": "pair left out", "shape_out_": "shape left out", "mlab_": "triangle's support left out"}
 
-_OTHERS = ("",) * 6
+_OTHERS = ("",) * 7
 """Empty cells of the other policies."""
 
 _CRITERIA = {"probability": "displacement and impulse", "K": "K", "moved_m": "displacement"}
@@ -250,7 +250,7 @@ SECTIONS = {
         "Interactive navigation (VI-B)",
         "Generated scenarios. Effort efficiency is 1 if nothing is pushed; the interactive navigation score is that of "
         "Interactive Gibson, half path and half effort efficiency. Aims are those for ours.",
-        ("ours", "lazy", "always avoid", "always push", "paper", "geometric", "oracle"),
+        ("ours", "lazy", "frozen", "always avoid", "always push", "paper", "geometric", "oracle"),
         (
             *_of_methods(
                 {
@@ -270,7 +270,7 @@ SECTIONS = {
                     "ins": "interactive navigation score",
                     "scenarios": "scenarios",
                 },
-                *("lazy", "always_avoid", "always_push", "paper", "geometric", "oracle"),
+                *("lazy", "frozen", "always_avoid", "always_push", "paper", "geometric", "oracle"),
             ),
             ("time over the oracle's, where both succeed (aim 1.2)", ("time_over_oracle", *_OTHERS)),
             ("scenarios that neither baseline can do", ("neither_baseline", *_OTHERS)),

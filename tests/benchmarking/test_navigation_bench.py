@@ -26,5 +26,5 @@ def test_trials_are_much_faster_than_what_they_simulate() -> None:
         simulated, ratio = (result.metrics[f"{name}_{what}"] for what in ("simulated_s", "ratio_to_simulated_time"))
         assert 0 < simulated <= 10.0
         assert sum(row["s"] for row in rows) == pytest.approx(ratio * simulated, rel=1e-6)
-        # Some 0.1 on a quiet core: five times that is no longer what experiments are planned with.
-        assert ratio < 0.5
+        # Some 0.1 to 0.2 on a quiet core; a decision that took seconds would show even beside other work.
+        assert ratio < 1.0
