@@ -16,6 +16,7 @@ import jax.numpy as jnp
 
 from shmoo_mjx.arrays import Array
 from shmoo_mjx.control import pushing, quasi_static
+from shmoo_mjx.control.cost import PushCost
 from shmoo_mjx.control.observation import ObjectObservation
 from shmoo_mjx.control.pushing import PushConfig
 from shmoo_mjx.learning.weights import Weights, prior_state
@@ -67,11 +68,7 @@ def policy_of(controller: Controller, weights: Weights, kind: str | None = None)
     """The controller that a sweep file asks for, for objects that look like ``kind`` (`contact_prior.of_kind`)."""
     config = push_config(controller)
     if controller.kind == "quasi_static":
-        return PushPolicy(
-            init=lambda obs, task, key: jnp.zeros(()),
-            step=lambda more, obs, last_u, task: quasi_static.control(config.cost, task.face, obs, task.goal, more),
-            coast=lambda state, obs: obs.object_pose,
-        )
+        return quasi_static_policy(config.cost)
     core, params = weights.config, weights.params
 
     def begin(obs: ObjectObservation, task: WorldGoal, key: Array) -> Any:
@@ -82,6 +79,15 @@ def policy_of(controller: Controller, weights: Weights, kind: str | None = None)
         return pushing.step(config, core, params, state, obs, task.goal, last_u, task.half_extents)[:2]
 
     return PushPolicy(begin, advance, lambda state, obs: pushing.coast(config, core, params, state.adapt, state.before))
+
+
+def quasi_static_policy(cost: PushCost) -> PushPolicy:
+    """The pusher without a model; ``cost`` gives the speed allowed."""
+    return PushPolicy(
+        init=lambda obs, task, key: jnp.zeros(()),
+        step=lambda more, obs, last_u, task: quasi_static.control(cost, task.face, obs, task.goal, more),
+        coast=lambda state, obs: obs.object_pose,
+    )
 
 
 def push_config(c: Controller) -> PushConfig:
