@@ -3,8 +3,9 @@
 The pushing controller pushes an unseen object for 5 s of contact, with the robot's own senses, which gives a posterior
 of the object's dynamics. Then the same object is pushed on three faces by the law of `quasi_static`, in the real plant.
 `planning.reach` predicts these pushes from where they begin, with the posterior and with the prior of the object's
-kind. Compared are the object's pose after the same way along the push, and whether it comes that far within the
-roll-out. Another robot makes each push once more: what the two robots differ by can't be predicted.
+kind. Compared are the object's pose after the same length of its path, whether it moves that far within the roll-out,
+and whether it comes that far along the push. Another robot makes each push once more: what the two robots differ by
+can't be predicted.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from shmoo_mjx.learning.online import Known
 from shmoo_mjx.navigation.maps import OccupancyGrid
 from shmoo_mjx.navigation.push_task import PushTask
 from shmoo_mjx.options import SensesName
-from shmoo_mjx.planning.reach import STEPS, foresight_of, goal_ahead, probability_to_come, progress
+from shmoo_mjx.planning.reach import STEPS, foresight_of, goal_ahead, probability_to_come
 from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 from shmoo_mjx.plant.scene import build_scene
@@ -51,7 +52,7 @@ _LONGEST_LEARNING = 40.0
 _SHOWN = 16
 """Predicted ends that a row keeps for the figure."""
 _AT_LEAST = 0.25
-"""Share of samples that come as far, from which their poses there are compared with the true one."""
+"""Share of samples that move as far, from which their poses there are compared with the true one."""
 
 
 @dataclass(frozen=True)
@@ -66,10 +67,10 @@ class OutcomesConfig:
     """Longest push that is learned from [s]."""
     pushes: int = 3
     """Of each object, on different faces."""
-    bearing: float = 0.3
-    """Largest direction of a push's goal beside straight ahead [rad]."""
+    bearing: float = 0.5
+    """Largest direction of a push's goal beside straight ahead [rad], as the navigator's options have it."""
     distance: float = 0.8
-    """Way along the push after which poses are compared [m]."""
+    """Path of the object's centre after which poses are compared [m]."""
     workers: int = 2
 
 
@@ -221,17 +222,17 @@ def _policy(cost: PushCost) -> tuple[Any, Any]:
 
 
 def end_after(
-    poses: Float[np.ndarray, "*n T 3"], start: Float[np.ndarray, "3"], face: Float[np.ndarray, "4"], distance: float
+    poses: Float[np.ndarray, "*n T 3"], start: Float[np.ndarray, "3"], distance: float
 ) -> Float[np.ndarray, "*n 3"]:
-    """Pose at which an object has come ``distance`` [m] along a push on ``face`` that began at ``start``; NaN where it
-    never does. Yaw is within pi of that at the start."""
-    way = progress(poses, start, face)
-    k = np.argmax(way >= distance, axis=-1)[..., None]
+    """Pose at which an object's centre has come ``distance`` [m] along its own path from ``start``; NaN where it never
+    does."""
     before = np.concatenate([np.broadcast_to(start, poses[..., :1, :].shape), poses[..., :-1, :]], axis=-2)
+    steps = np.hypot(*np.moveaxis((poses - before)[..., :2], -1, 0))
+    way = np.cumsum(steps, axis=-1)
+    k = np.argmax(way >= distance, axis=-1)[..., None]
     a, b = (np.take_along_axis(p, k[..., None], axis=-2)[..., 0, :] for p in (before, poses))
-    w = np.take_along_axis(way, k, axis=-1)
-    step = np.hypot(*np.moveaxis(b - a, -1, 0)[:2])[..., None]
-    share = np.clip(1.0 - (w - distance) / np.maximum(step, 1e-9), 0.0, 1.0)
+    too_far, step = (np.take_along_axis(x, k, axis=-1) for x in (way - distance, steps))
+    share = 1.0 - too_far / np.maximum(step, 1e-9)
     turn = se2.wrap(b[..., 2] - a[..., 2])[..., None]
     pose = np.concatenate([a[..., :2] + share * (b - a)[..., :2], se2.wrap(a[..., 2:] + share * turn)], axis=-1)
     return np.where((way >= distance).any(axis=-1)[..., None], pose, np.nan)
@@ -239,13 +240,18 @@ def end_after(
 
 def _true(push: _Push, track: np.ndarray, other: np.ndarray | None, distance: float) -> dict[str, Any]:
     """What has happened, and by how much another robot's end differs."""
-    end = end_after(track[1:], track[0], push.face, distance)
-    came = bool(np.isfinite(end[0]))
-    row: dict[str, Any] = {"came": came, "start": track[0].tolist(), "end": end.tolist() if came else None}
+
+    def come(poses: np.ndarray) -> tuple[np.ndarray, dict[str, float]]:
+        end = end_after(poses[1:], poses[0], distance)
+        along = probability_to_come(poses[None, 1:], poses[0], push.face, distance)
+        return end, {"moves": float(np.isfinite(end[0])), "comes": float(along)}
+
+    end, true = come(track)
+    row: dict[str, Any] = true | {"start": track[0].tolist(), "end": end.tolist() if true["moves"] else None}
     if other is not None:
-        there = end_after(other[1:], other[0], push.face, distance)
-        row["robots_probability"] = float(np.isfinite(there[0]))
-        if came and row["robots_probability"]:
+        there, their = come(other)
+        row |= {f"robots_{key}": value for key, value in their.items()}
+        if true["moves"] and their["moves"]:
             apart = errors(se2.relative(track[0], end), se2.relative(other[0], there))
             row |= {f"robots_{key}": value for key, value in apart.items()}
     return row
@@ -254,11 +260,13 @@ def _true(push: _Push, track: np.ndarray, other: np.ndarray | None, distance: fl
 def _compared(
     row: dict[str, Any], poses: np.ndarray, push: _Push, start: np.ndarray, config: OutcomesConfig
 ) -> dict[str, Any]:
-    """Of a prediction: the probability to come as far, and if it does, how far the median end is off the true one."""
-    found: dict[str, Any] = {"probability": float(probability_to_come(poses, start, push.face, config.distance))}
-    ends = end_after(poses, start, push.face, config.distance)
+    """Of a prediction: the probabilities to move and to come as far, and if it does move, how far the median end is
+    off the true one."""
+    ends = end_after(poses, start, config.distance)
     ends = ends[np.isfinite(ends).all(axis=-1)]
-    if row["came"] and len(ends) >= _AT_LEAST * len(poses):
+    along = probability_to_come(poses, start, push.face, config.distance)
+    found: dict[str, Any] = {"moves": len(ends) / len(poses), "comes": float(along)}
+    if row["moves"] and len(ends) >= _AT_LEAST * len(poses):
         end = np.array(row["end"])
         found |= errors(end, median_pose(ends)) | {"covered": covered(ends, end)}
         found["ends"] = np.round(ends[:_SHOWN], 3).tolist()

@@ -27,10 +27,13 @@ _LINES = {
     "yaw_deg": "error of the yaw, median [deg]",
     "coverage": f"true ends within the samples' {SHARE:.0%} region",
     "compared": "pushes compared",
-    "brier": "comes that far: Brier score",
-    "right": "comes that far: share right",
+    "brier_moves": "moves that far: Brier score",
+    "right_moves": "moves that far: share right",
+    "brier_comes": "comes that far along the push: Brier score",
+    "right_comes": "comes that far along the push: share right",
     "pushes": "pushes",
-    "came": "pushes that come that far",
+    "moves": "pushes that move the object that far",
+    "comes": "pushes on which it comes that far along the push",
 }
 _RESAMPLES = 2000
 
@@ -57,7 +60,7 @@ def covered(poses: Float[np.ndarray, "S 3"], end: Float[np.ndarray, "3"]) -> boo
         return np.concatenate([pose[..., :2] - middle[:2], se2.wrap(pose[..., 2:] - middle[2])], axis=-1)
 
     around = beside(poses)
-    # What is sure to a millimetre and a tenth of a degree counts as that sure.
+    # Samples that agree would have no inverse.
     inverse = np.linalg.inv(around.T @ around / len(around) + np.diag([1e-6, 1e-6, 3e-6]))
     far = np.einsum("...i,ij,...j->...", around, inverse, around)
     return bool(beside(end) @ inverse @ beside(end) <= np.quantile(far, SHARE))
@@ -70,26 +73,28 @@ def measure(rows: Rows) -> dict[str, float]:
     for stratum, name in itertools.product(STRATA, PREDICTIONS):
         mine, suffix = [r for r in rows if r["stratum"] == stratum], f"{stratum}_{name}"
         ends = [r for r in mine if f"{name}_position_m" in r]
-        asked = [r for r in mine if f"{name}_probability" in r]
-        came, p = ([float(r[key]) for r in asked] for key in ("came", f"{name}_probability"))
-        told = list(zip(p, came, strict=True))
-        metrics |= {f"pushes_{suffix}": len(asked), f"came_{suffix}": sum(came), f"compared_{suffix}": len(ends)}
+        asked = [r for r in mine if f"{name}_moves" in r]
+        metrics |= {f"pushes_{suffix}": len(asked), f"compared_{suffix}": len(ends)}
         for key in ("position_m", "yaw_deg"):
-            values = [r[f"{name}_{key}"] for r in ends]
+            values = np.array([r[f"{name}_{key}"] for r in ends])
             metrics |= _with_interval(f"{key}_{suffix}", ends, values, np.median)
-        metrics |= _with_interval(f"right_{suffix}", asked, [(q >= 0.5) == bool(is_so) for q, is_so in told], np.mean)
+        for event in ("moves", "comes"):
+            p, true = (np.array([r[key] for r in asked]) for key in (f"{name}_{event}", event))
+            metrics[f"{event}_{suffix}"] = float(true.sum())
+            metrics |= _with_interval(f"right_{event}_{suffix}", asked, (p >= 0.5) == (true > 0.5), np.mean)
+            if name != "robots":
+                metrics |= _with_interval(f"brier_{event}_{suffix}", asked, (p - true) ** 2, np.mean)
         if name != "robots":
-            held = [r[f"{name}_covered"] for r in ends]
+            held = np.array([r[f"{name}_covered"] for r in ends])
             metrics |= _with_interval(f"coverage_{suffix}", ends, held, np.mean)
-            metrics |= _with_interval(f"brier_{suffix}", asked, [(q - is_so) ** 2 for q, is_so in told], np.mean)
     return metrics
 
 
-def _with_interval(key: str, rows: Rows, values: list[Any], statistic: Callable[[Any], Any]) -> dict[str, float]:
+def _with_interval(key: str, rows: Rows, values: np.ndarray, statistic: Callable[[Any], Any]) -> dict[str, float]:
     """A statistic of the rows' values; nothing without rows."""
     if not rows:
         return {}
-    found, objects = np.array(values, dtype=float), np.array([r["object"] for r in rows])
+    found, objects = values.astype(float), np.array([r["object"] for r in rows])
     groups, rng = [found[objects == one] for one in np.unique(objects)], np.random.default_rng(0)
     drawn = rng.integers(len(groups), size=(_RESAMPLES, len(groups)))
     again = [statistic(np.concatenate([groups[i] for i in which])) for which in drawn]
@@ -141,7 +146,7 @@ def _draw_ends(axes: Any, rows: Rows, distance: float) -> None:
     axes.plot([], [], "*", color="grey", ms=11, markeredgecolor="black", label="true")
     axes.plot(0, 0, "k+", ms=10, label="start")
     axes.set_aspect("equal", "datalim")
-    axes.set_xlabel(f"along the push at its start [m], after {distance:g} m of it")
+    axes.set_xlabel(f"along the push at its start [m], after {distance:g} m of path")
     axes.set_ylabel("to its left [m]")
     axes.legend(fontsize=7, loc="lower left")
 
@@ -149,8 +154,7 @@ def _draw_ends(axes: Any, rows: Rows, distance: float) -> None:
 def _draw_reliability(axes: Any, rows: Rows) -> None:
     axes.plot((0, 1), (0, 1), color="black", lw=1.0, ls="--")
     for name, colour, marker in (("posterior", SERIES[0], "o"), ("prior", SERIES[5], "s")):
-        p = np.array([r[f"{name}_probability"] for r in rows])
-        came = np.array([r["came"] for r in rows], dtype=bool)
+        p, came = (np.array([r[key] for r in rows]) for key in (f"{name}_comes", "comes"))
         place = np.minimum((p * 5).astype(int), 4)
         bins = [(p[place == b].mean(), came[place == b].mean(), int(np.sum(place == b))) for b in np.unique(place)]
         axes.plot([b[0] for b in bins], [b[1] for b in bins], marker, color=colour, ms=6, label=name, ls="-", lw=0.8)
@@ -158,7 +162,7 @@ def _draw_reliability(axes: Any, rows: Rows) -> None:
             axes.annotate(
                 str(count), (said, share), textcoords="offset points", xytext=(6, -10), fontsize=8, color=colour
             )
-    axes.set_xlabel("probability to come that far")
+    axes.set_xlabel("probability to come that far along the push")
     axes.set_ylabel("share that comes")
     axes.legend(fontsize=8, title="pushes, and how many", title_fontsize=8)
     axes.set_title("does it come that far?")
