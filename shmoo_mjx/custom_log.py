@@ -24,7 +24,6 @@ from shmoo_mjx.data.differentiate import body_acceleration
 from shmoo_mjx.dynamics import object_model
 from shmoo_mjx.dynamics.core import Params
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.evaluation.manipulable import SteadyPush
 from shmoo_mjx.faces import faces_of, heading
 from shmoo_mjx.files import write_whole
 from shmoo_mjx.guard import ARRAYS, HTML, RECORDING, check_folder
@@ -296,8 +295,7 @@ def _verdict(
         return None
     force, faces = log.wrench[push][touching, :2].sum(axis=0), faces_of(half_extents)
     off = se2.wrap(np.arctan2(force[1], force[0]) - heading(poses[-1], faces))
-    face, cfg = faces[np.argmin(np.abs(off))], SteadyPush()
-    p = foresight.straight_on(known, None, poses[-1], half_extents, face, cfg.distance, cfg.turn)
+    p = foresight.straight_on(known, None, poses[-1], half_extents, faces[np.argmin(np.abs(off))])
     verdict = "can be moved" if p >= 0.5 else "can't be moved"
     reason = f"after {contact:.1f} s of contact, in which it moved {moved:.2f} m, P = {p:.2f}: {verdict}"
     told = {"t": float(log.t[push.stop - 1] + DT), "object": 0, "probability": p, "manipulable": p >= 0.5}

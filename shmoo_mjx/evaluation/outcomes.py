@@ -39,8 +39,8 @@ from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 from shmoo_mjx.plant.scene import build_scene
 from shmoo_mjx.sensing import SensedEngine, Senses, senses_named
+from shmoo_mjx.skills import one_push
 from shmoo_mjx.skills.approach import CONTACT_GAP
-from shmoo_mjx.sweep import pushers
 from shmoo_mjx.types import DT, Observation
 
 _UNFOLDING = 1.0
@@ -176,7 +176,7 @@ def _pushed(
         for robot, seed in zip(robots, seeds, strict=True)
     ]
     faces, goals = (np.array([getattr(p, name) for p in pushes], np.float32) for name in ("face", "goal"))
-    task = pushers.WorldGoal(faces, np.tile(np.float32(half), (count, 1)), goals)
+    task = one_push.WorldGoal(faces, np.tile(np.float32(half), (count, 1)), goals)
     begin, step = _policy(cost)
     offsets, up = [equilibrium_lean.init()] * count, np.ones(count, bool)
     tracks, phases = [], []
@@ -195,7 +195,7 @@ def _pushed(
             u[:, :2] += [known.lean for known in offsets]
             world, seen = engine.step(world, jax.tree.map(lambda x: np.asarray(x, float), command._replace(u=u)))
             true, up = engine.true_observation(world), up & ~np.asarray(engine.fallen(world))
-    poses, pushing = np.array(tracks), np.array(phases) >= pushers.PUSH
+    poses, pushing = np.array(tracks), np.array(phases) >= one_push.PUSH
     first = np.argmax(pushing, axis=0)
     return [
         poses[at : at + STEPS + 1, w] if felt and at < _TO_CONTACT / DT else None
@@ -215,9 +215,9 @@ def _balanced(offsets: list[equilibrium_lean.LeanOffset], each: list[Observation
 @cache
 def _policy(cost: PushCost) -> tuple[Any, Any]:
     """The law as compiled functions of W worlds: (obs, task) -> state, (state, obs, task, ready) -> command, state."""
-    policy, key = pushers.quasi_static_policy(cost), jax.random.key(0)
-    begin = jax.vmap(lambda obs, task: pushers.init(policy, obs, task, key))
-    step = jax.vmap(lambda state, obs, task, ready: pushers.step(policy, state, obs, task, key, ready))
+    policy, key = one_push.quasi_static_policy(cost), jax.random.key(0)
+    begin = jax.vmap(lambda obs, task: one_push.init(policy, obs, task, key))
+    step = jax.vmap(lambda state, obs, task, ready: one_push.step(policy, state, obs, task, key, ready))
     return jax.jit(begin), jax.jit(step)
 
 

@@ -36,6 +36,11 @@ STEPS = 120
 """Samples of time of a roll-out: 12 s."""
 _FAR = 2.5
 """Distance of the goal of a push that is to go on [m]: farther than a push mostly goes."""
+MOVES = 0.316
+"""An object can be moved if it comes at least this far along a push [m]: what K = 0.3 m^2 asks of each of three
+roll-outs, and what certificates call movable."""
+TURNS = float(np.radians(30.0))
+"""Unless it has turned this far by then [rad]: it turns away instead of going along."""
 _PRIOR_KEY = 55
 """Seed of the particles of objects that nobody has touched."""
 _ONE = ObjectObservation(0, 0, 0, 0, 0, 0, 0, None, None)
@@ -226,10 +231,10 @@ class Foresight:
         pose: Float[Array, "3"],
         half_extents: Float[Array, "2"] | tuple[float, float],
         face: Float[Array, "4"],
-        distance: float,
-        turn: float = np.inf,
+        distance: float = MOVES,
+        turn: float = TURNS,
     ) -> float:
-        """`probability_to_come` of a push straight on."""
+        """Probability that a push straight on moves the object (`probability_to_come`)."""
         pose, face = np.asarray(pose, float), np.asarray(face, float)
         poses = self.of_one(adapt, kind, pose, half_extents, face, goal_ahead(pose, face))
         return float(probability_to_come(poses, pose, face, distance, turn))
