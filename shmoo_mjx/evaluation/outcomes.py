@@ -239,35 +239,42 @@ def end_after(
 
 
 def _true(push: _Push, track: np.ndarray, other: np.ndarray | None, distance: float) -> dict[str, Any]:
-    """What has happened, and by how much another robot's end differs."""
+    """What has happened, and by how much another robot's ends differ."""
 
-    def come(poses: np.ndarray) -> tuple[np.ndarray, dict[str, float]]:
-        end = end_after(poses[1:], poses[0], distance)
-        along = probability_to_come(poses[None, 1:], poses[0], push.face, distance)
-        return end, {"moves": float(np.isfinite(end[0])), "comes": float(along)}
+    def come(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray, dict[str, float]]:
+        end, along = end_after(poses[1:], poses[0], distance), (poses[None, 1:], poses[0], push.face, distance)
+        moves = bool(np.isfinite(end[0]))
+        stop = end if moves else poses[np.isfinite(poses[:, 0])][-1]
+        return end, stop, {"moves": float(moves), "comes": float(probability_to_come(*along))}
 
-    end, true = come(track)
+    end, stop, true = come(track)
     row: dict[str, Any] = true | {"start": track[0].tolist(), "end": end.tolist() if true["moves"] else None}
+    row["stop"] = stop.tolist()
     if other is not None:
-        there, their = come(other)
+        there, where, their = come(other)
         row |= {f"robots_{key}": value for key, value in their.items()}
-        if true["moves"] and their["moves"]:
-            apart = errors(se2.relative(track[0], end), se2.relative(other[0], there))
-            row |= {f"robots_{key}": value for key, value in apart.items()}
+        beside = {"stop_": (stop, where)} | ({"": (end, there)} if true["moves"] and their["moves"] else {})
+        for prefix, (one, another) in beside.items():
+            apart = errors(se2.relative(track[0], one), se2.relative(other[0], another))
+            row |= {f"robots_{prefix}{key}": value for key, value in apart.items()}
     return row
 
 
 def _compared(
     row: dict[str, Any], poses: np.ndarray, push: _Push, start: np.ndarray, config: OutcomesConfig
 ) -> dict[str, Any]:
-    """Of a prediction: the probabilities to move and to come as far, and if it does move, how far the median end is
-    off the true one."""
+    """Of a prediction: the probabilities to move and to come as far; how far the median end is off the true one where
+    the push moves the object that far; and the same of where every push stops, at that path or at the last sample."""
     ends = end_after(poses, start, config.distance)
-    ends = ends[np.isfinite(ends).all(axis=-1)]
+    moves = np.isfinite(ends[:, 0])
     along = probability_to_come(poses, start, push.face, config.distance)
-    found: dict[str, Any] = {"moves": len(ends) / len(poses), "comes": float(along)}
-    if row["moves"] and len(ends) >= _AT_LEAST * len(poses):
-        end = np.array(row["end"])
-        found |= errors(end, median_pose(ends)) | {"covered": covered(ends, end)}
-        found["ends"] = np.round(ends[:_SHOWN], 3).tolist()
+    found: dict[str, Any] = {"moves": float(moves.mean()), "comes": float(along)}
+    stops = np.where(moves[:, None], ends, poses[:, -1])
+    compared = {"stop_": (stops[np.isfinite(stops[:, 0])], row["stop"])}
+    if row["moves"] and moves.mean() >= _AT_LEAST:
+        compared[""] = ends[moves], row["end"]
+    for prefix, (predicted, true) in compared.items():
+        beside = errors(np.array(true), median_pose(predicted)) | {"covered": covered(predicted, np.array(true))}
+        found |= {f"{prefix}{key}": value for key, value in beside.items()}
+    found["stops"] = np.round(stops[:_SHOWN], 3).tolist()
     return found

@@ -23,18 +23,23 @@ robot, which tells how much of a push is chance."""
 SHARE = 0.8
 """Of the samples that the region holds which is asked for the true end."""
 _LINES = {
-    "position_m": "error of the position, median [m]",
-    "yaw_deg": "error of the yaw, median [deg]",
-    "coverage": f"true ends within the samples' {SHARE:.0%} region",
-    "compared": "pushes compared",
-    "brier_moves": "moves that far: Brier score",
-    "right_moves": "moves that far: share right",
-    "brier_comes": "comes that far along the push: Brier score",
-    "right_comes": "comes that far along the push: share right",
+    "position_m": "after 0.8 m: error of the position, median [m]",
+    "yaw_deg": "after 0.8 m: error of the yaw, median [deg]",
+    "covered": f"after 0.8 m: true ends within the samples' {SHARE:.0%} region",
+    "compared": "after 0.8 m: pushes compared",
+    "stop_position_m": "after 0.8 m or 12 s: error of the position, median [m]",
+    "stop_yaw_deg": "after 0.8 m or 12 s: error of the yaw, median [deg]",
+    "stop_covered": f"after 0.8 m or 12 s: true ends within the samples' {SHARE:.0%} region",
+    "brier_moves": "moves 0.8 m: Brier score",
+    "right_moves": "moves 0.8 m: share right",
+    "brier_comes": "comes 0.8 m along the push: Brier score",
+    "right_comes": "comes 0.8 m along the push: share right",
     "pushes": "pushes",
-    "moves": "pushes that move the object that far",
-    "comes": "pushes on which it comes that far along the push",
+    "moves": "pushes that move the object 0.8 m",
+    "comes": "pushes on which it comes 0.8 m along the push",
 }
+_OF_ENDS: dict[str, Callable[[Any], Any]] = {"position_m": np.median, "yaw_deg": np.median, "covered": np.mean}
+"""What is measured of ends, and the statistic of it."""
 _RESAMPLES = 2000
 
 Rows = list[dict[str, Any]]
@@ -72,21 +77,19 @@ def measure(rows: Rows) -> dict[str, float]:
     metrics: dict[str, float] = {}
     for stratum, name in itertools.product(STRATA, PREDICTIONS):
         mine, suffix = [r for r in rows if r["stratum"] == stratum], f"{stratum}_{name}"
-        ends = [r for r in mine if f"{name}_position_m" in r]
         asked = [r for r in mine if f"{name}_moves" in r]
-        metrics |= {f"pushes_{suffix}": len(asked), f"compared_{suffix}": len(ends)}
-        for key in ("position_m", "yaw_deg"):
-            values = np.array([r[f"{name}_{key}"] for r in ends])
-            metrics |= _with_interval(f"{key}_{suffix}", ends, values, np.median)
+        metrics[f"pushes_{suffix}"] = len(asked)
+        metrics[f"compared_{suffix}"] = sum(f"{name}_position_m" in r for r in mine)
+        for prefix, (key, statistic) in itertools.product(("", "stop_"), _OF_ENDS.items()):
+            ends = [r for r in mine if f"{name}_{prefix}{key}" in r]
+            values = np.array([r[f"{name}_{prefix}{key}"] for r in ends])
+            metrics |= _with_interval(f"{prefix}{key}_{suffix}", ends, values, statistic)
         for event in ("moves", "comes"):
             p, true = (np.array([r[key] for r in asked]) for key in (f"{name}_{event}", event))
             metrics[f"{event}_{suffix}"] = float(true.sum())
             metrics |= _with_interval(f"right_{event}_{suffix}", asked, (p >= 0.5) == (true > 0.5), np.mean)
             if name != "robots":
                 metrics |= _with_interval(f"brier_{event}_{suffix}", asked, (p - true) ** 2, np.mean)
-        if name != "robots":
-            held = np.array([r[f"{name}_covered"] for r in ends])
-            metrics |= _with_interval(f"coverage_{suffix}", ends, held, np.mean)
     return metrics
 
 
@@ -126,7 +129,7 @@ def draw_figure(file: Path, rows: Rows, distance: float) -> None:
     figure = blank_figure(12.0, 4.2)
     *fans, reliability = figure.subplots(1, 3)
     for axes, (stratum, title) in zip(fans, STRATA.items(), strict=True):
-        _draw_ends(axes, [r for r in rows if r["stratum"] == stratum and "posterior_ends" in r], distance)
+        _draw_ends(axes, [r for r in rows if r["stratum"] == stratum and "posterior_stops" in r], distance)
         axes.set_title(title)
     _draw_reliability(reliability, rows)
     save_figure(file, figure)
@@ -138,7 +141,7 @@ def _draw_ends(axes: Any, rows: Rows, distance: float) -> None:
     for colour, row in zip(SERIES[:6], reversed(first.values()), strict=False):
         along = row["start"][2] + row["ahead"]
         ends, end = (
-            se2.rotate(np.atleast_2d(row[key])[:, :2] - row["start"][:2], -along) for key in ("posterior_ends", "end")
+            se2.rotate(np.atleast_2d(row[key])[:, :2] - row["start"][:2], -along) for key in ("posterior_stops", "stop")
         )
         axes.plot(*ends.T, ".", color=colour, ms=5, alpha=0.6)
         axes.plot(*end.T, "*", color=colour, ms=13, markeredgecolor="black", markeredgewidth=0.6)
@@ -146,7 +149,7 @@ def _draw_ends(axes: Any, rows: Rows, distance: float) -> None:
     axes.plot([], [], "*", color="grey", ms=11, markeredgecolor="black", label="true")
     axes.plot(0, 0, "k+", ms=10, label="start")
     axes.set_aspect("equal", "datalim")
-    axes.set_xlabel(f"along the push at its start [m], after {distance:g} m of path")
+    axes.set_xlabel(f"along the push at its start [m], after {distance:g} m of path or 12 s")
     axes.set_ylabel("to its left [m]")
     axes.legend(fontsize=7, loc="lower left")
 

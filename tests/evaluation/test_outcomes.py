@@ -66,7 +66,7 @@ def test_measures_and_their_table() -> None:
     rows = [row(0, True, 0.9, 0.1), row(0, True, 1.0, 0.3), row(1, False, 0.4, 0.0), row(2, True, 0.2, 0.1)]
     metrics = measure(rows)
     assert metrics["position_m_free_posterior"] == pytest.approx(0.1)
-    assert metrics["coverage_free_posterior"] == pytest.approx(2 / 3)
+    assert metrics["covered_free_posterior"] == pytest.approx(2 / 3)
     assert metrics["brier_comes_free_posterior"] == pytest.approx((0.01 + 0.0 + 0.16 + 0.64) / 4)
     assert metrics["right_moves_free_posterior"] == 0.75 and metrics["brier_moves_free_prior"] == pytest.approx(0.25)
     assert metrics["pushes_free_posterior"] == 4 and metrics["comes_free_posterior"] == 3
