@@ -383,8 +383,8 @@ def experiment(
     out: Path = Path("runs/experiments"),
     senses: str = "real",
 ) -> int:
-    """Run an experiment: object_model, estimate, baselines, ablations, robot_finetune, pushing, object_planner,
-    real_pushing, navigation, lifelong; or all of them, with a page of their results.
+    """Run an experiment: object_model, estimate, outcomes, baselines, ablations, robot_finetune, pushing,
+    object_planner, real_pushing, navigation, lifelong; or all of them, with a page of their results.
 
     Example: shmoo experiment object_model --json object_model.json
 

@@ -1,7 +1,8 @@
 """A recording of somebody's own robot, as a run that the report draws: what is learned of the object, and verdicts.
 
-The estimate and the probability are those of the robot, sample by sample, so they use no later samples. Only twists
-use later poses: a parabola is fitted to the poses of 0.15 s before and after.
+The estimate is that of the robot, sample by sample, so it uses no later samples. Only twists use later poses: a
+parabola is fitted to the poses of 0.15 s before and after. After each push, roll-outs over what is known by then give
+the probability that this package's robot can move the object along the side that was pushed.
 """
 
 from __future__ import annotations
@@ -18,10 +19,12 @@ from scipy.interpolate import make_interp_spline
 
 from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array
+from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.data.differentiate import body_acceleration
 from shmoo_mjx.dynamics import object_model
 from shmoo_mjx.dynamics.core import Params
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.faces import faces_of, heading
 from shmoo_mjx.files import write_whole
 from shmoo_mjx.guard import ARRAYS, HTML, RECORDING, check_folder
 from shmoo_mjx.hands import touches
@@ -31,9 +34,8 @@ from shmoo_mjx.learning.weights import Weights, prior_state
 from shmoo_mjx.log_table import OPTIONAL as OPTIONAL
 from shmoo_mjx.log_table import REQUIRED as REQUIRED
 from shmoo_mjx.log_table import check_extents, in_degrees, read_columns
-from shmoo_mjx.navigation import mobility
-from shmoo_mjx.navigation.records import NavigatorConfig
 from shmoo_mjx.navigation.verdicts import PROBE_TIME
+from shmoo_mjx.planning.reach import Foresight
 from shmoo_mjx.report.trace import Trace, save_trace
 from shmoo_mjx.types import DT
 from shmoo_mjx.verbosity import LOG
@@ -51,7 +53,7 @@ _LOST = 1.0
 _TOLD = 0.05
 """What has moved less tells nothing of its mass and friction [m]."""
 _ROLLED = 0.10
-"""An object that has come this far is judged at once [m]."""
+"""An object that has come this far is judged after a shorter push too [m]."""
 
 
 class Log(NamedTuple):
@@ -133,10 +135,12 @@ def _means(t: np.ndarray, values: np.ndarray, grid: np.ndarray) -> np.ndarray:
 
 def run_of_log(log: Log, half_extents: tuple[float, float], weights: Weights) -> tuple[dict[str, Any], Trace]:
     """What the report draws of a recording: `result.json` and the trace."""
-    learned, names, prior, errors = _learned(log, half_extents, weights)
     known = np.isfinite(log.object_pose).all(axis=1)
     pushes = [p for p in _pushes(log) if known[p].any()]
-    decisions = [d for d in (_verdict(log, push) for push in pushes) if d is not None]
+    learned, names, prior, errors, after = _learned(log, half_extents, weights, pushes)
+    foresight = Foresight(PushController(weights))
+    judged = [_verdict(log, *each, half_extents, foresight) for each in zip(pushes, after, strict=True)]
+    decisions = [d for d in judged if d is not None]
     poses = log.object_pose[known]
     which = np.full(len(log.t), -1)
     for push in pushes:
@@ -172,10 +176,11 @@ def run_of_log(log: Log, half_extents: tuple[float, float], weights: Weights) ->
 
 
 def _learned(
-    log: Log, half_extents: tuple[float, float], weights: Weights
-) -> tuple[np.ndarray, tuple[str, ...], dict[str, float], dict[str, float]]:
-    """What is known after each sample ``[T, n]``, the names, the prior, and which share of the accelerations is left
-    unexplained by the prior and by the estimate from all earlier samples; empty if nothing was learned."""
+    log: Log, half_extents: tuple[float, float], weights: Weights, pushes: list[slice]
+) -> tuple[np.ndarray, tuple[str, ...], dict[str, float], dict[str, float], list[online.Known]]:
+    """What is known after each sample ``[T, n]``, the names, the prior, which share of the accelerations is left
+    unexplained by the prior and by the estimate from all earlier samples (empty if nothing was learned), and what is
+    known after each of the ``pushes``."""
     params, shape, yaw = weights.params, weights.config.object, log.object_pose[:, 2]
     # Poses of a log have no age, and its forces come from a sensor, not from motors that hold arms too.
     config = EstimateConfig(lag=0.0, force_bias=0.0, force_error=(0.05, 0.5), force_noise=0.5)
@@ -201,8 +206,23 @@ def _learned(
         for name, p in (("prior", first), ("learned", guesses))
         if spread > 0
     }
-    prior = online.learned(start)
-    return np.asarray(learned, dtype=float), tuple(prior), prior, errors
+    prior, after, done = online.learned(start), [start], 0
+    for push in pushes:
+        after.append(_known_after(learner, params, after[-1], rows, done, push.stop))
+        done = push.stop
+    return np.asarray(learned, dtype=float), tuple(prior), prior, errors, after[1:]
+
+
+@partial(jax.jit, static_argnums=0)
+def _known_after(
+    learner: online.Learner, params: Params, known: online.Known, rows: online.Transition, first: int, end: int
+) -> online.Known:
+    """What is known after the ``rows`` from ``first`` to before ``end``; a scan would keep it after every row."""
+
+    def step(i: Array, known: Any) -> Any:
+        return learner.adapt(known, params, jax.tree.map(lambda x: x[i], rows))
+
+    return jax.lax.fori_loop(first, end, step, known)
 
 
 @partial(jax.jit, static_argnums=(0, 1))
@@ -262,25 +282,24 @@ def _pushes(log: Log) -> list[slice]:
     return [slice(int(part[0]), int(part[-1]) + 1) for part in parts]
 
 
-def _verdict(log: Log, push: slice) -> dict[str, Any] | None:
-    """When it would have been decided whether the object can be moved, and how; None of a push that was too short."""
-    cfg, contact, impulse = NavigatorConfig(), 0.0, 0.0
-    poses = log.object_pose[push]
-    start = poses[np.isfinite(poses).all(axis=1)][0]
-    for k in range(push.start, push.stop):
-        if touches(log.wrench[k]):
-            contact, impulse = contact + DT, impulse + float(np.hypot(*log.wrench[k, :2])) * DT
-        # The sample's force acts until its end, where the next one begins.
-        moved = float(np.linalg.norm((log.object_pose[min(k + 1, len(log.t) - 1)] - start)[:2]))
-        if not np.isfinite(moved) or (contact < PROBE_TIME - 1e-6 and moved <= _ROLLED):
-            continue
-        p = mobility.probability(moved, impulse)
-        if max(p, 1.0 - p) > cfg.sure or contact >= cfg.decide_after - 1e-6:
-            verdict = "can be moved" if p >= 0.5 else "can't be moved"
-            reason = f"it had moved {moved:.2f} m for {impulse:.0f} N s after {contact:.1f} s of contact: {verdict}"
-            told = {"t": float(log.t[k] + DT), "object": 0, "probability": p, "manipulable": p >= 0.5}
-            return told | {"K": None, "G": None, "goal": None, "reason": reason}
-    return None
+def _verdict(
+    log: Log, push: slice, known: online.Known, half_extents: tuple[float, float], foresight: Foresight
+) -> dict[str, Any] | None:
+    """Whether the object can be moved, by what is ``known`` after a push; None of a push that was too short."""
+    touching = touches(log.wrench[push])
+    # The last sample's force acts until its end, where the next one begins.
+    poses = log.object_pose[push.start : push.stop + 1]
+    poses = poses[np.isfinite(poses).all(axis=1)]
+    contact, moved = float(touching.sum() * DT), float(np.linalg.norm((poses[-1] - poses[0])[:2]))
+    if contact < PROBE_TIME - 1e-6 and moved <= _ROLLED:
+        return None
+    force, faces = log.wrench[push][touching, :2].sum(axis=0), faces_of(half_extents)
+    off = se2.wrap(np.arctan2(force[1], force[0]) - heading(poses[-1], faces))
+    p = foresight.straight_on(known, None, poses[-1], half_extents, faces[np.argmin(np.abs(off))])
+    verdict = "can be moved" if p >= 0.5 else "can't be moved"
+    reason = f"after {contact:.1f} s of contact, in which it moved {moved:.2f} m, P = {p:.2f}: {verdict}"
+    told = {"t": float(log.t[push.stop - 1] + DT), "object": 0, "probability": p, "manipulable": p >= 0.5}
+    return told | {"K": None, "G": None, "goal": None, "reason": reason}
 
 
 def _floor(points: np.ndarray, margin: float) -> tuple[np.ndarray, np.ndarray, float]:

@@ -15,6 +15,7 @@ from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Bool, Float
 from shmoo_mjx.faces import faces_of, heading, stand_off
 from shmoo_mjx.hands import HAND_HEIGHT, HAND_RADIUS, REACH
+from shmoo_mjx.planning.reach import MOVES, TURNS
 from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
@@ -46,11 +47,10 @@ class SteadyPush:
     """Speed at which the lean is taken back: that controller's speed limit [m/s]."""
     seconds: float = 6.5
     """Time from the first contact: about 1.5 s until the lean is up, then the planning stage's horizon of 5 s [s]."""
-    distance: float = 0.316
-    """Progress along the push from which an object counts as manipulable [m]: what K = 0.3 m^2 asks of each of three
-    roll-outs, and what certificates call movable."""
-    turn: float = float(np.radians(30.0))
-    """The push ends once the object has turned this far [rad]: it turns away instead of going along."""
+    distance: float = MOVES
+    """Progress along the push from which an object counts as manipulable [m]."""
+    turn: float = TURNS
+    """The push ends once the object has turned this far [rad]."""
     touch: float = 5.0
     """Force that counts as the first contact [N]."""
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from shmoo_mjx.evaluation.manipulable import STRATA
-from shmoo_mjx.evaluation.object_planner import CRITERIA, LEAST_K, told_by
+from shmoo_mjx.evaluation.object_planner import FITTED, LEAST_K, told_by
 from shmoo_mjx.navigation.records import NavigatorConfig
 from shmoo_mjx.report.figures import draw_decision, evidence
 from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
@@ -17,9 +17,9 @@ from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
 
 def draw_figures(folder: Path, rows: list[dict[str, Any]], episodes: Callable[[], list[tuple[str, Any, Any]]]) -> None:
     """Write reliability.png, confusion.png and planned_goals.png (the paper's Fig. 5) into ``folder``."""
-    found = [r for r in rows if r["decided"] is not None]
-    save_figure(folder / "reliability.png", _reliability([r for r in rows if "K_first" in r]))
-    save_figure(folder / "confusion.png", _confusion(found))
+    touched = [r for r in rows if "probabilities" in r]
+    save_figure(folder / "reliability.png", _reliability(touched))
+    save_figure(folder / "confusion.png", _confusion(touched))
     save_figure(folder / "planned_goals.png", _planned_goals(episodes()))
 
 
@@ -30,7 +30,7 @@ def _reliability(rows: list[dict[str, Any]]) -> Any:
     left.plot((0, 1), (0, 1), color="black", lw=1.0, ls="--")
     for (stratum, name), colour, below in zip(STRATA.items(), SERIES, (-1, 1), strict=False):
         of = [r for r in rows if r["stratum"] == stratum]
-        p = told_by("probability", of)
+        p = told_by("reach", of)
         truth = np.array([r["manipulable"] for r in of], dtype=bool)
         place = np.minimum((p * 5).astype(int), 4)
         bins = [(p[place == b].mean(), truth[place == b].mean(), int(np.sum(place == b))) for b in np.unique(place)]
@@ -46,8 +46,8 @@ def _reliability(rows: list[dict[str, Any]]) -> Any:
             of = [r for r in rows if r["manipulable"] == value and r["stratum"] == stratum]
             k = np.clip([r["K_first"] for r in of], LEAST_K, 1e2)
             name = f"{label}, {STRATA[stratum]} ({len(of)})"
-            right.plot(told_by("probability", of), k, marker, ms=4, alpha=0.7, color=colour, label=name)
-    limit, (bias, slope) = NavigatorConfig().planner.threshold, CRITERIA["K"]
+            right.plot(told_by("reach", of), k, marker, ms=4, alpha=0.7, color=colour, label=name)
+    limit, (bias, slope) = NavigatorConfig().planner.threshold, FITTED["K"]
     right.axhline(limit, color="black", lw=1.4, ls="--", label=f"K = {limit:g} m², the paper's rule")
     fitted = float(np.exp(-bias / slope))
     right.axhline(fitted, color="black", lw=1.0, ls=":", label=f"K = {fitted:.2g} m², fitted")
@@ -65,7 +65,7 @@ def _confusion(rows: list[dict[str, Any]]) -> Any:
     for axes, (stratum, title) in zip(figure.subplots(1, len(STRATA)), STRATA.items(), strict=True):
         table = np.zeros((2, 2), dtype=int)
         for r in rows:
-            table[int(r["manipulable"]), int(r["decided"])] += r["stratum"] == stratum
+            table[int(r["manipulable"]), int(r["probabilities"][0] >= 0.5)] += r["stratum"] == stratum
         most = max(int(table.sum()) / 2, 1)
         axes.imshow(table, cmap="Blues", vmin=0, vmax=most)
         for (i, j), count in np.ndenumerate(table):
@@ -74,7 +74,7 @@ def _confusion(rows: list[dict[str, Any]]) -> Any:
         axes.set_title(title)
         axes.set_xticks((0, 1), names)
         axes.set_yticks((0, 1), names, rotation=90, va="center")
-        axes.set_xlabel("the robot's decision")
+        axes.set_xlabel("the robot's decision after 1 s of contact")
         axes.set_ylabel("the plant's truth")
     return figure
 

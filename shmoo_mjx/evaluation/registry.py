@@ -12,6 +12,7 @@ from shmoo_mjx.files import claimed
 EXPERIMENTS = {
     "object_model": "shmoo_mjx.evaluation.object_model",
     "estimate": "shmoo_mjx.evaluation.estimate",
+    "outcomes": "shmoo_mjx.evaluation.outcomes",
     "baselines": "shmoo_mjx.evaluation.baselines",
     "ablations": "shmoo_mjx.evaluation.ablations",
     "robot_finetune": "shmoo_mjx.evaluation.robot_finetune",

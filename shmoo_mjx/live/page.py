@@ -182,7 +182,7 @@ class Page:
             viser.uplot.Series(label="force [N / 10]", stroke="#D55E00", width=2),
         )
         self._curves = gui.add_uplot((empty, empty, empty), curves, aspect=2.2, scales={"x": {"time": False}})
-        chance = (curves[0], viser.uplot.Series(label="P(can be moved)", stroke="#009E73", width=2))
+        chance = (curves[0], viser.uplot.Series(label="P(push frees the path)", stroke="#009E73", width=2))
         scales: dict[str, Any] = {"x": {"time": False}, "y": {"auto": False, "range": (-0.05, 1.05)}}
         self._chance = gui.add_uplot((empty, empty), chance, aspect=3.2, scales=scales)
         with gui.add_folder("Run"):
@@ -508,7 +508,7 @@ class Page:
             self._told_goal = session.scenario.goal
             self._goal.value = (round(self._told_goal[0], 2), round(self._told_goal[1], 2))
         p = session.probability
-        chance = "" if p is None else f", P(can be moved) **{p:.2f}**"
+        chance = "" if p is None else f", P(push frees the path) **{p:.2f}**"
         spent = 1e3 * np.array(session.spent or [0.0])
         self._state.content = (
             f"### {state}\n{said}\n\n"

@@ -27,7 +27,6 @@ from shmoo_mjx.guard import MAP, PNG, SCENARIO, check_output, protected
 from shmoo_mjx.inputs import files_read
 from shmoo_mjx.learning import online
 from shmoo_mjx.learning.weights import Weights, prior_state
-from shmoo_mjx.navigation import mobility
 from shmoo_mjx.navigation.floorplan import demo_scenario
 from shmoo_mjx.navigation.maps import OccupancyGrid, clearance_field, load_map, save_map
 from shmoo_mjx.navigation.records import Mode
@@ -57,8 +56,6 @@ SceneLoader = Callable[[], tuple[OccupancyGrid, Scenario]]
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,60}")
 _DEMOS = 20
-_TELLING = 0.3
-"""Contact time from which on a push says something of its object [s]."""
 _OBJECT_FILE = 100_000
 """Object files are smaller than this [bytes]."""
 
@@ -185,12 +182,12 @@ class Session:
 
     @property
     def probability(self) -> float | None:
-        """P that the object at hand can be moved, by what the push has come to; None while there is no telling."""
-        state = self.simulation.navigator.state
-        push = None if state.segment is None or state.mode not in (Mode.PROBE, Mode.PUSH) else state.segment.push
-        if push is None or push.contact_time < _TELLING:
+        """Probability of the last decision on the present push: that it frees the path; None before there is one."""
+        navigator = self.simulation.navigator
+        if navigator.mode not in (Mode.PROBE, Mode.PUSH) or not navigator.decisions:
             return None
-        return mobility.probability(push.moved(state.known().pose), push.impulse)
+        last, push = navigator.decisions[-1], navigator.state.current().push
+        return last.probability if push is not None and last.t >= push.started else None
 
     @cached_property
     def prior(self) -> dict[str, float]:

@@ -23,6 +23,7 @@ from shmoo_mjx.control.observation import ObjectObservation
 from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.dynamics import core
 from shmoo_mjx.dynamics.core import CoreConfig, Params
+from shmoo_mjx.faces import heading
 from shmoo_mjx.hands import HAND_RADIUS, REACH
 from shmoo_mjx.learning import estimate, online
 from shmoo_mjx.learning.estimate import ObjectEstimate
@@ -34,6 +35,13 @@ SAMPLES = 16
 """Samples of the posterior that each option is rolled out for."""
 STEPS = 120
 """Samples of time of a roll-out: 12 s."""
+_FAR = 2.5
+"""Distance of the goal of a push that is to go on [m]: farther than a push mostly goes."""
+MOVES = 0.316
+"""An object can be moved if it comes at least this far along a push [m]: what K = 0.3 m^2 asks of each of three
+roll-outs, and what certificates call movable."""
+TURNS = float(np.radians(30.0))
+"""Unless it has turned this far by then [rad]: it turns away instead of going along."""
 _PRIOR_KEY = 55
 """Seed of the particles of objects that nobody has touched."""
 _ONE = ObjectObservation(0, 0, 0, 0, 0, 0, 0, None, None)
@@ -129,6 +137,41 @@ def _roll(
     return jax.lax.scan(one, (start, jnp.zeros(len(start.size))), None, length=steps)[1]
 
 
+def goal_ahead(
+    pose: Float[np.ndarray, "3"], face: Float[np.ndarray, "4"], bearing: float = 0.0
+) -> Float[np.ndarray, "3"]:
+    """Goal in {W} of a push on ``face`` of an object at ``pose``, along an arc to a place ``bearing`` [rad] to the left
+    of straight ahead."""
+    ahead = heading(pose, face) + bearing
+    return np.array([pose[0] + _FAR * np.cos(ahead), pose[1] + _FAR * np.sin(ahead), pose[2] + 2.0 * bearing])
+
+
+def progress(
+    poses: Float[np.ndarray, "*n T 3"], start: Float[np.ndarray, "3"], face: Float[np.ndarray, "4"]
+) -> Float[np.ndarray, "*n T"]:
+    """Way [m] that an object has come along a push on ``face`` at each of its ``poses``, all in {W}; ``start`` comes
+    before the first. The direction of the push turns with the object."""
+    before = np.concatenate([np.broadcast_to(start, poses[..., :1, :].shape), poses[..., :-1, :]], axis=-2)
+    ahead, step = heading(before, face), poses[..., :2] - before[..., :2]
+    return np.cumsum(step[..., 0] * np.cos(ahead) + step[..., 1] * np.sin(ahead), axis=-1)
+
+
+def probability_to_come(
+    poses: Float[np.ndarray, "*n S T 3"],
+    start: Float[np.ndarray, "3"],
+    face: Float[np.ndarray, "4"],
+    distance: float,
+    turn: float = np.inf,
+) -> Float[np.ndarray, "*n"]:
+    """Probability that an object comes ``distance`` [m] along a push on ``face`` before it turns by ``turn`` [rad].
+
+    It is the share of samples that do, of ``poses`` as in `Outcomes`, which begin at ``start``. A sample that diverges
+    comes no farther.
+    """
+    within = np.logical_and.accumulate(~(np.abs(se2.wrap(poses[..., 2] - start[2])) > turn), axis=-1)
+    return np.asarray(((progress(poses, start, face) >= distance) & within).any(axis=-1).mean(axis=-1))
+
+
 class Foresight:
     """`reach` for one pushing controller, compiled once for all objects and maps."""
 
@@ -167,6 +210,35 @@ class Foresight:
         key = jax.random.key(seed)
         given = (np.asarray(pose, np.float32), np.asarray(half_extents, np.float32))
         return jax.tree.map(np.asarray, self._run(known, key, *given, Options(*map(np.asarray, options))))
+
+    def of_one(
+        self,
+        adapt: Known | None,
+        kind: str | None,
+        pose: Float[Array, "3"],
+        half_extents: Float[Array, "2"] | tuple[float, float],
+        face: Float[Array, "4"],
+        goal: Float[Array, "3"],
+    ) -> Float[np.ndarray, "S T 3"]:
+        """Poses of the object in {W}, pushed on ``face`` towards ``goal``, for four times as many samples."""
+        option = Options(np.asarray(face)[None], np.asarray(goal)[None])
+        drawn = [self(adapt, kind, pose, half_extents, option, seed).object_pose[0] for seed in range(4)]
+        return np.concatenate(drawn).astype(float)
+
+    def straight_on(
+        self,
+        adapt: Known | None,
+        kind: str | None,
+        pose: Float[Array, "3"],
+        half_extents: Float[Array, "2"] | tuple[float, float],
+        face: Float[Array, "4"],
+        distance: float = MOVES,
+        turn: float = TURNS,
+    ) -> float:
+        """Probability that a push straight on moves the object (`probability_to_come`)."""
+        pose, face = np.asarray(pose, float), np.asarray(face, float)
+        poses = self.of_one(adapt, kind, pose, half_extents, face, goal_ahead(pose, face))
+        return float(probability_to_come(poses, pose, face, distance, turn))
 
 
 def foresight_of(controller: Any) -> Callable[..., Outcomes]:

@@ -10,7 +10,7 @@ import numpy as np
 from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array
 from shmoo_mjx.evaluation.pushing_trials import resistance
-from shmoo_mjx.sweep import pushers
+from shmoo_mjx.skills import one_push
 from shmoo_mjx.sweep.config import SweepConfig
 from shmoo_mjx.sweep.parameters import RESISTANCE
 from shmoo_mjx.sweep.worlds import Drawn
@@ -56,7 +56,7 @@ def rows_of(config: SweepConfig, worlds: Sequence[Drawn], ended: tuple[np.ndarra
 
 def _outcome(phase: int, near: bool, moved: float) -> str:
     """What came of a world, in a word."""
-    ended = {pushers.UNSTABLE: "unstable", pushers.FELL: "fell", pushers.APPROACH: "unfelt"}
+    ended = {one_push.UNSTABLE: "unstable", one_push.FELL: "fell", one_push.APPROACH: "unfelt"}
     if phase in ended:
         return ended[phase]
     return "success" if near else "stuck" if moved < 0.1 else "astray"

@@ -33,6 +33,7 @@ from shmoo_mjx.sensing import Senses, odometry, senses_named
 from shmoo_mjx.sensing import senses as sensing
 from shmoo_mjx.sensing.odometry import TICK
 from shmoo_mjx.sensing.senses import Noise, SensorState
+from shmoo_mjx.skills import one_push
 from shmoo_mjx.skills.retreat import CLEAR
 from shmoo_mjx.skills.settings import hands_to_face
 from shmoo_mjx.sweep import pushers
@@ -71,7 +72,7 @@ class State(NamedTuple):
     sensor_state: SensorState
     """``[W, 1, ...]`` each: what the senses remember."""
     seen: ObjectObservation
-    memory: pushers.PolicyState
+    memory: one_push.PolicyState
     samples: Array
     """``[W]`` int"""
     tally: Tally
@@ -163,7 +164,7 @@ class Batches:
             for second in range(self.config.seconds):
                 state = self._advance(self._nominal, given, state)
                 progress((first + len(part) * (second + 1) / self.config.seconds) / len(worlds))
-                if np.all(np.asarray(state.memory.phase) >= pushers.DONE):
+                if np.all(np.asarray(state.memory.phase) >= one_push.DONE):
                     break
             rows += rows_of(self.config, part, jax.device_get((state.memory.phase, state.tally)))
         return rows
@@ -182,7 +183,7 @@ class Batches:
         still = Command(jnp.zeros(3), truth.robot_pose[2], world.control.reach, world.control.hand_height)
         sent = jax.tree.map(lambda x: jnp.broadcast_to(x, (_MOST // _TICKS + 1, *jnp.shape(x))), still)
         seen = _perceived(self._senses, given, truth, sensor_state, jnp.zeros(3), jnp.int32(0))
-        memory = pushers.init(self._policy, seen, _task(given), key_of(given, Stream.CONTROLLER))
+        memory = one_push.init(self._policy, seen, _task(given), key_of(given, Stream.CONTROLLER))
         zero = jnp.float32(0.0)
         tally = Tally(zero, zero, zero, zero, truth.object_pose[0])
         return State(world, sent, sensor_state, seen, memory, jnp.int32(0), tally)
@@ -190,9 +191,9 @@ class Batches:
     def _second(self, nominal: Any, given: WorldSetup, state: State) -> State:
         """All the device's worlds by one second."""
 
-        def step(given: tuple[pushers.WorldGoal, Array], state: Any) -> tuple[Command, pushers.PolicyState]:
+        def step(given: tuple[one_push.WorldGoal, Array], state: Any) -> tuple[Command, one_push.PolicyState]:
             memory, seen, samples = state
-            return pushers.step(self._policy, memory, seen, given[0], given[1], samples >= _SECOND)
+            return one_push.step(self._policy, memory, seen, given[0], given[1], samples >= _SECOND)
 
         def sample(state: State, _: None) -> tuple[State, None]:
             asked = (jax.vmap(_task)(given), jax.vmap(partial(key_of, stream=Stream.CONTROLLER))(given))
@@ -207,7 +208,7 @@ class Batches:
         return jax.lax.scan(sample, state, None, length=_SECOND)[0]
 
     def _move(
-        self, nominal: Any, given: WorldSetup, state: State, command: Command, memory: pushers.PolicyState
+        self, nominal: Any, given: WorldSetup, state: State, command: Command, memory: one_push.PolicyState
     ) -> State:
         """One world by one sample under ``command``; a world that is over stays as it is."""
         sent = jax.tree.map(lambda new, old: jnp.concatenate([new[None], old[:-1]]), command, state.sent)
@@ -232,7 +233,7 @@ class Batches:
         seen = _perceived(self._senses, given, truth, sensor_state, wrench, samples)
         memory = memory._replace(phase=_phase(memory.phase, truth, world, given))
         after = State(world, sent, sensor_state, seen, memory, samples, _counted(state.tally, truth, wrench, samples))
-        return jax.tree.map(lambda a, b: jnp.where(state.memory.phase >= pushers.DONE, a, b), state, after)
+        return jax.tree.map(lambda a, b: jnp.where(state.memory.phase >= one_push.DONE, a, b), state, after)
 
     def _watched(self, given: WorldSetup, state: State, track: Any) -> SensorState:
         """The senses after the sample's ticks, of which ``track [T, ...]`` is the truth."""
@@ -257,8 +258,8 @@ def commands_ago(delay: Array, tick: Array) -> Array:
     return jnp.maximum((delay - tick + _TICKS - 1) // _TICKS, 0)
 
 
-def _task(given: WorldSetup) -> pushers.WorldGoal:
-    return pushers.WorldGoal(given.face, given.half_extents, given.goal)
+def _task(given: WorldSetup) -> one_push.WorldGoal:
+    return one_push.WorldGoal(given.face, given.half_extents, given.goal)
 
 
 def key_of(given: WorldSetup, stream: Stream, sample: Array | int = 0) -> Array:
@@ -304,9 +305,9 @@ def _phase(phase: Array, truth: Any, world: MjxWorld, given: WorldSetup) -> Arra
     """The phase after a sample: over if the robot has fallen, or if it has let go and the object rests."""
     away = hands_to_face(truth.object_pose[0], truth.robot_pose, given.face) > CLEAR
     resting = jnp.hypot(truth.object_twist[0, 0], truth.object_twist[0, 1]) < AT_REST
-    phase = jnp.where((phase == pushers.LET_GO) & away & resting, pushers.DONE, phase)
-    phase = jnp.where(jnp.any(jnp.abs(se2.wrap(truth.lean)) > 0.6), pushers.FELL, phase)
-    return jnp.where(jnp.all(jnp.isfinite(world.physics)), phase, pushers.UNSTABLE)
+    phase = jnp.where((phase == one_push.LET_GO) & away & resting, one_push.DONE, phase)
+    phase = jnp.where(jnp.any(jnp.abs(se2.wrap(truth.lean)) > 0.6), one_push.FELL, phase)
+    return jnp.where(jnp.all(jnp.isfinite(world.physics)), phase, one_push.UNSTABLE)
 
 
 def _counted(tally: Tally, truth: Any, wrench: Array, samples: Array) -> Tally:

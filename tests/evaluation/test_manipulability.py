@@ -29,6 +29,7 @@ from shmoo_mjx.evaluation.object_planner import (
     log_score,
     measure,
     open_floor_scenario,
+    probe,
     told_by,
 )
 from shmoo_mjx.evaluation.trials import run_trials
@@ -107,6 +108,18 @@ def test_the_navigator_pushes_the_side_on_which_an_object_is_near_the_border() -
 
 
 @pytest.mark.slow
+def test_a_probe_is_asked_after_each_second_or_at_the_end_of_what_rolls_away() -> None:
+    light = draw_condition("cart", 5, {"locked": [False] * 4, "payload": 0.0, "rolling": [0.01] * 4})
+    told, episode = probe(light, 0, 3, ObjectPlannerTrials(), asset(WEIGHTS))
+    assert len(told["probabilities"]) == 3 and told["probabilities"][-1] > 0.8 and told["moved_m_first"] > 0.02
+    assert episode.result["time_s"] < 20.0
+    fixed, _ = probe(draw_immovable("fixed", "box", 7), 2, 3, ObjectPlannerTrials(), asset(WEIGHTS))
+    assert len(fixed["probabilities"]) == 3 and max(fixed["probabilities"][1:]) < 0.2
+    never, _ = probe(light, 0, 3, ObjectPlannerTrials(time_s=2.0), asset(WEIGHTS))
+    assert never == {}
+
+
+@pytest.mark.slow
 def test_what_is_fixed_comes_near_the_border_by_no_load() -> None:
     assert near_border_by_load(draw_immovable("fixed", "box", 7), 2, False, QUICK) is None
 
@@ -139,19 +152,19 @@ def test_auc() -> None:
     assert np.isnan(auc(apart[:5], truth[:5]))
 
 
-def row(manipulable: bool, decided: bool | None, k: float = 1.0, seconds: float = 1.0) -> dict[str, Any]:
-    found = {"manipulable": manipulable, "decided": decided, "border": k == 0.1}
+def row(manipulable: bool, said: float | None, k: float = 1.0, later: float = 0.9) -> dict[str, Any]:
+    found = {"manipulable": manipulable, "border": k == 0.1}
     first = {"K_first": k, "moved_m_first": k / 5, "impulse_Ns_first": 50.0}
-    return found if decided is None else found | first | {"decision_time_s": seconds}
+    return found if said is None else found | first | {"probabilities": [said, later, later]}
 
 
-def test_measures_count_undecided_objects_as_mistakes() -> None:
-    rows = [row(True, True, 2.0), row(True, False, 0.1, 4.0), row(False, False, 0.01), row(False, None)]
+def test_measures_count_objects_that_were_not_touched_as_mistakes() -> None:
+    rows = [row(True, 0.9, 2.0), row(True, 0.2, 0.1), row(False, 0.1, 0.01), row(False, None)]
     metrics = measure(rows)
-    assert metrics["accuracy"] == 0.5 and metrics["undecided"] == 1
+    assert metrics["accuracy"] == metrics["accuracy_reach_after_1s"] == 0.5 and metrics["undecided"] == 1
+    assert metrics["accuracy_3s"] == 0.5 and measure([row(True, 0.2)])["accuracy_2s"] == 1.0
     assert metrics["accuracy_clear"] == pytest.approx(2 / 3) and metrics["near_border"] == 1
-    assert metrics["accuracy_probability_after_1s"] == metrics["accuracy_K_after_1s"] == 0.5
-    assert metrics["decision_time_s"] == 1.0 and metrics["decided_within_3s"] == pytest.approx(2 / 3)
+    assert metrics["accuracy_K_after_1s"] == 0.5
     assert metrics["manipulable_called_manipulable"] == 1 and metrics["manipulable_called_immovable"] == 1
     assert metrics["immovable_called_immovable"] == 1 and metrics["immovable_called_manipulable"] == 0
     assert metrics["auc_K_after_1s"] == 1.0
@@ -166,7 +179,7 @@ def test_the_log_score_is_that_of_what_came_true() -> None:
 
 
 def test_each_criterion_is_more_certain_the_more_has_been_seen_to_move() -> None:
-    little, much = row(True, True, 0.05), row(True, True, 2.0)
+    little, much = row(True, 0.1, 0.05), row(True, 0.9, 2.0)
     for criterion in CRITERIA:
         low, high = told_by(criterion, [little, much])
         assert low < 0.5 < high, criterion

@@ -7,12 +7,24 @@ from functools import cache
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
+from shmoo_mjx import se2
 from shmoo_mjx.control.pushing import PushController
+from shmoo_mjx.faces import faces_of
 from shmoo_mjx.learning import contact_prior
+from shmoo_mjx.learning.estimate import ObjectEstimate
 from shmoo_mjx.learning.weights import load_weights, prior_state
 from shmoo_mjx.navigation.decide import options_about
-from shmoo_mjx.planning.reach import SAMPLES, STEPS, Outcomes, foresight_of
+from shmoo_mjx.planning.reach import (
+    SAMPLES,
+    STEPS,
+    Outcomes,
+    foresight_of,
+    goal_ahead,
+    probability_to_come,
+    progress,
+)
 from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.objects import draw_condition
 
@@ -25,15 +37,19 @@ def controller() -> PushController:
     return PushController(load_weights())
 
 
+def known(condition: Condition) -> ObjectEstimate:
+    """The posterior of who knows an object exactly."""
+    told = jnp.asarray(contact_prior.parameters_of(condition), jnp.float32)
+    prior = prior_state(controller().weights)
+    assert isinstance(prior, ObjectEstimate)
+    return prior._replace(parameters=jnp.broadcast_to(told, prior.parameters.shape))
+
+
 def outcomes(condition: Condition | None, kind: str | None = None) -> Outcomes:
     """Of all options with an object whose dynamics are known, or by its looks."""
     foresight = foresight_of(controller())
     assert foresight is not None
-    adapt = None
-    if condition is not None:
-        told = jnp.asarray(contact_prior.parameters_of(condition), jnp.float32)
-        prior = prior_state(controller().weights)
-        adapt = prior._replace(parameters=jnp.broadcast_to(told, prior.parameters.shape))
+    adapt = None if condition is None else known(condition)
     half = HALF if condition is None else condition.half_extents
     options = options_about(NOWHERE, half, np.zeros((8, 3))).options
     return foresight(adapt, kind, NOWHERE, half, options, 0)
@@ -80,3 +96,53 @@ def test_a_push_begins_with_hands_at_the_face() -> None:
     first = found.robot_pose[2, :, 0]
     assert np.all(np.abs(np.linalg.norm(first[:, :2], axis=1) - np.linalg.norm(first[0, :2])) < 0.02)
     assert np.isfinite(jax.tree.leaves(found)[0][:, :, :30]).mean() > 0.95
+
+
+def arc(start: np.ndarray, face: np.ndarray, length: float, turn: float) -> np.ndarray:
+    """Poses ``[50, 3]`` of an object that comes ``length`` along an arc on which it turns by ``turn``."""
+    yaw = np.linspace(0.0, turn, 51)[1:]
+    radius = length / turn
+    local = np.stack([radius * np.sin(yaw), radius * (1.0 - np.cos(yaw)), yaw], axis=-1)
+    along = np.array([0.0, 0.0, face[2]])
+    return se2.compose(se2.compose(start, along), se2.compose(local, -along))
+
+
+@pytest.mark.parametrize("side", range(4))
+@pytest.mark.parametrize("turn", [1e-6, 0.5, -3.0])
+def test_progress_is_the_way_along_the_push_whichever_way_that_turns(side: int, turn: float) -> None:
+    start, face = np.array([1.0, -2.0, 2.5]), faces_of((0.4, 0.3))[side]
+    way = progress(arc(start, face, 0.8, turn), start, face)
+    np.testing.assert_allclose(way, np.linspace(0.0, 0.8, 51)[1:], rtol=2e-3)
+    backwards = progress(arc(start, face, -0.8, turn), start, face)
+    np.testing.assert_allclose(backwards, -way, rtol=1e-2)
+
+
+def test_the_probability_is_the_share_of_samples_that_come_so_far_before_they_turn() -> None:
+    start, face = np.array([0.5, 0.0, -3.0]), faces_of((0.4, 0.3))[1]
+    lost = np.where(np.arange(50)[:, None] < 20, arc(start, face, 1.0, 1e-6), np.nan)
+    samples = np.stack([arc(start, face, way, turn) for way, turn in ((1.0, 0.1), (0.5, 0.1), (1.0, 2.0))] + [lost])
+    assert probability_to_come(samples, start, face, 0.3) == 1.0
+    assert probability_to_come(samples, start, face, 0.45) == 0.75
+    assert probability_to_come(samples, start, face, 0.8) == 0.5
+    assert probability_to_come(samples, start, face, 0.8, turn=1.0) == 0.25
+    options = np.stack([samples, samples[::-1]])
+    np.testing.assert_array_equal(probability_to_come(options, start, face, 0.8), [0.5, 0.5])
+
+
+def test_a_goal_ahead_is_at_the_end_of_an_arc_that_begins_along_the_push() -> None:
+    pose, face = np.array([1.0, 2.0, 0.5]), faces_of((0.4, 0.3))[1]
+    straight, left = goal_ahead(pose, face), goal_ahead(pose, face, 0.2)
+    off = straight[:2] - pose[:2]
+    np.testing.assert_allclose([np.arctan2(off[1], off[0]), straight[2]], [0.5 + np.pi / 2, 0.5])
+    end = arc(pose, face, 2.5 * 0.2 / np.sin(0.2), 0.4)[-1]
+    np.testing.assert_allclose(left, end, atol=1e-6)
+
+
+def test_a_light_box_is_said_to_come_and_a_heavy_one_not() -> None:
+    foresight, face = foresight_of(controller()), faces_of(HALF)[0]
+    assert foresight is not None
+    light, heavy = (
+        foresight.straight_on(known(draw_condition("box", 3, of)), None, NOWHERE, HALF, face, 0.3)
+        for of in ({"mass": 4.0, "friction": 0.3}, {"mass": 60.0, "friction": 0.6})
+    )
+    assert light > 0.95 and heavy < 0.05

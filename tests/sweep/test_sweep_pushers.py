@@ -14,6 +14,7 @@ from shmoo_mjx.control.quasi_static import control
 from shmoo_mjx.faces import faces_of, stand_off
 from shmoo_mjx.hands import REACH
 from shmoo_mjx.navigation.push_task import pose_push_config
+from shmoo_mjx.skills import one_push
 from shmoo_mjx.sweep import pushers
 from shmoo_mjx.sweep.config import Controller, SweepConfig
 from shmoo_mjx.sweep.rows import Tally, rows_of
@@ -21,7 +22,7 @@ from shmoo_mjx.sweep.simulate import commands_ago
 from shmoo_mjx.sweep.worlds import draw
 
 FACE = faces_of((0.3, 0.25))[0]
-TASK = pushers.WorldGoal(jnp.asarray(FACE), jnp.array([0.3, 0.25]), jnp.array([1.0, 0.0, 0.0]))
+TASK = one_push.WorldGoal(jnp.asarray(FACE), jnp.array([0.3, 0.25]), jnp.array([1.0, 0.0, 0.0]))
 KEY = jax.random.key(0)
 
 
@@ -33,9 +34,9 @@ def object_obs(x: float = 0.0, force: float = 0.0, gap: float = 0.0) -> ObjectOb
     return ObjectObservation(*(jnp.asarray(v, dtype=jnp.float32) for v in values))
 
 
-def counting() -> pushers.PushPolicy:
+def counting() -> one_push.PushPolicy:
     """A controller that counts its steps from the force it began with, pushes with that, and expects no coasting."""
-    return pushers.PushPolicy(
+    return one_push.PushPolicy(
         init=lambda now, task, key: now.wrench[0],
         step=lambda state, now, last_u, task: (jnp.stack([state, state, state]), state + 1.0),
         coast=lambda state, now: now.object_pose,
@@ -44,33 +45,33 @@ def counting() -> pushers.PushPolicy:
 
 def test_a_push_from_the_first_approach_to_letting_go() -> None:
     rule = counting()
-    memory = pushers.init(rule, object_obs(gap=0.05), TASK, KEY)
+    memory = one_push.init(rule, object_obs(gap=0.05), TASK, KEY)
 
     def step(ready: bool = True, **seen: float) -> Any:
         nonlocal memory
-        command, memory = pushers.step(rule, memory, object_obs(**seen), TASK, KEY, jnp.asarray(ready))
+        command, memory = one_push.step(rule, memory, object_obs(**seen), TASK, KEY, jnp.asarray(ready))
         return command
 
     assert step(ready=False, gap=0.05).u[0] == 0.0  # the arms unfold
-    assert step(gap=0.05).u[0] > 0.0 and memory.phase == pushers.APPROACH
-    assert step(gap=0.0, force=1.5).u[0] > 0.0 and memory.phase == pushers.APPROACH
-    assert step(force=6.0).u[0] == 0.0 and memory.phase == pushers.PUSH
+    assert step(gap=0.05).u[0] > 0.0 and memory.phase == one_push.APPROACH
+    assert step(gap=0.0, force=1.5).u[0] > 0.0 and memory.phase == one_push.APPROACH
+    assert step(force=6.0).u[0] == 0.0 and memory.phase == one_push.PUSH
     # A fresh controller's first command comes a sample later, when what it has begun with says something.
     assert step(x=0.05, force=9.0).u[0] == 6.0
     assert step(x=0.1, force=9.0).u[0] == 7.0
-    assert step(x=0.2, force=0.0).u[0] == 8.0 and memory.phase == pushers.PUSH  # contact may break
+    assert step(x=0.2, force=0.0).u[0] == 8.0 and memory.phase == one_push.PUSH  # contact may break
     let_go = step(x=0.99, force=6.0)
-    assert let_go.u[0] < 0.0 and let_go.reach < REACH and memory.phase == pushers.LET_GO
+    assert let_go.u[0] < 0.0 and let_go.reach < REACH and memory.phase == one_push.LET_GO
     assert step(x=0.99, gap=0.02).u[0] < 0.0
-    assert step(x=0.99, gap=0.2).u[0] == 0.0 and memory.phase == pushers.LET_GO
+    assert step(x=0.99, gap=0.2).u[0] == 0.0 and memory.phase == one_push.LET_GO
 
 
 def test_what_coasts_is_let_go_earlier() -> None:
     far = counting()._replace(coast=lambda state, now: now.object_pose + jnp.array([0.2, 0.0, 0.0]))
-    for rule, phase in ((far, pushers.LET_GO), (counting(), pushers.PUSH)):
-        memory = pushers.init(rule, object_obs(), TASK, KEY)._replace(phase=jnp.int32(pushers.PUSH))
+    for rule, phase in ((far, one_push.LET_GO), (counting(), one_push.PUSH)):
+        memory = one_push.init(rule, object_obs(), TASK, KEY)._replace(phase=jnp.int32(one_push.PUSH))
         for _ in range(3):
-            _, memory = pushers.step(rule, memory, object_obs(x=0.8, force=9.0), TASK, KEY, jnp.asarray(True))
+            _, memory = one_push.step(rule, memory, object_obs(x=0.8, force=9.0), TASK, KEY, jnp.asarray(True))
         assert memory.phase == phase
 
 
@@ -108,14 +109,14 @@ def test_a_row_says_how_a_world_ended() -> None:
     drawn = draw(config, "box", 4)
     there, ahead, turn = drawn.goal, np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 0.5])
     cases = [
-        (pushers.DONE, there, "success"),
-        (pushers.PUSH, there + 0.24 * ahead, "success"),
-        (pushers.PUSH, there + 0.26 * ahead, "astray"),
-        (pushers.DONE, there + turn, "astray"),
-        (pushers.PUSH, 0.05 * ahead, "stuck"),
-        (pushers.APPROACH, there, "unfelt"),
-        (pushers.FELL, there, "fell"),
-        (pushers.UNSTABLE, there, "unstable"),
+        (one_push.DONE, there, "success"),
+        (one_push.PUSH, there + 0.24 * ahead, "success"),
+        (one_push.PUSH, there + 0.26 * ahead, "astray"),
+        (one_push.DONE, there + turn, "astray"),
+        (one_push.PUSH, 0.05 * ahead, "stuck"),
+        (one_push.APPROACH, there, "unfelt"),
+        (one_push.FELL, there, "fell"),
+        (one_push.UNSTABLE, there, "unstable"),
     ]
     count = len(cases)
     poses = np.array([pose for _, pose, _ in cases])

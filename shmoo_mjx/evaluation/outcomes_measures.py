@@ -1,0 +1,171 @@
+"""What is measured of predicted pushes: errors and coverage of their ends, probabilities, a table and a figure."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shmoo_mjx import se2
+from shmoo_mjx.arrays import Float
+from shmoo_mjx.evaluation.result import ExperimentResult
+from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
+from shmoo_mjx.report.tables import markdown_table
+
+STRATA = {"free": "all wheels free, and boxes", "locked": "one locked wheel"}
+"""Objects, by name."""
+PREDICTIONS = {"posterior": "posterior", "prior": "prior", "robots": "another robot"}
+"""What predicts: samples of the posterior, samples of the prior of the object's kind, and the same push by another
+robot, which tells how much of a push is chance."""
+SHARE = 0.8
+"""Of the samples that the region holds which is asked for the true end."""
+_LINES = {
+    "position_m": "after 0.8 m: error of the position, median [m]",
+    "yaw_deg": "after 0.8 m: error of the yaw, median [deg]",
+    "covered": f"after 0.8 m: true ends within the samples' {SHARE:.0%} region",
+    "compared": "after 0.8 m: pushes compared",
+    "stop_position_m": "after 0.8 m or 12 s: error of the position, median [m]",
+    "stop_yaw_deg": "after 0.8 m or 12 s: error of the yaw, median [deg]",
+    "stop_covered": f"after 0.8 m or 12 s: true ends within the samples' {SHARE:.0%} region",
+    "brier_moves": "moves 0.8 m: Brier score",
+    "right_moves": "moves 0.8 m: share right",
+    "brier_comes": "comes 0.8 m along the push: Brier score",
+    "right_comes": "comes 0.8 m along the push: share right",
+    "pushes": "pushes",
+    "moves": "pushes that move the object 0.8 m",
+    "comes": "pushes on which it comes 0.8 m along the push",
+}
+_OF_ENDS: dict[str, Callable[[Any], Any]] = {"position_m": np.median, "yaw_deg": np.median, "covered": np.mean}
+"""What is measured of ends, and the statistic of it."""
+_RESAMPLES = 2000
+
+Rows = list[dict[str, Any]]
+
+
+def errors(end: Float[np.ndarray, "3"], other: Float[np.ndarray, "3"]) -> dict[str, float]:
+    """Distance and angle between two poses of an object."""
+    turned = abs(float(se2.wrap(end[2] - other[2])))
+    return {"position_m": float(np.hypot(*(end - other)[:2])), "yaw_deg": float(np.rad2deg(turned))}
+
+
+def median_pose(poses: Float[np.ndarray, "S 3"]) -> Float[np.ndarray, "3"]:
+    """Median of each coordinate, of yaw about the mean direction."""
+    mean = np.arctan2(np.sin(poses[:, 2]).mean(), np.cos(poses[:, 2]).mean())
+    return np.array([*np.median(poses[:, :2], axis=0), mean + np.median(se2.wrap(poses[:, 2] - mean))])
+
+
+def covered(poses: Float[np.ndarray, "S 3"], end: Float[np.ndarray, "3"]) -> bool:
+    """Whether ``end`` lies in the ellipsoid about the median of the ``poses`` that holds `SHARE` of them."""
+    middle = median_pose(poses)
+
+    def beside(pose: np.ndarray) -> np.ndarray:
+        return np.concatenate([pose[..., :2] - middle[:2], se2.wrap(pose[..., 2:] - middle[2])], axis=-1)
+
+    around = beside(poses)
+    # Samples that agree would have no inverse.
+    inverse = np.linalg.inv(around.T @ around / len(around) + np.diag([1e-6, 1e-6, 3e-6]))
+    far = np.einsum("...i,ij,...j->...", around, inverse, around)
+    return bool(beside(end) @ inverse @ beside(end) <= np.quantile(far, SHARE))
+
+
+def measure(rows: Rows) -> dict[str, float]:
+    """``NAME_STRATUM_PREDICTION`` for each of the lines of the table, with ``_low`` and ``_high`` of a 95 % interval:
+    a bootstrap over objects, as pushes of one object are alike."""
+    metrics: dict[str, float] = {}
+    for stratum, name in itertools.product(STRATA, PREDICTIONS):
+        mine, suffix = [r for r in rows if r["stratum"] == stratum], f"{stratum}_{name}"
+        asked = [r for r in mine if f"{name}_moves" in r]
+        metrics[f"pushes_{suffix}"] = len(asked)
+        metrics[f"compared_{suffix}"] = sum(f"{name}_position_m" in r for r in mine)
+        for prefix, (key, statistic) in itertools.product(("", "stop_"), _OF_ENDS.items()):
+            ends = [r for r in mine if f"{name}_{prefix}{key}" in r]
+            values = np.array([r[f"{name}_{prefix}{key}"] for r in ends])
+            metrics |= _with_interval(f"{prefix}{key}_{suffix}", ends, values, statistic)
+        for event in ("moves", "comes"):
+            p, true = (np.array([r[key] for r in asked]) for key in (f"{name}_{event}", event))
+            metrics[f"{event}_{suffix}"] = float(true.sum())
+            metrics |= _with_interval(f"right_{event}_{suffix}", asked, (p >= 0.5) == (true > 0.5), np.mean)
+            if name != "robots":
+                metrics |= _with_interval(f"brier_{event}_{suffix}", asked, (p - true) ** 2, np.mean)
+    return metrics
+
+
+def _with_interval(key: str, rows: Rows, values: np.ndarray, statistic: Callable[[Any], Any]) -> dict[str, float]:
+    """A statistic of the rows' values; nothing without rows."""
+    if not rows:
+        return {}
+    found, objects = values.astype(float), np.array([r["object"] for r in rows])
+    groups, rng = [found[objects == one] for one in np.unique(objects)], np.random.default_rng(0)
+    drawn = rng.integers(len(groups), size=(_RESAMPLES, len(groups)))
+    again = [statistic(np.concatenate([groups[i] for i in which])) for which in drawn]
+    low, high = np.quantile(again, (0.025, 0.975))
+    return {key: float(statistic(found)), f"{key}_low": float(low), f"{key}_high": float(high)}
+
+
+def outcomes_table(result: ExperimentResult) -> str:
+    """Every measure of every stratum, by what predicts."""
+    columns = [(stratum, name) for stratum in STRATA for name in PREDICTIONS]
+    heads = ["", *(f"{'free' if stratum == 'free' else 'locked wheel'}, {PREDICTIONS[n]}" for stratum, n in columns)]
+    lines = [
+        [label, *(_cell(result, f"{key}_{stratum}_{name}") for stratum, name in columns)]
+        for key, label in _LINES.items()
+    ]
+    return markdown_table(heads, lines)
+
+
+def _cell(result: ExperimentResult, key: str) -> str:
+    value, low, high = (result.metrics.get(f"{key}{end}") for end in ("", "_low", "_high"))
+    if value is None:
+        return ""
+    return f"{value:.2g} ({low:.2g} to {high:.2g})" if low is not None and high is not None else f"{value:g}"
+
+
+def draw_figure(file: Path, rows: Rows, distance: float) -> None:
+    """Predicted and true ends of some pushes of each stratum, seen along the push; and how often what is said comes
+    true."""
+    figure = blank_figure(12.0, 4.2)
+    *fans, reliability = figure.subplots(1, 3)
+    for axes, (stratum, title) in zip(fans, STRATA.items(), strict=True):
+        _draw_ends(axes, [r for r in rows if r["stratum"] == stratum and "posterior_stops" in r], distance)
+        axes.set_title(title)
+    _draw_reliability(reliability, rows)
+    save_figure(file, figure)
+
+
+def _draw_ends(axes: Any, rows: Rows, distance: float) -> None:
+    # One push of each of some objects, in the order in which they were drawn.
+    first = {row["object"]: row for row in reversed(rows)}
+    for colour, row in zip(SERIES[:6], reversed(first.values()), strict=False):
+        along = row["start"][2] + row["ahead"]
+        ends, end = (
+            se2.rotate(np.atleast_2d(row[key])[:, :2] - row["start"][:2], -along) for key in ("posterior_stops", "stop")
+        )
+        axes.plot(*ends.T, ".", color=colour, ms=5, alpha=0.6)
+        axes.plot(*end.T, "*", color=colour, ms=13, markeredgecolor="black", markeredgewidth=0.6)
+    axes.plot([], [], ".", color="grey", label="predicted, by samples of the posterior")
+    axes.plot([], [], "*", color="grey", ms=11, markeredgecolor="black", label="true")
+    axes.plot(0, 0, "k+", ms=10, label="start")
+    axes.set_aspect("equal", "datalim")
+    axes.set_xlabel(f"along the push at its start [m], after {distance:g} m of path or 12 s")
+    axes.set_ylabel("to its left [m]")
+    axes.legend(fontsize=7, loc="lower left")
+
+
+def _draw_reliability(axes: Any, rows: Rows) -> None:
+    axes.plot((0, 1), (0, 1), color="black", lw=1.0, ls="--")
+    for name, colour, marker in (("posterior", SERIES[0], "o"), ("prior", SERIES[5], "s")):
+        p, came = (np.array([r[key] for r in rows]) for key in (f"{name}_comes", "comes"))
+        place = np.minimum((p * 5).astype(int), 4)
+        bins = [(p[place == b].mean(), came[place == b].mean(), int(np.sum(place == b))) for b in np.unique(place)]
+        axes.plot([b[0] for b in bins], [b[1] for b in bins], marker, color=colour, ms=6, label=name, ls="-", lw=0.8)
+        for said, share, count in bins:
+            axes.annotate(
+                str(count), (said, share), textcoords="offset points", xytext=(6, -10), fontsize=8, color=colour
+            )
+    axes.set_xlabel("probability to come that far along the push")
+    axes.set_ylabel("share that comes")
+    axes.legend(fontsize=8, title="pushes, and how many", title_fontsize=8)
+    axes.set_title("does it come that far?")
