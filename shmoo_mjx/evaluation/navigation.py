@@ -3,10 +3,10 @@
 *lazy* goes round whenever there is a way round, however long, and pushes otherwise. *oracle* is told by the certificate
 which objects the best option pushes, pushes these and goes round all others; without a certificate it is told which
 objects can be moved. Coefficients it learns as we do. *always_avoid* takes every object for a wall. *always_push*
-pushes whatever is in the way and never goes round. *paper* decides by K < 0.3 m^2 after 1 s of contact, as printed.
-*geometric* takes whatever is in the way for movable, as planners after Stilman do, pushes wherever that makes the path
-shorter, and registers what a push has not moved. The *reference* is the best option of each certificate, and is not
-run.
+pushes whatever is in the way and never goes round. *paper* is the paper's system (`shmoo_mjx.methods`): its weights,
+its cost, and K < 0.3 m^2 after 1 s of contact. *geometric* takes whatever is in the way for movable, as planners after
+Stilman do, pushes wherever that makes the path shorter, and registers what a push has not moved. The *reference* is the
+best option of each certificate, and is not run.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ from shmoo_mjx.evaluation.scenario_set import open_set
 from shmoo_mjx.evaluation.scenarios import Generated, ScenarioConfig
 from shmoo_mjx.evaluation.trials import controller_of, run_trials
 from shmoo_mjx.fingerprints import fingerprint
+from shmoo_mjx.methods import METHODS, PAPER
 from shmoo_mjx.navigation.belief import Status
 from shmoo_mjx.navigation.maps import OccupancyGrid, load_map
 from shmoo_mjx.navigation.object_planner import ObjectPlannerConfig
@@ -54,6 +55,8 @@ class PolicyVariant(NamedTuple):
     config: NavigatorConfig
     first_status: Callable[[Generated], list[Status]] | None = None
     """What the robot takes each object to be from the start."""
+    method: str = "ours"
+    """Whose weights and pushing it has (`shmoo_mjx.methods`)."""
 
 
 def _as_they_are(generated: Generated) -> list[Status]:
@@ -72,7 +75,7 @@ POLICIES = {
         NavigatorConfig(chances=0), lambda generated: [Status.FIXED for _ in generated.movable]
     ),
     "always_push": PolicyVariant(NavigatorConfig(decides_by="mobility", goes_round=False, planner=_ALL_MOVABLE)),
-    "paper": PolicyVariant(NavigatorConfig(decides_by="K")),
+    PAPER: PolicyVariant(METHODS[PAPER].navigator, method=PAPER),
     "geometric": PolicyVariant(NavigatorConfig(decides_by="K", planner=_ALL_MOVABLE, detour=0.0)),
 }
 """In the order in which they run: of an experiment that is stopped, ours is there first."""
@@ -151,7 +154,8 @@ def trials_folder(options: ExperimentOptions, folder: Path, scenario: ScenarioCo
     settings["scenario"] = asdict(scenario)
     settings["policies"] = {name: asdict(policy.config) for name, policy in POLICIES.items()}
     given = () if options.scenario_set is None else (options.scenario_set,)
-    return folder / f"trials-{fingerprint(__name__, settings, robot.weights, *given)}"
+    weights = robot.weights, asset(METHODS[PAPER].weights)
+    return folder / f"trials-{fingerprint(__name__, settings, *weights, *given)}"
 
 
 def _trial(places: Places, robot: TestedRobot, store: Path, trial: tuple[str, int, str]) -> list[dict[str, Any]]:
@@ -182,13 +186,14 @@ def play(
     """
     from shmoo_mjx.episode import run_episode
 
-    config, first_status = POLICIES.get(policy, POLICIES[OURS])
+    config, first_status, method = POLICIES.get(policy, POLICIES[OURS])
+    weights = robot.weights if method == OURS else asset(METHODS[method].weights)
     if policy == "oracle" and generated.certificate is not None:
         config = replace(config, detour=0.0)  # what it does not take for a wall is to be pushed
     return run_episode(
         grid,
         generated.scenario.model_copy(update={"seed": generated.scenario.seed + robot.seed}),
-        controller_of(robot.weights),
+        controller_of(weights, method),
         config,
         first_status=None if first_status is None else first_status(generated),
         senses=robot.senses,

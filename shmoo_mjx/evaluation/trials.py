@@ -70,9 +70,8 @@ def _tried(work: Work, given: Any) -> list[dict[str, Any]]:
 
 
 @cache
-def controller_of(weights: Path) -> Any:
-    """The pushing controller of a weights file, compiled once in each process."""
-    from shmoo_mjx.control.pushing import PushController
-    from shmoo_mjx.learning.weights import load_weights
+def controller_of(weights: Path, method: str = "ours") -> Any:
+    """The pushing controller of a weights file and a method, compiled once in each process."""
+    from shmoo_mjx.methods import method_named
 
-    return PushController(load_weights(weights))
+    return method_named(method).controller(weights)

@@ -214,7 +214,6 @@ def test_finished_trials_are_not_run_again(tmp_path: Path, monkeypatch: pytest.M
 
     monkeypatch.setattr(pushing, "_runner", lambda *_: Fake())
     monkeypatch.setattr(pushing, "QUICK", replace(pushing.QUICK, workers=1))
-    monkeypatch.setattr(pushing, "_paper_form", lambda *_: tmp_path)
     options = ExperimentOptions(quick=True, out=tmp_path)
     with pytest.raises(KeyboardInterrupt):
         pushing.run(options)
