@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
 from subprocess import CompletedProcess
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ from shmoo_mjx.methods import METHODS, method_named
 from shmoo_mjx.navigation.maps import save_map
 from shmoo_mjx.navigation.push_task import pose_push_config
 from shmoo_mjx.navigation.records import NavigatorConfig
-from shmoo_mjx.navigation.scenario import Limits, save_scenario
+from shmoo_mjx.navigation.scenario import Limits, ObjectEntry, save_scenario
 
 Shmoo = Callable[..., CompletedProcess[str]]
 PAPER = METHODS["paper"]
@@ -66,27 +67,44 @@ def test_weights_that_do_not_fit_the_method_are_refused() -> None:
         method_named("printed")
 
 
-def test_a_run_of_the_papers_system_is_repeated_bit_for_bit(
+def navigate(shmoo: Shmoo, seconds: float, *objects: ObjectEntry) -> dict[str, Any]:
+    """The result of a run of the paper's system in the folder run, of the given length."""
+    grid, scenario = toy_scenario(1, True)
+    save_map(grid, "rooms.yaml")
+    short = {"map": "rooms.yaml", "objects": objects, "limits": Limits(time_s=seconds)}
+    save_scenario(scenario.model_copy(update=short), Path("short.yaml"))
+    done = shmoo("navigate", "--scenario", "short.yaml", "--no-video", "--method", "paper", "--out", "run")
+    assert done.returncode == 1 and done.stdout.startswith("timeout"), done.stderr
+    return dict(json.loads(Path("run/result.json").read_text()))
+
+
+def test_a_run_says_its_method_and_is_repeated_with_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shmoo: Shmoo
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    grid, scenario = toy_scenario(1, True)
-    save_map(grid, tmp_path / "rooms.yaml")
-    box = scenario.objects[0].model_copy(update={"pose": (2.4, 2.025, 0.0)})
-    short = {"map": "rooms.yaml", "objects": (box,), "limits": Limits(time_s=14)}
-    save_scenario(scenario.model_copy(update=short), tmp_path / "short.yaml")
-    done = shmoo("navigate", "--scenario", "short.yaml", "--no-video", "--method", "paper", "--out", "run")
-    result = json.loads((tmp_path / "run/result.json").read_text())
-    assert done.returncode == 1 and result["outcome"] == "timeout", done.stderr
+    result = navigate(shmoo, 3.0)
     assert result["method"] == "paper" and result["config"]["navigator"]["decides_by"] == "K"
+    assert result["weights"] == PAPER.load().info and not Path("run/weights.safetensors").exists()
     assert result["command"].endswith("--method paper --out run-again")
-    assert not (tmp_path / "run/weights.safetensors").exists()  # the shipped ones
-    with np.load(tmp_path / "run/trace.npz") as trace:
-        assert trace["learned_names"].tolist() == [f"a{k + 1}" for k in range(18)]
-        assert np.isfinite(trace["learned"]).all(axis=1).any()
+    assert shmoo("replay", "run").returncode == 0
+    slow = replace(PAPER.navigator, trajectory=replace(PAPER.navigator.trajectory, speed=0.2))
+    monkeypatch.setitem(METHODS, "paper", replace(PAPER, navigator=slow))
     done = shmoo("replay", "run")
-    assert done.returncode == 0, done.stdout
-    # With other settings it is another run.
+    assert done.returncode == 1 and "differs" in done.stdout
+
+
+@pytest.mark.slow
+def test_a_push_of_the_papers_system_is_repeated_bit_for_bit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shmoo: Shmoo
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    box = toy_scenario(1, True)[1].objects[0].model_copy(update={"pose": (2.4, 2.025, 0.0)})
+    navigate(shmoo, 14.0, box)
+    with np.load("run/trace.npz") as trace:
+        assert trace["learned_names"].tolist() == [f"a{k + 1}" for k in range(18)]
+        assert len(np.unique(trace["learned"][np.isfinite(trace["learned"][:, 0]), 0])) > 5
+    assert shmoo("replay", "run").returncode == 0
+    # The pushing controller's settings count as well.
     monkeypatch.setitem(METHODS, "paper", replace(PAPER, pushing=METHODS["ours"].pushing))
     done = shmoo("replay", "run")
     assert done.returncode == 1 and "differs" in done.stdout

@@ -1,5 +1,4 @@
-"""What `benchmarks/without.py` leaves out is a part that pushing to a pose has, and what `benchmarks/paper_parts.py` changes
-is a part of the paper's system; nothing else changes."""
+"""Of ours `benchmarks/without.py` leaves one part out, of the paper's system `benchmarks/paper_parts.py` changes one."""
 
 from __future__ import annotations
 
