@@ -1,5 +1,5 @@
-"""The paper's system with one part changed, as pushing controllers: what each addition to it brings, and what the one
-addition that it has is there for.
+"""The paper's system with one part changed, as pushing controllers: without each of its two additions to MPPI, and
+without its white noise.
 
 Run: shmoo experiment pushing --quick --condition-seed 25 --policies paper benchmarks.paper_parts:metres ...
 
@@ -30,9 +30,7 @@ def _control(**settings: float) -> PushConfig:
 
 metres = _with(_control(cost_scale=1.0))
 """The temperature of 0.7 acts on Eq. 9 in metres."""
-smooth = _with(_control(noise_correlation=0.9))
-"""Noise that is correlated in time."""
-governor = _with(replace(_PAPER.pose_pushing, governor=GovernorConfig()))
-"""Bounds on the forward lean."""
-both = _with(replace(_control(noise_correlation=0.9), governor=GovernorConfig()))
-"""Correlated noise and the governor."""
+governor = _with(replace(_PAPER.pose_pushing, governor=GovernorConfig(gain=0.0)))
+"""No bounds on the forward lean."""
+white = _with(_control(noise_correlation=0.9))
+"""Noise that is correlated in time, as ours."""

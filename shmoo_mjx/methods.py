@@ -13,7 +13,6 @@ from pathlib import Path
 
 from shmoo_mjx.assets import PAPER_WEIGHTS, WEIGHTS, asset
 from shmoo_mjx.control.cost import PushCost
-from shmoo_mjx.control.governor import GovernorConfig
 from shmoo_mjx.control.pushing import PushConfig, PushController
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.learning.adaptation import AdaptConfig
@@ -62,16 +61,13 @@ class Method:
 
 
 def _as_printed() -> PushConfig:
-    """Eq. 8 and 9 as printed, and Williams' white noise; where the paper gives no number, it is ours."""
+    """Eq. 8 and 9 as printed, and Williams' white noise; where the paper gives no number, it is ours. Of the additions
+    two remain: ``cost_scale`` and the governor, which needs a ``speed_limit``."""
     base = PushConfig()
-    return replace(
-        base,
-        cost=PushCost(yaw_weight=1.0, effort=base.cost.effort, change=base.cost.change),
-        control=replace(base.control, noise_correlation=0.0),
-        # Labels are differences of noisy twists, whose errors are correlated.
-        adapt=AdaptConfig(to_prior=False, outlier=math.inf, noise_scale=2.0),
-        governor=GovernorConfig(gain=0.0),
-    )
+    eq_9 = PushCost(yaw_weight=1.0, effort=base.cost.effort, change=base.cost.change, speed_limit=base.cost.speed_limit)
+    # Labels are differences of noisy twists, whose errors are correlated.
+    eq_8 = AdaptConfig(to_prior=False, outlier=math.inf, noise_scale=2.0)
+    return replace(base, cost=eq_9, control=replace(base.control, noise_correlation=0.0), adapt=eq_8)
 
 
 METHODS = {

@@ -28,12 +28,7 @@ LEFT_OUT = {
     "foresees_governor": {"foresees_governor"},
     "running_lateral_foresees": {"cost.running_weight", "cost.lateral_weight", "foresees_governor"},
 }
-PAPER = {
-    "metres": {"control.cost_scale"},
-    "smooth": {"control.noise_correlation"},
-    "governor": {"governor.gain"},
-    "both": {"control.noise_correlation", "governor.gain"},
-}
+PAPER = {"metres": {"control.cost_scale"}, "governor": {"governor.gain"}, "white": {"control.noise_correlation"}}
 
 
 def _flat(settings: dict[str, Any], prefix: str = "") -> dict[str, Any]:
