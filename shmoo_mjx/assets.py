@@ -7,6 +7,9 @@ from pathlib import Path
 WEIGHTS = "experiments/weights/demo.safetensors"
 """The weights that come with the package (docs/models.md says how they are made)."""
 
+PAPER_WEIGHTS = "experiments/weights/paper.safetensors"
+"""The same R with psi as the paper prints it."""
+
 _PACKAGE = Path(__file__).resolve().parent
 
 

@@ -32,6 +32,7 @@ def demo(
     quick: bool = False,
     senses: str = "real",
     scene: Literal["generated", "paper"] = "generated",
+    method: str = "ours",
 ) -> int:
     """Run the whole story on a generated floor plan: push a box away, recognise a locked wheelchair, go round.
 
@@ -40,15 +41,16 @@ def demo(
     Args:
         seed: draws floor plan, objects and properties; a range such as 0..19 runs each and prints the success rate.
         out: folder that gets one folder per run, demo-SEED.
-        weights: trained weights (default: the shipped ones).
+        weights: trained weights (default: those of the method).
         video: draw episode.mp4 (--no-video is about twice as fast).
         quick: a short form for checks: no video.
         senses: real (camera, odometry, joint torques) or perfect (the simulator's truth).
         scene: generated, or paper (a box of 2.8 kg, an empty wheelchair of 11.9 kg with locked wheels).
+        method: ours, or paper (the paper's system, docs/paper_system.md).
     """
     from shmoo_mjx.demo import run_demo
 
-    return run_demo(_seeds(seed), out, weights, video and not quick, _senses(senses), scene)
+    return run_demo(_seeds(seed), out, weights, video and not quick, _senses(senses), scene, method)
 
 
 def navigate(
@@ -63,6 +65,7 @@ def navigate(
     senses: str | None = None,
     real_time: bool = False,
     policy: str | None = None,
+    method: str = "ours",
 ) -> int:
     """Run a scenario in any ROS map_server map.
 
@@ -74,13 +77,14 @@ def navigate(
         start: x,y,yaw [m, rad] of the robot, without a scenario file.
         goal: x,y [m], without a scenario file.
         out: folder for result.json, report.html and episode.mp4.
-        weights: trained weights (default: the shipped ones).
+        weights: trained weights (default: those of the method).
         video: draw episode.mp4.
         record: write episode.rrd too, a 3-D recording to scrub through (needs the package rerun-sdk).
         senses: real or perfect; overrides the scenario's own (default: real).
         real_time: run against the wall clock: what computing really takes passes in the world, and each missed
             deadline is reported.
         policy: package.module:Name of your own navigation policy, in the place of ours.
+        method: ours, or paper (the paper's system, docs/paper_system.md).
     """
     from shmoo_mjx import progress, run
 
@@ -88,7 +92,9 @@ def navigate(
     grid, task = run.load_inputs(map, scenario, start, goal)
     name = str(scenario) if scenario else "--start/--goal"
     with progress.stages() as report:
-        result = run.run_scenario(grid, task, out, weights, video, name, report, record, chosen, real_time, policy)
+        result = run.run_scenario(
+            grid, task, out, weights, video, name, report, record, chosen, real_time, policy, method
+        )
     if real_time:
         late = result["missed_deadlines"]
         worst = f", the worst {max(d['ms'] for d in late)} ms in '{max(late, key=lambda d: d['ms'])['state']}'"
@@ -131,7 +137,7 @@ def replay(run: Positional[Path], weights: Path | None = None) -> int:
 
     Args:
         run: folder that demo or navigate has left.
-        weights: those of the run (default: the ones in its folder, or else the shipped ones).
+        weights: those of the run (default: the ones in its folder, or else those of its method).
     """
     from shmoo_mjx.replay import replay as compare
 
@@ -210,6 +216,7 @@ def train(
     out: Path | None = None,
     seed: Seed = 0,
     quick: bool = False,
+    form: Literal["ours", "paper"] = "ours",
 ) -> int:
     """Train the object model (DAIML) or the robot model on a data set; resumes where it was stopped.
 
@@ -222,13 +229,14 @@ def train(
             weights.safetensors, or weights-quick.safetensors with --quick).
         seed: of initialisation and batches.
         quick: a short form of a few minutes, to try the commands; its weights are not for use.
+        form: shape of the network: ours, or as the paper prints it.
     """
     from shmoo_mjx import progress
     from shmoo_mjx.learning.train import train_part
 
     target = out or Path("weights-quick.safetensors" if quick else "weights.safetensors")
     with progress.training(what) as report:
-        score = train_part(what, data, target, seed, report, quick)
+        score = train_part(what, data, target, seed, report, quick, form)
     print(f"{target}: {what} model, fraction of variance unexplained on validation conditions {score:.3f}")
     if quick:
         print("A short training: these weights are not for use.")

@@ -39,26 +39,26 @@ class Difference(NamedTuple):
 def replay(run: Path, weights: Path | None = None) -> Difference | None:
     """The first command that differs when the recording in folder ``run`` is fed to this version's navigator, or None.
 
-    With the ``weights`` that the folder holds, or else the shipped ones, if none are given.
+    With the ``weights`` that the folder holds, or else those of the run's method, if none are given.
 
     Raises:
         ShmooError: a file is missing, damaged or of another version, or the run was made with other weights.
     """
-    from shmoo_mjx.control.pushing import PushController
-    from shmoo_mjx.learning.weights import load_weights
+    from shmoo_mjx.methods import method_named
     from shmoo_mjx.navigation.maps import load_map
     from shmoo_mjx.navigation.scenario import load_scenario
     from shmoo_mjx.sensing import senses_named
 
     result, recorded = load_result(run / "result.json"), load_recorded(run / RECORDED)
     own = run / OWN_WEIGHTS
-    loaded = load_weights(weights or (own if own.is_file() else None))
-    if result.get("weights") != loaded.info:
+    method = method_named(str(result.get("method", "ours")))
+    controller = method.controller(weights or (own if own.is_file() else None))
+    if result.get("weights") != controller.weights.info:
         raise ShmooError(f"{run}: the run was made with other weights; give them with --weights.")
     scenario = load_scenario(run / "scenario.yaml")
     senses = senses_named(str(result.get("senses")))
     navigator = navigator_of(
-        load_map(run / "map.yaml"), scenario, PushController(loaded), senses, policy=result.get("policy")
+        load_map(run / "map.yaml"), scenario, controller, senses, method.navigator, policy=result.get("policy")
     )
     return differences(navigator, recorded)
 

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx.assets import WEIGHTS as SHIPPED
 from shmoo_mjx.assets import asset
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.files import claimed, write_whole
@@ -34,7 +33,7 @@ from shmoo_mjx.verbosity import is_quiet
 from shmoo_mjx.versions import versions
 
 OWN_WEIGHTS = "weights.safetensors"
-"""What a run's folder calls the weights of a run, if they are not the shipped ones."""
+"""What a run's folder calls the weights of a run, if they are not those of its method."""
 _FILES = {
     "trace.npz": ARRAYS,
     "result.json": RUN,
@@ -62,6 +61,7 @@ def run_scenario(
     senses: SensesName | None = None,
     real_time: bool = False,
     policy: str | None = None,
+    method: str = "ours",
 ) -> dict[str, Any]:
     """Run one scenario and write its folder ``out``.
 
@@ -69,7 +69,7 @@ def run_scenario(
         grid: the map.
         scenario: what to do in it.
         out: folder for the results; made if absent, files of an earlier run are replaced.
-        weights: trained weights; the shipped ones if not given.
+        weights: trained weights; those of the method if not given.
         video: draw episode.mp4, which takes about as long as the simulation.
         name: what to call the scenario in error messages.
         progress: called with (stage, fraction of its limit that has passed).
@@ -77,32 +77,31 @@ def run_scenario(
         senses: what the robot perceives with; if not given the scenario's, or real.
         real_time: run against the wall clock, and report every missed deadline.
         policy: "package.module:Name" of what drives in the place of our navigator.
+        method: "ours", or "paper" for the paper's system (`shmoo_mjx.methods`).
 
     Returns:
         The result, as in result.json.
 
     Raises:
-        ShmooError: the scenario does not fit the map, the weights can't be read, or a file in ``out`` is not one of an
-            earlier run.
+        ShmooError: the scenario does not fit the map, the weights can't be read or do not fit the method, there is no
+            such method, or a file in ``out`` is not one of an earlier run.
     """
     check_run_folder(out)
     check_scenario(grid, scenario, ROBOT_RADIUS, name)
     conditions = checked_objects(grid, scenario, name)
     # Only now what takes seconds to import: bad input is answered at once.
     from shmoo_mjx.control.observation import local_distance_field
-    from shmoo_mjx.control.pushing import PushController
     from shmoo_mjx.episode import Hooks, run_episode
-    from shmoo_mjx.learning.weights import load_weights
+    from shmoo_mjx.methods import method_named
     from shmoo_mjx.navigation.maps import clearance_field
-    from shmoo_mjx.navigation.records import NavigatorConfig
     from shmoo_mjx.recorded import RECORDED, save_recorded
     from shmoo_mjx.report.html import write_report
     from shmoo_mjx.report.recording import require_viewer, write_recording
 
     if record:
         require_viewer()
-    config = NavigatorConfig()
-    controller = PushController(load_weights(weights or asset(SHIPPED)))
+    chosen = method_named(method)
+    controller = chosen.controller(weights)
     with claimed(out):
         # Before the run, which they might not outlive.
         scenario = with_own_objects(scenario, out)
@@ -115,9 +114,9 @@ def run_scenario(
             # What is compiled meanwhile would miss every deadline.
             controller.compile(local_distance_field(clearance_field(grid), scenario.start))
         episode = run_episode(
-            grid, scenario, controller, config, hooks, senses=senses, real_time=real_time, policy=policy
+            grid, scenario, controller, chosen.navigator, hooks, senses=senses, real_time=real_time, policy=policy
         )
-        result = save_run(out, grid, scenario, episode.result, episode.trace, controller)
+        result = save_run(out, grid, scenario, episode.result, episode.trace, controller, method)
         save_recorded(out / RECORDED, episode.recorded)
         # The report shows the film that lies there: one of an earlier run must not.
         (out / "episode.mp4").unlink(missing_ok=True)
@@ -142,10 +141,16 @@ def check_run_folder(out: Path) -> None:
 
 
 def save_run(
-    out: Path, grid: OccupancyGrid, scenario: Scenario, result: dict[str, Any], trace: Any, controller: Any
+    out: Path,
+    grid: OccupancyGrid,
+    scenario: Scenario,
+    result: dict[str, Any],
+    trace: Any,
+    controller: Any,
+    method: str = "ours",
 ) -> dict[str, Any]:
     """Write what a report is made of into the folder ``out``, and all that it takes to run it again, wherever the
-    folder is: trace.npz, map, scenario, object files, weights that are not the shipped ones, and result.json.
+    folder is: trace.npz, map, scenario, object files, weights that are not those of the ``method``, and result.json.
 
     Returns:
         The result as it is written, with the versions, weights and settings that it depends on, and the command that
@@ -155,6 +160,7 @@ def save_run(
         ShmooError: a file in ``out`` is not one of an earlier run.
     """
     from shmoo_mjx.learning.weights import load_weights, save_weights
+    from shmoo_mjx.methods import method_named
     from shmoo_mjx.report.trace import save_trace
 
     check_run_folder(out)
@@ -164,13 +170,14 @@ def save_run(
     perceived = result["senses"] if result["senses"] in SENSES else scenario.senses
     own = with_own_objects(scenario.model_copy(update={"map": str(out / "map.yaml"), "senses": perceived}), out)
     save_scenario(own, out / "scenario.yaml")
-    shipped = controller.weights.info == load_weights().info
+    shipped = controller.weights.info == load_weights(asset(method_named(method).weights)).info
     if shipped:
         (out / OWN_WEIGHTS).unlink(missing_ok=True)
     else:
         save_weights(out / OWN_WEIGHTS, controller.weights)
-    whole = {"name": out.resolve().name, **result, "versions": versions(), "weights": controller.weights.info}
-    whole["command"] = _command(whole["name"], shipped, result["policy"])
+    about = {"method": method, "versions": versions(), "weights": controller.weights.info}
+    whole = {"name": out.resolve().name, **result, **about}
+    whole["command"] = _command(whole["name"], shipped, result["policy"], method)
     whole["config"] = result["config"] | {
         "pushing": asdict(controller.config),
         "scenario": portable(own, out).model_dump(mode="json"),
@@ -179,11 +186,12 @@ def save_run(
     return whole
 
 
-def _command(name: str, shipped_weights: bool, policy: str | None) -> str:
+def _command(name: str, shipped_weights: bool, policy: str | None, method: str) -> str:
     """What repeats a run, from where its folder ``name`` lies."""
     words = ["uv", "run", "shmoo", "navigate", "--scenario", f"{name}/scenario.yaml"]
     words += [] if shipped_weights else ["--weights", f"{name}/{OWN_WEIGHTS}"]
     words += [] if policy is None else ["--policy", policy]
+    words += [] if method == "ours" else ["--method", method]
     return shlex.join([*words, "--out", f"{name}-again"])
 
 

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from shmoo_mjx.assets import PAPER_WEIGHTS, WEIGHTS
+
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ("models_xml", "experiments")
 
@@ -48,7 +50,7 @@ def test_the_wheel_carries_code_models_weights_and_experiments(wheel: Path) -> N
     expected = {f if f.startswith("shmoo_mjx/") else f"shmoo_mjx/{f}": f for f in tracked if (ROOT / f).exists()}
     assert len(expected) > 10 and set(expected) <= set(inside)
     assert all(inside[name] == (ROOT / source).read_bytes() for name, source in expected.items())
-    assert {"shmoo_mjx/experiments/weights/demo.safetensors", "shmoo_mjx/py.typed"} <= set(inside)
+    assert {f"shmoo_mjx/{WEIGHTS}", f"shmoo_mjx/{PAPER_WEIGHTS}", "shmoo_mjx/py.typed"} <= set(inside)
     # One top-level name besides the metadata; nothing of tests, data or docs.
     assert {name.partition("/")[0].partition("-")[0] for name in inside} == {"shmoo_mjx"}
     entry_points = next(text for name, text in inside.items() if name.endswith("entry_points.txt"))

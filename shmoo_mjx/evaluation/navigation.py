@@ -3,11 +3,11 @@
 *lazy* goes round whenever there is a way round, however long, and pushes otherwise. *frozen* learns nothing: what is
 known of an object stays what it looks like. *oracle* is told by the certificate which objects the best option pushes,
 pushes these and goes round all others; without a certificate it is told which objects can be moved. Coefficients it
-learns as we do. *always_avoid* takes every object for a wall. *always_push*
-pushes whatever is in the way and never goes round. *paper* decides by K < 0.3 m^2 after 1 s of contact, as printed.
-*geometric* takes whatever is in the way for movable, as planners after Stilman do, pushes wherever that makes the path
-shorter, and registers what a push has not moved. The *reference* is the best option of each certificate, and is not
-run.
+learns as we do. *always_avoid* takes every object for a wall. *always_push* pushes whatever is in the way and never
+goes round. *paper* is the paper's system (`shmoo_mjx.methods`): its weights, its cost, and K < 0.3 m^2 after 1 s of
+contact. *geometric* takes whatever is in the way for movable, as planners after Stilman do, pushes wherever that makes
+the path shorter, and registers what a push has not moved. The *reference* is the best option of each certificate, and
+is not run.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ import numpy as np
 
 from shmoo_mjx import custom
 from shmoo_mjx.assets import WEIGHTS, asset
-from shmoo_mjx.control.pushing import PushConfig
 from shmoo_mjx.evaluation.navigation_failures import keep_failure, write_failures
 from shmoo_mjx.evaluation.navigation_measures import (
     cause_of,
@@ -39,6 +38,7 @@ from shmoo_mjx.evaluation.scenario_set import open_set
 from shmoo_mjx.evaluation.scenarios import Generated, ScenarioConfig
 from shmoo_mjx.evaluation.trials import controller_of, run_trials
 from shmoo_mjx.fingerprints import fingerprint
+from shmoo_mjx.methods import FROZEN, METHODS, PAPER
 from shmoo_mjx.navigation.belief import Status
 from shmoo_mjx.navigation.maps import OccupancyGrid, load_map
 from shmoo_mjx.navigation.object_planner import ObjectPlannerConfig
@@ -56,7 +56,8 @@ class PolicyVariant(NamedTuple):
     config: NavigatorConfig
     first_status: Callable[[Generated], list[Status]] | None = None
     """What the robot takes each object to be from the start."""
-    push: PushConfig = PushConfig()
+    method: str = OURS
+    """Whose weights and pushing it has (`shmoo_mjx.methods`)."""
 
 
 def _as_they_are(generated: Generated) -> list[Status]:
@@ -70,11 +71,11 @@ _ALL_MOVABLE = ObjectPlannerConfig(threshold=0.0)
 POLICIES = {
     OURS: PolicyVariant(NavigatorConfig()),
     "lazy": PolicyVariant(NavigatorConfig(goes_round="always")),
-    "frozen": PolicyVariant(NavigatorConfig(), push=PushConfig(adapts=False)),
+    FROZEN: PolicyVariant(METHODS[FROZEN].navigator, method=FROZEN),
     "oracle": PolicyVariant(NavigatorConfig(goes_round="never"), _as_they_are),
     "always_avoid": PolicyVariant(NavigatorConfig(), lambda generated: [Status.FIXED for _ in generated.movable]),
     "always_push": PolicyVariant(NavigatorConfig(goes_round="never")),
-    "paper": PolicyVariant(NavigatorConfig(decides_by="K")),
+    PAPER: PolicyVariant(METHODS[PAPER].navigator, method=PAPER),
     "geometric": PolicyVariant(NavigatorConfig(decides_by="K", planner=_ALL_MOVABLE)),
 }
 """In the order in which they run: of an experiment that is stopped, ours is there first."""
@@ -151,9 +152,10 @@ def trials_folder(options: ExperimentOptions, folder: Path, scenario: ScenarioCo
     robot = robot_of(options)
     settings: dict[str, Any] = {"seeds": [robot.seed, options.condition_seed], "senses": robot.senses}
     settings["scenario"] = asdict(scenario)
-    settings["policies"] = {name: [asdict(policy.config), asdict(policy.push)] for name, policy in POLICIES.items()}
+    settings["policies"] = {name: [asdict(p.config), asdict(METHODS[p.method])] for name, p in POLICIES.items()}
     given = () if options.scenario_set is None else (options.scenario_set,)
-    return folder / f"trials-{fingerprint(__name__, settings, robot.weights, *given)}"
+    weights = robot.weights, asset(METHODS[PAPER].weights)
+    return folder / f"trials-{fingerprint(__name__, settings, *weights, *given)}"
 
 
 def _trial(places: Places, robot: TestedRobot, store: Path, trial: tuple[str, int, str]) -> list[dict[str, Any]]:
@@ -184,11 +186,11 @@ def play(
     """
     from shmoo_mjx.episode import run_episode
 
-    config, first_status, push = POLICIES.get(policy, POLICIES[OURS])
+    config, first_status, method = POLICIES.get(policy, POLICIES[OURS])
     return run_episode(
         grid,
         generated.scenario.model_copy(update={"seed": generated.scenario.seed + robot.seed}),
-        controller_of(robot.weights, push),
+        controller_of(asset(METHODS[method].weights) if method == PAPER else robot.weights, method),
         config,
         first_status=None if first_status is None else first_status(generated),
         senses=robot.senses,

@@ -105,7 +105,7 @@ def run(options: ExperimentOptions) -> ExperimentResult:
 
 def navigator_config() -> NavigatorConfig:
     """The navigator as it is, but on open floor it must not just walk round the object."""
-    return NavigatorConfig(goes_round=False)
+    return NavigatorConfig(goes_round="never")
 
 
 def open_floor(length: float = 9.0, width: float = 7.0, resolution: float = 0.05) -> OccupancyGrid:
@@ -209,7 +209,6 @@ def probe(
 def _probability(navigator: Any, controller: Any, truth: SteadyPush) -> float:
     """That the object comes as far as the truth asks along the push."""
     foresight, segment = foresight_of(controller), navigator.segment
-    assert foresight is not None
     known = navigator.belief.objects[segment.object]
     asked = (known.pose, known.half_extents, segment.face, truth.distance, truth.turn)
     return foresight.straight_on(known.adapt, known.kind, *asked)

@@ -201,7 +201,7 @@ SECTIONS = {
         "far off the centre, 25 to 45 N of resistance, half or twice the friction, a brake from the start). "
         "Both leave out objects with a locked wheel and objects that resist with more than 32 N (demanding: 43 N). "
         "A third stratum leaves out nothing and has tables of its own. Every method runs every trial.",
-        ("ours", "frozen prior", "contact model", "quasi-static", "oracle coefficients", "paper form"),
+        ("ours", "frozen prior", "contact model", "quasi-static", "oracle coefficients", "paper's system"),
         (
             *_of_methods(
                 {
@@ -224,7 +224,7 @@ SECTIONS = {
                     "pushes": "pushes",
                     "trials": "trials",
                 },
-                *("frozen_prior", "contact_model", "quasi_static", "oracle_coefficients", "paper_form"),
+                *("frozen_prior", "contact_model", "quasi_static", "oracle_coefficients", "paper"),
             ),
             ("way from the prior's offset to the oracle's", ("way_to_oracle", "", "", "", "", "")),
         ),

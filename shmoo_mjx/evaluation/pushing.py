@@ -56,8 +56,7 @@ def run(options: ExperimentOptions) -> ExperimentResult:
     folder = options.out / "pushing" / _fingerprint(options, config, weights)
     # Ours first, then the method that says most beside it: what an experiment that is stopped has run can be compared.
     trials = {_name(m, t): (m, t) for m in config.methods for t in drawn}
-    missing = any(m == "paper_form" and not (folder / f"{name}.json").exists() for name, (m, _) in trials.items())
-    robot = weights, _paper_form(options, weights, folder) if missing else None, config.time_limit, options.senses
+    robot = weights, config.time_limit, options.senses
     rows = run_trials(trials, partial(_trial, robot, folder), folder, options.progress, config.workers)
     draw_figure(options.out / "pushing" / "pushing.png", [r for r in rows if r["stratum"] != EVERYTHING], folder)
     if config.videos:
@@ -71,42 +70,23 @@ def run(options: ExperimentOptions) -> ExperimentResult:
 
 def _fingerprint(options: ExperimentOptions, config: PushingConfig, weights: Path) -> str:
     """Folder of the trials: other seeds, settings or weights must not be mixed up with these."""
-    from shmoo_mjx.control.pushing import PushConfig
-    from shmoo_mjx.navigation.push_task import PushTaskConfig, pose_push_config
+    from shmoo_mjx.methods import METHODS
+    from shmoo_mjx.navigation.push_task import PushTaskConfig
 
-    settings: tuple[Any, ...] = (asdict(PushTaskConfig()), asdict(pose_push_config()), asdict(PushConfig()))
+    settings = asdict(PushTaskConfig()), *(asdict(method) for method in METHODS.values())
     asked = (options.seed, options.condition_seed, config.time_limit, settings, senses_named(options.senses))
-    return f"trials-{fingerprint(__name__, asked, weights)}"
-
-
-def _paper_form(options: ExperimentOptions, weights: Path, folder: Path) -> Path:
-    """The same weights with psi as the paper prints it, trained on our data; kept beside the trials."""
-    from shmoo_mjx.dynamics.object_model import ObjectConfig
-    from shmoo_mjx.evaluation.datasets import training_directory
-    from shmoo_mjx.learning import daiml
-    from shmoo_mjx.learning.weights import load_weights, save_weights, with_object
-
-    path = folder / "paper_form.safetensors"
-    if not path.exists():
-        data = training_directory(options)
-        settings = daiml.DaimlConfig(object=ObjectConfig.paper(), seed=options.seed)
-        settings = replace(settings, epochs=3) if options.quick else settings
-        options.progress("training psi as the paper prints it", 0.0)
-        fitted = daiml.train_object(data, folder / "paper_form.training" / "object", settings)
-        save_weights(path, with_object(load_weights(weights), fitted))
-    return path
+    return f"trials-{fingerprint(__name__, asked, weights, asset(METHODS['paper'].weights))}"
 
 
 @cache
-def _runner(weights: Path, paper_form: Path | None, time_limit: float, senses: str) -> Runner:
+def _runner(weights: Path, time_limit: float, senses: str) -> Runner:
     """A worker's own: compiling its controllers takes longer than a trial."""
     from shmoo_mjx.learning.weights import load_weights
 
-    printed = None if paper_form is None else load_weights(paper_form)
-    return Runner(load_weights(weights), time_limit, senses_named(senses), printed)
+    return Runner(load_weights(weights), time_limit, senses_named(senses))
 
 
-def _trial(robot: tuple[Path, Path | None, float, str], folder: Path, trial: tuple[str, Trial]) -> list[dict[str, Any]]:
+def _trial(robot: tuple[Path, float, str], folder: Path, trial: tuple[str, Trial]) -> list[dict[str, Any]]:
     """The row of one trial; its track is kept for the figures."""
     method, drawn = trial
     row, track = _runner(*robot).run(drawn, method)

@@ -18,6 +18,7 @@ from shmoo_mjx.control.pushing import PushConfig
 from shmoo_mjx.learning.contact_prior import kind_of
 from shmoo_mjx.learning.online import Known
 from shmoo_mjx.learning.weights import Weights
+from shmoo_mjx.methods import PAPER, method_named
 from shmoo_mjx.navigation.maps import OccupancyGrid
 from shmoo_mjx.navigation.push_task import Pusher, PushTask, pose_push_config
 from shmoo_mjx.plant.condition import Condition
@@ -26,10 +27,10 @@ from shmoo_mjx.plant.observe import DIVERGED, toppled
 from shmoo_mjx.plant.scene import Scene, build_scene
 from shmoo_mjx.sensing import REAL, SensedEngine, Senses
 
-METHODS = ("ours", "frozen_prior", "contact_model", "oracle_coefficients", "quasi_static", "paper_form")
+METHODS = ("ours", "frozen_prior", "contact_model", "oracle_coefficients", "quasi_static", PAPER)
 """Ours: MPPI while the object's contact parameters are estimated. The others run the same trials: without learning,
 with the contact model alone and no psi, with the posterior of a whole recording of this object, without a learned
-model, and with psi and Eq. 8 as the paper prints them."""
+model, and the paper's system (`shmoo_mjx.methods`)."""
 
 OWN = "pushing controller"
 """What a method of the user's own is called in errors."""
@@ -233,16 +234,18 @@ def _pusher(method: str, weights: Weights, config: PushConfig) -> Pusher:
     from shmoo_mjx.control.pushing import PushController
     from shmoo_mjx.control.quasi_static import QuasiStaticPusher
 
+    if method == PAPER:
+        return method_named(PAPER).controller(to_pose=True)
     if method not in METHODS:
         make = custom.named(OWN, method)
         return cast(Pusher, custom.asked(OWN, method, lambda: make(weights, config)))
     if method == "quasi_static":
         return QuasiStaticPusher(config.cost)
-    # For Eq. 8, by which the paper's form learns: its labels are differences of noisy twists.
-    adapt = replace(config.adapt, noise_scale=2.0)
-    return PushController(
-        weights, replace(config, adapt=adapt, adapts=method in ("ours", "contact_model", "paper_form"))
-    )
+    if method == "contact_model":
+        weights = weights._replace(
+            config=replace(weights.config, object=replace(weights.config.object, residual=False))
+        )
+    return PushController(weights, replace(config, adapts=method in ("ours", "contact_model")))
 
 
 def oracle_coefficients(weights: Weights, condition: Condition, seed: int) -> Known:
@@ -268,12 +271,10 @@ class Runner:
         weights: Weights,
         time_limit: float,
         senses: Senses = REAL,
-        paper_form: Weights | None = None,
         config: PushConfig | None = None,
     ) -> None:
         self.weights = weights
         self.config = config or pose_push_config()
-        self.paper_form = paper_form
         self.time_limit = time_limit
         self.senses = senses
         self._pushers: dict[str, Pusher] = {}
@@ -281,13 +282,7 @@ class Runner:
     def run(self, trial: Trial, method: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         """The trial's row and its track: t, object_pose, robot_pose (all true), phase, qpos, lean."""
         if method not in self._pushers:
-            weights = self.paper_form if method == "paper_form" else self.weights
-            if weights is None:
-                raise ValueError("the method paper_form needs weights of its own")
-            if method == "contact_model":
-                core = weights.config
-                weights = weights._replace(config=replace(core, object=replace(core.object, residual=False)))
-            self._pushers[method] = _pusher(method, weights, self.config)
+            self._pushers[method] = _pusher(method, self.weights, self.config)
         scene = scene_of_trial(trial, trial.condition, self.senses)
         # It is told where the object stands, as it is told the goal: to find the object is not part of the task.
         engine = SensedEngine([scene], self.senses, trial.seed, poses_known=True)

@@ -70,9 +70,8 @@ def _tried(work: Work, given: Any) -> list[dict[str, Any]]:
 
 
 @cache
-def controller_of(weights: Path, config: Any = None) -> Any:
-    """The pushing controller of a weights file, with a `PushConfig` if given, compiled once in each process."""
-    from shmoo_mjx.control.pushing import PushController
-    from shmoo_mjx.learning.weights import load_weights
+def controller_of(weights: Path, method: str = "ours") -> Any:
+    """The pushing controller of a weights file and a method, compiled once in each process."""
+    from shmoo_mjx.methods import method_named
 
-    return PushController(load_weights(weights), config)
+    return method_named(method).controller(weights)

@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from shmoo_mjx.data import store
+from shmoo_mjx.dynamics.object_model import ObjectConfig
+from shmoo_mjx.dynamics.robot_model import RobotConfig
 from shmoo_mjx.files import claimed
 from shmoo_mjx.learning import daiml, robot_fit, weights
 from shmoo_mjx.learning.estimate import EstimateConfig
@@ -15,6 +17,8 @@ from shmoo_mjx.versions import versions
 
 _QUICK: dict[str, Any] = {"epochs": 3, "epoch_updates": 50}
 _QUICK_OBJECT: dict[str, Any] = _QUICK | {"contact_fit": EstimateConfig(particles=128)}
+Form = Literal["ours", "paper"]
+"""Shape of the trained network: ours, or as the paper prints it."""
 _QUICK_CONDITIONS = {"train": 12, "validation": 3}
 """Conditions of each split that the short form trains on."""
 
@@ -26,6 +30,7 @@ def train_part(
     seed: int = 0,
     progress: Callable[[Progress], None] | None = None,
     quick: bool = False,
+    form: Form = "ours",
 ) -> float:
     """Train psi or R with the default settings and write it into ``out``, keeping that file's other part.
 
@@ -40,32 +45,35 @@ def train_part(
         seed: of initialisation and batches.
         progress: called after each epoch of training.
         quick: a few updates on a few conditions, to try the pipeline; the command that the weights carry says so.
+        form: of the network; "paper" trains `ObjectConfig.paper` or `RobotConfig.paper`.
 
     Returns:
         The score on the validation conditions.
     """
     kept = out.with_name(f"{out.name}.training")
     # Of its own, or the short form would replace what an interrupted training goes on from.
-    checkpoints = kept / (f"{what}-quick" if quick else what)
+    checkpoints = kept / "-".join([what, *([form] if form != "ours" else []), *(["quick"] if quick else [])])
     with claimed(kept):
         dataset = _few(store.read(data, splits=("train", "validation"))) if quick else data
         old = weights.load_weights(out) if out.exists() else None
         if what == "object":
-            config = daiml.DaimlConfig(seed=seed, **(_QUICK_OBJECT if quick else {}))
+            shape = ObjectConfig.paper() if form == "paper" else ObjectConfig()
+            config = daiml.DaimlConfig(shape, seed=seed, **(_QUICK_OBJECT if quick else {}))
             fit = daiml.train_object(dataset, checkpoints, config, progress)
             new = weights.with_object(old or weights.untrained(), fit)
             score = float(fit.score)
         else:
-            settings = robot_fit.RobotFitConfig(seed=seed, **(_QUICK if quick else {}))
+            widths = RobotConfig.paper() if form == "paper" else RobotConfig()
+            settings = robot_fit.RobotFitConfig(widths, seed=seed, **(_QUICK if quick else {}))
             robot = robot_fit.train_robot(dataset, checkpoints, settings, progress)
             new = weights.with_robot(old or weights.untrained(), robot, settings.robot)
             score = float(robot.score)
-        made_by = new.info.get("made_by", {}) | {what: origin(what, data, seed, score, quick)}
+        made_by = new.info.get("made_by", {}) | {what: origin(what, data, seed, score, quick, form)}
         weights.save_weights(out, new._replace(info=new.info | {"made_by": made_by}))
         return score
 
 
-def origin(what: str, data: Path, seed: int, score: float, quick: bool = False) -> dict[str, Any]:
+def origin(what: str, data: Path, seed: int, score: float, quick: bool = False, form: Form = "ours") -> dict[str, Any]:
     """What a trained part is made of and by: command, data set, seed, versions, score. The same training gives the
     same, wherever its files are.
 
@@ -75,11 +83,13 @@ def origin(what: str, data: Path, seed: int, score: float, quick: bool = False) 
         seed: of the training.
         score: on the validation conditions.
         quick: whether it was the short form, which is not for use.
+        form: of the network.
     """
     manifest = store.read_manifest(data)
+    shape = "" if form == "ours" else f" --form {form}"
     collected = {"collected_with": manifest["schema"], "versions": manifest["versions"]}
     return {
-        "command": f"shmoo train {what} DATA --seed {seed}" + (" --quick" if quick else ""),
+        "command": f"shmoo train {what} DATA --seed {seed}{shape}" + (" --quick" if quick else ""),
         "data": {"sha256": store.fingerprint_of(data), "conditions": len(manifest["conditions"]), **collected},
         "seed": seed,
         "score": score,

@@ -6,7 +6,6 @@ posterior in one batch, so that an outcome is a distribution.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
@@ -241,10 +240,9 @@ class Foresight:
         return float(probability_to_come(poses, pose, face, distance, turn))
 
 
-def foresight_of(controller: Any) -> Callable[..., Outcomes]:
-    """What foresees where a controller's pushes lead: `Foresight`, or a method ``foresee`` of its own like it."""
-    foresee: Callable[..., Outcomes] = _of(controller) if isinstance(controller, PushController) else controller.foresee
-    return foresee
+def foresight_of(controller: Any) -> Any:
+    """What foresees where a controller's pushes lead: its `Foresight`, or a method ``foresee`` of its own like it."""
+    return _of(controller) if isinstance(controller, PushController) else controller.foresee
 
 
 _of = lru_cache(maxsize=4)(Foresight)

@@ -10,7 +10,7 @@
 
 and, drawn where present: ``reason`` (of the outcome), ``name``, ``seed``, ``time_s``, ``path_length_m``,
 ``goal_distance_m``, ``falls``, ``wall_contacts``, ``senses``, ``start`` and ``goal`` ([x, y, ...] in {W}),
-``config`` and ``versions``.
+``config`` and ``versions``. ``method`` and ``policy`` say what a replay takes.
 A decision's ``object`` is an object's ``id``; its roll-outs stand in the trace at the decision's index.
 """
 

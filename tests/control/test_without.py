@@ -1,4 +1,4 @@
-"""What `benchmarks/without.py` leaves out is a part that pushing to a pose has, and nothing else changes."""
+"""`benchmarks/without.py` leaves out a part of ours, `benchmarks/paper_parts.py` changes a part of the paper's system."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import pytest
 from shmoo_mjx import custom
 from shmoo_mjx.evaluation.pushing_trials import OWN
 from shmoo_mjx.learning.weights import untrained
+from shmoo_mjx.methods import METHODS
 from shmoo_mjx.navigation.push_task import pose_push_config
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -27,6 +28,7 @@ LEFT_OUT = {
     "foresees_governor": {"foresees_governor"},
     "running_lateral_foresees": {"cost.running_weight", "cost.lateral_weight", "foresees_governor"},
 }
+PAPER = {"metres": {"control.cost_scale"}, "governor": {"governor.gain"}, "white": {"control.noise_correlation"}}
 
 
 def _flat(settings: dict[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -36,10 +38,14 @@ def _flat(settings: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     return found
 
 
-@pytest.mark.parametrize("name", LEFT_OUT)
-def test_one_part_is_left_out(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+@pytest.mark.parametrize(
+    ("module", "name", "changed"),
+    [("without", *item) for item in LEFT_OUT.items()] + [("paper_parts", *item) for item in PAPER.items()],
+)
+def test_one_part_is_changed(monkeypatch: pytest.MonkeyPatch, module: str, name: str, changed: set[str]) -> None:
     monkeypatch.chdir(ROOT)
     whole = pose_push_config()
-    pusher = custom.named(OWN, f"benchmarks.without:{name}")(untrained(), whole)
-    before, after = _flat(asdict(whole)), _flat(asdict(pusher.config))
-    assert {key for key in before if before[key] != after[key]} == LEFT_OUT[name]
+    pusher = custom.named(OWN, f"benchmarks.{module}:{name}")(untrained(), whole)
+    before = _flat(asdict(whole if module == "without" else METHODS["paper"].pose_pushing))
+    after = _flat(asdict(pusher.config))
+    assert {key for key in before if before[key] != after[key]} == changed

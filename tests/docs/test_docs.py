@@ -141,7 +141,7 @@ LAYERS = (
     {"skills"},
     {"navigation"},
     {"report"},
-    {"inputs", "log_table", "recorded", "simulation"},
+    {"inputs", "log_table", "methods", "recorded", "simulation"},
     {"episode", "teleop"},
     {"run"},
     {"demo", "doctor", "custom_log", "replay", "view", "evaluation", "gym"},

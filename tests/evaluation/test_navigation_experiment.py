@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from toy import toy_scenario
 
+from shmoo_mjx.assets import PAPER_WEIGHTS, asset
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import navigation, navigation_places
 from shmoo_mjx.evaluation.certify import Attempt, Certificate
@@ -165,6 +166,19 @@ def test_all_policies_run_on_all_scenarios_ours_first(tmp_path: Path, fakes: lis
     assert result.config["senses"] == "perfect" and result.config["generated_maps"] is True
     assert {r["policy"] for r in result.rows} == set(POLICIES) and "driven" not in result.rows[0]
     assert "out of time while to push (1)" in (tmp_path / "navigation" / "failures.md").read_text()
+
+
+def test_the_paper_runs_with_its_own_weights_and_pushing_and_the_others_with_ours(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ran: dict[str, tuple[Path, str]] = {}
+    monkeypatch.setattr(navigation, "controller_of", lambda weights, method: (weights, method))
+    monkeypatch.setattr("shmoo_mjx.episode.run_episode", lambda grid, scenario, controller, *rest, **more: controller)
+    robot = navigation.TestedRobot(0, "real", tmp_path / "mine.safetensors")
+    for policy in POLICIES:
+        ran[policy] = navigation.play(robot, toy_scenario(1, True)[0], generated(True), policy)  # type: ignore[assignment]
+    assert ran.pop("paper") == (asset(PAPER_WEIGHTS), "paper")
+    assert set(ran.values()) == {(robot.weights, "ours")}
 
 
 def test_ours_alone_is_there_for_the_others_to_join(tmp_path: Path, fakes: list[str]) -> None:

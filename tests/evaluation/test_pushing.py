@@ -9,11 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.evaluation import pushing
+from shmoo_mjx.evaluation import pushing, pushing_trials
 from shmoo_mjx.evaluation.pushing_measures import enclosing_circle, metrics_of, pushing_differences, pushing_tables
 from shmoo_mjx.evaluation.pushing_trials import KINDS, METHODS, draw_trials, kind_by_resistance, resistance
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult
+from shmoo_mjx.learning.weights import untrained
+from shmoo_mjx.methods import method_named
+from shmoo_mjx.navigation.push_task import pose_push_config
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 from shmoo_mjx.plant.scene import build_scene
@@ -198,6 +202,12 @@ def test_everything_is_measured_by_itself() -> None:
     assert "| success | +0.5 (0 to 1, 4 pairs) |" in everything
 
 
+def test_the_paper_pushes_with_its_own_weights_and_settings() -> None:
+    pusher = pushing_trials._pusher("paper", untrained(), pose_push_config())
+    assert isinstance(pusher, PushController) and pusher.weights.info == method_named("paper").load().info
+    assert pusher.config == method_named("paper").pose_pushing
+
+
 def test_finished_trials_are_not_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
     stops = [5]
@@ -214,7 +224,6 @@ def test_finished_trials_are_not_run_again(tmp_path: Path, monkeypatch: pytest.M
 
     monkeypatch.setattr(pushing, "_runner", lambda *_: Fake())
     monkeypatch.setattr(pushing, "QUICK", replace(pushing.QUICK, workers=1))
-    monkeypatch.setattr(pushing, "_paper_form", lambda *_: tmp_path)
     options = ExperimentOptions(quick=True, out=tmp_path)
     with pytest.raises(KeyboardInterrupt):
         pushing.run(options)

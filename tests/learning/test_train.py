@@ -7,11 +7,15 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 
+from shmoo_mjx.assets import PAPER_WEIGHTS, WEIGHTS, asset
 from shmoo_mjx.data import store
 from shmoo_mjx.data.collect import CollectConfig
+from shmoo_mjx.dynamics.object_model import ObjectConfig
+from shmoo_mjx.dynamics.robot_model import RobotConfig
 from shmoo_mjx.learning import daiml, robot_fit, train, training, weights
 from shmoo_mjx.learning.train import train_part
 
@@ -56,10 +60,38 @@ def test_weights_carry_what_made_each_part(untaught: None, tmp_path: Path) -> No
     assert {"python", "jax", "mujoco", "shmoo-mjx"} <= psi["versions"].keys() and "jax" in psi["data"]["versions"]
 
 
-def test_the_shipped_weights_say_what_made_them() -> None:
-    for part, by in weights.load_weights().info["made_by"].items():
-        assert by["command"] == f"shmoo train {part} DATA --seed 0" and by["data"]["conditions"] == 144
+@pytest.mark.parametrize(("file", "form"), [(WEIGHTS, ""), (PAPER_WEIGHTS, " --form paper")])
+def test_the_shipped_weights_say_what_made_them(file: str, form: str) -> None:
+    forms = {"robot": "", "object": form}
+    for part, by in made_by(asset(file)).items():
+        assert by["command"] == f"shmoo train {part} DATA --seed 0{forms[part]}" and by["data"]["conditions"] == 144
         assert by["data"]["collected_with"]["config"] == asdict(CollectConfig())
+    # Both are trained on the same data.
+    assert made_by(asset(file))["object"]["data"] == made_by(asset(WEIGHTS))["object"]["data"]
+    robots = (weights.load_weights(asset(name)).params.robot for name in (file, WEIGHTS))
+    assert jax.tree.all(jax.tree.map(np.array_equal, *robots))
+
+
+def test_the_papers_form_is_trained_and_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: dict[str, Any] = {}
+
+    def stop(part: str) -> Any:
+        def instead(data: Path, checkpoints: Path, config: Any, progress: Any) -> Any:
+            asked[part] = checkpoints.name, config
+            raise KeyboardInterrupt
+
+        return instead
+
+    monkeypatch.setattr(daiml, "train_object", stop("object"))
+    monkeypatch.setattr(robot_fit, "train_robot", stop("robot"))
+    data = record(tmp_path / "data", ("a", "b"))
+    for part in ("object", "robot"):
+        with pytest.raises(KeyboardInterrupt):
+            train_part(part, data, tmp_path / "w.safetensors", form="paper")
+    assert asked["object"][0] == "object-paper" and asked["object"][1].object == ObjectConfig.paper()
+    assert asked["robot"][0] == "robot-paper" and asked["robot"][1].robot == RobotConfig.paper()
+    said = train.origin("object", data, 2, 0.1, quick=True, form="paper")["command"]
+    assert said == "shmoo train object DATA --seed 2 --form paper --quick"
 
 
 def test_the_same_training_gives_the_same_file_wherever_it_runs(untaught: None, tmp_path: Path) -> None:
