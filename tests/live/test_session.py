@@ -220,7 +220,7 @@ def test_while_it_pushes_it_says_what_the_last_decision_on_this_push_was(tmp_pat
     session = Session(load_weights(), partial(scene_named, "box_in_doorway", tmp_path), "perfect", tmp_path)
     navigator = session.simulation.navigator
     # The way round is short: it would go round.
-    navigator.setup = navigator.setup._replace(config=replace(navigator.config, goes_round=False))
+    navigator.setup = navigator.setup._replace(config=replace(navigator.config, goes_round="never"))
     while not navigator.decisions and session.simulation.time < 40.0:
         assert session.probability is None
         session.step()
