@@ -1,4 +1,4 @@
-"""Of ours `benchmarks/without.py` leaves one part out, of the paper's system `benchmarks/paper_parts.py` changes one."""
+"""Of ours `benchmarks/without.py` leaves one part out; `benchmarks/paper_parts.py` changes one of the paper's system."""
 
 from __future__ import annotations
 
