@@ -1,4 +1,4 @@
-"""`benchmarks/without.py` leaves out a part of ours, `benchmarks/paper_parts.py` changes one of the paper's system."""
+"""`benchmarks/without.py` leaves out one part of ours; `benchmarks/paper_parts.py` changes one of the paper's."""
 
 from __future__ import annotations
 

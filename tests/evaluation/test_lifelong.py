@@ -156,7 +156,7 @@ def test_a_run_is_given_what_it_can_take(monkeypatch: pytest.MonkeyPatch) -> Non
     ) -> Any:
         taken.append({"senses": senses, "goals": goals})
 
-    monkeypatch.setattr(navigation, "controller_of", lambda weights: None)
+    monkeypatch.setattr(navigation, "controller_of", lambda *_: None)
     robot = Robot(0, "perfect", Path("none"))
     monkeypatch.setattr(episode, "run_episode", able)
     play(robot, grid, world, "ours", [(1.0, 2.0)])
