@@ -139,9 +139,9 @@ def acceleration(
             held.append((new_x, new_y))
         return ((ux, uy, turn), tuple(held)), None
 
-    pushed = jnp.broadcast_arrays(*pushed, shifted)[:3]
-    none = jnp.zeros_like(pushed[0])
-    start = (tuple(pushed), ((none, none),) * len(POINTS))
+    twist = tuple(jnp.broadcast_arrays(*pushed, shifted)[:3])
+    none = jnp.zeros_like(twist[0])
+    start = (twist, ((none, none),) * len(POINTS))
     ((ux, uy, turn), _), _ = jax.lax.scan(iterate, start, length=GAUSS_SEIDEL_ITERATIONS)
     return jnp.stack([ux + turn * y - vx, uy - turn * x - vy, turn - spin], axis=int(shifts is not None)) / DT
 
