@@ -39,7 +39,10 @@ def stack(*columns: np.generic | Float[Array, "..."]) -> Float[Array, "..."]:
 def wrap(angle: Scalar | Float[Array, "..."]) -> Scalar | Float[Array, "..."]:
     """The same angle [rad] in [-pi, pi)."""
     xp = array_module(angle)
-    return xp.mod(angle + xp.pi, 2 * xp.pi) - xp.pi
+    if xp is np:
+        return np.mod(angle + np.pi, 2 * np.pi) - np.pi
+    # XLA takes a remainder number by number, and this in vectors.
+    return angle - 2 * xp.pi * xp.floor((angle + xp.pi) / (2 * xp.pi))
 
 
 def rotate(vector: Float[Array, "... n"], angle: Scalar | Float[Array, "..."]) -> Float[Array, "... n"]:

@@ -7,10 +7,10 @@ control) and returns ``[S]``. All terms are in metres once weighted, so MPPI's t
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import reduce
 from typing import Protocol, runtime_checkable
 
 import jax.numpy as jnp
-from jax.scipy.ndimage import map_coordinates
 
 from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float, Scalar
@@ -95,26 +95,55 @@ def pose_distance(
         pose: object poses in {W}.
         yaw_weight: 0 leaves the position alone.
     """
-    offset = pose[..., :2] - goal[..., :2]
-    yaw = yaw_weight * se2.wrap(pose[..., 2] - goal[..., 2])
-    return jnp.sqrt(jnp.sum(offset**2, axis=-1) + yaw**2)
+    offset = pose - goal
+    if not yaw_weight:
+        return _length(offset[..., :2])
+    return jnp.sqrt(_square(offset[..., :2]) + (yaw_weight * se2.wrap(offset[..., 2])) ** 2)
 
 
 def effort(controls: Float[Array, "*S T m"]) -> Float[Array, "*S"]:
     """sum_k || u_k ||_2 of Eq. 9 [rad]."""
-    return jnp.sum(jnp.linalg.norm(controls, axis=-1), axis=-1)
+    return _length(controls) @ jnp.ones(controls.shape[-2])
 
 
 def change(controls: Float[Array, "*S T m"], last_u: Float[Array, "m"]) -> Float[Array, "*S"]:
     """sum_k || u_k - u_{k-1} ||_2 of Eq. 9 [rad]; u_0 is the control applied last, ``last_u``."""
     first = jnp.broadcast_to(last_u, controls[..., :1, :].shape)
-    return jnp.sum(jnp.linalg.norm(jnp.diff(controls, axis=-2, prepend=first), axis=-1), axis=-1)
+    return _length(jnp.diff(controls, axis=-2, prepend=first)) @ jnp.ones(controls.shape[-2])
+
+
+def _square(vector: Array) -> Array:
+    """Squared length ``[...]`` of ``vector [..., n]``, channel by channel: a sum over a few is slow in XLA."""
+    return sum((vector[..., i] ** 2 for i in range(1, vector.shape[-1])), vector[..., 0] ** 2)
+
+
+def _length(vector: Array) -> Array:
+    return jnp.sqrt(_square(vector))
+
+
+def _time_first(x: Array) -> Array:
+    """``[S, T, n]`` as ``[T, S, n]``. In memory the roll-outs' samples lie side by side: terms that compute in this
+    order read them as vectors."""
+    return jnp.moveaxis(x, -2, 0)
+
+
+def _mean(x: Array) -> Array:
+    """Mean ``[...]`` over time of ``x [T, ...]``: as a product, for which XLA has faster code than for a sum."""
+    return jnp.tensordot(jnp.full(len(x), 1.0 / len(x)), x, axes=1)
 
 
 def clearance_at(field: DistanceField, points: Float[Array, "*batch 2"]) -> Float[Array, "*batch"]:
     """Clearance [m] at ``points`` in {W}, bilinear; zero off the grid."""
+    # With a rim of zeros every look-up lies on the grid: `map_coordinates` would check each of the four.
+    values = once(jnp.pad(jnp.asarray(field.values), 1))
+    rows, columns = values.shape
     i, j = _on_grid(field, points)
-    return map_coordinates(jnp.asarray(field.values), [j - 0.5, i - 0.5], order=1, mode="constant", cval=0.0)
+    x, y = jnp.clip(i + 0.5, 0.0, columns - 1.0), jnp.clip(j + 0.5, 0.0, rows - 1.0)
+    left, low = jnp.minimum(jnp.floor(x), columns - 2.0), jnp.minimum(jnp.floor(y), rows - 2.0)
+    corner, flat = once(low.astype(int) * columns + left.astype(int)), values.ravel()
+    a, b, c, d = (flat.at[corner + k].get(mode="promise_in_bounds") for k in (0, 1, columns, columns + 1))
+    across, up = x - left, y - low
+    return (1 - up) * ((1 - across) * a + across * b) + up * ((1 - across) * c + across * d)
 
 
 def footprint_points(pose: Float[Array, "*batch 3"], half_extents: Float[Array, "2"]) -> Float[Array, "*batch 8 2"]:
@@ -167,15 +196,22 @@ def clearance_penalty(
     stick out of the disc round the robot, and where one pushes round a corner they sweep where the object has not been.
     """
     steps = traj.robot_pose.shape[-2]
-    picked = jnp.arange(steps - 1, -1, -cfg.clearance_stride)
-    robot_pose = traj.robot_pose[..., picked, :]
+    robot_pose, object_pose, command = (
+        _time_first(x)[(steps - 1) % cfg.clearance_stride :: cfg.clearance_stride]
+        for x in (traj.robot_pose, traj.object_pose, traj.last_u)
+    )
     robot = clearance_at(field, robot_pose[..., :2])
-    outline = footprint_points(traj.object_pose[..., picked, :], half_extents)
-    thing = jnp.min(clearance_at(field, outline), axis=-1)
+    outline = footprint_points(object_pose, half_extents)
+    thing = _least(clearance_at(field, outline))
     depth = jnp.maximum(cfg.robot_margin - robot, 0.0) + jnp.maximum(cfg.object_margin - thing, 0.0)
-    hands = hand_points(robot_pose, traj.last_u[..., picked, 2])
-    depth = depth + jnp.maximum(HAND_MARGIN - jnp.min(clearance_near(field, hands), axis=-1), 0.0)
-    return jnp.mean(depth, axis=-1) * (steps * DT)
+    hands = hand_points(robot_pose, command[..., 2])
+    depth = depth + jnp.maximum(HAND_MARGIN - _least(clearance_near(field, hands)), 0.0)
+    return _mean(depth) * (steps * DT)
+
+
+def _least(x: Array) -> Array:
+    """Least ``[...]`` of ``x [..., P]`` for a few P; see `_mean`."""
+    return reduce(jnp.minimum, (x[..., i] for i in range(x.shape[-1])))
 
 
 def face_misalignment(traj: SystemState, reach: float = REACH) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
@@ -185,14 +221,15 @@ def face_misalignment(traj: SystemState, reach: float = REACH) -> tuple[Float[Ar
         Distance of the hands' midpoint from the face's centre line [m], and angle between the robot's heading and the
         face's inward normal [rad].
     """
-    normal = traj.object_pose[..., 2] + traj.face[..., 2]
-    heading = se2.wrap(traj.robot_pose[..., 2] - normal)
+    robot, thing, face = _time_first(traj.robot_pose), _time_first(traj.object_pose), _time_first(traj.face)[:1]
+    normal = thing[..., 2] + face[..., 2]
+    heading = se2.wrap(robot[..., 2] - normal)
     turn, error = once((SO2.from_angle(normal), SO2.from_angle(heading)))
-    x, y = (traj.robot_pose[..., i] - traj.object_pose[..., i] for i in range(2))
+    x, y = (robot[..., i] - thing[..., i] for i in range(2))
     # In a frame along the normal: hands less the face's centre, which stands still in it.
-    centre = se2.rotate(traj.face[..., :1, :2], -traj.face[..., :1, 2])[..., 1]
+    centre = se2.rotate(face[..., :2], -face[..., 2])[..., 1]
     lateral = turn.c * y - turn.s * x + reach * error.s - centre
-    return jnp.mean(jnp.abs(lateral), axis=-1), jnp.mean(jnp.abs(heading), axis=-1)
+    return _mean(jnp.abs(lateral)), _mean(jnp.abs(heading))
 
 
 def aim_error(goal: Float[Array, "... 3"], traj: SystemState, with_yaw: bool = False) -> Float[Array, "..."]:
@@ -202,20 +239,21 @@ def aim_error(goal: Float[Array, "... 3"], traj: SystemState, with_yaw: bool = F
     the line, the arc that ends at the goal with the goal's yaw: at bearing b of the goal it starts in the direction
     2 b - (direction at the goal). The lead over the bearing is limited to 0.6 rad.
     """
-    offset = goal[..., :2] - traj.object_pose[..., :2]
-    angle = traj.object_pose[..., 2] + traj.face[..., 2]
+    thing, face = _time_first(traj.object_pose), _time_first(traj.face)[:1]
+    offset = goal[..., :2] - thing[..., :2]
+    angle = thing[..., 2] + face[..., 2]
     if with_yaw:
         bearing = jnp.arctan2(offset[..., 1], offset[..., 0])
-        lead = se2.wrap(bearing - goal[..., 2] - traj.face[..., 2])
+        lead = se2.wrap(bearing - goal[..., 2] - face[..., 2])
         # Behind the goal the bearing says nothing about the yaw.
         angle = angle - jnp.where(jnp.abs(lead) < jnp.pi / 2, jnp.clip(lead, -0.6, 0.6), 0.0)
     normal = once(SO2.from_angle(angle))
-    return jnp.mean(jnp.abs(normal.c * offset[..., 1] - normal.s * offset[..., 0]), axis=-1)
+    return _mean(jnp.abs(normal.c * offset[..., 1] - normal.s * offset[..., 0]))
 
 
 def terminal_speed(traj: SystemState) -> Float[Array, "..."]:
     """Speed of the object's centre at the end [m/s]."""
-    return jnp.linalg.norm(traj.object_twist[..., -1, :2], axis=-1)
+    return _length(traj.object_twist[..., -1, :2])
 
 
 def allowed_speed(cfg: PushCost, distance: Scalar | Float[Array, "..."]) -> Scalar | Float[Array, "..."]:
@@ -225,9 +263,9 @@ def allowed_speed(cfg: PushCost, distance: Scalar | Float[Array, "..."]) -> Scal
     return se2.array_module(distance).minimum(cfg.terminal_speed + cfg.slow_down * distance, cfg.speed_limit)
 
 
-def overspeed(traj: SystemState, limit: Scalar | Float[Array, "*S T"]) -> Float[Array, "*S"]:
+def overspeed(traj: SystemState, limit: Scalar | Float[Array, "T *S"]) -> Float[Array, "*S"]:
     """Speed of the robot above ``limit`` [m/s], mean over the roll-out [m/s]."""
-    return jnp.mean(jnp.maximum(jnp.linalg.norm(traj.robot_twist[..., :2], axis=-1) - limit, 0.0), axis=-1)
+    return _mean(jnp.maximum(_length(_time_first(traj.robot_twist)[..., :2]) - limit, 0.0))
 
 
 def push_cost(
@@ -254,8 +292,8 @@ def push_cost(
     cost = pose_distance(goal, traj.object_pose[..., -1, :], cfg.yaw_weight)
     cost = cost + cfg.effort * effort(controls) + cfg.change * change(controls, last_u)
     if cfg.running_weight:
-        distance = pose_distance(goal, traj.object_pose, cfg.yaw_weight)
-        cost = cost + cfg.running_weight * jnp.mean(distance, axis=-1)
+        distance = pose_distance(goal, _time_first(traj.object_pose), cfg.yaw_weight)
+        cost = cost + cfg.running_weight * _mean(distance)
     if cfg.clearance_weight and field is not None:
         if half_extents is None:
             raise ValueError("the clearance term needs the object's half_extents")
@@ -268,6 +306,6 @@ def push_cost(
     if cfg.speed_weight:
         cost = cost + cfg.speed_weight * terminal_speed(traj)
     if cfg.overspeed_weight:
-        distance = jnp.linalg.norm(goal[..., :2] - traj.object_pose[..., :2], axis=-1)
+        distance = pose_distance(goal, _time_first(traj.object_pose), 0.0)
         cost = cost + cfg.overspeed_weight * overspeed(traj, allowed_speed(cfg, distance))
     return cost

@@ -180,5 +180,6 @@ def _checked_costs(costs: Any, count: int) -> Array:
 def _finite(trees: Any, count: int) -> Array:
     """Which of ``count`` roll-outs ``[S]`` have no NaN and no infinity in any array ``[S, ...]`` of ``trees``."""
     leaves = [x for x in jax.tree.leaves(trees) if jnp.issubdtype(x.dtype, jnp.inexact)]
-    checks = [jnp.all(jnp.isfinite(x.reshape(count, -1)), axis=-1) for x in leaves]
+    # NaN or infinity times zero is NaN, and one sum over numbers finds it.
+    checks = [jnp.sum(0.0 * x, axis=tuple(range(1, x.ndim))) == 0.0 for x in leaves]
     return jnp.all(jnp.stack([jnp.ones(count, bool), *checks]), axis=0)

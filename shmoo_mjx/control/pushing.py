@@ -286,7 +286,7 @@ def step(
         adapt_and_plan: a compiled version of the online learning and MPPI in it; PushController's.
 
     Returns:
-        The command u to apply now, the next state, and the plan.
+        The command u to apply now, the next state, and the plan: of its trajectories the object poses only.
     """
     run = adapt_and_plan or partial(_adapt_and_plan, config, core_config, None)
     given, more = _given(config, state, obs, last_u, goal, half_extents, governor_room)
@@ -425,7 +425,9 @@ def _adapt_and_plan(
     rollout_fn, cost_fn = _functions(config, core_config, params, given.goal, around, given.half_extents, given.lean)
     plan_state = plan_state._replace(last_u=given.system.last_u)
     u, plan_state, plan = mppi.plan(config.control, rollout_fn, cost_fn, given.system, plan_state, mesh)
-    return u, adapt, plan_state, plan
+    # Of the roll-outs only these are drawn; the rest would be copied for nobody.
+    drawn = SystemState(*(None,) * len(SystemState._fields))._replace(object_pose=plan.trajectories.object_pose)
+    return u, adapt, plan_state, plan._replace(trajectories=drawn)
 
 
 def _planning_rollouts(

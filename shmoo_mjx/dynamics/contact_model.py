@@ -86,12 +86,15 @@ def resistance(parameters: Float[Array, "... 16"]) -> Float[Array, "... 2"]:
     )
 
 
-def acceleration(parameters: Float[Array, "16 ..."], inputs: Float[Array, "n ..."]) -> Float[Array, "3 ..."]:
+def acceleration(
+    parameters: Float[Array, "16 ..."], inputs: Float[Array, "n ..."], shifts: tuple[float, ...] | None = None
+) -> Float[Array, "3 ..."] | Float[Array, "K 3 ..."]:
     """Mean acceleration in {O} over a sample under the inputs' wrench, channels first.
 
     Args:
         parameters: as PARAMETERS lists them; of one object, or of as many as there are inputs.
         inputs: as OBJECT_INPUTS lists them; the last wrench may be left out.
+        shifts: added to the logarithms of the friction, for one answer each ``[K, 3, ...]``.
     """
     where = features.slices(features.OBJECT_INPUTS)
     vx, vy, spin = inputs[where["object_twist"]]
@@ -108,13 +111,14 @@ def acceleration(parameters: Float[Array, "16 ..."], inputs: Float[Array, "n ...
     tip = HAND_HEIGHT / (mass * GRAVITY)
     load_x = jnp.clip((tip * fx - mid_x) / half_x, -0.98, 0.98)
     load_y = jnp.clip((tip * fy - mid_y) / half_y, -0.98, 0.98)
+    shifted = jnp.zeros(()) if shifts is None else jnp.array(shifts).reshape(-1, *(1,) * vx.ndim)
     points = []
     for name, (front, left) in POINTS.items():
         lx, ly = mid_x + front * half_x, mid_y + left * half_y
         weight = DT * mass * GRAVITY / 4 * (1 + front * load_x) * (1 + left * load_y)
-        grip_x, grip_y = (weight * jnp.exp(named[f"log_friction_{axis}_{name}"]) for axis in "xy")
+        friction = tuple(jnp.exp(named[f"log_friction_{axis}_{name}"] + shifted) for axis in "xy")
         stiffness = 1.0 / (inverse_mass + (lx**2 + ly**2) * inverse_inertia)
-        points.append((lx, ly, grip_x, grip_y, stiffness))
+        points.append((lx, ly, inverse_inertia * lx, inverse_inertia * ly, stiffness, weight, friction))
     # Twist of the centre of mass after the push alone; then the points take from it what they hold.
     pushed = (
         vx - spin * y + DT * inverse_mass * fx,
@@ -126,31 +130,34 @@ def acceleration(parameters: Float[Array, "16 ..."], inputs: Float[Array, "n ...
         """Point by point: the impulse that would stop it, cut to what its load allows."""
         (ux, uy, turn), impulses = carry
         held = []
-        for (lx, ly, grip_x, grip_y, stiffness), (old_x, old_y) in zip(points, impulses, strict=True):
+        for (lx, ly, turn_x, turn_y, stiffness, weight, friction), (old_x, old_y) in zip(points, impulses, strict=True):
             new_x, new_y = old_x - stiffness * (ux - turn * ly), old_y - stiffness * (uy + turn * lx)
-            new_x, new_y = _within_grip(new_x, new_y, grip_x, grip_y)
+            new_x, new_y = _within_grip(new_x, new_y, weight, *friction)
             dx, dy = new_x - old_x, new_y - old_y
             ux, uy = ux + inverse_mass * dx, uy + inverse_mass * dy
-            turn = turn + inverse_inertia * (lx * dy - ly * dx)
+            turn = turn + turn_x * dy - turn_y * dx
             held.append((new_x, new_y))
         return ((ux, uy, turn), tuple(held)), None
 
-    none = jnp.zeros_like(pushed[0])
-    start = (pushed, ((none, none),) * len(POINTS))
+    twist = tuple(jnp.broadcast_arrays(*pushed, shifted)[:3])
+    none = jnp.zeros_like(twist[0])
+    start = (twist, ((none, none),) * len(POINTS))
     ((ux, uy, turn), _), _ = jax.lax.scan(iterate, start, length=GAUSS_SEIDEL_ITERATIONS)
-    return jnp.stack([ux + turn * y - vx, uy - turn * x - vy, turn - spin]) / DT
+    return jnp.stack([ux + turn * y - vx, uy - turn * x - vy, turn - spin], axis=int(shifts is not None)) / DT
 
 
-def _within_grip(x: Array, y: Array, grip_x: Array, grip_y: Array) -> tuple[Array, Array]:
+def _within_grip(x: Array, y: Array, weight: Array, friction_x: Array, friction_y: Array) -> tuple[Array, Array]:
     """The impulse nearest to ``(x, y)`` that a point can hold: within Coulomb's circle, whose radius is the larger of
-    both grips, and within each grip along its axis. A wheel's rolling resistance thus takes nothing from its grip
-    across."""
-    grip = jnp.maximum(grip_x, grip_y)
-    share = jnp.minimum(1.0, grip * jax.lax.rsqrt(jnp.maximum(x**2 + y**2, 1e-12)))
-    along, across = x * share, y * share
-    # Not zero, where a root has no derivative.
-    rest_x, rest_y = (jnp.sqrt(jnp.maximum(grip**2 - own**2, 1e-12)) for own in (grip_y, grip_x))
-    cut_x, cut_y = jnp.abs(along) > grip_x, jnp.abs(across) > grip_y
-    new_x = jnp.where(cut_x, jnp.clip(x, -grip_x, grip_x), jnp.where(cut_y, jnp.clip(x, -rest_x, rest_x), along))
-    new_y = jnp.where(cut_y, jnp.clip(y, -grip_y, grip_y), jnp.where(cut_x, jnp.clip(y, -rest_y, rest_y), across))
-    return new_x, new_y
+    both grips (``weight`` times friction), and within each grip along its axis. A wheel's rolling resistance thus takes
+    nothing from its grip across."""
+    friction = jnp.maximum(friction_x, friction_y)
+    share = jnp.minimum(1.0, weight * friction * jax.lax.rsqrt(jnp.maximum(x**2 + y**2, 1e-12)))
+
+    def along(own: Array, most: Array, across: Array) -> Array:
+        # What the circle leaves to this axis where the other one's grip is used up; zero if this one's is the smaller.
+        # Not quite, as a root has no derivative at zero. It depends on no state, which keeps roots out of roll-outs.
+        rest = jnp.sqrt(jnp.maximum(friction**2 - across**2, 1e-12))
+        limit = jnp.minimum(jnp.maximum(jnp.abs(own) * share, weight * rest), weight * most)
+        return jnp.clip(own, -limit, limit)
+
+    return along(x, friction_x, friction_y), along(y, friction_y, friction_x)

@@ -14,7 +14,7 @@ Three readings go beyond the printed equations; each has a switch in CoreConfig:
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -117,7 +117,8 @@ def step(
     config = config or CoreConfig()
     batch = jnp.broadcast_shapes(jnp.shape(state.robot_pose)[:-1], jnp.shape(u)[:-1])
     u = channels_first(jnp.broadcast_to(u, (*batch, 3)))
-    new, wrench = _advance(_fuse(params, config), to_channels_first(state, batch), u, config)
+    models, inside = _fuse(params, config), to_channels_first(state, batch)
+    new, _, wrench = _advance(models, inside, _remembered(models, inside, config), u, config)
     return to_channels_last(new), channels_last(wrench)
 
 
@@ -137,12 +138,13 @@ def rollout(
     models = _fuse(params, config)
     start = to_channels_first(state, controls.shape[:-2])
 
-    def one_sample(carry: SystemState, u: Array) -> tuple[SystemState, tuple[SystemState, Array]]:
-        new, wrench = _advance(models, carry, u, config)
-        return new, (new._replace(face=None, size=None), wrench)
+    def one_sample(carry: tuple[SystemState, Array | None], u: Array) -> tuple[Any, tuple[SystemState, Array]]:
+        new, now, wrench = _advance(models, *carry, u, config)
+        return (new, now), (new._replace(face=None, size=None), wrench)
 
     commands = jnp.moveaxis(controls, (-2, -1), (0, 1))
-    states, wrenches = jax.lax.scan(one_sample, start, commands)[1]
+    begin = start, _remembered(models, start, config)
+    states, wrenches = jax.lax.scan(one_sample, begin, commands)[1]
     # [T, n, ...] as [n, ..., T]: time becomes the last batch dimension.
     states, wrenches = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), (states, wrenches))
     states = states._replace(face=start.face[..., None], size=start.size[..., None])
@@ -156,18 +158,29 @@ def _fuse(params: Params, config: CoreConfig) -> _Models:
     )
 
 
-def _advance(models: _Models, state: SystemState, u: Array, config: CoreConfig) -> tuple[SystemState, Array]:
-    """`step` with channels first, stage by stage: features, R, contact, O, integration."""
+def _remembered(models: _Models, state: SystemState, config: CoreConfig) -> Array | None:
+    """What the contact model predicted for the sample before ``state`` (`object_model.remembered`)."""
+    last, wrench = state.last_object_twist, state.last_wrench
+    inputs = features.object_inputs(jnp.zeros_like(last), jnp.zeros_like(last), last, state.size, wrench, axis=0)
+    return object_model.remembered(inputs, config.object, models.object.contact)
+
+
+def _advance(
+    models: _Models, state: SystemState, before: Array | None, u: Array, config: CoreConfig
+) -> tuple[SystemState, Array | None, Array]:
+    """`step` with channels first, stage by stage: features, R, contact, O, integration. ``before`` is `_remembered`,
+    and returned for the next sample."""
     face = features.facing(state)
     touch = features.contact(face, u[2])
     base, force = _robot_stage(models, state, face, touch, u, config)
     wrench = _wrench(state, face, touch, force, config)
     twist = face.yaw.inverse_apply(state.object_twist)
-    acceleration = _object_stage(models, state, twist, wrench, config)
+    inputs = features.object_inputs(twist, wrench, state.last_object_twist, state.size, state.last_wrench, axis=0)
+    acceleration, now = object_model.forward(models.object, inputs, config.object, before)
     if config.unilateral:
         acceleration = acceleration + _unilateral(state, face, touch, twist, acceleration, base, force)
     new = _integrate(models, state, u, face.heading.apply(base), face.yaw.apply(acceleration), config)
-    return new._replace(last_object_twist=twist, last_wrench=wrench, last_force=force, last_u=u), wrench
+    return new._replace(last_object_twist=twist, last_wrench=wrench, last_force=force, last_u=u), now, wrench
 
 
 def _robot_stage(
@@ -177,12 +190,6 @@ def _robot_stage(
     inputs = features.stacked_robot_inputs(state, face, features.contact(face, state.last_u[2]), u)
     outputs = models.robot.forward(inputs, config.robot.activation)
     return outputs[:3], jnp.where(_out_of_reach(state, touch, config), 0.0, outputs[3:])
-
-
-def _object_stage(models: _Models, state: SystemState, twist: Array, wrench: Array, config: CoreConfig) -> Array:
-    """O of Eq. 3: acceleration of the object ``[3, ...]`` in {O}."""
-    inputs = features.object_inputs(twist, wrench, state.last_object_twist, state.size, state.last_wrench, axis=0)
-    return object_model.forward(models.object, inputs, config.object)
 
 
 def _integrate(

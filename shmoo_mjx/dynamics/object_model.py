@@ -104,28 +104,37 @@ def network_inputs(
     contact: Float[Array, "p"],
 ) -> Float[Array, "... seen"]:
     """Inputs of psi's network, 25 of them: the 13 ``inputs`` and what the contact model ``contact`` predicts."""
-    return jnp.moveaxis(_seen(label_scale, jnp.moveaxis(inputs, -1, 0), config, contact), 0, -1)
+    inputs = jnp.moveaxis(inputs, -1, 0)
+    before = remembered(inputs, config, contact)
+    return jnp.moveaxis(_seen(label_scale, inputs, config, contact, before)[0], 0, -1)
 
 
-def _seen(label_scale: Array, inputs: Array, config: ObjectConfig, contact: Array) -> Array:
+def remembered(
+    inputs: Float[Array, "n_in ..."], config: ObjectConfig, contact: Float[Array, "p"]
+) -> Float[Array, "3 ..."] | None:
+    """The contact model's prediction for the sample before the ``inputs``', channels first; None if psi has no use for
+    it. In a roll-out it is what `forward` gave a sample ago."""
+    if not (config.contact_model and config.last_wrench and config.residual):
+        return None
+    return contact_model.acceleration(contact, features.last_sample(inputs)[0])
+
+
+def _seen(
+    label_scale: Array, inputs: Array, config: ObjectConfig, contact: Array, before: Array | None
+) -> tuple[Array, Array | None]:
+    """What psi's network sees, channels first, and the contact model's prediction for these inputs."""
     seen = inputs if config.last_wrench else inputs[:-3]
     if not config.contact_model:
-        return seen
-    contacts, pushes = (
-        [contact_model.with_friction(contact, shift) for shift in FRICTION_SHIFTS],
-        [inputs] * len(FRICTION_SHIFTS),
-    )
-    if config.last_wrench:
-        before, happened = features.last_sample(inputs)
-        contacts, pushes = [contact, *contacts], [before, *pushes]
-    predicted = jax.vmap(contact_model.acceleration)(jnp.stack(contacts), jnp.stack(pushes))
-    if config.last_wrench:
-        predicted = predicted.at[0].add(-happened)
+        return seen, None
+    predicted = contact_model.acceleration(contact, inputs, FRICTION_SHIFTS)
+    now = predicted[FRICTION_SHIFTS.index(0.0)]
+    if before is not None:
+        predicted = jnp.concatenate([(before - features.last_sample(inputs)[1])[None], predicted])
     # What is far beyond anything in training tells no more than what is at its edge.
     predicted = jnp.clip(
         predicted / label_scale.reshape(-1, *(1,) * (inputs.ndim - 1)), -PREDICTED_LIMIT, PREDICTED_LIMIT
     )
-    return jnp.concatenate([seen, predicted.reshape(-1, *inputs.shape[1:])])
+    return jnp.concatenate([seen, predicted.reshape(-1, *inputs.shape[1:])]), now
 
 
 def basis(
@@ -186,13 +195,26 @@ def fuse(
 
 
 def forward(
-    fused: FusedObjectModel, inputs: Float[Array, "n_in ..."], config: ObjectConfig
-) -> Float[Array, "axes ..."]:
-    """What `predict` gives, with channels first."""
+    fused: FusedObjectModel,
+    inputs: Float[Array, "n_in ..."],
+    config: ObjectConfig,
+    before: Float[Array, "3 ..."] | None,
+) -> tuple[Float[Array, "axes ..."], Float[Array, "3 ..."] | None]:
+    """What `predict` gives, with channels first.
+
+    Args:
+        fused: the model.
+        inputs: as OBJECT_INPUTS lists them.
+        config: its shape.
+        before: what `remembered` gives for the inputs, or this function gave for the sample before.
+
+    Returns:
+        The acceleration, and ``before`` for the next sample.
+    """
     if not config.residual:
-        return contact_model.acceleration(fused.contact, inputs)
-    seen = _seen(fused.label_scale, inputs, config, fused.contact)
-    return fused.layers.forward(seen, config.activation)
+        return contact_model.acceleration(fused.contact, inputs), None
+    seen, now = _seen(fused.label_scale, inputs, config, fused.contact, before)
+    return fused.layers.forward(seen, config.activation), None if before is None else now
 
 
 def coefficient_signs(config: ObjectConfig) -> Float[np.ndarray, "3 K"]:
