@@ -126,16 +126,17 @@ def _cell(result: ExperimentResult, key: str) -> str:
 def draw_figure(file: Path, rows: Rows, distance: float) -> None:
     """Predicted and true ends of some pushes of each stratum, seen along the push; and how often what is said comes
     true."""
-    figure = blank_figure(12.0, 4.2)
+    figure = blank_figure(12.0, 4.6)
     *fans, reliability = figure.subplots(1, 3)
     for axes, (stratum, title) in zip(fans, STRATA.items(), strict=True):
-        _draw_ends(axes, [r for r in rows if r["stratum"] == stratum and "posterior_stops" in r], distance)
-        axes.set_title(title)
-    _draw_reliability(reliability, rows)
+        _draw_ends(axes, [r for r in rows if r["stratum"] == stratum])
+        axes.set_title(f"{title}, after {distance:g} m or 12 s", fontsize=11)
+    _draw_reliability(reliability, rows, distance)
+    figure.legend(*fans[0].get_legend_handles_labels(), loc="outside lower left", ncols=3, fontsize=9)
     save_figure(file, figure)
 
 
-def _draw_ends(axes: Any, rows: Rows, distance: float) -> None:
+def _draw_ends(axes: Any, rows: Rows) -> None:
     # One push of each of some objects, in the order in which they were drawn.
     first = {row["object"]: row for row in reversed(rows)}
     for colour, row in zip(SERIES[:6], reversed(first.values()), strict=False):
@@ -145,16 +146,15 @@ def _draw_ends(axes: Any, rows: Rows, distance: float) -> None:
         )
         axes.plot(*ends.T, ".", color=colour, ms=5, alpha=0.6)
         axes.plot(*end.T, "*", color=colour, ms=13, markeredgecolor="black", markeredgewidth=0.6)
-    axes.plot([], [], ".", color="grey", label="predicted, by samples of the posterior")
-    axes.plot([], [], "*", color="grey", ms=11, markeredgecolor="black", label="true")
+    axes.plot([], [], ".", color="grey", label="predicted positions, by samples of the posterior")
+    axes.plot([], [], "*", color="grey", ms=11, markeredgecolor="black", label="true position")
     axes.plot(0, 0, "k+", ms=10, label="start")
     axes.set_aspect("equal", "datalim")
-    axes.set_xlabel(f"along the push at its start [m], after {distance:g} m of path or 12 s")
+    axes.set_xlabel("along the push at its start [m]")
     axes.set_ylabel("to its left [m]")
-    axes.legend(fontsize=7, loc="lower left")
 
 
-def _draw_reliability(axes: Any, rows: Rows) -> None:
+def _draw_reliability(axes: Any, rows: Rows, distance: float) -> None:
     axes.plot((0, 1), (0, 1), color="black", lw=1.0, ls="--")
     for name, colour, marker in (("posterior", SERIES[0], "o"), ("prior", SERIES[5], "s")):
         p, came = (np.array([r[key] for r in rows]) for key in (f"{name}_comes", "comes"))
@@ -165,7 +165,7 @@ def _draw_reliability(axes: Any, rows: Rows) -> None:
             axes.annotate(
                 str(count), (said, share), textcoords="offset points", xytext=(6, -10), fontsize=8, color=colour
             )
-    axes.set_xlabel("probability to come that far along the push")
+    axes.set_xlabel(f"probability to come {distance:g} m along the push")
     axes.set_ylabel("share that comes")
     axes.legend(fontsize=8, title="pushes, and how many", title_fontsize=8)
-    axes.set_title("does it come that far?")
+    axes.set_title("what is said, and what happens", fontsize=11)
