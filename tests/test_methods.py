@@ -57,13 +57,20 @@ def test_the_papers_psi_is_as_printed_and_learned_by_eq_8() -> None:
 def test_the_papers_navigator_decides_by_k() -> None:
     assert PAPER.navigator.decides_by == "K" and PAPER.navigator.planner.threshold == 0.3
     assert POLICIES["paper"].config == PAPER.navigator and POLICIES["paper"].method == "paper"
-    assert all(policy.method == "ours" for name, policy in POLICIES.items() if name != "paper")
+    assert all(policy.method == "ours" for name, policy in POLICIES.items() if name not in ("paper", "frozen"))
+
+
+def test_frozen_is_ours_without_learning() -> None:
+    frozen, ours = METHODS["frozen"], METHODS["ours"]
+    assert replace(frozen.pushing, adapts=True) == ours.pushing and not frozen.pushing.adapts
+    assert replace(frozen.pose_pushing, adapts=True) == ours.pose_pushing and not frozen.pose_pushing.adapts
+    assert (frozen.weights, frozen.navigator) == (ours.weights, ours.navigator)
 
 
 def test_weights_that_do_not_fit_the_method_are_refused() -> None:
     with pytest.raises(ShmooError, match=r"demo\.safetensors.* --form paper"):
         PAPER.load(asset(WEIGHTS))
-    with pytest.raises(ShmooError, match="no method 'printed'; choose ours or paper"):
+    with pytest.raises(ShmooError, match="no method 'printed'; choose ours or frozen or paper"):
         method_named("printed")
 
 
@@ -119,7 +126,7 @@ def test_an_unknown_method_is_answered_with_one_sentence(
     save_map(grid, tmp_path / "rooms.yaml")
     save_scenario(scenario.model_copy(update={"map": "rooms.yaml"}), tmp_path / "short.yaml")
     for words, said in (
-        (("--method", "papr"), "choose ours or paper"),
+        (("--method", "papr"), "choose ours or frozen or paper"),
         (("--method", "paper", "--weights", str(asset(WEIGHTS))), "--form paper"),
     ):
         done = shmoo(*command, *words)

@@ -88,7 +88,9 @@ def _think_again(setup: Setup, state: NavigatorState, obs: Observation) -> Navig
     )
     never = setup.config.goes_round == "never"
     detour = None if never else routes.quickest(position, {index: _ROUND_MARGIN})
-    around = decide.AWAY + (through.seconds + decide.BLOCKED if detour is None else detour.seconds)
+    # Without a way round what follows a failure is another push, at what that was taken to cost.
+    again = through.seconds + (decide.BLOCKED if known.price is None else known.price)
+    around = decide.AWAY + (again if detour is None else detour.seconds)
     (here,) = decide.weigh(found, {side: 0.0}, known.failed_faces, through.seconds, around)
     told = f"{here.told}; {decide.round_told(detour and around)}"
     moves = here.probability >= 0.5

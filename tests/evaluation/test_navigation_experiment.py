@@ -34,8 +34,9 @@ def test_policies_know_what_they_are_meant_to_know() -> None:
     assert avoid is not None and avoid(found) == [Status.FIXED] * 2
     assert oracle is not None and oracle(found) == [Status.UNKNOWN, Status.FIXED]
     assert POLICIES["ours"].first_status is None and POLICIES["always_push"].first_status is None
-    assert POLICIES["lazy"].config.detour > 100 and POLICIES["lazy"].config.goes_round
-    assert not POLICIES["always_push"].config.goes_round and POLICIES["ours"].config.goes_round
+    goes_round = {name: policy.config.goes_round for name, policy in POLICIES.items()}
+    assert goes_round["ours"] == goes_round["frozen"] == "when quicker"
+    assert goes_round["lazy"] == "always" and goes_round["always_push"] == "never"
 
 
 def test_policies_run_in_their_own_order_and_unknown_ones_are_refused() -> None:
@@ -156,6 +157,7 @@ def test_all_policies_run_on_all_scenarios_ours_first(tmp_path: Path, fakes: lis
         "ours",
         "kept building_1-0",
         *["lazy"] * 2,
+        *["frozen"] * 2,
         *["oracle"] * 2,
         *["always_avoid"] * 2,
         *["always_push"] * 2,
@@ -178,6 +180,7 @@ def test_the_paper_runs_with_its_own_weights_and_pushing_and_the_others_with_our
     for policy in POLICIES:
         ran[policy] = navigation.play(robot, toy_scenario(1, True)[0], generated(True), policy)  # type: ignore[assignment]
     assert ran.pop("paper") == (asset(PAPER_WEIGHTS), "paper")
+    assert ran.pop("frozen") == (robot.weights, "frozen")
     assert set(ran.values()) == {(robot.weights, "ours")}
 
 

@@ -81,7 +81,8 @@ def test_a_load_that_comes_on_the_way_is_found() -> None:
     before = after(pushed(light, pulses(6.0 * 0.4 * 9.81)))[-1]
     then = after(pushed(heavy, pulses(18.0 * 0.4 * 9.81, 80)), estimate.relocated(before))
     friction = np.asarray(contact_model.resistance(estimate.mean(then[-1])))[0]
-    assert abs(np.log(friction / (18.0 * 0.4 * 9.81))) < 0.25
+    # Without the load it is a third; draws differ by up to 0.4.
+    assert abs(np.log(friction / (18.0 * 0.4 * 9.81))) < 0.5
 
 
 def test_an_object_that_nothing_touches_stays_the_prior() -> None:
