@@ -135,7 +135,8 @@ def _least_time(
         reached = routes.path_to_face(position, index, face, everything, failed(side), corner=side >= 4)
         if reached is not None and decide.walk(reached[0].length) < otherwise:
             ways[side] = reached
-    best, told = None, decide.round_told(around and around.seconds)
+    way_round = None if around is None else around.seconds
+    best, told = None, decide.told((), way_round)
     if ways:
         field = state.belief.clearance(without=index)
         places = _places(setup, routes, obs, index, through.path, {side: faces[side] for side in ways})
@@ -144,7 +145,7 @@ def _least_time(
         )
         walks = {side: decide.walk(way[0].length) for side, way in ways.items()}
         options = decide.weigh(found, walks, known.failed_faces, through.seconds, otherwise)
-        best, told = options[0], f"{', '.join(push.told for push in options[:3])}; {told}"
+        best, told = options[0], decide.told(options[:3], way_round)
         state = state.with_events(_decision(now, index, told, options, otherwise))
         state = state.with_object(index, price=max(best.seconds - through.seconds, 0.0))
     if around is not None and (best is None or best.seconds + dislike >= otherwise):

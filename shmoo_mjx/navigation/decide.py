@@ -83,13 +83,10 @@ class Push:
     """Predicted positions of the object."""
     probability: float = 0.0
     """That the path will be free."""
+    works: float = np.inf
+    """Expected time to the robot's goal if it succeeds [s]."""
     seconds: float = np.inf
     """Expected time to the robot's goal [s], failures and what follows them included."""
-
-    @property
-    def told(self) -> str:
-        """In words."""
-        return f"push from {SIDES[self.side]} {self.seconds:.0f} s ({self.probability:.0%})"
 
 
 class _Of(NamedTuple):
@@ -170,22 +167,30 @@ def weigh(
     free = np.stack([push.free for push in found])
     trust = np.array([_TRUST ** list(failed).count(i) for i in side])[:, None]
     p = trust * np.where(np.isfinite(free), 1.0 - _ERRS, _ERRS)
-    succeeds = p * (np.where(np.isfinite(free), free, DT * STEPS) + rest)
     before = np.array([walks[i] for i in side])[:, None] + AWAY
+    there = np.where(np.isfinite(free), free, DT * STEPS) + rest
+    succeeds = p * there
+    works = (p * (before + there)).sum(axis=1) / p.sum(axis=1)
     alone = before + succeeds + (1.0 - p) * (GIVES_UP + otherwise)
     next_best = (1.0 - p) @ alone.T / (1.0 - p).sum(axis=1, keepdims=True)
     next_best[side[:, None] == side] = np.inf
     after = np.minimum(next_best.min(axis=1, initial=np.inf), otherwise)[:, None]
     seconds = (before + succeeds + (1.0 - p) * (GIVES_UP + after)).mean(axis=1)
-    for push, probability, expected in zip(found, p.mean(axis=1), seconds, strict=True):
-        push.probability, push.seconds = float(probability), float(expected)
+    for push, *numbers in zip(found, p.mean(axis=1), works, seconds, strict=True):
+        push.probability, push.works, push.seconds = map(float, numbers)
     best = {push.side: push for push in sorted(found, key=lambda push: -push.seconds)}
     return sorted(best.values(), key=lambda push: push.seconds)
 
 
-def round_told(seconds: float | None) -> str:
-    """Going round, in words; None where there is no way round."""
-    return "no way round" if seconds is None else f"go round {seconds:.0f} s"
+def told(options: Sequence[Push], around: float | None) -> str:
+    """Pushes and going round, which takes ``around`` [s] if there is a way round, in words."""
+    # Without a way round the mean is that of succeeding and of giving up, which says nothing to a reader.
+    mean = [f", {push.seconds:.0f} s on average" if around is not None else "" for push in options]
+    pushes = [
+        f"push from {SIDES[push.side]} {push.works:.0f} s ({push.probability:.0%}{more})"
+        for push, more in zip(options, mean, strict=True)
+    ]
+    return "; ".join([*pushes, "no way round" if around is None else f"go round {around:.0f} s"])
 
 
 def walk(length: float) -> float:

@@ -92,7 +92,7 @@ def _think_again(setup: Setup, state: NavigatorState, obs: Observation) -> Navig
     again = through.seconds + (decide.BLOCKED if known.price is None else known.price)
     around = decide.AWAY + (again if detour is None else detour.seconds)
     (here,) = decide.weigh(found, {side: 0.0}, known.failed_faces, through.seconds, around)
-    told = f"{here.told}; {decide.round_told(detour and around)}"
+    told = decide.told((here,), None if detour is None else around)
     moves = here.probability >= 0.5
     state = state.with_object(index, manipulable=moves).with_events(
         Decision(now, index, np.nan, np.nan, moves, here.goal, told, here.ends, here.goal[None], here.probability)

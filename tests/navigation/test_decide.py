@@ -124,6 +124,15 @@ def test_what_fails_on_one_side_may_still_succeed_on_another() -> None:
     assert same[0].seconds <= alone[0].seconds
 
 
+def test_options_are_told_with_their_times_and_probabilities() -> None:
+    push = weighed([[2.0, 2.0, 2.0, np.inf]], (0,))[0]
+    assert push.works == pytest.approx(4.0 + decide.AWAY + 2.0 + 10.0, abs=0.5) and push.works < push.seconds
+    said = decide.told((push,), 31.0)
+    assert f"push from behind {push.works:.0f} s ({push.probability:.0%}, {push.seconds:.0f} s on average)" in said
+    assert said.endswith("go round 31 s")
+    assert decide.told((push,), None).endswith(f"{push.works:.0f} s ({push.probability:.0%}); no way round")
+
+
 def test_a_side_that_has_failed_is_trusted_less_each_time() -> None:
     times = [weighed([[2.0] * 4], (0,), (0,) * n, otherwise=600.0)[0].seconds for n in range(5)]
     assert times == sorted(times) and times[0] < 60.0 < times[-1]
