@@ -140,11 +140,11 @@ def pushes(
     where = np.stack([places.get(side, known.pose) for side in range(8)])
     of = options_about(known.pose, known.half_extents, where)
     outcomes: Outcomes = foresight(known.adapt, known.kind, known.pose, known.half_extents, of.options, seed)
-    free, poses = _times(outcomes, known, path, around)
+    free, poses, ends = _times(outcomes, known, path, around)
     found = []
     for k in np.flatnonzero(np.isin(of.side, list(sides))):
         goal = _goal(free[k], poses[k]) if np.isfinite(free[k]).any() else np.asarray(of.options.goal[k], float)
-        found.append(Push(int(of.side[k]), goal, free[k], poses[k][..., :2]))
+        found.append(Push(int(of.side[k]), goal, free[k], ends[k]))
     return found
 
 
@@ -210,9 +210,9 @@ def _goal(free: Float[Array, "S"], poses: Float[Array, "S T 3"]) -> Float[np.nda
 
 def _times(
     outcomes: Outcomes, known: KnownObject, path: Path, around: ClearanceField
-) -> tuple[Float[np.ndarray, "O S"], Float[np.ndarray, "O S T 3"]]:
+) -> tuple[Float[np.ndarray, "O S"], Float[np.ndarray, "O S T 3"], Float[np.ndarray, "O S T 2"]]:
     """Time at which the robot can pass the object [s], infinite where it never can or something meets a wall before;
-    and the poses that were looked at."""
+    the poses that were looked at, and positions that stay where that happens."""
     # A roll-out that diverges is off the map, where all is wall.
     poses, robots = (np.nan_to_num(np.asarray(a, float)[:, :, _EVERY - 1 :: _EVERY], nan=1e6) for a in outcomes)
     a, b = (max(half - _STEERED, 0.0) for half in known.half_extents)
@@ -226,7 +226,9 @@ def _times(
     clear = np.zeros(possible.shape, bool)
     clear[possible] = _passes(unique * _GRAIN, known.pose, known.half_extents, path, around)[which.reshape(-1)]
     times = DT * _EVERY * (1 + np.argmax(clear, axis=2))
-    return np.where(clear.any(axis=2), times, np.inf), poses
+    last = np.maximum(possible.sum(axis=2) - 1, 0)[..., None]
+    ends = np.take_along_axis(poses, np.minimum(np.arange(poses.shape[2]), last)[..., None], axis=2)[..., :2]
+    return np.where(clear.any(axis=2), times, np.inf), poses, ends
 
 
 def _passes(

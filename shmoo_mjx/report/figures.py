@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterable
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _LABELS = {"friction_x": "along x", "friction_y": "along y"}
+_TITLE_WIDTH = 72
+"""Characters in a line of a decision's title."""
 _MOST_COLUMNS = 5
 """Pushes that fit beside each other in the figure of what was learned."""
 
@@ -87,7 +90,7 @@ def draw_decision(axes: Axes, result: dict[str, Any], trace: Trace, number: int)
     if len(rollouts):
         axes.plot(*rollouts[:, -1].T, ".", color=COLOURS["rollout"], ms=3)
     if len(candidates):
-        axes.plot(*candidates.T[:2], "o", color=COLOURS["candidate"], ms=3.5, mew=0, label="collision-free ends")
+        axes.plot(*candidates.T[:2], "o", color=COLOURS["candidate"], ms=3.5, mew=0, label="goals")
     colour = object_colour(item, index or 0) if item else COLOURS["object"]
     half = item["half_extents"] if item else (0.3, 0.3)
     _polygon(axes, pose, half, edge=colour, fill=0.6)
@@ -103,7 +106,8 @@ def draw_decision(axes: Axes, result: dict[str, Any], trace: Trace, number: int)
         says = str(decision["reason"])  # by expected time
     else:
         says = f"{verdict}, {evidence(decision)}" if known else "first goal, dynamics not known yet"
-    axes.set_title(f"{number + 1}. At {float(decision['t']):.1f} s, {name}: {says}", fontsize=10)
+    title = f"{number + 1}. At {float(decision['t']):.1f} s, {name}: {says}"
+    axes.set_title(textwrap.fill(title, _TITLE_WIDTH), fontsize=10)
     axes.legend(loc="best", fontsize=7, framealpha=0.9)
 
 
