@@ -6,6 +6,7 @@ Each takes a state and an observation and gives the state in which the choice ha
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import shapely
@@ -128,7 +129,7 @@ def _least_time(
     now, known, routes = float(obs.time[0]), state.belief.objects[index], setup.routes(state)
     position, everything = obs.robot_pose[0, :2], state.belief.clearance()
     dislike = routes.price or 0.0
-    otherwise = through.seconds + decide.BLOCKED if around is None else around.seconds
+    otherwise = decide.after_all(through, around)
     faces, failed = decide.faces_about(known.half_extents), known.failed_faces.count
     ways, may_pay = {}, around is None or otherwise > through.seconds + decide.LEAST + dislike
     for side, face in enumerate(faces if may_pay else ()):
@@ -144,17 +145,23 @@ def _least_time(
             foresight_of(setup.controller), known, through.path, field, list(ways), places, round(now / DT)
         )
         walks = {side: decide.walk(way[0].length) for side, way in ways.items()}
-        options = decide.weigh(found, walks, known.failed_faces, through.seconds, otherwise)
+        weigh = partial(decide.weigh, found, walks, known.failed_faces, through.seconds)
+        # Its price counts no other push: two objects would make each other cheap in turn.
+        alone = routes.quickest(position, dict.fromkeys(state.belief.objects, 0.0))
+        price = weigh(decide.after_all(through, alone))[0].seconds - through.seconds
+        options = weigh(otherwise)
         best, told = options[0], decide.told(options[:3], way_round)
         state = state.with_events(_decision(now, index, told, options, otherwise))
-        state = state.with_object(index, price=max(best.seconds - through.seconds, 0.0))
+        state = state.with_object(index, price=max(price, 0.0))
+        if near and price >= decide.BLOCKED:
+            return _give_up(setup, state, now, index, told)
     if around is not None and (best is None or best.seconds + dislike >= otherwise):
         state = _on_path(state.with_object(index, in_the_way=known.in_the_way + near), now, around.path)
         return state.go(now, Mode.FOLLOW, f"object {index} is in the way: {told}")
     if not near:
         return state if best else state.with_object(index, price=decide.BLOCKED)
-    if best is None or best.seconds >= otherwise:
-        return _give_up(setup, state, now, index, told if ways else f"no face can be reached; {told}")
+    if best is None:
+        return _give_up(setup, state, now, index, f"no face can be reached; {told}")
     way, *place = ways[best.side]
     local = local_distance_field(field, known.pose)
     begun = approach.init(now, *place)

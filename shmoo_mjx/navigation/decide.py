@@ -21,7 +21,7 @@ from shmoo_mjx.faces import corners_of, faces_of
 from shmoo_mjx.navigation.belief import KnownObject
 from shmoo_mjx.navigation.clearance import ClearanceField
 from shmoo_mjx.navigation.paths import Path
-from shmoo_mjx.navigation.routes import PACE
+from shmoo_mjx.navigation.routes import PACE, Route
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS
 from shmoo_mjx.planning.reach import STEPS, Options, Outcomes
 from shmoo_mjx.plant.robot import shmoobot
@@ -40,7 +40,7 @@ LEAST = _SETUP + AWAY
 """What every push takes at least [s]."""
 GIVES_UP = 6.0
 """Time of a push that leads nowhere until this is seen [s]."""
-BLOCKED = 600.0
+BLOCKED = 300.0
 """What it counts for to give up [s]: somebody has to come."""
 _TRUST = 0.25
 """What a push that failed leaves of the probability of another one on that side: something is not as it is modelled."""
@@ -180,6 +180,11 @@ def weigh(
         push.probability, push.works, push.seconds = map(float, numbers)
     best = {push.side: push for push in sorted(found, key=lambda push: -push.seconds)}
     return sorted(best.values(), key=lambda push: push.seconds)
+
+
+def after_all(through: Route, around: Route | None) -> float:
+    """Time to the goal without a push, by the way ``around`` or, without one, by giving up [s]."""
+    return through.seconds + BLOCKED if around is None else around.seconds
 
 
 def told(options: Sequence[Push], around: float | None) -> str:

@@ -60,8 +60,8 @@ _LONGEST_RETREAT = 6.0
 _LONGEST_CONTACT = 10.0
 """Time to feel the object after which something else must hold the hands [s]; two are usual."""
 PROBE_ROOM = 0.03
-"""How far the lean may stay below what the governor grants, while the object has not moved yet [rad]: a verdict on what
-was only touched gently would be worth little."""
+"""How far the probe's lean may stay below what the governor grants, while the object has not moved yet [rad]: a verdict
+on what was only touched gently would be worth little."""
 
 
 class _Mode(NamedTuple):
@@ -263,7 +263,7 @@ def _contact(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[Nav
 def _push(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Command]:
     segment, known = state.current(), state.known()
     assert segment.push is not None
-    firm = None if rolled(segment.push, known.pose) else PROBE_ROOM
+    firm = PROBE_ROOM if state.mode is Mode.PROBE and not rolled(segment.push, known.pose) else None
     object_obs = ObjectObservation.of(obs, segment.object)
     pushed, command = push.step(
         setup.controller, segment.push, object_obs, segment.face, state.last_u, segment.goal, segment.around,
