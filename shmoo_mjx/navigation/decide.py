@@ -23,7 +23,7 @@ from shmoo_mjx.navigation.clearance import ClearanceField
 from shmoo_mjx.navigation.paths import Path
 from shmoo_mjx.navigation.routes import PACE, Route
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS
-from shmoo_mjx.planning.reach import STEPS, Options, Outcomes
+from shmoo_mjx.planning.reach import STEPS, Options, Outcomes, goal_ahead
 from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.types import DT
 
@@ -48,8 +48,6 @@ _ERRS = 0.05
 """Share of roll-outs in which it comes otherwise."""
 _BEARINGS = (-0.5, -0.25, 0.0, 0.25, 0.5)
 """Directions of the goals of pushes on a side, to the left of its normal [rad]; corners are pushed straight on."""
-_FAR = 2.5
-"""Distance of those goals [m]: farther than a push mostly goes."""
 _EVERY = 5
 """Every so many samples of a roll-out are looked at."""
 _TOUCHING = 0.01
@@ -106,14 +104,11 @@ def options_about(
 ) -> _Of:
     """Pushes on every side in several directions, on every corner straight on, and on each to a place of its own;
     always as many."""
-    which = np.array([(i, a) for i in range(4) for a in _BEARINGS] + [(i, 0.0) for i in range(4, 8)])
-    faces = faces_about(half_extents)[which[:, 0].astype(int)]
-    bearing = pose[2] + faces[:, 2] + which[:, 1]
-    goals = np.stack(
-        [pose[0] + _FAR * np.cos(bearing), pose[1] + _FAR * np.sin(bearing), pose[2] + 2 * which[:, 1]], axis=-1
-    )
-    faces, goals = np.concatenate([faces, faces_about(half_extents)]), np.concatenate([goals, places])
-    side = np.concatenate([which[:, 0].astype(int), np.arange(8)])
+    which = [*((i, b) for i in range(4) for b in _BEARINGS), *((i, 0.0) for i in range(4, 8))]
+    about = faces_about(half_extents)
+    faces = np.stack([*(about[i] for i, _ in which), *about])
+    goals = np.stack([*(goal_ahead(pose, about[i], bearing) for i, bearing in which), *places])
+    side = np.array([*(i for i, _ in which), *range(8)])
     return _Of(side, Options(faces.astype(np.float32), goals.astype(np.float32)))
 
 
