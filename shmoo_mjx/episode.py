@@ -216,7 +216,7 @@ def result_of(simulation: Simulation, legs: Sequence[dict[str, Any]] = (), goals
                 "object": d.object,
                 "K": round(d.K, 4) if np.isfinite(d.K) else None,
                 "G": round(d.G, 4) if np.isfinite(d.G) else None,
-                "probability": round(d.probability, 4),
+                "probability": None if d.probability is None else round(d.probability, 4),
                 "manipulable": d.manipulable,
                 "goal": None if d.goal is None else _floats(d.goal),
                 "reason": d.reason,

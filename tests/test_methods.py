@@ -110,6 +110,8 @@ def test_a_push_of_the_papers_system_is_repeated_bit_for_bit(
     with np.load("run/trace.npz") as trace:
         assert trace["learned_names"].tolist() == [f"a{k + 1}" for k in range(18)]
         assert len(np.unique(trace["learned"][np.isfinite(trace["learned"][:, 0]), 0])) > 5
+    (decision, *_) = json.loads((tmp_path / "run/result.json").read_text())["decisions"]
+    assert decision["probability"] is None and decision["K"] > 0.3 and decision["manipulable"]
     assert shmoo("replay", "run").returncode == 0
     # The pushing controller's settings count as well.
     monkeypatch.setitem(METHODS, "paper", replace(PAPER, pushing=METHODS["ours"].pushing))

@@ -82,7 +82,7 @@ def planning(setup: Setup, state: NavigatorState, obs: Observation) -> Navigator
     result = planning_stage(poses[:, -1], costs, known.pose, reachable, cfg, None if probes else True)
     best = poses[np.argsort(costs)[:_SHOWN]][:, :, :2]
     event = Decision(
-        now, index, result.K, result.G, result.manipulable, result.goal, result.reason, best, result.candidates, np.nan
+        now, index, result.K, result.G, result.manipulable, result.goal, result.reason, best, result.candidates, None
     )
     state = state.with_events(event).with_object(index, manipulable=result.manipulable)
     if not result.manipulable:

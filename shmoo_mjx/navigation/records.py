@@ -87,8 +87,8 @@ class Decision(NamedTuple):
     rollouts: Float[np.ndarray, "R T 2"]
     """Predicted object positions, best first."""
     candidates: Float[np.ndarray, "C 3"]
-    probability: float
-    """That a push frees the path, of the best option; NaN where K decides."""
+    probability: float | None
+    """That a push frees the path, of the best option; None where K decides."""
 
 
 class Note(NamedTuple):
