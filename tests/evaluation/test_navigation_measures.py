@@ -244,7 +244,7 @@ def test_the_page_says_better_by_interval_and_what_failed() -> None:
     assert "| success | " in text and "| -0.25 (" in text and "**worse**" in text and "**better**" in text
     assert "| all | 24 / 32 |" in text and "- fall: 8" in text
     page = render({"navigation": found}, {})
-    assert text in page and "| success (aim 0.96) | 0.75 | 0 | 0.25 | 0.25 | 0.25 | 0 | 0 | 1 |" in page
+    assert text in page and "| success (aim 0.96) | 0.75 | 0 | 0 | 0.25 | 0.25 | 0 | 0 | 1 |" in page
     assert "`shmoo experiment navigation --maps DIR --seed 0 --condition-seed 0 --senses perfect`" in page
 
 
