@@ -112,12 +112,12 @@ def change(controls: Float[Array, "*S T m"], last_u: Float[Array, "m"]) -> Float
     return _length(jnp.diff(controls, axis=-2, prepend=first)) @ jnp.ones(controls.shape[-2])
 
 
-def _square(vector: Array) -> Array:
-    """Squared length ``[...]`` of ``vector [..., n]``, channel by channel: a sum over a few is slow in XLA."""
+def _square(vector: Float[Array, "*b n"]) -> Scalar | Float[Array, "*b"]:
+    """Squared length, channel by channel: a sum over a few is slow in XLA."""
     return sum((vector[..., i] ** 2 for i in range(1, vector.shape[-1])), vector[..., 0] ** 2)
 
 
-def _length(vector: Array) -> Array:
+def _length(vector: Float[Array, "*b n"]) -> Scalar | Float[Array, "*b"]:
     return jnp.sqrt(_square(vector))
 
 

@@ -270,7 +270,7 @@ def _passes(
     return passes
 
 
-def _joined(free: Bool[np.ndarray, "N c c"], from_end: Sequence[Float[np.ndarray, "c c"]]) -> Bool[np.ndarray, "N"]:
+def _joined(free: Bool[np.ndarray, "N h w"], from_end: Sequence[Float[np.ndarray, "h w"]]) -> Bool[np.ndarray, "N"]:
     """Whether free cells join both ends, given each cell's distance from them."""
     same = np.zeros((3, 3, 3), bool)
     same[1] = True
@@ -291,8 +291,8 @@ def _taken(yaw: float, half_extents: tuple[float, float]) -> Bool[np.ndarray, "c
 
 
 def _near(
-    pose: Float[np.ndarray, "*b 3"], half_extents: tuple[float, float], points: Float[np.ndarray, "*b 2"]
-) -> Bool[np.ndarray, "*b"]:
+    pose: Float[np.ndarray, "*p 3"], half_extents: tuple[float, float], points: Float[np.ndarray, "*q 2"]
+) -> Bool[np.ndarray, "*r"]:
     """Whether an object at ``pose`` leaves the robot no room at a point."""
     local = np.abs(se2.inverse_transform_point(pose, points))
     return np.asarray(np.linalg.norm(np.maximum(local - half_extents, 0.0), axis=-1) < ROBOT_RADIUS + _PATH_MARGIN)

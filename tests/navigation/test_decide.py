@@ -97,8 +97,10 @@ def test_a_way_round_that_is_near_does_not_count_as_freed_by_a_push() -> None:
 
 def weighed(free: list[list[float]], sides: tuple[int, ...], failed: tuple[int, ...] = (), **times: float) -> Any:
     """Expected times of pushes whose path is free after so many seconds in each sample."""
-    none = np.zeros(3), np.zeros((0, 0, 2))
-    found = [decide.Push(side, none[0], np.array(t), none[1]) for side, t in zip(sides, free, strict=True)]
+    nowhere = np.zeros(3)
+    found = [
+        decide.Push(side, nowhere, np.array(t), np.zeros((len(t), 0, 2))) for side, t in zip(sides, free, strict=True)
+    ]
     given = {"rest": 10.0, "otherwise": 60.0} | times
     return {p.side: p for p in decide.weigh(found, dict.fromkeys(sides, 4.0), failed, **given)}
 
