@@ -116,7 +116,6 @@ def _trial(
     rng, faces, sensing = np.random.default_rng([seed, index]), faces_of(condition.half_extents), senses_named(senses)
     controller, kind, origin = controller_of(weights), kind_of(condition), np.zeros(3)
     foresight = foresight_of(controller)
-    assert foresight is not None
     adapt = _learned(config, condition, faces[rng.integers(4)], controller, sensing, int(robots[0]))
     pushes = []
     for side in rng.permutation(4)[: config.pushes]:

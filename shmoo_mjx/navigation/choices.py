@@ -129,7 +129,7 @@ def _least_time(
     now, known, routes = float(obs.time[0]), state.belief.objects[index], setup.routes(state)
     position, everything = obs.robot_pose[0, :2], state.belief.clearance()
     dislike = routes.price or 0.0
-    otherwise = decide.after_all(through, around)
+    otherwise = decide.without_push(through, around)
     faces, failed = decide.faces_about(known.half_extents), known.failed_faces.count
     ways, may_pay = {}, around is None or otherwise > through.seconds + decide.LEAST + dislike
     for side, face in enumerate(faces if may_pay else ()):
@@ -146,9 +146,9 @@ def _least_time(
         )
         walks = {side: decide.walk(way[0].length) for side, way in ways.items()}
         weigh = partial(decide.weigh, found, walks, known.failed_faces, through.seconds)
-        # Its price counts no other push: two objects would make each other cheap in turn.
+        # Its price counts no other push. Else each of two immovable objects would be a way round the other one.
         alone = routes.quickest(position, dict.fromkeys(state.belief.objects, 0.0))
-        price = weigh(decide.after_all(through, alone))[0].seconds - through.seconds
+        price = weigh(decide.without_push(through, alone))[0].seconds - through.seconds
         options = weigh(otherwise)
         best, told = options[0], decide.told(options[:3], way_round)
         state = state.with_events(_decision(now, index, told, options, otherwise))

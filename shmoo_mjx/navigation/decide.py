@@ -1,7 +1,7 @@
 """Which option about an object in the way takes the least time, by what is known of the object's dynamics.
 
 Pushes are rolled out over samples of the posterior (`planning.reach`); an outcome is the time until the object has left
-the robot's path, with a probability of never. A push that fails costs its time and the way round.
+the robot's path, with a probability of never. A push that fails costs its time and the best of what is left.
 """
 
 from __future__ import annotations
@@ -177,7 +177,7 @@ def weigh(
     return sorted(best.values(), key=lambda push: push.seconds)
 
 
-def after_all(through: Route, around: Route | None) -> float:
+def without_push(through: Route, around: Route | None) -> float:
     """Time to the goal without a push, by the way ``around`` or, without one, by giving up [s]."""
     return through.seconds + BLOCKED if around is None else around.seconds
 
@@ -283,7 +283,7 @@ def _joined(free: Bool[np.ndarray, "N h w"], from_end: Sequence[Float[np.ndarray
 
 
 def _taken(yaw: float, half_extents: tuple[float, float]) -> Bool[np.ndarray, "c c"]:
-    """Cells about an object, which the middle one's middle is the middle of, that the robot can't stand in."""
+    """Cells that the robot can't stand in, on a square about an object at the centre of the middle cell."""
     reach = int((np.hypot(*half_extents) + ROBOT_RADIUS + _PATH_MARGIN) / _GRAIN[0]) + 1
     ticks = _GRAIN[0] * np.arange(-reach, reach + 1)
     cells = np.stack(np.meshgrid(ticks, ticks, indexing="ij"), axis=-1)
