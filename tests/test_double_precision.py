@@ -77,7 +77,7 @@ def push(folder: Path) -> Any:
         seen = robot.observe(world := robot.init())
         while planned < 3:
             world, seen = robot.step(world, task.tick(seen))
-            planned += task.phase == "push"
+            planned += task.mode == "push"
     assert task.segment is not None and task.segment.push is not None
     state = task.segment.push.pusher
     return seen.object_pose, seen.robot_pose, state.plan.nominal, state.adapt.parameters, pusher.coast(state)

@@ -40,11 +40,12 @@ from shmoo_mjx.evaluation.scenarios import entry_of
 from shmoo_mjx.evaluation.trials import controller_of, run_trials
 from shmoo_mjx.faces import faces_of
 from shmoo_mjx.fingerprints import fingerprint
+from shmoo_mjx.navigation.interaction import rolled
 from shmoo_mjx.navigation.maps import OCCUPIED, OccupancyGrid
 from shmoo_mjx.navigation.object_planner import planning_stage
 from shmoo_mjx.navigation.records import Mode, NavigatorConfig
 from shmoo_mjx.navigation.scenario import Limits, Scenario
-from shmoo_mjx.navigation.verdicts import PROBE_TIME, rolled
+from shmoo_mjx.navigation.verdicts import PROBE_TIME
 from shmoo_mjx.options import SensesName
 from shmoo_mjx.planning.reach import foresight_of
 from shmoo_mjx.plant.condition import Condition

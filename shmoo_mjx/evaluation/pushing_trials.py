@@ -315,7 +315,7 @@ class Runner:
                 if not lost:  # or the last whole state remains
                     world, seen = after
                     true, fell = engine.true_observation(world), bool(engine.fallen(world)[0])
-                now = float(true.time[0]), true.object_pose[0, 0], true.robot_pose[0], str(task.phase)
+                now = float(true.time[0]), true.object_pose[0, 0], true.robot_pose[0], str(task.mode)
                 rows.append((*now, world.physics[0, 1 : 1 + scene.model.nq].copy(), float(np.hypot(*true.lean[0]))))
         names = ("t", "object_pose", "robot_pose", "phase", "qpos", "lean")
         track = {name: np.array(column) for name, column in zip(names, zip(*rows, strict=True), strict=True)}
@@ -357,9 +357,9 @@ def _row(
         "arm_margin_rad": _arm_margin(scene, track["qpos"]),
         "final_x": float(final[0]),
         "final_y": float(final[1]),
-        "ended": str(task.phase) if task.finished else "time is up",
-        "reason": task.events[-1].reason if task.events else "",
-        "events": [[round(e.t, 1), str(e.target), e.reason] for e in task.events],
+        "ended": str(task.mode) if task.finished else "time is up",
+        "reason": task.transitions[-1].reason if task.transitions else "",
+        "events": [[round(e.t, 1), str(e.target), e.reason] for e in task.transitions],
     }
 
 

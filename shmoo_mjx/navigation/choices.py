@@ -12,17 +12,16 @@ import numpy as np
 import shapely
 
 from shmoo_mjx.arrays import Float
-from shmoo_mjx.control.observation import local_distance_field
 from shmoo_mjx.faces import heading
 from shmoo_mjx.navigation import decide, drive, paper
 from shmoo_mjx.navigation.belief import Status
+from shmoo_mjx.navigation.interaction import begun
 from shmoo_mjx.navigation.object_planner import initial_goal
 from shmoo_mjx.navigation.paths import Path, path_blocked_by, project
-from shmoo_mjx.navigation.records import Decision, Mode, NavigatorState, Note, Planned, Segment, Setup
+from shmoo_mjx.navigation.records import Decision, Mode, NavigatorState, Note, Planned, Setup
 from shmoo_mjx.navigation.routes import SLACK, Route, Routes
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS
 from shmoo_mjx.planning.reach import foresight_of
-from shmoo_mjx.skills import approach
 from shmoo_mjx.types import DT, Observation
 
 _PATIENCE = 4.0
@@ -162,12 +161,7 @@ def _least_time(
         return state if best else state.with_object(index, price=decide.BLOCKED)
     if best is None:
         return _give_up(setup, state, now, index, f"no face can be reached; {told}")
-    way, *place = ways[best.side]
-    local = local_distance_field(field, known.pose)
-    begun = approach.init(now, *place)
-    segment = Segment(index, best.side, faces[best.side], best.goal, way, begun, local)
-    state = replace(state, segment=segment, drive=drive.init())
-    state = state.with_object(index, pushes=known.pushes + 1, registered=known.pose)
+    state = begun(state, now, index, best.side, faces[best.side], best.goal, ways[best.side], field)
     return state.go(now, Mode.APPROACH, f"object {index} is in the way: {told}")
 
 

@@ -7,18 +7,14 @@ lie in a cone about a face's push direction, and what stalls counts as immovable
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from shmoo_mjx.arrays import Bool, Float
-from shmoo_mjx.control.observation import local_distance_field
 from shmoo_mjx.faces import faces_of, heading
-from shmoo_mjx.navigation import drive
 from shmoo_mjx.navigation.belief import Status
+from shmoo_mjx.navigation.interaction import begun
 from shmoo_mjx.navigation.object_planner import initial_goal, planning_stage
-from shmoo_mjx.navigation.records import Decision, Mode, NavigatorState, Planned, Segment, Setup
-from shmoo_mjx.skills import approach
+from shmoo_mjx.navigation.records import Decision, Mode, NavigatorState, Planned, Setup
 from shmoo_mjx.types import Observation
 
 _FAR_AREA = 5.0
@@ -48,11 +44,7 @@ def choose(setup: Setup, state: NavigatorState, obs: Observation, index: int, di
         why = f"object {index} can be put nowhere: {first.reason}; registered as an obstacle"
         return state.given_up(index).go(now, Mode.REPLAN, why)
     side = list(usable)[first.direction]
-    way, *place = usable[side]
-    field = local_distance_field(around, known.pose)
-    segment = Segment(index, side, faces[side], first.goal, way, approach.init(now, *place), field)
-    state = replace(state, segment=segment, drive=drive.init())
-    state = state.with_object(index, pushes=known.pushes + 1, registered=known.pose)
+    state = begun(state, now, index, side, faces[side], first.goal, usable[side], around)
     why = f"object {index} blocks the path {distance:.2f} m ahead; first goal: {first.reason}"
     return state.go(now, Mode.APPROACH, why)
 

@@ -4,24 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from shmoo_mjx.arrays import Float
 from shmoo_mjx.navigation import decide, paper
 from shmoo_mjx.navigation.belief import Status
+from shmoo_mjx.navigation.interaction import is_over, rolled
 from shmoo_mjx.navigation.records import Decision, Mode, NavigatorState, Setup
 from shmoo_mjx.planning.reach import foresight_of
-from shmoo_mjx.skills.push import PushState
 from shmoo_mjx.types import DT, Observation
 
-UNDETECTED_LIMIT = 1.5
-"""Time since the object's last detection at which a push ends [s]: a third of a metre at the speed allowed."""
 PROBE_TIME = 1.0
 """Contact time before the first decision and between two [s], the first as in the paper."""
-_LOST_AFTER = 1.5
-"""Time without contact after which contact counts as lost [s]: the hands catch up with what rolls ahead of them."""
-_PUSH_LIMIT = 45.0
-"""Longest push [s]: 11 m at the speed allowed."""
-_ROLLED = 0.10
-"""An object that has moved this far under a probe gives way beyond doubt [m]."""
 _STALLED = 0.05
 """An object that moved less than this in the time that a push is given has stalled [m]."""
 _CLEAR_EVERY = 5
@@ -30,33 +21,17 @@ _ROUND_MARGIN = 0.10
 """What a way round keeps from the object beside the robot's radius [m]: letting go moves it a little."""
 
 
-def rolled(push: PushState, pose: Float[np.ndarray, "3"]) -> bool:
-    """Whether the object has moved so far that it gives way beyond doubt: a cart that rolls ahead of the hands gives
-    little contact, but its motion tells as much."""
-    return push.moved(pose) > _ROLLED
-
-
 def judge(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState:
     """End a push that is over, stuck or lost, as far as that takes no planning to see."""
-    segment, known, now = state.current(), state.known(), float(obs.time[0])
-    push, index = segment.push, segment.object
+    now, push, index = float(obs.time[0]), state.current().push, state.current().object
+    over = is_over(state, now)
+    if over:
+        return state.failed().go(now, Mode.RETREAT, over)
     assert push is not None
-
-    def leave(reason: str) -> NavigatorState:
-        return state.failed().go(now, Mode.RETREAT, reason)
-
-    if not push.ok:
-        return leave("no roll-out of the model is finite: safe stop")
-    if known.age > UNDETECTED_LIMIT:
-        return leave(f"object {index} has not been detected for {UNDETECTED_LIMIT:g} s")
-    if push.since_contact > _LOST_AFTER:
-        return leave(f"contact with object {index} lost for {_LOST_AFTER:g} s")
-    if now - push.started > _PUSH_LIMIT:
-        return leave(f"object {index} has been pushed for {_PUSH_LIMIT:g} s")
     travelled = push.travelled(decide.GIVES_UP)
     if travelled is not None and travelled < _STALLED:
         why = f"object {index} moved less than {_STALLED:g} m in {decide.GIVES_UP:g} s"
-        return leave(why) if setup.by_time else paper.immovable(state, now, why)
+        return state.failed().go(now, Mode.RETREAT, why) if setup.by_time else paper.immovable(state, now, why)
     return state if setup.by_time else paper.arrived(state, now)
 
 

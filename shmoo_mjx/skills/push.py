@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -74,6 +74,8 @@ class PushState:
     """What the hands have spent on the object so far [N s]."""
     poses: tuple[Float[np.ndarray, "3"], ...] = ()
     """Of the object in {W}, one of each sample."""
+    coasts: Float[np.ndarray, "5"] = field(default_factory=lambda: np.zeros(5))
+    """How far it would coast along the push, in the last samples [m]; for who lets go in time (:func:`lets_go`)."""
     ok: bool = True
     """Whether the last plan had a finite roll-out."""
 

@@ -14,8 +14,9 @@ from toy_world import HALF, Stand, World, reasons, run, said, visited
 from shmoo_mjx.faces import heading
 from shmoo_mjx.navigation import decide
 from shmoo_mjx.navigation.belief import Status
+from shmoo_mjx.navigation.interaction import PROBE_ROOM
 from shmoo_mjx.navigation.maps import FREE, OCCUPIED, OccupancyGrid
-from shmoo_mjx.navigation.navigator import PROBE_ROOM, Navigator
+from shmoo_mjx.navigation.navigator import Navigator
 from shmoo_mjx.navigation.records import Mode, NavigatorConfig
 from shmoo_mjx.types import DT, Observation
 

@@ -11,8 +11,9 @@ import pytest
 from toy import toy_scenario
 from toy_world import HALF, Stand, World, reasons, run
 
+from shmoo_mjx.navigation.interaction import setup_of
 from shmoo_mjx.navigation.maps import FREE, OCCUPIED, OccupancyGrid
-from shmoo_mjx.navigation.navigator import MODES, Navigator, init, setup_of, step
+from shmoo_mjx.navigation.navigator import MODES, Navigator, init, step
 from shmoo_mjx.navigation.records import Mode, NavigatorConfig
 from shmoo_mjx.recorded import Recorded
 from shmoo_mjx.replay import differences

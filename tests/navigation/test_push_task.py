@@ -16,7 +16,8 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.hands import HAND_RADIUS, TUCKED_REACH
 from shmoo_mjx.navigation.footprints import footprint_polygon
 from shmoo_mjx.navigation.maps import OCCUPIED, OccupancyGrid
-from shmoo_mjx.navigation.push_task import Phase, PushTask, pose_push_config
+from shmoo_mjx.navigation.push_task import PushTask, pose_push_config
+from shmoo_mjx.navigation.records import Mode
 from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.types import DT, Command, Observation
 
@@ -101,7 +102,7 @@ def test_an_object_that_is_not_there_is_refused_at_once(index: int) -> None:
 def _run(task: PushTask, world: _World, seconds: float = 120.0, meddle: object = None) -> None:
     while not task.finished and world.time < seconds:
         command = task.tick(world.seen())
-        if task.phase is Phase.APPROACH:
+        if task.mode is Mode.APPROACH:
             gap = footprint_polygon(world.thing, HALF).distance(shapely.Point(world.robot[:2]))
             assert gap > shmoobot().radius, f"the robot runs into the object while approaching, at {world.time:.1f} s"
             assert task.belief.walls.at(world.robot[:2]) > shmoobot().radius
@@ -111,7 +112,7 @@ def _run(task: PushTask, world: _World, seconds: float = 120.0, meddle: object =
 
 
 def _reasons(task: PushTask) -> str:
-    return "\n".join(f"{e.t:.1f} {e.source} -> {e.target}: {e.reason}" for e in task.events)
+    return "\n".join(f"{e.t:.1f} {e.source} -> {e.target}: {e.reason}" for e in task.transitions)
 
 
 @pytest.mark.parametrize("angle", np.deg2rad([20, 140, 260]))
@@ -120,9 +121,9 @@ def test_from_any_start_round_the_object_it_comes_to_its_goal(angle: float) -> N
     world = _World(start, np.zeros(3))
     task = _task(np.array([1.0, 0.1, 0.15]))
     _run(task, world)
-    assert task.phase is Phase.DONE, _reasons(task)
+    assert task.mode is Mode.DONE, _reasons(task)
     assert np.linalg.norm(world.thing[:2] - task.goal[:2]) < 0.12, _reasons(task)
-    assert [e.target for e in task.events[:4]] == [Phase.APPROACH, Phase.CONTACT, Phase.PUSH, Phase.RETREAT]
+    assert [e.target for e in task.transitions[:4]] == [Mode.APPROACH, Mode.CONTACT, Mode.PUSH, Mode.RETREAT]
     # Backed away with folded arms.
     assert footprint_polygon(world.thing, HALF).distance(shapely.Point(world.robot[:2])) > TUCKED_REACH
     assert world.reach < TUCKED_REACH + 0.06
@@ -132,7 +133,7 @@ def test_in_a_narrow_corridor_only_the_face_it_can_reach_is_pushed() -> None:
     world = _World(np.array([-1.6, 0.0, 0.0]), np.array([0.0, 0.0, 0.0]))
     task = _task(np.array([1.0, 0.0, 0.0]), _grid(corridor=True))
     _run(task, world)
-    assert task.phase is Phase.DONE, _reasons(task)
+    assert task.mode is Mode.DONE, _reasons(task)
     assert np.linalg.norm(world.thing[:2] - task.goal[:2]) < 0.12, _reasons(task)
 
 
@@ -143,25 +144,25 @@ def test_what_cannot_be_reached_is_said_to_be_so() -> None:
     _run(task, world, 20.0)
     assert task.finished
     assert not np.any(world.thing)
-    assert "can be reached" in task.events[-1].reason or "no better" in task.events[-1].reason
+    assert "can be reached" in task.transitions[-1].reason or "no better" in task.transitions[-1].reason
 
 
 def test_lost_contact_is_noticed_and_made_again() -> None:
     def shove(task: PushTask, world: _World) -> None:
-        if task.phase is Phase.PUSH and task.pushes == 1 and world.thing[0] > 0.3:
+        if task.mode is Mode.PUSH and task.pushes == 1 and world.thing[0] > 0.3:
             world.thing = np.array([0.3, 0.6, 0.0])
 
     world = _World(np.array([-1.5, 0.0, 0.0]), np.zeros(3))
     task = _task(np.array([1.2, 0.3, 0.0]))
     _run(task, world, meddle=shove)
-    assert "contact lost" in _reasons(task)
+    assert "contact with object 0 lost" in _reasons(task)
     assert task.pushes > 1
     assert np.linalg.norm(world.thing[:2] - task.goal[:2]) < 0.15, _reasons(task)
 
 
 def test_what_overshoots_is_pushed_back_from_the_other_side() -> None:
     def coast(task: PushTask, world: _World) -> None:
-        if task.phase is Phase.RETREAT and task.pushes == 1 and world.thing[0] < 1.1:
+        if task.mode is Mode.RETREAT and task.pushes == 1 and world.thing[0] < 1.1:
             world.thing = np.array([1.5, 0.0, 0.0])
 
     world = _World(np.array([-1.5, 0.0, 0.0]), np.zeros(3))
@@ -184,7 +185,7 @@ def test_an_object_at_its_goal_is_left_alone() -> None:
     world = _World(np.array([-1.5, 0.0, 0.0]), np.array([0.0, 0.02, 0.05]))
     task = _task(np.zeros(3))
     _run(task, world, 5.0)
-    assert task.phase is Phase.DONE
+    assert task.mode is Mode.DONE
     assert task.pushes == 0
 
 
