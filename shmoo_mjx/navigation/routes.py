@@ -194,8 +194,8 @@ class Routes:
         return plan_path(self.belief.grid, start, end, obstacles, radius, field=self.belief.walls)
 
     def retreat_path(self, position: Float[np.ndarray, "2"], object_pose: Float[np.ndarray, "3"]) -> Path | None:
-        """A short straight way to where the robot has room to turn and to fold its arms, away from an object that it
-        touches; None if there is none near by."""
+        """A short way aslant to where the robot has room to turn and to fold its arms, away from an object that it
+        touches; None if straight back will do, or if there is none near by."""
         away = np.arctan2(*(position - object_pose[:2])[::-1])
         angles, lengths = (grid.ravel() for grid in np.meshgrid(away + _BACK_ANGLES, _BACK_LENGTHS, indexing="ij"))
         ends = position + lengths[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
@@ -203,7 +203,7 @@ class Routes:
         # The shortest with room, straight back before aslant; where none has room, the one with most.
         cost = lengths + 0.15 * np.abs(se2.wrap(angles - away)) + 5.0 * np.maximum(_BACK_ROOM - room, 0.0)
         best = int(np.argmin(cost))
-        if room[best] < shmoobot().radius:
+        if room[best] < shmoobot().radius or best == 0:
             return None
         return Path(np.stack([position, ends[best]]), float(lengths[best]))
 
