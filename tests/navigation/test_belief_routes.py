@@ -171,11 +171,9 @@ def test_a_face_that_has_failed_is_pushed_at_one_end_then_at_the_other(failed: i
     assert way is not None and way[1:] == (0.12, lateral)
 
 
-def test_a_retreat_leads_away_from_the_object_to_where_there_is_room() -> None:
+def test_a_retreat_leads_straight_back_or_aslant_to_where_there_is_room() -> None:
     ways, known = routes((3.0,), (3.0, 3.0, 0.0))
-    back = ways.retreat_path(np.array([2.4, 3.0]), known.pose)
-    assert back is not None and back.points[-1][0] < 2.3
-    assert ways.belief.clearance().at(back.points[-1]) > 0.3
+    assert ways.retreat_path(np.array([2.4, 3.0]), known.pose) is None, "straight back will do"
     corner = ways.retreat_path(np.array([0.45, 0.45]), np.array([1.0, 0.5, 0.0]))
     assert corner is not None and ways.belief.walls.at(corner.points[-1]) > 0.2
 

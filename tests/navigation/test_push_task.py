@@ -123,6 +123,8 @@ def test_from_any_start_round_the_object_it_comes_to_its_goal(angle: float) -> N
     _run(task, world)
     assert task.mode is Mode.DONE, _reasons(task)
     assert np.linalg.norm(world.thing[:2] - task.goal[:2]) < 0.12, _reasons(task)
+    for transition in task.transitions:
+        assert transition.target in task.modes[transition.source].leads_to, transition
     assert [e.target for e in task.transitions[:4]] == [Mode.APPROACH, Mode.CONTACT, Mode.PUSH, Mode.RETREAT]
     # Backed away with folded arms.
     assert footprint_polygon(world.thing, HALF).distance(shapely.Point(world.robot[:2])) > TUCKED_REACH
