@@ -103,6 +103,47 @@ def navigate(
     return 0 if result["outcome"] == "success" else 1
 
 
+def push(
+    family: Positional[str] = "box",
+    goal: str = "1.2,0.3,0.4",
+    set: tuple[str, ...] = (),
+    seed: Seed = 0,
+    start: str = "-1.3,0,0",
+    out: Path = Path("runs/push"),
+    weights: Path | None = None,
+    video: bool = True,
+    record: bool = False,
+    senses: str = "real",
+    method: str = "ours",
+) -> int:
+    """Push one object to a pose on an open floor, with report and film.
+
+    Example: shmoo push wheelchair --goal 1.5,0,0.8 --set mass=12 friction=0.6
+
+    Args:
+        family: box, cart, wheelchair, or an object file that shmoo object add has made. It stands at 0,0,0.
+        goal: x,y,yaw [m, rad] to which the object is to be brought.
+        set: properties as in a scenario file (docs/scenario.md), NAME=VALUE; the others are drawn.
+        seed: draws the properties that are not set, and all noise.
+        start: x,y,yaw [m, rad] of the robot.
+        out: folder for result.json, report.html and episode.mp4.
+        weights: trained weights (default: those of the method).
+        video: draw episode.mp4.
+        record: write episode.rrd too, a 3-D recording to scrub through (needs the package rerun-sdk).
+        senses: real or perfect.
+        method: ours, or paper (the paper's system, docs/paper_system.md).
+    """
+    from shmoo_mjx import progress, run
+
+    grid, task = run.push_inputs(family, goal, set, seed, start)
+    with progress.stages() as report:
+        result = run.run_scenario(
+            grid, task, out, weights, video, "push", report, record, _senses(senses), method=method
+        )
+    print(f"{result['outcome']}: {result['reason']}; {out / 'report.html'}")
+    return 0 if result["outcome"] == "success" else 1
+
+
 def live(
     scene: Positional[str] = "demo 0",
     host: str = "127.0.0.1",
@@ -639,6 +680,7 @@ def completion(shell: Positional[Literal["bash", "zsh", "fish"]]) -> int:
 _COMMANDS: dict[str, Callable[..., int]] = {
     "demo": demo,
     "navigate": navigate,
+    "push": push,
     "live": live,
     "replay": replay,
     "report": report,

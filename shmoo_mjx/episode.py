@@ -11,11 +11,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from shmoo_mjx import se2
 from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.learning.contact_prior import true_values
 from shmoo_mjx.navigation.belief import Status
+from shmoo_mjx.navigation.interaction import Machine
 from shmoo_mjx.navigation.maps import OccupancyGrid
-from shmoo_mjx.navigation.navigator import Navigator
 from shmoo_mjx.navigation.records import Mode, NavigatorConfig
 from shmoo_mjx.navigation.scenario import Scenario
 from shmoo_mjx.plant.observe import DIVERGED, toppled
@@ -25,6 +26,9 @@ from shmoo_mjx.report.trace import Trace
 from shmoo_mjx.sensing import Senses, senses_named
 from shmoo_mjx.simulation import Simulation
 from shmoo_mjx.types import DT, Observation
+
+_YAW_TOLERANCE = float(np.radians(20.0))
+"""Yaw error at which an object counts as brought to its pose [rad]."""
 
 Point = Sequence[float]
 
@@ -38,7 +42,7 @@ class Episode(NamedTuple):
     scene: Scene
     qpos: np.ndarray
     """``[T, nq]`` for rendering."""
-    navigator: Navigator
+    navigator: Machine
     """As it was at the end."""
     recorded: Recorded
 
@@ -50,7 +54,7 @@ class Hooks(NamedTuple):
     """Takes (simulated time [s], state)."""
     perceive: Callable[[Observation], Observation] = lambda seen: seen
     """A further fault of the senses, such as a pose of NaN."""
-    over: Callable[[Navigator], bool] = lambda navigator: False
+    over: Callable[[Machine], bool] = lambda navigator: False
     """Ends the run before the navigator does."""
 
 
@@ -147,7 +151,9 @@ def trace_of(simulation: Simulation) -> Trace:
 
 def _leg(simulation: Simulation, goal: Point, began: float) -> dict[str, Any]:
     """How one goal was reached, or not."""
-    distance = float(np.linalg.norm(simulation.true.robot_pose[0, :2] - np.asarray(goal)[:2]))
+    true, pushes = simulation.true, simulation.scenario.push_to is not None
+    what = true.object_pose[0, 0] if pushes else true.robot_pose[0]
+    distance = float(np.linalg.norm(what[:2] - np.asarray(goal)[:2]))
     outcome, reason = _outcome(simulation, distance)
     path = np.array([row["robot_pose"][:2] for row in simulation.record.rows if row["t"] >= began - 1e-6])
     return {
@@ -206,6 +212,7 @@ def result_of(simulation: Simulation, legs: Sequence[dict[str, Any]] = (), goals
         "missed_deadlines": record.late,
         "start": list(scenario.start),
         "goal": list(scenario.goal),
+        "push_to": None if scenario.push_to is None else list(scenario.push_to),
         "transitions": [
             {"t": round(t.t, 2), "from": str(t.source), "to": str(t.target), "reason": t.reason}
             for t in navigator.transitions
@@ -243,6 +250,15 @@ def _outcome(simulation: Simulation, distance: float) -> tuple[str, str]:
         return "diverged", DIVERGED
     if record.falls:
         return "fall", f"the robot fell while it was to {navigator.mode}"
+    if scenario.push_to is not None:
+        turned = float(abs(se2.wrap(simulation.true.object_pose[0, 0, 2] - scenario.push_to[2])))
+        there = distance <= scenario.limits.goal_tolerance_m and turned <= _YAW_TOLERANCE
+        where = f"the object is {distance:.2f} m and {np.degrees(turned):.0f} deg from its goal"
+        if record.wall_contacts and there:
+            return "wall contact", f"{where}, but the robot touched a wall {record.wall_contacts} times"
+        if not navigator.finished:
+            return "timeout", f"{scenario.limits.time_s:g} s were not enough; {where}"
+        return ("success", where) if there else ("stopped short", f"{where}: {navigator.transitions[-1].reason}")
     if navigator.mode is Mode.FAILED:
         return "blocked", navigator.transitions[-1].reason
     if distance <= scenario.limits.goal_tolerance_m and navigator.mode is Mode.DONE:

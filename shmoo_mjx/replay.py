@@ -52,10 +52,11 @@ def replay(run: Path, weights: Path | None = None) -> Difference | None:
     result, recorded = load_result(run / "result.json"), load_recorded(run / RECORDED)
     own = run / OWN_WEIGHTS
     method = method_named(str(result.get("method", "ours")))
-    controller = method.controller(weights or (own if own.is_file() else None))
+    scenario = load_scenario(run / "scenario.yaml")
+    to_pose = scenario.push_to is not None
+    controller = method.controller(weights or (own if own.is_file() else None), to_pose)
     if result.get("weights") != controller.weights.info:
         raise ShmooError(f"{run}: the run was made with other weights; give them with --weights.")
-    scenario = load_scenario(run / "scenario.yaml")
     senses = senses_named(str(result.get("senses")))
     navigator = navigator_of(
         load_map(run / "map.yaml"), scenario, controller, senses, method.navigator, policy=result.get("policy")

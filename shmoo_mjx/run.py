@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import shlex
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -25,8 +25,9 @@ from shmoo_mjx.navigation.scenario import (
     save_scenario,
     with_own_objects,
 )
+from shmoo_mjx.navigation.yaml_input import value_of
 from shmoo_mjx.options import SENSES, SensesName, shortened
-from shmoo_mjx.schema import check_angle
+from shmoo_mjx.schema import check_angle, validated
 from shmoo_mjx.seeds import check_seed
 from shmoo_mjx.types import DT
 from shmoo_mjx.verbosity import is_quiet
@@ -34,6 +35,8 @@ from shmoo_mjx.versions import versions
 
 OWN_WEIGHTS = "weights.safetensors"
 """What a run's folder calls the weights of a run, if they are not those of its method."""
+_FLOOR, _CELL = 12.0, 0.05
+"""Side of the open floor on which ``shmoo push`` pushes, and of its cells [m]."""
 _FILES = {
     "trace.npz": ARRAYS,
     "result.json": RUN,
@@ -101,7 +104,7 @@ def run_scenario(
     if record:
         require_viewer()
     chosen = method_named(method)
-    controller = chosen.controller(weights)
+    controller = chosen.controller(weights, to_pose=scenario.push_to is not None)
     with claimed(out):
         # Before the run, which they might not outlive.
         scenario = with_own_objects(scenario, out)
@@ -257,6 +260,34 @@ def load_inputs(
     for field, seed in seeds.items():
         check_seed(f"{scenario_path}: field '{field}':", seed)
     return load_map(chosen), scenario
+
+
+def push_inputs(
+    family: str, goal: str, properties: Sequence[str], seed: int, start: str
+) -> tuple[OccupancyGrid, Scenario]:
+    """An open floor with one object at the origin, and the pose that it is to be brought to: ``shmoo push``.
+
+    Args:
+        family: box, cart, wheelchair, or an object file.
+        goal: "x,y,yaw" of the object [m, rad].
+        properties: "name=value" each, as in a scenario file.
+        seed: draws the properties that are not given.
+        start: "x,y,yaw" of the robot [m, rad].
+
+    Raises:
+        ShmooError: any of them is not what it should be.
+    """
+    given = {}
+    for text in properties:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise ShmooError(f"--set {shortened(text)!r} must be NAME=VALUE, such as mass=6.")
+        given[name] = value_of(value, f"--set {shortened(text)!r}")
+    entry = {"family": family, "pose": (0.0, 0.0, 0.0), "seed": seed, "properties": given}
+    task = {"start": _numbers("--start", start, 3), "push_to": _numbers("--goal", goal, 3), "objects": [entry]}
+    half = round(_FLOOR / 2 / _CELL)
+    floor = OccupancyGrid(np.zeros((2 * half, 2 * half), np.int8), _CELL, (-half * _CELL, -half * _CELL, 0.0))
+    return floor, validated(Scenario, {**task, "seed": seed}, "push")
 
 
 def _numbers(option: str, text: str, count: int) -> Any:

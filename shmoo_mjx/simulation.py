@@ -14,11 +14,14 @@ import numpy as np
 
 from shmoo_mjx import custom, se2
 from shmoo_mjx.control.pushing import PushController
+from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.learning.contact_prior import kind_of
 from shmoo_mjx.navigation.belief import Status
+from shmoo_mjx.navigation.interaction import Machine
 from shmoo_mjx.navigation.maps import OccupancyGrid, occupied_rectangles
 from shmoo_mjx.navigation.navigator import Navigator
 from shmoo_mjx.navigation.policy import PolicyNavigator
+from shmoo_mjx.navigation.push_task import PushTask, PushTaskConfig
 from shmoo_mjx.navigation.records import Mode, NavigatorConfig
 from shmoo_mjx.navigation.scenario import Scenario
 from shmoo_mjx.plant.condition import Condition
@@ -90,14 +93,23 @@ def navigator_of(
     config: NavigatorConfig | None = None,
     first_status: Sequence[Status] | None = None,
     policy: str | None = None,
-) -> Navigator:
-    """The navigator of a run, or the ``policy`` "package.module:Name" in its place.
+) -> Machine:
+    """What drives the robot in a run: the navigator, the pushing task where the scenario has a pose for an object, or
+    the ``policy`` "package.module:Name".
 
     What it has to compute takes as long as ``senses`` say.
+
+    Raises:
+        ShmooError: there is a policy, but no goal for the robot.
     """
     config = replace(config or NavigatorConfig(), planning_time=senses.planning, latency=senses.latency)
     conditions = conditions_of(scenario)
     sizes, kinds = [c.half_extents for c in conditions], [kind_of(c) for c in conditions]
+    if scenario.push_to is not None:
+        if policy is not None:
+            raise ShmooError(f"policy {policy}: it drives to a goal, and the scenario has push_to; give it a goal.")
+        moves = PushTaskConfig(moves=config)
+        return PushTask(grid, sizes, scenario.push_to, controller, 0, scenario.seed, moves, kinds=kinds)
     if policy is not None:
         maker = custom.named("policy", policy)
         return PolicyNavigator(policy, maker, grid, scenario.goal, sizes, controller, scenario.seed, config)
@@ -122,7 +134,8 @@ class Simulation:
         self.scene = scene_of(grid, scenario, self.conditions, senses)
         self.navigator = navigator_of(grid, scenario, controller, senses, config, first_status, policy)
         self.record = Record()
-        self.engine = SensedEngine([self.scene], senses, scenario.seed)
+        # Where the object stands that is to be brought to a pose is told with the task.
+        self.engine = SensedEngine([self.scene], senses, scenario.seed, poses_known=scenario.push_to is not None)
         self.world: SensedWorld = self.engine.init()
         self.seen = self.engine.observe(self.world)
         self.true = self.engine.true_observation(self.world)

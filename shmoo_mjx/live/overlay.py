@@ -12,7 +12,7 @@ from shmoo_mjx.arrays import Array
 from shmoo_mjx.control.mppi import Plan
 from shmoo_mjx.navigation.belief import Status
 from shmoo_mjx.navigation.clearance import ClearanceField
-from shmoo_mjx.navigation.navigator import Navigator
+from shmoo_mjx.navigation.interaction import Machine
 from shmoo_mjx.report.style import COLOURS, outline
 from shmoo_mjx.sensing.camera import Camera
 from shmoo_mjx.types import Observation
@@ -95,7 +95,7 @@ def field_of_view(camera: Camera, pose: Array) -> Lines:
     return _lines(np.concatenate([near[:1], far, near[::-1]]), _rgb(_CAMERA))
 
 
-def believed(navigator: Navigator, seen: Observation, sizes: Sequence[tuple[float, float]]) -> Lines:
+def believed(navigator: Machine, seen: Observation, sizes: Sequence[tuple[float, float]]) -> Lines:
     """Footprints where the robot takes the objects to be: seen now (blue), remembered (grey), fixed (red)."""
     parts = [path(None)]
     for index, known in navigator.belief.objects.items():

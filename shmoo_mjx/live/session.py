@@ -120,6 +120,8 @@ def _from_file(path: Path) -> tuple[OccupancyGrid, Scenario]:
     scenario = load_scenario(path)
     if scenario.map is None:
         raise ShmooError(f"{path}: field 'map' is missing; add it.")
+    if scenario.push_to is not None:
+        raise ShmooError(f"{path}: the live page drives to goals; give 'goal' for 'push_to', or use shmoo navigate.")
     grid = load_map(Path(scenario.map))
     check_scenario(grid, scenario, ROBOT_RADIUS, str(path))
     checked_objects(grid, scenario, str(path))

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from shmoo_mjx.arrays import Float
+from shmoo_mjx.arrays import Array, Float, Numbers, finite_numbers
 from shmoo_mjx.control import equilibrium_lean
 from shmoo_mjx.control.observation import ObjectObservation, local_distance_field
 from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
@@ -327,6 +327,11 @@ def robot_alone(obs: Observation) -> ObjectObservation:
     return ObjectObservation(pose, twist, lean, rate, none, none, none, False)
 
 
+def place_of(goal: Numbers | Float[Array, "n"]) -> Float[np.ndarray, "2"]:
+    """The place of a goal in {W} [m], which may have a yaw too."""
+    return finite_numbers("the goal", goal[:2], "x, y")
+
+
 def nothing(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState | None:
     """Nothing to decide."""
     return None
@@ -344,6 +349,25 @@ class Machine:
         self.state, command, events = step(self.modes, self.setup, self.state, obs)
         self.events += events
         return command
+
+    def head_for(self, goal: Numbers | Float[Array, "2"], now: float) -> None:
+        """Go on to another goal in {W}, with all that is known; each side of an object may be tried anew."""
+        state = replace(self.state, goal=place_of(goal), path=None, drive=drive.init())
+        for index in state.belief.objects:
+            state = state.with_object(index, failed_faces=(), price=None, in_the_way=0)
+            if state.belief.objects[index].given_up is not None:
+                state = state.with_object(index, given_up=-1)
+        self.state = replace(state, mode=Mode.REPLAN, since=now, segment=None, pending=None, waits_from=None)
+
+    def expect(self, sizes: Sequence[tuple[float, float]], kinds: Sequence[str | None] | None = None) -> None:
+        """There are more objects, or others: half extents [m] and looks of each. What is being computed is dropped."""
+        self.setup = self.setup._replace(sizes=sizes, kinds=kinds)
+        self.state = replace(self.state, last_obs=None, pending=None)
+
+    @property
+    def config(self) -> NavigatorConfig:
+        """The settings of how it drives and decides."""
+        return self.setup.config
 
     @property
     def mode(self) -> Mode:

@@ -7,18 +7,17 @@ by touching it. How an object is pushed is in `interaction`; here is the way bet
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import jax
 import numpy as np
 
-from shmoo_mjx.arrays import Array, Float, Numbers, finite_numbers
+from shmoo_mjx.arrays import Array, Float, Numbers
 from shmoo_mjx.navigation import drive, interaction
 from shmoo_mjx.navigation.belief import Status, belief_of
 from shmoo_mjx.navigation.choices import look_ahead, replan
-from shmoo_mjx.navigation.interaction import Machine, Rule, nothing, setup_of
+from shmoo_mjx.navigation.interaction import Machine, Rule, nothing, place_of, setup_of
 from shmoo_mjx.navigation.maps import OccupancyGrid
 from shmoo_mjx.navigation.records import Event, Mode, NavigatorConfig, NavigatorState, Setup
 from shmoo_mjx.navigation.scenario import ROBOT_RADIUS
@@ -34,12 +33,7 @@ _TURNING_ROOM = 0.05
 
 def init(grid: OccupancyGrid, goal: Numbers | Float[Array, "2"], seed: int = 0) -> NavigatorState:
     """State at the start, with nothing known but the map; the goal is in {W} [m]."""
-    return NavigatorState(_goal(goal), belief_of(grid), jax.random.key(seed))
-
-
-def _goal(given: Numbers | Float[Array, "n"]) -> np.ndarray:
-    """The place ``[2]`` of a goal, which may have a yaw too."""
-    return finite_numbers("the goal", given[:2], "x, y")
+    return NavigatorState(place_of(goal), belief_of(grid), jax.random.key(seed))
 
 
 # What is done in each mode.
@@ -108,22 +102,3 @@ class Navigator(Machine):
         kinds: Sequence[str | None] | None = None,
     ) -> None:
         super().__init__(MODES, setup_of(sizes, controller, config, first_status, kinds), init(grid, goal, seed))
-
-    def head_for(self, goal: Numbers | Float[Array, "2"], now: float) -> None:
-        """Go on to another goal in {W}, with all that is known; each side of an object may be tried anew."""
-        state = replace(self.state, goal=_goal(goal), path=None, drive=drive.init())
-        for index in state.belief.objects:
-            state = state.with_object(index, failed_faces=(), price=None, in_the_way=0)
-            if state.belief.objects[index].given_up is not None:
-                state = state.with_object(index, given_up=-1)
-        self.state = replace(state, mode=Mode.REPLAN, since=now, segment=None, pending=None, waits_from=None)
-
-    def expect(self, sizes: Sequence[tuple[float, float]], kinds: Sequence[str | None] | None = None) -> None:
-        """There are more objects, or others: half extents [m] and looks of each. What is being computed is dropped."""
-        self.setup = self.setup._replace(sizes=sizes, kinds=kinds)
-        self.state = replace(self.state, last_obs=None, pending=None)
-
-    @property
-    def config(self) -> NavigatorConfig:
-        """The settings."""
-        return self.setup.config

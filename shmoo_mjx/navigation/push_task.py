@@ -23,10 +23,11 @@ from shmoo_mjx.faces import faces_of
 from shmoo_mjx.learning.online import Known
 from shmoo_mjx.navigation import interaction
 from shmoo_mjx.navigation.belief import belief_of
+from shmoo_mjx.navigation.decide import SIDES
 from shmoo_mjx.navigation.face_choice import YAW_WEIGHT, choose, residual
 from shmoo_mjx.navigation.interaction import Machine, Rule, begun, nothing, setup_of
 from shmoo_mjx.navigation.maps import OccupancyGrid
-from shmoo_mjx.navigation.records import Mode, NavigatorConfig, NavigatorState, Setup
+from shmoo_mjx.navigation.records import Decision, Mode, NavigatorConfig, NavigatorState, Setup
 from shmoo_mjx.skills import hold, push
 from shmoo_mjx.skills.push import Pusher
 from shmoo_mjx.types import DT, Command, Observation
@@ -105,9 +106,9 @@ class PushTask(Machine):
         """
         if not 0 <= index < len(sizes):
             raise ShmooError(f"PushTask: there is no object {index}; sizes has {len(sizes)}, counted from 0.")
-        self.config = config or PushTaskConfig()
+        self.settings = config or PushTaskConfig()
         self.goal = finite_numbers("PushTask: the goal", goal, "x, y, yaw")
-        setup = setup_of(sizes, pusher, self.config.moves, kinds=kinds)
+        setup = setup_of(sizes, pusher, self.settings.moves, kinds=kinds)
         modes = {
             Mode.REPLAN: Rule(self._look, self._choose, (Mode.APPROACH, Mode.DONE, Mode.FAILED)),
             Mode.APPROACH: Rule(interaction.come_to_face, nothing, (Mode.CONTACT, Mode.REPLAN)),
@@ -143,6 +144,13 @@ class PushTask(Machine):
             pushed = self.segment.push
             self.state = self.state.with_segment(push=replace(pushed, pusher=pushed.pusher._replace(adapt=adapt)))
 
+    def head_for(self, goal: Numbers | Float[Array, "3"], now: float) -> None:
+        """Go on to another pose in {W}, with all that is known."""
+        self.goal = finite_numbers("PushTask: the goal", goal, "x, y, yaw")
+        super().head_for(goal, now)
+        if self._index in self.belief.objects:
+            self.state = self.state.with_object(self._index, pushes=0)
+
     def _look(self, setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Command]:
         """Stand and look at the object."""
         known, command = state.belief.objects.get(self._index), hold(interaction.robot_alone(obs))
@@ -153,7 +161,7 @@ class PushTask(Machine):
 
     def _choose(self, setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState | None:
         """With the object at rest: leave it, or choose the next push."""
-        cfg, index, now = self.config, self._index, float(obs.time[0])
+        cfg, index, now = self.settings, self._index, float(obs.time[0])
         known = state.belief.objects.get(index)
         if known is None:
             return state.go(now, Mode.FAILED, f"object {index} is not in sight")
@@ -181,8 +189,10 @@ class PushTask(Machine):
         state = state.with_object(index, adapt=self.adapt)
         state = begun(state, now, index, choice.side, faces[choice.side], choice.goal, chosen, around)
         final = "" if np.array_equal(choice.goal, self.goal) else " to a place on the way"
-        why = f"push {known.pushes + 1} on face {choice.side}{final}; the object is {where}"
-        return state.go(now, Mode.APPROACH, why)
+        why = f"push {known.pushes + 1} from {SIDES[choice.side]}{final}; the object is {where}"
+        none = np.zeros((0, 1, 2))
+        event = Decision(now, index, np.nan, np.nan, True, choice.goal, why, none, choice.goal[None], None)
+        return state.with_events(event).go(now, Mode.APPROACH, why)
 
     def _judge(self, setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState:
         """End a push that is to let go now, or that leads no further."""

@@ -2,7 +2,7 @@
 
 map: office.yaml          # ROS map_server YAML, relative to this file; may be left out and given on the command line
 start: [1.0, 1.0, 0.0]    # x, y [m], yaw [rad] in {W}
-goal: [5.0, 2.0]          # x, y [m] in {W}
+goal: [5.0, 2.0]          # x, y [m] in {W}; or push_to: [x, y, yaw], a pose for the first object
 objects:
   - family: box           # box, cart or wheelchair
     pose: [3.0, 1.5, 0.2]
@@ -20,10 +20,10 @@ import os
 import reprlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator, model_validator
 
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.files import write_whole
@@ -122,7 +122,9 @@ class Scenario(_Strict):
     start: Pose
     """(x, y, yaw) of the robot in {W} [m, m, rad]."""
     goal: tuple[Number, Number]
-    """(x, y) in {W} [m]."""
+    """(x, y) in {W} [m] for the robot; with ``push_to`` that place."""
+    push_to: Pose | None = None
+    """(x, y, yaw) in {W} [m, m, rad] to which the first object is to be brought, in place of a goal for the robot."""
     objects: tuple[ObjectEntry, ...] = Field(default=(), max_length=MOST_OBJECTS)
     """What stands in the map and is not drawn in it."""
     seed: WholeNumber = Field(default=0, ge=0)
@@ -131,6 +133,22 @@ class Scenario(_Strict):
     """When to give up."""
     senses: SensesName | None = None
     """What the robot perceives with, real or perfect; None leaves it to whoever runs the scenario (real)."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _place_of_the_object(cls, given: Any) -> Any:
+        pose = given.get("push_to") if isinstance(given, dict) else None
+        return given if not isinstance(pose, list | tuple) or "goal" in given else {**given, "goal": pose[:2]}
+
+    @model_validator(mode="after")
+    def _one_goal(self) -> Scenario:
+        if self.push_to is None:
+            return self
+        if not self.objects:
+            raise ValueError("push_to: there is no object to push; add one under 'objects'.")
+        if self.goal != self.push_to[:2]:
+            raise ValueError("goal and push_to are two places; give 'goal' for the robot or 'push_to' for the object.")
+        return self
 
     @field_validator("senses", mode="before")
     @classmethod
@@ -226,6 +244,9 @@ def check_scenario(grid: OccupancyGrid, scenario: Scenario, robot_radius: float,
     """
     from shmoo_mjx.navigation.paths import plan_path
 
+    if scenario.push_to is not None:
+        check_point(grid, scenario.start[:2], robot_radius, f"{name}: 'start'")
+        return
     for label, point in (("start", scenario.start[:2]), ("goal", scenario.goal)):
         check_point(grid, point, robot_radius, f"{name}: '{label}'")
     if plan_path(grid, scenario.start[:2], scenario.goal, robot_radius=robot_radius) is None:
@@ -282,6 +303,11 @@ def check_places(
         what = f"{name}: 'objects[{i}].pose' ({entry.pose[0]:g}, {entry.pose[1]:g}): the {Path(entry.family).stem}"
         check_place(grid, what, entry.pose, half, scenario.start[:2], before)
         before[f"objects[{i}]"] = (entry.pose, half)
+    if scenario.push_to is not None:
+        (x, y), thing = scenario.goal, Path(scenario.objects[0].family).stem
+        before.pop("objects[0]")
+        nowhere = (np.inf, np.inf)
+        check_place(grid, f"{name}: 'push_to' ({x:g}, {y:g}): the {thing}", scenario.push_to, sizes[0], nowhere, before)
 
 
 def check_place(

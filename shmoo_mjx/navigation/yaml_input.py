@@ -94,6 +94,18 @@ def yaml_files(folder: Path, below: bool = False) -> list[Path]:
     return sorted(p for p in found if p.suffix.lower() in (".yaml", ".yml") and p.is_file())
 
 
+def value_of(text: str, name: str) -> Any:
+    """What ``text`` says as a YAML value: a number, a truth value, a list, text.
+
+    Raises:
+        ShmooError: it is no YAML; ``name`` says what it was given to.
+    """
+    try:
+        return yaml.load(text, _Loader)
+    except yaml.YAMLError:
+        raise ShmooError(f"{name} must be a number, true, false, or a list such as [true, false].") from None
+
+
 def read_mapping(path: str | Path, what: str) -> dict[str, Any]:
     """The top-level mapping of a YAML file.
 

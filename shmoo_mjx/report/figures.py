@@ -212,9 +212,9 @@ def _mark_decision(axes: Axes, result: dict[str, Any], trace: Trace, number: int
     top = pose[1] if index is None else outline(pose, result["objects"][index]["half_extents"])[:, 1].max()
     colour = COLOURS["goal"] if decision["manipulable"] else COLOURS["decision"]
     told = is_number(decision.get("K")) or is_number(decision.get("probability"))
-    text = evidence(decision) if told else "first goal"
+    text = f"{number + 1}: {evidence(decision) if told else 'first goal'}"
     axes.annotate(
-        f"{number + 1}: {text}",
+        text if result.get("push_to") is None else f"push {number + 1}",
         (float(pose[0]), float(top)),
         (8, 12 + 15 * (number % 3)),
         textcoords="offset points",
@@ -234,6 +234,9 @@ def _mark_ends(axes: Axes, result: dict[str, Any], trace: Trace) -> None:
     if result.get("goal") is not None:
         goal = np.asarray(result["goal"], dtype=float)
         axes.plot(*goal[:2], "*", color=COLOURS["goal"], ms=16, mec="white", zorder=5, label="goal")
+    if result.get("push_to") is not None:
+        half = result["objects"][0]["half_extents"]
+        _polygon(axes, np.asarray(result["push_to"], dtype=float), half, edge=COLOURS["goal"], style="--", width=2.0)
 
 
 def _draw_states(axes: Axes, trace: Trace) -> None:

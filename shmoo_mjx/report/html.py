@@ -59,6 +59,7 @@ def render_report(result: dict[str, Any], trace: Trace, video: Path | None = Non
         title=result.get("name") or "run",
         good=succeeded(result) or recorded,
         recorded=recorded,
+        pushing=result.get("push_to") is not None,
         outcome=str(result["outcome"]).replace("_", " "),
         summary=result.get("summary") or summary(result),
         tiles=_tiles(result),
@@ -68,7 +69,7 @@ def render_report(result: dict[str, Any], trace: Trace, video: Path | None = Non
         decision_pngs=[
             (i, _embed(to_png(figures.decision_figure(result, trace, i), dpi=100)))
             for i in telling_decisions(result)
-            if not recorded
+            if not recorded and result.get("push_to") is None
         ],
         learned_png=_learned(result, trace),
         timeline_png=_embed(to_png(figures.timeline_figure(result, trace))),
@@ -91,7 +92,8 @@ def succeeded(result: dict[str, Any]) -> bool:
 
 def summary(result: dict[str, Any]) -> str:
     """The run in one paragraph of plain words."""
-    first = "The robot reached its goal"
+    pushed = result.get("push_to") is not None
+    first = f"The robot brought {_name(result['objects'][0])} to its goal" if pushed else "The robot reached its goal"
     if not succeeded(result):
         why = str(result.get("reason") or result["outcome"]).replace("_", " ").rstrip(".")
         first = f"The run ended without success ({why})"
@@ -100,7 +102,7 @@ def summary(result: dict[str, Any]) -> str:
     if is_number(result.get("path_length_m")):
         first += f", having driven {result['path_length_m']:.1f} m"
     if is_number(result.get("goal_distance_m")):
-        first += f", and ended {result['goal_distance_m']:.2f} m from the goal"
+        first += f", and {'left it' if pushed else 'ended'} {result['goal_distance_m']:.2f} m from the goal"
     sentences = [first + "."]
     sentences += [_object_sentence(result, item) for item in result["objects"]]
     falls, contacts = result.get("falls"), result.get("wall_contacts")
@@ -116,7 +118,7 @@ def _object_sentence(result: dict[str, Any], item: dict[str, Any]) -> str:
     decided = [d for d in mine if is_number(d.get("K")) or is_number(d.get("probability"))]
     # What settled a registered object was its last decision; one that was pushed, its first.
     told = f" ({figures.evidence(decided[-1 if item.get('registered') else 0])})" if decided else ""
-    name, moved = f"{item['family']} {item['id']}", _moved(item)
+    name, moved = _name(item), _moved(item)
     if item.get("toppled"):
         return f"It knocked {name} over{told}."
     if item.get("registered"):
@@ -124,6 +126,10 @@ def _object_sentence(result: dict[str, Any], item: dict[str, Any]) -> str:
     if moved > 0.05:
         return f"It pushed {name} by {moved:.2f} m{told}."
     return f"It left {name} where it was{told}."
+
+
+def _name(item: dict[str, Any]) -> str:
+    return f"{item['family']} {item['id']}"
 
 
 def _times(count: Any) -> str:

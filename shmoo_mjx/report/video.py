@@ -89,6 +89,9 @@ def top_down(result: dict[str, Any], trace: Trace, size: tuple[int, int] = (640,
     draw = ImageDraw.Draw(view.base)
     if result.get("goal") is not None:
         _star(draw, view, np.asarray(result["goal"], dtype=float)[:2])
+    if result.get("push_to") is not None:
+        corners = outline(np.asarray(result["push_to"], dtype=float), result["objects"][0]["half_extents"])
+        draw.polygon(view.pixels(corners), outline=COLOURS["goal"], width=max(2, round(0.035 * scale)))
     return view
 
 

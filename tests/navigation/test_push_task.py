@@ -170,7 +170,7 @@ def test_what_overshoots_is_pushed_back_from_the_other_side() -> None:
     world = _World(np.array([-1.5, 0.0, 0.0]), np.zeros(3))
     task = _task(np.array([1.0, 0.0, 0.0]))
     _run(task, world, meddle=coast)
-    assert "face 2" in _reasons(task)
+    assert "from the front" in _reasons(task)
     assert np.linalg.norm(world.thing[:2] - task.goal[:2]) < 0.12, _reasons(task)
 
 
