@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from shmoo_mjx.assets import WEIGHTS, asset
+from shmoo_mjx.base.assets import WEIGHTS, asset
 from shmoo_mjx.evaluation.manipulable import manipulable
 from shmoo_mjx.evaluation.object_planner import FITTED, ObjectPlannerTrials, draw_object, features_of, probe
 from shmoo_mjx.evaluation.trials import run_trials

@@ -12,7 +12,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from shmoo_mjx.environment import prepare_environment
+from shmoo_mjx.base.environment import prepare_environment
 
 prepare_environment()
 

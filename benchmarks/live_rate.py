@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from selenium import webdriver
 
-from shmoo_mjx.environment import prepare_environment
+from shmoo_mjx.base.environment import prepare_environment
 from shmoo_mjx.types import DT
 
 _COUNT = "window.drawn = 0; (function draw() { window.drawn++; requestAnimationFrame(draw); })()"

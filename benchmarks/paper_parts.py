@@ -12,9 +12,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+from shmoo_mjx.behavior.methods import METHODS
 from shmoo_mjx.control.governor import GovernorConfig
 from shmoo_mjx.control.pushing import PushConfig, PushController
-from shmoo_mjx.methods import METHODS
 
 _PAPER = METHODS["paper"]
 Make = Callable[[Any, PushConfig], PushController]

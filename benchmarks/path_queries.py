@@ -16,11 +16,11 @@ import numpy as np
 from scipy import ndimage
 
 from shmoo_mjx.evaluation.navigation_places import find_maps
-from shmoo_mjx.navigation.clearance import ClearanceField
-from shmoo_mjx.navigation.footprints import footprint_polygon
-from shmoo_mjx.navigation.maps import OccupancyGrid, clearance_field, load_map
-from shmoo_mjx.navigation.paths import plan_path, point_at
-from shmoo_mjx.navigation.scenario import ROBOT_RADIUS
+from shmoo_mjx.planning.clearance import ClearanceField
+from shmoo_mjx.planning.footprints import footprint_polygon
+from shmoo_mjx.planning.maps import OccupancyGrid, clearance_field, load_map
+from shmoo_mjx.planning.paths import plan_path, point_at
+from shmoo_mjx.planning.scenario import ROBOT_RADIUS
 
 try:
     import pyastar2d

@@ -15,11 +15,11 @@ import mujoco
 import numpy as np
 from plant_figures import _save
 
-from shmoo_mjx import se2
+from shmoo_mjx.base.fingerprints import fingerprint
+from shmoo_mjx.behavior.drive import DAMPING, LEAD, STIFFNESS
 from shmoo_mjx.control import equilibrium_lean
 from shmoo_mjx.evaluation.trials import run_trials
-from shmoo_mjx.fingerprints import fingerprint
-from shmoo_mjx.navigation.drive import DAMPING, LEAD, STIFFNESS
+from shmoo_mjx.geometry import se2
 from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
 from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.plant.scene import Scene, build_scene

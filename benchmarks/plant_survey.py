@@ -126,7 +126,7 @@ def robots(count: int, seed: int = 0) -> dict[str, int | float]:
     """Falls among randomised robots in MJX, each pushed once by up to 20 N x 0.5 s from any side, arms out."""
     import jax
 
-    from shmoo_mjx.hands import HAND_HEIGHT, REACH
+    from shmoo_mjx.geometry.hands import HAND_HEIGHT, REACH
     from shmoo_mjx.plant.engine_mjx import MjxEngine
     from shmoo_mjx.plant.randomize import randomize
     from shmoo_mjx.plant.scene import build_scene

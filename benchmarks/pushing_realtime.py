@@ -22,18 +22,18 @@ def measure(seconds: float) -> dict[str, Any]:
     """Push a box for ``seconds`` of simulated time."""
     import jax
 
-    from shmoo_mjx.assets import WEIGHTS, asset
+    from shmoo_mjx.base.assets import WEIGHTS, asset
+    from shmoo_mjx.behavior.push_task import pose_push_config
+    from shmoo_mjx.behavior.skills import batched
     from shmoo_mjx.control.observation import ObjectObservation, local_distance_field
     from shmoo_mjx.control.pushing import PushController
-    from shmoo_mjx.faces import faces_of, heading, stand_off
-    from shmoo_mjx.hands import HAND_HEIGHT, REACH, touches
+    from shmoo_mjx.geometry.faces import faces_of, heading, stand_off
+    from shmoo_mjx.geometry.hands import HAND_HEIGHT, REACH, touches
     from shmoo_mjx.learning.weights import load_weights
-    from shmoo_mjx.navigation.maps import OccupancyGrid, clearance_field
-    from shmoo_mjx.navigation.push_task import pose_push_config
+    from shmoo_mjx.planning.maps import OccupancyGrid, clearance_field
     from shmoo_mjx.plant.engine_mujoco import MujocoEngine
     from shmoo_mjx.plant.objects import draw_condition
     from shmoo_mjx.plant.scene import build_scene
-    from shmoo_mjx.skills import batched
     from shmoo_mjx.types import Command
 
     thing = draw_condition("box", 2, {"mass": 5.0, "payload": 0.0, "friction": 0.4})

@@ -22,7 +22,9 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx.assets import WEIGHTS, asset
+from shmoo_mjx.base.assets import WEIGHTS, asset
+from shmoo_mjx.base.fingerprints import fingerprint
+from shmoo_mjx.behavior.push_task import pose_push_config
 from shmoo_mjx.benchmarking import peers
 from shmoo_mjx.benchmarking.registry import machine
 from shmoo_mjx.benchmarking.workers import Worker, usable_cores
@@ -31,8 +33,6 @@ from shmoo_mjx.evaluation.paired import paired_difference
 from shmoo_mjx.evaluation.pushing_trials import STRATA, Runner, Trial, draw_trials
 from shmoo_mjx.evaluation.result import ExperimentOptions, make_result, read_result, write_result
 from shmoo_mjx.evaluation.trials import run_trials
-from shmoo_mjx.fingerprints import fingerprint
-from shmoo_mjx.navigation.push_task import pose_push_config
 from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
 from shmoo_mjx.report.tables import markdown_table
 

@@ -13,7 +13,7 @@ import time
 import gymnasium
 import numpy as np
 
-from shmoo_mjx.environment import prepare_environment
+from shmoo_mjx.base.environment import prepare_environment
 
 
 def measure(env: gymnasium.Env | gymnasium.vector.VectorEnv, worlds: int, seconds: float) -> str:

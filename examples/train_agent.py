@@ -19,7 +19,7 @@ import gymnasium
 import numpy as np
 from matplotlib.figure import Figure
 
-from shmoo_mjx.processes import process_pool
+from shmoo_mjx.base.processes import process_pool
 
 STEPS = 120  # 12 s of each episode
 SCALE = np.repeat([0.1, 0.5, 0.5, 0.5, 1.0, 0.5, 50.0, 1.0, 0.5], [2, 2, 3, 4, 4, 3, 3, 4, 2])  # of the observations

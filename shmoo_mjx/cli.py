@@ -15,13 +15,13 @@ import tyro
 from tyro.conf import Positional
 
 import shmoo_mjx
-from shmoo_mjx import options as bounded
-from shmoo_mjx.environment import check_environment, prepare_environment
+from shmoo_mjx.base import options as bounded
+from shmoo_mjx.base.environment import check_environment, prepare_environment
+from shmoo_mjx.base.inputs import with_inputs_kept
+from shmoo_mjx.base.options import SENSES, SensesName
+from shmoo_mjx.base.seeds import UNSEEN_SEED, ConditionSeed, Seed, check_seed, seed_of
+from shmoo_mjx.base.verbosity import with_verbosity
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.inputs import with_inputs_kept
-from shmoo_mjx.options import SENSES, SensesName
-from shmoo_mjx.seeds import UNSEEN_SEED, ConditionSeed, Seed, check_seed, seed_of
-from shmoo_mjx.verbosity import with_verbosity
 
 
 def demo(
@@ -48,7 +48,7 @@ def demo(
         scene: generated, or paper (a box of 2.8 kg, an empty wheelchair of 11.9 kg with locked wheels).
         method: ours, or paper (the paper's system, docs/paper_system.md).
     """
-    from shmoo_mjx.demo import run_demo
+    from shmoo_mjx.run.demo import run_demo
 
     return run_demo(_seeds(seed), out, weights, video and not quick, _senses(senses), scene, method)
 
@@ -86,7 +86,8 @@ def navigate(
         policy: package.module:Name of your own navigation policy, in the place of ours.
         method: ours, or paper (the paper's system, docs/paper_system.md).
     """
-    from shmoo_mjx import progress, run
+    from shmoo_mjx.base import progress
+    from shmoo_mjx.run import scenario_run as run
 
     chosen = None if senses is None else _senses(senses)
     grid, task = run.load_inputs(map, scenario, start, goal)
@@ -133,7 +134,8 @@ def push(
         senses: real or perfect.
         method: ours, or paper (the paper's system, docs/paper_system.md).
     """
-    from shmoo_mjx import progress, run
+    from shmoo_mjx.base import progress
+    from shmoo_mjx.run import scenario_run as run
 
     grid, task = run.push_inputs(family, goal, set, seed, start)
     with progress.stages() as report:
@@ -180,7 +182,7 @@ def replay(run: Positional[Path], weights: Path | None = None) -> int:
         run: folder that demo or navigate has left.
         weights: those of the run (default: the ones in its folder, or else those of its method).
     """
-    from shmoo_mjx.replay import replay as compare
+    from shmoo_mjx.run.replay import replay as compare
 
     difference = compare(run, weights)
     print(f"{run}: {difference or 'every command is the same, bit for bit'}")
@@ -210,9 +212,9 @@ def report(
         return 0
     if size is None:
         raise ShmooError(f"{source}: give the object's --size LENGTH WIDTH in m.")
-    from shmoo_mjx.assets import WEIGHTS, asset
-    from shmoo_mjx.custom_log import write_run
+    from shmoo_mjx.base.assets import WEIGHTS, asset
     from shmoo_mjx.learning.weights import load_weights
+    from shmoo_mjx.run.custom_log import write_run
 
     print(write_run(source, size, out, load_weights(weights or asset(WEIGHTS))))
     return 0
@@ -240,7 +242,7 @@ def collect(
         seed: of the operators.
         workers: processes.
     """
-    from shmoo_mjx import progress
+    from shmoo_mjx.base import progress
     from shmoo_mjx.data.collect import CollectConfig
     from shmoo_mjx.data.collect import collect as run
 
@@ -272,7 +274,7 @@ def train(
         quick: a short form of a few minutes, to try the commands; its weights are not for use.
         form: shape of the network: ours, or as the paper prints it.
     """
-    from shmoo_mjx import progress
+    from shmoo_mjx.base import progress
     from shmoo_mjx.learning.train import train_part
 
     target = out or Path("weights-quick.safetensors" if quick else "weights.safetensors")
@@ -300,7 +302,7 @@ def map_(
         out: PNG picture to write (default: the map's name with _free_space.png, in the present folder).
         radius: robot radius [m].
     """
-    from shmoo_mjx.navigation.maps import count_free_unknown, load_map
+    from shmoo_mjx.planning.maps import count_free_unknown, load_map
     from shmoo_mjx.report.map_picture import draw_map
 
     grid = load_map(map)
@@ -332,7 +334,7 @@ def scenarios(
         condition_seed: one or several; each draws scenarios of its own on every map.
         per_map: scenarios on each map for each seed.
     """
-    from shmoo_mjx import progress
+    from shmoo_mjx.base import progress
     from shmoo_mjx.evaluation.scenario_set import make_set
 
     with progress.stages() as report:
@@ -399,9 +401,9 @@ def view(
         seconds: length of the film [s].
         window: open a window if there is a display (--no-window always writes the film).
     """
-    from shmoo_mjx import teleop
-    from shmoo_mjx import view as viewing
     from shmoo_mjx.plant.render import has_display
+    from shmoo_mjx.run import teleop
+    from shmoo_mjx.run import view as viewing
 
     if record is not None:
         check_seed("--record: --seed", seed, UNSEEN_SEED - 1)  # A drive is training data.
@@ -455,12 +457,12 @@ def experiment(
         senses: real or perfect, of the robots that act in the experiment.
     """
     perceived = _senses(senses)
-    from shmoo_mjx import progress
+    from shmoo_mjx.base import progress
+    from shmoo_mjx.base.guard import EXPERIMENT, check_output
     from shmoo_mjx.evaluation.everything import run_all
     from shmoo_mjx.evaluation.navigation_tables import reference_table
     from shmoo_mjx.evaluation.registry import run_experiment
     from shmoo_mjx.evaluation.result import ExperimentOptions, table, write_result
-    from shmoo_mjx.guard import EXPERIMENT, check_output
 
     target = json or out / f"{name}.json"
     check_output(target, EXPERIMENT)
@@ -517,11 +519,11 @@ def bench(
         seed: of made-up weights and noise.
         out: folder for the result.
     """
-    from shmoo_mjx import progress
+    from shmoo_mjx.base import progress
+    from shmoo_mjx.base.guard import EXPERIMENT, check_output
     from shmoo_mjx.benchmarking.compare import compare_files
     from shmoo_mjx.benchmarking.registry import BenchOptions, describe, run_all, run_benchmark
     from shmoo_mjx.evaluation.result import write_result
-    from shmoo_mjx.guard import EXPERIMENT, check_output
 
     if name == "compare":
         text, slower = compare_files(files, ratios)
@@ -567,7 +569,7 @@ def sweep(
         senses: real or perfect; overrides the sweep's own (default: real).
     """
     perceived = None if senses is None else _senses(senses)
-    from shmoo_mjx import progress
+    from shmoo_mjx.base import progress
     from shmoo_mjx.sweep.command import carry_out
 
     made = carry_out(
@@ -600,11 +602,11 @@ def faults(
         out: folder that keeps each run.
         workers: processes.
     """
-    from shmoo_mjx import progress
+    from shmoo_mjx.base import progress
+    from shmoo_mjx.base.files import claimed
+    from shmoo_mjx.base.guard import EXPERIMENT, check_output
     from shmoo_mjx.evaluation import faults as matrix
     from shmoo_mjx.evaluation.result import ExperimentOptions, write_result
-    from shmoo_mjx.files import claimed
-    from shmoo_mjx.guard import EXPERIMENT, check_output
 
     target = json or out / "faults.json"
     check_output(target, EXPERIMENT)
@@ -639,11 +641,11 @@ def soak(
         out: folder that keeps what is done.
         workers: processes.
     """
-    from shmoo_mjx import progress
+    from shmoo_mjx.base import progress
+    from shmoo_mjx.base.files import claimed
+    from shmoo_mjx.base.guard import EXPERIMENT, check_output
     from shmoo_mjx.evaluation import soak as errands
     from shmoo_mjx.evaluation.result import ExperimentOptions, write_result
-    from shmoo_mjx.files import claimed
-    from shmoo_mjx.guard import EXPERIMENT, check_output
 
     target = json or out / "soak.json"
     check_output(target, EXPERIMENT)
@@ -661,7 +663,7 @@ def doctor() -> int:
 
     Example: shmoo doctor
     """
-    from shmoo_mjx.doctor import report
+    from shmoo_mjx.run.doctor import report
 
     return report()
 

@@ -11,7 +11,7 @@ from subprocess import CompletedProcess
 import pytest
 from hypothesis import settings
 
-from shmoo_mjx.environment import headless_graphics
+from shmoo_mjx.base.environment import headless_graphics
 
 ROOT = Path(__file__).resolve().parent.parent
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".pytest_jax_cache"))

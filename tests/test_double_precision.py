@@ -120,8 +120,8 @@ def robot_training(folder: Path) -> Any:
 
 
 def demo(folder: Path) -> Any:
-    from shmoo_mjx.demo import run_demo
     from shmoo_mjx.report.trace import load_trace
+    from shmoo_mjx.run.demo import run_demo
 
     assert run_demo(range(1), folder, None, False, "real") == 0
     trace = load_trace(folder / "demo-0" / "trace.npz")

@@ -15,7 +15,6 @@ import pytest
 import yaml
 
 import shmoo_mjx
-from shmoo_mjx.custom_log import read_log
 from shmoo_mjx.data import store
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.result import read_result
@@ -23,12 +22,13 @@ from shmoo_mjx.evaluation.scenario_set import open_set
 from shmoo_mjx.learning.checkpoints import Checkpoints
 from shmoo_mjx.learning.serialisation import read_notes
 from shmoo_mjx.learning.weights import load_weights
-from shmoo_mjx.navigation.maps import OccupancyGrid, load_map, save_map
-from shmoo_mjx.navigation.scenario import load_scenario
+from shmoo_mjx.planning.maps import OccupancyGrid, load_map, save_map
+from shmoo_mjx.planning.scenario import load_scenario
 from shmoo_mjx.plant.mesh import add_object
 from shmoo_mjx.plant.object_file import read_object
-from shmoo_mjx.recorded import load_recorded
 from shmoo_mjx.report.trace import load_result, load_trace
+from shmoo_mjx.run.custom_log import read_log
+from shmoo_mjx.run.recorded import load_recorded
 from shmoo_mjx.sweep.config import load_sweep
 
 

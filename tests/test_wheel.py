@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from shmoo_mjx.assets import PAPER_WEIGHTS, WEIGHTS
+from shmoo_mjx.base.assets import PAPER_WEIGHTS, WEIGHTS
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ("models_xml", "experiments")

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx.navigation.maps import FREE, OCCUPIED, OccupancyGrid
-from shmoo_mjx.navigation.scenario import Limits, ObjectEntry, Scenario
+from shmoo_mjx.planning.maps import FREE, OCCUPIED, OccupancyGrid
+from shmoo_mjx.planning.scenario import Limits, ObjectEntry, Scenario
 
 
 def toy_scenario(doors: int, movable: bool) -> tuple[OccupancyGrid, Scenario]:

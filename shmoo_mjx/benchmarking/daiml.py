@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
+from shmoo_mjx.base.processes import process_pool
 from shmoo_mjx.benchmarking.registry import BenchOptions, Measured
 from shmoo_mjx.benchmarking.workers import usable_cores
 from shmoo_mjx.data import store
 from shmoo_mjx.evaluation.datasets import TRAINING
-from shmoo_mjx.processes import process_pool
 
 Row = dict[str, Any]
 

@@ -78,14 +78,12 @@ def _demo(cfg: DemoSizes, seed: int, cache: str) -> dict[str, Any]:
 
 def main() -> None:
     """Run the demo of the seed with the clock on; prints one line of JSON."""
-    from shmoo_mjx.environment import prepare_environment
+    from shmoo_mjx.base.environment import prepare_environment
 
     prepare_environment()
-    import shmoo_mjx.episode
-    import shmoo_mjx.report.html  # noqa: F401
-    from shmoo_mjx import run as runs
-    from shmoo_mjx.navigation.floorplan import demo_scenario
-    from shmoo_mjx.navigation.scenario import Limits
+    from shmoo_mjx.planning.floorplan import demo_scenario
+    from shmoo_mjx.planning.scenario import Limits
+    from shmoo_mjx.run import scenario_run as runs
 
     clock = PartClock()
     watch(clock)

@@ -26,7 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from shmoo_mjx.arrays import Array
-from shmoo_mjx.assets import WEIGHTS, asset
+from shmoo_mjx.base.assets import WEIGHTS, asset
 from shmoo_mjx.benchmarking import mppi_problem as work
 from shmoo_mjx.benchmarking.peers import serve
 from shmoo_mjx.control import cost, mppi, pushing, sharding

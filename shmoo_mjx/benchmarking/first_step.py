@@ -13,17 +13,17 @@ _BEGAN = time.perf_counter()
 
 def main() -> None:
     """Run the demo until it pushes."""
-    from shmoo_mjx.environment import prepare_environment
+    from shmoo_mjx.base.environment import prepare_environment
 
     prepare_environment()
     import json
     import sys
 
-    from shmoo_mjx.assets import WEIGHTS, asset
+    from shmoo_mjx.base.assets import WEIGHTS, asset
     from shmoo_mjx.control.pushing import PushController
-    from shmoo_mjx.episode import Hooks, run_episode
     from shmoo_mjx.learning.weights import load_weights
-    from shmoo_mjx.navigation.floorplan import demo_scenario
+    from shmoo_mjx.planning.floorplan import demo_scenario
+    from shmoo_mjx.run.episode import Hooks, run_episode
 
     seconds: dict[str, float] = {}
 

@@ -38,9 +38,9 @@ QUICK = NavigationSizes(time_s=10.0, demos=1)
 
 def run(cfg: NavigationSizes, options: BenchOptions) -> Measured:
     """Seconds of each part over simulated seconds, by place."""
+    from shmoo_mjx.base.processes import process_pool
     from shmoo_mjx.evaluation.navigation_places import find_maps
     from shmoo_mjx.evaluation.trials import one_core
-    from shmoo_mjx.processes import process_pool
 
     trials: list[tuple[str, Any]] = [(DEMO, options.seed + i) for i in range(cfg.demos)]
     trials += [] if options.maps is None else [*find_maps(options.maps).items()]
@@ -64,15 +64,15 @@ def run(cfg: NavigationSizes, options: BenchOptions) -> Measured:
 
 def _timed(time_s: float, seed: int, place: str, what: Any) -> dict[str, Any]:
     """One trial: simulated_s, wall_s, and the seconds of each part. ``what`` is the demo's seed, or the map's YAML."""
-    from shmoo_mjx.assets import WEIGHTS, asset
-    from shmoo_mjx.episode import run_episode
+    from shmoo_mjx.base.assets import WEIGHTS, asset
     from shmoo_mjx.evaluation.navigation_places import Places, kept_scenario
     from shmoo_mjx.evaluation.result import ExperimentOptions
     from shmoo_mjx.evaluation.scenarios import ScenarioConfig
     from shmoo_mjx.evaluation.trials import controller_of
-    from shmoo_mjx.navigation.floorplan import demo_scenario
-    from shmoo_mjx.navigation.maps import load_map
-    from shmoo_mjx.navigation.scenario import Limits
+    from shmoo_mjx.planning.floorplan import demo_scenario
+    from shmoo_mjx.planning.maps import load_map
+    from shmoo_mjx.planning.scenario import Limits
+    from shmoo_mjx.run.episode import run_episode
 
     if place == DEMO:
         grid, scenario = demo_scenario(what)

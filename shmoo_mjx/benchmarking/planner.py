@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from shmoo_mjx.benchmarking.registry import BenchOptions, Measured
-from shmoo_mjx.navigation.floorplan import demo_scenario
-from shmoo_mjx.navigation.maps import OccupancyGrid, clearance_field
-from shmoo_mjx.navigation.paths import plan_path
-from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Limits, Scenario
+from shmoo_mjx.planning.floorplan import demo_scenario
+from shmoo_mjx.planning.maps import OccupancyGrid, clearance_field
+from shmoo_mjx.planning.paths import plan_path
+from shmoo_mjx.planning.scenario import ROBOT_RADIUS, Limits, Scenario
 from shmoo_mjx.types import DT, Observation
 
 PLANNING = "planning stage"
@@ -84,10 +84,10 @@ def run(cfg: PlannerSizes, options: BenchOptions) -> Measured:
 
 def _ticks(cfg: PlannerSizes, grid: OccupancyGrid, scenario: Scenario, options: BenchOptions) -> dict[str, list[float]]:
     """Seconds of every tick of the second run, by state."""
-    from shmoo_mjx.assets import WEIGHTS, asset
+    from shmoo_mjx.base.assets import WEIGHTS, asset
     from shmoo_mjx.control.pushing import PushController
-    from shmoo_mjx.episode import Hooks, run_episode
     from shmoo_mjx.learning.weights import load_weights
+    from shmoo_mjx.run.episode import Hooks, run_episode
 
     controller = PushController(load_weights(asset(WEIGHTS)))
     for name in ("first run, which compiles", "second run"):

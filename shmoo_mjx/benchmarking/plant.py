@@ -19,7 +19,7 @@ from mujoco.rollout import Rollout
 
 from shmoo_mjx.benchmarking.registry import BenchOptions, Measured
 from shmoo_mjx.benchmarking.workers import usable_cores
-from shmoo_mjx.hands import HAND_HEIGHT, REACH
+from shmoo_mjx.geometry.hands import HAND_HEIGHT, REACH
 from shmoo_mjx.plant.engine_mjx import MjxEngine
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.objects import draw_condition

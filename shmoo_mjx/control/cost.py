@@ -12,10 +12,10 @@ from typing import Protocol, runtime_checkable
 
 import jax.numpy as jnp
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.dynamics.layout import SO2, once
-from shmoo_mjx.hands import REACH, hand_targets
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.hands import REACH, hand_targets
 from shmoo_mjx.types import DT, SystemState
 
 HAND_MARGIN = 0.08

@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float
 from shmoo_mjx.control.governor import static_lean
+from shmoo_mjx.geometry import se2
 from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.types import DT, Command, Observation
 

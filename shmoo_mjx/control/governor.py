@@ -11,9 +11,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float, Scalar
-from shmoo_mjx.hands import HAND_HEIGHT, touches
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.hands import HAND_HEIGHT, touches
 from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.types import DT
 

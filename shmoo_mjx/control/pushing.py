@@ -17,20 +17,20 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float, Key, Scalar, single_precision
+from shmoo_mjx.base.verbosity import LOG
 from shmoo_mjx.control import cost, models, mppi, sharding
 from shmoo_mjx.control.governor import GovernorConfig, forward_lean, govern
 from shmoo_mjx.control.observation import LocalDistanceField, ObjectObservation
 from shmoo_mjx.dynamics import contact_model, core, features, object_model
-from shmoo_mjx.faces import faces_of
-from shmoo_mjx.hands import touches
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.faces import faces_of
+from shmoo_mjx.geometry.hands import touches
 from shmoo_mjx.learning import adaptation, online
 from shmoo_mjx.learning.estimate import EstimateConfig, Sighting
 from shmoo_mjx.learning.online import Known, Transition
 from shmoo_mjx.learning.weights import Weights, prior_state
 from shmoo_mjx.types import DT, SystemState
-from shmoo_mjx.verbosity import LOG
 
 _PLANNING_HORIZON = 50
 """T of the planning stage, in samples (Sec. IV-B)."""

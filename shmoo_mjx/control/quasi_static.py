@@ -12,13 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float, Key, Scalar
 from shmoo_mjx.control.cost import PushCost, allowed_speed
 from shmoo_mjx.control.governor import GovernorConfig, forward_lean
 from shmoo_mjx.control.observation import LocalDistanceField, ObjectObservation
 from shmoo_mjx.control.pushing import PushConfig
-from shmoo_mjx.hands import REACH
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.hands import REACH
 from shmoo_mjx.learning.online import Known
 from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
 

@@ -16,16 +16,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from shmoo_mjx import se2
+from shmoo_mjx.base.files import claimed
+from shmoo_mjx.base.processes import process_pool
+from shmoo_mjx.base.seeds import MAX_SEED, UNSEEN_SEED
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.faces import faces_of, heading, stand_off
-from shmoo_mjx.files import claimed
-from shmoo_mjx.hands import HAND_HEIGHT, REACH, touches
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.faces import faces_of, heading, stand_off
+from shmoo_mjx.geometry.hands import HAND_HEIGHT, REACH, touches
 from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 from shmoo_mjx.plant.robot import shmoobot
-from shmoo_mjx.processes import process_pool
-from shmoo_mjx.seeds import MAX_SEED, UNSEEN_SEED
 from shmoo_mjx.types import DT, Command, Observation
 
 SPLIT_SEEDS = {"train": 0, "validation": 100_000, "test": UNSEEN_SEED}

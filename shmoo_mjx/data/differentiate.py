@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array
+from shmoo_mjx.geometry import se2
 from shmoo_mjx.types import DT
 
 

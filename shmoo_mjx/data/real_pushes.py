@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.geometry import se2
 
 _POSES = ("obj_x0", "obj_y0", "obj_th0", "obj_x1", "obj_y1", "obj_th1")
 _FEWEST = 10

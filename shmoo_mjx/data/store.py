@@ -17,11 +17,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from shmoo_mjx import se2
+from shmoo_mjx.base.files import write_whole
 from shmoo_mjx.data import differentiate
 from shmoo_mjx.data.mirror import with_mirror_images
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.files import write_whole
+from shmoo_mjx.geometry import se2
 from shmoo_mjx.types import DT, SystemState
 
 SCHEMA_VERSION = 1

@@ -26,7 +26,7 @@ from shmoo_mjx.dynamics.fused import FusedEquivariantMLP
 from shmoo_mjx.dynamics.layout import channels_first, channels_last, to_channels_first, to_channels_last
 from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
 from shmoo_mjx.dynamics.robot_model import LeanResponse, RobotConfig, RobotParams
-from shmoo_mjx.hands import HAND_RADIUS
+from shmoo_mjx.geometry.hands import HAND_RADIUS
 from shmoo_mjx.types import DT, SystemState
 
 

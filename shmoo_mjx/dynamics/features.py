@@ -11,10 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.linalg import block_diag
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.dynamics.layout import SO2, channels_first, channels_last, once, to_channels_first
-from shmoo_mjx.hands import HAND_RADIUS, hand_components
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.hands import HAND_RADIUS, hand_components
 from shmoo_mjx.types import DT, SystemState
 
 GAP_LIMIT = 0.15

@@ -17,14 +17,14 @@ import shapely
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from shmoo_mjx.arrays import single_precision
+from shmoo_mjx.base.schema import Number, WholeNumber
 from shmoo_mjx.evaluation.scripted import WORLDS, PushEnd, ScriptConfig, ScriptedPush, run_pushes
-from shmoo_mjx.faces import corners_of, faces_of, stand_off
-from shmoo_mjx.navigation.footprints import add_obstacles, footprint_polygon
-from shmoo_mjx.navigation.maps import OccupancyGrid, clearance_field, occupied_rectangles
-from shmoo_mjx.navigation.paths import path_blocked_by, plan_path
-from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Scenario
+from shmoo_mjx.geometry.faces import corners_of, faces_of, stand_off
+from shmoo_mjx.planning.footprints import add_obstacles, footprint_polygon
+from shmoo_mjx.planning.maps import OccupancyGrid, clearance_field, occupied_rectangles
+from shmoo_mjx.planning.paths import path_blocked_by, plan_path
+from shmoo_mjx.planning.scenario import ROBOT_RADIUS, Scenario
 from shmoo_mjx.plant.scene import Scene, build_scene
-from shmoo_mjx.schema import Number, WholeNumber
 
 _PASSED = 1.0
 """The way past an object is free once it is at most this much longer than without the object [m]."""

@@ -17,19 +17,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array
+from shmoo_mjx.base.fingerprints import fingerprint
+from shmoo_mjx.base.options import SensesName
 from shmoo_mjx.data.collect import drive, operators
 from shmoo_mjx.dynamics import contact_model, features, object_model
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.evaluation.trials import run_trials
-from shmoo_mjx.fingerprints import fingerprint
-from shmoo_mjx.hands import HAND_HEIGHT, REACH, touches
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.hands import HAND_HEIGHT, REACH, touches
 from shmoo_mjx.learning import contact_prior, estimate
 from shmoo_mjx.learning.estimate import EstimateConfig, ObjectEstimate, Sighting
 from shmoo_mjx.learning.online import BAND
 from shmoo_mjx.learning.weights import Weights, load_weights
-from shmoo_mjx.options import SensesName
 from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 from shmoo_mjx.plant.scene import build_scene

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+from shmoo_mjx.base.guard import EXPERIMENT, check_output
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import page
 from shmoo_mjx.evaluation.registry import EXPERIMENTS, run_experiment
 from shmoo_mjx.evaluation.result import ExperimentOptions, write_result
-from shmoo_mjx.guard import EXPERIMENT, check_output
 
 
 def run_all(options: ExperimentOptions, pushes: Path | None) -> tuple[Path, dict[str, str]]:

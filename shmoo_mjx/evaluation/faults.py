@@ -16,19 +16,19 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from shmoo_mjx import se2
-from shmoo_mjx.assets import WEIGHTS, asset
+from shmoo_mjx.base.assets import WEIGHTS, asset
+from shmoo_mjx.base.fingerprints import fingerprint
+from shmoo_mjx.behavior.records import Mode
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.evaluation.trials import controller_of, run_trials
-from shmoo_mjx.fingerprints import fingerprint
-from shmoo_mjx.navigation.floorplan import demo_scenario
-from shmoo_mjx.navigation.maps import clearance_field
-from shmoo_mjx.navigation.records import Mode
-from shmoo_mjx.navigation.scenario import ObjectEntry
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.planning.floorplan import demo_scenario
+from shmoo_mjx.planning.maps import clearance_field
+from shmoo_mjx.planning.scenario import ObjectEntry
 from shmoo_mjx.plant.observe import DIVERGED
 from shmoo_mjx.report.tables import markdown_table
-from shmoo_mjx.simulation import Simulation
+from shmoo_mjx.run.simulation import Simulation
 from shmoo_mjx.types import DT, Command, Observation
 
 OUTCOMES = ("recovered", "stopped safely", "failed", "did not occur")

@@ -23,12 +23,12 @@ from shmoo_mjx.evaluation.paired import OURS, metrics_by_method
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.evaluation.scenarios import Extra, Generated, ScenarioConfig, draw_scenario, largest_room
 from shmoo_mjx.evaluation.trials import run_trials
-from shmoo_mjx.navigation.clearance import ClearanceField
-from shmoo_mjx.navigation.footprints import footprint_polygon
-from shmoo_mjx.navigation.maps import OccupancyGrid, clearance_field, load_map
-from shmoo_mjx.navigation.paths import Path as Route
-from shmoo_mjx.navigation.paths import path_blocked_by, plan_path
-from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Limits, ObjectEntry
+from shmoo_mjx.planning.clearance import ClearanceField
+from shmoo_mjx.planning.footprints import footprint_polygon
+from shmoo_mjx.planning.maps import OccupancyGrid, clearance_field, load_map
+from shmoo_mjx.planning.paths import Path as Route
+from shmoo_mjx.planning.paths import path_blocked_by, plan_path
+from shmoo_mjx.planning.scenario import ROBOT_RADIUS, Limits, ObjectEntry
 
 _TRIES = 60
 """Draws of each further goal."""

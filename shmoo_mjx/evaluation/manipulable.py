@@ -11,10 +11,10 @@ from functools import cache
 
 import numpy as np
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Bool, Float
-from shmoo_mjx.faces import faces_of, heading, stand_off
-from shmoo_mjx.hands import HAND_HEIGHT, HAND_RADIUS, REACH
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.faces import faces_of, heading, stand_off
+from shmoo_mjx.geometry.hands import HAND_HEIGHT, HAND_RADIUS, REACH
 from shmoo_mjx.planning.reach import MOVES, TURNS
 from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine

@@ -4,7 +4,7 @@
 known of an object stays what it looks like. *oracle* is told by the certificate which objects the best option pushes,
 pushes these and goes round all others; without a certificate it is told which objects can be moved. Coefficients it
 learns as we do. *always_avoid* takes every object for a wall. *always_push* pushes whatever is in the way and never
-goes round. *paper* is the paper's system (`shmoo_mjx.methods`): its weights, its cost, and K < 0.3 m^2 after 1 s of
+goes round. *paper* is the paper's system (`shmoo_mjx.behavior.methods`): its weights, its cost, and K < 0.3 m^2 after 1 s of
 contact. *geometric* takes whatever is in the way for movable, as planners after Stilman do, pushes wherever that makes
 the path shorter, and registers what a push has not moved. The *reference* is the best option of each certificate, and
 is not run.
@@ -20,8 +20,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from shmoo_mjx import custom
-from shmoo_mjx.assets import WEIGHTS, asset
+from shmoo_mjx.base import custom
+from shmoo_mjx.base.assets import WEIGHTS, asset
+from shmoo_mjx.base.fingerprints import fingerprint
+from shmoo_mjx.behavior.belief import Status
+from shmoo_mjx.behavior.methods import FROZEN, METHODS, PAPER
+from shmoo_mjx.behavior.records import NavigatorConfig
 from shmoo_mjx.evaluation.navigation_failures import keep_failure, write_failures
 from shmoo_mjx.evaluation.navigation_measures import (
     cause_of,
@@ -37,17 +41,13 @@ from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, fil
 from shmoo_mjx.evaluation.scenario_set import open_set
 from shmoo_mjx.evaluation.scenarios import Generated, ScenarioConfig
 from shmoo_mjx.evaluation.trials import controller_of, run_trials
-from shmoo_mjx.fingerprints import fingerprint
-from shmoo_mjx.methods import FROZEN, METHODS, PAPER
-from shmoo_mjx.navigation.belief import Status
-from shmoo_mjx.navigation.maps import OccupancyGrid, load_map
-from shmoo_mjx.navigation.object_planner import ObjectPlannerConfig
-from shmoo_mjx.navigation.records import NavigatorConfig
-from shmoo_mjx.navigation.scenario import Scenario
+from shmoo_mjx.planning.maps import OccupancyGrid, load_map
+from shmoo_mjx.planning.object_planner import ObjectPlannerConfig
+from shmoo_mjx.planning.scenario import Scenario
 from shmoo_mjx.plant.robot import shmoobot
 
 if TYPE_CHECKING:
-    from shmoo_mjx.episode import Episode
+    from shmoo_mjx.run.episode import Episode
 
 
 class PolicyVariant(NamedTuple):
@@ -57,7 +57,7 @@ class PolicyVariant(NamedTuple):
     first_status: Callable[[Generated], list[Status]] | None = None
     """What the robot takes each object to be from the start."""
     method: str = OURS
-    """Whose weights and pushing it has (`shmoo_mjx.methods`)."""
+    """Whose weights and pushing it has (`shmoo_mjx.behavior.methods`)."""
 
 
 def _as_they_are(generated: Generated) -> list[Status]:
@@ -184,7 +184,7 @@ def play(
 
     ``goals``, one after the other, take the place of the scenario's.
     """
-    from shmoo_mjx.episode import run_episode
+    from shmoo_mjx.run.episode import run_episode
 
     config, first_status, method = POLICIES.get(policy, POLICIES[OURS])
     return run_episode(
@@ -233,7 +233,7 @@ def _row(episode: Episode, generated: Generated) -> dict[str, Any]:
 
 def scores_of(episode: Episode, scenario: Scenario, shortest: float) -> dict[str, float]:
     """Path efficiency, both parts of effort efficiency, and the interactive navigation score of a run."""
-    from shmoo_mjx.simulation import conditions_of
+    from shmoo_mjx.run.simulation import conditions_of
 
     result, trace, robot = episode.result, episode.trace, shmoobot().upper_mass + shmoobot().ball_mass
     driven = result["path_length_m"]

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from shmoo_mjx.files import write_whole
+from shmoo_mjx.base.files import write_whole
 from shmoo_mjx.report.trace import load_trace, save_trace
 
 if TYPE_CHECKING:
-    from shmoo_mjx.episode import Episode
+    from shmoo_mjx.run.episode import Episode
 
 FPS, SPEED = 10.0, 4.0
 """Frames per second of a film, and seconds of the run per second of film."""

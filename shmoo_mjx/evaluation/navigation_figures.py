@@ -11,7 +11,7 @@ import numpy as np
 
 from shmoo_mjx.evaluation.paired import OURS, shown_name
 from shmoo_mjx.evaluation.scenarios import KINDS
-from shmoo_mjx.navigation.maps import OccupancyGrid, load_map
+from shmoo_mjx.planning.maps import OccupancyGrid, load_map
 from shmoo_mjx.report.style import COLOURS, SERIES, blank_figure, object_colour, outline, save_figure, show_cells
 
 SHOWN = 8

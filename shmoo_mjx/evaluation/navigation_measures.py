@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx import se2
 from shmoo_mjx.evaluation.paired import OURS, difference_metrics, metrics_by_method
 from shmoo_mjx.evaluation.scenarios import KINDS, Generated
-from shmoo_mjx.hands import CONTACT_FORCE
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.hands import CONTACT_FORCE
 
 COMPARED = {
     "success": ("success", True),

@@ -11,16 +11,16 @@ from zlib import crc32
 
 import numpy as np
 
+from shmoo_mjx.base.files import write_whole
+from shmoo_mjx.base.fingerprints import fingerprint
+from shmoo_mjx.base.yaml_input import yaml_files
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.certify import Certificate, CertifyConfig
 from shmoo_mjx.evaluation.result import ExperimentOptions
 from shmoo_mjx.evaluation.scenarios import EXTRAS, Extra, Generated, Kind, ScenarioConfig, draw_scenario
-from shmoo_mjx.files import write_whole
-from shmoo_mjx.fingerprints import fingerprint
-from shmoo_mjx.navigation.floorplan import draw_building
-from shmoo_mjx.navigation.maps import OccupancyGrid, save_map
-from shmoo_mjx.navigation.scenario import Scenario
-from shmoo_mjx.navigation.yaml_input import yaml_files
+from shmoo_mjx.planning.floorplan import draw_building
+from shmoo_mjx.planning.maps import OccupancyGrid, save_map
+from shmoo_mjx.planning.scenario import Scenario
 
 BUILDINGS = 5
 """Generated where no maps are given."""

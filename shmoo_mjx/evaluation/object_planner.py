@@ -22,9 +22,13 @@ from typing import Any
 import numpy as np
 from scipy.special import expit
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float
-from shmoo_mjx.assets import WEIGHTS, asset
+from shmoo_mjx.base.assets import WEIGHTS, asset
+from shmoo_mjx.base.fingerprints import fingerprint
+from shmoo_mjx.base.options import SensesName
+from shmoo_mjx.behavior.interaction import rolled
+from shmoo_mjx.behavior.records import Mode, NavigatorConfig
+from shmoo_mjx.behavior.verdicts import PROBE_TIME
 from shmoo_mjx.evaluation.manipulable import (
     IMMOVABLE,
     STRATA,
@@ -38,16 +42,12 @@ from shmoo_mjx.evaluation.manipulable import (
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.evaluation.scenarios import entry_of
 from shmoo_mjx.evaluation.trials import controller_of, run_trials
-from shmoo_mjx.faces import faces_of
-from shmoo_mjx.fingerprints import fingerprint
-from shmoo_mjx.navigation.interaction import rolled
-from shmoo_mjx.navigation.maps import OCCUPIED, OccupancyGrid
-from shmoo_mjx.navigation.object_planner import planning_stage
-from shmoo_mjx.navigation.records import Mode, NavigatorConfig
-from shmoo_mjx.navigation.scenario import Limits, Scenario
-from shmoo_mjx.navigation.verdicts import PROBE_TIME
-from shmoo_mjx.options import SensesName
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.faces import faces_of
+from shmoo_mjx.planning.maps import OCCUPIED, OccupancyGrid
+from shmoo_mjx.planning.object_planner import planning_stage
 from shmoo_mjx.planning.reach import foresight_of
+from shmoo_mjx.planning.scenario import Limits, Scenario
 from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 
@@ -183,7 +183,7 @@ def probe(
     The object's face ``side`` is towards the robot. What is told is the side that was pushed; the probability of being
     manipulable at each of `LOOKS`; and K, displacement [m] and impulse [N s] at the first of them.
     """
-    from shmoo_mjx.episode import Hooks, run_episode
+    from shmoo_mjx.run.episode import Hooks, run_episode
 
     told: dict[str, Any] = {"probabilities": []}
     controller, said = controller_of(weights), told["probabilities"]
@@ -230,7 +230,7 @@ def _criteria(navigator: Any, controller: Any) -> dict[str, Any]:
 def _trial(
     cfg: ObjectPlannerTrials, first_seed: int, seed: int, weights: Path, senses: SensesName, trial: tuple[str, int]
 ) -> list[dict[str, Any]]:
-    from shmoo_mjx.episode import Hooks, run_episode
+    from shmoo_mjx.run.episode import Hooks, run_episode
 
     stratum, number = trial
     controller, own_seed = controller_of(weights), 1000 * seed + number
@@ -326,7 +326,7 @@ def auc(values: np.ndarray, truth: np.ndarray) -> float:
 
 def fig5_episodes(weights: Path, seed: int, senses: SensesName = "real") -> list[tuple[str, dict[str, Any], Any]]:
     """(title, result, trace) of one probe of each object of the paper's Fig. 5, ended at its decision."""
-    from shmoo_mjx.episode import Hooks, run_episode
+    from shmoo_mjx.run.episode import Hooks, run_episode
 
     objects: dict[str, tuple[str, dict[str, Any]]] = {
         "wheelchair, right wheel locked": ("wheelchair", {"locked": [False, True, False, False], "payload": 10.0}),

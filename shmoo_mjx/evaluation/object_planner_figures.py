@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from shmoo_mjx.behavior.records import NavigatorConfig
 from shmoo_mjx.evaluation.manipulable import STRATA
 from shmoo_mjx.evaluation.object_planner import FITTED, LEAST_K, told_by
-from shmoo_mjx.navigation.records import NavigatorConfig
 from shmoo_mjx.report.figures import draw_decision, evidence
 from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
 

@@ -18,29 +18,29 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float
-from shmoo_mjx.assets import WEIGHTS, asset
+from shmoo_mjx.base.assets import WEIGHTS, asset
+from shmoo_mjx.base.fingerprints import fingerprint
+from shmoo_mjx.base.options import SensesName
+from shmoo_mjx.behavior.push_task import PushTask
+from shmoo_mjx.behavior.skills import one_push
+from shmoo_mjx.behavior.skills.approach import CONTACT_GAP
 from shmoo_mjx.control import equilibrium_lean
 from shmoo_mjx.control.cost import PushCost
 from shmoo_mjx.control.observation import ObjectObservation
 from shmoo_mjx.evaluation.outcomes_measures import covered, draw_figure, errors, measure, median_pose
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.evaluation.trials import controller_of, run_trials
-from shmoo_mjx.faces import faces_of, stand_off
-from shmoo_mjx.fingerprints import fingerprint
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.faces import faces_of, stand_off
 from shmoo_mjx.learning.contact_prior import kind_of
 from shmoo_mjx.learning.online import Known
-from shmoo_mjx.navigation.maps import OccupancyGrid
-from shmoo_mjx.navigation.push_task import PushTask
-from shmoo_mjx.options import SensesName
+from shmoo_mjx.planning.maps import OccupancyGrid
 from shmoo_mjx.planning.reach import STEPS, foresight_of, goal_ahead, probability_to_come
 from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 from shmoo_mjx.plant.scene import build_scene
 from shmoo_mjx.sensing import SensedEngine, Senses, senses_named
-from shmoo_mjx.skills import one_push
-from shmoo_mjx.skills.approach import CONTACT_GAP
 from shmoo_mjx.types import DT, Observation
 
 _UNFOLDING = 1.0

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Float
 from shmoo_mjx.evaluation.result import ExperimentResult
+from shmoo_mjx.geometry import se2
 from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
 from shmoo_mjx.report.tables import markdown_table
 

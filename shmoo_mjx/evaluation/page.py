@@ -20,6 +20,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from shmoo_mjx.base.files import write_whole
 from shmoo_mjx.evaluation import faults, soak
 from shmoo_mjx.evaluation.navigation_tables import reference_table
 from shmoo_mjx.evaluation.page_sections import SECTIONS, Section
@@ -27,7 +28,6 @@ from shmoo_mjx.evaluation.page_summary import summary
 from shmoo_mjx.evaluation.registry import EXPERIMENTS
 from shmoo_mjx.evaluation.result import ExperimentResult, as_json, file_id, read_result, same_weights
 from shmoo_mjx.evaluation.scenario_set import find_set
-from shmoo_mjx.files import write_whole
 from shmoo_mjx.report.tables import markdown_table
 
 RELIABILITY = {

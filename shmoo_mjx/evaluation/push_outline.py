@@ -8,8 +8,8 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array
+from shmoo_mjx.geometry import se2
 
 _TOLERANCE = 1e-3
 """Corners of the hull that stick out less than this are noise [m]."""

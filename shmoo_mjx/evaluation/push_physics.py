@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import least_squares
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array
 from shmoo_mjx.evaluation import push_outline
+from shmoo_mjx.geometry import se2
 
 NOMINAL = np.array([np.log(0.6), np.log(0.2), 0.0, 0.0, 0.0, 0.0, 0.0])
 """The parameters: log of (radius of gyration of friction / size), log of the friction coefficient at the pusher, two of

@@ -12,14 +12,14 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from shmoo_mjx import custom
-from shmoo_mjx.assets import WEIGHTS, asset
+from shmoo_mjx.base import custom
+from shmoo_mjx.base.assets import WEIGHTS, asset
+from shmoo_mjx.base.fingerprints import fingerprint
 from shmoo_mjx.evaluation.pushing_figure import draw_figure, film
 from shmoo_mjx.evaluation.pushing_measures import PAPER, metrics_of
 from shmoo_mjx.evaluation.pushing_trials import EVERYTHING, METHODS, OWN, STRATA, Runner, Trial, draw_trials
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.evaluation.trials import run_trials
-from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.report.trace import write_arrays
 from shmoo_mjx.sensing import senses_named
 
@@ -70,8 +70,8 @@ def run(options: ExperimentOptions) -> ExperimentResult:
 
 def _fingerprint(options: ExperimentOptions, config: PushingConfig, weights: Path) -> str:
     """Folder of the trials: other seeds, settings or weights must not be mixed up with these."""
-    from shmoo_mjx.methods import METHODS
-    from shmoo_mjx.navigation.push_task import PushTaskConfig
+    from shmoo_mjx.behavior.methods import METHODS
+    from shmoo_mjx.behavior.push_task import PushTaskConfig
 
     settings = asdict(PushTaskConfig()), *(asdict(method) for method in METHODS.values())
     asked = (options.seed, options.condition_seed, config.time_limit, settings, senses_named(options.senses))

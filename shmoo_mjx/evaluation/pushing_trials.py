@@ -13,14 +13,15 @@ from typing import Any, cast
 
 import numpy as np
 
-from shmoo_mjx import custom, se2
+from shmoo_mjx.base import custom
+from shmoo_mjx.behavior.methods import PAPER, method_named
+from shmoo_mjx.behavior.push_task import Pusher, PushTask, pose_push_config
 from shmoo_mjx.control.pushing import PushConfig
+from shmoo_mjx.geometry import se2
 from shmoo_mjx.learning.contact_prior import kind_of
 from shmoo_mjx.learning.online import Known
 from shmoo_mjx.learning.weights import Weights
-from shmoo_mjx.methods import PAPER, method_named
-from shmoo_mjx.navigation.maps import OccupancyGrid
-from shmoo_mjx.navigation.push_task import Pusher, PushTask, pose_push_config
+from shmoo_mjx.planning.maps import OccupancyGrid
 from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 from shmoo_mjx.plant.observe import DIVERGED, toppled
@@ -30,7 +31,7 @@ from shmoo_mjx.sensing import REAL, SensedEngine, Senses
 METHODS = ("ours", "frozen_prior", "contact_model", "oracle_coefficients", "quasi_static", PAPER)
 """Ours: MPPI while the object's contact parameters are estimated. The others run the same trials: without learning,
 with the contact model alone and no psi, with the posterior of a whole recording of this object, without a learned
-model, and the paper's system (`shmoo_mjx.methods`)."""
+model, and the paper's system (`shmoo_mjx.behavior.methods`)."""
 
 OWN = "pushing controller"
 """What a method of the user's own is called in errors."""

@@ -15,15 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array
+from shmoo_mjx.base.fingerprints import fingerprint
 from shmoo_mjx.data import real_pushes
 from shmoo_mjx.data.real_pushes import RealPushCondition
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import push_outline, push_physics
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.evaluation.trials import run_trials
-from shmoo_mjx.fingerprints import fingerprint
+from shmoo_mjx.geometry import se2
 from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
 
 PREFIXES = {

@@ -5,9 +5,9 @@ from __future__ import annotations
 from importlib import import_module
 
 from shmoo_mjx.arrays import single_precision
+from shmoo_mjx.base.files import claimed
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult
-from shmoo_mjx.files import claimed
 
 EXPERIMENTS = {
     "object_model": "shmoo_mjx.evaluation.object_model",

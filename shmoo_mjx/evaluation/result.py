@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from shmoo_mjx.assets import WEIGHTS, asset
+from shmoo_mjx.base.assets import WEIGHTS, asset
+from shmoo_mjx.base.files import write_whole
+from shmoo_mjx.base.options import SensesName
+from shmoo_mjx.base.seeds import MAX_CONDITION_SEED, UNSEEN_SEED, check_seed
+from shmoo_mjx.base.versions import versions
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.files import write_whole
-from shmoo_mjx.options import SensesName
-from shmoo_mjx.seeds import MAX_CONDITION_SEED, UNSEEN_SEED, check_seed
-from shmoo_mjx.versions import versions
 
 _UNITS = ("m", "mm", "deg", "rad", "s", "ms", "kg", "N")
 """That names of metrics end with."""

@@ -18,7 +18,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from shmoo_mjx.assets import WEIGHTS, asset
+from shmoo_mjx.base.assets import WEIGHTS, asset
+from shmoo_mjx.base.fingerprints import fingerprint
 from shmoo_mjx.data import store
 from shmoo_mjx.data.collect import CollectConfig, record
 from shmoo_mjx.dynamics import core, features, robot_model
@@ -28,8 +29,7 @@ from shmoo_mjx.evaluation.pushing import PushingConfig
 from shmoo_mjx.evaluation.pushing_trials import Runner, draw_trials
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.evaluation.trials import run_trials
-from shmoo_mjx.fingerprints import fingerprint
-from shmoo_mjx.hands import CONTACT_FORCE
+from shmoo_mjx.geometry.hands import CONTACT_FORCE
 from shmoo_mjx.learning import online, robot_fit
 from shmoo_mjx.learning.robot_fit import RobotFitConfig, RobotSamples
 from shmoo_mjx.learning.samples import samples_from_dataset

@@ -13,19 +13,19 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from shmoo_mjx.assets import asset
+from shmoo_mjx.base.assets import asset
+from shmoo_mjx.base.files import write_whole
+from shmoo_mjx.base.guard import SCENARIO_SET, check_output
+from shmoo_mjx.base.schema import Number, WholeNumber, read_json, validated
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.certify import Certificate
 from shmoo_mjx.evaluation.navigation_places import Places, as_data, find_places, kept_scenario
 from shmoo_mjx.evaluation.result import ExperimentOptions
 from shmoo_mjx.evaluation.scenarios import Kind, ScenarioConfig
 from shmoo_mjx.evaluation.trials import run_trials
-from shmoo_mjx.files import write_whole
-from shmoo_mjx.guard import SCENARIO_SET, check_output
-from shmoo_mjx.navigation.maps import load_map, save_map
-from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Scenario, check_scenario, located
-from shmoo_mjx.run import checked_objects
-from shmoo_mjx.schema import Number, WholeNumber, read_json, validated
+from shmoo_mjx.planning.maps import load_map, save_map
+from shmoo_mjx.planning.scenario import ROBOT_RADIUS, Scenario, check_scenario, located
+from shmoo_mjx.run.scenario_run import checked_objects
 
 
 class _Map(BaseModel):

@@ -15,16 +15,16 @@ import numpy as np
 import shapely
 from scipy import ndimage
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.certify import Certificate, certify
 from shmoo_mjx.evaluation.manipulable import IMMOVABLE, SteadyPush, draw_immovable
-from shmoo_mjx.navigation.clearance import ClearanceField
-from shmoo_mjx.navigation.footprints import add_obstacles, footprint_polygon, footprints_free, wall_distance
-from shmoo_mjx.navigation.maps import OccupancyGrid, clearance_field
-from shmoo_mjx.navigation.paths import Path, path_blocked_by, plan_path, point_at, tangent_at
-from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Limits, ObjectEntry, Scenario
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.planning.clearance import ClearanceField
+from shmoo_mjx.planning.footprints import add_obstacles, footprint_polygon, footprints_free, wall_distance
+from shmoo_mjx.planning.maps import OccupancyGrid, clearance_field
+from shmoo_mjx.planning.paths import Path, path_blocked_by, plan_path, point_at, tangent_at
+from shmoo_mjx.planning.scenario import ROBOT_RADIUS, Limits, ObjectEntry, Scenario
 from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 

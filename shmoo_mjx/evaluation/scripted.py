@@ -13,17 +13,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Bool, Float
+from shmoo_mjx.behavior.skills.retreat import WITHDRAW
 from shmoo_mjx.evaluation.manipulable import SteadyPush, steady_lean
-from shmoo_mjx.faces import heading
-from shmoo_mjx.hands import HAND_HEIGHT, HAND_RADIUS, REACH, TUCKED_HEIGHT, TUCKED_REACH
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.faces import heading
+from shmoo_mjx.geometry.hands import HAND_HEIGHT, HAND_RADIUS, REACH, TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
 from shmoo_mjx.plant.observe import toppled
 from shmoo_mjx.plant.robot import NQ
 from shmoo_mjx.plant.scene import Scene
-from shmoo_mjx.skills.retreat import WITHDRAW
 from shmoo_mjx.types import DT, Command, Observation
 
 WORLDS = 12

@@ -16,22 +16,22 @@ import numpy as np
 import psutil
 import shapely
 
-from shmoo_mjx.assets import WEIGHTS, asset
+from shmoo_mjx.base.assets import WEIGHTS, asset
+from shmoo_mjx.base.fingerprints import fingerprint
+from shmoo_mjx.behavior.records import Mode, Transition
 from shmoo_mjx.control.observation import local_distance_field
 from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.evaluation.scenarios import largest_room
 from shmoo_mjx.evaluation.trials import controller_of, run_trials
-from shmoo_mjx.fingerprints import fingerprint
-from shmoo_mjx.navigation.floorplan import draw_floorplan
-from shmoo_mjx.navigation.footprints import footprint_polygon
-from shmoo_mjx.navigation.maps import clearance_field
-from shmoo_mjx.navigation.records import Mode, Transition
-from shmoo_mjx.navigation.scenario import Limits, ObjectEntry, Scenario
+from shmoo_mjx.planning.floorplan import draw_floorplan
+from shmoo_mjx.planning.footprints import footprint_polygon
+from shmoo_mjx.planning.maps import clearance_field
+from shmoo_mjx.planning.scenario import Limits, ObjectEntry, Scenario
 from shmoo_mjx.plant.objects import FAMILIES
 from shmoo_mjx.plant.observe import DIVERGED
 from shmoo_mjx.report.tables import markdown_table
-from shmoo_mjx.simulation import Record, Simulation
+from shmoo_mjx.run.simulation import Record, Simulation
 
 _ERRAND = 180.0
 """Time after which an errand is given up [s]: several times what one takes in three rooms."""

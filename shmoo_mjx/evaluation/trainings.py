@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from shmoo_mjx.base.fingerprints import fingerprint
 from shmoo_mjx.data import store
 from shmoo_mjx.evaluation import datasets, scoring
 from shmoo_mjx.evaluation.result import ExperimentOptions
-from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning.baselines import Budget, Job, recordings
 
 

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from shmoo_mjx.arrays import single_precision
-from shmoo_mjx.files import write_whole
-from shmoo_mjx.processes import process_pool
+from shmoo_mjx.base.files import write_whole
+from shmoo_mjx.base.processes import process_pool
 
 Work = Callable[[Any], list[dict[str, Any]]]
 """What is to be tried -> its rows. Must be picklable."""
@@ -72,6 +72,6 @@ def _tried(work: Work, given: Any) -> list[dict[str, Any]]:
 @cache
 def controller_of(weights: Path, method: str = "ours") -> Any:
     """The pushing controller of a weights file and a method, compiled once in each process."""
-    from shmoo_mjx.methods import method_named
+    from shmoo_mjx.behavior.methods import method_named
 
     return method_named(method).controller(weights)

@@ -12,6 +12,7 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from shmoo_mjx.base.processes import check_forked
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.gym import EPISODE_STEPS
 from shmoo_mjx.gym.navigate import NavigateTask
@@ -19,7 +20,6 @@ from shmoo_mjx.gym.push import PushEnvTask
 from shmoo_mjx.gym.single import checked, space
 from shmoo_mjx.gym.task import Judged, Outcome, Start, Task, begun, info_of, judged, seed_of
 from shmoo_mjx.plant.engine_mjx import MjxEngine, MjxWorld
-from shmoo_mjx.processes import check_forked
 from shmoo_mjx.sensing import SensedEngine, SensedWorld, senses_named
 from shmoo_mjx.types import Observation
 

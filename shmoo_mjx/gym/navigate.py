@@ -9,13 +9,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
-from shmoo_mjx import se2
+from shmoo_mjx.geometry import se2
 from shmoo_mjx.gym.task import ACTIONS, BODY, Outcome, Part, Start, body, command, config_of, flat, in_robot, widened
-from shmoo_mjx.navigation.floorplan import RESOLUTION, demo_scenario
-from shmoo_mjx.navigation.line_costs import PathConfig
-from shmoo_mjx.navigation.maps import OccupancyGrid, occupied_rectangles
-from shmoo_mjx.navigation.paths import cost_to_go
-from shmoo_mjx.navigation.scenario import ROBOT_RADIUS
+from shmoo_mjx.planning.floorplan import RESOLUTION, demo_scenario
+from shmoo_mjx.planning.line_costs import PathConfig
+from shmoo_mjx.planning.maps import OccupancyGrid, occupied_rectangles
+from shmoo_mjx.planning.paths import cost_to_go
+from shmoo_mjx.planning.scenario import ROBOT_RADIUS
 from shmoo_mjx.sensing.rays import cast
 from shmoo_mjx.types import Command, Observation
 

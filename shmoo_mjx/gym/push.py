@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shmoo_mjx import se2
-from shmoo_mjx.faces import faces_of, stand_off
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.faces import faces_of, stand_off
 from shmoo_mjx.gym.task import ACTIONS, BODY, Outcome, Part, Start, body, command, config_of, flat, in_robot, widened
 from shmoo_mjx.plant.objects import draw_condition
 from shmoo_mjx.types import Command, Observation

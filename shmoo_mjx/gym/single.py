@@ -9,12 +9,12 @@ from typing import Any, ClassVar, NamedTuple
 import gymnasium
 import numpy as np
 
+from shmoo_mjx.base.processes import check_forked
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.gym.navigate import NavigateTask
 from shmoo_mjx.gym.push import PushEnvTask
 from shmoo_mjx.gym.task import Judged, Outcome, Part, Start, Task, begun, info_of, judged, seed_of
 from shmoo_mjx.plant.render import can_render, frames, has_display
-from shmoo_mjx.processes import check_forked
 from shmoo_mjx.sensing import SensedEngine, SensedWorld, senses_named
 from shmoo_mjx.types import DT, Observation
 

@@ -14,9 +14,9 @@ from typing import Any, Literal, NamedTuple, Protocol
 import mujoco
 import numpy as np
 
-from shmoo_mjx import se2
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.scene import Scene, build_scene
 from shmoo_mjx.types import Command, Observation

@@ -17,7 +17,7 @@ class Checkpoints:
 
     Args:
         directory: made where it is not there.
-        identity: what decides about the training (`shmoo_mjx.fingerprints`).
+        identity: what decides about the training (`shmoo_mjx.base.fingerprints`).
     """
 
     def __init__(self, directory: Path, identity: str) -> None:

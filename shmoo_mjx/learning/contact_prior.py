@@ -5,10 +5,10 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float
 from shmoo_mjx.dynamics.contact_model import PARAMETERS, POINTS, resistance
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.geometry import se2
 from shmoo_mjx.plant.condition import Condition, is_custom
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition, object_spec
 

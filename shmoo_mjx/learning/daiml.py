@@ -26,10 +26,10 @@ import jax.numpy as jnp
 import optax
 
 from shmoo_mjx.arrays import Array, Float, Scalar, single_precision
+from shmoo_mjx.base.fingerprints import fingerprint
 from shmoo_mjx.data import store
 from shmoo_mjx.dynamics import contact_model, networks, object_model
 from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
-from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning import least_squares, multistep, training, training_contacts
 from shmoo_mjx.learning import samples as batches
 from shmoo_mjx.learning.estimate import EstimateConfig

@@ -20,10 +20,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Bool, Float, Int, Key, Scalar, single_precision
 from shmoo_mjx.dynamics import contact_model, features
-from shmoo_mjx.hands import touches
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.hands import touches
 from shmoo_mjx.types import DT
 
 _DEFAULT_KEY = 580

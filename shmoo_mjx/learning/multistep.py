@@ -8,9 +8,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.dynamics import features
+from shmoo_mjx.geometry import se2
 from shmoo_mjx.learning import least_squares
 from shmoo_mjx.learning.samples import Samples
 from shmoo_mjx.types import DT

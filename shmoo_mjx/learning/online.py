@@ -12,11 +12,11 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import jax.numpy as jnp
 import numpy as np
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.dynamics import contact_model, object_model
 from shmoo_mjx.dynamics.core import Params
 from shmoo_mjx.dynamics.object_model import ObjectConfig
+from shmoo_mjx.geometry import se2
 from shmoo_mjx.learning import adaptation, estimate
 from shmoo_mjx.learning.adaptation import AdaptConfig, AdaptState
 from shmoo_mjx.learning.estimate import EstimateConfig, ObjectEstimate, Sighting

@@ -13,15 +13,15 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float, Int, single_precision
+from shmoo_mjx.base.fingerprints import fingerprint
 from shmoo_mjx.data import store
 from shmoo_mjx.dynamics import core, features, networks, robot_model
 from shmoo_mjx.dynamics.core import CoreConfig
 from shmoo_mjx.dynamics.object_model import ObjectConfig
 from shmoo_mjx.dynamics.robot_model import LeanResponse, RobotConfig, RobotParams
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.fingerprints import fingerprint
+from shmoo_mjx.geometry import se2
 from shmoo_mjx.learning import training
 from shmoo_mjx.types import DT, SystemState
 

@@ -9,10 +9,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float, Int, Key, single_precision
 from shmoo_mjx.data import store
 from shmoo_mjx.dynamics import features
+from shmoo_mjx.geometry import se2
 
 
 class Samples(NamedTuple):

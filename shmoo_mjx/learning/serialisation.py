@@ -11,8 +11,8 @@ from typing import Any
 import jax
 import numpy as np
 
+from shmoo_mjx.base.files import write_whole
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.files import write_whole
 
 Tree = Any
 

@@ -6,14 +6,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
+from shmoo_mjx.base.files import claimed
+from shmoo_mjx.base.versions import versions
 from shmoo_mjx.data import store
 from shmoo_mjx.dynamics.object_model import ObjectConfig
 from shmoo_mjx.dynamics.robot_model import RobotConfig
-from shmoo_mjx.files import claimed
 from shmoo_mjx.learning import daiml, robot_fit, weights
 from shmoo_mjx.learning.estimate import EstimateConfig
 from shmoo_mjx.learning.training import Progress
-from shmoo_mjx.versions import versions
 
 _QUICK: dict[str, Any] = {"epochs": 3, "epoch_updates": 50}
 _QUICK_OBJECT: dict[str, Any] = _QUICK | {"contact_fit": EstimateConfig(particles=128)}

@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from shmoo_mjx.arrays import Array, Float, single_precision
+from shmoo_mjx.base.fingerprints import fingerprint
 from shmoo_mjx.dynamics import contact_model
-from shmoo_mjx.fingerprints import fingerprint
 from shmoo_mjx.learning import contact_prior, estimate, serialisation
 from shmoo_mjx.learning.estimate import EstimateConfig
 from shmoo_mjx.learning.samples import Samples, label_scale

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from shmoo_mjx.arrays import Array, Float, Key, single_precision
-from shmoo_mjx.assets import WEIGHTS, asset
+from shmoo_mjx.base.assets import WEIGHTS, asset
 from shmoo_mjx.dynamics import core, object_model
 from shmoo_mjx.dynamics.core import CoreConfig, Params
 from shmoo_mjx.dynamics.object_model import ObjectConfig

@@ -8,9 +8,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from shmoo_mjx.assets import WEIGHTS, asset
+from shmoo_mjx.base.assets import WEIGHTS, asset
+from shmoo_mjx.base.options import SensesName
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.options import SensesName
 from shmoo_mjx.types import DT
 
 if TYPE_CHECKING:

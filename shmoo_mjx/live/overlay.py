@@ -9,10 +9,10 @@ import matplotlib
 import numpy as np
 
 from shmoo_mjx.arrays import Array
+from shmoo_mjx.behavior.belief import Status
+from shmoo_mjx.behavior.interaction import Machine
 from shmoo_mjx.control.mppi import Plan
-from shmoo_mjx.navigation.belief import Status
-from shmoo_mjx.navigation.clearance import ClearanceField
-from shmoo_mjx.navigation.interaction import Machine
+from shmoo_mjx.planning.clearance import ClearanceField
 from shmoo_mjx.report.style import COLOURS, outline
 from shmoo_mjx.sensing.camera import Camera
 from shmoo_mjx.types import Observation

@@ -25,14 +25,14 @@ import viser.uplot
 from mjviser import ViserMujocoScene
 from pydantic import ValidationError
 
-from shmoo_mjx import se2
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.geometry import se2
 from shmoo_mjx.learning import online
 from shmoo_mjx.live import overlay
 from shmoo_mjx.live.own_page import obeying_own_page
 from shmoo_mjx.live.session import SceneLoader, Session, object_files, scenes
-from shmoo_mjx.navigation import flat_trajectory
-from shmoo_mjx.navigation.scenario import FAMILIES
+from shmoo_mjx.planning import flat_trajectory
+from shmoo_mjx.planning.scenario import FAMILIES
 from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.objects import draw_condition
 from shmoo_mjx.plant.observe import DIVERGED

@@ -17,20 +17,23 @@ from typing import Any
 import numpy as np
 
 from shmoo_mjx.arrays import finite_numbers
-from shmoo_mjx.assets import asset
+from shmoo_mjx.base.assets import asset
+from shmoo_mjx.base.guard import MAP, PNG, SCENARIO, check_output, protected
+from shmoo_mjx.base.inputs import files_read
+from shmoo_mjx.base.options import SensesName
+from shmoo_mjx.base.schema import validated
+from shmoo_mjx.base.seeds import seed_of
+from shmoo_mjx.base.yaml_input import read_mapping, yaml_files
+from shmoo_mjx.behavior.records import Mode
 from shmoo_mjx.control.mppi import Plan
 from shmoo_mjx.control.observation import local_distance_field
 from shmoo_mjx.control.pushing import PushController
-from shmoo_mjx.episode import result_of, trace_of
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.guard import MAP, PNG, SCENARIO, check_output, protected
-from shmoo_mjx.inputs import files_read
 from shmoo_mjx.learning import online
 from shmoo_mjx.learning.weights import Weights, prior_state
-from shmoo_mjx.navigation.floorplan import demo_scenario
-from shmoo_mjx.navigation.maps import OccupancyGrid, clearance_field, load_map, save_map
-from shmoo_mjx.navigation.records import Mode
-from shmoo_mjx.navigation.scenario import (
+from shmoo_mjx.planning.floorplan import demo_scenario
+from shmoo_mjx.planning.maps import OccupancyGrid, clearance_field, load_map, save_map
+from shmoo_mjx.planning.scenario import (
     MOST_OBJECTS,
     ROBOT_RADIUS,
     ObjectEntry,
@@ -42,13 +45,10 @@ from shmoo_mjx.navigation.scenario import (
     save_scenario,
     with_own_objects,
 )
-from shmoo_mjx.navigation.yaml_input import read_mapping, yaml_files
-from shmoo_mjx.options import SensesName
-from shmoo_mjx.run import checked_objects, save_run
-from shmoo_mjx.schema import validated
-from shmoo_mjx.seeds import seed_of
+from shmoo_mjx.run.episode import result_of, trace_of
+from shmoo_mjx.run.scenario_run import checked_objects, save_run
+from shmoo_mjx.run.simulation import Simulation
 from shmoo_mjx.sensing import Senses, senses_named
-from shmoo_mjx.simulation import Simulation
 from shmoo_mjx.types import DT
 
 SceneLoader = Callable[[], tuple[OccupancyGrid, Scenario]]

@@ -14,7 +14,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float, Key, single_precision
 from shmoo_mjx.control import quasi_static
 from shmoo_mjx.control.cost import PushCost
@@ -22,8 +21,9 @@ from shmoo_mjx.control.observation import ObjectObservation
 from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.dynamics import core
 from shmoo_mjx.dynamics.core import CoreConfig, Params
-from shmoo_mjx.faces import heading
-from shmoo_mjx.hands import HAND_RADIUS, REACH
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.faces import heading
+from shmoo_mjx.geometry.hands import HAND_RADIUS, REACH
 from shmoo_mjx.learning import estimate, online
 from shmoo_mjx.learning.estimate import ObjectEstimate
 from shmoo_mjx.learning.online import Known

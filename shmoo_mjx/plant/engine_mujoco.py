@@ -19,12 +19,12 @@ import mujoco
 import numpy as np
 
 from shmoo_mjx.arrays import Array, Bool, Float, single_precision
-from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH
+from shmoo_mjx.base.processes import check_forked
+from shmoo_mjx.geometry.hands import TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.plant import lowlevel, observe
 from shmoo_mjx.plant.observe import observation, planar_wrench
 from shmoo_mjx.plant.robot import NQ, NV, Robot, RobotState, readout
 from shmoo_mjx.plant.scene import PARTS, Scene
-from shmoo_mjx.processes import check_forked
 from shmoo_mjx.types import DT, Command, Observation, Track
 
 _FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS

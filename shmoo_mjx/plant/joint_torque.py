@@ -6,8 +6,8 @@ Arm torque less gravity is balanced by the hand's contact force, exactly so at r
 
 from __future__ import annotations
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float
+from shmoo_mjx.geometry import se2
 from shmoo_mjx.plant.lowlevel import arm_gravity
 from shmoo_mjx.plant.robot import Robot, RobotState
 

@@ -11,9 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float, Scalar
-from shmoo_mjx.hands import hand_targets
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.hands import hand_targets
 from shmoo_mjx.plant.robot import Robot, RobotState, shmoobot
 from shmoo_mjx.types import Command
 

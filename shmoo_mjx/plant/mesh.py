@@ -15,12 +15,12 @@ from typing import Any, Literal
 import numpy as np
 import shapely
 
+from shmoo_mjx.base.files import write_whole
+from shmoo_mjx.base.schema import validated
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.files import write_whole
 from shmoo_mjx.plant.closed_surface import closed_solid
 from shmoo_mjx.plant.mjcf_object import read_mjcf
 from shmoo_mjx.plant.object_file import ObjectFile, Wheels
-from shmoo_mjx.schema import validated
 
 _FORMATS = (".stl", ".obj", ".ply", ".glb", ".gltf", ".off", ".dae")
 _CONVERT = "convert it to GLB or STL, for instance with Blender"

@@ -13,8 +13,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from scipy.spatial import ConvexHull, QhullError
 
 from shmoo_mjx.arrays import Float
+from shmoo_mjx.base.schema import Number, read_json, validated
 from shmoo_mjx.plant.condition import Condition
-from shmoo_mjx.schema import Number, read_json, validated
 
 _FOOT = 0.01
 """Radius of the spheres an object without wheels slides on [m]."""

@@ -13,11 +13,11 @@ from typing import Any, SupportsIndex
 import mujoco
 import numpy as np
 
-from shmoo_mjx.assets import asset
+from shmoo_mjx.base.assets import asset
+from shmoo_mjx.base.schema import check_angle
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.plant.condition import Condition, is_custom
 from shmoo_mjx.plant.object_file import custom_condition, custom_spec
-from shmoo_mjx.schema import check_angle
 
 FAMILIES = ("box", "cart", "wheelchair")
 _CASTER_RADIUS = {"cart": 0.05, "wheelchair": 0.08}

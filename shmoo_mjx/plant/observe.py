@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Bool, Float, Int, Scalar
+from shmoo_mjx.geometry import se2
 from shmoo_mjx.plant.robot import readout
 from shmoo_mjx.plant.scene import Scene
 from shmoo_mjx.types import Observation

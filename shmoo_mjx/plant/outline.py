@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float, Scalar
-from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH, hand_targets
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH, hand_targets
 from shmoo_mjx.plant.robot import Robot, shmoobot
 
 _SPACING = 0.04

@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float, Scalar
-from shmoo_mjx.assets import asset
+from shmoo_mjx.base.assets import asset
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.geometry import se2
 
 _SIDES = ("left", "right")
 _ARM_JOINTS = ("shoulder_yaw", "shoulder_pitch", "elbow")

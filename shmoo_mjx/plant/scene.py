@@ -9,10 +9,10 @@ from typing import Any, Literal
 import mujoco
 import numpy as np
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float, Int
-from shmoo_mjx.assets import asset
-from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH, hand_targets
+from shmoo_mjx.base.assets import asset
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.hands import TUCKED_HEIGHT, TUCKED_REACH, hand_targets
 from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.objects import object_spec
 from shmoo_mjx.plant.robot import Robot, arm_joints, shmoobot, with_arms

@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Bool, Float
-from shmoo_mjx.assets import asset
-from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH
+from shmoo_mjx.base.assets import asset
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.hands import TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
 from shmoo_mjx.plant.objects import object_spec

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from shmoo_mjx.arrays import Array
-from shmoo_mjx.hands import CONTACT_FORCE
+from shmoo_mjx.geometry.hands import CONTACT_FORCE
 from shmoo_mjx.report.style import COLOURS, SERIES, blank_figure, object_colour, outline, show_cells, window
 from shmoo_mjx.report.trace import Trace, is_number, object_index, object_name, telling_decisions
 

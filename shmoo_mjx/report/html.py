@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx.files import write_whole
+from shmoo_mjx.base.files import write_whole
 from shmoo_mjx.report import figures
 from shmoo_mjx.report.style import to_png
 from shmoo_mjx.report.trace import (

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from shmoo_mjx.navigation.maps import OccupancyGrid, inflate
+from shmoo_mjx.planning.maps import OccupancyGrid, inflate
 from shmoo_mjx.report.style import blank_figure, extent, save_figure, show_cells
 
 

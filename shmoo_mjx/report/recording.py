@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from shmoo_mjx.arrays import Array
+from shmoo_mjx.base.files import whole
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.files import whole
-from shmoo_mjx.navigation.maps import OccupancyGrid, occupied_rectangles
+from shmoo_mjx.planning.maps import OccupancyGrid, occupied_rectangles
 from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.report.style import COLOURS, object_colour
 from shmoo_mjx.report.trace import Trace

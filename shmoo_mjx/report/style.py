@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array
-from shmoo_mjx.files import write_whole
+from shmoo_mjx.base.files import write_whole
+from shmoo_mjx.geometry import se2
 from shmoo_mjx.report.trace import Trace
 
 if TYPE_CHECKING:

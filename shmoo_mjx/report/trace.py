@@ -24,8 +24,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from shmoo_mjx.arrays import Array
+from shmoo_mjx.base.files import whole
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.files import whole
 
 _RAGGED = ("plans", "decision_rollouts", "decision_candidates")
 _REQUIRED = ("outcome", "transitions", "decisions", "objects")

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array
-from shmoo_mjx.files import whole
+from shmoo_mjx.base.files import whole
+from shmoo_mjx.geometry import se2
 from shmoo_mjx.report.style import COLOURS, object_colour, outline, window
 from shmoo_mjx.report.trace import Trace
 

@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Bool, Float, Scalar
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.geometry import se2
 from shmoo_mjx.plant.scene import Scene
 from shmoo_mjx.sensing.rays import hidden
 

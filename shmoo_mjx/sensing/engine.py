@@ -15,8 +15,8 @@ from typing import Any, NamedTuple, SupportsIndex
 import jax
 import numpy as np
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Bool, Float, Int
+from shmoo_mjx.geometry import se2
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
 from shmoo_mjx.plant.observe import scene_poses

@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float, Int, Scalar, Shaped
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.geometry import se2
 
 TICK = 0.01
 """Time between two readings of the senses, and what delays are rounded to [s]."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Bool, Float
+from shmoo_mjx.geometry import se2
 
 
 def cast(

@@ -15,9 +15,9 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Bool, Float, Int, Scalar
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.geometry import se2
 from shmoo_mjx.plant.perturbation import Perturbation, PerturbedBody, adjustment, draw_body
 from shmoo_mjx.plant.robot import NQ, Robot, readout
 from shmoo_mjx.sensing import odometry, touch, tracker

@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Float
-from shmoo_mjx.hands import REACH
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.hands import REACH
 from shmoo_mjx.plant.joint_torque import joint_torque_wrench
 from shmoo_mjx.plant.lowlevel import arm_gravity
 from shmoo_mjx.plant.robot import Robot, RobotState

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, Bool, Float, Shaped
+from shmoo_mjx.geometry import se2
 from shmoo_mjx.sensing.odometry import TICK
 
 

@@ -7,10 +7,10 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
-from shmoo_mjx.assets import asset
+from shmoo_mjx.base.assets import asset
+from shmoo_mjx.base.files import claimed
+from shmoo_mjx.base.options import SensesName
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.files import claimed
-from shmoo_mjx.options import SensesName
 from shmoo_mjx.sweep.cluster import Cluster, submit
 from shmoo_mjx.sweep.config import SweepConfig, load_sweep, quick
 from shmoo_mjx.sweep.run import ShardRunner, Sweep, duration, read_table
@@ -78,7 +78,7 @@ def _alone(sweep: Sweep, memory_gb: float | None, only_estimate: bool, progress:
 
 
 def _collected(config: SweepConfig, sweep: Sweep) -> list[Path]:
-    from shmoo_mjx.files import write_whole
+    from shmoo_mjx.base.files import write_whole
     from shmoo_mjx.sweep.figures import draw_figures, summary
 
     results = sweep.collect()

@@ -20,13 +20,13 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from shmoo_mjx.base.fingerprints import fingerprint
+from shmoo_mjx.base.options import SensesName
+from shmoo_mjx.base.schema import Number, WholeNumber, closest_name, validated
+from shmoo_mjx.base.seeds import MAX_SEED, UNSEEN_SEED
+from shmoo_mjx.base.yaml_input import read_mapping
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.fingerprints import fingerprint
-from shmoo_mjx.navigation.yaml_input import read_mapping
-from shmoo_mjx.options import SensesName
 from shmoo_mjx.plant.objects import FAMILIES
-from shmoo_mjx.schema import Number, WholeNumber, closest_name, validated
-from shmoo_mjx.seeds import MAX_SEED, UNSEEN_SEED
 from shmoo_mjx.sweep.parameters import PARAMETERS
 
 _KINDS = ("fixed", "uniform", "log_uniform", "normal", "choice")

@@ -10,12 +10,12 @@ from dataclasses import replace
 from typing import Any
 
 from shmoo_mjx.arrays import Array
+from shmoo_mjx.behavior.push_task import pose_push_config
+from shmoo_mjx.behavior.skills import one_push
 from shmoo_mjx.control import pushing
 from shmoo_mjx.control.observation import ObjectObservation
 from shmoo_mjx.control.pushing import PushConfig
 from shmoo_mjx.learning.weights import Weights, prior_state
-from shmoo_mjx.navigation.push_task import pose_push_config
-from shmoo_mjx.skills import one_push
 from shmoo_mjx.sweep.config import Controller
 
 

@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array
+from shmoo_mjx.behavior.skills import one_push
 from shmoo_mjx.evaluation.pushing_trials import resistance
-from shmoo_mjx.skills import one_push
+from shmoo_mjx.geometry import se2
 from shmoo_mjx.sweep.config import SweepConfig
 from shmoo_mjx.sweep.parameters import RESISTANCE
 from shmoo_mjx.sweep.worlds import Drawn

@@ -17,13 +17,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from shmoo_mjx.assets import WEIGHTS, asset
+from shmoo_mjx.base.assets import WEIGHTS, asset
+from shmoo_mjx.base.files import write_whole
+from shmoo_mjx.base.guard import PNG, SWEEP, TABLE, TEXT, check_folder
+from shmoo_mjx.base.versions import versions
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.files import write_whole
-from shmoo_mjx.guard import PNG, SWEEP, TABLE, TEXT, check_folder
 from shmoo_mjx.sweep.config import SweepConfig, sweep_fingerprint
 from shmoo_mjx.sweep.worlds import draw, label
-from shmoo_mjx.versions import versions
 
 if TYPE_CHECKING:
     from shmoo_mjx.sweep.simulate import Batches

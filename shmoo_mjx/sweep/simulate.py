@@ -19,13 +19,16 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array, single_precision
+from shmoo_mjx.behavior.push_task import AT_REST
+from shmoo_mjx.behavior.skills import one_push
+from shmoo_mjx.behavior.skills.retreat import CLEAR
+from shmoo_mjx.behavior.skills.settings import hands_to_face
 from shmoo_mjx.control.observation import ObjectObservation
-from shmoo_mjx.hands import CONTACT_FORCE
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.hands import CONTACT_FORCE
 from shmoo_mjx.learning.contact_prior import kind_of
 from shmoo_mjx.learning.weights import Weights
-from shmoo_mjx.navigation.push_task import AT_REST
 from shmoo_mjx.plant.engine_mjx import MjxEngine, MjxWorld
 from shmoo_mjx.plant.lowlevel import Gains
 from shmoo_mjx.plant.randomize import perturbed
@@ -33,9 +36,6 @@ from shmoo_mjx.sensing import Senses, odometry, senses_named
 from shmoo_mjx.sensing import senses as sensing
 from shmoo_mjx.sensing.odometry import TICK
 from shmoo_mjx.sensing.senses import Noise, SensorState
-from shmoo_mjx.skills import one_push
-from shmoo_mjx.skills.retreat import CLEAR
-from shmoo_mjx.skills.settings import hands_to_face
 from shmoo_mjx.sweep import pushers
 from shmoo_mjx.sweep.config import SweepConfig
 from shmoo_mjx.sweep.parameters import MOST_DELAY

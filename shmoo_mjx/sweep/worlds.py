@@ -20,7 +20,7 @@ import numpy as np
 
 from shmoo_mjx.arrays import Array
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.faces import faces_of, stand_off
+from shmoo_mjx.geometry.faces import faces_of, stand_off
 from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.objects import draw_condition
 from shmoo_mjx.plant.randomize import Factors

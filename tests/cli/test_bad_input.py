@@ -25,8 +25,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from shmoo_mjx import cli
-from shmoo_mjx.assets import WEIGHTS, asset
-from shmoo_mjx.navigation.maps import OCCUPIED, OccupancyGrid, save_map
+from shmoo_mjx.base.assets import WEIGHTS, asset
+from shmoo_mjx.planning.maps import OCCUPIED, OccupancyGrid, save_map
 
 LONGEST = 20.0
 """More is a hang [s]."""
@@ -256,9 +256,9 @@ def spoiling(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     def begins(*_: object, **__: object) -> None:
         raise AcceptedError
 
-    from shmoo_mjx import view
+    from shmoo_mjx.run import view
 
-    monkeypatch.setattr("shmoo_mjx.episode.run_episode", begins)
+    monkeypatch.setattr("shmoo_mjx.run.episode.run_episode", begins)
     monkeypatch.setattr(view, "film", begins)
     monkeypatch.setattr("shmoo_mjx.control.pushing.PushController", lambda weights: weights)
     monkeypatch.chdir(tmp_path)

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 import yaml
 
-from shmoo_mjx.assets import WEIGHTS, asset
-from shmoo_mjx.navigation.maps import OCCUPIED, OccupancyGrid, save_map
+from shmoo_mjx.base.assets import WEIGHTS, asset
+from shmoo_mjx.planning.maps import OCCUPIED, OccupancyGrid, save_map
 
 Done = subprocess.CompletedProcess[str]
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from shmoo_mjx.environment import prepare_environment
+from shmoo_mjx.base.environment import prepare_environment
 
 SETTINGS = {"MUJOCO_GL": "nonsense", "JAX_PLATFORMS": "nonsense"}
 

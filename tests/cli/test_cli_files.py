@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from shmoo_mjx import cli, files
-from shmoo_mjx.files import claimed
-from shmoo_mjx.navigation.maps import OccupancyGrid, save_map
+from shmoo_mjx import cli
+from shmoo_mjx.base import files
+from shmoo_mjx.base.files import claimed
+from shmoo_mjx.planning.maps import OccupancyGrid, save_map
 
 SHMOO = str(Path(sys.executable).with_name("shmoo"))
 SWEEP = "worlds: 2\ncontrollers: {plain: {kind: quasi_static}}\n"

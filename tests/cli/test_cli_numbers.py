@@ -34,7 +34,7 @@ def numbers() -> dict[str, tuple[str, str]]:
             parts = [hints[parameter], *typing.get_args(hints[parameter])]
             kinds = {typing.get_origin(p) or p for p in parts} - {type(None)}
             plain = {int, float} & {p for p in [hints[parameter], *_of_union(hints[parameter])] if isinstance(p, type)}
-            assert not plain, f"{name} --{parameter} has no range; give it a type of shmoo_mjx.options"
+            assert not plain, f"{name} --{parameter} has no range; give it a type of shmoo_mjx.base.options"
             if {int, float} & kinds or any(set(typing.get_args(p)) & {int, float} for p in parts):
                 option = f"--{parameter.replace('_', '-')}"
                 if "seed" not in option:

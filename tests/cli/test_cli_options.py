@@ -13,8 +13,9 @@ from pathlib import Path
 import pytest
 import tyro
 
-from shmoo_mjx import cli, progress
-from shmoo_mjx.verbosity import LOG, with_verbosity
+from shmoo_mjx import cli
+from shmoo_mjx.base import progress
+from shmoo_mjx.base.verbosity import LOG, with_verbosity
 
 HEAVY = {"jax", "mujoco", "numpy", "scipy", "shapely", "matplotlib", "pydantic", "yaml", "rich", "gymnasium", "PIL"}
 

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 import yaml
 
-from shmoo_mjx.assets import WEIGHTS, asset
-from shmoo_mjx.inputs import files_read
-from shmoo_mjx.navigation.maps import OCCUPIED, OccupancyGrid, load_map, save_map
+from shmoo_mjx.base.assets import WEIGHTS, asset
+from shmoo_mjx.base.inputs import files_read
+from shmoo_mjx.planning.maps import OCCUPIED, OccupancyGrid, load_map, save_map
 from shmoo_mjx.plant.mesh import add_object
 
 Shmoo = Callable[..., CompletedProcess[str]]

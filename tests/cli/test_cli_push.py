@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from shmoo_mjx import cli
-from shmoo_mjx.replay import replay
+from shmoo_mjx.run.replay import replay
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:

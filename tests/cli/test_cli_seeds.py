@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from shmoo_mjx import cli, seeds
+from shmoo_mjx import cli
+from shmoo_mjx.base import seeds
 from shmoo_mjx.data.collect import SPLIT_SEEDS
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.result import ExperimentOptions
@@ -131,7 +132,7 @@ def test_a_recorded_drive_is_of_no_unseen_object(
 
 def test_the_largest_seed_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
-    monkeypatch.setattr("shmoo_mjx.demo.run_demo", lambda drawn, *_: asked.append(drawn) or 0)
+    monkeypatch.setattr("shmoo_mjx.run.demo.run_demo", lambda drawn, *_: asked.append(drawn) or 0)
     for text in ("0", "2147483647", "0..2147483647"):
         assert cli.demo(seed=text) == 0
     assert [(drawn[0], drawn[-1]) for drawn in asked] == [(0, 0), (2**31 - 1, 2**31 - 1), (0, 2**31 - 1)]

@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shmoo_mjx import se2
 from shmoo_mjx.control.cost import (
     HAND_MARGIN,
     PushCost,
@@ -26,8 +25,9 @@ from shmoo_mjx.control.cost import (
     push_cost,
     terminal_speed,
 )
-from shmoo_mjx.hands import REACH
-from shmoo_mjx.navigation.clearance import ClearanceField
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.hands import REACH
+from shmoo_mjx.planning.clearance import ClearanceField
 from shmoo_mjx.types import SystemState
 
 BARE = PushCost(effort=0.0, change=0.0)

@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shmoo_mjx import se2
+from shmoo_mjx.behavior.skills import batched
 from shmoo_mjx.control import equilibrium_lean
-from shmoo_mjx.hands import TUCKED_HEIGHT, TUCKED_REACH
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.hands import TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.plant.perturbation import Perturbation, adjustment, draw_body
 from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.plant.scene import build_scene
-from shmoo_mjx.skills import batched
 from shmoo_mjx.types import DT, Command, Observation
 
 HANDS = np.array([[TUCKED_REACH, 0.1, TUCKED_HEIGHT], [TUCKED_REACH, -0.1, TUCKED_HEIGHT]])
@@ -75,7 +75,7 @@ def test_lean_is_counted_from_the_trim_both_ways() -> None:
 
 
 def test_a_robot_with_a_shifted_centre_of_mass_stands_still() -> None:
-    from shmoo_mjx.navigation.drive import velocity_command
+    from shmoo_mjx.behavior.drive import velocity_command
     from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 
     body = draw_body(Perturbation(), 3)._replace(com=(0.004, -0.005, 0.0))

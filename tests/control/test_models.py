@@ -10,7 +10,7 @@ import numpy as np
 
 from shmoo_mjx.control import cost, models, mppi
 from shmoo_mjx.dynamics import core
-from shmoo_mjx.hands import HAND_RADIUS, REACH
+from shmoo_mjx.geometry.hands import HAND_RADIUS, REACH
 from shmoo_mjx.learning.weights import load_weights
 from shmoo_mjx.types import SystemState
 

@@ -93,7 +93,7 @@ def test_samples_that_do_not_divide_take_fewer_devices(results: dict[int, dict[s
 CONTROLLER = """
 from dataclasses import replace
 import jax, numpy as np
-from shmoo_mjx.assets import WEIGHTS, asset
+from shmoo_mjx.base.assets import WEIGHTS, asset
 from shmoo_mjx.control import pushing
 from shmoo_mjx.control.observation import local_distance_field
 from shmoo_mjx.learning.weights import load_weights

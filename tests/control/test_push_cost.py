@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shmoo_mjx import se2
 from shmoo_mjx.control.cost import PushCost, aim_error, allowed_speed
-from shmoo_mjx.faces import faces_of
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.faces import faces_of
 from shmoo_mjx.types import SystemState
 
 

@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shmoo_mjx import se2
 from shmoo_mjx.control.cost import PushCost
 from shmoo_mjx.control.governor import INTEGRAL_LIMIT, GovernorConfig, forward_lean, govern, static_lean
 from shmoo_mjx.control.observation import LocalDistanceField, ObjectObservation
 from shmoo_mjx.control.quasi_static import LEAN_LIMIT, QuasiStaticPusher
-from shmoo_mjx.faces import faces_of, stand_off
-from shmoo_mjx.hands import HAND_HEIGHT
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.faces import faces_of, stand_off
+from shmoo_mjx.geometry.hands import HAND_HEIGHT
 from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.types import DT
 

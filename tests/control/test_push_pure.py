@@ -11,15 +11,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from shmoo_mjx.behavior.push_task import pose_push_config
 from shmoo_mjx.control import pushing
 from shmoo_mjx.control.observation import LocalDistanceField, ObjectObservation
 from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.dynamics import contact_model
-from shmoo_mjx.faces import faces_of, stand_off
+from shmoo_mjx.geometry.faces import faces_of, stand_off
 from shmoo_mjx.learning import adaptation
 from shmoo_mjx.learning.estimate import ObjectEstimate
 from shmoo_mjx.learning.weights import load_weights, prior_state, untrained
-from shmoo_mjx.navigation.push_task import pose_push_config
 from shmoo_mjx.types import DT
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from shmoo_mjx import custom
+from shmoo_mjx.base import custom
+from shmoo_mjx.behavior.methods import METHODS
+from shmoo_mjx.behavior.push_task import pose_push_config
 from shmoo_mjx.evaluation.pushing_trials import OWN
 from shmoo_mjx.learning.weights import untrained
-from shmoo_mjx.methods import METHODS
-from shmoo_mjx.navigation.push_task import pose_push_config
 
 ROOT = Path(__file__).resolve().parents[2]
 LEFT_OUT = {

@@ -95,7 +95,7 @@ def test_every_array_of_a_recording_has_its_mirror_image(recordings: store.Datas
 def test_the_simulated_world_is_the_same_in_the_mirror(tmp_path: Path) -> None:
     """The same push at a mirrored box, in C MuJoCo: what the training takes for granted."""
     pytest.importorskip("mujoco")
-    from shmoo_mjx.hands import HAND_HEIGHT, REACH
+    from shmoo_mjx.geometry.hands import HAND_HEIGHT, REACH
     from shmoo_mjx.plant.engine_mujoco import MujocoEngine
     from shmoo_mjx.plant.objects import draw_condition
     from shmoo_mjx.plant.scene import build_scene

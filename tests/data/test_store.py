@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from shmoo_mjx import files, se2
+from shmoo_mjx.base import files
 from shmoo_mjx.data import store
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.geometry import se2
 
 CONDITION = {"family": "box", "seed": 3, "split": "train"}
 

@@ -16,7 +16,7 @@ import pytest
 import tyro
 
 from shmoo_mjx import cli
-from shmoo_mjx.verbosity import with_verbosity
+from shmoo_mjx.base.verbosity import with_verbosity
 
 ROOT = Path(__file__).resolve().parents[2]
 OWN = "docs/make_your_own.md"

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from shmoo_mjx.dynamics import features
-from shmoo_mjx.navigation.scenario import Scenario
+from shmoo_mjx.planning.scenario import Scenario
 from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 

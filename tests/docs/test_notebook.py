@@ -21,7 +21,7 @@ import matplotlib
 import numpy as np
 import pytest
 
-from shmoo_mjx.files import write_whole
+from shmoo_mjx.base.files import write_whole
 from shmoo_mjx.plant.render import can_render
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -51,9 +51,9 @@ def test_links_to_the_source_become_links_to_the_reference() -> None:
         class file:
             src_uri = "plant.md"
 
-    text = "[a](../shmoo_mjx/plant/objects.py) [b](../shmoo_mjx/run.py) [c](../README.md) [d](gym.md)"
+    text = "[a](../shmoo_mjx/plant/objects.py) [b](../shmoo_mjx/run/scenario_run.py) [c](../README.md) [d](gym.md)"
     assert links.on_page_markdown(text, Page) == (
-        "[a](reference/plant.md#shmoo_mjx.plant.objects) [b](reference/basics.md#shmoo_mjx.run) c [d](gym.md)"
+        "[a](reference/plant.md#shmoo_mjx.plant.objects) [b](reference/basics.md#shmoo_mjx.run.scenario_run) c [d](gym.md)"
     )
 
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import expm
 
 from shmoo_mjx.dynamics import CoreConfig, ObjectConfig, Params, contact_wrench, core, features, robot_model
-from shmoo_mjx.hands import HAND_RADIUS, REACH
+from shmoo_mjx.geometry.hands import HAND_RADIUS, REACH
 from shmoo_mjx.types import DT, SystemState
 
 CONFIG = CoreConfig(object=ObjectConfig(functions=6, per_axis=False, contact_model=False))

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shmoo_mjx import se2
 from shmoo_mjx.dynamics import core, features
-from shmoo_mjx.hands import HAND_RADIUS, REACH, SEPARATION
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.hands import HAND_RADIUS, REACH, SEPARATION
 from shmoo_mjx.types import DT, SystemState
 
 number = st.floats(-1.0, 1.0, width=32)

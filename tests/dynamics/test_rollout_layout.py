@@ -11,7 +11,7 @@ import pytest
 
 from shmoo_mjx.dynamics import CoreConfig, ObjectConfig, Params, RobotConfig, core, features, object_model, robot_model
 from shmoo_mjx.dynamics.networks import Network, parts
-from shmoo_mjx.hands import HAND_RADIUS, hand_targets
+from shmoo_mjx.geometry.hands import HAND_RADIUS, hand_targets
 from shmoo_mjx.types import DT, SystemState
 
 

@@ -12,9 +12,9 @@ from toy import toy_scenario
 from shmoo_mjx.evaluation.certify import Attempt, Certificate, certify, replay
 from shmoo_mjx.evaluation.navigation_places import generated_from
 from shmoo_mjx.evaluation.scenario_set import find_set, open_set
-from shmoo_mjx.navigation.maps import load_map
-from shmoo_mjx.navigation.paths import plan_path
-from shmoo_mjx.navigation.scenario import ROBOT_RADIUS
+from shmoo_mjx.planning.maps import load_map
+from shmoo_mjx.planning.paths import plan_path
+from shmoo_mjx.planning.scenario import ROBOT_RADIUS
 
 
 @cache

@@ -11,7 +11,6 @@ import pytest
 import shapely
 from toy import toy_scenario
 
-from shmoo_mjx import episode
 from shmoo_mjx.evaluation import lifelong, navigation
 from shmoo_mjx.evaluation.certify import Attempt, Certificate
 from shmoo_mjx.evaluation.lifelong import GoalSequence, draw_sequence, measure
@@ -20,12 +19,13 @@ from shmoo_mjx.evaluation.navigation import play
 from shmoo_mjx.evaluation.page import render
 from shmoo_mjx.evaluation.result import ExperimentOptions
 from shmoo_mjx.evaluation.scenarios import Generated, ScenarioConfig, draw_scenario
-from shmoo_mjx.navigation.floorplan import draw_building
-from shmoo_mjx.navigation.footprints import footprint_polygon
-from shmoo_mjx.navigation.maps import OccupancyGrid
-from shmoo_mjx.navigation.paths import path_blocked_by, plan_path
-from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Scenario
+from shmoo_mjx.planning.floorplan import draw_building
+from shmoo_mjx.planning.footprints import footprint_polygon
+from shmoo_mjx.planning.maps import OccupancyGrid
+from shmoo_mjx.planning.paths import path_blocked_by, plan_path
+from shmoo_mjx.planning.scenario import ROBOT_RADIUS, Scenario
 from shmoo_mjx.plant.objects import draw_condition
+from shmoo_mjx.run import episode
 
 
 def all_move(grid: OccupancyGrid, scenario: Scenario) -> Certificate:

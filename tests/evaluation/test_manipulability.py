@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shmoo_mjx.assets import WEIGHTS, asset
+from shmoo_mjx.base.assets import WEIGHTS, asset
 from shmoo_mjx.evaluation.manipulable import (
     SteadyPush,
     draw_immovable,
@@ -33,7 +33,7 @@ from shmoo_mjx.evaluation.object_planner import (
     told_by,
 )
 from shmoo_mjx.evaluation.trials import run_trials
-from shmoo_mjx.faces import faces_of, heading
+from shmoo_mjx.geometry.faces import faces_of, heading
 from shmoo_mjx.plant.objects import draw_condition
 
 QUICK = SteadyPush(seconds=4.0)

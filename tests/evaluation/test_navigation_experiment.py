@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from toy import toy_scenario
 
-from shmoo_mjx.assets import PAPER_WEIGHTS, asset
+from shmoo_mjx.base.assets import PAPER_WEIGHTS, asset
+from shmoo_mjx.behavior.belief import Status
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import navigation, navigation_places
 from shmoo_mjx.evaluation.certify import Attempt, Certificate
@@ -19,8 +20,7 @@ from shmoo_mjx.evaluation.navigation import POLICIES
 from shmoo_mjx.evaluation.navigation_places import BUILDINGS, extras_of, find_maps, find_places, kept_scenario
 from shmoo_mjx.evaluation.result import ExperimentOptions
 from shmoo_mjx.evaluation.scenarios import EXTRAS, Generated, ScenarioConfig
-from shmoo_mjx.navigation.belief import Status
-from shmoo_mjx.navigation.maps import load_map, save_map
+from shmoo_mjx.planning.maps import load_map, save_map
 
 
 def generated(*movable: bool) -> Generated:
@@ -175,7 +175,9 @@ def test_the_paper_runs_with_its_own_weights_and_pushing_and_the_others_with_our
 ) -> None:
     ran: dict[str, tuple[Path, str]] = {}
     monkeypatch.setattr(navigation, "controller_of", lambda weights, method: (weights, method))
-    monkeypatch.setattr("shmoo_mjx.episode.run_episode", lambda grid, scenario, controller, *rest, **more: controller)
+    monkeypatch.setattr(
+        "shmoo_mjx.run.episode.run_episode", lambda grid, scenario, controller, *rest, **more: controller
+    )
     robot = navigation.TestedRobot(0, "real", tmp_path / "mine.safetensors")
     for policy in POLICIES:
         ran[policy] = navigation.play(robot, toy_scenario(1, True)[0], generated(True), policy)  # type: ignore[assignment]
@@ -199,7 +201,7 @@ def test_ours_alone_is_there_for_the_others_to_join(tmp_path: Path, fakes: list[
 def test_the_whole_experiment_on_a_floor_plan_and_again_from_its_files(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from shmoo_mjx.navigation.floorplan import draw_floorplan
+    from shmoo_mjx.planning.floorplan import draw_floorplan
 
     (tmp_path / "maps").mkdir()
     save_map(draw_floorplan(np.random.default_rng(0)).grid, tmp_path / "maps" / "plan.yaml")

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shmoo_mjx.assets import WEIGHTS, asset
+from shmoo_mjx.base.assets import WEIGHTS, asset
 from shmoo_mjx.evaluation.outcomes import OutcomesConfig, _trial, draw_object, end_after
 from shmoo_mjx.evaluation.outcomes_measures import (
     covered,

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from shmoo_mjx.behavior.methods import method_named
+from shmoo_mjx.behavior.push_task import pose_push_config
 from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import pushing, pushing_trials
@@ -16,8 +18,6 @@ from shmoo_mjx.evaluation.pushing_measures import enclosing_circle, metrics_of, 
 from shmoo_mjx.evaluation.pushing_trials import KINDS, METHODS, draw_trials, kind_by_resistance, resistance
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult
 from shmoo_mjx.learning.weights import untrained
-from shmoo_mjx.methods import method_named
-from shmoo_mjx.navigation.push_task import pose_push_config
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 from shmoo_mjx.plant.scene import build_scene
@@ -243,7 +243,7 @@ def test_finished_trials_are_not_run_again(tmp_path: Path, monkeypatch: pytest.M
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["quasi_static", "ours"])
 def test_a_trial_with_real_senses_stays_within_its_limits(method: str) -> None:
-    from shmoo_mjx.assets import asset
+    from shmoo_mjx.base.assets import asset
     from shmoo_mjx.evaluation.pushing_trials import Runner
     from shmoo_mjx.learning.weights import load_weights
 
@@ -261,7 +261,7 @@ def test_a_trial_with_real_senses_stays_within_its_limits(method: str) -> None:
 def test_a_box_that_is_pushed_over_is_no_success() -> None:
     """0.46 m deep, 0.72 m high, with its load ahead of its centre: it tips before it slides. Without adaptation, so
     that no change of what is learned keeps it upright."""
-    from shmoo_mjx.assets import asset
+    from shmoo_mjx.base.assets import asset
     from shmoo_mjx.evaluation.pushing_trials import Runner
     from shmoo_mjx.learning.weights import load_weights
 

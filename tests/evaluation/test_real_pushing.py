@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from shmoo_mjx import se2
 from shmoo_mjx.data import real_pushes
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import push_outline, push_physics, real_pushing
 from shmoo_mjx.evaluation.result import ExperimentOptions
+from shmoo_mjx.geometry import se2
 
 SQUARE = np.array([[-0.05, -0.04], [0.05, -0.04], [0.05, 0.04], [-0.05, 0.04]])
 RADIUS = 0.00475

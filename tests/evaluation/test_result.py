@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from shmoo_mjx.assets import asset
+from shmoo_mjx.base.assets import asset
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.registry import EXPERIMENTS, run_experiment
 from shmoo_mjx.evaluation.result import (

@@ -13,7 +13,7 @@ import pytest
 import trimesh
 from toy import toy_scenario
 
-from shmoo_mjx.assets import asset
+from shmoo_mjx.base.assets import asset
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import navigation, navigation_places, scenario_set
 from shmoo_mjx.evaluation.certify import Certificate
@@ -21,7 +21,7 @@ from shmoo_mjx.evaluation.navigation_places import kept_scenario
 from shmoo_mjx.evaluation.result import ExperimentOptions, file_id
 from shmoo_mjx.evaluation.scenario_set import find_set, make_set, open_set
 from shmoo_mjx.evaluation.scenarios import KINDS, Generated
-from shmoo_mjx.navigation.maps import load_map, save_map
+from shmoo_mjx.planning.maps import load_map, save_map
 from shmoo_mjx.plant.mesh import add_object
 
 SHIPPED = find_set(Path("floor_plans"))

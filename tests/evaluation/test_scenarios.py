@@ -24,11 +24,11 @@ from shmoo_mjx.evaluation.scenarios import (
     draw_scenario,
     entry_of,
 )
-from shmoo_mjx.navigation.floorplan import draw_building
-from shmoo_mjx.navigation.footprints import footprint_polygon, footprints_free, wall_distance
-from shmoo_mjx.navigation.maps import FREE, OCCUPIED, OccupancyGrid, clearance_field, load_map
-from shmoo_mjx.navigation.paths import Path, plan_path
-from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Scenario, check_scenario
+from shmoo_mjx.planning.floorplan import draw_building
+from shmoo_mjx.planning.footprints import footprint_polygon, footprints_free, wall_distance
+from shmoo_mjx.planning.maps import FREE, OCCUPIED, OccupancyGrid, clearance_field, load_map
+from shmoo_mjx.planning.paths import Path, plan_path
+from shmoo_mjx.planning.scenario import ROBOT_RADIUS, Scenario, check_scenario
 from shmoo_mjx.plant.objects import draw_condition
 
 CFG = ScenarioConfig()

@@ -20,18 +20,18 @@ import trimesh
 gymnasium = pytest.importorskip("gymnasium", reason="the extra gym (gymnasium) is not installed")
 
 import shmoo_mjx.gym
-from shmoo_mjx import se2
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.geometry import se2
 from shmoo_mjx.gym import navigate, single, task
 from shmoo_mjx.gym.navigate import NavigateConfig
 from shmoo_mjx.gym.push import PushEnvConfig, PushEnvTask
-from shmoo_mjx.navigation.clearance import ClearanceField
-from shmoo_mjx.navigation.floorplan import demo_scenario
-from shmoo_mjx.navigation.footprints import footprint_polygon
-from shmoo_mjx.navigation.line_costs import PathConfig
-from shmoo_mjx.navigation.maps import OccupancyGrid, clearance_field
-from shmoo_mjx.navigation.paths import plan_path
-from shmoo_mjx.navigation.scenario import ROBOT_RADIUS, Scenario
+from shmoo_mjx.planning.clearance import ClearanceField
+from shmoo_mjx.planning.floorplan import demo_scenario
+from shmoo_mjx.planning.footprints import footprint_polygon
+from shmoo_mjx.planning.line_costs import PathConfig
+from shmoo_mjx.planning.maps import OccupancyGrid, clearance_field
+from shmoo_mjx.planning.paths import plan_path
+from shmoo_mjx.planning.scenario import ROBOT_RADIUS, Scenario
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.mesh import add_object
 from shmoo_mjx.plant.objects import draw_condition

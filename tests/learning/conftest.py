@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from shmoo_mjx import se2
 from shmoo_mjx.data import store
+from shmoo_mjx.geometry import se2
 from shmoo_mjx.types import DT
 
 

@@ -14,12 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from shmoo_mjx import se2
 from shmoo_mjx.data import store
 from shmoo_mjx.data.collect import CollectConfig, collect
 from shmoo_mjx.dynamics import object_model
 from shmoo_mjx.dynamics.core import CoreConfig
 from shmoo_mjx.dynamics.object_model import ObjectConfig
+from shmoo_mjx.geometry import se2
 from shmoo_mjx.learning import online
 from shmoo_mjx.learning.adaptation import AdaptState
 from shmoo_mjx.learning.estimate import Sighting

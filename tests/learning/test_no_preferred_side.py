@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from shmoo_mjx.control import models
-from shmoo_mjx.faces import faces_of
-from shmoo_mjx.hands import REACH
+from shmoo_mjx.geometry.faces import faces_of
+from shmoo_mjx.geometry.hands import REACH
 from shmoo_mjx.learning.contact_prior import mirrored
 from shmoo_mjx.learning.weights import load_weights
 from shmoo_mjx.types import SystemState

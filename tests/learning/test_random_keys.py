@@ -18,12 +18,12 @@ import numpy as np
 import pytest
 from jax.extend.random import define_prng_impl
 
+from shmoo_mjx.behavior.push_task import pose_push_config
 from shmoo_mjx.control.observation import LocalDistanceField, ObjectObservation
 from shmoo_mjx.control.pushing import PushController
-from shmoo_mjx.faces import faces_of
+from shmoo_mjx.geometry.faces import faces_of
 from shmoo_mjx.learning.daiml import DaimlConfig, fit
 from shmoo_mjx.learning.weights import load_weights
-from shmoo_mjx.navigation.push_task import pose_push_config
 from shmoo_mjx.plant.engine_mjx import MjxEngine
 from shmoo_mjx.plant.randomize import Ranges, _draw
 

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 import pytest
 
-from shmoo_mjx.assets import PAPER_WEIGHTS, WEIGHTS, asset
+from shmoo_mjx.base.assets import PAPER_WEIGHTS, WEIGHTS, asset
 from shmoo_mjx.data import store
 from shmoo_mjx.data.collect import CollectConfig
 from shmoo_mjx.dynamics.object_model import ObjectConfig

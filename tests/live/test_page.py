@@ -26,7 +26,7 @@ import trimesh
 pytest.importorskip("viser")
 pytest.importorskip("mjviser")
 
-from shmoo_mjx.assets import asset
+from shmoo_mjx.base.assets import asset
 from shmoo_mjx.learning.weights import load_weights
 from shmoo_mjx.live import overlay
 from shmoo_mjx.live.command import go_on

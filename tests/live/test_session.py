@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 import trimesh
 
+from shmoo_mjx.behavior.records import Mode
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.learning.weights import load_weights
 from shmoo_mjx.live.session import Session, object_files, scene_named, scenes
-from shmoo_mjx.navigation.maps import FREE, OccupancyGrid, save_map
-from shmoo_mjx.navigation.records import Mode
-from shmoo_mjx.navigation.scenario import load_scenario
+from shmoo_mjx.planning.maps import FREE, OccupancyGrid, save_map
+from shmoo_mjx.planning.scenario import load_scenario
 from shmoo_mjx.plant.mesh import add_object
 from shmoo_mjx.report.trace import load_result
-from shmoo_mjx.run import load_inputs
+from shmoo_mjx.run.scenario_run import load_inputs
 
 pytest.importorskip("viser")
 

@@ -9,13 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from shmoo_mjx import se2
+from shmoo_mjx.behavior.decide import options_about
 from shmoo_mjx.control.pushing import PushController
-from shmoo_mjx.faces import faces_of
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.faces import faces_of
 from shmoo_mjx.learning import contact_prior
 from shmoo_mjx.learning.estimate import ObjectEstimate
 from shmoo_mjx.learning.weights import load_weights, prior_state
-from shmoo_mjx.navigation.decide import options_about
 from shmoo_mjx.planning.reach import (
     SAMPLES,
     STEPS,

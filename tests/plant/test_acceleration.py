@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from shmoo_mjx.data.differentiate import sample_acceleration
-from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
+from shmoo_mjx.geometry.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.plant import lowlevel
 from shmoo_mjx.plant.objects import draw_condition
 from shmoo_mjx.plant.robot import readout, shmoobot

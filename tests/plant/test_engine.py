@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from shmoo_mjx.hands import HAND_HEIGHT, REACH
+from shmoo_mjx.geometry.hands import HAND_HEIGHT, REACH
 from shmoo_mjx.plant import engine_mujoco, observe
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine, World
 from shmoo_mjx.plant.objects import draw_condition

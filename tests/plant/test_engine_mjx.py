@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.hands import HAND_HEIGHT, REACH
+from shmoo_mjx.geometry.hands import HAND_HEIGHT, REACH
 from shmoo_mjx.plant.engine_mjx import MjxEngine, MjxWorld, check_backend
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.objects import draw_condition

@@ -8,9 +8,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from shmoo_mjx import se2
-from shmoo_mjx.assets import asset
-from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH, hand_targets
+from shmoo_mjx.base.assets import asset
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH, hand_targets
 from shmoo_mjx.plant import lowlevel
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.objects import draw_condition

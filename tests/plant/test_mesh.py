@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.hands import HAND_HEIGHT, REACH
+from shmoo_mjx.geometry.hands import HAND_HEIGHT, REACH
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.mesh import add_object
 from shmoo_mjx.plant.object_file import read_object

@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from shmoo_mjx import se2
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.geometry import se2
 from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 from shmoo_mjx.plant.trials import object_alone, pushed, release, settled

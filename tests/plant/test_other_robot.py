@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from shmoo_mjx.assets import asset
+from shmoo_mjx.base.assets import asset
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.hands import HAND_HEIGHT, REACH
+from shmoo_mjx.geometry.hands import HAND_HEIGHT, REACH
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.joint_torque import hand_forces
 from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shmoo_mjx import se2
-from shmoo_mjx.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.outline import Outline, outline, room
 from shmoo_mjx.plant.robot import shmoobot

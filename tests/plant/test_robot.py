@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shmoo_mjx.assets import asset
-from shmoo_mjx.hands import HAND_RADIUS
+from shmoo_mjx.base.assets import asset
+from shmoo_mjx.geometry.hands import HAND_RADIUS
 from shmoo_mjx.plant.robot import readout, shmoobot
 
 MODEL = mujoco.MjModel.from_xml_path(str(asset("models_xml/shmoobot.xml")))

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shmoo_mjx import se2
-from shmoo_mjx.hands import HAND_HEIGHT, REACH
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.hands import HAND_HEIGHT, REACH
 from shmoo_mjx.plant import lowlevel
 from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from shmoo_mjx import se2
+from shmoo_mjx.geometry import se2
 from shmoo_mjx.sensing import odometry
 from shmoo_mjx.sensing.odometry import TICK, OdometryConfig, OdometryDraw
 

@@ -9,9 +9,9 @@ import jax
 import numpy as np
 import pytest
 
-from shmoo_mjx import se2
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.hands import HAND_HEIGHT, REACH
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.hands import HAND_HEIGHT, REACH
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.objects import draw_condition
 from shmoo_mjx.plant.perturbation import Perturbation, adjustment, draw_body

@@ -9,12 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from shmoo_mjx.behavior.push_task import pose_push_config
+from shmoo_mjx.behavior.skills import one_push
 from shmoo_mjx.control.observation import ObjectObservation
 from shmoo_mjx.control.quasi_static import control
-from shmoo_mjx.faces import faces_of, stand_off
-from shmoo_mjx.hands import REACH
-from shmoo_mjx.navigation.push_task import pose_push_config
-from shmoo_mjx.skills import one_push
+from shmoo_mjx.geometry.faces import faces_of, stand_off
+from shmoo_mjx.geometry.hands import REACH
 from shmoo_mjx.sweep import pushers
 from shmoo_mjx.sweep.config import Controller, SweepConfig
 from shmoo_mjx.sweep.rows import Tally, rows_of

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import optax
 
 from shmoo_mjx.arrays import Array, Float, Key
-from shmoo_mjx.fingerprints import fingerprint
+from shmoo_mjx.base.fingerprints import fingerprint
 from shmoo_mjx.learning import least_squares, multistep, training
 from shmoo_mjx.learning import samples as batches
 from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, Recordings, output_scale

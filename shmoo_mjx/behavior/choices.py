@@ -1,0 +1,198 @@
+"""Decisions on the way to the goal: which path, and whether to bypass an object in it or to push it, and from where.
+
+Each takes a state and an observation and gives the state in which the choice has been made.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import shapely
+
+from shmoo_mjx.arrays import Float
+from shmoo_mjx.behavior import decide, drive, paper
+from shmoo_mjx.behavior.belief import Status
+from shmoo_mjx.behavior.interaction import begun
+from shmoo_mjx.behavior.records import Decision, Mode, NavigatorState, Note, Planned, Setup
+from shmoo_mjx.behavior.routes import SLACK, Route, Routes
+from shmoo_mjx.geometry.faces import heading
+from shmoo_mjx.planning.object_planner import initial_goal
+from shmoo_mjx.planning.paths import Path, path_blocked_by, project
+from shmoo_mjx.planning.reach import foresight_of
+from shmoo_mjx.planning.scenario import ROBOT_RADIUS
+from shmoo_mjx.types import DT, Observation
+
+_PATIENCE = 4.0
+"""How long it waits where every route is blocked before it gives up: what rolls comes to rest, others walk on [s]."""
+_ASK_AGAIN = 1.0
+"""Time between two looks meanwhile [s]."""
+_LEFT_AFTER = 2 * ROBOT_RADIUS
+"""Distance along the path after which it keeps the robot's radius from what the robot stood too near to [m]."""
+_ACT_WITHIN = 2.2
+"""Distance along the path within which an object in the way is dealt with [m]: room to brake and for a stand-off
+pose."""
+
+
+def replan(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState | None:
+    """A path to the goal round everything that is not to be pushed; without one, wait and then give up."""
+    now = float(obs.time[0])
+    if state.waits_from is not None and now - state.since < _ASK_AGAIN:
+        return None
+    if state.segment is not None:
+        index = state.segment.object
+        state = replace(state.with_object(index, registered=state.belief.objects[index].pose), segment=None)
+    way = setup.routes(state).quickest(position := obs.robot_pose[0, :2])
+    if way is None:
+        state = _another_chance(state, now)
+        way = setup.routes(state).quickest(position)
+    if way is not None:
+        state = _on_path(replace(state, waits_from=None), now, way.path)
+        return state.go(now, Mode.FOLLOW, f"path of {way.path.length:.2f} m found")
+    begun = now if state.waits_from is None else state.waits_from
+    if now - begun >= _PATIENCE:
+        why = "every route to the goal is blocked by walls and objects that can't be moved"
+        return state.go(now, Mode.FAILED, why)
+    if state.waits_from is None:
+        state = state.with_events(Note(now, "every route to the goal is blocked; waits a little and looks again"))
+    return replace(state, waits_from=begun, since=now)
+
+
+def _on_path(state: NavigatorState, now: float, path: Path) -> NavigatorState:
+    return replace(state, path=path, drive=drive.init()).with_events(Planned(now, path.points))
+
+
+def _another_chance(state: NavigatorState, now: float) -> NavigatorState:
+    """With every route blocked, what was given up is looked at again if anything has been pushed since."""
+    pushes = state.belief.pushes
+    for index, known in state.belief.objects.items():
+        if known.status is Status.FIXED and known.given_up is not None and known.given_up < pushes:
+            state = state.with_object(index, status=Status.UNKNOWN)
+            text = f"every route is blocked: object {index}, registered as an obstacle, is looked at again"
+            state = state.with_events(Note(now, text))
+    return state
+
+
+def first_block(
+    setup: Setup, state: NavigatorState, obs: Observation, within: float = np.inf
+) -> tuple[int, float] | None:
+    """The known object that blocks the path first, and how far along the path [m], not farther than ``within``.
+
+    What the robot stands too near to, as after a push, does not block the beginning of a path that leads away from it.
+    """
+    assert state.path is not None
+    position, found = obs.robot_pose[0, :2], []
+    here = project(state.path, position)
+    for index, known in state.belief.objects.items():
+        nearest = float(shapely.distance(known.polygon, shapely.Point(position)))
+        for clearance, after in ((min(nearest, ROBOT_RADIUS), here), (ROBOT_RADIUS, here + _LEFT_AFTER)):
+            blocked, s = path_blocked_by(state.path, known.polygon, clearance - SLACK, after)
+            if blocked and s is not None and s - here < within:
+                found.append((s - here, index))
+    return (min(found)[1], min(found)[0]) if found else None
+
+
+def look_ahead(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState | None:
+    """Decision on an object that blocks the path: bypass it, push it, or replan; None if the path is free."""
+    blocked = first_block(setup, state, obs, np.inf if setup.by_time else _ACT_WITHIN)
+    if blocked is None or state.path is None:
+        return None
+    (index, distance), now, position = blocked, float(obs.time[0]), obs.robot_pose[0, :2]
+    known, near, routes = state.belief.objects[index], distance < _ACT_WITHIN, setup.routes(state)
+    if known.status not in routes.pushed:
+        again = state.with_object(index, in_the_way=known.in_the_way + 1)
+        return again.go(now, Mode.REPLAN, f"object {index} ({known.status}) is in the way") if near else None
+    if not setup.by_time:
+        return paper.choose(setup, state, obs, index, distance)
+    if not near and known.price is not None:
+        return None
+    through, around = routes.quickest(position, without=index), routes.quickest(position, {index: 0.0})
+    if through is None:
+        return state.go(now, Mode.REPLAN, f"object {index} is in the way, and nothing leads on behind it")
+    if setup.config.goes_round == "never":
+        around = None
+    return _least_time(setup, state, obs, index, through, around, near)
+
+
+def _least_time(
+    setup: Setup,
+    state: NavigatorState,
+    obs: Observation,
+    index: int,
+    through: Route,
+    around: Route | None,
+    near: bool,
+) -> NavigatorState:
+    """Go round object ``index`` or push it, whichever takes less time on average. From afar a push is not begun."""
+    now, known, routes = float(obs.time[0]), state.belief.objects[index], setup.routes(state)
+    position, everything = obs.robot_pose[0, :2], state.belief.clearance()
+    dislike = routes.price or 0.0
+    otherwise = decide.without_push(through, around)
+    faces, failed = decide.faces_about(known.half_extents), known.failed_faces.count
+    ways, may_pay = {}, around is None or otherwise > through.seconds + decide.LEAST + dislike
+    for side, face in enumerate(faces if may_pay else ()):
+        reached = routes.path_to_face(position, index, face, everything, failed(side), corner=side >= 4)
+        if reached is not None and decide.walk(reached[0].length) < otherwise:
+            ways[side] = reached
+    way_round = None if around is None else around.seconds
+    best, told = None, decide.told((), way_round)
+    if ways:
+        field = state.belief.clearance(without=index)
+        places = _places(setup, routes, obs, index, through.path, {side: faces[side] for side in ways})
+        found = decide.pushes(
+            foresight_of(setup.controller), known, through.path, field, list(ways), places, round(now / DT)
+        )
+        walks = {side: decide.walk(way[0].length) for side, way in ways.items()}
+        weigh = partial(decide.weigh, found, walks, known.failed_faces, through.seconds)
+        # Its price counts no other push. Else each of two immovable objects would be a way round the other one.
+        alone = routes.quickest(position, dict.fromkeys(state.belief.objects, 0.0))
+        price = weigh(decide.without_push(through, alone))[0].seconds - through.seconds
+        options = weigh(otherwise)
+        best, told = options[0], decide.told(options[:3], way_round)
+        state = state.with_events(_decision(now, index, told, options, otherwise))
+        state = state.with_object(index, price=max(price, 0.0))
+        if near and price >= decide.BLOCKED:
+            return _give_up(setup, state, now, index, told)
+    if around is not None and (best is None or best.seconds + dislike >= otherwise):
+        state = _on_path(state.with_object(index, in_the_way=known.in_the_way + near), now, around.path)
+        return state.go(now, Mode.FOLLOW, f"object {index} is in the way: {told}")
+    if not near:
+        return state if best else state.with_object(index, price=decide.BLOCKED)
+    if best is None:
+        return _give_up(setup, state, now, index, f"no face can be reached; {told}")
+    state = begun(state, now, index, best.side, faces[best.side], best.goal, ways[best.side], field)
+    return state.go(now, Mode.APPROACH, f"object {index} is in the way: {told}")
+
+
+def _places(
+    setup: Setup,
+    routes: Routes,
+    obs: Observation,
+    index: int,
+    through: Path,
+    faces: dict[int, Float[np.ndarray, "4"]],
+) -> dict[int, Float[np.ndarray, "3"]]:
+    """The first goal of Algorithm 1 for each side that has one."""
+    known, around = routes.belief.objects[index], routes.belief.clearance(without=index)
+    free = routes.collision_free(obs.robot_pose[0, :2], known, around, through)
+    goals = {
+        side: initial_goal(known.pose, free, np.array([heading(known.pose, face)]), setup.config.planner).goal
+        for side, face in faces.items()
+    }
+    return {side: goal for side, goal in goals.items() if goal is not None}
+
+
+def _decision(now: float, index: int, told: str, options: list[decide.Push], around: float) -> Decision:
+    """What was decided before a push, with where the options lead."""
+    best = options[0]
+    pushed, goals = best.seconds < around, np.stack([push.goal for push in options])
+    ends = np.concatenate([push.ends for push in options])
+    return Decision(now, index, np.nan, np.nan, pushed, best.goal, told, ends, goals, best.probability)
+
+
+def _give_up(setup: Setup, state: NavigatorState, now: float, index: int, why: str) -> NavigatorState:
+    """Take object ``index`` for an obstacle."""
+    if setup.config.goes_round == "never":
+        return state.go(now, Mode.FAILED, f"object {index}: {why}, and going round is not allowed")
+    return state.given_up(index).go(now, Mode.REPLAN, f"object {index}: {why}; registered as an obstacle")

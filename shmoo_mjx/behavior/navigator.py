@@ -1,0 +1,104 @@
+"""Interactive navigation (Sec. IV): follow the path, push what is in the way, go round what can't be pushed.
+
+It perceives poses and sizes of objects and the force on its hands; what it knows of an object's dynamics it has learned
+by touching it. How an object is pushed is in `interaction`; here is the way between pushes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import jax
+import numpy as np
+
+from shmoo_mjx.arrays import Array, Float, Numbers
+from shmoo_mjx.behavior import drive, interaction
+from shmoo_mjx.behavior.belief import Status, belief_of
+from shmoo_mjx.behavior.choices import look_ahead, replan
+from shmoo_mjx.behavior.interaction import Machine, Rule, nothing, place_of, setup_of
+from shmoo_mjx.behavior.records import Event, Mode, NavigatorConfig, NavigatorState, Setup
+from shmoo_mjx.behavior.skills import hold
+from shmoo_mjx.behavior.verdicts import judge, review
+from shmoo_mjx.planning.maps import OccupancyGrid
+from shmoo_mjx.planning.scenario import ROBOT_RADIUS
+from shmoo_mjx.types import Command, Observation
+
+_NO_TRAJECTORY = 3.0
+"""Time without a local trajectory after which another path is sought [s]."""
+_TURNING_ROOM = 0.05
+"""Distance from walls beyond the robot's radius at which it may turn on its way [m]: its elbows sweep a circle."""
+
+
+def init(grid: OccupancyGrid, goal: Numbers | Float[Array, "2"], seed: int = 0) -> NavigatorState:
+    """State at the start, with nothing known but the map; the goal is in {W} [m]."""
+    return NavigatorState(place_of(goal), belief_of(grid), jax.random.key(seed))
+
+
+# What is done in each mode.
+
+
+def _brake(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Command]:
+    """While a path is sought: to the end of the present trajectory, which is at rest."""
+    if state.drive.trajectory is None:
+        return interaction.rest(setup, state, obs)
+    state, lean = interaction.drive_along(setup, state, obs, None)
+    return state, Command(np.append(lean, 0.0), obs.robot_pose[0, 2], *interaction.arms(state, obs))
+
+
+def _turned(state: NavigatorState, obs: Observation, yaw: float) -> float:
+    """The heading ``yaw``, or the present one where walls leave no room to turn."""
+    room = float(state.belief.walls.at(obs.robot_pose[0, :2])) - ROBOT_RADIUS
+    return yaw if room > _TURNING_ROOM else float(obs.robot_pose[0, 2])
+
+
+def _follow(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Command]:
+    now, position, cfg = float(obs.time[0]), obs.robot_pose[0, :2], setup.config
+    left, speed = float(np.linalg.norm(position - state.goal)), float(np.linalg.norm(obs.robot_twist[0, :2]))
+    if left < cfg.goal_tolerance and speed < 0.1:
+        return state.go(now, Mode.DONE, f"goal reached to {left:.2f} m"), hold(interaction.robot_alone(obs))
+    path = state.path
+    assert path is not None
+    state, lean = interaction.drive_along(setup, state, obs, path)
+    since = state.drive.failed_since
+    if since is not None and now - since > _NO_TRAJECTORY:
+        state = state.go(now, Mode.REPLAN, f"no local trajectory for {_NO_TRAJECTORY:g} s: {state.drive.reason}")
+    yaw = _turned(state, obs, drive.yaw_ahead(obs, path))
+    return state, Command(np.append(lean, 0.0), yaw, *interaction.arms(state, obs))
+
+
+MODES: dict[Mode, Rule] = {
+    Mode.REPLAN: Rule(_brake, replan, (Mode.FOLLOW, Mode.FAILED)),
+    Mode.FOLLOW: Rule(_follow, look_ahead, (Mode.FOLLOW, Mode.APPROACH, Mode.REPLAN, Mode.DONE, Mode.FAILED)),
+    Mode.APPROACH: Rule(interaction.come_to_face, nothing, (Mode.CONTACT, Mode.REPLAN)),
+    Mode.CONTACT: Rule(partial(interaction.feel_for, Mode.PROBE), nothing, (Mode.PROBE, Mode.REPLAN, Mode.RETREAT)),
+    Mode.PROBE: Rule(partial(interaction.push_on, judge), review, (Mode.PUSH, Mode.RETREAT)),
+    Mode.PUSH: Rule(partial(interaction.push_on, judge), review, (Mode.RETREAT,)),
+    Mode.RETREAT: Rule(interaction.back_away, nothing, (Mode.REPLAN,)),
+    Mode.DONE: Rule(interaction.rest, nothing, ()),
+    Mode.FAILED: Rule(interaction.rest, nothing, ()),
+}
+"""The transition table. A test follows runs through it."""
+
+
+def step(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Command, tuple[Event, ...]]:
+    """One sample: the next state, the command (a batch of one) and what has happened."""
+    return interaction.step(MODES, setup, state, obs)
+
+
+class Navigator(Machine):
+    """The machine that brings the robot to a goal; ``tick`` takes it a sample further."""
+
+    def __init__(
+        self,
+        grid: OccupancyGrid,
+        goal: Numbers | Float[Array, "2"],
+        sizes: Sequence[tuple[float, float]],
+        controller: Any,
+        seed: int = 0,
+        config: NavigatorConfig | None = None,
+        first_status: Sequence[Status] | None = None,
+        kinds: Sequence[str | None] | None = None,
+    ) -> None:
+        super().__init__(MODES, setup_of(sizes, controller, config, first_status, kinds), init(grid, goal, seed))

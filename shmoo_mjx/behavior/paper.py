@@ -1,0 +1,109 @@
+"""Algorithm 1 as the paper prints it: push what is in the way to the nearest free place, and go round what K says can't
+be moved.
+
+For comparison with decisions by expected time. Beside what is printed: faces have to be within reach, the first goals
+lie in a cone about a face's push direction, and what stalls counts as immovable.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shmoo_mjx.arrays import Bool, Float
+from shmoo_mjx.behavior.belief import Status
+from shmoo_mjx.behavior.interaction import begun
+from shmoo_mjx.behavior.records import Decision, Mode, NavigatorState, Planned, Setup
+from shmoo_mjx.geometry.faces import faces_of, heading
+from shmoo_mjx.planning.object_planner import initial_goal, planning_stage
+from shmoo_mjx.types import Observation
+
+_FAR_AREA = 5.0
+"""Side of the square in which first goals are sought where the planner's own holds none, as in a corridor [m]."""
+_AT_GOAL = 0.10
+"""Distance from its goal at which an object has arrived [m]."""
+_PASSED = -0.08
+"""Way left to the goal along the push at which it has been passed [m]."""
+_SHOWN = 40
+"""Roll-outs of a planning stage that are kept for pictures."""
+
+
+def choose(setup: Setup, state: NavigatorState, obs: Observation, index: int, distance: float) -> NavigatorState:
+    """The initialisation stage: first goal, face and way to the stand-off pose of object ``index``, ``distance`` [m]
+    along the path; or register it."""
+    known, now, routes = state.belief.objects[index], float(obs.time[0]), setup.routes(state)
+    position, everything = obs.robot_pose[0, :2], state.belief.clearance()
+    faces, failed = faces_of(known.half_extents), known.failed_faces
+    ways = {i: routes.path_to_face(position, index, f, everything) for i, f in enumerate(faces) if i not in failed}
+    usable = {i: way for i, way in ways.items() if way is not None}
+    around, path = state.belief.clearance(without=index), routes.free_path(position, known)
+    free = routes.collision_free(position, known, around, path)
+    directions, planner = np.array([heading(known.pose, faces[i]) for i in usable]), setup.config.planner
+    first = initial_goal(known.pose, free, directions, planner)
+    first = initial_goal(known.pose, free, directions, planner, _FAR_AREA) if first.goal is None else first
+    if first.goal is None or first.direction is None:
+        why = f"object {index} can be put nowhere: {first.reason}; registered as an obstacle"
+        return state.given_up(index).go(now, Mode.REPLAN, why)
+    side = list(usable)[first.direction]
+    state = begun(state, now, index, side, faces[side], first.goal, usable[side], around)
+    why = f"object {index} blocks the path {distance:.2f} m ahead; first goal: {first.reason}"
+    return state.go(now, Mode.APPROACH, why)
+
+
+def planning(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState:
+    """The planning stage on the roll-outs of the adapted model: K in the probe, then a goal that is within reach."""
+    now, segment, known = float(obs.time[0]), state.current(), state.known()
+    assert segment.push is not None
+    index, cfg, probes = segment.object, setup.config.planner, state.mode is Mode.PROBE
+    # K asks how far it can be moved: a goal that is nearly reached would say nothing about that.
+    ahead = heading(known.pose, segment.face)
+    straight = known.pose[:2] + cfg.min_displacement * np.array([np.cos(ahead), np.sin(ahead)])
+    near = _left(segment.goal, known.pose, segment.face) < cfg.min_displacement
+    asked = np.array([*straight, segment.goal[2]]) if near else segment.goal
+    half = np.array(known.half_extents)
+    poses, _, costs = setup.controller.planning_rollouts(segment.push.pusher, asked, segment.around, half)
+    routes, position = setup.routes(state), obs.robot_pose[0, :2]
+    path = routes.free_path(position, known)
+    if path is not None and probes:
+        state = state.with_events(Planned(now, path.points))
+    free = routes.collision_free(position, known, state.belief.clearance(without=index), path)
+
+    def reachable(ends: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
+        # What a roll-out turns may end a little behind, and a goal there would be passed before it is pushed to.
+        return free(ends) & (_left(ends, known.pose, segment.face) > 0.0)
+
+    result = planning_stage(poses[:, -1], costs, known.pose, reachable, cfg, None if probes else True)
+    best = poses[np.argsort(costs)[:_SHOWN]][:, :, :2]
+    event = Decision(
+        now, index, result.K, result.G, result.manipulable, result.goal, result.reason, best, result.candidates, None
+    )
+    state = state.with_events(event).with_object(index, manipulable=result.manipulable)
+    if not result.manipulable:
+        return immovable(state, now, f"object {index} is not manipulable: {result.reason}")
+    if result.goal is not None:
+        state = state.with_segment(goal=result.goal)
+    return state.go(now, Mode.PUSH, f"object {index} is manipulable: {result.reason}") if probes else state
+
+
+def arrived(state: NavigatorState, now: float) -> NavigatorState:
+    """End a push whose object is at its goal, or past it."""
+    segment, known, index = state.current(), state.known(), state.current().object
+    if state.mode is Mode.PUSH and float(np.linalg.norm(known.pose[:2] - segment.goal[:2])) < _AT_GOAL:
+        state = state.with_object(index, status=Status.PARKED)
+        return state.go(now, Mode.RETREAT, f"object {index} is at its goal")
+    if state.mode is Mode.PUSH and _left(segment.goal, known.pose, segment.face) < _PASSED:
+        return state.failed().go(now, Mode.RETREAT, f"object {index} has gone past its goal, and can't be pulled")
+    return state
+
+
+def immovable(state: NavigatorState, now: float, why: str) -> NavigatorState:
+    """Register the object that is pushed as an obstacle."""
+    state = state.failed().given_up(state.current().object)
+    return state.go(now, Mode.RETREAT, f"{why}; registered as an obstacle")
+
+
+def _left(
+    goal: Float[np.ndarray, "*g 3"], pose: Float[np.ndarray, "3"], face: Float[np.ndarray, "4"]
+) -> Float[np.ndarray, "*g"]:
+    """Way left to ``goal`` along the push [m]."""
+    ahead = heading(pose, face)
+    return np.asarray((goal[..., :2] - pose[:2]) @ np.array([np.cos(ahead), np.sin(ahead)]))

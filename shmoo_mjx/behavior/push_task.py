@@ -1,0 +1,220 @@
+"""Adaptive pushing by itself: bring one object to a pose, from any start pose of the robot round it.
+
+Choose a face, drive to its stand-off pose, extend the arms, make contact, push with MPPI while a adapts, let go in time
+for the object to coast into its goal, back away, and look. If the object is not where it should be, another push
+follows, on another face where that helps: what has gone too far is pushed back from the other side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import jax
+import numpy as np
+
+from shmoo_mjx.arrays import Array, Float, Numbers, finite_numbers
+from shmoo_mjx.behavior import interaction
+from shmoo_mjx.behavior.belief import belief_of
+from shmoo_mjx.behavior.decide import SIDES
+from shmoo_mjx.behavior.interaction import Machine, Rule, begun, nothing, setup_of
+from shmoo_mjx.behavior.records import Decision, Mode, NavigatorConfig, NavigatorState, Setup
+from shmoo_mjx.behavior.skills import hold, push
+from shmoo_mjx.behavior.skills.push import Pusher
+from shmoo_mjx.control.cost import PushCost
+from shmoo_mjx.control.pushing import PushConfig
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.faces import faces_of
+from shmoo_mjx.learning.online import Known
+from shmoo_mjx.planning.face_choice import YAW_WEIGHT, choose, residual
+from shmoo_mjx.planning.maps import OccupancyGrid
+from shmoo_mjx.types import DT, Command, Observation
+
+_FRESH = 0.3
+"""Age of a pose from which the robot first turns to the object to look where it is [s]."""
+_LONGEST_LOOK = 4.0
+"""How long it looks for it [s]."""
+_GAIN = 0.1
+"""Least improvement that another push has to promise [m of error]: about what a short one errs by itself."""
+AT_REST = 0.03
+"""Speed below which the object counts as resting [m/s]: 3 mm in a sample."""
+_STALL = (0.03, 6.0)
+"""A push that brought the object less nearer to its goal than this [m of error] in so much time [s] has stalled."""
+_NO_NEARER = 0.1
+"""A push that has brought it less nearer than this counts against its side [m of error]."""
+
+
+def pose_push_config() -> PushConfig:
+    """The pushing controller's settings where the object's yaw counts and it has to stop at its goal."""
+    base = PushConfig()
+    cost: PushCost = replace(
+        base.cost, yaw_weight=0.6, aim_weight=0.7, lateral_weight=0.8, terminal_speed=0.07, slow_down=0.25,
+        speed_limit=0.16, overspeed_weight=3.0, speed_weight=0.3, change=0.03,
+    )  # fmt: skip
+    # Small, slow noise: a plan that jumps about shakes what rolls off the hands.
+    control = replace(base.control, sigma=(0.015, 0.012, 0.07), noise_correlation=0.95)
+    return replace(base, cost=cost, control=control, governor_room=0.04, foresees_governor=True)
+
+
+@dataclass(frozen=True)
+class PushTaskConfig:
+    """Settings of the task, SI units."""
+
+    arrived: float = 0.07
+    """Distance from the goal at which the object is left where it is [m]; less makes for more pushes."""
+    arrived_yaw: float = float(np.deg2rad(10.0))
+    """Yaw error at which it is [rad]; less makes for more pushes."""
+    max_pushes: int = 6
+    """Pushes after which the object is left where it is [1]; more can mend more, and take longer."""
+    moves: NavigatorConfig = NavigatorConfig()
+    """How the robot drives from face to face."""
+
+
+class PushTask(Machine):
+    """The machine that brings an object to a pose; ``tick`` takes it a sample further."""
+
+    def __init__(
+        self,
+        grid: OccupancyGrid,
+        sizes: list[tuple[float, float]],
+        goal: Numbers | Float[Array, "3"],
+        pusher: Pusher,
+        index: int = 0,
+        seed: int = 0,
+        config: PushTaskConfig | None = None,
+        adapt: Known | None = None,
+        kinds: Sequence[str | None] | None = None,
+    ) -> None:
+        """Set up the task.
+
+        Args:
+            grid: the map.
+            sizes: half extents of each object [m].
+            goal: pose (x, y, yaw) in {W} to bring the object to.
+            pusher: the pushing controller.
+            index: the object.
+            seed: of the controller's random numbers.
+            config: settings.
+            adapt: coefficients to start from; the prior if not given.
+            kinds: what each object looks like: "box", "cart", "wheelchair", or None for none of them, as all are if not
+                given. It decides the prior.
+
+        Raises:
+            ShmooError: the goal is not three finite numbers, or there is no object ``index``.
+        """
+        if not 0 <= index < len(sizes):
+            raise ShmooError(f"PushTask: there is no object {index}; sizes has {len(sizes)}, counted from 0.")
+        self.settings = config or PushTaskConfig()
+        self.goal = finite_numbers("PushTask: the goal", goal, "x, y, yaw")
+        setup = setup_of(sizes, pusher, self.settings.moves, kinds=kinds)
+        modes = {
+            Mode.REPLAN: Rule(self._look, self._choose, (Mode.APPROACH, Mode.DONE, Mode.FAILED)),
+            Mode.APPROACH: Rule(interaction.come_to_face, nothing, (Mode.CONTACT, Mode.REPLAN)),
+            Mode.CONTACT: Rule(
+                partial(interaction.feel_for, Mode.PUSH), nothing, (Mode.PUSH, Mode.REPLAN, Mode.RETREAT)
+            ),
+            Mode.PUSH: Rule(partial(interaction.push_on, self._judge), nothing, (Mode.RETREAT,)),
+            Mode.RETREAT: Rule(interaction.back_away, nothing, (Mode.REPLAN,)),
+            Mode.DONE: Rule(interaction.rest, nothing, ()),
+            Mode.FAILED: Rule(interaction.rest, nothing, ()),
+        }
+        super().__init__(modes, setup, NavigatorState(self.goal[:2], belief_of(grid), jax.random.key(seed)))
+        self._index = index
+        self._known_before = adapt
+
+    @property
+    def pushes(self) -> int:
+        """How many pushes have been begun."""
+        return self.belief.pushes
+
+    @property
+    def adapt(self) -> Known | None:
+        """What has been learned of the object."""
+        known = self.belief.objects.get(self._index)
+        return self._known_before if known is None or known.adapt is None else known.adapt
+
+    def know(self, adapt: Known) -> None:
+        """Take over coefficients from elsewhere, in the middle of a push too."""
+        self._known_before = adapt
+        if self._index in self.belief.objects:
+            self.state = self.state.with_object(self._index, adapt=adapt)
+        if self.segment is not None and self.segment.push is not None:
+            pushed = self.segment.push
+            self.state = self.state.with_segment(push=replace(pushed, pusher=pushed.pusher._replace(adapt=adapt)))
+
+    def head_for(self, goal: Numbers | Float[Array, "3"], now: float) -> None:
+        """Go on to another pose in {W}, with all that is known."""
+        self.goal = finite_numbers("PushTask: the goal", goal, "x, y, yaw")
+        super().head_for(goal, now)
+        if self._index in self.belief.objects:
+            self.state = self.state.with_object(self._index, pushes=0)
+
+    def _look(self, setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Command]:
+        """Stand and look at the object."""
+        known, command = state.belief.objects.get(self._index), hold(interaction.robot_alone(obs))
+        if known is None:
+            return state, command
+        offset = known.pose[:2] - obs.robot_pose[0, :2]
+        return state, command._replace(yaw=np.arctan2(offset[1], offset[0]))
+
+    def _choose(self, setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState | None:
+        """With the object at rest: leave it, or choose the next push."""
+        cfg, index, now = self.settings, self._index, float(obs.time[0])
+        known = state.belief.objects.get(index)
+        if known is None:
+            return state.go(now, Mode.FAILED, f"object {index} is not in sight")
+        looks = known.age < _FRESH or now - state.since > _LONGEST_LOOK
+        if not looks or np.linalg.norm(obs.object_twist[0, index, :2]) >= AT_REST:
+            return None
+        distance = float(np.linalg.norm(known.pose[:2] - self.goal[:2]))
+        turned = abs(float(se2.wrap(known.pose[2] - self.goal[2])))
+        where = f"{distance:.2f} m and {np.rad2deg(turned):.0f} deg from its goal"
+        if distance < cfg.arrived and turned < cfg.arrived_yaw:
+            return state.go(now, Mode.DONE, f"the object is {where}")
+        if known.pushes >= cfg.max_pushes:
+            return state.go(now, Mode.DONE, f"the object is {where} after {known.pushes} pushes")
+        routes, everything = setup.routes(state), state.belief.clearance()
+        around, faces = state.belief.clearance(without=index), faces_of(known.half_extents)
+        ways = [routes.path_to_face(obs.robot_pose[0, :2], index, face, everything) for face in faces]
+        lengths = [w[0].length if w and i not in known.failed_faces else None for i, w in enumerate(ways)]
+        choice = choose(known.pose, self.goal, faces, lengths, around, known.half_extents)
+        if choice is None:
+            return state.go(now, Mode.FAILED, f"no face can be reached; the object is {where}")
+        if choice.expected > float(residual(known.pose, self.goal, YAW_WEIGHT)) - _GAIN:
+            return state.go(now, Mode.DONE, f"the object is {where}, and another push promises no better")
+        chosen = ways[choice.side]
+        assert chosen is not None
+        state = state.with_object(index, adapt=self.adapt)
+        state = begun(state, now, index, choice.side, faces[choice.side], choice.goal, chosen, around)
+        final = "" if np.array_equal(choice.goal, self.goal) else " to a place on the way"
+        why = f"push {known.pushes + 1} from {SIDES[choice.side]}{final}; the object is {where}"
+        none = np.zeros((0, 1, 2))
+        event = Decision(now, index, np.nan, np.nan, True, choice.goal, why, none, choice.goal[None], None)
+        return state.with_events(event).go(now, Mode.APPROACH, why)
+
+    def _judge(self, setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState:
+        """End a push that is to let go now, or that leads no further."""
+        now, segment, known = float(obs.time[0]), state.current(), state.known()
+        pushed = segment.push
+        assert pushed is not None
+        coasts, left, let_go = push.lets_go(
+            setup.controller.coast(pushed.pusher), pushed.coasts, known.pose, segment.face, segment.goal
+        )
+        state = state.with_segment(push=replace(pushed, coasts=coasts))
+        over = interaction.is_over(state, now)
+        if let_go and pushed.ok:
+            over = f"let go {left:.2f} m before the goal, to coast {np.median(coasts):.2f} m"
+        if over:
+            return state.go(now, Mode.RETREAT, over)
+        count = round(_STALL[1] / DT)
+        if len(pushed.poses) < count:
+            return state
+        poses = np.array([pushed.poses[0], pushed.poses[-count], known.pose])
+        at_first, before, here = residual(poses, segment.goal, YAW_WEIGHT)
+        if before - here >= _STALL[0]:
+            return state
+        if at_first - here < _NO_NEARER:
+            state = state.failed()
+        return state.go(now, Mode.RETREAT, f"hardly nearer to its goal after {_STALL[1]:g} s")

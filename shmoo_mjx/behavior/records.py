@@ -1,0 +1,230 @@
+"""Settings, state and events of the navigator."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from shmoo_mjx.arrays import Array, Float, Key
+from shmoo_mjx.behavior import drive
+from shmoo_mjx.behavior.belief import Belief, KnownObject, Status
+from shmoo_mjx.behavior.routes import Routes
+from shmoo_mjx.behavior.skills.approach import ApproachState
+from shmoo_mjx.behavior.skills.contact import ContactState
+from shmoo_mjx.behavior.skills.push import PushState
+from shmoo_mjx.control import equilibrium_lean
+from shmoo_mjx.control.observation import LocalDistanceField
+from shmoo_mjx.planning.flat_qp import Planner, TrajectoryConfig
+from shmoo_mjx.planning.object_planner import ObjectPlannerConfig
+from shmoo_mjx.planning.paths import Path
+from shmoo_mjx.types import Observation
+
+_MOVED = 0.3
+"""After a push that has moved an object this far its sides are others than before [m]."""
+_PRICES = {"when quicker": None, "always": 1e4, "never": 0.0}
+"""What it is taken to cost to push an object aside, where that does not come from what is known of it [s]."""
+
+
+class Mode(StrEnum):
+    """States of the navigator."""
+
+    FOLLOW = "follow path"
+    APPROACH = "approach"
+    CONTACT = "make contact"
+    PROBE = "probe"
+    PUSH = "push"
+    RETREAT = "retreat"
+    REPLAN = "replan"
+    DONE = "done"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class NavigatorConfig:
+    """Settings of the state machine, SI units."""
+
+    goal_tolerance: float = 0.15
+    """Distance at which the goal counts as reached [m]; the scenario's own may be wider. Less takes longer."""
+    planning_time: float = 0.0
+    """Time that a planning stage or a global path takes to compute [s]; the robot goes on as it did meanwhile, and
+    what it decides is the older for it."""
+    latency: float = 0.0
+    """Time from what a command answers to its effect [s]; the robot's motion is foreseen for so long, the less exactly
+    the longer."""
+    decides_by: Literal["time", "K"] = "time"
+    """What decides about an object: the expected time of each option, by roll-outs of what was learned of it; or
+    Algorithm 1 of the paper, which pushes whatever is in the way and goes round where K says that it can't be moved."""
+    goes_round: Literal["when quicker", "always", "never"] = "when quicker"
+    """Whether a way round is taken, where expected times decide: where it takes less time than a push, wherever there
+    is one, or never. The last two are for comparison."""
+    planner: ObjectPlannerConfig = ObjectPlannerConfig()
+    trajectory: TrajectoryConfig = TrajectoryConfig(robot_radius=0.27)
+
+
+class Transition(NamedTuple):
+    """A change of state."""
+
+    t: float
+    source: Mode
+    target: Mode
+    reason: str
+
+
+class Decision(NamedTuple):
+    """What to do about an object, with the evidence."""
+
+    t: float
+    object: int
+    K: float
+    G: float
+    manipulable: bool
+    goal: Float[np.ndarray, "3"] | None
+    reason: str
+    rollouts: Float[np.ndarray, "R T 2"]
+    """Predicted object positions, best first."""
+    candidates: Float[np.ndarray, "C 3"]
+    probability: float | None
+    """That a push frees the path, of the best option; None where K decides."""
+
+
+class Note(NamedTuple):
+    """Something that the robot noticed without having done it."""
+
+    t: float
+    text: str
+
+
+class Planned(NamedTuple):
+    """A global path that was taken, or on which a decision rests."""
+
+    t: float
+    points: Float[np.ndarray, "N 2"]
+    """In {W} [m]."""
+
+
+Event = Transition | Decision | Note | Planned
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """Everything about one push, from the choice of a face to the retreat."""
+
+    object: int
+    side: int
+    """Index of the face among ``faces_of``, and after them ``corners_of``."""
+    face: Float[np.ndarray, "4"]
+    goal: Float[np.ndarray, "3"]
+    """Pose in {W} to bring the object to."""
+    way: Path
+    """To the stand-off pose."""
+    approach: ApproachState
+    around: LocalDistanceField
+    contact: ContactState | None = None
+    push: PushState | None = None
+    back: Path | None = None
+    """Away from the object, once the push is over."""
+    reviewed: float = 0.0
+    """Contact time at the last planning stage [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class NavigatorState:
+    """Complete state of the navigator; every step makes a new one."""
+
+    goal: Float[np.ndarray, "2"]
+    """In {W} [m]."""
+    belief: Belief
+    key: Key[Array, ""]
+    mode: Mode = Mode.REPLAN
+    since: float = 0.0
+    """When the mode began [s]."""
+    path: Path | None = None
+    waits_from: float | None = None
+    """Since when no way to the goal has been known [s]."""
+    segment: Segment | None = None
+    drive: drive.DriveState = field(default_factory=drive.init)
+    lean_offset: equilibrium_lean.LeanOffset = field(default_factory=equilibrium_lean.init)
+    last_u: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
+    last_obs: Observation | None = None
+    pending: Pending | None = None
+    events: tuple[Event, ...] = ()
+    """Of the present step."""
+
+    def go(self, now: float, target: Mode, reason: str) -> NavigatorState:
+        """The state in mode ``target``, with the event that says why."""
+        event = Transition(now, self.mode, target, reason)
+        return replace(self, mode=target, since=now, events=(*self.events, event))
+
+    def with_events(self, *events: Event) -> NavigatorState:
+        """The state with more events."""
+        return replace(self, events=(*self.events, *events))
+
+    def known(self) -> KnownObject:
+        """The object that is dealt with."""
+        return self.belief.objects[self.current().object]
+
+    def current(self) -> Segment:
+        """Dealing with an object; only asked in modes that do."""
+        assert self.segment is not None, f"{self.mode} needs an object"
+        return self.segment
+
+    def with_segment(self, **changes: Any) -> NavigatorState:
+        """The state with these fields of the segment changed."""
+        return replace(self, segment=replace(self.current(), **changes))
+
+    def with_object(self, index: int, **changes: Any) -> NavigatorState:
+        """The state with these fields of object ``index`` changed."""
+        return replace(self, belief=self.belief.with_object(index, **changes))
+
+    def failed(self) -> NavigatorState:
+        """The state in which the push has not freed the way: one that has hardly moved the object counts against its
+        side."""
+        known, segment = self.known(), self.current()
+        if segment.push is not None and segment.push.moved(known.pose) > _MOVED:
+            return self
+        return self.with_object(segment.object, failed_faces=(*known.failed_faces, segment.side))
+
+    def given_up(self, index: int) -> NavigatorState:
+        """The state in which object ``index`` is registered as an obstacle."""
+        known, pushes = self.belief.objects[index], self.belief.pushes
+        return self.with_object(index, status=Status.FIXED, registered=known.pose, given_up=pushes)
+
+
+@dataclass(frozen=True, eq=False)
+class Pending:
+    """A decision that is being computed while the robot goes on."""
+
+    due: float
+    """When it will be known [s]."""
+    asked: NavigatorState
+    decided: NavigatorState
+
+
+class Setup(NamedTuple):
+    """Constant parts of a navigator."""
+
+    sizes: Sequence[tuple[float, float]]
+    """Half extents of each object [m]."""
+    controller: Any
+    """The :class:`~shmoo_mjx.control.pushing.PushController`."""
+    config: NavigatorConfig
+    trajectories: Planner
+    first_status: Sequence[Status] | None = None
+    """What each object is taken to be at first sight; UNKNOWN if not given."""
+    kinds: Sequence[str | None] | None = None
+    """What each object looks like: "box", "cart", "wheelchair", or None for none of them, as all are if not given."""
+
+    @property
+    def by_time(self) -> bool:
+        """Whether expected times decide."""
+        return self.config.decides_by == "time"
+
+    def routes(self, state: NavigatorState) -> Routes:
+        """Path queries on the present belief."""
+        if not self.by_time:
+            return Routes(state.belief, state.goal, (Status.UNKNOWN,), 0.0)
+        return Routes(state.belief, state.goal, price=_PRICES[self.config.goes_round])

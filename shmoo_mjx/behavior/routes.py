@@ -1,0 +1,217 @@
+"""Path queries on the belief: to the goal, to an object's face, past an object that is moved."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+
+from shmoo_mjx.arrays import Bool, Float
+from shmoo_mjx.behavior.belief import Belief, KnownObject, Status
+from shmoo_mjx.behavior.skills.approach import CONTACT_GAP
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.faces import stand_off
+from shmoo_mjx.geometry.hands import REACH, TUCKED_REACH
+from shmoo_mjx.planning.clearance import ClearanceField
+from shmoo_mjx.planning.footprints import footprint_polygon, footprints_free
+from shmoo_mjx.planning.paths import Path, path_blocked_by, plan_path
+from shmoo_mjx.planning.scenario import ROBOT_RADIUS
+from shmoo_mjx.plant import outline
+from shmoo_mjx.plant.robot import shmoobot
+
+PACE = 0.45
+"""Speed of walking [m/s]."""
+PUSH = 20.0
+"""What it is taken to cost to push an object aside that has not been looked at yet [s]."""
+SLACK = 0.03
+"""By how much an object may come nearer to the path than the robot's radius before it blocks it [m]."""
+_REACHING_ROOM = (0.06, 0.01)
+"""Distance from walls and other objects that body, arms and hands keep from the stand-off pose to contact [m], where
+there is a way to; and where not."""
+_BACK_ROOM = ROBOT_RADIUS + 0.12
+"""Distance from everything at which a retreat ends where there is such a place [m]."""
+_BACK_ANGLES = np.deg2rad([0, -20, 20, -40, 40, -60, 60])
+"""Directions in which a retreat may lead, from straight away from the object [rad]."""
+_BACK_LENGTHS = np.array([0.2, 0.3, 0.4, 0.55, 0.7])
+"""[m]"""
+_PASSING = 0.3
+"""A pushed object is out of the way once passing it makes the path at most this much longer [m]."""
+_PATH_MARGIN = 0.05
+"""What must be free beside the robot's radius between the path and a pushed object [m]."""
+_WALL_MARGIN = 0.05
+"""What must be free between walls and a pushed object's goal [m]."""
+_OTHER_DETOUR = 1.5
+"""How much longer such a path may be than the present one [m]."""
+_OTHER_PATHS = 12
+"""Goals for which another path is sought when none leaves the path free."""
+
+_ASIDE = (0.0, 0.1, -0.1, 0.2, -0.2)
+"""Places along a face from which contact is sought, one after the other [m]: one hand at least is on it. All but the
+middle only with the wider `_REACHING_ROOM`."""
+_BESIDE_CORNER = (0.0, 0.05, -0.05)
+"""The same for a corner [m]: farther aside one hand is off the object when the other touches it."""
+_BEGINS = (0, 3, 4)
+"""Which of them is sought first: the middle, after a failure one end, after another the other end. Always the middle,
+2 of 5 doorways that a second push opens stay closed, and none of 5 others opens."""
+_WIDER_GAPS = (0.2, 0.3, 0.4)
+"""Distances between hands and face from which contact is sought where a wall leaves no room nearer by [m]."""
+
+
+class Route(NamedTuple):
+    """A way to the goal."""
+
+    path: Path
+    seconds: float
+    """Expected time, that of pushing aside what it leads through included [s]."""
+
+
+@dataclass(frozen=True)
+class Routes:
+    """Path queries. Every ``position`` is the robot's, in {W} [m]."""
+
+    belief: Belief
+    goal: Float[np.ndarray, "2"]
+    """In {W} [m]."""
+    pushed: tuple[Status, ...] = (Status.UNKNOWN, Status.PARKED)
+    """What may be pushed aside; the rest is gone round."""
+    price: float | None = None
+    """Expected time that this takes [s]; None where it is each object's own."""
+
+    def quickest(
+        self, position: Float[np.ndarray, "2"], round_it: Mapping[int, float] | None = None, without: int | None = None
+    ) -> Route | None:
+        """The way to the goal of least expected time, which leads round some objects and through others.
+
+        Paths round more and more of what is in the way are sought, those first that could be the quickest.
+
+        Args:
+            position: of the robot.
+            round_it: what is not to be pushed aside, with the margin to keep from it [m].
+            without: an object that is taken not to be there.
+        """
+        objects, round_it = self.belief.objects, round_it or {}
+        there = {i: o for i, o in objects.items() if i != without}
+        soft = {i: o for i, o in there.items() if o.status in self.pushed and i not in round_it}
+        hard = [o.avoided.buffer(round_it.get(i, 0.0)) for i, o in there.items() if i not in soft]
+        best: Route | None = None
+        waiting, met = [(0.0, 0, frozenset[int]())], 0
+        while waiting and (best is None or waiting[0][0] < best.seconds):
+            _, _, kept_from = heapq.heappop(waiting)
+            path = self.plan(position, [*hard, *(soft[i].avoided for i in kept_from)])
+            if path is None:
+                continue
+            walk, near = path.length / PACE, ROBOT_RADIUS - SLACK
+            through = [i for i in soft.keys() - kept_from if path_blocked_by(path, soft[i].polygon, near)[0]]
+            seconds = walk + sum(self._price(soft[i]) for i in through)
+            best = Route(path, seconds) if best is None or seconds < best.seconds else best
+            for i in through:
+                met += 1
+                if all(kept_from | {i} != other for _, _, other in waiting):
+                    heapq.heappush(waiting, (walk, met, kept_from | {i}))
+        return best
+
+    def _price(self, known: KnownObject) -> float:
+        own = PUSH if known.price is None else known.price
+        return own if self.price is None else self.price
+
+    def path_clear(self, position: Float[np.ndarray, "2"], index: int) -> bool:
+        """Whether the way on passes object ``index`` where it stands, little longer than without it."""
+        through, around = self.quickest(position, without=index), self.quickest(position, {index: _PATH_MARGIN})
+        return through is not None and around is not None and around.seconds < through.seconds + _PASSING / PACE
+
+    def free_path(
+        self, position: Float[np.ndarray, "2"], known: KnownObject, instead: shapely.Polygon | None = None
+    ) -> Path | None:
+        """The way on as if ``known`` were not there, or stood where ``instead`` is."""
+        others = [o.polygon for o in self.belief.objects.values() if o is not known and o.status is not Status.UNKNOWN]
+        return self.plan(position, others if instead is None else [*others, instead])
+
+    def collision_free(
+        self, position: Float[np.ndarray, "2"], known: KnownObject, around: ClearanceField, path: Path | None
+    ) -> Callable[[Float[np.ndarray, "P 3"]], Bool[np.ndarray, "P"]]:
+        """CollisionCheck(M, P, g): the footprint clear of walls, other objects and the path P, as if it were not there.
+
+        Where no pose leaves the path free, poses that leave room for another path, little longer, are taken (a
+        deviation from the paper: the path P was planned before anybody knew where the object would go).
+        """
+        half = np.array(known.half_extents)
+        clearance = ROBOT_RADIUS + _PATH_MARGIN
+
+        def check(poses: Float[np.ndarray, "P 3"]) -> Bool[np.ndarray, "P"]:
+            off_walls = footprints_free(around, poses, half, wall_clearance=_WALL_MARGIN)
+            if path is None or not off_walls.any():
+                return off_walls
+            candidates = np.flatnonzero(off_walls)
+            off_path = np.zeros(len(poses), dtype=bool)
+            off_path[candidates] = footprints_free(around, poses[candidates], half, path.points, clearance)
+            if off_path.any():
+                return off_path
+            nearest = np.argsort(np.linalg.norm(poses[candidates, :2] - known.pose[:2], axis=1))
+            for i in candidates[nearest][:: max(1, len(nearest) // _OTHER_PATHS)]:
+                other = self.free_path(position, known, footprint_polygon(poses[i], half).buffer(_PATH_MARGIN))
+                off_path[i] = other is not None and other.length < path.length + _OTHER_DETOUR
+            return off_path
+
+        return check
+
+    def path_to_face(
+        self,
+        position: Float[np.ndarray, "2"],
+        index: int,
+        face: Float[np.ndarray, "4"],
+        clearance: ClearanceField,
+        failed: int = 0,
+        corner: bool = False,
+    ) -> tuple[Path, float, float] | None:
+        """Way to the nearest stand-off pose at ``face`` of object ``index`` where the robot has room, and that
+        pose's gap and place along the face [m]; None if there is no room or no way. ``clearance`` is that of everything
+        known. Beside the middle of the face only where there is no room at it, or where pushes there have ``failed`` so
+        often: what is jammed against a wall is turned by a push at its end. A ``corner`` is met near its middle."""
+        known, obstacles = self.belief.objects[index], self.belief.polygons()
+        others = self.belief.clearance(without=index)
+        for reserve, lateral, gap in _stand_off_places(failed, corner):
+            wanted = stand_off(known.pose, face, gap, lateral)
+            forward = np.stack([stand_off(known.pose, face, g, lateral) for g in np.linspace(gap, 0.0, 4)])
+            room = outline.room(others.at, forward, (TUCKED_REACH, REACH)).least
+            if float(clearance.at(wanted[:2])) >= ROBOT_RADIUS and float(np.min(room)) >= reserve:
+                path = self._path(position, wanted[:2], obstacles)
+                return None if path is None else (path, gap, lateral)
+        return None
+
+    def plan(self, position: Float[np.ndarray, "2"], obstacles: list[shapely.Polygon]) -> Path | None:
+        """The path to the goal clear of walls and of ``obstacles``."""
+        return self._path(position, self.goal, obstacles)
+
+    def _path(
+        self, start: Float[np.ndarray, "2"], end: Float[np.ndarray, "2"], obstacles: list[shapely.Polygon]
+    ) -> Path | None:
+        radius = ROBOT_RADIUS
+        return plan_path(self.belief.grid, start, end, obstacles, radius, field=self.belief.walls)
+
+    def retreat_path(self, position: Float[np.ndarray, "2"], object_pose: Float[np.ndarray, "3"]) -> Path | None:
+        """A short way aslant to where the robot has room to turn and to fold its arms, away from an object that it
+        touches; None if straight back will do, or if there is none near by."""
+        away = np.arctan2(*(position - object_pose[:2])[::-1])
+        angles, lengths = (grid.ravel() for grid in np.meshgrid(away + _BACK_ANGLES, _BACK_LENGTHS, indexing="ij"))
+        ends = position + lengths[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+        room = np.asarray(self.belief.clearance().at(ends))
+        # The shortest with room, straight back before aslant; where none has room, the one with most.
+        cost = lengths + 0.15 * np.abs(se2.wrap(angles - away)) + 5.0 * np.maximum(_BACK_ROOM - room, 0.0)
+        best = int(np.argmin(cost))
+        if room[best] < shmoobot().radius or best == 0:
+            return None
+        return Path(np.stack([position, ends[best]]), float(lengths[best]))
+
+
+def _stand_off_places(failed: int, corner: bool) -> Iterator[tuple[float, float, float]]:
+    """Room to keep, place along the face and gap from which contact is sought [m], in the order in which they are."""
+    gaps, (roomy, tight), first = (CONTACT_GAP, *_WIDER_GAPS), _REACHING_ROOM, _BEGINS[failed % len(_BEGINS)]
+    if corner:
+        return itertools.product((roomy, tight), _BESIDE_CORNER, gaps)
+    aside = (*_ASIDE[first:], *_ASIDE[:first])
+    return itertools.chain(itertools.product((roomy,), aside, gaps), itertools.product((tight,), (0.0,), gaps))

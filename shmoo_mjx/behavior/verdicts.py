@@ -1,0 +1,79 @@
+"""Decisions during a push: is it over, lost or stuck, and does something else take less time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shmoo_mjx.behavior import decide, paper
+from shmoo_mjx.behavior.belief import Status
+from shmoo_mjx.behavior.interaction import is_over, rolled
+from shmoo_mjx.behavior.records import Decision, Mode, NavigatorState, Setup
+from shmoo_mjx.planning.reach import foresight_of
+from shmoo_mjx.types import DT, Observation
+
+PROBE_TIME = 1.0
+"""Contact time before the first decision and between two [s], the first as in the paper."""
+_STALLED = 0.05
+"""An object that moved less than this in the time that a push is given has stalled [m]."""
+_CLEAR_EVERY = 5
+"""Samples between two looks whether a pushed object has left the path free: each plans two paths."""
+_ROUND_MARGIN = 0.10
+"""What a way round keeps from the object beside the robot's radius [m]: letting go moves it a little."""
+
+
+def judge(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState:
+    """End a push that is over, stuck or lost, as far as that takes no planning to see."""
+    now, push, index = float(obs.time[0]), state.current().push, state.current().object
+    over = is_over(state, now)
+    if over:
+        return state.failed().go(now, Mode.RETREAT, over)
+    assert push is not None
+    travelled = push.travelled(decide.GIVES_UP)
+    if travelled is not None and travelled < _STALLED:
+        why = f"object {index} moved less than {_STALLED:g} m in {decide.GIVES_UP:g} s"
+        return state.failed().go(now, Mode.RETREAT, why) if setup.by_time else paper.immovable(state, now, why)
+    return state if setup.by_time else paper.arrived(state, now)
+
+
+def review(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState | None:
+    """Look whether the path is clear, or decide again, where either is due."""
+    now, segment = float(obs.time[0]), state.current()
+    push, known, routes = segment.push, state.known(), setup.routes(state)
+    assert push is not None
+    looks = (state.mode is Mode.PUSH or rolled(push, known.pose)) and round(now / DT) % _CLEAR_EVERY == 0
+    if looks and routes.path_clear(obs.robot_pose[0, :2], segment.object):
+        state = state.with_object(segment.object, status=Status.PARKED)
+        return state.go(now, Mode.RETREAT, f"object {segment.object} no longer blocks the path")
+    if push.contact_time < segment.reviewed + PROBE_TIME:
+        return None
+    state = state.with_segment(reviewed=push.contact_time)
+    return _think_again(setup, state, obs) if setup.by_time else paper.planning(setup, state, obs)
+
+
+def _think_again(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState:
+    """Go on with this push, or leave it where the way round takes less time on average."""
+    now, segment, known = float(obs.time[0]), state.current(), state.known()
+    index, routes, position = segment.object, setup.routes(state), obs.robot_pose[0, :2]
+    through = routes.quickest(position, without=index)
+    if through is None:
+        return state
+    field, side = state.belief.clearance(without=index), segment.side
+    found = decide.pushes(
+        foresight_of(setup.controller), known, through.path, field, [side], {side: segment.goal}, round(now / DT)
+    )
+    never = setup.config.goes_round == "never"
+    detour = None if never else routes.quickest(position, {index: _ROUND_MARGIN})
+    # Without a way round what follows a failure is another push, at what that was taken to cost.
+    again = through.seconds + (decide.BLOCKED if known.price is None else known.price)
+    around = decide.AWAY + (again if detour is None else detour.seconds)
+    (here,) = decide.weigh(found, {side: 0.0}, known.failed_faces, through.seconds, around)
+    told = decide.told((here,), None if detour is None else around)
+    moves = here.probability >= 0.5
+    state = state.with_object(index, manipulable=moves).with_events(
+        Decision(now, index, np.nan, np.nan, moves, here.goal, told, here.ends, here.goal[None], here.probability)
+    )
+    if detour is not None and around < here.seconds:
+        return state.failed().go(now, Mode.RETREAT, f"object {index}: {told}")
+    if np.isfinite(here.free).any():
+        state = state.with_segment(goal=here.goal)
+    return state.go(now, Mode.PUSH, f"object {index}: {told}") if state.mode is Mode.PROBE else state

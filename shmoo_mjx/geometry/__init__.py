@@ -1,0 +1,1 @@
+"""Poses in the plane, faces of objects, places of the hands."""

@@ -1,1 +1,0 @@
-"""Maps, paths and trajectories, the object planner, and the navigator."""

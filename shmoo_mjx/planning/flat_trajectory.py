@@ -1,0 +1,191 @@
+"""Local trajectories that a ball-balancing robot can follow, by differential flatness and one QP.
+
+Here the path becomes the reference and the corridor of the quadratic program in ``flat_qp``, and its solution a
+trajectory that has been checked and can be evaluated.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.interpolate import BSpline
+
+from shmoo_mjx.arrays import Array, Float, Scalar
+from shmoo_mjx.planning.clearance import ClearanceField
+from shmoo_mjx.planning.flat_model import FlatModel
+from shmoo_mjx.planning.flat_qp import DEGREE, LEAN_RECOVERY, SAMPLES, Planner, basis_splines, solve
+from shmoo_mjx.planning.paths import Path, point_at, project, tangent_at
+
+_CORRIDOR = (0.04, 0.50)
+"""Half width that the corridor is given where there is none, and at which it is cut off [m]: some is needed for the
+program to have a solution, and a wide one would let the robot cut its corners."""
+_NARROW = 0.20
+"""Half width of the corridor below which the reference slows down in proportion, at most to a third [m]: three times
+what the robot strays."""
+_STRAY = 0.06
+"""How far the robot strays from its trajectory, measured in the 95th percentile [m]: the corridor keeps off walls by as
+much where it can."""
+_GENTLE_LEAN = 0.02
+"""Lean within which it leaves what it stands near to, where more is refused [rad]: the ball then rolls towards that by
+1 cm, at 0.10 rad by 2 to 3 cm."""
+_NEAR = 0.03
+"""Room beyond the radius within which that is tried [m]."""
+
+
+class Trajectory(NamedTuple):
+    """A solution, or why there is none."""
+
+    ok: bool
+    reason: str
+    """Empty if ok, else one sentence."""
+    control_points: Float[np.ndarray, "n 2"]
+    """Of S in {W} [m]."""
+    horizon: float
+    """[s]"""
+    model: FlatModel
+    reference: Float[np.ndarray, "K 2"]
+    """Points of the path that were tracked, {W} [m]."""
+    reaches_end: bool
+    """Does the trajectory end at the path's end."""
+    recovery: bool = False
+    """Were the limits on lean and speed relaxed because the robot was beyond them, say after a push."""
+
+
+class TrajectorySample(NamedTuple):
+    """The trajectory at some times, in {W}."""
+
+    position: Float[np.ndarray, "... 2"]
+    """Of the ball [m]."""
+    velocity: Float[np.ndarray, "... 2"]
+    """Of the ball [m/s]."""
+    acceleration: Float[np.ndarray, "... 2"]
+    """Of the ball [m/s^2]."""
+    lean: Float[np.ndarray, "... 2"]
+    """Lean towards +x and +y that goes with it: the feed-forward [rad]."""
+    lean_rate: Float[np.ndarray, "... 2"]
+    """[rad/s]"""
+
+
+def plan(planner: Planner, state: Float[Array, "4 2"], path: Path, field: ClearanceField | None = None) -> Trajectory:
+    """The smoothest trajectory that follows the path within the limits, at rest at the end of the horizon.
+
+    Args:
+        planner: from ``init``.
+        state: flat state in {W}, see ``FlatModel.flat_state``.
+        path: the global path; the part behind the robot is skipped.
+        field: distance to walls and obstacles, which makes the corridor; None for open floor.
+
+    Returns:
+        The trajectory; ``ok`` is False, with the reason, where limits and state contradict each other or the robot
+        would come nearer to a wall than its radius and, where the path has room, what it may stray (and nearer than it
+        is now). From a state that can't keep the limits, a ``recovery`` may lean up to LEAN_RECOVERY and exceed
+        ``speed_max`` as little as possible.
+    """
+    state = np.asarray(state, dtype=float)
+    cfg = planner.cfg
+    if not np.isfinite(state).all():
+        return _failed(planner, "the robot's state is not finite", np.zeros((SAMPLES, 2)))
+    reference, width, at_end = _reference(planner, state, path, field)
+
+    def attempt(lean_max: float = cfg.lean_max, recovery: bool = False) -> Trajectory | None:
+        limited = planner._replace(cfg=replace(cfg, lean_max=lean_max))
+        solution = solve(limited, state, reference, width, at_end, recovery)
+        if solution is None:
+            return None
+        found = Trajectory(True, "", solution[0], cfg.horizon, planner.model, reference, at_end, recovery)
+        reason = _leans_too_far(found, planner)
+        return found._replace(ok=not reason, reason=reason)
+
+    found = attempt() or attempt(recovery=True)
+    if found is None:
+        speed, lean = np.linalg.norm(state[1]), np.linalg.norm(state[2]) * planner.model.a / planner.model.c
+        text = f"no trajectory keeps the limits from a speed of {speed:.2f} m/s and a lean of {lean:.3f} rad"
+        return _failed(planner, text, reference)
+    if field is None or not found.ok or not (reason := _too_near(found, planner, field)):
+        return found
+    if float(field.at(evaluate(found, 0.0).position)) < cfg.robot_radius + _NEAR:
+        # To lean away from what it stands near to, its ball first rolls towards that: less far if it leans less.
+        gentle = attempt(_GENTLE_LEAN)
+        if gentle is not None and gentle.ok and not _too_near(gentle, planner, field):
+            return gentle
+    return found._replace(ok=False, reason=reason)
+
+
+def evaluate(trajectory: Trajectory, t: Scalar | Float[Array, "..."]) -> TrajectorySample:
+    """The trajectory ``t`` s after its start; at rest at its end from the horizon on."""
+    t = np.asarray(t, dtype=float)
+    after = (t > trajectory.horizon)[..., None]
+    intervals = len(trajectory.control_points) - DEGREE
+    within, points = np.clip(t, 0.0, trajectory.horizon), trajectory.control_points
+    s = [
+        BSpline.construct_fast(basis.t, basis.c @ points, basis.k)(within)
+        for basis in basis_splines(intervals, trajectory.horizon)
+    ]
+    a, b, c = trajectory.model
+    lag, tilt = b / c, a / c
+    return TrajectorySample(
+        position=s[0] - lag * s[2],
+        velocity=np.where(after, 0.0, s[1] - lag * s[3]),
+        acceleration=np.where(after, 0.0, s[2] - lag * s[4]),
+        lean=np.where(after, 0.0, tilt * s[2]),
+        lean_rate=np.where(after, 0.0, tilt * s[3]),
+    )
+
+
+def _reference(
+    planner: Planner, state: Float[np.ndarray, "4 2"], path: Path, field: ClearanceField | None
+) -> tuple[Float[np.ndarray, "K 2"], Float[np.ndarray, "K"], bool]:
+    """Points of the path to be at, half width of the corridor there, and is the end reached."""
+    cfg, lag = planner.cfg, planner.model.b / planner.model.c
+    here = state[0] - lag * state[2]
+    s = project(path, here)
+    v = max(0.0, float((state[1] - lag * state[3]) @ tangent_at(path, s)))
+    ahead = np.linspace(s, min(s + cfg.speed_max * cfg.horizon, path.length), 40)
+    half_width = np.full(40, _CORRIDOR[1])
+    if field is not None:
+        room = field.at(point_at(path, ahead)) - cfg.robot_radius - _STRAY
+        half_width = np.clip(room, _CORRIDOR[0], _CORRIDOR[1])
+    step = cfg.horizon / SAMPLES
+    along, a = [], cfg.acceleration
+    for t in planner.times:
+        slow = np.clip(np.interp(s, ahead, half_width) / _NARROW, 1 / 3, 1.0)
+        stop_at_end = np.sqrt(2 * a * max(path.length - s, 0.0))
+        v = max(0.0, min(v + a * step, cfg.speed * slow, stop_at_end, a * (cfg.horizon - t)))
+        s = min(s + v * step, path.length)
+        along.append(s)
+    return point_at(path, np.array(along)), np.interp(along, ahead, half_width), bool(path.length - s < 0.02)
+
+
+def _leans_too_far(trajectory: Trajectory, planner: Planner) -> str:
+    """Why the trajectory can't be leant into, or nothing: the limits hold at samples, this looks between them."""
+    cfg = planner.cfg
+    lean = np.linalg.norm(evaluate(trajectory, np.linspace(0.0, trajectory.horizon, 120)).lean, axis=1)
+    allowed = 1.05 * (LEAN_RECOVERY if trajectory.recovery else cfg.lean_max)
+    if lean.max() > max(allowed, float(lean[0])):
+        return f"the trajectory would have to lean by {lean.max():.2f} rad, more than {allowed:.2f} rad"
+    return ""
+
+
+def _too_near(trajectory: Trajectory, planner: Planner, field: ClearanceField) -> str:
+    """Why the trajectory must not be driven, or nothing."""
+    times = np.linspace(0.0, trajectory.horizon, 120)
+    distance = field.at(evaluate(trajectory, times).position)
+    # The radius, and what it may stray as well where the path has room for it: a turn at speed leaves the corridor,
+    # which has some width everywhere. Who stands too near may not come nearer. Half a cell is uncertain in the field.
+    radius, here = planner.cfg.robot_radius, float(distance[0])
+    beside_path = float(np.min(field.at(trajectory.reference))) - _CORRIDOR[0]
+    allowed = min(float(np.clip(beside_path, radius, radius + _STRAY)), here) - 0.5 * float(field.resolution)
+    worst = int(np.argmin(distance))
+    if distance[worst] >= allowed:
+        return ""
+    return (
+        f"the trajectory would come within {distance[worst]:.2f} m of an obstacle after {times[worst]:.1f} s, "
+        f"where {allowed:.2f} m are needed"
+    )
+
+
+def _failed(planner: Planner, reason: str, reference: Float[np.ndarray, "K 2"]) -> Trajectory:
+    points = np.zeros((planner.position.shape[1], 2))
+    return Trajectory(False, reason, points, planner.cfg.horizon, planner.model, reference, False)

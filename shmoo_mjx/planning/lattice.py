@@ -1,0 +1,182 @@
+"""Sparse lattice for path search: one point in each block of cells of the map, straight lines between them.
+
+A map of 0.05 m cells has sixteen times as many cells as blocks of 0.2 m. Each point is the cell of its block that is
+cheapest to stand on, so that narrow passages keep their points; lines cost what they cost on the clearance field, and
+SciPy's Dijkstra finds the ways.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+from scipy import sparse
+from scipy.sparse.csgraph import dijkstra
+
+from shmoo_mjx.arrays import Bool, Float, Int
+from shmoo_mjx.planning.clearance import ClearanceField
+from shmoo_mjx.planning.footprints import window_near
+from shmoo_mjx.planning.line_costs import PathConfig, line_costs, metre_cost
+
+_SPACING = 0.30
+"""Largest distance between the points of the lattice on which a way is sought [m]; at least a cell."""
+_POINTS = 5000
+"""Number of points up to which they lie closer; more are slower to search."""
+_HALF = ((0, 1), (1, 0), (1, 1), (1, -1))
+"""Blocks (rows, columns) on to which a line leads; the other four are the same lines backwards."""
+_TIGHT = 2.0
+"""A line nearer to something than the radius, by half a cell at most, is that much dearer."""
+
+
+class Lattice(NamedTuple):
+    """The graph for one field, one radius and one configuration; N points, E directed lines."""
+
+    cells: Int[np.ndarray, "N 2"]
+    """(row, column) of the points."""
+    number: Int[np.ndarray, "BH BW"]
+    """The point in each block, or -1."""
+    side: int
+    """Cells along a block."""
+    graph: sparse.csr_matrix
+    """``[N, N]`` cost of the lines [m, near-wall metres counted more], infinite where something is in the way."""
+
+
+def build(field: ClearanceField, radius: float, cfg: PathConfig) -> Lattice:
+    """The lattice of a field for a disc of ``radius`` [m]."""
+    side = _side(field, radius)
+    blocks = tuple(-(-n // side) for n in np.shape(field.values))
+    found, cells = _points(field, (slice(0, blocks[0]), slice(0, blocks[1])), side, radius, cfg)
+    number = np.where(found, np.cumsum(found).reshape(found.shape) - 1, -1)
+    cells = cells[found]
+    starts, ends = _neighbours(number)
+    cost = _line_costs(cells[starts], cells[ends], field, radius, cfg)
+    pairs = (np.concatenate([starts, ends]), np.concatenate([ends, starts]))
+    order = np.lexsort(pairs[::-1])
+    counts = np.bincount(pairs[0], minlength=len(cells))
+    graph = sparse.csr_matrix(
+        (np.tile(cost, 2)[order], pairs[1][order], np.concatenate([[0], np.cumsum(counts)])),
+        shape=(len(cells), len(cells)),
+    )
+    return Lattice(cells, number, side, graph)
+
+
+def _side(field: ClearanceField, radius: float) -> int:
+    """Cells along a block: few on a small map, where many points cost little, up to _SPACING on a large one."""
+    usable = int(np.count_nonzero(np.asarray(field.values) >= radius))
+    wanted = int(np.ceil(np.sqrt(usable / _POINTS)))
+    return max(1, min(wanted, round(_SPACING / float(field.resolution))))
+
+
+def with_obstacles(
+    lattice: Lattice,
+    field: ClearanceField,
+    polygons: Sequence[shapely.Polygon],
+    radius: float,
+    cfg: PathConfig,
+) -> tuple[Lattice, Bool[np.ndarray, "N"]]:
+    """The lattice for ``field``, which is the lattice's own with the polygons added.
+
+    Returns:
+        The lattice, and the points at which something is different.
+    """
+    cells, data = lattice.cells.copy(), lattice.graph.data.copy()
+    touched = np.zeros(len(cells), dtype=bool)
+    for polygon in polygons:
+        blocks = _blocks_near(lattice, field, polygon, radius + cfg.soft_clearance)
+        number = lattice.number[blocks]
+        chosen = _points(field, blocks, lattice.side, radius, cfg)[1]
+        cells[number[number >= 0]] = chosen[number >= 0]
+        touched[number[number >= 0]] = True
+    graph = lattice.graph
+    edges = np.flatnonzero(np.repeat(touched, np.diff(graph.indptr)))
+    starts = np.searchsorted(graph.indptr, edges, side="right") - 1
+    data[edges] = _line_costs(cells[starts], cells[graph.indices[edges]], field, radius, cfg)
+    changed = np.zeros(len(cells), dtype=bool)
+    changed[starts[~np.isclose(data[edges], graph.data[edges], rtol=1e-9)]] = True
+    graph = sparse.csr_matrix((data, graph.indices, graph.indptr), shape=graph.shape)
+    return Lattice(cells, lattice.number, lattice.side, graph), changed
+
+
+def costs_from(lattice: Lattice, point: int) -> tuple[Float[np.ndarray, "N"], Int[np.ndarray, "N"]]:
+    """Cost of the cheapest way between each point and this one, and the next point on it (or < 0)."""
+    return dijkstra(lattice.graph, indices=point, return_predecessors=True)
+
+
+def nodes_in(lattice: Lattice, window: tuple[slice, slice]) -> Int[np.ndarray, "M"]:
+    """Numbers of the points in a window of cells."""
+    side = lattice.side
+    blocks = tuple(slice(part.start // side, -(-part.stop // side)) for part in window)
+    number = lattice.number[blocks]
+    number = number[number >= 0]
+    low, high = (np.array([getattr(part, end) for part in window]) for end in ("start", "stop"))
+    cells = lattice.cells[number]
+    return number[((cells >= low) & (cells < high)).all(axis=1)]
+
+
+def _points(
+    field: ClearanceField, blocks: tuple[slice, slice], side: int, radius: float, cfg: PathConfig
+) -> tuple[Bool[np.ndarray, "h w"], Int[np.ndarray, "h w 2"]]:
+    """Which blocks have a point, and the cells (row, column) of the points."""
+    values = np.asarray(field.values)[tuple(slice(b.start * side, b.stop * side) for b in blocks)]
+    h, w = (b.stop - b.start for b in blocks)
+    padded = np.zeros((h * side, w * side))
+    padded[: values.shape[0], : values.shape[1]] = values
+    inner = padded.reshape(h, side, w, side).swapaxes(1, 2).reshape(h, w, side * side)
+    offset = np.stack(np.divmod(np.arange(side * side), side), axis=-1)
+    from_middle = np.hypot(*(offset - (side - 1) / 2).T) / side
+    # Where all of a block costs the same its middle is taken; ways over evenly spaced points are the straightest.
+    score = np.where(inner >= radius, metre_cost(inner, radius, cfg) + 0.5 * from_middle, np.inf)
+    best = score.argmin(axis=-1)
+    corner = np.stack(np.meshgrid(*(np.arange(b.start, b.stop) * side for b in blocks), indexing="ij"), axis=-1)
+    return np.isfinite(score.min(axis=-1)), corner + offset[best]
+
+
+def _neighbours(number: Int[np.ndarray, "BH BW"]) -> tuple[Int[np.ndarray, "P"], Int[np.ndarray, "P"]]:
+    """Pairs of points in neighbouring blocks, each pair once."""
+    height, width = number.shape
+    pairs = []
+    for rows, cols in _HALF:
+        here = number[: height - rows, max(0, -cols) : width - max(0, cols)]
+        there = number[rows:, max(0, cols) : width + min(0, cols)]
+        both = (here >= 0) & (there >= 0)
+        pairs.append((here[both], there[both]))
+    starts, ends = (np.concatenate(part) for part in zip(*pairs, strict=True))
+    return starts, ends
+
+
+def _line_costs(
+    starts: Int[np.ndarray, "M 2"], ends: Int[np.ndarray, "M 2"], field: ClearanceField, radius: float, cfg: PathConfig
+) -> Float[np.ndarray, "M"]:
+    """Cost [m] of lines between cells, infinite where there is no way."""
+    if not len(starts):
+        return np.zeros(0)
+    lowest, cost = line_costs(starts.astype(float), ends.astype(float), field, radius, cfg)
+    tight = is_tight(starts, ends, lowest, radius)
+    cost[tight] *= _TIGHT
+    # Between cell centres that are far enough the look-up may read up to half a cell less.
+    cost[tight & (lowest < radius - 0.5 * float(field.resolution))] = np.inf
+    values = np.asarray(field.values)
+    cost[np.minimum(values[tuple(starts.T)], values[tuple(ends.T)]) < radius] = np.inf
+    return cost
+
+
+def is_tight(
+    starts: Int[np.ndarray, "M 2"], ends: Int[np.ndarray, "M 2"], lowest: Float[np.ndarray, "M"], radius: float
+) -> Bool[np.ndarray, "M"]:
+    """Lines between cells that come nearer than the radius; neighbouring cells count as connected."""
+    return (lowest < radius - 1e-9) & (np.abs(ends - starts).max(axis=1) > 1)
+
+
+def _blocks_near(
+    lattice: Lattice, field: ClearanceField, polygon: shapely.Polygon, reach: float
+) -> tuple[slice, slice]:
+    """Blocks whose points or lines can be different because of a polygon, and their neighbours."""
+    side, shape = lattice.side, lattice.number.shape
+    cells = window_near(field, polygon, reach)
+    rows, cols = (
+        slice(min(max(part.start // side - 1, 0), n), min(-(-part.stop // side) + 1, n))
+        for part, n in zip(cells, shape, strict=True)
+    )
+    return rows, cols

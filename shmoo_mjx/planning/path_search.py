@@ -1,0 +1,259 @@
+"""Path search through a clearance field: on a lattice where it is wide, cell by cell where it has to be.
+
+The ends of a way, where a robot may stand too near to something, are searched cell by cell in a small window, the part
+between them on the lattice. Where the lattice knows no way that surely keeps the radius, all cells are searched, so a
+way is found exactly if the cells have one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+from scipy.ndimage import label
+from skimage.graph import MCP_Geometric
+
+from shmoo_mjx.arrays import Array, Bool, Float, Int
+from shmoo_mjx.planning import lattice as lattices
+from shmoo_mjx.planning.clearance import ClearanceField
+from shmoo_mjx.planning.lattice import Lattice
+from shmoo_mjx.planning.line_costs import PathConfig, line_costs, metre_cost
+
+_ESCAPE_RADIUS = 0.35
+"""Distance from a start nearer to a wall than the radius allows within which cells that are no nearer may be used [m]:
+the robot's radius and a reserve."""
+_KEPT = 8
+"""So many trees of ways to a goal are remembered for each lattice."""
+
+
+class _Query(NamedTuple):
+    """A query."""
+
+    field: ClearanceField
+    """Distance to walls and obstacles."""
+    start: Float[np.ndarray, "2"]
+    """In {W} [m]."""
+    goal: Float[np.ndarray, "2"]
+    radius: float
+    cfg: PathConfig
+
+    def cell(self, point: Float[np.ndarray, "2"]) -> tuple[int, int]:
+        """(row, column) of the cell that holds the point."""
+        row, col = np.floor(self.field.to_cells(point) + 0.5).astype(int)
+        return int(row), int(col)
+
+
+class _Known(NamedTuple):
+    """What queries about the same walls share."""
+
+    lattice: Lattice
+    trees: dict[int, tuple[Float[np.ndarray, "N"], Int[np.ndarray, "N"]]]
+    """By point of the lattice: the ways to it past walls alone, of the last few goals."""
+
+    def tree(self, root: int) -> tuple[Float[np.ndarray, "N"], Int[np.ndarray, "N"]]:
+        """``costs_from`` the point ``root``."""
+        if root not in self.trees:
+            while len(self.trees) >= _KEPT:
+                del self.trees[next(iter(self.trees))]
+            self.trees[root] = lattices.costs_from(self.lattice, root)
+        return self.trees[root]
+
+
+class _Window(NamedTuple):
+    """Cell by cell ways from one end to the cells round it."""
+
+    parts: tuple[slice, slice]
+    search: MCP_Geometric
+    cost: Float[np.ndarray, "h w"]
+    """[m, near-wall metres counted more]."""
+
+    @property
+    def corner(self) -> Int[np.ndarray, "2"]:
+        return np.array([part.start for part in self.parts])
+
+    def costs_at(self, cells: Int[np.ndarray, "M 2"]) -> Float[np.ndarray, "M"]:
+        """Cost of the cheapest way to ``cells`` of the window."""
+        rows, cols = (cells - self.corner).T
+        return self.cost[rows, cols]
+
+    def way_to(self, cell: Int[np.ndarray, "2"]) -> Int[np.ndarray, "K 2"]:
+        """Cells of that way, from the end outwards."""
+        return np.array(self.search.traceback(tuple(np.asarray(cell) - self.corner))) + self.corner
+
+
+def cell_costs(values: Float[Array, "H W"], radius: float, cfg: PathConfig) -> Float[np.ndarray, "H W"]:
+    """Cost of each cell per metre, by the ``values`` [m] of a clearance field; -1 where the disc can't be."""
+    values = np.asarray(values)
+    return np.where(values >= radius, metre_cost(values, radius, cfg), -1.0)
+
+
+def find_way(
+    walls: ClearanceField,
+    field: ClearanceField,
+    obstacles: Sequence[shapely.Polygon],
+    start: Float[np.ndarray, "2"],
+    goal: Float[np.ndarray, "2"],
+    radius: float,
+    cfg: PathConfig,
+) -> Int[np.ndarray, "N 2"] | None:
+    """The cheapest way, or nearly, of a disc from start to goal as cells, or None if there is none.
+
+    Args:
+        walls: distance to walls; what is derived from it is kept in its ``memo``.
+        field: the same with the obstacles.
+        obstacles: footprints in {W}.
+        start: in {W} [m], on the map.
+        goal: in {W} [m], on the map.
+        radius: of the disc [m].
+        cfg: see ``PathConfig``.
+
+    Returns:
+        (row, column); neighbours are neighbouring cells, or points of the lattice with a clear line between.
+    """
+    task = _Query(field, start, goal, radius, cfg)
+    known = _known(walls, radius, cfg)
+    near_start, near_goal = (_window(task, end, known.lattice.side) for end in (start, goal))
+    if near_start is None or near_goal is None:
+        return None
+    found = _on_lattice(task, known, obstacles, near_start, near_goal)
+    return _cell_by_cell(task) if found is None else found
+
+
+def _known(walls: ClearanceField, radius: float, cfg: PathConfig) -> _Known:
+    key = ("ways", radius, cfg)
+    if not walls.constant or key not in walls.memo:
+        known = _Known(lattices.build(walls, radius, cfg), {})
+        if not walls.constant:
+            return known
+        walls.memo[key] = known
+    return walls.memo[key]
+
+
+def _window(task: _Query, end: Float[np.ndarray, "2"], side: int) -> _Window | None:
+    """Ways from an end of the query to all cells near it; None if the disc can't be there."""
+    cell, resolution = task.cell(end), float(task.field.resolution)
+    half = max(int(np.ceil(_ESCAPE_RADIUS / resolution)), 2 * side) + 2
+    shape = np.shape(task.field.values)
+    rows, cols = (slice(max(c - half, 0), min(c + half + 1, n)) for c, n in zip(cell, shape, strict=True))
+    parts = (rows, cols)
+    costs = _opened_costs(task, parts)
+    local = tuple(c - part.start for c, part in zip(cell, parts, strict=True))
+    if costs[local] < 0:
+        return None
+    search = MCP_Geometric(costs)
+    total, _ = search.find_costs([local])
+    return _Window(parts, search, total * resolution)
+
+
+def _opened_costs(task: _Query, parts: tuple[slice, slice]) -> Float[np.ndarray, "h w"]:
+    """The costs of some cells, with those added that the robot may use because of where it starts or ends."""
+    field, radius, cfg = task.field, task.radius, task.cfg
+    resolution = float(field.resolution)
+    values = np.asarray(field.values)[parts]
+    costs = cell_costs(values, radius, cfg)
+    last = tuple(c - part.start for c, part in zip(task.cell(task.goal), parts, strict=True))
+    inside = all(0 <= c < n for c, n in zip(last, costs.shape, strict=True))
+    if inside and costs[last] < 0 and float(field.at(task.goal)) >= radius:
+        costs[last] = 1.0 + cfg.soft_weight  # the point is far enough though its cell's centre is not
+    here = float(field.at(task.start))
+    if here >= radius + resolution:
+        return costs
+    # A robot that stands too near to something must get out, but not squeeze through where it is narrower still.
+    rows, cols = np.mgrid[parts]
+    row, col = field.to_cells(task.start)
+    near = np.hypot(rows - row, cols - col) * resolution <= _ESCAPE_RADIUS + resolution
+    usable = near & (values > 0) & (values >= min(here, radius) - 0.5 * resolution)
+    return np.where(usable & (costs < 0), 10.0 * (1.0 + cfg.soft_weight), costs)
+
+
+def _on_lattice(
+    task: _Query, known: _Known, obstacles: Sequence[shapely.Polygon], near_start: _Window, near_goal: _Window
+) -> Int[np.ndarray, "K 2"] | None:
+    """Cells of the cheapest way over the lattice; None if none surely keeps the radius."""
+    lattice, changed = known.lattice, np.zeros(len(known.lattice.cells), dtype=bool)
+    if obstacles:
+        lattice, changed = lattices.with_obstacles(lattice, task.field, obstacles, task.radius, task.cfg)
+    entries, exits = (_entries(lattice, window) for window in (near_start, near_goal))
+    direct_cost, direct = _direct(task, near_start)
+    if not len(entries[0]) or not len(exits[0]):
+        return direct
+    root = int(exits[0][np.argmin(exits[1])])
+    cost, route = _route(known, lattice, changed, entries, root)
+    if direct_cost <= cost + exits[1].min():
+        return direct
+    if len(route) == 0 or _is_tight(task, lattice.cells[route]):
+        return None
+    first, last = lattice.cells[route[0]], lattice.cells[route[-1]]
+    return np.concatenate([near_start.way_to(first)[:-1], lattice.cells[route], near_goal.way_to(last)[-2::-1]])
+
+
+def _entries(lattice: Lattice, window: _Window) -> tuple[Int[np.ndarray, "M"], Float[np.ndarray, "M"]]:
+    """Points of the lattice that can be reached in a window, and at which cost."""
+    numbers = lattices.nodes_in(lattice, window.parts)
+    cost = window.costs_at(lattice.cells[numbers])
+    return numbers[np.isfinite(cost)], cost[np.isfinite(cost)]
+
+
+def _direct(task: _Query, near_start: _Window) -> tuple[float, Int[np.ndarray, "K 2"] | None]:
+    """Cost of the way that stays in the start's window, and its cells; infinite and None if there is none."""
+    last = np.array(task.cell(task.goal))
+    inside = ((last >= near_start.corner) & (last < near_start.corner + near_start.cost.shape)).all()
+    cost = float(near_start.costs_at(last[None])[0]) if inside else np.inf
+    return cost, near_start.way_to(last) if np.isfinite(cost) else None
+
+
+def _route(
+    known: _Known,
+    lattice: Lattice,
+    changed: Bool[np.ndarray, "N"],
+    entries: tuple[Int[np.ndarray, "M"], Float[np.ndarray, "M"]],
+    root: int,
+) -> tuple[float, Int[np.ndarray, "K"]]:
+    """Cost [m] of the cheapest way from the start over a point it can reach to ``root``, and its points."""
+    if not changed.any():
+        return _follow(known.tree(root), entries)
+    if root in known.trees:
+        cost, route = _follow(known.trees[root], entries)
+        if len(route) and not changed[route].any():
+            # Obstacles only ever make lines dearer: a way that they leave as it was is still the cheapest.
+            return cost, route
+    return _follow(lattices.costs_from(lattice, root), entries)
+
+
+def _follow(
+    tree: tuple[Float[np.ndarray, "N"], Int[np.ndarray, "N"]],
+    entries: tuple[Int[np.ndarray, "M"], Float[np.ndarray, "M"]],
+) -> tuple[float, Int[np.ndarray, "K"]]:
+    total, following = tree
+    cost = entries[1] + total[entries[0]]
+    best = int(np.argmin(cost))
+    if not np.isfinite(cost[best]):
+        return np.inf, np.empty(0, dtype=int)
+    route = [int(entries[0][best])]
+    while following[route[-1]] >= 0:
+        route.append(int(following[route[-1]]))
+    return float(cost[best]), np.array(route)
+
+
+def _is_tight(task: _Query, cells: Int[np.ndarray, "K 2"]) -> bool:
+    """Whether some line of a route comes nearer to something than the radius, by half a cell at most."""
+    if len(cells) < 2:
+        return False
+    starts, ends = cells[:-1], cells[1:]
+    lowest, _ = line_costs(starts.astype(float), ends.astype(float), task.field, task.radius, task.cfg)
+    return bool(lattices.is_tight(starts, ends, lowest, task.radius).any())
+
+
+def _cell_by_cell(task: _Query) -> Int[np.ndarray, "K 2"] | None:
+    """The cheapest way over all cells of the map."""
+    height, width = np.shape(task.field.values)
+    costs = _opened_costs(task, (slice(0, height), slice(0, width)))
+    first, last = task.cell(task.start), task.cell(task.goal)
+    connected, _ = label(costs > 0, np.ones((3, 3)))
+    if connected[first] != connected[last]:
+        return None
+    search = MCP_Geometric(costs)
+    search.find_costs([first], [last])
+    return np.array(search.traceback(last))

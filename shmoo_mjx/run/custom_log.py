@@ -1,0 +1,363 @@
+"""A recording of somebody's own robot, as a run that the report draws: what is learned of the object, and verdicts.
+
+The estimate is that of the robot, sample by sample, so it uses no later samples. Only twists use later poses: a
+parabola is fitted to the poses of 0.15 s before and after. After each push, roll-outs over what is known by then give
+the probability that this package's robot can move the object along the side that was pushed.
+"""
+
+from __future__ import annotations
+
+import json
+import shlex
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from scipy.interpolate import make_interp_spline
+
+from shmoo_mjx.arrays import Array
+from shmoo_mjx.base.files import write_whole
+from shmoo_mjx.base.guard import ARRAYS, HTML, RECORDING, check_folder
+from shmoo_mjx.base.verbosity import LOG
+from shmoo_mjx.base.versions import versions
+from shmoo_mjx.behavior.verdicts import PROBE_TIME
+from shmoo_mjx.control.pushing import PushController
+from shmoo_mjx.data.differentiate import body_acceleration
+from shmoo_mjx.dynamics import object_model
+from shmoo_mjx.dynamics.core import Params
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.faces import faces_of, heading
+from shmoo_mjx.geometry.hands import touches
+from shmoo_mjx.learning import online
+from shmoo_mjx.learning.estimate import EstimateConfig, Sighting
+from shmoo_mjx.learning.weights import Weights, prior_state
+from shmoo_mjx.planning.reach import Foresight
+from shmoo_mjx.report.trace import Trace, save_trace
+from shmoo_mjx.run.log_table import OPTIONAL as OPTIONAL
+from shmoo_mjx.run.log_table import REQUIRED as REQUIRED
+from shmoo_mjx.run.log_table import check_extents, in_degrees, read_columns
+from shmoo_mjx.types import DT
+
+_WINDOW = 0.15
+"""Poses so far before and after a sample's start give its twist [s]."""
+_FASTEST = (5.0, 10.0)
+"""Speed [m/s] and yaw rate [rad/s] above which numbers are in other units."""
+_AGAINST = -0.3
+"""Work of the hands over the sum of its magnitude, below which the force points against the motion. An object at rest
+whose pose is noisy comes near zero."""
+_LOST = 1.0
+"""A push ends when the hands have not touched for so long [s]."""
+_TOLD = 0.05
+"""What has moved less tells nothing of its mass and friction [m]."""
+_ROLLED = 0.10
+"""An object that has come this far is judged after a shorter push too [m]."""
+
+
+class Log(NamedTuple):
+    """The recording at 10 Hz: T samples. {W}, SI units; NaN where a pose is not known."""
+
+    t: np.ndarray
+    """``[T]`` start of each sample [s]"""
+    object_pose: np.ndarray
+    """``[T, 3]``"""
+    object_twist: np.ndarray
+    """``[T, 3]``"""
+    wrench: np.ndarray
+    """``[T, 3]`` of the hands on the object about its centre, mean over the sample"""
+    robot_pose: np.ndarray
+    """``[T, 3]``"""
+    doubts: tuple[str, ...] = ()
+    """Sentences about numbers that may be in other units."""
+
+
+def read_log(path: str | Path) -> Log:
+    """The recording in a CSV or Parquet file (docs/make_your_own.md lists its columns), as samples of 0.1 s.
+
+    Raises:
+        ShmooError: as `read_columns`; or the numbers can't be what they should.
+    """
+    file = Path(path)
+    columns = read_columns(file)
+    t = columns["t"]
+    pose = np.stack([columns[f"object_{name}"] for name in ("x", "y", "yaw")], axis=-1)
+    robot = np.stack([columns.get(f"robot_{name}", np.full(len(t), np.nan)) for name in ("x", "y", "yaw")], axis=-1)
+    grid = np.arange(t[0], t[-1] - DT, DT)
+    object_pose, object_twist = _smoothed(t, pose, grid)
+    fast = np.hypot(object_twist[:, 0], object_twist[:, 1]), np.abs(object_twist[:, 2])
+    for values, name, unit, limit in zip(fast, ("object_x", "object_yaw"), ("m", "rad"), _FASTEST, strict=True):
+        if np.nanquantile(np.r_[values, 0.0], 0.98) > limit:
+            row = int(np.nanargmax(np.abs(columns[name] - np.nanmedian(columns[name])))) + 1
+            raise ShmooError(
+                f"{file}: '{name}' changes by more than {limit:g} {unit}/s, as in row {row}; give it in {unit}, or "
+                "leave the cell empty where it is not known."
+            )
+    check_extents(file, columns)
+    force = np.stack([columns[name] if name in columns else 0 * t for name in ("force_x", "force_y", "torque")], -1)
+    wrench = _means(t, force, grid)
+    touching = touches(wrench)
+    if not touching.any():
+        raise ShmooError(f"{file}: 'force_x' and 'force_y' never reach 2 N, so nothing was pushed; give them in N.")
+    if not np.isfinite(object_pose[touching]).all(axis=1).any():
+        raise ShmooError(
+            f"{file}: 'object_x', 'object_y' and 'object_yaw' are never known together while the hands push; "
+            "give all three in the same rows."
+        )
+    return Log(
+        grid - grid[0], object_pose, object_twist, wrench, _smoothed(t, robot, grid)[0], tuple(in_degrees(columns))
+    )
+
+
+def _smoothed(t: np.ndarray, pose: np.ndarray, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pose and twist ``[T, 3]`` at the times ``grid`` of parabolas through the poses near each; NaN with too few."""
+    known = np.isfinite(pose).all(axis=1)
+    t, pose = t[known], pose[known].copy()
+    pose[:, 2] = np.unwrap(pose[:, 2])
+    values, slopes = np.full((len(grid), 3), np.nan), np.full((len(grid), 3), np.nan)
+    first, last = np.searchsorted(t, grid - _WINDOW - 1e-9), np.searchsorted(t, grid + _WINDOW + 1e-9)
+    for k, (a, b) in enumerate(zip(first, last, strict=True)):
+        near = t[a:b] - grid[k]
+        if b - a < 3 or np.ptp(near) < _WINDOW:
+            continue
+        fit = np.linalg.lstsq(np.stack([near**0, near, near**2], axis=-1), pose[a:b], rcond=None)[0]
+        values[k], slopes[k] = fit[0], fit[1]
+    values[:, 2] = se2.wrap(values[:, 2])
+    return values, slopes
+
+
+def _means(t: np.ndarray, values: np.ndarray, grid: np.ndarray) -> np.ndarray:
+    """Means over [grid, grid + DT) of what changes linearly between the rows; what is not known is taken as zero."""
+    until = make_interp_spline(t, np.nan_to_num(values), k=1).antiderivative()
+    return np.asarray(until(grid + DT) - until(grid)) / DT
+
+
+def run_of_log(log: Log, half_extents: tuple[float, float], weights: Weights) -> tuple[dict[str, Any], Trace]:
+    """What the report draws of a recording: `result.json` and the trace."""
+    known = np.isfinite(log.object_pose).all(axis=1)
+    pushes = [p for p in _pushes(log) if known[p].any()]
+    learned, names, prior, errors, after = _learned(log, half_extents, weights, pushes)
+    foresight = Foresight(PushController(weights))
+    judged = [_verdict(log, *each, half_extents, foresight) for each in zip(pushes, after, strict=True)]
+    decisions = [d for d in judged if d is not None]
+    poses = log.object_pose[known]
+    which = np.full(len(log.t), -1)
+    for push in pushes:
+        which[push] = 0
+    facing = log.robot_pose[:, 2] if np.isfinite(log.robot_pose).all() else log.object_pose[:, 2]
+    cells, origin, resolution = _floor(np.concatenate([poses[:, :2], log.robot_pose[:, :2]]), max(half_extents))
+    nothing = np.full((len(log.t), 3), np.nan)
+    trace = Trace(
+        log.t, log.robot_pose, nothing[:, :2], nothing, log.object_pose[:, None],
+        np.nan_to_num(se2.rotate(log.wrench[:, :2], -facing)), np.where(which[:, None] >= 0, learned, np.nan), names,
+        which, (which >= 0).astype(int), ("free", "push"), cells, origin, resolution, np.zeros(0), (),
+        tuple(np.zeros((0, 1, 2)) for _ in decisions), tuple(np.zeros((0, 3)) for _ in decisions),
+    )  # fmt: skip
+    moves = [d["manipulable"] for d in decisions]
+    item = {
+        "id": 0,
+        "family": "object",
+        "half_extents": list(half_extents),
+        "registered": bool(moves) and not moves[-1],
+    }
+    item["description"] = f"{2 * half_extents[0]:g} x {2 * half_extents[1]:g} m"
+    ends = {"start_pose": poses[0].tolist(), "final_pose": poses[-1].tolist()}
+    warnings = [*log.doubts, *_doubts(log, errors)]
+    result = {
+        "outcome": "log",
+        "summary": " ".join([_summary(log, pushes, moves, learned[-1], names, prior, errors), *warnings]),
+        "warnings": warnings, "transitions": [], "decisions": decisions, "objects": [item | ends],
+        "time_s": float(log.t[-1]),
+        "learned": dict(zip(names, learned[-1].tolist(), strict=True)), "prior": prior, "unexplained": errors,
+        "versions": versions(),
+    }  # fmt: skip
+    return result, trace
+
+
+def _learned(
+    log: Log, half_extents: tuple[float, float], weights: Weights, pushes: list[slice]
+) -> tuple[np.ndarray, tuple[str, ...], dict[str, float], dict[str, float], list[online.Known]]:
+    """What is known after each sample ``[T, n]``, the names, the prior, which share of the accelerations is left
+    unexplained by the prior and by the estimate from all earlier samples (empty if nothing was learned), and what is
+    known after each of the ``pushes``."""
+    params, shape, yaw = weights.params, weights.config.object, log.object_pose[:, 2]
+    # Poses of a log have no age, and its forces come from a sensor, not from motors that hold arms too.
+    config = EstimateConfig(lag=0.0, force_bias=0.0, force_error=(0.05, 0.5), force_noise=0.5)
+    learner = online.learner(shape, config)
+    twist, wrench = se2.rotate(log.object_twist, -yaw), se2.rotate(log.wrench, -yaw)
+    before = np.concatenate([np.zeros((1, 3)), twist[:-1]]), np.concatenate([np.zeros((1, 3)), wrench[:-1]])
+    size = np.full(len(log.t), np.hypot(*half_extents))
+    inputs = np.concatenate([twist, wrench, before[0], size[:, None], before[1]], axis=-1)
+    labels = np.concatenate([body_acceleration(log.object_pose, log.object_twist), np.full((1, 3), np.nan)])
+    moving = np.hypot(twist[:, 0], twist[:, 1]) > 0.03
+    valid = (touches(log.wrench) | moving) & np.isfinite(inputs).all(axis=1)
+    end = np.minimum(np.arange(len(log.t)) + 1, len(log.t) - 1)
+    known = np.isfinite(log.object_pose[end]).all(axis=1) & np.isfinite(log.object_twist[end]).all(axis=1)
+    poses, twists = np.nan_to_num(log.object_pose[end]), np.nan_to_num(log.object_twist[end])
+    seen = Sighting(poses, twists, np.zeros(len(end)), known, log.wrench, size)
+    start = prior_state(weights, config)
+    rows = online.Transition(np.nan_to_num(inputs).astype(np.float32), labels.astype(np.float32), valid, seen)
+    learned, guesses, first = _sample_by_sample(learner, shape, params, start, rows)
+    use, scale = valid & np.isfinite(labels).all(axis=1), np.asarray(params.object.label_scale)
+    spread = np.sum((labels[use] / scale) ** 2)
+    errors = {
+        name: float(np.sum(((np.asarray(p)[use] - labels[use]) / scale) ** 2) / spread)
+        for name, p in (("prior", first), ("learned", guesses))
+        if spread > 0
+    }
+    prior, after, done = online.learned(start), [start], 0
+    for push in pushes:
+        after.append(_known_after(learner, params, after[-1], rows, done, push.stop))
+        done = push.stop
+    return np.asarray(learned, dtype=float), tuple(prior), prior, errors, after[1:]
+
+
+@partial(jax.jit, static_argnums=0)
+def _known_after(
+    learner: online.Learner, params: Params, known: online.Known, rows: online.Transition, first: int, end: int
+) -> online.Known:
+    """What is known after the ``rows`` from ``first`` to before ``end``; a scan would keep it after every row."""
+
+    def step(i: Array, known: Any) -> Any:
+        return learner.adapt(known, params, jax.tree.map(lambda x: x[i], rows))
+
+    return jax.lax.fori_loop(first, end, step, known)
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _sample_by_sample(
+    learner: online.Learner,
+    shape: object_model.ObjectConfig,
+    params: Params,
+    start: online.Known,
+    rows: online.Transition,
+) -> tuple[Array, Array, Array]:
+    """What is known after each of the ``rows``, and the acceleration that was predicted before each by what was known
+    then, and by ``start``."""
+
+    def predicted(known: Any, x: Array) -> Array:
+        own = learner.params_for_rollout(known, params)
+        return object_model.predict(own.object, own.coefficients, x, shape, own.contact)
+
+    def step(known: Any, sample: online.Transition) -> tuple[Any, tuple[Array, Array]]:
+        guess = predicted(known, sample.inputs)
+        known = learner.adapt(known, params, sample)
+        return known, (online.told(known), guess)
+
+    _, (learned, guesses) = jax.lax.scan(step, start, rows)
+    return learned, guesses, jax.vmap(partial(predicted, start))(rows.inputs)
+
+
+def _doubts(log: Log, errors: dict[str, float]) -> list[str]:
+    """What speaks against the result: work that no hand does, and motion that no object of the prior has."""
+    if _moved(log) < _TOLD:
+        return []
+    found = []
+    power = np.nan_to_num(np.sum(log.wrench * log.object_twist, axis=1)) * touches(log.wrench)
+    work = float(power.sum()) * DT
+    if work < _AGAINST * float(np.abs(power).sum()) * DT:
+        found.append(
+            f"The hands do {work:.1f} J of work on the object, so the force points against its motion: it must be that "
+            "of the hands on the object, in the frame of the poses."
+        )
+    if errors.get("learned", 0.0) > 1.0:
+        found.append(
+            "Under these forces, what was learned predicts its accelerations worse than to predict none, which is not "
+            "plausible: check units, sign and frame of the forces."
+        )
+    return found
+
+
+def _moved(log: Log) -> float:
+    """How far the object came from where it was first seen [m]."""
+    poses = log.object_pose[np.isfinite(log.object_pose).all(axis=1), :2]
+    return float(np.linalg.norm(poses - poses[0], axis=1).max())
+
+
+def _pushes(log: Log) -> list[slice]:
+    """Stretches in which the hands touch, but for short losses."""
+    touching = np.flatnonzero(touches(log.wrench))
+    parts = np.split(touching, np.flatnonzero(np.diff(touching) * DT > _LOST) + 1)
+    return [slice(int(part[0]), int(part[-1]) + 1) for part in parts]
+
+
+def _verdict(
+    log: Log, push: slice, known: online.Known, half_extents: tuple[float, float], foresight: Foresight
+) -> dict[str, Any] | None:
+    """Whether the object can be moved, by what is ``known`` after a push; None of a push that was too short."""
+    touching = touches(log.wrench[push])
+    # The last sample's force acts until its end, where the next one begins.
+    poses = log.object_pose[push.start : push.stop + 1]
+    poses = poses[np.isfinite(poses).all(axis=1)]
+    contact, moved = float(touching.sum() * DT), float(np.linalg.norm((poses[-1] - poses[0])[:2]))
+    if contact < PROBE_TIME - 1e-6 and moved <= _ROLLED:
+        return None
+    force, faces = log.wrench[push][touching, :2].sum(axis=0), faces_of(half_extents)
+    off = se2.wrap(np.arctan2(force[1], force[0]) - heading(poses[-1], faces))
+    p = foresight.straight_on(known, None, poses[-1], half_extents, faces[np.argmin(np.abs(off))])
+    verdict = "can be moved" if p >= 0.5 else "can't be moved"
+    reason = f"after {contact:.1f} s of contact, in which it moved {moved:.2f} m, P = {p:.2f}: {verdict}"
+    told = {"t": float(log.t[push.stop - 1] + DT), "object": 0, "probability": p, "manipulable": p >= 0.5}
+    return told | {"K": None, "G": None, "goal": None, "reason": reason}
+
+
+def _floor(points: np.ndarray, margin: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """Free cells under all ``points [N, 2]``, for want of a map: cells, origin and resolution."""
+    points = points[np.isfinite(points).all(axis=1)]
+    low, high, cell = points.min(axis=0) - margin - 1.0, points.max(axis=0) + margin + 1.0, 0.1
+    width, height = np.ceil((high - low) / cell).astype(int)
+    return np.zeros((height, width), np.int8), np.array([*low, 0.0]), cell
+
+
+def _summary(
+    log: Log, pushes: list[slice], moves: list[bool], learned: np.ndarray, names: tuple[str, ...],
+    prior: dict[str, float], errors: dict[str, float],
+) -> str:  # fmt: skip
+    force = np.hypot(*log.wrench[:, :2].T).max()
+    count = f"{len(pushes)} push{'es' * (len(pushes) != 1)}"
+    sentences = [f"A recording of {log.t[-1]:.0f} s with {count} of up to {force:.0f} N."]
+    if moves:
+        sentences.append(
+            "The last verdict: the object can be moved." if moves[-1] else "The last verdict: it can't be moved."
+        )
+    else:
+        sentences.append("No push was long enough for a verdict: 1 s of contact, or 0.1 m.")
+    if _moved(log) < _TOLD:
+        return " ".join([*sentences, f"It moved less than {_TOLD:g} m, too little to tell its mass and friction."])
+    if "mass" in prior:
+        (along, across, mass), before = (
+            [
+                f"{of[name]:.3g} {unit} ({of[f'{name}_low']:.3g} to {of[f'{name}_high']:.3g})"
+                for name, unit in (("friction_x", "N"), ("friction_y", "N"), ("mass", "kg"))
+            ]
+            for of in (dict(zip(names, learned, strict=True)), prior)
+        )
+        sentences.append(
+            f"Friction holds it with up to {along} along and {across} across, and it moves like {mass}; in brackets "
+            f"the 80 % bands. Before it was touched, {before[0]}, {before[1]} and {before[2]} were expected."
+        )
+    if errors:
+        sentences.append(
+            f"Of its accelerations, {errors['learned']:.0%} of the variance is left unexplained by what the samples "
+            f"before each had taught, {errors['prior']:.0%} by what was expected."
+        )
+    return " ".join(sentences)
+
+
+def write_run(file: Path, size: tuple[float, float], out: Path, weights: Weights) -> Path:
+    """Write what `run_of_log` makes of ``file``, with an object of ``size [2]`` [m], into ``out``; the report's page.
+
+    Raises:
+        ShmooError: as `read_log`; or a file in ``out`` is not one of an earlier report of a recording.
+    """
+    from shmoo_mjx.report.html import write_report
+
+    check_folder(out, {"trace.npz": ARRAYS, "result.json": RECORDING, "report.html": HTML}, "trace.npz")
+    result, trace = run_of_log(read_log(file), (size[0] / 2, size[1] / 2), weights)
+    for warning in result["warnings"]:
+        LOG.warning("shmoo: %s: %s", file, warning)
+    command = f"uv run shmoo report {shlex.quote(file.name)} --size {size[0]:g} {size[1]:g}"
+    save_trace(out / "trace.npz", trace)
+    write_whole(out / "result.json", (json.dumps(result | {"name": file.stem, "command": command}) + "\n").encode())
+    return write_report(out)

@@ -1,0 +1,58 @@
+"""The demo: one generated scenario per seed, each with its own folder, and a table of how they went."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from shmoo_mjx.base.options import SensesName
+from shmoo_mjx.planning.floorplan import SCENES
+
+
+def run_demo(
+    seeds: Sequence[int],
+    out: Path,
+    weights: Path | None = None,
+    video: bool = True,
+    senses: SensesName = "real",
+    scene: str = "generated",
+    method: str = "ours",
+) -> int:
+    """Run the demo for each seed, in a folder ``out / demo-SEED`` of its own; 0 if all succeeded, 1 otherwise.
+
+    ``scene`` is one of `SCENES`; the folders of others than "generated" are called SCENE-SEED. The folders of a
+    ``method`` (`shmoo_mjx.behavior.methods`) other than "ours" are called SCENE-SEED-METHOD.
+
+    It prints the outcome and decisions of each run, the success rate, and where the last report is.
+    """
+    from shmoo_mjx.base import progress
+    from shmoo_mjx.run.scenario_run import run_scenario
+
+    results: list[dict[str, Any]] = []
+    prefix = "demo" if scene == "generated" else scene
+    folders = [out / f"{prefix}-{seed}{'' if method == 'ours' else f'-{method}'}" for seed in seeds]
+    for seed, folder in zip(seeds, folders, strict=True):
+        grid, scenario = SCENES[scene](seed)
+        with progress.stages() as report:
+            result = run_scenario(
+                grid, scenario, folder, weights, video, f"{prefix} seed {seed}", report, senses=senses, method=method
+            )
+        results.append(result)
+        print(_line(seed, result), flush=True)
+    good = sum(r["outcome"] == "success" for r in results)
+    if len(seeds) > 1:
+        print(f"success rate {good}/{len(seeds)}")
+    print(f"report: {folders[-1] / 'report.html'}")
+    return 0 if good == len(seeds) else 1
+
+
+def _line(seed: int, result: dict[str, Any]) -> str:
+    words = {True: "can be moved", False: "can't be moved"}
+    told = "; ".join(
+        f"object {d['object']} at {d['t']:.0f} s: {words[d['manipulable']]}, "
+        + (f"P = {d['probability']:.2f}" if d["K"] is None else f"K = {d['K']:.2f}")
+        for d in result["decisions"]
+    )
+    measured = f"{result['time_s']:.0f} s, {result['path_length_m']:.1f} m, wall contacts {result['wall_contacts']}"
+    return f"seed {seed}: {result['outcome']} ({result['reason']}; {measured})\n  decisions: {told or 'none'}"

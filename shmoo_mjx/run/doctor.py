@@ -1,0 +1,143 @@
+"""``shmoo doctor``: what this machine has, what is missing, and what to do about it."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import platform
+import sys
+import tempfile
+from collections.abc import Callable
+from importlib import metadata
+from pathlib import Path
+from typing import NamedTuple
+
+from shmoo_mjx.base.environment import device_problem, graphics_problem
+
+
+class Check(NamedTuple):
+    """One finding."""
+
+    name: str
+    ok: bool
+    found: str
+    remedy: str
+    needed: bool = True
+    """Whether the main job fails without it."""
+
+
+def _python() -> Check:
+    return Check("Python", sys.version_info >= (3, 12), platform.python_version(), "install Python 3.12 or newer")
+
+
+def _mujoco() -> Check:
+    core, mjx = metadata.version("mujoco"), metadata.version("mujoco-mjx")
+    return Check(
+        "mujoco and mujoco-mjx", core == mjx, f"{core} and {mjx}", f"pip install mujoco=={mjx} mujoco-mjx=={mjx}"
+    )
+
+
+def _jax() -> Check:
+    version = metadata.version("jax")
+    numbers = tuple(int(n) for n in version.split(".")[:2])
+    remedy = "pip install 'jax>=0.12': older ones crash where MJX is compiled for several CPU devices"
+    return Check("JAX", numbers >= (0, 12), version, remedy)
+
+
+def _device() -> Check:
+    jax, problem = importlib.import_module("jax"), device_problem()
+    if problem:
+        # The other checks have findings of their own.
+        jax.config.update("jax_platforms", "cpu")
+    found = problem or ", ".join(str(d) for d in jax.devices())
+    return Check("JAX device", not problem, found, "unset JAX_PLATFORMS, or install the cuda extra")
+
+
+def _renderer() -> Check:
+    problem = graphics_problem()
+    if problem:
+        os.environ["MUJOCO_GL"] = "disable"  # as above
+        return Check("3-D renderer", False, problem, "unset MUJOCO_GL, or set it to egl, glfw or disable")
+    from shmoo_mjx.plant.render import can_render
+
+    problem = can_render()
+    remedy = (
+        "install EGL (Debian, Ubuntu: apt-get install libegl1 libgl1-mesa-dri) or set MUJOCO_GL; "
+        "without it videos are drawn from above"
+    )
+    return Check("3-D renderer", not problem, problem or "MuJoCo renders without a display", remedy, needed=False)
+
+
+def _encoder() -> Check:
+    import numpy as np
+
+    from shmoo_mjx.report.video import write_video
+
+    remedy = "pip install imageio-ffmpeg, which brings an ffmpeg program, or set IMAGEIO_FFMPEG_EXE"
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            write_video(Path(folder) / "try.mp4", [np.zeros((64, 64, 3), np.uint8)] * 3)
+    except Exception as error:  # whatever the encoder's program does wrong
+        return Check("video encoder", False, f"{type(error).__name__}: {error}", remedy)
+    return Check("video encoder", True, "H.264", remedy)
+
+
+def _weights() -> Check:
+    from shmoo_mjx.base.assets import WEIGHTS, asset
+    from shmoo_mjx.errors import ShmooError
+
+    path = asset(WEIGHTS)
+    remedy = "reinstall, or make them anew: shmoo collect, shmoo train (docs/models.md)"
+    try:
+        from shmoo_mjx.learning.weights import load_weights
+
+        made_by = load_weights(path).info.get("made_by", {})
+    except ShmooError as error:
+        return Check("shipped weights", False, str(error), remedy)
+    except Exception as error:  # what the check before this one finds
+        return Check("shipped weights", False, f"{type(error).__name__}: {error}", remedy)
+    of = "; ".join(
+        f"{part}: {by['command']}, data {by['data']['sha256'][:8]}, score {by['score']:.3f}"
+        for part, by in made_by.items()
+    )
+    return Check("shipped weights", True, f"{path.name} ({of})" if of else path.name, remedy)
+
+
+def _training() -> Check:
+    """Networks, optimiser and checkpoints, in the smallest form: versions of these packages often do not fit JAX's."""
+    remedy = "pip install --upgrade flax optax orbax-checkpoint"
+    try:
+        jax, optax = importlib.import_module("jax"), importlib.import_module("optax")
+        from shmoo_mjx.dynamics import core
+        from shmoo_mjx.learning.checkpoints import Checkpoints
+
+        params = core.init(jax.random.key(0)).object
+        state = {"params": params, "optimiser": optax.adam(1e-3).init(params)}
+        with tempfile.TemporaryDirectory() as folder:
+            kept = Checkpoints(Path(folder), "doctor")
+            kept.save(1, state, {})
+            kept.load(state)
+            kept.close()
+    except Exception as error:  # whatever does not fit
+        return Check("training", False, f"{type(error).__name__}: {str(error).partition(chr(10))[0]}", remedy)
+    versions = ", ".join(f"{name} {metadata.version(name)}" for name in ("flax", "optax", "orbax-checkpoint"))
+    return Check("training", True, versions, remedy)
+
+
+CHECKS: tuple[Callable[[], Check], ...] = (_python, _mujoco, _jax, _device, _renderer, _encoder, _training, _weights)
+
+
+def checks() -> list[Check]:
+    """Every finding; takes some seconds."""
+    return [check() for check in CHECKS]
+
+
+def report() -> int:
+    """Print the findings. Returns 0 if the main job can run, 1 otherwise."""
+    found = checks()
+    for check in found:
+        mark = "ok  " if check.ok else ("FAIL" if check.needed else "note")
+        print(f"{mark}  {check.name}: {check.found}")
+        if not check.ok:
+            print(f"      {check.remedy}")
+    return int(any(c.needed and not c.ok for c in found))

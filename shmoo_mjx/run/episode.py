@@ -1,0 +1,277 @@
+"""One run of a scenario, from its start to its end: what came of it, and its record."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from shmoo_mjx.behavior.belief import Status
+from shmoo_mjx.behavior.interaction import Machine
+from shmoo_mjx.behavior.records import Mode, NavigatorConfig
+from shmoo_mjx.control.pushing import PushController
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.learning.contact_prior import true_values
+from shmoo_mjx.planning.maps import OccupancyGrid
+from shmoo_mjx.planning.scenario import Scenario
+from shmoo_mjx.plant.observe import DIVERGED, toppled
+from shmoo_mjx.plant.scene import Scene
+from shmoo_mjx.report.trace import Trace
+from shmoo_mjx.run.recorded import Recorded
+from shmoo_mjx.run.simulation import Simulation
+from shmoo_mjx.sensing import Senses, senses_named
+from shmoo_mjx.types import DT, Observation
+
+_YAW_TOLERANCE = float(np.radians(20.0))
+"""Yaw error at which an object counts as brought to its pose [rad]."""
+
+Point = Sequence[float]
+
+
+class Episode(NamedTuple):
+    """A finished run."""
+
+    result: dict[str, Any]
+    """JSON-able: outcome, transitions, decisions, objects (report/trace.py lists the keys)."""
+    trace: Trace
+    scene: Scene
+    qpos: np.ndarray
+    """``[T, nq]`` for rendering."""
+    navigator: Machine
+    """As it was at the end."""
+    recorded: Recorded
+
+
+class Hooks(NamedTuple):
+    """What a caller may add to a run; each is called once a sample."""
+
+    progress: Callable[[float, str], None] = lambda time, mode: None
+    """Takes (simulated time [s], state)."""
+    perceive: Callable[[Observation], Observation] = lambda seen: seen
+    """A further fault of the senses, such as a pose of NaN."""
+    over: Callable[[Machine], bool] = lambda navigator: False
+    """Ends the run before the navigator does."""
+
+
+def run_episode(
+    grid: OccupancyGrid,
+    scenario: Scenario,
+    controller: PushController,
+    config: NavigatorConfig | None = None,
+    hooks: Hooks = Hooks(),  # noqa: B008  (immutable)
+    first_status: Sequence[Status] | None = None,
+    senses: str | Senses | None = None,
+    goals: Sequence[Point] = (),
+    real_time: bool = False,
+    policy: str | None = None,
+) -> Episode:
+    """Run ``scenario`` until the navigator ends, the robot falls, the physics diverges or time is up.
+
+    Args:
+        grid: the map.
+        scenario: start, goal, objects, limits.
+        controller: the adaptive pushing controller.
+        config: the navigator's settings.
+        hooks: callbacks of the caller.
+        first_status: what the robot takes each object to be when it first sees it; UNKNOWN if not given.
+        senses: real or perfect, or others; if not given those of the scenario, or real.
+        goals: ``(x, y)`` in {W} [m], in place of the scenario's: one after the other, in the world as the robot has
+            left it and with all that it knows; the time limit is that of all.
+        real_time: run against the wall clock. A command takes effect after the time it really took to compute.
+        policy: "package.module:Name" of what drives in the place of our navigator (docs/make_your_own.md).
+    """
+    chosen = senses if isinstance(senses, Senses) else senses_named(senses or scenario.senses or "real")
+    ahead = [tuple(goal) for goal in goals] or [scenario.goal]
+    first = scenario.model_copy(update={"goal": ahead[0]})
+    legs: list[dict[str, Any]] = []
+    with closing(Simulation(grid, first, controller, config, first_status, chosen, policy)) as simulation:
+        navigator = simulation.navigator
+        for number, goal in enumerate(ahead):
+            began = simulation.time
+            if number:
+                navigator.head_for(goal, began)
+            while not navigator.finished and simulation.time < scenario.limits.time_s and not simulation.record.ended:
+                tick = time.perf_counter()
+                command = simulation.decide(hooks.perceive)
+                hooks.progress(simulation.time, str(navigator.mode))
+                if hooks.over(navigator):
+                    break
+                simulation.advance(command, time.perf_counter() - tick if real_time else None)
+                if real_time:
+                    time.sleep(max(0.0, DT - (time.perf_counter() - tick)))
+            legs.append(_leg(simulation, goal, began))
+            if not legs[-1]["success"]:
+                break
+    simulation.scenario = scenario  # the result tells of the goal that it names, whichever goals were taken
+    record = simulation.record
+    return Episode(
+        result_of(simulation, legs, len(ahead)),
+        trace_of(simulation),
+        simulation.scene,
+        np.array(record.qpos),
+        navigator,
+        Recorded(_stacked(record.observations), _stacked(record.commands), np.array(record.goals)),
+    )
+
+
+def _stacked(rows: Sequence[Any]) -> Any:
+    """Named tuples of arrays as one, with time in front."""
+    return type(rows[0])(*(np.stack([np.asarray(v) for v in column]) for column in zip(*rows, strict=True)))
+
+
+def trace_of(simulation: Simulation) -> Trace:
+    """What has happened so far as arrays."""
+    grid, navigator, record = simulation.grid, simulation.navigator, simulation.record
+
+    def column(name: str) -> np.ndarray:
+        return np.array([row[name] for row in record.rows])
+
+    learned = next((tuple(row["learned"]) for row in record.rows if row["learned"]), ())
+    blank = dict.fromkeys(learned, np.nan)
+    names = ("t", "robot_pose", "lean", "u", "object_pose", "force", "learned_object", "state")
+    return Trace(
+        **{name: column(name) for name in names},
+        learned=np.array([[*(row["learned"] or blank).values()] for row in record.rows]),
+        learned_names=learned,
+        state_names=tuple(str(m) for m in Mode),
+        map_cells=grid.cells,
+        map_origin=np.asarray(grid.origin, dtype=float),
+        map_resolution=grid.resolution,
+        plan_times=np.array([p.t for p in navigator.plans]),
+        plans=tuple(p.points for p in navigator.plans),
+        decision_rollouts=tuple(d.rollouts for d in navigator.decisions),
+        decision_candidates=tuple(d.candidates for d in navigator.decisions),
+    )
+
+
+def _leg(simulation: Simulation, goal: Point, began: float) -> dict[str, Any]:
+    """How one goal was reached, or not."""
+    true, pushes = simulation.true, simulation.scenario.push_to is not None
+    what = true.object_pose[0, 0] if pushes else true.robot_pose[0]
+    distance = float(np.linalg.norm(what[:2] - np.asarray(goal)[:2]))
+    outcome, reason = _outcome(simulation, distance)
+    path = np.array([row["robot_pose"][:2] for row in simulation.record.rows if row["t"] >= began - 1e-6])
+    return {
+        "goal": _floats(np.asarray(goal, dtype=float)),
+        "outcome": outcome,
+        "reason": reason,
+        "success": outcome == "success",
+        "time_s": round(simulation.time - began, 2),
+        "path_length_m": round(float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()), 3),
+        "goal_distance_m": round(distance, 3),
+    }
+
+
+def result_of(simulation: Simulation, legs: Sequence[dict[str, Any]] = (), goals: int = 1) -> dict[str, Any]:
+    """What has happened so far, JSON-able (report/trace.py lists the keys).
+
+    ``legs`` tells how each goal was reached if there were several, ``goals`` how many there were to reach.
+    """
+    scenario, navigator, record = simulation.scenario, simulation.navigator, simulation.record
+    legs = list(legs) or [_leg(simulation, navigator.state.goal.tolist(), 0.0)]
+    last, seen, senses = legs[-1], simulation.true, simulation.senses
+    path = np.array([row["robot_pose"][:2] for row in record.rows])
+    reached = sum(leg["success"] for leg in legs)
+    outcome = last["outcome"] if reached < goals else "success"
+    over = toppled(simulation.scene, simulation.qpos)
+    objects = []
+    for i, (entry, condition) in enumerate(zip(scenario.objects, simulation.conditions, strict=True)):
+        known = navigator.belief.objects.get(i)
+        objects.append(
+            {
+                "id": i,
+                "family": Path(entry.family).stem,
+                "description": condition.describe(),
+                "start_pose": list(entry.pose),
+                "final_pose": _floats(seen.object_pose[0, i]),
+                "half_extents": list(condition.half_extents),
+                "true": {name: round(value, 3) for name, value in true_values(condition).items()},
+                "status": "not seen" if known is None else str(known.status),
+                "registered": known is not None and known.status == "fixed",
+                "toppled": bool(over[i]),
+            }
+        )
+    return {
+        "outcome": outcome,
+        "reason": last["reason"],
+        "senses": senses.name,
+        "policy": simulation.policy,
+        "seed": scenario.seed,
+        "time_s": round(float(seen.time[0]), 2),
+        "path_length_m": round(float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()), 3),
+        "goal_distance_m": last["goal_distance_m"],
+        "falls": record.falls,
+        "wall_contacts": record.wall_contacts,
+        "wall_parts": record.wall_parts,
+        "legs": legs,
+        "missed_deadlines": record.late,
+        "start": list(scenario.start),
+        "goal": list(scenario.goal),
+        "push_to": None if scenario.push_to is None else list(scenario.push_to),
+        "transitions": [
+            {"t": round(t.t, 2), "from": str(t.source), "to": str(t.target), "reason": t.reason}
+            for t in navigator.transitions
+        ],
+        "decisions": [
+            {
+                "t": round(d.t, 2),
+                "object": d.object,
+                "K": round(d.K, 4) if np.isfinite(d.K) else None,
+                "G": round(d.G, 4) if np.isfinite(d.G) else None,
+                "probability": None if d.probability is None else round(d.probability, 4),
+                "manipulable": d.manipulable,
+                "goal": None if d.goal is None else _floats(d.goal),
+                "reason": d.reason,
+            }
+            for d in navigator.decisions
+        ],
+        "events": sorted(
+            [*({"t": round(note.t, 2), "what": note.text} for note in navigator.notes), *record.touches],
+            key=lambda event: event["t"],
+        ),
+        "objects": objects,
+        "config": {
+            "navigator": asdict(navigator.config),
+            "senses": asdict(senses),
+            "scenario": scenario.model_dump(mode="json"),
+            "dt": DT,
+        },
+    }
+
+
+def _outcome(simulation: Simulation, distance: float) -> tuple[str, str]:
+    scenario, navigator, record = simulation.scenario, simulation.navigator, simulation.record
+    if record.diverged:
+        return "diverged", DIVERGED
+    if record.falls:
+        return "fall", f"the robot fell while it was to {navigator.mode}"
+    if scenario.push_to is not None:
+        turned = float(abs(se2.wrap(simulation.true.object_pose[0, 0, 2] - scenario.push_to[2])))
+        there = distance <= scenario.limits.goal_tolerance_m and turned <= _YAW_TOLERANCE
+        where = f"the object is {distance:.2f} m and {np.degrees(turned):.0f} deg from its goal"
+        if record.wall_contacts and there:
+            return "wall contact", f"{where}, but the robot touched a wall {record.wall_contacts} times"
+        if not navigator.finished:
+            return "timeout", f"{scenario.limits.time_s:g} s were not enough; {where}"
+        return ("success", where) if there else ("stopped short", f"{where}: {navigator.transitions[-1].reason}")
+    if navigator.mode is Mode.FAILED:
+        return "blocked", navigator.transitions[-1].reason
+    if distance <= scenario.limits.goal_tolerance_m and navigator.mode is Mode.DONE:
+        if record.wall_contacts:
+            return "wall contact", f"goal reached, but the robot touched a wall {record.wall_contacts} times"
+        return "success", f"goal reached to {distance:.2f} m"
+    if navigator.finished:
+        return "stopped short", f"it stopped {distance:.2f} m from the goal"
+    return (
+        "timeout",
+        f"{scenario.limits.time_s:g} s were not enough; {distance:.2f} m from the goal, state {navigator.mode}",
+    )
+
+
+def _floats(values: np.ndarray) -> list[float]:
+    return [round(float(v), 4) for v in values]

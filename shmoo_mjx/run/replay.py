@@ -1,0 +1,76 @@
+"""Replay: the observations recorded in a run, fed to the navigator again, give the same commands bit for bit.
+
+On another processor or with other versions they may not; then the first sample that differs says where to look.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.report.trace import load_result
+from shmoo_mjx.run.recorded import RECORDED, Recorded, load_recorded
+from shmoo_mjx.run.scenario_run import OWN_WEIGHTS
+from shmoo_mjx.run.simulation import navigator_of
+from shmoo_mjx.types import Command, Observation
+
+
+class Difference(NamedTuple):
+    """The first sample at which a replay gives another command."""
+
+    sample: int
+    time: float
+    """[s]"""
+    state: str
+    """What the navigator is doing there."""
+    field: str
+    """Of the command."""
+    recorded: np.ndarray
+    replayed: np.ndarray
+
+    def __str__(self) -> str:
+        values = f"{np.round(self.recorded, 6).tolist()} recorded, {np.round(self.replayed, 6).tolist()} now"
+        return f"sample {self.sample} ({self.time:.1f} s, {self.state}): {self.field} differs: {values}"
+
+
+def replay(run: Path, weights: Path | None = None) -> Difference | None:
+    """The first command that differs when the recording in folder ``run`` is fed to this version's navigator, or None.
+
+    With the ``weights`` that the folder holds, or else those of the run's method, if none are given.
+
+    Raises:
+        ShmooError: a file is missing, damaged or of another version, or the run was made with other weights.
+    """
+    from shmoo_mjx.behavior.methods import method_named
+    from shmoo_mjx.planning.maps import load_map
+    from shmoo_mjx.planning.scenario import load_scenario
+    from shmoo_mjx.sensing import senses_named
+
+    result, recorded = load_result(run / "result.json"), load_recorded(run / RECORDED)
+    own = run / OWN_WEIGHTS
+    method = method_named(str(result.get("method", "ours")))
+    scenario = load_scenario(run / "scenario.yaml")
+    to_pose = scenario.push_to is not None
+    controller = method.controller(weights or (own if own.is_file() else None), to_pose)
+    if result.get("weights") != controller.weights.info:
+        raise ShmooError(f"{run}: the run was made with other weights; give them with --weights.")
+    senses = senses_named(str(result.get("senses")))
+    navigator = navigator_of(
+        load_map(run / "map.yaml"), scenario, controller, senses, method.navigator, policy=result.get("policy")
+    )
+    return differences(navigator, recorded)
+
+
+def differences(navigator: Any, recorded: Recorded) -> Difference | None:
+    """The first sample at which ``navigator``, fresh from the start, gives another command than the recorded one."""
+    for i, time in enumerate(recorded.observations.time[:, 0]):
+        if i and not np.array_equal(recorded.goals[i], recorded.goals[i - 1]):
+            navigator.head_for(recorded.goals[i], float(time))
+        command = navigator.tick(Observation(*(field[i] for field in recorded.observations)))
+        for name, then, now in zip(Command._fields, recorded.commands, command, strict=True):
+            if not np.array_equal(then[i], now):
+                return Difference(i, float(time), str(navigator.mode), name, then[i], np.asarray(now))
+    return None

@@ -1,0 +1,305 @@
+"""Runs that leave a folder: simulate a scenario, then write result.json, trace.npz, report.html and episode.mp4."""
+
+from __future__ import annotations
+
+import json
+import math
+import shlex
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shmoo_mjx.base.assets import asset
+from shmoo_mjx.base.files import claimed, write_whole
+from shmoo_mjx.base.guard import ARRAYS, FILM, HTML, MAP, PNG, RUN, SCENARIO, VIEWER, WEIGHTS, check_folder
+from shmoo_mjx.base.options import SENSES, SensesName, shortened
+from shmoo_mjx.base.schema import check_angle, validated
+from shmoo_mjx.base.seeds import check_seed
+from shmoo_mjx.base.verbosity import is_quiet
+from shmoo_mjx.base.versions import versions
+from shmoo_mjx.base.yaml_input import value_of
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.planning.maps import OccupancyGrid, save_map
+from shmoo_mjx.planning.scenario import (
+    ROBOT_RADIUS,
+    Scenario,
+    check_scenario,
+    portable,
+    save_scenario,
+    with_own_objects,
+)
+from shmoo_mjx.types import DT
+
+OWN_WEIGHTS = "weights.safetensors"
+"""What a run's folder calls the weights of a run, if they are not those of its method."""
+_FLOOR, _CELL = 12.0, 0.05
+"""Side of the open floor on which ``shmoo push`` pushes, and of its cells [m]."""
+_FILES = {
+    "trace.npz": ARRAYS,
+    "result.json": RUN,
+    "scenario.yaml": SCENARIO,
+    "map.yaml": MAP,
+    "map.png": PNG,
+    OWN_WEIGHTS: WEIGHTS,
+    "recorded.npz": ARRAYS,
+    "report.html": HTML,
+    "episode.mp4": FILM,
+    "episode.rrd": VIEWER,
+}
+"""Files of a run's folder; the first one is written first."""
+
+
+def run_scenario(
+    grid: OccupancyGrid,
+    scenario: Scenario,
+    out: Path,
+    weights: Path | None = None,
+    video: bool = True,
+    name: str = "scenario",
+    progress: Callable[[str, float], None] = lambda stage, fraction: None,
+    record: bool = False,
+    senses: SensesName | None = None,
+    real_time: bool = False,
+    policy: str | None = None,
+    method: str = "ours",
+) -> dict[str, Any]:
+    """Run one scenario and write its folder ``out``.
+
+    Args:
+        grid: the map.
+        scenario: what to do in it.
+        out: folder for the results; made if absent, files of an earlier run are replaced.
+        weights: trained weights; those of the method if not given.
+        video: draw episode.mp4, which takes about as long as the simulation.
+        name: what to call the scenario in error messages.
+        progress: called with (stage, fraction of its limit that has passed).
+        record: also write episode.rrd, a 3-D recording for the Rerun viewer.
+        senses: what the robot perceives with; if not given the scenario's, or real.
+        real_time: run against the wall clock, and report every missed deadline.
+        policy: "package.module:Name" of what drives in the place of our navigator.
+        method: "ours", or "paper" for the paper's system (`shmoo_mjx.behavior.methods`).
+
+    Returns:
+        The result, as in result.json.
+
+    Raises:
+        ShmooError: the scenario does not fit the map, the weights can't be read or do not fit the method, there is no
+            such method, or a file in ``out`` is not one of an earlier run.
+    """
+    check_run_folder(out)
+    check_scenario(grid, scenario, ROBOT_RADIUS, name)
+    conditions = checked_objects(grid, scenario, name)
+    # Only now what takes seconds to import: bad input is answered at once.
+    from shmoo_mjx.behavior.methods import method_named
+    from shmoo_mjx.control.observation import local_distance_field
+    from shmoo_mjx.planning.maps import clearance_field
+    from shmoo_mjx.report.html import write_report
+    from shmoo_mjx.report.recording import require_viewer, write_recording
+    from shmoo_mjx.run.episode import Hooks, run_episode
+    from shmoo_mjx.run.recorded import RECORDED, save_recorded
+
+    if record:
+        require_viewer()
+    chosen = method_named(method)
+    controller = chosen.controller(weights, to_pose=scenario.push_to is not None)
+    with claimed(out):
+        # Before the run, which they might not outlive.
+        scenario = with_own_objects(scenario, out)
+        if not is_quiet():
+            for i, condition in enumerate(conditions):
+                print(f"object {i}: {condition.describe()}")
+        limit = scenario.limits.time_s
+        hooks = Hooks(progress=lambda t, mode: progress(f"simulating: {mode}", t / limit))
+        if real_time:
+            # What is compiled meanwhile would miss every deadline.
+            controller.compile(local_distance_field(clearance_field(grid), scenario.start))
+        episode = run_episode(
+            grid, scenario, controller, chosen.navigator, hooks, senses=senses, real_time=real_time, policy=policy
+        )
+        result = save_run(out, grid, scenario, episode.result, episode.trace, controller, method)
+        save_recorded(out / RECORDED, episode.recorded)
+        # The report shows the film that lies there: one of an earlier run must not.
+        (out / "episode.mp4").unlink(missing_ok=True)
+        (out / "episode.rrd").unlink(missing_ok=True)
+        if record:
+            write_recording(out / "episode.rrd", result, episode.trace)
+        if video:
+            _write_video(out / "episode.mp4", result, episode, progress)
+        progress("writing the report", 0.9)
+        write_report(out)
+        progress("done", 1.0)
+        return result
+
+
+def check_run_folder(out: Path) -> None:
+    """Check that a run may leave its files in ``out``.
+
+    Raises:
+        ShmooError: one of them would replace an input, or what is not of an earlier run.
+    """
+    check_folder(out, _FILES, "trace.npz")
+
+
+def save_run(
+    out: Path,
+    grid: OccupancyGrid,
+    scenario: Scenario,
+    result: dict[str, Any],
+    trace: Any,
+    controller: Any,
+    method: str = "ours",
+) -> dict[str, Any]:
+    """Write what a report is made of into the folder ``out``, and all that it takes to run it again, wherever the
+    folder is: trace.npz, map, scenario, object files, weights that are not those of the ``method``, and result.json.
+
+    Returns:
+        The result as it is written, with the versions, weights and settings that it depends on, and the command that
+        repeats it.
+
+    Raises:
+        ShmooError: a file in ``out`` is not one of an earlier run.
+    """
+    from shmoo_mjx.behavior.methods import method_named
+    from shmoo_mjx.learning.weights import load_weights, save_weights
+    from shmoo_mjx.report.trace import save_trace
+
+    check_run_folder(out)
+    out.mkdir(parents=True, exist_ok=True)
+    save_trace(out / "trace.npz", trace)
+    save_map(grid, out / "map.yaml")
+    perceived = result["senses"] if result["senses"] in SENSES else scenario.senses
+    own = with_own_objects(scenario.model_copy(update={"map": str(out / "map.yaml"), "senses": perceived}), out)
+    save_scenario(own, out / "scenario.yaml")
+    shipped = controller.weights.info == load_weights(asset(method_named(method).weights)).info
+    if shipped:
+        (out / OWN_WEIGHTS).unlink(missing_ok=True)
+    else:
+        save_weights(out / OWN_WEIGHTS, controller.weights)
+    about = {"method": method, "versions": versions(), "weights": controller.weights.info}
+    whole = {"name": out.resolve().name, **result, **about}
+    whole["command"] = _command(whole["name"], shipped, result["policy"], method)
+    whole["config"] = result["config"] | {
+        "pushing": asdict(controller.config),
+        "scenario": portable(own, out).model_dump(mode="json"),
+    }
+    write_whole(out / "result.json", (json.dumps(whole, indent=1, default=float) + "\n").encode())
+    return whole
+
+
+def _command(name: str, shipped_weights: bool, policy: str | None, method: str) -> str:
+    """What repeats a run, from where its folder ``name`` lies."""
+    words = ["uv", "run", "shmoo", "navigate", "--scenario", f"{name}/scenario.yaml"]
+    words += [] if shipped_weights else ["--weights", f"{name}/{OWN_WEIGHTS}"]
+    words += [] if policy is None else ["--policy", policy]
+    words += [] if method == "ours" else ["--method", method]
+    return shlex.join([*words, "--out", f"{name}-again"])
+
+
+def checked_objects(grid: OccupancyGrid, scenario: Scenario, name: str) -> list[Any]:
+    """The objects; properties that none can have and places where none can stand are refused by name."""
+    from shmoo_mjx.planning.scenario import check_places
+
+    conditions = []
+    for i, entry in enumerate(scenario.objects):
+        try:
+            conditions.append(entry.condition())
+        except ShmooError as error:
+            raise ShmooError(f"{name}: 'objects[{i}].properties': {error}") from None
+    check_places(grid, scenario, [c.half_extents for c in conditions], name)
+    return conditions
+
+
+def _write_video(path: Path, result: dict[str, Any], episode: Any, progress: Callable[[str, float], None]) -> None:
+    from shmoo_mjx.plant.render import can_render, frames
+    from shmoo_mjx.report import video
+
+    fps, speed = 15.0, video.SPEED
+    stride = round(speed / fps / DT)
+    if problem := can_render():
+        progress(f"no 3-D renderer ({problem}), drawing from above", 0.0)
+        video.write_video(path, video.topdown_frames(result, episode.trace, fps, speed), fps)
+        return
+    times = episode.trace.t[::stride]
+
+    def pictures() -> Iterator[tuple[float, np.ndarray]]:
+        for i, picture in enumerate(frames(episode.scene, episode.qpos[::stride])):
+            progress("drawing the video", i / len(times))
+            yield float(times[i]), picture
+
+    video.write_video(path, video.narrate(pictures(), result, episode.trace), fps)
+
+
+def load_inputs(
+    map_path: Path | None, scenario_path: Path | None, start: str | None, goal: str | None
+) -> tuple[OccupancyGrid, Scenario]:
+    """Map and scenario from the options of ``shmoo navigate``.
+
+    Raises:
+        ShmooError: no map, neither scenario nor start and goal, or anything wrong inside the files.
+    """
+    from shmoo_mjx.planning.maps import load_map
+    from shmoo_mjx.planning.scenario import load_scenario
+
+    if scenario_path is not None:
+        if start is not None or goal is not None:
+            raise ShmooError(
+                "--start and --goal have no effect beside --scenario; give them in the file or leave it out."
+            )
+        scenario = load_scenario(scenario_path)
+    elif start is not None and goal is not None:
+        scenario = Scenario(start=_numbers("--start", start, 3), goal=_numbers("--goal", goal, 2))
+    else:
+        raise ShmooError("navigate needs --scenario FILE, or --map FILE with --start x,y,yaw and --goal x,y.")
+    chosen = map_path or (None if scenario.map is None else Path(scenario.map))
+    if chosen is None:
+        raise ShmooError(f"{scenario_path or 'navigate'}: field 'map' is missing; add it or give --map FILE.")
+    seeds = {"seed": scenario.seed} | {f"objects[{i}].seed": o.seed for i, o in enumerate(scenario.objects)}
+    for field, seed in seeds.items():
+        check_seed(f"{scenario_path}: field '{field}':", seed)
+    return load_map(chosen), scenario
+
+
+def push_inputs(
+    family: str, goal: str, properties: Sequence[str], seed: int, start: str
+) -> tuple[OccupancyGrid, Scenario]:
+    """An open floor with one object at the origin, and the pose that it is to be brought to: ``shmoo push``.
+
+    Args:
+        family: box, cart, wheelchair, or an object file.
+        goal: "x,y,yaw" of the object [m, rad].
+        properties: "name=value" each, as in a scenario file.
+        seed: draws the properties that are not given.
+        start: "x,y,yaw" of the robot [m, rad].
+
+    Raises:
+        ShmooError: any of them is not what it should be.
+    """
+    given = {}
+    for text in properties:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise ShmooError(f"--set {shortened(text)!r} must be NAME=VALUE, such as mass=6.")
+        given[name] = value_of(value, f"--set {shortened(text)!r}")
+    entry = {"family": family, "pose": (0.0, 0.0, 0.0), "seed": seed, "properties": given}
+    task = {"start": _numbers("--start", start, 3), "push_to": _numbers("--goal", goal, 3), "objects": [entry]}
+    half = round(_FLOOR / 2 / _CELL)
+    floor = OccupancyGrid(np.zeros((2 * half, 2 * half), np.int8), _CELL, (-half * _CELL, -half * _CELL, 0.0))
+    return floor, validated(Scenario, {**task, "seed": seed}, "push")
+
+
+def _numbers(option: str, text: str, count: int) -> Any:
+    try:
+        values = tuple(float(v) for v in text.split(","))
+    except ValueError:
+        values = ()
+    if len(values) != count or not all(map(math.isfinite, values)):
+        raise ShmooError(f"{option} {shortened(text)!r} must be {count} finite numbers separated by commas.")
+    for yaw in values[2:]:
+        try:
+            check_angle(yaw)
+        except ValueError as error:
+            raise ShmooError(f"{option} {shortened(text)!r}: the yaw {error}") from None
+    return values

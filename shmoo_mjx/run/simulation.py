@@ -1,0 +1,269 @@
+"""A scenario sample by sample: the simulated world, the robot's senses and its navigator, and a record of what happens.
+
+``run_episode`` lets one run to its end; the live page steps one, and changes the world between samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from shmoo_mjx.base import custom
+from shmoo_mjx.behavior.belief import Status
+from shmoo_mjx.behavior.interaction import Machine
+from shmoo_mjx.behavior.navigator import Navigator
+from shmoo_mjx.behavior.policy import PolicyNavigator
+from shmoo_mjx.behavior.push_task import PushTask, PushTaskConfig
+from shmoo_mjx.behavior.records import Mode, NavigatorConfig
+from shmoo_mjx.control.pushing import PushController
+from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.learning.contact_prior import kind_of
+from shmoo_mjx.planning.maps import OccupancyGrid, occupied_rectangles
+from shmoo_mjx.planning.scenario import Scenario
+from shmoo_mjx.plant.condition import Condition
+from shmoo_mjx.plant.scene import PARTS, Scene, build_scene
+from shmoo_mjx.sensing import PERFECT, REAL, SensedEngine, SensedWorld, Senses
+from shmoo_mjx.types import DT, Command, Observation
+
+Point = Sequence[float]
+
+
+@dataclass
+class Record:
+    """What has happened so far, a row per sample."""
+
+    rows: list[dict[str, Any]] = field(default_factory=list)
+    qpos: list[np.ndarray] = field(default_factory=list)
+    observations: list[Observation] = field(default_factory=list)
+    commands: list[Command] = field(default_factory=list)
+    goals: list[np.ndarray] = field(default_factory=list)
+    late: list[dict[str, Any]] = field(default_factory=list)
+    """Missed deadlines, against the wall clock."""
+    falls: int = 0
+    diverged: bool = False
+    """Whether the physics was lost in the last sample; the simulation then stays as it was before."""
+    wall_contacts: int = 0
+    touching: bool = False
+    wall_parts: dict[str, int] = field(default_factory=dict)
+    touches: list[dict[str, Any]] = field(default_factory=list)
+    """Contacts with walls, as events."""
+
+    @property
+    def ended(self) -> bool:
+        """Whether a fall or a divergence has ended the run."""
+        return self.falls > 0 or self.diverged
+
+
+def conditions_of(scenario: Scenario) -> list[Condition]:
+    """The objects' conditions, drawn from family and seed with the given properties replaced."""
+    return [o.condition() for o in scenario.objects]
+
+
+def scene_of(
+    grid: OccupancyGrid,
+    scenario: Scenario,
+    conditions: list[Condition],
+    senses: Senses = PERFECT,
+    alter: Callable[[mujoco.MjSpec], None] = lambda spec: None,
+) -> Scene:
+    """The MuJoCo world: every wall of the map (a way round may lead anywhere), objects and the robot.
+
+    ``alter`` makes last changes to the MJCF in place, after those of the robot's body.
+    """
+    walls = occupied_rectangles(grid, unknown_borders=True)
+    placed = [(c, o.pose) for c, o in zip(conditions, scenario.objects, strict=True)]
+    body = senses.adjust(scenario.seed)
+
+    def adjust(spec: mujoco.MjSpec) -> None:
+        body(spec)
+        alter(spec)
+
+    return build_scene(placed, scenario.start, walls, float(grid.origin[2]), adjust=adjust)
+
+
+def navigator_of(
+    grid: OccupancyGrid,
+    scenario: Scenario,
+    controller: PushController,
+    senses: Senses,
+    config: NavigatorConfig | None = None,
+    first_status: Sequence[Status] | None = None,
+    policy: str | None = None,
+) -> Machine:
+    """What drives the robot in a run: the navigator, the pushing task where the scenario has a pose for an object, or
+    the ``policy`` "package.module:Name".
+
+    What it has to compute takes as long as ``senses`` say.
+
+    Raises:
+        ShmooError: there is a policy, but no goal for the robot.
+    """
+    config = replace(config or NavigatorConfig(), planning_time=senses.planning, latency=senses.latency)
+    conditions = conditions_of(scenario)
+    sizes, kinds = [c.half_extents for c in conditions], [kind_of(c) for c in conditions]
+    if scenario.push_to is not None:
+        if policy is not None:
+            raise ShmooError(f"policy {policy}: it drives to a goal, and the scenario has push_to; give it a goal.")
+        moves = PushTaskConfig(moves=config)
+        return PushTask(grid, sizes, scenario.push_to, controller, 0, scenario.seed, moves, kinds=kinds)
+    if policy is not None:
+        maker = custom.named("policy", policy)
+        return PolicyNavigator(policy, maker, grid, scenario.goal, sizes, controller, scenario.seed, config)
+    return Navigator(grid, scenario.goal, sizes, controller, scenario.seed, config, first_status, kinds)
+
+
+class Simulation:
+    """One scenario sample by sample; to be closed at the end (``contextlib.closing``). Arguments: see `run_episode`."""
+
+    def __init__(
+        self,
+        grid: OccupancyGrid,
+        scenario: Scenario,
+        controller: PushController,
+        config: NavigatorConfig | None = None,
+        first_status: Sequence[Status] | None = None,
+        senses: Senses = REAL,
+        policy: str | None = None,
+    ) -> None:
+        self.grid, self.scenario, self.senses, self.policy = grid, scenario, senses, policy
+        self.conditions = conditions_of(scenario)
+        self.scene = scene_of(grid, scenario, self.conditions, senses)
+        self.navigator = navigator_of(grid, scenario, controller, senses, config, first_status, policy)
+        self.record = Record()
+        # Where the object stands that is to be brought to a pose is told with the task.
+        self.engine = SensedEngine([self.scene], senses, scenario.seed, poses_known=scenario.push_to is not None)
+        self.world: SensedWorld = self.engine.init()
+        self.seen = self.engine.observe(self.world)
+        self.true = self.engine.true_observation(self.world)
+
+    def close(self) -> None:
+        """Stop the engine's threads."""
+        self.engine.close()
+
+    @property
+    def time(self) -> float:
+        """Simulated time [s]."""
+        return float(self.true.time[0])
+
+    @property
+    def qpos(self) -> np.ndarray:
+        """``[nq]`` of the world now, for pictures."""
+        return np.array(self.world.physics[0, 1 : 1 + self.scene.model.nq])
+
+    def decide(self, perceive: Callable[[Observation], Observation] = lambda seen: seen) -> Command:
+        """What the robot does next, by what it perceives now; ``perceive`` may add a fault."""
+        perceived = perceive(self.seen)
+        command = self.navigator.tick(perceived)
+        self._note(perceived, command)
+        return command
+
+    def advance(self, command: Command | None, spent: float | None = None) -> None:
+        """The world goes on for a sample, or for as many as computing has really taken.
+
+        Args:
+            command: what the robot does; None if the command got lost on its way.
+            spent: wall-clock time that it took to compute [s], if that is to pass in the world.
+        """
+        world, seen = self.engine.step(self.world, command, computing=spent)
+        if spent is not None and spent > DT:
+            late = {"t": round(float(seen.time[0]), 1), "state": str(self.navigator.mode)}
+            self.record.late.append(late | {"ms": round(1e3 * spent)})
+            for _ in range(int(spent / DT)):
+                world, seen = self.engine.step(world, command, computing=0.0)
+            # The controller's samples are DT apart: what spans a longer time teaches nothing.
+            seen = seen._replace(detected=np.zeros_like(seen.detected))
+        if self.engine.diverged(world)[0]:
+            self.record.diverged = True
+            return
+        self.world, self.seen = world, seen
+        self.true = self.engine.true_observation(self.world)
+        self._count_contacts()
+        self.record.falls += int(self.engine.fallen(self.world)[0])
+
+    def change(self, scenario: Scenario) -> None:
+        """Go on with more objects at the end of the list, or with other properties of those that are there.
+
+        New objects appear at rest at their poses; all others stay where they are.
+
+        Args:
+            scenario: its objects begin with those of the present one, each of the same family.
+        """
+        before = self.scene
+        # All that may fail comes first: what is refused has changed nothing.
+        conditions = conditions_of(scenario)
+        scene = scene_of(self.grid, scenario, conditions, self.senses)
+        engine = SensedEngine([scene], self.senses, scenario.seed)
+        world = engine.taken_over(self.world, before)
+        self.engine.close()
+        self.scenario, self.conditions, self.scene = scenario, conditions, scene
+        self.engine, self.world = engine, world
+        self.navigator.expect([c.half_extents for c in conditions], [kind_of(c) for c in conditions])
+        self.seen = self.engine.observe(self.world)
+        self.true = self.engine.true_observation(self.world)
+        added = len(self.conditions) - len(before.conditions)
+        if added:
+            self._widen(added)
+
+    def alter(self, change: Callable[[mujoco.MjSpec], None]) -> None:
+        """Go on from the same state in a world whose MJCF ``change`` changes in place, such as a floor's friction."""
+        self.scene = scene_of(self.grid, self.scenario, self.conditions, self.senses, change)
+        self.engine.change([self.scene])
+
+    def place(self, index: int, pose: Point) -> None:
+        """Somebody puts object ``index`` to the pose (x, y, yaw) in {W}, where it rests."""
+        physics, scene = self.world.truth.physics.copy(), self.scene
+        poses = [*self.true.object_pose[0]]
+        poses[index] = np.asarray(pose, dtype=float)
+        q, v = 1 + scene.object_qpos[index], 1 + scene.model.nq + scene.object_qvel[index]
+        physics[0, q : q + 7] = scene.placed(self.true.robot_pose[0], poses)[q - 1 : q + 6]
+        ends = [*scene.object_qvel[index + 1 :], scene.model.nv]
+        physics[0, v : 1 + scene.model.nq + ends[0]] = 0.0
+        self.world = self.world._replace(truth=self.world.truth._replace(physics=physics))
+        self.true = self.engine.true_observation(self.world)
+
+    def _note(self, seen: Observation, command: Command) -> None:
+        learned, true, record = self.navigator.learned, self.true, self.record
+        index = -1 if learned is None else learned[0]
+        wrench = true.wrench[0, :, :2].sum(axis=0)
+        record.qpos.append(self.qpos)
+        record.observations.append(seen)
+        record.commands.append(command)
+        record.goals.append(self.navigator.state.goal)
+        record.rows.append(
+            {
+                "t": float(true.time[0]),
+                "robot_pose": true.robot_pose[0],
+                "lean": true.lean[0],
+                "u": command.u[0],
+                "object_pose": true.object_pose[0],
+                "force": se2.rotate(wrench, -true.robot_pose[0, 2]),
+                "learned": None if learned is None else learned[1],
+                "learned_object": index,
+                "state": list(Mode).index(self.navigator.mode),
+            }
+        )
+
+    def _count_contacts(self) -> None:
+        """A contact counts once, however long it lasts."""
+        record, touching = self.record, bool(self.world.wall_contact[0])
+        if touching and not record.touching:
+            record.wall_contacts += 1
+            parts = [PARTS[i] for i in np.flatnonzero(self.world.wall_parts[0])]
+            for part in parts:
+                record.wall_parts[part] = record.wall_parts.get(part, 0) + 1
+            text = f"touches a wall with {' and '.join(parts)} while to {self.navigator.mode}"
+            record.touches.append({"t": round(self.time, 2), "what": text})
+        record.touching = touching
+
+    def _widen(self, added: int) -> None:
+        """Room for new objects in the record: nowhere before now, and for pictures where they appeared."""
+        rows, now = self.record.rows, self.qpos
+        nowhere = np.full((added, 3), np.nan)
+        for i, row in enumerate(rows):
+            rows[i] = row | {"object_pose": np.concatenate([row["object_pose"], nowhere])}
+        self.record.qpos = [np.concatenate([q, now[len(q) :]]) for q in self.record.qpos]
