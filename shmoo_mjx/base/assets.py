@@ -10,7 +10,7 @@ WEIGHTS = "experiments/weights/demo.safetensors"
 PAPER_WEIGHTS = "experiments/weights/paper.safetensors"
 """The same R with psi as the paper prints it."""
 
-_PACKAGE = Path(__file__).resolve().parent
+_PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def asset(relative_path: str) -> Path:

@@ -15,7 +15,7 @@ import numpy as np
 from shmoo_mjx.base.assets import asset
 
 _PACKAGE = "shmoo_mjx"
-_ROOT = Path(__file__).parent
+_ROOT = Path(__file__).parents[1]
 
 
 def fingerprint(code: str, settings: object, *parts: Any) -> str:

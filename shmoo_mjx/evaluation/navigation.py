@@ -4,7 +4,7 @@
 known of an object stays what it looks like. *oracle* is told by the certificate which objects the best option pushes,
 pushes these and goes round all others; without a certificate it is told which objects can be moved. Coefficients it
 learns as we do. *always_avoid* takes every object for a wall. *always_push* pushes whatever is in the way and never
-goes round. *paper* is the paper's system (`shmoo_mjx.behavior.methods`): its weights, its cost, and K < 0.3 m^2 after 1 s of
+goes round. *paper* is the paper's system (`behavior.methods`): its weights, its cost, and K < 0.3 m^2 after 1 s of
 contact. *geometric* takes whatever is in the way for movable, as planners after Stilman do, pushes wherever that makes
 the path shorter, and registers what a push has not moved. The *reference* is the best option of each certificate, and
 is not run.

@@ -68,7 +68,7 @@ def run(
         evaluate: validation score of what ``extract`` gave; lower is better.
         epochs: most epochs.
         patience: epochs without improvement before stopping.
-        identity: what decides about the training (`shmoo_mjx.base.fingerprints`): its code, config and data. A checkpoint of
+        identity: what decides about the training (`base.fingerprints`): its code, config and data. A checkpoint of
             another one is not continued.
         directory: where the state is kept after each epoch; a training that was cut short goes on from it and gives
             what it would have given.

@@ -1,1 +1,1 @@
-"""What an object's learned dynamics say about the options with it, in seconds and probabilities."""
+"""Maps, paths and local trajectories of the robot, and where pushes lead."""

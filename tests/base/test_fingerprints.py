@@ -10,7 +10,7 @@ import pytest
 from shmoo_mjx.base import fingerprints
 from shmoo_mjx.base.fingerprints import code_hash, fingerprint
 
-ROOT = Path(fingerprints.__file__).parent
+ROOT = Path(fingerprints.__file__).parents[1]
 
 
 @pytest.fixture

@@ -109,7 +109,7 @@ def test_environments_in_processes_run_or_say_why_they_can_t(tmp_path: Path, liv
 
 def test_every_pool_spawns_its_workers() -> None:
     """A forked process waits for ever for JAX's locks, if JAX has computed in its parent."""
-    root = Path(__file__).resolve().parents[1]
+    root = Path(__file__).resolve().parents[2]
     for source in (path for top in ("shmoo_mjx", "examples", "benchmarks") for path in (root / top).rglob("*.py")):
         for node in ast.walk(ast.parse(source.read_text(encoding="utf-8"))):
             call = ast.unparse(node) if isinstance(node, ast.Call) else ""

@@ -25,7 +25,7 @@ from shmoo_mjx.report.trace import Trace
 from shmoo_mjx.run.custom_log import OPTIONAL, REQUIRED, Log, read_log, run_of_log
 
 LogRun = tuple[Log, dict[str, Any], Trace]
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 STEP = 0.05
 
 
