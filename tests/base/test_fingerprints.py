@@ -42,7 +42,7 @@ def test_a_fingerprint_changes_with_settings_files_and_arrays(tmp_path: Path) ->
     ("module", "part"),
     [
         ("shmoo_mjx.learning.daiml", "learning/multistep.py"),
-        ("shmoo_mjx.evaluation.navigation", "navigation/verdicts.py"),
+        ("shmoo_mjx.evaluation.navigation", "behavior/verdicts.py"),
         ("shmoo_mjx.sweep.simulate", "plant/engine_mjx.py"),
     ],
 )
@@ -57,7 +57,7 @@ def test_code_that_is_imported_however_late_counts_and_its_comments_do_not(copy:
 
 def test_code_that_is_not_imported_does_not_count(copy: Path) -> None:
     before = code_hash("shmoo_mjx.learning.daiml")
-    (copy / "navigation" / "verdicts.py").write_text("CHANGED = 1\n")
+    (copy / "behavior" / "verdicts.py").write_text("CHANGED = 1\n")
     code_hash.cache_clear()
     assert code_hash("shmoo_mjx.learning.daiml") == before
 
