@@ -27,13 +27,15 @@ from shmoo_mjx.hands import TUCKED_REACH
 from shmoo_mjx.learning.online import Known
 from shmoo_mjx.navigation import drive
 from shmoo_mjx.navigation.belief import KnownObject, belief_of
-from shmoo_mjx.navigation.face_choice import YAW_WEIGHT, choose, residual
+from shmoo_mjx.navigation.footprints import footprints_free
 from shmoo_mjx.navigation.maps import OccupancyGrid
 from shmoo_mjx.navigation.navigator import setup_of
 from shmoo_mjx.navigation.paths import Path, project
 from shmoo_mjx.navigation.records import NavigatorConfig
 from shmoo_mjx.navigation.routes import Routes
 from shmoo_mjx.navigation.verdicts import UNDETECTED_LIMIT
+from shmoo_mjx.planning.reach import contact_foresight
+from shmoo_mjx.planning.search import choose, reached_by, residual
 from shmoo_mjx.sensing import finite
 from shmoo_mjx.skills import approach, batched, contact, hold, push, retreat
 from shmoo_mjx.skills.push import Pusher
@@ -45,8 +47,8 @@ _FRESH = 0.3
 """Age of a pose from which the robot first turns to the object to look where it is [s]."""
 _LONGEST_LOOK = 4.0
 """How long it looks for it [s]."""
-_GAIN = 0.1
-"""Least improvement that another push has to promise [m of error]: about what a short one errs by itself."""
+_WALL_CLEARANCE = 0.06
+"""Distance from walls that the footprint keeps at the end of a push [m]: what the pushing controller keeps, too."""
 AT_REST = 0.03
 """Speed below which the object counts as resting [m/s]: 3 mm in a sample."""
 _LOST_AFTER = 2.5
@@ -242,11 +244,20 @@ class PushTask:
         around, faces = self.belief.clearance(without=self._index), faces_of(known.half_extents)
         ways = [routes.path_to_face(obs.robot_pose[0, :2], self._index, face, everything) for face in faces]
         lengths = [w[0].length if w and i not in known.failed_faces else None for i, w in enumerate(ways)]
-        choice = choose(known.pose, self.goal, faces, lengths, around, known.half_extents)
-        if choice is None:
+        if all(length is None for length in lengths):
             self._go(obs, Phase.FAILED, f"no face can be reached; the object is {where}")
             return
-        if choice.expected > float(residual(known.pose, self.goal, YAW_WEIGHT)) - _GAIN:
+        half, foresight = known.half_extents, contact_foresight(self._pusher, pose_push_config())
+        reached = reached_by(foresight, self._adapt, known.kind, half, se2.relative(known.pose, self.goal))
+        choice = choose(
+            reached,
+            known.pose,
+            self.goal,
+            faces,
+            lengths,
+            lambda poses: footprints_free(around, poses, half, wall_clearance=_WALL_CLEARANCE),
+        )
+        if choice is None:
             self._go(obs, Phase.DONE, f"the object is {where}, and another push promises no better")
             return
         chosen = ways[choice.side]
@@ -322,7 +333,7 @@ class PushTask:
     def _end_of_push(self, obs: Observation, segment: _PushSegment, pushed: push.PushState, known: KnownObject) -> None:
         """Give up a push that leads no further."""
         count = round(_STALL[1] / DT)
-        errors = residual(np.array([pushed.poses[0], pushed.poses[-count:][0], known.pose]), segment.goal, YAW_WEIGHT)
+        errors = residual(np.array([pushed.poses[0], pushed.poses[-count:][0], known.pose]), segment.goal)
         if pushed.since_contact > _LOST_AFTER:
             self._go(obs, Phase.RETREAT, f"contact lost for {_LOST_AFTER:g} s")
         elif known.age > UNDETECTED_LIMIT:
