@@ -28,16 +28,18 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.geometry.faces import faces_of
 from shmoo_mjx.learning.online import Known
-from shmoo_mjx.planning.face_choice import YAW_WEIGHT, choose, residual
+from shmoo_mjx.planning.footprints import footprints_free
 from shmoo_mjx.planning.maps import OccupancyGrid
+from shmoo_mjx.planning.reach import contact_foresight
+from shmoo_mjx.planning.search import choose, reached_by, residual
 from shmoo_mjx.types import DT, Command, Observation
 
 _FRESH = 0.3
 """Age of a pose from which the robot first turns to the object to look where it is [s]."""
 _LONGEST_LOOK = 4.0
 """How long it looks for it [s]."""
-_GAIN = 0.1
-"""Least improvement that another push has to promise [m of error]: about what a short one errs by itself."""
+_WALL_CLEARANCE = 0.06
+"""Distance from walls that the footprint keeps at the end of a push [m]: what the pushing controller keeps, too."""
 AT_REST = 0.03
 """Speed below which the object counts as resting [m/s]: 3 mm in a sample."""
 _STALL = (0.03, 6.0)
@@ -179,10 +181,13 @@ class PushTask(Machine):
         around, faces = state.belief.clearance(without=index), faces_of(known.half_extents)
         ways = [routes.path_to_face(obs.robot_pose[0, :2], index, face, everything) for face in faces]
         lengths = [w[0].length if w and i not in known.failed_faces else None for i, w in enumerate(ways)]
-        choice = choose(known.pose, self.goal, faces, lengths, around, known.half_extents)
-        if choice is None:
+        if all(length is None for length in lengths):
             return state.go(now, Mode.FAILED, f"no face can be reached; the object is {where}")
-        if choice.expected > float(residual(known.pose, self.goal, YAW_WEIGHT)) - _GAIN:
+        half, foresight = known.half_extents, contact_foresight(setup.controller, pose_push_config())
+        reached = reached_by(foresight, self.adapt, known.kind, half, se2.relative(known.pose, self.goal))
+        free = partial(footprints_free, around, half_extents=np.array(half), wall_clearance=_WALL_CLEARANCE)
+        choice = choose(reached, known.pose, self.goal, faces, lengths, free)
+        if choice is None:
             return state.go(now, Mode.DONE, f"the object is {where}, and another push promises no better")
         chosen = ways[choice.side]
         assert chosen is not None
@@ -212,7 +217,7 @@ class PushTask(Machine):
         if len(pushed.poses) < count:
             return state
         poses = np.array([pushed.poses[0], pushed.poses[-count], known.pose])
-        at_first, before, here = residual(poses, segment.goal, YAW_WEIGHT)
+        at_first, before, here = residual(poses, segment.goal)
         if before - here >= _STALL[0]:
             return state
         if at_first - here < _NO_NEARER:

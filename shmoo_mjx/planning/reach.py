@@ -17,9 +17,10 @@ import numpy as np
 from shmoo_mjx.arrays import Array, Float, Key, single_precision
 from shmoo_mjx.control import quasi_static
 from shmoo_mjx.control.cost import PushCost
+from shmoo_mjx.control.governor import static_lean
 from shmoo_mjx.control.observation import ObjectObservation
-from shmoo_mjx.control.pushing import PushController
-from shmoo_mjx.dynamics import core
+from shmoo_mjx.control.pushing import PushConfig, PushController
+from shmoo_mjx.dynamics import contact_model, core
 from shmoo_mjx.dynamics.core import CoreConfig, Params
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.geometry.faces import heading
@@ -27,7 +28,7 @@ from shmoo_mjx.geometry.hands import HAND_RADIUS, REACH
 from shmoo_mjx.learning import estimate, online
 from shmoo_mjx.learning.estimate import ObjectEstimate
 from shmoo_mjx.learning.online import Known
-from shmoo_mjx.learning.weights import prior_state
+from shmoo_mjx.learning.weights import Weights, load_weights, prior_state
 from shmoo_mjx.types import SystemState
 
 SAMPLES = 16
@@ -48,6 +49,10 @@ _ONE = ObjectObservation(0, 0, 0, 0, 0, 0, 0, None, None)
 _UNKNOWN = (0.02, 0.03, 0.25)
 """Standard deviations of a constant difference between the command and what it does [rad, rad, rad]: robots balance and
 steer otherwise than the model has it, and the model errs."""
+_FAR_STEPS = 240
+"""Samples of time of an expected push: 24 s, in which it comes 3.5 m at the speed of pushing to a pose."""
+_STRONGEST = quasi_static.LEAN_LIMIT / float(static_lean(1.0))
+"""Force of the hands at the lean limit [N]: what resists with more along both axes does not move."""
 
 
 class Options(NamedTuple):
@@ -137,12 +142,12 @@ def _roll(
 
 
 def goal_ahead(
-    pose: Float[np.ndarray, "3"], face: Float[np.ndarray, "4"], bearing: float = 0.0
+    pose: Float[np.ndarray, "3"], face: Float[np.ndarray, "4"], bearing: float = 0.0, distance: float = _FAR
 ) -> Float[np.ndarray, "3"]:
     """Goal in {W} of a push on ``face`` of an object at ``pose``, along an arc to a place ``bearing`` [rad] to the left
-    of straight ahead."""
+    of straight ahead, ``distance`` [m] away."""
     ahead = heading(pose, face) + bearing
-    return np.array([pose[0] + _FAR * np.cos(ahead), pose[1] + _FAR * np.sin(ahead), pose[2] + 2.0 * bearing])
+    return np.array([pose[0] + distance * np.cos(ahead), pose[1] + distance * np.sin(ahead), pose[2] + 2.0 * bearing])
 
 
 def progress(
@@ -171,11 +176,17 @@ def probability_to_come(
     return np.asarray(((progress(poses, start, face) >= distance) & within).any(axis=-1).mean(axis=-1))
 
 
-class Foresight:
-    """`reach` for one pushing controller, compiled once for all objects and maps."""
+def middle(known: ObjectEstimate) -> Float[Array, "p"]:
+    """Median of each contact parameter among the particles that a push can move, or among all if it can move none."""
+    moves = contact_model.resistance(known.parameters).min(axis=-1) < _STRONGEST
+    weight = jnp.where(moves | ~moves.any(), known.log_weight, -jnp.inf)
+    return estimate.quantiles(known._replace(log_weight=weight), known.parameters, (0.5,))[0]
 
-    def __init__(self, controller: PushController) -> None:
-        weights, config = controller.weights, controller.config
+
+class Foresight:
+    """`reach` for the weights and settings of one pushing controller, compiled once for all objects and maps."""
+
+    def __init__(self, weights: Weights, config: PushConfig) -> None:
         shape = weights.config.object
         # Over many seconds the contact model alone predicts better than psi, which is trained on three.
         model = replace(weights.config, object=replace(shape, residual=not shape.contact_model))
@@ -189,7 +200,12 @@ class Foresight:
                 samples = jnp.tile(params.contact, (SAMPLES, 1))
             return reach(params, samples, own_key, pose, half_extents, options, model, config.cost, STEPS)
 
-        self._run = jax.jit(run)
+        def run_middle(known: ObjectEstimate, half_extents: Array, options: Options) -> Array:
+            begin = _start(jnp.zeros(3), jnp.hypot(*half_extents), options)
+            roll = partial(_roll, weights.params, model, config.cost, _FAR_STEPS, options, begin)
+            return jnp.swapaxes(roll(middle(known), jnp.zeros(len(_UNKNOWN)))[0], 0, 1)
+
+        self._run, self._run_middle = jax.jit(run), jax.jit(run_middle)
         self._prior = lru_cache(maxsize=8)(
             lambda kind: prior_state(weights, config.estimate, jax.random.key(_PRIOR_KEY), kind)
         )
@@ -209,6 +225,19 @@ class Foresight:
         key = jax.random.key(seed)
         given = (np.asarray(pose, np.float32), np.asarray(half_extents, np.float32))
         return jax.tree.map(np.asarray, self._run(known, key, *given, Options(*map(np.asarray, options))))
+
+    @single_precision
+    def expected(
+        self, adapt: Any, kind: str | None, half_extents: tuple[float, float], options: Options
+    ) -> Float[np.ndarray, "O T 3"]:
+        """Poses of an object that begins at the origin, for the middle of what is known of it.
+
+        One roll-out of each option: a straight push of a symmetric object stays straight. Where ``adapt`` is no
+        posterior of the contact parameters, the prior of what the object looks like takes its place.
+        """
+        known = adapt if isinstance(adapt, ObjectEstimate) else self._prior(kind)
+        found = self._run_middle(known, np.asarray(half_extents, np.float32), Options(*map(np.asarray, options)))
+        return np.asarray(found, float)
 
     def of_one(
         self,
@@ -245,4 +274,19 @@ def foresight_of(controller: Any) -> Any:
     return _of(controller) if isinstance(controller, PushController) else controller.foresee
 
 
-_of = lru_cache(maxsize=4)(Foresight)
+def contact_foresight(controller: Any, config: PushConfig) -> Foresight:
+    """The `Foresight` of a controller whose psi has the contact model, or else that of the shipped weights with
+    ``config``: what learns otherwise, or not at all, is given the same choice of pushes."""
+    if isinstance(controller, PushController) and controller.weights.config.object.contact_model:
+        return _of(controller)
+    return _shipped(config)
+
+
+@lru_cache(maxsize=4)
+def _of(controller: PushController) -> Foresight:
+    return Foresight(controller.weights, controller.config)
+
+
+@lru_cache(maxsize=2)
+def _shipped(config: PushConfig) -> Foresight:
+    return Foresight(load_weights(), config)

@@ -77,7 +77,7 @@ def _grid(corridor: bool = False) -> OccupancyGrid:
 
 
 def _task(goal: np.ndarray, grid: OccupancyGrid | None = None) -> PushTask:
-    return PushTask(grid or _grid(), [HALF], goal, QuasiStaticPusher(pose_push_config().cost))
+    return PushTask(grid or _grid(), [HALF], goal, QuasiStaticPusher(pose_push_config().cost), kinds=["box"])
 
 
 @pytest.mark.parametrize("goal", [(0.5, 0.0), (0.5, 0.0, 0.0, 1.0), (0.5, np.nan, 0.0), (np.inf, 0.0, 0.0)])

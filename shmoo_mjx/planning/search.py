@@ -1,0 +1,157 @@
+"""Sequences of pushes that bring an object to a pose.
+
+Single pushes on each side are rolled out once, in several directions, for the middle of what is known of the object's
+dynamics. A push may end anywhere on its way. Dynamics do not depend on where an object stands, so sequences are
+compositions of these displacements.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from shmoo_mjx.arrays import Array, Bool, Float, Int, Scalar
+from shmoo_mjx.geometry import se2
+from shmoo_mjx.geometry.faces import faces_of
+from shmoo_mjx.learning.online import Known
+from shmoo_mjx.planning.reach import Foresight, Options, goal_ahead
+
+YAW_WEIGHT = 0.25
+"""Metres that a yaw error of 1 rad counts for [m/rad]: about half the side of an object."""
+COST = 0.05
+"""Metres of error that a push has to mend by itself, and for each metre of its way: about what it errs [m, 1]. More
+makes for fewer and shorter pushes."""
+_WALK = 0.01
+"""Metres of error that a metre of walking to the face counts for [1]: decides only between faces that are as good."""
+_ARCS = ((0.25, 2.5), (0.55, 2.5), (0.6, 1.4))
+_DIRECTIONS = ((0.0, 4.0), *((sign * bearing, far) for bearing, far in _ARCS for sign in (1, -1)))
+"""Bearing [rad] and distance [m] of the goals of pushes on a side: straight on, and along gentle and sharp arcs."""
+_TURNS = (-0.3, -0.2, -0.1, 0.0, 0.1, 0.2, 0.3)
+"""What is added to the yaw of the goal for pushes towards it [rad]: an object lags behind the turn that is steered."""
+_STEP, _LONGEST = 0.02, 3.2
+"""Spacing of the places where a push may end along its way, and the longest way [m]."""
+_FIRST, _SECOND = 12, 4
+"""Every so many of these places are looked at as the end of a first and of a second push."""
+_SHORTEST = 0.1
+"""Least way of a push along its face's normal [m]: an object whose goal is nearer, or beside the face, is let go at
+once."""
+
+
+class Reached(NamedTuple):
+    """Where pushes on an object lead."""
+
+    side: Int[np.ndarray, "N"]
+    """Index of the face among `faces_of`."""
+    moved: Float[np.ndarray, "N 3"]
+    """Pose of the object after the push in {O} before it."""
+    way: Float[np.ndarray, "N"]
+    """Length of its way [m], a turn counted by `YAW_WEIGHT`."""
+    aimed: Bool[np.ndarray, "N"]
+    """Whether it is steered towards the goal, rather than in a direction from wherever the object stands."""
+
+
+class Choice(NamedTuple):
+    """A push to make next."""
+
+    side: int
+    """Index of the face."""
+    goal: Float[np.ndarray, "3"]
+    """Where this push is to bring the object, in {W}."""
+    expected: float
+    """Error left after the last push, with what the pushes cost [m]."""
+
+
+def residual(pose: Float[Array, "*b 3"], goal: Float[Array, "3"]) -> Scalar | Float[np.ndarray, "*b"]:
+    """Error [m] of ``pose`` against ``goal``, a yaw error on the circle counted by `YAW_WEIGHT`."""
+    offset = np.asarray(pose)[..., :2] - np.asarray(goal)[:2]
+    yaw = se2.wrap(np.asarray(pose)[..., 2] - np.asarray(goal)[2])
+    return np.hypot(offset[..., 0], offset[..., 1]) + YAW_WEIGHT * np.abs(yaw)
+
+
+def reached_by(
+    foresight: Foresight,
+    adapt: Known | None,
+    kind: str | None,
+    half_extents: tuple[float, float],
+    goal: Float[Array, "3"],
+) -> Reached:
+    """Where single pushes on each side lead: in several directions, and towards a goal.
+
+    Args:
+        foresight: of the pushing controller (`planning.reach.contact_foresight`).
+        adapt: what was learned of the object; None before it was touched.
+        kind: what it looks like.
+        half_extents: of its footprint [m].
+        goal: in {O}.
+    """
+    faces = faces_of(half_extents)
+    towards = goal + np.array([(0.0, 0.0, turn) for turn in _TURNS])
+    goals = [[*(goal_ahead(np.zeros(3), face, *direction) for direction in _DIRECTIONS), *towards] for face in faces]
+    side = np.repeat(np.arange(len(faces)), len(goals[0]))
+    options = Options(faces[side].astype(np.float32), np.concatenate(goals).astype(np.float32))
+    poses = foresight.expected(adapt, kind, half_extents, options)
+    steps = np.diff(poses, axis=1, prepend=0.0)
+    way = np.cumsum(np.hypot(steps[..., 0], steps[..., 1]) + YAW_WEIGHT * np.abs(steps[..., 2]), axis=1)
+    lengths = np.arange(_STEP, _LONGEST, _STEP)
+    there = way[:, None] >= lengths[:, None]
+    option, length = np.nonzero(there.any(axis=2))
+    ends = poses[option, np.argmax(there, axis=2)[option, length]]
+    aimed = np.tile(np.arange(len(goals[0])) >= len(_DIRECTIONS), len(faces))
+    return Reached(side[option], ends, lengths[length], aimed[option])
+
+
+def choose(
+    reached: Reached,
+    pose: Float[np.ndarray, "3"],
+    goal: Float[np.ndarray, "3"],
+    faces: Float[np.ndarray, "F 4"],
+    ways: Sequence[float | None],
+    free: Callable[[Float[np.ndarray, "N 3"]], Bool[np.ndarray, "N"]],
+) -> Choice | None:
+    """The first push of the sequence of none, one or two that leaves the least error; None if that is the one of none.
+
+    Args:
+        reached: where pushes lead (`reached_by`).
+        pose: of the object in {W}.
+        goal: where it is to be.
+        faces: as `faces_of` gives them.
+        ways: length of the way to each face [m], None where it can't be reached or must not be pushed.
+        free: whether the object may stand at each of these poses in {W} between two pushes.
+    """
+    walks = _WALK * np.array([np.inf if way is None else way for way in ways])
+    reached = Reached(*(part[np.isfinite(walks)[reached.side]] for part in reached))
+    side, costs = reached.side, COST * (1.0 + reached.way) + walks[reached.side]
+    normals = np.stack([np.cos(faces[:, 2]), np.sin(faces[:, 2])], axis=-1)[side]
+    ends = np.asarray(se2.compose(pose, reached.moved))
+    found, least = None, float(residual(pose, goal))
+    # What leads to the goal directly is given the goal itself: steering may do better than the roll-out.
+    leads = normals @ se2.inverse_transform_point(pose, goal[:2]) >= _SHORTEST
+    errors = np.where(leads, residual(ends, goal) + costs, np.inf)
+    if len(side) and errors.min() < least:
+        k = int(np.argmin(errors))
+        found, least = Choice(int(side[k]), np.asarray(goal, dtype=float), float(errors[k])), float(errors[k])
+    anywhere = np.flatnonzero(~reached.aimed & (np.einsum("ni,ni->n", normals, reached.moved[:, :2]) >= _SHORTEST))
+    first = anywhere[::_FIRST]
+    first = first[free(ends[first])]
+    if len(first):
+        second = Reached(*(part[anywhere[::_SECOND]] for part in reached))
+        errors = _after(ends[first], side[first], second, goal) + costs[first]
+        k = int(np.argmin(errors))
+        if errors[k] < least:
+            found = Choice(int(side[first[k]]), ends[first[k]], float(errors[k]))
+    return found
+
+
+def _after(
+    stops: Float[np.ndarray, "M 3"], first: Int[np.ndarray, "M"], reached: Reached, goal: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "M"]:
+    """Least error after a push on another side than ``first`` from each stop, with what that push costs."""
+    left = np.full(len(stops), np.inf)
+    for pushed in np.unique(first):
+        mine, others = first == pushed, reached.side != pushed
+        if others.any():
+            ends = se2.compose(stops[mine, None].astype(np.float32), reached.moved[others].astype(np.float32))
+            left[mine] = (residual(ends, goal.astype(np.float32)) + COST * (1.0 + reached.way[others])).min(axis=1)
+    return left
