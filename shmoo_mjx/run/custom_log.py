@@ -23,7 +23,7 @@ from shmoo_mjx.base.guard import ARRAYS, HTML, RECORDING, check_folder
 from shmoo_mjx.base.verbosity import LOG
 from shmoo_mjx.base.versions import versions
 from shmoo_mjx.behavior.verdicts import PROBE_TIME
-from shmoo_mjx.control.pushing import PushController
+from shmoo_mjx.control.pushing import PushConfig
 from shmoo_mjx.data.differentiate import body_acceleration
 from shmoo_mjx.dynamics import object_model
 from shmoo_mjx.dynamics.core import Params
@@ -138,7 +138,7 @@ def run_of_log(log: Log, half_extents: tuple[float, float], weights: Weights) ->
     known = np.isfinite(log.object_pose).all(axis=1)
     pushes = [p for p in _pushes(log) if known[p].any()]
     learned, names, prior, errors, after = _learned(log, half_extents, weights, pushes)
-    foresight = Foresight(PushController(weights))
+    foresight = Foresight(weights, PushConfig())
     judged = [_verdict(log, *each, half_extents, foresight) for each in zip(pushes, after, strict=True)]
     decisions = [d for d in judged if d is not None]
     poses = log.object_pose[known]
