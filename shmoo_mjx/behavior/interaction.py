@@ -66,19 +66,17 @@ _LONGEST_CONTACT = 10.0
 PROBE_ROOM = 0.03
 """How far the probe's lean may stay below what the governor grants, while the object has not moved yet [rad]: a verdict
 on what was only touched gently would be worth little."""
-
-
 Act = Callable[[Setup, NavigatorState, Observation], tuple[NavigatorState, Command]]
-
-
+"""The next state and the command for the next sample, of one world, unbatched."""
 Judge = Callable[[Setup, NavigatorState, Observation], NavigatorState]
+"""The state with the push ended, if it is to end."""
 
 
 class Rule(NamedTuple):
     """What is done in a mode."""
 
     act: Act
-    """The command for the next sample (of one world, unbatched); it may change the mode."""
+    """What the robot does; it may change the mode."""
     decide: Callable[[Setup, NavigatorState, Observation], NavigatorState | None]
     """What takes time to compute, if anything is due: the state in which it has been decided."""
     leads_to: tuple[Mode, ...]
@@ -92,7 +90,7 @@ def setup_of(
     first_status: Sequence[Status] | None = None,
     kinds: Sequence[str | None] | None = None,
 ) -> Setup:
-    """Constant parts of a navigator; see the fields of :class:`~shmoo_mjx.behavior.records.Setup`."""
+    """Constant parts of a machine; see the fields of :class:`~shmoo_mjx.behavior.records.Setup`."""
     config = config or NavigatorConfig()
     planner = flat_qp.init(FlatModel(*shmoobot().flatness), config.trajectory)
     return Setup(sizes, controller, config, planner, first_status, kinds)
