@@ -163,6 +163,8 @@ class PushTask(Machine):
 
     def _choose(self, setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState | None:
         """With the object at rest: leave it, or choose the next push."""
+        if state.segment is not None:  # the push before is over
+            return replace(state, segment=None)
         cfg, index, now = self.settings, self._index, float(obs.time[0])
         known = state.belief.objects.get(index)
         if known is None:
