@@ -19,7 +19,7 @@ from scipy.interpolate import make_interp_spline
 
 from shmoo_mjx import se2
 from shmoo_mjx.arrays import Array
-from shmoo_mjx.control.pushing import PushController
+from shmoo_mjx.control.pushing import PushConfig
 from shmoo_mjx.data.differentiate import body_acceleration
 from shmoo_mjx.dynamics import object_model
 from shmoo_mjx.dynamics.core import Params
@@ -138,7 +138,7 @@ def run_of_log(log: Log, half_extents: tuple[float, float], weights: Weights) ->
     known = np.isfinite(log.object_pose).all(axis=1)
     pushes = [p for p in _pushes(log) if known[p].any()]
     learned, names, prior, errors, after = _learned(log, half_extents, weights, pushes)
-    foresight = Foresight(PushController(weights))
+    foresight = Foresight(weights, PushConfig())
     judged = [_verdict(log, *each, half_extents, foresight) for each in zip(pushes, after, strict=True)]
     decisions = [d for d in judged if d is not None]
     poses = log.object_pose[known]
