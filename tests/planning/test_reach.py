@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from shmoo_mjx.behavior.decide import options_about
-from shmoo_mjx.control.pushing import PushController
+from shmoo_mjx.control.pushing import PushConfig, PushController
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.geometry.faces import faces_of
 from shmoo_mjx.learning import contact_prior
@@ -20,8 +20,10 @@ from shmoo_mjx.planning.reach import (
     SAMPLES,
     STEPS,
     Outcomes,
+    contact_foresight,
     foresight_of,
     goal_ahead,
+    middle,
     probability_to_come,
     progress,
 )
@@ -146,3 +148,16 @@ def test_a_light_box_is_said_to_come_and_a_heavy_one_not() -> None:
         for of in ({"mass": 4.0, "friction": 0.3}, {"mass": 60.0, "friction": 0.6})
     )
     assert light > 0.95 and heavy < 0.05
+
+
+def test_the_middle_is_that_of_what_can_be_moved() -> None:
+    light, heavy = (known(draw_condition("box", 3, of)) for of in ({"mass": 4.0}, {"mass": 60.0, "friction": 0.6}))
+    mixed = heavy._replace(parameters=jnp.concatenate([light.parameters[:300], heavy.parameters[300:]]))
+    np.testing.assert_array_equal(middle(mixed), light.parameters[0])
+    np.testing.assert_array_equal(middle(heavy), heavy.parameters[0])
+
+
+def test_pushers_without_the_contact_model_are_given_the_shipped_one() -> None:
+    shipped = contact_foresight(object(), PushConfig())
+    assert contact_foresight(None, PushConfig()) is shipped
+    assert contact_foresight(controller(), PushConfig()) is foresight_of(controller()) is not shipped
