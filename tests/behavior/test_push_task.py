@@ -183,6 +183,18 @@ def test_what_can_not_be_moved_ends_the_task() -> None:
     assert task.belief.objects[0].failed_faces
 
 
+def test_it_goes_on_to_another_pose_with_what_it_knows() -> None:
+    world = _World(np.array([-1.5, 0.0, 0.0]), np.zeros(3))
+    task = _task(np.array([0.5, 0.0, 0.0]))
+    _run(task, world)
+    assert task.mode is Mode.DONE and task.segment is None
+    task.head_for((1.0, 0.0, 0.0), world.time)
+    assert not task.finished and task.pushes == 0
+    _run(task, world, world.time + 60.0)
+    assert task.mode is Mode.DONE, _reasons(task)
+    assert np.linalg.norm(world.thing[:2] - (1.0, 0.0)) < 0.12, _reasons(task)
+
+
 def test_an_object_at_its_goal_is_left_alone() -> None:
     world = _World(np.array([-1.5, 0.0, 0.0]), np.array([0.0, 0.02, 0.05]))
     task = _task(np.zeros(3))
