@@ -26,6 +26,7 @@ COMMANDS = {
     "the end of a demo's range": "demo --seed 0..",
     "collect": "collect data --seed",
     "train": "train object data --seed",
+    "push": "push box --seed",
     "view": "view box --no-window --seed",
     "experiment": "experiment object_model --seed",
     "objects of an experiment": "experiment object_model --condition-seed",
