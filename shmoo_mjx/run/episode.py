@@ -258,7 +258,7 @@ def _outcome(simulation: Simulation, distance: float) -> tuple[str, str]:
             return "wall contact", f"{where}, but the robot touched a wall {record.wall_contacts} times"
         if not navigator.finished:
             return "timeout", f"{scenario.limits.time_s:g} s were not enough; {where}"
-        return ("success", where) if there else ("stopped short", f"{where}: {navigator.transitions[-1].reason}")
+        return ("success", where) if there else ("stopped short", navigator.transitions[-1].reason)
     if navigator.mode is Mode.FAILED:
         return "blocked", navigator.transitions[-1].reason
     if distance <= scenario.limits.goal_tolerance_m and navigator.mode is Mode.DONE:
