@@ -8,7 +8,7 @@ compositions of these displacements.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from shmoo_mjx.arrays import Array, Bool, Float, Int, Scalar
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.geometry.faces import faces_of
 from shmoo_mjx.learning.online import Known
-from shmoo_mjx.planning.reach import Foresight, Options, goal_ahead
+from shmoo_mjx.planning.reach import Options, goal_ahead
 
 YAW_WEIGHT = 0.25
 """Metres that a yaw error of 1 rad counts for [m/rad]: about half the side of an object."""
@@ -71,7 +71,7 @@ def residual(pose: Float[Array, "*b 3"], goal: Float[Array, "3"]) -> Scalar | Fl
 
 
 def reached_by(
-    foresight: Foresight,
+    foresight: Any,
     adapt: Known | None,
     kind: str | None,
     half_extents: tuple[float, float],
@@ -80,7 +80,7 @@ def reached_by(
     """Where single pushes on each side lead: in several directions, and towards a goal.
 
     Args:
-        foresight: of the pushing controller (`planning.reach.contact_foresight`).
+        foresight: what has a method ``expected`` as `Foresight` has (`planning.reach.contact_foresight`).
         adapt: what was learned of the object; None before it was touched.
         kind: what it looks like.
         half_extents: of its footprint [m].
