@@ -50,13 +50,13 @@ def replan(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorSt
     if way is not None:
         state = _on_path(replace(state, waits_from=None), now, way.path)
         return state.go(now, Mode.FOLLOW, f"path of {way.path.length:.2f} m found")
-    begun = now if state.waits_from is None else state.waits_from
-    if now - begun >= _PATIENCE:
+    waits_from = now if state.waits_from is None else state.waits_from
+    if now - waits_from >= _PATIENCE:
         why = "every route to the goal is blocked by walls and objects that can't be moved"
         return state.go(now, Mode.FAILED, why)
     if state.waits_from is None:
         state = state.with_events(Note(now, "every route to the goal is blocked; waits a little and looks again"))
-    return replace(state, waits_from=begun, since=now)
+    return replace(state, waits_from=waits_from, since=now)
 
 
 def _on_path(state: NavigatorState, now: float, path: Path) -> NavigatorState:
