@@ -20,12 +20,11 @@ from shmoo_mjx.errors import ShmooError
 
 __all__ = ["Array", "Bool", "Float", "Int", "Key", "Numbers", "Scalar", "Shaped", "finite_numbers", "single_precision"]
 
+Array = np.ndarray | jax.Array
 if TYPE_CHECKING:
-    # What both have in common can't be said to a type checker.
-    Array = Any
-    Scalar = Any
+    # For a type checker np.float64 is a float; its shape and NumPy's other scalars are checked in tests.
+    Scalar = float | Array
 else:
-    Array = np.ndarray | jax.Array
     Scalar = float | int | np.generic | Shaped[Array, ""]
 
 Numbers = Sequence[Scalar]
