@@ -1,4 +1,4 @@
-"""A film as a small moving picture for pages that play no films: python benchmarks/animation.py FILM PICTURE."""
+"""A film as a small moving picture for pages that play no films: python -m benchmarks.animation FILM PICTURE."""
 
 from __future__ import annotations
 

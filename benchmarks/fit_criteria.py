@@ -3,7 +3,7 @@
 Each object is probed with real senses by the navigator as it is. Finished touches are kept in the folder, so a stopped
 run goes on. 124 objects take half an hour on two cores.
 
-uv run python benchmarks/fit_criteria.py FOLDER
+uv run python -m benchmarks.fit_criteria FOLDER
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """How fast the live page goes: samples, pictures sent and pictures drawn per second, by number of browsers.
 
-Run: python benchmarks/live_rate.py --seconds 40 --picture page.png (needs Chromium with its chromedriver)
+Run: python -m benchmarks.live_rate --seconds 40 --picture page.png (needs Chromium with its chromedriver)
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
 """Writes the measured tables of docs/performance.md from the results in docs/results.
 
-Run: python benchmarks/performance_page.py (with --check: ends with code 1 if the page is not what the results say)
+Run: python -m benchmarks.performance_page (with --check: ends with code 1 if the page is not what the results say)
 
     shmoo bench mppi --peers-python peers/bin/python --json docs/results/bench_mppi.json
     shmoo bench demo --json docs/results/bench_demo.json
     shmoo bench navigation --maps MAPS --json docs/results/bench_navigation.json
-    python benchmarks/gpu.py --out docs/results (on a machine with a GPU)
-    python benchmarks/rollouts.py --json docs/results/rollouts.json --figure docs/figures/rollouts.png
+    shmoo bench mppi --json docs/results/bench_mppi_gpu.json (on a machine with a GPU; also plant)
+    python -m benchmarks.rollouts --json docs/results/rollouts.json --figure docs/figures/rollouts.png
 
 The control step's table is of the short form's result where there is none of the long form.
 """
@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import argparse
 import re
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -107,8 +106,7 @@ def batches(result: ExperimentResult) -> str:
 
 def rollouts(result: ExperimentResult) -> str:
     """Cost and time of every variant."""
-    sys.path.insert(0, str(Path(__file__).parent))
-    from rollouts import as_table, summary
+    from .rollouts import as_table, summary
 
     pushes = [row for row in result.rows if "cost_m" in row]
     return as_table(summary(pushes, [row for row in result.rows if "cores" in row]))

@@ -2,7 +2,7 @@
 
 It takes about two minutes on one core.
 
-Run: python benchmarks/plant_figures.py
+Run: python -m benchmarks.plant_figures
 """
 
 from __future__ import annotations

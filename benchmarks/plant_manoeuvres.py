@@ -1,7 +1,7 @@
 """The plant on the manoeuvres that ball-balancing robots are told by, and where it falls; C MuJoCo.
 
-Run: python benchmarks/plant_manoeuvres.py            table and figure of docs/plant.md
-     python benchmarks/plant_manoeuvres.py --worlds 10000   randomised worlds in the envelope; goes on where it stopped
+Run: python -m benchmarks.plant_manoeuvres            table and figure of docs/plant.md
+     python -m benchmarks.plant_manoeuvres --worlds 10000   randomised worlds in the envelope; goes on where it stopped
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
-from plant_figures import _save
 
 from shmoo_mjx.base.fingerprints import fingerprint
 from shmoo_mjx.behavior.drive import DAMPING, LEAD, STIFFNESS
@@ -28,6 +27,8 @@ from shmoo_mjx.report.style import SERIES
 from shmoo_mjx.report.tables import markdown_table
 from shmoo_mjx.sensing import PERFECT, REAL, SensedEngine, Senses
 from shmoo_mjx.types import DT, Observation
+
+from .plant_figures import _save
 
 MASS = shmoobot().upper_mass + shmoobot().ball_mass
 CMU_MASS = 51.66 + 2.44

@@ -1,24 +1,22 @@
-"""Settles and pushes many drawn conditions, or many robots, and counts what goes wrong.
+"""Settles and pushes many drawn objects, or many robots, and counts what goes wrong; goes on where it was stopped.
 
-Run: python benchmarks/plant_survey.py --count 10000 (about 25 minutes on one idle core; goes on where it was stopped)
-     python benchmarks/plant_survey.py --robots 1000
+Run: python -m benchmarks.plant_survey --count 10000 (about 25 minutes on one idle core)
+     python -m benchmarks.plant_survey --robots 1000
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import multiprocessing
-import os
-import time
 from collections import Counter
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 from mujoco.rollout import Rollout
 
+from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 from shmoo_mjx.plant.trials import object_alone
 
@@ -28,40 +26,26 @@ _SETTLE, _PUSH, _TOTAL = 1.0, 1.0, 10.0
 _SEGMENT = 1.0
 """Worlds that stand still at the end of a segment are not stepped further: nothing acts on them any more [s]."""
 _CHUNK = 100
-"""Conditions per job and per file."""
+"""Conditions of a family that are one trial and one file."""
 
 
-def survey(family: str, count: int, workers: int, out: Path, seed: int = 0) -> dict[str, int | str | list[int]]:
-    """Counts over the conditions (family, 0 .. count - 1), each under one random push of 10 to 60 N.
-
-    Each chunk of conditions leaves a file in ``out``; chunks that have one are not run again.
-    """
-    out.mkdir(parents=True, exist_ok=True)
-    files = {first: out / f"{family}-{seed}-{first:05d}.json" for first in range(0, count, _CHUNK)}
-    missing = [first for first, path in files.items() if not path.exists()]
-    started, done = time.time(), 0
-    with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
-        jobs = [pool.submit(_chunk, family, first, min(_CHUNK, count - first), seed, files[first]) for first in missing]
-        for job in as_completed(jobs):
-            job.result()
-            done += 1
-            left = (time.time() - started) / done * (len(missing) - done)
-            print(f"{family}: {done} of {len(missing)} chunks, {left / 60:.1f} min left", flush=True)
-    found: Counter[str] = Counter()
-    odd: list[int] = []
-    for first, path in files.items():
-        outcomes = json.loads(path.read_text())
-        found.update(outcomes)
-        odd += [first + i for i, outcome in enumerate(outcomes) if outcome in ("exploded", "did not settle")]
-    return {"family": family, "conditions": count, **dict(sorted(found.items())), "seeds that failed": odd}
+def outcomes(trial: tuple[str, int]) -> list[dict[str, Any]]:
+    """What becomes of a chunk of conditions of a family, each under one random push of 10 to 60 N."""
+    family, first = trial
+    models = [object_alone(draw_condition(family, seed)) for seed in range(first, first + _CHUNK)]
+    verdicts = _outcomes(models, np.random.default_rng([0, FAMILIES.index(family), first]))
+    return [{"family": family, "seed": seed, "outcome": outcome} for seed, outcome in enumerate(verdicts, start=first)]
 
 
-def _chunk(family: str, first: int, count: int, seed: int, path: Path) -> None:
-    models = [object_alone(draw_condition(family, s)) for s in range(first, first + count)]
-    outcomes = _outcomes(models, np.random.default_rng([seed, FAMILIES.index(family), first]))
-    written = path.with_suffix(".part")
-    written.write_text(json.dumps(outcomes))
-    os.replace(written, path)
+def survey(count: int, workers: int, out: Path) -> None:
+    """Print a line of JSON for each family: how often each outcome came, and the seeds that failed."""
+    report = lambda what, done: print(f"{what}, {done:.0%}", flush=True)  # noqa: E731
+    for family in FAMILIES:
+        chunks = {f"{family}-0-{first:05d}": (family, first) for first in range(0, count, _CHUNK)}
+        rows = run_trials(chunks, outcomes, out, report, workers)
+        failed = [row["seed"] for row in rows if row["outcome"] in ("exploded", "did not settle")]
+        counts = dict(sorted(Counter(row["outcome"] for row in rows).items()))
+        print(json.dumps({"family": family, "conditions": len(rows), **counts, "seeds that failed": failed}))
 
 
 def _wrenches(models: list[mujoco.MjModel], rng: np.random.Generator) -> np.ndarray:
@@ -122,8 +106,8 @@ def _judge(qpos: np.ndarray, qvel: np.ndarray, settling: bool) -> str:
     return "fine"
 
 
-def robots(count: int, seed: int = 0) -> dict[str, int | float]:
-    """Falls among randomised robots in MJX, each pushed once by up to 20 N x 0.5 s from any side, arms out."""
+def robots(count: int) -> None:
+    """Print the falls among randomised robots in MJX, each pushed by up to 20 N x 0.5 s from any side, arms out."""
     import jax
 
     from shmoo_mjx.geometry.hands import HAND_HEIGHT, REACH
@@ -132,9 +116,9 @@ def robots(count: int, seed: int = 0) -> dict[str, int | float]:
     from shmoo_mjx.plant.scene import build_scene
     from shmoo_mjx.plant.trials import drive
 
-    started, rng, scene = time.time(), np.random.default_rng(seed), build_scene(engine="mjx")
+    rng, scene = np.random.default_rng(0), build_scene(engine="mjx")
     engine = MjxEngine([scene] * count)
-    engine = engine.with_model(*randomize(engine.model, jax.random.split(jax.random.key(seed), count), scene))
+    engine = engine.with_model(*randomize(engine.model, jax.random.split(jax.random.key(0), count), scene))
     push, angle, force = np.zeros((count, 6)), rng.uniform(-np.pi, np.pi, count), rng.uniform(0, 20, count)
     push[:, 0], push[:, 1] = force * np.cos(angle), force * np.sin(angle)
     track, fallen = drive(
@@ -145,29 +129,22 @@ def robots(count: int, seed: int = 0) -> dict[str, int | float]:
         arms=lambda now: (REACH, HAND_HEIGHT),
     )
     away = np.linalg.norm(track.robot_pose[..., :2], axis=-1).max(axis=0)
-    return {
-        "robots": count,
-        "falls": int(fallen.sum()),
-        "largest excursion [m]": round(float(away.max()), 3),
-        "median excursion [m]": round(float(np.median(away)), 3),
-        "seconds": round(time.time() - started, 1),
-    }
+    excursion = {"largest excursion [m]": float(away.max()), "median excursion [m]": float(np.median(away))}
+    print(json.dumps({"robots": count, "falls": int(fallen.sum()), **excursion}))
 
 
 def main() -> None:
-    """Print one JSON line per family, or one for the robots."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--count", type=int, default=10000)
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--family", nargs="+", choices=FAMILIES, default=list(FAMILIES))
+    """Survey the objects, or the robots."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--count", type=int, default=10_000, help="objects of each family, in hundreds")
+    parser.add_argument("--workers", type=int, default=2, help="processes")
     parser.add_argument("--out", type=Path, default=Path("runs/plant_survey"))
-    parser.add_argument("--robots", type=int, default=0, help="survey this many robots instead")
-    args = parser.parse_args()
-    if args.robots:
-        print(json.dumps(robots(args.robots)))
-        return
-    for family in args.family:
-        print(json.dumps(survey(family, args.count, args.workers, args.out)), flush=True)
+    parser.add_argument("--robots", type=int, default=0, help="survey so many robots instead")
+    options = parser.parse_args()
+    if options.robots:
+        robots(options.robots)
+    else:
+        survey(options.count, options.workers, options.out)
 
 
 if __name__ == "__main__":

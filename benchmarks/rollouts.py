@@ -1,7 +1,7 @@
 """How well does it push for the time: roll-outs S, horizon T and kinds of noise, in closed loop and by the clock.
 
-Run: python benchmarks/rollouts.py --json docs/results/rollouts.json --figure docs/figures/rollouts.png
-     python benchmarks/rollouts.py --parts times (the clock alone, on a quiet machine; also: trials, report)
+Run: python -m benchmarks.rollouts --json docs/results/rollouts.json --figure docs/figures/rollouts.png
+     python -m benchmarks.rollouts --parts times (the clock alone, on a quiet machine; also: trials, report)
 
 The same pushing trials for every variant, with its difference from S = 500, T = 30 and the shipped noise; then its
 control step on one core and on two. An hour on two cores; each variant leaves a file, so that it goes on where it was
@@ -25,9 +25,6 @@ import numpy as np
 from shmoo_mjx.base.assets import WEIGHTS, asset
 from shmoo_mjx.base.fingerprints import fingerprint
 from shmoo_mjx.behavior.push_task import pose_push_config
-from shmoo_mjx.benchmarking import peers
-from shmoo_mjx.benchmarking.registry import machine
-from shmoo_mjx.benchmarking.workers import Worker, usable_cores
 from shmoo_mjx.control.mppi_config import SPARE, MppiConfig
 from shmoo_mjx.evaluation.paired import paired_difference
 from shmoo_mjx.evaluation.pushing_trials import STRATA, Runner, Trial, draw_trials
@@ -35,6 +32,10 @@ from shmoo_mjx.evaluation.result import ExperimentOptions, make_result, read_res
 from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
 from shmoo_mjx.report.tables import markdown_table
+
+from . import peers
+from .registry import machine
+from .workers import Worker, usable_cores
 
 KINDS = ("shipped", "white", "sobol", "spline")
 """Coloured noise, as shipped; independent noise; the shipped noise from a low-discrepancy sequence; independent knots
@@ -45,6 +46,7 @@ COMPARED = (500, 128)
 HORIZONS = ((64, 20), (128, 10), (128, 20), (128, 50), (500, 20))
 """(S, T) of the shipped noise beside T = 30."""
 KNOTS = 6
+MODULE = "benchmarks.rollouts"
 YAW_WEIGHT = 0.6
 """Metres that a yaw error of 1 rad counts for, as in the cost of a push to a pose [m/rad]."""
 
@@ -145,7 +147,7 @@ def push(trials: list[Trial], variant: Variant) -> list[Row]:
 def clock(variant: Variant, cores: int, steps: int) -> Row:
     """Milliseconds of the control step in a process that has ``cores`` cores."""
     asked = json.dumps([variant.kind, variant.rollouts, variant.horizon, cores])
-    with closing(Worker([sys.executable, __file__, "--serve", asked], cores)) as worker:
+    with closing(Worker([sys.executable, "-P", "-m", MODULE, "--serve", asked], cores)) as worker:
         worker.seconds(20)
         ms = 1e3 * np.asarray(worker.seconds(steps)[0])
     found = {"median_ms": float(np.median(ms)), "p99_ms": float(np.quantile(ms, 0.99))}
@@ -157,8 +159,9 @@ def serve(asked: str) -> None:
     kind, rollouts, horizon, cores = json.loads(asked)
     # Before JAX counts them.
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:cores])
-    from shmoo_mjx.benchmarking.engines import ours
     from shmoo_mjx.learning.weights import load_weights
+
+    from .engines import ours
 
     step = ours(load_weights(asset(WEIGHTS)), Variant(kind, rollouts, horizon).config(), 0)
     for _ in range(3):

@@ -16,6 +16,7 @@ from tyro.conf import Positional
 
 import shmoo_mjx
 from shmoo_mjx.base import options as bounded
+from shmoo_mjx.base.assets import benchmark_suite
 from shmoo_mjx.base.environment import check_environment, prepare_environment
 from shmoo_mjx.base.inputs import with_inputs_kept
 from shmoo_mjx.base.options import SENSES, SensesName
@@ -521,21 +522,20 @@ def bench(
     """
     from shmoo_mjx.base import progress
     from shmoo_mjx.base.guard import EXPERIMENT, check_output
-    from shmoo_mjx.benchmarking.compare import compare_files
-    from shmoo_mjx.benchmarking.registry import BenchOptions, describe, run_all, run_benchmark
     from shmoo_mjx.evaluation.result import write_result
 
+    suite = benchmark_suite()
     if name == "compare":
-        text, slower = compare_files(files, ratios)
+        text, slower = suite.compare_files(files, ratios)
         print(text)
         return int(slower)
     target = json or out / f"bench_{name}.json"
     check_output(target, EXPERIMENT)
     with progress.stages() as report:
-        options = BenchOptions(quick, peers_python, seed, report, maps)
-        result = run_all(options, out) if name == "all" else run_benchmark(name, options)
+        options = suite.BenchOptions(quick, peers_python, seed, report, maps)
+        result = suite.run_all(options, out) if name == "all" else suite.run_benchmark(name, options)
     write_result(target, result)
-    print(describe(result))
+    print(suite.describe(result))
     print(target)
     return 0
 

@@ -16,7 +16,15 @@ import pytest
 from shmoo_mjx.base.assets import PAPER_WEIGHTS, WEIGHTS
 
 ROOT = Path(__file__).resolve().parents[1]
-DATA = ("models_xml", "experiments")
+BENCH = """
+from shmoo_mjx.base.assets import benchmark_suite
+from shmoo_mjx.errors import ShmooError
+try:
+    benchmark_suite().compare_files([])
+except ShmooError as error:
+    print(error)
+"""
+DATA = ("models_xml", "experiments", "benchmarks")
 
 
 @pytest.fixture(scope="module")
@@ -74,6 +82,7 @@ def test_installed_alone_it_runs_the_demo(wheel: Path, uv: str, tmp_path: Path) 
     run(uv, "pip", "install", "--python", str(venv / "bin/python"), *pinned, str(wheel), cwd=ROOT)
     where = run(str(venv / "bin/python"), "-c", "import shmoo_mjx; print(shmoo_mjx.__file__)")
     assert where.startswith(str(venv))
+    assert "compare needs two files" in run(str(venv / "bin/python"), "-c", BENCH)
     told = run(str(venv / "bin/shmoo"), "demo", "--quick", "--seed", "0", "--out", "runs")
     assert "seed 0: success" in told
     result = json.loads((tmp_path / "runs/demo-0/result.json").read_text())

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 
 WEIGHTS = "experiments/weights/demo.safetensors"
 """The weights that come with the package (docs/models.md says how they are made)."""
@@ -20,3 +22,8 @@ def asset(relative_path: str) -> Path:
     """
     inside = _PACKAGE / relative_path
     return inside if inside.exists() else _PACKAGE.parent / relative_path
+
+
+def benchmark_suite() -> ModuleType:
+    """The module ``registry`` of ``benchmarks``: in a wheel part of this package, in a checkout a package of its own."""
+    return import_module(f"{'shmoo_mjx.' if (_PACKAGE / 'benchmarks').is_dir() else ''}benchmarks.registry")

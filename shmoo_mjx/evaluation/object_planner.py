@@ -53,7 +53,7 @@ from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 
 FITTED = {"K": (0.817, 1.148), "impulse": (28.173, 3.931, -5.141), "moved_m": (13.111, 4.519)}
 """Criteria beside roll-outs: K of Algorithm 1, displacement and impulse, and displacement alone. Bias and slopes of
-each logistic regression are fitted to touches of objects of training: python benchmarks/fit_criteria.py FOLDER"""
+each logistic regression are fitted to touches of objects of training: python -m benchmarks.fit_criteria FOLDER"""
 CRITERIA = ("reach", *FITTED)
 """What may decide after the first second of contact; the first is the navigator's own way."""
 LOOKS = (1.0, 2.0, 3.0)

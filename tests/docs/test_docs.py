@@ -122,7 +122,7 @@ LAYERS = (
     {"report"},
     {"run"},
     {"evaluation", "gym"},
-    {"benchmarking", "sweep", "live"},
+    {"sweep", "live"},
     {"cli"},
 )
 

@@ -2,32 +2,22 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from pathlib import Path
-from typing import Any
 
 import pytest
+
+from benchmarks import performance_page as maker
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@pytest.fixture
-def maker() -> Any:
-    """benchmarks/performance_page.py."""
-    spec = importlib.util.spec_from_file_location("performance_page", ROOT / "benchmarks/performance_page.py")
-    assert spec and spec.loader
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_the_page_says_what_was_measured(maker: Any) -> None:
+def test_the_page_says_what_was_measured() -> None:
     text = maker.PAGE.read_text(encoding="utf-8")
-    assert maker.page(text) == text, "run python benchmarks/performance_page.py"
+    assert maker.page(text) == text, "run python -m benchmarks.performance_page"
 
 
-def test_another_result_makes_another_page(maker: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_another_result_makes_another_page(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     result = json.loads((ROOT / "docs/results/bench_mppi_quick.json").read_text())
     result["metrics"] |= {"ours_ms": 3.0, "pytorch_mppi_eager_ms": 12.0, "64_problems_over_64_times_one": 0.66}
     (tmp_path / "bench_mppi.json").write_text(json.dumps(result))

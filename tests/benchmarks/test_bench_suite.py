@@ -13,18 +13,18 @@ from typing import Any
 
 import pytest
 
-from shmoo_mjx.benchmarking import registry, startup
-from shmoo_mjx.benchmarking.registry import BENCHMARKS, BenchOptions, describe, run_all, run_benchmark
+from benchmarks import registry, startup
+from benchmarks.registry import BENCHMARKS, BenchOptions, describe, run_all, run_benchmark
 from shmoo_mjx.evaluation.result import ExperimentOptions, make_result, weights_id
 
 
 def test_every_name_leads_to_a_module_that_runs() -> None:
-    assert all(callable(import_module(module).run) for module in BENCHMARKS.values())
+    assert all(callable(import_module(f"benchmarks.{name}").run) for name in BENCHMARKS)
 
 
 def small(monkeypatch: pytest.MonkeyPatch, name: str, **sizes: Any) -> Any:
     """Run one benchmark with these sizes."""
-    module = import_module(BENCHMARKS[name])
+    module = import_module(f"benchmarks.{name}")
     monkeypatch.setattr(module, "QUICK", replace(module.QUICK, **sizes))
     return run_benchmark(name, BenchOptions(quick=True))
 
@@ -66,7 +66,7 @@ def test_the_command_that_fills_the_gpu_table_runs_here(monkeypatch: pytest.Monk
     from shmoo_mjx.evaluation.result import read_result
 
     for name, sizes in SMALL.items():
-        module = import_module(BENCHMARKS[name])
+        module = import_module(f"benchmarks.{name}")
         monkeypatch.setattr(module, "QUICK", replace(module.QUICK, **sizes))
     target = tmp_path / "gpu.json"
     assert cli.bench("all", json=target, quick=True, out=tmp_path / "parts") == 0

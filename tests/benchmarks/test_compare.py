@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from shmoo_mjx.benchmarking.compare import compare_files, compare_results
-from shmoo_mjx.benchmarking.registry import machine
+from benchmarks.compare import compare_files, compare_results
+from benchmarks.registry import machine
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.result import ExperimentOptions, make_result, write_result
 

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx.benchmarking.parts import PartClock, watch
-from shmoo_mjx.benchmarking.registry import BenchOptions, Measured
+from .parts import PartClock, watch
+from .registry import BenchOptions, Measured
 
 START, REST = "start and imports", "the rest"
 
@@ -65,7 +65,7 @@ def run(cfg: DemoSizes, options: BenchOptions) -> Measured:
 def _demo(cfg: DemoSizes, seed: int, cache: str) -> dict[str, Any]:
     """One run: simulated time, wall_s, and parts with the seconds of each."""
     began = time.perf_counter()
-    command = [sys.executable, "-m", "shmoo_mjx.benchmarking.demo", str(seed), str(cfg.time_s)]
+    command = [sys.executable, "-P", "-m", __name__, str(seed), str(cfg.time_s)]
     done = subprocess.run(
         command, check=True, capture_output=True, text=True, env=os.environ | {"JAX_COMPILATION_CACHE_DIR": cache}
     )

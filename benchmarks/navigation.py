@@ -14,9 +14,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from shmoo_mjx.benchmarking.parts import PartClock, watch
-from shmoo_mjx.benchmarking.registry import BenchOptions, Measured
 from shmoo_mjx.errors import ShmooError
+
+from .parts import PartClock, watch
+from .registry import BenchOptions, Measured
 
 DEMO = "demo building"
 REST = "the rest"

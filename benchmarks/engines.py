@@ -1,4 +1,4 @@
-"""Our side of the MPPI benchmark, each engine in a process of its own: python -m shmoo_mjx.benchmarking.engines SPEC.
+"""Our side of the MPPI benchmark, each engine in a process of its own: python -m benchmarks.engines SPEC.
 
 SPEC is JSON: engine, samples, horizon, problems, activation, seed. The engines:
 
@@ -27,13 +27,14 @@ import numpy as np
 
 from shmoo_mjx.arrays import Array
 from shmoo_mjx.base.assets import WEIGHTS, asset
-from shmoo_mjx.benchmarking import mppi_problem as work
-from shmoo_mjx.benchmarking.peers import serve
 from shmoo_mjx.control import cost, mppi, pushing, sharding
 from shmoo_mjx.control.observation import ObjectObservation, local_distance_field
 from shmoo_mjx.dynamics import CoreConfig, ObjectConfig, RobotConfig, core
 from shmoo_mjx.learning import weights as weights_file
 from shmoo_mjx.types import SystemState
+
+from . import mppi_problem as work
+from .peers import serve
 
 HALF_EXTENTS = np.array([0.3, 0.25])
 FACE = np.array([-0.3, 0.0, 0.0, 0.25])

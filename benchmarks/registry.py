@@ -1,6 +1,7 @@
-"""The benchmarks by name. A benchmark is a module with three names, imported only when asked for.
+"""The benchmarks by name. A benchmark is a module with three names, imported only when it runs.
 
-``FULL`` and ``QUICK`` are its sizes, and ``run(config, options) -> Measured`` measures.
+``FULL`` and ``QUICK`` are its sizes, and ``run(config, options) -> Measured`` measures. ``GPU``, where a module has it,
+takes the place of ``FULL`` on a machine with a graphics card.
 """
 
 from __future__ import annotations
@@ -13,25 +14,19 @@ from pathlib import Path
 from typing import Any
 
 from shmoo_mjx.arrays import single_precision
-from shmoo_mjx.benchmarking.workers import usable_cores
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result, table, write_result
 
-BENCHMARKS = {
-    "startup": "shmoo_mjx.benchmarking.startup",
-    "plant": "shmoo_mjx.benchmarking.plant",
-    "planner": "shmoo_mjx.benchmarking.planner",
-    "demo": "shmoo_mjx.benchmarking.demo",
-    "navigation": "shmoo_mjx.benchmarking.navigation",
-    "mppi": "shmoo_mjx.benchmarking.mppi",
-    "daiml": "shmoo_mjx.benchmarking.daiml",
-}
-"""Name to module."""
+from .compare import compare_files as compare_files
+from .workers import usable_cores
+
+BENCHMARKS = ("startup", "plant", "planner", "demo", "navigation", "mppi", "daiml")
+"""Names of the modules here that are benchmarks."""
 
 
 @dataclass(frozen=True)
 class BenchOptions:
-    """What the command line asks of a benchmark."""
+    """Options of a run of a benchmark."""
 
     quick: bool = False
     """A short form of the same shape."""
@@ -47,7 +42,7 @@ class BenchOptions:
 
 @dataclass(frozen=True)
 class Measured:
-    """What a benchmark has found."""
+    """What a benchmark has measured."""
 
     metrics: dict[str, Any]
     rows: list[dict[str, Any]]
@@ -63,18 +58,17 @@ def run_benchmark(name: str, options: BenchOptions, sizes: Any = None) -> Experi
     if name not in BENCHMARKS:
         names = ", ".join(BENCHMARKS)
         raise ShmooError(f"benchmark {name!r} is not known; choose one of {names}, all or compare.")
-    module = import_module(BENCHMARKS[name])
-    config = sizes or (module.QUICK if options.quick else module.FULL)
-    found: Measured = module.run(config, options)
-    return _result(name, options, asdict(config) | found.setup, found.metrics, found.paper, found.rows)
+    module = import_module(f".{name}", __package__)
+    whole = getattr(module, "GPU", module.FULL) if _on_gpu() else module.FULL
+    config = sizes or (module.QUICK if options.quick else whole)
+    measured: Measured = module.run(config, options)
+    settings = asdict(config) | measured.setup
+    return _result(name, options, settings, measured)
 
 
 def run_all(options: BenchOptions, out: Path) -> ExperimentResult:
     """Every benchmark in turn, each with its own file in ``out``; the result holds them all, names before metrics."""
-    metrics: dict[str, float | None] = {}
-    paper: dict[str, float] = {}
-    settings: dict[str, Any] = {}
-    rows: list[dict[str, Any]] = []
+    every, settings = Measured({}, []), dict[str, Any]()
     for done, name in enumerate(BENCHMARKS):
 
         def report(stage: str, fraction: float, name: str = name, done: int = done) -> None:
@@ -82,16 +76,23 @@ def run_all(options: BenchOptions, out: Path) -> ExperimentResult:
 
         one = run_benchmark(name, replace(options, progress=report))
         write_result(out / f"bench_{name}.json", one)
-        metrics |= {f"{name}_{key}": value for key, value in one.metrics.items()}
-        paper |= {f"{name}_{key}": value for key, value in one.paper.items()}
-        rows += [{"benchmark": name} | row for row in one.rows]
+        every.metrics.update({f"{name}_{key}": value for key, value in one.metrics.items()})
+        every.paper.update({f"{name}_{key}": value for key, value in one.paper.items()})
+        every.rows.extend({"benchmark": name} | row for row in one.rows)
         settings[name] = one.config
-    return _result("all", options, settings, metrics, paper, rows)
+    return _result("all", options, settings, every)
 
 
-def _result(name: str, options: BenchOptions, settings: dict[str, Any], *found: Any) -> ExperimentResult:
-    asked = ExperimentOptions(seed=options.seed, quick=options.quick)
-    return make_result(f"bench_{name}", asked, settings | {"machine": machine()}, *found)
+def _result(name: str, options: BenchOptions, settings: dict[str, Any], measured: Measured) -> ExperimentResult:
+    sizes = ExperimentOptions(seed=options.seed, quick=options.quick)
+    settings = settings | {"machine": machine()}
+    return make_result(f"bench_{name}", sizes, settings, measured.metrics, measured.paper, measured.rows)
+
+
+def _on_gpu() -> bool:
+    import jax
+
+    return bool(jax.default_backend() == "gpu")
 
 
 def describe(result: ExperimentResult) -> str:

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from shmoo_mjx.benchmarking import navigation
-from shmoo_mjx.benchmarking.parts import PARTS
-from shmoo_mjx.benchmarking.registry import BENCHMARKS, BenchOptions, run_benchmark
+from benchmarks import navigation
+from benchmarks.parts import PARTS
+from benchmarks.registry import BenchOptions, run_benchmark
 
 MAPS = Path(__file__).resolve().parents[2] / "experiments/maps"
 MET = {"physics", "low-level control, 500 Hz", "senses", "navigator, the rest", navigation.REST}
@@ -16,7 +16,6 @@ MET = {"physics", "low-level control, 500 Hz", "senses", "navigator, the rest", 
 
 @pytest.mark.slow
 def test_trials_are_much_faster_than_what_they_simulate() -> None:
-    assert BENCHMARKS["navigation"] == navigation.__name__
     result = run_benchmark("navigation", BenchOptions(quick=True, maps=MAPS))
     for place in (navigation.DEMO, "office"):
         name, rows = place.replace(" ", "_"), [row for row in result.rows if row["place"] == place]

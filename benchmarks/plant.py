@@ -1,7 +1,6 @@
 """Steps per second of the plant with its control: C MuJoCo and MJX, by scene and batch.
 
 One step is 2 ms with its control. On a CPU, MJX parts the worlds over the devices that JAX sees.
-benchmarks/plant_speed.py measures single scenes and batches with the same functions.
 """
 
 from __future__ import annotations
@@ -17,14 +16,15 @@ import mujoco
 import numpy as np
 from mujoco.rollout import Rollout
 
-from shmoo_mjx.benchmarking.registry import BenchOptions, Measured
-from shmoo_mjx.benchmarking.workers import usable_cores
 from shmoo_mjx.geometry.hands import HAND_HEIGHT, REACH
 from shmoo_mjx.plant.engine_mjx import MjxEngine
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.objects import draw_condition
 from shmoo_mjx.plant.scene import Scene, build_scene
 from shmoo_mjx.plant.trials import command
+
+from .registry import BenchOptions, Measured
+from .workers import usable_cores
 
 Row = dict[str, Any]
 
@@ -46,6 +46,7 @@ class PlantSizes:
 
 FULL = PlantSizes()
 QUICK = PlantSizes(scenes=("robot", "box"), batches=(16,), seconds=0.3)
+GPU = PlantSizes(scenes=("cart",), batches=(512, 8192))
 
 
 def run(cfg: PlantSizes, options: BenchOptions) -> Measured:
@@ -79,12 +80,9 @@ def _metrics(row: Row) -> dict[str, float]:
 
 
 def scene_of(name: str, engine: Literal["mujoco", "mjx"]) -> Scene:
-    """The robot, 5 cm in front of it one object; a room with six; or ``boxesN``, N boxes in a row."""
+    """The robot, 5 cm in front of it one object; or a room with six."""
     if name == "robot":
         return build_scene(engine=engine)
-    if name.startswith("boxes"):
-        boxes = [(draw_condition("box", i), (1.0 + 1.2 * i, 0.0, 0.0)) for i in range(int(name[5:]))]
-        return build_scene(boxes, engine=engine)
     if name != "room":
         condition = draw_condition(name, 1)
         return build_scene([(condition, (REACH + 0.09 + condition.half_extents[0], 0.0, 0.0))], engine=engine)

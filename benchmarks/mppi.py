@@ -18,10 +18,11 @@ from typing import Any
 import jax
 import numpy as np
 
-from shmoo_mjx.benchmarking import mppi_problem, workers
-from shmoo_mjx.benchmarking.registry import BenchOptions, Measured
-from shmoo_mjx.benchmarking.workers import Worker, busy_neighbour, usable_cores
 from shmoo_mjx.errors import ShmooError
+
+from . import mppi_problem, workers
+from .registry import BenchOptions, Measured
+from .workers import Worker, busy_neighbour, usable_cores
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,9 @@ QUICK = MppiSizes(
     rounds=3, calls=10, gemm=2048, steps=200, sample_sweep=(100, 500), horizon_sweep=(10, 30), problem_sweep=(1, 4)
 )
 """Half a minute on two quiet cores."""
+GPU = MppiSizes(
+    rounds=4, steps=2_000, sample_sweep=(500, 10_000, 100_000), horizon_sweep=(30,), problem_sweep=(1, 64, 512)
+)
 
 _JITTER = 1024
 """Side of the matrices whose product takes about as long as a control step: how unsteady the machine itself is."""

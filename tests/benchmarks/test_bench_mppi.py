@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from shmoo_mjx.benchmarking import mppi as bench
-from shmoo_mjx.benchmarking import mppi_problem as work
-from shmoo_mjx.benchmarking import workers
-from shmoo_mjx.benchmarking.registry import BenchOptions, run_benchmark
+from benchmarks import mppi as bench
+from benchmarks import mppi_problem as work
+from benchmarks import workers
+from benchmarks.registry import BenchOptions, run_benchmark
 from shmoo_mjx.errors import ShmooError
 
 

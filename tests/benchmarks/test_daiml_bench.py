@@ -2,8 +2,7 @@
 
 import pytest
 
-from shmoo_mjx.benchmarking import daiml
-from shmoo_mjx.benchmarking.registry import BENCHMARKS
+from benchmarks import daiml
 
 
 @pytest.mark.slow
@@ -18,7 +17,3 @@ def test_more_conditions_take_more_memory() -> None:
     few, many = daiml.more_conditions(6), daiml.more_conditions(60)
     assert many["data_mb"] == pytest.approx(10 * few["data_mb"], rel=0.1)
     assert few["peak_mb"] * 2**20 > few["data_mb"]
-
-
-def test_it_is_registered() -> None:
-    assert BENCHMARKS["daiml"] == daiml.__name__

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx.benchmarking.registry import BenchOptions, Measured
+from .registry import BenchOptions, Measured
 
 HELP = [sys.executable, "-c", "from shmoo_mjx.cli import main; main()", "--help"]
 """What the script ``shmoo --help`` does."""

@@ -83,7 +83,7 @@ class Worker:
 
 def ours(spec: dict[str, Any], devices: int | None = None) -> Worker:
     """One of `engines`, on as many CPU devices as there are cores (at most four) unless told."""
-    command = [sys.executable, "-m", "shmoo_mjx.benchmarking.engines", json.dumps(spec)]
+    command = [sys.executable, "-P", "-m", f"{__package__}.engines", json.dumps(spec)]
     return Worker(command, devices or min(usable_cores(), 4))
 
 

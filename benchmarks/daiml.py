@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 
 from shmoo_mjx.base.processes import process_pool
-from shmoo_mjx.benchmarking.registry import BenchOptions, Measured
-from shmoo_mjx.benchmarking.workers import usable_cores
 from shmoo_mjx.data import store
 from shmoo_mjx.evaluation.datasets import TRAINING
+
+from .registry import BenchOptions, Measured
+from .workers import usable_cores
 
 Row = dict[str, Any]
 
@@ -42,6 +43,7 @@ class DaimlSizes:
 
 FULL = DaimlSizes()
 QUICK = DaimlSizes(epochs=50, conditions=(12, 120), whole=False)
+GPU = DaimlSizes(epochs=0, conditions=(480,), whole=False)
 
 
 def _one_thread() -> None:
