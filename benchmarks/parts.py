@@ -20,14 +20,14 @@ PARTS = {
         "shmoo_mjx.control.pushing:PushController.planning_rollouts",
         "shmoo_mjx.control.pushing:PushController.compile",
     ),
-    "where pushes lead": ("shmoo_mjx.behavior.decide:pushes",),
+    "where pushes lead": ("shmoo_mjx.behavior.push_options:predict_pushes",),
     "global paths": ("shmoo_mjx.planning.paths:plan_path", "shmoo_mjx.planning.paths:cost_to_go"),
     "local trajectories": ("shmoo_mjx.planning.flat_trajectory:plan",),
     "navigator, the rest": ("shmoo_mjx.behavior.navigator:Navigator.tick",),
     "film": ("shmoo_mjx.run.scenario_run:_write_video",),
     "report and files": (
         "shmoo_mjx.run.scenario_run:save_run",
-        "shmoo_mjx.run.recorded:save_recorded",
+        "shmoo_mjx.run.recording:save_recording",
         "shmoo_mjx.report.html:write_report",
     ),
 }

@@ -1,6 +1,6 @@
 from .behavior.push_task import PushTask as PushTask
 from .behavior.push_task import pose_push_config as pose_push_config
-from .behavior.records import NavigatorConfig as NavigatorConfig
+from .behavior.state import NavigatorConfig as NavigatorConfig
 from .control.pushing import PushConfig as PushConfig
 from .control.pushing import PushController as PushController
 from .errors import ShmooError as ShmooError

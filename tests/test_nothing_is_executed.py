@@ -28,7 +28,7 @@ from shmoo_mjx.plant.mesh import add_object
 from shmoo_mjx.plant.object_file import read_object
 from shmoo_mjx.report.trace import load_result, load_trace
 from shmoo_mjx.run.custom_log import read_log
-from shmoo_mjx.run.recorded import load_recorded
+from shmoo_mjx.run.recording import load_recording
 from shmoo_mjx.sweep.config import load_sweep
 
 
@@ -96,7 +96,7 @@ READERS: dict[str, tuple[str, Callable[[Path], Any]]] = {
     "data set": ("f.json", a_manifest),
     "result of a run": ("result.json", load_result),
     "trace of a run": ("trace.npz", load_trace),
-    "recorded run": ("recorded.npz", load_recorded),
+    "recorded run": ("recorded.npz", load_recording),
     "result of an experiment": ("f.json", read_result),
 }
 

@@ -12,9 +12,9 @@ import shapely
 
 from shmoo_mjx.arrays import Float
 from shmoo_mjx.learning.online import Known
-from shmoo_mjx.planning.clearance import ClearanceField
+from shmoo_mjx.planning.distance_field import DistanceField
 from shmoo_mjx.planning.footprints import add_obstacles, footprint_polygon
-from shmoo_mjx.planning.maps import OccupancyGrid, clearance_field
+from shmoo_mjx.planning.maps import OccupancyGrid, distance_field
 from shmoo_mjx.types import Observation
 
 _DISPLACED = 0.15
@@ -38,7 +38,7 @@ class Status(StrEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class KnownObject:
+class ObjectBelief:
     """One object as perceived (pose and size) and as experienced (status, coefficients)."""
 
     pose: Float[np.ndarray, "3"]
@@ -87,9 +87,9 @@ class Belief:
     """The map and the known objects; every change makes a new one."""
 
     grid: OccupancyGrid
-    walls: ClearanceField
+    walls: DistanceField
     """Distance to the walls."""
-    objects: Mapping[int, KnownObject] = field(default_factory=dict)
+    objects: Mapping[int, ObjectBelief] = field(default_factory=dict)
 
     def with_object(self, index: int, **changes: Any) -> Belief:
         """The belief with these fields of object ``index`` changed."""
@@ -106,7 +106,7 @@ class Belief:
         """Footprints of the known objects with one of ``statuses``, except ``without``."""
         return [o.polygon for i, o in self.objects.items() if o.status in statuses and i != without]
 
-    def clearance(self, without: int | None = None) -> ClearanceField:
+    def clearance(self, without: int | None = None) -> DistanceField:
         """Distance to walls and to every known object but ``without``."""
         return add_obstacles(self.walls, self.polygons(without=without))
 
@@ -125,7 +125,7 @@ class Belief:
             sizes: half extents of each object [m].
             pushed: the object that the robot itself is dealing with.
             first_status: what each object is taken to be at first sight; UNKNOWN if not given. Such a status stays.
-            kinds: what each object looks like, see `KnownObject`.
+            kinds: what each object looks like, see `ObjectBelief`.
 
         Returns:
             The new belief and what was noticed.
@@ -138,7 +138,7 @@ class Belief:
             known, age = objects.get(index), float(obs.object_age[0, index])
             if known is None:
                 status = Status.UNKNOWN if first_status is None else first_status[index]
-                objects[index] = KnownObject(
+                objects[index] = ObjectBelief(
                     pose, size, kinds[index] if kinds else None, status, age=age, registered=pose
                 )
                 continue
@@ -149,12 +149,12 @@ class Belief:
 
 def belief_of(grid: OccupancyGrid) -> Belief:
     """Belief with the map and no objects."""
-    return Belief(grid, clearance_field(grid))
+    return Belief(grid, distance_field(grid))
 
 
 def _perceived(
-    known: KnownObject, pose: Float[np.ndarray, "3"], age: float, pushed: bool, fixed_for_good: bool
-) -> tuple[KnownObject, list[str]]:
+    known: ObjectBelief, pose: Float[np.ndarray, "3"], age: float, pushed: bool, fixed_for_good: bool
+) -> tuple[ObjectBelief, list[str]]:
     new, notes = replace(known, pose=pose, age=age), []
     if known.age > _LOST >= age:
         notes.append(f"is detected again after {known.age:.1f} s")

@@ -10,7 +10,7 @@ import numpy as np
 from shmoo_mjx.arrays import Array, Float
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.planning import flat_trajectory
-from shmoo_mjx.planning.clearance import ClearanceField
+from shmoo_mjx.planning.distance_field import DistanceField
 from shmoo_mjx.planning.flat_qp import Planner
 from shmoo_mjx.planning.flat_trajectory import Trajectory
 from shmoo_mjx.planning.paths import Path, point_at, project
@@ -57,7 +57,7 @@ def follow(
     state: DriveState,
     obs: Observation,
     path: Path | None,
-    clearance: Callable[[], ClearanceField],
+    clearance: Callable[[], DistanceField],
 ) -> tuple[DriveState, Float[np.ndarray, "2"]]:
     """One control step along ``path``; the lean command in {R} [rad].
 

@@ -20,7 +20,8 @@ import numpy as np
 from shmoo_mjx.arrays import Array, Float, Numbers, finite_numbers
 from shmoo_mjx.behavior import drive
 from shmoo_mjx.behavior.belief import Belief, Status
-from shmoo_mjx.behavior.records import (
+from shmoo_mjx.behavior.skills import approach, batched, contact, hold, push, retreat
+from shmoo_mjx.behavior.state import (
     Decision,
     Event,
     Mode,
@@ -33,13 +34,12 @@ from shmoo_mjx.behavior.records import (
     Setup,
     Transition,
 )
-from shmoo_mjx.behavior.skills import approach, batched, contact, hold, push, retreat
 from shmoo_mjx.control import equilibrium_lean
 from shmoo_mjx.control.observation import ObjectObservation, local_distance_field
 from shmoo_mjx.geometry.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.learning import online
 from shmoo_mjx.planning import flat_qp
-from shmoo_mjx.planning.clearance import ClearanceField
+from shmoo_mjx.planning.distance_field import DistanceField
 from shmoo_mjx.planning.flat_model import FlatModel
 from shmoo_mjx.planning.paths import Path, project
 from shmoo_mjx.plant import outline
@@ -90,7 +90,7 @@ def setup_of(
     first_status: Sequence[Status] | None = None,
     kinds: Sequence[str | None] | None = None,
 ) -> Setup:
-    """Constant parts of a machine; see the fields of :class:`~shmoo_mjx.behavior.records.Setup`."""
+    """Constant parts of a machine; see the fields of :class:`~shmoo_mjx.behavior.state.Setup`."""
     config = config or NavigatorConfig()
     planner = flat_qp.init(FlatModel(*shmoobot().flatness), config.trajectory)
     return Setup(sizes, controller, config, planner, first_status, kinds)
@@ -195,7 +195,7 @@ def drive_along(
     return replace(state, drive=driven), lean
 
 
-def begun(
+def start_push(
     state: NavigatorState,
     now: float,
     index: int,
@@ -203,7 +203,7 @@ def begun(
     face: Float[np.ndarray, "4"],
     goal: Float[np.ndarray, "3"],
     reached: tuple[Path, float, float],
-    around: ClearanceField,
+    around: DistanceField,
 ) -> NavigatorState:
     """The state in which a push has been chosen; the approach is next.
 
@@ -224,7 +224,7 @@ def begun(
     return state.with_object(index, pushes=known.pushes + 1, registered=known.pose)
 
 
-def come_to_face(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Command]:
+def approach_face(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Command]:
     """Drive to the stand-off pose and extend the arms."""
     segment, now = state.current(), float(obs.time[0])
     state, lean = drive_along(setup, state, obs, segment.way)
@@ -244,7 +244,7 @@ def come_to_face(setup: Setup, state: NavigatorState, obs: Observation) -> tuple
     return state, move.command
 
 
-def feel_for(then: Mode, setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Command]:
+def make_contact(then: Mode, setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Command]:
     """Move slowly forward until the hands feel the object; ``then`` is the mode in which it is pushed."""
     segment, known, now = state.current(), state.known(), float(obs.time[0])
     object_obs = ObjectObservation.of(obs, segment.object)
@@ -265,7 +265,7 @@ def feel_for(then: Mode, setup: Setup, state: NavigatorState, obs: Observation) 
     return state, move.command
 
 
-def push_on(judge: Judge, setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Command]:
+def push_object(judge: Judge, setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Command]:
     """One sample of a push, until ``judge`` ends it."""
     segment, known = state.current(), state.known()
     assert segment.push is not None
@@ -286,7 +286,7 @@ def rolled(pushed: push.PushState, pose: Float[np.ndarray, "3"]) -> bool:
     return pushed.moved(pose) > _ROLLED
 
 
-def is_over(state: NavigatorState, now: float) -> str | None:
+def push_end_reason(state: NavigatorState, now: float) -> str | None:
     """Why no push goes on, wherever it leads: None if it can."""
     known, pushed, index = state.known(), state.current().push, state.current().object
     assert pushed is not None

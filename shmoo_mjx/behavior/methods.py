@@ -13,7 +13,7 @@ from pathlib import Path
 
 from shmoo_mjx.base.assets import PAPER_WEIGHTS, WEIGHTS, asset
 from shmoo_mjx.behavior.push_task import pose_push_config
-from shmoo_mjx.behavior.records import NavigatorConfig
+from shmoo_mjx.behavior.state import NavigatorConfig
 from shmoo_mjx.control.cost import PushCost
 from shmoo_mjx.control.pushing import PushConfig, PushController
 from shmoo_mjx.errors import ShmooError

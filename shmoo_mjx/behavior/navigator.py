@@ -16,11 +16,11 @@ import numpy as np
 from shmoo_mjx.arrays import Array, Float, Numbers
 from shmoo_mjx.behavior import drive, interaction
 from shmoo_mjx.behavior.belief import Status, belief_of
-from shmoo_mjx.behavior.choices import look_ahead, replan
 from shmoo_mjx.behavior.interaction import Machine, Rule, nothing, place_of, setup_of
-from shmoo_mjx.behavior.records import Event, Mode, NavigatorConfig, NavigatorState, Setup
+from shmoo_mjx.behavior.path_decisions import look_ahead, replan
+from shmoo_mjx.behavior.push_decisions import judge, review
 from shmoo_mjx.behavior.skills import hold
-from shmoo_mjx.behavior.verdicts import judge, review
+from shmoo_mjx.behavior.state import Event, Mode, NavigatorConfig, NavigatorState, Setup
 from shmoo_mjx.planning.maps import OccupancyGrid
 from shmoo_mjx.planning.scenario import ROBOT_RADIUS
 from shmoo_mjx.types import Command, Observation
@@ -71,10 +71,10 @@ def _follow(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[Navi
 MODES: dict[Mode, Rule] = {
     Mode.REPLAN: Rule(_brake, replan, (Mode.FOLLOW, Mode.FAILED)),
     Mode.FOLLOW: Rule(_follow, look_ahead, (Mode.FOLLOW, Mode.APPROACH, Mode.REPLAN, Mode.DONE, Mode.FAILED)),
-    Mode.APPROACH: Rule(interaction.come_to_face, nothing, (Mode.CONTACT, Mode.REPLAN)),
-    Mode.CONTACT: Rule(partial(interaction.feel_for, Mode.PROBE), nothing, (Mode.PROBE, Mode.REPLAN, Mode.RETREAT)),
-    Mode.PROBE: Rule(partial(interaction.push_on, judge), review, (Mode.PUSH, Mode.RETREAT)),
-    Mode.PUSH: Rule(partial(interaction.push_on, judge), review, (Mode.RETREAT,)),
+    Mode.APPROACH: Rule(interaction.approach_face, nothing, (Mode.CONTACT, Mode.REPLAN)),
+    Mode.CONTACT: Rule(partial(interaction.make_contact, Mode.PROBE), nothing, (Mode.PROBE, Mode.REPLAN, Mode.RETREAT)),
+    Mode.PROBE: Rule(partial(interaction.push_object, judge), review, (Mode.PUSH, Mode.RETREAT)),
+    Mode.PUSH: Rule(partial(interaction.push_object, judge), review, (Mode.RETREAT,)),
     Mode.RETREAT: Rule(interaction.back_away, nothing, (Mode.REPLAN,)),
     Mode.DONE: Rule(interaction.rest, nothing, ()),
     Mode.FAILED: Rule(interaction.rest, nothing, ()),

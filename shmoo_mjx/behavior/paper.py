@@ -11,8 +11,8 @@ import numpy as np
 
 from shmoo_mjx.arrays import Bool, Float
 from shmoo_mjx.behavior.belief import Status
-from shmoo_mjx.behavior.interaction import begun
-from shmoo_mjx.behavior.records import Decision, Mode, NavigatorState, Planned, Setup
+from shmoo_mjx.behavior.interaction import start_push
+from shmoo_mjx.behavior.state import Decision, Mode, NavigatorState, Planned, Setup
 from shmoo_mjx.geometry.faces import faces_of, heading
 from shmoo_mjx.planning.object_planner import initial_goal, planning_stage
 from shmoo_mjx.types import Observation
@@ -44,7 +44,7 @@ def choose(setup: Setup, state: NavigatorState, obs: Observation, index: int, di
         why = f"object {index} can be put nowhere: {first.reason}; registered as an obstacle"
         return state.given_up(index).go(now, Mode.REPLAN, why)
     side = list(usable)[first.direction]
-    state = begun(state, now, index, side, faces[side], first.goal, usable[side], around)
+    state = start_push(state, now, index, side, faces[side], first.goal, usable[side], around)
     why = f"object {index} blocks the path {distance:.2f} m ahead; first goal: {first.reason}"
     return state.go(now, Mode.APPROACH, why)
 

@@ -11,7 +11,7 @@ import numpy as np
 from shmoo_mjx.arrays import Array, Float, Numbers
 from shmoo_mjx.base import custom
 from shmoo_mjx.behavior.navigator import Navigator
-from shmoo_mjx.behavior.records import Mode, NavigatorConfig, Transition
+from shmoo_mjx.behavior.state import Mode, NavigatorConfig, Transition
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.planning.maps import OccupancyGrid
 from shmoo_mjx.types import Command, Observation

@@ -17,11 +17,11 @@ import numpy as np
 from shmoo_mjx.arrays import Array, Float, Numbers, finite_numbers
 from shmoo_mjx.behavior import interaction
 from shmoo_mjx.behavior.belief import belief_of
-from shmoo_mjx.behavior.decide import SIDES
-from shmoo_mjx.behavior.interaction import Machine, Rule, begun, nothing, setup_of
-from shmoo_mjx.behavior.records import Decision, Mode, NavigatorConfig, NavigatorState, Setup
+from shmoo_mjx.behavior.interaction import Machine, Rule, nothing, setup_of, start_push
+from shmoo_mjx.behavior.push_options import SIDES
 from shmoo_mjx.behavior.skills import hold, push
 from shmoo_mjx.behavior.skills.push import Pusher
+from shmoo_mjx.behavior.state import Decision, Mode, NavigatorConfig, NavigatorState, Setup
 from shmoo_mjx.control.cost import PushCost
 from shmoo_mjx.control.pushing import PushConfig
 from shmoo_mjx.errors import ShmooError
@@ -31,7 +31,7 @@ from shmoo_mjx.learning.online import Known
 from shmoo_mjx.planning.footprints import footprints_free
 from shmoo_mjx.planning.maps import OccupancyGrid
 from shmoo_mjx.planning.reach import contact_foresight
-from shmoo_mjx.planning.search import choose, reached_by, residual
+from shmoo_mjx.planning.search import choose_push, push_displacements, residual
 from shmoo_mjx.types import DT, Command, Observation
 
 _FRESH = 0.3
@@ -113,11 +113,11 @@ class PushTask(Machine):
         setup = setup_of(sizes, pusher, self.settings.moves, kinds=kinds)
         modes = {
             Mode.REPLAN: Rule(self._look, self._choose, (Mode.APPROACH, Mode.DONE, Mode.FAILED)),
-            Mode.APPROACH: Rule(interaction.come_to_face, nothing, (Mode.CONTACT, Mode.REPLAN)),
+            Mode.APPROACH: Rule(interaction.approach_face, nothing, (Mode.CONTACT, Mode.REPLAN)),
             Mode.CONTACT: Rule(
-                partial(interaction.feel_for, Mode.PUSH), nothing, (Mode.PUSH, Mode.REPLAN, Mode.RETREAT)
+                partial(interaction.make_contact, Mode.PUSH), nothing, (Mode.PUSH, Mode.REPLAN, Mode.RETREAT)
             ),
-            Mode.PUSH: Rule(partial(interaction.push_on, self._judge), nothing, (Mode.RETREAT,)),
+            Mode.PUSH: Rule(partial(interaction.push_object, self._judge), nothing, (Mode.RETREAT,)),
             Mode.RETREAT: Rule(interaction.back_away, nothing, (Mode.REPLAN,)),
             Mode.DONE: Rule(interaction.rest, nothing, ()),
             Mode.FAILED: Rule(interaction.rest, nothing, ()),
@@ -186,15 +186,15 @@ class PushTask(Machine):
         if all(length is None for length in lengths):
             return state.go(now, Mode.FAILED, f"no face can be reached; the object is {where}")
         half, foresight = known.half_extents, contact_foresight(setup.controller, pose_push_config())
-        reached = reached_by(foresight, self.adapt, known.kind, half, se2.relative(known.pose, self.goal))
+        reached = push_displacements(foresight, self.adapt, known.kind, half, se2.relative(known.pose, self.goal))
         free = partial(footprints_free, around, half_extents=np.array(half), wall_clearance=_WALL_CLEARANCE)
-        choice = choose(reached, known.pose, self.goal, faces, lengths, free)
+        choice = choose_push(reached, known.pose, self.goal, faces, lengths, free)
         if choice is None:
             return state.go(now, Mode.DONE, f"the object is {where}, and another push promises no better")
         chosen = ways[choice.side]
         assert chosen is not None
         state = state.with_object(index, adapt=self.adapt)
-        state = begun(state, now, index, choice.side, faces[choice.side], choice.goal, chosen, around)
+        state = start_push(state, now, index, choice.side, faces[choice.side], choice.goal, chosen, around)
         final = "" if np.array_equal(choice.goal, self.goal) else " to a place on the way"
         why = f"push {known.pushes + 1} from {SIDES[choice.side]}{final}; the object is {where}"
         none = np.zeros((0, 1, 2))
@@ -210,7 +210,7 @@ class PushTask(Machine):
             setup.controller.coast(pushed.pusher), pushed.coasts, known.pose, segment.face, segment.goal
         )
         state = state.with_segment(push=replace(pushed, coasts=coasts))
-        over = interaction.is_over(state, now)
+        over = interaction.push_end_reason(state, now)
         if let_go and pushed.ok:
             over = f"let go {left:.2f} m before the goal, to coast {np.median(coasts):.2f} m"
         if over:

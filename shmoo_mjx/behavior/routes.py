@@ -12,12 +12,12 @@ import numpy as np
 import shapely
 
 from shmoo_mjx.arrays import Bool, Float
-from shmoo_mjx.behavior.belief import Belief, KnownObject, Status
+from shmoo_mjx.behavior.belief import Belief, ObjectBelief, Status
 from shmoo_mjx.behavior.skills.approach import CONTACT_GAP
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.geometry.faces import stand_off
 from shmoo_mjx.geometry.hands import REACH, TUCKED_REACH
-from shmoo_mjx.planning.clearance import ClearanceField
+from shmoo_mjx.planning.distance_field import DistanceField
 from shmoo_mjx.planning.footprints import footprint_polygon, footprints_free
 from shmoo_mjx.planning.paths import Path, path_blocked_by, plan_path
 from shmoo_mjx.planning.scenario import ROBOT_RADIUS
@@ -115,7 +115,7 @@ class Routes:
                     heapq.heappush(waiting, (walk, met, kept_from | {i}))
         return best
 
-    def _price(self, known: KnownObject) -> float:
+    def _price(self, known: ObjectBelief) -> float:
         own = PUSH if known.price is None else known.price
         return own if self.price is None else self.price
 
@@ -125,14 +125,14 @@ class Routes:
         return through is not None and around is not None and around.seconds < through.seconds + _PASSING / PACE
 
     def free_path(
-        self, position: Float[np.ndarray, "2"], known: KnownObject, instead: shapely.Polygon | None = None
+        self, position: Float[np.ndarray, "2"], known: ObjectBelief, instead: shapely.Polygon | None = None
     ) -> Path | None:
         """The way on as if ``known`` were not there, or stood where ``instead`` is."""
         others = [o.polygon for o in self.belief.objects.values() if o is not known and o.status is not Status.UNKNOWN]
         return self.plan(position, others if instead is None else [*others, instead])
 
     def collision_free(
-        self, position: Float[np.ndarray, "2"], known: KnownObject, around: ClearanceField, path: Path | None
+        self, position: Float[np.ndarray, "2"], known: ObjectBelief, around: DistanceField, path: Path | None
     ) -> Callable[[Float[np.ndarray, "P 3"]], Bool[np.ndarray, "P"]]:
         """CollisionCheck(M, P, g): the footprint clear of walls, other objects and the path P, as if it were not there.
 
@@ -164,7 +164,7 @@ class Routes:
         position: Float[np.ndarray, "2"],
         index: int,
         face: Float[np.ndarray, "4"],
-        clearance: ClearanceField,
+        clearance: DistanceField,
         failed: int = 0,
         corner: bool = False,
     ) -> tuple[Path, float, float] | None:
@@ -191,7 +191,7 @@ class Routes:
         self, start: Float[np.ndarray, "2"], end: Float[np.ndarray, "2"], obstacles: list[shapely.Polygon]
     ) -> Path | None:
         radius = ROBOT_RADIUS
-        return plan_path(self.belief.grid, start, end, obstacles, radius, field=self.belief.walls)
+        return plan_path(self.belief.grid, start, end, obstacles, robot_radius=radius, wall_clearance=self.belief.walls)
 
     def retreat_path(self, position: Float[np.ndarray, "2"], object_pose: Float[np.ndarray, "3"]) -> Path | None:
         """A short way aslant to where the robot has room to turn and to fold its arms, away from an object that it

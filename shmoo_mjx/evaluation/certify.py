@@ -21,7 +21,7 @@ from shmoo_mjx.base.schema import Number, WholeNumber
 from shmoo_mjx.evaluation.scripted import WORLDS, PushEnd, ScriptConfig, ScriptedPush, run_pushes
 from shmoo_mjx.geometry.faces import corners_of, faces_of, stand_off
 from shmoo_mjx.planning.footprints import add_obstacles, footprint_polygon
-from shmoo_mjx.planning.maps import OccupancyGrid, clearance_field, occupied_rectangles
+from shmoo_mjx.planning.maps import OccupancyGrid, distance_field, occupied_rectangles
 from shmoo_mjx.planning.paths import path_blocked_by, plan_path
 from shmoo_mjx.planning.scenario import ROBOT_RADIUS, Scenario
 from shmoo_mjx.plant.scene import Scene, build_scene
@@ -151,7 +151,7 @@ class _Search:
     attempts: list[Attempt] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.walls = clearance_field(self.grid)
+        self.walls = distance_field(self.grid)
         self.conditions = [entry.condition() for entry in self.scenario.objects]
         self.faces = [np.concatenate([faces_of(c.half_extents), corners_of(c.half_extents)]) for c in self.conditions]
         self.scenes: dict[tuple[int, int], Scene] = {}
@@ -162,7 +162,7 @@ class _Search:
     def length(self, start: np.ndarray, obstacles: list[shapely.Polygon], end: np.ndarray | None = None) -> float:
         """Length of the path [m], infinite where there is none."""
         goal = np.asarray(self.scenario.goal) if end is None else end
-        path = plan_path(self.grid, start[:2], goal, obstacles, ROBOT_RADIUS, field=self.walls)
+        path = plan_path(self.grid, start[:2], goal, obstacles, robot_radius=ROBOT_RADIUS, wall_clearance=self.walls)
         return np.inf if path is None else path.length
 
     def walk(self, length: float) -> float:
@@ -191,8 +191,8 @@ class _Search:
         found: list[tuple[int, list[int]]] = []
         while True:
             path = plan_path(
-                self.grid, state.robot[:2], self.scenario.goal, self.polygons(state.objects, fixed), ROBOT_RADIUS,
-                field=self.walls,
+                self.grid, state.robot[:2], self.scenario.goal, self.polygons(state.objects, fixed),
+                robot_radius=ROBOT_RADIUS, wall_clearance=self.walls,
             )  # fmt: skip
             if path is None:
                 return found

@@ -18,13 +18,13 @@ import numpy as np
 
 from shmoo_mjx.base.assets import WEIGHTS, asset
 from shmoo_mjx.base.fingerprints import fingerprint
-from shmoo_mjx.behavior.records import Mode
+from shmoo_mjx.behavior.state import Mode
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.evaluation.trials import controller_of, run_trials
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.planning.floorplan import demo_scenario
-from shmoo_mjx.planning.maps import clearance_field
+from shmoo_mjx.planning.maps import distance_field
 from shmoo_mjx.planning.scenario import ObjectEntry
 from shmoo_mjx.plant.observe import DIVERGED
 from shmoo_mjx.report.tables import markdown_table
@@ -64,7 +64,7 @@ class _Trial:
 
     def ahead(self, distance: float) -> Any:
         """The pose on free floor nearest to straight ahead."""
-        clearance = clearance_field(self.simulation.grid)
+        clearance = distance_field(self.simulation.grid)
         turns = np.deg2rad([0, 20, -20, 40, -40, 60, -60, 90, -90, 180])
         poses = [se2.compose(self.robot, np.array([distance * np.cos(a), distance * np.sin(a), a])) for a in turns]
         return next((pose for pose in poses if float(clearance.at(pose[:2])) > 0.4), poses[0])
@@ -170,7 +170,7 @@ def _shove(trial: _Trial) -> None:
 
 def _close(trial: _Trial) -> None:
     """Something heavy stands where the robot was when it was 1.2 m from here."""
-    driven = [row["robot_pose"] for row in trial.simulation.record.rows]
+    driven = [row["robot_pose"] for row in trial.simulation.history.rows]
     behind: Any = next((p for p in reversed(driven) if np.hypot(*(p[:2] - trial.robot[:2])) > 1.2), None)
     if behind is not None:
         trial.simulation.place(-1, behind.tolist())
@@ -251,14 +251,14 @@ def play(name: str, seed: int, weights: Path) -> dict[str, Any]:
             if active and fault.loses_commands:
                 command = None
             simulation.advance(command)
-            if simulation.record.ended or (active and fault.loses_commands and trial.since > 10.0):
+            if simulation.history.ended or (active and fault.loses_commands and trial.since > 10.0):
                 break
         return {"fault": name, "seed": seed, **_judged(trial, fault)}
 
 
 def _judged(trial: _Trial, fault: Fault) -> dict[str, Any]:
     simulation = trial.simulation
-    navigator, record = simulation.navigator, simulation.record
+    navigator, record = simulation.navigator, simulation.history
     distance = float(np.hypot(*(trial.robot[:2] - np.asarray(simulation.scenario.goal))))
     speed = float(np.hypot(*np.asarray(simulation.true.robot_twist)[0, :2]))
     says_done = navigator.mode is Mode.DONE

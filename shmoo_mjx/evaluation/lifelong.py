@@ -23,9 +23,9 @@ from shmoo_mjx.evaluation.paired import OURS, metrics_by_method
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.evaluation.scenarios import Extra, Generated, ScenarioConfig, draw_scenario, largest_room
 from shmoo_mjx.evaluation.trials import run_trials
-from shmoo_mjx.planning.clearance import ClearanceField
+from shmoo_mjx.planning.distance_field import DistanceField
 from shmoo_mjx.planning.footprints import footprint_polygon
-from shmoo_mjx.planning.maps import OccupancyGrid, clearance_field, load_map
+from shmoo_mjx.planning.maps import OccupancyGrid, distance_field, load_map
 from shmoo_mjx.planning.paths import Path as Route
 from shmoo_mjx.planning.paths import path_blocked_by, plan_path
 from shmoo_mjx.planning.scenario import ROBOT_RADIUS, Limits, ObjectEntry
@@ -176,7 +176,7 @@ def draw_sequence(
     Raises:
         ShmooError: the map has no place for such a sequence.
     """
-    walls = clearance_field(grid)
+    walls = distance_field(grid)
     goals, shortest = [found.scenario.goal], [found.shortest]
     while len(goals) < count:
         leg = _next_leg(grid, walls, found, goals[-1], len(goals) % 2 == 1, rng, cfg)
@@ -191,7 +191,7 @@ def draw_sequence(
 
 def _next_leg(
     grid: OccupancyGrid,
-    walls: ClearanceField,
+    walls: DistanceField,
     found: Generated,
     start: tuple[float, float],
     blocked: bool,
@@ -208,13 +208,13 @@ def _next_leg(
     near = rng.permutation(np.flatnonzero((distance > 0.6 * cfg.path[0]) & (distance < cfg.path[1]) & clear))
     other = None
     for index in near[:_TRIES]:
-        path = plan_path(grid, start, centres[index], robot_radius=ROBOT_RADIUS, field=walls)
+        path = plan_path(grid, start, centres[index], robot_radius=ROBOT_RADIUS, wall_clearance=walls)
         if path is None or not cfg.path[0] <= path.length <= cfg.path[1]:
             continue
         through = any(path_blocked_by(path, shape, ROBOT_RADIUS)[0] for shape in shapes)
         if through != blocked and other is not None:
             continue
-        if plan_path(grid, start, centres[index], staying, ROBOT_RADIUS, field=walls) is None:
+        if plan_path(grid, start, centres[index], staying, robot_radius=ROBOT_RADIUS, wall_clearance=walls) is None:
             continue
         if through == blocked:
             return path

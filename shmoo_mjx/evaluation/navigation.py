@@ -25,7 +25,7 @@ from shmoo_mjx.base.assets import WEIGHTS, asset
 from shmoo_mjx.base.fingerprints import fingerprint
 from shmoo_mjx.behavior.belief import Status
 from shmoo_mjx.behavior.methods import FROZEN, METHODS, PAPER
-from shmoo_mjx.behavior.records import NavigatorConfig
+from shmoo_mjx.behavior.state import NavigatorConfig
 from shmoo_mjx.evaluation.navigation_failures import keep_failure, write_failures
 from shmoo_mjx.evaluation.navigation_measures import (
     cause_of,

@@ -27,8 +27,8 @@ from shmoo_mjx.base.assets import WEIGHTS, asset
 from shmoo_mjx.base.fingerprints import fingerprint
 from shmoo_mjx.base.options import SensesName
 from shmoo_mjx.behavior.interaction import rolled
-from shmoo_mjx.behavior.records import Mode, NavigatorConfig
-from shmoo_mjx.behavior.verdicts import PROBE_TIME
+from shmoo_mjx.behavior.push_decisions import PROBE_TIME
+from shmoo_mjx.behavior.state import Mode, NavigatorConfig
 from shmoo_mjx.evaluation.manipulable import (
     IMMOVABLE,
     STRATA,
@@ -212,7 +212,7 @@ def _probability(navigator: Any, controller: Any, truth: SteadyPush) -> float:
     foresight, segment = foresight_of(controller), navigator.segment
     known = navigator.belief.objects[segment.object]
     asked = (known.pose, known.half_extents, segment.face, truth.distance, truth.turn)
-    return foresight.straight_on(known.adapt, known.kind, *asked)
+    return foresight.probability_to_move(known.adapt, known.kind, *asked)
 
 
 def _criteria(navigator: Any, controller: Any) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx.behavior.records import NavigatorConfig
+from shmoo_mjx.behavior.state import NavigatorConfig
 from shmoo_mjx.evaluation.manipulable import STRATA
 from shmoo_mjx.evaluation.object_planner import FITTED, LEAST_K, told_by
 from shmoo_mjx.report.figures import draw_decision, evidence

@@ -132,7 +132,7 @@ def _trial(
         row["ahead"] = float(push.face[2])
         row |= {"known": adapt is not None, **_true(push, track, other, config.distance)}
         for name, known in (("posterior", adapt), ("prior", None)):
-            predicted = foresight.of_one(known, kind, track[0], condition.half_extents, push.face, push.goal)
+            predicted = foresight.sampled_poses(known, kind, track[0], condition.half_extents, push.face, push.goal)
             row |= {f"{name}_{key}": value for key, value in _compared(row, predicted, push, track[0], config).items()}
         rows.append(row)
     return rows

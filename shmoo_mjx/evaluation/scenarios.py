@@ -20,9 +20,9 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.certify import Certificate, certify
 from shmoo_mjx.evaluation.manipulable import IMMOVABLE, SteadyPush, draw_immovable
 from shmoo_mjx.geometry import se2
-from shmoo_mjx.planning.clearance import ClearanceField
+from shmoo_mjx.planning.distance_field import DistanceField
 from shmoo_mjx.planning.footprints import add_obstacles, footprint_polygon, footprints_free, wall_distance
-from shmoo_mjx.planning.maps import OccupancyGrid, clearance_field
+from shmoo_mjx.planning.maps import OccupancyGrid, distance_field
 from shmoo_mjx.planning.paths import Path, path_blocked_by, plan_path, point_at, tangent_at
 from shmoo_mjx.planning.scenario import ROBOT_RADIUS, Limits, ObjectEntry, Scenario
 from shmoo_mjx.plant.condition import Condition
@@ -104,7 +104,7 @@ class _Site:
     """A scenario in the making: map, start and goal, what has been put there, and what more is drawn by."""
 
     grid: OccupancyGrid
-    walls: ClearanceField
+    walls: DistanceField
     rng: np.random.Generator
     seeds: Iterator[int]
     """Of the objects."""
@@ -116,7 +116,7 @@ class _Site:
 
     def way(self, start: Array, obstacles: list[shapely.Polygon], end: Array | None = None) -> Path | None:
         end = self.goal if end is None else end
-        return plan_path(self.grid, start, end, obstacles, ROBOT_RADIUS, field=self.walls)
+        return plan_path(self.grid, start, end, obstacles, robot_radius=ROBOT_RADIUS, wall_clearance=self.walls)
 
     def polygons(self, without: _Placed | None = None) -> list[shapely.Polygon]:
         return [p.polygon for p in self.placed if p is not without]
@@ -136,7 +136,7 @@ def draw_scenario(
     Raises:
         ShmooError: the map has no place for such a scenario.
     """
-    walls = clearance_field(grid)
+    walls = distance_field(grid)
     seeds = cycle(first_seed + rng.permutation(1000).astype(int))
     room = largest_room(np.asarray(walls.values), cfg.start_clearance)
     for _ in range(cfg.attempts if len(room) else 0):
@@ -163,7 +163,7 @@ def largest_room(clearance: np.ndarray, radius: float) -> np.ndarray:
 
 
 def _draw_ends(
-    grid: OccupancyGrid, walls: ClearanceField, room: np.ndarray, rng: np.random.Generator, cfg: ScenarioConfig
+    grid: OccupancyGrid, walls: DistanceField, room: np.ndarray, rng: np.random.Generator, cfg: ScenarioConfig
 ) -> tuple[np.ndarray, np.ndarray, Path] | None:
     start = grid.cell_to_world(room[rng.integers(len(room))])
     centres = grid.cell_to_world(room)
@@ -172,7 +172,7 @@ def _draw_ends(
     if not near.size:
         return None
     goal = centres[near[rng.integers(near.size)]]
-    path = plan_path(grid, start, goal, robot_radius=ROBOT_RADIUS, field=walls)
+    path = plan_path(grid, start, goal, robot_radius=ROBOT_RADIUS, wall_clearance=walls)
     if path is None or not cfg.path[0] <= path.length <= cfg.path[1]:
         return None
     return start, goal, path

@@ -18,7 +18,7 @@ import shapely
 
 from shmoo_mjx.base.assets import WEIGHTS, asset
 from shmoo_mjx.base.fingerprints import fingerprint
-from shmoo_mjx.behavior.records import Mode, Transition
+from shmoo_mjx.behavior.state import Mode, Transition
 from shmoo_mjx.control.observation import local_distance_field
 from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
@@ -26,7 +26,7 @@ from shmoo_mjx.evaluation.scenarios import largest_room
 from shmoo_mjx.evaluation.trials import controller_of, run_trials
 from shmoo_mjx.planning.floorplan import draw_floorplan
 from shmoo_mjx.planning.footprints import footprint_polygon
-from shmoo_mjx.planning.maps import clearance_field
+from shmoo_mjx.planning.maps import distance_field
 from shmoo_mjx.planning.scenario import Limits, ObjectEntry, Scenario
 from shmoo_mjx.plant.objects import FAMILIES
 from shmoo_mjx.plant.observe import DIVERGED
@@ -77,7 +77,7 @@ def play(trials: SoakTrials, seed: int, controller: PushController) -> dict[str,
     """Errands in one building until time is up or the robot has fallen."""
     rng = np.random.default_rng([seed, 0x50A4])
     grid = draw_floorplan(rng).grid
-    clearance = clearance_field(grid)
+    clearance = distance_field(grid)
     cells = largest_room(np.asarray(clearance.values), 0.55)
     places = grid.cell_to_world(cells)
     chosen = places[_apart(places, rng, 2 + len(FAMILIES))]
@@ -104,15 +104,15 @@ def play(trials: SoakTrials, seed: int, controller: PushController) -> dict[str,
                     totals["moved"] += _move_one(simulation, places, rng)
             row["errands"] += 1
             row["done"] += simulation.navigator.mode is Mode.DONE
-            row["livelocks"] += livelocks(simulation.navigator.transitions, simulation.record)
+            row["livelocks"] += livelocks(simulation.navigator.transitions, simulation.history)
             if simulation.navigator.mode is not Mode.DONE:
                 row["given_up"].append(_reason(simulation))
-            totals["falls"] += simulation.record.falls
-            lost = simulation.record.ended
-            totals["wall_contacts"] += simulation.record.wall_contacts
+            totals["falls"] += simulation.history.falls
+            lost = simulation.history.ended
+            totals["wall_contacts"] += simulation.history.wall_contacts
             memory.append(this.memory_info().rss)
             # What has been is of no more use; a record of hours would be all that grows.
-            simulation.record = Record(touching=simulation.record.touching)
+            simulation.history = Record(touching=simulation.history.touching)
             simulation.navigator.events.clear()
             simulation.navigator.head_for(_next_goal(simulation, places, rng), simulation.time)
         row["simulated_s"] = round(simulation.time, 1)
@@ -140,14 +140,14 @@ def livelocks(transitions: list[Transition], record: Record) -> int:
 
 
 def _over(simulation: Simulation, until: float) -> bool:
-    return simulation.navigator.finished or simulation.time >= until or simulation.record.ended
+    return simulation.navigator.finished or simulation.time >= until or simulation.history.ended
 
 
 def _reason(simulation: Simulation) -> str:
     navigator = simulation.navigator
-    if simulation.record.diverged:
+    if simulation.history.diverged:
         return DIVERGED
-    if simulation.record.falls:
+    if simulation.history.falls:
         return f"fell while it was to {navigator.mode}"
     if navigator.mode is Mode.FAILED:
         return str(navigator.transitions[-1].reason)

@@ -12,7 +12,7 @@ from shmoo_mjx.arrays import Array
 from shmoo_mjx.behavior.belief import Status
 from shmoo_mjx.behavior.interaction import Machine
 from shmoo_mjx.control.mppi import Plan
-from shmoo_mjx.planning.clearance import ClearanceField
+from shmoo_mjx.planning.distance_field import DistanceField
 from shmoo_mjx.report.style import COLOURS, outline
 from shmoo_mjx.sensing.camera import Camera
 from shmoo_mjx.types import Observation
@@ -108,7 +108,7 @@ def believed(navigator: Machine, seen: Observation, sizes: Sequence[tuple[float,
     return Lines(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def clearance_picture(field: ClearanceField) -> np.ndarray:
+def clearance_picture(field: DistanceField) -> np.ndarray:
     """The distance to walls and known objects as a picture ``[H, W, 3]`` uint8, row 0 at the bottom of the map."""
     near = np.clip(np.asarray(field.values) / _CLEAR, 0.0, 1.0)
     return (255 * matplotlib.colormaps["YlGnBu_r"](0.15 + 0.85 * near)[..., :3]).astype(np.uint8)

@@ -502,8 +502,8 @@ class Page:
         lean = float(np.rad2deg(np.linalg.norm(true.lean[0])))
         said = navigator.transitions[-1].reason if navigator.transitions else "it looks for a way"
         state = f"{navigator.mode}"
-        if simulation.record.ended:
-            state, said = "stopped; begin again", DIVERGED if simulation.record.diverged else "it has fallen"
+        if simulation.history.ended:
+            state, said = "stopped; begin again", DIVERGED if simulation.history.diverged else "it has fallen"
         if session.scenario.goal != self._told_goal:
             self._told_goal = session.scenario.goal
             self._goal.value = (round(self._told_goal[0], 2), round(self._told_goal[1], 2))

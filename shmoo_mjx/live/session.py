@@ -24,7 +24,7 @@ from shmoo_mjx.base.options import SensesName
 from shmoo_mjx.base.schema import validated
 from shmoo_mjx.base.seeds import seed_of
 from shmoo_mjx.base.yaml_input import read_mapping, yaml_files
-from shmoo_mjx.behavior.records import Mode
+from shmoo_mjx.behavior.state import Mode
 from shmoo_mjx.control.mppi import Plan
 from shmoo_mjx.control.observation import local_distance_field
 from shmoo_mjx.control.pushing import PushController
@@ -32,7 +32,7 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.learning import online
 from shmoo_mjx.learning.weights import Weights, prior_state
 from shmoo_mjx.planning.floorplan import demo_scenario
-from shmoo_mjx.planning.maps import OccupancyGrid, clearance_field, load_map, save_map
+from shmoo_mjx.planning.maps import OccupancyGrid, distance_field, load_map, save_map
 from shmoo_mjx.planning.scenario import (
     MOST_OBJECTS,
     ROBOT_RADIUS,
@@ -130,7 +130,7 @@ def _from_file(path: Path) -> tuple[OccupancyGrid, Scenario]:
 
 def _empty(grid: OccupancyGrid) -> tuple[OccupancyGrid, Scenario]:
     """The map with the robot where it has the most room, at its goal."""
-    room = np.asarray(clearance_field(grid).values)
+    room = np.asarray(distance_field(grid).values)
     if room.max() < ROBOT_RADIUS:
         raise ShmooError(f"{grid.source}: has no room for a robot of radius {ROBOT_RADIUS:.2f} m; give another map.")
     x, y = (round(float(v), 3) for v in grid.cell_to_world(np.unravel_index(room.argmax(), room.shape)))
@@ -225,7 +225,7 @@ class Session:
 
     def step(self) -> None:
         """One sample of 0.1 s. A robot that has fallen lies there; a world that has diverged stands still."""
-        if self.simulation.record.ended:
+        if self.simulation.history.ended:
             return
         began = time.perf_counter()
         command = self.simulation.decide()
@@ -323,7 +323,7 @@ class Session:
         from shmoo_mjx.report.html import write_report
 
         folder, simulation = self.out / _checked(name), self.simulation
-        if not simulation.record.rows:
+        if not simulation.history.rows:
             raise ShmooError("Nothing has happened yet; let the robot run first.")
         with protected(self._inputs):
             save_run(

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.interpolate import BSpline
 
 from shmoo_mjx.arrays import Array, Float, Scalar
-from shmoo_mjx.planning.clearance import ClearanceField
+from shmoo_mjx.planning.distance_field import DistanceField
 from shmoo_mjx.planning.flat_model import FlatModel
 from shmoo_mjx.planning.flat_qp import DEGREE, LEAN_RECOVERY, SAMPLES, Planner, basis_splines, solve
 from shmoo_mjx.planning.paths import Path, point_at, project, tangent_at
@@ -68,7 +68,9 @@ class TrajectorySample(NamedTuple):
     """[rad/s]"""
 
 
-def plan(planner: Planner, state: Float[Array, "4 2"], path: Path, field: ClearanceField | None = None) -> Trajectory:
+def plan(
+    planner: Planner, state: Float[Array, "4 2"], path: Path, clearance: DistanceField | None = None
+) -> Trajectory:
     """The smoothest trajectory that follows the path within the limits, at rest at the end of the horizon.
 
     Args:
@@ -87,30 +89,30 @@ def plan(planner: Planner, state: Float[Array, "4 2"], path: Path, field: Cleara
     cfg = planner.cfg
     if not np.isfinite(state).all():
         return _failed(planner, "the robot's state is not finite", np.zeros((SAMPLES, 2)))
-    reference, width, at_end = _reference(planner, state, path, field)
+    reference, width, at_end = _reference(planner, state, path, clearance)
 
     def attempt(lean_max: float = cfg.lean_max, recovery: bool = False) -> Trajectory | None:
         limited = planner._replace(cfg=replace(cfg, lean_max=lean_max))
         solution = solve(limited, state, reference, width, at_end, recovery)
         if solution is None:
             return None
-        found = Trajectory(True, "", solution[0], cfg.horizon, planner.model, reference, at_end, recovery)
-        reason = _leans_too_far(found, planner)
-        return found._replace(ok=not reason, reason=reason)
+        trajectory = Trajectory(True, "", solution[0], cfg.horizon, planner.model, reference, at_end, recovery)
+        reason = _leans_too_far(trajectory, planner)
+        return trajectory._replace(ok=not reason, reason=reason)
 
-    found = attempt() or attempt(recovery=True)
-    if found is None:
+    trajectory = attempt() or attempt(recovery=True)
+    if trajectory is None:
         speed, lean = np.linalg.norm(state[1]), np.linalg.norm(state[2]) * planner.model.a / planner.model.c
         text = f"no trajectory keeps the limits from a speed of {speed:.2f} m/s and a lean of {lean:.3f} rad"
         return _failed(planner, text, reference)
-    if field is None or not found.ok or not (reason := _too_near(found, planner, field)):
-        return found
-    if float(field.at(evaluate(found, 0.0).position)) < cfg.robot_radius + _NEAR:
+    if clearance is None or not trajectory.ok or not (reason := _too_near(trajectory, planner, clearance)):
+        return trajectory
+    if float(clearance.at(evaluate(trajectory, 0.0).position)) < cfg.robot_radius + _NEAR:
         # To lean away from what it stands near to, its ball first rolls towards that: less far if it leans less.
         gentle = attempt(_GENTLE_LEAN)
-        if gentle is not None and gentle.ok and not _too_near(gentle, planner, field):
+        if gentle is not None and gentle.ok and not _too_near(gentle, planner, clearance):
             return gentle
-    return found._replace(ok=False, reason=reason)
+    return trajectory._replace(ok=False, reason=reason)
 
 
 def evaluate(trajectory: Trajectory, t: Scalar | Float[Array, "..."]) -> TrajectorySample:
@@ -135,7 +137,7 @@ def evaluate(trajectory: Trajectory, t: Scalar | Float[Array, "..."]) -> Traject
 
 
 def _reference(
-    planner: Planner, state: Float[np.ndarray, "4 2"], path: Path, field: ClearanceField | None
+    planner: Planner, state: Float[np.ndarray, "4 2"], path: Path, clearance: DistanceField | None
 ) -> tuple[Float[np.ndarray, "K 2"], Float[np.ndarray, "K"], bool]:
     """Points of the path to be at, half width of the corridor there, and is the end reached."""
     cfg, lag = planner.cfg, planner.model.b / planner.model.c
@@ -144,8 +146,8 @@ def _reference(
     v = max(0.0, float((state[1] - lag * state[3]) @ tangent_at(path, s)))
     ahead = np.linspace(s, min(s + cfg.speed_max * cfg.horizon, path.length), 40)
     half_width = np.full(40, _CORRIDOR[1])
-    if field is not None:
-        room = field.at(point_at(path, ahead)) - cfg.robot_radius - _STRAY
+    if clearance is not None:
+        room = clearance.at(point_at(path, ahead)) - cfg.robot_radius - _STRAY
         half_width = np.clip(room, _CORRIDOR[0], _CORRIDOR[1])
     step = cfg.horizon / SAMPLES
     along, a = [], cfg.acceleration
@@ -168,15 +170,15 @@ def _leans_too_far(trajectory: Trajectory, planner: Planner) -> str:
     return ""
 
 
-def _too_near(trajectory: Trajectory, planner: Planner, field: ClearanceField) -> str:
+def _too_near(trajectory: Trajectory, planner: Planner, clearance: DistanceField) -> str:
     """Why the trajectory must not be driven, or nothing."""
     times = np.linspace(0.0, trajectory.horizon, 120)
-    distance = field.at(evaluate(trajectory, times).position)
+    distance = clearance.at(evaluate(trajectory, times).position)
     # The radius, and what it may stray as well where the path has room for it: a turn at speed leaves the corridor,
     # which has some width everywhere. Who stands too near may not come nearer. Half a cell is uncertain in the field.
     radius, here = planner.cfg.robot_radius, float(distance[0])
-    beside_path = float(np.min(field.at(trajectory.reference))) - _CORRIDOR[0]
-    allowed = min(float(np.clip(beside_path, radius, radius + _STRAY)), here) - 0.5 * float(field.resolution)
+    beside_path = float(np.min(clearance.at(trajectory.reference))) - _CORRIDOR[0]
+    allowed = min(float(np.clip(beside_path, radius, radius + _STRAY)), here) - 0.5 * float(clearance.resolution)
     worst = int(np.argmin(distance))
     if distance[worst] >= allowed:
         return ""

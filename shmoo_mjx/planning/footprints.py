@@ -10,7 +10,7 @@ import shapely
 
 from shmoo_mjx.arrays import Array, Bool, Float, Int, Numbers, Scalar
 from shmoo_mjx.geometry import se2
-from shmoo_mjx.planning.clearance import ClearanceField
+from shmoo_mjx.planning.distance_field import DistanceField
 from shmoo_mjx.planning.maps import OccupancyGrid
 
 _KEPT = 4
@@ -46,7 +46,7 @@ def wall_distance(grid: OccupancyGrid, shape: shapely.Geometry, reach: float) ->
     return float(distance) if distance <= reach else float("inf")
 
 
-def add_obstacles(field: ClearanceField, polygons: Iterable[shapely.Polygon], reach: float = 1.5) -> ClearanceField:
+def add_obstacles(clearance: DistanceField, polygons: Iterable[shapely.Polygon], reach: float = 1.5) -> DistanceField:
     """The clearance field [m] with the distance to ``polygons`` (footprints in {W}) taken into account.
 
     Exact up to ``reach`` [m] from a polygon; farther away the polygon is not looked at. The same polygons on the same
@@ -54,32 +54,32 @@ def add_obstacles(field: ClearanceField, polygons: Iterable[shapely.Polygon], re
     """
     polygons = tuple(polygons)
     if not polygons:
-        return field
-    if not field.constant:
-        return _with_obstacles(field, polygons, reach)
-    kept: dict[Any, ClearanceField] = field.memo.setdefault("obstacles", {})
+        return clearance
+    if not clearance.constant:
+        return _with_obstacles(clearance, polygons, reach)
+    kept: dict[Any, DistanceField] = clearance.memo.setdefault("obstacles", {})
     key = (reach, *(polygon.wkb for polygon in polygons))
     if key not in kept:
         while len(kept) >= _KEPT:
             del kept[next(iter(kept))]
-        kept[key] = _with_obstacles(field, polygons, reach)
+        kept[key] = _with_obstacles(clearance, polygons, reach)
     return kept[key]
 
 
-def _with_obstacles(field: ClearanceField, polygons: tuple[shapely.Polygon, ...], reach: float) -> ClearanceField:
-    values = np.array(field.values)
+def _with_obstacles(clearance: DistanceField, polygons: tuple[shapely.Polygon, ...], reach: float) -> DistanceField:
+    values = np.array(clearance.values)
     for polygon in polygons:
-        window = window_near(field, polygon, reach)
-        distance = polygon_distance(polygon, field.to_world(np.moveaxis(np.mgrid[window], 0, -1)))
+        window = window_near(clearance, polygon, reach)
+        distance = polygon_distance(polygon, clearance.to_world(np.moveaxis(np.mgrid[window], 0, -1)))
         np.minimum(values[window], distance, out=values[window], where=distance < reach)
     values.flags.writeable = False
-    return field._replace(values=values)
+    return clearance._replace(values=values)
 
 
-def window_near(field: ClearanceField, polygon: shapely.Polygon, reach: float) -> tuple[slice, slice]:
+def window_near(clearance: DistanceField, polygon: shapely.Polygon, reach: float) -> tuple[slice, slice]:
     """Rows and columns of the part of the field within ``reach`` [m] of the polygon's bounding box."""
-    cells = np.floor(field.to_cells(_bounding_corners(polygon)) + 0.5).astype(int)
-    return _window(cells, int(np.ceil(reach / float(field.resolution))) + 1, np.shape(field.values))
+    cells = np.floor(clearance.to_cells(_bounding_corners(polygon)) + 0.5).astype(int)
+    return _window(cells, int(np.ceil(reach / float(clearance.resolution))) + 1, np.shape(clearance.values))
 
 
 def polygon_distance(polygon: shapely.Polygon, points: Float[np.ndarray, "*p 2"]) -> Scalar | Float[np.ndarray, "*p"]:
@@ -116,7 +116,7 @@ def _convex_corners(polygon: shapely.Polygon) -> Float[np.ndarray, "E 2"] | None
 
 
 def footprints_free(
-    field: ClearanceField,
+    clearance: DistanceField,
     poses: Numbers | Float[Array, "3"] | Float[Array, "N 3"],
     half_extents: Numbers | Float[Array, "2"],
     path: Float[Array, "M 2"] | None = None,
@@ -134,11 +134,11 @@ def footprints_free(
         wall_clearance: distance that must be left between footprint and walls [m].
     """
     poses = np.atleast_2d(np.asarray(poses, dtype=float))
-    resolution = float(field.resolution)
+    resolution = float(clearance.resolution)
     samples = _lattice(np.asarray(half_extents, dtype=float), resolution)
     points = se2.transform_point(poses[:, None, :], samples)
     # At a wall's face the bilinear look-up reads a quarter of a cell: half a cell at the free centre, zero in the wall.
-    free = (field.at(points) >= max(wall_clearance, 0.25 * resolution)).all(axis=1)
+    free = (clearance.at(points) >= max(wall_clearance, 0.25 * resolution)).all(axis=1)
     if path is None or not free.any():
         return free
     line = shapely.LineString(np.asarray(path, dtype=float))

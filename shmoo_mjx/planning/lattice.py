@@ -1,7 +1,7 @@
 """Sparse lattice for path search: one point in each block of cells of the map, straight lines between them.
 
 A map of 0.05 m cells has sixteen times as many cells as blocks of 0.2 m. Each point is the cell of its block that is
-cheapest to stand on, so that narrow passages keep their points; lines cost what they cost on the clearance field, and
+cheapest to stand on, so that narrow passages keep their points; lines cost what they cost on the distance field, and
 SciPy's Dijkstra finds the ways.
 """
 
@@ -16,9 +16,9 @@ from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
 from shmoo_mjx.arrays import Bool, Float, Int
-from shmoo_mjx.planning.clearance import ClearanceField
+from shmoo_mjx.planning.distance_field import DistanceField
 from shmoo_mjx.planning.footprints import window_near
-from shmoo_mjx.planning.line_costs import PathConfig, line_costs, metre_cost
+from shmoo_mjx.planning.line_costs import DiscSpace, line_costs
 
 _SPACING = 0.30
 """Largest distance between the points of the lattice on which a way is sought [m]; at least a cell."""
@@ -31,7 +31,7 @@ _TIGHT = 2.0
 
 
 class Lattice(NamedTuple):
-    """The graph for one field, one radius and one configuration; N points, E directed lines."""
+    """The graph for one `DiscSpace`; N points, E directed lines."""
 
     cells: Int[np.ndarray, "N 2"]
     """(row, column) of the points."""
@@ -43,15 +43,15 @@ class Lattice(NamedTuple):
     """``[N, N]`` cost of the lines [m, near-wall metres counted more], infinite where something is in the way."""
 
 
-def build(field: ClearanceField, radius: float, cfg: PathConfig) -> Lattice:
-    """The lattice of a field for a disc of ``radius`` [m]."""
-    side = _side(field, radius)
-    blocks = tuple(-(-n // side) for n in np.shape(field.values))
-    found, cells = _points(field, (slice(0, blocks[0]), slice(0, blocks[1])), side, radius, cfg)
-    number = np.where(found, np.cumsum(found).reshape(found.shape) - 1, -1)
-    cells = cells[found]
+def build(space: DiscSpace) -> Lattice:
+    """The lattice of a disc's space."""
+    side = _side(space)
+    blocks = tuple(-(-n // side) for n in np.shape(space.clearance.values))
+    has_point, cells = _points(space, (slice(0, blocks[0]), slice(0, blocks[1])), side)
+    number = np.where(has_point, np.cumsum(has_point).reshape(has_point.shape) - 1, -1)
+    cells = cells[has_point]
     starts, ends = _neighbours(number)
-    cost = _line_costs(cells[starts], cells[ends], field, radius, cfg)
+    cost = _line_costs(cells[starts], cells[ends], space)
     pairs = (np.concatenate([starts, ends]), np.concatenate([ends, starts]))
     order = np.lexsort(pairs[::-1])
     counts = np.bincount(pairs[0], minlength=len(cells))
@@ -62,21 +62,17 @@ def build(field: ClearanceField, radius: float, cfg: PathConfig) -> Lattice:
     return Lattice(cells, number, side, graph)
 
 
-def _side(field: ClearanceField, radius: float) -> int:
+def _side(space: DiscSpace) -> int:
     """Cells along a block: few on a small map, where many points cost little, up to _SPACING on a large one."""
-    usable = int(np.count_nonzero(np.asarray(field.values) >= radius))
+    usable = int(np.count_nonzero(np.asarray(space.clearance.values) >= space.radius))
     wanted = int(np.ceil(np.sqrt(usable / _POINTS)))
-    return max(1, min(wanted, round(_SPACING / float(field.resolution))))
+    return max(1, min(wanted, round(_SPACING / space.resolution)))
 
 
 def with_obstacles(
-    lattice: Lattice,
-    field: ClearanceField,
-    polygons: Sequence[shapely.Polygon],
-    radius: float,
-    cfg: PathConfig,
+    lattice: Lattice, space: DiscSpace, polygons: Sequence[shapely.Polygon]
 ) -> tuple[Lattice, Bool[np.ndarray, "N"]]:
-    """The lattice for ``field``, which is the lattice's own with the polygons added.
+    """The lattice for ``space``, which is the lattice's own with the polygons added.
 
     Returns:
         The lattice, and the points at which something is different.
@@ -84,15 +80,15 @@ def with_obstacles(
     cells, data = lattice.cells.copy(), lattice.graph.data.copy()
     touched = np.zeros(len(cells), dtype=bool)
     for polygon in polygons:
-        blocks = _blocks_near(lattice, field, polygon, radius + cfg.soft_clearance)
+        blocks = _blocks_near(lattice, space.clearance, polygon, space.radius + space.cfg.soft_clearance)
         number = lattice.number[blocks]
-        chosen = _points(field, blocks, lattice.side, radius, cfg)[1]
+        chosen = _points(space, blocks, lattice.side)[1]
         cells[number[number >= 0]] = chosen[number >= 0]
         touched[number[number >= 0]] = True
     graph = lattice.graph
     edges = np.flatnonzero(np.repeat(touched, np.diff(graph.indptr)))
     starts = np.searchsorted(graph.indptr, edges, side="right") - 1
-    data[edges] = _line_costs(cells[starts], cells[graph.indices[edges]], field, radius, cfg)
+    data[edges] = _line_costs(cells[starts], cells[graph.indices[edges]], space)
     changed = np.zeros(len(cells), dtype=bool)
     changed[starts[~np.isclose(data[edges], graph.data[edges], rtol=1e-9)]] = True
     graph = sparse.csr_matrix((data, graph.indices, graph.indptr), shape=graph.shape)
@@ -116,10 +112,10 @@ def nodes_in(lattice: Lattice, window: tuple[slice, slice]) -> Int[np.ndarray, "
 
 
 def _points(
-    field: ClearanceField, blocks: tuple[slice, slice], side: int, radius: float, cfg: PathConfig
+    space: DiscSpace, blocks: tuple[slice, slice], side: int
 ) -> tuple[Bool[np.ndarray, "h w"], Int[np.ndarray, "h w 2"]]:
     """Which blocks have a point, and the cells (row, column) of the points."""
-    values = np.asarray(field.values)[tuple(slice(b.start * side, b.stop * side) for b in blocks)]
+    values = np.asarray(space.clearance.values)[tuple(slice(b.start * side, b.stop * side) for b in blocks)]
     h, w = (b.stop - b.start for b in blocks)
     padded = np.zeros((h * side, w * side))
     padded[: values.shape[0], : values.shape[1]] = values
@@ -127,7 +123,7 @@ def _points(
     offset = np.stack(np.divmod(np.arange(side * side), side), axis=-1)
     from_middle = np.hypot(*(offset - (side - 1) / 2).T) / side
     # Where all of a block costs the same its middle is taken; ways over evenly spaced points are the straightest.
-    score = np.where(inner >= radius, metre_cost(inner, radius, cfg) + 0.5 * from_middle, np.inf)
+    score = np.where(inner >= space.radius, space.metre_cost(inner) + 0.5 * from_middle, np.inf)
     best = score.argmin(axis=-1)
     corner = np.stack(np.meshgrid(*(np.arange(b.start, b.stop) * side for b in blocks), indexing="ij"), axis=-1)
     return np.isfinite(score.min(axis=-1)), corner + offset[best]
@@ -147,18 +143,18 @@ def _neighbours(number: Int[np.ndarray, "BH BW"]) -> tuple[Int[np.ndarray, "P"],
 
 
 def _line_costs(
-    starts: Int[np.ndarray, "M 2"], ends: Int[np.ndarray, "M 2"], field: ClearanceField, radius: float, cfg: PathConfig
+    starts: Int[np.ndarray, "M 2"], ends: Int[np.ndarray, "M 2"], space: DiscSpace
 ) -> Float[np.ndarray, "M"]:
     """Cost [m] of lines between cells, infinite where there is no way."""
     if not len(starts):
         return np.zeros(0)
-    lowest, cost = line_costs(starts.astype(float), ends.astype(float), field, radius, cfg)
-    tight = is_tight(starts, ends, lowest, radius)
+    lowest, cost = line_costs(starts.astype(float), ends.astype(float), space)
+    tight = is_tight(starts, ends, lowest, space.radius)
     cost[tight] *= _TIGHT
     # Between cell centres that are far enough the look-up may read up to half a cell less.
-    cost[tight & (lowest < radius - 0.5 * float(field.resolution))] = np.inf
-    values = np.asarray(field.values)
-    cost[np.minimum(values[tuple(starts.T)], values[tuple(ends.T)]) < radius] = np.inf
+    cost[tight & (lowest < space.radius - 0.5 * space.resolution)] = np.inf
+    values = np.asarray(space.clearance.values)
+    cost[np.minimum(values[tuple(starts.T)], values[tuple(ends.T)]) < space.radius] = np.inf
     return cost
 
 
@@ -170,11 +166,11 @@ def is_tight(
 
 
 def _blocks_near(
-    lattice: Lattice, field: ClearanceField, polygon: shapely.Polygon, reach: float
+    lattice: Lattice, clearance: DistanceField, polygon: shapely.Polygon, reach: float
 ) -> tuple[slice, slice]:
     """Blocks whose points or lines can be different because of a polygon, and their neighbours."""
     side, shape = lattice.side, lattice.number.shape
-    cells = window_near(field, polygon, reach)
+    cells = window_near(clearance, polygon, reach)
     rows, cols = (
         slice(min(max(part.start // side - 1, 0), n), min(-(-part.stop // side) + 1, n))
         for part, n in zip(cells, shape, strict=True)

@@ -1,13 +1,14 @@
-"""Cost and lowest clearance of straight lines through a clearance field, many lines at once."""
+"""Cost and lowest clearance of straight lines through a distance field, many lines at once."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from shmoo_mjx.arrays import Float, Int
-from shmoo_mjx.planning.clearance import ClearanceField
+from shmoo_mjx.planning.distance_field import DistanceField
 
 
 @dataclass(frozen=True)
@@ -21,59 +22,68 @@ class PathConfig:
     way in the open, 0 takes the shortest."""
 
 
-def metre_cost(distance: Float[np.ndarray, "*d"], radius: float, cfg: PathConfig) -> Float[np.ndarray, "*d"]:
-    """Cost of a metre driven at ``distance`` from the nearest wall, by a disc of ``radius`` [m]."""
-    reach = max(cfg.soft_clearance, 1e-9)
-    nearness = np.minimum(np.maximum((radius + reach - distance) / reach, 0.0), 1.0)
-    return 1.0 + cfg.soft_weight * nearness * nearness
+class DiscSpace(NamedTuple):
+    """Where a disc may drive, and what it costs it."""
+
+    clearance: DistanceField
+    """Distance to walls and obstacles."""
+    radius: float
+    """Of the disc [m]."""
+    cfg: PathConfig
+    """The cost of being near walls."""
+
+    def metre_cost(self, distance: Float[np.ndarray, "*d"]) -> Float[np.ndarray, "*d"]:
+        """Cost of a metre driven at ``distance`` [m] from the nearest wall."""
+        reach = max(self.cfg.soft_clearance, 1e-9)
+        nearness = np.minimum(np.maximum((self.radius + reach - distance) / reach, 0.0), 1.0)
+        return 1.0 + self.cfg.soft_weight * nearness * nearness
+
+    @property
+    def resolution(self) -> float:
+        """Side of a cell of the distance field [m]."""
+        return float(self.clearance.resolution)
 
 
 def line_costs(
-    starts: Float[np.ndarray, "M 2"],
-    ends: Float[np.ndarray, "M 2"],
-    field: ClearanceField,
-    radius: float,
-    cfg: PathConfig,
+    starts: Float[np.ndarray, "M 2"], ends: Float[np.ndarray, "M 2"], space: DiscSpace
 ) -> tuple[Float[np.ndarray, "M"], Float[np.ndarray, "M"]]:
     """Lowest clearance and cost of straight lines; sampled at least once in a cell's length.
 
     Args:
-        starts: (row, column) with fractions, as of ``ClearanceField.to_cells``; what lies off the map counts
+        starts: (row, column) with fractions, as of ``DistanceField.to_cells``; what lies off the map counts
             as its border.
         ends: likewise.
-        field: distance to walls and obstacles [m].
-        radius: of the disc [m].
-        cfg: the cost of being near walls.
+        space: of the disc.
 
     Returns:
         Lowest clearance [m], and cost [m, near-wall metres counted more].
     """
-    steps = ends - starts
+    cfg, steps = space.cfg, ends - starts
     lengths = np.hypot(steps[:, 0], steps[:, 1])
     count = np.ceil(lengths).astype(np.intp) + 1
     count[count < 2] = 2
     first = np.cumsum(count) - count
-    distance = _sampled(np.concatenate([starts, steps / (count - 1)[:, None]], axis=1), count, first, field)
+    distance = _sampled(np.concatenate([starts, steps / (count - 1)[:, None]], axis=1), count, first, space.clearance)
     lowest = np.minimum.reduceat(distance, first)
     if cfg.soft_weight == 0.0:
-        return lowest, lengths * float(field.resolution)
+        return lowest, lengths * space.resolution
     reach = max(cfg.soft_clearance, 1e-9)
-    nearness = (radius + reach) - distance
+    nearness = (space.radius + reach) - distance
     np.maximum(nearness, 0.0, out=nearness)
     np.minimum(nearness, reach, out=nearness)
     nearness *= nearness
     excess = np.add.reduceat(nearness, first) * (cfg.soft_weight / reach**2)
-    return lowest, lengths * float(field.resolution) * (1.0 + excess / count)
+    return lowest, lengths * space.resolution * (1.0 + excess / count)
 
 
 def _sampled(
-    lines: Float[np.ndarray, "M 4"], count: Int[np.ndarray, "M"], first: Int[np.ndarray, "M"], field: ClearanceField
+    lines: Float[np.ndarray, "M 4"], count: Int[np.ndarray, "M"], first: Int[np.ndarray, "M"], clearance: DistanceField
 ) -> Float[np.ndarray, "S"]:
-    """The field along lines, one after the other; ``lines`` are a first sample and the step to the next.
+    """The distance along lines, one after the other; ``lines`` are a first sample and the step to the next.
 
-    The same as ``ClearanceField.look_up`` with less of NumPy's overhead, for it is asked dozens of times per path.
+    The same as ``DistanceField.look_up`` with less of NumPy's overhead, for it is asked dozens of times per path.
     """
-    values = np.asarray(field.values)
+    values = np.asarray(clearance.values)
     height, width = values.shape
     each = np.repeat(lines, count, axis=0)
     along = np.arange(len(each)) - np.repeat(first, count)

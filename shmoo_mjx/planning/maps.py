@@ -22,7 +22,7 @@ from shmoo_mjx.base.schema import Angle, Number, validated
 from shmoo_mjx.base.yaml_input import read_mapping, yaml_text
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.geometry import se2
-from shmoo_mjx.planning.clearance import ClearanceField
+from shmoo_mjx.planning.distance_field import DistanceField
 from shmoo_mjx.planning.walls import cover_rectangles
 
 FREE = 0
@@ -233,7 +233,7 @@ def save_map(grid: OccupancyGrid, yaml_path: str | Path) -> OccupancyGrid:
     return replace(grid, source=str(path))
 
 
-def clearance(grid: OccupancyGrid) -> Float[np.ndarray, "H W"]:
+def obstacle_distance(grid: OccupancyGrid) -> Float[np.ndarray, "H W"]:
     """Distance [m] from each cell's centre to the nearest cell that is not free; zero in such cells.
 
     Measured to the near face of that cell (too large by at most 0.21 cell sides on a diagonal). Off the map counts as
@@ -244,16 +244,16 @@ def clearance(grid: OccupancyGrid) -> Float[np.ndarray, "H W"]:
     return np.maximum(distance - 0.5, 0.0) * grid.resolution
 
 
-def clearance_field(grid: OccupancyGrid) -> ClearanceField:
-    """``clearance`` with the frame that is needed to look it up at points of {W}; its values can't be written to."""
-    values = clearance(grid)
+def distance_field(grid: OccupancyGrid) -> DistanceField:
+    """`obstacle_distance` with the frame to look it up at points of {W}; its values can't be written to."""
+    values = obstacle_distance(grid)
     values.flags.writeable = False
-    return ClearanceField(values, np.array(grid.origin), grid.resolution)
+    return DistanceField(values, np.array(grid.origin), grid.resolution)
 
 
 def inflate(grid: OccupancyGrid, radius: float) -> Bool[np.ndarray, "H W"]:
     """Cells where a disc of ``radius`` [m] about the cell's centre touches only free cells."""
-    return grid.free & (clearance(grid) >= radius)
+    return grid.free & (obstacle_distance(grid) >= radius)
 
 
 def occupied_rectangles(

@@ -159,17 +159,17 @@ def planning_stage(
     # With fewer finite roll-outs than K sums over, those there stand for the missing ones.
     k = float(np.mean(_distance(best, pose) ** 2) * BEST)
     g = float(np.linalg.norm(best[:, :2].mean(axis=0) - pose[:2]))
-    said = f"K = {k:.3f} m²"
+    text = f"K = {k:.3f} m²"
     if manipulable is None:
         manipulable = k >= cfg.threshold
-        said += f" {'>=' if manipulable else '<'} {cfg.threshold:g} m²"
+        text += f" {'>=' if manipulable else '<'} {cfg.threshold:g} m²"
     if not manipulable:
-        return ObjectDecision(False, k, g, None, empty, said)
+        return ObjectDecision(False, k, g, None, empty, text)
     buffer = ends[np.asarray(collision_free(ends), dtype=bool)]
     if not len(buffer):
-        return ObjectDecision(True, k, g, None, empty, f"{said}, but none of {len(ends)} roll-outs ends collision-free")
+        return ObjectDecision(True, k, g, None, empty, f"{text}, but none of {len(ends)} roll-outs ends collision-free")
     buffer = buffer[np.argsort(_distance(buffer, pose), kind="stable")]
-    reason = f"{said}; closest of {len(buffer)} reachable collision-free goals"
+    reason = f"{text}; closest of {len(buffer)} reachable collision-free goals"
     return ObjectDecision(True, k, g, buffer[0], buffer, reason)
 
 

@@ -1,4 +1,4 @@
-"""Path search through a clearance field: on a lattice where it is wide, cell by cell where it has to be.
+"""Path search through a distance field: on a lattice where it is wide, cell by cell where it has to be.
 
 The ends of a way, where a robot may stand too near to something, are searched cell by cell in a small window, the part
 between them on the lattice. Where the lattice knows no way that surely keeps the radius, all cells are searched, so a
@@ -15,11 +15,11 @@ import shapely
 from scipy.ndimage import label
 from skimage.graph import MCP_Geometric
 
-from shmoo_mjx.arrays import Array, Bool, Float, Int
+from shmoo_mjx.arrays import Bool, Float, Int
 from shmoo_mjx.planning import lattice as lattices
-from shmoo_mjx.planning.clearance import ClearanceField
+from shmoo_mjx.planning.distance_field import DistanceField
 from shmoo_mjx.planning.lattice import Lattice
-from shmoo_mjx.planning.line_costs import PathConfig, line_costs, metre_cost
+from shmoo_mjx.planning.line_costs import DiscSpace, line_costs
 
 _ESCAPE_RADIUS = 0.35
 """Distance from a start nearer to a wall than the radius allows within which cells that are no nearer may be used [m]:
@@ -31,21 +31,19 @@ _KEPT = 8
 class _Query(NamedTuple):
     """A query."""
 
-    field: ClearanceField
-    """Distance to walls and obstacles."""
+    space: DiscSpace
     start: Float[np.ndarray, "2"]
     """In {W} [m]."""
     goal: Float[np.ndarray, "2"]
-    radius: float
-    cfg: PathConfig
+    """In {W} [m]."""
 
     def cell(self, point: Float[np.ndarray, "2"]) -> tuple[int, int]:
         """(row, column) of the cell that holds the point."""
-        row, col = np.floor(self.field.to_cells(point) + 0.5).astype(int)
+        row, col = np.floor(self.space.clearance.to_cells(point) + 0.5).astype(int)
         return int(row), int(col)
 
 
-class _Known(NamedTuple):
+class _Ways(NamedTuple):
     """What queries about the same walls share."""
 
     lattice: Lattice
@@ -83,59 +81,56 @@ class _Window(NamedTuple):
         return np.array(self.search.traceback(tuple(np.asarray(cell) - self.corner))) + self.corner
 
 
-def cell_costs(values: Float[Array, "H W"], radius: float, cfg: PathConfig) -> Float[np.ndarray, "H W"]:
-    """Cost of each cell per metre, by the ``values`` [m] of a clearance field; -1 where the disc can't be."""
-    values = np.asarray(values)
-    return np.where(values >= radius, metre_cost(values, radius, cfg), -1.0)
+def cell_costs(space: DiscSpace, parts: tuple[slice, ...] = (slice(None), slice(None))) -> Float[np.ndarray, "h w"]:
+    """Cost of each cell per metre, -1 where the disc can't be; of all cells or of ``parts``, rows and columns."""
+    values = np.asarray(space.clearance.values)[parts]
+    return np.where(values >= space.radius, space.metre_cost(values), -1.0)
 
 
 def find_way(
-    walls: ClearanceField,
-    field: ClearanceField,
-    obstacles: Sequence[shapely.Polygon],
     start: Float[np.ndarray, "2"],
     goal: Float[np.ndarray, "2"],
-    radius: float,
-    cfg: PathConfig,
+    space: DiscSpace,
+    *,
+    wall_clearance: DistanceField,
+    obstacles: Sequence[shapely.Polygon],
 ) -> Int[np.ndarray, "N 2"] | None:
     """The cheapest way, or nearly, of a disc from start to goal as cells, or None if there is none.
 
     Args:
-        walls: distance to walls; what is derived from it is kept in its ``memo``.
-        field: the same with the obstacles.
-        obstacles: footprints in {W}.
         start: in {W} [m], on the map.
         goal: in {W} [m], on the map.
-        radius: of the disc [m].
-        cfg: see ``PathConfig``.
+        space: of the disc, with the obstacles.
+        wall_clearance: distance to walls alone; what is derived from it is kept in its ``memo``.
+        obstacles: footprints in {W}.
 
     Returns:
         (row, column); neighbours are neighbouring cells, or points of the lattice with a clear line between.
     """
-    task = _Query(field, start, goal, radius, cfg)
-    known = _known(walls, radius, cfg)
-    near_start, near_goal = (_window(task, end, known.lattice.side) for end in (start, goal))
+    task = _Query(space, start, goal)
+    ways = _ways_past(space._replace(clearance=wall_clearance))
+    near_start, near_goal = (_window(task, end, ways.lattice.side) for end in (start, goal))
     if near_start is None or near_goal is None:
         return None
-    found = _on_lattice(task, known, obstacles, near_start, near_goal)
-    return _cell_by_cell(task) if found is None else found
+    cells = _on_lattice(task, ways, obstacles, near_start=near_start, near_goal=near_goal)
+    return _cell_by_cell(task) if cells is None else cells
 
 
-def _known(walls: ClearanceField, radius: float, cfg: PathConfig) -> _Known:
-    key = ("ways", radius, cfg)
-    if not walls.constant or key not in walls.memo:
-        known = _Known(lattices.build(walls, radius, cfg), {})
-        if not walls.constant:
-            return known
-        walls.memo[key] = known
-    return walls.memo[key]
+def _ways_past(walls: DiscSpace) -> _Ways:
+    """What queries about these walls share, from the distance field's memo if its values can't change."""
+    field, key = walls.clearance, ("ways", walls.radius, walls.cfg)
+    if not field.constant:
+        return _Ways(lattices.build(walls), {})
+    if key not in field.memo:
+        field.memo[key] = _Ways(lattices.build(walls), {})
+    return field.memo[key]
 
 
 def _window(task: _Query, end: Float[np.ndarray, "2"], side: int) -> _Window | None:
     """Ways from an end of the query to all cells near it; None if the disc can't be there."""
-    cell, resolution = task.cell(end), float(task.field.resolution)
+    cell, resolution = task.cell(end), task.space.resolution
     half = max(int(np.ceil(_ESCAPE_RADIUS / resolution)), 2 * side) + 2
-    shape = np.shape(task.field.values)
+    shape = np.shape(task.space.clearance.values)
     rows, cols = (slice(max(c - half, 0), min(c + half + 1, n)) for c, n in zip(cell, shape, strict=True))
     parts = (rows, cols)
     costs = _opened_costs(task, parts)
@@ -149,38 +144,37 @@ def _window(task: _Query, end: Float[np.ndarray, "2"], side: int) -> _Window | N
 
 def _opened_costs(task: _Query, parts: tuple[slice, slice]) -> Float[np.ndarray, "h w"]:
     """The costs of some cells, with those added that the robot may use because of where it starts or ends."""
-    field, radius, cfg = task.field, task.radius, task.cfg
-    resolution = float(field.resolution)
-    values = np.asarray(field.values)[parts]
-    costs = cell_costs(values, radius, cfg)
+    (clearance, radius, cfg), resolution = task.space, task.space.resolution
+    costs = cell_costs(task.space, parts)
     last = tuple(c - part.start for c, part in zip(task.cell(task.goal), parts, strict=True))
     inside = all(0 <= c < n for c, n in zip(last, costs.shape, strict=True))
-    if inside and costs[last] < 0 and float(field.at(task.goal)) >= radius:
+    if inside and costs[last] < 0 and float(clearance.at(task.goal)) >= radius:
         costs[last] = 1.0 + cfg.soft_weight  # the point is far enough though its cell's centre is not
-    here = float(field.at(task.start))
+    here = float(clearance.at(task.start))
     if here >= radius + resolution:
         return costs
     # A robot that stands too near to something must get out, but not squeeze through where it is narrower still.
     rows, cols = np.mgrid[parts]
-    row, col = field.to_cells(task.start)
+    row, col = clearance.to_cells(task.start)
+    values = np.asarray(clearance.values)[parts]
     near = np.hypot(rows - row, cols - col) * resolution <= _ESCAPE_RADIUS + resolution
     usable = near & (values > 0) & (values >= min(here, radius) - 0.5 * resolution)
     return np.where(usable & (costs < 0), 10.0 * (1.0 + cfg.soft_weight), costs)
 
 
 def _on_lattice(
-    task: _Query, known: _Known, obstacles: Sequence[shapely.Polygon], near_start: _Window, near_goal: _Window
+    task: _Query, ways: _Ways, obstacles: Sequence[shapely.Polygon], *, near_start: _Window, near_goal: _Window
 ) -> Int[np.ndarray, "K 2"] | None:
     """Cells of the cheapest way over the lattice; None if none surely keeps the radius."""
-    lattice, changed = known.lattice, np.zeros(len(known.lattice.cells), dtype=bool)
+    lattice, changed = ways.lattice, np.zeros(len(ways.lattice.cells), dtype=bool)
     if obstacles:
-        lattice, changed = lattices.with_obstacles(lattice, task.field, obstacles, task.radius, task.cfg)
+        lattice, changed = lattices.with_obstacles(lattice, task.space, obstacles)
     entries, exits = (_entries(lattice, window) for window in (near_start, near_goal))
     direct_cost, direct = _direct(task, near_start)
     if not len(entries[0]) or not len(exits[0]):
         return direct
     root = int(exits[0][np.argmin(exits[1])])
-    cost, route = _route(known, lattice, changed, entries, root)
+    cost, route = _route(ways, lattice, changed, entries=entries, root=root)
     if direct_cost <= cost + exits[1].min():
         return direct
     if len(route) == 0 or _is_tight(task, lattice.cells[route]):
@@ -205,17 +199,18 @@ def _direct(task: _Query, near_start: _Window) -> tuple[float, Int[np.ndarray, "
 
 
 def _route(
-    known: _Known,
+    ways: _Ways,
     lattice: Lattice,
     changed: Bool[np.ndarray, "N"],
+    *,
     entries: tuple[Int[np.ndarray, "M"], Float[np.ndarray, "M"]],
     root: int,
 ) -> tuple[float, Int[np.ndarray, "K"]]:
     """Cost [m] of the cheapest way from the start over a point it can reach to ``root``, and its points."""
     if not changed.any():
-        return _follow(known.tree(root), entries)
-    if root in known.trees:
-        cost, route = _follow(known.trees[root], entries)
+        return _follow(ways.tree(root), entries)
+    if root in ways.trees:
+        cost, route = _follow(ways.trees[root], entries)
         if len(route) and not changed[route].any():
             # Obstacles only ever make lines dearer: a way that they leave as it was is still the cheapest.
             return cost, route
@@ -242,13 +237,13 @@ def _is_tight(task: _Query, cells: Int[np.ndarray, "K 2"]) -> bool:
     if len(cells) < 2:
         return False
     starts, ends = cells[:-1], cells[1:]
-    lowest, _ = line_costs(starts.astype(float), ends.astype(float), task.field, task.radius, task.cfg)
-    return bool(lattices.is_tight(starts, ends, lowest, task.radius).any())
+    lowest, _ = line_costs(starts.astype(float), ends.astype(float), task.space)
+    return bool(lattices.is_tight(starts, ends, lowest, task.space.radius).any())
 
 
 def _cell_by_cell(task: _Query) -> Int[np.ndarray, "K 2"] | None:
     """The cheapest way over all cells of the map."""
-    height, width = np.shape(task.field.values)
+    height, width = np.shape(task.space.clearance.values)
     costs = _opened_costs(task, (slice(0, height), slice(0, width)))
     first, last = task.cell(task.start), task.cell(task.goal)
     connected, _ = label(costs > 0, np.ones((3, 3)))

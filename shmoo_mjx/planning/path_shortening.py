@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from shmoo_mjx.arrays import Bool, Float, Int
-from shmoo_mjx.planning.clearance import ClearanceField
-from shmoo_mjx.planning.line_costs import PathConfig, line_costs
+from shmoo_mjx.planning.line_costs import DiscSpace, line_costs
 
 _ANGLES = np.arange(8) * np.pi / 4
 _MOVES = np.vstack([[0.0, 0.0], np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=-1)])
@@ -17,38 +16,32 @@ _STEPS = (0.20, 0.06)
 """How far corners are moved, in turn [m]."""
 
 
-def shorten(
-    points: Float[np.ndarray, "N 2"], field: ClearanceField, radius: float, cfg: PathConfig
-) -> Float[np.ndarray, "M 2"]:
+def shorten(points: Float[np.ndarray, "N 2"], space: DiscSpace) -> Float[np.ndarray, "M 2"]:
     """Replaces parts of a polyline by straight lines, then moves the corners that are left to where they cost least.
 
     Args:
         points: in {W} [m].
-        field: distance to walls and obstacles [m].
-        radius: what straight lines must keep [m].
-        cfg: the cost of being near walls.
+        space: of the disc; straight lines keep its radius.
 
     Returns:
         One with the same ends, M <= N.
     """
-    corners = _pull_taut(field.to_cells(points), field, radius, cfg)
+    corners = _pull_taut(space.clearance.to_cells(points), space)
     for step in _STEPS:
-        corners = _settle(corners, step / float(field.resolution), field, radius, cfg)
-    inner = field.to_world(corners[1:-1])
+        corners = _settle(corners, step / space.resolution, space)
+    inner = space.clearance.to_world(corners[1:-1])
     return np.vstack([points[:1], inner, points[-1:]])
 
 
-def _pull_taut(
-    points: Float[np.ndarray, "N 2"], field: ClearanceField, radius: float, cfg: PathConfig
-) -> Float[np.ndarray, "M 2"]:
+def _pull_taut(points: Float[np.ndarray, "N 2"], space: DiscSpace) -> Float[np.ndarray, "M 2"]:
     """The polyline with straight lines in place of all parts that cost no less [cells]."""
-    total = np.concatenate([[0.0], np.cumsum(line_costs(points[:-1], points[1:], field, radius, cfg)[1])])
+    total = np.concatenate([[0.0], np.cumsum(line_costs(points[:-1], points[1:], space)[1])])
     kept, i, n = [0], 0, len(points)
     while i < n - 1:
         ends = _look_ahead(i, n)
         here = np.broadcast_to(points[i], (len(ends), 2))
-        lowest, straight = line_costs(here, points[ends], field, radius, cfg)
-        good = np.flatnonzero((lowest >= radius) & (straight <= 1.002 * (total[ends] - total[i])))
+        lowest, straight = line_costs(here, points[ends], space)
+        good = np.flatnonzero((lowest >= space.radius) & (straight <= 1.002 * (total[ends] - total[i])))
         i = int(ends[good[-1]]) if good.size else i + 1
         kept.append(i)
     return points[kept]
@@ -60,9 +53,7 @@ def _look_ahead(i: int, n: int) -> Int[np.ndarray, "K"]:
     return i + np.append(_AHEAD[: np.searchsorted(_AHEAD, farthest)], farthest)
 
 
-def _settle(
-    corners: Float[np.ndarray, "N 2"], step: float, field: ClearanceField, radius: float, cfg: PathConfig
-) -> Float[np.ndarray, "M 2"]:
+def _settle(corners: Float[np.ndarray, "N 2"], step: float, space: DiscSpace) -> Float[np.ndarray, "M 2"]:
     """Sweeps over the corners, four at most, until none is dropped or moved by ``step`` [cells] any more.
 
     Every other corner is tried at once: between them lie corners that stay. One whose neighbours have stayed since it
@@ -76,7 +67,7 @@ def _settle(
             if not restless[1:-1].any():
                 break
             continue
-        places, dropped = _better(corners, tried, step, field, radius, cfg)
+        places, dropped = _better(corners, tried, step, space)
         moved = tried[dropped | (places != corners[tried]).any(axis=1)]
         restless[tried] = False
         restless[moved - 1] = restless[moved] = restless[moved + 1] = True
@@ -89,25 +80,20 @@ def _settle(
 
 
 def _better(
-    corners: Float[np.ndarray, "N 2"],
-    tried: Int[np.ndarray, "K"],
-    step: float,
-    field: ClearanceField,
-    radius: float,
-    cfg: PathConfig,
+    corners: Float[np.ndarray, "N 2"], tried: Int[np.ndarray, "K"], step: float, space: DiscSpace
 ) -> tuple[Float[np.ndarray, "K 2"], Bool[np.ndarray, "K"]]:
     """Cheaper places for the corners ``tried``, and which of them are better dropped."""
     before, after = corners[tried - 1], corners[tried + 1]
     candidates = corners[tried, None] + step * _MOVES
-    candidates = np.clip(candidates, 0.0, np.array(field.values.shape) - 1.0)
+    candidates = np.clip(candidates, 0.0, np.array(space.clearance.values.shape) - 1.0)
     k, m = candidates.shape[:2]
     flat = candidates.reshape(-1, 2)
     starts = np.concatenate([np.repeat(before, m, axis=0), flat, before])
     ends = np.concatenate([flat, np.repeat(after, m, axis=0), after])
-    lowest, cost = line_costs(starts, ends, field, radius, cfg)
+    lowest, cost = line_costs(starts, ends, space)
     both = (cost[: k * m] + cost[k * m : 2 * k * m]).reshape(k, m)
-    safe = (np.minimum(lowest[: k * m], lowest[k * m : 2 * k * m]) >= radius).reshape(k, m)
-    dropped = (lowest[2 * k * m :] >= radius) & (cost[2 * k * m :] <= both[:, 0] + 1e-9)
+    safe = (np.minimum(lowest[: k * m], lowest[k * m : 2 * k * m]) >= space.radius).reshape(k, m)
+    dropped = (lowest[2 * k * m :] >= space.radius) & (cost[2 * k * m :] <= both[:, 0] + 1e-9)
     allowed = np.where(safe, both, np.inf)
     best = allowed.argmin(axis=1)
     pays = allowed[np.arange(k), best] < both[:, 0] - 1e-6

@@ -1,4 +1,4 @@
-"""Global paths for a round robot: minimum-cost paths on the clearance field, and questions about a path.
+"""Global paths for a round robot: minimum-cost paths on the distance field, and questions about a path.
 
 The search is scikit-image's ``MCP_Geometric`` (Euclidean step costs). A cell costs its length, more where a wall is
 near, so that the path keeps to the middle where there is room; then the path is pulled taut where that costs nothing.
@@ -15,10 +15,10 @@ import shapely
 from skimage.graph import MCP_Geometric
 
 from shmoo_mjx.arrays import Array, Float, Numbers, Scalar
-from shmoo_mjx.planning.clearance import ClearanceField
+from shmoo_mjx.planning.distance_field import DistanceField
 from shmoo_mjx.planning.footprints import add_obstacles
-from shmoo_mjx.planning.line_costs import PathConfig
-from shmoo_mjx.planning.maps import OccupancyGrid, clearance_field
+from shmoo_mjx.planning.line_costs import DiscSpace, PathConfig
+from shmoo_mjx.planning.maps import OccupancyGrid, distance_field
 from shmoo_mjx.planning.path_search import cell_costs, find_way
 from shmoo_mjx.planning.path_shortening import shorten
 
@@ -43,9 +43,10 @@ def plan_path(
     start: Numbers | Float[Array, "2"],
     goal: Numbers | Float[Array, "2"],
     obstacles: Sequence[shapely.Polygon] = (),
+    *,
     robot_radius: float = 0.25,
     cfg: PathConfig = PathConfig(),  # noqa: B008  (frozen)
-    field: ClearanceField | None = None,
+    wall_clearance: DistanceField | None = None,
 ) -> Path | None:
     """The cheapest collision-free path of a disc, or None if there is none.
 
@@ -56,7 +57,7 @@ def plan_path(
         obstacles: footprints in {W} that are to be avoided like walls.
         robot_radius: radius of the disc, margin included [m].
         cfg: see ``PathConfig``.
-        field: ``clearance_field(grid)`` if the caller has it already.
+        wall_clearance: ``distance_field(grid)`` if the caller has it already.
 
     Returns:
         The path from start to goal. Every point keeps ``robot_radius`` from walls and obstacles to within the map's
@@ -65,13 +66,14 @@ def plan_path(
     start, goal = np.asarray(start, dtype=float)[:2], np.asarray(goal, dtype=float)[:2]
     if not grid.inside(grid.world_to_cell(np.stack([start, goal]))).all():
         return None
-    walls, obstacles = field if field is not None else clearance_field(grid), tuple(obstacles)
+    walls, obstacles = wall_clearance if wall_clearance is not None else distance_field(grid), tuple(obstacles)
     # Farther away a polygon costs nothing; two cells more, because the look-up is between the centres of cells.
-    around = add_obstacles(walls, obstacles, robot_radius + cfg.soft_clearance + 2 * float(walls.resolution))
-    cells = find_way(walls, around, obstacles, start, goal, robot_radius, cfg)
+    clearance = add_obstacles(walls, obstacles, robot_radius + cfg.soft_clearance + 2 * float(walls.resolution))
+    space = DiscSpace(clearance, robot_radius, cfg)
+    cells = find_way(start, goal, space, wall_clearance=walls, obstacles=obstacles)
     if cells is None:
         return None
-    points = shorten(np.vstack([start, around.to_world(cells[1:-1]), goal]), around, robot_radius, cfg)
+    points = shorten(np.vstack([start, clearance.to_world(cells[1:-1]), goal]), space)
     return Path(points, path_length(points))
 
 
@@ -79,6 +81,7 @@ def cost_to_go(
     grid: OccupancyGrid,
     goal: Numbers | Float[Array, "2"],
     obstacles: Sequence[shapely.Polygon] = (),
+    *,
     robot_radius: float = 0.25,
     cfg: PathConfig = PathConfig(),  # noqa: B008  (frozen)
 ) -> Float[np.ndarray, "H W"]:
@@ -86,8 +89,7 @@ def cost_to_go(
 
     Infinite where no path exists. With ``soft_weight = 0`` it is the length of the shortest 8-connected path [m].
     """
-    field = add_obstacles(clearance_field(grid), obstacles)
-    costs = cell_costs(field.values, robot_radius, cfg)
+    costs = cell_costs(DiscSpace(add_obstacles(distance_field(grid), obstacles), robot_radius, cfg))
     last = grid.world_to_cell(np.asarray(goal, dtype=float)[:2])
     if not grid.inside(last) or costs[tuple(last)] < 0:
         return np.full(grid.cells.shape, np.inf)
@@ -137,17 +139,17 @@ def project(path: Path, point: Numbers | Float[Array, "2"], after: float = 0.0) 
 
 
 def path_blocked_by(
-    path: Path, polygon: shapely.Polygon, clearance: float, after: float = 0.0
+    path: Path, polygon: shapely.Polygon, radius: float, after: float = 0.0
 ) -> tuple[bool, float | None]:
-    """Does a disc of radius ``clearance`` [m] that follows the path from arc length ``after`` [m] touch the polygon.
+    """Does a disc of radius ``radius`` [m] that follows the path from arc length ``after`` [m] touch the polygon.
 
     Returns:
         (blocked, arc length [m] of the first touch or None).
     """
     ahead = shapely.LineString(_part_after(path, after))
-    if ahead.distance(polygon) > clearance:
+    if ahead.distance(polygon) > radius:
         return False, None
-    hit = ahead.intersection(polygon.buffer(max(clearance - 1e-6, 0.0), quad_segs=32))
+    hit = ahead.intersection(polygon.buffer(max(radius - 1e-6, 0.0), quad_segs=32))
     if hit.is_empty:
         return False, None
     touching = [project(path, xy, after) for xy in shapely.get_coordinates(hit)]

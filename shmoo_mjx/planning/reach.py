@@ -176,7 +176,7 @@ def probability_to_come(
     return np.asarray(((progress(poses, start, face) >= distance) & within).any(axis=-1).mean(axis=-1))
 
 
-def middle(known: ObjectEstimate) -> Float[Array, "p"]:
+def median_parameters(known: ObjectEstimate) -> Float[Array, "p"]:
     """Median of each contact parameter among the particles that a push can move, or among all if it can move none."""
     moves = contact_model.resistance(known.parameters).min(axis=-1) < _STRONGEST
     weight = jnp.where(moves | ~moves.any(), known.log_weight, -jnp.inf)
@@ -200,12 +200,12 @@ class Foresight:
                 samples = jnp.tile(params.contact, (SAMPLES, 1))
             return reach(params, samples, own_key, pose, half_extents, options, model, config.cost, STEPS)
 
-        def run_middle(known: ObjectEstimate, half_extents: Array, options: Options) -> Array:
+        def run_median(known: ObjectEstimate, half_extents: Array, options: Options) -> Array:
             begin = _start(jnp.zeros(3), jnp.hypot(*half_extents), options)
             roll = partial(_roll, weights.params, model, config.cost, _FAR_STEPS, options, begin)
-            return jnp.swapaxes(roll(middle(known), jnp.zeros(len(_UNKNOWN)))[0], 0, 1)
+            return jnp.swapaxes(roll(median_parameters(known), jnp.zeros(len(_UNKNOWN)))[0], 0, 1)
 
-        self._run, self._run_middle = jax.jit(run), jax.jit(run_middle)
+        self._run, self._run_median = jax.jit(run), jax.jit(run_median)
         self._prior = lru_cache(maxsize=8)(
             lambda kind: prior_state(weights, config.estimate, jax.random.key(_PRIOR_KEY), kind)
         )
@@ -227,7 +227,7 @@ class Foresight:
         return jax.tree.map(np.asarray, self._run(known, key, *given, Options(*map(np.asarray, options))))
 
     @single_precision
-    def expected(
+    def median_poses(
         self, adapt: Any, kind: str | None, half_extents: tuple[float, float], options: Options
     ) -> Float[np.ndarray, "O T 3"]:
         """Poses of an object that begins at the origin, for the middle of what is known of it.
@@ -236,10 +236,10 @@ class Foresight:
         posterior of the contact parameters, the prior of what the object looks like takes its place.
         """
         known = adapt if isinstance(adapt, ObjectEstimate) else self._prior(kind)
-        found = self._run_middle(known, np.asarray(half_extents, np.float32), Options(*map(np.asarray, options)))
+        found = self._run_median(known, np.asarray(half_extents, np.float32), Options(*map(np.asarray, options)))
         return np.asarray(found, float)
 
-    def of_one(
+    def sampled_poses(
         self,
         adapt: Known | None,
         kind: str | None,
@@ -253,7 +253,7 @@ class Foresight:
         drawn = [self(adapt, kind, pose, half_extents, option, seed).object_pose[0] for seed in range(4)]
         return np.concatenate(drawn).astype(float)
 
-    def straight_on(
+    def probability_to_move(
         self,
         adapt: Known | None,
         kind: str | None,
@@ -265,7 +265,7 @@ class Foresight:
     ) -> float:
         """Probability that a push straight on moves the object (`probability_to_come`)."""
         pose, face = np.asarray(pose, float), np.asarray(face, float)
-        poses = self.of_one(adapt, kind, pose, half_extents, face, goal_ahead(pose, face))
+        poses = self.sampled_poses(adapt, kind, pose, half_extents, face, goal_ahead(pose, face))
         return float(probability_to_come(poses, pose, face, distance, turn))
 
 

@@ -266,7 +266,7 @@ def check_point(grid: OccupancyGrid, point: Sequence[float], robot_radius: float
     import shapely
 
     from shmoo_mjx.planning.footprints import wall_distance
-    from shmoo_mjx.planning.maps import clearance_field
+    from shmoo_mjx.planning.maps import distance_field
 
     where = f"{name} ({point[0]:g}, {point[1]:g})"
     if not bool(grid.inside(grid.world_to_cell(point))):
@@ -278,7 +278,7 @@ def check_point(grid: OccupancyGrid, point: Sequence[float], robot_radius: float
         raise ShmooError(f"{where} lies inside {kind}; choose a point on free floor.")
     # The field, by which paths are planned, can be too large beside a wall of a coarse map.
     exact = wall_distance(grid, shapely.Point(point), robot_radius)
-    distance = min(float(clearance_field(grid).at(point)), exact)
+    distance = min(float(distance_field(grid).at(point)), exact)
     if distance < robot_radius:
         need = f"{distance:.2f} m from a wall, but the robot needs {robot_radius:.2f} m"
         raise ShmooError(f"{where} is only {need}; move it away from the wall.")

@@ -39,8 +39,8 @@ _SHORTEST = 0.1
 once."""
 
 
-class Reached(NamedTuple):
-    """Where pushes on an object lead."""
+class PushDisplacements(NamedTuple):
+    """Displacements of an object by single pushes."""
 
     side: Int[np.ndarray, "N"]
     """Index of the face among `faces_of`."""
@@ -59,7 +59,7 @@ class Choice(NamedTuple):
     """Index of the face."""
     goal: Float[np.ndarray, "3"]
     """Where this push is to bring the object, in {W}."""
-    expected: float
+    cost: float
     """Error left after the last push, with what the pushes cost [m]."""
 
 
@@ -70,17 +70,17 @@ def residual(pose: Float[Array, "*b 3"], goal: Float[Array, "3"]) -> Scalar | Fl
     return np.hypot(offset[..., 0], offset[..., 1]) + YAW_WEIGHT * np.abs(yaw)
 
 
-def reached_by(
+def push_displacements(
     foresight: Any,
     adapt: Known | None,
     kind: str | None,
     half_extents: tuple[float, float],
     goal: Float[Array, "3"],
-) -> Reached:
+) -> PushDisplacements:
     """Where single pushes on each side lead: in several directions, and towards a goal.
 
     Args:
-        foresight: what has a method ``expected`` as `Foresight` has (`planning.reach.contact_foresight`).
+        foresight: what has a method ``median_poses`` as `Foresight` has (`planning.reach.contact_foresight`).
         adapt: what was learned of the object; None before it was touched.
         kind: what it looks like.
         half_extents: of its footprint [m].
@@ -91,7 +91,7 @@ def reached_by(
     goals = [[*(goal_ahead(np.zeros(3), face, *direction) for direction in _DIRECTIONS), *towards] for face in faces]
     side = np.repeat(np.arange(len(faces)), len(goals[0]))
     options = Options(faces[side].astype(np.float32), np.concatenate(goals).astype(np.float32))
-    poses = foresight.expected(adapt, kind, half_extents, options)
+    poses = foresight.median_poses(adapt, kind, half_extents, options)
     steps = np.diff(poses, axis=1, prepend=0.0)
     way = np.cumsum(np.hypot(steps[..., 0], steps[..., 1]) + YAW_WEIGHT * np.abs(steps[..., 2]), axis=1)
     lengths = np.arange(_STEP, _LONGEST, _STEP)
@@ -99,11 +99,11 @@ def reached_by(
     option, length = np.nonzero(there.any(axis=2))
     ends = poses[option, np.argmax(there, axis=2)[option, length]]
     aimed = np.tile(np.arange(len(goals[0])) >= len(_DIRECTIONS), len(faces))
-    return Reached(side[option], ends, lengths[length], aimed[option])
+    return PushDisplacements(side[option], ends, lengths[length], aimed[option])
 
 
-def choose(
-    reached: Reached,
+def choose_push(
+    reached: PushDisplacements,
     pose: Float[np.ndarray, "3"],
     goal: Float[np.ndarray, "3"],
     faces: Float[np.ndarray, "F 4"],
@@ -113,7 +113,7 @@ def choose(
     """The first push of the sequence of none, one or two that leaves the least error; None if that is the one of none.
 
     Args:
-        reached: where pushes lead (`reached_by`).
+        reached: where pushes lead (`push_displacements`).
         pose: of the object in {W}.
         goal: where it is to be.
         faces: as `faces_of` gives them.
@@ -121,7 +121,7 @@ def choose(
         free: whether the object may stand at each of these poses in {W} between two pushes.
     """
     walks = _WALK * np.array([np.inf if way is None else way for way in ways])
-    reached = Reached(*(part[np.isfinite(walks)[reached.side]] for part in reached))
+    reached = PushDisplacements(*(part[np.isfinite(walks)[reached.side]] for part in reached))
     side, costs = reached.side, COST * (1.0 + reached.way) + walks[reached.side]
     normals = np.stack([np.cos(faces[:, 2]), np.sin(faces[:, 2])], axis=-1)[side]
     ends = np.asarray(se2.compose(pose, reached.moved))
@@ -136,7 +136,7 @@ def choose(
     first = anywhere[::_FIRST]
     first = first[free(ends[first])]
     if len(first):
-        second = Reached(*(part[anywhere[::_SECOND]] for part in reached))
+        second = PushDisplacements(*(part[anywhere[::_SECOND]] for part in reached))
         errors = _after(ends[first], side[first], second, goal) + costs[first]
         k = int(np.argmin(errors))
         if errors[k] < least:
@@ -145,7 +145,10 @@ def choose(
 
 
 def _after(
-    stops: Float[np.ndarray, "M 3"], first: Int[np.ndarray, "M"], reached: Reached, goal: Float[np.ndarray, "3"]
+    stops: Float[np.ndarray, "M 3"],
+    first: Int[np.ndarray, "M"],
+    reached: PushDisplacements,
+    goal: Float[np.ndarray, "3"],
 ) -> Float[np.ndarray, "M"]:
     """Least error after a push on another side than ``first`` from each stop, with what that push costs."""
     left = np.full(len(stops), np.inf)

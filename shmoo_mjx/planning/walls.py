@@ -25,7 +25,7 @@ def cover_rectangles(mask: Bool[np.ndarray, "H W"]) -> Int[np.ndarray, "K 4"]:
     top, bottom = (edge.T for edge in _runs(mask.T))
     longest = np.maximum(right - left, bottom - top)[rows, cols]
     uncovered = mask.copy()
-    found = []
+    boxes = []
     for i in np.argsort(-longest, kind="stable"):
         row, col = rows[i], cols[i]
         if not uncovered[row, col]:
@@ -35,8 +35,8 @@ def cover_rectangles(mask: Bool[np.ndarray, "H W"]) -> Int[np.ndarray, "K 4"]:
         tall = (r0, r1, c0, c1)
         best = max(wide, tall, key=lambda r: int(uncovered[r[0] : r[1], r[2] : r[3]].sum()))
         uncovered[best[0] : best[1], best[2] : best[3]] = False
-        found.append(best)
-    return np.array(found, dtype=int)
+        boxes.append(best)
+    return np.array(boxes, dtype=int)
 
 
 def _runs(mask: Bool[np.ndarray, "H W"]) -> tuple[Int[np.ndarray, "H W"], Int[np.ndarray, "H W"]]:

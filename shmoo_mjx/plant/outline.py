@@ -102,7 +102,7 @@ def room(
     """How far torso, arms and hands are from obstacles.
 
     Args:
-        at: distance to the nearest obstacle [m] at points in {W}, such as ``ClearanceField.at``.
+        at: distance to the nearest obstacle [m] at points in {W}, such as ``DistanceField.at``.
         pose: of {R} in {W}.
         reach: x of the hands' midpoint [m]; of several the worst counts, as while the arms unfold.
         gamma: steering angle [rad].

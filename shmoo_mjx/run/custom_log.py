@@ -22,7 +22,7 @@ from shmoo_mjx.base.files import write_whole
 from shmoo_mjx.base.guard import ARRAYS, HTML, RECORDING, check_folder
 from shmoo_mjx.base.verbosity import LOG
 from shmoo_mjx.base.versions import versions
-from shmoo_mjx.behavior.verdicts import PROBE_TIME
+from shmoo_mjx.behavior.push_decisions import PROBE_TIME
 from shmoo_mjx.control.pushing import PushConfig
 from shmoo_mjx.data.differentiate import body_acceleration
 from shmoo_mjx.dynamics import object_model
@@ -295,7 +295,7 @@ def _verdict(
         return None
     force, faces = log.wrench[push][touching, :2].sum(axis=0), faces_of(half_extents)
     off = se2.wrap(np.arctan2(force[1], force[0]) - heading(poses[-1], faces))
-    p = foresight.straight_on(known, None, poses[-1], half_extents, faces[np.argmin(np.abs(off))])
+    p = foresight.probability_to_move(known, None, poses[-1], half_extents, faces[np.argmin(np.abs(off))])
     verdict = "can be moved" if p >= 0.5 else "can't be moved"
     reason = f"after {contact:.1f} s of contact, in which it moved {moved:.2f} m, P = {p:.2f}: {verdict}"
     told = {"t": float(log.t[push.stop - 1] + DT), "object": 0, "probability": p, "manipulable": p >= 0.5}

@@ -1,4 +1,4 @@
-"""One run of a scenario, from its start to its end: what came of it, and its record."""
+"""One run of a scenario, from its start to its end: what came of it, and its history."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from shmoo_mjx.behavior.belief import Status
 from shmoo_mjx.behavior.interaction import Machine
-from shmoo_mjx.behavior.records import Mode, NavigatorConfig
+from shmoo_mjx.behavior.state import Mode, NavigatorConfig
 from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.learning.contact_prior import true_values
@@ -22,7 +22,7 @@ from shmoo_mjx.planning.scenario import Scenario
 from shmoo_mjx.plant.observe import DIVERGED, toppled
 from shmoo_mjx.plant.scene import Scene
 from shmoo_mjx.report.trace import Trace
-from shmoo_mjx.run.recorded import Recorded
+from shmoo_mjx.run.recording import Recording
 from shmoo_mjx.run.simulation import Simulation
 from shmoo_mjx.sensing import Senses, senses_named
 from shmoo_mjx.types import DT, Observation
@@ -44,7 +44,7 @@ class Episode(NamedTuple):
     """``[T, nq]`` for rendering."""
     navigator: Machine
     """As it was at the end."""
-    recorded: Recorded
+    recorded: Recording
 
 
 class Hooks(NamedTuple):
@@ -95,7 +95,7 @@ def run_episode(
             began = simulation.time
             if number:
                 navigator.head_for(goal, began)
-            while not navigator.finished and simulation.time < scenario.limits.time_s and not simulation.record.ended:
+            while not navigator.finished and simulation.time < scenario.limits.time_s and not simulation.history.ended:
                 tick = time.perf_counter()
                 command = simulation.decide(hooks.perceive)
                 hooks.progress(simulation.time, str(navigator.mode))
@@ -108,14 +108,14 @@ def run_episode(
             if not legs[-1]["success"]:
                 break
     simulation.scenario = scenario  # the result tells of the goal that it names, whichever goals were taken
-    record = simulation.record
+    history = simulation.history
     return Episode(
         result_of(simulation, legs, len(ahead)),
         trace_of(simulation),
         simulation.scene,
-        np.array(record.qpos),
+        np.array(history.qpos),
         navigator,
-        Recorded(_stacked(record.observations), _stacked(record.commands), np.array(record.goals)),
+        Recording(_stacked(history.observations), _stacked(history.commands), np.array(history.goals)),
     )
 
 
@@ -126,17 +126,17 @@ def _stacked(rows: Sequence[Any]) -> Any:
 
 def trace_of(simulation: Simulation) -> Trace:
     """What has happened so far as arrays."""
-    grid, navigator, record = simulation.grid, simulation.navigator, simulation.record
+    grid, navigator, history = simulation.grid, simulation.navigator, simulation.history
 
     def column(name: str) -> np.ndarray:
-        return np.array([row[name] for row in record.rows])
+        return np.array([row[name] for row in history.rows])
 
-    learned = next((tuple(row["learned"]) for row in record.rows if row["learned"]), ())
+    learned = next((tuple(row["learned"]) for row in history.rows if row["learned"]), ())
     blank = dict.fromkeys(learned, np.nan)
     names = ("t", "robot_pose", "lean", "u", "object_pose", "force", "learned_object", "state")
     return Trace(
         **{name: column(name) for name in names},
-        learned=np.array([[*(row["learned"] or blank).values()] for row in record.rows]),
+        learned=np.array([[*(row["learned"] or blank).values()] for row in history.rows]),
         learned_names=learned,
         state_names=tuple(str(m) for m in Mode),
         map_cells=grid.cells,
@@ -155,7 +155,7 @@ def _leg(simulation: Simulation, goal: Point, began: float) -> dict[str, Any]:
     what = true.object_pose[0, 0] if pushes else true.robot_pose[0]
     distance = float(np.linalg.norm(what[:2] - np.asarray(goal)[:2]))
     outcome, reason = _outcome(simulation, distance)
-    path = np.array([row["robot_pose"][:2] for row in simulation.record.rows if row["t"] >= began - 1e-6])
+    path = np.array([row["robot_pose"][:2] for row in simulation.history.rows if row["t"] >= began - 1e-6])
     return {
         "goal": _floats(np.asarray(goal, dtype=float)),
         "outcome": outcome,
@@ -172,10 +172,10 @@ def result_of(simulation: Simulation, legs: Sequence[dict[str, Any]] = (), goals
 
     ``legs`` tells how each goal was reached if there were several, ``goals`` how many there were to reach.
     """
-    scenario, navigator, record = simulation.scenario, simulation.navigator, simulation.record
+    scenario, navigator, history = simulation.scenario, simulation.navigator, simulation.history
     legs = list(legs) or [_leg(simulation, navigator.state.goal.tolist(), 0.0)]
     last, seen, senses = legs[-1], simulation.true, simulation.senses
-    path = np.array([row["robot_pose"][:2] for row in record.rows])
+    path = np.array([row["robot_pose"][:2] for row in history.rows])
     reached = sum(leg["success"] for leg in legs)
     outcome = last["outcome"] if reached < goals else "success"
     over = toppled(simulation.scene, simulation.qpos)
@@ -205,11 +205,11 @@ def result_of(simulation: Simulation, legs: Sequence[dict[str, Any]] = (), goals
         "time_s": round(float(seen.time[0]), 2),
         "path_length_m": round(float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()), 3),
         "goal_distance_m": last["goal_distance_m"],
-        "falls": record.falls,
-        "wall_contacts": record.wall_contacts,
-        "wall_parts": record.wall_parts,
+        "falls": history.falls,
+        "wall_contacts": history.wall_contacts,
+        "wall_parts": history.wall_parts,
         "legs": legs,
-        "missed_deadlines": record.late,
+        "missed_deadlines": history.late,
         "start": list(scenario.start),
         "goal": list(scenario.goal),
         "push_to": None if scenario.push_to is None else list(scenario.push_to),
@@ -231,7 +231,7 @@ def result_of(simulation: Simulation, legs: Sequence[dict[str, Any]] = (), goals
             for d in navigator.decisions
         ],
         "events": sorted(
-            [*({"t": round(note.t, 2), "what": note.text} for note in navigator.notes), *record.touches],
+            [*({"t": round(note.t, 2), "what": note.text} for note in navigator.notes), *history.touches],
             key=lambda event: event["t"],
         ),
         "objects": objects,
@@ -245,25 +245,25 @@ def result_of(simulation: Simulation, legs: Sequence[dict[str, Any]] = (), goals
 
 
 def _outcome(simulation: Simulation, distance: float) -> tuple[str, str]:
-    scenario, navigator, record = simulation.scenario, simulation.navigator, simulation.record
-    if record.diverged:
+    scenario, navigator, history = simulation.scenario, simulation.navigator, simulation.history
+    if history.diverged:
         return "diverged", DIVERGED
-    if record.falls:
+    if history.falls:
         return "fall", f"the robot fell while it was to {navigator.mode}"
     if scenario.push_to is not None:
         turned = float(abs(se2.wrap(simulation.true.object_pose[0, 0, 2] - scenario.push_to[2])))
         there = distance <= scenario.limits.goal_tolerance_m and turned <= _YAW_TOLERANCE
         where = f"the object is {distance:.2f} m and {np.degrees(turned):.0f} deg from its goal"
-        if record.wall_contacts and there:
-            return "wall contact", f"{where}, but the robot touched a wall {record.wall_contacts} times"
+        if history.wall_contacts and there:
+            return "wall contact", f"{where}, but the robot touched a wall {history.wall_contacts} times"
         if not navigator.finished:
             return "timeout", f"{scenario.limits.time_s:g} s were not enough; {where}"
         return ("success", where) if there else ("stopped short", navigator.transitions[-1].reason)
     if navigator.mode is Mode.FAILED:
         return "blocked", navigator.transitions[-1].reason
     if distance <= scenario.limits.goal_tolerance_m and navigator.mode is Mode.DONE:
-        if record.wall_contacts:
-            return "wall contact", f"goal reached, but the robot touched a wall {record.wall_contacts} times"
+        if history.wall_contacts:
+            return "wall contact", f"goal reached, but the robot touched a wall {history.wall_contacts} times"
         return "success", f"goal reached to {distance:.2f} m"
     if navigator.finished:
         return "stopped short", f"it stopped {distance:.2f} m from the goal"

@@ -12,7 +12,7 @@ import numpy as np
 
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.report.trace import load_result
-from shmoo_mjx.run.recorded import RECORDED, Recorded, load_recorded
+from shmoo_mjx.run.recording import RECORDING_FILE, Recording, load_recording
 from shmoo_mjx.run.scenario_run import OWN_WEIGHTS
 from shmoo_mjx.run.simulation import navigator_of
 from shmoo_mjx.types import Command, Observation
@@ -49,7 +49,7 @@ def replay(run: Path, weights: Path | None = None) -> Difference | None:
     from shmoo_mjx.planning.scenario import load_scenario
     from shmoo_mjx.sensing import senses_named
 
-    result, recorded = load_result(run / "result.json"), load_recorded(run / RECORDED)
+    result, recorded = load_result(run / "result.json"), load_recording(run / RECORDING_FILE)
     own = run / OWN_WEIGHTS
     method = method_named(str(result.get("method", "ours")))
     scenario = load_scenario(run / "scenario.yaml")
@@ -64,7 +64,7 @@ def replay(run: Path, weights: Path | None = None) -> Difference | None:
     return differences(navigator, recorded)
 
 
-def differences(navigator: Any, recorded: Recorded) -> Difference | None:
+def differences(navigator: Any, recorded: Recording) -> Difference | None:
     """The first sample at which ``navigator``, fresh from the start, gives another command than the recorded one."""
     for i, time in enumerate(recorded.observations.time[:, 0]):
         if i and not np.array_equal(recorded.goals[i], recorded.goals[i - 1]):

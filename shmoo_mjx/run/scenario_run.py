@@ -95,14 +95,14 @@ def run_scenario(
     # Only now what takes seconds to import: bad input is answered at once.
     from shmoo_mjx.behavior.methods import method_named
     from shmoo_mjx.control.observation import local_distance_field
-    from shmoo_mjx.planning.maps import clearance_field
+    from shmoo_mjx.planning.maps import distance_field
     from shmoo_mjx.report.html import write_report
-    from shmoo_mjx.report.recording import require_viewer, write_recording
+    from shmoo_mjx.report.rerun_file import require_rerun, write_rerun_file
     from shmoo_mjx.run.episode import Hooks, run_episode
-    from shmoo_mjx.run.recorded import RECORDED, save_recorded
+    from shmoo_mjx.run.recording import RECORDING_FILE, save_recording
 
     if record:
-        require_viewer()
+        require_rerun()
     chosen = method_named(method)
     controller = chosen.controller(weights, to_pose=scenario.push_to is not None)
     with claimed(out):
@@ -115,17 +115,17 @@ def run_scenario(
         hooks = Hooks(progress=lambda t, mode: progress(f"simulating: {mode}", t / limit))
         if real_time:
             # What is compiled meanwhile would miss every deadline.
-            controller.compile(local_distance_field(clearance_field(grid), scenario.start))
+            controller.compile(local_distance_field(distance_field(grid), scenario.start))
         episode = run_episode(
             grid, scenario, controller, chosen.navigator, hooks, senses=senses, real_time=real_time, policy=policy
         )
         result = save_run(out, grid, scenario, episode.result, episode.trace, controller, method)
-        save_recorded(out / RECORDED, episode.recorded)
+        save_recording(out / RECORDING_FILE, episode.recorded)
         # The report shows the film that lies there: one of an earlier run must not.
         (out / "episode.mp4").unlink(missing_ok=True)
         (out / "episode.rrd").unlink(missing_ok=True)
         if record:
-            write_recording(out / "episode.rrd", result, episode.trace)
+            write_rerun_file(out / "episode.rrd", result, episode.trace)
         if video:
             _write_video(out / "episode.mp4", result, episode, progress)
         progress("writing the report", 0.9)

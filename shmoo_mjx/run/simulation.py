@@ -1,4 +1,4 @@
-"""A scenario sample by sample: the simulated world, the robot's senses and its navigator, and a record of what happens.
+"""A scenario sample by sample: the simulated world, the robot's senses and navigator, and a history of what happens.
 
 ``run_episode`` lets one run to its end; the live page steps one, and changes the world between samples.
 """
@@ -18,7 +18,7 @@ from shmoo_mjx.behavior.interaction import Machine
 from shmoo_mjx.behavior.navigator import Navigator
 from shmoo_mjx.behavior.policy import PolicyNavigator
 from shmoo_mjx.behavior.push_task import PushTask, PushTaskConfig
-from shmoo_mjx.behavior.records import Mode, NavigatorConfig
+from shmoo_mjx.behavior.state import Mode, NavigatorConfig
 from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.geometry import se2
@@ -34,7 +34,7 @@ Point = Sequence[float]
 
 
 @dataclass
-class Record:
+class History:
     """What has happened so far, a row per sample."""
 
     rows: list[dict[str, Any]] = field(default_factory=list)
@@ -134,7 +134,7 @@ class Simulation:
         self.conditions = conditions_of(scenario)
         self.scene = scene_of(grid, scenario, self.conditions, senses)
         self.navigator = navigator_of(grid, scenario, controller, senses, config, first_status, policy)
-        self.record = Record()
+        self.history = History()
         # Where the object stands that is to be brought to a pose is told with the task.
         self.engine = SensedEngine([self.scene], senses, scenario.seed, poses_known=scenario.push_to is not None)
         self.world: SensedWorld = self.engine.init()
@@ -172,18 +172,18 @@ class Simulation:
         world, seen = self.engine.step(self.world, command, computing=spent)
         if spent is not None and spent > DT:
             late = {"t": round(float(seen.time[0]), 1), "state": str(self.navigator.mode)}
-            self.record.late.append(late | {"ms": round(1e3 * spent)})
+            self.history.late.append(late | {"ms": round(1e3 * spent)})
             for _ in range(int(spent / DT)):
                 world, seen = self.engine.step(world, command, computing=0.0)
             # The controller's samples are DT apart: what spans a longer time teaches nothing.
             seen = seen._replace(detected=np.zeros_like(seen.detected))
         if self.engine.diverged(world)[0]:
-            self.record.diverged = True
+            self.history.diverged = True
             return
         self.world, self.seen = world, seen
         self.true = self.engine.true_observation(self.world)
         self._count_contacts()
-        self.record.falls += int(self.engine.fallen(self.world)[0])
+        self.history.falls += int(self.engine.fallen(self.world)[0])
 
     def change(self, scenario: Scenario) -> None:
         """Go on with more objects at the end of the list, or with other properties of those that are there.
@@ -227,14 +227,14 @@ class Simulation:
         self.true = self.engine.true_observation(self.world)
 
     def _note(self, seen: Observation, command: Command) -> None:
-        learned, true, record = self.navigator.learned, self.true, self.record
+        learned, true, history = self.navigator.learned, self.true, self.history
         index = -1 if learned is None else learned[0]
         wrench = true.wrench[0, :, :2].sum(axis=0)
-        record.qpos.append(self.qpos)
-        record.observations.append(seen)
-        record.commands.append(command)
-        record.goals.append(self.navigator.state.goal)
-        record.rows.append(
+        history.qpos.append(self.qpos)
+        history.observations.append(seen)
+        history.commands.append(command)
+        history.goals.append(self.navigator.state.goal)
+        history.rows.append(
             {
                 "t": float(true.time[0]),
                 "robot_pose": true.robot_pose[0],
@@ -250,20 +250,20 @@ class Simulation:
 
     def _count_contacts(self) -> None:
         """A contact counts once, however long it lasts."""
-        record, touching = self.record, bool(self.world.wall_contact[0])
-        if touching and not record.touching:
-            record.wall_contacts += 1
+        history, touching = self.history, bool(self.world.wall_contact[0])
+        if touching and not history.touching:
+            history.wall_contacts += 1
             parts = [PARTS[i] for i in np.flatnonzero(self.world.wall_parts[0])]
             for part in parts:
-                record.wall_parts[part] = record.wall_parts.get(part, 0) + 1
+                history.wall_parts[part] = history.wall_parts.get(part, 0) + 1
             text = f"touches a wall with {' and '.join(parts)} while to {self.navigator.mode}"
-            record.touches.append({"t": round(self.time, 2), "what": text})
-        record.touching = touching
+            history.touches.append({"t": round(self.time, 2), "what": text})
+        history.touching = touching
 
     def _widen(self, added: int) -> None:
-        """Room for new objects in the record: nowhere before now, and for pictures where they appeared."""
-        rows, now = self.record.rows, self.qpos
+        """Room for new objects in the history: nowhere before now, and for pictures where they appeared."""
+        rows, now = self.history.rows, self.qpos
         nowhere = np.full((added, 3), np.nan)
         for i, row in enumerate(rows):
             rows[i] = row | {"object_pose": np.concatenate([row["object_pose"], nowhere])}
-        self.record.qpos = [np.concatenate([q, now[len(q) :]]) for q in self.record.qpos]
+        self.history.qpos = [np.concatenate([q, now[len(q) :]]) for q in self.history.qpos]

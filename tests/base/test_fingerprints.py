@@ -42,7 +42,7 @@ def test_a_fingerprint_changes_with_settings_files_and_arrays(tmp_path: Path) ->
     ("module", "part"),
     [
         ("shmoo_mjx.learning.daiml", "learning/multistep.py"),
-        ("shmoo_mjx.evaluation.navigation", "behavior/verdicts.py"),
+        ("shmoo_mjx.evaluation.navigation", "behavior/push_decisions.py"),
         ("shmoo_mjx.sweep.simulate", "plant/engine_mjx.py"),
     ],
 )

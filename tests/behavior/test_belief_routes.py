@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from shmoo_mjx.behavior.belief import KnownObject, Status, belief_of
+from shmoo_mjx.behavior.belief import ObjectBelief, Status, belief_of
 from shmoo_mjx.behavior.routes import PACE, PUSH, Routes
 from shmoo_mjx.geometry.faces import faces_of
 from shmoo_mjx.planning.maps import FREE, OCCUPIED, OccupancyGrid
@@ -89,8 +89,8 @@ def test_what_an_object_is_taken_for_at_first_sight_can_be_told() -> None:
     assert belief.objects[0].status is Status.FIXED
 
 
-def routes(doors: tuple[float, ...], pose: tuple[float, float, float]) -> tuple[Routes, KnownObject]:
-    known = KnownObject(np.array(pose), HALF)
+def routes(doors: tuple[float, ...], pose: tuple[float, float, float]) -> tuple[Routes, ObjectBelief]:
+    known = ObjectBelief(np.array(pose), HALF)
     belief = replace(belief_of(rooms(doors)), objects={0: known})
     return Routes(belief, np.array([5.0, 3.0])), known
 
@@ -115,7 +115,7 @@ def test_the_quickest_way_leads_through_what_is_cheapest_to_push(
 ) -> None:
     """An object in each of two doorways, the nearer one first; without a third way one of them has to be pushed."""
     objects = {
-        i: KnownObject(np.array((3.0, y, 0.0)), HALF, price=price)
+        i: ObjectBelief(np.array((3.0, y, 0.0)), HALF, price=price)
         for i, (y, price) in enumerate(zip((3.0, 5.0), prices, strict=True))
     }
     ways = Routes(replace(belief_of(rooms((3.0, 5.0))), objects=objects), np.array([5.0, 3.0]))

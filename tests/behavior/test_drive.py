@@ -10,7 +10,7 @@ from shmoo_mjx.control import equilibrium_lean
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.geometry.hands import TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.planning import flat_qp
-from shmoo_mjx.planning.clearance import ClearanceField
+from shmoo_mjx.planning.distance_field import DistanceField
 from shmoo_mjx.planning.flat_model import FlatModel
 from shmoo_mjx.planning.paths import Path
 from shmoo_mjx.plant.robot import shmoobot
@@ -30,8 +30,8 @@ def test_a_robot_that_turns_leans_where_its_way_leads_when_the_lean_arrives(rate
     assert in_world[0] > 0.005 and abs(in_world[1]) < 1e-4
 
 
-def open_floor() -> ClearanceField:
-    return ClearanceField(np.full((100, 100), 5.0), np.array([-5.0, -5.0, 0.0]), np.asarray(0.1))
+def open_floor() -> DistanceField:
+    return DistanceField(np.full((100, 100), 5.0), np.array([-5.0, -5.0, 0.0]), np.asarray(0.1))
 
 
 def at_rest_turning(yaw: float, rate: float) -> Observation:

@@ -16,7 +16,7 @@ from toy import toy_scenario
 from shmoo_mjx.base.assets import WEIGHTS, asset
 from shmoo_mjx.behavior.methods import METHODS, method_named
 from shmoo_mjx.behavior.push_task import pose_push_config
-from shmoo_mjx.behavior.records import NavigatorConfig
+from shmoo_mjx.behavior.state import NavigatorConfig
 from shmoo_mjx.control.cost import PushCost
 from shmoo_mjx.control.pushing import PushConfig
 from shmoo_mjx.dynamics.object_model import ObjectConfig

@@ -15,7 +15,7 @@ from shmoo_mjx.behavior import decide
 from shmoo_mjx.behavior.belief import Status
 from shmoo_mjx.behavior.interaction import PROBE_ROOM
 from shmoo_mjx.behavior.navigator import Navigator
-from shmoo_mjx.behavior.records import Mode, NavigatorConfig
+from shmoo_mjx.behavior.state import Mode, NavigatorConfig
 from shmoo_mjx.geometry.faces import heading
 from shmoo_mjx.planning.maps import FREE, OCCUPIED, OccupancyGrid
 from shmoo_mjx.types import DT, Observation

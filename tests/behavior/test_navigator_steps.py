@@ -13,9 +13,9 @@ from toy_world import HALF, Stand, World, reasons, run
 
 from shmoo_mjx.behavior.interaction import setup_of
 from shmoo_mjx.behavior.navigator import MODES, Navigator, init, step
-from shmoo_mjx.behavior.records import Mode, NavigatorConfig
+from shmoo_mjx.behavior.state import Mode, NavigatorConfig
 from shmoo_mjx.planning.maps import FREE, OCCUPIED, OccupancyGrid
-from shmoo_mjx.run.recorded import Recorded
+from shmoo_mjx.run.recording import Recorded
 from shmoo_mjx.run.replay import differences
 
 

@@ -10,7 +10,7 @@ import shapely
 
 from shmoo_mjx.arrays import finite_numbers
 from shmoo_mjx.behavior.push_task import PushTask, pose_push_config
-from shmoo_mjx.behavior.records import Mode
+from shmoo_mjx.behavior.state import Mode
 from shmoo_mjx.control.equilibrium_lean import arms_lean
 from shmoo_mjx.control.quasi_static import QuasiStaticPusher
 from shmoo_mjx.errors import ShmooError

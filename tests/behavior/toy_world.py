@@ -12,14 +12,14 @@ from toy import toy_scenario
 
 from shmoo_mjx.behavior.belief import Status
 from shmoo_mjx.behavior.navigator import Navigator
-from shmoo_mjx.behavior.records import Mode, NavigatorConfig
+from shmoo_mjx.behavior.state import Mode, NavigatorConfig
 from shmoo_mjx.control.equilibrium_lean import arms_lean
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.geometry.faces import corners_of, faces_of
 from shmoo_mjx.geometry.hands import HAND_RADIUS
 from shmoo_mjx.learning import adaptation
 from shmoo_mjx.learning.adaptation import AdaptState
-from shmoo_mjx.planning.maps import clearance_field
+from shmoo_mjx.planning.maps import distance_field
 from shmoo_mjx.planning.reach import SAMPLES, STEPS, Options, Outcomes
 from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.types import DT, Command, Observation
@@ -165,7 +165,7 @@ def run(
     navigator = Navigator(
         grid, scenario.goal, [HALF], Stand(world), config=config or NavigatorConfig(), first_status=first_status
     )  # type: ignore[arg-type]
-    seen, walls = world.observe(), clearance_field(grid)
+    seen, walls = world.observe(), distance_field(grid)
     while not navigator.finished and world.time < seconds:
         command = navigator.tick(sees(seen))
         happens(world, navigator)

@@ -27,7 +27,7 @@ from shmoo_mjx.control.cost import (
 )
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.geometry.hands import REACH
-from shmoo_mjx.planning.clearance import ClearanceField
+from shmoo_mjx.planning.distance_field import DistanceField
 from shmoo_mjx.types import SystemState
 
 BARE = PushCost(effort=0.0, change=0.0)
@@ -70,15 +70,15 @@ def test_yaw_error_lives_on_the_circle(yaw: float, error: float, turns: int) -> 
 
 def test_extra_terms_are_off_by_default() -> None:
     traj = rollouts(object_twist=[1.0, 0.0, 0.0], robot_pose=[-1.0, 0.4, 0.3])
-    field = ClearanceField(jnp.zeros((4, 4)), jnp.zeros(3), 0.1)
+    field = DistanceField(jnp.zeros((4, 4)), jnp.zeros(3), 0.1)
     args = (jnp.zeros(3), traj, jnp.zeros((2, 3, 3)), jnp.zeros(3))
     np.testing.assert_array_equal(push_cost(PushCost(), *args, field, jnp.ones(2)), np.zeros(2))
 
 
-def ramp(yaw: float = 0.0) -> ClearanceField:
+def ramp(yaw: float = 0.0) -> DistanceField:
     """Clearance = 0.1 m + distance along the grid's x from its corner, over 4 m x 2 m, corner at (1, -1)."""
     x = (np.arange(40) + 0.5) * 0.1
-    return ClearanceField(jnp.asarray(np.tile(x + 0.1, (20, 1))), jnp.array([1.0, -1.0, yaw]), 0.1)
+    return DistanceField(jnp.asarray(np.tile(x + 0.1, (20, 1))), jnp.array([1.0, -1.0, yaw]), 0.1)
 
 
 @given(st.floats(0.06, 3.9), st.floats(0.06, 1.9), st.floats(-3, 3))
@@ -91,7 +91,7 @@ def test_clearance_is_bilinear_in_the_grids_own_frame(x: float, y: float, yaw: f
 
 def test_clearance_rows_run_along_y() -> None:
     values = jnp.zeros((3, 5)).at[2, 1].set(7.0)
-    field = ClearanceField(values, jnp.array([0.0, 0.0, 0.0]), 1.0)
+    field = DistanceField(values, jnp.array([0.0, 0.0, 0.0]), 1.0)
     assert float(clearance_at(field, jnp.array([1.5, 2.5]))) == 7.0
     assert float(clearance_at(ramp(), jnp.array([1.0 + 5.0, 0.0]))) == 0.0  # off the grid nothing is clear
 

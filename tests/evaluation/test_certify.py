@@ -38,7 +38,7 @@ def test_no_push_is_tried_from_where_the_object_is_not_in_the_way() -> None:
     found = certify(grid, scenario)
     assert found.round_s == found.reference_s and found.best == () and found.options() == {None: found.round_s}
     for attempt in found.attempts:
-        here, past = (plan_path(grid, attempt.start, scenario.goal, [], ROBOT_RADIUS), attempt.start[0])
+        here, past = (plan_path(grid, attempt.start, scenario.goal, [], robot_radius=ROBOT_RADIUS), attempt.start[0])
         assert here is not None and past < 3.0
 
 

@@ -55,14 +55,14 @@ def test_every_goal_can_be_reached_once_what_can_be_moved_is_gone() -> None:
     points = [found.scenario.start[:2], *sequence.goals]
     assert sequence.goals[0] == found.scenario.goal and len(sequence.goals) == len(sequence.shortest) == 5
     for start, goal, length in zip(points, points[1:], sequence.shortest, strict=False):
-        free, past = (plan_path(grid, start, goal, o, ROBOT_RADIUS) for o in ([], staying))
+        free, past = (plan_path(grid, start, goal, o, robot_radius=ROBOT_RADIUS) for o in ([], staying))
         assert free is not None and past is not None and free.length == pytest.approx(length, abs=0.05)
         assert all(s.distance(shapely.Point(goal)) > ROBOT_RADIUS for s in objects)
 
 
 def test_the_second_path_leads_through_an_object() -> None:
     grid, sequence = drawn()
-    path = plan_path(grid, sequence.goals[0], sequence.goals[1], [], ROBOT_RADIUS)
+    path = plan_path(grid, sequence.goals[0], sequence.goals[1], [], robot_radius=ROBOT_RADIUS)
     assert path is not None
     assert any(path_blocked_by(path, s, ROBOT_RADIUS)[0] for s in shapes(sequence.generated))
 

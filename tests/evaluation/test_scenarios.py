@@ -26,7 +26,7 @@ from shmoo_mjx.evaluation.scenarios import (
 )
 from shmoo_mjx.planning.floorplan import draw_building
 from shmoo_mjx.planning.footprints import footprint_polygon, footprints_free, wall_distance
-from shmoo_mjx.planning.maps import FREE, OCCUPIED, OccupancyGrid, clearance_field, load_map
+from shmoo_mjx.planning.maps import FREE, OCCUPIED, OccupancyGrid, distance_field, load_map
 from shmoo_mjx.planning.paths import Path, plan_path
 from shmoo_mjx.planning.scenario import ROBOT_RADIUS, Scenario, check_scenario
 from shmoo_mjx.plant.objects import draw_condition
@@ -54,7 +54,7 @@ def drawn(extra: Extra, seed: int) -> tuple[OccupancyGrid, Generated]:
 def way(grid: OccupancyGrid, found: Generated, without: tuple[int, ...] = ()) -> Path | None:
     return plan_path(
         grid, found.scenario.start, found.scenario.goal, [p for i, p in enumerate(shapes(found)) if i not in without],
-        ROBOT_RADIUS,
+        robot_radius=ROBOT_RADIUS,
     )  # fmt: skip
 
 
@@ -89,7 +89,7 @@ def test_objects_stand_free_and_the_scenario_is_sound(extra: Extra) -> None:
     grid, found = drawn(extra, 0)
     check_scenario(grid, found.scenario, ROBOT_RADIUS)
     assert 1 <= len(found.scenario.objects) <= CFG.objects
-    walls = clearance_field(grid)
+    walls = distance_field(grid)
     for shape, entry in zip(shapes(found), found.scenario.objects, strict=True):
         half = draw_condition(entry.family, entry.seed, entry.properties).half_extents
         assert footprints_free(walls, np.array(entry.pose), half)[0]
@@ -103,9 +103,9 @@ def test_no_corner_of_a_wall_reaches_into_an_object() -> None:
     cells = np.zeros((30, 30), np.int8)
     cells[15, 15] = OCCUPIED
     grid = OccupancyGrid(cells, 0.25)
-    walls, rng, box = clearance_field(grid), np.random.default_rng(0), draw_condition("box", 0)
+    walls, rng, box = distance_field(grid), np.random.default_rng(0), draw_condition("box", 0)
     ends = np.array([0.5, 0.5]), np.array([7.0, 7.0])
-    path = plan_path(grid, *ends, field=walls)
+    path = plan_path(grid, *ends, wall_clearance=walls)
     assert path is not None
     site = _Site(grid, walls, rng, iter(()), CFG, *ends, path)
     poses = rng.uniform((3, 3, -np.pi), (5, 5, np.pi), (1000, 3))
@@ -140,8 +140,8 @@ def test_the_toy_scenario_blocks_one_of_its_doorways(doors: int) -> None:
     grid, scenario = toy_scenario(doors, movable=True)
     entry = scenario.objects[0]
     box = footprint_polygon(entry.pose, draw_condition(entry.family, entry.seed, entry.properties).half_extents)
-    free = plan_path(grid, scenario.start, scenario.goal, [], ROBOT_RADIUS)
-    around = plan_path(grid, scenario.start, scenario.goal, [box], ROBOT_RADIUS)
+    free = plan_path(grid, scenario.start, scenario.goal, [], robot_radius=ROBOT_RADIUS)
+    around = plan_path(grid, scenario.start, scenario.goal, [box], robot_radius=ROBOT_RADIUS)
     assert free is not None and (around is None) == (doors == 1)
     assert around is None or around.length > free.length + 0.3
 

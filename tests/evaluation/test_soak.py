@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shmoo_mjx.behavior.records import Mode, Transition
+from shmoo_mjx.behavior.state import Mode, Transition
 from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.evaluation.soak import SoakTrials, livelocks, play
 from shmoo_mjx.learning.weights import load_weights

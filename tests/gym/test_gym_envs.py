@@ -25,11 +25,11 @@ from shmoo_mjx.geometry import se2
 from shmoo_mjx.gym import navigate, single, task
 from shmoo_mjx.gym.navigate import NavigateConfig
 from shmoo_mjx.gym.push import PushEnvConfig, PushEnvTask
-from shmoo_mjx.planning.clearance import ClearanceField
+from shmoo_mjx.planning.distance_field import DistanceField
 from shmoo_mjx.planning.floorplan import demo_scenario
 from shmoo_mjx.planning.footprints import footprint_polygon
 from shmoo_mjx.planning.line_costs import PathConfig
-from shmoo_mjx.planning.maps import OccupancyGrid, clearance_field
+from shmoo_mjx.planning.maps import OccupancyGrid, distance_field
 from shmoo_mjx.planning.paths import plan_path
 from shmoo_mjx.planning.scenario import ROBOT_RADIUS, Scenario
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
@@ -44,7 +44,7 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "gym.md"
 
 
 def in_line_of_sight(
-    seen: Observation, index: int, half_extents: tuple[float, float], walls: ClearanceField, reach: float
+    seen: Observation, index: int, half_extents: tuple[float, float], walls: DistanceField, reach: float
 ) -> bool:
     """Whether some corner of an object is within ``reach`` metres and in line of sight over the map."""
     robot = seen.robot_pose[0, :2]
@@ -218,7 +218,7 @@ def test_what_is_behind_a_wall_is_not_seen() -> None:
     counts, differ = np.zeros((2, 2), dtype=int), 0
     for seed in range(12):
         observation, _ = env.reset(seed=seed)
-        walls = clearance_field(demo_of(seed)[0])
+        walls = distance_field(demo_of(seed)[0])
         for i, condition in enumerate(start_of(env).conditions):
             shown = bool(part(env, observation, f"object{i}_seen")[0])
             counts[i, int(shown)] += 1

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from shmoo_mjx.behavior.records import Mode
+from shmoo_mjx.behavior.state import Mode
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.learning.weights import load_weights
 from shmoo_mjx.live.session import Session, object_files, scene_named, scenes
@@ -68,7 +68,7 @@ def test_what_is_put_down_stands_there_is_seen_and_nothing_else_moves(session: S
     assert np.isnan(simulation.seen.object_pose[0, -1]).all()
     run(session, 5)
     assert np.linalg.norm(session.simulation.seen.object_pose[0, -1, :2] - pose[:2]) < 0.1
-    assert len(simulation.navigator.belief.objects) >= 1 and not simulation.record.falls
+    assert len(simulation.navigator.belief.objects) >= 1 and not simulation.history.falls
 
 
 def test_an_object_is_carried_elsewhere_and_rests_there(session: Session) -> None:
@@ -203,7 +203,7 @@ def test_a_run_in_which_objects_came_makes_a_report(session: Session) -> None:
     session.add("box", free_place(session), {"mass": 5.0})
     run(session, 3)
     assert session.save_report("later").exists()
-    assert np.isnan(np.array(session.simulation.record.rows[0]["object_pose"])[-1]).all()
+    assert np.isnan(np.array(session.simulation.history.rows[0]["object_pose"])[-1]).all()
 
 
 def test_begin_again_is_the_scene_as_it_was_loaded(session: Session) -> None:

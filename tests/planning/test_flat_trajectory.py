@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from shmoo_mjx.planning import flat_qp, maps, paths
 from shmoo_mjx.planning import flat_trajectory as flat
-from shmoo_mjx.planning.clearance import ClearanceField
+from shmoo_mjx.planning.distance_field import DistanceField
 from shmoo_mjx.planning.flat_model import FlatModel
 from shmoo_mjx.planning.flat_qp import TrajectoryConfig
 from shmoo_mjx.planning.maps import OCCUPIED, OccupancyGrid
@@ -36,7 +36,7 @@ def degree_nine(distance: float, duration: float, order: int, t: np.ndarray) -> 
     return distance * (shape.deriv(order) if order else shape)(t / duration) / duration**order
 
 
-def follow(path: Path, field: ClearanceField | None, seconds: float, every: float = 0.3) -> dict[str, np.ndarray]:
+def follow(path: Path, field: DistanceField | None, seconds: float, every: float = 0.3) -> dict[str, np.ndarray]:
     """Receding horizon without disturbance: the state is where the trajectory said it would be."""
     state, samples, oks = at_rest(*path.points[0]), [], []
     for _ in range(round(seconds / every)):
@@ -119,7 +119,7 @@ def test_a_narrow_corridor_is_kept_where_smoothness_would_cut_the_bend(monkeypat
 def test_a_turn_at_speed_stays_off_walls_as_far_as_it_may_stray() -> None:
     cells = np.zeros((80, 80), np.int8)
     cells[:, 40:42] = OCCUPIED
-    field = maps.clearance_field(OccupancyGrid(cells, 0.05))
+    field = maps.distance_field(OccupancyGrid(cells, 0.05))
 
     def turned(room: float, speed: float) -> flat.Trajectory:
         """Driven towards the wall, and now to go along it."""
@@ -151,7 +151,7 @@ def test_receding_horizon_reaches_the_goal_round_a_corner() -> None:
     grid = OccupancyGrid(cells, 0.1)
     path = paths.plan_path(grid, (0.8, 0.8), (5.2, 5.0))
     assert path is not None
-    field = maps.clearance_field(grid)
+    field = maps.distance_field(grid)
     run = follow(path, field, 27.0)
     assert run["ok"].all()
     assert np.linalg.norm(run["position"][-1] - [5.2, 5.0]) < 0.02
@@ -180,7 +180,7 @@ def test_says_in_words_why_there_is_no_trajectory() -> None:
     cells = np.zeros((40, 60), np.int8)
     cells[:, 25:28] = OCCUPIED
     through = Path(np.array([[1.9, 2.0], [5.0, 2.0]]), 3.1)
-    hit = flat.plan(PLANNER, at_rest(1.9, 2.0), through, maps.clearance_field(OccupancyGrid(cells, 0.1)))
+    hit = flat.plan(PLANNER, at_rest(1.9, 2.0), through, maps.distance_field(OccupancyGrid(cells, 0.1)))
     assert not hit.ok and "of an obstacle after" in hit.reason
 
 
@@ -199,7 +199,7 @@ def test_spline_comes_close_to_the_degree_nine_oracle() -> None:
 
 def test_solve_time() -> None:
     grid = OccupancyGrid(np.zeros((60, 60), np.int8), 0.1)
-    field, spent = maps.clearance_field(grid), []
+    field, spent = maps.distance_field(grid), []
     for y in np.linspace(1.0, 2.0, 20):
         start = time.process_time()
         flat.plan(PLANNER, at_rest(1.0, y), Path(np.array([[1.0, 1.5], [5.0, 1.5]]), 4.0), field)

@@ -10,7 +10,7 @@ from scipy import ndimage
 from shmoo_mjx.evaluation.manipulable import manipulable
 from shmoo_mjx.planning.floorplan import demo_scenario, draw_building, draw_floorplan, paper_scenario
 from shmoo_mjx.planning.footprints import footprint_polygon, footprints_free
-from shmoo_mjx.planning.maps import clearance_field, occupied_rectangles
+from shmoo_mjx.planning.maps import distance_field, occupied_rectangles
 from shmoo_mjx.planning.paths import path_blocked_by, plan_path
 from shmoo_mjx.planning.scenario import ObjectEntry, check_places, check_scenario
 
@@ -33,13 +33,13 @@ def test_the_way_is_blocked_until_the_box_is_moved(seed: int) -> None:
     check_scenario(grid, scenario, RADIUS)
     check_places(grid, scenario, [tuple(half_extents(entry)) for entry in scenario.objects])
     box, chair = map(footprint, scenario.objects)
-    field = clearance_field(grid)
+    field = distance_field(grid)
 
     def route(*obstacles: shapely.Polygon) -> float | None:
-        path = plan_path(grid, scenario.start, scenario.goal, obstacles, RADIUS, field=field)
+        path = plan_path(grid, scenario.start, scenario.goal, obstacles, robot_radius=RADIUS, wall_clearance=field)
         return None if path is None else path.length
 
-    straight = plan_path(grid, scenario.start, scenario.goal, robot_radius=RADIUS, field=field)
+    straight = plan_path(grid, scenario.start, scenario.goal, robot_radius=RADIUS, wall_clearance=field)
     assert straight is not None
     assert path_blocked_by(straight, box, RADIUS)[0] and path_blocked_by(straight, chair, RADIUS)[0]
     assert route(box) is None and route(box, chair) is None
@@ -50,11 +50,11 @@ def test_the_way_is_blocked_until_the_box_is_moved(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(0, 50, 7))
 def test_objects_stand_free_and_the_box_can_be_parked_ahead(seed: int) -> None:
     grid, scenario = demo_scenario(seed)
-    field = clearance_field(grid)
+    field = distance_field(grid)
     for entry in scenario.objects:
         assert footprints_free(field, entry.pose, half_extents(entry)).all()
     box = scenario.objects[0]
-    path = plan_path(grid, scenario.start, scenario.goal, robot_radius=RADIUS, field=field)
+    path = plan_path(grid, scenario.start, scenario.goal, robot_radius=RADIUS, wall_clearance=field)
     assert path is not None
     angle, distance = np.meshgrid(np.radians(np.arange(-40, 41, 5)), [0.7, 0.85, 1.0])
     steps = np.stack([distance * np.cos(angle), distance * np.sin(angle)], axis=-1).reshape(-1, 2)
@@ -89,7 +89,7 @@ def test_doorways_are_open_and_as_wide_as_said() -> None:
 def test_every_room_of_a_building_can_be_reached(seed: int) -> None:
     grid = draw_building(np.random.default_rng(seed))
     _, rooms = ndimage.label(grid.free)
-    _, reached = ndimage.label(np.asarray(clearance_field(grid).values) > 0.40)
+    _, reached = ndimage.label(np.asarray(distance_field(grid).values) > 0.40)
     assert rooms == 1 and reached == 1
     assert (draw_building(np.random.default_rng(seed)).cells == grid.cells).all()
 

@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from shmoo_mjx.behavior import drive
 from shmoo_mjx.planning import flat_qp, flat_trajectory, maps, paths
-from shmoo_mjx.planning.clearance import ClearanceField
+from shmoo_mjx.planning.distance_field import DistanceField
 from shmoo_mjx.planning.flat_model import FlatModel
 from shmoo_mjx.planning.flat_qp import TrajectoryConfig
 from shmoo_mjx.planning.line_costs import PathConfig
@@ -25,7 +25,7 @@ MODEL = FlatModel(*shmoobot().flatness)
 PLANNER = flat_qp.init(MODEL, TrajectoryConfig(robot_radius=0.24))
 
 
-def world(rng: np.random.Generator) -> tuple[OccupancyGrid, ClearanceField]:
+def world(rng: np.random.Generator) -> tuple[OccupancyGrid, DistanceField]:
     """6 x 5 m with walls and a few blocks."""
     cells = np.zeros((100, 120), dtype=np.int8)
     cells[[0, -1], :] = cells[:, [0, -1]] = OCCUPIED
@@ -33,15 +33,15 @@ def world(rng: np.random.Generator) -> tuple[OccupancyGrid, ClearanceField]:
         row, col, high, wide = rng.integers((5, 5, 3, 3), (85, 105, 25, 25))
         cells[row : row + high, col : col + wide] = OCCUPIED
     grid = OccupancyGrid(cells, 0.05)
-    return grid, maps.clearance_field(grid)
+    return grid, maps.distance_field(grid)
 
 
-def problem(rng: np.random.Generator) -> tuple[np.ndarray, Path, ClearanceField] | None:
+def problem(rng: np.random.Generator) -> tuple[np.ndarray, Path, DistanceField] | None:
     """(flat state, path, field): somewhere near the start of a path, moving and leaning within limits."""
     grid, field = world(rng)
     room = np.argwhere(field.values > 0.35)
     start, goal = grid.cell_to_world(room[rng.integers(len(room), size=2)])
-    path = plan_path(grid, start, goal, robot_radius=0.26, field=field)
+    path = plan_path(grid, start, goal, robot_radius=0.26, wall_clearance=field)
     if path is None or path.length < 0.5:
         return None
     angle = rng.uniform(-np.pi, np.pi, 2)
@@ -95,7 +95,7 @@ def test_infeasible_problems_are_answered_as_such() -> None:
 
 def shortest(grid: OccupancyGrid, start: np.ndarray, goal: np.ndarray, radius: float) -> float:
     """Length [m] of the shortest 8-connected path over cells with ``radius`` to spare, by Dijkstra: slow and exact."""
-    free = maps.clearance(grid) >= radius
+    free = maps.obstacle_distance(grid) >= radius
     index = np.where(free, np.arange(free.size).reshape(free.shape), -1)
     rows, cols, lengths = [], [], []
     for move in ((0, 1), (1, 0), (1, 1), (1, -1)):
@@ -117,7 +117,7 @@ def test_paths_are_no_longer_than_an_exact_search_finds(seed: int) -> None:
     room = np.argwhere(field.values >= 0.26)
     for start, goal in grid.cell_to_world(room[rng.integers(len(room), size=(8, 2))]):
         exact = shortest(grid, start, goal, 0.26)
-        path = plan_path(grid, start, goal, robot_radius=0.26, cfg=PathConfig(soft_weight=0.0), field=field)
+        path = plan_path(grid, start, goal, robot_radius=0.26, cfg=PathConfig(soft_weight=0.0), wall_clearance=field)
         assert (path is None) == (not np.isfinite(exact))
         if path is not None:
             # Pulled straight, a path is shorter than any of eight directions; it is never shorter than the air line.
@@ -130,12 +130,12 @@ def test_a_hundred_paths_across_each_real_map(file: FilePath | None) -> None:
     if file is None:
         pytest.skip("real maps are not in shared/maps beside the repository")
     grid = maps.load_map(file)
-    field = maps.clearance_field(grid)
+    field = maps.distance_field(grid)
     labels, _ = ndimage.label(field.values > 0.27)
     room = np.argwhere(labels == np.bincount(labels.ravel())[1:].argmax() + 1)
     rng = np.random.default_rng(0)
     for start, goal in grid.cell_to_world(room[rng.integers(len(room), size=(100, 2))]):
-        path = plan_path(grid, start, goal, robot_radius=0.26, field=field)
+        path = plan_path(grid, start, goal, robot_radius=0.26, wall_clearance=field)
         assert path is not None
         along = paths.point_at(path, np.arange(0.0, path.length, 0.05))
         assert field.at(along).min() >= 0.26 - 0.5 * grid.resolution
@@ -152,7 +152,7 @@ def test_the_plant_follows_a_path_round_a_corner() -> None:
     grid = OccupancyGrid(np.zeros((100, 100), dtype=np.int8), 0.05)
     grid.cells[:2] = grid.cells[-2:] = grid.cells[:, :2] = grid.cells[:, -2:] = OCCUPIED
     path = Path(np.array([[1.0, 1.0], [3.5, 1.0], [3.5, 3.5]]), 5.0)
-    field = maps.clearance_field(grid)
+    field = maps.distance_field(grid)
     engine = MujocoEngine([build_scene([], (1.0, 1.0, 0.0))])
     state, body = drive.init(), engine.init()
     seen = engine.observe(body)

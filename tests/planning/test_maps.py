@@ -254,7 +254,7 @@ def test_saved_maps_come_back(tmp_path_factory: pytest.TempPathFactory, cells: n
 def test_clearance_is_within_a_fifth_of_a_cell_of_the_true_distance(cells: np.ndarray) -> None:
     grid = OccupancyGrid(cells, 0.5)
     blocked = np.argwhere(np.pad(cells, 1, constant_values=OCCUPIED) != FREE) - 1
-    found = maps.clearance(grid)
+    found = maps.obstacle_distance(grid)
     for row, col in np.argwhere(cells == FREE):
         gap = np.maximum(np.abs(blocked - [row, col]) - 0.5, 0.0)
         true = np.linalg.norm(gap, axis=1).min() * 0.5
@@ -266,7 +266,7 @@ def test_clearance_is_within_a_fifth_of_a_cell_of_the_true_distance(cells: np.nd
 def test_clearance_field_interpolates_and_is_zero_outside() -> None:
     cells = np.zeros((40, 40), np.int8)
     cells[:, :2] = OCCUPIED
-    field = maps.clearance_field(OccupancyGrid(cells, 0.1, (1.0, 0.0, 0.0)))
+    field = maps.distance_field(OccupancyGrid(cells, 0.1, (1.0, 0.0, 0.0)))
     # The wall's face is at x = 1.2; mid-height the other sides are farther away.
     assert np.allclose(field.at(np.array([[1.7, 2.0], [2.03, 1.99]])), [0.5, 0.83], atol=0.01)
     assert field.at([0.5, 2.0]) == 0.0 and field.at([1.1, 2.0]) == 0.0

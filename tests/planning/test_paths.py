@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from shmoo_mjx.planning import footprints, lattice, maps, path_search, paths
 from shmoo_mjx.planning.footprints import footprint_polygon
-from shmoo_mjx.planning.line_costs import PathConfig, line_costs
+from shmoo_mjx.planning.line_costs import DiscSpace, PathConfig, line_costs
 from shmoo_mjx.planning.maps import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 from shmoo_mjx.planning.paths import Path, plan_path
 
@@ -74,7 +74,7 @@ def test_paths_are_safe_complete_and_not_longer_than_the_grid_allows(seed: int) 
     assert np.allclose(path.points[0], start) and np.allclose(path.points[-1], goal)
     assert np.linalg.norm(goal - start) - 1e-9 <= path.length <= exact * 1.003 + 1e-9
     steps = np.arange(0.0, path.length, 0.02)
-    distance = maps.clearance_field(grid).at(paths.point_at(path, steps))
+    distance = maps.distance_field(grid).at(paths.point_at(path, steps))
     assert distance.min() >= radius - 0.5 * grid.resolution
 
 
@@ -88,7 +88,7 @@ def test_a_sparse_lattice_finds_a_way_exactly_where_the_cells_have_one(seed: int
         footprint_polygon((*grid.cell_to_world(rng.uniform(0, 36, 2)), rng.uniform(-3, 3)), (0.3, 0.2))
         for _ in range(2)
     ]
-    field = footprints.add_obstacles(maps.clearance_field(grid), boxes)
+    field = footprints.add_obstacles(maps.distance_field(grid), boxes)
     free = np.argwhere(field.values >= radius + 0.1)
     assume(len(free) > 1)
     ends = free[rng.choice(len(free), 2, replace=False)]
@@ -107,17 +107,17 @@ def test_a_sparse_lattice_finds_a_way_exactly_where_the_cells_have_one(seed: int
 
 def test_answers_do_not_depend_on_what_was_asked_before() -> None:
     grid = corridor()
-    field, start, goal = maps.clearance_field(grid), (1.0, 0.8), (7.0, 0.8)
+    field, start, goal = maps.distance_field(grid), (1.0, 0.8), (7.0, 0.8)
     box = footprint_polygon((3.95, 1.5, 0.3), (0.2, 0.2))
     elsewhere = footprint_polygon((1.0, 3.0, 0.0), (0.2, 0.2))
     queries: list[list[shapely.Polygon]] = [[], [box], [elsewhere], [], [box, elsewhere], [box]]
-    shared = [plan_path(grid, start, goal, obstacles, field=field) for obstacles in queries]
+    shared = [plan_path(grid, start, goal, obstacles, wall_clearance=field) for obstacles in queries]
     fresh = [plan_path(grid, start, goal, obstacles) for obstacles in queries]
     for one, other in zip(shared, fresh, strict=True):
         assert one is not None and other is not None
         np.testing.assert_allclose(one.points, other.points)
     assert shared[1] is not None and shared[0] is not None and shared[1].length > shared[0].length
-    wider = plan_path(grid, start, goal, robot_radius=0.4, field=field)
+    wider = plan_path(grid, start, goal, robot_radius=0.4, wall_clearance=field)
     assert wider is not None and field.at(paths.point_at(wider, np.linspace(0, wider.length, 200))).min() > 0.35
 
 
@@ -202,7 +202,7 @@ def test_a_path_is_blocked_where_the_disc_first_touches() -> None:
 
 def test_footprints_are_checked_whole() -> None:
     grid = corridor()
-    field = maps.clearance_field(grid)
+    field = maps.distance_field(grid)
     half = (0.4, 0.2)
     places = [
         (1.0, 2.0, 0.0),  # open floor
@@ -232,7 +232,7 @@ def test_footprint_check_agrees_with_exact_geometry(x: float, y: float, yaw: flo
     assume(not 0.0 < gap < 0.05)
     deep = body.intersection(shapely.union_all([*walls, outside])).area
     assume(gap > 0 or deep > 0.01)
-    assert footprints.footprints_free(maps.clearance_field(grid), (x, y, yaw), half)[0] == (gap > 0)
+    assert footprints.footprints_free(maps.distance_field(grid), (x, y, yaw), half)[0] == (gap > 0)
 
 
 @settings(max_examples=20, deadline=None)
@@ -240,7 +240,7 @@ def test_footprint_check_agrees_with_exact_geometry(x: float, y: float, yaw: flo
 def test_field_with_obstacle_is_the_distance_to_it(x: float, y: float, yaw: float) -> None:
     grid = OccupancyGrid(np.zeros((40, 80), np.int8), 0.1, (0.0, 0.0, 0.1))
     body = footprint_polygon((x, y, yaw), (0.3, 0.2))
-    before = maps.clearance_field(grid)
+    before = maps.distance_field(grid)
     after = footprints.add_obstacles(before, [body], reach=1.0)
     centres = grid.centres
     distance = shapely.distance(body, shapely.points(centres))
@@ -265,7 +265,7 @@ def test_distance_to_a_polygon_is_that_of_shapely(seed: int, margin: float, yaw:
 
 
 def test_fields_with_obstacles_are_remembered_and_never_mixed_up() -> None:
-    field = maps.clearance_field(corridor())
+    field = maps.distance_field(corridor())
     box, other = (footprint_polygon((x, 2.0, 0.2), (0.3, 0.2)) for x in (1.5, 2.0))
     first = footprints.add_obstacles(field, [box])
     assert footprints.add_obstacles(field, [shapely.Polygon(box)]) is first
@@ -286,11 +286,11 @@ def test_plans_across_real_maps(file: FilePath | None) -> None:
     if file is None:
         pytest.skip("real maps are not in shared/maps beside the repository")
     grid = maps.load_map(file)
-    field = maps.clearance_field(grid)
+    field = maps.distance_field(grid)
     labels, _ = ndimage.label(field.values > 0.3)
     largest = np.argwhere(labels == np.bincount(labels.ravel())[1:].argmax() + 1)
     start, goal = grid.cell_to_world(largest[[0, -1]])
-    path = plan_path(grid, start, goal, field=field)
+    path = plan_path(grid, start, goal, wall_clearance=field)
     assert path is not None and path.length >= np.linalg.norm(goal - start)
     along = paths.point_at(path, np.arange(0.0, path.length, 0.05))
     assert field.at(along).min() >= 0.25
@@ -306,14 +306,14 @@ def test_paths_on_real_maps_are_as_good_as_a_search_of_all_cells(name: str) -> N
     if not files:
         pytest.skip("real maps are not in shared/maps beside the repository")
     grid = maps.load_map(files[0])
-    field, pairs = maps.clearance_field(grid), GOLDEN[name]
+    field, pairs = maps.distance_field(grid), GOLDEN[name]
     lengths, costs = [], []
     for pair in pairs:
-        path = plan_path(grid, pair["start"], pair["goal"], robot_radius=0.26, field=field)
+        path = plan_path(grid, pair["start"], pair["goal"], robot_radius=0.26, wall_clearance=field)
         assert path is not None
         assert field.at(paths.point_at(path, np.arange(0.0, path.length, 0.02))).min() >= 0.26 - 0.002
         cells = field.to_cells(path.points)
-        costs.append(line_costs(cells[:-1], cells[1:], field, 0.26, PathConfig())[1].sum() / pair["cost"])
+        costs.append(line_costs(cells[:-1], cells[1:], DiscSpace(field, 0.26, PathConfig()))[1].sum() / pair["cost"])
         lengths.append(path.length / pair["length"])
     assert np.mean(lengths) < 1.003 and max(lengths) < 1.03
     assert np.mean(costs) < 1.005 and max(costs) < 1.08

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from shmoo_mjx.behavior.decide import options_about
+from shmoo_mjx.behavior.push_options import make_options
 from shmoo_mjx.control.pushing import PushConfig, PushController
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.geometry.faces import faces_of
@@ -23,7 +23,7 @@ from shmoo_mjx.planning.reach import (
     contact_foresight,
     foresight_of,
     goal_ahead,
-    middle,
+    median_parameters,
     probability_to_come,
     progress,
 )
@@ -53,7 +53,7 @@ def outcomes(condition: Condition | None, kind: str | None = None) -> Outcomes:
     assert foresight is not None
     adapt = None if condition is None else known(condition)
     half = HALF if condition is None else condition.half_extents
-    options = options_about(NOWHERE, half, np.zeros((8, 3))).options
+    options = make_options(NOWHERE, half, np.zeros((8, 3))).options
     return foresight(adapt, kind, NOWHERE, half, options, 0)
 
 
@@ -86,7 +86,7 @@ def test_the_same_seed_foresees_the_same() -> None:
 def test_a_wheelchair_pushed_on_its_side_turns_about_its_axle_and_does_not_slide() -> None:
     chair = draw_condition("wheelchair", 3, {"payload": 20.0, "locked": [False] * 4})
     found = outcomes(chair)
-    sides = options_about(NOWHERE, chair.half_extents, np.zeros((8, 3)))
+    sides = make_options(NOWHERE, chair.half_extents, np.zeros((8, 3)))
     onto_left = int(np.flatnonzero((sides.side == 1) & np.isclose(sides.options.goal[:, 0], 0.0, atol=1e-3))[0])
     pose = found.object_pose[onto_left]
     assert np.median(np.abs(pose[:, -1, 2])) > 0.4
@@ -144,7 +144,7 @@ def test_a_light_box_is_said_to_come_and_a_heavy_one_not() -> None:
     foresight, face = foresight_of(controller()), faces_of(HALF)[0]
     assert foresight is not None
     light, heavy = (
-        foresight.straight_on(known(draw_condition("box", 3, of)), None, NOWHERE, HALF, face, 0.3)
+        foresight.probability_to_move(known(draw_condition("box", 3, of)), None, NOWHERE, HALF, face, 0.3)
         for of in ({"mass": 4.0, "friction": 0.3}, {"mass": 60.0, "friction": 0.6})
     )
     assert light > 0.95 and heavy < 0.05
@@ -153,8 +153,8 @@ def test_a_light_box_is_said_to_come_and_a_heavy_one_not() -> None:
 def test_the_middle_is_that_of_what_can_be_moved() -> None:
     light, heavy = (known(draw_condition("box", 3, of)) for of in ({"mass": 4.0}, {"mass": 60.0, "friction": 0.6}))
     mixed = heavy._replace(parameters=jnp.concatenate([light.parameters[:300], heavy.parameters[300:]]))
-    np.testing.assert_array_equal(middle(mixed), light.parameters[0])
-    np.testing.assert_array_equal(middle(heavy), heavy.parameters[0])
+    np.testing.assert_array_equal(median_parameters(mixed), light.parameters[0])
+    np.testing.assert_array_equal(median_parameters(heavy), heavy.parameters[0])
 
 
 def test_pushers_without_the_contact_model_are_given_the_shipped_one() -> None:

@@ -14,7 +14,7 @@ from shmoo_mjx.geometry import se2
 from shmoo_mjx.geometry.faces import faces_of
 from shmoo_mjx.planning import reach
 from shmoo_mjx.planning.reach import Options
-from shmoo_mjx.planning.search import COST, Choice, Reached, choose, reached_by, residual
+from shmoo_mjx.planning.search import COST, Choice, PushDisplacements, choose_push, push_displacements, residual
 
 HALF = (0.35, 0.25)
 FACES = faces_of(HALF)
@@ -25,7 +25,7 @@ ORIGIN = np.zeros(3)
 class Arcs:
     """Foresees an object that follows the arc to its goal exactly, 0.01 m in a sample of time."""
 
-    def expected(self, adapt: Any, kind: Any, half_extents: Any, options: Options) -> np.ndarray:
+    def median_poses(self, adapt: Any, kind: Any, half_extents: Any, options: Options) -> np.ndarray:
         bearing = se2.wrap(np.arctan2(options.goal[:, 1], options.goal[:, 0]) - options.face[:, 2])
         curvature = 2.0 * np.sin(bearing) / np.hypot(options.goal[:, 0], options.goal[:, 1])
         ahead = np.abs(bearing) < 1.2
@@ -42,8 +42,8 @@ def everywhere(poses: np.ndarray) -> np.ndarray:
 
 def chosen(pose: Any, goal: Any, ways: Any = NEAR, free: Any = everywhere, foresight: Any = None) -> Choice | None:
     pose, goal = np.array(pose, float), np.array(goal, float)
-    reached = reached_by(foresight or Arcs(), None, None, HALF, np.asarray(se2.relative(pose, goal)))
-    return choose(reached, pose, goal, FACES, ways, free)
+    reached = push_displacements(foresight or Arcs(), None, None, HALF, np.asarray(se2.relative(pose, goal)))
+    return choose_push(reached, pose, goal, FACES, ways, free)
 
 
 @settings(deadline=None, max_examples=30)
@@ -56,7 +56,7 @@ def test_a_goal_straight_ahead_of_a_face_is_pushed_to_from_there(side: int, yaw:
     assert choice is not None
     assert choice.side == side
     np.testing.assert_array_equal(choice.goal, goal)
-    assert choice.expected == pytest.approx(COST * (1.0 + distance), abs=0.03)
+    assert choice.cost == pytest.approx(COST * (1.0 + distance), abs=0.03)
 
 
 def test_what_went_past_its_goal_is_pushed_back_from_the_other_side() -> None:
@@ -85,7 +85,7 @@ def test_a_goal_across_takes_two_pushes() -> None:
     alone = chosen(ORIGIN, goal, [1.0, None, None, None])
     assert alone is not None
     np.testing.assert_array_equal(alone.goal, goal)
-    assert alone.expected > choice.expected + 0.2
+    assert alone.cost > choice.cost + 0.2
 
 
 def test_no_stop_on_the_way_is_where_the_object_may_not_stand() -> None:
@@ -101,7 +101,7 @@ def test_no_stop_on_the_way_is_where_the_object_may_not_stand() -> None:
 
 def test_what_does_not_move_is_not_pushed() -> None:
     class Stuck(Arcs):
-        def expected(self, adapt: Any, kind: Any, half_extents: Any, options: Options) -> np.ndarray:
+        def median_poses(self, adapt: Any, kind: Any, half_extents: Any, options: Options) -> np.ndarray:
             return np.full((len(options.face), 5, 3), 1e-4)
 
     assert chosen(ORIGIN, [1.0, 0.0, 0.0], foresight=Stuck()) is None
@@ -109,8 +109,8 @@ def test_what_does_not_move_is_not_pushed() -> None:
 
 def test_a_roll_out_that_diverges_leads_nowhere() -> None:
     class Lost(Arcs):
-        def expected(self, adapt: Any, kind: Any, half_extents: Any, options: Options) -> np.ndarray:
-            poses = super().expected(adapt, kind, half_extents, options)
+        def median_poses(self, adapt: Any, kind: Any, half_extents: Any, options: Options) -> np.ndarray:
+            poses = super().median_poses(adapt, kind, half_extents, options)
             return np.where((options.face[:, 2] == 0.0)[:, None, None], np.nan, poses)
 
     choice = chosen(ORIGIN, [1.0, 0.0, 0.0], foresight=Lost())
@@ -120,7 +120,7 @@ def test_a_roll_out_that_diverges_leads_nowhere() -> None:
 @pytest.mark.parametrize("kind", ["box", "wheelchair", None])
 def test_an_object_that_nobody_touched_goes_left_as_it_goes_right(kind: str | None) -> None:
     reached = expected(kind)
-    behind = Reached(*(part[(reached.side == 0) & ~reached.aimed] for part in reached))
+    behind = PushDisplacements(*(part[(reached.side == 0) & ~reached.aimed] for part in reached))
     turned = np.abs(behind.moved[:, 2])
     assert turned.min() < 0.1 and turned.max() > 0.5
     # A straight push is the first option; it stays straight for a metre.
@@ -131,10 +131,10 @@ def test_an_object_that_nobody_touched_goes_left_as_it_goes_right(kind: str | No
 
 
 @cache
-def expected(kind: str | None) -> Reached:
+def expected(kind: str | None) -> PushDisplacements:
     from shmoo_mjx.control.pushing import PushConfig
 
-    return reached_by(reach.contact_foresight(None, PushConfig()), None, kind, HALF, np.array([1.0, 0.0, 0.0]))
+    return push_displacements(reach.contact_foresight(None, PushConfig()), None, kind, HALF, np.array([1.0, 0.0, 0.0]))
 
 
 def test_a_yaw_error_is_taken_on_the_circle() -> None:

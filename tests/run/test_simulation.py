@@ -77,7 +77,7 @@ def test_the_live_world_stands_still(tmp_path: Path) -> None:
     session = Session(load_weights(), lambda: scene_named("box_in_doorway", tmp_path), "perfect", tmp_path)
     for _ in range(9):
         session.step()
-    assert session.simulation.time == pytest.approx(0.5) and session.simulation.record.ended
+    assert session.simulation.time == pytest.approx(0.5) and session.simulation.history.ended
     assert np.isfinite(session.simulation.qpos).all()
     session.reset()
     session.step()

@@ -23,7 +23,7 @@ _EVIDENCE_LASTS = 3.0
 """For how long the roll-outs of a decision stay in the picture [s]."""
 
 
-def require_viewer() -> Any:
+def require_rerun() -> Any:
     """The package of the Rerun viewer.
 
     Raises:
@@ -38,13 +38,13 @@ def require_viewer() -> Any:
     return rerun
 
 
-def write_recording(path: Path, result: dict[str, Any], trace: Trace) -> Path:
+def write_rerun_file(path: Path, result: dict[str, Any], trace: Trace) -> Path:
     """Write ``path`` (.rrd): walls, robot, objects, plans, roll-outs of the decisions, states and curves over time.
 
     Raises:
         ShmooError: the viewer's package is not installed.
     """
-    rerun = require_viewer()
+    rerun = require_rerun()
     with whole(path) as part:
         stream = rerun.RecordingStream("shmoo_mjx")
         stream.save(str(part))

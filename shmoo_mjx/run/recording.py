@@ -11,13 +11,13 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.report.trace import read_arrays, write_arrays
 from shmoo_mjx.types import Command, Observation
 
-RECORDED = "recorded.npz"
+RECORDING_FILE = "recorded.npz"
 """Its name in a run's folder."""
 _VERSION = 1
 """Of the file's layout."""
 
 
-class Recorded(NamedTuple):
+class Recording(NamedTuple):
     """What went into the navigator and came out of it, sample by sample."""
 
     observations: Observation
@@ -28,14 +28,14 @@ class Recorded(NamedTuple):
     """``[T, 2]`` the goal it was given, in {W} [m]."""
 
 
-def save_recorded(path: Path, recorded: Recorded) -> None:
+def save_recording(path: Path, recorded: Recording) -> None:
     """Write a run's observations and commands."""
     arrays = {f"observation.{k}": v for k, v in recorded.observations._asdict().items()}
     arrays |= {f"command.{k}": v for k, v in recorded.commands._asdict().items()}
     write_arrays(path, arrays | {"goals": recorded.goals, "version": np.array(_VERSION)})
 
 
-def load_recorded(path: Path) -> Recorded:
+def load_recording(path: Path) -> Recording:
     """Read them.
 
     Raises:
@@ -45,7 +45,7 @@ def load_recorded(path: Path) -> Recorded:
     names = {"goals", *(f"observation.{n}" for n in Observation._fields), *(f"command.{n}" for n in Command._fields)}
     if int(arrays.get("version", np.array(-1))) != _VERSION or not names <= set(arrays):
         raise ShmooError(f"{path}: the recording is of another version of shmoo_mjx; run the scenario again.")
-    return Recorded(
+    return Recording(
         Observation(*(arrays[f"observation.{n}"] for n in Observation._fields)),
         Command(*(arrays[f"command.{n}"] for n in Command._fields)),
         arrays["goals"],

@@ -12,11 +12,11 @@ import numpy as np
 import shapely
 
 from shmoo_mjx.arrays import Float
-from shmoo_mjx.behavior import decide, drive, paper
+from shmoo_mjx.behavior import drive, paper, push_options
 from shmoo_mjx.behavior.belief import Status
-from shmoo_mjx.behavior.interaction import begun
-from shmoo_mjx.behavior.records import Decision, Mode, NavigatorState, Note, Planned, Setup
+from shmoo_mjx.behavior.interaction import start_push
 from shmoo_mjx.behavior.routes import SLACK, Route, Routes
+from shmoo_mjx.behavior.state import Decision, Mode, NavigatorState, Note, Planned, Setup
 from shmoo_mjx.geometry.faces import heading
 from shmoo_mjx.planning.object_planner import initial_goal
 from shmoo_mjx.planning.paths import Path, path_blocked_by, project
@@ -128,40 +128,40 @@ def _least_time(
     now, known, routes = float(obs.time[0]), state.belief.objects[index], setup.routes(state)
     position, everything = obs.robot_pose[0, :2], state.belief.clearance()
     dislike = routes.price or 0.0
-    otherwise = decide.without_push(through, around)
-    faces, failed = decide.faces_about(known.half_extents), known.failed_faces.count
-    ways, may_pay = {}, around is None or otherwise > through.seconds + decide.LEAST + dislike
+    otherwise = push_options.time_without_push(through, around)
+    faces, failed = push_options.all_faces(known.half_extents), known.failed_faces.count
+    ways, may_pay = {}, around is None or otherwise > through.seconds + push_options.LEAST + dislike
     for side, face in enumerate(faces if may_pay else ()):
         reached = routes.path_to_face(position, index, face, everything, failed(side), corner=side >= 4)
-        if reached is not None and decide.walk(reached[0].length) < otherwise:
+        if reached is not None and push_options.walk_time(reached[0].length) < otherwise:
             ways[side] = reached
     way_round = None if around is None else around.seconds
-    best, told = None, decide.told((), way_round)
+    best, told = None, push_options.describe_options((), way_round)
     if ways:
         field = state.belief.clearance(without=index)
         places = _places(setup, routes, obs, index, through.path, {side: faces[side] for side in ways})
-        found = decide.pushes(
+        found = push_options.predict_pushes(
             foresight_of(setup.controller), known, through.path, field, list(ways), places, round(now / DT)
         )
-        walks = {side: decide.walk(way[0].length) for side, way in ways.items()}
-        weigh = partial(decide.weigh, found, walks, known.failed_faces, through.seconds)
+        walks = {side: push_options.walk_time(way[0].length) for side, way in ways.items()}
+        weigh = partial(push_options.rank_pushes, found, walks, known.failed_faces, through.seconds)
         # Its price counts no other push. Else each of two immovable objects would be a way round the other one.
         alone = routes.quickest(position, dict.fromkeys(state.belief.objects, 0.0))
-        price = weigh(decide.without_push(through, alone))[0].seconds - through.seconds
+        price = weigh(push_options.time_without_push(through, alone))[0].seconds - through.seconds
         options = weigh(otherwise)
-        best, told = options[0], decide.told(options[:3], way_round)
+        best, told = options[0], push_options.describe_options(options[:3], way_round)
         state = state.with_events(_decision(now, index, told, options, otherwise))
         state = state.with_object(index, price=max(price, 0.0))
-        if near and price >= decide.BLOCKED:
+        if near and price >= push_options.BLOCKED:
             return _give_up(setup, state, now, index, told)
     if around is not None and (best is None or best.seconds + dislike >= otherwise):
         state = _on_path(state.with_object(index, in_the_way=known.in_the_way + near), now, around.path)
         return state.go(now, Mode.FOLLOW, f"object {index} is in the way: {told}")
     if not near:
-        return state if best else state.with_object(index, price=decide.BLOCKED)
+        return state if best else state.with_object(index, price=push_options.BLOCKED)
     if best is None:
         return _give_up(setup, state, now, index, f"no face can be reached; {told}")
-    state = begun(state, now, index, best.side, faces[best.side], best.goal, ways[best.side], field)
+    state = start_push(state, now, index, best.side, faces[best.side], best.goal, ways[best.side], field)
     return state.go(now, Mode.APPROACH, f"object {index} is in the way: {told}")
 
 
@@ -183,7 +183,7 @@ def _places(
     return {side: goal for side, goal in goals.items() if goal is not None}
 
 
-def _decision(now: float, index: int, told: str, options: list[decide.Push], around: float) -> Decision:
+def _decision(now: float, index: int, told: str, options: list[push_options.Push], around: float) -> Decision:
     """What was decided before a push, with where the options lead."""
     best = options[0]
     pushed, goals = best.seconds < around, np.stack([push.goal for push in options])

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from shmoo_mjx.behavior import decide, paper
+from shmoo_mjx.behavior import paper, push_options
 from shmoo_mjx.behavior.belief import Status
-from shmoo_mjx.behavior.interaction import is_over, rolled
-from shmoo_mjx.behavior.records import Decision, Mode, NavigatorState, Setup
+from shmoo_mjx.behavior.interaction import push_end_reason, rolled
+from shmoo_mjx.behavior.state import Decision, Mode, NavigatorState, Setup
 from shmoo_mjx.planning.reach import foresight_of
 from shmoo_mjx.types import DT, Observation
 
@@ -24,13 +24,13 @@ _ROUND_MARGIN = 0.10
 def judge(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState:
     """End a push that is over, stuck or lost, as far as that takes no planning to see."""
     now, push, index = float(obs.time[0]), state.current().push, state.current().object
-    over = is_over(state, now)
+    over = push_end_reason(state, now)
     if over:
         return state.failed().go(now, Mode.RETREAT, over)
     assert push is not None
-    travelled = push.travelled(decide.GIVES_UP)
+    travelled = push.travelled(push_options.GIVES_UP)
     if travelled is not None and travelled < _STALLED:
-        why = f"object {index} moved less than {_STALLED:g} m in {decide.GIVES_UP:g} s"
+        why = f"object {index} moved less than {_STALLED:g} m in {push_options.GIVES_UP:g} s"
         return state.failed().go(now, Mode.RETREAT, why) if setup.by_time else paper.immovable(state, now, why)
     return state if setup.by_time else paper.arrived(state, now)
 
@@ -58,16 +58,16 @@ def _think_again(setup: Setup, state: NavigatorState, obs: Observation) -> Navig
     if through is None:
         return state
     field, side = state.belief.clearance(without=index), segment.side
-    found = decide.pushes(
+    found = push_options.predict_pushes(
         foresight_of(setup.controller), known, through.path, field, [side], {side: segment.goal}, round(now / DT)
     )
     never = setup.config.goes_round == "never"
     detour = None if never else routes.quickest(position, {index: _ROUND_MARGIN})
     # Without a way round what follows a failure is another push, at what that was taken to cost.
-    again = through.seconds + (decide.BLOCKED if known.price is None else known.price)
-    around = decide.AWAY + (again if detour is None else detour.seconds)
-    (here,) = decide.weigh(found, {side: 0.0}, known.failed_faces, through.seconds, around)
-    told = decide.told((here,), None if detour is None else around)
+    again = through.seconds + (push_options.BLOCKED if known.price is None else known.price)
+    around = push_options.AWAY + (again if detour is None else detour.seconds)
+    (here,) = push_options.rank_pushes(found, {side: 0.0}, known.failed_faces, through.seconds, around)
+    told = push_options.describe_options((here,), None if detour is None else around)
     moves = here.probability >= 0.5
     state = state.with_object(index, manipulable=moves).with_events(
         Decision(now, index, np.nan, np.nan, moves, here.goal, told, here.ends, here.goal[None], here.probability)

@@ -16,11 +16,11 @@ import scipy.ndimage
 import shapely
 
 from shmoo_mjx.arrays import Array, Bool, Float
-from shmoo_mjx.behavior.belief import KnownObject
+from shmoo_mjx.behavior.belief import ObjectBelief
 from shmoo_mjx.behavior.routes import PACE, Route
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.geometry.faces import corners_of, faces_of
-from shmoo_mjx.planning.clearance import ClearanceField
+from shmoo_mjx.planning.distance_field import DistanceField
 from shmoo_mjx.planning.paths import Path
 from shmoo_mjx.planning.reach import STEPS, Options, Outcomes, goal_ahead
 from shmoo_mjx.planning.scenario import ROBOT_RADIUS
@@ -94,29 +94,29 @@ class _Of(NamedTuple):
     options: Options
 
 
-def faces_about(half_extents: tuple[float, float]) -> Float[np.ndarray, "8 4"]:
+def all_faces(half_extents: tuple[float, float]) -> Float[np.ndarray, "8 4"]:
     """Sides and corners as faces to push on."""
     return np.concatenate([faces_of(half_extents), corners_of(half_extents)])
 
 
-def options_about(
+def make_options(
     pose: Float[np.ndarray, "3"], half_extents: tuple[float, float], places: Float[np.ndarray, "8 3"]
 ) -> _Of:
     """Pushes on every side in several directions, on every corner straight on, and on each to a place of its own;
     always as many."""
     which = [*((i, b) for i in range(4) for b in _BEARINGS), *((i, 0.0) for i in range(4, 8))]
-    about = faces_about(half_extents)
+    about = all_faces(half_extents)
     faces = np.stack([*(about[i] for i, _ in which), *about])
     goals = np.stack([*(goal_ahead(pose, about[i], bearing) for i, bearing in which), *places])
     side = np.array([*(i for i, _ in which), *range(8)])
     return _Of(side, Options(faces.astype(np.float32), goals.astype(np.float32)))
 
 
-def pushes(
+def predict_pushes(
     foresight: Callable[..., Outcomes],
-    known: KnownObject,
+    known: ObjectBelief,
     path: Path,
-    around: ClearanceField,
+    around: DistanceField,
     sides: Sequence[int],
     places: Mapping[int, Float[np.ndarray, "3"]],
     seed: int = 0,
@@ -133,7 +133,7 @@ def pushes(
         seed: of the draws.
     """
     where = np.stack([places.get(side, known.pose) for side in range(8)])
-    of = options_about(known.pose, known.half_extents, where)
+    of = make_options(known.pose, known.half_extents, where)
     outcomes: Outcomes = foresight(known.adapt, known.kind, known.pose, known.half_extents, of.options, seed)
     free, poses, ends = _times(outcomes, known, path, around)
     found = []
@@ -143,7 +143,7 @@ def pushes(
     return found
 
 
-def weigh(
+def rank_pushes(
     found: Sequence[Push], walks: Mapping[int, float], failed: Sequence[int], rest: float, otherwise: float
 ) -> list[Push]:
     """The best push on each side, the quickest first, with probability and expected seconds to the goal.
@@ -177,12 +177,12 @@ def weigh(
     return sorted(best.values(), key=lambda push: push.seconds)
 
 
-def without_push(through: Route, around: Route | None) -> float:
+def time_without_push(through: Route, around: Route | None) -> float:
     """Time to the goal without a push, by the way ``around`` or, without one, by giving up [s]."""
     return through.seconds + BLOCKED if around is None else around.seconds
 
 
-def told(options: Sequence[Push], around: float | None) -> str:
+def describe_options(options: Sequence[Push], around: float | None) -> str:
     """Pushes and going round, which takes ``around`` [s] if there is a way round, in words."""
     # Without a way round the mean is that of succeeding and of giving up, which says nothing to a reader.
     mean = [f", {push.seconds:.0f} s on average" if around is not None else "" for push in options]
@@ -193,7 +193,7 @@ def told(options: Sequence[Push], around: float | None) -> str:
     return "; ".join([*pushes, "no way round" if around is None else f"go round {around:.0f} s"])
 
 
-def walk(length: float) -> float:
+def walk_time(length: float) -> float:
     """Time of a walk to contact [s]."""
     return length / PACE + _SETUP
 
@@ -209,7 +209,7 @@ def _goal(free: Float[Array, "S"], poses: Float[Array, "S T 3"]) -> Float[np.nda
 
 
 def _times(
-    outcomes: Outcomes, known: KnownObject, path: Path, around: ClearanceField
+    outcomes: Outcomes, known: ObjectBelief, path: Path, around: DistanceField
 ) -> tuple[Float[np.ndarray, "O S"], Float[np.ndarray, "O S T 3"], Float[np.ndarray, "O S T 2"]]:
     """Time at which the robot can pass the object [s], infinite where it never can or something meets a wall before;
     the poses that were looked at, and positions that stay where that happens."""
@@ -236,7 +236,7 @@ def _passes(
     pose: Float[np.ndarray, "3"],
     half_extents: tuple[float, float],
     path: Path,
-    around: ClearanceField,
+    around: DistanceField,
 ) -> Bool[np.ndarray, "N"]:
     """Whether the robot can pass the object, now at ``pose``, at each of ``poses``: free cells join both ends of its
     path near by."""

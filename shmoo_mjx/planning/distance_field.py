@@ -20,7 +20,7 @@ class _Field(NamedTuple):
     """Side of a cell [m]."""
 
 
-class ClearanceField(_Field):
+class DistanceField(_Field):
     """Distance to what must not be touched, sampled at cell centres; a plain pytree.
 
     ``values [H, W]`` [m] with row 0 at the bottom, ``origin [3]`` pose (x, y, yaw) in {W} of the lower-left corner,
@@ -74,8 +74,8 @@ class ClearanceField(_Field):
         low, high = flat.take(corner), flat.take(corner + up)
         low = low + col * (flat.take(corner + right) - low)
         high = high + col * (flat.take(corner + (up + right)) - high)
-        found = low + row * (high - low)
-        return np.where(self._holds(rows, cols), found, 0.0)
+        distance = low + row * (high - low)
+        return np.where(self._holds(rows, cols), distance, 0.0)
 
     def _holds(
         self, rows: Scalar | Float[np.ndarray, "*p"], cols: Scalar | Float[np.ndarray, "*p"]

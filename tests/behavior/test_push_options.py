@@ -9,16 +9,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shmoo_mjx.behavior import decide
-from shmoo_mjx.behavior.belief import KnownObject
-from shmoo_mjx.planning.maps import OCCUPIED, OccupancyGrid, clearance_field
+from shmoo_mjx.behavior.belief import ObjectBelief
+from shmoo_mjx.behavior.push_options import AWAY, Push, describe_options, predict_pushes, rank_pushes
+from shmoo_mjx.planning.maps import OCCUPIED, OccupancyGrid, distance_field
 from shmoo_mjx.planning.paths import Path
 from shmoo_mjx.planning.reach import STEPS, Options, Outcomes
 from shmoo_mjx.types import DT
 
 HALF = (0.3, 0.45)
 SAMPLES = 4
-KNOWN = KnownObject(np.array([3.0, 1.0, 0.0]), HALF)
+KNOWN = ObjectBelief(np.array([3.0, 1.0, 0.0]), HALF)
 PATH = Path(np.array([[1.0, 1.0], [5.0, 1.0], [8.0, 1.0]]), 7.0)
 
 
@@ -45,16 +45,16 @@ def room(width: float) -> Any:
     y = -3.0 + 0.05 * (np.arange(160) + 0.5)
     cells[np.abs(y - 1.0) < width / 2, 5:195] = 0
     cells[np.abs(y - 1.0) < width, 120:195] = 0
-    return clearance_field(OccupancyGrid(cells, 0.05, (0.0, -3.0, 0.0)))
+    return distance_field(OccupancyGrid(cells, 0.05, (0.0, -3.0, 0.0)))
 
 
-def pushed(foresight: Any, width: float, sides: tuple[int, ...] = (0, 1, 2, 3)) -> dict[int, decide.Push]:
+def pushed(foresight: Any, width: float, sides: tuple[int, ...] = (0, 1, 2, 3)) -> dict[int, Push]:
     """The best push on each side, by its side: 4 s to the hands' contact, 10 s behind it, 60 s without a push."""
-    found = decide.pushes(foresight, KNOWN, PATH, room(width), sides, {})
-    return {p.side: p for p in decide.weigh(found, dict.fromkeys(sides, 4.0), (), rest=10.0, otherwise=60.0)}
+    found = predict_pushes(foresight, KNOWN, PATH, room(width), sides, {})
+    return {p.side: p for p in rank_pushes(found, dict.fromkeys(sides, 4.0), (), rest=10.0, otherwise=60.0)}
 
 
-def share(push: decide.Push) -> float:
+def share(push: Push) -> float:
     return float(np.isfinite(push.free).mean())
 
 
@@ -79,9 +79,9 @@ def test_where_it_still_stands_on_the_path_far_away_the_path_is_not_free() -> No
     """The corridor goes on for longer than the push, and so does the path."""
     cells = np.full((160, 400), OCCUPIED, np.int8)
     cells[68:92, 5:395] = 0
-    long = clearance_field(OccupancyGrid(cells, 0.05, (0.0, -3.0, 0.0)))
+    long = distance_field(OccupancyGrid(cells, 0.05, (0.0, -3.0, 0.0)))
     path = Path(np.array([[1.0, 1.0], [18.0, 1.0]]), 17.0)
-    found = decide.pushes(Moves(0.4), KNOWN, path, long, (0,), {})
+    found = predict_pushes(Moves(0.4), KNOWN, path, long, (0,), {})
     assert not any(np.isfinite(push.free).any() for push in found)
 
 
@@ -90,19 +90,17 @@ def test_a_way_round_that_is_near_does_not_count_as_freed_by_a_push() -> None:
     cells = np.zeros((160, 200), np.int8)
     cells[:, 58:62] = OCCUPIED
     cells[70:90, 58:62] = cells[110:130, 58:62] = 0
-    field = clearance_field(OccupancyGrid(cells, 0.05, (0.0, -3.0, 0.0)))
-    found = decide.pushes(Moves(0.0), KNOWN, PATH, field, (0, 1, 2, 3), {})
+    field = distance_field(OccupancyGrid(cells, 0.05, (0.0, -3.0, 0.0)))
+    found = predict_pushes(Moves(0.0), KNOWN, PATH, field, (0, 1, 2, 3), {})
     assert not any(np.isfinite(push.free).any() for push in found)
 
 
 def weighed(free: list[list[float]], sides: tuple[int, ...], failed: tuple[int, ...] = (), **times: float) -> Any:
     """Expected times of pushes whose path is free after so many seconds in each sample."""
     nowhere = np.zeros(3)
-    found = [
-        decide.Push(side, nowhere, np.array(t), np.zeros((len(t), 0, 2))) for side, t in zip(sides, free, strict=True)
-    ]
+    found = [Push(side, nowhere, np.array(t), np.zeros((len(t), 0, 2))) for side, t in zip(sides, free, strict=True)]
     given = {"rest": 10.0, "otherwise": 60.0} | times
-    return {p.side: p for p in decide.weigh(found, dict.fromkeys(sides, 4.0), failed, **given)}
+    return {p.side: p for p in rank_pushes(found, dict.fromkeys(sides, 4.0), failed, **given)}
 
 
 @given(st.lists(st.one_of(st.floats(1.0, 12.0), st.just(np.inf)), min_size=4, max_size=4), st.floats(20.0, 600.0))
@@ -128,11 +126,11 @@ def test_what_fails_on_one_side_may_still_succeed_on_another() -> None:
 
 def test_options_are_told_with_their_times_and_probabilities() -> None:
     push = weighed([[2.0, 2.0, 2.0, np.inf]], (0,))[0]
-    assert push.works == pytest.approx(4.0 + decide.AWAY + 2.0 + 10.0, abs=0.5) and push.works < push.seconds
-    said = decide.told((push,), 31.0)
+    assert push.works == pytest.approx(4.0 + AWAY + 2.0 + 10.0, abs=0.5) and push.works < push.seconds
+    said = describe_options((push,), 31.0)
     assert f"push from behind {push.works:.0f} s ({push.probability:.0%}, {push.seconds:.0f} s on average)" in said
     assert said.endswith("go round 31 s")
-    assert decide.told((push,), None).endswith(f"{push.works:.0f} s ({push.probability:.0%}); no way round")
+    assert describe_options((push,), None).endswith(f"{push.works:.0f} s ({push.probability:.0%}); no way round")
 
 
 def test_a_side_that_has_failed_is_trusted_less_each_time() -> None:

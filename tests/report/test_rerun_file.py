@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.report.recording import write_recording
+from shmoo_mjx.report.rerun_file import write_rerun_file
 from shmoo_mjx.report.trace import Trace
 
 
@@ -18,7 +18,7 @@ def test_without_the_package_it_says_what_to_do(
 ) -> None:
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(ShmooError, match="rerun-sdk; get it with"):
-        write_recording(tmp_path / "episode.rrd", result, trace)
+        write_rerun_file(tmp_path / "episode.rrd", result, trace)
     assert not list(tmp_path.iterdir())
 
 
@@ -30,7 +30,7 @@ def test_everything_that_happened_is_in_the_recording(tmp_path: Path, trace: Tra
         learned=trace.learned[:150],
         learned_object=trace.learned_object[:150],
     )
-    path = write_recording(tmp_path / "episode.rrd", result, short)
+    path = write_rerun_file(tmp_path / "episode.rrd", result, short)
     assert path.stat().st_size > 10_000 and list(tmp_path.iterdir()) == [path]
     columns = {str(chunk.entity_path) for chunk in chunks.RrdReader(path).stream()}
     wanted = {"/world/walls", "/world/robot", "/world/robot/lean", "/world/objects/1", "/world/plan", "/world/rollouts"}

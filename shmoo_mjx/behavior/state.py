@@ -11,7 +11,7 @@ import numpy as np
 
 from shmoo_mjx.arrays import Array, Float, Key
 from shmoo_mjx.behavior import drive
-from shmoo_mjx.behavior.belief import Belief, KnownObject, Status
+from shmoo_mjx.behavior.belief import Belief, ObjectBelief, Status
 from shmoo_mjx.behavior.routes import Routes
 from shmoo_mjx.behavior.skills.approach import ApproachState
 from shmoo_mjx.behavior.skills.contact import ContactState
@@ -163,7 +163,7 @@ class NavigatorState:
         """The state with more events."""
         return replace(self, events=(*self.events, *events))
 
-    def known(self) -> KnownObject:
+    def known(self) -> ObjectBelief:
         """The object that is dealt with."""
         return self.belief.objects[self.current().object]
 
