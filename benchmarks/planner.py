@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 
 from shmoo_mjx.evaluation.navigation_places import find_maps
-from shmoo_mjx.planning.clearance import ClearanceField
+from shmoo_mjx.planning.distance_field import DistanceField
 from shmoo_mjx.planning.floorplan import demo_scenario
 from shmoo_mjx.planning.footprints import footprint_polygon
-from shmoo_mjx.planning.maps import OccupancyGrid, clearance_field, load_map
+from shmoo_mjx.planning.maps import OccupancyGrid, distance_field, load_map
 from shmoo_mjx.planning.paths import plan_path, point_at
 from shmoo_mjx.planning.scenario import ROBOT_RADIUS, Limits, Scenario
 from shmoo_mjx.types import DT, Observation
@@ -115,7 +115,7 @@ def _ticks(cfg: PlannerSizes, grid: OccupancyGrid, scenario: Scenario, options: 
 
 def _paths(place: str, grid: OccupancyGrid, pairs: int) -> tuple[dict[str, Any], dict[str, Any]]:
     """A row, and its metrics, of global paths between random pairs of one room, ours beside pyastar2d's by turns."""
-    field = clearance_field(grid)
+    field = distance_field(grid)
     rows = np.array([_query(grid, field, ends) for ends in _pairs(field, pairs)])
     median, p90 = np.nanmedian(rows, axis=0), np.nanquantile(rows, 0.9, axis=0)
     row = {"name": "global path", "place": place, "pairs": pairs}
@@ -128,14 +128,14 @@ def _paths(place: str, grid: OccupancyGrid, pairs: int) -> tuple[dict[str, Any],
     return row, metrics | {f"{prefix}ratio_to_pyastar2d": median[0] / median[4]}
 
 
-def _query(grid: OccupancyGrid, field: ClearanceField, ends: np.ndarray) -> list[float]:
+def _query(grid: OccupancyGrid, field: DistanceField, ends: np.ndarray) -> list[float]:
     """The numbers of `COLUMNS` for one pair of cells."""
     start, goal = grid.cell_to_world(ends)
-    first, path = _timed(lambda: plan_path(grid, start, goal, robot_radius=ROBOT_RADIUS, field=field))
-    again, _ = _timed(lambda: plan_path(grid, start, goal, robot_radius=ROBOT_RADIUS, field=field))
+    first, path = _timed(lambda: plan_path(grid, start, goal, robot_radius=ROBOT_RADIUS, wall_clearance=field))
+    again, _ = _timed(lambda: plan_path(grid, start, goal, robot_radius=ROBOT_RADIUS, wall_clearance=field))
     assert path is not None, "the pairs lie in one room"
     box = footprint_polygon((*point_at(path, path.length / 2), 0.5), (0.3, 0.25))
-    boxed, _ = _timed(lambda: plan_path(grid, start, goal, [box], ROBOT_RADIUS, field=field))
+    boxed, _ = _timed(lambda: plan_path(grid, start, goal, [box], robot_radius=ROBOT_RADIUS, wall_clearance=field))
     numbers = [first, again, boxed, path.length]
     if find_spec("pyastar2d") is None:
         return [*numbers, np.nan, np.nan]
@@ -147,7 +147,7 @@ def _query(grid: OccupancyGrid, field: ClearanceField, ends: np.ndarray) -> list
     return [*numbers, peer, steps * grid.resolution or np.nan]
 
 
-def _pairs(field: ClearanceField, count: int) -> np.ndarray:
+def _pairs(field: DistanceField, count: int) -> np.ndarray:
     """Cells ``[count, 2, 2]``: start and goal within the largest room."""
     from scipy import ndimage
 
