@@ -25,5 +25,5 @@ def asset(relative_path: str) -> Path:
 
 
 def benchmark_suite() -> ModuleType:
-    """The module ``registry`` of ``benchmarks``: in a wheel part of this package, in a checkout a package of its own."""
+    """The module ``registry`` of ``benchmarks``, which is part of this package in a wheel only."""
     return import_module(f"{'shmoo_mjx.' if (_PACKAGE / 'benchmarks').is_dir() else ''}benchmarks.registry")

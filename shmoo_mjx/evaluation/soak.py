@@ -31,7 +31,7 @@ from shmoo_mjx.planning.scenario import Limits, ObjectEntry, Scenario
 from shmoo_mjx.plant.objects import FAMILIES
 from shmoo_mjx.plant.observe import DIVERGED
 from shmoo_mjx.report.tables import markdown_table
-from shmoo_mjx.run.simulation import Record, Simulation
+from shmoo_mjx.run.simulation import History, Simulation
 
 _ERRAND = 180.0
 """Time after which an errand is given up [s]: several times what one takes in three rooms."""
@@ -112,7 +112,7 @@ def play(trials: SoakTrials, seed: int, controller: PushController) -> dict[str,
             totals["wall_contacts"] += simulation.history.wall_contacts
             memory.append(this.memory_info().rss)
             # What has been is of no more use; a record of hours would be all that grows.
-            simulation.history = Record(touching=simulation.history.touching)
+            simulation.history = History(touching=simulation.history.touching)
             simulation.navigator.events.clear()
             simulation.navigator.head_for(_next_goal(simulation, places, rng), simulation.time)
         row["simulated_s"] = round(simulation.time, 1)
@@ -121,7 +121,7 @@ def play(trials: SoakTrials, seed: int, controller: PushController) -> dict[str,
     return row | totals | {"memory_growth": growth, "open_files_left": max(0, this.num_fds() - files)}
 
 
-def livelocks(transitions: list[Transition], record: Record) -> int:
+def livelocks(transitions: list[Transition], history: History) -> int:
     """How often a state was entered twice within a second for the same reason while nothing moved by 2 cm."""
     count = 0
     for i, later in enumerate(transitions):
@@ -131,7 +131,7 @@ def livelocks(transitions: list[Transition], record: Record) -> int:
             if (earlier.target, earlier.reason) == (later.target, later.reason):
                 poses = [
                     np.concatenate([row["robot_pose"][None], row["object_pose"]])[:, :2]
-                    for row in record.rows
+                    for row in history.rows
                     if earlier.t - 1e-6 <= row["t"] <= later.t + 1e-6
                 ]
                 count += not poses or float(np.abs(poses[-1] - poses[0]).max()) < 0.02

@@ -11,15 +11,15 @@ from shmoo_mjx.behavior.state import Mode, Transition
 from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.evaluation.soak import SoakTrials, livelocks, play
 from shmoo_mjx.learning.weights import load_weights
-from shmoo_mjx.run.simulation import Record
+from shmoo_mjx.run.simulation import History
 
 
-def _record(speed: float) -> Record:
-    record = Record()
+def _record(speed: float) -> History:
+    history = History()
     for t in np.arange(0.0, 3.0, 0.1):
         pose = np.array([speed * t, 0.0, 0.0])
-        record.rows.append({"t": float(t), "robot_pose": pose, "object_pose": np.zeros((1, 3))})
-    return record
+        history.rows.append({"t": float(t), "robot_pose": pose, "object_pose": np.zeros((1, 3))})
+    return history
 
 
 def _back_and_forth(period: float) -> list[Transition]:
