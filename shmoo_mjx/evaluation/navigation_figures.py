@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx.evaluation.paired import OURS, shown_name
+from shmoo_mjx.evaluation.paired import OURS
 from shmoo_mjx.evaluation.scenarios import KINDS
+from shmoo_mjx.evaluation.tables import shown_name
 from shmoo_mjx.planning.maps import OccupancyGrid, load_map
 from shmoo_mjx.report.style import COLOURS, SERIES, blank_figure, object_colour, outline, save_figure, show_cells
 

@@ -6,8 +6,9 @@ from collections import Counter
 from typing import Any
 
 from shmoo_mjx.evaluation.navigation_measures import COMPARED, EXTRA_BANDS, FAILURE_S, TIE_S
-from shmoo_mjx.evaluation.paired import OURS, differences_table, shown_name
+from shmoo_mjx.evaluation.paired import OURS
 from shmoo_mjx.evaluation.result import ExperimentResult
+from shmoo_mjx.evaluation.tables import differences_table, shown_name
 from shmoo_mjx.report.tables import markdown_table
 
 
@@ -59,7 +60,7 @@ def _differences(result: ExperimentResult) -> str:
         return ""
     measured = [n for n in COMPARED if any(f"difference_{other}_{n}" in result.metrics for other in others)]
     lines = [(COMPARED[name][0], name, COMPARED[name][1]) for name in measured]
-    return differences_table(result.metrics, others, lines, "policy", "scenarios")
+    return differences_table(result.metrics, others, lines, method="policy", trials="scenarios")
 
 
 def _objects(result: ExperimentResult) -> str:

@@ -18,32 +18,41 @@ import html
 import re
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 from shmoo_mjx.base.files import write_whole
-from shmoo_mjx.evaluation import faults, soak
 from shmoo_mjx.evaluation.navigation_tables import reference_table
-from shmoo_mjx.evaluation.page_sections import SECTIONS, Section
-from shmoo_mjx.evaluation.page_summary import summary
-from shmoo_mjx.evaluation.registry import EXPERIMENTS
-from shmoo_mjx.evaluation.result import ExperimentResult, as_json, file_id, read_result, same_weights
-from shmoo_mjx.evaluation.scenario_set import find_set
+from shmoo_mjx.evaluation.page_sections import RELIABILITY, SECTIONS
+from shmoo_mjx.evaluation.registry import EXPERIMENTS, experiment_named
+from shmoo_mjx.evaluation.result import ExperimentResult, as_json, read_result, same_weights
+from shmoo_mjx.evaluation.tables import NotMeasured, Section
 from shmoo_mjx.report.tables import markdown_table
 
-RELIABILITY = {
-    "faults": ("Faults", "One fault in each run of the demo, judged by the true state.", faults.summary),
-    "soak": ("Soak", "Errand after errand in one building while others move objects.", soak.summary),
-}
-"""Title, what was done, and the table of what ``shmoo faults`` and ``shmoo soak`` write."""
+SUMMARY = ("navigation", "pushing", "object_planner", "object_model", "real_pushing")
+"""Experiments whose numbers the page and the README begin with, in this order."""
 
 _BLOCK = re.compile(r"(?<=<!-- results -->\n).*?(?=<!-- end -->)", re.DOTALL)
+
+
+@cache
+def sections() -> dict[str, Section]:
+    """How each experiment is shown, in the order of the page."""
+    return {name: SECTIONS[name] if name in SECTIONS else experiment_named(name).section for name in EXPERIMENTS}
+
+
+def section_named(name: str) -> Section:
+    """How this experiment is shown, faults and soak included."""
+    return RELIABILITY[name] if name in RELIABILITY else sections()[name]
 
 
 def read_results(folder: Path) -> dict[str, ExperimentResult]:
     """The experiments' JSON files that are in a folder, compressed or not."""
     files = {name: [folder / f"{name}.json", folder / f"{name}.json.gz"] for name in (*EXPERIMENTS, *RELIABILITY)}
-    found = {name: [file for file in either if file.is_file()] for name, either in files.items()}
-    return {name: read_result(either[0]) for name, either in found.items() if either}
+    existing = {name: [file for file in either if file.is_file()] for name, either in files.items()}
+    return {name: read_result(either[0]) for name, either in existing.items() if either}
 
 
 def render(results: Mapping[str, ExperimentResult], figures: Mapping[str, list[str]], before: str = "") -> str:
@@ -55,27 +64,48 @@ def render(results: Mapping[str, ExperimentResult], figures: Mapping[str, list[s
         before: the page as it was, whose sections stay where there is no result.
     """
     kept = {title: text.strip() for title, _, text in (part.partition("\n") for part in before.split("\n## ")[1:])}
-    titles, made = list(kept), {section.title for section in SECTIONS.values()}
-    made |= {title for name, (title, *_) in RELIABILITY.items() if name in results}
+    shown = sections() | {name: section for name, section in RELIABILITY.items() if name in results}
+    titles, made = list(kept), {section.title for section in shown.values()}
     first = next((i for i, title in enumerate(titles) if title in made), len(titles))
     written = [(i < first, f"## {title}\n\n{kept[title]}") for i, title in enumerate(titles) if title not in made]
     parts = ["# Results", _about(results), *([summary_table(results)] if summary(results) else [])]
     parts += [text for is_before, text in written if is_before]
-    for name, section in SECTIONS.items():
+    for name, section in shown.items():
         if name in results:
             parts.append(section_of(results[name], figures.get(name, [])))
         else:
-            command = " ".join(["shmoo experiment", name, *section.options.split()])
+            command = f"shmoo experiment {name} {section.arguments({})}".rstrip()
             parts.append(f"## {section.title}\n\n{kept.get(section.title, f'Not run. `{command}` measures it.')}")
-    parts += [section_of(results[name], []) for name in RELIABILITY if name in results]
     return "\n\n".join([*parts, *(text for is_before, text in written if not is_before)]) + "\n"
+
+
+class SummaryRow(NamedTuple):
+    """One number of the summary."""
+
+    experiment: str
+    label: str
+    value: str
+    """With its unit, and its 95 % interval where there is one."""
+    trials: int
+    paper: str
+    """The paper's number; "" where it has none."""
+
+
+def summary(results: Mapping[str, ExperimentResult]) -> list[SummaryRow]:
+    """The numbers of the summary that ``results`` has measured."""
+    rows = []
+    for name in SUMMARY:
+        for label, value in sections()[name].summary if name in results else ():
+            with suppress(NotMeasured):
+                rows.append(SummaryRow(name, label, *value(results[name])))
+    return rows
 
 
 def summary_table(results: Mapping[str, ExperimentResult], commands: bool = True) -> str:
     """The numbers that the page begins with, as Markdown; without ``commands`` as the README shows them."""
     rows = [
         [row.label, row.value, f"{row.trials:,}", row.paper]
-        + ([f"`{_command(results[row.experiment], SECTIONS[row.experiment])}`"] if commands else [])
+        + ([f"`{_command(results[row.experiment])}`"] if commands else [])
         for row in summary(results)
     ]
     return markdown_table(["measure", "here", "n", "paper", *(["command"] if commands else [])], rows)
@@ -88,13 +118,11 @@ def with_block(text: str, block: str) -> str:
 
 def section_of(result: ExperimentResult, figures: Sequence[str]) -> str:
     """The part of the page that shows one experiment."""
-    if result.experiment in RELIABILITY:
-        return _reliability(result)
-    section = SECTIONS[result.experiment]
-    parts = [f"## {section.title}", section.what, f"`{_command(result, section)}`"]
+    section = section_named(result.experiment)
+    parts = [f"## {section.title}", section.what, f"`{_command(result)}`"]
     if not same_weights(result) and not section.without_psi:
         parts.append("**Measured with other weights than those shipped now.**")
-    parts.append(_table(result, section))
+    parts.append(section.body(result))
     parts += [f"![{Path(path).stem.replace('_', ' ')}]({path})" for path in figures]
     return "\n\n".join(parts)
 
@@ -127,7 +155,7 @@ def write_page(results: Mapping[str, ExperimentResult], made_in: Path, page: Pat
     write_whole(page, render(results, named, before).encode())
     blocks = {page.parent.parent / "README.md": summary_table(results, commands=False)}
     if "navigation" in results and (table := reference_table(results["navigation"])):
-        blocks[page.parent / "arena.md"] = f"`{_command(results['navigation'], SECTIONS['navigation'])}`\n\n{table}"
+        blocks[page.parent / "arena.md"] = f"`{_command(results['navigation'])}`\n\n{table}"
     for file, block in blocks.items():
         if file.is_file():
             write_whole(file, with_block(file.read_text(), block).encode())
@@ -139,7 +167,7 @@ def kept_figures(name: str, copies: Path) -> list[Path]:
 
 
 def _figures(name: str) -> tuple[str, ...]:
-    return SECTIONS[name].figures if name in SECTIONS else ()
+    return section_named(name).figures
 
 
 def _named(page: Path, figures: Sequence[Path]) -> list[str]:
@@ -147,72 +175,36 @@ def _named(page: Path, figures: Sequence[Path]) -> list[str]:
     return [f.resolve().relative_to(page.parent.resolve()).as_posix() for f in figures if f.is_file()]
 
 
-def _reliability(result: ExperimentResult) -> str:
-    title, what, summary = RELIABILITY[result.experiment]
-    asked = {name: result.config[name] for name in ("runs", "minutes", "buildings") if name in result.config}
-    words = [f"shmoo {result.experiment}", *(f"--{name} {value:g}" for name, value in asked.items())]
-    parts = [f"## {title}", what, f"`{' '.join(words)} --seed {result.seed}`"]
-    parts += [] if same_weights(result) else ["**Measured with other weights than those shipped now.**"]
-    return "\n\n".join([*parts, summary(result)])
-
-
 def _about(results: Mapping[str, ExperimentResult]) -> str:
     if not results:
         return "Nothing has been run."
-    found: dict[str, set[str]] = {}
+    used: dict[str, set[str]] = {}
     for result in results.values():
         for name, version in result.versions.items():
-            found.setdefault(name, set()).add(version)
+            used.setdefault(name, set()).add(version)
     quick = sorted(name for name, r in results.items() if r.config.get("quick"))
     lines = [
         "All numbers come from simulation, except the section on recorded pushes. Objects and scenarios are drawn from "
         "seeds that training does not use. Numbers in brackets are 95 % intervals: bootstrap intervals over trials for "
         "differences, Wilson intervals for rates. Numbers after ± are standard deviations over seeds. The paper's "
         "numbers come from its own simulator, objects and robot.",
-        "Versions: " + ", ".join(f"{name} {' and '.join(sorted(v))}" for name, v in found.items()) + ".",
+        "Versions: " + ", ".join(f"{name} {' and '.join(sorted(v))}" for name, v in used.items()) + ".",
     ]
     if quick:
         lines.append(f"**Short form (--quick), for the shape of the page only:** {', '.join(quick)}.")
     return "\n\n".join(lines)
 
 
-def _command(result: ExperimentResult, section: Section) -> str:
-    # Navigation goes without maps as well, on floor plans of its own.
-    options = "" if result.config.get("generated_maps") else section.options
-    if (given := result.config.get("scenario_set")) is not None:
-        shipped = (file for file in find_set(Path("arena")).parent.glob("*.json") if file_id(file) == given)
-        options = f"--scenarios {next((file.stem for file in shipped), 'FILE')}"
-    words = ["shmoo experiment", result.experiment, options]
-    words += [f"--seed {result.seed}", f"--condition-seed {result.config.get('condition_seed', 0)}"]
-    words += ["--senses perfect"] if result.config.get("senses") == "perfect" else []
-    words += ["--quick"] if result.config.get("quick") else []
+def _command(result: ExperimentResult) -> str:
+    """The command line that makes a result anew."""
+    section, config = section_named(result.experiment), result.config
+    words = [section.command or f"shmoo experiment {result.experiment}", section.arguments(config)]
+    words += [f"--seed {result.seed}"]
+    if not section.command:
+        words += [f"--condition-seed {config.get('condition_seed', 0)}"]
+        words += ["--senses perfect"] if config.get("senses") == "perfect" else []
+        words += ["--quick"] if config.get("quick") else []
     return " ".join(word for word in words if word)
-
-
-def _table(result: ExperimentResult, section: Section) -> str:
-    if section.table is not None:
-        return section.table(result)
-    # Methods that did not run have no column.
-    shown = [(label, names) for label, names in section.lines if any(name in result.metrics for name in names)]
-    columns = [i for i in range(len(section.columns)) if any(names[i] in result.metrics for _, names in shown)]
-    papers = [" / ".join(f"{result.paper[n]:.3g}" for n in names if n in result.paper) for _, names in shown]
-    table = markdown_table(
-        ["", *(section.columns[i] for i in columns), "paper"],
-        [
-            [label, *(_cell(result, names[i]) for i in columns), paper]
-            for (label, names), paper in zip(shown, papers, strict=True)
-        ],
-    )
-    return table if section.more is None else f"{table}\n\n{section.more(result)}"
-
-
-def _cell(result: ExperimentResult, name: str) -> str:
-    if not name or name not in result.metrics:
-        return ""
-    value, std = result.metrics[name], result.metrics.get(f"{name}_std")
-    if value is None:
-        return "-"
-    return f"{value:.3g}" + (f"±{std:.2g}" if std else "")
 
 
 def _as_html(text: str, folder: Path) -> str:

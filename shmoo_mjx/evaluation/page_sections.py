@@ -2,52 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from pathlib import Path
+from statistics import fmean
+from typing import Any
 
+from shmoo_mjx.evaluation import faults, soak
 from shmoo_mjx.evaluation.method_tables import ablations_table, baselines_table
 from shmoo_mjx.evaluation.navigation_tables import navigation_tables
 from shmoo_mjx.evaluation.outcomes_measures import outcomes_table
 from shmoo_mjx.evaluation.pushing_measures import pushing_tables
-from shmoo_mjx.evaluation.result import ExperimentResult
-
-
-@dataclass(frozen=True)
-class Section:
-    """How an experiment is shown."""
-
-    title: str
-    what: str
-    """What was measured on what, in a sentence or two."""
-    columns: tuple[str, ...] = ()
-    """Heads of the table."""
-    lines: tuple[tuple[str, tuple[str, ...]], ...] = ()
-    """(label, name of the metric of each column; "" leaves the cell empty)."""
-    figures: tuple[str, ...] = ()
-    """Below the experiment's folder."""
-    options: str = ""
-    """What the command needs beside seeds."""
-    without_psi: bool = False
-    """No weights play a part in it."""
-    table: Callable[[ExperimentResult], str] | None = None
-    """Makes the table, in the place of ``columns`` and ``lines``."""
-    more: Callable[[ExperimentResult], str] | None = None
-    """Tables after the first."""
-
-
-def _lines(labels: Mapping[str, str], *columns: str) -> tuple[tuple[str, tuple[str, ...]], ...]:
-    """A line for each metric of ``labels``, which every column names in its own way, "{}_after" for example."""
-    return tuple((label, tuple(c.format(metric) for c in columns or ("{}",))) for metric, label in labels.items())
-
-
-def _of_methods(labels: Mapping[str, str], *names: str) -> tuple[tuple[str, tuple[str, ...]], ...]:
-    """Lines whose columns are ours and the baselines ``names``."""
-    return _lines(labels, "{}", *(f"baseline_{name}_{{}}" for name in names))
-
+from shmoo_mjx.evaluation.result import ExperimentResult, file_id
+from shmoo_mjx.evaluation.scenario_set import find_set
+from shmoo_mjx.evaluation.tables import (
+    Line,
+    Section,
+    SummaryValue,
+    difference,
+    lines_of,
+    lines_of_methods,
+    measured,
+    rate,
+    short,
+)
 
 _FAMILIES = ("box", "cart", "wheelchair")
-_PUSH_MODELS = ("", "published_", "published_quadratic_", "linear_", "no_motion_")
-_LEFT_OUT = {"": "pair left out", "shape_out_": "shape left out", "mlab_": "triangle's support left out"}
 
 _OTHERS = ("",) * 7
 """Empty cells of the other policies."""
@@ -60,13 +39,35 @@ _OF_CRITERIA = {
     "auc": "ROC area",
 }
 
+
+def _map_arguments(config: Mapping[str, Any]) -> str:
+    """The maps or the scenario set; navigation goes without them as well, on floor plans of its own."""
+    if (identity := config.get("scenario_set")) is not None:
+        shipped = (file for file in find_set(Path("arena")).parent.glob("*.json") if file_id(file) == identity)
+        return f"--scenarios {next((file.stem for file in shipped), 'FILE')}"
+    return "" if config.get("generated_maps") else "--maps DIR"
+
+
+def _offset(result: ExperimentResult) -> SummaryValue:
+    mean, median = (100 * measured(result, name) for name in ("offset_m", "offset_median_m"))
+    goals = [result.paper[name] for name in sorted(result.paper) if name.startswith("offset_goal")]
+    paper = f"{short(100 * fmean(goals))} cm" if goals else ""
+    return f"{short(mean)} cm (median {short(median)} cm)", round(measured(result, "trials")), paper
+
+
+def _adapted(result: ExperimentResult) -> SummaryValue:
+    paper, unseen = result.paper.get("ratio_after_before"), result.config.get("unseen", {})
+    objects = sum(unseen.values()) if isinstance(unseen, dict) else int(unseen)
+    return f"{measured(result, 'ratio_after_before'):.2f}", objects, "" if paper is None else f"{paper:.2f}"
+
+
 SECTIONS = {
     "object_model": Section(
         "Predicting unseen objects (III-D, Fig. 4)",
         "psi adapts on the first 25 s of each unseen object and is scored on later rows.",
         ("prior", "after 25 s", "constant twist"),
         (
-            *_lines(
+            *lines_of(
                 {
                     "mse": "MSE of the acceleration",
                     "fvu_median": "variance unexplained, median object",
@@ -74,13 +75,13 @@ SECTIONS = {
                 *("{}_before", "{}_after", "{}_constant_velocity"),
             ),
             *(
-                (
+                Line(
                     f"variance unexplained, median {family}",
                     (f"fvu_median_before_{family}", f"fvu_median_after_{family}", ""),
                 )
                 for family in _FAMILIES
             ),
-            *_lines(
+            *lines_of(
                 {
                     "pos_rmse_1s_m": "position after 1 s open loop [m]",
                     "yaw_rmse_1s_deg": "yaw after 1 s [deg]",
@@ -89,7 +90,7 @@ SECTIONS = {
                 },
                 *("{}_before", "{}", "{}_constant_velocity"),
             ),
-            *_lines(
+            *lines_of(
                 {
                     "ratio_after_before": "MSE after / before",
                     "gap_closed_1s_median": "gap closed after 1 s of contact, median",
@@ -102,6 +103,7 @@ SECTIONS = {
             ),
         ),
         ("roll_outs.png", "adaptation.png"),
+        summary=(("Prediction error after adaptation, as a share of the error before", _adapted),),
     ),
     "estimate": Section(
         "What the estimate knows of an object",
@@ -111,7 +113,7 @@ SECTIONS = {
         "position 3 s ahead: the error is that of their mean, and the coverage is the share of x and y in their 80 % "
         "band. The prior's draws start from the same pose.",
         tuple(f"{family}, {seconds:g} s" for family in _FAMILIES for seconds in (1, 3, 10)),
-        _lines(
+        lines_of(
             {
                 "friction_error": "friction, relative error, median",
                 "friction_coverage": "friction, coverage",
@@ -150,51 +152,6 @@ SECTIONS = {
         "Trainings that differ in one choice; a fresh probe measures how well the condition can be read from psi.",
         table=ablations_table,
     ),
-    "robot_finetune": Section(
-        "The robot's model on another robot (V-C, Fig. 8)",
-        "R is trained further on 5 minutes of the proxy robot, and on 40, and scored on 2 other minutes.",
-        ("before", "after", "after 40 minutes"),
-        (
-            *_lines(
-                {
-                    "mse": "MSE, all outputs",
-                    "mse_contact": "MSE in contact",
-                    "mse_free": "MSE without contact",
-                    "pos_rmse_3s_contact_m": "position after 3 s in contact [m]",
-                    "pos_rmse_3s_free_m": "position after 3 s without contact [m]",
-                },
-                *("{}_before", "{}_after", "{}_more"),
-            ),
-            *_lines(
-                {
-                    "": "reduction of the MSE [%]",
-                    "_acceleration_x": "reduction, acceleration x [%]",
-                    "_acceleration_y": "reduction, acceleration y [%]",
-                    "_acceleration_yaw": "reduction, acceleration yaw [%]",
-                    "_force_x": "reduction, force x [%]",
-                    "_force_y": "reduction, force y [%]",
-                },
-                *("", "reduction_percent{}", "reduction_percent{}_more"),
-            ),
-            *_lines(
-                {
-                    "success": "pushing to a pose, success",
-                    "offset_m": "pushing to a pose, offset [m]",
-                    "yaw_error_deg": "pushing to a pose, yaw error [deg]",
-                },
-                *("{}_before", "{}_after", ""),
-            ),
-            *_lines(
-                {
-                    "offset_m_difference": "offset, after less before [m]",
-                    "offset_m_difference_low": "95 % interval from [m]",
-                    "offset_m_difference_high": "to [m]",
-                },
-                *("", "{}", ""),
-            ),
-        ),
-        ("robot_finetune.png",),
-    ),
     "pushing": Section(
         "Pushing to a pose (VI-A, Fig. 7)",
         "The proxy robot pushes unseen objects to three goals. Two strata: movable objects, and demanding ones (load "
@@ -203,7 +160,7 @@ SECTIONS = {
         "A third stratum leaves out nothing and has tables of its own. Every method runs every trial.",
         ("ours", "frozen prior", "contact model", "quasi-static", "oracle coefficients", "paper's system"),
         (
-            *_of_methods(
+            *lines_of_methods(
                 {
                     **{f"offset_goal{i}_m": f"offset, goal {i} [m]" for i in (1, 2, 3)},
                     **{f"radius_goal{i}_m": f"enclosing circle, goal {i} [m]" for i in (1, 2, 3)},
@@ -226,10 +183,25 @@ SECTIONS = {
                 },
                 *("frozen_prior", "contact_model", "quasi_static", "oracle_coefficients", "paper"),
             ),
-            ("way from the prior's offset to the oracle's", ("way_to_oracle", "", "", "", "", "")),
+            Line("way from the prior's offset to the oracle's", ("way_to_oracle", "", "", "", "", "")),
         ),
         ("pushing.png",),
-        more=pushing_tables,
+        further_tables=pushing_tables,
+        summary=(
+            (
+                "Success rate of pushing movable objects to a pose",
+                rate("success_rate", lambda r: measured(r, "trials")),
+            ),
+            (
+                "Success rate compared with no adaptation",
+                difference("difference_frozen_prior_success", "points", 100.0),
+            ),
+            ("Mean distance from the goal after pushing", _offset),
+            (
+                "Distance from the goal compared with no adaptation",
+                difference("difference_frozen_prior_offset_m", "cm", 100.0),
+            ),
+        ),
     ),
     "object_planner": Section(
         "Can it be moved? (IV-B, Algorithm 1, Fig. 5)",
@@ -239,7 +211,7 @@ SECTIONS = {
         "object comes as far. Other criteria are logistic regressions that are fitted to objects of training: on K, "
         "on displacement and impulse, and on displacement. Seconds are of contact.",
         ("as drawn", "near the border", "both"),
-        _lines(
+        lines_of(
             {
                 "accuracy": "accuracy after 1 s",
                 "accuracy_2s": "accuracy after 2 s",
@@ -260,6 +232,12 @@ SECTIONS = {
             *("{}", "{}_border", "{}_all"),
         ),
         ("reliability.png", "confusion.png", "planned_goals.png"),
+        summary=(
+            (
+                "Accuracy of the decision whether an object can be moved",
+                rate("accuracy", lambda r: float(r.config.get("objects", 0))),
+            ),
+        ),
     ),
     "navigation": Section(
         "Interactive navigation (VI-B)",
@@ -267,7 +245,7 @@ SECTIONS = {
         "Interactive Gibson, half path and half effort efficiency. Aims are those for ours.",
         ("ours", "lazy", "frozen", "always avoid", "always push", "paper", "geometric", "oracle"),
         (
-            *_of_methods(
+            *lines_of_methods(
                 {
                     "success_rate": "success (aim 0.96)",
                     "success_rate_push_only": "success, push only (aim 0.92)",
@@ -287,20 +265,31 @@ SECTIONS = {
                 },
                 *("lazy", "frozen", "always_avoid", "always_push", "paper", "geometric", "oracle"),
             ),
-            ("time over the oracle's, where both succeed (aim 1.2)", ("time_over_oracle", *_OTHERS)),
-            ("scenarios that neither baseline can do", ("neither_baseline", *_OTHERS)),
-            ("scenarios that neither baseline can do and ours can", ("neither_baseline_but_ours", *_OTHERS)),
+            Line("time over the oracle's, where both succeed (aim 1.2)", ("time_over_oracle", *_OTHERS)),
+            Line("scenarios that neither baseline can do", ("neither_baseline", *_OTHERS)),
+            Line("scenarios that neither baseline can do and ours can", ("neither_baseline_but_ours", *_OTHERS)),
         ),
         ("success.png", "causes.png", "time_over_extra.png"),
-        "--maps DIR",
-        more=navigation_tables,
+        arguments=_map_arguments,
+        further_tables=navigation_tables,
+        summary=(
+            (
+                "Success rate of navigation, solvable scenarios",
+                rate("success_rate_certified", lambda r: measured(r, "certified")),
+            ),
+            (
+                "Success rate compared with never pushing",
+                difference("difference_always_avoid_success", "points", 100.0),
+            ),
+            ("Time lost compared with going round if possible", difference("difference_lazy_regret_s", "s")),
+        ),
     ),
     "lifelong": Section(
         "One goal after the other",
         "Five goals in a row in a world that stays as the robot has left it, with what it remembers of objects. A "
         "sequence ends where the robot gives up, falls or runs out of time.",
         ("ours",),
-        _lines(
+        lines_of(
             {
                 "success_rate": "all goals reached",
                 "goals_reached": "goals reached",
@@ -315,19 +304,24 @@ SECTIONS = {
             }
         ),
         (),
-        "--maps DIR",
-    ),
-    "real_pushing": Section(
-        "Real pushes (other people's data)",
-        "Mean error of the final pose. Ours is a quasi-static model without psi; published models of the same data.",
-        ("ours", "4th-order, published", "quadratic, published", "linear", "no motion"),
-        tuple(
-            (f"{place}, {unit}", tuple(f"{prefix}{method}{metric}" for method in _PUSH_MODELS))
-            for prefix, place in _LEFT_OUT.items()
-            for metric, unit in (("pos_error_mm", "mm"), ("angle_error_deg", "deg"))
-        ),
-        ("real_pushing.png",),
-        "--data DIR",
-        without_psi=True,
+        arguments=_map_arguments,
     ),
 }
+
+RELIABILITY = {
+    "faults": Section(
+        "Faults",
+        "One fault in each run of the demo, judged by the true state.",
+        arguments=lambda config: f"--runs {config.get('runs')}",
+        command="shmoo faults",
+        table=faults.summary,
+    ),
+    "soak": Section(
+        "Soak",
+        "Errand after errand in one building while others move objects.",
+        arguments=lambda config: f"--minutes {config.get('minutes', 0):g} --buildings {config.get('buildings')}",
+        command="shmoo soak",
+        table=soak.summary,
+    ),
+}
+"""Of what ``shmoo faults`` and ``shmoo soak`` write."""

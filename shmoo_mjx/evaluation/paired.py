@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from shmoo_mjx.report.tables import markdown_table
-
 OURS = "ours"
 
 Row = dict[str, Any]
-
-
-def shown_name(method: str) -> str:
-    """The name of a method in words; that of a user's own, "package.module:Name", stays as it is."""
-    return method if ":" in method else method.replace("_", " ")
 
 
 class PairedDifference(NamedTuple):
@@ -40,10 +33,10 @@ def paired_difference(ours: Sequence[float], theirs: Sequence[float], resamples:
     if differences.size < 2:
         return None
     # The default interval (BCa) is not defined where all trials differ by the same, as successes often do.
-    found = bootstrap(
+    interval = bootstrap(
         (differences,), np.mean, n_resamples=resamples, method="percentile", rng=np.random.default_rng(0)
     ).confidence_interval
-    return PairedDifference(float(differences.mean()), float(found.low), float(found.high), int(differences.size))
+    return PairedDifference(float(differences.mean()), float(interval.low), float(interval.high), int(differences.size))
 
 
 def difference_metrics(key: str, name: str, pairs: Sequence[tuple[Row, Row]]) -> dict[str, float]:
@@ -51,10 +44,11 @@ def difference_metrics(key: str, name: str, pairs: Sequence[tuple[Row, Row]]) ->
 
     They are called ``key``, ``key_low``, ``key_high`` and ``key_pairs``.
     """
-    found = paired_difference([ours[name] for ours, _ in pairs], [theirs[name] for _, theirs in pairs])
-    if found is None:
+    difference = paired_difference([ours[name] for ours, _ in pairs], [theirs[name] for _, theirs in pairs])
+    if difference is None:
         return {}
-    return {key: found.mean, f"{key}_low": found.low, f"{key}_high": found.high, f"{key}_pairs": found.pairs}
+    mean, low, high, count = difference
+    return {key: mean, f"{key}_low": low, f"{key}_high": high, f"{key}_pairs": count}
 
 
 def metrics_by_method(
@@ -76,42 +70,3 @@ def metrics_by_method(
         if method != OURS and OURS in of:
             metrics |= differences(method, [(row, mine[trial]) for trial, row in of[OURS].items() if trial in mine])
     return metrics
-
-
-def differences_table(
-    metrics: Mapping[str, Any],
-    others: Sequence[str],
-    lines: Iterable[tuple[str, str, bool]],
-    method: str = "method",
-    trials: str = "trials",
-) -> str:
-    """Ours minus each other method as Markdown, with a line for each (label, NAME, whether more of it is better).
-
-    ``metrics`` has ``difference_METHOD_NAME`` as `difference_metrics` makes them; "-" is shown where they are absent.
-    """
-    return (
-        f"Ours minus each other {method} over the same {trials}, with 95 % bootstrap intervals over {trials}; better "
-        "and worse are said where the interval excludes zero.\n\n"
-    ) + markdown_table(
-        ["", *(f"- {shown_name(other)}" for other in others)],
-        [
-            [label, *(_cell(metrics, f"difference_{other}_{name}", more_is_better) for other in others)]
-            for label, name, more_is_better in lines
-        ],
-    )
-
-
-def _cell(metrics: Mapping[str, Any], key: str, more_is_better: bool) -> str:
-    mean, low, high = (metrics.get(key + end) for end in ("", "_low", "_high"))
-    if mean is None or low is None or high is None:
-        return "-"
-    said = verdict(low, high, more_is_better)
-    pairs = f", {metrics[f'{key}_pairs']:.0f} pairs"
-    return f"{mean:+.3g} ({low:.3g} to {high:.3g}{pairs})" + (f" **{said}**" if said else "")
-
-
-def verdict(low: float, high: float, more_is_better: bool) -> str:
-    """Better or worse where the interval excludes zero; empty where it does not."""
-    if low <= 0.0 <= high:
-        return ""
-    return "better" if (low > 0.0) == more_is_better else "worse"

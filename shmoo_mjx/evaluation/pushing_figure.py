@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx.evaluation.paired import shown_name
 from shmoo_mjx.evaluation.pushing_measures import PAPER
 from shmoo_mjx.evaluation.pushing_trials import GOALS, METHODS, Trial, scene_of_trial
+from shmoo_mjx.evaluation.tables import shown_name
 from shmoo_mjx.report.style import COLOURS, SERIES, blank_figure, outline, save_figure
 from shmoo_mjx.report.trace import read_arrays
 from shmoo_mjx.sensing import Senses

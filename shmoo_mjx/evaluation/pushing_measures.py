@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx.evaluation.paired import OURS, difference_metrics, differences_table, metrics_by_method
+from shmoo_mjx.evaluation.paired import OURS, difference_metrics, metrics_by_method
 from shmoo_mjx.evaluation.pushing_trials import EVERYTHING, KINDS
 from shmoo_mjx.evaluation.result import ExperimentResult
+from shmoo_mjx.evaluation.tables import differences_table
 from shmoo_mjx.plant.objects import FAMILIES
 from shmoo_mjx.report.tables import markdown_table
 

@@ -8,21 +8,21 @@ models are scored on exactly those rows.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
-from functools import cache, partial
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from shmoo_mjx.arrays import Array
-from shmoo_mjx.base.fingerprints import fingerprint
 from shmoo_mjx.data import real_pushes
 from shmoo_mjx.data.real_pushes import RealPushCondition
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import push_outline, push_physics
-from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
-from shmoo_mjx.evaluation.trials import run_trials
+from shmoo_mjx.evaluation.experiment import Experiment, ExperimentConfig, Prepared, Setup
+from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult
+from shmoo_mjx.evaluation.tables import Line, Section, SummaryValue, measured
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
 
@@ -44,39 +44,13 @@ _BARS = (
 
 
 @dataclass(frozen=True)
-class RealPushing:
+class RealPushing(ExperimentConfig):
     """What is tried."""
 
     seeds: int = 3
     """Each draws the pushes to fit on anew."""
     share: float = 0.2
     """Of a condition's pushes that are fitted on, as the published models were."""
-    workers: int = 2
-
-
-QUICK = RealPushing(seeds=1)
-
-
-def run(options: ExperimentOptions) -> ExperimentResult:
-    """Run the experiment; the figure goes to ``options.out / real_pushing``.
-
-    Raises:
-        ShmooError: no --data, or no data set of a known layout in it.
-    """
-    if options.data is None:
-        raise ShmooError("real_pushing needs --data: give the folder that holds mit_push or mlab_triangle.")
-    cfg = QUICK if options.quick else RealPushing()
-    data = real_pushes.load(options.data)
-    folder = options.out / "real_pushing"
-    settings = asdict(replace(cfg, seeds=0)) | {"condition_seed": options.condition_seed}
-    pushes = sorted(options.data.glob("m*/pushes*.csv"))
-    store = folder / f"trials-{fingerprint(__name__, settings, *pushes)}"
-    seeds = range(options.seed, options.seed + cfg.seeds)
-    trials = {f"{name}-{how}-{seed}": (name, how, seed) for name, how in PREFIXES if name in data for seed in seeds}
-    work = partial(_trial, cfg, options.data, options.condition_seed)
-    rows = run_trials(trials, work, store, options.progress, cfg.workers)
-    _figure(folder / "real_pushing.png", rows)
-    return make_result("real_pushing", options, cfg, measure(rows), {}, rows)
 
 
 def measure(rows: list[dict[str, Any]]) -> dict[str, float]:
@@ -103,19 +77,21 @@ def errors(predicted: Array, motion: Array) -> tuple[float, float]:
     return float(1e3 * position.mean()), float(np.degrees(angle).mean())
 
 
-def linear(condition: RealPushCondition, known: Array) -> np.ndarray:
+def linear(condition: RealPushCondition, chosen: Array) -> np.ndarray:
     """Motions ``[N, 3]`` by least squares on start and end of the pusher, its ridge chosen by leaving one out."""
     raw = np.concatenate([condition.start, condition.end], axis=1)
-    x = np.concatenate([np.ones((len(raw), 1)), (raw - raw[known].mean(axis=0)) / raw[known].std(axis=0)], axis=1)
-    fitted = []
+    x = np.concatenate([np.ones((len(raw), 1)), (raw - raw[chosen].mean(axis=0)) / raw[chosen].std(axis=0)], axis=1)
+    candidates = []
     for strength in np.geomspace(1e-3, 1e2, 11):
         penalty = strength * np.diag([0.0] + [1.0] * (x.shape[1] - 1))
-        solve = np.linalg.solve(x[known].T @ x[known] + penalty, x[known].T)
-        leverage = np.sum(x[known] * solve.T, axis=1)
-        weights = solve @ condition.motion[known]
-        missed = (condition.motion[known] - x[known] @ weights) / (1.0 - leverage)[:, None]
-        fitted.append((float(np.sum(np.mean(missed**2, axis=0) / np.var(condition.motion[known], axis=0))), weights))
-    return np.asarray(x @ min(fitted, key=lambda f: f[0])[1])
+        solve = np.linalg.solve(x[chosen].T @ x[chosen] + penalty, x[chosen].T)
+        leverage = np.sum(x[chosen] * solve.T, axis=1)
+        weights = solve @ condition.motion[chosen]
+        missed = (condition.motion[chosen] - x[chosen] @ weights) / (1.0 - leverage)[:, None]
+        candidates.append(
+            (float(np.sum(np.mean(missed**2, axis=0) / np.var(condition.motion[chosen], axis=0))), weights)
+        )
+    return np.asarray(x @ min(candidates, key=lambda f: f[0])[1])
 
 
 def credible(condition: RealPushCondition) -> np.ndarray:
@@ -129,11 +105,11 @@ def credible(condition: RealPushCondition) -> np.ndarray:
 
 def fit(
     condition: RealPushCondition,
-    known: Array,
+    chosen: Array,
     same_shape: Sequence[RealPushCondition] = (),
     prior: tuple[Array, Array] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Outline and quasi-static model from the credible ones of the pushes ``known [n]`` (indices).
+    """Outline and quasi-static model from the credible ones of the pushes ``chosen [n]`` (indices).
 
     Touches of ``same_shape``, other recordings of this shape, may be used for the outline.
 
@@ -141,20 +117,39 @@ def fit(
         motions ``[N, 3]`` of all pushes [m, m, rad] and the model's parameters ``[7]``, of which ``prior`` is mean and
         standard deviation.
     """
-    known = known[credible(condition)[known]]
-    touched = condition.touch[known]
+    chosen = chosen[credible(condition)[chosen]]
+    touched = condition.touch[chosen]
     others = [push_outline.align(o.touch[credible(o)], touched) for o in same_shape]
     corners = push_outline.estimate(np.concatenate([touched, *others]), condition.tip_radius)
     start, end, radius = condition.start, condition.end, condition.tip_radius
     if condition.touching_at_start:
         start, end = push_physics.start_of_push(start, end, corners, radius)
-    parameters = push_physics.identify(start[known], end[known], condition.motion[known], corners, radius, prior)
+    parameters = push_physics.identify(start[chosen], end[chosen], condition.motion[chosen], corners, radius, prior)
     return push_physics.push(start, end, corners, radius, parameters[None])[0], parameters
 
 
-def _trial(cfg: RealPushing, directory: Path, condition_seed: int, trial: tuple[str, str, int]) -> list[dict[str, Any]]:
+def _prepare(options: ExperimentOptions, cfg: RealPushing, folder: Path) -> Prepared:
+    """The names of the data sets.
+
+    Raises:
+        ShmooError: no --data, or no data set of a known layout in it.
+    """
+    if options.data is None:
+        raise ShmooError("real_pushing needs --data: give the folder that holds mit_push or mlab_triangle.")
+    return Prepared(tuple(real_pushes.load(options.data)), tuple(sorted(options.data.glob("m*/pushes*.csv"))))
+
+
+def _trials(setup: Setup[RealPushing]) -> dict[str, tuple[str, str, int]]:
+    seeds = range(setup.options.seed, setup.options.seed + setup.config.seeds)
+    sets = [(name, protocol) for name, protocol in PREFIXES if name in setup.data]
+    return {f"{name}-{how}-{seed}": (name, how, seed) for name, how in sets for seed in seeds}
+
+
+def _trial(setup: Setup[RealPushing], trial: tuple[str, str, int]) -> list[dict[str, Any]]:
     """Every condition left out once: one row each."""
     data_set, protocol, seed = trial
+    directory, condition_seed = setup.options.data, setup.options.condition_seed
+    assert directory is not None
     data, parameters = real_pushes.load(directory)[data_set], _parameters(directory, data_set)
     rows = []
     for i, (left_out, condition) in enumerate(data.items()):
@@ -163,19 +158,24 @@ def _trial(cfg: RealPushing, directory: Path, condition_seed: int, trial: tuple[
         ]
         same = [n for n in train if data[n].shape == condition.shape]
         order = np.random.default_rng([condition_seed, seed, i]).permutation(len(condition.start))
-        count = round(cfg.share * len(order))
-        known, scored = order[:count], order[count:]
+        count = round(setup.config.share * len(order))
+        fitted, scored = order[:count], order[count:]
         predicted = {
-            "ours": fit(condition, known, [data[n] for n in same], _prior([parameters[n] for n in train]))[0],
+            "ours": fit(condition, fitted, [data[n] for n in same], _prior([parameters[n] for n in train]))[0],
             **condition.published,
-            "linear": linear(condition, known[credible(condition)[known]]),
+            "linear": linear(condition, fitted[credible(condition)[fitted]]),
             "no_motion": np.zeros_like(condition.motion),
         }
         row: dict[str, Any] = {"trial": f"{data_set}-{protocol}", "seed": seed, "condition": left_out}
-        row |= {"adapted_on": len(known), "scored": len(scored), "trained_on": train, "outline_from": [left_out, *same]}
+        row |= {
+            "adapted_on": len(fitted),
+            "scored": len(scored),
+            "trained_on": train,
+            "outline_from": [left_out, *same],
+        }
         for name, motion in predicted.items():
-            found = errors(motion[scored], condition.motion[scored])
-            row |= dict(zip((f"{name}_pos_error_mm", f"{name}_angle_error_deg"), found, strict=True))
+            names = f"{name}_pos_error_mm", f"{name}_angle_error_deg"
+            row |= dict(zip(names, errors(motion[scored], condition.motion[scored]), strict=True))
         rows.append(row)
     return rows
 
@@ -189,13 +189,13 @@ def _parameters(directory: Path, data_set: str) -> dict[str, np.ndarray]:
 
 def _prior(parameters: list[Array]) -> tuple[np.ndarray, np.ndarray]:
     """What the other conditions' parameters say about the next one's."""
-    known = np.stack(parameters)
+    others = np.stack(parameters)
     # A few conditions show less than the true spread.
-    spread = np.sqrt(known.var(axis=0, ddof=1) + (0.2 * push_physics.SPREAD) ** 2)
-    return known.mean(axis=0), spread
+    spread = np.sqrt(others.var(axis=0, ddof=1) + (0.2 * push_physics.SPREAD) ** 2)
+    return others.mean(axis=0), spread
 
 
-def _figure(path: Path, rows: list[dict[str, Any]]) -> None:
+def _draw(setup: Setup[RealPushing], rows: list[dict[str, Any]]) -> None:
     """Bars of the mean error by condition, with the range over the seeds."""
     conditions = list(dict.fromkeys(row["condition"] for row in rows))
     figure = blank_figure(10.0, 6.0)
@@ -219,4 +219,41 @@ def _figure(path: Path, rows: list[dict[str, Any]]) -> None:
         axes.set_ylabel(label)
     panels[1].set_xticks(range(len(conditions)), conditions, rotation=45, ha="right", fontsize=8)
     panels[0].legend(fontsize=8, ncols=2)
-    save_figure(path, figure)
+    save_figure(setup.folder / "real_pushing.png", figure)
+
+
+def _summary(result: ExperimentResult) -> SummaryValue:
+    ours, published = (measured(result, f"shape_out_{name}pos_error_mm") for name in ("", "published_"))
+    pushes = [row["scored"] for row in result.rows if row["trial"] == "mit_push-shape_out" and row["seed"] == 0]
+    return f"{ours:.1f} mm (published model of the same data: {published:.1f} mm)", sum(pushes), ""
+
+
+_PLACES = {"": "pair left out", "shape_out_": "shape left out", "mlab_": "triangle's support left out"}
+
+EXPERIMENT = Experiment(
+    Section(
+        "Real pushes (other people's data)",
+        "Mean error of the final pose. Ours is a quasi-static model without psi; published models of the same data.",
+        ("ours", "4th-order, published", "quadratic, published", "linear", "no motion"),
+        tuple(
+            Line(
+                f"{place}, {unit}",
+                tuple(f"{prefix}{model}{error}" for model in (*_NAMES.values(), "linear_", "no_motion_")),
+            )
+            for prefix, place in _PLACES.items()
+            for error, unit in (("pos_error_mm", "mm"), ("angle_error_deg", "deg"))
+        ),
+        ("real_pushing.png",),
+        arguments=lambda config: "--data DIR",
+        without_psi=True,
+        summary=(("Position error on recorded pushes of unseen shapes", _summary),),
+    ),
+    RealPushing(),
+    quick=RealPushing(seeds=1),
+    prepare=_prepare,
+    trials=_trials,
+    trial=_trial,
+    metrics=lambda setup, rows: measure(rows),
+    draw=_draw,
+    neutral=("seeds",),
+)

@@ -1,12 +1,15 @@
-"""The experiments by name. Each module has ``run(options) -> ExperimentResult`` and is imported only when asked for."""
+"""The experiments by name. Each module has an `Experiment` called EXPERIMENT and is imported only when asked for."""
 
 from __future__ import annotations
 
+from functools import cache
 from importlib import import_module
+from typing import Any
 
 from shmoo_mjx.arrays import single_precision
 from shmoo_mjx.base.files import claimed
 from shmoo_mjx.errors import ShmooError
+from shmoo_mjx.evaluation.experiment import Experiment, run
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult
 
 EXPERIMENTS = {
@@ -25,11 +28,30 @@ EXPERIMENTS = {
 """Name to module."""
 
 
+@cache
+def experiment_named(name: str) -> Experiment[Any]:
+    """The experiment of this name; its module is imported only now.
+
+    Raises:
+        ShmooError: there is none.
+    """
+    if name not in EXPERIMENTS:
+        raise ShmooError(f"experiment {name!r} is not known; choose one of {', '.join(EXPERIMENTS)}.")
+    experiment: Experiment[Any] = import_module(EXPERIMENTS[name]).EXPERIMENT
+    return experiment
+
+
 @single_precision
-def run_experiment(name: str, options: ExperimentOptions) -> ExperimentResult:
-    """Run one experiment, in a folder of its own below ``options.out``."""
+def run_experiment(name: str, options: ExperimentOptions, config: Any = None) -> ExperimentResult:
+    """Run one experiment in a folder of its own below ``options.out``; goes on there after a stop.
+
+    ``config`` takes the place of the experiment's own, its short form and the options that adjust it.
+    """
     if name not in EXPERIMENTS:
         raise ShmooError(f"experiment {name!r} is not known; choose one of {', '.join(EXPERIMENTS)}.")
     with claimed(options.out / name):
-        result: ExperimentResult = import_module(EXPERIMENTS[name]).run(options)
-    return result
+        module = import_module(EXPERIMENTS[name])
+        if not hasattr(module, "EXPERIMENT"):  # TODO: goes when every module has its EXPERIMENT
+            result: ExperimentResult = module.run(options)
+            return result
+        return run(name, experiment_named(name), options, config)

@@ -26,6 +26,10 @@ _UNITS = ("m", "mm", "deg", "rad", "s", "ms", "kg", "N")
 """That names of metrics end with."""
 
 
+def no_progress(stage: str, fraction: float) -> None:
+    """Reports nothing."""
+
+
 @dataclass(frozen=True)
 class ExperimentOptions:
     """What the command line asks of an experiment."""
@@ -48,7 +52,7 @@ class ExperimentOptions:
     """Trained weights (default: the shipped ones)."""
     out: Path = Path("runs/experiments")
     """Folder for figures and what an interrupted experiment goes on from."""
-    progress: Callable[[str, float], None] = lambda stage, fraction: None
+    progress: Callable[[str, float], None] = no_progress
     """Called with (stage, fraction done)."""
     senses: SensesName = "real"
     """What the robot perceives with, where a simulated robot acts in the experiment."""
@@ -74,6 +78,11 @@ class ExperimentOptions:
                 more = " and your own as package.module:Name" if others else ""
                 raise ShmooError(f"--policies {name}: is not known; choose from {', '.join(known)}{more}.")
         return (*(name for name in known if not self.policies or name in self.policies), *own)
+
+    @property
+    def weights_file(self) -> Path:
+        """Trained weights: those that are asked for, or the shipped ones."""
+        return self.weights or asset(WEIGHTS)
 
     @property
     def first_unseen(self) -> int:

@@ -9,26 +9,23 @@ goals, as in the experiment `pushing`, with R as it was and as it is.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from shmoo_mjx.base.assets import WEIGHTS, asset
-from shmoo_mjx.base.fingerprints import fingerprint
 from shmoo_mjx.data import store
 from shmoo_mjx.data.collect import CollectConfig, record
 from shmoo_mjx.dynamics import core, features, robot_model
 from shmoo_mjx.dynamics.robot_model import RobotParams
+from shmoo_mjx.evaluation.experiment import Experiment, ExperimentConfig, Setup
 from shmoo_mjx.evaluation.paired import OURS, difference_metrics
 from shmoo_mjx.evaluation.pushing import PushingConfig
 from shmoo_mjx.evaluation.pushing_trials import Runner, draw_trials
-from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
-from shmoo_mjx.evaluation.trials import run_trials
+from shmoo_mjx.evaluation.tables import Section, lines_of
 from shmoo_mjx.geometry.hands import CONTACT_FORCE
 from shmoo_mjx.learning import online, robot_fit
 from shmoo_mjx.learning.robot_fit import RobotFitConfig, RobotSamples
@@ -39,9 +36,6 @@ from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
 from shmoo_mjx.sensing import SensedEngine, senses_named
 from shmoo_mjx.types import SystemState
 
-PAPER = {"reduction_percent": 27.3}
-"""Sec. III-D.3."""
-
 STEPS = 30
 """Length of the roll-outs [samples]."""
 
@@ -49,7 +43,7 @@ OUTPUTS = ("acceleration_x", "acceleration_y", "acceleration_yaw", "force_x", "f
 
 
 @dataclass(frozen=True)
-class RobotFinetuneConfig:
+class RobotFinetuneConfig(ExperimentConfig):
     """How much of how many robots is recorded, and how R goes on training."""
 
     robots: int = 3
@@ -79,100 +73,74 @@ class RobotFinetuneConfig:
     """Chosen on the first two robots of condition seed 8000, which are not reported on."""
     most_epochs: int = 120
     """On more data R may train for longer."""
-    workers: int = 2
-    """Processes."""
 
-
-QUICK = RobotFinetuneConfig(
-    robots=1, train_episodes=2, validation_episodes=1, test_episodes=1, more=2, pushed=0, most_epochs=5
-)
 
 MODELS = ("before", "after", "more")
 """R as shipped, fine-tuned, and fine-tuned on more data; what metrics of each end in."""
 
 
-@dataclass(frozen=True)
-class _Work:
-    """One robot in a process of its own; called with its number."""
-
-    weights: Path
-    config: RobotFinetuneConfig
-    seed: int
-    first_unseen: int
-    senses: str
-
-    def __call__(self, number: int) -> list[dict[str, Any]]:
-        weights, config = load_weights(self.weights), self.config
-        robot_seed = self.first_unseen + 10 * self.seed + number
-        train, test = self._record(robot_seed, config.train_episodes), self._record(robot_seed, None)
-        robots = {"before": weights.params.robot, "after": self._tuned(weights, train, number, config.fit)}
-        if config.more:
-            train = self._record(robot_seed, config.more * config.train_episodes)
-            longer = replace(config.fit, epochs=config.most_epochs)
-            robots["more"] = self._tuned(weights, train, number, longer)
-        found: list[dict[str, Any]] = []
-        for label, robot in robots.items():
-            mine = weights._replace(params=weights.params._replace(robot=robot))
-            found.append({"robot": number, "model": label} | _one_step(mine, test) | _roll_outs(mine, test))
-            if label != "more":
-                found += [{"robot": number, "model": label} | row for row in self._pushed(mine, robot_seed)]
-        return found
-
-    def _pushed(self, weights: Weights, robot_seed: int) -> list[dict[str, Any]]:
-        """Rows of `pushing` by this robot; for every R the same trials."""
-        runner = Runner(weights, PushingConfig().time_limit, senses_named(self.senses))
-        trials = draw_trials(self.first_unseen, self.seed, self.config.pushed)
-        rows = [runner.run(replace(trial, seed=robot_seed), OURS)[0] for trial in trials]
-        return [{name: row[name] for name in ("trial", "offset_m", "yaw_error_deg", "success", "fell")} for row in rows]
-
-    def _tuned(self, weights: Weights, train: store.Dataset, number: int, fit: RobotFitConfig) -> RobotParams:
-        """R trained further; the last episodes of each family, in the same share, are for early stopping."""
-        config = self.config
-        episodes = len(train.names) // len(FAMILIES)
-        kept = episodes - episodes * config.validation_episodes // config.train_episodes
-        return robot_fit.fit_samples(
-            robot_fit.samples_from_dataset(_episodes(train, slice(0, kept))),
-            robot_fit.samples_from_dataset(_episodes(train, slice(kept, None))),
-            replace(fit, robot=weights.config.robot, seed=self.seed + number),
-            start=weights.params.robot,
-        ).params
-
-    def _record(self, robot_seed: int, episodes: int | None) -> store.Dataset:
-        """What the robot with this seed perceives while operators push one object per episode; None: for the test."""
-        config, senses, test = self.config, senses_named(self.senses), episodes is None
-        count = config.test_episodes if episodes is None else episodes
-        settings = CollectConfig(
-            episodes=1, seconds=config.test_seconds if test else config.seconds, seed=robot_seed + int(test)
-        )
-        names, conditions, arrays = [], [], []
-        for k, family in enumerate(FAMILIES):
-            seeds = [self.first_unseen + 100 * (1 + int(test)) + i for i in range(count)]
-            chunk = [draw_condition(family, seed) for seed in seeds]
-            engine = partial(SensedEngine, senses=senses, seed=robot_seed, poses_known=True)
-            recorded = record(settings, chunk, k, senses.adjust(robot_seed), engine)
-            for condition, values in zip(chunk, recorded, strict=True):
-                names.append(f"{family}-{condition.seed}")
-                conditions.append(condition.to_dict() | {"split": "test"})
-                arrays.append(values)
-        return store.Dataset(names, conditions, arrays, {})
+def _trial(setup: Setup[RobotFinetuneConfig], number: int) -> list[dict[str, Any]]:
+    """One robot: rows of the models, then of the pushes with each of them."""
+    config, weights = setup.config, load_weights(setup.options.weights_file)
+    robot_seed = setup.options.first_unseen + 10 * setup.options.seed + number
+    train = _record(setup, robot_seed, config.train_episodes)
+    test = _record(setup, robot_seed, config.test_episodes, test=True)
+    robots = {"before": weights.params.robot, "after": _tuned(setup, weights, train, number)}
+    if config.more:
+        train = _record(setup, robot_seed, config.more * config.train_episodes)
+        robots["more"] = _tuned(setup, weights, train, number, config.most_epochs)
+    rows: list[dict[str, Any]] = []
+    for label, robot in robots.items():
+        mine = weights._replace(params=weights.params._replace(robot=robot))
+        rows.append({"robot": number, "model": label} | _one_step(mine, test) | _roll_outs(mine, test))
+        if label != "more":
+            rows += [{"robot": number, "model": label} | row for row in _pushed(setup, mine, robot_seed)]
+    return rows
 
 
-def run(options: ExperimentOptions, config: RobotFinetuneConfig | None = None) -> ExperimentResult:
-    """Record, fine-tune and score each robot; goes on from ``options.out`` after a stop."""
-    config = config or (QUICK if options.quick else RobotFinetuneConfig())
-    weights = options.weights or asset(WEIGHTS)
-    key = asdict(replace(config, workers=1, robots=1)) | {
-        "seed": options.seed,
-        "unseen": options.first_unseen,
-        "senses": senses_named(options.senses),
-    }
-    folder = options.out / "robot_finetune" / fingerprint(__name__, key, weights)
-    work = _Work(weights, config, options.seed, options.first_unseen, options.senses)
-    trials = {f"robot-{i}": i for i in range(config.robots)}
-    rows = run_trials(trials, work, folder, options.progress, config.workers)
-    result = make_result("robot_finetune", options, config, _metrics(rows), PAPER, rows)
-    _figure(result, options.out / "robot_finetune" / "robot_finetune.png")
-    return result
+def _pushed(setup: Setup[RobotFinetuneConfig], weights: Weights, robot_seed: int) -> list[dict[str, Any]]:
+    """Rows of `pushing` by this robot; for every R the same trials."""
+    runner = Runner(weights, PushingConfig().time_limit, senses_named(setup.options.senses))
+    trials = draw_trials(setup.options.first_unseen, setup.options.seed, setup.config.pushed)
+    rows = [runner.run(replace(trial, seed=robot_seed), OURS)[0] for trial in trials]
+    return [{name: row[name] for name in ("trial", "offset_m", "yaw_error_deg", "success", "fell")} for row in rows]
+
+
+def _tuned(
+    setup: Setup[RobotFinetuneConfig], weights: Weights, train: store.Dataset, number: int, epochs: int | None = None
+) -> RobotParams:
+    """R trained further, for ``epochs`` or as the config says; the last episodes of each family, in the same share,
+    are for early stopping."""
+    config = setup.config
+    episodes = len(train.names) // len(FAMILIES)
+    kept = episodes - episodes * config.validation_episodes // config.train_episodes
+    fit = replace(config.fit, robot=weights.config.robot, seed=setup.options.seed + number)
+    return robot_fit.fit_samples(
+        robot_fit.samples_from_dataset(_episodes(train, slice(0, kept))),
+        robot_fit.samples_from_dataset(_episodes(train, slice(kept, None))),
+        fit if epochs is None else replace(fit, epochs=epochs),
+        start=weights.params.robot,
+    ).params
+
+
+def _record(setup: Setup[RobotFinetuneConfig], robot_seed: int, episodes: int, *, test: bool = False) -> store.Dataset:
+    """What the robot with this seed perceives while operators push one object of each family per episode; for the test
+    other objects and operators."""
+    config, senses = setup.config, senses_named(setup.options.senses)
+    settings = CollectConfig(
+        episodes=1, seconds=config.test_seconds if test else config.seconds, seed=robot_seed + int(test)
+    )
+    names, conditions, arrays = [], [], []
+    for k, family in enumerate(FAMILIES):
+        seeds = [setup.options.first_unseen + 100 * (1 + int(test)) + i for i in range(episodes)]
+        chunk = [draw_condition(family, seed) for seed in seeds]
+        engine = partial(SensedEngine, senses=senses, seed=robot_seed, poses_known=True)
+        recorded = record(settings, chunk, k, senses.adjust(robot_seed), engine)
+        for condition, values in zip(chunk, recorded, strict=True):
+            names.append(f"{family}-{condition.seed}")
+            conditions.append(condition.to_dict() | {"split": "test"})
+            arrays.append(values)
+    return store.Dataset(names, conditions, arrays, {})
 
 
 def _episodes(dataset: store.Dataset, part: slice) -> store.Dataset:
@@ -189,9 +157,9 @@ def _one_step(weights: Weights, dataset: store.Dataset) -> dict[str, float]:
     base, force = robot_model.predict(weights.params.robot, jnp.asarray(rows.inputs), weights.config.robot)
     error = (np.asarray(jnp.concatenate([base, force], axis=-1)) - rows.labels) ** 2 / rows.labels.var(axis=0)
     touching = np.hypot(*rows.inputs[:, features.slices(features.ROBOT_INPUTS)["last_force"]].T) > CONTACT_FORCE
-    found = {f"mse_{name}": float(error[:, i].mean()) for i, name in enumerate(OUTPUTS)}
-    found |= {"mse_contact": float(error[touching].mean()), "mse_free": float(error[~touching].mean())}
-    return found | {"mse": float(error.mean())}
+    errors = {f"mse_{name}": float(error[:, i].mean()) for i, name in enumerate(OUTPUTS)}
+    errors |= {"mse_contact": float(error[touching].mean()), "mse_free": float(error[~touching].mean())}
+    return errors | {"mse": float(error.mean())}
 
 
 def _roll_outs(weights: Weights, dataset: store.Dataset) -> dict[str, float]:
@@ -205,13 +173,13 @@ def _roll_outs(weights: Weights, dataset: store.Dataset) -> dict[str, float]:
     learner = online.learner(config.object)
     square: dict[str, list[float]] = {"contact": [], "free": []}
     for i, arrays in enumerate(dataset.arrays):
-        known = posterior_from_recording(weights, rows.inputs[i], rows.labels[i], rows.weights[i])
-        found = learner.params_for_rollout(known, params)
+        posterior = posterior_from_recording(weights, rows.inputs[i], rows.labels[i], rows.weights[i])
+        adapted = learner.params_for_rollout(posterior, params)
         samples = store.system_states(arrays)
         starts = np.arange(1, samples.u.shape[1] - STEPS, 10)
         start = SystemState(*(np.asarray(v)[0, starts] for v in samples.state))
         controls = np.stack([samples.u[0, s : s + STEPS] for s in starts])
-        ends = rollout(found, start, controls).robot_pose[:, -1]
+        ends = rollout(adapted, start, controls).robot_pose[:, -1]
         truth = arrays["robot_pose"][0, starts + STEPS]
         touched = [samples.contact[0, s : s + STEPS].mean() >= 0.5 for s in starts]
         for miss, touch in zip(np.sum((np.asarray(ends) - truth)[:, :2] ** 2, axis=-1), touched, strict=True):
@@ -224,38 +192,92 @@ def _metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
     pushes, rows = [row for row in rows if "trial" in row], [row for row in rows if "trial" not in row]
     measures = [name for name in rows[0] if name not in ("robot", "model")]
     of = {model: mine for model in MODELS if (mine := [row for row in rows if row["model"] == model])}
-    found: dict[str, float] = {}
+    metrics: dict[str, float] = {}
     for name in measures:
-        found |= {f"{name}_{model}": float(np.nanmean([row[name] for row in of[model]])) for model in of}
+        metrics |= {f"{name}_{model}": float(np.nanmean([row[name] for row in of[model]])) for model in of}
     for model, suffix in (("after", ""), ("more", "_more")):
         if model not in of:
             continue
         lower = [100 * (1 - row["mse"] / first["mse"]) for first, row in zip(of["before"], of[model], strict=True)]
-        found[f"reduction_percent{suffix}"] = 100 * (1 - found[f"mse_{model}"] / found["mse_before"])
-        found[f"reduction_percent{suffix}_std"] = float(np.std(lower))
+        metrics[f"reduction_percent{suffix}"] = 100 * (1 - metrics[f"mse_{model}"] / metrics["mse_before"])
+        metrics[f"reduction_percent{suffix}_std"] = float(np.std(lower))
         for name in OUTPUTS:
-            ratio = found[f"mse_{name}_{model}"] / found[f"mse_{name}_before"]
-            found[f"reduction_percent_{name}{suffix}"] = 100 * (1 - ratio)
+            ratio = metrics[f"mse_{name}_{model}"] / metrics[f"mse_{name}_before"]
+            metrics[f"reduction_percent_{name}{suffix}"] = 100 * (1 - ratio)
     before, after = ([row for row in pushes if row["model"] == model] for model in MODELS[:2])
     for name in ("success", "offset_m", "yaw_error_deg") if pushes else ():
-        found |= {f"{name}_before": float(np.mean([row[name] for row in before]))}
-        found |= {f"{name}_after": float(np.mean([row[name] for row in after]))}
-        found |= difference_metrics(f"{name}_difference", name, list(zip(after, before, strict=True)))
-    return found
+        metrics |= {f"{name}_before": float(np.mean([row[name] for row in before]))}
+        metrics |= {f"{name}_after": float(np.mean([row[name] for row in after]))}
+        metrics |= difference_metrics(f"{name}_difference", name, list(zip(after, before, strict=True)))
+    return metrics
 
 
-def _figure(result: ExperimentResult, path: Path) -> None:
+def _draw(setup: Setup[RobotFinetuneConfig], rows: list[dict[str, Any]]) -> None:
     """Error of each output with each R."""
+    metrics = _metrics(rows)
     figure = blank_figure(7.0, 3.2)
     axis = figure.subplots()
     names = (*OUTPUTS, "contact", "free")
     place = np.arange(len(names))
     labels = ("before fine-tuning", "after", "after, on more data")
     for shift, model, colour, label in zip((-1, 0, 1), MODELS, (SERIES[1], SERIES[0], SERIES[4]), labels, strict=True):
-        if f"mse_{model}" in result.metrics:
-            heights = [result.metrics[f"mse_{name}_{model}"] or 0.0 for name in names]
+        if f"mse_{model}" in metrics:
+            heights = [metrics[f"mse_{name}_{model}"] for name in names]
             axis.bar(place + 0.27 * shift, heights, width=0.27, color=colour, label=label)
     axis.set_xticks(place, [name.replace("_", "\n") for name in names], fontsize=8)
     axis.set_ylabel("squared error over variance")
     axis.legend(fontsize=8)
-    save_figure(path, figure, 130)
+    save_figure(setup.folder / "robot_finetune.png", figure, 130)
+
+
+EXPERIMENT = Experiment(
+    Section(
+        "The robot's model on another robot (V-C, Fig. 8)",
+        "R is trained further on 5 minutes of the proxy robot, and on 40, and scored on 2 other minutes.",
+        ("before", "after", "after 40 minutes"),
+        (
+            *lines_of(
+                {
+                    "mse": "MSE, all outputs",
+                    "mse_contact": "MSE in contact",
+                    "mse_free": "MSE without contact",
+                    "pos_rmse_3s_contact_m": "position after 3 s in contact [m]",
+                    "pos_rmse_3s_free_m": "position after 3 s without contact [m]",
+                },
+                *("{}_before", "{}_after", "{}_more"),
+            ),
+            *lines_of(
+                {"": "reduction of the MSE [%]"}
+                | {f"_{name}": f"reduction, {name.replace('_', ' ')} [%]" for name in OUTPUTS},
+                *("", "reduction_percent{}", "reduction_percent{}_more"),
+            ),
+            *lines_of(
+                {
+                    "success": "pushing to a pose, success",
+                    "offset_m": "pushing to a pose, offset [m]",
+                    "yaw_error_deg": "pushing to a pose, yaw error [deg]",
+                },
+                *("{}_before", "{}_after", ""),
+            ),
+            *lines_of(
+                {
+                    "offset_m_difference": "offset, after less before [m]",
+                    "offset_m_difference_low": "95 % interval from [m]",
+                    "offset_m_difference_high": "to [m]",
+                },
+                *("", "{}", ""),
+            ),
+        ),
+        ("robot_finetune.png",),
+    ),
+    RobotFinetuneConfig(),
+    quick=RobotFinetuneConfig(
+        robots=1, train_episodes=2, validation_episodes=1, test_episodes=1, more=2, pushed=0, most_epochs=5
+    ),
+    trials=lambda setup: {f"robot-{i}": i for i in range(setup.config.robots)},
+    trial=_trial,
+    metrics=lambda setup, rows: _metrics(rows),
+    draw=_draw,
+    neutral=("robots",),
+    paper={"reduction_percent": 27.3},  # Sec. III-D.3
+)

@@ -25,9 +25,10 @@ from shmoo_mjx.evaluation.navigation_measures import (
 )
 from shmoo_mjx.evaluation.navigation_tables import navigation_tables, reference_table
 from shmoo_mjx.evaluation.page import render
-from shmoo_mjx.evaluation.paired import paired_difference, verdict
+from shmoo_mjx.evaluation.paired import paired_difference
 from shmoo_mjx.evaluation.result import ExperimentOptions, make_result
 from shmoo_mjx.evaluation.scenarios import Generated
+from shmoo_mjx.evaluation.tables import verdict
 from shmoo_mjx.report.trace import Trace
 
 

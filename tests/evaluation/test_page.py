@@ -11,14 +11,14 @@ import pytest
 
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import everything, page
-from shmoo_mjx.evaluation.page_summary import summary
+from shmoo_mjx.evaluation.page import summary
 from shmoo_mjx.evaluation.registry import EXPERIMENTS
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result, read_result
 
 
 def result_of(name: str, options: ExperimentOptions) -> ExperimentResult:
     """A result with every metric that the page shows."""
-    metrics = {metric: 0.25 for _, names in page.SECTIONS[name].lines for metric in names if metric}
+    metrics = {metric: 0.25 for _, names in page.sections()[name].lines for metric in names if metric}
     if name == "object_model":
         metrics |= {"mse_after": 0.134, "mse_after_std": 0.0021}
     if name == "robot_finetune":
@@ -35,7 +35,7 @@ def run_fake(name: str, options: ExperimentOptions) -> ExperimentResult:
         raise ShmooError("experiment navigation needs --maps DIR.")
     if name == "real_pushing" and options.data is None:
         raise ShmooError("real_pushing needs --data.")
-    for figure in page.SECTIONS[name].figures[:1]:
+    for figure in page.sections()[name].figures[:1]:
         target = options.out / name / figure
         target.parent.mkdir(parents=True, exist_ok=True)
         import matplotlib.image
@@ -46,7 +46,7 @@ def run_fake(name: str, options: ExperimentOptions) -> ExperimentResult:
 
 
 def test_every_experiment_has_a_section() -> None:
-    assert list(page.SECTIONS) == list(EXPERIMENTS)
+    assert list(page.sections()) == list(EXPERIMENTS)
 
 
 def test_a_result_of_other_weights_says_so() -> None:
@@ -103,11 +103,11 @@ def test_a_section_without_a_result_stays_and_results_are_kept_beside_the_page(t
 
 
 def test_sections_written_by_hand_stay_where_they_are() -> None:
-    lifelong = page.SECTIONS["lifelong"].title
+    lifelong = page.sections()["lifelong"].title
     before = f"# Results\n\nold\n\n## Caveats\n\none\n\n## {lifelong}\n\nkept\n\n## Faults\n\ntwo\n"
     text = page.render({"pushing": result_of("pushing", ExperimentOptions())}, {}, before)
     titles = re.findall("^## (.+)$", text, re.MULTILINE)
-    assert titles == ["Caveats", *(section.title for section in page.SECTIONS.values()), "Faults"]
+    assert titles == ["Caveats", *(section.title for section in page.sections().values()), "Faults"]
     assert "\n\none\n\n" in text and "\n\nkept\n\n" in text and text.endswith("\n\ntwo\n") and "old" not in text
     assert page.render({}, {}, text).count("## Caveats") == 1
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,8 @@ import pytest
 from shmoo_mjx.data import real_pushes
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import push_outline, push_physics, real_pushing
+from shmoo_mjx.evaluation.real_pushing import RealPushing
+from shmoo_mjx.evaluation.registry import run_experiment
 from shmoo_mjx.evaluation.result import ExperimentOptions
 from shmoo_mjx.geometry import se2
 
@@ -90,7 +91,7 @@ def test_says_what_is_missing(tmp_path: Path) -> None:
     with pytest.raises(ShmooError, match="holds neither mit_push"):
         real_pushes.load(tmp_path)
     with pytest.raises(ShmooError, match="--data"):
-        real_pushing.run(ExperimentOptions(out=tmp_path))
+        run_experiment("real_pushing", ExperimentOptions(out=tmp_path))
 
 
 def test_outline_from_noisy_touches() -> None:
@@ -154,9 +155,8 @@ def test_outcomes_of_scored_pushes_are_never_used(folder: Path) -> None:
 def test_experiment_beats_the_poor_guess_and_resumes(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(real_pushing, "QUICK", replace(real_pushing.QUICK, workers=1))
-    options = ExperimentOptions(quick=True, data=folder, out=tmp_path)
-    result = real_pushing.run(options)
+    options, config = ExperimentOptions(quick=True, data=folder, out=tmp_path), RealPushing(seeds=1, workers=1)
+    result = run_experiment("real_pushing", options, config)
     metrics = result.metrics
     assert len(result.rows) == 12 and (tmp_path / "real_pushing" / "real_pushing.png").is_file()
     assert metrics["pos_error_mm"] < 0.5 * metrics["published_pos_error_mm"]
@@ -166,7 +166,7 @@ def test_experiment_beats_the_poor_guess_and_resumes(
     shape_out = [row for row in result.rows if row["trial"].endswith("shape_out")]
     assert all(not name.endswith(row["condition"].split("/")[1]) for row in shape_out for name in row["trained_on"])
     monkeypatch.delattr(real_pushing, "fit")  # a trial done again would need it
-    assert real_pushing.run(options).metrics == metrics
+    assert run_experiment("real_pushing", options, config).metrics == metrics
 
 
 @pytest.mark.skipif(not (SHARED / "mit_push").is_dir(), reason="the recorded pushes are not beside the repository")

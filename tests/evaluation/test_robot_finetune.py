@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from shmoo_mjx.evaluation import robot_finetune
+from shmoo_mjx.evaluation.registry import run_experiment
 from shmoo_mjx.evaluation.result import ExperimentOptions
 
 OUTPUTS = {f"mse_{name}": 1.0 for name in robot_finetune.OUTPUTS}
@@ -30,9 +31,9 @@ def test_differences_are_of_the_same_push_by_the_same_robot() -> None:
 @pytest.mark.slow
 def test_the_short_form_learns_from_its_robot_and_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     options = ExperimentOptions(quick=True, out=tmp_path)
-    result = robot_finetune.run(options)
+    result = run_experiment("robot_finetune", options)
     assert {row["model"] for row in result.rows} == {"before", "after", "more"}
     assert result.metrics["reduction_percent"] > 0  # type: ignore[operator]
     assert (tmp_path / "robot_finetune" / "robot_finetune.png").stat().st_size > 5000
-    monkeypatch.delattr(robot_finetune._Work, "_record")
-    assert robot_finetune.run(options).metrics == result.metrics
+    monkeypatch.delattr(robot_finetune, "_record")
+    assert run_experiment("robot_finetune", options).metrics == result.metrics
