@@ -11,7 +11,7 @@ import pytest
 from toy import toy_scenario
 from toy_world import HALF, Stand, World, reasons, run, said, visited
 
-from shmoo_mjx.behavior import decide
+from shmoo_mjx.behavior import push_options
 from shmoo_mjx.behavior.belief import Status
 from shmoo_mjx.behavior.interaction import PROBE_ROOM
 from shmoo_mjx.behavior.navigator import Navigator
@@ -207,7 +207,7 @@ def test_what_holds_is_left_however_well_the_model_speaks_of_it(decides_by: Any,
         [t.t for t in navigator.transitions if t.target is Mode.RETREAT],
         strict=True,
     ):
-        assert ended - begun < decide.GIVES_UP + 1.0
+        assert ended - begun < push_options.GIVES_UP + 1.0
 
 
 @pytest.mark.parametrize("movable", [True, False])

@@ -15,7 +15,7 @@ from shmoo_mjx.behavior.interaction import setup_of
 from shmoo_mjx.behavior.navigator import MODES, Navigator, init, step
 from shmoo_mjx.behavior.state import Mode, NavigatorConfig
 from shmoo_mjx.planning.maps import FREE, OCCUPIED, OccupancyGrid
-from shmoo_mjx.run.recording import Recorded
+from shmoo_mjx.run.recording import Recording
 from shmoo_mjx.run.replay import differences
 
 
@@ -167,7 +167,7 @@ def test_a_replay_of_what_was_perceived_gives_the_same_commands() -> None:
         commands.append(navigator.tick(seen))
         seen = world.step(commands[-1])
     stacked = [type(r[0])(*(np.stack(c) for c in zip(*r, strict=True))) for r in (rows, commands)]
-    recorded = Recorded(stacked[0], stacked[1], np.repeat(np.array([scenario.goal], dtype=float), 80, axis=0))
+    recorded = Recording(stacked[0], stacked[1], np.repeat(np.array([scenario.goal], dtype=float), 80, axis=0))
     assert differences(fresh(), recorded) is None
     changed = stacked[0].robot_pose.copy()
     changed[40, 0, 0] += 1e-6
