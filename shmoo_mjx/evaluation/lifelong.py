@@ -10,15 +10,16 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import shapely
+from pydantic import BaseModel
 
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.navigation import POLICIES, TestedRobot, play, robot_of, scores_of, told_of, trials_folder
 from shmoo_mjx.evaluation.navigation_failures import keep_failure, write_failures
-from shmoo_mjx.evaluation.navigation_places import Places, as_data, find_places, generated_from, kept
+from shmoo_mjx.evaluation.navigation_places import Places, find_places, kept
 from shmoo_mjx.evaluation.paired import OURS, metrics_by_method
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.evaluation.scenarios import Extra, Generated, ScenarioConfig, draw_scenario, largest_room
@@ -47,7 +48,7 @@ class LifelongTrials:
     scenario: ScenarioConfig = ScenarioConfig()
 
 
-class GoalSequence(NamedTuple):
+class GoalSequence(BaseModel):
     """A world and the goals that the robot is given in it, one after the other."""
 
     generated: Generated
@@ -107,16 +108,11 @@ def _trial(
 def _kept_sequence(places: Places, grid: OccupancyGrid, map_name: str, number: int, count: int) -> GoalSequence | None:
     """Sequence ``number`` of a map, for the range of the extra length whose turn it is."""
 
-    def draw(extra: Extra, rng: np.random.Generator) -> dict[str, Any]:
-        first = draw_scenario(grid, extra, rng, places.first_unseen, places.config)
-        found = draw_sequence(first, grid, rng, count, places.config)
-        return found._asdict() | {"generated": as_data(found.generated)}
+    def draw(extra: Extra, rng: np.random.Generator) -> GoalSequence:
+        first = draw_scenario(grid, extra, rng, places.first_unseen, cfg=places.config)
+        return draw_sequence(first, grid, rng, count, places.config)
 
-    data = kept(places, grid, map_name, (number, count), draw)
-    if data is None:
-        return None
-    goals = tuple((x, y) for x, y in data["goals"])
-    return GoalSequence(generated_from(data["generated"]), goals, tuple(data["shortest"]))
+    return kept(places, grid, map_name, (number, count), form=GoalSequence, draw=draw)
 
 
 def _reached(legs: list[dict[str, Any]]) -> int:
@@ -186,7 +182,8 @@ def draw_sequence(
         shortest.append(leg.length)
     limits = Limits(time_s=cfg.time_s * count)
     scenario = found.scenario.model_copy(update={"limits": limits})
-    return GoalSequence(found._replace(scenario=scenario), tuple(goals), tuple(shortest))
+    world = found.model_copy(update={"scenario": scenario})
+    return GoalSequence(generated=world, goals=tuple(goals), shortest=tuple(shortest))
 
 
 def _next_leg(

@@ -2,28 +2,41 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 from zlib import crc32
 
 import numpy as np
+from pydantic import BaseModel, Field
 
 from shmoo_mjx.base.files import write_whole
 from shmoo_mjx.base.fingerprints import fingerprint
+from shmoo_mjx.base.schema import WholeNumber
 from shmoo_mjx.base.yaml_input import yaml_files
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.evaluation.certify import Certificate, CertifyConfig
+from shmoo_mjx.evaluation.certify import CertifyConfig
 from shmoo_mjx.evaluation.result import ExperimentOptions
 from shmoo_mjx.evaluation.scenarios import EXTRAS, Extra, Generated, Kind, ScenarioConfig, draw_scenario
 from shmoo_mjx.planning.floorplan import draw_building
 from shmoo_mjx.planning.maps import OccupancyGrid, save_map
-from shmoo_mjx.planning.scenario import Scenario
 
 BUILDINGS = 5
 """Generated where no maps are given."""
+
+
+class _Place(BaseModel):
+    map: str
+    number: WholeNumber = Field(ge=0)
+    wanted: Kind
+
+
+class SetEntry(Generated, _Place):
+    """A scenario of a scenario set: where it takes place, the kind that it was to be, and what is known about it."""
+
+    border: Any = Field(None, exclude=True)
+    """In older files; ignored."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +50,7 @@ class Places:
     first_unseen: int
     """Seed of the first object."""
     config: ScenarioConfig
-    given: dict[str, dict[str, Any]] | None = None
+    given: Mapping[str, SetEntry] | None = None
     """Scenarios of a scenario set, by MAP-NUMBER, in the place of what would be drawn."""
 
 
@@ -57,11 +70,11 @@ def find_maps(folder: Path) -> dict[str, Path]:
     Raises:
         ShmooError: there is none, or there are two of one name.
     """
-    found = [p for p in yaml_files(folder, below=True) if "image:" in p.read_text(errors="replace")]
-    if not found:
+    files = [p for p in yaml_files(folder, below=True) if "image:" in p.read_text(errors="replace")]
+    if not files:
         raise ShmooError(f"--maps {folder}: holds no map_server YAML with the field 'image'; give a folder of maps.")
     maps: dict[str, Path] = {}
-    for path in found:
+    for path in files:
         name = "_".join(path.relative_to(folder).with_suffix("").parts)
         if name in maps:
             raise ShmooError(f"--maps {folder}: {maps[name]} and {path} are both called {name}; rename one of them.")
@@ -87,39 +100,25 @@ def extras_of(map_name: str, number: int) -> list[Extra]:
 def kept_scenario(places: Places, grid: OccupancyGrid, map_name: str, number: int) -> tuple[Kind, Generated | None]:
     """The kind that scenario ``number`` of a map was to be, and the scenario; None if the map has no place for any."""
     if places.given is not None:
-        entry = dict(places.given[f"{map_name}-{number}"])
-        return entry.pop("wanted"), generated_from(entry)
+        entry = places.given[f"{map_name}-{number}"]
+        return entry.wanted, entry
 
-    def draw(extra: Extra, rng: np.random.Generator) -> dict[str, Any]:
-        return as_data(draw_scenario(grid, extra, rng, places.first_unseen, places.config))
+    def draw(extra: Extra, rng: np.random.Generator) -> Generated:
+        return draw_scenario(grid, extra, rng, places.first_unseen, cfg=places.config)
 
-    data = kept(places, grid, map_name, (number,), draw)
-    found = None if data is None else generated_from(data)
-    return "unsolvable" if found is None else found.kind, found
-
-
-def as_data(found: Generated) -> dict[str, Any]:
-    """A scenario as it is written."""
-    certificate = None if found.certificate is None else found.certificate.model_dump(mode="json")
-    return found._asdict() | {"scenario": found.scenario.model_dump(mode="json"), "certificate": certificate}
+    scenario = kept(places, grid, map_name, (number,), form=Generated, draw=draw)
+    return "unsolvable" if scenario is None else scenario.kind, scenario
 
 
-def generated_from(data: dict[str, Any]) -> Generated:
-    """A scenario as it was written."""
-    lists = {name: tuple(data[name]) for name in ("movable", "blocking")}
-    told = data.get("certificate")
-    certificate = None if told is None else Certificate.model_validate(told)
-    scenario = Scenario.model_validate(data["scenario"])
-    return Generated(**data | lists | {"scenario": scenario, "certificate": certificate})
-
-
-def kept(
+def kept[Form: BaseModel](
     places: Places,
     grid: OccupancyGrid,
     map_name: str,
     number: tuple[int, ...],
-    draw: Callable[[Extra, np.random.Generator], dict[str, Any]],
-) -> dict[str, Any] | None:
+    *,
+    form: type[Form],
+    draw: Callable[[Extra, np.random.Generator], Form],
+) -> Form | None:
     """What ``draw`` returns for the first range of the extra length in turn that the map has a place for, or None.
 
     It is kept as a file that goes with the function, the map, the settings and the plant. ``number`` begins with the
@@ -134,15 +133,15 @@ def kept(
     mark = fingerprint(draw.__module__, settings, grid.cells)
     file = places.scenarios / f"{'-'.join([map_name, *map(str, number)])}-{mark}.json"
     if not file.is_file():
-        found = None
+        drawn = None
         for turn, extra in enumerate(extras_of(map_name, number[0])):
             seed = [places.first_unseen, crc32(map_name.encode()), number[0], turn, *number[1:]]
             try:
-                found = draw(extra, np.random.default_rng(seed))
+                drawn = draw(extra, np.random.default_rng(seed))
             except ShmooError:
                 continue
             break
         file.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(file, (json.dumps(found) + "\n").encode())
-    data: dict[str, Any] | None = json.loads(file.read_text())
-    return data
+        write_whole(file, ("null" if drawn is None else drawn.model_dump_json()).encode())
+    text = file.read_text()
+    return None if text == "null" else form.model_validate_json(text)

@@ -16,15 +16,14 @@ from pydantic import BaseModel, ConfigDict, Field
 from shmoo_mjx.base.assets import asset
 from shmoo_mjx.base.files import write_whole
 from shmoo_mjx.base.guard import SCENARIO_SET, check_output
-from shmoo_mjx.base.schema import Number, WholeNumber, read_json, validated
+from shmoo_mjx.base.schema import WholeNumber, read_json, validated
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.evaluation.certify import Certificate
-from shmoo_mjx.evaluation.navigation_places import Places, as_data, find_places, kept_scenario
+from shmoo_mjx.evaluation.navigation_places import Places, SetEntry, find_places, kept_scenario
 from shmoo_mjx.evaluation.result import ExperimentOptions
-from shmoo_mjx.evaluation.scenarios import Kind, ScenarioConfig
+from shmoo_mjx.evaluation.scenarios import ScenarioConfig
 from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.planning.maps import load_map, save_map
-from shmoo_mjx.planning.scenario import ROBOT_RADIUS, Scenario, check_scenario, located
+from shmoo_mjx.planning.scenario import ROBOT_RADIUS, check_scenario, located
 from shmoo_mjx.run.scenario_run import checked_objects
 
 
@@ -37,36 +36,19 @@ class _Map(BaseModel):
     """Base64."""
 
 
-class _Entry(BaseModel):
-    """One scenario; the fields after ``wanted`` are those of :class:`~shmoo_mjx.evaluation.scenarios.Generated`."""
-
-    model_config = ConfigDict(extra="forbid")
-    map: str
-    number: WholeNumber = Field(ge=0)
-    wanted: Kind
-    scenario: Scenario
-    kind: Kind
-    movable: tuple[bool, ...]
-    blocking: tuple[bool, ...]
-    shortest: Number = Field(gt=0)
-    detour: Number | None
-    border: Any = Field(None, exclude=True)
-    """In older files; ignored."""
-    certificate: Certificate | None = None
-
-
 class _Set(BaseModel):
     model_config = ConfigDict(extra="forbid")
     format: Literal["shmoo_mjx scenario set 1"] = "shmoo_mjx scenario set 1"
     condition_seeds: tuple[WholeNumber, ...]
     maps: dict[str, _Map] = Field(min_length=1)
-    scenarios: tuple[_Entry, ...] = Field(min_length=1)
+    scenarios: tuple[SetEntry, ...] = Field(min_length=1)
 
 
 def make_set(
     out: Path,
     maps: Path | None = None,
     condition_seeds: Sequence[int] = (0,),
+    *,
     per_map: int = 4,
     progress: Callable[[str, float], None] = lambda stage, fraction: None,
     drawn: Path = Path("runs/scenarios"),
@@ -81,7 +63,7 @@ def make_set(
     """
     check_output(out, SCENARIO_SET)
     written: dict[str, _Map] = {}
-    entries: list[_Entry] = []
+    entries: list[SetEntry] = []
     for turn, seed in enumerate(dict.fromkeys(condition_seeds)):
         places = find_places(ExperimentOptions(condition_seed=seed, maps=maps), drawn, ScenarioConfig())
         named = {name: f"{name}_{seed}" if maps is None else name for name in places.maps}
@@ -91,11 +73,11 @@ def make_set(
         with TemporaryDirectory() as scratch:
             for row in run_trials(trials, partial(_drawn, places), Path(scratch), progress):
                 number = row["number"] + turn * per_map * (maps is not None)
-                entries.append(_Entry(**row | {"map": named[row["map"]], "number": number}))
+                entries.append(SetEntry(**row | {"map": named[row["map"]], "number": number}))
     if not entries:
         raise ShmooError(f"--maps {maps}: has no place for any scenario; give maps with doorways or corridors.")
-    found = _Set(condition_seeds=tuple(condition_seeds), maps=written, scenarios=tuple(entries))
-    lines = json.dumps(found.model_dump(mode="json"), separators=(",", ":"))
+    content = _Set(condition_seeds=tuple(condition_seeds), maps=written, scenarios=tuple(entries))
+    lines = json.dumps(content.model_dump(mode="json"), separators=(",", ":"))
     write_whole(out, (lines.replace('{"map":', '\n{"map":') + "\n").encode())
     return len(entries)
 
@@ -110,8 +92,9 @@ def _packed(path: Path, name: str) -> _Map:
 def _drawn(places: Places, trial: tuple[str, int]) -> list[dict[str, Any]]:
     """No row if the map has no place for that scenario."""
     name, number = trial
-    wanted, found = kept_scenario(places, load_map(places.maps[name]), name, number)
-    return [] if found is None else [{"map": name, "number": number, "wanted": wanted} | as_data(found)]
+    wanted, drawn = kept_scenario(places, load_map(places.maps[name]), name, number)
+    place = {"map": name, "number": number, "wanted": wanted}
+    return [] if drawn is None else [place | drawn.model_dump(mode="json")]
 
 
 def find_set(name: Path) -> Path:
@@ -126,9 +109,9 @@ def open_set(file: Path, folder: Path) -> tuple[Places, int]:
     Raises:
         ShmooError: the file is missing or damaged, or a scenario does not fit its map.
     """
-    found = validated(_Set, read_json(file, "scenario set", "shmoo scenarios make"), file)
-    maps = {name: folder / f"{name}.yaml" for name in found.maps}
-    for name, packed in found.maps.items():
+    content = validated(_Set, read_json(file, "scenario set", "shmoo scenarios make"), file)
+    maps = {name: folder / f"{name}.yaml" for name in content.maps}
+    for name, packed in content.maps.items():
         # The name becomes that of a file in the folder.
         if not re.fullmatch(r"[^/\\\x00-\x1f]{1,200}", name):
             raise ShmooError(f"{file}: 'maps' has {name!r}; name maps by letters, digits and signs other than slashes.")
@@ -138,17 +121,16 @@ def open_set(file: Path, folder: Path) -> tuple[Places, int]:
             raise ShmooError(f"{file}: 'maps.{name}.png' is no base64 text; get the file again.") from None
         write_whole(folder / f"{name}.png", image)
         write_whole(maps[name], packed.yaml.encode())
-    given = {}
-    for i, entry in enumerate(found.scenarios):
+    entries = {}
+    for i, entry in enumerate(content.scenarios):
         where = f"{file}: 'scenarios[{i}]'"
         if entry.map not in maps:
             raise ShmooError(f"{where} is on {entry.map!r}, which is not among its maps; add the map.")
-        entry.scenario = located(entry.scenario, file.parent)
-        grid = load_map(maps[entry.map])
-        check_scenario(grid, entry.scenario, ROBOT_RADIUS, where)
-        count = len(checked_objects(grid, entry.scenario, where))
+        scenario, grid = located(entry.scenario, file.parent), load_map(maps[entry.map])
+        check_scenario(grid, scenario, ROBOT_RADIUS, where)
+        count = len(checked_objects(grid, scenario, where))
         if not len(entry.movable) == len(entry.blocking) == count:
             raise ShmooError(f"{where} must say 'movable' and 'blocking' of each of its {count} objects.")
-        given[f"{entry.map}-{entry.number}"] = entry.model_dump(mode="json", exclude={"map", "number"})
-    most = 1 + max(entry.number for entry in found.scenarios)
-    return Places(maps, folder, 0, ScenarioConfig(), given), most
+        entries[f"{entry.map}-{entry.number}"] = entry.model_copy(update={"scenario": scenario})
+    most = 1 + max(entry.number for entry in content.scenarios)
+    return Places(maps, folder, 0, ScenarioConfig(), entries), most

@@ -13,9 +13,11 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import shapely
+from pydantic import BaseModel, ConfigDict, Field
 from scipy import ndimage
 
-from shmoo_mjx.arrays import Array
+from shmoo_mjx.arrays import Array, Numbers
+from shmoo_mjx.base.schema import Number
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.certify import Certificate, certify
 from shmoo_mjx.evaluation.manipulable import IMMOVABLE, SteadyPush, draw_immovable
@@ -62,9 +64,10 @@ class ScenarioConfig:
     """Limit of the run [s]."""
 
 
-class Generated(NamedTuple):
+class Generated(BaseModel):
     """A scenario and what is known about it."""
 
+    model_config = ConfigDict(extra="forbid", frozen=True)
     scenario: Scenario
     kind: Kind
     movable: tuple[bool, ...]
@@ -72,9 +75,9 @@ class Generated(NamedTuple):
     drawn."""
     blocking: tuple[bool, ...]
     """Of each object: was it put into a blocked place, or does it stand about."""
-    shortest: float
+    shortest: Number = Field(gt=0)
     """Length of the path past no object."""
-    detour: float | None
+    detour: Number | None
     """Length of the path round all of them, if there is one."""
     certificate: Certificate | None = None
     """What each option leads to; None in sets of the older form."""
@@ -127,6 +130,7 @@ def draw_scenario(
     extra: Extra,
     rng: np.random.Generator,
     first_seed: int,
+    *,
     cfg: ScenarioConfig = ScenarioConfig(),
     certifier: Callable[[OccupancyGrid, Scenario], Certificate] = certify,
 ) -> Generated:
@@ -140,7 +144,7 @@ def draw_scenario(
     seeds = cycle(first_seed + rng.permutation(1000).astype(int))
     room = largest_room(np.asarray(walls.values), cfg.start_clearance)
     for _ in range(cfg.attempts if len(room) else 0):
-        ends = _draw_ends(grid, walls, room, rng, cfg)
+        ends = _draw_ends(grid, walls, room, rng, cfg=cfg)
         if ends is None:
             continue
         site = _Site(grid, walls, rng, seeds, cfg, *ends)
@@ -163,7 +167,7 @@ def largest_room(clearance: np.ndarray, radius: float) -> np.ndarray:
 
 
 def _draw_ends(
-    grid: OccupancyGrid, walls: DistanceField, room: np.ndarray, rng: np.random.Generator, cfg: ScenarioConfig
+    grid: OccupancyGrid, walls: DistanceField, room: np.ndarray, rng: np.random.Generator, *, cfg: ScenarioConfig
 ) -> tuple[np.ndarray, np.ndarray, Path] | None:
     start = grid.cell_to_world(room[rng.integers(len(room))])
     centres = grid.cell_to_world(room)
@@ -289,7 +293,7 @@ def _add_bystanders(site: _Site) -> None:
 
 
 def _leaves_ways(site: _Site, placed: _Placed) -> bool:
-    before, after = (site.way(site.start, [*site.polygons(), *more]) for more in ([], [placed.polygon]))
+    before, after = (site.way(site.start, [*site.polygons(), *added]) for added in ([], [placed.polygon]))
     if before is None or after is None:
         return before is after
     return after.length < before.length + 0.3
@@ -307,32 +311,27 @@ def _certified(site: _Site, certifier: Callable[[OccupancyGrid, Scenario], Certi
         limits=Limits(time_s=site.cfg.time_s),
         seed=int(site.rng.integers(10**6)),
     )
-    found = certifier(site.grid, scenario)
-    pushes = any(a.result == "free" for a in found.attempts)
-    kinds: dict[tuple[bool, bool], Kind] = {
-        (True, True): "either",
-        (True, False): "push only",
-        (False, True): "detour only",
-        (False, False): "unsolvable",
-    }
-    movable = tuple(found.moves(i, SteadyPush().distance, p.movable) for i, p in enumerate(site.placed))
+    certificate = certifier(site.grid, scenario)
+    pushes = any(a.result == "free" for a in certificate.attempts)
+    with_way_round: tuple[Kind, Kind] = ("detour only", "either")
+    without: tuple[Kind, Kind] = ("unsolvable", "push only")
     return Generated(
-        scenario,
-        kinds[pushes, around is not None],
-        movable,
-        tuple(p.blocking for p in site.placed),
-        site.path.length,
-        None if around is None else around.length,
-        found,
+        scenario=scenario,
+        kind=(without if around is None else with_way_round)[pushes],
+        movable=tuple(certificate.moves(i, SteadyPush().distance, p.movable) for i, p in enumerate(site.placed)),
+        blocking=tuple(p.blocking for p in site.placed),
+        shortest=site.path.length,
+        detour=None if around is None else around.length,
+        certificate=certificate,
     )
 
 
-def entry_of(condition: Condition, pose: Array) -> ObjectEntry:
+def entry_of(condition: Condition, pose: Array | Numbers) -> ObjectEntry:
     """The object with every property spelt out, to stand at ``pose [3]``."""
-    given = {k: v for k, v in condition.to_dict().items() if k not in ("family", "seed") and v != ()}
-    properties: dict[str, Any] = {k: list(v) if isinstance(v, tuple) else v for k, v in given.items()}
+    stated = {k: v for k, v in condition.to_dict().items() if k not in ("family", "seed") and v != ()}
+    properties: dict[str, Any] = {k: list(v) if isinstance(v, tuple) else v for k, v in stated.items()}
     return ObjectEntry(family=condition.family, pose=_rounded(pose), seed=condition.seed, properties=properties)
 
 
-def _rounded(values: Array) -> Any:
+def _rounded(values: Array | Numbers) -> Any:
     return tuple(round(float(v), 3) for v in values)

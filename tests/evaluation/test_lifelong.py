@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 import shapely
-from toy import toy_scenario
+from toy import toy_generated, toy_scenario
 
 from shmoo_mjx.evaluation import lifelong, navigation
 from shmoo_mjx.evaluation.certify import Attempt, Certificate
@@ -40,7 +40,9 @@ def all_move(grid: OccupancyGrid, scenario: Scenario) -> Certificate:
 def drawn() -> tuple[OccupancyGrid, GoalSequence]:
     rng, cfg = np.random.default_rng(0), ScenarioConfig()
     grid = draw_building(rng)
-    return grid, draw_sequence(draw_scenario(grid, None, rng, 1_000_000, cfg, all_move), grid, rng, 5, cfg)
+    return grid, draw_sequence(
+        draw_scenario(grid, None, rng, 1_000_000, cfg=cfg, certifier=all_move), grid, rng, 5, cfg
+    )
 
 
 def shapes(found: Generated) -> list[shapely.Polygon]:
@@ -109,9 +111,8 @@ def test_legs_are_measured_one_by_one(tmp_path: Path, monkeypatch: pytest.Monkey
         asked.append((policy, goals))
         return FakeEpisode(runs[len(asked) - 1])
 
-    _, scenario = toy_scenario(1, True)
-    world = Generated(scenario, "push only", (True,), (True,), 4.0, None)
-    sequence = GoalSequence(world, ((5.0, 2.6), (1.2, 2.0)), (4.0, 4.0))
+    world = toy_generated(True)
+    sequence = GoalSequence(generated=world, goals=((5.0, 2.6), (1.2, 2.0)), shortest=(4.0, 4.0))
     kept: list[str] = []
     monkeypatch.setattr(lifelong, "play", fake_play)
     monkeypatch.setattr(lifelong, "_kept_sequence", lambda *args: sequence)
@@ -140,8 +141,8 @@ def test_goals_that_were_not_begun_are_not_reached() -> None:
 
 
 def test_a_run_is_given_what_it_can_take(monkeypatch: pytest.MonkeyPatch) -> None:
-    grid, scenario = toy_scenario(1, True)
-    world = Generated(scenario, "push only", (True,), (True,), 4.0, None)
+    grid = toy_scenario(1, True)[0]
+    world = toy_generated(True)
     taken: list[dict[str, Any]] = []
 
     def able(

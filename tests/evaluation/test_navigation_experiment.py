@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from toy import toy_generated as generated
 from toy import toy_scenario
 
 from shmoo_mjx.base.assets import PAPER_WEIGHTS, asset
@@ -21,11 +22,6 @@ from shmoo_mjx.evaluation.navigation_places import BUILDINGS, extras_of, find_ma
 from shmoo_mjx.evaluation.result import ExperimentOptions
 from shmoo_mjx.evaluation.scenarios import EXTRAS, Generated, ScenarioConfig
 from shmoo_mjx.planning.maps import load_map, save_map
-
-
-def generated(*movable: bool) -> Generated:
-    many = (True,) * len(movable)
-    return Generated(toy_scenario(1, True)[1], "push only", movable, many, 4.0, None)
 
 
 def test_policies_know_what_they_are_meant_to_know() -> None:
@@ -80,7 +76,7 @@ def test_ranges_of_the_extra_length_take_turns_and_none_stands_in_last() -> None
 def test_a_scenario_is_drawn_once_and_again_for_another_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[Any] = []
 
-    def draw(grid: Any, extra: Any, *rest: Any) -> Generated:
+    def draw(grid: Any, extra: Any, *rest: Any, **options: Any) -> Generated:
         drawn.append(extra)
         if extra != extras_of("building_0", 0)[1]:
             raise ShmooError("no place.")
@@ -102,9 +98,12 @@ def test_the_oracle_pushes_what_the_best_certified_option_pushes() -> None:
     push = Attempt.model_validate(way | {"object": 1, "result": "free", "seconds": 30.0})
     told = Certificate(attempts=(push,), round_s=90.0, reference_s=30.0, best=(0,))
     oracle = POLICIES["oracle"].first_status
-    assert oracle is not None and oracle(found._replace(certificate=told)) == [Status.FIXED, Status.UNKNOWN]
+    assert oracle is not None and oracle(found.model_copy(update={"certificate": told})) == [
+        Status.FIXED,
+        Status.UNKNOWN,
+    ]
     walk = Certificate(attempts=(push,), round_s=20.0, reference_s=20.0, best=())
-    assert oracle(found._replace(certificate=walk)) == [Status.FIXED] * 2
+    assert oracle(found.model_copy(update={"certificate": walk})) == [Status.FIXED] * 2
 
 
 class FakeTrace(NamedTuple):

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from toy import toy_scenario
+from toy import toy_generated as generated
 
 from shmoo_mjx.evaluation.certify import Attempt, Certificate
 from shmoo_mjx.evaluation.navigation import POLICIES
@@ -27,13 +27,8 @@ from shmoo_mjx.evaluation.navigation_tables import navigation_tables, reference_
 from shmoo_mjx.evaluation.page import render
 from shmoo_mjx.evaluation.paired import paired_difference
 from shmoo_mjx.evaluation.result import ExperimentOptions, make_result
-from shmoo_mjx.evaluation.scenarios import Generated
 from shmoo_mjx.evaluation.tables import verdict
 from shmoo_mjx.report.trace import Trace
-
-
-def generated(*movable: bool) -> Generated:
-    return Generated(toy_scenario(1, True)[1], "push only", movable, (True,) * len(movable), 4.0, None)
 
 
 def test_effort_is_the_robots_share_of_all_mass_moved() -> None:
@@ -179,7 +174,7 @@ def certified(touched: int | None, outcome: str = "success", time: float = 40.0)
     way = {"face": 0, "lateral": 0.0, "steering": 0.0, "start": (0.0, 0.0, 0.0), "progress": 0.9, "result": "free"}
     pushes = [Attempt.model_validate(way | {"object": i, "seconds": 30.0 + 2 * i}) for i in range(2)]
     told = Certificate(attempts=tuple(pushes), round_s=50.0, reference_s=30.0, best=(0,))
-    found = Generated(toy_scenario(1, True)[1], "either", (True,) * 2, (True,) * 2, 4.0, 14.0, told)
+    found = generated(True, True, kind="either", detour=14.0, certificate=told)
     force = np.zeros((5, 2))
     if touched is not None:
         force[2] = 9.0

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from toy import toy_scenario
+from toy import toy_generated, toy_scenario
 
 from shmoo_mjx.base.assets import asset
 from shmoo_mjx.errors import ShmooError
@@ -31,9 +31,8 @@ TWO = "the (2nd) [floor]"
 CERTIFICATE = Certificate(attempts=(), round_s=30.0, reference_s=30.0, best=())
 
 
-def drawn_quickly(grid: Any, extra: Any, *rest: Any) -> Generated:
-    scenario = toy_scenario(1, True)[1]
-    return Generated(scenario, "detour only", (True,), (True,), 4.0, 9.0, CERTIFICATE)
+def drawn_quickly(grid: Any, extra: Any, *rest: Any, **options: Any) -> Generated:
+    return toy_generated(True, kind="detour only", detour=9.0, certificate=CERTIFICATE)
 
 
 def at_once(trials: dict[str, Any], work: Callable[[Any], list[Any]], *rest: Any) -> list[Any]:
@@ -111,11 +110,11 @@ def test_a_folder_of_the_name_of_a_shipped_set_does_not_hide_it(
 def test_the_arena_has_100_certified_scenarios_without_maps_of_others(tmp_path: Path) -> None:
     places, _ = open_set(find_set(Path("arena")), tmp_path)
     assert places.given is not None and len(places.given) == 100 and len(places.maps) == 25
-    entries = [entry["certificate"] for entry in places.given.values()]
+    entries = [entry.certificate for entry in places.given.values()]
     assert all(entry is not None for entry in entries)
-    solvable = [entry["reference_s"] is not None for entry in entries]
+    solvable = [entry is not None and entry.reference_s is not None for entry in entries]
     assert 80 <= sum(solvable) < 100
-    kinds = [entry["kind"] for entry in places.given.values()]
+    kinds = [entry.kind for entry in places.given.values()]
     assert [kind != "unsolvable" for kind in kinds] == solvable
     assert find_set(Path("arena")).stat().st_size < 500_000
 
@@ -138,7 +137,7 @@ def test_the_shipped_set_has_20_scenarios_of_every_kind_that_fit_their_maps(tmp_
     assert asset("experiments/scenario_sets/floor_plans.json") == SHIPPED and SHIPPED.stat().st_size < 200_000
     places, _ = open_set(SHIPPED, tmp_path)
     assert places.given is not None and len(places.given) == 20 and len(places.maps) == 5
-    assert {entry["kind"] for entry in places.given.values()} == set(KINDS)
+    assert {entry.kind for entry in places.given.values()} == set(KINDS)
 
 
 @pytest.mark.parametrize(

@@ -48,7 +48,7 @@ def told(grid: OccupancyGrid, scenario: Scenario) -> Certificate:
 def drawn(extra: Extra, seed: int) -> tuple[OccupancyGrid, Generated]:
     rng = np.random.default_rng(seed)
     grid = draw_building(np.random.default_rng(1))
-    return grid, draw_scenario(grid, extra, rng, 1_000_000, CFG, told)
+    return grid, draw_scenario(grid, extra, rng, 1_000_000, cfg=CFG, certifier=told)
 
 
 def way(grid: OccupancyGrid, found: Generated, without: tuple[int, ...] = ()) -> Path | None:
@@ -119,14 +119,14 @@ def test_no_corner_of_a_wall_reaches_into_an_object() -> None:
 
 def test_same_seed_same_scenario() -> None:
     grid, first = drawn(SOME[0], 0)
-    again = draw_scenario(grid, SOME[0], np.random.default_rng(0), 1_000_000, CFG, told)
+    again = draw_scenario(grid, SOME[0], np.random.default_rng(0), 1_000_000, cfg=CFG, certifier=told)
     assert again == first and again != drawn(SOME[0], 1)[1]
 
 
 def test_a_map_without_a_narrow_place_is_refused() -> None:
     hall = OccupancyGrid(np.full((200, 200), FREE, np.int8), 0.05)
     with pytest.raises(ShmooError, match="give another map"):
-        draw_scenario(hall, None, np.random.default_rng(0), 1_000_000, ScenarioConfig(attempts=5), told)
+        draw_scenario(hall, None, np.random.default_rng(0), 1_000_000, cfg=ScenarioConfig(attempts=5), certifier=told)
 
 
 def test_an_entry_spells_out_every_property() -> None:
@@ -159,5 +159,5 @@ def test_every_real_map_has_room_for_a_detour() -> None:
     assert len(maps) == 5
     for file in maps.values():
         grid = load_map(file)
-        found = draw_scenario(grid, (1.0, 60.0), np.random.default_rng(1), 1_000_000, CFG, told)
+        found = draw_scenario(grid, (1.0, 60.0), np.random.default_rng(1), 1_000_000, cfg=CFG, certifier=told)
         check_scenario(grid, found.scenario, ROBOT_RADIUS)
