@@ -26,6 +26,8 @@ from shmoo_mjx.planning.paths import path_blocked_by, plan_path
 from shmoo_mjx.planning.scenario import ROBOT_RADIUS, Scenario
 from shmoo_mjx.plant.scene import Scene, build_scene
 
+AttemptResult = Literal["free", "passed", "moved", "stuck", "failed"]
+
 _PASSED = 1.0
 """The way past an object is free once it is at most this much longer than without the object [m]."""
 _GAPS = (0.12, 0.25, 0.4)
@@ -70,7 +72,7 @@ class Attempt(BaseModel):
     """Pose of the robot in {W} at which it begins [m, m, rad]."""
     after: WholeNumber | None = None
     """The attempt that came before, by its place in the list; None for the first push."""
-    result: Literal["free", "passed", "moved", "stuck", "failed"]
+    result: AttemptResult
     """free: the way to the goal is free. passed: the object is out of the way, others are not. moved: it has moved, but
     is still in the way. stuck: it has not moved. failed: the robot fell or touched a wall, or something toppled."""
     progress: Number
@@ -97,11 +99,6 @@ class Certificate(BaseModel):
         if not earlier or any(not 0 <= i < len(self.attempts) for i in self.best):
             raise ValueError("names an attempt that is not in 'attempts'; make the certificate again.")
         return self
-
-    @property
-    def solvable(self) -> bool:
-        """Whether some option works."""
-        return self.reference_s is not None
 
     @property
     def pushed(self) -> tuple[int, ...]:
@@ -188,22 +185,22 @@ class _Search:
     def in_the_way(self, state: _State) -> list[tuple[int, list[int]]]:
         """(object, objects taken for walls): the first object on the path, the first on the path round that one, ..."""
         fixed: list[int] = []
-        found: list[tuple[int, list[int]]] = []
+        blockers: list[tuple[int, list[int]]] = []
         while True:
             path = plan_path(
                 self.grid, state.robot[:2], self.scenario.goal, self.polygons(state.objects, fixed),
                 robot_radius=ROBOT_RADIUS, wall_clearance=self.walls,
             )  # fmt: skip
             if path is None:
-                return found
+                return blockers
             met = []
             for i in set(range(len(self.conditions))) - set(fixed):
                 blocked, s = path_blocked_by(path, self.polygons(state.objects, [i])[0], ROBOT_RADIUS - 0.03)
                 if blocked and s is not None:
                     met.append((s, i))
             if not met:
-                return found
-            found.append((min(met)[1], list(fixed)))
+                return blockers
+            blockers.append((min(met)[1], list(fixed)))
             fixed.append(min(met)[1])
 
     def starts(self, state: _State, index: int, face: int, lateral: float) -> np.ndarray | None:
@@ -271,12 +268,12 @@ class _Search:
             return self.passes(which, fixed, robot, objects)[0]
 
         pushes = [push for _, push in batch]
-        ends = run_pushes(self.scene(state.objects[index, :2]), state.qpos, pushes, passes, self.cfg.script)
+        ends = run_pushes(self.scene(state.objects[index, :2]), state.qpos, pushes, passes, cfg=self.cfg.script)
         obstacles = self.polygons(state.objects, range(len(self.conditions)))
         done = []
         for (face, push), end in zip(batch, ends, strict=True):
             seconds = state.seconds + self.walk(self.length(state.robot, obstacles, push.start[:2])) + end.seconds
-            result: Literal["free", "passed", "moved", "stuck", "failed"] = "failed"
+            result: AttemptResult = "failed"
             if end.ok:
                 passed, whole = self.passes(index, fixed, end.robot, end.objects)
                 result = "moved" if end.moved > 0.05 else "stuck"
@@ -285,17 +282,11 @@ class _Search:
                     seconds += self.walk(whole) if np.isfinite(whole) else 0.0
             self.attempts.append(
                 Attempt(
-                    object=index,
-                    face=face,
-                    lateral=push.lateral,
-                    steering=push.steering,
-                    start=tuple(push.start.tolist()),
-                    after=state.last,
-                    result=result,
-                    progress=round(end.progress, 2),
-                    seconds=round(seconds, 1),
+                    object=index, face=face, lateral=push.lateral, steering=push.steering,
+                    start=tuple(push.start.tolist()), after=state.last, result=result,
+                    progress=round(end.progress, 2), seconds=round(seconds, 1),
                 )
-            )
+            )  # fmt: skip
             done.append((len(self.attempts) - 1, end))
         return done
 

@@ -65,18 +65,19 @@ def steady_push(condition: Condition, side: int, cfg: SteadyPush = SteadyPush())
     start = stand_off(np.zeros(3), face, 0.10)
     engine = MujocoEngine([build_scene([(condition, (0.0, 0.0, 0.0))], start.tolist())])
     world = engine.init()
-    seen = engine.observe(world)
-    lean, contact, moved = np.zeros(2), None, 0.0
-    while moved < cfg.distance and float(seen.time[0]) < cfg.seconds + 12.0:
-        if contact is None and np.hypot(*seen.wrench[0, 0, :2]) > cfg.touch:
-            contact = float(seen.time[0])
-        if contact is not None and float(seen.time[0]) - contact >= cfg.seconds:
+    obs = engine.observe(world)
+    lean, moved, time = np.zeros(2), 0.0, float(np.asarray(obs.time)[0])
+    contact: float | None = None
+    while moved < cfg.distance and time < cfg.seconds + 12.0:
+        if contact is None and np.hypot(*obs.wrench[0, 0, :2]) > cfg.touch:
+            contact = time
+        if contact is not None and time - contact >= cfg.seconds:
             break
         touching = np.array([contact is not None])
-        lean = steady_lean(cfg, seen, seen.object_pose[:, 0], face[None], lean[None], touching)[0]
-        u, yaw = np.array([[*lean, 0.0]]), np.array([heading(seen.object_pose[0, 0], face)])
-        world, seen = engine.step(world, Command(u, yaw, np.array([REACH]), np.array([HAND_HEIGHT])))
-        pose = seen.object_pose[0, 0]
+        lean = steady_lean(cfg, obs, obs.object_pose[:, 0], face[None], last=lean[None], touching=touching)[0]
+        u, yaw = np.array([[*lean, 0.0]]), np.array([heading(obs.object_pose[0, 0], face)])
+        world, obs = engine.step(world, Command(u, yaw, np.array([REACH]), np.array([HAND_HEIGHT])))
+        pose, time = obs.object_pose[0, 0], float(np.asarray(obs.time)[0])
         if engine.fallen(world)[0] or abs(se2.wrap(pose[2])) > cfg.turn:
             break
         moved = float(pose[0] * np.cos(face[2]) + pose[1] * np.sin(face[2]))
@@ -86,9 +87,10 @@ def steady_push(condition: Condition, side: int, cfg: SteadyPush = SteadyPush())
 
 def steady_lean(
     cfg: SteadyPush,
-    seen: Observation,
+    obs: Observation,
     objects: Float[Array, "W 3"],
     faces: Float[Array, "W 4"],
+    *,
     last: Float[Array, "W 2"],
     touching: Bool[Array, "W"],
     lateral: Float[Array, "W"] | float = 0.0,
@@ -97,18 +99,18 @@ def steady_lean(
 
     Args:
         cfg: settings.
-        seen: of W worlds.
+        obs: of W worlds.
         objects: poses in {W} of the objects that are pushed.
         faces: that are pushed.
         last: lean commands before.
         touching: whether the object has been touched.
         lateral: place along the face that the robot keeps to, to its left [m].
     """
-    in_face = se2.relative(se2.compose(objects, faces[:, :3]), seen.robot_pose)
-    velocity = se2.rotate(seen.robot_twist[:, :2], -seen.robot_pose[:, 2])
-    ahead = np.where(np.asarray(seen.time) < 1.5, 0.0, 0.12)
+    in_face = se2.relative(se2.compose(objects, faces[:, :3]), obs.robot_pose)
+    velocity = se2.rotate(obs.robot_twist[:, :2], -obs.robot_pose[:, 2])
+    ahead = np.where(np.asarray(obs.time) < 1.5, 0.0, 0.12)
     wish = np.stack([ahead, np.clip(-0.8 * (in_face[:, 1] - lateral), -0.1, 0.1)], axis=-1)
-    lean = np.array(velocity_to_lean(Gains(), velocity, seen.lean_rate, wish))
+    lean = np.array(velocity_to_lean(Gains(), velocity, obs.lean_rate, wish))
     full = cfg.lean * np.clip((cfg.speed - velocity[:, 0]) / 0.1, -0.5, 1.0)
     off = -in_face[:, 0] - REACH - HAND_RADIUS > 0.10
     # Out of touch the hands follow the object at its own pace; in touch the lean grows by no more than 0.1 rad/s.

@@ -40,8 +40,8 @@ def accuracy(values: Array, weights: Array, seed: int, updates: int = 1500) -> f
     values = (values - used.mean(axis=0)) / np.maximum(used.std(axis=0), 1e-6)
     probe, keys = MLP((*HIDDEN, len(values)), "relu"), (jax.random.key(seed), jax.random.key(seed + 1))
     start = probe.init(keys[0], values[0, 0])
-    found = _fit(probe, start, jnp.asarray(values[train]), jnp.asarray(train[0]), keys[1], updates)
-    right = np.argmax(np.asarray(probe.apply(found, values[test])), axis=-1) == test[0]
+    fitted = _fit(probe, start, jnp.asarray(values[train]), jnp.asarray(train[0]), key=keys[1], updates=updates)
+    right = np.argmax(np.asarray(probe.apply(fitted, values[test])), axis=-1) == test[0]
     return float(np.mean([right[test[0] == c].mean() for c in np.unique(test[0])]))
 
 
@@ -64,13 +64,13 @@ def raw_without_size(rows: Samples) -> Array:
     return np.delete(np.asarray(rows.inputs), np.arange(where.start, where.stop), axis=-1)
 
 
-@partial(jax.jit, static_argnums=(0, 5))
-def _fit(probe: MLP, start: Any, values: Array, condition: Array, key: Array, updates: int) -> Any:
+@partial(jax.jit, static_argnames=("probe", "updates"))
+def _fit(probe: MLP, start: Any, values: Array, condition: Array, *, key: Array, updates: int) -> Any:
     optimiser = optax.adam(optax.cosine_decay_schedule(3e-3, updates))
 
     def loss(params: Any, rows: Array) -> Array:
-        said: Any = probe.apply(params, values[rows])
-        return jnp.mean(optax.softmax_cross_entropy_with_integer_labels(said, condition[rows]))
+        logits: Any = probe.apply(params, values[rows])
+        return jnp.mean(optax.softmax_cross_entropy_with_integer_labels(logits, condition[rows]))
 
     def update(carry: tuple[Any, Any], key: Array) -> tuple[tuple[Any, Any], None]:
         params, state = carry

@@ -63,8 +63,8 @@ def align(points: Array, touched: Array) -> np.ndarray:
         return np.asarray((contact(moved, corners).distance - change[3]) / _TOLERANCE)
 
     scale = (1e-3, 1e-3, 0.02, 1e-3)
-    found = least_squares(gaps, np.zeros(4), loss="soft_l1", x_scale=scale).x
-    return np.asarray(se2.transform_point(found[:3], points))
+    change = least_squares(gaps, np.zeros(4), loss="soft_l1", x_scale=scale).x
+    return np.asarray(se2.transform_point(change[:3], points))
 
 
 def contact(points: Array, corners: Array) -> Touch:
@@ -117,7 +117,7 @@ def _faces(corners: Array, shortest: float) -> tuple[np.ndarray, np.ndarray]:
     return normals[long], np.sum(normals * corners, axis=1)[long]
 
 
-def _fit_face(points: Array, normal: Array, offset: float) -> tuple[np.ndarray, float]:
+def _fit_face(points: np.ndarray, normal: np.ndarray, offset: float) -> tuple[np.ndarray, float]:
     """The face turned and moved onto the points nearest to it."""
     if len(points) < 3:
         return normal, offset

@@ -20,7 +20,7 @@ SPREAD = np.array([0.3, 0.4, 0.15, 0.15, 0.1, 0.1, 0.02])
 """How much each may differ from the nominal value."""
 
 
-def push(start: Array, end: Array, corners: Array, radius: float, parameters: Array, steps: int = 60) -> np.ndarray:
+def push(start: Array, end: Array, corners: Array, radius: float, *, parameters: Array, steps: int = 60) -> np.ndarray:
     """Motion ``[P, N, 3]`` of the object in its first frame [m, m, rad], for each of P sets of parameters.
 
     Args:
@@ -40,12 +40,12 @@ def push(start: Array, end: Array, corners: Array, radius: float, parameters: Ar
     for k in range(steps):
         old, new = (first + (last - first) * (i / steps) for i in (k, k + 1))
         before, after = se2.inverse_transform_point(pose, old), se2.inverse_transform_point(pose, new)
-        pose = _moved(pose, _twist(after, after - before, corners, radius, mobility, friction))
+        pose = _moved(pose, _twist(after, after - before, corners, radius, mobility=mobility, friction=friction))
     return pose.reshape(shape)
 
 
 def identify(
-    start: Array, end: Array, motion: Array, corners: Array, radius: float, prior: tuple[Array, Array] | None = None
+    start: Array, end: Array, motion: Array, *, corners: Array, radius: float, prior: tuple[Array, Array] | None = None
 ) -> np.ndarray:
     """The parameters ``[7]`` that explain the measured ``motion [N, 3]`` of some pushes best, outliers counting less.
 
@@ -56,7 +56,7 @@ def identify(
     unit = np.array([1.0, 1.0, push_outline.size(corners)]) / noise
 
     def residuals(parameters: Array) -> np.ndarray:
-        error = (push(start, end, corners, radius, parameters) - motion) * unit
+        error = (push(start, end, corners, radius, parameters=parameters) - motion) * unit
         return np.concatenate([error.reshape(len(parameters), -1), (parameters - mean) / spread], axis=1)
 
     def jacobian(parameters: Array) -> np.ndarray:
@@ -80,7 +80,7 @@ def start_of_push(start: Array, end: Array, corners: Array, radius: float) -> tu
     """Start and end moved along the normal so that the pusher just touches at the start."""
     touch = push_outline.contact(start, corners)
     shift = (radius - touch.distance)[:, None] * touch.normal
-    return start + shift, end + shift
+    return np.asarray(start + shift), np.asarray(end + shift)
 
 
 def _mobility(parameters: Array, scale: float) -> np.ndarray:
@@ -93,7 +93,7 @@ def _mobility(parameters: Array, scale: float) -> np.ndarray:
     return np.asarray(move @ b @ move.T)
 
 
-def _twist(tip: Array, travel: Array, corners: Array, radius: float, mobility: Array, friction: Array) -> np.ndarray:
+def _twist(tip: Array, travel: Array, corners: Array, radius: float, *, mobility: Array, friction: Array) -> np.ndarray:
     """What the object does ``[N, 3]`` as the pusher arrives at ``tip`` after ``travel``, all in its frame."""
     touch = push_outline.contact(tip, corners)
     depth, (nx, ny), (cx, cy) = radius - touch.distance, -touch.normal.T, touch.point.T

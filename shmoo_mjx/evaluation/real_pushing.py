@@ -124,8 +124,10 @@ def fit(
     start, end, radius = condition.start, condition.end, condition.tip_radius
     if condition.touching_at_start:
         start, end = push_physics.start_of_push(start, end, corners, radius)
-    parameters = push_physics.identify(start[chosen], end[chosen], condition.motion[chosen], corners, radius, prior)
-    return push_physics.push(start, end, corners, radius, parameters[None])[0], parameters
+    parameters = push_physics.identify(
+        start[chosen], end[chosen], condition.motion[chosen], corners=corners, radius=radius, prior=prior
+    )
+    return push_physics.push(start, end, corners, radius, parameters=parameters[None])[0], parameters
 
 
 def _prepare(options: ExperimentOptions, cfg: RealPushing, folder: Path) -> Prepared:

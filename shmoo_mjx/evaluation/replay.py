@@ -38,16 +38,17 @@ def score(objects: store.Dataset, scale: np.ndarray, fit_samples: int = scoring.
     for i, condition in enumerate(objects.conditions):
         chosen = {h: scoring.stretches(rows.run[i], rows.weights[i], fit_samples, h) for h in scoring.HORIZONS.values()}
         starts = {h: first[counts].tolist() for h, (first, counts) in chosen.items()}
-        said, rolled = accelerations(
-            condition, rows.inputs[i], recorded.pose[i], rows.run[i], set().union(*starts.values())
+        poses = np.asarray(recorded.pose[i])
+        one_step, rolled = accelerations(
+            condition, np.asarray(rows.inputs[i]), poses, np.asarray(rows.run[i]), starts=set().union(*starts.values())
         )
-        predicted.append(said)
-        ends.append(_ends(starts, rolled, recorded.pose[i]))
-    # The replay stands in for the inputs: a predictor that says what its inputs say is scored like any other.
-    heard = recorded._replace(samples=rows._replace(inputs=np.stack(predicted).astype(np.float32)))
+        predicted.append(one_step)
+        ends.append(_ends(starts, rolled, poses))
+    # The replay stands in for the inputs: a predictor that returns its inputs is scored like any other.
+    replayed = recorded._replace(samples=rows._replace(inputs=np.stack(predicted).astype(np.float32)))
     echo = Predictor(lambda context: np.zeros(()), lambda state, x, time: x)
-    found = scoring.score(echo, heard, scale, fit_samples, roll_outs=False)
-    return found | {name: np.array([e[name] for e in ends]) for name in ends[0]}
+    scores = scoring.score(echo, replayed, scale, fit_samples, roll_outs=False)
+    return scores | {name: np.array([e[name] for e in ends]) for name in ends[0]}
 
 
 def accelerations(
@@ -55,6 +56,7 @@ def accelerations(
     inputs: np.ndarray,
     poses: np.ndarray,
     runs: np.ndarray,
+    *,
     starts: Collection[int] = (),
 ) -> tuple[np.ndarray, dict[int, np.ndarray]]:
     """What C MuJoCo says of the object alone, sample by sample and rolled out.
@@ -73,15 +75,15 @@ def accelerations(
         Accelerations ``[N, 3]`` in {O} over each sample, and for each start poses ``[H + 1, 3]`` in {W}, H the longest
         of `scoring.HORIZONS`.
     """
-    known = {f.name for f in fields(Condition)}
+    names = {f.name for f in fields(Condition)}
     spec = mujoco.MjSpec.from_file(str(asset("models_xml/scene.xml")))
-    one = Condition.from_dict({key: value for key, value in condition.items() if key in known})
+    one = Condition.from_dict({key: value for key, value in condition.items() if key in names})
     spec.attach(object_spec(one), prefix="object/", frame=spec.worldbody.add_frame())
     model = spec.compile()
     data, body = mujoco.MjData(model), model.body("object/object").id
     where = features.slices(features.OBJECT_INPUTS)
     wrenches, longest = inputs[:, where["wrench"]], max(scoring.HORIZONS.values())
-    found, rolled = np.zeros((len(inputs), 3)), {}
+    one_step, rolled = np.zeros((len(inputs), 3)), {}
     for i, (row, pose) in enumerate(zip(inputs, poses, strict=True)):
         if i == 0 or runs[i] != runs[i - 1] - 1:
             mujoco.mj_resetData(model, data)
@@ -97,8 +99,8 @@ def accelerations(
             data.qpos[:], data.qvel[:], data.qacc_warmstart[:] = before
             mujoco.mj_forward(model, data)
         _pushed(model, data, body, row[where["wrench"]])
-        found[i] = se2.rotate((data.qvel[[0, 1, 5]] - twist) / DT, -pose[2])
-    return found, rolled
+        one_step[i] = se2.rotate((data.qvel[[0, 1, 5]] - twist) / DT, -pose[2])
+    return one_step, rolled
 
 
 def _pushed(model: mujoco.MjModel, data: mujoco.MjData, body: int, wrench: np.ndarray) -> np.ndarray:
@@ -119,13 +121,13 @@ def _pushed(model: mujoco.MjModel, data: mujoco.MjData, body: int, wrench: np.nd
 
 def _ends(starts: Mapping[int, list[int]], rolled: Mapping[int, np.ndarray], poses: np.ndarray) -> dict[str, float]:
     """Root of the mean squared error at the end of each horizon, as `scoring` has it; NaN without a stretch."""
-    found = {}
+    ends = {}
     for name, h in scoring.HORIZONS.items():
         error = np.array(
             [se2.relative(poses[s], rolled[s][h]) - se2.relative(poses[s], poses[s + h]) for s in starts[h]]
         )
         error = error.reshape(-1, 3)
         some = len(error) > 0
-        found[f"pos_rmse_{name}_m"] = np.sqrt(np.mean(np.sum(error[:, :2] ** 2, axis=1))) if some else np.nan
-        found[f"yaw_rmse_{name}_deg"] = np.rad2deg(np.sqrt(np.mean(se2.wrap(error[:, 2]) ** 2))) if some else np.nan
-    return found
+        ends[f"pos_rmse_{name}_m"] = np.sqrt(np.mean(np.sum(error[:, :2] ** 2, axis=1))) if some else np.nan
+        ends[f"yaw_rmse_{name}_deg"] = np.rad2deg(np.sqrt(np.mean(se2.wrap(error[:, 2]) ** 2))) if some else np.nan
+    return ends

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shmoo_mjx.arrays import Array, Bool, Float
+from shmoo_mjx.arrays import Bool, Float
 from shmoo_mjx.behavior.skills.retreat import WITHDRAW
 from shmoo_mjx.evaluation.manipulable import SteadyPush, steady_lean
 from shmoo_mjx.geometry import se2
@@ -93,6 +93,12 @@ class _Progress:
     looked: Float[np.ndarray, "W 2"]
     """Where the object was when the way was last asked about."""
     lean: Float[np.ndarray, "W 2"]
+    time: float
+    """Now [s]."""
+
+    def over(self, cfg: ScriptConfig) -> Bool[np.ndarray, "W"]:
+        """Whether each retreat has ended."""
+        return np.asarray(self.time >= self.left + sum(cfg.back) - 1e-6)
 
 
 def run_pushes(
@@ -100,6 +106,7 @@ def run_pushes(
     qpos: Float[np.ndarray, "nq"],
     pushes: Sequence[ScriptedPush],
     free: Callable[[int, np.ndarray, np.ndarray], bool],
+    *,
     cfg: ScriptConfig = ScriptConfig(),
 ) -> list[PushEnd]:
     """What each of up to `WORLDS` pushes leads to.
@@ -115,30 +122,35 @@ def run_pushes(
     many = [*pushes, *[pushes[-1]] * (WORLDS - len(pushes))]
     engine = MujocoEngine([replace(scene, qpos0=_at(scene, qpos, p.start), spec=None) for p in many])
     world = engine.init()
-    seen = engine.observe(world)
+    obs = engine.observe(world)
     rows, which = np.arange(WORLDS), np.array([p.object for p in many])
-    first = seen.object_pose[rows, which].copy()
-    never = np.full(WORLDS, np.inf)
+    first = np.array(obs.object_pose[rows, which])
     now = _Progress(
-        never, never.copy(), np.zeros(WORLDS, bool), np.ones(WORLDS, bool), first[:, :2].copy(), np.zeros((WORLDS, 2))
+        contact=np.full(WORLDS, np.inf),
+        left=np.full(WORLDS, np.inf),
+        freed=np.zeros(WORLDS, bool),
+        ok=np.ones(WORLDS, bool),
+        looked=first[:, :2].copy(),
+        lean=np.zeros((WORLDS, 2)),
+        time=float(np.asarray(obs.time)[0]),
     )
     now.left[len(pushes) :] = -np.inf
     trail: list[np.ndarray] = []
-    while not (_over(now, cfg, seen) | ~now.ok).all():
-        command = _command(now, many, which, seen, cfg)
-        world, seen = engine.step(world, command)
-        places = seen.object_pose[rows, which, :2]
+    while not (now.over(cfg) | ~now.ok).all():
+        command = _command(now, many, obs, cfg)
+        world, obs = engine.step(world, command)
+        places = np.asarray(obs.object_pose[rows, which, :2])
         trail.append(places)
         nq = scene.model.nq
         broken = engine.fallen(world) | engine.diverged(world) | world.wall_contact
         now.ok &= ~(broken | toppled(scene, world.physics[:, 1 : 1 + nq]).any(axis=-1))
-        time = float(seen.time[0])
-        felt = np.hypot(*seen.wrench[rows, which, :2].T) > cfg.push.touch
+        time = now.time = float(np.asarray(obs.time)[0])
+        felt = np.hypot(*obs.wrench[rows, which, :2].T) > cfg.push.touch
         begins = np.isinf(now.contact) & (felt | (np.linalg.norm(places - first[:, :2], axis=1) > 0.03))
         now.contact[begins] = time
-        _leave(now, cfg, seen, trail, many, which, free)
+        _leave(now, obs, trail, many, free=free, cfg=cfg)
     engine.close()
-    ends = seen.object_pose[rows, which]
+    ends = obs.object_pose[rows, which]
     along = np.array([heading(a, p.face) for a, p in zip(first, many, strict=True)])
     shift = ends[:, :2] - first[:, :2]
     progress = shift[:, 0] * np.cos(along) + shift[:, 1] * np.sin(along)
@@ -146,12 +158,12 @@ def run_pushes(
         PushEnd(
             freed=bool(now.freed[k]),
             ok=bool(now.ok[k]),
-            seconds=float(min(now.left[k], seen.time[0]) + sum(cfg.back)),
+            seconds=float(min(now.left[k], now.time) + sum(cfg.back)),
             moved=float(np.linalg.norm(shift[k])),
             progress=float(progress[k]),
             qpos=world.physics[k, 1 : 1 + scene.model.nq].copy(),
-            robot=seen.robot_pose[k].copy(),
-            objects=seen.object_pose[k].copy(),
+            robot=np.array(obs.robot_pose[k]),
+            objects=np.array(obs.object_pose[k]),
         )
         for k in range(len(pushes))
     ]
@@ -163,24 +175,20 @@ def _at(scene: Scene, qpos: np.ndarray, robot: np.ndarray) -> np.ndarray:
     return np.concatenate([placed[:NQ], qpos[NQ:]])
 
 
-def _over(now: _Progress, cfg: ScriptConfig, seen: Observation) -> Bool[np.ndarray, "W"]:
-    return np.asarray(seen.time[0] >= now.left + sum(cfg.back) - 1e-6)
-
-
-def _command(
-    now: _Progress, pushes: Sequence[ScriptedPush], which: Array, seen: Observation, cfg: ScriptConfig
-) -> Command:
-    rows, time = np.arange(WORLDS), float(seen.time[0])
-    poses = seen.object_pose[rows, which]
+def _command(now: _Progress, pushes: Sequence[ScriptedPush], obs: Observation, cfg: ScriptConfig) -> Command:
+    rows, which = np.arange(WORLDS), [p.object for p in pushes]
+    poses = obs.object_pose[rows, which]
     faces, lateral = np.stack([p.face for p in pushes]), np.array([p.lateral for p in pushes])
-    now.lean = steady_lean(cfg.push, seen, poses, faces, now.lean, np.isfinite(now.contact), lateral)
-    pushing, since = np.isinf(now.left), time - now.left
+    now.lean = steady_lean(
+        cfg.push, obs, poses, faces, last=now.lean, touching=np.isfinite(now.contact), lateral=lateral
+    )
+    pushing, since = np.isinf(now.left), now.time - now.left
     backing = ~pushing & (since < cfg.back[0])
     wish = np.where(backing[:, None], np.array([-0.2, 0.0]), 0.0)
-    velocity = se2.rotate(seen.robot_twist[:, :2], -seen.robot_pose[:, 2])
-    lean = np.where(pushing[:, None], now.lean, velocity_to_lean(Gains(), velocity, seen.lean_rate, wish))
+    velocity = se2.rotate(obs.robot_twist[:, :2], -obs.robot_pose[:, 2])
+    lean = np.where(pushing[:, None], now.lean, velocity_to_lean(Gains(), velocity, obs.lean_rate, wish))
     steering = np.where(pushing, [p.steering for p in pushes], 0.0)
-    yaw = np.where(pushing, heading(poses, faces), seen.robot_pose[:, 2])
+    yaw = np.where(pushing, heading(poses, faces), obs.robot_pose[:, 2])
     reach = np.where(pushing, REACH, np.where(backing, REACH - WITHDRAW, TUCKED_REACH))
     height = np.where(pushing | backing, HAND_HEIGHT, TUCKED_HEIGHT)
     return Command(np.concatenate([lean, steering[:, None]], axis=1), yaw, reach, height)
@@ -188,28 +196,28 @@ def _command(
 
 def _leave(
     now: _Progress,
-    cfg: ScriptConfig,
-    seen: Observation,
+    obs: Observation,
     trail: list[np.ndarray],
     pushes: Sequence[ScriptedPush],
-    which: Array,
+    *,
     free: Callable[[int, np.ndarray, np.ndarray], bool],
+    cfg: ScriptConfig,
 ) -> None:
     """End pushes whose way is free, whose object no longer moves, and that have lost it or their time."""
-    time, window = float(seen.time[0]), round(cfg.stall[1] / DT)
+    time, window, which = now.time, round(cfg.stall[1] / DT), [p.object for p in pushes]
     pushing = np.isinf(now.left) & now.ok
     places = trail[-1]
     if len(trail) % round(cfg.look[0] / DT) == 0:
         for k in np.flatnonzero(pushing & (np.linalg.norm(places - now.looked, axis=1) > cfg.look[1])):
             now.looked[k] = places[k]
-            now.freed[k] = free(int(which[k]), seen.robot_pose[k, :2], seen.object_pose[k])
+            now.freed[k] = free(which[k], np.asarray(obs.robot_pose[k, :2]), np.asarray(obs.object_pose[k]))
     touched = time - now.contact
     still = np.zeros(WORLDS, bool)
     if len(trail) > window:
         still = (np.linalg.norm(places - trail[-window - 1], axis=1) < cfg.stall[0]) & (touched > cfg.stall[1])
     faces = np.stack([p.face for p in pushes])
-    poses = seen.object_pose[np.arange(WORLDS), which]
-    local = se2.relative(se2.compose(poses, faces[:, :3]), seen.robot_pose)
+    poses = obs.object_pose[np.arange(WORLDS), which]
+    local = se2.relative(se2.compose(poses, faces[:, :3]), obs.robot_pose)
     lost = (-local[:, 0] - REACH - HAND_RADIUS > 0.6) | (abs(local[:, 1]) > faces[:, 3] + 0.3)
     ends = pushing & (now.freed | still | lost | (time > cfg.seconds) | (np.isinf(now.contact) & (time > 8.0)))
     now.left[ends] = time

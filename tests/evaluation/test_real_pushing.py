@@ -44,7 +44,7 @@ def make(directory: Path, pushes: int = 60) -> Path:
             end = start + 0.03 * se2.rotate(inward, rng.uniform(-0.8, 0.8, pushes))
             change = [rng.normal(0, 0.1), np.log(friction / 0.2), 0.0, 0.0, *rng.normal(0, 0.04, 2), 0.0]
             law = push_physics.NOMINAL + np.array(change)
-            motion = push_physics.push(start, end, corners, RADIUS, law[None])[0]
+            motion = push_physics.push(start, end, corners, RADIUS, parameters=law[None])[0]
             pose = np.concatenate([rng.normal(0, 0.1, (pushes, 2)), rng.uniform(-3, 3, (pushes, 1))], axis=1)
             after = se2.compose(pose, motion)
             guess = after + rng.normal(0, 0.004, after.shape)
@@ -113,7 +113,7 @@ def test_alignment_undoes_a_new_marker() -> None:
 
 def test_push_through_the_centre_of_friction_does_not_turn() -> None:
     start, end = np.array([[-0.05 - RADIUS, 0.0]]), np.array([[-0.02 - RADIUS, 0.0]])
-    motion = push_physics.push(start, end, SQUARE, RADIUS, push_physics.NOMINAL[None])[0, 0]
+    motion = push_physics.push(start, end, SQUARE, RADIUS, parameters=push_physics.NOMINAL[None])[0, 0]
     assert motion == pytest.approx([0.03, 0.0, 0.0], abs=1e-4)
 
 
@@ -121,10 +121,11 @@ def test_pushes_are_equivariant_and_never_end_inside() -> None:
     rng = np.random.default_rng(3)
     start, inward = starts(rng, SQUARE, 50)
     end = start + 0.03 * se2.rotate(inward, rng.uniform(-1, 1, 50))
-    motion = push_physics.push(start, end, SQUARE, RADIUS, push_physics.NOMINAL[None])[0]
+    motion = push_physics.push(start, end, SQUARE, RADIUS, parameters=push_physics.NOMINAL[None])[0]
     final = push_outline.contact(se2.inverse_transform_point(motion, end), SQUARE)
     assert final.distance.min() > RADIUS - 1e-3
-    mirrored = push_physics.push(start * [1, -1], end * [1, -1], SQUARE, RADIUS, push_physics.NOMINAL[None])[0]
+    flip, law = np.array([1, -1]), push_physics.NOMINAL[None]
+    mirrored = push_physics.push(start * flip, end * flip, SQUARE, RADIUS, parameters=law)[0]
     assert np.allclose(mirrored, motion * [1, -1, -1], atol=1e-6)
 
 
@@ -133,9 +134,9 @@ def test_identifies_the_law_that_made_the_pushes() -> None:
     start, inward = starts(rng, SQUARE, 60)
     end = start + 0.03 * se2.rotate(inward, rng.uniform(-1, 1, 60))
     law = push_physics.NOMINAL + np.array([0.2, -0.3, 0.0, 0.0, 0.08, -0.05, 0.0])
-    motion = push_physics.push(start, end, SQUARE, RADIUS, law[None])[0]
+    motion = push_physics.push(start, end, SQUARE, RADIUS, parameters=law[None])[0]
     motion[0, 2] += 1.5  # a lost pose must not matter
-    found = push_physics.identify(start, end, motion, SQUARE, RADIUS)
+    found = push_physics.identify(start, end, motion, corners=SQUARE, radius=RADIUS)
     assert np.abs((found - law) / push_physics.SPREAD).max() < 0.35
 
 
