@@ -339,7 +339,7 @@ def scenarios(
     from shmoo_mjx.evaluation.scenario_set import make_set
 
     with progress.stages() as report:
-        count = make_set(out, maps, condition_seed, per_map, report)
+        count = make_set(out, maps, condition_seed, per_map=per_map, progress=report)
     print(f"{out}: {count} scenario{'s' * (count != 1)}")
     return 0
 
