@@ -13,13 +13,13 @@ import numpy as np
 
 from shmoo_mjx.data import store
 from shmoo_mjx.evaluation import probe, scoring, trainings
+from shmoo_mjx.evaluation.baselines import Budget, recordings
+from shmoo_mjx.evaluation.baselines.adaptive import daiml_config, from_fit
+from shmoo_mjx.evaluation.baselines.protocol import output_scale
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result, over_seeds
 from shmoo_mjx.evaluation.trainings import Trainings, TrainingsConfig, prepare
 from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.learning import daiml
-from shmoo_mjx.learning.baselines import Budget, recordings
-from shmoo_mjx.learning.baselines.adaptive import daiml_config, from_fit
-from shmoo_mjx.learning.baselines.protocol import output_scale
 from shmoo_mjx.learning.daiml import DaimlConfig
 from shmoo_mjx.types import DT
 

@@ -19,14 +19,14 @@ import numpy as np
 
 from shmoo_mjx.data import store
 from shmoo_mjx.evaluation import datasets, scoring
+from shmoo_mjx.evaluation.baselines import METHODS, Budget, Job, Recordings, first_samples, recordings
+from shmoo_mjx.evaluation.baselines.adaptive import from_fit, prior_of, trained
+from shmoo_mjx.evaluation.baselines.protocol import Context, Predictor, output_scale
 from shmoo_mjx.evaluation.object_model_figures import draw_curve, draw_roll_outs
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result, spread
 from shmoo_mjx.evaluation.trainings import QUICK, Trainings, TrainingsConfig, prepare, rows_of
 from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.learning import estimate
-from shmoo_mjx.learning.baselines import METHODS, Budget, Job, Recordings, first_samples, recordings
-from shmoo_mjx.learning.baselines.adaptive import from_fit, prior_of, trained
-from shmoo_mjx.learning.baselines.protocol import Context, Predictor, output_scale
 from shmoo_mjx.learning.daiml import DaimlConfig, ObjectFit
 from shmoo_mjx.learning.estimate import EstimateConfig
 from shmoo_mjx.plant.objects import draw_condition

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from shmoo_mjx.data import store
+from shmoo_mjx.evaluation.baselines import first_samples, recordings
+from shmoo_mjx.evaluation.baselines.protocol import Predictor
 from shmoo_mjx.evaluation.scoring import FIT_SAMPLES, roll_out
 from shmoo_mjx.geometry import se2
-from shmoo_mjx.learning.baselines import first_samples, recordings
-from shmoo_mjx.learning.baselines.protocol import Predictor
 from shmoo_mjx.report.style import SERIES, blank_figure, outline, save_figure
 
 BEFORE, AFTER = SERIES[1], SERIES[0]

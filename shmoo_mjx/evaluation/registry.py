@@ -16,7 +16,7 @@ EXPERIMENTS = {
     "object_model": "shmoo_mjx.evaluation.object_model",
     "estimate": "shmoo_mjx.evaluation.estimate",
     "outcomes": "shmoo_mjx.evaluation.outcomes",
-    "baselines": "shmoo_mjx.evaluation.baselines",
+    "baselines": "shmoo_mjx.evaluation.baselines.experiment",
     "ablations": "shmoo_mjx.evaluation.ablations",
     "robot_finetune": "shmoo_mjx.evaluation.robot_finetune",
     "pushing": "shmoo_mjx.evaluation.pushing",

@@ -20,9 +20,9 @@ from shmoo_mjx.base.assets import asset
 from shmoo_mjx.data import store
 from shmoo_mjx.dynamics import features
 from shmoo_mjx.evaluation import scoring
+from shmoo_mjx.evaluation.baselines import Predictor, recordings
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.geometry.hands import HAND_HEIGHT
-from shmoo_mjx.learning.baselines import Predictor, recordings
 from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.objects import object_spec
 from shmoo_mjx.types import DT

@@ -26,8 +26,8 @@ import numpy as np
 
 from shmoo_mjx.arrays import Array, single_precision
 from shmoo_mjx.dynamics import features
+from shmoo_mjx.evaluation.baselines.protocol import Predictor, Recordings, first_samples
 from shmoo_mjx.geometry import se2
-from shmoo_mjx.learning.baselines.protocol import Predictor, Recordings, first_samples
 from shmoo_mjx.types import DT
 
 FIT_SAMPLES = 250

@@ -12,8 +12,8 @@ import numpy as np
 from shmoo_mjx.base.fingerprints import fingerprint
 from shmoo_mjx.data import store
 from shmoo_mjx.evaluation import datasets, scoring
+from shmoo_mjx.evaluation.baselines import Budget, Job, recordings
 from shmoo_mjx.evaluation.result import ExperimentOptions
-from shmoo_mjx.learning.baselines import Budget, Job, recordings
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from shmoo_mjx.evaluation import method_tables
-from shmoo_mjx.evaluation.baselines import REPLAY
+from shmoo_mjx.evaluation.baselines import METHODS
+from shmoo_mjx.evaluation.baselines.experiment import REPLAY
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result, over_seeds
-from shmoo_mjx.learning.baselines import METHODS
 
 
 def result() -> ExperimentResult:

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from shmoo_mjx.dynamics import features
 from shmoo_mjx.evaluation import scoring
+from shmoo_mjx.evaluation.baselines import Predictor, Recordings
 from shmoo_mjx.geometry import se2
-from shmoo_mjx.learning.baselines import Predictor, Recordings
 from shmoo_mjx.learning.samples import Samples
 from shmoo_mjx.types import DT
 

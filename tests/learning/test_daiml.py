@@ -11,9 +11,9 @@ import pytest
 from shmoo_mjx.data import store
 from shmoo_mjx.dynamics import ObjectConfig, contact_model, object_model
 from shmoo_mjx.evaluation import scoring
+from shmoo_mjx.evaluation.baselines.adaptive import from_fit, prior_of
+from shmoo_mjx.evaluation.baselines.protocol import recordings
 from shmoo_mjx.learning import daiml, multistep, training
-from shmoo_mjx.learning.baselines.adaptive import from_fit, prior_of
-from shmoo_mjx.learning.baselines.protocol import recordings
 from shmoo_mjx.learning.daiml import DaimlConfig
 from shmoo_mjx.learning.samples import samples_from_dataset
 from shmoo_mjx.types import DT

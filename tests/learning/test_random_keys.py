@@ -152,7 +152,7 @@ def test_training_of_r(reused: Callable[[], list[Any]], synthetic_dataset: Any) 
 
 @pytest.mark.slow
 def test_baselines(reused: Callable[[], list[Any]], synthetic_dataset: Any) -> None:
-    from shmoo_mjx.learning.baselines import METHODS, Budget, Job, recordings
+    from shmoo_mjx.evaluation.baselines import METHODS, Budget, Job, recordings
 
     split = synthetic_dataset.split
     for name in ("mlp", "gru"):

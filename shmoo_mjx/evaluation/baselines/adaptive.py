@@ -13,10 +13,10 @@ import numpy as np
 from shmoo_mjx.arrays import Array, Float
 from shmoo_mjx.dynamics import contact_model, object_model
 from shmoo_mjx.dynamics.object_model import ObjectConfig
+from shmoo_mjx.evaluation.baselines.networks import mlp
+from shmoo_mjx.evaluation.baselines.protocol import Context, Job, Predictor, Recordings
+from shmoo_mjx.evaluation.baselines.sight import sight
 from shmoo_mjx.learning import daiml, estimate, least_squares
-from shmoo_mjx.learning.baselines.networks import mlp
-from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, Recordings
-from shmoo_mjx.learning.baselines.sight import sight
 from shmoo_mjx.learning.daiml import NORM_CAP, DaimlConfig, ObjectFit
 
 

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 
 from shmoo_mjx.arrays import Array, Float
 from shmoo_mjx.dynamics import features
+from shmoo_mjx.evaluation.baselines.protocol import Context, Job, Predictor, output_scale
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.learning import least_squares
-from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, output_scale
 from shmoo_mjx.types import DT
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from shmoo_mjx.learning.baselines import adaptive, networks, plain
-from shmoo_mjx.learning.baselines.protocol import (
+from shmoo_mjx.evaluation.baselines import adaptive, networks, plain
+from shmoo_mjx.evaluation.baselines.protocol import (
     Budget,
     Context,
     Job,

@@ -14,8 +14,7 @@ from shmoo_mjx.data import store
 from shmoo_mjx.dynamics import object_model
 from shmoo_mjx.dynamics.object_model import ObjectConfig
 from shmoo_mjx.evaluation import scoring
-from shmoo_mjx.learning import contact_prior, training_contacts
-from shmoo_mjx.learning.baselines import (
+from shmoo_mjx.evaluation.baselines import (
     METHODS,
     Budget,
     Job,
@@ -26,7 +25,8 @@ from shmoo_mjx.learning.baselines import (
     recordings,
     sight,
 )
-from shmoo_mjx.learning.baselines.protocol import output_scale
+from shmoo_mjx.evaluation.baselines.protocol import output_scale
+from shmoo_mjx.learning import contact_prior, training_contacts
 from shmoo_mjx.learning.samples import Samples
 
 SHORT = {"horizon": 4, "learning_rate": 5e-3, "conditions": 6, "windows": 8, "adapt_samples": 32}

@@ -10,9 +10,9 @@ from flax import linen as nn
 
 from shmoo_mjx.arrays import Array, Float
 from shmoo_mjx.dynamics.networks import MLP
-from shmoo_mjx.learning.baselines.gradient import meta_train
-from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, output_scale
-from shmoo_mjx.learning.baselines.sight import sight
+from shmoo_mjx.evaluation.baselines.gradient import meta_train
+from shmoo_mjx.evaluation.baselines.protocol import Context, Job, Predictor, output_scale
+from shmoo_mjx.evaluation.baselines.sight import sight
 
 HIDDEN = (128, 128, 50)
 """Hidden layers of every network here: those of psi."""

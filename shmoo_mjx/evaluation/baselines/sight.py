@@ -14,8 +14,8 @@ import jax.numpy as jnp
 from shmoo_mjx.arrays import Array, Float
 from shmoo_mjx.dynamics import object_model
 from shmoo_mjx.dynamics.object_model import ObjectConfig
+from shmoo_mjx.evaluation.baselines.protocol import Context, Job, output_scale
 from shmoo_mjx.learning import estimate, training_contacts
-from shmoo_mjx.learning.baselines.protocol import Context, Job, output_scale
 from shmoo_mjx.learning.estimate import EstimateConfig
 from shmoo_mjx.learning.training_contacts import Found
 

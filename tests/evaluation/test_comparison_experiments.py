@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from shmoo_mjx.data import store
-from shmoo_mjx.evaluation import ablations, baselines, datasets, method_tables
+from shmoo_mjx.evaluation import ablations, datasets, method_tables
+from shmoo_mjx.evaluation.baselines import Budget
+from shmoo_mjx.evaluation.baselines import experiment as baselines
 from shmoo_mjx.evaluation.registry import EXPERIMENTS
 from shmoo_mjx.evaluation.result import ExperimentOptions
-from shmoo_mjx.learning.baselines import Budget
 
 TINY = {
     "hidden": (8,),
@@ -91,8 +92,8 @@ def test_ablations_vary_one_thing_and_probe(options: ExperimentOptions, monkeypa
 
 
 def test_every_shipped_variant_is_a_configuration() -> None:
-    from shmoo_mjx.learning.baselines.adaptive import daiml_config
-    from shmoo_mjx.learning.baselines.protocol import Job, Recordings
+    from shmoo_mjx.evaluation.baselines.adaptive import daiml_config
+    from shmoo_mjx.evaluation.baselines.protocol import Job, Recordings
     from shmoo_mjx.learning.daiml import DaimlConfig
     from shmoo_mjx.learning.samples import Samples
 

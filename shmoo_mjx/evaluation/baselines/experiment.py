@@ -15,12 +15,12 @@ import numpy as np
 
 from shmoo_mjx.data import store
 from shmoo_mjx.evaluation import replay, scoring, trainings
+from shmoo_mjx.evaluation.baselines import METHODS, Budget, recordings
+from shmoo_mjx.evaluation.baselines.adaptive import prior
+from shmoo_mjx.evaluation.baselines.protocol import Method, output_scale
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result, over_seeds
 from shmoo_mjx.evaluation.trainings import Trainings, TrainingsConfig, prepare, rows_of
 from shmoo_mjx.evaluation.trials import run_trials
-from shmoo_mjx.learning.baselines import METHODS, Budget, recordings
-from shmoo_mjx.learning.baselines.adaptive import prior
-from shmoo_mjx.learning.baselines.protocol import Method, output_scale
 from shmoo_mjx.learning.samples import samples_from_dataset
 from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
 from shmoo_mjx.types import DT

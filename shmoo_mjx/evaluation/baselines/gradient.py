@@ -11,10 +11,10 @@ import optax
 
 from shmoo_mjx.arrays import Array, Float, Key
 from shmoo_mjx.base.fingerprints import fingerprint
+from shmoo_mjx.evaluation.baselines.protocol import Context, Job, Predictor, Recordings, output_scale
+from shmoo_mjx.evaluation.baselines.sight import Sight
 from shmoo_mjx.learning import least_squares, multistep, training
 from shmoo_mjx.learning import samples as batches
-from shmoo_mjx.learning.baselines.protocol import Context, Job, Predictor, Recordings, output_scale
-from shmoo_mjx.learning.baselines.sight import Sight
 from shmoo_mjx.learning.daiml import LABEL_FLOOR
 from shmoo_mjx.learning.samples import Sampler, Samples
 
