@@ -172,7 +172,7 @@ def wrench_figure(plt: Any) -> None:
     world, rows = engine.init(), []
     for i in range(60):
         lean = 0.0 if i < 8 else 0.09 if i < 40 else -0.05
-        wanted = command(1, (lean, 0.0), 0.1, reach=REACH, hand_height=HAND_HEIGHT)
+        wanted = command(1, (lean, 0.0), gamma=0.1, reach=REACH, hand_height=HAND_HEIGHT)
         world, seen = engine.step(world, wanted)
         torque = engine.torque(world, wanted)[:, 3:]
         felt = joint_torque_wrench(shmoobot(), engine.robot(world), torque, seen.object_pose[:, 0])[0]

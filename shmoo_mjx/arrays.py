@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +18,10 @@ from jaxtyping import Bool, Float, Int, Key, Shaped
 
 from shmoo_mjx.errors import ShmooError
 
-__all__ = ["Array", "Bool", "Float", "Int", "Key", "Numbers", "Scalar", "Shaped", "finite_numbers", "single_precision"]
+__all__ = [
+    "Array", "ArrayT", "Bool", "Float", "Int", "Key", "Numbers", "Scalar", "ScalarT", "Shaped", "finite_numbers",
+    "single_precision",
+]  # fmt: skip
 
 Array = np.ndarray | jax.Array
 if TYPE_CHECKING:
@@ -26,6 +29,11 @@ if TYPE_CHECKING:
     Scalar = float | Array
 else:
     Scalar = float | int | np.generic | Shaped[Array, ""]
+
+ArrayT = TypeVar("ArrayT", np.ndarray, jax.Array, Array)
+"""The kind of array that a function takes and returns: NumPy's in, NumPy's out."""
+ScalarT = TypeVar("ScalarT", float, np.ndarray, jax.Array, Array, Scalar)
+"""The same for functions that take numbers too."""
 
 Numbers = Sequence[Scalar]
 """A point, a pose or sizes written out, as in ``(1.0, 2.0)``."""

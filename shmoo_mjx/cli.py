@@ -378,7 +378,21 @@ def object_(
     """
     from shmoo_mjx.plant.mesh import add_object
 
-    print(add_object(source, mass, friction, wheels, wheel_radius, rolling, swivel_friction, scale, up, hull, out))
+    print(
+        add_object(
+            source,
+            mass,
+            friction,
+            wheels=wheels,
+            wheel_radius=wheel_radius,
+            rolling=rolling,
+            swivel_friction=swivel_friction,
+            scale=scale,
+            up=up,
+            hull=hull,
+            out=out,
+        )
+    )
     return 0
 
 

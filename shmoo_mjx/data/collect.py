@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from shmoo_mjx.arrays import Array
 from shmoo_mjx.base.files import claimed
 from shmoo_mjx.base.processes import process_pool
 from shmoo_mjx.base.seeds import MAX_SEED, UNSEEN_SEED
@@ -184,7 +185,7 @@ def record(
     world = engine.init()
     settle = Command(np.zeros((worlds, 3)), poses[:, 2], np.full(worlds, REACH), np.full(worlds, HAND_HEIGHT))
     world, seen = engine.step(world, settle, 1.0)
-    rows: list[dict[str, np.ndarray]] = []
+    rows: list[dict[str, Array]] = []
     for _ in range(round(config.seconds / DT)):
         operator, command = drive(rng, operator, seen)
         before = seen
@@ -201,7 +202,7 @@ def record(
         yield {k: v[i * episodes : (i + 1) * episodes] for k, v in arrays.items()}
 
 
-def sample(before: Observation, after: Observation, u: np.ndarray) -> dict[str, np.ndarray]:
+def sample(before: Observation, after: Observation, u: Array) -> dict[str, Array]:
     """The fields of one sample, each ``[W, ...]``: observations before and after it and u ``[W, 3]`` held over it."""
     wrench = after.wrench[:, 0]
     return {

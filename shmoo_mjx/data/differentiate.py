@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from shmoo_mjx.arrays import Array
+from shmoo_mjx.arrays import Array, ArrayT
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.types import DT
 
 
-def sample_acceleration(twist: Array, dt: float = DT) -> Array:
+def sample_acceleration(twist: ArrayT, dt: float = DT) -> ArrayT:
     """Mean acceleration of each sample, ``(twist[k + 1] - twist[k]) / dt``.
 
     The mean over the sample, not a derivative at its start: Eq. 1 adds it to the twist over exactly this time, and the
@@ -25,7 +25,7 @@ def sample_acceleration(twist: Array, dt: float = DT) -> Array:
     return (twist[..., 1:, :] - twist[..., :-1, :]) / dt
 
 
-def body_acceleration(pose: Array, twist: Array, dt: float = DT) -> Array:
+def body_acceleration(pose: Array, twist: Array, dt: float = DT) -> np.ndarray:
     """`sample_acceleration` turned into the body's frame at the start of each sample, ``[..., L - 1, 3]``.
 
     ``pose [..., L, 3]`` and ``twist [..., L, 3]`` are in {W}.

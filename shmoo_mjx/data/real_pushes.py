@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shmoo_mjx.arrays import Array
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.geometry import se2
 
@@ -26,15 +25,15 @@ class RealPushCondition(NamedTuple):
 
     shape: str
     """Conditions of one shape look the same."""
-    start: Array
+    start: np.ndarray
     """``[N, 2]`` pusher before the push, in the object's frame before the push [m]."""
-    end: Array
+    end: np.ndarray
     """``[N, 2]`` pusher after the push, in the same frame [m]."""
-    motion: Array
+    motion: np.ndarray
     """``[N, 3]`` the object's pose after the push, in the same frame [m, m, rad]."""
-    touch: Array
+    touch: np.ndarray
     """``[N, 2]`` where the pusher's centre was while it touched, in the object's own frame at that moment [m]."""
-    published: dict[str, Array]
+    published: dict[str, np.ndarray]
     """``[N, 3]`` motions that published models predict."""
     touching_at_start: bool
     """Whether a recording starts at first contact; otherwise there is a gap before it."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from shmoo_mjx.arrays import Array, Bool, Float, Scalar
 from shmoo_mjx.geometry import se2
 
@@ -21,7 +23,7 @@ CONTACT_FORCE = 2.0
 """Force of the hands from which they touch an object [N]: below it a reading of the joint torques says nothing."""
 
 
-def touches(wrench: Float[Array, "... 3"]) -> Scalar | Bool[Array, "..."]:
+def touches(wrench: Float[Array, "... 3"]) -> np.bool | Bool[Array, "..."]:
     """Whether the hands touch an object on which their planar wrench is ``wrench``; not if it is NaN."""
     xp = se2.array_module(wrench)
     return xp.hypot(wrench[..., 0], wrench[..., 1]) > CONTACT_FORCE

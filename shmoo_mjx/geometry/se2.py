@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx.arrays import Array, Float, Scalar
+from shmoo_mjx.arrays import Array, ArrayT, Float, Scalar, ScalarT
 
 _PLAIN = (np.ndarray, np.generic, float, int)
 
@@ -25,27 +25,27 @@ def array_module(*arrays: Scalar | Array) -> Any:
     return np
 
 
-def stack(*columns: np.generic | Float[Array, "..."]) -> Float[Array, "..."]:
+def stack(*columns: np.generic | ArrayT) -> ArrayT:
     """The columns, of one shape and kind, as the last axis of an array."""
     xp = array_module(*columns)
     if xp is not np:
         return xp.stack(columns, axis=-1)
-    out = np.empty((*columns[0].shape, len(columns)), columns[0].dtype)
+    out = xp.empty((*columns[0].shape, len(columns)), columns[0].dtype)
     for i, column in enumerate(columns):  # numpy.stack takes twice as long
         out[..., i] = column
     return out
 
 
-def wrap(angle: Scalar | Float[Array, "..."]) -> Scalar | Float[Array, "..."]:
+def wrap(angle: ScalarT) -> ScalarT:
     """The same angle [rad] in [-pi, pi)."""
     xp = array_module(angle)
     if xp is np:
-        return np.mod(angle + np.pi, 2 * np.pi) - np.pi
+        return xp.mod(angle + np.pi, 2 * np.pi) - np.pi
     # XLA takes a remainder number by number, and this in vectors.
     return angle - 2 * xp.pi * xp.floor((angle + xp.pi) / (2 * xp.pi))
 
 
-def rotate(vector: Float[Array, "... n"], angle: Scalar | Float[Array, "..."]) -> Float[Array, "... n"]:
+def rotate(vector: Float[ArrayT, "... n"], angle: float | np.generic | Float[ArrayT, "..."]) -> Float[ArrayT, "... n"]:
     """R_z(angle) applied to the first two of ``vector``'s two or three entries; a third entry is kept.
 
     Turns a planar vector, twist or wrench (about the same point) from a frame whose yaw is ``angle`` into the world
@@ -60,28 +60,28 @@ def rotate(vector: Float[Array, "... n"], angle: Scalar | Float[Array, "..."]) -
     return stack(*out)
 
 
-def transform_point(pose: Float[Array, "... 3"], point: Float[Array, "... 2"]) -> Float[Array, "... 2"]:
+def transform_point(pose: Float[ArrayT, "... 3"], point: Float[ArrayT, "... 2"]) -> Float[ArrayT, "... 2"]:
     """A point given in the frame ``pose``, in that pose's parent frame."""
     return pose[..., :2] + rotate(point, pose[..., 2])
 
 
-def inverse_transform_point(pose: Float[Array, "... 3"], point: Float[Array, "... 2"]) -> Float[Array, "... 2"]:
+def inverse_transform_point(pose: Float[ArrayT, "... 3"], point: Float[ArrayT, "... 2"]) -> Float[ArrayT, "... 2"]:
     """A point of the parent frame, in the frame ``pose``."""
     return rotate(point - pose[..., :2], -pose[..., 2])
 
 
-def compose(a: Float[Array, "... 3"], b: Float[Array, "... 3"]) -> Float[Array, "... 3"]:
+def compose(a: Float[ArrayT, "... 3"], b: Float[ArrayT, "... 3"]) -> Float[ArrayT, "... 3"]:
     """The pose ``b``, given in frame ``a``, in ``a``'s parent frame (a * b). Yaw is not wrapped."""
     xp = array_module(a, b)
     return xp.concatenate([transform_point(a, b[..., :2]), (a[..., 2] + b[..., 2])[..., None]], axis=-1)
 
 
-def relative(a: Float[Array, "... 3"], b: Float[Array, "... 3"]) -> Float[Array, "... 3"]:
+def relative(a: Float[ArrayT, "... 3"], b: Float[ArrayT, "... 3"]) -> Float[ArrayT, "... 3"]:
     """The pose ``b`` seen from ``a``, both given in one parent frame (a^-1 * b), yaw wrapped."""
     xp = array_module(a, b)
     return xp.concatenate([inverse_transform_point(a, b[..., :2]), wrap(b[..., 2] - a[..., 2])[..., None]], axis=-1)
 
 
-def cross(a: Float[Array, "... 2"], b: Float[Array, "... 2"]) -> Float[Array, "..."]:
+def cross(a: Float[ArrayT, "... 2"], b: Float[ArrayT, "... 2"]) -> Float[ArrayT, "..."]:
     """z component of the cross product of planar vectors: the moment of force b at lever arm a."""
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]

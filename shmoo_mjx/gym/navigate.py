@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
+from shmoo_mjx.arrays import Array
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.gym.task import ACTIONS, BODY, Outcome, Part, Start, body, command, config_of, flat, in_robot, widened
 from shmoo_mjx.planning.floorplan import RESOLUTION, demo_scenario
@@ -165,7 +166,7 @@ def _way_to(grid: OccupancyGrid, goal: np.ndarray) -> np.ndarray:
     return length[rows, columns] + away * grid.resolution
 
 
-def _look_up(way: np.ndarray, points: np.ndarray) -> np.ndarray:
+def _look_up(way: np.ndarray, points: Array) -> np.ndarray:
     """Bilinear ``[W, P]`` at ``points [W, P, 2]`` in {W}; a floor plan's origin is its lower-left corner."""
     cells = points / RESOLUTION - 0.5
     world = np.broadcast_to(np.arange(len(way))[:, None], cells.shape[:2])

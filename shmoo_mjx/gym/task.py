@@ -14,6 +14,7 @@ from typing import Any, Literal, NamedTuple, Protocol
 import mujoco
 import numpy as np
 
+from shmoo_mjx.arrays import Array
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.geometry.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
@@ -227,13 +228,13 @@ def command(actions: np.ndarray, seen: Observation, arms: np.ndarray | float = 1
     )
 
 
-def flat(parts: Sequence[Part], values: dict[str, np.ndarray]) -> np.ndarray:
+def flat(parts: Sequence[Part], values: Mapping[str, Array]) -> np.ndarray:
     """The observation ``[W, n]``: each part's values ``[W, ...]`` in turn, cut to its range."""
     columns = [np.clip(values[p.name].reshape(len(values[p.name]), p.size), p.low, p.high) for p in parts]
     return np.concatenate(columns, axis=1).astype(np.float32)
 
 
-def body(seen: Observation) -> dict[str, np.ndarray]:
+def body(seen: Observation) -> dict[str, Array]:
     """Values of BODY."""
     return {
         "lean": seen.lean,
@@ -243,7 +244,7 @@ def body(seen: Observation) -> dict[str, np.ndarray]:
     }
 
 
-def in_robot(seen: Observation, poses: np.ndarray) -> np.ndarray:
+def in_robot(seen: Observation, poses: Array) -> np.ndarray:
     """Poses ``[W, ..., 3]`` of {W} as (x, y, cos yaw, sin yaw) in {R} ``[W, ..., 4]``."""
     robot = seen.robot_pose.reshape(len(seen.robot_pose), *(1,) * (poses.ndim - 2), 3)
     local = se2.relative(robot, poses)

@@ -39,14 +39,14 @@ with contextlib.redirect_stdout(io.StringIO()):  # it prints that its optional W
 class MjxWorld(NamedTuple):
     """Complete state of W worlds; without W inside a vmap."""
 
-    physics: Float[Array, "... n"]
+    physics: Float[jax.Array, "... n"]
     """Time, qpos, qvel, motors (1 + nq + nv + na): the layout of C MuJoCo's physics state."""
     control: lowlevel.LowLevelState
-    wall_contact: Bool[Array, "..."]
+    wall_contact: Bool[jax.Array, "..."]
     """Whether any part of the robot touched a wall in the last sample time."""
-    wall_parts: Bool[Array, "... P"]
+    wall_parts: Bool[jax.Array, "... P"]
     """Which of scene.PARTS did."""
-    warm_start: Float[Array, "... nv"]
+    warm_start: Float[jax.Array, "... nv"]
     """Acceleration the solver starts from [m/s^2, rad/s^2]."""
 
 
@@ -83,6 +83,14 @@ def _alike(column: Sequence[Array]) -> bool:
     return all(c is column[0] or np.array_equal(c, column[0]) for c in column[1:])
 
 
+class _Solver(NamedTuple):
+    """Limits of the constraint solver; static, a change compiles anew."""
+
+    iterations: int
+    line_search: int
+    tolerance: float
+
+
 class MjxEngine:
     """Steps W worlds of one structure. Holds models, never state.
 
@@ -105,6 +113,7 @@ class MjxEngine:
         self,
         scenes: Sequence[Scene],
         gains: lowlevel.Gains | None = None,
+        *,
         iterations: int = 8,
         line_search: int = 10,
         tolerance: float = 1e-5,
@@ -120,7 +129,7 @@ class MjxEngine:
         if not all(s.framed for s in self.scenes):
             raise ValueError("MjxEngine needs scenes built with engine='mjx'")
         self.timestep = float(first.model.opt.timestep)
-        self._solver = (iterations, line_search, tolerance)
+        self._solver = _Solver(iterations, line_search, tolerance)
         self._other_model = False
         self._dry = np.zeros(first.model.nv, dtype=bool)
         put = self._put_once(self.scenes)
@@ -134,13 +143,13 @@ class MjxEngine:
         self._is_wall[list(first.wall_geoms)] = True
         self._asked = jax.jit(
             lambda world, command: lowlevel.control(
-                first.robot, self.gains, world.control, self.robot(world), command, self.timestep
+                first.robot, self.gains, world.control, self.robot(world), command=command, dt=self.timestep
             )[1]
         )
 
         def observed(physics: Array) -> Observation:
             none = jnp.zeros((*physics.shape[:-1], len(first.conditions), 3))
-            return observation(first, physics[..., 0], *self._split(physics), none)
+            return observation(first, physics[..., 0], *self._split(physics), wrench=none)
 
         self._observed = jax.jit(observed)
         if len(put) == 1:
@@ -152,14 +161,15 @@ class MjxEngine:
         """A copy compiles anew, on all devices that there are."""
         if self._other_model:
             raise TypeError("an engine made by with_model can't be copied; copy the first one, and call with_model")
-        return type(self), (self.scenes, self.gains, *self._solver, None, self._impl)
+        make = functools.partial(type(self), impl=self._impl, **self._solver._asdict())
+        return make, (self.scenes, self.gains)
 
     def _put_once(self, scenes: Sequence[Scene]) -> dict[int, mjx.Model]:
         """The scenes' models on the device, by the ids of C MuJoCo's."""
         models = {id(scene.model): scene.model for scene in scenes}
         # Which joints have dry friction belongs to the structure: what one world brakes, all worlds must be able to.
         self._dry = self._dry | np.any([model.dof_frictionloss > 0 for model in models.values()], axis=0)
-        return {key: _put(model, self._impl, self._dry, *self._solver) for key, model in models.items()}
+        return {key: _put(model, self._impl, self._dry, self._solver) for key, model in models.items()}
 
     @single_precision
     def change(self, scenes: Sequence[Scene]) -> None:
@@ -191,7 +201,7 @@ class MjxEngine:
         if self._impl == "jax":
             return mjx.make_data(self._single)
         # Warp counts contacts as they come, over all worlds, and drops what has no room: as many as MJX always has.
-        most = mjx.make_data(_put(model, "jax", self._dry, *self._solver))._impl
+        most = mjx.make_data(_put(model, "jax", self._dry, self._solver))._impl
         worlds = len(self.scenes) // self._mesh.size
         return mjx.make_data(model, impl="warp", naconmax=worlds * len(most.contact.dist), njmax=len(most.efc_type))
 
@@ -211,7 +221,7 @@ class MjxEngine:
         self._placement = place(each)
 
         def step_all(
-            model: mjx.Model, world: MjxWorld, command: Command, push: Array, substeps: int
+            model: mjx.Model, world: MjxWorld, command: Command, push: Array, *, substeps: int
         ) -> tuple[MjxWorld, Observation]:
             one = jax.vmap(functools.partial(self.step_one, substeps=substeps), in_axes=(in_axes, 0, 0, 0))
             # Each device iterates its own worlds' solvers; nothing passes between them.
@@ -243,8 +253,8 @@ class MjxEngine:
         world = self.init()
         command = Command(*(jnp.zeros((len(self.scenes), *shape)) for shape in ((3,), (), (), ())))
         push = jnp.zeros((len(self.scenes), 6))
-        given = jax.device_put((command, push), self._placement)
-        lowered = self._batched.lower(self.model, world, *given, substeps=round(DT / self.timestep))
+        command, push = jax.device_put((command, push), self._placement)
+        lowered = self._batched.lower(self.model, world, command, push, substeps=round(DT / self.timestep))
         analysis = lowered.compile().memory_analysis()
         return 0 if analysis is None else int(analysis.temp_size_in_bytes) * self._mesh.size
 
@@ -272,6 +282,7 @@ class MjxEngine:
         world: MjxWorld,
         command: Command,
         push: Float[Array, "6"],
+        *,
         substeps: int,
         gains: lowlevel.Gains | None = None,
     ) -> tuple[MjxWorld, Observation]:
@@ -284,7 +295,12 @@ class MjxEngine:
         def substep(carry: MjxWorld, _: None) -> tuple[MjxWorld, Array]:
             qpos, qvel = self._split(carry.physics)
             control, torque = lowlevel.control(
-                self.scenes[0].robot, gains or self.gains, carry.control, readout(qpos, qvel), command, self.timestep
+                self.scenes[0].robot,
+                gains or self.gains,
+                carry.control,
+                readout(qpos, qvel),
+                command=command,
+                dt=self.timestep,
             )
             motors = carry.physics[1 + len(qpos) + len(qvel) :]
             now = data.replace(
@@ -295,12 +311,12 @@ class MjxEngine:
             wrench = planar_wrench(self.scenes[0], qpos, after.sensordata)
             physics = jnp.concatenate([jnp.atleast_1d(after.time), after.qpos, after.qvel, after.act])
             parts = carry.wall_parts | self._touched(after)
-            return MjxWorld(physics, control, parts.any(), parts, after.qacc_warmstart), wrench
+            return MjxWorld(physics, control, jnp.any(parts), parts, after.qacc_warmstart), wrench
 
         start = world._replace(wall_parts=jnp.zeros_like(world.wall_parts))
         world, wrenches = jax.lax.scan(substep, start, None, length=substeps)
-        seen = observation(self.scenes[0], world.physics[0], *self._split(world.physics), wrenches.mean(axis=0))
-        return world, seen
+        wrench = wrenches.mean(axis=0)
+        return world, observation(self.scenes[0], world.physics[0], *self._split(world.physics), wrench=wrench)
 
     def advance(
         self,
@@ -308,13 +324,14 @@ class MjxEngine:
         command: Command,
         duration: float,
         readings: int,
+        *,
         push: Float[Array, "W 6"] | None = None,
     ) -> tuple[MjxWorld, Track]:
         """As :meth:`step`, but what is observed is the state at the end of each of ``readings`` parts of the time."""
         rows = []
         for _ in range(readings):
-            world, seen = self.step(world, command, duration / readings, push)
-            rows.append((world.physics, self.torque(world, command), seen.wrench, world.wall_parts))
+            world, observed = self.step(world, command, duration / readings, push)
+            rows.append((world.physics, self.torque(world, command), observed.wrench, world.wall_parts))
         physics, torque, wrench, touched = (np.stack(column) for column in zip(*rows, strict=True))
         return world, Track(physics.astype(float), torque.astype(float), wrench.mean(axis=0), touched.any(axis=0))
 
@@ -352,11 +369,9 @@ class MjxEngine:
         return jnp.any((part == np.arange(len(PARTS))[:, None]) & walls, axis=-1)
 
 
-def _put(
-    model: mujoco.MjModel, impl: str, dry: np.ndarray, iterations: int, line_search: int, tolerance: float
-) -> mjx.Model:
+def _put(model: mujoco.MjModel, impl: str, dry: np.ndarray, solver: _Solver) -> mjx.Model:
     """The model on the device, with some dry friction, however little, on every joint ``[nv]`` of ``dry``."""
     model = copy.deepcopy(model)
     model.dof_frictionloss[dry] = np.maximum(model.dof_frictionloss[dry], 1e-9)
-    model.opt.iterations, model.opt.ls_iterations, model.opt.tolerance = iterations, line_search, tolerance
+    model.opt.iterations, model.opt.ls_iterations, model.opt.tolerance = solver
     return mjx.put_model(model, impl=impl)

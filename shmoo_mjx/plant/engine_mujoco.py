@@ -51,11 +51,11 @@ def _compiled_control(robot: Robot, gains: lowlevel.Gains, timestep: float) -> C
     itself takes longer than the computation.
     """
 
-    def control(given: Array) -> Array:
-        sensed, command = given[:, _MEMORY : _MEMORY + _SENSED], given[:, _MEMORY + _SENSED :]
+    def control(inputs: Array) -> Array:
+        sensed, command = inputs[:, _MEMORY : _MEMORY + _SENSED], inputs[:, _MEMORY + _SENSED :]
         now = readout(sensed[:, :NQ], sensed[:, NQ:])
         wanted = Command(command[:, :3], *(command[:, i] for i in (3, 4, 5)))
-        state, torque = lowlevel.control(robot, gains, _unpacked(given[:, :_MEMORY]), now, wanted, timestep)
+        state, torque = lowlevel.control(robot, gains, _unpacked(inputs[:, :_MEMORY]), now, command=wanted, dt=timestep)
         after = jnp.concatenate([*_columns(state), torque], axis=-1)
         # MuJoCo resets a world that diverges, but warns at every step of motors that are not finite.
         return jnp.where(jnp.isfinite(after), after, 0.0)
@@ -68,15 +68,14 @@ def _unpacked(memory: Array) -> lowlevel.LowLevelState:
     return lowlevel.LowLevelState(*pairs, *scalars)
 
 
-def _columns(fields: Sequence[Array]) -> list[Array]:
+def _columns(tree: Any) -> list[Any]:
     """Fields ``[W, n]`` or ``[W]`` as columns of one array."""
-    return [x if x.ndim == 2 else x[:, None] for x in fields]
+    return [x if x.ndim == 2 else x[:, None] for x in jax.tree.leaves(tree)]
 
 
-def _packed(*parts: Sequence[Array]) -> np.ndarray:
+def _packed(*parts: Any) -> np.ndarray:
     """The fields of all parts as one array ``[W, n]``."""
-    columns = [c for part in parts for c in _columns([np.asarray(x) for x in part])]
-    return np.concatenate(columns, axis=-1).astype(np.float32)
+    return np.concatenate([np.asarray(column) for column in _columns(parts)], axis=-1).astype(np.float32)
 
 
 class World(NamedTuple):
@@ -151,7 +150,7 @@ class MujocoEngine:
     def observe(self, world: World) -> Observation:
         """The worlds as they are, with no wrench."""
         none = np.zeros((len(self.scenes), len(self.scenes[0].conditions), 3))
-        return observation(self.scenes[0], world.physics[:, 0], *self._split(world.physics), none)
+        return observation(self.scenes[0], world.physics[:, 0], *self._split(world.physics), wrench=none)
 
     def step(
         self, world: World, command: Command, duration: float = DT, push: Float[np.ndarray, "W 6"] | None = None
@@ -160,9 +159,9 @@ class MujocoEngine:
 
         ``push`` is an outside disturbance: force [N] and torque [N m] in {W} at the CoM of the robot's torso.
         """
-        world, track = self.advance(world, command, duration, 1, push)
+        world, track = self.advance(world, command, duration, 1, push=push)
         wrench = np.asarray(track.wrench)
-        return world, observation(self.scenes[0], world.physics[:, 0], *self._split(world.physics), wrench)
+        return world, observation(self.scenes[0], world.physics[:, 0], *self._split(world.physics), wrench=wrench)
 
     def advance(
         self,
@@ -170,6 +169,7 @@ class MujocoEngine:
         command: Command,
         duration: float,
         readings: int,
+        *,
         push: Float[np.ndarray, "W 6"] | None = None,
     ) -> tuple[World, Track]:
         """As :meth:`step`, but what is observed is the state at the end of each of ``readings`` parts of the time."""
@@ -185,7 +185,7 @@ class MujocoEngine:
 
     @single_precision
     def _hold(
-        self, part: slice, world: World, command: Command, push: np.ndarray | None, readings: int, substeps: int
+        self, part: slice, world: World, command: Command, push: np.ndarray | None, *, readings: int, substeps: int
     ) -> tuple[World, Track]:
         """The part's worlds after ``readings`` times ``substeps``."""
         scenes, stages = self.scenes[part], [*map(self._stage, range(part.start, part.stop), world.physics)]
@@ -193,13 +193,13 @@ class MujocoEngine:
             _begin(model, data, world.physics[i])
             if push is not None:
                 data.xfrc_applied[self._torso] = push[i]
-        given = _packed(world.control, [np.zeros((len(stages), _SENSED))], command)
+        inputs = _packed(world.control, [np.zeros((len(stages), _SENSED))], command)
         felt: list[tuple[int, np.ndarray, np.ndarray]] = []
         physics, torques = np.empty((readings, *world.physics.shape)), np.empty((readings, len(stages), 9))
-        done = self._asked(given, stages)
+        done = self._asked(inputs, stages)
         for reading in range(readings):
             for _ in range(substeps):
-                given[:, :_MEMORY] = done[:, :_MEMORY]
+                inputs[:, :_MEMORY] = done[:, :_MEMORY]
                 for i, (model, data) in enumerate(stages):
                     data.ctrl[:] = done[i, _MEMORY:]
                     before = data.qpos.copy()
@@ -209,7 +209,7 @@ class MujocoEngine:
                     if data.sensordata.any():
                         # Contact sensors belong to the configuration before the step.
                         felt.append((i, before, data.sensordata.copy()))
-                done = self._asked(given, stages)
+                done = self._asked(inputs, stages)
             for i, (model, data) in enumerate(stages):
                 physics[reading, i] = _state(model, data)
             torques[reading] = done[:, _MEMORY:]
@@ -222,15 +222,15 @@ class MujocoEngine:
         # MuJoCo resets a world that it can't simulate on to its first state and to time 0.
         lost = ~(np.isfinite(world.physics.sum(axis=-1)) & (physics[..., 0] > ends - 0.5 * self.timestep))
         physics[lost], physics[lost, 0] = np.nan, ends[lost]
-        after = World(physics[-1], _unpacked(given[:, :_MEMORY]), touched.any(axis=-1), touched)
+        after = World(physics[-1], _unpacked(inputs[:, :_MEMORY]), touched.any(axis=-1), touched)
         return after, Track(physics, torques, wrench, touched)
 
-    def _asked(self, given: np.ndarray, stages: Sequence[_Stage]) -> np.ndarray:
+    def _asked(self, inputs: np.ndarray, stages: Sequence[_Stage]) -> np.ndarray:
         """Memory and torque ``[w, 10 + 9]`` that the control answers to where the worlds are."""
         for i, (_, data) in enumerate(stages):
-            given[i, _MEMORY : _MEMORY + NQ] = data.qpos[:NQ]
-            given[i, _MEMORY + NQ : _MEMORY + _SENSED] = data.qvel[:NV]
-        return np.asarray(self._control(given))
+            inputs[i, _MEMORY : _MEMORY + NQ] = data.qpos[:NQ]
+            inputs[i, _MEMORY + NQ : _MEMORY + _SENSED] = data.qvel[:NV]
+        return np.asarray(self._control(inputs))
 
     def _stage(self, index: int, state: Float[np.ndarray, "n"]) -> _Stage:
         """Model and scratch memory of world ``index`` in this state: of many walls, with those alone that are near."""
@@ -252,8 +252,8 @@ class MujocoEngine:
     def torque(self, world: World, command: Command) -> Float[np.ndarray, "W 9"]:
         """Motor torques [N m] that the control asks for now; what a robot measures as motor currents."""
         qpos, qvel = self._split(world.physics)
-        given = _packed(world.control, [qpos[:, :NQ], qvel[:, :NV]], command)
-        return np.asarray(self._control(given), dtype=np.float64)[:, _MEMORY:]
+        inputs = _packed(world.control, [qpos[:, :NQ], qvel[:, :NV]], command)
+        return np.asarray(self._control(inputs), dtype=np.float64)[:, _MEMORY:]
 
     def robot(self, world: World) -> RobotState:
         """The robots' true state, batched ``[W, ...]``."""

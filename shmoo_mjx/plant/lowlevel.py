@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from shmoo_mjx.arrays import Array, Float, Scalar
+from shmoo_mjx.arrays import Array, ArrayT, Float, Scalar
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.geometry.hands import hand_targets
 from shmoo_mjx.plant.robot import Robot, RobotState, shmoobot
@@ -81,11 +81,12 @@ def init(xp: Any, batch: tuple[int, ...], reach: float, hand_height: float) -> L
 
 def velocity_to_lean(
     gains: Gains,
-    velocity: Float[Array, "... 2"],
-    lean_rate: Float[Array, "... 2"],
-    desired: Float[Array, "... 2"],
+    velocity: Float[ArrayT, "... 2"],
+    lean_rate: Float[ArrayT, "... 2"],
+    *,
+    desired: Float[ArrayT, "... 2"],
     robot: Robot | None = None,
-) -> Float[Array, "... 2"]:
+) -> Float[ArrayT, "... 2"]:
     """Outer loop of the cascade: lean command [rad] from velocities in {R} [m/s].
 
     Regulates the velocity of the flat output S = x + (b/a) phi: the base itself first moves the wrong way when the lean
@@ -118,7 +119,13 @@ def _references(gains: Gains, state: LowLevelState, command: Command, dt: float)
 
 
 def _drive_torque(
-    robot: Robot, gains: Gains, state: LowLevelState, sensed: RobotState, yaw: Scalar | Float[Array, "..."], dt: float
+    robot: Robot,
+    gains: Gains,
+    state: LowLevelState,
+    sensed: RobotState,
+    *,
+    yaw: Scalar | Float[Array, "..."],
+    dt: float,
 ) -> tuple[LowLevelState, Array]:
     xp = se2.array_module(state.gamma, sensed.lean)
     # The CoM of the extended arms lies ahead of the body axis: lean the axis back by that angle.
@@ -172,7 +179,7 @@ def arm_gravity(
 
 
 def control(
-    robot: Robot, gains: Gains, state: LowLevelState, sensed: RobotState, command: Command, dt: float
+    robot: Robot, gains: Gains, state: LowLevelState, sensed: RobotState, *, command: Command, dt: float
 ) -> tuple[LowLevelState, Float[Array, "... 9"]]:
     """One control period of ``dt`` seconds.
 
@@ -182,6 +189,6 @@ def control(
     """
     xp = se2.array_module(state.gamma, sensed.lean)
     state = _references(gains, state, command, dt)
-    state, drive = _drive_torque(robot, gains, state, sensed, command.yaw, dt)
+    state, drive = _drive_torque(robot, gains, state, sensed, yaw=command.yaw, dt=dt)
     arms = _arm_torque(robot, gains, state, sensed)
     return state, xp.concatenate([drive, arms.reshape(*arms.shape[:-2], 6)], axis=-1)

@@ -35,6 +35,7 @@ def add_object(
     source: Path,
     mass: float | None,
     friction: float,
+    *,
     wheels: Wheels = "none",
     wheel_radius: float = 0.04,
     rolling: float = 0.02,

@@ -43,7 +43,7 @@ def _draw_box(rng: np.random.Generator) -> dict[str, Any]:
 
 
 def _draw_wheeled(
-    rng: np.random.Generator, size: tuple[float, float, float], mass: float, load: float, load_x: tuple[float, float]
+    rng: np.random.Generator, size: tuple[float, float, float], *, mass: float, load: float, load_x: tuple[float, float]
 ) -> dict[str, Any]:
     # Resistance varies between objects more than between the wheels of one.
     sigma = np.exp(rng.uniform(np.log(0.008), np.log(0.05))) * rng.uniform(0.8, 1.25, 4)
@@ -67,14 +67,14 @@ def _draw_wheeled(
 
 def _draw_cart(rng: np.random.Generator) -> dict[str, Any]:
     size = (rng.uniform(0.60, 0.90), rng.uniform(0.45, 0.65), rng.uniform(0.55, 0.70))
-    values = _draw_wheeled(rng, size, rng.uniform(8.0, 25.0), rng.uniform(0.0, 35.0), (-0.10, 0.10))
+    values = _draw_wheeled(rng, size, mass=rng.uniform(8.0, 25.0), load=rng.uniform(0.0, 35.0), load_x=(-0.10, 0.10))
     return values | {"caster_angle": tuple(float(a) for a in rng.uniform(-np.pi, np.pi, 4))}
 
 
 def _draw_wheelchair(rng: np.random.Generator) -> dict[str, Any]:
     size = (0.80, rng.uniform(0.54, 0.60), 0.52)
     # The load sits ahead of the rear axle, or the chair would tip.
-    values = _draw_wheeled(rng, size, rng.uniform(8.0, 15.0), rng.uniform(0.0, 70.0), (0.0, 0.10))
+    values = _draw_wheeled(rng, size, mass=rng.uniform(8.0, 15.0), load=rng.uniform(0.0, 70.0), load_x=(0.0, 0.10))
     locked = values["locked"]
     brakes = sum(locked)  # a wheelchair's brakes act on its rear wheels
     left_first = rng.random() < 0.5

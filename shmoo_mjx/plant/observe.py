@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from shmoo_mjx.arrays import Array, Bool, Float, Int, Scalar
+from shmoo_mjx.arrays import Array, ArrayT, Bool, Float, Int, Scalar
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.plant.robot import readout
 from shmoo_mjx.plant.scene import Scene
@@ -19,7 +19,7 @@ def scene_poses(
     return poses[..., 0, :], poses[..., 1:, :]
 
 
-def _planar_poses(qpos: Array, joints: Int[np.ndarray, "n"]) -> Array:
+def _planar_poses(qpos: ArrayT, joints: Int[np.ndarray, "n"]) -> ArrayT:
     """Poses ``[..., n, 3]`` in {W} of the bodies whose free joints begin at ``joints`` in qpos."""
     xp = se2.array_module(qpos)
     x, y, qw, qx, qy, qz = (qpos[..., joints + i] for i in (0, 1, 3, 4, 5, 6))
@@ -55,6 +55,7 @@ def observation(
     time: Scalar | Float[Array, "..."],
     qpos: Float[Array, "... nq"],
     qvel: Float[Array, "... nv"],
+    *,
     wrench: Float[Array, "... N 3"],
 ) -> Observation:
     """Observation from generalised coordinates and the mean wrench."""
@@ -103,7 +104,7 @@ def planar_wrench(
     return xp.sum(xp.concatenate([force, moment[..., None]], axis=-1), axis=-2)
 
 
-def _from_contact_frame(sensordata: Array, adr: Array) -> tuple[Array, Array]:
+def _from_contact_frame(sensordata: Array, adr: np.ndarray) -> tuple[Array, Array]:
     """Planar force ``[..., N, 2, 2]`` and vertical torque ``[..., N, 2]`` in {W} from framed sensors."""
     xp = se2.array_module(sensordata)
     force, torque, normal, tangent = (sensordata[..., adr[:, :, None] + [i, i + 1, i + 2]] for i in (0, 3, 9, 12))

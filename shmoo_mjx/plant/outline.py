@@ -51,6 +51,7 @@ def outline(
     hand_height: float | None = None,
     gamma: float = 0.0,
     lean: tuple[float, float] | None = None,
+    *,
     robot: Robot | None = None,
 ) -> Outline:
     """The discs of a robot that stands with its hands held there.
@@ -65,7 +66,7 @@ def outline(
     robot = robot or shmoobot()
     folded = (REACH - reach) / (REACH - TUCKED_REACH)
     height = HAND_HEIGHT + folded * (TUCKED_HEIGHT - HAND_HEIGHT) if hand_height is None else hand_height
-    flat = hand_targets(np.array(gamma), np.array(reach))
+    flat = np.asarray(hand_targets(np.array(gamma), np.array(reach)))
     hands = np.concatenate([flat, np.full((2, 1), height - robot.ball_radius)], axis=-1)
     if lean is None:
         # The arms' own CoM decides by how much; that with an upright body is near enough to start from.
@@ -97,6 +98,7 @@ def room(
     pose: Float[Array, "... 3"],
     reach: float | Sequence[float] = REACH,
     gamma: float = 0.0,
+    *,
     robot: Robot | None = None,
 ) -> Room:
     """How far torso, arms and hands are from obstacles.

@@ -119,5 +119,4 @@ def _draw(key: Array, ranges: Ranges, motors: int) -> Factors:
 
 def _having(names: list[str], prefix: str, *parts: str) -> np.ndarray:
     """Indices of the names that start with ``prefix`` and hold one of ``parts``."""
-    found = [i for i, n in enumerate(names) if n.startswith(prefix) and any(p in n for p in parts)]
-    return np.array(found, dtype=int)
+    return np.array([i for i, n in enumerate(names) if n.startswith(prefix) and any(p in n for p in parts)], dtype=int)

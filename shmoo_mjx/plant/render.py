@@ -51,7 +51,7 @@ def has_display() -> bool:
 
 
 def frames(
-    scene: Scene, qpos: Float[np.ndarray, "T nq"], width: int = 640, height: int = 480, distance: float = 3.6
+    scene: Scene, qpos: Float[np.ndarray, "T nq"], *, width: int = 640, height: int = 480, distance: float = 3.6
 ) -> Iterator[Shaped[np.ndarray, "height width 3"]]:
     """Draw configurations ``qpos`` from behind and above the robot; yields uint8.
 

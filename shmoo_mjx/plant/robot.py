@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from shmoo_mjx.arrays import Array, Float, Scalar
+from shmoo_mjx.arrays import Array, ArrayT, Float
 from shmoo_mjx.base.assets import asset
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.geometry import se2
@@ -226,14 +226,14 @@ class RobotState(NamedTuple):
     """[rad/s]"""
 
 
-def quat_rotate(quat: Float[Array, "... 4"], vector: Float[Array, "... 3"]) -> Float[Array, "... 3"]:
+def quat_rotate(quat: Float[ArrayT, "... 4"], vector: Float[ArrayT, "... 3"]) -> Float[ArrayT, "... 3"]:
     """Rotate ``vector`` by the unit quaternion ``quat`` (w, x, y, z)."""
     w, q = quat[..., :1], quat[..., 1:]
     t = 2.0 * se2.stack(*_cross(q, vector))
     return vector + w * t + se2.stack(*_cross(q, t))
 
 
-def _cross(a: Array, b: Array) -> list[Scalar | Float[Array, "..."]]:
+def _cross(a: ArrayT, b: ArrayT) -> list[ArrayT]:
     # numpy.cross costs ten times as much for one vector, and this runs at 500 Hz.
     return [
         a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
@@ -242,7 +242,7 @@ def _cross(a: Array, b: Array) -> list[Scalar | Float[Array, "..."]]:
     ]
 
 
-def _matrix(quat: Array) -> Array:
+def _matrix(quat: ArrayT) -> ArrayT:
     w, x, y, z = quat[..., 0], quat[..., 1], quat[..., 2], quat[..., 3]
     rows = [
         1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
@@ -252,7 +252,7 @@ def _matrix(quat: Array) -> Array:
     return se2.stack(*rows).reshape(*quat.shape[:-1], 3, 3)
 
 
-def arm_joints(qpos: Float[Array, "... nq"]) -> Float[Array, "... 2 3"]:
+def arm_joints(qpos: Float[ArrayT, "... nq"]) -> Float[ArrayT, "... 2 3"]:
     """Angles of the arms' joints in a qpos of NQ or more."""
     return qpos[..., _ARMS[0]].reshape(*qpos.shape[:-1], 2, 3)
 

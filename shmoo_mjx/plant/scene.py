@@ -108,6 +108,7 @@ def build_scene(
     robot_pose: Sequence[float] | Float[Array, "3"] = (0.0, 0.0, 0.0),
     walls: Sequence[tuple[float, float, float, float]] = (),
     wall_yaw: float = 0.0,
+    *,
     wall_height: float = 0.6,
     engine: Literal["mujoco", "mjx"] = "mujoco",
     robot: Robot | None = None,
@@ -143,8 +144,10 @@ def build_scene(
     adjust(spec)
     whole = spec.copy()
     if len(boxes):
-        _add_walls(whole, boxes, wall_yaw, wall_height, sensors=not framed)
-    return _index(whole.compile(), spec, robot, objects, robot_pose, (boxes, wall_yaw), framed)
+        _add_walls(whole, boxes, wall_yaw, drawn=wall_height, sensors=not framed)
+    return _index(
+        whole.compile(), spec, robot, objects=objects, robot_pose=robot_pose, walls=(boxes, wall_yaw), framed=framed
+    )
 
 
 def _add_hand_sensors(spec: mujoco.MjSpec, index: int, framed: bool) -> None:
@@ -171,6 +174,7 @@ def _add_walls(
     spec: mujoco.MjSpec,
     walls: Float[np.ndarray, "K 4"],
     yaw: float,
+    *,
     drawn: float | None = None,
     sensors: bool = True,
 ) -> None:
@@ -180,9 +184,9 @@ def _add_walls(
     """
     body = spec.worldbody.add_body(name="walls")
     for i, (x, y, hx, hy) in enumerate(walls):
-        _add_wall(body, f"wall{i}", (x, y), (hx, hy), yaw, WALL_HEIGHT, conaffinity=14, group=3)
+        _add_wall(body, f"wall{i}", (x, y), (hx, hy), yaw=yaw, height=WALL_HEIGHT, conaffinity=14, group=3)
         if drawn is not None:
-            _add_wall(body, f"wall{i}_drawn", (x, y), (hx, hy), yaw, drawn, conaffinity=0, group=0)
+            _add_wall(body, f"wall{i}_drawn", (x, y), (hx, hy), yaw=yaw, height=drawn, conaffinity=0, group=0)
     for shapes in _SHAPES.values() if sensors else ():
         for shape in shapes:
             spec.add_sensor(
@@ -197,7 +201,7 @@ def _add_walls(
 
 
 def _add_wall(
-    body: Any, name: str, centre: Any, half: Any, yaw: float, height: float, conaffinity: int, group: int
+    body: Any, name: str, centre: Any, half: Any, *, yaw: float, height: float, conaffinity: int, group: int
 ) -> None:
     body.add_geom(
         name=name,
@@ -224,6 +228,7 @@ def _index(
     model: mujoco.MjModel,
     spec: mujoco.MjSpec,
     robot: Robot,
+    *,
     objects: Sequence[tuple[Condition, Any]],
     robot_pose: Any,
     walls: tuple[np.ndarray, float],

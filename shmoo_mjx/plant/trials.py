@@ -57,6 +57,7 @@ def pushed(
     data: mujoco.MjData,
     wrench: Float[np.ndarray, "3"] | Float[np.ndarray, "T 3"],
     seconds: float,
+    *,
     height: float = 0.1,
     follow: bool = False,
 ) -> Track:
@@ -97,6 +98,7 @@ def _yaw(qpos: np.ndarray) -> float:
 def command(
     worlds: int,
     lean: Float[np.ndarray, "2"] | Float[np.ndarray, "W 2"] | tuple[float, float] = (0.0, 0.0),
+    *,
     gamma: float = 0.0,
     yaw: float | Float[np.ndarray, "W"] = 0.0,
     reach: float = TUCKED_REACH,
@@ -113,6 +115,7 @@ def drive(
     seconds: float,
     velocity: Callable[[float], tuple[float, float]] = lambda time: (0.0, 0.0),
     station: float = 0.0,
+    *,
     push: Callable[[float], Float[np.ndarray, "W 6"] | None] = lambda time: None,
     yaw: float = 0.0,
     arms: Callable[[float], tuple[float, float]] = lambda time: (TUCKED_REACH, TUCKED_HEIGHT),
@@ -134,26 +137,28 @@ def drive(
         Observations stacked over time ``[T, W, ...]`` and whether each world ended fallen.
     """
     world = engine.init()
-    seen = _numpy(engine.observe(world))
+    observed = _numpy(engine.observe(world))
     rows = []
     gains = Gains()
     for i in range(round(seconds / DT)):
         time = i * DT
-        heading = seen.robot_pose[:, 2]
-        moving, rate = se2.rotate(seen.robot_twist[:, :2], -heading), seen.lean_rate
+        heading = observed.robot_pose[:, 2]
+        moving, rate = se2.rotate(observed.robot_twist[:, :2], -heading), observed.lean_rate
         if sensor_noise is not None:
             rng, speed_noise, rate_noise = sensor_noise
             moving = moving + speed_noise * rng.normal(size=moving.shape)
             rate = rate + rate_noise * rng.normal(size=rate.shape)
-        wish = np.array(velocity(time)) - station * se2.rotate(seen.robot_pose[:, :2], -heading)
+        wish = np.array(velocity(time)) - station * se2.rotate(observed.robot_pose[:, :2], -heading)
         lean = velocity_to_lean(gains, moving, rate, wish)
         reach, height = arms(time)
-        world, seen = engine.step(world, command(len(lean), lean, 0.0, yaw, reach, height), push=push(time))
-        seen = _numpy(seen)
-        rows.append(seen)
+        world, observed = engine.step(
+            world, command(len(lean), lean, gamma=0.0, yaw=yaw, reach=reach, hand_height=height), push=push(time)
+        )
+        observed = _numpy(observed)
+        rows.append(observed)
     track = Observation(*(np.stack(fields) for fields in zip(*rows, strict=True)))
     return track, np.asarray(engine.fallen(world))
 
 
-def _numpy(seen: Observation) -> Observation:
-    return Observation(*(np.asarray(field, dtype=np.float64) for field in seen))
+def _numpy(observed: Observation) -> Observation:
+    return Observation(*(np.asarray(field, dtype=np.float64) for field in observed))

@@ -258,7 +258,7 @@ class SensedEngine:
             if left_alone:
                 world = self._to_rest(world)
             held = world.held._replace(yaw=se2.wrap(world.held.yaw - turned))
-            truth, track = self.engine.advance(world.truth, held, length * TICK, length, push)
+            truth, track = self.engine.advance(world.truth, held, length * TICK, length, push=push)
             tracks.append(track)
             world = world._replace(truth=truth, ticks=world.ticks + length)
         contact = np.sum([len(track.physics) / ticks * np.asarray(track.wrench, float) for track in tracks], axis=0)

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx.arrays import Array
 from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
 from shmoo_mjx.sweep.config import SweepConfig
 from shmoo_mjx.sweep.parameters import PARAMETERS, RESISTANCE
@@ -20,7 +19,7 @@ _OUTCOMES = ("success", "astray", "stuck", "unfelt", "fell", "unstable")
 _COLUMNS = 5
 
 
-def rate(successes: Array, trials: Array) -> tuple[Array, Array, Array]:
+def rate(successes: np.ndarray, trials: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Share, and Wilson's interval at 95 %; NaN where there are no trials."""
     k, n, z = np.asarray(successes, float), np.asarray(trials, float), 1.96
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -30,7 +29,7 @@ def rate(successes: Array, trials: Array) -> tuple[Array, Array, Array]:
     return share, middle - half, middle + half
 
 
-def binned(values: Array, happened: Array, bins: int = 8) -> tuple[Array, Array, Array]:
+def binned(values: np.ndarray, happened: np.ndarray, bins: int = 8) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Counts of what happened over a parameter: median value ``[B]``, how often ``[B]`` and out of how many ``[B]``.
 
     Few different values are bins of their own; else each bin holds about as many worlds.
@@ -100,7 +99,9 @@ def _map_lines(axes: tuple[str, str], table: Table) -> list[str]:
     return lines
 
 
-def cells(axes: tuple[str, str], table: Table, mine: Array) -> tuple[Array, Array, Array, Array]:
+def cells(
+    axes: tuple[str, str], table: Table, mine: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Edges along both axes ``[B + 1]``, and successes and worlds in each cell ``[B, B]`` (second axis first).
 
     The edges are those of all worlds of the family, so that controllers share them.
@@ -162,7 +163,9 @@ def _scale(axes: Any, which: str, logarithmic: bool) -> None:
         axis.set_minor_formatter(NullFormatter())
 
 
-def _draw_rate(axis: Any, table: Table, name: str, what: str, mine: Array, colour: str, line: str, text: str) -> None:
+def _draw_rate(
+    axis: Any, table: Table, name: str, what: str, mine: np.ndarray, colour: str, line: str, text: str
+) -> None:
     given = table.get(name, [None] * len(mine))  # families without wheels have no rolling resistance
     values = np.array([np.nan if v is None else v for v in given], dtype=float)
     mine = mine & np.isfinite(values)
@@ -196,7 +199,7 @@ def _draw_map(config: SweepConfig, names: tuple[str, str], table: Table, path: P
     return save_figure(path, figure, 130)
 
 
-def _draw_outcomes(axis: Any, names: tuple[str, str], table: Table, mine: Array) -> None:
+def _draw_outcomes(axis: Any, names: tuple[str, str], table: Table, mine: np.ndarray) -> None:
     x, y = (np.array(table[name], dtype=float) for name in names)
     outcome = np.array(table["outcome"])
     for name, mark, colour in zip(_OUTCOMES, "o.xv*s", (*SERIES[2:3], *SERIES[7:], "k", *SERIES[3:6]), strict=False):

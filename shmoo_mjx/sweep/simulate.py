@@ -223,7 +223,7 @@ class Batches:
         def tick(world: MjxWorld, number: Array) -> tuple[MjxWorld, Any]:
             arrived = jax.tree.map(lambda x: x[commands_ago(given.delay, number)], sent)
             arrived = arrived._replace(yaw=arrived.yaw - turned)
-            return self.engine.step_one(model, world, arrived, jnp.zeros(6), substeps, gains)
+            return self.engine.step_one(model, world, arrived, jnp.zeros(6), substeps=substeps, gains=gains)
 
         world, track = jax.lax.scan(tick, state.world, jnp.arange(_TICKS))
         sensor_state = self._watched(given, state, track)

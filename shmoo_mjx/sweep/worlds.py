@@ -66,8 +66,8 @@ class WorldSetup(NamedTuple):
     fields: dict[str, Array]
     """Of ``mjx.Model``, by name."""
     factors: Factors
-    gains: dict[str, Array]
-    """Of the low-level control, by name."""
+    gains: dict[str, Any]
+    """``[W]`` each, of the low-level control, by name."""
     noise: Array
     """``[W, 11]`` standard deviations: lean (2), lean rate (2), object pose (3) and twist (3), force."""
     delay: Array
@@ -169,7 +169,7 @@ def setup(config: SweepConfig, worlds: Sequence[Drawn], nominal: Any, scene: Sce
     models = [s.model for s in scenes]
     for model in models:
         _same_structure(model, scene.model)
-    fields = {f: _stacked([getattr(m, f) for m in models], getattr(nominal, f)) for f in _FIELDS}
+    fields: dict[str, Array] = {f: _stacked([getattr(m, f) for m in models], getattr(nominal, f)) for f in _FIELDS}
     fields["stat.meaninertia"] = _stacked([m.stat.meaninertia for m in models], nominal.stat.meaninertia)
 
     def column(*names: str) -> np.ndarray:

@@ -27,11 +27,11 @@ def _push(scene: Scene, samples: int) -> tuple[np.ndarray, np.ndarray]:
     twists, accelerations = [], np.empty((samples, STEPS, 3))
     for k in range(-8, samples):
         lean = (0.06 + 0.03 * np.sin(0.8 * k), 0.0) if k >= 0 else (0.0, 0.0)
-        wanted = command(1, lean, 0.3 * np.sin(0.5 * k), reach=REACH, hand_height=HAND_HEIGHT)
+        wanted = command(1, lean, gamma=0.3 * np.sin(0.5 * k), reach=REACH, hand_height=HAND_HEIGHT)
         twists.append(data.qvel[planar].copy())
         for i in range(STEPS):
             state, torque = lowlevel.control(
-                shmoobot(), gains, state, readout(data.qpos[None], data.qvel[None]), wanted, 0.002
+                shmoobot(), gains, state, readout(data.qpos[None], data.qvel[None]), command=wanted, dt=0.002
             )
             data.ctrl[:] = torque[0]
             data.qacc_warmstart[:] = 0.0  # as the engine does

@@ -26,7 +26,7 @@ def _scene(seed: int) -> Scene:
 
 def _run(engine: MujocoEngine, samples: int = 4) -> tuple[World, Observation]:
     world = engine.init()
-    wanted = command(len(engine.scenes), (0.04, 0.01), 0.1, reach=REACH, hand_height=HAND_HEIGHT)
+    wanted = command(len(engine.scenes), (0.04, 0.01), gamma=0.1, reach=REACH, hand_height=HAND_HEIGHT)
     for _ in range(samples):
         world, seen = engine.step(world, wanted)
     return world, seen

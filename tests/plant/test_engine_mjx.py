@@ -52,7 +52,14 @@ def _parity(family: str | None, seeds: tuple[int, ...], samples: int, arms_out: 
     )
     strongest = 0.0
     for i in range(samples):
-        wanted = command(len(seeds), (0.08, 0.02 * (-1) ** i), 0.2 if i > 1 else 0.0, 0.0, REACH, HAND_HEIGHT)
+        wanted = command(
+            len(seeds),
+            (0.08, 0.02 * (-1) ** i),
+            gamma=0.2 if i > 1 else 0.0,
+            yaw=0.0,
+            reach=REACH,
+            hand_height=HAND_HEIGHT,
+        )
         world, here = plain.step(world, wanted)
         other, there = traced.step(other, wanted)
         for name, tolerance in (

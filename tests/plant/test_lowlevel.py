@@ -144,7 +144,9 @@ def test_hands_show_the_set_stiffness() -> None:
     rest = None
     for force in ((0, 0, 0), (10, 0, 0), (0, 10, 0), (0, 0, 10)):
         for _ in range(750):
-            state, torque = lowlevel.control(shmoobot(), gains, state, readout(data.qpos, data.qvel), wanted, 0.002)
+            state, torque = lowlevel.control(
+                shmoobot(), gains, state, readout(data.qpos, data.qvel), command=wanted, dt=0.002
+            )
             torque[:3] = 0.0
             data.ctrl[:] = torque
             data.xfrc_applied[model.body("left_hand").id, :3] = force
@@ -178,7 +180,7 @@ def test_steering_turns_a_pushed_box(gamma: float) -> None:
     world = engine.init()
     for i in range(40):
         lean = 0.05 if i > 5 else 0.0
-        world, seen = engine.step(world, command(1, (lean, 0.0), gamma, reach=REACH, hand_height=HAND_HEIGHT))
+        world, seen = engine.step(world, command(1, (lean, 0.0), gamma=gamma, reach=REACH, hand_height=HAND_HEIGHT))
     engine.close()
     assert -np.sign(gamma) * seen.object_pose[0, 0, 2] > 0.05
 
@@ -193,14 +195,14 @@ def test_control_is_the_same_on_numpy_and_jax() -> None:
     qpos[3:7] /= np.linalg.norm(qpos[3:7])
     qpos[7:11] /= np.linalg.norm(qpos[7:11])
     qvel = 0.3 * rng.normal(size=15)
-    wanted = command(1, (0.05, -0.02), 0.2, 0.3, REACH, HAND_HEIGHT)
+    wanted = command(1, (0.05, -0.02), gamma=0.2, yaw=0.3, reach=REACH, hand_height=HAND_HEIGHT)
     wanted = type(wanted)(*(field[0] for field in wanted))
     state = lowlevel.init(np, (), TUCKED_REACH, TUCKED_HEIGHT)
     gains = lowlevel.Gains()
-    plain, torque = lowlevel.control(shmoobot(), gains, state, readout(qpos, qvel), wanted, 0.002)
+    plain, torque = lowlevel.control(shmoobot(), gains, state, readout(qpos, qvel), command=wanted, dt=0.002)
     lift = lambda tree: jax.tree.map(jnp.asarray, tree)  # noqa: E731
     traced, jax_torque = lowlevel.control(
-        shmoobot(), gains, lift(state), lift(readout(qpos, qvel)), lift(wanted), 0.002
+        shmoobot(), gains, lift(state), lift(readout(qpos, qvel)), command=lift(wanted), dt=0.002
     )
     np.testing.assert_allclose(np.asarray(jax_torque), torque, rtol=1e-4, atol=1e-3)
     for a, b in zip(plain, traced, strict=True):

@@ -28,7 +28,9 @@ def _push(scene: Scene, seconds: float, lean: float, gamma: float = 0.0, yaw: fl
     world = engine.init()
     rows = [engine.observe(world)]
     for _ in range(round(seconds / 0.1)):
-        world, seen = engine.step(world, command(1, (lean, 0.0), gamma, yaw, REACH, HAND_HEIGHT))
+        world, seen = engine.step(
+            world, command(1, (lean, 0.0), gamma=gamma, yaw=yaw, reach=REACH, hand_height=HAND_HEIGHT)
+        )
         rows.append(seen)
     engine.close()
     return Observation(*(np.stack(fields)[:, 0] for fields in zip(*rows, strict=True)))
@@ -78,7 +80,7 @@ def test_third_law() -> None:
     wanted = command(1, (0.05, 0.0), reach=REACH, hand_height=HAND_HEIGHT)
     for _ in range(600):
         state, torque = lowlevel.control(
-            shmoobot(), gains, state, readout(data.qpos[None], data.qvel[None]), wanted, 0.002
+            shmoobot(), gains, state, readout(data.qpos[None], data.qvel[None]), command=wanted, dt=0.002
         )
         data.ctrl[:] = torque[0]
         mujoco.mj_step(model, data)

@@ -45,7 +45,7 @@ def push(senses: Senses, seed: int = 0, samples: int = 20, **given: object) -> t
         world = engine.init()
         for i in range(samples):
             lean = 0.1 if i >= 6 else 0.0
-            wanted = command(1, (lean, 0.0), 0.1, reach=REACH, hand_height=HAND_HEIGHT)
+            wanted = command(1, (lean, 0.0), gamma=0.1, reach=REACH, hand_height=HAND_HEIGHT)
             world, seen = engine.step(world, wanted, **given)  # type: ignore[arg-type]
             reports.append(seen)
             truths.append(engine.true_observation(world))
@@ -70,7 +70,7 @@ def test_perfect_senses_are_the_truth_and_no_slower() -> None:
             world, began = it.init(), time.perf_counter()
             for i in range(12):
                 lean = 0.1 if i >= 6 else 0.0
-                wanted = command(1, (lean, 0.0), 0.1, reach=REACH, hand_height=HAND_HEIGHT)
+                wanted = command(1, (lean, 0.0), gamma=0.1, reach=REACH, hand_height=HAND_HEIGHT)
                 world, plain = it.step(world, wanted)
             took[name].append(time.perf_counter() - began)
         bare.close()
@@ -248,7 +248,7 @@ def test_motor_constants_are_calibrated_by_what_extended_arms_weigh(gains: tuple
     with SensedEngine([scene], NOMINAL) as engine:
         world = engine.init()
         for i in range(90):
-            wanted = command(1, (0.02 if i < 50 else 0.07, 0.0), 0.0, reach=REACH, hand_height=HAND_HEIGHT)
+            wanted = command(1, (0.02 if i < 50 else 0.07, 0.0), gamma=0.0, reach=REACH, hand_height=HAND_HEIGHT)
             world, seen = engine.step(world, wanted)
             felt.append(seen.wrench[0, 0, 0])
             true.append(engine.true_observation(world).wrench[0, 0, 0])
@@ -307,8 +307,8 @@ def test_worlds_have_robots_and_noise_of_their_own() -> None:
 @pytest.mark.parametrize("seeds", [(4, 9), (7, 2, 4)])
 def test_each_world_is_what_it_is_alone_with_its_seed(seeds: tuple[int, ...]) -> None:
     scenes = [build_scene([(BOX, AHEAD)], adjust=REAL.adjust(seed)) for seed in seeds]
-    wanted = [command(1, (0.02 * i, 0.0), 0.1, reach=REACH, hand_height=HAND_HEIGHT) for i in range(len(seeds))]
-    together = command(len(seeds), np.concatenate([c.u[:, :2] for c in wanted]), 0.1)
+    wanted = [command(1, (0.02 * i, 0.0), gamma=0.1, reach=REACH, hand_height=HAND_HEIGHT) for i in range(len(seeds))]
+    together = command(len(seeds), np.concatenate([c.u[:, :2] for c in wanted]), gamma=0.1)
     together = together._replace(reach=np.full(len(seeds), REACH), hand_height=np.full(len(seeds), HAND_HEIGHT))
     together = together._replace(u=np.concatenate([c.u for c in wanted]), yaw=np.concatenate([c.yaw for c in wanted]))
     with SensedEngine(scenes, REAL, seed=seeds) as engine:
