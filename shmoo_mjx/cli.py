@@ -587,7 +587,17 @@ def sweep(
     from shmoo_mjx.sweep.command import carry_out
 
     made = carry_out(
-        config, out, weights, quick, estimate, memory_gb, jobs, cluster, options, progress.stages, perceived
+        config,
+        out,
+        weights=weights,
+        short=quick,
+        only_estimate=estimate,
+        memory_gb=memory_gb,
+        jobs=jobs,
+        cluster=cluster,
+        options=options,
+        progress=progress.stages,
+        senses=perceived,
     )
     for path in made:
         print(path)

@@ -151,6 +151,7 @@ def record(
     config: CollectConfig,
     chunk: list[Condition],
     seed: int,
+    *,
     adjust: Callable[[Any], None] = lambda spec: None,
     engine_of: Callable[[list[Any]], Any] | None = None,
 ) -> Iterator[dict[str, np.ndarray]]:
@@ -243,6 +244,7 @@ def collect(
     directory: Path,
     config: CollectConfig,
     workers: int = 2,
+    *,
     progress: Callable[[int, int], None] = lambda done, total: None,
     rows: list[tuple[str, str, Condition]] | None = None,
 ) -> None:

@@ -135,7 +135,7 @@ def _record(setup: Setup[RobotFinetuneConfig], robot_seed: int, episodes: int, *
         seeds = [setup.options.first_unseen + 100 * (1 + int(test)) + i for i in range(episodes)]
         chunk = [draw_condition(family, seed) for seed in seeds]
         engine = partial(SensedEngine, senses=senses, seed=robot_seed, poses_known=True)
-        recorded = record(settings, chunk, k, senses.adjust(robot_seed), engine)
+        recorded = record(settings, chunk, k, adjust=senses.adjust(robot_seed), engine_of=engine)
         for condition, values in zip(chunk, recorded, strict=True):
             names.append(f"{family}-{condition.seed}")
             conditions.append(condition.to_dict() | {"split": "test"})

@@ -44,6 +44,7 @@ class ShmooVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self,
         num_envs: int = 1,
         max_episode_steps: int | None = None,
+        *,
         config: Any = None,
         senses: str = "real",
         render_mode: str | None = None,
@@ -103,7 +104,7 @@ class ShmooVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self._begin(resetting)
         fallen, touching = self._sensed.fallen(self._world), self._world.wall_contact
         fresh = begun(self._judged())
-        step = judged(self.task, self._outcome, fresh.outcome, fallen, diverged, touching)
+        step = judged(self.task, self._outcome, fresh.outcome, fallen=fallen, diverged=diverged, touching=touching)
         step = jax.tree.map(lambda new, old: np.where(resetting, new, old), fresh, step)
         self._outcome = step.outcome
         truncated = (self._steps >= self.limit) & ~step.terminated
@@ -138,7 +139,7 @@ class ShmooVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if whole:
             self._world = self._sensed.begin(fresh)
         else:
-            self._world = self._sensed.restarted(self._world, _merged(which, fresh, self._world.truth), which)
+            self._world = self._sensed.restart(self._world, _merged(which, fresh, self._world.truth), which)
         still = self._sensed.observe(self._world)
         self._seen = still if whole else jax.tree.map(lambda new, old: _chosen(np, which, new, old), still, self._seen)
         self._steps = np.where(which, 0, self._steps)

@@ -129,7 +129,7 @@ class NavigateTask:
         values = body(seen) | {
             "goal": se2.inverse_transform_point(seen.robot_pose, context.goal),
             "way": self._way(context, seen),
-            "ranges": cast(position, rays, pose, half, self.config.reach),
+            "ranges": cast(position, rays, pose, half, reach=self.config.reach),
         }
         shown = np.asarray(seen.detected, dtype=bool)
         for i in range(_OBJECTS):

@@ -108,7 +108,7 @@ class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         if not diverged[0]:
             after = self.task.judge(now.context, now.engine.true_observation(world))
             now = now._replace(world=world, seen=seen)
-        step = judged(self.task, now.outcome, after, fallen, diverged, touching)
+        step = judged(self.task, now.outcome, after, fallen=fallen, diverged=diverged, touching=touching)
         self._now = now._replace(outcome=step.outcome)
         self._show()
         observed = self.task.observe(now.context, now.seen)[0]

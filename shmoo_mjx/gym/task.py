@@ -130,7 +130,7 @@ class Task(Protocol):
 
 
 def judged(
-    task: Task, before: Outcome, after: Outcome, fallen: np.ndarray, diverged: np.ndarray, touching: np.ndarray
+    task: Task, before: Outcome, after: Outcome, *, fallen: np.ndarray, diverged: np.ndarray, touching: np.ndarray
 ) -> Judged:
     """Rewards and ends of one step.
 

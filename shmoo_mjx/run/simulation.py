@@ -198,7 +198,7 @@ class Simulation:
         conditions = conditions_of(scenario)
         scene = scene_of(self.grid, scenario, conditions, self.senses)
         engine = SensedEngine([scene], self.senses, scenario.seed)
-        world = engine.taken_over(self.world, before)
+        world = engine.resume(self.world, before)
         self.engine.close()
         self.scenario, self.conditions, self.scene = scenario, conditions, scene
         self.engine, self.world = engine, world

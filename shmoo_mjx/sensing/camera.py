@@ -154,15 +154,15 @@ def in_sight(
     tags = xp.concatenate([corners, height], axis=-1).reshape(worlds, -1, 3)
     offset = se2.rotate(tags[..., :2] - eye[:, None, :2], -robot_pose[:, None, 2])
     far = xp.sqrt(xp.sum(offset * offset, axis=-1))
-    seen = (far >= camera.near) & (far <= camera.far)
-    seen &= xp.abs(xp.arctan2(offset[..., 1], offset[..., 0])) <= camera.field_of_view / 2
+    visible = (far >= camera.near) & (far <= camera.far)
+    visible &= xp.abs(xp.arctan2(offset[..., 1], offset[..., 0])) <= camera.field_of_view / 2
     high = xp.full(scenery.wall_pose.shape[:2], xp.inf)
-    seen &= ~hidden(eye, tags, scenery.wall_pose, scenery.wall_half, high).any(axis=1)
-    seen = seen.reshape(worlds, count, 4)
+    visible &= ~hidden(eye, tags, scenery.wall_pose, scenery.wall_half, tops=high).any(axis=1)
+    visible = visible.reshape(worlds, count, 4)
     if camera.objects_hide and count > 1:
-        by = hidden(eye, tags, object_pose, scenery.half_extents, scenery.tops).reshape(worlds, count, count, 4)
-        seen &= ~(by & ~np.eye(count, dtype=bool)[None, :, :, None]).any(axis=1)
-    return seen.any(axis=-1)
+        by = hidden(eye, tags, object_pose, scenery.half_extents, tops=scenery.tops).reshape(worlds, count, count, 4)
+        visible &= ~(by & ~np.eye(count, dtype=bool)[None, :, :, None]).any(axis=1)
+    return visible.any(axis=-1)
 
 
 def deviation(camera: Camera, distance: Scalar | Float[Array, "..."]) -> Float[Array, "... 3"]:

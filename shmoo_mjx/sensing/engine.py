@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, SupportsIndex
 import jax
 import numpy as np
 
-from shmoo_mjx.arrays import Bool, Float, Int
+from shmoo_mjx.arrays import Array, Bool, Float, Int
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
@@ -26,7 +26,7 @@ from shmoo_mjx.sensing import senses as sensing
 from shmoo_mjx.sensing import tracker
 from shmoo_mjx.sensing.camera import in_sight, near_walls, scenery_of
 from shmoo_mjx.sensing.odometry import TICK
-from shmoo_mjx.sensing.senses import Noise, Passed, Senses, SensorState
+from shmoo_mjx.sensing.senses import Motion, Noise, Senses, SensorState
 from shmoo_mjx.sensing.tracker import Tracks
 from shmoo_mjx.types import DT, Command, Observation, Track
 
@@ -99,6 +99,7 @@ class SensedEngine:
         scenes: Sequence[Scene],
         senses: Senses = sensing.REAL,
         seed: SupportsIndex | Sequence[SupportsIndex] = 0,
+        *,
         gains: Gains | None = None,
         threads: int = 1,
         poses_known: bool = False,
@@ -109,7 +110,7 @@ class SensedEngine:
         self.seeds = [operator.index(one) for one in np.broadcast_to(np.asarray(seed), len(scenes))]
         self._entropy = _entropies(self.seeds)
         self._drawn = sensing.draw(senses, self.seeds)
-        self._know(scenes)
+        self._use(scenes)
 
     def __enter__(self) -> SensedEngine:
         return self
@@ -127,9 +128,9 @@ class SensedEngine:
     def change(self, scenes: Sequence[Scene]) -> None:
         """Go on with other objects of the same structure, as the engine's own ``change`` does."""
         self.engine.change(scenes)
-        self._know(scenes)
+        self._use(scenes)
 
-    def _know(self, scenes: Sequence[Scene]) -> None:
+    def _use(self, scenes: Sequence[Scene]) -> None:
         self.scenes = list(scenes)
         self._scenery = scenery_of(self.scenes)
 
@@ -143,22 +144,21 @@ class SensedEngine:
         control = truth.control
         held = Command(np.zeros((len(true.robot_pose), 3)), true.robot_pose[:, 2], control.reach, control.hand_height)
         noise = np.stack([rng.normal(size=true.object_pose.shape[1:]) for rng in self._generators(5, ticks)])
-        given = (self.senses, self._drawn, self._scenery, true.robot_pose, true.object_pose, noise)
         sensor_state: SensorState | PerfectState
         if self.senses.perfect:
-            known = np.full(true.object_pose.shape, np.nan)
-            at = np.full(known.shape[:2], -np.inf)
-            sensor_state = PerfectState(
-                np.where(self.poses_known, true.object_pose, known), np.where(self.poses_known, float(ticks), at)
-            )
-            sensor_state = self._look(sensor_state, true, ticks)
+            pose = np.where(self.poses_known, true.object_pose, np.nan)
+            at = np.full(pose.shape[:2], float(ticks) if self.poses_known else -np.inf)
+            sensor_state = self._look(PerfectState(pose, at), true, ticks)
         else:
-            sensor_state = sensing.first_state(*given, poses_known=self.poses_known, now=ticks)
+            sensor_state = sensing.first_state(
+                self.senses, self._drawn, self._scenery, robot_pose=true.robot_pose, object_pose=true.object_pose,
+                noise=noise, poses_known=self.poses_known, now=ticks,
+            )  # fmt: skip
         no_contact = np.zeros_like(np.asarray(truth.wall_parts))
         return SensedWorld(truth, _numpy(held), (), sensor_state, np.zeros_like(true.object_pose), no_contact, ticks)
 
-    def restarted(self, world: SensedWorld, truth: Any, which: Bool[np.ndarray, "W"]) -> SensedWorld:
-        """The worlds ``which`` begin anew, at rest as ``truth`` says of them; the others go on."""
+    def restart(self, world: SensedWorld, truth: Any, which: Bool[np.ndarray, "W"]) -> SensedWorld:
+        """Begin the worlds ``which`` anew, at rest as ``truth`` says of them; the others go on."""
         fresh = self.begin(truth, world.ticks)
         chosen = [
             jax.tree.map(lambda new, old: _chosen(which, new, old), getattr(fresh, name), getattr(world, name))
@@ -168,8 +168,8 @@ class SensedEngine:
         pending = tuple((np.where(which, _NEVER, at), command) for at, command in world.pending)
         return SensedWorld(truth, held, pending, sensor_state, contact, touched, world.ticks)
 
-    def taken_over(self, world: SensedWorld, before: Scene) -> SensedWorld:
-        """One world, as an engine of the scene ``before`` has left it, for this engine to go on with.
+    def resume(self, world: SensedWorld, before: Scene) -> SensedWorld:
+        """The state with which this engine of one world goes on where an engine of the scene ``before`` stopped.
 
         The objects of ``before`` are the first of this engine's, with other properties perhaps. What comes after them
         stands where this engine's scene says, at rest, and has not been seen yet.
@@ -182,24 +182,21 @@ class SensedEngine:
         physics[:, first_velocity + scene.model.nv :] = old[:, 1 + nq + nv :]  # the robot's motors
         truth = world.truth._replace(physics=physics)
         started = self.begin(truth, world.ticks)
+        old_state, new_state = world.sensor_state, started.sensor_state
         sensor_state: SensorState | PerfectState
-        if isinstance(world.sensor_state, PerfectState) and isinstance(started.sensor_state, PerfectState):
-            nothing = PerfectState(
-                np.full_like(started.sensor_state.pose, np.nan), np.full_like(started.sensor_state.at, -np.inf)
-            )
-            sensor_state = PerfectState(
-                *(_first(new, then, 1) for new, then in zip(nothing, world.sensor_state, strict=True))
-            )
+        if isinstance(old_state, PerfectState):
+            pose = _first(np.full_like(started.contact, np.nan), old_state.pose, 1)
+            sensor_state = PerfectState(pose, _first(np.full(pose.shape[:2], -np.inf), old_state.at, 1))
         else:
-            assert isinstance(world.sensor_state, SensorState) and isinstance(started.sensor_state, SensorState)
+            assert isinstance(new_state, SensorState)
             none = tracker.init(1, len(scene.conditions))
             tracks = {
                 name: then if name == "at" else _first(getattr(none, name), then, 1)
-                for name, then in world.sensor_state.tracks._asdict().items()
+                for name, then in old_state.tracks._asdict().items()
             }
-            sensor_state = world.sensor_state._replace(
-                objects=_first(started.sensor_state.objects, world.sensor_state.objects, 2),
-                lost_until=_first(started.sensor_state.lost_until, world.sensor_state.lost_until, 1),
+            sensor_state = old_state._replace(
+                objects=_first(new_state.objects, old_state.objects, 2),
+                lost_until=_first(new_state.lost_until, old_state.lost_until, 1),
                 tracks=Tracks(**tracks),
             )
         contact = _first(np.zeros_like(started.contact), world.contact, 1)
@@ -228,6 +225,7 @@ class SensedEngine:
         command: Command | None,
         duration: float = DT,
         push: Float[np.ndarray, "W 6"] | None = None,
+        *,
         computing: float | None = None,
     ) -> tuple[SensedWorld, Observation]:
         """Go on for ``duration`` seconds.
@@ -287,15 +285,15 @@ class SensedEngine:
         coordinates = np.concatenate(
             [physics[..., 1 : 1 + NQ], physics[..., first_velocity : first_velocity + NV]], axis=-1
         )
-        passed = Passed(robot, others, coordinates, torque, np.asarray(world.truth.control.reach, dtype=float))
+        motion = Motion(robot, others, coordinates, torque, np.asarray(world.truth.control.reach, dtype=float))
         scenery = near_walls(self._scenery, self.senses.camera, robot[0])
         # In double precision, as poses tens of metres from the origin are told apart by micrometres.
         with jax.enable_x64(True):
-            found = _watch(
-                self.senses, scene.robot, self._drawn, scenery, world.sensor_state, passed, noise,
-                world.ticks - len(physics),
+            watched = _watch(
+                self.senses, scene.robot, self._drawn, scenery, sensor_state=world.sensor_state, motion=motion,
+                noise=noise, before=world.ticks - len(physics),
             )  # fmt: skip
-        return _numpy(found)
+        return _numpy(watched)
 
     def _generators(self, purpose: int, ticks: int) -> list[np.random.Generator]:
         """Each world's generator at this tick, which no other world has a part in."""
@@ -342,19 +340,19 @@ class SensedEngine:
             return true._replace(
                 object_pose=world.sensor_state.pose, object_twist=twist, wrench=wrench, object_age=age, detected=now
             )
-        found = sensing.estimates(self.senses, self._drawn, world.sensor_state, world.ticks, DT)
+        estimates = sensing.estimates(self.senses, self._drawn, world.sensor_state, world.ticks, sample=DT)
         if np.ndim(noise):
             true = true._replace(lean=true.lean + noise[0], lean_rate=true.lean_rate + 5 * noise[1])
-        return true._replace(wrench=wrench, **found._asdict())
+        return true._replace(wrench=wrench, **estimates._asdict())
 
 
 def _entropies(seeds: Sequence[int]) -> list[int]:
     """Entropy of each world's noise. The first world with a seed has that of the seed alone."""
-    before, found = Counter[int](), list[int]()
+    before, entropies = Counter[int](), list[int]()
     for seed in seeds:
-        found.append(int(np.random.SeedSequence([seed, before[seed]]).generate_state(1)[0]))
+        entropies.append(int(np.random.SeedSequence([seed, before[seed]]).generate_state(1)[0]))
         before[seed] += 1
-    return found
+    return entropies
 
 
 def _arrived(world: SensedWorld) -> SensedWorld:
@@ -370,7 +368,7 @@ def _arrived(world: SensedWorld) -> SensedWorld:
     return world._replace(held=held, pending=tuple(waiting))
 
 
-def _first(new: np.ndarray, old: np.ndarray, axis: int) -> np.ndarray:
+def _first(new: Array, old: Array, axis: int) -> np.ndarray:
     """``new`` with ``old`` in the place of its first entries along ``axis``."""
     out = np.array(new, dtype=float)
     out[(slice(None),) * axis + (slice(old.shape[axis]),)] = old
@@ -384,8 +382,8 @@ def _chosen(which: np.ndarray, new: np.ndarray, old: np.ndarray) -> np.ndarray:
 def _numpy(tree: Any) -> Any:
     """The same tree with NumPy arrays of doubles; flags stay flags."""
 
-    def one(leaf: Any) -> np.ndarray:
-        found = np.asarray(leaf)
-        return found if found.dtype == bool else found.astype(float)
+    def convert(leaf: Any) -> np.ndarray:
+        array = np.asarray(leaf)
+        return array if array.dtype == bool else array.astype(float)
 
-    return jax.tree.map(one, tree)
+    return jax.tree.map(convert, tree)

@@ -7,7 +7,7 @@ import numpy as np
 from shmoo_mjx.types import DT, Observation
 
 
-def finite(seen: Observation, last: Observation | None = None) -> Observation:
+def finite(observed: Observation, last: Observation | None = None) -> Observation:
     """The observation with every NaN or infinity replaced; the same object if there was none.
 
     What the robot knows of itself is taken from ``last``, or is 0 before there is one, and ``robot_age`` grows (from
@@ -17,34 +17,34 @@ def finite(seen: Observation, last: Observation | None = None) -> Observation:
     nothing. A broken wrench is none.
 
     Args:
-        seen: what an engine or a recorder of someone else reports.
+        observed: what an engine or a recorder of someone else reports.
         last: what this function gave one sample earlier.
     """
-    own = {name: np.asarray(getattr(seen, name), dtype=float) for name in _OWN}
-    pose, twist = np.asarray(seen.object_pose, dtype=float), np.asarray(seen.object_twist, dtype=float)
-    wrench, age = np.asarray(seen.wrench, dtype=float), np.asarray(seen.object_age, dtype=float)
+    own = {name: np.asarray(getattr(observed, name), dtype=float) for name in _OWN}
+    pose, twist = np.asarray(observed.object_pose, dtype=float), np.asarray(observed.object_twist, dtype=float)
+    wrench, age = np.asarray(observed.wrench, dtype=float), np.asarray(observed.object_age, dtype=float)
     fit = np.isfinite(pose).all(axis=-1) & np.isfinite(twist).all(axis=-1)
     felt = np.isfinite(wrench).all(axis=-1)
     whole = all(np.isfinite(value).all() for value in own.values())
     if whole and fit.all() and felt.all() and not np.isnan(age).any():
-        return seen
-    robot_age = np.asarray(seen.robot_age, dtype=float)
+        return observed
+    robot_age = np.asarray(observed.robot_age, dtype=float)
     if not whole:
         before = {n: np.zeros_like(v) if last is None else np.asarray(getattr(last, n)) for n, v in own.items()}
         own = {n: np.where(np.isfinite(v), v, before[n]) for n, v in own.items()}
         robot_age = np.full_like(robot_age, np.inf) if last is None else np.asarray(last.robot_age) + DT
     old_pose = np.full_like(pose, np.nan) if last is None else np.asarray(last.object_pose, dtype=float)
     old_age = np.full_like(age, np.inf) if last is None else np.asarray(last.object_age, dtype=float) + DT
-    # An object whose pose alone is whole has been seen; its twist is unknown.
+    # An object whose pose alone is whole has been detected; its twist is unknown.
     placed = np.isfinite(pose).all(axis=-1)
-    return seen._replace(
+    return observed._replace(
         **own,
         robot_age=robot_age,
         object_pose=np.where(placed[..., None], pose, old_pose),
         object_twist=np.where(fit[..., None], twist, 0.0),
         wrench=np.where((felt & (placed | np.isfinite(old_pose).all(axis=-1)))[..., None], wrench, 0.0),
         object_age=np.where(placed & ~np.isnan(age), age, old_age),
-        detected=np.asarray(seen.detected, dtype=bool) & fit,
+        detected=np.asarray(observed.detected, dtype=bool) & fit,
     )
 
 

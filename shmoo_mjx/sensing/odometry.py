@@ -121,6 +121,7 @@ def step(
     drawn: OdometryDraw,
     state: Odometry,
     robot_pose: Float[Array, "W 3"],
+    *,
     noise: Float[Array, "W 6"],
     now: Scalar,
 ) -> Odometry:
@@ -147,10 +148,10 @@ def step(
     arrived, before = ago(state.pose, drawn.delay), ago(state.pose, drawn.delay + 1)
     keep = np.exp(-TICK / config.smoothing) if config.smoothing > 0 else 0.0
     state = state._replace(twist=keep * state.twist + (1 - keep) * (arrived - before) / TICK)
-    return _localise(config, drawn, state, noise[:, 3:], now) if config.localised else state
+    return _localise(config, drawn, state, noise=noise[:, 3:], now=now) if config.localised else state
 
 
-def _localise(config: OdometryConfig, drawn: OdometryDraw, state: Odometry, noise: Array, now: Scalar) -> Odometry:
+def _localise(config: OdometryConfig, drawn: OdometryDraw, state: Odometry, *, noise: Array, now: Scalar) -> Odometry:
     """A fix, where one is due, and a little of the correction."""
     xp = se2.array_module(noise, state.pose)
     late = round(config.fix_delay / TICK)

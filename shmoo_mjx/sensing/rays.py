@@ -11,6 +11,7 @@ def cast(
     directions: Float[Array, "W R 2"],
     poses: Float[Array, "W K 3"],
     half_extents: Float[Array, "W K 2"],
+    *,
     reach: float,
 ) -> Float[Array, "W R"]:
     """Distance [m] along rays to the first of some rectangles, ``reach`` where none is nearer.
@@ -33,6 +34,7 @@ def hidden(
     points: Float[Array, "W R 3"],
     poses: Float[Array, "W K 3"],
     half_extents: Float[Array, "W K 2"],
+    *,
     tops: Float[Array, "W K"],
 ) -> Bool[Array, "W K R"]:
     """Whether each of K boxes that stand on the floor lies between the eye and each of R points.

@@ -23,7 +23,7 @@ from shmoo_mjx.plant.robot import NQ, Robot, readout
 from shmoo_mjx.sensing import odometry, touch, tracker
 from shmoo_mjx.sensing.camera import Camera, Scenery, deviation, in_sight
 from shmoo_mjx.sensing.odometry import TICK, Odometry, OdometryConfig, OdometryDraw
-from shmoo_mjx.sensing.touch import ArmScale, TouchConfig
+from shmoo_mjx.sensing.touch import ArmReading, ArmScale, TouchConfig
 from shmoo_mjx.sensing.tracker import TrackerConfig, Tracks
 
 _TOUCH_EVERY = 2
@@ -94,10 +94,10 @@ def senses_named(name: str) -> Senses:
     Raises:
         ShmooError: another name.
     """
-    found = {s.name: s for s in (REAL, PERFECT)}
-    if name not in found:
+    named = {s.name: s for s in (REAL, PERFECT)}
+    if name not in named:
         raise ShmooError(f"senses {name!r} are unknown; choose real or perfect.")
-    return found[name]
+    return named[name]
 
 
 class SensorDraw(NamedTuple):
@@ -147,14 +147,14 @@ class Estimates(NamedTuple):
 
 def draw(senses: Senses, seeds: list[int]) -> SensorDraw:
     """The senses of the robots with these seeds."""
-    found = []
+    rows = []
     for seed in seeds:
         rng = np.random.default_rng([13, seed])
         moved = odometry.draw(senses.odometry, rng)
         low, high = senses.camera.delay
         frame = max(round((low + (high - low) * rng.random()) / TICK), int(moved.delay))
-        found.append((moved, frame, round(senses.robot(seed).delay / TICK)))
-    moves, frames, commands = zip(*found, strict=True)
+        rows.append((moved, frame, round(senses.robot(seed).delay / TICK)))
+    moves, frames, commands = zip(*rows, strict=True)
     return SensorDraw(
         OdometryDraw(*(np.stack(column) for column in zip(*moves, strict=True))), np.array(frames), np.array(commands)
     )
@@ -164,6 +164,7 @@ def first_state(
     senses: Senses,
     drawn: SensorDraw,
     scenery: Scenery,
+    *,
     robot_pose: Float[Array, "W 3"],
     object_pose: Float[Array, "W N 3"],
     noise: Float[Array, "W N 3"],
@@ -195,12 +196,13 @@ def first_state(
         tracker.init(worlds, objects),
         touch.init(worlds),
     )
-    found = (
+    detected = (
         xp.ones((worlds, objects), bool) if poses_known else in_sight(senses.camera, scenery, robot_pose, object_pose)
     )
-    none, start = xp.zeros(worlds), xp.full(worlds, float(now))
+    start = xp.full(worlds, float(now))
     sensor_state = sensor_state._replace(tracks=sensor_state.tracks._replace(at=start))
-    return _taken_in(senses, sensor_state, robot_pose, object_pose, none, found, noise, start, start)
+    frame = _Frame(robot_pose, sensor_state.odometry.pose[:, -1], object_pose, detected, noise)
+    return _tracked(senses, sensor_state, frame, seconds=xp.zeros(worlds), time=(start, start))
 
 
 def tick(
@@ -208,6 +210,7 @@ def tick(
     drawn: SensorDraw,
     scenery: Scenery,
     sensor_state: SensorState,
+    *,
     robot_pose: Float[Array, "W 3"],
     object_pose: Float[Array, "W N 3"],
     noise: Noise,
@@ -225,7 +228,9 @@ def tick(
         noise: of this tick.
         now: its number.
     """
-    moved = odometry.step(senses.odometry, drawn.odometry, sensor_state.odometry, robot_pose, noise.odometry, now)
+    moved = odometry.step(
+        senses.odometry, drawn.odometry, sensor_state.odometry, robot_pose, noise=noise.odometry, now=now
+    )
     objects = jnp.concatenate([sensor_state.objects[:, 1:], object_pose[:, None]], axis=1)
     sensor_state = sensor_state._replace(odometry=moved, objects=objects)
     taken = now - drawn.frame_delay
@@ -238,20 +243,20 @@ def tick(
         objects_then = odometry.ago(sensor_state.objects, drawn.frame_delay)
         burst = due[:, None] & (noise.lost[..., 1] < senses.camera.burst)
         lost_until = jnp.where(burst, taken[:, None] + senses.camera.burst_time / TICK, sensor_state.lost_until)
-        found = due[:, None] & in_sight(senses.camera, scenery, robot_then, objects_then)
-        found &= (lost_until <= taken[:, None]) & (noise.lost[..., 0] >= senses.camera.drop_out)
+        detected = due[:, None] & in_sight(senses.camera, scenery, robot_then, objects_then)
+        detected &= (lost_until <= taken[:, None]) & (noise.lost[..., 0] >= senses.camera.drop_out)
         seconds = jnp.where(due, TICK * (taken - sensor_state.tracks.at), 0.0)
-        after = _taken_in(
-            senses, sensor_state._replace(lost_until=lost_until), robot_then, objects_then, seconds, found,
-            noise.camera, taken, now + 0 * taken, drawn,
-        )  # fmt: skip
+        believed = odometry.ago(moved.pose, drawn.frame_delay)
+        frame = _Frame(robot_then, believed, objects_then, detected, noise.camera)
+        before = sensor_state._replace(lost_until=lost_until)
+        after = _tracked(senses, before, frame, seconds=seconds, time=(taken, now + 0 * taken))
         return jax.tree.map(lambda new, old: new.astype(old.dtype), after, sensor_state)
 
     return jax.lax.cond(jnp.any(due), with_frame, lambda state: state, sensor_state)
 
 
-class Passed(NamedTuple):
-    """What T ticks bring to the senses of W robots."""
+class Motion(NamedTuple):
+    """What W robots and their objects do in T ticks."""
 
     robot_pose: Float[Array, "T W 3"]
     """True, after each tick."""
@@ -270,8 +275,9 @@ def watch(
     robot: Robot,
     drawn: SensorDraw,
     scenery: Scenery,
+    *,
     sensor_state: SensorState,
-    passed: Passed,
+    motion: Motion,
     noise: Noise,
     before: Scalar,
 ) -> tuple[SensorState, Float[Array, "W N 3"]]:
@@ -285,61 +291,66 @@ def watch(
         drawn: these robots.
         scenery: sizes and walls.
         sensor_state: before the ticks.
-        passed: what happened in them.
+        motion: what happened in them.
         noise: of all ticks: fields ``[T, ...]``.
         before: number of the tick before the first.
     """
-    ticks = len(passed.robot_pose)
+    ticks = len(motion.robot_pose)
     read = (ticks - 1 - np.arange(ticks)) % _TOUCH_EVERY == 0
 
-    def feel(given: tuple[SensorState, Array, Array, Scalar]) -> tuple[ArmScale, Array]:
-        state, coordinates, torque, now = given
-        found = estimates(senses, drawn, state, now, TICK)
-        sensed = readout(coordinates[:, :NQ], coordinates[:, NQ:])._replace(pose=found.robot_pose)
-        where = robot, sensed, torque, passed.reach, found.object_pose
-        arms = touch.calibrated(state.arms, *where, scenery.half_extents)
-        return arms, touch.felt(senses.touch, arms, *where)
+    def feel(readings: tuple[SensorState, Array, Array, Scalar]) -> tuple[ArmScale, Array]:
+        state, coordinates, torque, now = readings
+        estimated = estimates(senses, drawn, state, now, sample=TICK)
+        sensed = readout(coordinates[:, :NQ], coordinates[:, NQ:])._replace(pose=estimated.robot_pose)
+        reading = ArmReading(sensed, torque, motion.reach)
+        arms = touch.calibrate(state.arms, robot, reading, estimated.object_pose, half_extents=scenery.half_extents)
+        return arms, touch.wrench(senses.touch, arms, robot, reading, object_pose=estimated.object_pose)
 
-    def look(state: SensorState, given: Any) -> tuple[SensorState, Array]:
-        robot_pose, object_pose, coordinates, torque, drawn_noise, reads, now = given
-        after = tick(senses, drawn, scenery, state, robot_pose, object_pose, drawn_noise, now)
+    def look(state: SensorState, inputs: Any) -> tuple[SensorState, Array]:
+        robot_pose, object_pose, coordinates, torque, drawn_noise, reads, now = inputs
+        after = tick(
+            senses, drawn, scenery, state, robot_pose=robot_pose, object_pose=object_pose, noise=drawn_noise, now=now
+        )
         none = after.arms, jnp.zeros_like(object_pose)
         arms, wrench = jax.lax.cond(reads, feel, lambda _: none, (after, coordinates, torque, now))
         return jax.tree.map(lambda new, old: new.astype(old.dtype), after._replace(arms=arms), state), wrench
 
-    given = (passed.robot_pose, passed.object_pose, passed.coordinates, passed.torque, noise, read)
-    state, wrenches = jax.lax.scan(look, sensor_state, (*given, before + 1 + jnp.arange(ticks)))
+    inputs = (motion.robot_pose, motion.object_pose, motion.coordinates, motion.torque, noise, read)
+    state, wrenches = jax.lax.scan(look, sensor_state, (*inputs, before + 1 + jnp.arange(ticks)))
     return state, wrenches.sum(axis=0) / read.sum()
 
 
-def _taken_in(
-    senses: Senses,
-    sensor_state: SensorState,
-    robot: Array,
-    objects: Array,
-    seconds: Array,
-    found: Array,
-    noise: Array,
-    taken: Array,
-    now: Array,
-    drawn: SensorDraw | None = None,
+class _Frame(NamedTuple):
+    """A camera frame of each of W robots."""
+
+    robot_pose: Array
+    """True when it was taken, in {W}."""
+    believed_pose: Array
+    """Of the robot in {D} by odometry, then."""
+    object_pose: Array
+    """True, then."""
+    detected: Array
+    """``[W, N]``"""
+    noise: Array
+    """``[W, N, 3]`` standard normal."""
+
+
+def _tracked(
+    senses: Senses, sensor_state: SensorState, frame: _Frame, *, seconds: Array, time: tuple[Array, Array]
 ) -> SensorState:
-    """A frame's detections into the tracks: the camera measures from the robot, the tracks stand in {D}."""
-    xp = se2.array_module(robot, objects, noise)
-    measured = se2.relative(robot[:, None], objects)
+    """A frame's detections in the tracks: the camera measures from the robot, the tracks stand in {D}."""
+    xp = se2.array_module(frame.robot_pose, frame.object_pose, frame.noise)
+    measured = se2.relative(frame.robot_pose[:, None], frame.object_pose)
     spread = deviation(senses.camera, xp.sqrt(xp.sum(measured[..., :2] ** 2, axis=-1)))
-    measured = measured + spread * noise
-    stood = (
-        sensor_state.odometry.pose[:, -1]
-        if drawn is None
-        else odometry.ago(sensor_state.odometry.pose, drawn.frame_delay)
+    measured = measured + spread * frame.noise
+    in_odometry = se2.compose(xp.broadcast_to(frame.believed_pose[:, None], measured.shape), measured)
+    tracks = tracker.update(
+        senses.tracker, sensor_state.tracks, in_odometry, spread, detected=frame.detected, seconds=seconds, time=time
     )
-    in_odometry = se2.compose(xp.broadcast_to(stood[:, None], measured.shape), measured)
-    tracks = tracker.update(senses.tracker, sensor_state.tracks, in_odometry, spread, found, seconds, (taken, now))
     return sensor_state._replace(tracks=tracks)
 
 
-def estimates(senses: Senses, drawn: SensorDraw, sensor_state: SensorState, now: Scalar, sample: float) -> Estimates:
+def estimates(senses: Senses, drawn: SensorDraw, sensor_state: SensorState, now: Scalar, *, sample: float) -> Estimates:
     """What the robot publishes at tick ``now``, everything carried on to that time; ``sample`` is the sample time [s].
 
     Robot and objects go through the same estimate of {D} in {W}: seen from the robot, an object is where the camera

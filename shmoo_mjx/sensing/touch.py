@@ -49,25 +49,40 @@ class ArmScale(NamedTuple):
     """Of the torque of gravity [(N m)^2]."""
 
 
+class ArmReading(NamedTuple):
+    """What W robots sense of their arms."""
+
+    sensed: RobotState
+    """Joint angles and lean, and as pose the one that the robot believes in."""
+    torque: Float[Array, "W 6"]
+    """Of the arms' motors [N m]."""
+    reach: Float[Array, "W"]
+    """Of the hands [m]."""
+
+    @property
+    def hands(self) -> Float[Array, "W 2"]:
+        """The hands' midpoint in {W} [m]."""
+        xp = se2.array_module(self.reach, self.sensed.pose)
+        return se2.transform_point(self.sensed.pose, se2.stack(self.reach, xp.zeros_like(self.reach)))
+
+
 def init(worlds: int) -> ArmScale:
     """Before the first reading."""
     return ArmScale(np.zeros((worlds, 6)), np.zeros((worlds, 6)))
 
 
-def calibrated(
+def calibrate(
     scale: ArmScale,
     robot: Robot,
-    sensed: RobotState,
-    torque: Float[Array, "W 6"],
-    reach: Float[Array, "W"],
+    reading: ArmReading,
     object_pose: Float[Array, "W N 3"],
+    *,
     half_extents: Float[Array, "W N 2"],
 ) -> ArmScale:
-    """The sums after one more reading; arguments as for :func:`felt`, ``half_extents`` of the objects [m]."""
-    xp = se2.array_module(reach, torque, object_pose)
-    extended = reach > REACH - 0.01
-    hands = se2.transform_point(sensed.pose, se2.stack(reach, xp.zeros_like(reach)))
-    inside = xp.abs(se2.rotate(hands[:, None] - object_pose[..., :2], -object_pose[..., 2]))
+    """The sums after one more reading; arguments as for :func:`wrench`, ``half_extents`` of the objects [m]."""
+    xp = se2.array_module(reading.reach, reading.torque, object_pose)
+    sensed, torque, extended = reading.sensed, reading.torque, reading.reach > REACH - 0.01
+    inside = xp.abs(se2.rotate(reading.hands[:, None] - object_pose[..., :2], -object_pose[..., 2]))
     away = xp.linalg.norm(xp.maximum(inside - half_extents, 0.0), axis=-1)
     # An object that has never been seen is not within reach; nor is what a comparison with NaN says nothing of.
     free = extended & ~(away < _FREE).any(axis=-1)
@@ -75,13 +90,12 @@ def calibrated(
     return ArmScale(scale.products + torque * gravity, scale.squares + gravity**2)
 
 
-def felt(
+def wrench(
     touch: TouchConfig,
     scale: ArmScale,
     robot: Robot,
-    sensed: RobotState,
-    torque: Float[Array, "W 6"],
-    reach: Float[Array, "W"],
+    reading: ArmReading,
+    *,
     object_pose: Float[Array, "W N 3"],
 ) -> Float[Array, "W N 3"]:
     """Gamma on each object about its centre, in {W}; all of it goes to the one nearest to the hands.
@@ -90,21 +104,18 @@ def felt(
         touch: see there.
         scale: what is known of the motors.
         robot: its numbers.
-        sensed: joint angles and lean, and as pose the one the robot believes in.
-        torque: of the arms' motors [N m].
-        reach: of the hands [m].
+        reading: of the arms.
         object_pose: believed, in {W}; NaN where unknown.
     """
     if not object_pose.size:
         return object_pose
-    xp = se2.array_module(reach, torque, object_pose)
-    hands = se2.transform_point(sensed.pose, se2.stack(reach, xp.zeros_like(reach)))
-    far = xp.linalg.norm(object_pose[..., :2] - hands[:, None], axis=-1)
+    xp = se2.array_module(reading.reach, reading.torque, object_pose)
+    far = xp.linalg.norm(object_pose[..., :2] - reading.hands[:, None], axis=-1)
     nearest = xp.argmin(xp.where(xp.isfinite(far), far, xp.inf), axis=1)
-    asked_over_exerted = xp.clip((_PRIOR + scale.products) / (_PRIOR + scale.squares), 1 / _LIMIT, _LIMIT)
+    torque_ratio = xp.clip((_PRIOR + scale.products) / (_PRIOR + scale.squares), 1 / _LIMIT, _LIMIT)
     where = xp.take_along_axis(object_pose, nearest[:, None, None], axis=1)[:, 0]
-    reading = joint_torque_wrench(robot, sensed, torque / asked_over_exerted, where)
+    estimate = joint_torque_wrench(robot, reading.sensed, reading.torque / torque_ratio, where)
     # A comparison with NaN is false: what is not known anywhere is not touched either.
-    firm = (xp.hypot(reading[:, 0], reading[:, 1]) > touch.least) & xp.isfinite(reading).all(axis=-1)
+    firm = (xp.hypot(estimate[:, 0], estimate[:, 1]) > touch.least) & xp.isfinite(estimate).all(axis=-1)
     there = firm[:, None] & (nearest[:, None] == np.arange(object_pose.shape[1]))
-    return xp.where(there[..., None], reading[:, None], 0.0)
+    return xp.where(there[..., None], estimate[:, None], 0.0)

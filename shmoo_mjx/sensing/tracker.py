@@ -61,9 +61,9 @@ class Tracks(NamedTuple):
     """Time of the last frame in which the object was detected (and believed); -inf before."""
     arrived_at: Float[Array, "W N"]
     """When that frame arrived."""
-    odd: Float[Array, "W N 3"]
+    outlier: Float[Array, "W N 3"]
     """The last detection that was held back."""
-    odds: Float[Array, "W N"]
+    outlier_count: Float[Array, "W N"]
     """How many in a row were, each near the one before."""
 
 
@@ -74,7 +74,7 @@ def init(worlds: int, objects: int) -> Tracks:
     return Tracks(zero + np.nan, zero, zero, zero, zero, np.zeros(worlds), never, never, zero, flat)
 
 
-def known(tracks: Tracks) -> Bool[Array, "W N"]:
+def ever_detected(tracks: Tracks) -> Bool[Array, "W N"]:
     """Whether each object has ever been detected."""
     xp = se2.array_module(tracks.pose)
     return xp.isfinite(tracks.pose[..., 0])
@@ -90,18 +90,19 @@ def update(
     tracks: Tracks,
     measured: Float[Array, "W N 3"],
     deviation: Float[Array, "W N 3"],
-    found: Bool[Array, "W N"],
+    *,
+    detected: Bool[Array, "W N"],
     seconds: Float[Array, "W"],
     time: tuple[Shaped[Array, "W"], Shaped[Array, "W"]],
 ) -> Tracks:
-    """Take in one frame of each world; a world without one passes 0 seconds and nothing found, and stays as it is.
+    """Take in one frame of each world; a world without one passes 0 seconds and nothing detected, and stays as it is.
 
     Args:
         config: of the filter.
         tracks: as they were.
         measured: detected poses in {D}.
         deviation: their standard deviations.
-        found: which were detected.
+        detected: which objects were.
         seconds: since the frame before [s].
         time: numbers of the ticks at which the frame was taken and is taken in.
     """
@@ -118,18 +119,22 @@ def update(
     innovation = _difference(measured, pose)
     spread = variance + noise
     distance = xp.sum(innovation**2 / xp.maximum(spread, 1e-12), axis=-1)
-    expected = found & (distance <= config.gate)
-    odd = found & ~expected & known(tracks)
-    near = xp.sum(_difference(measured, tracks.odd) ** 2 / (2 * noise + (config.fastest * dt) ** 2 + 1e-12), axis=-1)
-    odds = xp.where(odd, xp.where(near <= 9.0, tracks.odds + 1, 1.0), xp.where(expected, 0.0, tracks.odds))
+    expected = detected & (distance <= config.gate)
+    rejected = detected & ~expected & ever_detected(tracks)
+    near = xp.sum(
+        _difference(measured, tracks.outlier) ** 2 / (2 * noise + (config.fastest * dt) ** 2 + 1e-12), axis=-1
+    )
+    outlier_count = xp.where(
+        rejected, xp.where(near <= 9.0, tracks.outlier_count + 1, 1.0), xp.where(expected, 0.0, tracks.outlier_count)
+    )
     long_ago = time[0][:, None] - tracks.detected_at > config.forget / TICK
-    restart = (found & (~known(tracks) | long_ago)) | (odd & (odds >= config.confirm))
+    restart = (detected & (~ever_detected(tracks) | long_ago)) | (rejected & (outlier_count >= config.confirm))
 
     gain, rate_gain = variance / xp.maximum(spread, 1e-12), covariance / xp.maximum(spread, 1e-12)
     fading = xp.exp(-dt / config.fading)
     first = np.array([config.first_speed, config.first_speed, config.first_yaw_rate]) ** 2
     # Whatever has been displaced may still be moving.
-    fresh_rate = xp.where(odd[..., None], (config.fastest / 3) ** 2, first) + 0.0 * rate_variance
+    fresh_rate = xp.where(rejected[..., None], (config.fastest / 3) ** 2, first) + 0.0 * rate_variance
     # It may have gone on instead: once a twist has faded, its whole square is uncertain.
     forgotten = rate_variance + tracks.rate**2 * (1 - fading**2)
 
@@ -148,8 +153,8 @@ def update(
         at=tracks.at + seconds / TICK,
         detected_at=xp.where(believed, taken, tracks.detected_at),
         arrived_at=xp.where(believed, arrived, tracks.arrived_at),
-        odd=xp.where(odd[..., None], measured, tracks.odd),
-        odds=xp.where(restart, 0.0, odds),
+        outlier=xp.where(rejected[..., None], measured, tracks.outlier),
+        outlier_count=xp.where(restart, 0.0, outlier_count),
     )
 
 

@@ -29,6 +29,7 @@ def submit(
     sweep: Sweep,
     jobs: int,
     cluster: Cluster,
+    *,
     options: dict[str, Any],
     progress: Callable[[str, float], None] = lambda stage, fraction: None,
     poll: float = 2.0,

@@ -27,6 +27,7 @@ def find(name: Path) -> Path:
 def carry_out(
     name: Path,
     out: Path | None,
+    *,
     weights: Path | None,
     short: bool,
     only_estimate: bool,
@@ -52,7 +53,7 @@ def carry_out(
         print(f"{sweep.out}: {there} of {len(sweep.shards)} shards are there")
     if jobs and sweep.missing() and not only_estimate:
         with progress() as report:
-            submit(sweep, jobs, cluster, given, report)
+            submit(sweep, jobs, cluster, options=given, progress=report)
     elif sweep.missing():
         # A second process is turned away before it compiles for a minute.
         with claimed(sweep.out):

@@ -135,8 +135,19 @@ def _draw_parameters(config: SweepConfig, table: Table, path: Path) -> Path:
     for axis, name in zip(axes.flat, names, strict=False):
         for number, ((family, controller), mine) in enumerate(groups_of(table).items()):
             colour = SERIES[number % len(SERIES)]
-            _draw_rate(axis, table, name, "success", mine, colour, "-", f"success: {family}, {controller}")
-            _draw_rate(axis, table, name, "fell", mine, colour, "--", f"fall: {family}, {controller}")
+            _draw_rate(
+                axis,
+                table,
+                name,
+                "success",
+                mine=mine,
+                colour=colour,
+                line="-",
+                text=f"success: {family}, {controller}",
+            )
+            _draw_rate(
+                axis, table, name, "fell", mine=mine, colour=colour, line="--", text=f"fall: {family}, {controller}"
+            )
         _scale(axis, "x", name == RESISTANCE or bool(config.vary[name].log_uniform))
         unit = "N" if name == RESISTANCE else PARAMETERS[name].unit
         axis.set_xlabel(f"{name} [{unit}]", fontsize=8)
@@ -164,7 +175,7 @@ def _scale(axes: Any, which: str, logarithmic: bool) -> None:
 
 
 def _draw_rate(
-    axis: Any, table: Table, name: str, what: str, mine: np.ndarray, colour: str, line: str, text: str
+    axis: Any, table: Table, name: str, what: str, *, mine: np.ndarray, colour: str, line: str, text: str
 ) -> None:
     given = table.get(name, [None] * len(mine))  # families without wheels have no rolling resistance
     values = np.array([np.nan if v is None else v for v in given], dtype=float)

@@ -183,7 +183,7 @@ def _mjx(sweep: Sweep, memory: int | None) -> Callable[[str, str], Batches]:
     from shmoo_mjx.sweep.simulate import Batches
 
     weights = load_weights(sweep.weights)
-    return lambda family, controller: Batches(sweep.config, family, controller, weights, memory)
+    return lambda family, controller: Batches(sweep.config, family, controller, weights, memory=memory)
 
 
 def read_table(path: Path) -> dict[str, list[Any]]:

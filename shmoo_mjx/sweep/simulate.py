@@ -40,7 +40,7 @@ from shmoo_mjx.sweep import pushers
 from shmoo_mjx.sweep.config import SweepConfig
 from shmoo_mjx.sweep.parameters import MOST_DELAY
 from shmoo_mjx.sweep.rows import Tally, rows_of
-from shmoo_mjx.sweep.worlds import Drawn, WorldSetup, draw, scene_of, setup
+from shmoo_mjx.sweep.worlds import Drawn, WorldSetup, draw, scene_of, set_up
 from shmoo_mjx.types import DT, Command
 
 _TICKS = round(DT / TICK)
@@ -71,7 +71,7 @@ class State(NamedTuple):
     """``[W, H, ...]`` the last commands, newest first."""
     sensor_state: SensorState
     """``[W, 1, ...]`` each: what the senses remember."""
-    seen: ObjectObservation
+    observed: ObjectObservation
     memory: one_push.PolicyState
     samples: Array
     """``[W]`` int"""
@@ -97,6 +97,7 @@ class Batches:
         family: str,
         controller: str,
         weights: Weights,
+        *,
         memory: int | None = None,
         devices: Sequence[jax.Device] | None = None,
     ) -> None:
@@ -112,7 +113,7 @@ class Batches:
         self._policy = pushers.policy_of(config.controllers[controller], weights, kind_of(first.condition))
         nominal = jax.device_get(self.engine.model)
         self._nominal = jax.device_put(nominal, NamedSharding(self.mesh, PartitionSpec()))
-        self._one = setup(config, [first], nominal, self.scene)
+        self._one = set_up(config, [first], nominal, self.scene)
         self.free = memory or free_memory(chosen)
         each = -(-min(config.shard, config.worlds) // len(chosen))
         self.batch = each * len(chosen)
@@ -159,94 +160,97 @@ class Batches:
         for first in range(0, len(worlds), self.batch):
             part = list(worlds[first : first + self.batch])
             filled = part + [part[-1]] * (self.batch - len(part))
-            given = jax.device_put(setup(self.config, filled, self._nominal, self.scene), self._each)
-            state = self._start(self._nominal, given)
+            setup = jax.device_put(set_up(self.config, filled, self._nominal, self.scene), self._each)
+            state = self._start(self._nominal, setup)
             for second in range(self.config.seconds):
-                state = self._advance(self._nominal, given, state)
+                state = self._advance(self._nominal, setup, state)
                 progress((first + len(part) * (second + 1) / self.config.seconds) / len(worlds))
                 if np.all(np.asarray(state.memory.phase) >= one_push.DONE):
                     break
             rows += rows_of(self.config, part, jax.device_get((state.memory.phase, state.tally)))
         return rows
 
-    def _begin(self, nominal: Any, given: WorldSetup) -> State:
-        physics = jnp.concatenate([jnp.zeros(1), given.qpos, jnp.zeros(self.scene.model.nv)])
+    def _begin(self, nominal: Any, setup: WorldSetup) -> State:
+        physics = jnp.concatenate([jnp.zeros(1), setup.qpos, jnp.zeros(self.scene.model.nv)])
         world = jax.tree.map(jnp.asarray, self._still)._replace(physics=physics)
         truth = self.engine.observe(world)
-        noise = jax.random.normal(key_of(given, Stream.FIRST_LOOK), (1, 1, 3))
+        noise = jax.random.normal(key_of(setup, Stream.FIRST_LOOK), (1, 1, 3))
         # It knows where the object stands.
         sensor_state = sensing.first_state(
-            self._senses, given.sensing, given.scenery, truth.robot_pose[None], truth.object_pose[None], noise,
-            poses_known=True, remembers=MOST_DELAY + TICK,
+            self._senses, setup.sensing, setup.scenery, robot_pose=truth.robot_pose[None],
+            object_pose=truth.object_pose[None], noise=noise, poses_known=True, remembers=MOST_DELAY + TICK,
         )  # fmt: skip
         sensor_state = jax.tree.map(lambda x: jnp.asarray(x, dtype=jnp.float32), sensor_state)
         still = Command(jnp.zeros(3), truth.robot_pose[2], world.control.reach, world.control.hand_height)
         sent = jax.tree.map(lambda x: jnp.broadcast_to(x, (_MOST // _TICKS + 1, *jnp.shape(x))), still)
-        seen = _perceived(self._senses, given, truth, sensor_state, jnp.zeros(3), jnp.int32(0))
-        memory = one_push.init(self._policy, seen, _task(given), key_of(given, Stream.CONTROLLER))
+        observed = _perceived(self._senses, setup, truth, sensor_state, wrench=jnp.zeros(3), samples=jnp.int32(0))
+        memory = one_push.init(self._policy, observed, _task(setup), key_of(setup, Stream.CONTROLLER))
         zero = jnp.float32(0.0)
         tally = Tally(zero, zero, zero, zero, truth.object_pose[0])
-        return State(world, sent, sensor_state, seen, memory, jnp.int32(0), tally)
+        return State(world, sent, sensor_state, observed, memory, jnp.int32(0), tally)
 
-    def _second(self, nominal: Any, given: WorldSetup, state: State) -> State:
+    def _second(self, nominal: Any, setup: WorldSetup, state: State) -> State:
         """All the device's worlds by one second."""
 
-        def step(given: tuple[one_push.WorldGoal, Array], state: Any) -> tuple[Command, one_push.PolicyState]:
-            memory, seen, samples = state
-            return one_push.step(self._policy, memory, seen, given[0], given[1], samples >= _SECOND)
+        def decide(inputs: tuple[Any, ...]) -> tuple[Command, one_push.PolicyState]:
+            task, key, memory, observed, samples = inputs
+            return one_push.step(self._policy, memory, observed, task, key, samples >= _SECOND)
 
         def sample(state: State, _: None) -> tuple[State, None]:
-            asked = (jax.vmap(_task)(given), jax.vmap(partial(key_of, stream=Stream.CONTROLLER))(given))
-            known = (state.memory, state.seen, state.samples)
+            keys = jax.vmap(partial(key_of, stream=Stream.CONTROLLER))(setup)
+            inputs = (jax.vmap(_task)(setup), keys, state.memory, state.observed, state.samples)
             if self.mesh.devices.flat[0].platform == "cpu":
-                command, memory = jax.lax.map(lambda x: step(*x), (asked, known), batch_size=_AT_ONCE)
+                decided = jax.lax.map(decide, inputs, batch_size=_AT_ONCE)
             else:
-                command, memory = jax.vmap(step)(asked, known)
-            move = jax.vmap(self._move, in_axes=(None, 0, 0, 0, 0))
-            return move(nominal, given, state, command, memory), None
+                decided = jax.vmap(decide)(inputs)
+            return jax.vmap(self._move, in_axes=(None, 0, 0, 0))(nominal, setup, state, decided), None
 
         return jax.lax.scan(sample, state, None, length=_SECOND)[0]
 
     def _move(
-        self, nominal: Any, given: WorldSetup, state: State, command: Command, memory: one_push.PolicyState
+        self, nominal: Any, setup: WorldSetup, state: State, decided: tuple[Command, one_push.PolicyState]
     ) -> State:
-        """One world by one sample under ``command``; a world that is over stays as it is."""
+        """One world by one sample under the command ``decided``; a world that is over stays as it is."""
+        command, memory = decided
         sent = jax.tree.map(lambda new, old: jnp.concatenate([new[None], old[:-1]]), command, state.sent)
-        model = nominal.tree_replace(given.fields)
-        model = model.tree_replace(perturbed(model, given.factors, self.scene))
-        gains = Gains(**given.gains)
+        model = nominal.tree_replace(setup.fields)
+        model = model.tree_replace(perturbed(model, setup.factors, self.scene))
+        gains = Gains(**setup.gains)
         substeps = round(TICK / self.engine.timestep)
 
         # Headings are held as the robot believes them.
         turned = 0.0 if self._senses.perfect else sensing.heading_error(state.sensor_state)[0]
 
         def tick(world: MjxWorld, number: Array) -> tuple[MjxWorld, Any]:
-            arrived = jax.tree.map(lambda x: x[commands_ago(given.delay, number)], sent)
+            arrived = jax.tree.map(lambda x: x[commands_ago(setup.delay, number)], sent)
             arrived = arrived._replace(yaw=arrived.yaw - turned)
             return self.engine.step_one(model, world, arrived, jnp.zeros(6), substeps=substeps, gains=gains)
 
         world, track = jax.lax.scan(tick, state.world, jnp.arange(_TICKS))
-        sensor_state = self._watched(given, state, track)
+        sensor_state = self._watched(setup, state, track)
         truth = jax.tree.map(lambda x: x[-1], track)
         wrench = track.wrench[:, 0].mean(axis=0)
         samples = state.samples + 1
-        seen = _perceived(self._senses, given, truth, sensor_state, wrench, samples)
-        memory = memory._replace(phase=_phase(memory.phase, truth, world, given))
-        after = State(world, sent, sensor_state, seen, memory, samples, _counted(state.tally, truth, wrench, samples))
+        observed = _perceived(self._senses, setup, truth, sensor_state, wrench=wrench, samples=samples)
+        memory = memory._replace(phase=_phase(memory.phase, truth, world, setup))
+        after = State(
+            world, sent, sensor_state, observed, memory, samples, _counted(state.tally, truth, wrench, samples)
+        )
         return jax.tree.map(lambda a, b: jnp.where(state.memory.phase >= one_push.DONE, a, b), state, after)
 
-    def _watched(self, given: WorldSetup, state: State, track: Any) -> SensorState:
+    def _watched(self, setup: WorldSetup, state: State, track: Any) -> SensorState:
         """The senses after the sample's ticks, of which ``track [T, ...]`` is the truth."""
-        normal = jax.random.normal(key_of(given, Stream.SENSES, state.samples), (_TICKS, 9))
-        uniform = jax.random.uniform(key_of(given, Stream.DROP_OUTS, state.samples), (_TICKS, 1, 1, 2))
+        normal = jax.random.normal(key_of(setup, Stream.SENSES, state.samples), (_TICKS, 9))
+        uniform = jax.random.uniform(key_of(setup, Stream.DROP_OUTS, state.samples), (_TICKS, 1, 1, 2))
 
         def look(sensor_state: SensorState, at: Any) -> tuple[SensorState, None]:
             robot, thing, drawn, chance, number = at
             noise = Noise(drawn[None, :6], drawn[None, None, 6:], chance)
             now = state.samples * _TICKS + number + 1
             after = sensing.tick(
-                self._senses, given.sensing, given.scenery, sensor_state, robot[None], thing[None], noise, now
-            )
+                self._senses, setup.sensing, setup.scenery, sensor_state, robot_pose=robot[None],
+                object_pose=thing[None], noise=noise, now=now,
+            )  # fmt: skip
             return jax.tree.map(lambda new, old: new.astype(old.dtype), after, sensor_state), None
 
         ticks = (track.robot_pose, track.object_pose, normal, uniform, jnp.arange(_TICKS))
@@ -258,34 +262,31 @@ def commands_ago(delay: Array, tick: Array) -> Array:
     return jnp.maximum((delay - tick + _TICKS - 1) // _TICKS, 0)
 
 
-def _task(given: WorldSetup) -> one_push.WorldGoal:
-    return one_push.WorldGoal(given.face, given.half_extents, given.goal)
+def _task(setup: WorldSetup) -> one_push.WorldGoal:
+    return one_push.WorldGoal(setup.face, setup.half_extents, setup.goal)
 
 
-def key_of(given: WorldSetup, stream: Stream, sample: Array | int = 0) -> Array:
+def key_of(setup: WorldSetup, stream: Stream, sample: Array | int = 0) -> Array:
     """Random key of one world for one use in one sample; every random number of a batch is drawn with one of these."""
-    return jax.random.fold_in(jax.random.fold_in(given.key, stream), sample)
+    return jax.random.fold_in(jax.random.fold_in(setup.key, stream), sample)
 
 
 def _perceived(
-    senses: Senses, given: WorldSetup, truth: Any, sensor_state: SensorState, wrench: Array, samples: Array
+    senses: Senses, setup: WorldSetup, truth: Any, sensor_state: SensorState, *, wrench: Array, samples: Array
 ) -> ObjectObservation:
     """What the robot's senses make of the truth, with the swept noise; perfect ones see late at most."""
-    error = given.noise * jax.random.normal(key_of(given, Stream.SWEPT_NOISE, samples), (11,))
+    error = setup.noise * jax.random.normal(key_of(setup, Stream.SWEPT_NOISE, samples), (11,))
     if senses.perfect:
-        late = given.sensing.frame_delay
-        pose, before = (
-            odometry.ago(sensor_state.objects, late)[0, 0],
-            odometry.ago(sensor_state.objects, late + 1)[0, 0],
-        )
+        late = setup.sensing.frame_delay
+        pose, before = (odometry.ago(sensor_state.objects, late + i)[0, 0] for i in (0, 1))
         moved = jnp.concatenate([pose[:2] - before[:2], se2.wrap(pose[2:] - before[2:])])
         robot, speed, frame = truth.robot_pose, truth.robot_twist, jnp.concatenate([pose, moved / TICK])
         detected, age = jnp.bool_(True), late * TICK
     else:
-        found = sensing.estimates(senses, given.sensing, sensor_state, samples * _TICKS, DT)
-        robot, speed = found.robot_pose[0], found.robot_twist[0]
-        frame = jnp.concatenate([found.object_pose[0, 0], found.object_twist[0, 0]])
-        detected, age = found.detected[0, 0], found.object_age[0, 0]
+        estimates = sensing.estimates(senses, setup.sensing, sensor_state, samples * _TICKS, sample=DT)
+        robot, speed = estimates.robot_pose[0], estimates.robot_twist[0]
+        frame = jnp.concatenate([estimates.object_pose[0, 0], estimates.object_twist[0, 0]])
+        detected, age = estimates.detected[0, 0], estimates.object_age[0, 0]
     frame = frame + error[4:10]
     push = jnp.zeros(3).at[0].set(error[10])
     return ObjectObservation(
@@ -301,9 +302,9 @@ def _perceived(
     )
 
 
-def _phase(phase: Array, truth: Any, world: MjxWorld, given: WorldSetup) -> Array:
+def _phase(phase: Array, truth: Any, world: MjxWorld, setup: WorldSetup) -> Array:
     """The phase after a sample: over if the robot has fallen, or if it has let go and the object rests."""
-    away = hands_to_face(truth.object_pose[0], truth.robot_pose, given.face) > CLEAR
+    away = hands_to_face(truth.object_pose[0], truth.robot_pose, setup.face) > CLEAR
     resting = jnp.hypot(truth.object_twist[0, 0], truth.object_twist[0, 1]) < AT_REST
     phase = jnp.where((phase == one_push.LET_GO) & away & resting, one_push.DONE, phase)
     phase = jnp.where(jnp.any(jnp.abs(se2.wrap(truth.lean)) > 0.6), one_push.FELL, phase)

@@ -163,7 +163,7 @@ def _every_wheel_has_friction(spec: mujoco.MjSpec) -> None:
             joint.frictionloss = max(float(np.max(joint.frictionloss)), 1e-6)
 
 
-def setup(config: SweepConfig, worlds: Sequence[Drawn], nominal: Any, scene: Scene) -> WorldSetup:
+def set_up(config: SweepConfig, worlds: Sequence[Drawn], nominal: Any, scene: Scene) -> WorldSetup:
     """Worlds of one family as arrays, with fields shaped like those of ``nominal``, the ``mjx.Model`` of ``scene``."""
     scenes = [scene_of(w) for w in worlds]
     models = [s.model for s in scenes]

@@ -26,7 +26,7 @@ def pair() -> Any:
     batch.close()
 
 
-def agree(batch: Any, name: str, steps: int, senses: str = "perfect", atol: float = 5e-3) -> None:
+def agree(batch: Any, name: str, steps: int, *, senses: str = "perfect", atol: float = 5e-3) -> None:
     """The batch does what single environments of the same seeds do."""
     singles = [gymnasium.make(name, senses=senses) for _ in range(batch.num_envs)]
     seen, _ = batch.reset(seed=5)

@@ -44,7 +44,7 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "gym.md"
 
 
 def in_line_of_sight(
-    seen: Observation, index: int, half_extents: tuple[float, float], walls: DistanceField, reach: float
+    seen: Observation, index: int, half_extents: tuple[float, float], walls: DistanceField, *, reach: float
 ) -> bool:
     """Whether some corner of an object is within ``reach`` metres and in line of sight over the map."""
     robot = seen.robot_pose[0, :2]
@@ -198,7 +198,7 @@ def test_rays_meet_rectangles_where_geometry_says() -> None:
     half, origins = rng.uniform(0.1, 1.0, (20, 3, 2)), rng.uniform(-3, 3, (20, 2))
     angles = rng.uniform(-np.pi, np.pi, (20, 5))
     directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    found = navigate.cast(origins, directions, poses, half, 3.5)
+    found = navigate.cast(origins, directions, poses, half, reach=3.5)
     for w in range(20):
         blocks = shapely.union_all([footprint_polygon(p, h) for p, h in zip(poses[w], half[w], strict=True)])
         for r in range(5):
@@ -224,7 +224,7 @@ def test_what_is_behind_a_wall_is_not_seen() -> None:
             counts[i, int(shown)] += 1
             now = env.unwrapped._now
             true = now.engine.true_observation(now.world)
-            differ += shown != in_line_of_sight(true, i, condition.half_extents, walls, 3.5)
+            differ += shown != in_line_of_sight(true, i, condition.half_extents, walls, reach=3.5)
             assert part(env, observation, f"object{i}").any() == shown
     # The senses look along other lines: a corner that just shows may be seen by one alone.
     assert differ <= 1

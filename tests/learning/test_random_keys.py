@@ -182,7 +182,7 @@ def test_each_world_of_a_sweep_has_streams_of_its_own() -> None:
     for family in ("box", "cart"):
         drawn = [worlds.draw(config, family, i) for i in range(2)]
         scene = worlds.scene_of(drawn[0])
-        given = worlds.setup(config, drawn, MjxEngine([scene]).model, scene)
+        given = worlds.set_up(config, drawn, MjxEngine([scene]).model, scene)
         for stream, sample in itertools.product(Stream, range(3)):
             keys = jax.vmap(lambda one, stream=stream, sample=sample: key_of(one, stream, sample))(given)
             found += jax.random.key_data(keys).tolist()

@@ -22,7 +22,7 @@ from shmoo_mjx.plant.trials import command
 from shmoo_mjx.types import Observation
 
 
-def _push(scene: Scene, seconds: float, lean: float, gamma: float = 0.0, yaw: float = 0.0) -> Observation:
+def _push(scene: Scene, seconds: float, lean: float, *, gamma: float = 0.0, yaw: float = 0.0) -> Observation:
     """Lean against the object in front of the robot; observations ``[T, ...]`` of one world."""
     engine = MujocoEngine([scene])
     world = engine.init()

@@ -95,10 +95,10 @@ def test_the_same_in_jax() -> None:
 def test_rays() -> None:
     poses, half = np.array([[(2.0, 0.0, np.pi / 4)]]), np.array([[(0.5, 0.5)]])
     rays = np.array([[(1.0, 0.0), (0.0, 1.0)]])
-    np.testing.assert_allclose(cast(np.zeros((1, 2)), rays, poses, half, 9.0)[0], (2 - np.sqrt(0.5), 9.0))
+    np.testing.assert_allclose(cast(np.zeros((1, 2)), rays, poses, half, reach=9.0)[0], (2 - np.sqrt(0.5), 9.0))
     eye, point = np.array([[0.0, 0.0, 1.0]]), np.array([[(4.0, 0.0, 0.5)]])
     for top, expected in ((0.6, False), (0.7, True), (np.inf, True)):  # the line leaves the box at 0.66 m
-        assert hidden(eye, point, poses, half, np.array([[top]])).item() == expected
+        assert hidden(eye, point, poses, half, tops=np.array([[top]])).item() == expected
 
 
 def test_noise_grows_with_distance_and_has_a_floor() -> None:

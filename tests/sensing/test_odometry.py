@@ -27,7 +27,7 @@ def walk(config: OdometryConfig, seconds: float = 40.0, speed: float = 0.5) -> t
     for now in range(1, round(seconds / TICK) + 1):
         turn = 0.6 * TICK if now % 1500 < 260 else 0.0
         pose = se2.compose(pose, np.array([speed * TICK, 0.0, turn]) * np.ones((ROBOTS, 1)))
-        state = odometry.step(config, robots, state, pose, rng.normal(size=(ROBOTS, 6)), now)
+        state = odometry.step(config, robots, state, pose, noise=rng.normal(size=(ROBOTS, 6)), now=now)
         believed = se2.compose(state.frame, odometry.estimate(robots, state))
         error = believed - pose
         errors.append(np.concatenate([error[:, :2], se2.wrap(error[:, 2:])], axis=-1))
@@ -64,12 +64,12 @@ def test_a_pose_that_arrives_late_is_carried_on() -> None:
     quiet = np.zeros((ROBOTS, 6))
     for now in range(1, 6):  # a step of 0.1 m at tick 1
         pose = np.tile([0.1, 0.0, 0.0], (ROBOTS, 1))
-        state = odometry.step(config, robots, state, pose, quiet, now)
+        state = odometry.step(config, robots, state, pose, noise=quiet, now=now)
         arrived = odometry.ago(state.pose, robots.delay)[:, 0] > 0.05
         np.testing.assert_array_equal(arrived, now > robots.delay)
     for now in range(6, 60):
         pose = pose + np.array([0.005, 0.0, 0.0])
-        state = odometry.step(config, robots, state, pose, quiet, now)
+        state = odometry.step(config, robots, state, pose, noise=quiet, now=now)
     assert np.abs(odometry.estimate(robots, state) - pose).max() < 1e-3
     assert np.abs(state.twist[:, 0] - 0.5).max() < 0.01
 

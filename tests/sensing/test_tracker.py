@@ -21,14 +21,16 @@ def feed(
         found = np.array([[pose is not None]])
         measured = np.array([[pose or (0.0, 0.0, 0.0)]]) + noise * rng.normal(size=(1, 1, 3))
         at = np.array([float(start + i) * FRAME * 100])
-        tracks = tracker.update(CONFIG, tracks, measured, SPREAD, found, np.array([FRAME]), (at, at + 3))
+        tracks = tracker.update(
+            CONFIG, tracks, measured, SPREAD, detected=found, seconds=np.array([FRAME]), time=(at, at + 3)
+        )
         history.append(tracks)
     return tracks, history
 
 
 def test_never_detected_is_nan() -> None:
     tracks, _ = feed(tracker.init(1, 1), [None] * 5)
-    assert np.isnan(tracks.pose).all() and not tracker.known(tracks).any()
+    assert np.isnan(tracks.pose).all() and not tracker.ever_detected(tracks).any()
     assert np.isinf(tracks.detected_at).all()
 
 
@@ -86,6 +88,8 @@ def test_a_world_without_a_frame_stays_as_it_is() -> None:
     tracks, _ = feed(tracker.init(1, 1), [(0.1 * i * FRAME, 0.0, 0.0) for i in range(10)])
     none = np.array([[False]])
     zero = np.zeros(1)
-    same = tracker.update(CONFIG, tracks, np.ones((1, 1, 3)), SPREAD, none, zero, (tracks.at + 1, tracks.at + 4))
+    same = tracker.update(
+        CONFIG, tracks, np.ones((1, 1, 3)), SPREAD, detected=none, seconds=zero, time=(tracks.at + 1, tracks.at + 4)
+    )
     for name in Tracks._fields:
         np.testing.assert_allclose(getattr(same, name), getattr(tracks, name), atol=1e-15, err_msg=name)

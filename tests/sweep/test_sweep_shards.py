@@ -160,7 +160,9 @@ def test_jobs_of_a_cluster_make_the_same_table(
     pretend.simulated.clear()
     monkeypatch.setattr(run, "_mjx", lambda sweep, memory: lambda family, controller: pretend)
     seen: list[float] = []
-    cluster.submit(shared, 4, "debug", {"timeout_min": 5}, lambda stage, fraction: seen.append(fraction))
+    cluster.submit(
+        shared, 4, "debug", options={"timeout_min": 5}, progress=lambda stage, fraction: seen.append(fraction)
+    )
     assert seen[-1] == 1.0 and sorted(pretend.simulated) == sorted([*range(11), *range(11)])
     assert read_table(shared.collect()) == read_table(whole.collect())
 
@@ -172,7 +174,7 @@ def test_a_failed_job_is_told_in_one_sentence(config: SweepConfig, tmp_path: Pat
     weights = tmp_path / "weights.safetensors"
     weights.write_bytes(b"no weights")
     with pytest.raises(ShmooError, match=r"job \d+ failed \(.*weights.safetensors.*read it there") as caught:
-        cluster.submit(Sweep.open(config, tmp_path / "out", weights), 1, "local", {"timeout_min": 5}, poll=0.2)
+        cluster.submit(Sweep.open(config, tmp_path / "out", weights), 1, "local", options={"timeout_min": 5}, poll=0.2)
     assert "\n" not in str(caught.value)
 
 
@@ -181,4 +183,4 @@ def test_without_slurm_it_says_what_to_do(config: SweepConfig, tmp_path: Path, m
     pytest.importorskip("submitit")
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(ShmooError, match=r"there is no slurm here.*--cluster local"):
-        cluster.submit(Sweep.open(config, tmp_path), 2, "slurm", {})
+        cluster.submit(Sweep.open(config, tmp_path), 2, "slurm", options={})

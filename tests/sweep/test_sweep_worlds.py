@@ -72,8 +72,8 @@ def nominals() -> dict[str, tuple[Any, Any]]:
 
 def test_arrays_do_not_depend_on_the_cut(nominals: dict[str, tuple[Any, Any]]) -> None:
     drawn = [worlds.draw(config(), "box", i) for i in range(5)]
-    whole = arrays(worlds.setup(config(), drawn, *nominals["box"]))
-    parts = [arrays(worlds.setup(config(), drawn[a:b], *nominals["box"])) for a, b in ((0, 1), (1, 5))]
+    whole = arrays(worlds.set_up(config(), drawn, *nominals["box"]))
+    parts = [arrays(worlds.set_up(config(), drawn[a:b], *nominals["box"])) for a, b in ((0, 1), (1, 5))]
     for all_, first, rest in zip(whole, *parts, strict=True):
         np.testing.assert_array_equal(all_, np.concatenate([first, rest]))
     assert len({a.tobytes() for a in whole[-1]}) == 5  # every world's key
@@ -84,7 +84,7 @@ def test_nothing_that_physics_depends_on_is_left_out(family: str, nominals: dict
     """World by world MJX's own model of it, beside the nominal one with the setup's fields."""
     drawn = [worlds.draw(config(), family, i) for i in range(4)]
     nominal, scene = nominals[family]
-    setup = worlds.setup(config(), drawn, nominal, scene)
+    setup = worlds.set_up(config(), drawn, nominal, scene)
     only_seen = (".light_", ".geom_rgba", ".stat.extent", ".stat.center", ".stat.meansize", ".stat.meanmass")
     for i, one in enumerate(drawn):
         true = MjxEngine([worlds.scene_of(one)]).model
