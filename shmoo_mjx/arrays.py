@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 else:
     Scalar = float | int | np.generic | Shaped[Array, ""]
 
-ArrayT = TypeVar("ArrayT", np.ndarray, jax.Array, Array)
+ArrayT = TypeVar("ArrayT", bound=Array)
 """The kind of array that a function takes and returns: NumPy's in, NumPy's out."""
-ScalarT = TypeVar("ScalarT", float, np.ndarray, jax.Array, Array, Scalar)
+ScalarT = TypeVar("ScalarT", bound=Scalar | Array)
 """The same for functions that take numbers too."""
 
 Numbers = Sequence[Scalar]

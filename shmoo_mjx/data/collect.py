@@ -124,21 +124,21 @@ def _reconsider(rng: np.random.Generator, op: Operator, who: np.ndarray) -> Oper
     )
 
 
-def drive(rng: np.random.Generator, op: Operator, seen: Observation) -> tuple[Operator, Command]:
+def drive(rng: np.random.Generator, op: Operator, observed: Observation) -> tuple[Operator, Command]:
     """One decision of each operator: velocity loop along the face, lateral loop to its place, smooth noise on u."""
     n = len(op.speed)
     op = _reconsider(rng, op, rng.random(n) < DT / 1.8)
     noise = 0.85 * op.noise + op.liveliness[:, None] * np.array([0.008, 0.005, 0.04]) * rng.normal(size=(n, 3))
-    wanted_yaw = heading(seen.object_pose[:, 0], op.face) + op.yaw_error
-    in_face = se2.relative(se2.compose(seen.object_pose[:, 0], op.face[:, :3]), seen.robot_pose)
+    wanted_yaw = heading(observed.object_pose[:, 0], op.face) + op.yaw_error
+    in_face = se2.relative(se2.compose(observed.object_pose[:, 0], op.face[:, :3]), observed.robot_pose)
     lateral_speed = np.clip(0.8 * (op.offset - in_face[:, 1]), -0.25, 0.25)
     # The wish is given along the face; the lean acts along the robot's axes.
-    relative_yaw = se2.wrap(seen.robot_pose[:, 2] - op.face[:, 2] - seen.object_pose[:, 0, 2])
+    relative_yaw = se2.wrap(observed.robot_pose[:, 2] - op.face[:, 2] - observed.object_pose[:, 0, 2])
     wish = se2.rotate(np.stack([op.speed, lateral_speed], axis=-1), -relative_yaw)
-    velocity = se2.rotate(seen.robot_twist[:, :2], -seen.robot_pose[:, 2])
+    velocity = se2.rotate(observed.robot_twist[:, :2], -observed.robot_pose[:, 2])
     a, b, _ = shmoobot().flatness
     # Velocity of the flat output: the base first moves the wrong way when the lean changes.
-    lean = op.gain[:, None] * (wish - velocity - b / a * seen.lean_rate) + noise[:, :2]
+    lean = op.gain[:, None] * (wish - velocity - b / a * observed.lean_rate) + noise[:, :2]
     # A robot that has lost its object far away comes back rather than recording empty floor.
     u = np.concatenate([np.clip(lean, -0.2, 0.2), np.clip(op.gamma + noise[:, 2], -0.5, 0.5)[:, None]], axis=-1)
     far = in_face[:, 0] < -(REACH + 0.6)
@@ -185,13 +185,13 @@ def record(
     engine = (engine_of or MujocoEngine)(scenes)
     world = engine.init()
     settle = Command(np.zeros((worlds, 3)), poses[:, 2], np.full(worlds, REACH), np.full(worlds, HAND_HEIGHT))
-    world, seen = engine.step(world, settle, 1.0)
+    world, observed = engine.step(world, settle, 1.0)
     rows: list[dict[str, Array]] = []
     for _ in range(round(config.seconds / DT)):
-        operator, command = drive(rng, operator, seen)
-        before = seen
-        world, seen = engine.step(world, command)
-        rows.append(sample(before, seen, command.u))
+        operator, command = drive(rng, operator, observed)
+        before = observed
+        world, observed = engine.step(world, command)
+        rows.append(sample(before, observed, command.u))
     lost = np.flatnonzero(engine.diverged(world))
     engine.close()
     if len(lost):
@@ -267,8 +267,8 @@ def collect(
         schema["names"] = [name for name, _, _ in rows]
     with claimed(directory):
         opened = store.create_or_open(directory, schema)
-        told = {name: condition.to_dict() | {"split": split} for name, split, condition in rows}
-        present = {name for name in told if opened.has(name) or store.adopt(opened, name, told[name])}
+        entries = {name: condition.to_dict() | {"split": split} for name, split, condition in rows}
+        present = {name for name in entries if opened.has(name) or store.adopt(opened, name, entries[name])}
         chunks: list[tuple[int, list[tuple[str, str, Condition]]]] = []
         for number, start in enumerate(range(0, len(rows), config.chunk)):
             part = rows[start : start + config.chunk]
@@ -288,6 +288,6 @@ def collect(
                 for (name, _, _), arrays in zip(jobs[job], job.result(), strict=True):
                     # A chunk is driven as a whole; those of it that were recorded before the cut stay as they are.
                     if name not in present:
-                        store.write_condition(opened, name, arrays, told[name])
+                        store.write_condition(opened, name, arrays, entries[name])
                     done += 1
                     progress(done, len(rows))

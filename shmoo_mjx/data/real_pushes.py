@@ -54,8 +54,8 @@ def load(directory: Path) -> dict[str, dict[str, RealPushCondition]]:
         "mit_push": ("pushes_heldout_with_model_pred.csv", _mit_push),
         "mlab_triangle": ("pushes.csv", _mlab_triangle),
     }
-    found = {name: directory / name / file for name, (file, _) in readers.items()}
-    data = {name: readers[name][1](path) for name, path in found.items() if path.is_file()}
+    paths = {name: directory / name / file for name, (file, _) in readers.items()}
+    data = {name: readers[name][1](path) for name, path in paths.items() if path.is_file()}
     if not data:
         wanted = " or ".join(f"{name}/{file}" for name, (file, _) in readers.items())
         raise ShmooError(f"{directory}: holds neither {wanted}; give the folder of recorded pushes with --data.")
@@ -71,8 +71,8 @@ def _mit_push(path: Path) -> dict[str, RealPushCondition]:
     for (surface, shape), values in _groups(path, ("surface", "shape"), columns).items():
         before, after, start, end, poses = np.split(values, [3, 6, 8, 10], axis=1)
         start, end = (se2.inverse_transform_point(before, point) for point in (start, end))
-        told = dict(zip(models, np.split(poses, len(models), axis=1), strict=True))
-        published = {name: se2.relative(before, pose) for name, pose in told.items()}
+        split = zip(models, np.split(poses, len(models), axis=1), strict=True)
+        published = {name: se2.relative(before, pose) for name, pose in split}
         motion = se2.relative(before, after)
         conditions[f"{surface}/{shape}"] = RealPushCondition(shape, start, end, motion, start, published, True, 0.00475)
     return conditions

@@ -15,7 +15,7 @@ from shmoo_mjx.arrays import Array, ArrayT, Float, Scalar, ScalarT
 _PLAIN = (np.ndarray, np.generic, float, int)
 
 
-def array_module(*arrays: Scalar | Array) -> Any:
+def array_module(*arrays: Scalar | np.generic | Array) -> Any:
     """numpy if every array is a plain NumPy array or number, jax.numpy otherwise."""
     for array in arrays:  # all() of a generator takes twice as long, and this is asked 5,000 times per simulated second
         if not isinstance(array, _PLAIN):
@@ -62,7 +62,7 @@ def rotate(vector: Float[ArrayT, "... n"], angle: float | np.generic | Float[Arr
 
 def transform_point(pose: Float[ArrayT, "... 3"], point: Float[ArrayT, "... 2"]) -> Float[ArrayT, "... 2"]:
     """A point given in the frame ``pose``, in that pose's parent frame."""
-    return pose[..., :2] + rotate(point, pose[..., 2])
+    return array_module(pose, point).add(pose[..., :2], rotate(point, pose[..., 2]))
 
 
 def inverse_transform_point(pose: Float[ArrayT, "... 3"], point: Float[ArrayT, "... 2"]) -> Float[ArrayT, "... 2"]:
@@ -84,4 +84,4 @@ def relative(a: Float[ArrayT, "... 3"], b: Float[ArrayT, "... 3"]) -> Float[Arra
 
 def cross(a: Float[ArrayT, "... 2"], b: Float[ArrayT, "... 2"]) -> Float[ArrayT, "..."]:
     """z component of the cross product of planar vectors: the moment of force b at lever arm a."""
-    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    return array_module(a, b).subtract(a[..., 0] * b[..., 1], a[..., 1] * b[..., 0])

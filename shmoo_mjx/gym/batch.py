@@ -64,7 +64,7 @@ class ShmooVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._engine: MjxEngine | None = None
         self._sensed: SensedEngine
         self._world: SensedWorld
-        self._seen: Observation
+        self._observed: Observation
         self._outcome: Outcome
         self._starts: list[Start]
         self._over = np.zeros(num_envs, dtype=bool)
@@ -86,7 +86,7 @@ class ShmooVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         else:
             self._begin(np.ones(self.num_envs, dtype=bool))
         self._outcome = self._judged()
-        return self.task.observe(self._context, self._seen), self._infos(begun(self._outcome))
+        return self.task.observe(self._context, self._observed), self._infos(begun(self._outcome))
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Hold ``actions [W, m]`` for 0.1 s."""
@@ -94,11 +94,11 @@ class ShmooVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             raise gymnasium.error.ResetNeeded("call reset before step")
         resetting = self._over
         assert isinstance(self.action_space, gymnasium.spaces.Box)
-        wanted = self.task.command(checked(actions, self.action_space), self._seen)
-        self._world, seen = self._sensed.step(self._world, wanted)
+        wanted = self.task.command(checked(actions, self.action_space), self._observed)
+        self._world, observed = self._sensed.step(self._world, wanted)
         diverged = self._sensed.diverged(self._world)
         # A world that has diverged is shown as it was at last.
-        self._seen = jax.tree.map(lambda new, old: _chosen(np, diverged, old, new), seen, self._seen)
+        self._observed = jax.tree.map(lambda new, old: _chosen(np, diverged, old, new), observed, self._observed)
         self._steps += 1
         if resetting.any():
             self._begin(resetting)
@@ -109,8 +109,8 @@ class ShmooVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._outcome = step.outcome
         truncated = (self._steps >= self.limit) & ~step.terminated
         self._over = step.terminated | truncated
-        observed = self.task.observe(self._context, self._seen)
-        return observed, step.reward, step.terminated, truncated, self._infos(step)
+        vectors = self.task.observe(self._context, self._observed)
+        return vectors, step.reward, step.terminated, truncated, self._infos(step)
 
     @property
     def starts(self) -> tuple[Start, ...]:
@@ -118,8 +118,8 @@ class ShmooVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return tuple(self._starts)
 
     def _build(self, starts: list[Start], robots: list[int]) -> None:
-        given = zip(starts, robots, strict=True)
-        self._scenes = [start.scene("mjx", self.senses.adjust(robot)) for start, robot in given]
+        pairs = zip(starts, robots, strict=True)
+        self._scenes = [start.scene("mjx", self.senses.adjust(robot)) for start, robot in pairs]
         if self._engine is None:
             self._engine = MjxEngine(self._scenes)
         else:
@@ -141,7 +141,9 @@ class ShmooVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         else:
             self._world = self._sensed.restart(self._world, _merged(which, fresh, self._world.truth), which)
         still = self._sensed.observe(self._world)
-        self._seen = still if whole else jax.tree.map(lambda new, old: _chosen(np, which, new, old), still, self._seen)
+        self._observed = (
+            still if whole else jax.tree.map(lambda new, old: _chosen(np, which, new, old), still, self._observed)
+        )
         self._steps = np.where(which, 0, self._steps)
         self._over = self._over & ~which
 
@@ -157,8 +159,8 @@ class ShmooVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return self.task.judge(self._context, self._sensed.true_observation(self._world))
 
     def _infos(self, step: Judged) -> dict[str, Any]:
-        found = info_of(step, self._world.wall_contact)
-        return found | {f"_{name}": np.ones(self.num_envs, dtype=bool) for name in found}
+        info = info_of(step, self._world.wall_contact)
+        return info | {f"_{name}": np.ones(self.num_envs, dtype=bool) for name in info}
 
 
 def _chosen(xp: Any, which: np.ndarray, new: Any, old: Any) -> Any:

@@ -115,28 +115,28 @@ class NavigateTask:
         half = np.array([[c.half_extents for c in s.conditions] for s in starts], dtype=float)
         return Rooms(np.stack([s.goal for s in starts]), half, pose, walls[..., 2:], way)
 
-    def command(self, actions: np.ndarray, seen: Observation) -> Command:
+    def command(self, actions: np.ndarray, observed: Observation) -> Command:
         """The last action folds and extends the arms."""
-        return command(actions, seen, actions[:, 4])
+        return command(actions, observed, actions[:, 4])
 
-    def observe(self, context: Rooms, seen: Observation) -> np.ndarray:
+    def observe(self, context: Rooms, observed: Observation) -> np.ndarray:
         """See ``observation``."""
-        yaw, position = seen.robot_pose[:, 2], seen.robot_pose[:, :2]
+        yaw, position = observed.robot_pose[:, 2], observed.robot_pose[:, :2]
         rays = se2.rotate(self._rays[None], yaw[:, None])
-        known = np.isfinite(seen.object_pose)
-        pose = np.concatenate([context.wall_pose, np.where(known, seen.object_pose, _FAR)], axis=1)
+        object_pose = np.where(np.isfinite(observed.object_pose), observed.object_pose, _FAR)
+        pose = np.concatenate([context.wall_pose, object_pose], axis=1)
         half = np.concatenate([context.wall_half, context.half_extents], axis=1)
-        values = body(seen) | {
-            "goal": se2.inverse_transform_point(seen.robot_pose, context.goal),
-            "way": self._way(context, seen),
+        values = body(observed) | {
+            "goal": se2.inverse_transform_point(observed.robot_pose, context.goal),
+            "way": self._way(context, observed),
             "ranges": cast(position, rays, pose, half, reach=self.config.reach),
         }
-        shown = np.asarray(seen.detected, dtype=bool)
+        shown = np.asarray(observed.detected, dtype=bool)
         for i in range(_OBJECTS):
             about = {
-                "": in_robot(seen, np.where(shown[:, i, None], seen.object_pose[:, i], 0.0)),
-                "_twist": se2.rotate(seen.object_twist[:, i], -yaw),
-                "_wrench": se2.rotate(seen.wrench[:, i], -yaw),
+                "": in_robot(observed, np.where(shown[:, i, None], observed.object_pose[:, i], 0.0)),
+                "_twist": se2.rotate(observed.object_twist[:, i], -yaw),
+                "_wrench": se2.rotate(observed.wrench[:, i], -yaw),
                 "_half_extents": context.half_extents[:, i],
                 "_seen": np.ones((len(yaw), 1)),
             }
@@ -151,12 +151,12 @@ class NavigateTask:
         way = _look_up(context.way, position[:, None])[:, 0]
         return Outcome(-way, distance, (distance < self.config.arrived) & slow)
 
-    def _way(self, context: Rooms, seen: Observation) -> np.ndarray:
+    def _way(self, context: Rooms, observed: Observation) -> np.ndarray:
         """``[W, 3]`` length, and direction in {R} of the point round the robot from which the way is shortest."""
-        points = seen.robot_pose[:, None, :2] + self.config.lookahead * self._rays
+        points = observed.robot_pose[:, None, :2] + self.config.lookahead * self._rays
         best = np.argmin(_look_up(context.way, points), axis=1)
-        here = _look_up(context.way, seen.robot_pose[:, None, :2])
-        return np.concatenate([here, se2.rotate(self._rays[best], -seen.robot_pose[:, 2])], axis=-1)
+        here = _look_up(context.way, observed.robot_pose[:, None, :2])
+        return np.concatenate([here, se2.rotate(self._rays[best], -observed.robot_pose[:, 2])], axis=-1)
 
 
 def _way_to(grid: OccupancyGrid, goal: np.ndarray) -> np.ndarray:

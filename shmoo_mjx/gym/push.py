@@ -92,21 +92,21 @@ class PushEnvTask:
             np.stack([s.goal for s in starts]), np.array([s.conditions[0].half_extents for s in starts], dtype=float)
         )
 
-    def command(self, actions: np.ndarray, seen: Observation) -> Command:
+    def command(self, actions: np.ndarray, observed: Observation) -> Command:
         """Arms extended."""
-        return command(actions, seen)
+        return command(actions, observed)
 
-    def observe(self, context: PushGoal, seen: Observation) -> np.ndarray:
+    def observe(self, context: PushGoal, observed: Observation) -> np.ndarray:
         """See ``observation``."""
-        yaw = seen.robot_pose[:, 2]
+        yaw = observed.robot_pose[:, 2]
         return flat(
             self.observation,
-            body(seen)
+            body(observed)
             | {
-                "object": in_robot(seen, seen.object_pose[:, 0]),
-                "object_twist": se2.rotate(seen.object_twist[:, 0], -yaw),
-                "wrench": se2.rotate(seen.wrench[:, 0], -yaw),
-                "goal": in_robot(seen, context.goal),
+                "object": in_robot(observed, observed.object_pose[:, 0]),
+                "object_twist": se2.rotate(observed.object_twist[:, 0], -yaw),
+                "wrench": se2.rotate(observed.wrench[:, 0], -yaw),
+                "goal": in_robot(observed, context.goal),
                 "half_extents": context.half_extents,
             },
         )

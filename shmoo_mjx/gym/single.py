@@ -32,10 +32,10 @@ def checked(actions: np.ndarray, box: gymnasium.spaces.Box) -> np.ndarray:
     Raises:
         ShmooError: wrong shape, or a value that is no number.
     """
-    given = np.asarray(actions, dtype=float)
-    if given.shape != box.shape or not np.isfinite(given).all():
+    numbers = np.asarray(actions, dtype=float)
+    if numbers.shape != box.shape or not np.isfinite(numbers).all():
         raise ShmooError(f"the action must be {box.shape} finite numbers, not {actions!r}.")
-    return np.clip(given, box.low, box.high)
+    return np.clip(numbers, box.low, box.high)
 
 
 class _Episode(NamedTuple):
@@ -45,9 +45,9 @@ class _Episode(NamedTuple):
     context: Any
     engine: SensedEngine
     world: SensedWorld
-    seen: Observation
+    observed: Observation
     outcome: Outcome
-    """Of the last whole state, as world and seen are."""
+    """Of the last whole state, as world and observed are."""
 
 
 class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
@@ -92,27 +92,27 @@ class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         scene, context = start.scene("mujoco", self.senses.adjust(robot)), self.task.gather([start])
         engine = SensedEngine([scene], self.senses, robot, poses_known=self.task.poses_known)
         world = engine.init()
-        seen = engine.observe(world)
+        observed = engine.observe(world)
         outcome = self.task.judge(context, engine.true_observation(world))
-        self._now = _Episode(start, context, engine, world, seen, outcome)
+        self._now = _Episode(start, context, engine, world, observed, outcome)
         self._show()
-        return self.task.observe(context, seen)[0], _info(begun(outcome), world.wall_contact)
+        return self.task.observe(context, observed)[0], _info(begun(outcome), world.wall_contact)
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Hold ``action`` for 0.1 s. It never truncates: the registered limit of steps does."""
         now = self._episode()
-        wanted = self.task.command(checked(action, self._box)[None], now.seen)
-        world, seen = now.engine.step(now.world, wanted)
+        wanted = self.task.command(checked(action, self._box)[None], now.observed)
+        world, observed = now.engine.step(now.world, wanted)
         fallen, diverged, touching = now.engine.fallen(world), now.engine.diverged(world), world.wall_contact
         after = now.outcome
         if not diverged[0]:
             after = self.task.judge(now.context, now.engine.true_observation(world))
-            now = now._replace(world=world, seen=seen)
+            now = now._replace(world=world, observed=observed)
         step = judged(self.task, now.outcome, after, fallen=fallen, diverged=diverged, touching=touching)
         self._now = now._replace(outcome=step.outcome)
         self._show()
-        observed = self.task.observe(now.context, now.seen)[0]
-        return observed, float(step.reward[0]), bool(step.terminated[0]), False, _info(step, touching)
+        vector = self.task.observe(now.context, now.observed)[0]
+        return vector, float(step.reward[0]), bool(step.terminated[0]), False, _info(step, touching)
 
     def render(self) -> np.ndarray | None:  # type: ignore[override]
         """The world from behind and above the robot, uint8 ``[480, 640, 3]``; in the mode human a window shows it."""

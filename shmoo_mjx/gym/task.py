@@ -119,10 +119,10 @@ class Task(Protocol):
     def gather(self, starts: Sequence[Start]) -> Any:
         """The batched arrays that the methods below need."""
 
-    def command(self, actions: np.ndarray, seen: Observation) -> Command:
+    def command(self, actions: np.ndarray, observed: Observation) -> Command:
         """The low-level command for actions ``[W, m]``."""
 
-    def observe(self, context: Any, seen: Observation) -> np.ndarray:
+    def observe(self, context: Any, observed: Observation) -> np.ndarray:
         """Observations ``[W, n]``, float32."""
 
     def judge(self, context: Any, true: Observation) -> Outcome:
@@ -181,16 +181,16 @@ def seed_of(seed: Any, options: Mapping[str, Any] | None) -> int | None:
         raise ShmooError(f"the seed must be a whole number, not {seed!r}.") from None
 
 
-def config_of[Config](kind: type[Config], given: Config | None) -> Config:
+def config_of[Config](kind: type[Config], config: Config | None) -> Config:
     """The config itself, or the default one for None.
 
     Raises:
         ShmooError: it is of another kind, or a field of it is not the number or pair of numbers that it should be.
     """
     usual = kind()
-    config = usual if given is None else given
+    config = usual if config is None else config
     if not isinstance(config, kind):
-        raise ShmooError(f"the config must be a {kind.__name__}, not {given!r}.")
+        raise ShmooError(f"the config must be a {kind.__name__}, not {config!r}.")
     for name, default in vars(usual).items():
         low, value, shape = -np.inf if name in _SIGNED else 0.0, getattr(config, name), np.shape(default)
         if isinstance(default, str) or _numbers_from(low, value, shape):
@@ -217,12 +217,12 @@ def widened(parts: Sequence[Part], names: Sequence[str], reach: float) -> tuple[
     )
 
 
-def command(actions: np.ndarray, seen: Observation, arms: np.ndarray | float = 1.0) -> Command:
+def command(actions: np.ndarray, observed: Observation, arms: np.ndarray | float = 1.0) -> Command:
     """ACTIONS ``[W, 4+]`` as a command; ``arms [W]`` goes from folded (0) to extended (1)."""
     extended = np.broadcast_to(arms, len(actions))
     return Command(
         u=np.asarray(actions[:, :3], dtype=float),
-        yaw=se2.wrap(np.asarray(seen.robot_pose, dtype=float)[:, 2] + actions[:, 3]),
+        yaw=se2.wrap(np.asarray(observed.robot_pose, dtype=float)[:, 2] + actions[:, 3]),
         reach=TUCKED_REACH + extended * (REACH - TUCKED_REACH),
         hand_height=TUCKED_HEIGHT + extended * (HAND_HEIGHT - TUCKED_HEIGHT),
     )
@@ -234,18 +234,18 @@ def flat(parts: Sequence[Part], values: Mapping[str, Array]) -> np.ndarray:
     return np.concatenate(columns, axis=1).astype(np.float32)
 
 
-def body(seen: Observation) -> dict[str, Array]:
+def body(observed: Observation) -> dict[str, Array]:
     """Values of BODY."""
     return {
-        "lean": seen.lean,
-        "lean_rate": seen.lean_rate,
-        "twist": se2.rotate(seen.robot_twist, -seen.robot_pose[:, 2]),
-        "hands": seen.hands[..., :2],
+        "lean": observed.lean,
+        "lean_rate": observed.lean_rate,
+        "twist": se2.rotate(observed.robot_twist, -observed.robot_pose[:, 2]),
+        "hands": observed.hands[..., :2],
     }
 
 
-def in_robot(seen: Observation, poses: Array) -> np.ndarray:
+def in_robot(observed: Observation, poses: Array) -> np.ndarray:
     """Poses ``[W, ..., 3]`` of {W} as (x, y, cos yaw, sin yaw) in {R} ``[W, ..., 4]``."""
-    robot = seen.robot_pose.reshape(len(seen.robot_pose), *(1,) * (poses.ndim - 2), 3)
+    robot = observed.robot_pose.reshape(len(observed.robot_pose), *(1,) * (poses.ndim - 2), 3)
     local = se2.relative(robot, poses)
     return np.concatenate([local[..., :2], np.cos(local[..., 2:]), np.sin(local[..., 2:])], axis=-1)

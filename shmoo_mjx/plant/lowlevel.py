@@ -83,8 +83,8 @@ def velocity_to_lean(
     gains: Gains,
     velocity: Float[ArrayT, "... 2"],
     lean_rate: Float[ArrayT, "... 2"],
-    *,
     desired: Float[ArrayT, "... 2"],
+    *,
     robot: Robot | None = None,
 ) -> Float[ArrayT, "... 2"]:
     """Outer loop of the cascade: lean command [rad] from velocities in {R} [m/s].

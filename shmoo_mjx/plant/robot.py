@@ -233,7 +233,7 @@ def quat_rotate(quat: Float[ArrayT, "... 4"], vector: Float[ArrayT, "... 3"]) ->
     return vector + w * t + se2.stack(*_cross(q, t))
 
 
-def _cross(a: ArrayT, b: ArrayT) -> list[ArrayT]:
+def _cross(a: ArrayT, b: ArrayT) -> list[Any]:
     # numpy.cross costs ten times as much for one vector, and this runs at 500 Hz.
     return [
         a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],

@@ -64,9 +64,9 @@ def _start(sweep: Sweep, jobs: int, cluster: Cluster, options: dict[str, Any]) -
     except RuntimeError as error:
         raise ShmooError(f"shmoo sweep: there is no {cluster} here ({error}); try --cluster local.") from None
     executor.update_parameters(name="shmoo-sweep", **options)
-    given = [(sweep.config, sweep.out.resolve(), sweep.weights.resolve(), (k, jobs)) for k in range(jobs)]
     with executor.batch():
-        return [executor.submit(job, *arguments) for arguments in given]
+        folder, weights = sweep.out.resolve(), sweep.weights.resolve()
+        return [executor.submit(job, sweep.config, folder, weights, (k, jobs)) for k in range(jobs)]
 
 
 def _result(one: Any) -> None:

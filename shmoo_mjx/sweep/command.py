@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from shmoo_mjx.base.assets import asset
-from shmoo_mjx.base.files import claimed
+from shmoo_mjx.base.files import claimed, write_whole
 from shmoo_mjx.base.options import SensesName
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.sweep.cluster import Cluster, submit
@@ -43,7 +43,7 @@ def carry_out(
     Returns:
         What it made; nothing with ``only_estimate``.
     """
-    given, path = _options(options), find(name)
+    cluster_options, path = _options(options), find(name)
     config = quick(load_sweep(path)) if short else load_sweep(path)
     if senses is not None:
         config = config.model_copy(update={"senses": senses})
@@ -53,7 +53,7 @@ def carry_out(
         print(f"{sweep.out}: {there} of {len(sweep.shards)} shards are there")
     if jobs and sweep.missing() and not only_estimate:
         with progress() as report:
-            submit(sweep, jobs, cluster, options=given, progress=report)
+            submit(sweep, jobs, cluster, options=cluster_options, progress=report)
     elif sweep.missing():
         # A second process is turned away before it compiles for a minute.
         with claimed(sweep.out):
@@ -79,7 +79,6 @@ def _alone(sweep: Sweep, memory_gb: float | None, only_estimate: bool, progress:
 
 
 def _collected(config: SweepConfig, sweep: Sweep) -> list[Path]:
-    from shmoo_mjx.base.files import write_whole
     from shmoo_mjx.sweep.figures import draw_figures, summary
 
     results = sweep.collect()
@@ -99,10 +98,10 @@ def _devices() -> str:
 
 def _options(options: tuple[str, ...]) -> dict[str, Any]:
     """``name=value`` pairs, numbers as numbers."""
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for option in options:
         name, equals, value = option.partition("=")
         if not equals or not name.isidentifier():
             raise ShmooError(f"--options {option!r} must be name=value, such as timeout_min=60.")
-        found[name] = int(value) if value.isdecimal() else value
-    return found
+        values[name] = int(value) if value.isdecimal() else value
+    return values

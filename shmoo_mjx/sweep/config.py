@@ -53,10 +53,10 @@ class Draw(_Strict):
 
     @model_validator(mode="after")
     def _one_kind(self) -> Draw:
-        given = [kind for kind in _KINDS if getattr(self, kind) is not None]
-        if len(given) != 1:
+        kinds = [kind for kind in _KINDS if getattr(self, kind) is not None]
+        if len(kinds) != 1:
             raise ValueError(f"needs a number or one of {', '.join(_KINDS[1:])}.")
-        kind, value = given[0], getattr(self, given[0])
+        kind, value = kinds[0], getattr(self, kinds[0])
         if kind in ("uniform", "log_uniform") and not value[0] < value[1]:
             raise ValueError(f"has {kind} from {value[0]:g} to {value[1]:g}; give the smaller number first.")
         if kind == "log_uniform" and not value[0] > 0:
@@ -71,9 +71,9 @@ class Draw(_Strict):
     def values(self) -> tuple[float, ...]:
         """Numbers that must lie within a parameter's bounds."""
         one = (self.fixed,) if self.fixed is not None else self.normal[:1] if self.normal else None
-        found = one or self.uniform or self.log_uniform or self.choice
-        assert found is not None
-        return found
+        values = one or self.uniform or self.log_uniform or self.choice
+        assert values is not None
+        return values
 
     def at(self, rng: Any, low: float, high: float) -> float:
         """One value, drawn with a NumPy generator."""
@@ -138,7 +138,7 @@ class SweepConfig(_Strict):
 
     @field_validator("families")
     @classmethod
-    def _known_families(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+    def _existing_families(cls, value: tuple[str, ...]) -> tuple[str, ...]:
         for name in value:
             if name not in FAMILIES and not name.endswith(".json"):
                 raise ValueError(f"has {name!r}, no object family; {closest_name(name, FAMILIES)}")
@@ -196,10 +196,10 @@ def _own_file(name: str, folder: Path, path: str | Path) -> str:
     """A family, or the path of an object file that is given relative to the sweep file."""
     if not name.endswith(".json"):
         return name
-    found = folder / name
-    if not found.is_file():
+    file = folder / name
+    if not file.is_file():
         raise ShmooError(f"{path}: 'families' has {name}, which is not there; give its path relative to this file.")
-    return str(found)
+    return str(file)
 
 
 def quick(config: SweepConfig) -> SweepConfig:

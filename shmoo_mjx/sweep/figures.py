@@ -76,7 +76,7 @@ def _resistance_lines(table: Table) -> list[str]:
     lines = ["", "successes of worlds by the object's resistance [N]"]
     for (family, controller), mine in groups_of(table).items():
         values = np.array(table[RESISTANCE])[mine]
-        middle, successes, trials = binned(values, np.array(table["success"])[mine], _bins(mine.sum()))
+        middle, successes, trials = binned(values, np.array(table["success"])[mine], _bins(int(mine.sum())))
         text = "".join(f"{f'{m:.3g}: {k}/{n}':>14}" for m, k, n in zip(middle, successes, trials, strict=True))
         lines.append(f"{family:12} {controller:14}{text}")
     return lines
@@ -177,12 +177,12 @@ def _scale(axes: Any, which: str, logarithmic: bool) -> None:
 def _draw_rate(
     axis: Any, table: Table, name: str, what: str, *, mine: np.ndarray, colour: str, line: str, text: str
 ) -> None:
-    given = table.get(name, [None] * len(mine))  # families without wheels have no rolling resistance
-    values = np.array([np.nan if v is None else v for v in given], dtype=float)
+    column = table.get(name, [None] * len(mine))  # families without wheels have no rolling resistance
+    values = np.array([np.nan if v is None else v for v in column], dtype=float)
     mine = mine & np.isfinite(values)
     if not mine.any():
         return
-    x, happened, trials = binned(values[mine], np.array(table[what])[mine], _bins(mine.sum()))
+    x, happened, trials = binned(values[mine], np.array(table[what])[mine], _bins(int(mine.sum())))
     share, low, high = rate(happened, trials)
     axis.plot(x, share, line, marker="o", ms=2.5, lw=1.2, color=colour, label=text)
     axis.fill_between(x, low, high, color=colour, alpha=0.12, lw=0)

@@ -86,13 +86,13 @@ class Sweep:
         if not sweep.weights.is_file():
             raise ShmooError(f"{sweep.weights}: there is no such weights file; give one that shmoo train made.")
         notes, mark = out / NOTES, sweep_fingerprint(config, sweep.weights)
-        told = config.model_dump(mode="json")
-        told["families"] = [os.path.relpath(f, out) if f.endswith(".json") else f for f in config.families]
-        values = {"fingerprint": mark, "config": told, "versions": versions()}
-        found = json.loads(notes.read_text()) if notes.exists() else {}
-        if found.get("fingerprint", mark) != mark:
+        settings = config.model_dump(mode="json")
+        settings["families"] = [os.path.relpath(f, out) if f.endswith(".json") else f for f in config.families]
+        values = {"fingerprint": mark, "config": settings, "versions": versions()}
+        present = json.loads(notes.read_text()) if notes.exists() else {}
+        if present.get("fingerprint", mark) != mark:
             raise ShmooError(f"{out}: holds another sweep, or this one with other settings; choose another --out.")
-        if found != values:
+        if present != values:
             write_whole(notes, json.dumps(values, indent=1).encode())
         return sweep
 

@@ -133,13 +133,13 @@ def draw(config: SweepConfig, family: str, index: int) -> Drawn:
 def _condition(config: SweepConfig, family: str, index: int, values: dict[str, float]) -> Condition:
     seed = config.first_object + index
     plain = draw_condition(family, seed)
-    given: dict[str, Any] = {k.removeprefix(_OBJECT): v for k, v in values.items() if k.startswith(_OBJECT)}
-    absent = [k for k in given if k in ("rolling", "swivel_friction") and not plain.rolling]
+    properties: dict[str, Any] = {k.removeprefix(_OBJECT): v for k, v in values.items() if k.startswith(_OBJECT)}
+    absent = [k for k in properties if k in ("rolling", "swivel_friction") and not plain.rolling]
     if absent:
         raise ShmooError(f"vary: {_OBJECT}{absent[0]} is varied, but a {label(family)} has no wheels; leave it out.")
-    if "rolling" in given:
-        given["rolling"] = (given["rolling"],) * len(plain.rolling)
-    return draw_condition(family, seed, given)
+    if "rolling" in properties:
+        properties["rolling"] = (properties["rolling"],) * len(plain.rolling)
+    return draw_condition(family, seed, properties)
 
 
 def _properties(c: Condition) -> dict[str, float]:
@@ -151,7 +151,7 @@ def _properties(c: Condition) -> dict[str, float]:
 
 
 def scene_of(drawn: Drawn) -> Scene:
-    """The world for MJX, without what ``Setup.factors`` changes of the robot."""
+    """The world for MJX, without what ``WorldSetup.factors`` changes of the robot."""
     placed, robot = [(drawn.condition, (0.0, 0.0, 0.0))], drawn.robot.tolist()
     return build_scene(placed, robot, engine="mjx", adjust=_every_wheel_has_friction)
 
@@ -216,8 +216,8 @@ def _single(each: list[Any]) -> Any:
     """Trees of one world each as one tree ``[W, 1, ...]`` of float32 and int32."""
 
     def stack(*leaves: Any) -> np.ndarray:
-        found = np.stack(leaves)
-        return found.astype(np.int32 if np.issubdtype(found.dtype, np.integer) else np.float32)
+        stacked = np.stack(leaves)
+        return stacked.astype(np.int32 if np.issubdtype(stacked.dtype, np.integer) else np.float32)
 
     return jax.tree.map(stack, *each)
 

@@ -65,7 +65,7 @@ def test_it_balances_drives_and_holds_its_hands_and_feels_nothing(other: Robot) 
     assert np.abs(hand_forces(shmoobot(), state, torque)).max() > 2.0
     for _ in range(50):
         moving = seen.robot_twist[:, :2]
-        lean = velocity_to_lean(Gains(), moving, seen.lean_rate, np.array([[0.3, 0.0]]), other)
+        lean = velocity_to_lean(Gains(), moving, seen.lean_rate, np.array([[0.3, 0.0]]), robot=other)
         world, seen = engine.step(world, command(1, lean[0], reach=REACH, hand_height=HAND_HEIGHT))
     engine.close()
     assert seen.robot_twist[0, 0] == pytest.approx(0.3, abs=0.06)
