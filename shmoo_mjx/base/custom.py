@@ -28,10 +28,10 @@ def named(kind: str, name: str) -> Callable[..., Any]:
         raise ShmooError(f"{kind} {name}: there is no module {error.name!r}; run from its folder.") from None
     except Exception as error:
         raise ShmooError(f"{kind} {name}: its module can't be imported: {_told(error)}.") from error
-    found = getattr(module, attribute, None)
-    if not callable(found):
+    member = getattr(module, attribute, None)
+    if not callable(member):
         raise ShmooError(f"{kind} {name}: {module_name} has no class or function {attribute!r}.")
-    return found
+    return member
 
 
 def asked(kind: str, name: str, ask: Callable[[], Any]) -> Any:
@@ -48,9 +48,9 @@ def asked(kind: str, name: str, ask: Callable[[], Any]) -> Any:
         raise ShmooError(f"{kind} {name}: {_told(error)}.") from error
 
 
-def kept_as(kind: str, name: str, known: Iterable[str]) -> str:
-    """``name`` as part of a kept result's name: what isn't ``known`` goes with the content of the file it stands in."""
-    if name in known:
+def kept_as(kind: str, name: str, own: Iterable[str]) -> str:
+    """``name`` as part of a kept result's name: what isn't our ``own`` goes with the content of the file it stands in."""
+    if name in own:
         return name
     named(kind, name)
     file = sys.modules[name.partition(":")[0]].__file__

@@ -94,8 +94,8 @@ def _lock(descriptor: int, folder: Path) -> None:
 def _clear_abandoned(path: Path) -> None:
     pattern = re.compile(re.escape(path.name) + r"\.(\d+)\.tmp(\.\w+)?")
     for other in path.parent.iterdir():
-        found = pattern.fullmatch(other.name)
-        if found and not _alive(int(found[1])):
+        match = pattern.fullmatch(other.name)
+        if match and not _alive(int(match[1])):
             other.unlink(missing_ok=True)
 
 

@@ -56,11 +56,11 @@ _INPUTS: ContextVar[Mapping[_Identity, Path]] = ContextVar("inputs", default={})
 @contextmanager
 def protected(inputs: Iterable[str | Path]) -> Iterator[None]:
     """While it lasts, `check_output` refuses every one of the files ``inputs``, under whatever name or link."""
-    found = dict(_INPUTS.get())
+    files = dict(_INPUTS.get())
     for path in map(Path, inputs):
         if (identity := _identity(path)) is not None:
-            found[identity] = path
-    token = _INPUTS.set(found)
+            files[identity] = path
+    token = _INPUTS.set(files)
     try:
         yield
     finally:
@@ -149,7 +149,7 @@ def _json_kind(path: Path) -> str:
 def _identity(path: Path) -> _Identity | None:
     """What `os.path.samefile` compares; None where there is no file."""
     try:
-        found = path.stat()
+        status = path.stat()
     except (OSError, ValueError):
         return None
-    return (found.st_dev, found.st_ino) if found.st_ino else None
+    return (status.st_dev, status.st_ino) if status.st_ino else None

@@ -24,8 +24,8 @@ def with_inputs_kept(command: Callable[..., int]) -> Callable[..., int]:
 
     @functools.wraps(command)
     def run(*arguments: Any, **options: Any) -> int:
-        given = signature.bind(*arguments, **options).arguments
-        read = {name: value for name, value in given.items() if name not in _OUTPUTS}
+        values = signature.bind(*arguments, **options).arguments
+        read = {name: value for name, value in values.items() if name not in _OUTPUTS}
         with protected(files_read(value for name, value in read.items() if name in _FOLDERS or _is_file(value))):
             return command(*arguments, **options)
 
@@ -34,18 +34,18 @@ def with_inputs_kept(command: Callable[..., int]) -> Callable[..., int]:
 
 def files_read(values: Iterable[Any]) -> set[Path]:
     """The files among ``values``, the YAML files in folders among them, and all files that YAML files refer to."""
-    found: set[Path] = set()
+    files: set[Path] = set()
     for value in values:
         if isinstance(value, tuple):
-            found |= files_read(value)
+            files |= files_read(value)
         elif isinstance(value, str | Path) and os.path.isfile(value):
-            _add(Path(value), found)
+            _add(Path(value), files)
         elif isinstance(value, Path) and os.path.isdir(value):
             for folder, _, names in os.walk(value):
                 for name in names:
                     if _is_yaml(name):
-                        _add(Path(folder, name), found)
-    return found
+                        _add(Path(folder, name), files)
+    return files
 
 
 def _is_file(value: Any) -> bool:
@@ -53,15 +53,15 @@ def _is_file(value: Any) -> bool:
     return not (isinstance(value, Path) and value.is_dir())
 
 
-def _add(file: Path, found: set[Path]) -> None:
-    if file in found:
+def _add(file: Path, files: set[Path]) -> None:
+    if file in files:
         return
-    found.add(file)
+    files.add(file)
     if _is_yaml(file.name):
         for text in _texts(_content(file)):
             # A map's image, a scenario's map and object files, a sweep's object files.
             if os.path.isfile(file.parent / text):
-                _add(file.parent / text, found)
+                _add(file.parent / text, files)
 
 
 def _content(file: Path) -> Any:
@@ -75,13 +75,13 @@ def _content(file: Path) -> Any:
 
 def _texts(data: Any) -> Iterator[str]:
     """All strings in nested mappings and lists."""
-    waiting, seen = [data], set[int]()
+    waiting, visited = [data], set[int]()
     while waiting:
         value = waiting.pop()
         if isinstance(value, str):
             yield value
-        elif isinstance(value, dict | list) and id(value) not in seen:
-            seen.add(id(value))  # YAML's aliases would otherwise be walked through again and again.
+        elif isinstance(value, dict | list) and id(value) not in visited:
+            visited.add(id(value))  # YAML's aliases would otherwise be walked through again and again.
             waiting += value.values() if isinstance(value, dict) else value
 
 

@@ -110,7 +110,7 @@ def _sentence(error: ValidationError, model: type[BaseModel], path: str | Path) 
     # A misspelt key also makes the right key "missing"; naming the misspelling helps more, so it goes first.
     first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
     field = _dotted(first["loc"])
-    kind, message, given = first["type"], first["msg"].split(" or instance of")[0], first.get("input")
+    kind, message, value = first["type"], first["msg"].split(" or instance of")[0], first.get("input")
     if kind == "extra_forbidden":
         return f"{path}: '{field}' is not a known key; {closest_name(first['loc'][-1], _keys_at(model, first['loc']))}"
     if kind == "missing":
@@ -119,7 +119,7 @@ def _sentence(error: ValidationError, model: type[BaseModel], path: str | Path) 
         return f"{path}: '{field}' {message.removeprefix('Value error, ')}" if field else f"{path}: {message[13:]}"
     for term, plain in _PLAIN_TERMS.items():
         message = message.replace(term, plain)
-    return f"{path}: '{field}' is {reprlib.repr(given)}; {message[0].lower()}{message[1:]}."
+    return f"{path}: '{field}' is {reprlib.repr(value)}; {message[0].lower()}{message[1:]}."
 
 
 def _dotted(location: tuple[int | str, ...]) -> str:

@@ -43,14 +43,14 @@ class _Loader(yaml.SafeLoader):
         return node
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        seen: set[str] = set()
+        keys: set[str] = set()
         for key, _ in node.value:
-            if key.value in seen:
+            if key.value in keys:
                 raise yaml.constructor.ConstructorError(
                     None, None, f"the key '{key.value}' stands twice", key.start_mark
                 )
             if isinstance(key.value, str):
-                seen.add(key.value)
+                keys.add(key.value)
         return super().construct_mapping(node, deep)
 
     def construct_core(self, node: yaml.ScalarNode) -> bool | int | float:
@@ -90,8 +90,8 @@ def yaml_text(data: dict[str, Any]) -> bytes:
 
 def yaml_files(folder: Path, below: bool = False) -> list[Path]:
     """The files *.yaml and *.yml in ``folder``, sorted; with ``below`` also those in the folders in it."""
-    found = folder.rglob("*") if below else folder.glob("*")
-    return sorted(p for p in found if p.suffix.lower() in (".yaml", ".yml") and p.is_file())
+    paths = folder.rglob("*") if below else folder.glob("*")
+    return sorted(p for p in paths if p.suffix.lower() in (".yaml", ".yml") and p.is_file())
 
 
 def value_of(text: str, name: str) -> Any:

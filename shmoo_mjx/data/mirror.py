@@ -8,14 +8,9 @@ preponderance of some objects' loads for a law, and steers against it. R and psi
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from shmoo_mjx.data.store import Dataset
-
-_SUFFIX = "-mirrored"
 
 _SIGNS = {
     "robot_pose": (1, -1, -1),
@@ -52,14 +47,3 @@ def mirrored_condition(condition: dict[str, Any]) -> dict[str, Any]:
             swapped = [value for pair in zip(values[1::2], values[::2], strict=True) for value in pair]
             new[name] = [-angle for angle in swapped] if name == "caster_angle" else swapped
     return new
-
-
-def with_mirror_images(dataset: Dataset) -> Dataset:
-    """The data set and, behind it, the mirror image of each of its conditions as another one. Done once only."""
-    if any(name.endswith(_SUFFIX) for name in dataset.names):
-        return dataset
-    return dataset._replace(
-        names=[*dataset.names, *(name + _SUFFIX for name in dataset.names)],
-        conditions=[*dataset.conditions, *map(mirrored_condition, dataset.conditions)],
-        arrays=[*dataset.arrays, *map(mirrored, dataset.arrays)],
-    )

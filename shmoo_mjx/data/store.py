@@ -19,7 +19,7 @@ import numpy as np
 
 from shmoo_mjx.base.files import write_whole
 from shmoo_mjx.data import differentiate
-from shmoo_mjx.data.mirror import with_mirror_images
+from shmoo_mjx.data.mirror import mirrored, mirrored_condition
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.types import DT, SystemState
@@ -47,6 +47,8 @@ sample; u is held over it; force_robot ({R} at its start) and wrench_object (abo
 start) are means over it. Beside these a file has face ``[E, 4]`` and size ``[E]`` as types.SystemState tells them."""
 
 MANIFEST = "manifest.json"
+_MIRRORED = "-mirrored"
+"""What the name of a mirror image ends in."""
 
 
 class Store(NamedTuple):
@@ -82,6 +84,16 @@ class Dataset(NamedTuple):
             names=[self.names[i] for i in indices],
             conditions=[self.conditions[i] for i in indices],
             arrays=[self.arrays[i] for i in indices],
+        )
+
+    def with_mirror_images(self) -> Dataset:
+        """The data set and, behind it, the mirror image of each of its conditions as another one. Done once only."""
+        if any(name.endswith(_MIRRORED) for name in self.names):
+            return self
+        return self._replace(
+            names=[*self.names, *(name + _MIRRORED for name in self.names)],
+            conditions=[*self.conditions, *map(mirrored_condition, self.conditions)],
+            arrays=[*self.arrays, *map(mirrored, self.arrays)],
         )
 
 
@@ -251,7 +263,7 @@ def of_training(data: str | os.PathLike[str] | Dataset) -> Dataset:
         if not dataset.split(split).names:
             where = "the data set" if isinstance(data, Dataset) else os.fspath(data)
             raise ShmooError(f"{where}: field 'split' is '{split}' for no condition; collect some for training.")
-    return with_mirror_images(dataset)
+    return dataset.with_mirror_images()
 
 
 def system_states(arrays: dict[str, np.ndarray]) -> Samples:
@@ -344,10 +356,4 @@ def _checksum(path: Path) -> str:
 
 
 def _versions() -> dict[str, str]:
-    found = {}
-    for package in ("shmoo-mjx", "mujoco", "jax", "numpy"):
-        try:
-            found[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            found[package] = "not installed"
-    return found
+    return {package: metadata.version(package) for package in ("shmoo-mjx", "mujoco", "jax", "numpy")}

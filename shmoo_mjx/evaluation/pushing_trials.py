@@ -22,7 +22,7 @@ from shmoo_mjx.learning.contact_prior import kind_of
 from shmoo_mjx.learning.online import Known
 from shmoo_mjx.learning.weights import Weights
 from shmoo_mjx.planning.maps import OccupancyGrid
-from shmoo_mjx.plant.condition import Condition
+from shmoo_mjx.plant.condition import GRAVITY, Condition
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 from shmoo_mjx.plant.observe import DIVERGED, toppled
 from shmoo_mjx.plant.scene import Scene, build_scene
@@ -48,7 +48,6 @@ ahead, to the left, and farther to the right. The paper shows its goals in a pic
 feasible; the yaw of a goal is therefore that at the end of the arc which starts along x: twice the bearing (24 and
 -28 deg), on arcs that steering gives light and heavy objects alike (0.32 and 0.27 per metre)."""
 
-_GRAVITY = 9.81
 _MOST = {"movable": 40.0, "demanding": 45.0}
 """Resistance up to which an object counts as movable, before and after the change [N]: about half of what the robot can
 push with at its lean limit."""
@@ -109,21 +108,13 @@ class Trial:
         return np.array([x, y, 2 * np.arctan2(y, x)])
 
 
-def resistance(c: Condition) -> float:
-    """Force that keeps the object moving straight on [N]: friction of a sole, or of wheels that share the load."""
-    if not c.rolling:
-        return c.friction * c.total_mass * _GRAVITY
-    share = [c.friction if locked else rolling for rolling, locked in zip(c.rolling, c.locked, strict=True)]
-    return float(np.mean(share)) * c.total_mass * _GRAVITY
-
-
 def kind_by_resistance(condition: Condition) -> str:
     """Whether a push can move an object, one of KINDS."""
-    if resistance(condition) > STRONGEST:
+    if condition.resistance > STRONGEST:
         return "immovable"
     if any(condition.locked):
         return "locked"
-    return "movable" if resistance(condition) <= 0.8 * _MOST["movable"] else "heavy"
+    return "movable" if condition.resistance <= 0.8 * _MOST["movable"] else "heavy"
 
 
 def _movable(family: str, first_seed: int, count: int) -> list[tuple[Condition, str]]:
@@ -146,7 +137,7 @@ def _demanding(family: str, first_seed: int, count: int) -> list[tuple[Condition
             continue
         condition = _demand(np.random.default_rng([seed, 13]), condition, demand)
         least = _LEAST_HEAVY if demand == "heavy" else 0.0
-        if least <= resistance(condition) <= 0.95 * _MOST["demanding"]:
+        if least <= condition.resistance <= 0.95 * _MOST["demanding"]:
             found.append((condition, demand))
     return found
 
@@ -170,7 +161,7 @@ def _demand(rng: np.random.Generator, condition: Condition, demand: str) -> Cond
         return replace(condition, payload=round(load, 3), payload_x=round(float(x), 3), payload_y=round(float(y), 3))
     if demand == "heavy":
         wanted = rng.uniform(_LEAST_HEAVY + 1.0, 0.9 * _MOST["demanding"])
-        total = wanted * condition.total_mass / resistance(condition)
+        total = wanted * condition.total_mass / condition.resistance
         if total - condition.mass <= 80.0:
             return replace(condition, payload=round(max(float(total) - condition.mass, 0.0), 3))
         return condition
@@ -184,14 +175,14 @@ def _demand(rng: np.random.Generator, condition: Condition, demand: str) -> Cond
 
 def _changed(rng: np.random.Generator, condition: Condition, kind: str, most: float) -> Condition:
     """The object with more on it, or with a brake pressed on one wheel; it resists with at most ``most`` [N]."""
-    room = most - resistance(condition)
+    room = most - condition.resistance
     if kind == "mass":
-        per_kilogram = resistance(condition) / condition.total_mass
+        per_kilogram = condition.resistance / condition.total_mass
         extra = min(float(rng.uniform(0.2, 0.5)) * condition.total_mass, 15.0, room / per_kilogram)
         return replace(condition, payload=round(condition.payload + extra, 3))
     if kind == "brake":
         # A braked wheel that slides resists with mu; a brake pressed less hard lets it turn against that much.
-        load = condition.total_mass * _GRAVITY / 4
+        load = condition.total_mass * GRAVITY / 4
         wheel = int(rng.integers(4 if condition.family == "cart" else 2))
         rolling = list(condition.rolling)
         drag = min(float(rng.uniform(8.0, 20.0)), room, condition.friction * load)

@@ -10,6 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+GRAVITY = 9.81
+"""[m/s^2]"""
+
 
 def is_custom(family: str) -> bool:
     """Whether the family is an object file of a user's own."""
@@ -51,6 +56,14 @@ class Condition:
     def total_mass(self) -> float:
         """Empty object plus load, without wheels [kg]."""
         return self.mass + self.payload
+
+    @property
+    def resistance(self) -> float:
+        """Force that keeps the object moving straight on [N]: friction of a sole, or of wheels that share the load."""
+        if not self.rolling:
+            return self.friction * self.total_mass * GRAVITY
+        share = [self.friction if locked else sigma for sigma, locked in zip(self.rolling, self.locked, strict=True)]
+        return float(np.mean(share)) * self.total_mass * GRAVITY
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data that :meth:`from_dict` turns back into an equal condition."""

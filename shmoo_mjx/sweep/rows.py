@@ -9,7 +9,6 @@ import numpy as np
 
 from shmoo_mjx.arrays import Array
 from shmoo_mjx.behavior.skills import one_push
-from shmoo_mjx.evaluation.pushing_trials import resistance
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.sweep.config import SweepConfig
 from shmoo_mjx.sweep.parameters import RESISTANCE
@@ -43,7 +42,7 @@ def rows_of(config: SweepConfig, worlds: Sequence[Drawn], ended: tuple[np.ndarra
         outcome = _outcome(int(phases[i]), near, moved)
         values: dict[str, Any] = {"world": w.index, "object_seed": w.condition.seed, **w.values}
         values |= {"object.length": w.condition.size[0], "object.width": w.condition.size[1]}
-        values |= {RESISTANCE: resistance(w.condition)}
+        values |= {RESISTANCE: w.condition.resistance}
         rows.append(values | {
             "outcome": outcome, "success": outcome == "success", "fell": outcome == "fell",
             "offset_m": offset, "yaw_error_deg": turned, "moved_m": moved, "time_s": float(tally.time[i]),

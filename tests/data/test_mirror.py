@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from shmoo_mjx.data import store
-from shmoo_mjx.data.mirror import mirrored, mirrored_condition, with_mirror_images
+from shmoo_mjx.data.mirror import mirrored, mirrored_condition
 from shmoo_mjx.dynamics import features
 from shmoo_mjx.dynamics.features import OBJECT_INPUTS, ROBOT_INPUTS, slices
 from shmoo_mjx.learning import robot_fit, samples
@@ -52,7 +52,7 @@ def in_the_mirror(inputs: np.ndarray, table: tuple[features.Entry, ...]) -> np.n
 def test_inputs_and_labels_of_a_mirror_image_are_those_of_the_original_in_the_mirror(
     recordings: store.Dataset,
 ) -> None:
-    both = with_mirror_images(recordings)
+    both = recordings.with_mirror_images()
     count = len(recordings.arrays)
     assert (
         len(both.arrays) == len(both.names) == len(both.conditions) == 2 * count and len(set(both.names)) == 2 * count
@@ -84,8 +84,8 @@ def test_what_is_told_of_an_object_is_mirrored_too() -> None:
 
 
 def test_images_of_images_are_not_made(recordings: store.Dataset) -> None:
-    both = with_mirror_images(recordings)
-    assert with_mirror_images(both) is both
+    both = recordings.with_mirror_images()
+    assert both.with_mirror_images() is both
 
 
 def test_every_array_of_a_recording_has_its_mirror_image(recordings: store.Dataset) -> None:

@@ -15,7 +15,7 @@ from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import pushing, pushing_trials
 from shmoo_mjx.evaluation.pushing_measures import enclosing_circle, metrics_of, pushing_differences, pushing_tables
-from shmoo_mjx.evaluation.pushing_trials import KINDS, METHODS, draw_trials, kind_by_resistance, resistance
+from shmoo_mjx.evaluation.pushing_trials import KINDS, METHODS, draw_trials, kind_by_resistance
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult
 from shmoo_mjx.learning.weights import untrained
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
@@ -39,8 +39,8 @@ def test_trials_come_from_seeds_alone_and_are_unseen() -> None:
 
 def test_every_object_can_be_pushed_before_and_after_its_change() -> None:
     trials = draw_trials(1_000_000, 0, 10)
-    assert max(resistance(t.condition) for t in trials) <= 40.0
-    assert max(resistance(t.changed) for t in trials) <= 40.0 + 0.1
+    assert max(t.condition.resistance for t in trials) <= 40.0
+    assert max(t.changed.resistance for t in trials) <= 40.0 + 0.1
     kinds = {t.change for t in trials}
     assert kinds == {"none", "mass", "brake"}
     for trial in trials:
@@ -59,12 +59,12 @@ def test_demanding_objects_ask_for_adaptation_and_all_change_on_the_way() -> Non
     assert not {t.name for t in trials} & {t.name for t in drawn}
     assert not {t.condition.seed for t in trials} & {t.condition.seed for t in drawn}
     assert all(1_000_000 <= t.condition.seed < 1_001_000 for t in trials)
-    assert max(resistance(c) for t in trials for c in (t.condition, t.changed)) <= 45.0 + 0.1
+    assert max(c.resistance for t in trials for c in (t.condition, t.changed)) <= 45.0 + 0.1
     assert all(t.change != "none" and t.changed != t.condition for t in trials)
     by_demand = {d: [t for t in trials if t.demand == d] for d in ("off_centre", "heavy", "floor", "brake")}
     assert all(by_demand.values())
     assert sum(len(of) for of in by_demand.values()) == len(trials)
-    assert all(resistance(t.condition) >= 25.0 for t in by_demand["heavy"])
+    assert all(t.condition.resistance >= 25.0 for t in by_demand["heavy"])
     for trial in by_demand["off_centre"]:
         assert abs(trial.condition.payload_x) >= 0.24 * trial.condition.size[0]
         assert trial.condition.payload >= 0.69 * trial.condition.mass
@@ -84,7 +84,7 @@ def test_everything_leaves_no_object_out() -> None:
     assert not {t.condition.seed for t in trials} & {t.condition.seed for t in others}
     kinds = {kind_by_resistance(t.condition): t.condition for t in trials}
     assert set(kinds) == set(KINDS)
-    assert resistance(kinds["immovable"]) > 75.0 >= resistance(kinds["heavy"]) > 32.0 and any(kinds["locked"].locked)
+    assert kinds["immovable"].resistance > 75.0 >= kinds["heavy"].resistance > 32.0 and any(kinds["locked"].locked)
     assert {kind_by_resistance(t.condition) for t in draw_trials(1_000_000, 0, 10)} == {"movable"}
 
 
