@@ -49,7 +49,7 @@ def asked(kind: str, name: str, ask: Callable[[], Any]) -> Any:
 
 
 def kept_as(kind: str, name: str, own: Iterable[str]) -> str:
-    """``name`` as part of a kept result's name: what isn't our ``own`` goes with the content of the file it stands in."""
+    """``name`` as part of a result's name: what isn't our ``own`` goes with the content of the file it stands in."""
     if name in own:
         return name
     named(kind, name)
