@@ -19,11 +19,10 @@ from shmoo_mjx.sensing import SensedEngine, SensedWorld, senses_named
 from shmoo_mjx.types import DT, Observation
 
 
-def space(parts: tuple[Part, ...], dtype: type = np.float32) -> gymnasium.spaces.Box:
+def space(parts: tuple[Part, ...]) -> gymnasium.spaces.Box:
     """The box that ``parts`` span."""
-    low, high = ([np.full(p.size, end) for p, end in zip(parts, ends, strict=True)]
-                 for ends in ([p.low for p in parts], [p.high for p in parts]))  # fmt: skip
-    return gymnasium.spaces.Box(np.concatenate(low).astype(dtype), np.concatenate(high).astype(dtype), dtype=dtype)
+    low, high = (np.concatenate([np.full(p.size, getattr(p, end)) for p in parts]) for end in ("low", "high"))
+    return gymnasium.spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
 
 
 def checked(actions: np.ndarray, box: gymnasium.spaces.Box) -> np.ndarray:

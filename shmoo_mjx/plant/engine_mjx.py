@@ -177,24 +177,21 @@ class MjxEngine:
 
         Compiles anew only if something differs between the new worlds that was the same in all the old ones.
         """
-        before = self._dry
-        put = self._put_once(scenes)
+        before, put = self._dry, self._put_once(scenes)
+        models, self.scenes = [put[id(s.model)] for s in scenes], list(scenes)
         if not np.array_equal(before, self._dry):
-            self._single = put[id(scenes[0].model)]
+            self._single = models[0]
             self._template = self._make_data(scenes[0].model)
-            self._use(*stack_models([put[id(s.model)] for s in scenes]))
-            self.scenes = list(scenes)
-            return
-        columns = list(zip(*(jax.tree.leaves(put[id(s.model)]) for s in scenes), strict=True))
+            return self._use(*stack_models(models))
+        columns = list(zip(*map(jax.tree.leaves, models), strict=True))
         old, tree = jax.tree.flatten(self.model)
-        apart = [np.ndim(all_) > np.ndim(column[0]) for all_, column in zip(old, columns, strict=True)]
-        if any(not own and not _alike(column) for own, column in zip(apart, columns, strict=True)):
-            self._use(*stack_models([put[id(s.model)] for s in scenes]))
-        else:
-            new = [jnp.stack(c) if own else c[0] for own, c in zip(apart, columns, strict=True)]
-            placed = [jax.device_put(leaf, was.sharding) for leaf, was in zip(new, old, strict=True)]
-            self.model = jax.tree.unflatten(tree, placed)
-        self.scenes = list(scenes)
+        batched = [np.ndim(all_) > np.ndim(column[0]) for all_, column in zip(old, columns, strict=True)]
+        if any(not own and not _alike(column) for own, column in zip(batched, columns, strict=True)):
+            return self._use(*stack_models(models))
+        new = [jnp.stack(c) if own else c[0] for own, c in zip(batched, columns, strict=True)]
+        placed = [jax.device_put(leaf, was.sharding) for leaf, was in zip(new, old, strict=True)]
+        self.model = jax.tree.unflatten(tree, placed)
+        return None
 
     def _make_data(self, model: mujoco.MjModel) -> mjx.Data:
         """What a step begins with; for Warp, room for the contacts and constraints of all worlds of a device."""

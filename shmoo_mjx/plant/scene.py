@@ -204,16 +204,9 @@ def _add_wall(
     body: Any, name: str, centre: Any, half: Any, *, yaw: float, height: float, conaffinity: int, group: int
 ) -> None:
     body.add_geom(
-        name=name,
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        pos=[*centre, height / 2],
-        size=[*half, height / 2],
-        euler=[0, 0, yaw],
-        contype=0,
-        conaffinity=conaffinity,
-        group=group,
-        material="wall",
-    )
+        name=name, type=mujoco.mjtGeom.mjGEOM_BOX, pos=[*centre, height / 2], size=[*half, height / 2],
+        euler=[0, 0, yaw], contype=0, conaffinity=conaffinity, group=group, material="wall",
+    )  # fmt: skip
 
 
 def _drop_idle_contacts(spec: mujoco.MjSpec) -> None:

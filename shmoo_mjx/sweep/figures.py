@@ -135,19 +135,9 @@ def _draw_parameters(config: SweepConfig, table: Table, path: Path) -> Path:
     for axis, name in zip(axes.flat, names, strict=False):
         for number, ((family, controller), mine) in enumerate(groups_of(table).items()):
             colour = SERIES[number % len(SERIES)]
-            _draw_rate(
-                axis,
-                table,
-                name,
-                "success",
-                mine=mine,
-                colour=colour,
-                line="-",
-                text=f"success: {family}, {controller}",
-            )
-            _draw_rate(
-                axis, table, name, "fell", mine=mine, colour=colour, line="--", text=f"fall: {family}, {controller}"
-            )
+            for column, line, word in (("success", "-", "success"), ("fell", "--", "fall")):
+                label = f"{word}: {family}, {controller}"
+                _draw_rate(axis, table, (name, column), mine, color=colour, linestyle=line, label=label)
         _scale(axis, "x", name == RESISTANCE or bool(config.vary[name].log_uniform))
         unit = "N" if name == RESISTANCE else PARAMETERS[name].unit
         axis.set_xlabel(f"{name} [{unit}]", fontsize=8)
@@ -174,18 +164,18 @@ def _scale(axes: Any, which: str, logarithmic: bool) -> None:
         axis.set_minor_formatter(NullFormatter())
 
 
-def _draw_rate(
-    axis: Any, table: Table, name: str, what: str, *, mine: np.ndarray, colour: str, line: str, text: str
-) -> None:
-    column = table.get(name, [None] * len(mine))  # families without wheels have no rolling resistance
-    values = np.array([np.nan if v is None else v for v in column], dtype=float)
+def _draw_rate(axis: Any, table: Table, columns: tuple[str, str], mine: np.ndarray, **style: str) -> None:
+    """How often the second of the columns is true over the first, a parameter."""
+    name, happened = columns
+    # Families without wheels have no rolling resistance.
+    values = np.array([np.nan if v is None else v for v in table.get(name, [None] * len(mine))], dtype=float)
     mine = mine & np.isfinite(values)
     if not mine.any():
         return
-    x, happened, trials = binned(values[mine], np.array(table[what])[mine], _bins(int(mine.sum())))
-    share, low, high = rate(happened, trials)
-    axis.plot(x, share, line, marker="o", ms=2.5, lw=1.2, color=colour, label=text)
-    axis.fill_between(x, low, high, color=colour, alpha=0.12, lw=0)
+    x, times, trials = binned(values[mine], np.array(table[happened])[mine], _bins(int(mine.sum())))
+    share, low, high = rate(times, trials)
+    axis.plot(x, share, marker="o", ms=2.5, lw=1.2, **style)
+    axis.fill_between(x, low, high, color=style["color"], alpha=0.12, lw=0)
 
 
 def _draw_map(config: SweepConfig, names: tuple[str, str], table: Table, path: Path) -> Path:

@@ -30,10 +30,10 @@ def diverging(monkeypatch: pytest.MonkeyPatch) -> None:
     """Half a second after its start every world gets a NaN."""
     advance = MujocoEngine.advance
 
-    def broken(self: MujocoEngine, world: World, *more: Any) -> Any:
+    def broken(self: MujocoEngine, world: World, *arguments: Any, **options: Any) -> Any:
         physics = world.physics.copy()
         physics[physics[:, 0] > 0.495, 3] = np.nan
-        return advance(self, world._replace(physics=physics), *more)
+        return advance(self, world._replace(physics=physics), *arguments, **options)
 
     monkeypatch.setattr(MujocoEngine, "advance", broken)
 
