@@ -29,6 +29,9 @@ from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.types import DT, Command, Observation
 
+Row = tuple[str, str, Condition]
+"""(name, split, condition) of what becomes one file of a data set."""
+
 SPLIT_SEEDS = {"train": 0, "validation": 100_000, "test": UNSEEN_SEED}
 """First object seed of each split; training can't reach the test seeds."""
 
@@ -74,7 +77,7 @@ class Operator(NamedTuple):
     """``[W]`` factor on the noise: calm episodes for steady pushing, lively ones like a sampling planner's trials"""
 
 
-def conditions(config: CollectConfig) -> list[tuple[str, str, Condition]]:
+def conditions(config: CollectConfig) -> list[Row]:
     """(name, split, condition) of every condition, in the order they are collected."""
     rows = []
     for split, count in (("train", config.train), ("validation", config.validation), ("test", config.test)):
@@ -246,7 +249,7 @@ def collect(
     workers: int = 2,
     *,
     progress: Callable[[int, int], None] = lambda done, total: None,
-    rows: list[tuple[str, str, Condition]] | None = None,
+    rows: list[Row] | None = None,
 ) -> None:
     """Fill ``directory`` with one file per condition; conditions already there and whole are kept.
 
@@ -269,7 +272,7 @@ def collect(
         opened = store.create_or_open(directory, schema)
         entries = {name: condition.to_dict() | {"split": split} for name, split, condition in rows}
         present = {name for name in entries if opened.has(name) or store.adopt(opened, name, entries[name])}
-        chunks: list[tuple[int, list[tuple[str, str, Condition]]]] = []
+        chunks: list[tuple[int, list[Row]]] = []
         for number, start in enumerate(range(0, len(rows), config.chunk)):
             part = rows[start : start + config.chunk]
             # A chunk holds one family only: split it where the family changes.
@@ -280,7 +283,7 @@ def collect(
         done = len(rows) - sum(len(c) for _, c in chunks)
         progress(done, len(rows))
         with process_pool(workers) as pool:
-            jobs: dict[Any, list[tuple[str, str, Condition]]] = {
+            jobs: dict[Any, list[Row]] = {
                 pool.submit(_run_chunk, config, [(c.family, c.seed) for _, _, c in part], number): part
                 for number, part in chunks
             }

@@ -182,16 +182,17 @@ class MjxEngine:
         if not np.array_equal(before, self._dry):
             self._single = models[0]
             self._template = self._make_data(scenes[0].model)
-            return self._use(*stack_models(models))
+            self._use(*stack_models(models))
+            return
         columns = list(zip(*map(jax.tree.leaves, models), strict=True))
         old, tree = jax.tree.flatten(self.model)
         batched = [np.ndim(all_) > np.ndim(column[0]) for all_, column in zip(old, columns, strict=True)]
         if any(not own and not _alike(column) for own, column in zip(batched, columns, strict=True)):
-            return self._use(*stack_models(models))
+            self._use(*stack_models(models))
+            return
         new = [jnp.stack(c) if own else c[0] for own, c in zip(batched, columns, strict=True)]
         placed = [jax.device_put(leaf, was.sharding) for leaf, was in zip(new, old, strict=True)]
         self.model = jax.tree.unflatten(tree, placed)
-        return None
 
     def _make_data(self, model: mujoco.MjModel) -> mjx.Data:
         """What a step begins with; for Warp, room for the contacts and constraints of all worlds of a device."""

@@ -162,11 +162,7 @@ def _add_hand_sensors(spec: mujoco.MjSpec, index: int, framed: bool) -> None:
             objname=f"robot/{hand if framed else arm}",
             reftype=mujoco.mjtObj.mjOBJ_GEOM,
             refname=f"object{index}/hull",
-            intprm=[
-                _FORCE_TORQUE_POSITION | (_FRAME if framed else 0),
-                _NEAREST if framed else _NET_FORCE,
-                1,
-            ],
+            intprm=[_FORCE_TORQUE_POSITION | (_FRAME if framed else 0), _NEAREST if framed else _NET_FORCE, 1],
         )
 
 
@@ -183,10 +179,12 @@ def _add_walls(
     They are drawn ``drawn`` high, lower than they are, so that one sees into the rooms; None: not at all.
     """
     body = spec.worldbody.add_body(name="walls")
+    box = {"type": mujoco.mjtGeom.mjGEOM_BOX, "euler": [0, 0, yaw], "contype": 0, "material": "wall"}
     for i, (x, y, hx, hy) in enumerate(walls):
-        _add_wall(body, f"wall{i}", (x, y), (hx, hy), yaw=yaw, height=WALL_HEIGHT, conaffinity=14, group=3)
-        if drawn is not None:
-            _add_wall(body, f"wall{i}_drawn", (x, y), (hx, hy), yaw=yaw, height=drawn, conaffinity=0, group=0)
+        for name, height, conaffinity, group in ((f"wall{i}", WALL_HEIGHT, 14, 3), (f"wall{i}_drawn", drawn, 0, 0)):
+            if height is not None:
+                place = {"pos": [x, y, height / 2], "size": [hx, hy, height / 2]}
+                body.add_geom(name=name, conaffinity=conaffinity, group=group, **place, **box)
     for shapes in _SHAPES.values() if sensors else ():
         for shape in shapes:
             spec.add_sensor(
@@ -198,15 +196,6 @@ def _add_walls(
                 refname="walls",
                 intprm=[_FOUND, 0, 1],
             )
-
-
-def _add_wall(
-    body: Any, name: str, centre: Any, half: Any, *, yaw: float, height: float, conaffinity: int, group: int
-) -> None:
-    body.add_geom(
-        name=name, type=mujoco.mjtGeom.mjGEOM_BOX, pos=[*centre, height / 2], size=[*half, height / 2],
-        euler=[0, 0, yaw], contype=0, conaffinity=conaffinity, group=group, material="wall",
-    )  # fmt: skip
 
 
 def _drop_idle_contacts(spec: mujoco.MjSpec) -> None:

@@ -41,7 +41,7 @@ from shmoo_mjx.sweep.config import SweepConfig
 from shmoo_mjx.sweep.parameters import MOST_DELAY
 from shmoo_mjx.sweep.rows import Tally, rows_of
 from shmoo_mjx.sweep.worlds import Drawn, WorldSetup, draw, scene_of, set_up
-from shmoo_mjx.types import DT, Command
+from shmoo_mjx.types import DT, Command, Observation
 
 _TICKS = round(DT / TICK)
 _MOST = round(MOST_DELAY / TICK)
@@ -221,7 +221,7 @@ class Batches:
         # Headings are held as the robot believes them.
         turned = 0.0 if self._senses.perfect else sensing.heading_error(state.sensor_state)[0]
 
-        def tick(world: MjxWorld, number: Array) -> tuple[MjxWorld, Any]:
+        def tick(world: MjxWorld, number: Array) -> tuple[MjxWorld, Observation]:
             arrived = jax.tree.map(lambda x: x[commands_ago(setup.delay, number)], sent)
             arrived = arrived._replace(yaw=arrived.yaw - turned)
             return self.engine.step_one(model, world, arrived, jnp.zeros(6), substeps=substeps, gains=gains)
@@ -238,7 +238,7 @@ class Batches:
         )
         return jax.tree.map(lambda a, b: jnp.where(state.memory.phase >= one_push.DONE, a, b), state, after)
 
-    def _watched(self, setup: WorldSetup, state: State, track: Any) -> SensorState:
+    def _watched(self, setup: WorldSetup, state: State, track: Observation) -> SensorState:
         """The senses after the sample's ticks, of which ``track [T, ...]`` is the truth."""
         normal = jax.random.normal(key_of(setup, Stream.SENSES, state.samples), (_TICKS, 9))
         uniform = jax.random.uniform(key_of(setup, Stream.DROP_OUTS, state.samples), (_TICKS, 1, 1, 2))
@@ -272,7 +272,7 @@ def key_of(setup: WorldSetup, stream: Stream, sample: Array | int = 0) -> Array:
 
 
 def _perceived(
-    senses: Senses, setup: WorldSetup, truth: Any, sensor_state: SensorState, *, wrench: Array, samples: Array
+    senses: Senses, setup: WorldSetup, truth: Observation, sensor_state: SensorState, *, wrench: Array, samples: Array
 ) -> ObjectObservation:
     """What the robot's senses make of the truth, with the swept noise; perfect ones see late at most."""
     error = setup.noise * jax.random.normal(key_of(setup, Stream.SWEPT_NOISE, samples), (11,))
@@ -302,7 +302,7 @@ def _perceived(
     )
 
 
-def _phase(phase: Array, truth: Any, world: MjxWorld, setup: WorldSetup) -> Array:
+def _phase(phase: Array, truth: Observation, world: MjxWorld, setup: WorldSetup) -> Array:
     """The phase after a sample: over if the robot has fallen, or if it has let go and the object rests."""
     away = hands_to_face(truth.object_pose[0], truth.robot_pose, setup.face) > CLEAR
     resting = jnp.hypot(truth.object_twist[0, 0], truth.object_twist[0, 1]) < AT_REST
@@ -311,7 +311,7 @@ def _phase(phase: Array, truth: Any, world: MjxWorld, setup: WorldSetup) -> Arra
     return jnp.where(jnp.all(jnp.isfinite(world.physics)), phase, one_push.UNSTABLE)
 
 
-def _counted(tally: Tally, truth: Any, wrench: Array, samples: Array) -> Tally:
+def _counted(tally: Tally, truth: Observation, wrench: Array, samples: Array) -> Tally:
     force = jnp.hypot(wrench[0], wrench[1])
     return Tally(
         time=samples * DT,
