@@ -87,7 +87,7 @@ class Belief:
     """The map and the known objects; every change makes a new one."""
 
     grid: OccupancyGrid
-    walls: DistanceField
+    wall_clearance: DistanceField
     """Distance to the walls."""
     objects: Mapping[int, ObjectBelief] = field(default_factory=dict)
 
@@ -98,7 +98,7 @@ class Belief:
     @property
     def pushes(self) -> int:
         """How many pushes there have been."""
-        return sum(known.pushes for known in self.objects.values())
+        return sum(item.pushes for item in self.objects.values())
 
     def polygons(
         self, statuses: tuple[Status, ...] = tuple(Status), without: int | None = None
@@ -108,7 +108,7 @@ class Belief:
 
     def clearance(self, without: int | None = None) -> DistanceField:
         """Distance to walls and to every known object but ``without``."""
-        return add_obstacles(self.walls, self.polygons(without=without))
+        return add_obstacles(self.wall_clearance, self.polygons(without=without))
 
     def update(
         self,
@@ -135,15 +135,15 @@ class Belief:
             pose = np.array(obs.object_pose[0, index])
             if not np.isfinite(pose).all():
                 continue
-            known, age = objects.get(index), float(obs.object_age[0, index])
-            if known is None:
+            before, age = objects.get(index), float(obs.object_age[0, index])
+            if before is None:
                 status = Status.UNKNOWN if first_status is None else first_status[index]
                 objects[index] = ObjectBelief(
                     pose, size, kinds[index] if kinds else None, status, age=age, registered=pose
                 )
                 continue
-            objects[index], said = _perceived(known, pose, age, index == pushed, first_status is not None)
-            notes += [f"object {index} {text}" for text in said]
+            objects[index], remarks = _perceived(before, pose, age, index == pushed, first_status is not None)
+            notes += [f"object {index} {text}" for text in remarks]
         return replace(self, objects=objects), notes
 
 
@@ -153,22 +153,24 @@ def belief_of(grid: OccupancyGrid) -> Belief:
 
 
 def _perceived(
-    known: ObjectBelief, pose: Float[np.ndarray, "3"], age: float, pushed: bool, fixed_for_good: bool
+    before: ObjectBelief, pose: Float[np.ndarray, "3"], age: float, pushed: bool, fixed_for_good: bool
 ) -> tuple[ObjectBelief, list[str]]:
-    new, notes = replace(known, pose=pose, age=age), []
-    if known.age > _LOST >= age:
-        notes.append(f"is detected again after {known.age:.1f} s")
-    elif age > _LOST >= known.age and pushed:
+    new, notes = replace(before, pose=pose, age=age), []
+    if before.age > _LOST >= age:
+        notes.append(f"is detected again after {before.age:.1f} s")
+    elif age > _LOST >= before.age and pushed:
         notes.append("is not detected; it is expected to move on as it did")
-    if known.registered is None or (pushed and known.status is not Status.FIXED):
-        if _distance(pose, known.pose) > _DISPLACED:
+    if before.registered is None or (pushed and before.status is not Status.FIXED):
+        if _distance(pose, before.pose) > _DISPLACED:
             notes.append("is suddenly elsewhere: somebody has moved it")
         return new, notes
     if not new.displaced or age > _LOST:
         return new, notes
-    text = f"({known.status}) stands {_distance(pose, known.registered):.2f} m from where it was: somebody has moved it"
+    text = (
+        f"({before.status}) stands {_distance(pose, before.registered):.2f} m from where it was: somebody has moved it"
+    )
     new = replace(new, registered=pose, price=None)
-    if known.status is Status.FIXED and not fixed_for_good:
+    if before.status is Status.FIXED and not fixed_for_good:
         # Whoever moved it may have released its brakes: what was learned no longer holds.
         new = replace(new, status=Status.UNKNOWN, adapt=None, failed_faces=())
         text += "; it counts as unknown again"

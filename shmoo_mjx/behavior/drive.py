@@ -69,12 +69,12 @@ def follow(
     yaw = obs.robot_pose[0, 2]
     flat = planner.model.flat_state(position, velocity, se2.rotate(obs.lean[0], yaw), se2.rotate(obs.lean_rate[0], yaw))
     if path is not None and now - state.start >= _REPLAN_EVERY - 1e-6:
-        found = flat_trajectory.plan(planner, _begin(planner, state, now, flat), path, clearance())
-        if found.ok:
-            state = DriveState(found, now, None, "")
+        trajectory = flat_trajectory.plan(planner, _begin(planner, state, now, flat), path, clearance())
+        if trajectory.ok:
+            state = DriveState(trajectory, now, None, "")
         else:
             since = now if state.failed_since is None else state.failed_since
-            state = state._replace(failed_since=since, reason=found.reason)
+            state = state._replace(failed_since=since, reason=trajectory.reason)
     if state.trajectory is None:
         return state, velocity_command(obs, np.zeros(2))
     # The lean is commanded in {R}, which turns on until the body has got there.

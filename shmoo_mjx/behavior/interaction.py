@@ -123,12 +123,12 @@ def _settled(state: NavigatorState, now: float) -> NavigatorState:
     pending = state.pending
     if pending is None:
         return state
-    if state.mode is not pending.asked.mode:
+    if state.mode is not pending.before.mode:
         return replace(state, pending=None)
     if now < pending.due - 1e-6:
         return state
     events = (*state.events, *(event._replace(t=now) for event in pending.decided.events))
-    merged = _merged(pending.asked, pending.decided, replace(state, pending=None))
+    merged = _merged(pending.before, pending.decided, replace(state, pending=None))
     begins = {"since": now} if merged.mode is not state.mode else {}
     return replace(merged, events=events, pending=None, **begins)
 
@@ -137,29 +137,29 @@ def _consider(modes: Mapping[Mode, Rule], setup: Setup, state: NavigatorState, o
     """Begin to compute what the mode has to decide, if it is due and nothing else is being computed."""
     if state.pending is not None:
         return state
-    asked = replace(state, events=())
-    decided = modes[state.mode].decide(setup, asked, obs)
+    before = replace(state, events=())
+    decided = modes[state.mode].decide(setup, before, obs)
     if decided is None:
         return state
     due = float(obs.time[0]) + setup.config.planning_time
-    waiting = replace(state, pending=Pending(due, asked, decided))
+    waiting = replace(state, pending=Pending(due, before, decided))
     return waiting if setup.config.planning_time > 0 else _settled(waiting, float(obs.time[0]))
 
 
-def _merged(asked: Any, decided: Any, current: Any) -> Any:
+def _merged(before: Any, decided: Any, current: Any) -> Any:
     """What a decision has changed, laid over what has happened since it was asked for."""
-    if decided is asked:
+    if decided is before:
         return current
-    if current is asked:
+    if current is before:
         return decided
-    same = type(asked) is type(decided) is type(current)
-    if is_dataclass(asked) and not isinstance(asked, type) and same:
-        names = [f.name for f in fields(asked)]
-        merged = {n: _merged(getattr(asked, n), getattr(decided, n), getattr(current, n)) for n in names}
+    same = type(before) is type(decided) is type(current)
+    if is_dataclass(before) and not isinstance(before, type) and same:
+        names = [f.name for f in fields(before)]
+        merged = {n: _merged(getattr(before, n), getattr(decided, n), getattr(current, n)) for n in names}
         changed: Any = replace(current, **merged)
         return changed
-    if isinstance(asked, dict) and isinstance(decided, dict) and isinstance(current, dict):
-        return {k: _merged(asked.get(k), decided.get(k, v), v) for k, v in current.items()}
+    if isinstance(before, dict) and isinstance(decided, dict) and isinstance(current, dict):
+        return {k: _merged(before.get(k), decided.get(k, v), v) for k, v in current.items()}
     return decided
 
 
@@ -184,7 +184,7 @@ def _may_fold(state: NavigatorState, obs: Observation, hands: float) -> bool:
 
 
 def _arms_have_room(state: NavigatorState, obs: Observation, between: tuple[float, float]) -> bool:
-    return float(outline.room(state.belief.walls.at, obs.robot_pose[0], between).least) > _ARM_ROOM
+    return float(outline.room(state.belief.wall_clearance.at, obs.robot_pose[0], between).least) > _ARM_ROOM
 
 
 def drive_along(
@@ -203,7 +203,7 @@ def start_push(
     face: Float[np.ndarray, "4"],
     goal: Float[np.ndarray, "3"],
     reached: tuple[Path, float, float],
-    around: DistanceField,
+    clearance: DistanceField,
 ) -> NavigatorState:
     """The state in which a push has been chosen; the approach is next.
 
@@ -217,11 +217,11 @@ def start_push(
         reached: way to the stand-off pose, its gap and its place along the face, as `Routes.path_to_face` gives them.
         around: clearance without the object.
     """
-    known, (way, gap, lateral) = state.belief.objects[index], reached
-    field = local_distance_field(around, known.pose)
-    segment = Segment(index, side, face, goal, way, approach.init(now, gap, lateral), field)
+    target, (way, gap, lateral) = state.belief.objects[index], reached
+    local_clearance = local_distance_field(clearance, target.pose)
+    segment = Segment(index, side, face, goal, way, approach.init(now, gap, lateral), local_clearance)
     state = replace(state, segment=segment, drive=drive.init())
-    return state.with_object(index, pushes=known.pushes + 1, registered=known.pose)
+    return state.with_object(index, pushes=target.pushes + 1, registered=target.pose)
 
 
 def approach_face(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Command]:
@@ -239,21 +239,21 @@ def approach_face(setup: Setup, state: NavigatorState, obs: Observation) -> tupl
         state = state.go(now, Mode.CONTACT, "at the stand-off pose, arms extended")
     elif move.failed:
         state = state.failed().go(now, Mode.REPLAN, "the stand-off pose was not reached in time")
-    elif state.known().displaced:
+    elif state.target().displaced:
         state = state.go(now, Mode.REPLAN, f"object {segment.object} was moved while it was being approached")
     return state, move.command
 
 
 def make_contact(then: Mode, setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Command]:
     """Move slowly forward until the hands feel the object; ``then`` is the mode in which it is pushed."""
-    segment, known, now = state.current(), state.known(), float(obs.time[0])
+    segment, target, now = state.current(), state.target(), float(obs.time[0])
     object_obs = ObjectObservation.of(obs, segment.object)
     assert segment.contact is not None
     _, move = contact.step(segment.contact, object_obs, segment.face)
     if move.over:
         key, own = jax.random.split(state.key)
         pushed = push.init(
-            setup.controller, now, object_obs, segment.face, known.half_extents, own, known.adapt, known.kind
+            setup.controller, now, object_obs, segment.face, target.half_extents, own, target.adapt, target.kind
         )
         state = replace(state, key=key).with_segment(push=pushed)
         state = state.go(now, then, f"contact with object {segment.object}")
@@ -267,13 +267,13 @@ def make_contact(then: Mode, setup: Setup, state: NavigatorState, obs: Observati
 
 def push_object(judge: Judge, setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Command]:
     """One sample of a push, until ``judge`` ends it."""
-    segment, known = state.current(), state.known()
+    segment, target = state.current(), state.target()
     assert segment.push is not None
-    firm = PROBE_ROOM if state.mode is Mode.PROBE and not rolled(segment.push, known.pose) else None
+    firm = PROBE_ROOM if state.mode is Mode.PROBE and not rolled(segment.push, target.pose) else None
     object_obs = ObjectObservation.of(obs, segment.object)
     pushed, command = push.step(
-        setup.controller, segment.push, object_obs, segment.face, state.last_u, segment.goal, segment.around,
-        known.half_extents, firm,
+        setup.controller, segment.push, object_obs, segment.face, state.last_u, segment.goal, segment.clearance,
+        target.half_extents, firm,
     )  # fmt: skip
     state = state.with_segment(push=pushed).with_object(segment.object, adapt=pushed.pusher.adapt)
     state = judge(setup, state, obs)
@@ -288,11 +288,11 @@ def rolled(pushed: push.PushState, pose: Float[np.ndarray, "3"]) -> bool:
 
 def push_end_reason(state: NavigatorState, now: float) -> str | None:
     """Why no push goes on, wherever it leads: None if it can."""
-    known, pushed, index = state.known(), state.current().push, state.current().object
+    target, pushed, index = state.target(), state.current().push, state.current().object
     assert pushed is not None
     if not pushed.ok:
         return "no roll-out of the model is finite: safe stop"
-    if known.age > _UNDETECTED_LIMIT:
+    if target.age > _UNDETECTED_LIMIT:
         return f"object {index} has not been detected for {_UNDETECTED_LIMIT:g} s"
     if pushed.since_contact > _LOST_AFTER:
         return f"contact with object {index} lost for {_LOST_AFTER:g} s"
@@ -305,7 +305,7 @@ def back_away(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[Na
     """Away from the object to where the arms have room to fold."""
     segment, now, pose = state.current(), float(obs.time[0]), obs.robot_pose[0]
     if segment.back is None:
-        way = setup.routes(state).retreat_path(pose[:2], state.known().pose)
+        way = setup.routes(state).retreat_path(pose[:2], state.target().pose)
         state = replace(state.with_segment(back=way), drive=drive.init())
     lean = None
     if state.current().back is not None:

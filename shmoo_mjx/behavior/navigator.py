@@ -49,7 +49,7 @@ def _brake(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[Navig
 
 def _turned(state: NavigatorState, obs: Observation, yaw: float) -> float:
     """The heading ``yaw``, or the present one where walls leave no room to turn."""
-    room = float(state.belief.walls.at(obs.robot_pose[0, :2])) - ROBOT_RADIUS
+    room = float(state.belief.wall_clearance.at(obs.robot_pose[0, :2])) - ROBOT_RADIUS
     return yaw if room > _TURNING_ROOM else float(obs.robot_pose[0, 2])
 
 

@@ -30,48 +30,48 @@ _SHOWN = 40
 def choose(setup: Setup, state: NavigatorState, obs: Observation, index: int, distance: float) -> NavigatorState:
     """The initialisation stage: first goal, face and way to the stand-off pose of object ``index``, ``distance`` [m]
     along the path; or register it."""
-    known, now, routes = state.belief.objects[index], float(obs.time[0]), setup.routes(state)
-    position, everything = obs.robot_pose[0, :2], state.belief.clearance()
-    faces, failed = faces_of(known.half_extents), known.failed_faces
-    ways = {i: routes.path_to_face(position, index, f, everything) for i, f in enumerate(faces) if i not in failed}
+    target, now, routes = state.belief.objects[index], float(obs.time[0]), setup.routes(state)
+    position, clearance = obs.robot_pose[0, :2], state.belief.clearance()
+    faces, failed = faces_of(target.half_extents), target.failed_faces
+    ways = {i: routes.path_to_face(position, index, f, clearance) for i, f in enumerate(faces) if i not in failed}
     usable = {i: way for i, way in ways.items() if way is not None}
-    around, path = state.belief.clearance(without=index), routes.free_path(position, known)
-    free = routes.collision_free(position, known, around, path)
-    directions, planner = np.array([heading(known.pose, faces[i]) for i in usable]), setup.config.planner
-    first = initial_goal(known.pose, free, directions, planner)
-    first = initial_goal(known.pose, free, directions, planner, _FAR_AREA) if first.goal is None else first
+    clearance_without, path = state.belief.clearance(without=index), routes.free_path(position, target)
+    free = routes.collision_free(position, target, clearance_without, path)
+    directions, planner = np.array([heading(target.pose, faces[i]) for i in usable]), setup.config.planner
+    first = initial_goal(target.pose, free, directions, planner)
+    first = initial_goal(target.pose, free, directions, planner, _FAR_AREA) if first.goal is None else first
     if first.goal is None or first.direction is None:
         why = f"object {index} can be put nowhere: {first.reason}; registered as an obstacle"
         return state.given_up(index).go(now, Mode.REPLAN, why)
     side = list(usable)[first.direction]
-    state = start_push(state, now, index, side, faces[side], first.goal, usable[side], around)
+    state = start_push(state, now, index, side, faces[side], first.goal, usable[side], clearance_without)
     why = f"object {index} blocks the path {distance:.2f} m ahead; first goal: {first.reason}"
     return state.go(now, Mode.APPROACH, why)
 
 
 def planning(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState:
     """The planning stage on the roll-outs of the adapted model: K in the probe, then a goal that is within reach."""
-    now, segment, known = float(obs.time[0]), state.current(), state.known()
+    now, segment, target = float(obs.time[0]), state.current(), state.target()
     assert segment.push is not None
     index, cfg, probes = segment.object, setup.config.planner, state.mode is Mode.PROBE
     # K asks how far it can be moved: a goal that is nearly reached would say nothing about that.
-    ahead = heading(known.pose, segment.face)
-    straight = known.pose[:2] + cfg.min_displacement * np.array([np.cos(ahead), np.sin(ahead)])
-    near = _left(segment.goal, known.pose, segment.face) < cfg.min_displacement
-    asked = np.array([*straight, segment.goal[2]]) if near else segment.goal
-    half = np.array(known.half_extents)
-    poses, _, costs = setup.controller.planning_rollouts(segment.push.pusher, asked, segment.around, half)
+    ahead = heading(target.pose, segment.face)
+    straight = target.pose[:2] + cfg.min_displacement * np.array([np.cos(ahead), np.sin(ahead)])
+    near = _left(segment.goal, target.pose, segment.face) < cfg.min_displacement
+    probe_goal = np.array([*straight, segment.goal[2]]) if near else segment.goal
+    half = np.array(target.half_extents)
+    poses, _, costs = setup.controller.planning_rollouts(segment.push.pusher, probe_goal, segment.clearance, half)
     routes, position = setup.routes(state), obs.robot_pose[0, :2]
-    path = routes.free_path(position, known)
+    path = routes.free_path(position, target)
     if path is not None and probes:
         state = state.with_events(Planned(now, path.points))
-    free = routes.collision_free(position, known, state.belief.clearance(without=index), path)
+    free = routes.collision_free(position, target, state.belief.clearance(without=index), path)
 
     def reachable(ends: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
         # What a roll-out turns may end a little behind, and a goal there would be passed before it is pushed to.
-        return free(ends) & (_left(ends, known.pose, segment.face) > 0.0)
+        return free(ends) & (_left(ends, target.pose, segment.face) > 0.0)
 
-    result = planning_stage(poses[:, -1], costs, known.pose, reachable, cfg, None if probes else True)
+    result = planning_stage(poses[:, -1], costs, target.pose, reachable, cfg, None if probes else True)
     best = poses[np.argsort(costs)[:_SHOWN]][:, :, :2]
     event = Decision(
         now, index, result.K, result.G, result.manipulable, result.goal, result.reason, best, result.candidates, None
@@ -86,11 +86,11 @@ def planning(setup: Setup, state: NavigatorState, obs: Observation) -> Navigator
 
 def arrived(state: NavigatorState, now: float) -> NavigatorState:
     """End a push whose object is at its goal, or past it."""
-    segment, known, index = state.current(), state.known(), state.current().object
-    if state.mode is Mode.PUSH and float(np.linalg.norm(known.pose[:2] - segment.goal[:2])) < _AT_GOAL:
+    segment, target, index = state.current(), state.target(), state.current().object
+    if state.mode is Mode.PUSH and float(np.linalg.norm(target.pose[:2] - segment.goal[:2])) < _AT_GOAL:
         state = state.with_object(index, status=Status.PARKED)
         return state.go(now, Mode.RETREAT, f"object {index} is at its goal")
-    if state.mode is Mode.PUSH and _left(segment.goal, known.pose, segment.face) < _PASSED:
+    if state.mode is Mode.PUSH and _left(segment.goal, target.pose, segment.face) < _PASSED:
         return state.failed().go(now, Mode.RETREAT, f"object {index} has gone past its goal, and can't be pulled")
     return state
 

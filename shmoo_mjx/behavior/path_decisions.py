@@ -66,8 +66,8 @@ def _on_path(state: NavigatorState, now: float, path: Path) -> NavigatorState:
 def _another_chance(state: NavigatorState, now: float) -> NavigatorState:
     """With every route blocked, what was given up is looked at again if anything has been pushed since."""
     pushes = state.belief.pushes
-    for index, known in state.belief.objects.items():
-        if known.status is Status.FIXED and known.given_up is not None and known.given_up < pushes:
+    for index, item in state.belief.objects.items():
+        if item.status is Status.FIXED and item.given_up is not None and item.given_up < pushes:
             state = state.with_object(index, status=Status.UNKNOWN)
             text = f"every route is blocked: object {index}, registered as an obstacle, is looked at again"
             state = state.with_events(Note(now, text))
@@ -82,15 +82,15 @@ def first_block(
     What the robot stands too near to, as after a push, does not block the beginning of a path that leads away from it.
     """
     assert state.path is not None
-    position, found = obs.robot_pose[0, :2], []
+    position, blocks = obs.robot_pose[0, :2], []
     here = project(state.path, position)
-    for index, known in state.belief.objects.items():
-        nearest = float(shapely.distance(known.polygon, shapely.Point(position)))
+    for index, item in state.belief.objects.items():
+        nearest = float(shapely.distance(item.polygon, shapely.Point(position)))
         for clearance, after in ((min(nearest, ROBOT_RADIUS), here), (ROBOT_RADIUS, here + _LEFT_AFTER)):
-            blocked, s = path_blocked_by(state.path, known.polygon, clearance - SLACK, after)
+            blocked, s = path_blocked_by(state.path, item.polygon, clearance - SLACK, after)
             if blocked and s is not None and s - here < within:
-                found.append((s - here, index))
-    return (min(found)[1], min(found)[0]) if found else None
+                blocks.append((s - here, index))
+    return (min(blocks)[1], min(blocks)[0]) if blocks else None
 
 
 def look_ahead(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState | None:
@@ -99,20 +99,20 @@ def look_ahead(setup: Setup, state: NavigatorState, obs: Observation) -> Navigat
     if blocked is None or state.path is None:
         return None
     (index, distance), now, position = blocked, float(obs.time[0]), obs.robot_pose[0, :2]
-    known, near, routes = state.belief.objects[index], distance < _ACT_WITHIN, setup.routes(state)
-    if known.status not in routes.pushed:
-        again = state.with_object(index, in_the_way=known.in_the_way + 1)
-        return again.go(now, Mode.REPLAN, f"object {index} ({known.status}) is in the way") if near else None
+    target, near, routes = state.belief.objects[index], distance < _ACT_WITHIN, setup.routes(state)
+    if target.status not in routes.pushed:
+        again = state.with_object(index, in_the_way=target.in_the_way + 1)
+        return again.go(now, Mode.REPLAN, f"object {index} ({target.status}) is in the way") if near else None
     if not setup.by_time:
         return paper.choose(setup, state, obs, index, distance)
-    if not near and known.price is not None:
+    if not near and target.price is not None:
         return None
-    through, around = routes.quickest(position, without=index), routes.quickest(position, {index: 0.0})
+    through, detour = routes.quickest(position, without=index), routes.quickest(position, {index: 0.0})
     if through is None:
         return state.go(now, Mode.REPLAN, f"object {index} is in the way, and nothing leads on behind it")
     if setup.config.goes_round == "never":
-        around = None
-    return _least_time(setup, state, obs, index, through, around, near)
+        detour = None
+    return _least_time(setup, state, obs, index, through, detour, near)
 
 
 def _least_time(
@@ -121,48 +121,48 @@ def _least_time(
     obs: Observation,
     index: int,
     through: Route,
-    around: Route | None,
+    detour: Route | None,
     near: bool,
 ) -> NavigatorState:
     """Go round object ``index`` or push it, whichever takes less time on average. From afar a push is not begun."""
-    now, known, routes = float(obs.time[0]), state.belief.objects[index], setup.routes(state)
-    position, everything = obs.robot_pose[0, :2], state.belief.clearance()
+    now, target, routes = float(obs.time[0]), state.belief.objects[index], setup.routes(state)
+    position, clearance = obs.robot_pose[0, :2], state.belief.clearance()
     dislike = routes.price or 0.0
-    otherwise = push_options.time_without_push(through, around)
-    faces, failed = push_options.all_faces(known.half_extents), known.failed_faces.count
-    ways, may_pay = {}, around is None or otherwise > through.seconds + push_options.LEAST + dislike
+    otherwise = push_options.time_without_push(through, detour)
+    faces, failed = push_options.all_faces(target.half_extents), target.failed_faces.count
+    ways, may_pay = {}, detour is None or otherwise > through.seconds + push_options.LEAST + dislike
     for side, face in enumerate(faces if may_pay else ()):
-        reached = routes.path_to_face(position, index, face, everything, failed(side), corner=side >= 4)
+        reached = routes.path_to_face(position, index, face, clearance, failed(side), corner=side >= 4)
         if reached is not None and push_options.walk_time(reached[0].length) < otherwise:
             ways[side] = reached
-    way_round = None if around is None else around.seconds
-    best, told = None, push_options.describe_options((), way_round)
+    way_round = None if detour is None else detour.seconds
+    best, summary = None, push_options.describe_options((), way_round)
     if ways:
-        field = state.belief.clearance(without=index)
+        clearance_without = state.belief.clearance(without=index)
         places = _places(setup, routes, obs, index, through.path, {side: faces[side] for side in ways})
-        found = push_options.predict_pushes(
-            foresight_of(setup.controller), known, through.path, field, list(ways), places, round(now / DT)
+        pushes = push_options.predict_pushes(
+            foresight_of(setup.controller), target, through.path, clearance_without, list(ways), places, round(now / DT)
         )
         walks = {side: push_options.walk_time(way[0].length) for side, way in ways.items()}
-        weigh = partial(push_options.rank_pushes, found, walks, known.failed_faces, through.seconds)
+        weigh = partial(push_options.rank_pushes, pushes, walks, target.failed_faces, through.seconds)
         # Its price counts no other push. Else each of two immovable objects would be a way round the other one.
         alone = routes.quickest(position, dict.fromkeys(state.belief.objects, 0.0))
         price = weigh(push_options.time_without_push(through, alone))[0].seconds - through.seconds
         options = weigh(otherwise)
-        best, told = options[0], push_options.describe_options(options[:3], way_round)
-        state = state.with_events(_decision(now, index, told, options, otherwise))
+        best, summary = options[0], push_options.describe_options(options[:3], way_round)
+        state = state.with_events(_decision(now, index, summary, options, otherwise))
         state = state.with_object(index, price=max(price, 0.0))
         if near and price >= push_options.BLOCKED:
-            return _give_up(setup, state, now, index, told)
-    if around is not None and (best is None or best.seconds + dislike >= otherwise):
-        state = _on_path(state.with_object(index, in_the_way=known.in_the_way + near), now, around.path)
-        return state.go(now, Mode.FOLLOW, f"object {index} is in the way: {told}")
+            return _give_up(setup, state, now, index, summary)
+    if detour is not None and (best is None or best.seconds + dislike >= otherwise):
+        state = _on_path(state.with_object(index, in_the_way=target.in_the_way + near), now, detour.path)
+        return state.go(now, Mode.FOLLOW, f"object {index} is in the way: {summary}")
     if not near:
         return state if best else state.with_object(index, price=push_options.BLOCKED)
     if best is None:
-        return _give_up(setup, state, now, index, f"no face can be reached; {told}")
-    state = start_push(state, now, index, best.side, faces[best.side], best.goal, ways[best.side], field)
-    return state.go(now, Mode.APPROACH, f"object {index} is in the way: {told}")
+        return _give_up(setup, state, now, index, f"no face can be reached; {summary}")
+    state = start_push(state, now, index, best.side, faces[best.side], best.goal, ways[best.side], clearance_without)
+    return state.go(now, Mode.APPROACH, f"object {index} is in the way: {summary}")
 
 
 def _places(
@@ -174,21 +174,21 @@ def _places(
     faces: dict[int, Float[np.ndarray, "4"]],
 ) -> dict[int, Float[np.ndarray, "3"]]:
     """The first goal of Algorithm 1 for each side that has one."""
-    known, around = routes.belief.objects[index], routes.belief.clearance(without=index)
-    free = routes.collision_free(obs.robot_pose[0, :2], known, around, through)
+    target, clearance = routes.belief.objects[index], routes.belief.clearance(without=index)
+    free = routes.collision_free(obs.robot_pose[0, :2], target, clearance, through)
     goals = {
-        side: initial_goal(known.pose, free, np.array([heading(known.pose, face)]), setup.config.planner).goal
+        side: initial_goal(target.pose, free, np.array([heading(target.pose, face)]), setup.config.planner).goal
         for side, face in faces.items()
     }
     return {side: goal for side, goal in goals.items() if goal is not None}
 
 
-def _decision(now: float, index: int, told: str, options: list[push_options.Push], around: float) -> Decision:
+def _decision(now: float, index: int, summary: str, options: list[push_options.Push], otherwise: float) -> Decision:
     """What was decided before a push, with where the options lead."""
     best = options[0]
-    pushed, goals = best.seconds < around, np.stack([push.goal for push in options])
+    pushed, goals = best.seconds < otherwise, np.stack([push.goal for push in options])
     ends = np.concatenate([push.ends for push in options])
-    return Decision(now, index, np.nan, np.nan, pushed, best.goal, told, ends, goals, best.probability)
+    return Decision(now, index, np.nan, np.nan, pushed, best.goal, summary, ends, goals, best.probability)
 
 
 def _give_up(setup: Setup, state: NavigatorState, now: float, index: int, why: str) -> NavigatorState:

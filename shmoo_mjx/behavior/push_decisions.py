@@ -38,9 +38,9 @@ def judge(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorSta
 def review(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState | None:
     """Look whether the path is clear, or decide again, where either is due."""
     now, segment = float(obs.time[0]), state.current()
-    push, known, routes = segment.push, state.known(), setup.routes(state)
+    push, target, routes = segment.push, state.target(), setup.routes(state)
     assert push is not None
-    looks = (state.mode is Mode.PUSH or rolled(push, known.pose)) and round(now / DT) % _CLEAR_EVERY == 0
+    looks = (state.mode is Mode.PUSH or rolled(push, target.pose)) and round(now / DT) % _CLEAR_EVERY == 0
     if looks and routes.path_clear(obs.robot_pose[0, :2], segment.object):
         state = state.with_object(segment.object, status=Status.PARKED)
         return state.go(now, Mode.RETREAT, f"object {segment.object} no longer blocks the path")
@@ -52,28 +52,28 @@ def review(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorSt
 
 def _think_again(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState:
     """Go on with this push, or leave it where the way round takes less time on average."""
-    now, segment, known = float(obs.time[0]), state.current(), state.known()
+    now, segment, target = float(obs.time[0]), state.current(), state.target()
     index, routes, position = segment.object, setup.routes(state), obs.robot_pose[0, :2]
     through = routes.quickest(position, without=index)
     if through is None:
         return state
-    field, side = state.belief.clearance(without=index), segment.side
-    found = push_options.predict_pushes(
-        foresight_of(setup.controller), known, through.path, field, [side], {side: segment.goal}, round(now / DT)
+    clearance, side = state.belief.clearance(without=index), segment.side
+    pushes = push_options.predict_pushes(
+        foresight_of(setup.controller), target, through.path, clearance, [side], {side: segment.goal}, round(now / DT)
     )
     never = setup.config.goes_round == "never"
     detour = None if never else routes.quickest(position, {index: _ROUND_MARGIN})
     # Without a way round what follows a failure is another push, at what that was taken to cost.
-    again = through.seconds + (push_options.BLOCKED if known.price is None else known.price)
-    around = push_options.AWAY + (again if detour is None else detour.seconds)
-    (here,) = push_options.rank_pushes(found, {side: 0.0}, known.failed_faces, through.seconds, around)
-    told = push_options.describe_options((here,), None if detour is None else around)
+    again = through.seconds + (push_options.BLOCKED if target.price is None else target.price)
+    otherwise = push_options.AWAY + (again if detour is None else detour.seconds)
+    (here,) = push_options.rank_pushes(pushes, {side: 0.0}, target.failed_faces, through.seconds, otherwise)
+    summary = push_options.describe_options((here,), None if detour is None else otherwise)
     moves = here.probability >= 0.5
     state = state.with_object(index, manipulable=moves).with_events(
-        Decision(now, index, np.nan, np.nan, moves, here.goal, told, here.ends, here.goal[None], here.probability)
+        Decision(now, index, np.nan, np.nan, moves, here.goal, summary, here.ends, here.goal[None], here.probability)
     )
-    if detour is not None and around < here.seconds:
-        return state.failed().go(now, Mode.RETREAT, f"object {index}: {told}")
+    if detour is not None and otherwise < here.seconds:
+        return state.failed().go(now, Mode.RETREAT, f"object {index}: {summary}")
     if np.isfinite(here.free).any():
         state = state.with_segment(goal=here.goal)
-    return state.go(now, Mode.PUSH, f"object {index}: {told}") if state.mode is Mode.PROBE else state
+    return state.go(now, Mode.PUSH, f"object {index}: {summary}") if state.mode is Mode.PROBE else state

@@ -114,9 +114,9 @@ def make_options(
 
 def predict_pushes(
     foresight: Callable[..., Outcomes],
-    known: ObjectBelief,
+    target: ObjectBelief,
     path: Path,
-    around: DistanceField,
+    clearance: DistanceField,
     sides: Sequence[int],
     places: Mapping[int, Float[np.ndarray, "3"]],
     seed: int = 0,
@@ -132,19 +132,19 @@ def predict_pushes(
         places: where the object may be put from some of them, in {W}.
         seed: of the draws.
     """
-    where = np.stack([places.get(side, known.pose) for side in range(8)])
-    of = make_options(known.pose, known.half_extents, where)
-    outcomes: Outcomes = foresight(known.adapt, known.kind, known.pose, known.half_extents, of.options, seed)
-    free, poses, ends = _times(outcomes, known, path, around)
-    found = []
+    where = np.stack([places.get(side, target.pose) for side in range(8)])
+    of = make_options(target.pose, target.half_extents, where)
+    outcomes: Outcomes = foresight(target.adapt, target.kind, target.pose, target.half_extents, of.options, seed)
+    free, poses, ends = _times(outcomes, target, path, clearance)
+    pushes = []
     for k in np.flatnonzero(np.isin(of.side, list(sides))):
         goal = _goal(free[k], poses[k]) if np.isfinite(free[k]).any() else np.asarray(of.options.goal[k], float)
-        found.append(Push(int(of.side[k]), goal, free[k], ends[k]))
-    return found
+        pushes.append(Push(int(of.side[k]), goal, free[k], ends[k]))
+    return pushes
 
 
 def rank_pushes(
-    found: Sequence[Push], walks: Mapping[int, float], failed: Sequence[int], rest: float, otherwise: float
+    pushes: Sequence[Push], walks: Mapping[int, float], failed: Sequence[int], rest: float, otherwise: float
 ) -> list[Push]:
     """The best push on each side, the quickest first, with probability and expected seconds to the goal.
 
@@ -158,8 +158,8 @@ def rank_pushes(
         rest: time of the way past it to the goal [s].
         otherwise: time to the goal without a push [s].
     """
-    side = np.array([push.side for push in found])
-    free = np.stack([push.free for push in found])
+    side = np.array([push.side for push in pushes])
+    free = np.stack([push.free for push in pushes])
     trust = np.array([_TRUST ** list(failed).count(i) for i in side])[:, None]
     p = trust * np.where(np.isfinite(free), 1.0 - _ERRS, _ERRS)
     before = np.array([walks[i] for i in side])[:, None] + AWAY
@@ -171,26 +171,26 @@ def rank_pushes(
     next_best[side[:, None] == side] = np.inf
     after = np.minimum(next_best.min(axis=1, initial=np.inf), otherwise)[:, None]
     seconds = (before + succeeds + (1.0 - p) * (GIVES_UP + after)).mean(axis=1)
-    for push, *numbers in zip(found, p.mean(axis=1), works, seconds, strict=True):
+    for push, *numbers in zip(pushes, p.mean(axis=1), works, seconds, strict=True):
         push.probability, push.works, push.seconds = map(float, numbers)
-    best = {push.side: push for push in sorted(found, key=lambda push: -push.seconds)}
+    best = {push.side: push for push in sorted(pushes, key=lambda push: -push.seconds)}
     return sorted(best.values(), key=lambda push: push.seconds)
 
 
-def time_without_push(through: Route, around: Route | None) -> float:
-    """Time to the goal without a push, by the way ``around`` or, without one, by giving up [s]."""
-    return through.seconds + BLOCKED if around is None else around.seconds
+def time_without_push(through: Route, detour: Route | None) -> float:
+    """Time to the goal without a push, by the way ``detour`` or, without one, by giving up [s]."""
+    return through.seconds + BLOCKED if detour is None else detour.seconds
 
 
-def describe_options(options: Sequence[Push], around: float | None) -> str:
-    """Pushes and going round, which takes ``around`` [s] if there is a way round, in words."""
+def describe_options(options: Sequence[Push], detour: float | None) -> str:
+    """Pushes and going round, which takes ``detour`` [s] if there is a way round, in words."""
     # Without a way round the mean is that of succeeding and of giving up, which says nothing to a reader.
-    mean = [f", {push.seconds:.0f} s on average" if around is not None else "" for push in options]
+    mean = [f", {push.seconds:.0f} s on average" if detour is not None else "" for push in options]
     pushes = [
-        f"push from {SIDES[push.side]} {push.works:.0f} s ({push.probability:.0%}{more})"
-        for push, more in zip(options, mean, strict=True)
+        f"push from {SIDES[push.side]} {push.works:.0f} s ({push.probability:.0%}{average})"
+        for push, average in zip(options, mean, strict=True)
     ]
-    return "; ".join([*pushes, "no way round" if around is None else f"go round {around:.0f} s"])
+    return "; ".join([*pushes, "no way round" if detour is None else f"go round {detour:.0f} s"])
 
 
 def walk_time(length: float) -> float:
@@ -209,22 +209,22 @@ def _goal(free: Float[Array, "S"], poses: Float[Array, "S T 3"]) -> Float[np.nda
 
 
 def _times(
-    outcomes: Outcomes, known: ObjectBelief, path: Path, around: DistanceField
+    outcomes: Outcomes, target: ObjectBelief, path: Path, clearance: DistanceField
 ) -> tuple[Float[np.ndarray, "O S"], Float[np.ndarray, "O S T 3"], Float[np.ndarray, "O S T 2"]]:
     """Time at which the robot can pass the object [s], infinite where it never can or something meets a wall before;
     the poses that were looked at, and positions that stay where that happens."""
     # A roll-out that diverges is off the map, where all is wall.
     poses, robots = (np.nan_to_num(np.asarray(a, float)[:, :, _EVERY - 1 :: _EVERY], nan=1e6) for a in outcomes)
-    a, b = (max(half - _STEERED, 0.0) for half in known.half_extents)
+    a, b = (max(half - _STEERED, 0.0) for half in target.half_extents)
     rim = np.array([(x * a, y * b) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y])
-    hits = (around.at(se2.transform_point(poses[..., None, :], rim)) < _TOUCHING).any(axis=-1)
-    hits |= around.at(robots[..., :2]) < shmoobot().radius - _STEERED
+    hits = (clearance.at(se2.transform_point(poses[..., None, :], rim)) < _TOUCHING).any(axis=-1)
+    hits |= clearance.at(robots[..., :2]) < shmoobot().radius - _STEERED
     possible = ~np.logical_or.accumulate(hits, axis=2)
     # Poses that are nearly the same are looked at once.
     coarse = np.round(poses[possible] / _GRAIN).astype(int)
     unique, which = np.unique(coarse, axis=0, return_inverse=True)
     clear = np.zeros(possible.shape, bool)
-    clear[possible] = _passes(unique * _GRAIN, known.pose, known.half_extents, path, around)[which.reshape(-1)]
+    clear[possible] = _passes(unique * _GRAIN, target.pose, target.half_extents, path, clearance)[which.reshape(-1)]
     times = DT * _EVERY * (1 + np.argmax(clear, axis=2))
     last = np.maximum(possible.sum(axis=2) - 1, 0)[..., None]
     ends = np.take_along_axis(poses, np.minimum(np.arange(poses.shape[2]), last)[..., None], axis=2)[..., :2]
@@ -236,7 +236,7 @@ def _passes(
     pose: Float[np.ndarray, "3"],
     half_extents: tuple[float, float],
     path: Path,
-    around: DistanceField,
+    clearance: DistanceField,
 ) -> Bool[np.ndarray, "N"]:
     """Whether the robot can pass the object, now at ``pose``, at each of ``poses``: free cells join both ends of its
     path near by."""
@@ -249,7 +249,7 @@ def _passes(
     ticks = [np.arange(side.min() - _BESIDE, side.max() + _BESIDE, _GRAIN[0]) for side in near.T]
     cells = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1)
     beside = shapely.distance(shapely.LineString(path.points), shapely.points(cells)) < _BESIDE
-    walls_off = (around.at(cells) >= ROBOT_RADIUS) & beside
+    walls_off = (clearance.at(cells) >= ROBOT_RADIUS) & beside
     free = np.repeat(walls_off[None], len(poses), axis=0)
     size = np.array(walls_off.shape)
     at = np.clip(np.round((poses[:, :2] - cells[0, 0]) / _GRAIN[:2]).astype(int), -size, 2 * size)
@@ -277,8 +277,10 @@ def _joined(free: Bool[np.ndarray, "N h w"], from_end: Sequence[Float[np.ndarray
     labels, _ = scipy.ndimage.label(free, same)
     ends = []
     for distance in from_end:
-        found = labels.reshape(len(free), math.prod(free.shape[1:]))[:, np.argsort(distance, axis=None)[:_ENDS]]
-        ends.append(np.where(found.any(axis=1), found[np.arange(len(found)), np.argmax(found > 0, axis=1)], 0))
+        near_end = labels.reshape(len(free), math.prod(free.shape[1:]))[:, np.argsort(distance, axis=None)[:_ENDS]]
+        ends.append(
+            np.where(near_end.any(axis=1), near_end[np.arange(len(near_end)), np.argmax(near_end > 0, axis=1)], 0)
+        )
     return np.asarray((ends[0] == ends[1]) & (ends[0] > 0))
 
 

@@ -124,7 +124,7 @@ class PushTask(Machine):
         }
         super().__init__(modes, setup, NavigatorState(self.goal[:2], belief_of(grid), jax.random.key(seed)))
         self._index = index
-        self._known_before = adapt
+        self._first_adapt = adapt
 
     @property
     def pushes(self) -> int:
@@ -134,12 +134,12 @@ class PushTask(Machine):
     @property
     def adapt(self) -> Known | None:
         """What has been learned of the object."""
-        known = self.belief.objects.get(self._index)
-        return self._known_before if known is None or known.adapt is None else known.adapt
+        target = self.belief.objects.get(self._index)
+        return self._first_adapt if target is None or target.adapt is None else target.adapt
 
     def know(self, adapt: Known) -> None:
         """Take over coefficients from elsewhere, in the middle of a push too."""
-        self._known_before = adapt
+        self._first_adapt = adapt
         if self._index in self.belief.objects:
             self.state = self.state.with_object(self._index, adapt=adapt)
         if self.segment is not None and self.segment.push is not None:
@@ -155,10 +155,10 @@ class PushTask(Machine):
 
     def _look(self, setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Command]:
         """Stand and look at the object."""
-        known, command = state.belief.objects.get(self._index), hold(interaction.robot_alone(obs))
-        if known is None:
+        target, command = state.belief.objects.get(self._index), hold(interaction.robot_alone(obs))
+        if target is None:
             return state, command
-        offset = known.pose[:2] - obs.robot_pose[0, :2]
+        offset = target.pose[:2] - obs.robot_pose[0, :2]
         return state, command._replace(yaw=np.arctan2(offset[1], offset[0]))
 
     def _choose(self, setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState | None:
@@ -166,48 +166,48 @@ class PushTask(Machine):
         if state.segment is not None:  # the push before is over
             return replace(state, segment=None)
         cfg, index, now = self.settings, self._index, float(obs.time[0])
-        known = state.belief.objects.get(index)
-        if known is None:
+        target = state.belief.objects.get(index)
+        if target is None:
             return state.go(now, Mode.FAILED, f"object {index} is not in sight")
-        looks = known.age < _FRESH or now - state.since > _LONGEST_LOOK
+        looks = target.age < _FRESH or now - state.since > _LONGEST_LOOK
         if not looks or np.linalg.norm(obs.object_twist[0, index, :2]) >= AT_REST:
             return None
-        distance = float(np.linalg.norm(known.pose[:2] - self.goal[:2]))
-        turned = abs(float(se2.wrap(known.pose[2] - self.goal[2])))
+        distance = float(np.linalg.norm(target.pose[:2] - self.goal[:2]))
+        turned = abs(float(se2.wrap(target.pose[2] - self.goal[2])))
         where = f"{distance:.2f} m and {np.rad2deg(turned):.0f} deg from its goal"
         if distance < cfg.arrived and turned < cfg.arrived_yaw:
             return state.go(now, Mode.DONE, f"the object is {where}")
-        if known.pushes >= cfg.max_pushes:
-            return state.go(now, Mode.DONE, f"the object is {where} after {known.pushes} pushes")
-        routes, everything = setup.routes(state), state.belief.clearance()
-        around, faces = state.belief.clearance(without=index), faces_of(known.half_extents)
-        ways = [routes.path_to_face(obs.robot_pose[0, :2], index, face, everything) for face in faces]
-        lengths = [w[0].length if w and i not in known.failed_faces else None for i, w in enumerate(ways)]
+        if target.pushes >= cfg.max_pushes:
+            return state.go(now, Mode.DONE, f"the object is {where} after {target.pushes} pushes")
+        routes, clearance = setup.routes(state), state.belief.clearance()
+        clearance_without, faces = state.belief.clearance(without=index), faces_of(target.half_extents)
+        ways = [routes.path_to_face(obs.robot_pose[0, :2], index, face, clearance) for face in faces]
+        lengths = [w[0].length if w and i not in target.failed_faces else None for i, w in enumerate(ways)]
         if all(length is None for length in lengths):
             return state.go(now, Mode.FAILED, f"no face can be reached; the object is {where}")
-        half, foresight = known.half_extents, contact_foresight(setup.controller, pose_push_config())
-        reached = push_displacements(foresight, self.adapt, known.kind, half, se2.relative(known.pose, self.goal))
-        free = partial(footprints_free, around, half_extents=np.array(half), wall_clearance=_WALL_CLEARANCE)
-        choice = choose_push(reached, known.pose, self.goal, faces, lengths, free)
+        half, foresight = target.half_extents, contact_foresight(setup.controller, pose_push_config())
+        reached = push_displacements(foresight, self.adapt, target.kind, half, se2.relative(target.pose, self.goal))
+        free = partial(footprints_free, clearance_without, half_extents=np.array(half), wall_clearance=_WALL_CLEARANCE)
+        choice = choose_push(reached, target.pose, self.goal, faces, lengths, free)
         if choice is None:
             return state.go(now, Mode.DONE, f"the object is {where}, and another push promises no better")
         chosen = ways[choice.side]
         assert chosen is not None
         state = state.with_object(index, adapt=self.adapt)
-        state = start_push(state, now, index, choice.side, faces[choice.side], choice.goal, chosen, around)
+        state = start_push(state, now, index, choice.side, faces[choice.side], choice.goal, chosen, clearance_without)
         final = "" if np.array_equal(choice.goal, self.goal) else " to a place on the way"
-        why = f"push {known.pushes + 1} from {SIDES[choice.side]}{final}; the object is {where}"
+        why = f"push {target.pushes + 1} from {SIDES[choice.side]}{final}; the object is {where}"
         none = np.zeros((0, 1, 2))
         event = Decision(now, index, np.nan, np.nan, True, choice.goal, why, none, choice.goal[None], None)
         return state.with_events(event).go(now, Mode.APPROACH, why)
 
     def _judge(self, setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState:
         """End a push that is to let go now, or that leads no further."""
-        now, segment, known = float(obs.time[0]), state.current(), state.known()
+        now, segment, target = float(obs.time[0]), state.current(), state.target()
         pushed = segment.push
         assert pushed is not None
         coasts, left, let_go = push.lets_go(
-            setup.controller.coast(pushed.pusher), pushed.coasts, known.pose, segment.face, segment.goal
+            setup.controller.coast(pushed.pusher), pushed.coasts, target.pose, segment.face, segment.goal
         )
         state = state.with_segment(push=replace(pushed, coasts=coasts))
         over = interaction.push_end_reason(state, now)
@@ -218,7 +218,7 @@ class PushTask(Machine):
         count = round(_STALL[1] / DT)
         if len(pushed.poses) < count:
             return state
-        poses = np.array([pushed.poses[0], pushed.poses[-count], known.pose])
+        poses = np.array([pushed.poses[0], pushed.poses[-count], target.pose])
         at_first, before, here = residual(poses, segment.goal)
         if before - here >= _STALL[0]:
             return state

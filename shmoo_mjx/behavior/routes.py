@@ -115,45 +115,45 @@ class Routes:
                     heapq.heappush(waiting, (walk, met, kept_from | {i}))
         return best
 
-    def _price(self, known: ObjectBelief) -> float:
-        own = PUSH if known.price is None else known.price
+    def _price(self, item: ObjectBelief) -> float:
+        own = PUSH if item.price is None else item.price
         return own if self.price is None else self.price
 
     def path_clear(self, position: Float[np.ndarray, "2"], index: int) -> bool:
         """Whether the way on passes object ``index`` where it stands, little longer than without it."""
-        through, around = self.quickest(position, without=index), self.quickest(position, {index: _PATH_MARGIN})
-        return through is not None and around is not None and around.seconds < through.seconds + _PASSING / PACE
+        through, detour = self.quickest(position, without=index), self.quickest(position, {index: _PATH_MARGIN})
+        return through is not None and detour is not None and detour.seconds < through.seconds + _PASSING / PACE
 
     def free_path(
-        self, position: Float[np.ndarray, "2"], known: ObjectBelief, instead: shapely.Polygon | None = None
+        self, position: Float[np.ndarray, "2"], target: ObjectBelief, instead: shapely.Polygon | None = None
     ) -> Path | None:
-        """The way on as if ``known`` were not there, or stood where ``instead`` is."""
-        others = [o.polygon for o in self.belief.objects.values() if o is not known and o.status is not Status.UNKNOWN]
+        """The way on as if ``target`` were not there, or stood where ``instead`` is."""
+        others = [o.polygon for o in self.belief.objects.values() if o is not target and o.status is not Status.UNKNOWN]
         return self.plan(position, others if instead is None else [*others, instead])
 
     def collision_free(
-        self, position: Float[np.ndarray, "2"], known: ObjectBelief, around: DistanceField, path: Path | None
+        self, position: Float[np.ndarray, "2"], target: ObjectBelief, clearance: DistanceField, path: Path | None
     ) -> Callable[[Float[np.ndarray, "P 3"]], Bool[np.ndarray, "P"]]:
         """CollisionCheck(M, P, g): the footprint clear of walls, other objects and the path P, as if it were not there.
 
         Where no pose leaves the path free, poses that leave room for another path, little longer, are taken (a
         deviation from the paper: the path P was planned before anybody knew where the object would go).
         """
-        half = np.array(known.half_extents)
+        half = np.array(target.half_extents)
         clearance = ROBOT_RADIUS + _PATH_MARGIN
 
         def check(poses: Float[np.ndarray, "P 3"]) -> Bool[np.ndarray, "P"]:
-            off_walls = footprints_free(around, poses, half, wall_clearance=_WALL_MARGIN)
+            off_walls = footprints_free(clearance, poses, half, wall_clearance=_WALL_MARGIN)
             if path is None or not off_walls.any():
                 return off_walls
             candidates = np.flatnonzero(off_walls)
             off_path = np.zeros(len(poses), dtype=bool)
-            off_path[candidates] = footprints_free(around, poses[candidates], half, path.points, clearance)
+            off_path[candidates] = footprints_free(clearance, poses[candidates], half, path.points, clearance)
             if off_path.any():
                 return off_path
-            nearest = np.argsort(np.linalg.norm(poses[candidates, :2] - known.pose[:2], axis=1))
+            nearest = np.argsort(np.linalg.norm(poses[candidates, :2] - target.pose[:2], axis=1))
             for i in candidates[nearest][:: max(1, len(nearest) // _OTHER_PATHS)]:
-                other = self.free_path(position, known, footprint_polygon(poses[i], half).buffer(_PATH_MARGIN))
+                other = self.free_path(position, target, footprint_polygon(poses[i], half).buffer(_PATH_MARGIN))
                 off_path[i] = other is not None and other.length < path.length + _OTHER_DETOUR
             return off_path
 
@@ -172,11 +172,11 @@ class Routes:
         pose's gap and place along the face [m]; None if there is no room or no way. ``clearance`` is that of everything
         known. Beside the middle of the face only where there is no room at it, or where pushes there have ``failed`` so
         often: what is jammed against a wall is turned by a push at its end. A ``corner`` is met near its middle."""
-        known, obstacles = self.belief.objects[index], self.belief.polygons()
+        target, obstacles = self.belief.objects[index], self.belief.polygons()
         others = self.belief.clearance(without=index)
         for reserve, lateral, gap in _stand_off_places(failed, corner):
-            wanted = stand_off(known.pose, face, gap, lateral)
-            forward = np.stack([stand_off(known.pose, face, g, lateral) for g in np.linspace(gap, 0.0, 4)])
+            wanted = stand_off(target.pose, face, gap, lateral)
+            forward = np.stack([stand_off(target.pose, face, g, lateral) for g in np.linspace(gap, 0.0, 4)])
             room = outline.room(others.at, forward, (TUCKED_REACH, REACH)).least
             if float(clearance.at(wanted[:2])) >= ROBOT_RADIUS and float(np.min(room)) >= reserve:
                 path = self._path(position, wanted[:2], obstacles)
@@ -191,7 +191,9 @@ class Routes:
         self, start: Float[np.ndarray, "2"], end: Float[np.ndarray, "2"], obstacles: list[shapely.Polygon]
     ) -> Path | None:
         radius = ROBOT_RADIUS
-        return plan_path(self.belief.grid, start, end, obstacles, robot_radius=radius, wall_clearance=self.belief.walls)
+        return plan_path(
+            self.belief.grid, start, end, obstacles, robot_radius=radius, wall_clearance=self.belief.wall_clearance
+        )
 
     def retreat_path(self, position: Float[np.ndarray, "2"], object_pose: Float[np.ndarray, "3"]) -> Path | None:
         """A short way aslant to where the robot has room to turn and to fold its arms, away from an object that it

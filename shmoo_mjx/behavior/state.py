@@ -122,7 +122,7 @@ class Segment:
     way: Path
     """To the stand-off pose."""
     approach: ApproachState
-    around: LocalDistanceField
+    clearance: LocalDistanceField
     contact: ContactState | None = None
     push: PushState | None = None
     back: Path | None = None
@@ -163,7 +163,7 @@ class NavigatorState:
         """The state with more events."""
         return replace(self, events=(*self.events, *events))
 
-    def known(self) -> ObjectBelief:
+    def target(self) -> ObjectBelief:
         """The object that is dealt with."""
         return self.belief.objects[self.current().object]
 
@@ -183,15 +183,15 @@ class NavigatorState:
     def failed(self) -> NavigatorState:
         """The state in which the push has not freed the way: one that has hardly moved the object counts against its
         side."""
-        known, segment = self.known(), self.current()
-        if segment.push is not None and segment.push.moved(known.pose) > _MOVED:
+        target, segment = self.target(), self.current()
+        if segment.push is not None and segment.push.moved(target.pose) > _MOVED:
             return self
-        return self.with_object(segment.object, failed_faces=(*known.failed_faces, segment.side))
+        return self.with_object(segment.object, failed_faces=(*target.failed_faces, segment.side))
 
     def given_up(self, index: int) -> NavigatorState:
         """The state in which object ``index`` is registered as an obstacle."""
-        known, pushes = self.belief.objects[index], self.belief.pushes
-        return self.with_object(index, status=Status.FIXED, registered=known.pose, given_up=pushes)
+        target, pushes = self.belief.objects[index], self.belief.pushes
+        return self.with_object(index, status=Status.FIXED, registered=target.pose, given_up=pushes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +200,7 @@ class Pending:
 
     due: float
     """When it will be known [s]."""
-    asked: NavigatorState
+    before: NavigatorState
     decided: NavigatorState
 
 

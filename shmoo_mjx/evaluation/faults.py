@@ -240,7 +240,7 @@ def play(name: str, seed: int, weights: Path) -> dict[str, Any]:
         while not simulation.navigator.finished and simulation.time < scenario.limits.time_s:
             since = since + DT if fault.on in ("start", str(simulation.navigator.mode)) else 0.0
             if trial.began is None and since > (2.0 if fault.on == "follow path" else 1.0):
-                trial.began, trial.first = simulation.time, simulation.seen
+                trial.began, trial.first = simulation.time, simulation.observation
                 if fault.once is not None:
                     fault.once(trial)
             active = trial.began is not None and trial.since < fault.lasts - 1e-6

@@ -220,7 +220,7 @@ def _criteria(navigator: Any, controller: Any) -> dict[str, Any]:
     segment, planner = navigator.segment, navigator.config.planner
     push, known = segment.push, navigator.belief.objects[segment.object]
     poses, _, costs = controller.planning_rollouts(
-        push.pusher, segment.goal, segment.around, np.array(known.half_extents)
+        push.pusher, segment.goal, segment.clearance, np.array(known.half_extents)
     )
     stage = planning_stage(poses[:, -1], costs, known.pose, lambda ends: np.ones(len(ends), dtype=bool), planner)
     moved = push.moved(known.pose)

@@ -38,11 +38,11 @@ class Lines(NamedTuple):
 
 def _lines(points: Array, colours: Array) -> Lines:
     """A polyline ``[T, 2 or 3]`` or several ``[S, T, ...]``, each of one colour (0 to 1)."""
-    found = np.asarray(points, dtype=np.float32)
-    found = found[None] if found.ndim == 2 else found
-    if found.shape[-1] == 2:
-        found = np.concatenate([found, np.full((*found.shape[:-1], 1), _FLOOR, dtype=np.float32)], axis=-1)
-    pairs = np.stack([found[:, :-1], found[:, 1:]], axis=2)
+    flat = np.asarray(points, dtype=np.float32)
+    flat = flat[None] if flat.ndim == 2 else flat
+    if flat.shape[-1] == 2:
+        flat = np.concatenate([flat, np.full((*flat.shape[:-1], 1), _FLOOR, dtype=np.float32)], axis=-1)
+    pairs = np.stack([flat[:, :-1], flat[:, 1:]], axis=2)
     shades = np.broadcast_to(np.atleast_2d(colours)[:, None, None, :3], pairs.shape)
     whole = np.isfinite(pairs).all(axis=(2, 3))
     return Lines(pairs[whole], np.round(255 * _linear(shades[whole])).astype(np.uint8))
@@ -95,15 +95,15 @@ def field_of_view(camera: Camera, pose: Array) -> Lines:
     return _lines(np.concatenate([near[:1], far, near[::-1]]), _rgb(_CAMERA))
 
 
-def believed(navigator: Machine, seen: Observation, sizes: Sequence[tuple[float, float]]) -> Lines:
+def believed(navigator: Machine, obs: Observation, sizes: Sequence[tuple[float, float]]) -> Lines:
     """Footprints where the robot takes the objects to be: seen now (blue), remembered (grey), fixed (red)."""
     parts = [path(None)]
-    for index, known in navigator.belief.objects.items():
+    for index, item in navigator.belief.objects.items():
         if index >= len(sizes):
             continue
-        colour = COLOURS["robot"] if bool(seen.detected[0, index]) else _REMEMBERED
-        colour = COLOURS["registered"] if known.status is Status.FIXED else colour
-        corners = outline(known.pose, np.asarray(sizes[index]) + 0.03)
+        colour = COLOURS["robot"] if bool(obs.detected[0, index]) else _REMEMBERED
+        colour = COLOURS["registered"] if item.status is Status.FIXED else colour
+        corners = outline(item.pose, np.asarray(sizes[index]) + 0.03)
         parts.append(_coloured(np.concatenate([corners, corners[:1]]), colour))
     return Lines(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 

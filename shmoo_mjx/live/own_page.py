@@ -33,14 +33,14 @@ def obeying_own_page(host: str) -> Iterator[None]:
     """
     serve, guarded = websockets.asyncio.server.serve, list[bool]()
 
-    def guard(*given: Any, process_request: Callable[..., Any], **more: Any) -> Any:
+    def guard(*args: Any, process_request: Callable[..., Any], **kwargs: Any) -> Any:
         def checked(connection: Any, request: Any) -> Any:
             if refused(host, request.headers.get_all("Host"), request.headers.get_all("Origin")):
                 return connection.respond(HTTPStatus.FORBIDDEN, "This page answers to its own address only.\n")
             return process_request(connection, request)
 
         guarded.append(True)
-        return serve(*given, process_request=checked, **more)
+        return serve(*args, process_request=checked, **kwargs)
 
     with mock.patch.object(websockets.asyncio.server, "serve", guard):
         yield
@@ -62,10 +62,10 @@ def refused(host: str, hosts: list[str], origins: list[str]) -> bool:
     return len(origins) > 1 or any(origin.lower() not in own for origin in origins)
 
 
-def _is_own(host: str, asked: str) -> bool:
+def _is_own(host: str, host_header: str) -> bool:
     """Whether a ``Host`` header names the server that listens on ``host``; any port, as tunnels change it."""
     try:
-        name = (urlsplit(f"//{asked}").hostname or "").lower()
+        name = (urlsplit(f"//{host_header}").hostname or "").lower()
     except ValueError:
         return False
     if name in (*AT_HOME, host.lower()):

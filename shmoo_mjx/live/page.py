@@ -120,16 +120,16 @@ class Page:
 
     def carry_out(self) -> bool:
         """Do what was asked for on the page since the last call; whether a sample is due then."""
-        asked = False
+        any_request = False
         while True:
             try:
                 wanted = self._wanted.get_nowait()
             except queue.Empty:
                 break
-            asked = True
+            any_request = True
             self._attempt(wanted)
         due, self._single = not self.paused or self._single, False
-        if asked and not due:
+        if any_request and not due:
             self.show()
         return due
 
@@ -229,10 +229,10 @@ class Page:
         def own_object() -> None:
             # An object of one's own has a mass and friction already.
             if path := object_files(self.session.out).get(self._family.value):
-                known = draw_condition(str(path), 0)
-                _set(mass, known.mass)
+                condition = draw_condition(str(path), 0)
+                _set(mass, condition.mass)
                 _set(load_mass, 0.0)
-                _set(friction, known.friction)
+                _set(friction, condition.friction)
 
         self._family.on_update(lambda _: self._attempt(own_object))
         self._which.on_update(lambda _: self._ask(self._show_chosen))
@@ -267,8 +267,8 @@ class Page:
 
     def _scenes(self) -> dict[str, SceneLoader]:
         """What can be loaded, first of all what the page began with."""
-        found = scenes(self.session.out)
-        return found if self._first_scene in found else {self._first_scene: self.session.first, **found}
+        loaders = scenes(self.session.out)
+        return loaders if self._first_scene in loaders else {self._first_scene: self.session.first, **loaders}
 
     def _clicked(self, event: viser.SceneClickEvent) -> None:
         start, along = np.asarray(event.ray_origin), np.asarray(event.ray_direction)
@@ -288,10 +288,10 @@ class Page:
         return "The scene begins again."
 
     def _load(self, name: str) -> str:
-        found = self._scenes()
-        if name not in found:
+        loaders = self._scenes()
+        if name not in loaders:
             raise ShmooError(f"There is no scene {name!r} any more.")
-        self.session.load(found[name])
+        self.session.load(loaders[name])
         self._history.clear()
         return f"Loaded {name}."
 
@@ -458,7 +458,7 @@ class Page:
             "path/local": (overlay.path(local, local=True), 0.05),
             "roll-outs": (overlay.rollouts(session.plan, top), 0.012),
             "camera": (overlay.field_of_view(session.senses.camera, simulation.true.robot_pose[0]), 0.015),
-            "what it believes": (overlay.believed(simulation.navigator, simulation.seen, sizes), 0.03),
+            "what it believes": (overlay.believed(simulation.navigator, simulation.observation, sizes), 0.03),
         }
         with self.server.atomic():
             for name, (lines, thickness) in drawn.items():
@@ -500,10 +500,10 @@ class Page:
         if true.wrench.size:
             force = float(np.linalg.norm(true.wrench[0, :, :2].sum(axis=0)))
         lean = float(np.rad2deg(np.linalg.norm(true.lean[0])))
-        said = navigator.transitions[-1].reason if navigator.transitions else "it looks for a way"
+        reason = navigator.transitions[-1].reason if navigator.transitions else "it looks for a way"
         state = f"{navigator.mode}"
         if simulation.history.ended:
-            state, said = "stopped; begin again", DIVERGED if simulation.history.diverged else "it has fallen"
+            state, reason = "stopped; begin again", DIVERGED if simulation.history.diverged else "it has fallen"
         if session.scenario.goal != self._told_goal:
             self._told_goal = session.scenario.goal
             self._goal.value = (round(self._told_goal[0], 2), round(self._told_goal[1], 2))
@@ -511,7 +511,7 @@ class Page:
         chance = "" if p is None else f", P(push frees the path) **{p:.2f}**"
         spent = 1e3 * np.array(session.spent or [0.0])
         self._state.content = (
-            f"### {state}\n{said}\n\n"
+            f"### {state}\n{reason}\n\n"
             f"{simulation.time:.1f} s, lean {lean:.1f}°, force {force:.0f} N, senses {session.senses.name}{chance}\n\n"
             f"control step: median {np.median(spent):.0f} ms, worst {spent.max():.0f} ms of the last {len(spent)}; "
             f"{session.late} longer than {1e3 * DT:.0f} ms"
@@ -529,16 +529,16 @@ class Page:
         """What the robot thinks of each object, as a Markdown list: a table would be too wide for a phone."""
         navigator, lines = self.session.simulation.navigator, list[str]()
         for index, condition in enumerate(self.session.simulation.conditions):
-            name, known = _name(index, condition), navigator.belief.objects.get(index)
-            if known is None:
+            name, item = _name(index, condition), navigator.belief.objects.get(index)
+            if item is None:
                 lines.append(f"- **{name}** not seen yet")
                 continue
             verdicts = [d for d in navigator.decisions if d.object == index]
             last = verdicts[-1].reason if verdicts else "not touched"
-            moves = {None: "not known", True: "can be moved", False: "can't be moved"}[known.manipulable]
-            parts = [f"{known.status}: {moves} ({last})"]
-            if known.adapt is not None:
-                parts.append(_in_words(online.learned(known.adapt), self.session.prior))
+            moves = {None: "not known", True: "can be moved", False: "can't be moved"}[item.manipulable]
+            parts = [f"{item.status}: {moves} ({last})"]
+            if item.adapt is not None:
+                parts.append(_in_words(online.learned(item.adapt), self.session.prior))
             lines.append(f"- **{name}** {'; '.join(parts)}")
         return "\n".join(lines)
 

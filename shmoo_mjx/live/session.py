@@ -65,14 +65,14 @@ def scenes(own: Path) -> dict[str, SceneLoader]:
 
     They are looked for in the package, in ``own`` and in the present folder; a map is an empty scene.
     """
-    found: dict[str, SceneLoader] = {f"demo {seed}": partial(demo_scenario, seed) for seed in range(_DEMOS)}
+    loaders: dict[str, SceneLoader] = {f"demo {seed}": partial(demo_scenario, seed) for seed in range(_DEMOS)}
     shipped = [asset(f"experiments/{kind}") for kind in ("scenarios", "maps")]
     for path, text in _texts(path for folder in (*shipped, *_own_folders(own)) for path in yaml_files(folder)):
         if "image:" in text:
-            found[f"map {path.stem.removesuffix('.map')}"] = partial(_from_file, path)
+            loaders[f"map {path.stem.removesuffix('.map')}"] = partial(_from_file, path)
         elif "start:" in text:
-            found[path.stem] = partial(_from_file, path)
-    return found
+            loaders[path.stem] = partial(_from_file, path)
+    return loaders
 
 
 def object_files(own: Path) -> dict[str, Path]:
@@ -103,14 +103,14 @@ def scene_named(name: str, own: Path) -> tuple[OccupancyGrid, Scenario]:
 
 def loader_named(name: str, own: Path) -> SceneLoader:
     """What loads the scene of that name, a demo of any seed, or a scenario file."""
-    known = scenes(own)
-    if name in known:
-        return known[name]
+    loaders = scenes(own)
+    if name in loaders:
+        return loaders[name]
     if name.startswith("demo ") and name[5:].isdigit():
         return partial(demo_scenario, seed_of("the scene's seed", name[5:]))
     if name.endswith((".yaml", ".yml")):
         return partial(_from_file, Path(name))
-    others = ", ".join(known_name for known_name in known if not known_name.startswith("demo "))
+    others = ", ".join(other for other in loaders if not other.startswith("demo "))
     raise ShmooError(f"{name!r} is no scene; choose 'demo SEED', a scenario or map file (*.yaml), or one of {others}.")
 
 
@@ -147,8 +147,8 @@ class _Watched(PushController):
 
     last_plan: Plan | None = None
 
-    def step(self, *given: Any, **more: Any) -> tuple[np.ndarray, Any, Plan]:
-        u, state, plan = super().step(*given, **more)
+    def step(self, *args: Any, **kwargs: Any) -> tuple[np.ndarray, Any, Plan]:
+        u, state, plan = super().step(*args, **kwargs)
         self.last_plan = plan
         return u, state, plan
 
@@ -246,8 +246,8 @@ class Session:
         """Another object at ``pose`` (x, y, yaw) in {W}; what is not among ``properties`` is drawn by ``seed``."""
         if len(self.scenario.objects) >= MOST_OBJECTS:
             raise ShmooError(f"There are {MOST_OBJECTS} objects already; reset the scene.")
-        given = {"family": family, "pose": pose, "properties": dict(properties), "seed": seed}
-        entry = validated(ObjectEntry, given, Path("the new object"))
+        fields = {"family": family, "pose": pose, "properties": dict(properties), "seed": seed}
+        entry = validated(ObjectEntry, fields, Path("the new object"))
         self._check_free(f"the {family}", pose, entry.condition().half_extents)
         self._change((*self.scenario.objects, entry))
 

@@ -126,10 +126,10 @@ def paper_scenario(seed: int) -> tuple[OccupancyGrid, Scenario]:
     grid, scenario = demo_scenario(seed)
     box, chair = scenario.objects
     empty: dict[str, Any] = {"payload": 0.0, "payload_x": 0.0}
-    given = (empty | {"mass": 2.8}, empty | {"mass": 11.9, "locked": [True] * 4})
+    properties = (empty | {"mass": 2.8}, empty | {"mass": 11.9, "locked": [True] * 4})
     objects = tuple(
         entry.model_copy(update={"properties": entry.properties | own})
-        for entry, own in zip((box, chair), given, strict=True)
+        for entry, own in zip((box, chair), properties, strict=True)
     )
     return grid, scenario.model_copy(update={"objects": objects})
 

@@ -131,12 +131,12 @@ def _roll(
     law = jax.vmap(partial(quasi_static.control, cost), in_axes=(0, _ONE, 0, 0))
 
     def one(carry: tuple[SystemState, Array], _: None) -> tuple[tuple[SystemState, Array], tuple[Array, Array]]:
-        state, more = carry
+        state, integral = carry
         wrench = se2.rotate(state.last_wrench, state.object_pose[:, 2])
-        seen = ObjectObservation(*state[:6], wrench)
-        u, more = law(state.face, seen, options.goal, more)
+        obs = ObjectObservation(*state[:6], wrench)
+        u, integral = law(state.face, obs, options.goal, integral)
         state = core.step(params, state, u + unknown, config)[0]
-        return (state, more), (state.object_pose, state.robot_pose)
+        return (state, integral), (state.object_pose, state.robot_pose)
 
     return jax.lax.scan(one, (start, jnp.zeros(len(start.size))), None, length=steps)[1]
 
@@ -176,11 +176,11 @@ def probability_to_come(
     return np.asarray(((progress(poses, start, face) >= distance) & within).any(axis=-1).mean(axis=-1))
 
 
-def median_parameters(known: ObjectEstimate) -> Float[Array, "p"]:
+def median_parameters(estimated: ObjectEstimate) -> Float[Array, "p"]:
     """Median of each contact parameter among the particles that a push can move, or among all if it can move none."""
-    moves = contact_model.resistance(known.parameters).min(axis=-1) < _STRONGEST
-    weight = jnp.where(moves | ~moves.any(), known.log_weight, -jnp.inf)
-    return estimate.quantiles(known._replace(log_weight=weight), known.parameters, (0.5,))[0]
+    moves = contact_model.resistance(estimated.parameters).min(axis=-1) < _STRONGEST
+    weight = jnp.where(moves | ~moves.any(), estimated.log_weight, -jnp.inf)
+    return estimate.quantiles(estimated._replace(log_weight=weight), estimated.parameters, (0.5,))[0]
 
 
 class Foresight:
@@ -200,10 +200,10 @@ class Foresight:
                 samples = jnp.tile(params.contact, (SAMPLES, 1))
             return reach(params, samples, own_key, pose, half_extents, options, model, config.cost, STEPS)
 
-        def run_median(known: ObjectEstimate, half_extents: Array, options: Options) -> Array:
+        def run_median(estimated: ObjectEstimate, half_extents: Array, options: Options) -> Array:
             begin = _start(jnp.zeros(3), jnp.hypot(*half_extents), options)
             roll = partial(_roll, weights.params, model, config.cost, _FAR_STEPS, options, begin)
-            return jnp.swapaxes(roll(median_parameters(known), jnp.zeros(len(_UNKNOWN)))[0], 0, 1)
+            return jnp.swapaxes(roll(median_parameters(estimated), jnp.zeros(len(_UNKNOWN)))[0], 0, 1)
 
         self._run, self._run_median = jax.jit(run), jax.jit(run_median)
         self._prior = lru_cache(maxsize=8)(
@@ -221,10 +221,10 @@ class Foresight:
         seed: int,
     ) -> Outcomes:
         """Outcomes of as many options as ever, by what was learned of the object or, untouched, by its looks."""
-        known = self._prior(kind) if adapt is None else adapt
+        estimated = self._prior(kind) if adapt is None else adapt
         key = jax.random.key(seed)
-        given = (np.asarray(pose, np.float32), np.asarray(half_extents, np.float32))
-        return jax.tree.map(np.asarray, self._run(known, key, *given, Options(*map(np.asarray, options))))
+        arrays = (np.asarray(pose, np.float32), np.asarray(half_extents, np.float32))
+        return jax.tree.map(np.asarray, self._run(estimated, key, *arrays, Options(*map(np.asarray, options))))
 
     @single_precision
     def median_poses(
@@ -235,9 +235,9 @@ class Foresight:
         One roll-out of each option: a straight push of a symmetric object stays straight. Where ``adapt`` is no
         posterior of the contact parameters, the prior of what the object looks like takes its place.
         """
-        known = adapt if isinstance(adapt, ObjectEstimate) else self._prior(kind)
-        found = self._run_median(known, np.asarray(half_extents, np.float32), Options(*map(np.asarray, options)))
-        return np.asarray(found, float)
+        estimated = adapt if isinstance(adapt, ObjectEstimate) else self._prior(kind)
+        poses = self._run_median(estimated, np.asarray(half_extents, np.float32), Options(*map(np.asarray, options)))
+        return np.asarray(poses, float)
 
     def sampled_poses(
         self,

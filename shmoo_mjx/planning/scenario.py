@@ -94,8 +94,8 @@ class ObjectEntry(_Strict):
     def _numbers_that_make_sense(cls, value: object) -> object:
         if not isinstance(value, dict):
             raise ValueError(f"is {reprlib.repr(value)}; give a mapping such as {{mass: 3.0}}.")
-        for name, given in value.items():
-            for number in given if isinstance(given, list | tuple) else [given]:
+        for name, entry in value.items():
+            for number in entry if isinstance(entry, list | tuple) else [entry]:
                 if not isinstance(number, int | float) or not math.isfinite(number):
                     raise ValueError(f"gives {name} = {number!r}; give a finite number, true, false or a list of them.")
                 if isinstance(number, bool) and name != "locked":
@@ -136,9 +136,9 @@ class Scenario(_Strict):
 
     @model_validator(mode="before")
     @classmethod
-    def _place_of_the_object(cls, given: Any) -> Any:
-        pose = given.get("push_to") if isinstance(given, dict) else None
-        return given if not isinstance(pose, list | tuple) or "goal" in given else {**given, "goal": pose[:2]}
+    def _place_of_the_object(cls, values: Any) -> Any:
+        pose = values.get("push_to") if isinstance(values, dict) else None
+        return values if not isinstance(pose, list | tuple) or "goal" in values else {**values, "goal": pose[:2]}
 
     @model_validator(mode="after")
     def _one_goal(self) -> Scenario:

@@ -125,13 +125,13 @@ def choose_push(
     side, costs = reached.side, COST * (1.0 + reached.way) + walks[reached.side]
     normals = np.stack([np.cos(faces[:, 2]), np.sin(faces[:, 2])], axis=-1)[side]
     ends = np.asarray(se2.compose(pose, reached.moved))
-    found, least = None, float(residual(pose, goal))
+    best, least = None, float(residual(pose, goal))
     # What leads to the goal directly is given the goal itself: steering may do better than the roll-out.
     leads = normals @ se2.inverse_transform_point(pose, goal[:2]) >= _SHORTEST
     errors = np.where(leads, residual(ends, goal) + costs, np.inf)
     if len(side) and errors.min() < least:
         k = int(np.argmin(errors))
-        found, least = Choice(int(side[k]), np.asarray(goal, dtype=float), float(errors[k])), float(errors[k])
+        best, least = Choice(int(side[k]), np.asarray(goal, dtype=float), float(errors[k])), float(errors[k])
     anywhere = np.flatnonzero(~reached.aimed & (np.einsum("ni,ni->n", normals, reached.moved[:, :2]) >= _SHORTEST))
     first = anywhere[::_FIRST]
     first = first[free(ends[first])]
@@ -140,8 +140,8 @@ def choose_push(
         errors = _after(ends[first], side[first], second, goal) + costs[first]
         k = int(np.argmin(errors))
         if errors[k] < least:
-            found = Choice(int(side[first[k]]), ends[first[k]], float(errors[k]))
-    return found
+            best = Choice(int(side[first[k]]), ends[first[k]], float(errors[k]))
+    return best
 
 
 def _after(

@@ -113,8 +113,8 @@ def draw_decision(axes: Axes, result: dict[str, Any], trace: Trace, number: int)
 
 def evidence(decision: dict[str, Any]) -> str:
     """What a verdict rests on: the probability, or K in runs of a version that had none."""
-    known = is_number(decision.get("probability"))
-    return f"P = {decision['probability']:.2f}" if known else f"K = {decision['K']:.2f} m²"
+    by_probability = is_number(decision.get("probability"))
+    return f"P = {decision['probability']:.2f}" if by_probability else f"K = {decision['K']:.2f} m²"
 
 
 def learned_figure(result: dict[str, Any], trace: Trace) -> Figure:
@@ -251,18 +251,18 @@ def _draw_states(axes: Axes, trace: Trace) -> None:
     axes.grid(alpha=0.25, axis="x")
 
 
-def _band(known: dict[str, np.ndarray], name: str) -> np.ndarray:
+def _band(curves: dict[str, np.ndarray], name: str) -> np.ndarray:
     """``[T, 3]`` low, median and high."""
-    return np.stack([known[f"{name}{end}"] for end in ("_low", "", "_high")], axis=-1)
+    return np.stack([curves[f"{name}{end}"] for end in ("_low", "", "_high")], axis=-1)
 
 
 def _panels(trace: Trace) -> list[tuple[str, dict[str, np.ndarray]]]:
     """Rows of the figure: name with unit, and its curves ``[T]`` by name, or ``[T, 3]`` with an 80 % band."""
     values = np.asarray(trace.learned, dtype=float)
-    known = dict(zip(trace.learned_names, values.T, strict=True))
-    if "mass" in known:
-        friction = {name: _band(known, name) for name in ("friction_x", "friction_y")}
-        return [("friction [N]", friction), ("mass [kg]", {"mass": _band(known, "mass")})]
+    curves = dict(zip(trace.learned_names, values.T, strict=True))
+    if "mass" in curves:
+        friction = {name: _band(curves, name) for name in ("friction_x", "friction_y")}
+        return [("friction [N]", friction), ("mass [kg]", {"mass": _band(curves, "mass")})]
     most = np.max(np.abs(np.nan_to_num(values)), axis=0, initial=0.0)
     shown = values / np.where(most > 0, most, 1.0)
     thirds = np.array_split(np.arange(values.shape[1]), 3)
@@ -300,12 +300,12 @@ def _draw_learned(
 
 def _named_once(panels: Iterable[Axes], *names: str) -> tuple[list[Any], list[str]]:
     """Handles and labels of a legend for all panels together, of curves with these names only."""
-    found: dict[str, Any] = {}
+    handles: dict[str, Any] = {}
     for axes in panels:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
             if label in names:
-                found.setdefault(label, handle)
-    return list(found.values()), list(found)
+                handles.setdefault(label, handle)
+    return list(handles.values()), list(handles)
 
 
 def _pushes(trace: Trace) -> list[slice]:

@@ -82,7 +82,7 @@ def render_report(result: dict[str, Any], trace: Trace, video: Path | None = Non
 
 def _by_name(result: dict[str, Any], text: Any) -> str:
     """A reason with "object 0" by the name that its object has on the rest of the page."""
-    return re.sub(r"\bobject (\d+)", lambda found: object_name(result, int(found[1])), str(text))
+    return re.sub(r"\bobject (\d+)", lambda match: object_name(result, int(match[1])), str(text))
 
 
 def succeeded(result: dict[str, Any]) -> bool:
@@ -137,7 +137,7 @@ def _times(count: Any) -> str:
 
 
 def _tiles(result: dict[str, Any]) -> list[tuple[str, str]]:
-    known = (
+    measures = (
         ("time", "time_s", "{:.1f} s"),
         ("driven", "path_length_m", "{:.2f} m"),
         ("from the goal", "goal_distance_m", "{:.2f} m"),
@@ -145,7 +145,7 @@ def _tiles(result: dict[str, Any]) -> list[tuple[str, str]]:
         ("wall contacts", "wall_contacts", "{:.0f}"),
         ("seed", "seed", "{:.0f}"),
     )
-    tiles = [(label, form.format(result[key])) for label, key, form in known if is_number(result.get(key))]
+    tiles = [(label, form.format(result[key])) for label, key, form in measures if is_number(result.get(key))]
     return [*tiles, ("senses", str(result["senses"]))] if result.get("senses") else tiles
 
 

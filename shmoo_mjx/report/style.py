@@ -71,8 +71,8 @@ def _take_literally(figure: Figure) -> None:
     axes = [axis for part in figure.axes for axis in (part.xaxis, part.yaxis)]
     powers = [axis for axis in axes if isinstance(axis.get_major_formatter(), LogFormatter)]
     mathematics = {label for axis in powers for label in axis.get_ticklabels(which="both")}
-    known = set(font_manager.get_font_names())
-    families = ["DejaVu Sans", *(name for name in _OTHER_SCRIPTS if name in known)]
+    installed = set(font_manager.get_font_names())
+    families = ["DejaVu Sans", *(name for name in _OTHER_SCRIPTS if name in installed)]
     for text in figure.findobj(Text):
         if text not in mathematics:
             text.set_parse_math(False)

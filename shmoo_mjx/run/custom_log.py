@@ -112,8 +112,8 @@ def read_log(path: str | Path) -> Log:
 
 def _smoothed(t: np.ndarray, pose: np.ndarray, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Pose and twist ``[T, 3]`` at the times ``grid`` of parabolas through the poses near each; NaN with too few."""
-    known = np.isfinite(pose).all(axis=1)
-    t, pose = t[known], pose[known].copy()
+    visible = np.isfinite(pose).all(axis=1)
+    t, pose = t[visible], pose[visible].copy()
     pose[:, 2] = np.unwrap(pose[:, 2])
     values, slopes = np.full((len(grid), 3), np.nan), np.full((len(grid), 3), np.nan)
     first, last = np.searchsorted(t, grid - _WINDOW - 1e-9), np.searchsorted(t, grid + _WINDOW + 1e-9)
@@ -135,13 +135,13 @@ def _means(t: np.ndarray, values: np.ndarray, grid: np.ndarray) -> np.ndarray:
 
 def run_of_log(log: Log, half_extents: tuple[float, float], weights: Weights) -> tuple[dict[str, Any], Trace]:
     """What the report draws of a recording: `result.json` and the trace."""
-    known = np.isfinite(log.object_pose).all(axis=1)
-    pushes = [p for p in _pushes(log) if known[p].any()]
+    visible = np.isfinite(log.object_pose).all(axis=1)
+    pushes = [p for p in _pushes(log) if visible[p].any()]
     learned, names, prior, errors, after = _learned(log, half_extents, weights, pushes)
     foresight = Foresight(weights, PushConfig())
     judged = [_verdict(log, *each, half_extents, foresight) for each in zip(pushes, after, strict=True)]
     decisions = [d for d in judged if d is not None]
-    poses = log.object_pose[known]
+    poses = log.object_pose[visible]
     which = np.full(len(log.t), -1)
     for push in pushes:
         which[push] = 0
@@ -193,11 +193,11 @@ def _learned(
     moving = np.hypot(twist[:, 0], twist[:, 1]) > 0.03
     valid = (touches(log.wrench) | moving) & np.isfinite(inputs).all(axis=1)
     end = np.minimum(np.arange(len(log.t)) + 1, len(log.t) - 1)
-    known = np.isfinite(log.object_pose[end]).all(axis=1) & np.isfinite(log.object_twist[end]).all(axis=1)
+    visible = np.isfinite(log.object_pose[end]).all(axis=1) & np.isfinite(log.object_twist[end]).all(axis=1)
     poses, twists = np.nan_to_num(log.object_pose[end]), np.nan_to_num(log.object_twist[end])
-    seen = Sighting(poses, twists, np.zeros(len(end)), known, log.wrench, size)
+    sighting = Sighting(poses, twists, np.zeros(len(end)), visible, log.wrench, size)
     start = prior_state(weights, config)
-    rows = online.Transition(np.nan_to_num(inputs).astype(np.float32), labels.astype(np.float32), valid, seen)
+    rows = online.Transition(np.nan_to_num(inputs).astype(np.float32), labels.astype(np.float32), valid, sighting)
     learned, guesses, first = _sample_by_sample(learner, shape, params, start, rows)
     use, scale = valid & np.isfinite(labels).all(axis=1), np.asarray(params.object.label_scale)
     spread = np.sum((labels[use] / scale) ** 2)
@@ -215,14 +215,14 @@ def _learned(
 
 @partial(jax.jit, static_argnums=0)
 def _known_after(
-    learner: online.Learner, params: Params, known: online.Known, rows: online.Transition, first: int, end: int
+    learner: online.Learner, params: Params, estimated: online.Known, rows: online.Transition, first: int, end: int
 ) -> online.Known:
     """What is known after the ``rows`` from ``first`` to before ``end``; a scan would keep it after every row."""
 
-    def step(i: Array, known: Any) -> Any:
-        return learner.adapt(known, params, jax.tree.map(lambda x: x[i], rows))
+    def step(i: Array, estimated: Any) -> Any:
+        return learner.adapt(estimated, params, jax.tree.map(lambda x: x[i], rows))
 
-    return jax.lax.fori_loop(first, end, step, known)
+    return jax.lax.fori_loop(first, end, step, estimated)
 
 
 @partial(jax.jit, static_argnums=(0, 1))
@@ -236,14 +236,14 @@ def _sample_by_sample(
     """What is known after each of the ``rows``, and the acceleration that was predicted before each by what was known
     then, and by ``start``."""
 
-    def predicted(known: Any, x: Array) -> Array:
-        own = learner.params_for_rollout(known, params)
+    def predicted(estimated: Any, x: Array) -> Array:
+        own = learner.params_for_rollout(estimated, params)
         return object_model.predict(own.object, own.coefficients, x, shape, own.contact)
 
-    def step(known: Any, sample: online.Transition) -> tuple[Any, tuple[Array, Array]]:
-        guess = predicted(known, sample.inputs)
-        known = learner.adapt(known, params, sample)
-        return known, (online.told(known), guess)
+    def step(estimated: Any, sample: online.Transition) -> tuple[Any, tuple[Array, Array]]:
+        guess = predicted(estimated, sample.inputs)
+        estimated = learner.adapt(estimated, params, sample)
+        return estimated, (online.told(estimated), guess)
 
     _, (learned, guesses) = jax.lax.scan(step, start, rows)
     return learned, guesses, jax.vmap(partial(predicted, start))(rows.inputs)
@@ -253,20 +253,20 @@ def _doubts(log: Log, errors: dict[str, float]) -> list[str]:
     """What speaks against the result: work that no hand does, and motion that no object of the prior has."""
     if _moved(log) < _TOLD:
         return []
-    found = []
+    doubts = []
     power = np.nan_to_num(np.sum(log.wrench * log.object_twist, axis=1)) * touches(log.wrench)
     work = float(power.sum()) * DT
     if work < _AGAINST * float(np.abs(power).sum()) * DT:
-        found.append(
+        doubts.append(
             f"The hands do {work:.1f} J of work on the object, so the force points against its motion: it must be that "
             "of the hands on the object, in the frame of the poses."
         )
     if errors.get("learned", 0.0) > 1.0:
-        found.append(
+        doubts.append(
             "Under these forces, what was learned predicts its accelerations worse than to predict none, which is not "
             "plausible: check units, sign and frame of the forces."
         )
-    return found
+    return doubts
 
 
 def _moved(log: Log) -> float:
@@ -283,9 +283,9 @@ def _pushes(log: Log) -> list[slice]:
 
 
 def _verdict(
-    log: Log, push: slice, known: online.Known, half_extents: tuple[float, float], foresight: Foresight
+    log: Log, push: slice, estimated: online.Known, half_extents: tuple[float, float], foresight: Foresight
 ) -> dict[str, Any] | None:
-    """Whether the object can be moved, by what is ``known`` after a push; None of a push that was too short."""
+    """Whether the object can be moved, by what is ``estimated`` after a push; None of a push that was too short."""
     touching = touches(log.wrench[push])
     # The last sample's force acts until its end, where the next one begins.
     poses = log.object_pose[push.start : push.stop + 1]
@@ -295,7 +295,7 @@ def _verdict(
         return None
     force, faces = log.wrench[push][touching, :2].sum(axis=0), faces_of(half_extents)
     off = se2.wrap(np.arctan2(force[1], force[0]) - heading(poses[-1], faces))
-    p = foresight.probability_to_move(known, None, poses[-1], half_extents, faces[np.argmin(np.abs(off))])
+    p = foresight.probability_to_move(estimated, None, poses[-1], half_extents, faces[np.argmin(np.abs(off))])
     verdict = "can be moved" if p >= 0.5 else "can't be moved"
     reason = f"after {contact:.1f} s of contact, in which it moved {moved:.2f} m, P = {p:.2f}: {verdict}"
     told = {"t": float(log.t[push.stop - 1] + DT), "object": 0, "probability": p, "manipulable": p >= 0.5}

@@ -20,7 +20,7 @@ class Check(NamedTuple):
 
     name: str
     ok: bool
-    found: str
+    finding: str
     remedy: str
     needed: bool = True
     """Whether the main job fails without it."""
@@ -49,8 +49,8 @@ def _device() -> Check:
     if problem:
         # The other checks have findings of their own.
         jax.config.update("jax_platforms", "cpu")
-    found = problem or ", ".join(str(d) for d in jax.devices())
-    return Check("JAX device", not problem, found, "unset JAX_PLATFORMS, or install the cuda extra")
+    finding = problem or ", ".join(str(d) for d in jax.devices())
+    return Check("JAX device", not problem, finding, "unset JAX_PLATFORMS, or install the cuda extra")
 
 
 def _renderer() -> Check:
@@ -134,10 +134,10 @@ def checks() -> list[Check]:
 
 def report() -> int:
     """Print the findings. Returns 0 if the main job can run, 1 otherwise."""
-    found = checks()
-    for check in found:
+    results = checks()
+    for check in results:
         mark = "ok  " if check.ok else ("FAIL" if check.needed else "note")
-        print(f"{mark}  {check.name}: {check.found}")
+        print(f"{mark}  {check.name}: {check.finding}")
         if not check.ok:
             print(f"      {check.remedy}")
-    return int(any(c.needed and not c.ok for c in found))
+    return int(any(c.needed and not c.ok for c in results))

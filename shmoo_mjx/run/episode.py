@@ -52,7 +52,7 @@ class Hooks(NamedTuple):
 
     progress: Callable[[float, str], None] = lambda time, mode: None
     """Takes (simulated time [s], state)."""
-    perceive: Callable[[Observation], Observation] = lambda seen: seen
+    perceive: Callable[[Observation], Observation] = lambda obs: obs
     """A further fault of the senses, such as a pose of NaN."""
     over: Callable[[Machine], bool] = lambda navigator: False
     """Ends the run before the navigator does."""
@@ -174,25 +174,25 @@ def result_of(simulation: Simulation, legs: Sequence[dict[str, Any]] = (), goals
     """
     scenario, navigator, history = simulation.scenario, simulation.navigator, simulation.history
     legs = list(legs) or [_leg(simulation, navigator.state.goal.tolist(), 0.0)]
-    last, seen, senses = legs[-1], simulation.true, simulation.senses
+    last, true, senses = legs[-1], simulation.true, simulation.senses
     path = np.array([row["robot_pose"][:2] for row in history.rows])
     reached = sum(leg["success"] for leg in legs)
     outcome = last["outcome"] if reached < goals else "success"
     over = toppled(simulation.scene, simulation.qpos)
     objects = []
     for i, (entry, condition) in enumerate(zip(scenario.objects, simulation.conditions, strict=True)):
-        known = navigator.belief.objects.get(i)
+        believed = navigator.belief.objects.get(i)
         objects.append(
             {
                 "id": i,
                 "family": Path(entry.family).stem,
                 "description": condition.describe(),
                 "start_pose": list(entry.pose),
-                "final_pose": _floats(seen.object_pose[0, i]),
+                "final_pose": _floats(true.object_pose[0, i]),
                 "half_extents": list(condition.half_extents),
                 "true": {name: round(value, 3) for name, value in true_values(condition).items()},
-                "status": "not seen" if known is None else str(known.status),
-                "registered": known is not None and known.status == "fixed",
+                "status": "not seen" if believed is None else str(believed.status),
+                "registered": believed is not None and believed.status == "fixed",
                 "toppled": bool(over[i]),
             }
         )
@@ -202,7 +202,7 @@ def result_of(simulation: Simulation, legs: Sequence[dict[str, Any]] = (), goals
         "senses": senses.name,
         "policy": simulation.policy,
         "seed": scenario.seed,
-        "time_s": round(float(seen.time[0]), 2),
+        "time_s": round(float(true.time[0]), 2),
         "path_length_m": round(float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()), 3),
         "goal_distance_m": last["goal_distance_m"],
         "falls": history.falls,

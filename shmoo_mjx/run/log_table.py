@@ -94,18 +94,18 @@ def _csv(file: Path) -> dict[str, np.ndarray]:
 
 def _numbers(file: Path, name: str, values: list[Any]) -> np.ndarray:
     """The values of a column, NaN where nothing stands."""
-    found = np.full(len(values), np.nan)
+    numbers = np.full(len(values), np.nan)
     for i, value in enumerate(values):
         text = "" if value is None else str(value).strip()
         if text.lower() in _NOTHING:
             continue
         try:
-            found[i] = float(text)
+            numbers[i] = float(text)
         except ValueError:
             comma = re.fullmatch(r"[+-]?\d*,\d+(e[+-]?\d+)?", text, re.IGNORECASE)
             remedy = "write a point for the decimal comma." if comma else "give numbers, or nothing where unknown."
             raise ShmooError(f"{file}: row {i + 1}: the column '{name}' holds {text[:40]!r}; {remedy}") from None
-    return found
+    return numbers
 
 
 def _check_values(file: Path, columns: dict[str, np.ndarray]) -> None:
@@ -160,10 +160,12 @@ def check_extents(file: Path, columns: dict[str, np.ndarray]) -> None:
 
 def in_degrees(columns: dict[str, np.ndarray]) -> list[str]:
     """A sentence about each yaw that exceeds a whole turn, and so may be in degrees."""
-    found = []
+    sentences = []
     for name in ("object_yaw", "robot_yaw"):
         largest = float(np.nanmax(np.abs(columns.get(name, np.zeros(1))), initial=0.0))
         if largest > 2 * np.pi:
-            found.append(f"'{name}' goes up to {largest:.0f}, which is more than a whole turn; if it is in degrees, "
-                         "give it in rad.")  # fmt: skip
-    return found
+            sentences.append(
+                f"'{name}' goes up to {largest:.0f}, which is more than a whole turn; "
+                "if it is in degrees, give it in rad."
+            )
+    return sentences

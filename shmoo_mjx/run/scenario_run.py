@@ -277,13 +277,13 @@ def push_inputs(
     Raises:
         ShmooError: any of them is not what it should be.
     """
-    given = {}
+    values = {}
     for text in properties:
         name, equals, value = text.partition("=")
         if not equals:
             raise ShmooError(f"--set {shortened(text)!r} must be NAME=VALUE, such as mass=6.")
-        given[name] = value_of(value, f"--set {shortened(text)!r}")
-    entry = {"family": family, "pose": (0.0, 0.0, 0.0), "seed": seed, "properties": given}
+        values[name] = value_of(value, f"--set {shortened(text)!r}")
+    entry = {"family": family, "pose": (0.0, 0.0, 0.0), "seed": seed, "properties": values}
     task = {"start": _numbers("--start", start, 3), "push_to": _numbers("--goal", goal, 3), "objects": [entry]}
     half = round(_FLOOR / 2 / _CELL)
     floor = OccupancyGrid(np.zeros((2 * half, 2 * half), np.int8), _CELL, (-half * _CELL, -half * _CELL, 0.0))

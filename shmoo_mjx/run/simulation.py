@@ -138,7 +138,7 @@ class Simulation:
         # Where the object stands that is to be brought to a pose is told with the task.
         self.engine = SensedEngine([self.scene], senses, scenario.seed, poses_known=scenario.push_to is not None)
         self.world: SensedWorld = self.engine.init()
-        self.seen = self.engine.observe(self.world)
+        self.observation = self.engine.observe(self.world)
         self.true = self.engine.true_observation(self.world)
 
     def close(self) -> None:
@@ -155,9 +155,9 @@ class Simulation:
         """``[nq]`` of the world now, for pictures."""
         return np.array(self.world.physics[0, 1 : 1 + self.scene.model.nq])
 
-    def decide(self, perceive: Callable[[Observation], Observation] = lambda seen: seen) -> Command:
+    def decide(self, perceive: Callable[[Observation], Observation] = lambda obs: obs) -> Command:
         """What the robot does next, by what it perceives now; ``perceive`` may add a fault."""
-        perceived = perceive(self.seen)
+        perceived = perceive(self.observation)
         command = self.navigator.tick(perceived)
         self._note(perceived, command)
         return command
@@ -169,18 +169,18 @@ class Simulation:
             command: what the robot does; None if the command got lost on its way.
             spent: wall-clock time that it took to compute [s], if that is to pass in the world.
         """
-        world, seen = self.engine.step(self.world, command, computing=spent)
+        world, obs = self.engine.step(self.world, command, computing=spent)
         if spent is not None and spent > DT:
-            late = {"t": round(float(seen.time[0]), 1), "state": str(self.navigator.mode)}
+            late = {"t": round(float(obs.time[0]), 1), "state": str(self.navigator.mode)}
             self.history.late.append(late | {"ms": round(1e3 * spent)})
             for _ in range(int(spent / DT)):
-                world, seen = self.engine.step(world, command, computing=0.0)
+                world, obs = self.engine.step(world, command, computing=0.0)
             # The controller's samples are DT apart: what spans a longer time teaches nothing.
-            seen = seen._replace(detected=np.zeros_like(seen.detected))
+            obs = obs._replace(detected=np.zeros_like(obs.detected))
         if self.engine.diverged(world)[0]:
             self.history.diverged = True
             return
-        self.world, self.seen = world, seen
+        self.world, self.observation = world, obs
         self.true = self.engine.true_observation(self.world)
         self._count_contacts()
         self.history.falls += int(self.engine.fallen(self.world)[0])
@@ -203,7 +203,7 @@ class Simulation:
         self.scenario, self.conditions, self.scene = scenario, conditions, scene
         self.engine, self.world = engine, world
         self.navigator.expect([c.half_extents for c in conditions], [kind_of(c) for c in conditions])
-        self.seen = self.engine.observe(self.world)
+        self.observation = self.engine.observe(self.world)
         self.true = self.engine.true_observation(self.world)
         added = len(self.conditions) - len(before.conditions)
         if added:
@@ -226,12 +226,12 @@ class Simulation:
         self.world = self.world._replace(truth=self.world.truth._replace(physics=physics))
         self.true = self.engine.true_observation(self.world)
 
-    def _note(self, seen: Observation, command: Command) -> None:
+    def _note(self, obs: Observation, command: Command) -> None:
         learned, true, history = self.navigator.learned, self.true, self.history
         index = -1 if learned is None else learned[0]
         wrench = true.wrench[0, :, :2].sum(axis=0)
         history.qpos.append(self.qpos)
-        history.observations.append(seen)
+        history.observations.append(obs)
         history.commands.append(command)
         history.goals.append(self.navigator.state.goal)
         history.rows.append(

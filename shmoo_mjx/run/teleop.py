@@ -76,11 +76,11 @@ def press(driver: Driver, key: int, arms_fixed: bool = False) -> Driver:
             return driver
 
 
-def command(driver: Driver, seen: Observation) -> Command:
+def command(driver: Driver, obs: Observation) -> Command:
     """The robot's command for one sample time, of a batch of one world."""
-    moving = se2.rotate(seen.robot_twist[:, :2], -seen.robot_pose[:, 2])
+    moving = se2.rotate(obs.robot_twist[:, :2], -obs.robot_pose[:, 2])
     # Stiffer than for driving alone: what an object holds back, the person makes up for by asking for more speed.
-    lean = velocity_to_lean(Gains(velocity_p=0.3), moving, seen.lean_rate, np.array([[driver.forward, driver.left]]))
+    lean = velocity_to_lean(Gains(velocity_p=0.3), moving, obs.lean_rate, np.array([[driver.forward, driver.left]]))
     u = np.concatenate([lean, [[driver.gamma]]], axis=-1)
     reach, height = (REACH, HAND_HEIGHT) if driver.arms_out else (TUCKED_REACH, TUCKED_HEIGHT)
     return Command(u, np.array([driver.yaw]), np.array([reach]), np.array([height]))
@@ -90,7 +90,7 @@ class TeleopSession(NamedTuple):
     """A drive so far."""
 
     world: Any
-    seen: Observation
+    obs: Observation
     driver: Driver
     rows: tuple[dict[str, np.ndarray], ...] = ()
     """Recorded samples, each field ``[1, ...]``; empty where nothing is recorded."""
@@ -99,11 +99,11 @@ class TeleopSession(NamedTuple):
 def begin(engine: Any, record: bool = False) -> TeleopSession:
     """Standing still; for a recording, with the arms out and at rest."""
     world = engine.init()
-    seen = engine.observe(world)
-    driver = Driver(yaw=float(seen.robot_pose[0, 2]), arms_out=record)
+    obs = engine.observe(world)
+    driver = Driver(yaw=float(obs.robot_pose[0, 2]), arms_out=record)
     if record:
-        world, seen = engine.step(world, command(driver, seen), 1.0)
-    return TeleopSession(world, seen, driver)
+        world, obs = engine.step(world, command(driver, obs), 1.0)
+    return TeleopSession(world, obs, driver)
 
 
 def tick(
@@ -113,15 +113,15 @@ def tick(
     driver = session.driver
     for key in keys:
         driver = press(driver, key, arms_fixed=record)
-    wanted = command(driver, session.seen)
-    world, wrenches, seen = session.world, [], session.seen
+    wanted = command(driver, session.obs)
+    world, wrenches, obs = session.world, [], session.obs
     for _ in range(_FRAMES):
-        world, seen = engine.step(world, wanted, DT / _FRAMES)
-        wrenches.append(seen.wrench)
+        world, obs = engine.step(world, wanted, DT / _FRAMES)
+        wrenches.append(obs.wrench)
         show(world)
-    seen = seen._replace(wrench=np.mean(wrenches, axis=0))
-    rows = (*session.rows, sample(session.seen, seen, wanted.u)) if record else ()
-    return TeleopSession(world, seen, driver, rows)
+    obs = obs._replace(wrench=np.mean(wrenches, axis=0))
+    rows = (*session.rows, sample(session.obs, obs, wanted.u)) if record else ()
+    return TeleopSession(world, obs, driver, rows)
 
 
 def save(directory: Path, condition: Condition, rows: tuple[dict[str, np.ndarray], ...]) -> str:

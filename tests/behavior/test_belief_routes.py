@@ -175,7 +175,7 @@ def test_a_retreat_leads_straight_back_or_aslant_to_where_there_is_room() -> Non
     ways, known = routes((3.0,), (3.0, 3.0, 0.0))
     assert ways.retreat_path(np.array([2.4, 3.0]), known.pose) is None, "straight back will do"
     corner = ways.retreat_path(np.array([0.45, 0.45]), np.array([1.0, 0.5, 0.0]))
-    assert corner is not None and ways.belief.walls.at(corner.points[-1]) > 0.2
+    assert corner is not None and ways.belief.wall_clearance.at(corner.points[-1]) > 0.2
 
 
 def test_where_a_wall_stands_behind_the_middle_of_a_face_the_way_leads_beside_it() -> None:

@@ -105,7 +105,7 @@ def _run(task: PushTask, world: _World, seconds: float = 120.0, meddle: object =
         if task.mode is Mode.APPROACH:
             gap = footprint_polygon(world.thing, HALF).distance(shapely.Point(world.robot[:2]))
             assert gap > shmoobot().radius, f"the robot runs into the object while approaching, at {world.time:.1f} s"
-            assert task.belief.walls.at(world.robot[:2]) > shmoobot().radius
+            assert task.belief.wall_clearance.at(world.robot[:2]) > shmoobot().radius
         if callable(meddle):
             meddle(task, world)
         world.step(command)

@@ -65,9 +65,9 @@ def test_what_is_put_down_stands_there_is_seen_and_nothing_else_moves(session: S
     np.testing.assert_array_equal(simulation.true.object_pose[0, :-1], before.object_pose[0])
     np.testing.assert_array_equal(simulation.true.robot_pose, before.robot_pose)
     assert simulation.conditions[-1].total_mass == pytest.approx(17.0) and simulation.time == float(before.time[0])
-    assert np.isnan(simulation.seen.object_pose[0, -1]).all()
+    assert np.isnan(simulation.observation.object_pose[0, -1]).all()
     run(session, 5)
-    assert np.linalg.norm(session.simulation.seen.object_pose[0, -1, :2] - pose[:2]) < 0.1
+    assert np.linalg.norm(session.simulation.observation.object_pose[0, -1, :2] - pose[:2]) < 0.1
     assert len(simulation.navigator.belief.objects) >= 1 and not simulation.history.falls
 
 

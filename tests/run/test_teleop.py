@@ -67,7 +67,7 @@ def test_the_robot_drives_where_the_keys_say() -> None:
         session = teleop.tick(engine, session, [UP] * 6 + [LEFT] * 4 if i == 0 else [])
     assert not engine.fallen(session.world)[0]
     engine.close()
-    x, y, yaw = session.seen.robot_pose[0]
+    x, y, yaw = session.obs.robot_pose[0]
     assert yaw == pytest.approx(np.deg2rad(30), abs=0.1) and x > 0.2 and y > 0.03
     assert session.rows == ()
 

@@ -62,7 +62,7 @@ def quasi_static_policy(cost: PushCost) -> PushPolicy:
     """The pusher without a model; ``cost`` gives the speed allowed."""
     return PushPolicy(
         init=lambda obs, task, key: jnp.zeros(()),
-        step=lambda more, obs, last_u, task: quasi_static.control(cost, task.face, obs, task.goal, more),
+        step=lambda integral, obs, last_u, task: quasi_static.control(cost, task.face, obs, task.goal, integral),
         coast=lambda state, obs: obs.object_pose,
     )
 

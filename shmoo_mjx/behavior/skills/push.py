@@ -117,7 +117,7 @@ def step(
     face: Float[Array, "4"],
     last_u: Float[Array, "3"],
     goal: Float[Array, "3"],
-    around: LocalDistanceField | None,
+    clearance: LocalDistanceField | None,
     half_extents: tuple[float, float] | Float[Array, "2"],
     governor_room: float | None = None,
 ) -> tuple[PushState, Command]:
@@ -130,12 +130,12 @@ def step(
         face: that is pushed.
         last_u: what was applied during that sample.
         goal: pose of the object in {W}.
-        around: clearance round the object; None for a pusher that does not ask.
+        clearance: distance to obstacles near the object; None for a pusher that does not ask.
         half_extents: of the object's footprint [m].
         governor_room: in place of the pusher's own, for this step.
     """
-    more = () if governor_room is None else (governor_room,)
-    u, own, plan = pusher.step(state.pusher, obs, last_u, goal, around, np.asarray(half_extents), *more)
+    options = () if governor_room is None else (governor_room,)
+    u, own, plan = pusher.step(state.pusher, obs, last_u, goal, clearance, np.asarray(half_extents), *options)
     touching = bool(touches(obs.wrench))
     ok = (plan is None or bool(plan.ok)) and bool(np.isfinite(u).all())
     state = replace(
