@@ -51,7 +51,9 @@ def demo(
     """
     from shmoo_mjx.run.demo import run_demo
 
-    return run_demo(_seeds(seed), out, weights, video and not quick, _senses(senses), scene, method)
+    return run_demo(
+        _seeds(seed), out, weights, video=video and not quick, senses=_senses(senses), scene=scene, method=method
+    )
 
 
 def navigate(
@@ -171,7 +173,7 @@ def live(
     """
     from shmoo_mjx.live.command import run_live
 
-    return run_live(scene, host, port, _senses(senses), weights, out, seconds)
+    return run_live(scene, host=host, port=port, senses=_senses(senses), weights=weights, out=out, seconds=seconds)
 
 
 def replay(run: Positional[Path], weights: Path | None = None) -> int:

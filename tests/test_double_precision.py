@@ -123,7 +123,7 @@ def demo(folder: Path) -> Any:
     from shmoo_mjx.report.trace import load_trace
     from shmoo_mjx.run.demo import run_demo
 
-    assert run_demo(range(1), folder, None, False, "real") == 0
+    assert run_demo(range(1), folder, None, video=False, senses="real") == 0
     trace = load_trace(folder / "demo-0" / "trace.npz")
     # Until the first contact, from which on the last bits grow.
     return trace.robot_pose[:80:10], trace.object_pose[:80:10]

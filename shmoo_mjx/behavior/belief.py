@@ -114,6 +114,7 @@ class Belief:
         self,
         obs: Observation,
         sizes: Sequence[tuple[float, float]],
+        *,
         pushed: int | None = None,
         first_status: Sequence[Status] | None = None,
         kinds: Sequence[str | None] | None = None,
@@ -142,7 +143,9 @@ class Belief:
                     pose, size, kinds[index] if kinds else None, status, age=age, registered=pose
                 )
                 continue
-            objects[index], remarks = _perceived(before, pose, age, index == pushed, first_status is not None)
+            objects[index], remarks = _perceived(
+                before, pose, age, pushed=index == pushed, fixed_for_good=first_status is not None
+            )
             notes += [f"object {index} {text}" for text in remarks]
         return replace(self, objects=objects), notes
 
@@ -153,7 +156,7 @@ def belief_of(grid: OccupancyGrid) -> Belief:
 
 
 def _perceived(
-    before: ObjectBelief, pose: Float[np.ndarray, "3"], age: float, pushed: bool, fixed_for_good: bool
+    before: ObjectBelief, pose: Float[np.ndarray, "3"], age: float, *, pushed: bool, fixed_for_good: bool
 ) -> tuple[ObjectBelief, list[str]]:
     new, notes = replace(before, pose=pose, age=age), []
     if before.age > _LOST >= age:

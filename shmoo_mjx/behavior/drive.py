@@ -57,6 +57,7 @@ def follow(
     state: DriveState,
     obs: Observation,
     path: Path | None,
+    *,
     clearance: Callable[[], DistanceField],
 ) -> tuple[DriveState, Float[np.ndarray, "2"]]:
     """One control step along ``path``; the lean command in {R} [rad].
@@ -78,7 +79,7 @@ def follow(
     if state.trajectory is None:
         return state, velocity_command(obs, np.zeros(2))
     # The lean is commanded in {R}, which turns on until the body has got there.
-    return state, _track(planner, state, now, flat, yaw + LEAD * obs.robot_twist[0, 2])
+    return state, _track(planner, state, now, flat, yaw=yaw + LEAD * obs.robot_twist[0, 2])
 
 
 def _begin(planner: Planner, state: DriveState, now: float, flat: Float[np.ndarray, "4 2"]) -> Float[np.ndarray, "4 2"]:
@@ -92,7 +93,7 @@ def _begin(planner: Planner, state: DriveState, now: float, flat: Float[np.ndarr
 
 
 def _track(
-    planner: Planner, state: DriveState, now: float, flat: Float[np.ndarray, "4 2"], yaw: float
+    planner: Planner, state: DriveState, now: float, flat: Float[np.ndarray, "4 2"], *, yaw: float
 ) -> Float[np.ndarray, "2"]:
     assert state.trajectory is not None
     a, b, c = planner.model

@@ -87,6 +87,7 @@ def setup_of(
     sizes: Sequence[tuple[float, float]],
     controller: Any,
     config: NavigatorConfig | None = None,
+    *,
     first_status: Sequence[Status] | None = None,
     kinds: Sequence[str | None] | None = None,
 ) -> Setup:
@@ -113,7 +114,9 @@ def _perceive(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[Na
     obs = finite(obs, state.last_obs)
     now = float(obs.time[0])
     pushed = None if state.segment is None else state.segment.object
-    belief, notes = state.belief.update(obs, setup.sizes, pushed, setup.first_status, setup.kinds)
+    belief, notes = state.belief.update(
+        obs, setup.sizes, pushed=pushed, first_status=setup.first_status, kinds=setup.kinds
+    )
     state = replace(state, last_obs=obs, belief=belief, lean_offset=equilibrium_lean.step(state.lean_offset, obs))
     return state.with_events(*(Note(now, text) for text in notes)), equilibrium_lean.corrected(state.lean_offset, obs)
 
@@ -191,7 +194,7 @@ def drive_along(
     setup: Setup, state: NavigatorState, obs: Observation, path: Path | None
 ) -> tuple[NavigatorState, Float[np.ndarray, "2"]]:
     """Lean along ``path`` round everything that is known."""
-    driven, lean = drive.follow(setup.trajectories, state.drive, obs, path, state.belief.clearance)
+    driven, lean = drive.follow(setup.trajectories, state.drive, obs, path, clearance=state.belief.clearance)
     return replace(state, drive=driven), lean
 
 
@@ -199,6 +202,7 @@ def start_push(
     state: NavigatorState,
     now: float,
     index: int,
+    *,
     side: int,
     face: Float[np.ndarray, "4"],
     goal: Float[np.ndarray, "3"],
@@ -231,7 +235,9 @@ def approach_face(setup: Setup, state: NavigatorState, obs: Observation) -> tupl
     remaining = segment.way.length - project(segment.way, obs.robot_pose[0, :2])
     yaw, object_obs = drive.yaw_ahead(obs, segment.way), ObjectObservation.of(obs, segment.object)
     room = _arms_have_room(state, obs, (TUCKED_REACH, REACH))
-    reached, move = approach.step(segment.approach, now, object_obs, segment.face, lean, yaw, remaining, room)
+    reached, move = approach.step(
+        segment.approach, now, object_obs, segment.face, lean=lean, yaw=yaw, remaining=remaining, room=room
+    )
     state = state.with_segment(approach=reached)
     if move.over:
         feeling = contact.init(object_obs, segment.approach.lateral)
@@ -253,7 +259,14 @@ def make_contact(then: Mode, setup: Setup, state: NavigatorState, obs: Observati
     if move.over:
         key, own = jax.random.split(state.key)
         pushed = push.init(
-            setup.controller, now, object_obs, segment.face, target.half_extents, own, target.adapt, target.kind
+            setup.controller,
+            now,
+            object_obs,
+            segment.face,
+            half_extents=target.half_extents,
+            key=own,
+            adapt=target.adapt,
+            kind=target.kind,
         )
         state = replace(state, key=key).with_segment(push=pushed)
         state = state.go(now, then, f"contact with object {segment.object}")
@@ -272,9 +285,16 @@ def push_object(judge: Judge, setup: Setup, state: NavigatorState, obs: Observat
     firm = PROBE_ROOM if state.mode is Mode.PROBE and not rolled(segment.push, target.pose) else None
     object_obs = ObjectObservation.of(obs, segment.object)
     pushed, command = push.step(
-        setup.controller, segment.push, object_obs, segment.face, state.last_u, segment.goal, segment.clearance,
-        target.half_extents, firm,
-    )  # fmt: skip
+        setup.controller,
+        segment.push,
+        object_obs,
+        segment.face,
+        last_u=state.last_u,
+        goal=segment.goal,
+        clearance=segment.clearance,
+        half_extents=target.half_extents,
+        governor_room=firm,
+    )
     state = state.with_segment(push=pushed).with_object(segment.object, adapt=pushed.pusher.adapt)
     state = judge(setup, state, obs)
     return back_away(setup, state, obs) if state.mode is Mode.RETREAT else (state, command)
@@ -312,7 +332,7 @@ def back_away(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[Na
         state, lean = drive_along(setup, state, obs, state.current().back)
     folded = bool(np.all(obs.hands[0, :, 0] < _FOLDED))
     room = _may_fold(state, obs, float(np.max(obs.hands[0, :, 0])))
-    move = retreat.step(ObjectObservation.of(obs, segment.object), segment.face, folded, lean, room)
+    move = retreat.step(ObjectObservation.of(obs, segment.object), segment.face, folded, lean=lean, room=room)
     if move.over or now - state.since > _LONGEST_RETREAT:
         state = replace(state, drive=drive.init())
         state = state.go(now, Mode.REPLAN, f"backed away from object {segment.object}")

@@ -96,9 +96,12 @@ class Navigator(Machine):
         goal: Numbers | Float[Array, "2"],
         sizes: Sequence[tuple[float, float]],
         controller: Any,
+        *,
         seed: int = 0,
         config: NavigatorConfig | None = None,
         first_status: Sequence[Status] | None = None,
         kinds: Sequence[str | None] | None = None,
     ) -> None:
-        super().__init__(MODES, setup_of(sizes, controller, config, first_status, kinds), init(grid, goal, seed))
+        super().__init__(
+            MODES, setup_of(sizes, controller, config, first_status=first_status, kinds=kinds), init(grid, goal, seed)
+        )

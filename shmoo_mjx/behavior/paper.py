@@ -27,7 +27,7 @@ _SHOWN = 40
 """Roll-outs of a planning stage that are kept for pictures."""
 
 
-def choose(setup: Setup, state: NavigatorState, obs: Observation, index: int, distance: float) -> NavigatorState:
+def choose(setup: Setup, state: NavigatorState, obs: Observation, index: int, *, distance: float) -> NavigatorState:
     """The initialisation stage: first goal, face and way to the stand-off pose of object ``index``, ``distance`` [m]
     along the path; or register it."""
     target, now, routes = state.belief.objects[index], float(obs.time[0]), setup.routes(state)
@@ -39,12 +39,21 @@ def choose(setup: Setup, state: NavigatorState, obs: Observation, index: int, di
     free = routes.collision_free(position, target, clearance_without, path)
     directions, planner = np.array([heading(target.pose, faces[i]) for i in usable]), setup.config.planner
     first = initial_goal(target.pose, free, directions, planner)
-    first = initial_goal(target.pose, free, directions, planner, _FAR_AREA) if first.goal is None else first
+    first = initial_goal(target.pose, free, directions, planner, area=_FAR_AREA) if first.goal is None else first
     if first.goal is None or first.direction is None:
         why = f"object {index} can be put nowhere: {first.reason}; registered as an obstacle"
         return state.given_up(index).go(now, Mode.REPLAN, why)
     side = list(usable)[first.direction]
-    state = start_push(state, now, index, side, faces[side], first.goal, usable[side], clearance_without)
+    state = start_push(
+        state,
+        now,
+        index,
+        side=side,
+        face=faces[side],
+        goal=first.goal,
+        reached=usable[side],
+        clearance=clearance_without,
+    )
     why = f"object {index} blocks the path {distance:.2f} m ahead; first goal: {first.reason}"
     return state.go(now, Mode.APPROACH, why)
 
@@ -71,7 +80,7 @@ def planning(setup: Setup, state: NavigatorState, obs: Observation) -> Navigator
         # What a roll-out turns may end a little behind, and a goal there would be passed before it is pushed to.
         return free(ends) & (_left(ends, target.pose, segment.face) > 0.0)
 
-    result = planning_stage(poses[:, -1], costs, target.pose, reachable, cfg, None if probes else True)
+    result = planning_stage(poses[:, -1], costs, target.pose, reachable, cfg=cfg, manipulable=None if probes else True)
     best = poses[np.argsort(costs)[:_SHOWN]][:, :, :2]
     event = Decision(
         now, index, result.K, result.G, result.manipulable, result.goal, result.reason, best, result.candidates, None

@@ -104,7 +104,7 @@ def look_ahead(setup: Setup, state: NavigatorState, obs: Observation) -> Navigat
         again = state.with_object(index, in_the_way=target.in_the_way + 1)
         return again.go(now, Mode.REPLAN, f"object {index} ({target.status}) is in the way") if near else None
     if not setup.by_time:
-        return paper.choose(setup, state, obs, index, distance)
+        return paper.choose(setup, state, obs, index, distance=distance)
     if not near and target.price is not None:
         return None
     through, detour = routes.quickest(position, without=index), routes.quickest(position, {index: 0.0})
@@ -112,7 +112,7 @@ def look_ahead(setup: Setup, state: NavigatorState, obs: Observation) -> Navigat
         return state.go(now, Mode.REPLAN, f"object {index} is in the way, and nothing leads on behind it")
     if setup.config.goes_round == "never":
         detour = None
-    return _least_time(setup, state, obs, index, through, detour, near)
+    return _least_time(setup, state, obs, index, through=through, detour=detour, near=near)
 
 
 def _least_time(
@@ -120,6 +120,7 @@ def _least_time(
     state: NavigatorState,
     obs: Observation,
     index: int,
+    *,
     through: Route,
     detour: Route | None,
     near: bool,
@@ -132,36 +133,51 @@ def _least_time(
     faces, failed = push_options.all_faces(target.half_extents), target.failed_faces.count
     ways, may_pay = {}, detour is None or otherwise > through.seconds + push_options.LEAST + dislike
     for side, face in enumerate(faces if may_pay else ()):
-        reached = routes.path_to_face(position, index, face, clearance, failed(side), corner=side >= 4)
+        reached = routes.path_to_face(position, index, face, clearance, failed=failed(side), corner=side >= 4)
         if reached is not None and push_options.walk_time(reached[0].length) < otherwise:
             ways[side] = reached
     way_round = None if detour is None else detour.seconds
     best, summary = None, push_options.describe_options((), way_round)
     if ways:
         clearance_without = state.belief.clearance(without=index)
-        places = _places(setup, routes, obs, index, through.path, {side: faces[side] for side in ways})
+        places = _places(setup, routes, obs, index, through=through.path, faces={side: faces[side] for side in ways})
         pushes = push_options.predict_pushes(
-            foresight_of(setup.controller), target, through.path, clearance_without, list(ways), places, round(now / DT)
+            foresight_of(setup.controller),
+            target,
+            through.path,
+            clearance=clearance_without,
+            sides=list(ways),
+            places=places,
+            seed=round(now / DT),
         )
         walks = {side: push_options.walk_time(way[0].length) for side, way in ways.items()}
-        weigh = partial(push_options.rank_pushes, pushes, walks, target.failed_faces, through.seconds)
+        weigh = partial(push_options.rank_pushes, pushes, walks=walks, failed=target.failed_faces, rest=through.seconds)
         # Its price counts no other push. Else each of two immovable objects would be a way round the other one.
         alone = routes.quickest(position, dict.fromkeys(state.belief.objects, 0.0))
         price = weigh(push_options.time_without_push(through, alone))[0].seconds - through.seconds
         options = weigh(otherwise)
         best, summary = options[0], push_options.describe_options(options[:3], way_round)
-        state = state.with_events(_decision(now, index, summary, options, otherwise))
+        state = state.with_events(_decision(now, index, summary=summary, options=options, otherwise=otherwise))
         state = state.with_object(index, price=max(price, 0.0))
         if near and price >= push_options.BLOCKED:
-            return _give_up(setup, state, now, index, summary)
+            return _give_up(setup, state, now, index, why=summary)
     if detour is not None and (best is None or best.seconds + dislike >= otherwise):
         state = _on_path(state.with_object(index, in_the_way=target.in_the_way + near), now, detour.path)
         return state.go(now, Mode.FOLLOW, f"object {index} is in the way: {summary}")
     if not near:
         return state if best else state.with_object(index, price=push_options.BLOCKED)
     if best is None:
-        return _give_up(setup, state, now, index, f"no face can be reached; {summary}")
-    state = start_push(state, now, index, best.side, faces[best.side], best.goal, ways[best.side], clearance_without)
+        return _give_up(setup, state, now, index, why=f"no face can be reached; {summary}")
+    state = start_push(
+        state,
+        now,
+        index,
+        side=best.side,
+        face=faces[best.side],
+        goal=best.goal,
+        reached=ways[best.side],
+        clearance=clearance_without,
+    )
     return state.go(now, Mode.APPROACH, f"object {index} is in the way: {summary}")
 
 
@@ -170,6 +186,7 @@ def _places(
     routes: Routes,
     obs: Observation,
     index: int,
+    *,
     through: Path,
     faces: dict[int, Float[np.ndarray, "4"]],
 ) -> dict[int, Float[np.ndarray, "3"]]:
@@ -183,7 +200,7 @@ def _places(
     return {side: goal for side, goal in goals.items() if goal is not None}
 
 
-def _decision(now: float, index: int, summary: str, options: list[push_options.Push], otherwise: float) -> Decision:
+def _decision(now: float, index: int, *, summary: str, options: list[push_options.Push], otherwise: float) -> Decision:
     """What was decided before a push, with where the options lead."""
     best = options[0]
     pushed, goals = best.seconds < otherwise, np.stack([push.goal for push in options])
@@ -191,7 +208,7 @@ def _decision(now: float, index: int, summary: str, options: list[push_options.P
     return Decision(now, index, np.nan, np.nan, pushed, best.goal, summary, ends, goals, best.probability)
 
 
-def _give_up(setup: Setup, state: NavigatorState, now: float, index: int, why: str) -> NavigatorState:
+def _give_up(setup: Setup, state: NavigatorState, now: float, index: int, *, why: str) -> NavigatorState:
     """Take object ``index`` for an obstacle."""
     if setup.config.goes_round == "never":
         return state.go(now, Mode.FAILED, f"object {index}: {why}, and going round is not allowed")

@@ -54,6 +54,7 @@ class PolicyNavigator(Navigator):
         maker: PolicyMaker,
         grid: OccupancyGrid,
         goal: Numbers | Float[Array, "2"],
+        *,
         sizes: Sequence[tuple[float, float]],
         controller: Any,
         seed: int = 0,

@@ -59,14 +59,22 @@ def _think_again(setup: Setup, state: NavigatorState, obs: Observation) -> Navig
         return state
     clearance, side = state.belief.clearance(without=index), segment.side
     pushes = push_options.predict_pushes(
-        foresight_of(setup.controller), target, through.path, clearance, [side], {side: segment.goal}, round(now / DT)
+        foresight_of(setup.controller),
+        target,
+        through.path,
+        clearance=clearance,
+        sides=[side],
+        places={side: segment.goal},
+        seed=round(now / DT),
     )
     never = setup.config.goes_round == "never"
     detour = None if never else routes.quickest(position, {index: _ROUND_MARGIN})
     # Without a way round what follows a failure is another push, at what that was taken to cost.
     again = through.seconds + (push_options.BLOCKED if target.price is None else target.price)
     otherwise = push_options.AWAY + (again if detour is None else detour.seconds)
-    (here,) = push_options.rank_pushes(pushes, {side: 0.0}, target.failed_faces, through.seconds, otherwise)
+    (here,) = push_options.rank_pushes(
+        pushes, walks={side: 0.0}, failed=target.failed_faces, rest=through.seconds, otherwise=otherwise
+    )
     summary = push_options.describe_options((here,), None if detour is None else otherwise)
     moves = here.probability >= 0.5
     state = state.with_object(index, manipulable=moves).with_events(

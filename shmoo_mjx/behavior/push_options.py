@@ -116,6 +116,7 @@ def predict_pushes(
     foresight: Callable[..., Outcomes],
     target: ObjectBelief,
     path: Path,
+    *,
     clearance: DistanceField,
     sides: Sequence[int],
     places: Mapping[int, Float[np.ndarray, "3"]],
@@ -134,7 +135,9 @@ def predict_pushes(
     """
     where = np.stack([places.get(side, target.pose) for side in range(8)])
     of = make_options(target.pose, target.half_extents, where)
-    outcomes: Outcomes = foresight(target.adapt, target.kind, target.pose, target.half_extents, of.options, seed)
+    outcomes: Outcomes = foresight(
+        target.adapt, target.kind, target.pose, target.half_extents, options=of.options, seed=seed
+    )
     free, poses, ends = _times(outcomes, target, path, clearance)
     pushes = []
     for k in np.flatnonzero(np.isin(of.side, list(sides))):
@@ -144,7 +147,7 @@ def predict_pushes(
 
 
 def rank_pushes(
-    pushes: Sequence[Push], walks: Mapping[int, float], failed: Sequence[int], rest: float, otherwise: float
+    pushes: Sequence[Push], *, walks: Mapping[int, float], failed: Sequence[int], rest: float, otherwise: float
 ) -> list[Push]:
     """The best push on each side, the quickest first, with probability and expected seconds to the goal.
 
@@ -224,7 +227,9 @@ def _times(
     coarse = np.round(poses[possible] / _GRAIN).astype(int)
     unique, which = np.unique(coarse, axis=0, return_inverse=True)
     clear = np.zeros(possible.shape, bool)
-    clear[possible] = _passes(unique * _GRAIN, target.pose, target.half_extents, path, clearance)[which.reshape(-1)]
+    clear[possible] = _passes(unique * _GRAIN, target.pose, target.half_extents, path=path, clearance=clearance)[
+        which.reshape(-1)
+    ]
     times = DT * _EVERY * (1 + np.argmax(clear, axis=2))
     last = np.maximum(possible.sum(axis=2) - 1, 0)[..., None]
     ends = np.take_along_axis(poses, np.minimum(np.arange(poses.shape[2]), last)[..., None], axis=2)[..., :2]
@@ -235,6 +240,7 @@ def _passes(
     poses: Float[np.ndarray, "N 3"],
     pose: Float[np.ndarray, "3"],
     half_extents: tuple[float, float],
+    *,
     path: Path,
     clearance: DistanceField,
 ) -> Bool[np.ndarray, "N"]:

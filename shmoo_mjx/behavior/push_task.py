@@ -83,6 +83,7 @@ class PushTask(Machine):
         sizes: list[tuple[float, float]],
         goal: Numbers | Float[Array, "3"],
         pusher: Pusher,
+        *,
         index: int = 0,
         seed: int = 0,
         config: PushTaskConfig | None = None,
@@ -186,15 +187,26 @@ class PushTask(Machine):
         if all(length is None for length in lengths):
             return state.go(now, Mode.FAILED, f"no face can be reached; the object is {where}")
         half, foresight = target.half_extents, contact_foresight(setup.controller, pose_push_config())
-        reached = push_displacements(foresight, self.adapt, target.kind, half, se2.relative(target.pose, self.goal))
+        reached = push_displacements(
+            foresight, adapt=self.adapt, kind=target.kind, half_extents=half, goal=se2.relative(target.pose, self.goal)
+        )
         free = partial(footprints_free, clearance_without, half_extents=np.array(half), wall_clearance=_WALL_CLEARANCE)
-        choice = choose_push(reached, target.pose, self.goal, faces, lengths, free)
+        choice = choose_push(reached, target.pose, self.goal, faces=faces, ways=lengths, free=free)
         if choice is None:
             return state.go(now, Mode.DONE, f"the object is {where}, and another push promises no better")
         chosen = ways[choice.side]
         assert chosen is not None
         state = state.with_object(index, adapt=self.adapt)
-        state = start_push(state, now, index, choice.side, faces[choice.side], choice.goal, chosen, clearance_without)
+        state = start_push(
+            state,
+            now,
+            index,
+            side=choice.side,
+            face=faces[choice.side],
+            goal=choice.goal,
+            reached=chosen,
+            clearance=clearance_without,
+        )
         final = "" if np.array_equal(choice.goal, self.goal) else " to a place on the way"
         why = f"push {target.pushes + 1} from {SIDES[choice.side]}{final}; the object is {where}"
         none = np.zeros((0, 1, 2))
@@ -207,7 +219,11 @@ class PushTask(Machine):
         pushed = segment.push
         assert pushed is not None
         coasts, left, let_go = push.lets_go(
-            setup.controller.coast(pushed.pusher), pushed.coasts, target.pose, segment.face, segment.goal
+            setup.controller.coast(pushed.pusher),
+            pushed.coasts,
+            object_pose=target.pose,
+            face=segment.face,
+            goal=segment.goal,
         )
         state = state.with_segment(push=replace(pushed, coasts=coasts))
         over = interaction.push_end_reason(state, now)

@@ -148,7 +148,9 @@ class Routes:
                 return off_walls
             candidates = np.flatnonzero(off_walls)
             off_path = np.zeros(len(poses), dtype=bool)
-            off_path[candidates] = footprints_free(clearance, poses[candidates], half, path.points, clearance)
+            off_path[candidates] = footprints_free(
+                clearance, poses[candidates], half, path.points, path_clearance=clearance
+            )
             if off_path.any():
                 return off_path
             nearest = np.argsort(np.linalg.norm(poses[candidates, :2] - target.pose[:2], axis=1))
@@ -165,6 +167,7 @@ class Routes:
         index: int,
         face: Float[np.ndarray, "4"],
         clearance: DistanceField,
+        *,
         failed: int = 0,
         corner: bool = False,
     ) -> tuple[Path, float, float] | None:

@@ -191,7 +191,7 @@ def play(
         grid,
         generated.scenario.model_copy(update={"seed": generated.scenario.seed + robot.seed}),
         controller_of(asset(METHODS[method].weights) if method == PAPER else robot.weights, method),
-        config,
+        config=config,
         first_status=None if first_status is None else first_status(generated),
         senses=robot.senses,
         goals=goals,

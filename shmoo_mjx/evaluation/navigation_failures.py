@@ -69,4 +69,4 @@ def _film(folder: Path, name: str) -> Path | None:
     if not (folder / f"{name}.npz").is_file():
         return None
     result = json.loads((folder / f"{name}.json").read_text())
-    return write_video(film, topdown_frames(result, load_trace(folder / f"{name}.npz"), FPS, SPEED), FPS)
+    return write_video(film, topdown_frames(result, load_trace(folder / f"{name}.npz"), fps=FPS, speed=SPEED), FPS)

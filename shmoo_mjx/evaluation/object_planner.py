@@ -203,7 +203,9 @@ def probe(
         return len(said) == len(LOOKS)
 
     scenario = open_floor_scenario(condition, side, seed, cfg.time_s)
-    episode = run_episode(open_floor(), scenario, controller, navigator_config(), Hooks(over=over), senses=senses)
+    episode = run_episode(
+        open_floor(), scenario, controller, config=navigator_config(), hooks=Hooks(over=over), senses=senses
+    )
     return (told if said else {}), episode
 
 
@@ -211,8 +213,15 @@ def _probability(navigator: Any, controller: Any, truth: SteadyPush) -> float:
     """That the object comes as far as the truth asks along the push."""
     foresight, segment = foresight_of(controller), navigator.segment
     known = navigator.belief.objects[segment.object]
-    asked = (known.pose, known.half_extents, segment.face, truth.distance, truth.turn)
-    return foresight.probability_to_move(known.adapt, known.kind, *asked)
+    return foresight.probability_to_move(
+        known.adapt,
+        known.kind,
+        known.pose,
+        known.half_extents,
+        face=segment.face,
+        distance=truth.distance,
+        turn=truth.turn,
+    )
 
 
 def _criteria(navigator: Any, controller: Any) -> dict[str, Any]:
@@ -222,7 +231,7 @@ def _criteria(navigator: Any, controller: Any) -> dict[str, Any]:
     poses, _, costs = controller.planning_rollouts(
         push.pusher, segment.goal, segment.clearance, np.array(known.half_extents)
     )
-    stage = planning_stage(poses[:, -1], costs, known.pose, lambda ends: np.ones(len(ends), dtype=bool), planner)
+    stage = planning_stage(poses[:, -1], costs, known.pose, lambda ends: np.ones(len(ends), dtype=bool), cfg=planner)
     moved = push.moved(known.pose)
     return {"side": segment.side, "K_first": stage.K, "moved_m_first": moved, "impulse_Ns_first": push.impulse}
 
@@ -239,7 +248,9 @@ def _trial(
         # The navigator chooses a face by what it sees, before it knows the load.
         scenario = open_floor_scenario(condition, side, own_seed, cfg.time_s)
         begins = Hooks(over=lambda navigator: navigator.segment is not None)
-        episode = run_episode(open_floor(), scenario, controller, navigator_config(), begins, senses=senses)
+        episode = run_episode(
+            open_floor(), scenario, controller, config=navigator_config(), hooks=begins, senses=senses
+        )
         return episode.navigator.state.current().side
 
     if stratum == "drawn":
@@ -340,6 +351,6 @@ def fig5_episodes(weights: Path, seed: int, senses: SensesName = "real") -> list
         over = Hooks(over=lambda navigator: any(d.manipulable for d in navigator.decisions))
         # The figure shows the planning stage of Algorithm 1, which takes place where K decides.
         config = replace(navigator_config(), decides_by="K")
-        episode = run_episode(open_floor(), scenario, controller_of(weights), config, over, senses=senses)
+        episode = run_episode(open_floor(), scenario, controller_of(weights), config=config, hooks=over, senses=senses)
         episodes.append((title, episode.result, episode.trace))
     return episodes

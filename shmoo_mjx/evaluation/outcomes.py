@@ -132,7 +132,9 @@ def _trial(
         row["ahead"] = float(push.face[2])
         row |= {"known": adapt is not None, **_true(push, track, other, config.distance)}
         for name, known in (("posterior", adapt), ("prior", None)):
-            predicted = foresight.sampled_poses(known, kind, track[0], condition.half_extents, push.face, push.goal)
+            predicted = foresight.sampled_poses(
+                known, kind, track[0], condition.half_extents, face=push.face, goal=push.goal
+            )
             row |= {f"{name}_{key}": value for key, value in _compared(row, predicted, push, track[0], config).items()}
         rows.append(row)
     return rows
@@ -216,7 +218,7 @@ def _policy(cost: PushCost) -> tuple[Any, Any]:
     """The law as compiled functions of W worlds: (obs, task) -> state, (state, obs, task, ready) -> command, state."""
     policy, key = one_push.quasi_static_policy(cost), jax.random.key(0)
     begin = jax.vmap(lambda obs, task: one_push.init(policy, obs, task, key))
-    step = jax.vmap(lambda state, obs, task, ready: one_push.step(policy, state, obs, task, key, ready))
+    step = jax.vmap(lambda state, obs, task, ready: one_push.step(policy, state, obs, task, key=key, ready=ready))
     return jax.jit(begin), jax.jit(step)
 
 
@@ -241,10 +243,11 @@ def _true(push: _Push, track: np.ndarray, other: np.ndarray | None, distance: fl
     """What has happened, and by how much another robot's ends differ."""
 
     def come(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray, dict[str, float]]:
-        end, along = end_after(poses[1:], poses[0], distance), (poses[None, 1:], poses[0], push.face, distance)
+        end = end_after(poses[1:], poses[0], distance)
+        share = probability_to_come(poses[None, 1:], poses[0], push.face, distance=distance)
         moves = bool(np.isfinite(end[0]))
         stop = end if moves else poses[np.isfinite(poses[:, 0])][-1]
-        return end, stop, {"moves": float(moves), "comes": float(probability_to_come(*along))}
+        return end, stop, {"moves": float(moves), "comes": float(share)}
 
     end, stop, true = come(track)
     row: dict[str, Any] = true | {"start": track[0].tolist(), "end": end.tolist() if true["moves"] else None}
@@ -266,7 +269,7 @@ def _compared(
     the push moves the object that far; and the same of where every push stops, at that path or at the last sample."""
     ends = end_after(poses, start, config.distance)
     moves = np.isfinite(ends[:, 0])
-    along = probability_to_come(poses, start, push.face, config.distance)
+    along = probability_to_come(poses, start, push.face, distance=config.distance)
     found: dict[str, Any] = {"moves": float(moves.mean()), "comes": float(along)}
     stops = np.where(moves[:, None], ends, poses[:, -1])
     compared = {"stop_": (stops[np.isfinite(stops[:, 0])], row["stop"])}

@@ -22,6 +22,7 @@ _IDLE = 0.02
 
 def run_live(
     scene: str,
+    *,
     host: str = "127.0.0.1",
     port: int = 8080,
     senses: SensesName = "real",

@@ -293,7 +293,7 @@ class Session:
             for i, c in enumerate(self.simulation.conditions)
             if i != index
         }
-        check_place(self.simulation.grid, what, pose, half_extents, true.robot_pose[0, :2], others)
+        check_place(self.simulation.grid, what, pose, half_extents, robot=true.robot_pose[0, :2], others=others)
 
     def as_it_stands(self) -> Scenario:
         """The scenario that begins with the world as it is now."""
@@ -327,7 +327,12 @@ class Session:
             raise ShmooError("Nothing has happened yet; let the robot run first.")
         with protected(self._inputs):
             save_run(
-                folder, simulation.grid, self.scenario, result_of(simulation), trace_of(simulation), self.controller
+                folder,
+                simulation.grid,
+                self.scenario,
+                result=result_of(simulation),
+                trace=trace_of(simulation),
+                controller=self.controller,
             )
             (folder / "episode.mp4").unlink(missing_ok=True)
             write_report(folder)

@@ -101,8 +101,22 @@ def init(model: FlatModel, cfg: TrajectoryConfig = TrajectoryConfig()) -> Planne
         position=position,
         on_way=_quadratic(position, snap, at_end=False),
         at_end=_quadratic(position, snap, at_end=True),
-        rows=_rows(np.array(ends), velocity, lean, position, lean_acceleration, recovery=False),
-        recovery_rows=_rows(np.array(ends), velocity, lean, position, lean_acceleration, recovery=True),
+        rows=_rows(
+            np.array(ends),
+            velocity=velocity,
+            lean=lean,
+            position=position,
+            lean_acceleration=lean_acceleration,
+            recovery=False,
+        ),
+        recovery_rows=_rows(
+            np.array(ends),
+            velocity=velocity,
+            lean=lean,
+            position=position,
+            lean_acceleration=lean_acceleration,
+            recovery=True,
+        ),
     )
 
 
@@ -111,6 +125,7 @@ def solve(
     state: Float[np.ndarray, "4 2"],
     reference: Float[np.ndarray, "K 2"],
     width: Float[np.ndarray, "K"],
+    *,
     at_end: bool,
     recovery: bool = False,
 ) -> tuple[Float[np.ndarray, "n 2"], float] | None:
@@ -130,7 +145,7 @@ def solve(
     n = planner.position.shape[1]
     linear = -2 * (planner.position.T * _tracking_weights(at_end)) @ reference
     cost = np.concatenate([linear.T.ravel(), np.full(SAMPLES, _SLACK_WEIGHT / SAMPLES)])
-    pinned, limits = _bounds(planner.cfg, state, reference, width, recovery)
+    pinned, limits = _bounds(planner.cfg, state, reference, width, recovery=recovery)
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     solver = clarabel.DefaultSolver(
@@ -188,6 +203,7 @@ def _quadratic(position: Float[np.ndarray, "K n"], snap: Float[np.ndarray, "K n"
 
 def _rows(
     ends: Float[np.ndarray, "7 n"],
+    *,
     velocity: Float[np.ndarray, "K n"],
     lean: Float[np.ndarray, "K n"],
     position: Float[np.ndarray, "K n"],
@@ -213,6 +229,7 @@ def _bounds(
     state: Float[np.ndarray, "4 2"],
     reference: Float[np.ndarray, "K 2"],
     width: Float[np.ndarray, "K"],
+    *,
     recovery: bool,
 ) -> tuple[Float[np.ndarray, "14"], Float[np.ndarray, "r"]]:
     """Right-hand sides of the equalities (state at the start, rest at the end) and of the inequalities."""

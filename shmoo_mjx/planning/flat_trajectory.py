@@ -93,7 +93,7 @@ def plan(
 
     def attempt(lean_max: float = cfg.lean_max, recovery: bool = False) -> Trajectory | None:
         limited = planner._replace(cfg=replace(cfg, lean_max=lean_max))
-        solution = solve(limited, state, reference, width, at_end, recovery)
+        solution = solve(limited, state, reference, width, at_end=at_end, recovery=recovery)
         if solution is None:
             return None
         trajectory = Trajectory(True, "", solution[0], cfg.horizon, planner.model, reference, at_end, recovery)

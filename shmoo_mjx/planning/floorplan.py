@@ -199,12 +199,12 @@ def draw_building(rng: np.random.Generator) -> OccupancyGrid:
     edge = round(_WALL / RESOLUTION)
     cells[:edge] = cells[-edge:] = cells[:, :edge] = cells[:, -edge:] = OCCUPIED
     least, second = rng.uniform(1.4, 3.0) / RESOLUTION, rng.uniform(0.4, 1.0)
-    _divide(cells, rng, (edge, edge, cells.shape[1] - edge, cells.shape[0] - edge), least, second)
+    _divide(cells, rng, (edge, edge, cells.shape[1] - edge, cells.shape[0] - edge), least=least, second=second)
     return OccupancyGrid(cells, RESOLUTION)
 
 
 def _divide(
-    cells: np.ndarray, rng: np.random.Generator, room: tuple[int, int, int, int], least: float, second: float
+    cells: np.ndarray, rng: np.random.Generator, room: tuple[int, int, int, int], *, least: float, second: float
 ) -> None:
     """Divide a room (left, low, right, high) [cells] by a wall, and both parts in turn, down to about ``least``."""
     left, low, right, high = room
@@ -228,4 +228,4 @@ def _divide(
         grid[first : first + width, at : at + edge] = FREE
     parts = ((begin, at), (at + edge, end))
     for a, b in parts:
-        _divide(cells, rng, (a, low, b, high) if upright else (left, a, right, b), least, second)
+        _divide(cells, rng, (a, low, b, high) if upright else (left, a, right, b), least=least, second=second)

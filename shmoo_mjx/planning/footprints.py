@@ -120,6 +120,7 @@ def footprints_free(
     poses: Numbers | Float[Array, "3"] | Float[Array, "N 3"],
     half_extents: Numbers | Float[Array, "2"],
     path: Float[Array, "M 2"] | None = None,
+    *,
     path_clearance: float = 0.0,
     wall_clearance: float = 0.0,
 ) -> Bool[np.ndarray, "N"]:

@@ -86,6 +86,7 @@ def initial_goal(
     collision_free: CollisionFree,
     push_directions: Float[Array, "F"] | None = None,
     cfg: ObjectPlannerConfig | None = None,
+    *,
     area: float = AREA,
 ) -> InitialGoal:
     """Algorithm 1, lines 1-6: the closest collision-free goal, before anything is known of the object's dynamics.
@@ -127,6 +128,7 @@ def planning_stage(
     costs: Float[Array, "S"],
     object_pose: Float[Array, "3"],
     collision_free: CollisionFree,
+    *,
     cfg: ObjectPlannerConfig | None = None,
     manipulable: bool | None = None,
 ) -> ObjectDecision:

@@ -78,6 +78,7 @@ def reach(
     params: Params,
     samples: Float[Array, "S p"],
     key: Key[Array, ""],
+    *,
     object_pose: Float[Array, "3"],
     half_extents: Float[Array, "2"],
     options: Options,
@@ -99,7 +100,7 @@ def reach(
         steps: T; static.
     """
     start = _start(jnp.asarray(object_pose, jnp.float32), jnp.hypot(*jnp.asarray(half_extents, jnp.float32)), options)
-    roll = partial(_roll, params, config, cost, steps, options, start)
+    roll = partial(_roll, params=params, config=config, cost=cost, steps=steps, options=options, start=start)
     unknown = jnp.array(_UNKNOWN) * jax.random.normal(key, (len(samples), len(_UNKNOWN)))
     objects, robots = jax.vmap(roll)(jnp.asarray(samples, jnp.float32), unknown)
     return Outcomes(jnp.transpose(objects, (2, 0, 1, 3)), jnp.transpose(robots, (2, 0, 1, 3)))
@@ -117,14 +118,15 @@ def _start(object_pose: Array, size: Array, options: Options) -> SystemState:
 
 
 def _roll(
+    contact: Array,
+    unknown: Array,
+    *,
     params: Params,
     config: CoreConfig,
     cost: PushCost,
     steps: int,
     options: Options,
     start: SystemState,
-    contact: Array,
-    unknown: Array,
 ) -> tuple[Array, Array]:
     """Poses ``[T, O, 3]`` of object and robot for one sample."""
     params = params._replace(contact=contact)
@@ -164,6 +166,7 @@ def probability_to_come(
     poses: Float[np.ndarray, "*n S T 3"],
     start: Float[np.ndarray, "3"],
     face: Float[np.ndarray, "4"],
+    *,
     distance: float,
     turn: float = np.inf,
 ) -> Float[np.ndarray, "*n"]:
@@ -191,19 +194,38 @@ class Foresight:
         # Over many seconds the contact model alone predicts better than psi, which is trained on three.
         model = replace(weights.config, object=replace(shape, residual=not shape.contact_model))
 
-        def run(adapt: Known, key: Array, pose: Array, half_extents: Array, options: Options) -> Outcomes:
+        def run(adapt: Known, key: Array, options: Options, *, pose: Array, half_extents: Array) -> Outcomes:
             params = online.learner(shape, config.estimate, config.adapt).params_for_rollout(adapt, weights.params)
             draw_key, own_key = jax.random.split(key)
             if isinstance(adapt, ObjectEstimate):
                 samples = estimate.draw(adapt, draw_key, SAMPLES)
             else:
                 samples = jnp.tile(params.contact, (SAMPLES, 1))
-            return reach(params, samples, own_key, pose, half_extents, options, model, config.cost, STEPS)
+            return reach(
+                params,
+                samples,
+                own_key,
+                object_pose=pose,
+                half_extents=half_extents,
+                options=options,
+                config=model,
+                cost=config.cost,
+                steps=STEPS,
+            )
 
         def run_median(estimated: ObjectEstimate, half_extents: Array, options: Options) -> Array:
             begin = _start(jnp.zeros(3), jnp.hypot(*half_extents), options)
-            roll = partial(_roll, weights.params, model, config.cost, _FAR_STEPS, options, begin)
-            return jnp.swapaxes(roll(median_parameters(estimated), jnp.zeros(len(_UNKNOWN)))[0], 0, 1)
+            objects, _ = _roll(
+                median_parameters(estimated),
+                jnp.zeros(len(_UNKNOWN)),
+                params=weights.params,
+                config=model,
+                cost=config.cost,
+                steps=_FAR_STEPS,
+                options=options,
+                start=begin,
+            )
+            return jnp.swapaxes(objects, 0, 1)
 
         self._run, self._run_median = jax.jit(run), jax.jit(run_median)
         self._prior = lru_cache(maxsize=8)(
@@ -217,14 +239,15 @@ class Foresight:
         kind: str | None,
         pose: Float[Array, "3"],
         half_extents: Float[Array, "2"] | tuple[float, float],
+        *,
         options: Options,
         seed: int,
     ) -> Outcomes:
         """Outcomes of as many options as ever, by what was learned of the object or, untouched, by its looks."""
         estimated = self._prior(kind) if adapt is None else adapt
         key = jax.random.key(seed)
-        arrays = (np.asarray(pose, np.float32), np.asarray(half_extents, np.float32))
-        return jax.tree.map(np.asarray, self._run(estimated, key, *arrays, Options(*map(np.asarray, options))))
+        body = {"pose": np.asarray(pose, np.float32), "half_extents": np.asarray(half_extents, np.float32)}
+        return jax.tree.map(np.asarray, self._run(estimated, key, Options(*map(np.asarray, options)), **body))
 
     @single_precision
     def median_poses(
@@ -245,13 +268,14 @@ class Foresight:
         kind: str | None,
         pose: Float[Array, "3"],
         half_extents: Float[Array, "2"] | tuple[float, float],
+        *,
         face: Float[Array, "4"],
         goal: Float[Array, "3"],
     ) -> Float[np.ndarray, "S T 3"]:
         """Poses of the object in {W}, pushed on ``face`` towards ``goal``, for four times as many samples."""
         option = Options(np.asarray(face)[None], np.asarray(goal)[None])
-        drawn = [self(adapt, kind, pose, half_extents, option, seed).object_pose[0] for seed in range(4)]
-        return np.concatenate(drawn).astype(float)
+        outcomes = [self(adapt, kind, pose, half_extents, options=option, seed=seed) for seed in range(4)]
+        return np.concatenate([outcome.object_pose[0] for outcome in outcomes]).astype(float)
 
     def probability_to_move(
         self,
@@ -259,14 +283,15 @@ class Foresight:
         kind: str | None,
         pose: Float[Array, "3"],
         half_extents: Float[Array, "2"] | tuple[float, float],
+        *,
         face: Float[Array, "4"],
         distance: float = MOVES,
         turn: float = TURNS,
     ) -> float:
         """Probability that a push straight on moves the object (`probability_to_come`)."""
         pose, face = np.asarray(pose, float), np.asarray(face, float)
-        poses = self.sampled_poses(adapt, kind, pose, half_extents, face, goal_ahead(pose, face))
-        return float(probability_to_come(poses, pose, face, distance, turn))
+        poses = self.sampled_poses(adapt, kind, pose, half_extents, face=face, goal=goal_ahead(pose, face))
+        return float(probability_to_come(poses, pose, face, distance=distance, turn=turn))
 
 
 def foresight_of(controller: Any) -> Any:

@@ -301,13 +301,20 @@ def check_places(
     before: dict[str, tuple[Sequence[float], tuple[float, float]]] = {}
     for i, (entry, half) in enumerate(zip(scenario.objects, sizes, strict=True)):
         what = f"{name}: 'objects[{i}].pose' ({entry.pose[0]:g}, {entry.pose[1]:g}): the {Path(entry.family).stem}"
-        check_place(grid, what, entry.pose, half, scenario.start[:2], before)
+        check_place(grid, what, entry.pose, half, robot=scenario.start[:2], others=before)
         before[f"objects[{i}]"] = (entry.pose, half)
     if scenario.push_to is not None:
         (x, y), thing = scenario.goal, Path(scenario.objects[0].family).stem
         before.pop("objects[0]")
         nowhere = (np.inf, np.inf)
-        check_place(grid, f"{name}: 'push_to' ({x:g}, {y:g}): the {thing}", scenario.push_to, sizes[0], nowhere, before)
+        check_place(
+            grid,
+            f"{name}: 'push_to' ({x:g}, {y:g}): the {thing}",
+            scenario.push_to,
+            sizes[0],
+            robot=nowhere,
+            others=before,
+        )
 
 
 def check_place(
@@ -315,6 +322,7 @@ def check_place(
     what: str,
     pose: Sequence[float],
     half_extents: tuple[float, float],
+    *,
     robot: Sequence[float] | np.ndarray,
     others: Mapping[str, tuple[Sequence[float] | np.ndarray, tuple[float, float]]],
 ) -> None:

@@ -72,6 +72,7 @@ def residual(pose: Float[Array, "*b 3"], goal: Float[Array, "3"]) -> Scalar | Fl
 
 def push_displacements(
     foresight: Any,
+    *,
     adapt: Known | None,
     kind: str | None,
     half_extents: tuple[float, float],
@@ -106,6 +107,7 @@ def choose_push(
     reached: PushDisplacements,
     pose: Float[np.ndarray, "3"],
     goal: Float[np.ndarray, "3"],
+    *,
     faces: Float[np.ndarray, "F 4"],
     ways: Sequence[float | None],
     free: Callable[[Float[np.ndarray, "N 3"]], Bool[np.ndarray, "N"]],

@@ -57,7 +57,7 @@ def map_figure(result: dict[str, Any], trace: Trace) -> Figure:
         place = (float(final[0]), float(foot))
         axes.annotate(text, place, (0, -4), textcoords="offset points", ha="center", va="top", fontsize=8, **halo)
     for number in telling_decisions(result):
-        _mark_decision(axes, result, trace, number, result["decisions"][number])
+        _mark_decision(axes, result, trace, number, decision=result["decisions"][number])
     _mark_ends(axes, result, trace)
     if axes.get_legend_handles_labels()[0]:
         figure.legend(loc="outside lower left", ncols=8, fontsize=8, frameon=False)
@@ -131,7 +131,7 @@ def learned_figure(result: dict[str, Any], trace: Trace) -> Figure:
         grid[0, column].set_title(object_name(result, item["id"]) if item else "", fontsize=10)
         grid[-1, column].set_xlabel("time [s]")
         for axes, (_, curves) in zip(grid[:, column], panels, strict=True):
-            _draw_learned(axes, result, trace, curves, push, item.get("true", {}))
+            _draw_learned(axes, result, trace, curves=curves, push=push, true=item.get("true", {}))
     for row, (name, curves) in zip(grid, panels, strict=True):
         row[0].set_ylabel(name, fontsize=9)
         if len(curves) > 1:
@@ -197,7 +197,7 @@ def _draw_driven(figure: Figure, axes: Axes, trace: Trace) -> None:
 
 
 def _polygon(
-    axes: Axes, pose: Array, half: Array, edge: str, fill: float = 0.0, style: str = "-", width: float = 1.4
+    axes: Axes, pose: Array, half: Array, *, edge: str, fill: float = 0.0, style: str = "-", width: float = 1.4
 ) -> None:
     from matplotlib.colors import to_rgba
     from matplotlib.patches import Polygon
@@ -206,7 +206,7 @@ def _polygon(
     axes.add_patch(Polygon(outline(pose, half), ec=edge, fc=face, ls=style, lw=width, zorder=4))
 
 
-def _mark_decision(axes: Axes, result: dict[str, Any], trace: Trace, number: int, decision: dict[str, Any]) -> None:
+def _mark_decision(axes: Axes, result: dict[str, Any], trace: Trace, number: int, *, decision: dict[str, Any]) -> None:
     index = object_index(result, decision["object"])
     pose = _pose_at(result, trace, index, decision["t"])
     top = pose[1] if index is None else outline(pose, result["objects"][index]["half_extents"])[:, 1].max()
@@ -276,6 +276,7 @@ def _draw_learned(
     axes: Axes,
     result: dict[str, Any],
     trace: Trace,
+    *,
     curves: dict[str, np.ndarray],
     push: slice,
     true: dict[str, float],

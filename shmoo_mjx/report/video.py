@@ -126,7 +126,7 @@ def topdown_image(view: TopDown, t: float) -> np.ndarray:
 
 
 def topdown_frames(
-    result: dict[str, Any], trace: Trace, fps: float = 10.0, speed: float = 1.0, size: tuple[int, int] = (800, 600)
+    result: dict[str, Any], trace: Trace, *, fps: float = 10.0, speed: float = 1.0, size: tuple[int, int] = (800, 600)
 ) -> Iterator[np.ndarray]:
     """Film frames from above with captions, for machines on which MuJoCo can't render.
 

@@ -139,7 +139,10 @@ def run_of_log(log: Log, half_extents: tuple[float, float], weights: Weights) ->
     pushes = [p for p in _pushes(log) if visible[p].any()]
     learned, names, prior, errors, after = _learned(log, half_extents, weights, pushes)
     foresight = Foresight(weights, PushConfig())
-    judged = [_verdict(log, *each, half_extents, foresight) for each in zip(pushes, after, strict=True)]
+    judged = [
+        _verdict(log, push, estimated, half_extents=half_extents, foresight=foresight)
+        for push, estimated in zip(pushes, after, strict=True)
+    ]
     decisions = [d for d in judged if d is not None]
     poses = log.object_pose[visible]
     which = np.full(len(log.t), -1)
@@ -164,9 +167,10 @@ def run_of_log(log: Log, half_extents: tuple[float, float], weights: Weights) ->
     item["description"] = f"{2 * half_extents[0]:g} x {2 * half_extents[1]:g} m"
     ends = {"start_pose": poses[0].tolist(), "final_pose": poses[-1].tolist()}
     warnings = [*log.doubts, *_doubts(log, errors)]
+    summary = _summary(log, pushes, moves, learned=learned[-1], names=names, prior=prior, errors=errors)
     result = {
         "outcome": "log",
-        "summary": " ".join([_summary(log, pushes, moves, learned[-1], names, prior, errors), *warnings]),
+        "summary": " ".join([summary, *warnings]),
         "warnings": warnings, "transitions": [], "decisions": decisions, "objects": [item | ends],
         "time_s": float(log.t[-1]),
         "learned": dict(zip(names, learned[-1].tolist(), strict=True)), "prior": prior, "unexplained": errors,
@@ -198,7 +202,7 @@ def _learned(
     sighting = Sighting(poses, twists, np.zeros(len(end)), visible, log.wrench, size)
     start = prior_state(weights, config)
     rows = online.Transition(np.nan_to_num(inputs).astype(np.float32), labels.astype(np.float32), valid, sighting)
-    learned, guesses, first = _sample_by_sample(learner, shape, params, start, rows)
+    learned, guesses, first = _sample_by_sample(learner, shape, params, start, rows=rows)
     use, scale = valid & np.isfinite(labels).all(axis=1), np.asarray(params.object.label_scale)
     spread = np.sum((labels[use] / scale) ** 2)
     errors = {
@@ -208,14 +212,14 @@ def _learned(
     }
     prior, after, done = online.learned(start), [start], 0
     for push in pushes:
-        after.append(_known_after(learner, params, after[-1], rows, done, push.stop))
+        after.append(_known_after(learner, params, after[-1], rows, first=done, end=push.stop))
         done = push.stop
     return np.asarray(learned, dtype=float), tuple(prior), prior, errors, after[1:]
 
 
 @partial(jax.jit, static_argnums=0)
 def _known_after(
-    learner: online.Learner, params: Params, estimated: online.Known, rows: online.Transition, first: int, end: int
+    learner: online.Learner, params: Params, estimated: online.Known, rows: online.Transition, *, first: int, end: int
 ) -> online.Known:
     """What is known after the ``rows`` from ``first`` to before ``end``; a scan would keep it after every row."""
 
@@ -231,6 +235,7 @@ def _sample_by_sample(
     shape: object_model.ObjectConfig,
     params: Params,
     start: online.Known,
+    *,
     rows: online.Transition,
 ) -> tuple[Array, Array, Array]:
     """What is known after each of the ``rows``, and the acceleration that was predicted before each by what was known
@@ -283,7 +288,7 @@ def _pushes(log: Log) -> list[slice]:
 
 
 def _verdict(
-    log: Log, push: slice, estimated: online.Known, half_extents: tuple[float, float], foresight: Foresight
+    log: Log, push: slice, estimated: online.Known, *, half_extents: tuple[float, float], foresight: Foresight
 ) -> dict[str, Any] | None:
     """Whether the object can be moved, by what is ``estimated`` after a push; None of a push that was too short."""
     touching = touches(log.wrench[push])
@@ -295,7 +300,7 @@ def _verdict(
         return None
     force, faces = log.wrench[push][touching, :2].sum(axis=0), faces_of(half_extents)
     off = se2.wrap(np.arctan2(force[1], force[0]) - heading(poses[-1], faces))
-    p = foresight.probability_to_move(estimated, None, poses[-1], half_extents, faces[np.argmin(np.abs(off))])
+    p = foresight.probability_to_move(estimated, None, poses[-1], half_extents, face=faces[np.argmin(np.abs(off))])
     verdict = "can be moved" if p >= 0.5 else "can't be moved"
     reason = f"after {contact:.1f} s of contact, in which it moved {moved:.2f} m, P = {p:.2f}: {verdict}"
     told = {"t": float(log.t[push.stop - 1] + DT), "object": 0, "probability": p, "manipulable": p >= 0.5}
@@ -311,7 +316,7 @@ def _floor(points: np.ndarray, margin: float) -> tuple[np.ndarray, np.ndarray, f
 
 
 def _summary(
-    log: Log, pushes: list[slice], moves: list[bool], learned: np.ndarray, names: tuple[str, ...],
+    log: Log, pushes: list[slice], moves: list[bool], *, learned: np.ndarray, names: tuple[str, ...],
     prior: dict[str, float], errors: dict[str, float],
 ) -> str:  # fmt: skip
     force = np.hypot(*log.wrench[:, :2].T).max()

@@ -14,6 +14,7 @@ def run_demo(
     seeds: Sequence[int],
     out: Path,
     weights: Path | None = None,
+    *,
     video: bool = True,
     senses: SensesName = "real",
     scene: str = "generated",
@@ -36,7 +37,15 @@ def run_demo(
         grid, scenario = SCENES[scene](seed)
         with progress.stages() as report:
             result = run_scenario(
-                grid, scenario, folder, weights, video, f"{prefix} seed {seed}", report, senses=senses, method=method
+                grid,
+                scenario,
+                folder,
+                weights=weights,
+                video=video,
+                name=f"{prefix} seed {seed}",
+                progress=report,
+                senses=senses,
+                method=method,
             )
         results.append(result)
         print(_line(seed, result), flush=True)

@@ -62,6 +62,7 @@ def run_episode(
     grid: OccupancyGrid,
     scenario: Scenario,
     controller: PushController,
+    *,
     config: NavigatorConfig | None = None,
     hooks: Hooks = Hooks(),  # noqa: B008  (immutable)
     first_status: Sequence[Status] | None = None,
@@ -89,7 +90,9 @@ def run_episode(
     ahead = [tuple(goal) for goal in goals] or [scenario.goal]
     first = scenario.model_copy(update={"goal": ahead[0]})
     legs: list[dict[str, Any]] = []
-    with closing(Simulation(grid, first, controller, config, first_status, chosen, policy)) as simulation:
+    with closing(
+        Simulation(grid, first, controller, config=config, first_status=first_status, senses=chosen, policy=policy)
+    ) as simulation:
         navigator = simulation.navigator
         for number, goal in enumerate(ahead):
             began = simulation.time

@@ -59,7 +59,7 @@ def replay(run: Path, weights: Path | None = None) -> Difference | None:
         raise ShmooError(f"{run}: the run was made with other weights; give them with --weights.")
     senses = senses_named(str(result.get("senses")))
     navigator = navigator_of(
-        load_map(run / "map.yaml"), scenario, controller, senses, method.navigator, policy=result.get("policy")
+        load_map(run / "map.yaml"), scenario, controller, senses, config=method.navigator, policy=result.get("policy")
     )
     return differences(navigator, recorded)
 

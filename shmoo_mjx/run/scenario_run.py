@@ -56,6 +56,7 @@ def run_scenario(
     grid: OccupancyGrid,
     scenario: Scenario,
     out: Path,
+    *,
     weights: Path | None = None,
     video: bool = True,
     name: str = "scenario",
@@ -117,9 +118,18 @@ def run_scenario(
             # What is compiled meanwhile would miss every deadline.
             controller.compile(local_distance_field(distance_field(grid), scenario.start))
         episode = run_episode(
-            grid, scenario, controller, chosen.navigator, hooks, senses=senses, real_time=real_time, policy=policy
+            grid,
+            scenario,
+            controller,
+            config=chosen.navigator,
+            hooks=hooks,
+            senses=senses,
+            real_time=real_time,
+            policy=policy,
         )
-        result = save_run(out, grid, scenario, episode.result, episode.trace, controller, method)
+        result = save_run(
+            out, grid, scenario, result=episode.result, trace=episode.trace, controller=controller, method=method
+        )
         save_recording(out / RECORDING_FILE, episode.recorded)
         # The report shows the film that lies there: one of an earlier run must not.
         (out / "episode.mp4").unlink(missing_ok=True)
@@ -147,6 +157,7 @@ def save_run(
     out: Path,
     grid: OccupancyGrid,
     scenario: Scenario,
+    *,
     result: dict[str, Any],
     trace: Any,
     controller: Any,
@@ -220,7 +231,7 @@ def _write_video(path: Path, result: dict[str, Any], episode: Any, progress: Cal
     stride = round(speed / fps / DT)
     if problem := can_render():
         progress(f"no 3-D renderer ({problem}), drawing from above", 0.0)
-        video.write_video(path, video.topdown_frames(result, episode.trace, fps, speed), fps)
+        video.write_video(path, video.topdown_frames(result, episode.trace, fps=fps, speed=speed), fps)
         return
     times = episode.trace.t[::stride]
 
@@ -263,7 +274,7 @@ def load_inputs(
 
 
 def push_inputs(
-    family: str, goal: str, properties: Sequence[str], seed: int, start: str
+    family: str, goal: str, properties: Sequence[str], *, seed: int, start: str
 ) -> tuple[OccupancyGrid, Scenario]:
     """An open floor with one object at the origin, and the pose that it is to be brought to: ``shmoo push``.
 

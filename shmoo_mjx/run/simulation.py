@@ -68,6 +68,7 @@ def scene_of(
     grid: OccupancyGrid,
     scenario: Scenario,
     conditions: list[Condition],
+    *,
     senses: Senses = PERFECT,
     alter: Callable[[mujoco.MjSpec], None] = lambda spec: None,
 ) -> Scene:
@@ -91,6 +92,7 @@ def navigator_of(
     scenario: Scenario,
     controller: PushController,
     senses: Senses,
+    *,
     config: NavigatorConfig | None = None,
     first_status: Sequence[Status] | None = None,
     policy: str | None = None,
@@ -110,11 +112,24 @@ def navigator_of(
         if policy is not None:
             raise ShmooError(f"policy {policy}: it drives to a goal, and the scenario has push_to; give it a goal.")
         moves = PushTaskConfig(moves=config)
-        return PushTask(grid, sizes, scenario.push_to, controller, 0, scenario.seed, moves, kinds=kinds)
+        return PushTask(
+            grid, sizes, scenario.push_to, controller, index=0, seed=scenario.seed, config=moves, kinds=kinds
+        )
     if policy is not None:
         maker = custom.named("policy", policy)
-        return PolicyNavigator(policy, maker, grid, scenario.goal, sizes, controller, scenario.seed, config)
-    return Navigator(grid, scenario.goal, sizes, controller, scenario.seed, config, first_status, kinds)
+        return PolicyNavigator(
+            policy, maker, grid, scenario.goal, sizes=sizes, controller=controller, seed=scenario.seed, config=config
+        )
+    return Navigator(
+        grid,
+        scenario.goal,
+        sizes,
+        controller,
+        seed=scenario.seed,
+        config=config,
+        first_status=first_status,
+        kinds=kinds,
+    )
 
 
 class Simulation:
@@ -125,6 +140,7 @@ class Simulation:
         grid: OccupancyGrid,
         scenario: Scenario,
         controller: PushController,
+        *,
         config: NavigatorConfig | None = None,
         first_status: Sequence[Status] | None = None,
         senses: Senses = REAL,
@@ -132,8 +148,10 @@ class Simulation:
     ) -> None:
         self.grid, self.scenario, self.senses, self.policy = grid, scenario, senses, policy
         self.conditions = conditions_of(scenario)
-        self.scene = scene_of(grid, scenario, self.conditions, senses)
-        self.navigator = navigator_of(grid, scenario, controller, senses, config, first_status, policy)
+        self.scene = scene_of(grid, scenario, self.conditions, senses=senses)
+        self.navigator = navigator_of(
+            grid, scenario, controller, senses, config=config, first_status=first_status, policy=policy
+        )
         self.history = History()
         # Where the object stands that is to be brought to a pose is told with the task.
         self.engine = SensedEngine([self.scene], senses, scenario.seed, poses_known=scenario.push_to is not None)
@@ -196,7 +214,7 @@ class Simulation:
         before = self.scene
         # All that may fail comes first: what is refused has changed nothing.
         conditions = conditions_of(scenario)
-        scene = scene_of(self.grid, scenario, conditions, self.senses)
+        scene = scene_of(self.grid, scenario, conditions, senses=self.senses)
         engine = SensedEngine([scene], self.senses, scenario.seed)
         world = engine.resume(self.world, before)
         self.engine.close()
@@ -211,7 +229,7 @@ class Simulation:
 
     def alter(self, change: Callable[[mujoco.MjSpec], None]) -> None:
         """Go on from the same state in a world whose MJCF ``change`` changes in place, such as a floor's friction."""
-        self.scene = scene_of(self.grid, self.scenario, self.conditions, self.senses, change)
+        self.scene = scene_of(self.grid, self.scenario, self.conditions, senses=self.senses, alter=change)
         self.engine.change([self.scene])
 
     def place(self, index: int, pose: Point) -> None:

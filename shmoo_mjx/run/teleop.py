@@ -107,7 +107,7 @@ def begin(engine: Any, record: bool = False) -> TeleopSession:
 
 
 def tick(
-    engine: Any, session: TeleopSession, keys: list[int], record: bool = False, show: Any = lambda world: None
+    engine: Any, session: TeleopSession, keys: list[int], *, record: bool = False, show: Any = lambda world: None
 ) -> TeleopSession:
     """One sample time. ``show`` is called with the engine's world for each picture."""
     driver = session.driver

@@ -69,7 +69,7 @@ def interactive(scene: Scene, record: Path | None = None) -> None:
         while window.is_running():
             started = time.monotonic()
             keys = [pressed.get() for _ in range(pressed.qsize())]
-            session = teleop.tick(engine, session, keys, record is not None, show)
+            session = teleop.tick(engine, session, keys, record=record is not None, show=show)
             time.sleep(max(0.0, DT - (time.monotonic() - started)))
     engine.close()
     if record is not None and len(session.rows) > 10:

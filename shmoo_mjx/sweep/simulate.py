@@ -194,7 +194,7 @@ class Batches:
 
         def decide(inputs: tuple[Any, ...]) -> tuple[Command, one_push.PolicyState]:
             task, key, memory, observed, samples = inputs
-            return one_push.step(self._policy, memory, observed, task, key, samples >= _SECOND)
+            return one_push.step(self._policy, memory, observed, task, key=key, ready=samples >= _SECOND)
 
         def sample(state: State, _: None) -> tuple[State, None]:
             keys = jax.vmap(partial(key_of, stream=Stream.CONTROLLER))(setup)

@@ -167,7 +167,7 @@ def test_the_way_to_a_face_ends_at_its_stand_off_pose() -> None:
 @pytest.mark.parametrize(("failed", "lateral"), [(0, 0.0), (1, 0.2), (2, -0.2), (3, 0.0)])
 def test_a_face_that_has_failed_is_pushed_at_one_end_then_at_the_other(failed: int, lateral: float) -> None:
     ways, _ = routes((3.0,), (3.0, 3.0, 0.0))
-    way = ways.path_to_face(np.array([1.0, 3.0]), 0, faces_of(HALF)[0], ways.belief.clearance(), failed)
+    way = ways.path_to_face(np.array([1.0, 3.0]), 0, faces_of(HALF)[0], ways.belief.clearance(), failed=failed)
     assert way is not None and way[1:] == (0.12, lateral)
 
 

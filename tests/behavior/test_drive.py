@@ -25,7 +25,7 @@ PLANNER = flat_qp.init(FlatModel(*shmoobot().flatness))
 def test_a_robot_that_turns_leans_where_its_way_leads_when_the_lean_arrives(rate: float) -> None:
     path = Path(np.array([[0.0, 0.0], [3.0, 0.0]]), 3.0)
     seen = at_rest_turning(0.3, rate)
-    _, lean = drive.follow(PLANNER, drive.init(), seen, path, open_floor)
+    _, lean = drive.follow(PLANNER, drive.init(), seen, path, clearance=open_floor)
     in_world = se2.rotate(lean, 0.3 + drive.LEAD * rate)
     assert in_world[0] > 0.005 and abs(in_world[1]) < 1e-4
 
@@ -58,7 +58,7 @@ def test_with_real_senses_the_robot_comes_to_rest_at_the_end_of_its_way(seed: in
         while float(seen.time[0]) < 14.0:
             balance = equilibrium_lean.step(balance, seen)
             ahead = equilibrium_lean.predicted(equilibrium_lean.corrected(balance, seen), REAL.latency)
-            state, lean = drive.follow(PLANNER, state, ahead, path, open_floor)
+            state, lean = drive.follow(PLANNER, state, ahead, path, clearance=open_floor)
             command = Command(*(np.array([x]) for x in ([*lean, 0.0], 0.6, TUCKED_REACH, TUCKED_HEIGHT)))
             world, seen = engine.step(world, equilibrium_lean.shifted(balance, command))
             if float(seen.time[0]) > 8.0:

@@ -50,8 +50,10 @@ def room(width: float) -> Any:
 
 def pushed(foresight: Any, width: float, sides: tuple[int, ...] = (0, 1, 2, 3)) -> dict[int, Push]:
     """The best push on each side, by its side: 4 s to the hands' contact, 10 s behind it, 60 s without a push."""
-    found = predict_pushes(foresight, KNOWN, PATH, room(width), sides, {})
-    return {p.side: p for p in rank_pushes(found, dict.fromkeys(sides, 4.0), (), rest=10.0, otherwise=60.0)}
+    found = predict_pushes(foresight, KNOWN, PATH, clearance=room(width), sides=sides, places={})
+    return {
+        p.side: p for p in rank_pushes(found, walks=dict.fromkeys(sides, 4.0), failed=(), rest=10.0, otherwise=60.0)
+    }
 
 
 def share(push: Push) -> float:
@@ -81,7 +83,7 @@ def test_where_it_still_stands_on_the_path_far_away_the_path_is_not_free() -> No
     cells[68:92, 5:395] = 0
     long = distance_field(OccupancyGrid(cells, 0.05, (0.0, -3.0, 0.0)))
     path = Path(np.array([[1.0, 1.0], [18.0, 1.0]]), 17.0)
-    found = predict_pushes(Moves(0.4), KNOWN, path, long, (0,), {})
+    found = predict_pushes(Moves(0.4), KNOWN, path, clearance=long, sides=(0,), places={})
     assert not any(np.isfinite(push.free).any() for push in found)
 
 
@@ -91,7 +93,7 @@ def test_a_way_round_that_is_near_does_not_count_as_freed_by_a_push() -> None:
     cells[:, 58:62] = OCCUPIED
     cells[70:90, 58:62] = cells[110:130, 58:62] = 0
     field = distance_field(OccupancyGrid(cells, 0.05, (0.0, -3.0, 0.0)))
-    found = predict_pushes(Moves(0.0), KNOWN, PATH, field, (0, 1, 2, 3), {})
+    found = predict_pushes(Moves(0.0), KNOWN, PATH, clearance=field, sides=(0, 1, 2, 3), places={})
     assert not any(np.isfinite(push.free).any() for push in found)
 
 
@@ -100,7 +102,7 @@ def weighed(free: list[list[float]], sides: tuple[int, ...], failed: tuple[int, 
     nowhere = np.zeros(3)
     found = [Push(side, nowhere, np.array(t), np.zeros((len(t), 0, 2))) for side, t in zip(sides, free, strict=True)]
     given = {"rest": 10.0, "otherwise": 60.0} | times
-    return {p.side: p for p in rank_pushes(found, dict.fromkeys(sides, 4.0), failed, **given)}
+    return {p.side: p for p in rank_pushes(found, walks=dict.fromkeys(sides, 4.0), failed=failed, **given)}
 
 
 @given(st.lists(st.one_of(st.floats(1.0, 12.0), st.just(np.inf)), min_size=4, max_size=4), st.floats(20.0, 600.0))
@@ -142,8 +144,8 @@ def test_a_side_that_has_failed_is_trusted_less_each_time() -> None:
 
 def test_roll_outs_that_diverge_count_as_failures() -> None:
     class Diverges(Moves):
-        def __call__(self, *given: Any) -> Outcomes:
-            found = super().__call__(*given)
+        def __call__(self, *args: Any, **kwargs: Any) -> Outcomes:
+            found = super().__call__(*args, **kwargs)
             found.object_pose[:, 0] = np.nan
             return found
 

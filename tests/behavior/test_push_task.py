@@ -96,7 +96,7 @@ def test_what_is_no_point_is_refused(given: Any) -> None:
 @pytest.mark.parametrize("index", [1, -1])
 def test_an_object_that_is_not_there_is_refused_at_once(index: int) -> None:
     with pytest.raises(ShmooError, match=f"no object {index}"):
-        PushTask(_grid(), [HALF], (0.5, 0.0, 0.0), QuasiStaticPusher(pose_push_config().cost), index)
+        PushTask(_grid(), [HALF], (0.5, 0.0, 0.0), QuasiStaticPusher(pose_push_config().cost), index=index)
 
 
 def _run(task: PushTask, world: _World, seconds: float = 120.0, meddle: object = None) -> None:

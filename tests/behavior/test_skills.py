@@ -72,19 +72,19 @@ def test_a_retreat_draws_the_hands_back_then_folds_the_arms_and_ends_at_rest() -
 
 
 def test_arms_extend_at_the_stand_off_pose_only_and_where_they_have_room() -> None:
-    state, path = approach.init(0.0, approach.CONTACT_GAP), (np.zeros(2), 0.0, 0.0)
+    state, path = approach.init(0.0, approach.CONTACT_GAP), {"lean": np.zeros(2), "yaw": 0.0, "remaining": 0.0}
     at, far = object_obs(approach.CONTACT_GAP), object_obs(0.6)
-    assert approach.step(state, 1.0, far, FACE, *path)[0].extended_at is None
-    assert approach.step(state, 1.0, at, FACE, *path, room=False)[0].extended_at is None
-    reached, move = approach.step(state, 1.0, at, FACE, *path)
+    assert approach.step(state, 1.0, far, FACE, **path)[0].extended_at is None
+    assert approach.step(state, 1.0, at, FACE, **path, room=False)[0].extended_at is None
+    reached, move = approach.step(state, 1.0, at, FACE, **path)
     assert reached.extended_at == 1.0 and move.command.reach == REACH and not move.over
-    assert approach.step(reached, 2.2, at, FACE, *path)[1].over
-    assert approach.step(state, 31.0, far, FACE, *path)[1].failed
+    assert approach.step(reached, 2.2, at, FACE, **path)[1].over
+    assert approach.step(state, 31.0, far, FACE, **path)[1].failed
 
 
 def test_an_approach_looks_at_the_object_once_it_is_near() -> None:
     state, near = approach.init(0.0, 0.12), object_obs(0.5, lateral=0.5)
-    _, move = approach.step(state, 1.0, near, FACE, np.zeros(2), 2.0, 3.0)
+    _, move = approach.step(state, 1.0, near, FACE, lean=np.zeros(2), yaw=2.0, remaining=3.0)
     bearing = np.arctan2(*(OBJECT[:2] - near.robot_pose[:2])[::-1])
     assert float(move.command.yaw) == pytest.approx(bearing)
 
@@ -122,11 +122,13 @@ class _Pusher:
 
 def pushed(poses: list[float], force: float = 10.0) -> tuple[push.PushState, Any]:
     pusher = _Pusher()
-    state = push.init(pusher, 0.0, object_obs(0.0), FACE, HALF, None, None)
+    state = push.init(pusher, 0.0, object_obs(0.0), FACE, half_extents=HALF, key=None, adapt=None)
     command = None
     for moved in poses:
         now = object_obs(0.0, force, moved=moved)
-        state, command = push.step(pusher, state, now, FACE, np.zeros(3), OBJECT, None, HALF)  # type: ignore[arg-type]
+        state, command = push.step(
+            pusher, state, now, FACE, last_u=np.zeros(3), goal=OBJECT, clearance=None, half_extents=HALF
+        )  # type: ignore[arg-type]
     return state, command
 
 
@@ -156,7 +158,7 @@ def test_letting_go_waits_for_the_goal_to_be_in_reach_and_in_coasting_distance()
     for coast, let_go in ((0.05, False), (0.19, True)):
         coasts, decided = np.zeros(5), False
         for _ in range(5):
-            coasts, left, decided = push.lets_go(ahead(coast), coasts, OBJECT, FACE, goal)
+            coasts, left, decided = push.lets_go(ahead(coast), coasts, object_pose=OBJECT, face=FACE, goal=goal)
         assert bool(decided) is let_go and left == pytest.approx(0.2)
 
 

@@ -133,7 +133,7 @@ def test_a_recorded_drive_is_of_no_unseen_object(
 
 def test_the_largest_seed_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
-    monkeypatch.setattr("shmoo_mjx.run.demo.run_demo", lambda drawn, *_: asked.append(drawn) or 0)
+    monkeypatch.setattr("shmoo_mjx.run.demo.run_demo", lambda drawn, *_, **__: asked.append(drawn) or 0)
     for text in ("0", "2147483647", "0..2147483647"):
         assert cli.demo(seed=text) == 0
     assert [(drawn[0], drawn[-1]) for drawn in asked] == [(0, 0), (2**31 - 1, 2**31 - 1), (0, 2**31 - 1)]

@@ -59,7 +59,10 @@ def test_objects_stand_free_and_the_box_can_be_parked_ahead(seed: int) -> None:
     angle, distance = np.meshgrid(np.radians(np.arange(-40, 41, 5)), [0.7, 0.85, 1.0])
     steps = np.stack([distance * np.cos(angle), distance * np.sin(angle)], axis=-1).reshape(-1, 2)
     poses = np.concatenate([box.pose[:2] + steps, np.full((len(steps), 1), box.pose[2])], axis=1)
-    assert footprints_free(field, poses, half_extents(box), path.points, RADIUS, 0.02).sum() >= 3
+    assert (
+        footprints_free(field, poses, half_extents(box), path.points, path_clearance=RADIUS, wall_clearance=0.02).sum()
+        >= 3
+    )
 
 
 def test_same_seed_same_scene_and_seeds_differ() -> None:

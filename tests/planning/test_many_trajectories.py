@@ -158,7 +158,7 @@ def test_the_plant_follows_a_path_round_a_corner() -> None:
     seen = engine.observe(body)
     off, tracking = [], []
     while float(seen.time[0]) < 22.0:
-        state, lean = drive.follow(PLANNER, state, seen, path, lambda: field)
+        state, lean = drive.follow(PLANNER, state, seen, path, clearance=lambda: field)
         yaw = drive.yaw_ahead(seen, path)
         u = np.array([[*lean, 0.0]])
         body, seen = engine.step(body, Command(u, np.array([yaw]), np.array([TUCKED_REACH]), np.array([TUCKED_HEIGHT])))

@@ -54,7 +54,7 @@ def outcomes(condition: Condition | None, kind: str | None = None) -> Outcomes:
     adapt = None if condition is None else known(condition)
     half = HALF if condition is None else condition.half_extents
     options = make_options(NOWHERE, half, np.zeros((8, 3))).options
-    return foresight(adapt, kind, NOWHERE, half, options, 0)
+    return foresight(adapt, kind, NOWHERE, half, options=options, seed=0)
 
 
 def straight(found: Outcomes) -> np.ndarray:
@@ -123,12 +123,12 @@ def test_the_probability_is_the_share_of_samples_that_come_so_far_before_they_tu
     start, face = np.array([0.5, 0.0, -3.0]), faces_of((0.4, 0.3))[1]
     lost = np.where(np.arange(50)[:, None] < 20, arc(start, face, 1.0, 1e-6), np.nan)
     samples = np.stack([arc(start, face, way, turn) for way, turn in ((1.0, 0.1), (0.5, 0.1), (1.0, 2.0))] + [lost])
-    assert probability_to_come(samples, start, face, 0.3) == 1.0
-    assert probability_to_come(samples, start, face, 0.45) == 0.75
-    assert probability_to_come(samples, start, face, 0.8) == 0.5
-    assert probability_to_come(samples, start, face, 0.8, turn=1.0) == 0.25
+    assert probability_to_come(samples, start, face, distance=0.3) == 1.0
+    assert probability_to_come(samples, start, face, distance=0.45) == 0.75
+    assert probability_to_come(samples, start, face, distance=0.8) == 0.5
+    assert probability_to_come(samples, start, face, distance=0.8, turn=1.0) == 0.25
     options = np.stack([samples, samples[::-1]])
-    np.testing.assert_array_equal(probability_to_come(options, start, face, 0.8), [0.5, 0.5])
+    np.testing.assert_array_equal(probability_to_come(options, start, face, distance=0.8), [0.5, 0.5])
 
 
 def test_a_goal_ahead_is_at_the_end_of_an_arc_that_begins_along_the_push() -> None:
@@ -144,7 +144,7 @@ def test_a_light_box_is_said_to_come_and_a_heavy_one_not() -> None:
     foresight, face = foresight_of(controller()), faces_of(HALF)[0]
     assert foresight is not None
     light, heavy = (
-        foresight.probability_to_move(known(draw_condition("box", 3, of)), None, NOWHERE, HALF, face, 0.3)
+        foresight.probability_to_move(known(draw_condition("box", 3, of)), None, NOWHERE, HALF, face=face, distance=0.3)
         for of in ({"mass": 4.0, "friction": 0.3}, {"mass": 60.0, "friction": 0.6})
     )
     assert light > 0.95 and heavy < 0.05

@@ -313,10 +313,10 @@ def test_cells_are_areas_however_coarse_the_map(resolution: float, yaw: float) -
 
     robot, half = pose(1.0)[:2], (0.2, 0.2)
     for x in (3.5, 3.79, 3.8):
-        check_place(grid, "the box", pose(x), half, robot, {})
+        check_place(grid, "the box", pose(x), half, robot=robot, others={})
     for x in (3.82, 3.9, 4.1, 4.19):
         with pytest.raises(ShmooError, match="stands in a wall"):
-            check_place(grid, "the box", pose(x), half, robot, {})
+            check_place(grid, "the box", pose(x), half, robot=robot, others={})
     check_point(grid, pose(4 - 0.31)[:2], ROBOT_RADIUS, "the goal")
     for x in (4 - 0.27, 3.9, 3.99):
         with pytest.raises(ShmooError, match="from a wall"):

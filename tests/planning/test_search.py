@@ -42,8 +42,10 @@ def everywhere(poses: np.ndarray) -> np.ndarray:
 
 def chosen(pose: Any, goal: Any, ways: Any = NEAR, free: Any = everywhere, foresight: Any = None) -> Choice | None:
     pose, goal = np.array(pose, float), np.array(goal, float)
-    reached = push_displacements(foresight or Arcs(), None, None, HALF, np.asarray(se2.relative(pose, goal)))
-    return choose_push(reached, pose, goal, FACES, ways, free)
+    reached = push_displacements(
+        foresight or Arcs(), adapt=None, kind=None, half_extents=HALF, goal=np.asarray(se2.relative(pose, goal))
+    )
+    return choose_push(reached, pose, goal, faces=FACES, ways=ways, free=free)
 
 
 @settings(deadline=None, max_examples=30)
@@ -134,7 +136,13 @@ def test_an_object_that_nobody_touched_goes_left_as_it_goes_right(kind: str | No
 def expected(kind: str | None) -> PushDisplacements:
     from shmoo_mjx.control.pushing import PushConfig
 
-    return push_displacements(reach.contact_foresight(None, PushConfig()), None, kind, HALF, np.array([1.0, 0.0, 0.0]))
+    return push_displacements(
+        reach.contact_foresight(None, PushConfig()),
+        adapt=None,
+        kind=kind,
+        half_extents=HALF,
+        goal=np.array([1.0, 0.0, 0.0]),
+    )
 
 
 def test_a_yaw_error_is_taken_on_the_circle() -> None:

@@ -41,7 +41,7 @@ def test_a_drive_pushes_the_box_and_reads_back_like_a_collected_one(tmp_path: Pa
     engine, shown = MujocoEngine([scene]), []
     session = teleop.begin(engine, record=True)
     for i in range(30):
-        session = teleop.tick(engine, session, [UP] * 6 if i == 0 else [], True, shown.append)
+        session = teleop.tick(engine, session, [UP] * 6 if i == 0 else [], record=True, show=shown.append)
     engine.close()
     assert len(shown) == 150
     condition = scene.conditions[0]

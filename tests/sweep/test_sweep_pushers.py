@@ -49,7 +49,7 @@ def test_a_push_from_the_first_approach_to_letting_go() -> None:
 
     def step(ready: bool = True, **seen: float) -> Any:
         nonlocal memory
-        command, memory = one_push.step(rule, memory, object_obs(**seen), TASK, KEY, jnp.asarray(ready))
+        command, memory = one_push.step(rule, memory, object_obs(**seen), TASK, key=KEY, ready=jnp.asarray(ready))
         return command
 
     assert step(ready=False, gap=0.05).u[0] == 0.0  # the arms unfold
@@ -71,7 +71,9 @@ def test_what_coasts_is_let_go_earlier() -> None:
     for rule, phase in ((far, one_push.LET_GO), (counting(), one_push.PUSH)):
         memory = one_push.init(rule, object_obs(), TASK, KEY)._replace(phase=jnp.int32(one_push.PUSH))
         for _ in range(3):
-            _, memory = one_push.step(rule, memory, object_obs(x=0.8, force=9.0), TASK, KEY, jnp.asarray(True))
+            _, memory = one_push.step(
+                rule, memory, object_obs(x=0.8, force=9.0), TASK, key=KEY, ready=jnp.asarray(True)
+            )
         assert memory.phase == phase
 
 

@@ -49,6 +49,7 @@ def step(
     time: float,
     obs: ObjectObservation,
     face: Float[Array, "4"],
+    *,
     lean: Float[Array, "2"],
     yaw: float,
     remaining: float,

@@ -73,7 +73,7 @@ def init(policy: PushPolicy, obs: ObjectObservation, task: WorldGoal, key: Array
 
 
 def step(
-    policy: PushPolicy, state: PolicyState, obs: ObjectObservation, task: WorldGoal, key: Array, ready: Array
+    policy: PushPolicy, state: PolicyState, obs: ObjectObservation, task: WorldGoal, *, key: Array, ready: Array
 ) -> tuple[Command, PolicyState]:
     """The command for the next sample. Every phase is computed and one is taken: so it is under vmap anyway.
 
@@ -85,7 +85,9 @@ def step(
     feeling, touching = contact.step(feeling, obs, task.face)
     back = retreat.step(obs, task.face, folded=jnp.bool_(False))
     pushed, after = policy.step(state.policy, obs, state.last_u, task)
-    coasts, _, let_go = lets_go(policy.coast(after, obs), state.coasts, obs.object_pose, task.face, task.goal)
+    coasts, _, let_go = lets_go(
+        policy.coast(after, obs), state.coasts, object_pose=obs.object_pose, face=task.face, goal=task.goal
+    )
     phase = jnp.where(waiting & ready & touching.over, PUSH, state.phase)
     phase = jnp.where(pushing_now & let_go, LET_GO, phase)
     goes_on = pushing_now & ~let_go

@@ -100,6 +100,7 @@ def init(
     time: float,
     obs: ObjectObservation,
     face: Float[Array, "4"],
+    *,
     half_extents: tuple[float, float] | Float[Array, "2"],
     key: Key[Array, ""] | None,
     adapt: Known | None,
@@ -115,6 +116,7 @@ def step(
     state: PushState,
     obs: ObjectObservation,
     face: Float[Array, "4"],
+    *,
     last_u: Float[Array, "3"],
     goal: Float[Array, "3"],
     clearance: LocalDistanceField | None,
@@ -154,6 +156,7 @@ def step(
 def lets_go(
     rest: Float[Array, "3"],
     coasts: Float[Array, "5"],
+    *,
     object_pose: Float[Array, "3"],
     face: Float[Array, "4"],
     goal: Float[Array, "3"],

@@ -26,6 +26,7 @@ def step(
     obs: ObjectObservation,
     face: Float[Array, "4"],
     folded: Scalar,
+    *,
     lean: Float[Array, "2"] | None = None,
     room: Scalar = True,
 ) -> Move:
