@@ -52,7 +52,7 @@ def measure(scene: str, seconds: float, clients: int, picture: Path | None) -> s
                 for one in watching:
                     one.execute_script(_COUNT)
                 began, late = time.perf_counter(), session.late
-                pictures, simulated = page.pictures, session.simulation.time
+                pictures, simulated = page.pictures.count, session.simulation.time
                 go_on(page, seconds)
                 passed = time.perf_counter() - began
                 drawn = [one.execute_script("return window.drawn") / passed for one in watching]
@@ -61,7 +61,7 @@ def measure(scene: str, seconds: float, clients: int, picture: Path | None) -> s
             finally:
                 for one in watching:
                     one.quit()
-            rates = (session.simulation.time - simulated) / DT / passed, (page.pictures - pictures) / passed
+            rates = (session.simulation.time - simulated) / DT / passed, (page.pictures.count - pictures) / passed
             step = 1e3 * np.median(session.spent)
             seen = ", ".join(f"{rate:.0f}" for rate in drawn)
             return f"| {clients} | {rates[0]:.1f} | {rates[1]:.1f} | {seen} | {step:.0f} | {session.late - late} |"

@@ -30,8 +30,10 @@ from shmoo_mjx.base.assets import asset
 from shmoo_mjx.learning.weights import load_weights
 from shmoo_mjx.live import overlay
 from shmoo_mjx.live.command import go_on
-from shmoo_mjx.live.page import PICTURES, Page
+from shmoo_mjx.live.page import Page
+from shmoo_mjx.live.pictures import RATE
 from shmoo_mjx.live.session import Session, scene_named
+from shmoo_mjx.live.words import beliefs
 from shmoo_mjx.plant.mesh import add_object
 from shmoo_mjx.sensing import REAL
 
@@ -52,45 +54,45 @@ def page(tmp_path: Path) -> Iterator[Page]:
 
 
 def said(page: Page) -> str:
-    return str(page._message.content)
+    return str(page.panel.message.content)
 
 
 def test_it_listens_at_home_only_goes_on_and_sends_pictures(page: Page) -> None:
     assert page.url.startswith("http://127.0.0.1:")
     page.speed = 0.0
-    before, began = page.pictures, time.perf_counter()
+    before, began = page.pictures.count, time.perf_counter()
     go_on(page, 3.0)
     spent = time.perf_counter() - began
     assert page.session.simulation.time > 0.3
-    assert page.pictures - before > 0.5 * PICTURES * spent
-    assert str(page.session.simulation.navigator.mode) in page._state.content
+    assert page.pictures.count - before > 0.5 * RATE * spent
+    assert str(page.session.simulation.navigator.mode) in page.panel.state.content
 
 
 def test_what_is_asked_for_happens_and_what_can_t_be_is_refused_with_a_sentence(page: Page) -> None:
     count = len(page.session.scenario.objects)
     x, y, yaw = page.session.simulation.true.robot_pose[0]
     place = (float(x + 1.2 * np.cos(yaw)), float(y + 1.2 * np.sin(yaw)))
-    page._ask(page._new(*place))
+    page.ask(page.new_object(*place))
     page.carry_out()
     page.show()
     assert len(page.session.scenario.objects) == count + 1 and said(page).startswith("**Done.** Object 1: box")
-    assert page._which.options == ("0 box", "1 box")
+    assert page.panel.which.options == ("0 box", "1 box")
     for wanted in (
-        page._new(*place),
-        page._new(float("nan"), 0.0),
-        lambda: page._alter("none", "set load", 3.0),
-        lambda: page._alter("1 box", "set load", -3.0),
-        lambda: page._alter("1 box", "set brakes", True),
-        lambda: page._alter("7 box", "set load", 3.0),
-        lambda: page._head_for(1e9, 0.0),
-        lambda: page._save("../../etc/passwd"),
-        lambda: page._load("gone"),
+        page.new_object(*place),
+        page.new_object(float("nan"), 0.0),
+        lambda: page.actions.alter("none", "set load", 3.0),
+        lambda: page.actions.alter("1 box", "set load", -3.0),
+        lambda: page.actions.alter("1 box", "set brakes", True),
+        lambda: page.actions.alter("7 box", "set load", 3.0),
+        lambda: page.actions.head_for(1e9, 0.0),
+        lambda: page.actions.save("../../etc/passwd"),
+        lambda: page.actions.load("gone"),
     ):
-        page._message.content = ""
-        page._ask(wanted)
+        page.panel.message.content = ""
+        page.ask(wanted)
         page.carry_out()
         assert said(page).startswith("**Refused.**") and len(page.session.scenario.objects) == count + 1
-    page._ask(page._reset)
+    page.ask(page.actions.reset)
     page.carry_out()
     page.show()
     assert len(page.session.scenario.objects) == count
@@ -100,7 +102,7 @@ def test_paused_it_stands_still_but_for_single_samples(page: Page) -> None:
     page.paused = True
     go_on(page, 0.3)
     assert page.session.simulation.time == 0.0
-    page._ask(page._one_sample)
+    page.ask(page.one_sample)
     go_on(page, 0.5)
     assert page.session.simulation.time == pytest.approx(0.1)
 
@@ -108,27 +110,27 @@ def test_paused_it_stands_still_but_for_single_samples(page: Page) -> None:
 def test_a_click_on_the_floor_is_told_in_the_box_of_the_goal(page: Page) -> None:
     page.paused = True
     go_on(page, 0.1)
-    assert page._goal.value == pytest.approx(page.session.scenario.goal)
+    assert page.panel.goal.value == pytest.approx(page.session.scenario.goal)
     x, y, yaw = page.session.simulation.true.robot_pose[0]
     goal = (float(x + 0.8 * np.cos(yaw)), float(y + 0.8 * np.sin(yaw)))
     click = SimpleNamespace(ray_origin=(goal[0], goal[1] - 2.0, 2.0), ray_direction=(0.0, 2.0, -2.0))
-    page._clicked(click)  # type: ignore[arg-type]
+    page.clicked(click)  # type: ignore[arg-type]
     go_on(page, 0.1)
-    assert page._goal.value == pytest.approx(goal, abs=0.006)
+    assert page.panel.goal.value == pytest.approx(goal, abs=0.006)
     assert said(page).startswith("**Done.** It heads for")
-    before = page._goal.value
-    page._clicked(SimpleNamespace(ray_origin=(1e3, 0.0, 1.0), ray_direction=(0.0, 0.0, -1.0)))  # type: ignore[arg-type]
+    before = page.panel.goal.value
+    page.clicked(SimpleNamespace(ray_origin=(1e3, 0.0, 1.0), ray_direction=(0.0, 0.0, -1.0)))  # type: ignore[arg-type]
     go_on(page, 0.1)
-    assert said(page).startswith("**Refused.**") and page._goal.value == before
-    page._ask(page._reset)
+    assert said(page).startswith("**Refused.**") and page.panel.goal.value == before
+    page.ask(page.actions.reset)
     go_on(page, 0.1)
-    assert page._goal.value == pytest.approx(page.session.scenario.goal) and page._goal.value != before
-    page._click.value = "puts down the new object"
+    assert page.panel.goal.value == pytest.approx(page.session.scenario.goal) and page.panel.goal.value != before
+    page.panel.click.value = "puts down the new object"
     place = (round(float(x), 2), round(float(y), 2) + 1.0)
-    page._clicked(SimpleNamespace(ray_origin=(*place, 1.0), ray_direction=(0.0, 0.0, -1.0)))  # type: ignore[arg-type]
+    page.clicked(SimpleNamespace(ray_origin=(*place, 1.0), ray_direction=(0.0, 0.0, -1.0)))  # type: ignore[arg-type]
     go_on(page, 0.1)
-    assert page._where.value[:2] == pytest.approx(place, abs=0.006)
-    assert page._which.options == ("0 box", "1 box")  # drawn at once, though time stands still
+    assert page.panel.where.value[:2] == pytest.approx(place, abs=0.006)
+    assert page.panel.which.options == ("0 box", "1 box")  # drawn at once, though time stands still
 
 
 def test_the_list_of_objects_shows_what_they_are(page: Page) -> None:
@@ -136,38 +138,38 @@ def test_the_list_of_objects_shows_what_they_are(page: Page) -> None:
     place = (float(x + 1.2 * np.cos(yaw)), float(y + 1.2 * np.sin(yaw)), 0.0)
     page.session.add("wheelchair", place, {"mass": 12.0, "payload": 120.0, "friction": 0.75, "locked": [True] * 4})
     page.show()
-    heavier, slippery, brakes = page._present
+    heavier, slippery, brakes = page.panel.present
     own = page.session.simulation.conditions[0]
     assert (heavier.value, slippery.value, brakes.value) == (own.payload, own.friction, False)
-    assert page._which.options == ("0 box", "1 wheelchair")
-    page._which.value = "1 wheelchair"
+    assert page.panel.which.options == ("0 box", "1 wheelchair")
+    page.panel.which.value = "1 wheelchair"
     page.carry_out()
     assert (heavier.value, slippery.value, brakes.value) == (120.0, 0.75, True) and heavier.max >= 120.0
-    page._ask(lambda: page._alter("1 wheelchair", "set load", 7.0))
+    page.ask(lambda: page.actions.alter("1 wheelchair", "set load", 7.0))
     page.carry_out()
     page.show()
-    assert (heavier.value, page._which.value) == (7.0, "1 wheelchair")
+    assert (heavier.value, page.panel.which.value) == (7.0, "1 wheelchair")
 
 
 def test_handles_go_with_their_objects_but_not_out_of_a_hand(page: Page) -> None:
-    page._drag.value = True
+    page.panel.drag.value = True
     page.carry_out()
     x, y, yaw = page.session.simulation.true.robot_pose[0]
     pose = (float(x + 1.2 * np.cos(yaw)), float(y + 1.2 * np.sin(yaw)), 0.4)
 
     def stands() -> bool:
-        (handle,), true = page._handles, page.session.simulation.true.object_pose[0, 0]
+        (handle,), true = page.pictures.handles, page.session.simulation.true.object_pose[0, 0]
         return bool(np.allclose(handle.position[:2], true[:2]) and np.isclose(2 * np.arcsin(handle.wxyz[3]), true[2]))
 
     page.session.place(0, pose)
     page.show()
-    assert stands() and np.allclose(page._handles[0].position[:2], pose[:2])
-    (handle,) = page._handles
-    asyncio.run(page._dragging(0, SimpleNamespace(phase="start", target=handle)))  # type: ignore[arg-type]
+    assert stands() and np.allclose(page.pictures.handles[0].position[:2], pose[:2])
+    (handle,) = page.pictures.handles
+    asyncio.run(page.pictures.dragging(0, SimpleNamespace(phase="start", target=handle)))  # type: ignore[arg-type]
     handle.position = (pose[0] + 0.2, pose[1], 0.05)
     page.show()
     assert not stands()
-    asyncio.run(page._dragging(0, SimpleNamespace(phase="end", target=handle)))  # type: ignore[arg-type]
+    asyncio.run(page.pictures.dragging(0, SimpleNamespace(phase="end", target=handle)))  # type: ignore[arg-type]
     page.carry_out()
     page.show()
     assert stands() and page.session.simulation.true.object_pose[0, 0, 0] == pytest.approx(pose[0] + 0.2)
@@ -179,11 +181,11 @@ def test_the_box_of_scenes_says_what_was_loaded(tmp_path: Path, scene: str) -> N
         scene = str(asset("experiments/scenarios/three_objects.yaml"))
     session = Session(load_weights(), lambda: scene_named(scene, tmp_path), "perfect", tmp_path)
     page = Page(session, port=free_port(), scene=scene)
-    assert page._scene.value == scene
+    assert page.panel.scene.value == scene
     count, start = len(session.scenario.objects), session.scenario.start
-    page._look_for_files()
-    page._load("office" if "office" in page._scene.options else "demo 1")
-    page._load(scene)
+    page.panel.look_for_files()
+    page.actions.load("office" if "office" in page.panel.scene.options else "demo 1")
+    page.actions.load(scene)
     assert (len(session.scenario.objects), session.scenario.start) == (count, start)
     page.close()
     session.close()
@@ -223,11 +225,11 @@ def test_a_damaged_object_file_is_refused_and_the_run_goes_on(page: Page, tmp_pa
     trimesh.creation.cylinder(radius=0.25, height=0.6).export(tmp_path / "stool.stl")
     made = add_object(tmp_path / "stool.stl", mass=5.0, friction=0.35, out=tmp_path / "stool.json")
     made.write_text(json.dumps(DAMAGED[damage](json.loads(made.read_text()))))
-    page._look_for_files()
-    page._family.value = "stool"
+    page.panel.look_for_files()
+    page.panel.family.value = "stool"
     x, y, _ = page.session.simulation.true.robot_pose[0]
-    page._message.content = ""
-    page._ask(page._new(float(x), float(y - 1.0)))
+    page.panel.message.content = ""
+    page.ask(page.new_object(float(x), float(y - 1.0)))
     page.carry_out()
     assert said(page).startswith("**Refused.**")
     before = page.session.simulation.time
@@ -241,9 +243,9 @@ def test_what_cannot_be_read_is_no_scene_and_no_object(page: Page, tmp_path: Pat
         (tmp_path / name).mkdir()
     for name in ("link.json", "link.yaml"):
         (tmp_path / name).symlink_to(tmp_path / "nowhere")
-    page._look_for_files()
-    assert not {"folder", "link"} & {*page._scene.options, *page._family.options}
-    page._ask(lambda: 1 / 0)  # type: ignore[arg-type, return-value]
+    page.panel.look_for_files()
+    assert not {"folder", "link"} & {*page.panel.scene.options, *page.panel.family.options}
+    page.ask(lambda: 1 / 0)  # type: ignore[arg-type, return-value]
     page.carry_out()
     assert said(page).startswith("**Refused.**") and "ZeroDivisionError" in said(page)
 
@@ -267,28 +269,28 @@ def test_the_clearance_is_drawn_when_asked_for_and_objects_of_ones_own_are_offer
     drawn = page.server.scene.get_handle_by_name
     page.show()
     assert drawn("/clearance") is None
-    page._shown["clearance"].value = True
+    page.panel.shown["clearance"].value = True
     page.show()
     picture = drawn("/clearance")
     assert picture is not None and picture.image.shape == (*page.session.simulation.grid.cells.shape, 3)
     shades = picture.image.astype(int).sum(axis=-1)
     assert shades[page.session.simulation.grid.occupied].max() < shades.max() - 200  # walls are dark
-    page._load("three_objects")
+    page.actions.load("three_objects")
     page.show()
     assert drawn("/clearance") is not None
-    page._shown["clearance"].value = False
+    page.panel.shown["clearance"].value = False
     page.show()
     assert drawn("/clearance") is None
     trimesh.creation.cylinder(radius=0.25, height=0.6).export(tmp_path / "stool.stl")
     add_object(tmp_path / "stool.stl", mass=5.0, friction=0.35, out=tmp_path / "stool.json")
-    page._look_for_files()
-    page._family.value = "stool"
+    page.panel.look_for_files()
+    page.panel.family.value = "stool"
     x, y, _ = page.session.simulation.true.robot_pose[0]
-    page._ask(page._new(float(x), float(y - 1.0)))
+    page.ask(page.new_object(float(x), float(y - 1.0)))
     page.carry_out()
     page.show()
     assert said(page).startswith("**Done.** Object 3: stool 0.50 x 0.50 x 0.60 m, 5.0 kg, mu 0.35")
-    assert "3 stool" in page._beliefs() and "roll-outs by cost" in page._legend.content
+    assert "3 stool" in beliefs(page.session) and "roll-outs by cost" in page.panel.legend.content
 
 
 def browser() -> Any:
@@ -338,7 +340,7 @@ def test_in_a_browser_goal_and_object_are_set_and_the_robot_arrives(tmp_path: Pa
         for field, value in zip(fields[-len(values) :], values, strict=True):
             field.send_keys(Keys.CONTROL, "a")
             field.send_keys(str(value), Keys.ENTER)
-        handle = page._goal if "goal" in label else page._where
+        handle = page.panel.goal if "goal" in label else page.panel.where
         wait_for(lambda: np.allclose(handle.value, values), 20)
 
     try:
