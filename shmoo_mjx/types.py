@@ -43,7 +43,7 @@ class Track(NamedTuple):
 class Observation(NamedTuple):
     """What the robot perceives at the end of a sample time; an engine's own observation is the truth. N objects."""
 
-    time: Scalar | Float[Array, "..."]
+    time: Float[Array, "..."]
     """[s]"""
     robot_pose: Float[Array, "... 3"]
     """Of {R} in {W}: (x, y, yaw)."""

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shmoo_mjx.arrays import Array, Float
+from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.planning import flat_trajectory
 from shmoo_mjx.planning.distance_field import DistanceField
@@ -93,7 +93,7 @@ def _begin(planner: Planner, state: DriveState, now: float, flat: Float[np.ndarr
 
 
 def _track(
-    planner: Planner, state: DriveState, now: float, flat: Float[np.ndarray, "4 2"], *, yaw: float
+    planner: Planner, state: DriveState, now: float, flat: Float[np.ndarray, "4 2"], *, yaw: Scalar
 ) -> Float[np.ndarray, "2"]:
     assert state.trajectory is not None
     a, b, c = planner.model

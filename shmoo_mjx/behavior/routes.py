@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 
-from shmoo_mjx.arrays import Bool, Float
+from shmoo_mjx.arrays import Array, Bool, Float
 from shmoo_mjx.behavior.belief import Belief, ObjectBelief, Status
 from shmoo_mjx.behavior.skills.approach import CONTACT_GAP
 from shmoo_mjx.geometry import se2
@@ -83,7 +83,7 @@ class Routes:
     """Expected time that this takes [s]; None where it is each object's own."""
 
     def quickest(
-        self, position: Float[np.ndarray, "2"], round_it: Mapping[int, float] | None = None, without: int | None = None
+        self, position: Float[Array, "2"], round_it: Mapping[int, float] | None = None, without: int | None = None
     ) -> Route | None:
         """The way to the goal of least expected time, which leads round some objects and through others.
 
@@ -119,20 +119,20 @@ class Routes:
         own = PUSH if item.price is None else item.price
         return own if self.price is None else self.price
 
-    def path_clear(self, position: Float[np.ndarray, "2"], index: int) -> bool:
+    def path_clear(self, position: Float[Array, "2"], index: int) -> bool:
         """Whether the way on passes object ``index`` where it stands, little longer than without it."""
         through, detour = self.quickest(position, without=index), self.quickest(position, {index: _PATH_MARGIN})
         return through is not None and detour is not None and detour.seconds < through.seconds + _PASSING / PACE
 
     def free_path(
-        self, position: Float[np.ndarray, "2"], target: ObjectBelief, instead: shapely.Polygon | None = None
+        self, position: Float[Array, "2"], target: ObjectBelief, instead: shapely.Polygon | None = None
     ) -> Path | None:
         """The way on as if ``target`` were not there, or stood where ``instead`` is."""
         others = [o.polygon for o in self.belief.objects.values() if o is not target and o.status is not Status.UNKNOWN]
         return self.plan(position, others if instead is None else [*others, instead])
 
     def collision_free(
-        self, position: Float[np.ndarray, "2"], target: ObjectBelief, clearance: DistanceField, path: Path | None
+        self, position: Float[Array, "2"], target: ObjectBelief, clearance: DistanceField, path: Path | None
     ) -> Callable[[Float[np.ndarray, "P 3"]], Bool[np.ndarray, "P"]]:
         """CollisionCheck(M, P, g): the footprint clear of walls, other objects and the path P, as if it were not there.
 
@@ -140,7 +140,7 @@ class Routes:
         deviation from the paper: the path P was planned before anybody knew where the object would go).
         """
         half = np.array(target.half_extents)
-        clearance = ROBOT_RADIUS + _PATH_MARGIN
+        path_clearance = ROBOT_RADIUS + _PATH_MARGIN
 
         def check(poses: Float[np.ndarray, "P 3"]) -> Bool[np.ndarray, "P"]:
             off_walls = footprints_free(clearance, poses, half, wall_clearance=_WALL_MARGIN)
@@ -149,7 +149,7 @@ class Routes:
             candidates = np.flatnonzero(off_walls)
             off_path = np.zeros(len(poses), dtype=bool)
             off_path[candidates] = footprints_free(
-                clearance, poses[candidates], half, path.points, path_clearance=clearance
+                clearance, poses[candidates], half, path.points, path_clearance=path_clearance
             )
             if off_path.any():
                 return off_path
@@ -163,7 +163,7 @@ class Routes:
 
     def path_to_face(
         self,
-        position: Float[np.ndarray, "2"],
+        position: Float[Array, "2"],
         index: int,
         face: Float[np.ndarray, "4"],
         clearance: DistanceField,
@@ -186,19 +186,17 @@ class Routes:
                 return None if path is None else (path, gap, lateral)
         return None
 
-    def plan(self, position: Float[np.ndarray, "2"], obstacles: list[shapely.Polygon]) -> Path | None:
+    def plan(self, position: Float[Array, "2"], obstacles: list[shapely.Polygon]) -> Path | None:
         """The path to the goal clear of walls and of ``obstacles``."""
         return self._path(position, self.goal, obstacles)
 
-    def _path(
-        self, start: Float[np.ndarray, "2"], end: Float[np.ndarray, "2"], obstacles: list[shapely.Polygon]
-    ) -> Path | None:
+    def _path(self, start: Float[Array, "2"], end: Float[Array, "2"], obstacles: list[shapely.Polygon]) -> Path | None:
         radius = ROBOT_RADIUS
         return plan_path(
             self.belief.grid, start, end, obstacles, robot_radius=radius, wall_clearance=self.belief.wall_clearance
         )
 
-    def retreat_path(self, position: Float[np.ndarray, "2"], object_pose: Float[np.ndarray, "3"]) -> Path | None:
+    def retreat_path(self, position: Float[Array, "2"], object_pose: Float[np.ndarray, "3"]) -> Path | None:
         """A short way aslant to where the robot has room to turn and to fold its arms, away from an object that it
         touches; None if straight back will do, or if there is none near by."""
         away = np.arctan2(*(position - object_pose[:2])[::-1])

@@ -16,6 +16,7 @@ import numpy as np
 import viser
 from mjviser import ViserMujocoScene
 
+from shmoo_mjx.arrays import Array
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.live import overlay
 from shmoo_mjx.live.panel import Panel
@@ -239,7 +240,7 @@ class Pictures:
         )  # fmt: skip
 
 
-def _placed(pose: np.ndarray) -> tuple[tuple[float, float, float], tuple[float, float, float, float]]:
+def _placed(pose: Array) -> tuple[tuple[float, float, float], tuple[float, float, float, float]]:
     """Position and quaternion of a handle on an object at ``pose [3]``."""
     x, y, half = (float(v) for v in (pose[0], pose[1], pose[2] / 2))
     return (x, y, 0.05), (float(np.cos(half)), 0.0, 0.0, float(np.sin(half)))

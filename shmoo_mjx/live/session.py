@@ -133,7 +133,7 @@ def _empty(grid: OccupancyGrid) -> tuple[OccupancyGrid, Scenario]:
     room = np.asarray(distance_field(grid).values)
     if room.max() < ROBOT_RADIUS:
         raise ShmooError(f"{grid.source}: has no room for a robot of radius {ROBOT_RADIUS:.2f} m; give another map.")
-    x, y = (round(float(v), 3) for v in grid.cell_to_world(np.unravel_index(room.argmax(), room.shape)))
+    x, y = (round(float(v), 3) for v in grid.cell_to_world(np.array(np.unravel_index(room.argmax(), room.shape))))
     return grid, Scenario(start=(x, y, 0.0), goal=(x, y))
 
 

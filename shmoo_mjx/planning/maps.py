@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from scipy.ndimage import binary_dilation, distance_transform_edt
 
-from shmoo_mjx.arrays import Array, Bool, Float, Int, Numbers, Scalar, Shaped
+from shmoo_mjx.arrays import Array, Bool, Float, Int, Numbers, Shaped
 from shmoo_mjx.base.files import write_whole
 from shmoo_mjx.base.schema import Angle, Number, validated
 from shmoo_mjx.base.yaml_input import read_mapping, yaml_text
@@ -70,7 +70,7 @@ class OccupancyGrid:
         local = (np.asarray(cells, dtype=float)[..., ::-1] + 0.5) * self.resolution
         return se2.transform_point(np.asarray(self.origin), local)
 
-    def inside(self, cells: Numbers | Shaped[Array, "*c 2"]) -> Scalar | Bool[np.ndarray, "*c"]:
+    def inside(self, cells: Numbers | Shaped[Array, "*c 2"]) -> np.bool | Bool[np.ndarray, "*c"]:
         """Are the cells (row, column) on the map."""
         cells = np.asarray(cells)
         return ((cells >= 0) & (cells < np.array(self.cells.shape))).all(axis=-1)
@@ -78,7 +78,7 @@ class OccupancyGrid:
     def values_at(self, points: Numbers | Float[Array, "*p 2"]) -> Int[np.ndarray, "*p"]:
         """The cells under ``points`` in {W}; UNKNOWN off the map."""
         cells = self.world_to_cell(points)
-        inside = self.inside(cells)
+        inside = np.asarray(self.inside(cells))
         rows, cols = np.moveaxis(np.where(inside[..., None], cells, 0), -1, 0)
         return np.where(inside, self.cells[rows, cols], UNKNOWN).astype(np.int8)
 

@@ -44,7 +44,7 @@ TURNS = float(np.radians(30.0))
 """Unless it has turned this far by then [rad]: it turns away instead of going along."""
 _PRIOR_KEY = 55
 """Seed of the particles of objects that nobody has touched."""
-_ONE = ObjectObservation(0, 0, 0, 0, 0, 0, 0, None, None)
+_ONE = ObjectObservation._make((0, 0, 0, 0, 0, 0, 0, None, None))
 """Axes of an observation that the law is mapped over."""
 _UNKNOWN = (0.02, 0.03, 0.25)
 """Standard deviations of a constant difference between the command and what it does [rad, rad, rad]: robots balance and
@@ -136,11 +136,12 @@ def _roll(
         state, integral = carry
         wrench = se2.rotate(state.last_wrench, state.object_pose[:, 2])
         obs = ObjectObservation(*state[:6], wrench)
-        u, integral = law(state.face, obs, options.goal, integral)
+        u, later = law(state.face, obs, options.goal, integral)
         state = core.step(params, state, u + unknown, config)[0]
-        return (state, integral), (state.object_pose, state.robot_pose)
+        return (state, jnp.asarray(later)), (state.object_pose, state.robot_pose)
 
-    return jax.lax.scan(one, (start, jnp.zeros(len(start.size))), None, length=steps)[1]
+    begin: tuple[SystemState, Array] = (start, jnp.zeros(len(start.object_pose)))
+    return jax.lax.scan(one, begin, None, length=steps)[1]
 
 
 def goal_ahead(

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator, model_validator
 
+from shmoo_mjx.arrays import Array
 from shmoo_mjx.base.files import write_whole
 from shmoo_mjx.base.options import SENSES, SensesName
 from shmoo_mjx.base.schema import Angle, Number, WholeNumber, validated
@@ -323,8 +324,8 @@ def check_place(
     pose: Sequence[float],
     half_extents: tuple[float, float],
     *,
-    robot: Sequence[float] | np.ndarray,
-    others: Mapping[str, tuple[Sequence[float] | np.ndarray, tuple[float, float]]],
+    robot: Sequence[float] | Array,
+    others: Mapping[str, tuple[Sequence[float] | Array, tuple[float, float]]],
 ) -> None:
     """Checks that an object at ``pose`` (x, y, yaw) stands on free floor, beside the robot and beside the others.
 

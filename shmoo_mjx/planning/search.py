@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from shmoo_mjx.arrays import Array, Bool, Float, Int, Scalar
+from shmoo_mjx.arrays import Array, Bool, Float, Int
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.geometry.faces import faces_of
 from shmoo_mjx.learning.online import Known
@@ -63,11 +63,11 @@ class Choice(NamedTuple):
     """Error left after the last push, with what the pushes cost [m]."""
 
 
-def residual(pose: Float[Array, "*b 3"], goal: Float[Array, "3"]) -> Scalar | Float[np.ndarray, "*b"]:
+def residual(pose: Float[Array, "*b 3"], goal: Float[Array, "3"]) -> Float[np.ndarray, "*b"]:
     """Error [m] of ``pose`` against ``goal``, a yaw error on the circle counted by `YAW_WEIGHT`."""
     offset = np.asarray(pose)[..., :2] - np.asarray(goal)[:2]
     yaw = se2.wrap(np.asarray(pose)[..., 2] - np.asarray(goal)[2])
-    return np.hypot(offset[..., 0], offset[..., 1]) + YAW_WEIGHT * np.abs(yaw)
+    return np.asarray(np.hypot(offset[..., 0], offset[..., 1]) + YAW_WEIGHT * np.abs(yaw))
 
 
 def push_displacements(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from shmoo_mjx.arrays import Array
+from shmoo_mjx.arrays import Array, Numbers
 from shmoo_mjx.geometry.hands import CONTACT_FORCE
 from shmoo_mjx.report.style import COLOURS, SERIES, blank_figure, object_colour, outline, show_cells, window
 from shmoo_mjx.report.trace import Trace, is_number, object_index, object_name, telling_decisions
@@ -145,8 +145,8 @@ def learned_figure(result: dict[str, Any], trace: Trace) -> Figure:
 def timeline_figure(result: dict[str, Any], trace: Trace) -> Figure:
     """State of the navigator, speed, lean with its command, and force of the hands, over time."""
     # Of somebody else's robot lean or pose may not be known.
-    leans, velocity = np.isfinite(trace.lean).any(), _speed(trace)
-    drives = np.isfinite(velocity).any()
+    leans, velocity = int(np.isfinite(trace.lean).any()), _speed(trace)
+    drives = int(np.isfinite(velocity).any())
     figure = blank_figure(9.0, 2.6 + 1.6 * (1 + leans + drives))
     panels = list(figure.subplots(2 + leans + drives, 1, sharex=True, height_ratios=[1.4] + [1] * (1 + leans + drives)))
     states, force, t = panels[0], panels[-1], trace.t
@@ -197,7 +197,14 @@ def _draw_driven(figure: Figure, axes: Axes, trace: Trace) -> None:
 
 
 def _polygon(
-    axes: Axes, pose: Array, half: Array, *, edge: str, fill: float = 0.0, style: str = "-", width: float = 1.4
+    axes: Axes,
+    pose: Array,
+    half: Numbers | Array,
+    *,
+    edge: str,
+    fill: float = 0.0,
+    style: str = "-",
+    width: float = 1.4,
 ) -> None:
     from matplotlib.colors import to_rgba
     from matplotlib.patches import Polygon

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx.arrays import Array
+from shmoo_mjx.arrays import Array, Numbers
 from shmoo_mjx.base.files import whole
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.planning.maps import OccupancyGrid, occupied_rectangles
@@ -129,7 +129,7 @@ def _plans_and_evidence(rr: Any, stream: Any, result: dict[str, Any], trace: Tra
         stream.log("world/rollouts", rr.Clear(recursive=False))
 
 
-def _placed(rr: Any, where: Array, axis: Array, angle: float) -> Any:
+def _placed(rr: Any, where: Numbers | Array, axis: Numbers | Array, angle: float) -> Any:
     return rr.Transform3D(translation=where, rotation=rr.RotationAxisAngle(axis, radians=angle))
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from shmoo_mjx.arrays import Array
+from shmoo_mjx.arrays import Array, Numbers
 from shmoo_mjx.base.files import write_whole
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.report.trace import Trace
@@ -84,7 +84,7 @@ def save_figure(path: Path, figure: Figure, dpi: int = 110) -> Path:
     return write_whole(path, to_png(figure, dpi))
 
 
-def show_cells(axes: Axes, picture: Array, resolution: float, origin: Array, **options: Any) -> None:
+def show_cells(axes: Axes, picture: Array, resolution: float, origin: Numbers | Array, **options: Any) -> None:
     """Draw a map's cells, ``[H, W]`` or ``[H, W, 3]``, row 0 at the bottom, where they lie in {W}.
 
     ``resolution`` is a cell's side [m], ``origin`` the pose of the lower-left corner, ``options`` are imshow's.
@@ -105,7 +105,7 @@ def object_colour(item: dict[str, Any], number: int) -> str:
     return _FAMILIES.get(str(item.get("family")), SERIES[(number + 1) % len(SERIES)])
 
 
-def outline(pose: Array, half_extents: Array) -> np.ndarray:
+def outline(pose: Array, half_extents: Numbers | Array) -> np.ndarray:
     """Corners ``[4, 2]`` in {W} of a rectangle with ``half_extents (2,)`` [m] at ``pose (3,)``."""
     corners = np.asarray(half_extents, dtype=float)[:2] * _SIGNS
     return se2.transform_point(np.asarray(pose, dtype=float), corners)
@@ -134,7 +134,7 @@ def window(result: dict[str, Any], trace: Trace, margin: float = 1.2) -> tuple[f
     return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
 
-def extent(cells: Array, resolution: float, origin: Array) -> tuple[np.ndarray, np.ndarray]:
+def extent(cells: Array, resolution: float, origin: Numbers | Array) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest (x, y) in {W} [m] of the marked ``cells [H, W]``; of all cells if none is marked.
 
     ``resolution`` is a cell's side [m], ``origin`` the pose of the lower-left corner of cell (0, 0).

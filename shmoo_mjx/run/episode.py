@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from shmoo_mjx.arrays import Array
 from shmoo_mjx.behavior.belief import Status
 from shmoo_mjx.behavior.interaction import Machine
 from shmoo_mjx.behavior.state import Mode, NavigatorConfig
@@ -276,5 +277,5 @@ def _outcome(simulation: Simulation, distance: float) -> tuple[str, str]:
     )
 
 
-def _floats(values: np.ndarray) -> list[float]:
+def _floats(values: Array) -> list[float]:
     return [round(float(v), 4) for v in values]

@@ -72,5 +72,5 @@ def differences(navigator: Any, recorded: Recording) -> Difference | None:
         command = navigator.tick(Observation(*(field[i] for field in recorded.observations)))
         for name, then, now in zip(Command._fields, recorded.commands, command, strict=True):
             if not np.array_equal(then[i], now):
-                return Difference(i, float(time), str(navigator.mode), name, then[i], np.asarray(now))
+                return Difference(i, float(time), str(navigator.mode), name, np.asarray(then[i]), np.asarray(now))
     return None

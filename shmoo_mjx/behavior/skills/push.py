@@ -7,7 +7,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from shmoo_mjx.arrays import Array, Float, Key, Scalar
+from shmoo_mjx.arrays import Array, Bool, Float, Key, Scalar
 from shmoo_mjx.behavior.skills.settings import hold
 from shmoo_mjx.control.mppi import Plan
 from shmoo_mjx.control.observation import LocalDistanceField, ObjectObservation
@@ -74,7 +74,7 @@ class PushState:
     """What the hands have spent on the object so far [N s]."""
     poses: tuple[Float[np.ndarray, "3"], ...] = ()
     """Of the object in {W}, one of each sample."""
-    coasts: Float[np.ndarray, "5"] = field(default_factory=lambda: np.zeros(5))
+    coasts: Float[Array, "5"] = field(default_factory=lambda: np.zeros(5))
     """How far it would coast along the push, in the last samples [m]; for who lets go in time (:func:`lets_go`)."""
     ok: bool = True
     """Whether the last plan had a finite roll-out."""
@@ -160,7 +160,7 @@ def lets_go(
     object_pose: Float[Array, "3"],
     face: Float[Array, "4"],
     goal: Float[Array, "3"],
-) -> tuple[Float[Array, "5"], Scalar, Scalar]:
+) -> tuple[Float[Array, "5"], Scalar, np.bool | Bool[Array, ""]]:
     """Release criterion: whether an object that is let go now coasts into its goal; pure, NumPy and JAX alike.
 
     Args:

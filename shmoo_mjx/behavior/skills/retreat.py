@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from shmoo_mjx.arrays import Array, Float, Scalar
+from shmoo_mjx.arrays import Array, Float
 from shmoo_mjx.behavior.skills.settings import Move, hands_to_face, lean_for
 from shmoo_mjx.control.observation import ObjectObservation
 from shmoo_mjx.geometry import se2
@@ -25,10 +25,10 @@ _SLOW = 0.08
 def step(
     obs: ObjectObservation,
     face: Float[Array, "4"],
-    folded: Scalar,
+    folded: bool | np.bool | Array,
     *,
     lean: Float[Array, "2"] | None = None,
-    room: Scalar = True,
+    room: bool | np.bool | Array = True,
 ) -> Move:
     """One sample; pure, on NumPy and JAX arrays alike. No memory: where robot and object are says what is next.
 
