@@ -47,7 +47,7 @@ def touch(cfg: ObjectPlannerTrials, trial: tuple[int, int]) -> list[dict[str, An
     """What one second of contact tells of an object, and the truth; nothing if it was never touched."""
     first, index = trial
     condition, side, _ = draw_object(index, first, cfg.truth)
-    told, _ = probe(condition, side, first + index, cfg, asset(WEIGHTS))
+    told, _ = probe(condition, side, first + index, cfg=cfg, weights=asset(WEIGHTS))
     return [told | {"manipulable": manipulable(condition, told["side"], cfg.truth)}] if told else []
 
 

@@ -127,7 +127,7 @@ VARIANTS = (
 def draw(condition_seed: int, runs: int) -> list[Trial]:
     """Trials of both strata, ``runs`` objects of each family in each, to the two goals that ask for steering."""
     first = ExperimentOptions(condition_seed=condition_seed).first_unseen
-    return [trial for stratum in STRATA for trial in draw_trials(first, 0, runs, (2, 3), stratum)]
+    return [trial for stratum in STRATA for trial in draw_trials(first, 0, runs, goals=(2, 3), stratum=stratum)]
 
 
 def push(trials: list[Trial], variant: Variant) -> list[Row]:

@@ -632,13 +632,14 @@ def faults(
     from shmoo_mjx.base.files import claimed
     from shmoo_mjx.base.guard import EXPERIMENT, check_output
     from shmoo_mjx.evaluation import faults as matrix
+    from shmoo_mjx.evaluation.experiment import run
     from shmoo_mjx.evaluation.result import ExperimentOptions, write_result
 
     target = json or out / "faults.json"
     check_output(target, EXPERIMENT)
     with progress.stages() as report, claimed(out):
         options = ExperimentOptions(seed, weights=weights, out=out, progress=report)
-        result = matrix.run(options, runs, only, workers)
+        result = run("faults", matrix.EXPERIMENT, options, matrix.FaultTrials(workers, runs=runs, only=only))
     write_result(target, result)
     print(f"{matrix.summary(result)}\n{target}")
     return 0
@@ -671,13 +672,15 @@ def soak(
     from shmoo_mjx.base.files import claimed
     from shmoo_mjx.base.guard import EXPERIMENT, check_output
     from shmoo_mjx.evaluation import soak as errands
+    from shmoo_mjx.evaluation.experiment import run
     from shmoo_mjx.evaluation.result import ExperimentOptions, write_result
 
     target = json or out / "soak.json"
     check_output(target, EXPERIMENT)
     with progress.stages() as report, claimed(out):
         options = ExperimentOptions(seed, weights=weights, out=out, progress=report)
-        result = errands.run(options, errands.SoakTrials(minutes, buildings), workers)
+        trials = errands.SoakTrials(workers, minutes=minutes, buildings=buildings)
+        result = run("soak", errands.EXPERIMENT, options, trials)
     write_result(target, result)
     print(errands.summary(result))
     print(target)

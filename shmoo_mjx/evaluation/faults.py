@@ -6,6 +6,7 @@ judged by the true state: a run in which the robot says that it is there and is 
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -16,12 +17,12 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from shmoo_mjx.base.assets import WEIGHTS, asset
-from shmoo_mjx.base.fingerprints import fingerprint
 from shmoo_mjx.behavior.state import Mode
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
-from shmoo_mjx.evaluation.trials import controller_of, run_trials
+from shmoo_mjx.evaluation.experiment import Experiment, ExperimentConfig, Prepared, Setup
+from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult
+from shmoo_mjx.evaluation.tables import Section
+from shmoo_mjx.evaluation.trials import controller_of
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.planning.floorplan import demo_scenario
 from shmoo_mjx.planning.maps import distance_field
@@ -89,34 +90,34 @@ class Fault:
     """What else will stand in the scene."""
 
 
-def _blind(trial: _Trial, seen: Observation) -> Observation:
-    first, none = trial.first, np.zeros_like(seen.object_twist)
-    return seen._replace(
+def _blind(trial: _Trial, obs: Observation) -> Observation:
+    first, none = trial.first, np.zeros_like(obs.object_twist)
+    return obs._replace(
         object_pose=first.object_pose,
         object_twist=none,
         object_age=np.asarray(first.object_age) + trial.since,
-        detected=np.zeros_like(seen.detected),
+        detected=np.zeros_like(obs.detected),
     )
 
 
-def _swapped(trial: _Trial, seen: Observation) -> Observation:
+def _swapped(trial: _Trial, obs: Observation) -> Observation:
     names = ("object_pose", "object_twist", "object_age", "detected", "wrench")
-    return seen._replace(**{name: np.asarray(getattr(seen, name))[:, [1, 0]] for name in names})
+    return obs._replace(**{name: np.asarray(getattr(obs, name))[:, [1, 0]] for name in names})
 
 
-def _ghost(trial: _Trial, seen: Observation) -> Observation:
+def _ghost(trial: _Trial, obs: Observation) -> Observation:
     """The last object is reported 1 m ahead."""
-    pose, age, found = (np.array(v) for v in (seen.object_pose, seen.object_age, seen.detected))
-    pose[0, -1] = se2.compose(np.asarray(seen.robot_pose[0]), np.array([1.0, 0.0, 0.0]))
-    age[0, -1], found[0, -1] = 0.03, True
-    return seen._replace(object_pose=pose, object_age=age, detected=found)
+    pose, age, detected = (np.array(v) for v in (obs.object_pose, obs.object_age, obs.detected))
+    pose[0, -1] = se2.compose(np.asarray(obs.robot_pose[0]), np.array([1.0, 0.0, 0.0]))
+    age[0, -1], detected[0, -1] = 0.03, True
+    return obs._replace(object_pose=pose, object_age=age, detected=detected)
 
 
-def _frozen(trial: _Trial, seen: Observation) -> Observation:
-    stuck, pose = np.asarray(trial.first.robot_pose), np.asarray(seen.robot_pose)
-    relative = se2.relative(pose[:, None], np.asarray(seen.object_pose))
+def _frozen(trial: _Trial, obs: Observation) -> Observation:
+    stuck, pose = np.asarray(trial.first.robot_pose), np.asarray(obs.robot_pose)
+    relative = se2.relative(pose[:, None], np.asarray(obs.object_pose))
     moved = se2.compose(np.broadcast_to(stuck[:, None], relative.shape), relative)
-    return seen._replace(robot_pose=stuck, robot_twist=np.zeros_like(seen.robot_twist), object_pose=moved)
+    return obs._replace(robot_pose=stuck, robot_twist=np.zeros_like(obs.robot_twist), object_pose=moved)
 
 
 def _jump(trial: _Trial) -> None:
@@ -195,16 +196,16 @@ FAULTS = {
     "odometry_jumps": Fault("the robot's estimated pose jumps by 0.3 m", "follow path", once=_jump),
     "odometry_frozen": Fault("the robot's estimated pose stands still for 2 s", "follow path", 2.0, perceive=_frozen),
     "wrench_stuck": Fault(
-        "the hands' force stays what it was", perceive=lambda trial, seen: seen._replace(wrench=trial.first.wrench)
+        "the hands' force stays what it was", perceive=lambda trial, obs: obs._replace(wrench=trial.first.wrench)
     ),
     "wrench_nan": Fault(
         "the hands' force is no number",
-        perceive=lambda _, seen: seen._replace(wrench=np.full_like(seen.wrench, np.nan)),
+        perceive=lambda _, obs: obs._replace(wrench=np.full_like(obs.wrench, np.nan)),
     ),
     "wrench_sign": Fault(
         "the hands' force has the wrong sign",
         "start",
-        perceive=lambda _, seen: seen._replace(wrench=-np.asarray(seen.wrench)),
+        perceive=lambda _, obs: obs._replace(wrench=-np.asarray(obs.wrench)),
     ),
     "arm_motor_dead": Fault("the left shoulder has no torque", once=_dead_shoulder),
     "command_lost": Fault("no command arrives for 200 ms", lasts=0.2, loses_commands=True),
@@ -233,8 +234,8 @@ def play(name: str, seed: int, weights: Path) -> dict[str, Any]:
     fault = FAULTS[name]
     grid, scenario = demo_scenario(seed)
     if fault.extra is not None:
-        more = ObjectEntry(family="box", pose=_AWAY, properties=_EXTRA[fault.extra])
-        scenario = scenario.model_copy(update={"objects": (*scenario.objects, more)})
+        extra = ObjectEntry(family="box", pose=_AWAY, properties=_EXTRA[fault.extra])
+        scenario = scenario.model_copy(update={"objects": (*scenario.objects, extra)})
     with closing(Simulation(grid, scenario, controller_of(weights))) as simulation:
         trial, since = _Trial(simulation), 0.0
         while not simulation.navigator.finished and simulation.time < scenario.limits.time_s:
@@ -246,7 +247,7 @@ def play(name: str, seed: int, weights: Path) -> dict[str, Any]:
             active = trial.began is not None and trial.since < fault.lasts - 1e-6
             if active and fault.each is not None:
                 fault.each(trial)
-            perceive = partial(fault.perceive, trial) if active and fault.perceive else (lambda seen: seen)
+            perceive = partial(fault.perceive, trial) if active and fault.perceive else (lambda obs: obs)
             command: Command | None = simulation.decide(perceive)
             if active and fault.loses_commands:
                 command = None
@@ -291,24 +292,6 @@ def _judged(trial: _Trial, fault: Fault) -> dict[str, Any]:
     }
 
 
-def run(options: ExperimentOptions, runs: int, chosen: tuple[str, ...] = (), workers: int = 2) -> ExperimentResult:
-    """All faults, or those ``chosen``, in the demos ``seed``, ``seed + 1``, ...; what has been run is not run again."""
-    unknown = next((name for name in chosen if name not in FAULTS), None)
-    if unknown is not None:
-        raise ShmooError(f"--only {unknown}: there is no such fault; choose from {', '.join(FAULTS)}.")
-    weights, names = options.weights or asset(WEIGHTS), chosen or tuple(FAULTS)
-    store = options.out / f"faults-{fingerprint(__name__, {}, weights)}"
-    trials = {f"{name}-{options.seed + i}": (name, options.seed + i) for i in range(runs) for name in names}
-    rows = run_trials(trials, partial(_trial, weights), store, options.progress, workers)
-    metrics = {"falls": sum(r["falls"] for r in rows), "silent_wrong_successes": sum(r["silent"] for r in rows)}
-    for name in names:
-        for outcome in OUTCOMES:
-            count = sum(r["fault"] == name and r["outcome"] == outcome for r in rows)
-            metrics[f"{name}_{outcome.replace(' ', '_')}"] = count
-    about = {"runs": runs, "faults": {name: FAULTS[name].what for name in names}, "extra": _EXTRA}
-    return make_result("faults", options, about, metrics, {}, rows)
-
-
 def summary(result: ExperimentResult) -> str:
     """The matrix as a Markdown table, and what must never happen."""
     lines = []
@@ -323,5 +306,57 @@ def summary(result: ExperimentResult) -> str:
     return f"{table}\n\n{len(result.rows)} runs: {falls:g} falls, {silent:g} silent wrong successes."
 
 
-def _trial(weights: Path, trial: tuple[str, int]) -> list[dict[str, Any]]:
-    return [play(*trial, weights)]
+@dataclass(frozen=True)
+class FaultTrials(ExperimentConfig):
+    """What is tried: faults in the demos ``seed``, ``seed + 1``, ..."""
+
+    runs: int = 20
+    """Of each fault."""
+    only: tuple[str, ...] = ()
+    """These faults; all if none is named."""
+
+
+def _prepare(options: ExperimentOptions, config: FaultTrials, folder: Path) -> Prepared:
+    """The names of the faults.
+
+    Raises:
+        ShmooError: there is no such fault.
+    """
+    unknown = next((name for name in config.only if name not in FAULTS), None)
+    if unknown is not None:
+        raise ShmooError(f"--only {unknown}: there is no such fault; choose from {', '.join(FAULTS)}.")
+    return Prepared(config.only or tuple(FAULTS), files=(options.weights_file,))
+
+
+def _trials(setup: Setup[FaultTrials]) -> dict[str, tuple[str, int]]:
+    seeds = range(setup.options.seed, setup.options.seed + setup.config.runs)
+    return {f"{name}-{seed}": (name, seed) for seed in seeds for name in setup.data}
+
+
+def _trial(setup: Setup[FaultTrials], trial: tuple[str, int]) -> list[dict[str, Any]]:
+    return [play(*trial, setup.options.weights_file)]
+
+
+def _metrics(setup: Setup[FaultTrials], rows: list[dict[str, Any]]) -> dict[str, int]:
+    metrics = {"falls": sum(r["falls"] for r in rows), "silent_wrong_successes": sum(r["silent"] for r in rows)}
+    counts = Counter((r["fault"], r["outcome"]) for r in rows)
+    return metrics | {f"{f}_{o.replace(' ', '_')}": counts[f, o] for f in setup.data for o in OUTCOMES}
+
+
+EXPERIMENT = Experiment(
+    Section(
+        "Faults",
+        "One fault in each run of the demo, judged by the true state.",
+        arguments=lambda config: f"--runs {config.get('runs')}",
+        command="shmoo faults",
+        table=summary,
+    ),
+    FaultTrials(),
+    quick=FaultTrials(runs=1),
+    trials=_trials,
+    trial=_trial,
+    metrics=_metrics,
+    prepare=_prepare,
+    neutral=("runs", "only"),
+    about=lambda setup: {"faults": {name: FAULTS[name].what for name in setup.data}, "extra": _EXTRA},
+)

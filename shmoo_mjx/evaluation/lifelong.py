@@ -16,12 +16,13 @@ import numpy as np
 import shapely
 from pydantic import BaseModel
 
+from shmoo_mjx.base.fingerprints import fingerprint
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.evaluation.navigation import POLICIES, TestedRobot, play, robot_of, scores_of, told_of, trials_folder
+from shmoo_mjx.evaluation.navigation import POLICIES, deciding, play, scores_of, told_of
 from shmoo_mjx.evaluation.navigation_failures import keep_failure, write_failures
 from shmoo_mjx.evaluation.navigation_places import Places, find_places, kept
 from shmoo_mjx.evaluation.paired import OURS, metrics_by_method
-from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
+from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result, no_progress
 from shmoo_mjx.evaluation.scenarios import Extra, Generated, ScenarioConfig, draw_scenario, largest_room
 from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.planning.distance_field import DistanceField
@@ -68,7 +69,9 @@ def run(options: ExperimentOptions) -> ExperimentResult:
     if options.scenarios is not None:
         cfg = replace(cfg, sequences=options.scenarios)
     places = find_places(options, folder, cfg.scenario, most=1 if options.quick else None)
-    store = trials_folder(options, folder, cfg.scenario)
+    files, settings = deciding(options)
+    about_runs = asdict(cfg.scenario), options.seed, options.condition_seed, options.senses, settings
+    store = folder / f"trials-{fingerprint(__name__, about_runs, *files)}"
     maps = list(places.maps)
     trials = {
         f"{name}-{i}-{cfg.goals}-{policy}": (name, i, policy)
@@ -76,7 +79,7 @@ def run(options: ExperimentOptions) -> ExperimentResult:
         for i in range(cfg.sequences)
         for name in maps
     }
-    work = partial(_trial, places, robot_of(options), store, cfg.goals)
+    work = partial(_trial, places, replace(options, progress=no_progress), store, cfg.goals)
     rows = run_trials(trials, work, store, options.progress, cfg.workers)
     write_failures(folder, [r for r in rows if r["policy"] == OURS], store, options.progress)
     metrics = measure(rows, cfg.policies, cfg.goals)
@@ -85,7 +88,7 @@ def run(options: ExperimentOptions) -> ExperimentResult:
 
 
 def _trial(
-    places: Places, robot: TestedRobot, store: Path, goals: int, trial: tuple[str, int, str]
+    places: Places, options: ExperimentOptions, store: Path, goals: int, trial: tuple[str, int, str]
 ) -> list[dict[str, Any]]:
     """One run through a sequence. No row if the map has no place for it."""
     map_name, number, policy = trial
@@ -94,7 +97,7 @@ def _trial(
     if sequence is None:
         return []
     generated = sequence.generated
-    episode = play(robot, grid, generated, policy, sequence.goals)
+    episode = play(options, grid, generated, policy, goals=sequence.goals)
     legs, reached = episode.result["legs"], _reached(episode.result["legs"])
     scores = scores_of(episode, generated.scenario, sum(sequence.shortest))
     row = {"map": map_name, "scenario": number, "policy": policy, "kind": generated.kind} | told_of(episode, generated)

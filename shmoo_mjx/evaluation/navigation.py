@@ -12,21 +12,21 @@ is not run.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from shmoo_mjx.base import custom
-from shmoo_mjx.base.assets import WEIGHTS, asset
-from shmoo_mjx.base.fingerprints import fingerprint
+from shmoo_mjx.base.assets import asset
 from shmoo_mjx.behavior.belief import Status
 from shmoo_mjx.behavior.methods import FROZEN, METHODS, PAPER
 from shmoo_mjx.behavior.state import NavigatorConfig
+from shmoo_mjx.evaluation.experiment import Experiment, ExperimentConfig, Prepared, Setup
 from shmoo_mjx.evaluation.navigation_failures import keep_failure, write_failures
+from shmoo_mjx.evaluation.navigation_figures import draw_figures
 from shmoo_mjx.evaluation.navigation_measures import (
     cause_of,
     choice_of,
@@ -35,12 +35,14 @@ from shmoo_mjx.evaluation.navigation_measures import (
     interactive_score,
     measure,
 )
-from shmoo_mjx.evaluation.navigation_places import Places, find_places, kept_scenario
+from shmoo_mjx.evaluation.navigation_places import find_places, kept_scenario
+from shmoo_mjx.evaluation.navigation_tables import navigation_tables
 from shmoo_mjx.evaluation.paired import OURS
-from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, file_id, make_result
-from shmoo_mjx.evaluation.scenario_set import open_set
+from shmoo_mjx.evaluation.result import ExperimentOptions, file_id
+from shmoo_mjx.evaluation.scenario_set import find_set, open_set
 from shmoo_mjx.evaluation.scenarios import Generated, ScenarioConfig
-from shmoo_mjx.evaluation.trials import controller_of, run_trials
+from shmoo_mjx.evaluation.tables import Line, Section, difference, lines_of_methods, measured, rate
+from shmoo_mjx.evaluation.trials import controller_of
 from shmoo_mjx.planning.maps import OccupancyGrid, load_map
 from shmoo_mjx.planning.object_planner import ObjectPlannerConfig
 from shmoo_mjx.planning.scenario import Scenario
@@ -82,23 +84,7 @@ POLICIES = {
 
 
 @dataclass(frozen=True)
-class TestedRobot:
-    """With what every policy runs."""
-
-    seed: int
-    """Added to the scenario's."""
-    senses: str
-    """real or perfect."""
-    weights: Path
-
-
-def robot_of(options: ExperimentOptions) -> TestedRobot:
-    """The robot that is asked for."""
-    return TestedRobot(options.seed, options.senses, options.weights or asset(WEIGHTS))
-
-
-@dataclass(frozen=True)
-class NavigationTrials:
+class NavigationTrials(ExperimentConfig):
     """What is tried."""
 
     scenarios: int = 20
@@ -106,78 +92,82 @@ class NavigationTrials:
     generated_scenarios: int = 4
     """Per generated building, where no maps are given."""
     policies: tuple[str, ...] = tuple(POLICIES)
-    workers: int = 2
     scenario: ScenarioConfig = ScenarioConfig()
 
 
-def run(options: ExperimentOptions) -> ExperimentResult:
-    """Run the experiment on the maps of ``options.maps`` or on a scenario set; its files go to ``out / navigation``."""
-    from shmoo_mjx.evaluation.navigation_figures import draw_figures
+def _adjust(options: ExperimentOptions, config: NavigationTrials) -> NavigationTrials:
+    count = config.scenarios if options.quick or options.maps else config.generated_scenarios
+    count = count if options.scenarios is None else options.scenarios
+    return replace(config, scenarios=count, policies=options.chosen(POLICIES, others=True))
 
-    folder = options.out / "navigation"
-    cfg = NavigationTrials(policies=options.chosen(POLICIES, others=True))
-    count = 1 if options.quick else cfg.scenarios if options.maps else cfg.generated_scenarios
-    cfg = replace(cfg, scenarios=count if options.scenarios is None else options.scenarios)
-    most = 2 if options.quick else None
+
+def _prepare(options: ExperimentOptions, config: NavigationTrials, folder: Path) -> Prepared:
+    """The places and the number of scenarios per map: those of ``options.maps``, of buildings, or of a scenario set."""
+    most, count = 2 if options.quick else None, config.scenarios
     if options.scenario_set is None:
-        places = find_places(options, folder, cfg.scenario, most)
+        places = find_places(options, folder, config.scenario, most)
     else:
         places, count = open_set(options.scenario_set, folder / "set")
-        places = replace(places, maps=dict(list(places.maps.items())[:most]))
-        cfg = replace(cfg, scenarios=1 if options.quick else count)
-    store = trials_folder(options, folder, cfg.scenario)
-    there = {f"{name}-{i}": (name, i) for i in range(cfg.scenarios) for name in places.maps}
-    trials = {
+        places, count = replace(places, maps=dict(list(places.maps.items())[:most])), 1 if options.quick else count
+    return Prepared((places, count), *deciding(options))
+
+
+def deciding(options: ExperimentOptions) -> tuple[tuple[Path, ...], tuple[Any, ...]]:
+    """Files and settings that decide about every run, whichever policies and how many scenarios are asked for."""
+    policies = {name: [asdict(p.config), asdict(METHODS[p.method])] for name, p in POLICIES.items()}
+    sets = () if options.scenario_set is None else (options.scenario_set,)
+    return (options.weights_file, asset(METHODS[PAPER].weights), *sets), (policies,)
+
+
+def _trials(setup: Setup[NavigationTrials]) -> dict[str, tuple[str, int, str]]:
+    places, count = setup.data
+    scenarios = {f"{name}-{i}": (name, i) for i in range(count) for name in places.maps}
+    return {
         f"{scenario}-{custom.kept_as('policy', policy, POLICIES)}": (*place, policy)
-        for policy in cfg.policies
-        for scenario, place in there.items()
+        for policy in setup.config.policies
+        for scenario, place in scenarios.items()
         if places.given is None or scenario in places.given
     }
-    work = partial(_trial, places, robot_of(options), store)
-    rows = run_trials(trials, work, store, options.progress, cfg.workers)
-    draw_figures(folder, rows, places.maps)
-    write_failures(folder, [r for r in rows if r["policy"] == OURS], store, options.progress)
-    metrics = measure(rows, cfg.policies)
-    about = {
-        "senses": options.senses,
-        "maps": list(places.maps),
-        "generated_maps": options.maps is None and options.scenario_set is None,
-        "scenario_set": options.scenario_set and file_id(options.scenario_set),
-    }
-    return make_result("navigation", options, asdict(cfg) | about, metrics, {}, [_light(row) for row in rows])
 
 
-def trials_folder(options: ExperimentOptions, folder: Path, scenario: ScenarioConfig) -> Path:
-    """Where runs are kept: one folder for what they all share, whichever policies and how many scenarios are asked."""
-    robot = robot_of(options)
-    settings: dict[str, Any] = {"seeds": [robot.seed, options.condition_seed], "senses": robot.senses}
-    settings["scenario"] = asdict(scenario)
-    settings["policies"] = {name: [asdict(p.config), asdict(METHODS[p.method])] for name, p in POLICIES.items()}
-    given = () if options.scenario_set is None else (options.scenario_set,)
-    weights = robot.weights, asset(METHODS[PAPER].weights)
-    return folder / f"trials-{fingerprint(__name__, settings, *weights, *given)}"
-
-
-def _trial(places: Places, robot: TestedRobot, store: Path, trial: tuple[str, int, str]) -> list[dict[str, Any]]:
+def _trial(setup: Setup[NavigationTrials], trial: tuple[str, int, str]) -> list[dict[str, Any]]:
     """One run: of one policy in one scenario. No row if the map has no place for that scenario."""
+    places, _ = setup.data
     map_name, number, policy = trial
     grid = load_map(places.maps[map_name])
     wanted, generated = kept_scenario(places, grid, map_name, number)
     if generated is None:
         return []
     about = {"map": map_name, "scenario": number, "policy": policy, "kind": generated.kind, "wanted": wanted}
-    episode = play(robot, grid, generated, policy)
+    episode = play(setup.options, grid, generated, policy)
     row = about | _row(episode, generated)
     if policy == OURS and not row["success"]:
-        keep_failure(store, f"{map_name}-{number}", episode)
+        keep_failure(setup.store, f"{map_name}-{number}", episode)
     return [row]
 
 
+def _draw(setup: Setup[NavigationTrials], rows: list[dict[str, Any]]) -> None:
+    places, _ = setup.data
+    draw_figures(setup.folder, rows, places.maps)
+    write_failures(setup.folder, [r for r in rows if r["policy"] == OURS], setup.store)
+
+
+def _about(setup: Setup[NavigationTrials]) -> dict[str, Any]:
+    options, (places, count) = setup.options, setup.data
+    return {
+        "scenarios": count,
+        "maps": list(places.maps),
+        "generated_maps": options.maps is None and options.scenario_set is None,
+        "scenario_set": options.scenario_set and file_id(options.scenario_set),
+    }
+
+
 def play(
-    robot: TestedRobot,
+    options: ExperimentOptions,
     grid: OccupancyGrid,
     generated: Generated,
     policy: str,
+    *,
     goals: Sequence[tuple[float, float]] = (),
 ) -> Episode:
     """One run of a policy (of POLICIES, or "package.module:Name") through a generated scenario.
@@ -189,11 +179,11 @@ def play(
     config, first_status, method = POLICIES.get(policy, POLICIES[OURS])
     return run_episode(
         grid,
-        generated.scenario.model_copy(update={"seed": generated.scenario.seed + robot.seed}),
-        controller_of(asset(METHODS[method].weights) if method == PAPER else robot.weights, method),
+        generated.scenario.model_copy(update={"seed": generated.scenario.seed + options.seed}),
+        controller_of(asset(METHODS[method].weights) if method == PAPER else options.weights_file, method),
         config=config,
         first_status=None if first_status is None else first_status(generated),
-        senses=robot.senses,
+        senses=options.senses,
         goals=goals,
         policy=None if policy in POLICIES else policy,
     )
@@ -251,7 +241,72 @@ def _travelled(path: np.ndarray) -> float:
     return float(steps[steps > 1e-3].sum())
 
 
-def _light(row: dict[str, Any]) -> dict[str, Any]:
-    """The row without what only figures need."""
-    heavy = ("driven", "goal", "objects")
-    return {name: value for name, value in row.items() if name not in heavy}
+def map_arguments(config: Mapping[str, Any]) -> str:
+    """The maps or the scenario set; navigation goes without them as well, on floor plans of its own."""
+    if (identity := config.get("scenario_set")) is not None:
+        shipped = (file for file in find_set(Path("arena")).parent.glob("*.json") if file_id(file) == identity)
+        return f"--scenarios {next((file.stem for file in shipped), 'FILE')}"
+    return "" if config.get("generated_maps") else "--maps DIR"
+
+
+_OTHERS = ("",) * 7
+"""Empty cells of the other policies."""
+
+EXPERIMENT = Experiment(
+    Section(
+        "Interactive navigation (VI-B)",
+        "Generated scenarios. Effort efficiency is 1 if nothing is pushed; the interactive navigation score is that of "
+        "Interactive Gibson, half path and half effort efficiency. Aims are those for ours.",
+        ("ours", "lazy", "frozen", "always avoid", "always push", "paper", "geometric", "oracle"),
+        (
+            *lines_of_methods(
+                {
+                    "success_rate": "success (aim 0.96)",
+                    "success_rate_push_only": "success, push only (aim 0.92)",
+                    "success_rate_detour_only": "success, detour only (aim 0.92)",
+                    "success_rate_either": "success, either (aim 0.92)",
+                    "falls": "falls (aim 0)",
+                    "toppled": "objects toppled",
+                    "wall_contacts_per_100": "wall contacts in 100 runs (aim 1)",
+                    "time_s": "time of successes [s]",
+                    "path_length_m": "path of successes [m]",
+                    "displacement_m": "objects displaced by [m]",
+                    "efficiency": "path efficiency",
+                    "effort": "effort efficiency, mass moved",
+                    "effort_force": "effort efficiency, force",
+                    "ins": "interactive navigation score",
+                    "scenarios": "scenarios",
+                },
+                *("lazy", "frozen", "always_avoid", "always_push", "paper", "geometric", "oracle"),
+            ),
+            Line("time over the oracle's, where both succeed (aim 1.2)", ("time_over_oracle", *_OTHERS)),
+            Line("scenarios that neither baseline can do", ("neither_baseline", *_OTHERS)),
+            Line("scenarios that neither baseline can do and ours can", ("neither_baseline_but_ours", *_OTHERS)),
+        ),
+        ("success.png", "causes.png", "time_over_extra.png"),
+        arguments=map_arguments,
+        further_tables=navigation_tables,
+        summary=(
+            (
+                "Success rate of navigation, solvable scenarios",
+                rate("success_rate_certified", lambda r: measured(r, "certified")),
+            ),
+            (
+                "Success rate compared with never pushing",
+                difference("difference_always_avoid_success", "points", 100.0),
+            ),
+            ("Time lost compared with going round if possible", difference("difference_lazy_regret_s", "s")),
+        ),
+    ),
+    NavigationTrials(),
+    quick=NavigationTrials(scenarios=1),
+    trials=_trials,
+    trial=_trial,
+    metrics=lambda setup, rows: measure(rows, setup.config.policies),
+    draw=_draw,
+    prepare=_prepare,
+    adjust=_adjust,
+    neutral=("scenarios", "generated_scenarios", "policies"),
+    about=_about,
+    only_drawn=("driven", "goal", "objects"),
+)

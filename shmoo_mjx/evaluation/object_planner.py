@@ -15,7 +15,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,12 +22,11 @@ import numpy as np
 from scipy.special import expit
 
 from shmoo_mjx.arrays import Array, Float
-from shmoo_mjx.base.assets import WEIGHTS, asset
-from shmoo_mjx.base.fingerprints import fingerprint
 from shmoo_mjx.base.options import SensesName
 from shmoo_mjx.behavior.interaction import rolled
 from shmoo_mjx.behavior.push_decisions import PROBE_TIME
 from shmoo_mjx.behavior.state import Mode, NavigatorConfig
+from shmoo_mjx.evaluation.experiment import Experiment, ExperimentConfig, Prepared, Setup
 from shmoo_mjx.evaluation.manipulable import (
     IMMOVABLE,
     STRATA,
@@ -39,9 +37,9 @@ from shmoo_mjx.evaluation.manipulable import (
     near_border_by_load,
     steady_push,
 )
-from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
 from shmoo_mjx.evaluation.scenarios import entry_of
-from shmoo_mjx.evaluation.trials import controller_of, run_trials
+from shmoo_mjx.evaluation.tables import Section, lines_of, rate
+from shmoo_mjx.evaluation.trials import controller_of
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.geometry.faces import faces_of
 from shmoo_mjx.planning.maps import OCCUPIED, OccupancyGrid
@@ -68,40 +66,14 @@ _BINS = 5
 
 
 @dataclass(frozen=True)
-class ObjectPlannerTrials:
+class ObjectPlannerTrials(ExperimentConfig):
     """What is tried."""
 
     objects: int = 60
     """Of each stratum."""
     time_s: float = 40.0
     """Longest trial [s]."""
-    workers: int = 2
     truth: SteadyPush = SteadyPush()
-
-
-QUICK = ObjectPlannerTrials(objects=6)
-
-
-def run(options: ExperimentOptions) -> ExperimentResult:
-    """Run the experiment; figures go to ``options.out / object_planner``."""
-    from shmoo_mjx.evaluation.object_planner_figures import draw_figures
-
-    cfg = QUICK if options.quick else ObjectPlannerTrials()
-    weights = options.weights or asset(WEIGHTS)
-    about = {"seed": options.seed, "senses": options.senses, "navigator": asdict(navigator_config())}
-    settings = asdict(replace(cfg, objects=0)) | about
-    folder = options.out / "object_planner"
-    # The trials of a quick run are the first ones of a full run.
-    settings |= {"condition_seed": options.condition_seed}
-    store = folder / f"trials-{fingerprint(__name__, settings, weights)}"
-    trials = {f"{stratum}-{i:03d}": (stratum, i) for stratum in STRATA for i in range(cfg.objects)}
-    work = partial(_trial, cfg, options.first_unseen, options.seed, weights, options.senses)
-    rows = run_trials(trials, work, store, options.progress, cfg.workers)
-    draw_figures(folder, rows, partial(fig5_episodes, weights, options.seed, options.senses))
-    parts = {stratum: [r for r in rows if r["stratum"] == stratum] for stratum in STRATA}
-    of = {"": parts["drawn"], "_border": parts["border"], "_all": rows}
-    metrics = {f"{name}{suffix}": value for suffix, part in of.items() for name, value in measure(part).items()}
-    return make_result("object_planner", options, cfg, metrics, {}, rows)
 
 
 def navigator_config() -> NavigatorConfig:
@@ -176,7 +148,13 @@ def _seeds(index: int, first_seed: int) -> Iterator[int]:
 
 
 def probe(
-    condition: Condition, side: int, seed: int, cfg: ObjectPlannerTrials, weights: Path, senses: SensesName = "real"
+    condition: Condition,
+    side: int,
+    seed: int,
+    *,
+    cfg: ObjectPlannerTrials,
+    weights: Path,
+    senses: SensesName = "real",
 ) -> tuple[dict[str, Any], Any]:
     """What three seconds of contact tell (nothing if it was never touched), and the episode.
 
@@ -185,39 +163,40 @@ def probe(
     """
     from shmoo_mjx.run.episode import Hooks, run_episode
 
-    told: dict[str, Any] = {"probabilities": []}
-    controller, said = controller_of(weights), told["probabilities"]
+    probabilities: list[float] = []
+    evidence: dict[str, Any] = {"probabilities": probabilities}
+    controller = controller_of(weights)
 
     def over(navigator: Any) -> bool:
         push = navigator.segment.push if navigator.segment is not None else None
         if push is None:
             return False
         ended = navigator.mode not in (Mode.PROBE, Mode.PUSH)
-        known = navigator.belief.objects[navigator.segment.object]
-        if ended and push.contact_time < PROBE_TIME and not rolled(push, known.pose):
+        belief = navigator.belief.objects[navigator.segment.object]
+        if ended and push.contact_time < PROBE_TIME and not rolled(push, belief.pose):
             return False  # too short a touch to say anything; it touches the object again
-        while len(said) < len(LOOKS) and (ended or push.contact_time >= LOOKS[len(said)] - 1e-6):
-            if not said:
-                told.update(_criteria(navigator, controller))
-            said.append(_probability(navigator, controller, cfg.truth))
-        return len(said) == len(LOOKS)
+        while len(probabilities) < len(LOOKS) and (ended or push.contact_time >= LOOKS[len(probabilities)] - 1e-6):
+            if not probabilities:
+                evidence.update(_criteria(navigator, controller))
+            probabilities.append(_probability(navigator, controller, cfg.truth))
+        return len(probabilities) == len(LOOKS)
 
     scenario = open_floor_scenario(condition, side, seed, cfg.time_s)
     episode = run_episode(
         open_floor(), scenario, controller, config=navigator_config(), hooks=Hooks(over=over), senses=senses
     )
-    return (told if said else {}), episode
+    return (evidence if probabilities else {}), episode
 
 
 def _probability(navigator: Any, controller: Any, truth: SteadyPush) -> float:
     """That the object comes as far as the truth asks along the push."""
-    foresight, segment = foresight_of(controller), navigator.segment
-    known = navigator.belief.objects[segment.object]
-    return foresight.probability_to_move(
-        known.adapt,
-        known.kind,
-        known.pose,
-        known.half_extents,
+    segment = navigator.segment
+    belief = navigator.belief.objects[segment.object]
+    return foresight_of(controller).probability_to_move(
+        belief.adapt,
+        belief.kind,
+        belief.pose,
+        belief.half_extents,
         face=segment.face,
         distance=truth.distance,
         turn=truth.turn,
@@ -227,43 +206,50 @@ def _probability(navigator: Any, controller: Any, truth: SteadyPush) -> float:
 def _criteria(navigator: Any, controller: Any) -> dict[str, Any]:
     """What the touch has shown so far, and K as the planning stage of Algorithm 1 would find it now."""
     segment, planner = navigator.segment, navigator.config.planner
-    push, known = segment.push, navigator.belief.objects[segment.object]
+    push, belief = segment.push, navigator.belief.objects[segment.object]
     poses, _, costs = controller.planning_rollouts(
-        push.pusher, segment.goal, segment.clearance, np.array(known.half_extents)
+        push.pusher, segment.goal, segment.clearance, np.array(belief.half_extents)
     )
-    stage = planning_stage(poses[:, -1], costs, known.pose, lambda ends: np.ones(len(ends), dtype=bool), cfg=planner)
-    moved = push.moved(known.pose)
+    stage = planning_stage(poses[:, -1], costs, belief.pose, lambda ends: np.ones(len(ends), dtype=bool), cfg=planner)
+    moved = push.moved(belief.pose)
     return {"side": segment.side, "K_first": stage.K, "moved_m_first": moved, "impulse_Ns_first": push.impulse}
 
 
-def _trial(
-    cfg: ObjectPlannerTrials, first_seed: int, seed: int, weights: Path, senses: SensesName, trial: tuple[str, int]
-) -> list[dict[str, Any]]:
+def _trial(setup: Setup[ObjectPlannerTrials], trial: tuple[str, int]) -> list[dict[str, Any]]:
     from shmoo_mjx.run.episode import Hooks, run_episode
 
-    stratum, number = trial
-    controller, own_seed = controller_of(weights), 1000 * seed + number
+    (stratum, number), options, cfg = trial, setup.options, setup.config
+    controller, own_seed = controller_of(options.weights_file), 1000 * options.seed + number
 
     def pushed(condition: Condition, side: int) -> int:
         # The navigator chooses a face by what it sees, before it knows the load.
         scenario = open_floor_scenario(condition, side, own_seed, cfg.time_s)
         begins = Hooks(over=lambda navigator: navigator.segment is not None)
         episode = run_episode(
-            open_floor(), scenario, controller, config=navigator_config(), hooks=begins, senses=senses
+            open_floor(), scenario, controller, config=navigator_config(), hooks=begins, senses=options.senses
         )
         return episode.navigator.state.current().side
 
     if stratum == "drawn":
-        condition, side, kind = draw_object(number, first_seed, cfg.truth)
+        condition, side, kind = draw_object(number, options.first_unseen, cfg.truth)
     else:
-        condition, side, kind = draw_border_object(number, first_seed, cfg.truth, pushed)
-    told, episode = probe(condition, side, own_seed, cfg, weights, senses)
-    row = {"stratum": stratum, "object": number, "family": condition.family, "kind": kind}
-    row |= {"description": condition.describe(), "transitions": len(episode.result["transitions"])}
-    side = told.get("side", side)
+        condition, side, kind = draw_border_object(number, options.first_unseen, cfg.truth, pushed)
+    evidence, episode = probe(condition, side, own_seed, cfg=cfg, weights=options.weights_file, senses=options.senses)
+    side = evidence.get("side", side)
     truth = steady_push(condition, side, cfg.truth)
-    row |= {"side": side, "manipulable": truth >= cfg.truth.distance, "truth_m": truth}
-    return [row | {"border": near_border(condition, side, cfg.truth)} | told]
+    row = {
+        "stratum": stratum,
+        "object": number,
+        "family": condition.family,
+        "kind": kind,
+        "description": condition.describe(),
+        "transitions": len(episode.result["transitions"]),
+        "side": side,
+        "manipulable": truth >= cfg.truth.distance,
+        "truth_m": truth,
+        "border": near_border(condition, side, cfg.truth),
+    }
+    return [row | evidence]
 
 
 def features_of(row: dict[str, Any], criterion: str) -> tuple[float, ...]:
@@ -354,3 +340,74 @@ def fig5_episodes(weights: Path, seed: int, senses: SensesName = "real") -> list
         episode = run_episode(open_floor(), scenario, controller_of(weights), config=config, hooks=over, senses=senses)
         episodes.append((title, episode.result, episode.trace))
     return episodes
+
+
+def _metrics(setup: Setup[ObjectPlannerTrials], rows: list[dict[str, Any]]) -> dict[str, float]:
+    parts = {stratum: [r for r in rows if r["stratum"] == stratum] for stratum in STRATA}
+    of = {"": parts["drawn"], "_border": parts["border"], "_all": rows}
+    return {f"{name}{suffix}": value for suffix, part in of.items() for name, value in measure(part).items()}
+
+
+def _draw(setup: Setup[ObjectPlannerTrials], rows: list[dict[str, Any]]) -> None:
+    from shmoo_mjx.evaluation.object_planner_figures import draw_figures
+
+    options = setup.options
+    draw_figures(setup.folder, rows, fig5_episodes(options.weights_file, options.seed, options.senses))
+
+
+_CRITERIA = {"reach": "roll-outs", "K": "K", "impulse": "displacement and impulse", "moved_m": "displacement"}
+_OF_CRITERIA = {
+    "accuracy": "accuracy",
+    "log_score": "log score (a coin: -0.69)",
+    "calibration_error": "calibration error",
+    "auc": "ROC area",
+}
+
+EXPERIMENT = Experiment(
+    Section(
+        "Can it be moved? (IV-B, Algorithm 1, Fig. 5)",
+        "The navigator probes unseen objects, at least half of them immovable. An object is manipulable if a steady "
+        "push moves it 0.316 m along the push before it has turned by 30 deg. Objects near the border are so laden "
+        "that it moves them 0.2 to 0.5 m. The decision is the share of roll-outs over the posterior in which the "
+        "object comes as far. Other criteria are logistic regressions that are fitted to objects of training: on K, "
+        "on displacement and impulse, and on displacement. Seconds are of contact.",
+        ("as drawn", "near the border", "both"),
+        lines_of(
+            {
+                "accuracy": "accuracy after 1 s",
+                "accuracy_2s": "accuracy after 2 s",
+                "accuracy_3s": "accuracy after 3 s",
+                "accuracy_clear": "accuracy after 1 s, objects near the border left out",
+                "near_border": "objects near the border",
+                "manipulable_called_manipulable": "manipulable, called so",
+                "manipulable_called_immovable": "manipulable, called immovable",
+                "immovable_called_immovable": "immovable, called so",
+                "immovable_called_manipulable": "immovable, called manipulable",
+                "undecided": "not touched",
+                **{
+                    f"{measure}_{criterion}_after_1s": f"{name} after 1 s, {by}"
+                    for measure, name in _OF_CRITERIA.items()
+                    for criterion, by in _CRITERIA.items()
+                },
+            },
+            *("{}", "{}_border", "{}_all"),
+        ),
+        ("reliability.png", "confusion.png", "planned_goals.png"),
+        summary=(
+            (
+                "Accuracy of the decision whether an object can be moved",
+                rate("accuracy", lambda r: float(r.config.get("objects", 0))),
+            ),
+        ),
+    ),
+    ObjectPlannerTrials(),
+    quick=ObjectPlannerTrials(objects=6),
+    trials=lambda setup: {f"{s}-{i:03d}": (s, i) for s in STRATA for i in range(setup.config.objects)},
+    trial=_trial,
+    metrics=_metrics,
+    draw=_draw,
+    prepare=lambda options, config, folder: Prepared(
+        files=(options.weights_file,), settings=(asdict(navigator_config()),)
+    ),
+    neutral=("objects",),
+)

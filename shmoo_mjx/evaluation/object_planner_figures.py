@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +14,12 @@ from shmoo_mjx.report.figures import draw_decision, evidence
 from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
 
 
-def draw_figures(folder: Path, rows: list[dict[str, Any]], episodes: Callable[[], list[tuple[str, Any, Any]]]) -> None:
+def draw_figures(folder: Path, rows: list[dict[str, Any]], episodes: list[tuple[str, Any, Any]]) -> None:
     """Write reliability.png, confusion.png and planned_goals.png (the paper's Fig. 5) into ``folder``."""
     touched = [r for r in rows if "probabilities" in r]
     save_figure(folder / "reliability.png", _reliability(touched))
     save_figure(folder / "confusion.png", _confusion(touched))
-    save_figure(folder / "planned_goals.png", _planned_goals(episodes()))
+    save_figure(folder / "planned_goals.png", _planned_goals(episodes))
 
 
 def _reliability(rows: list[dict[str, Any]]) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from shmoo_mjx.evaluation.paired import OURS, difference_metrics, metrics_by_method
 from shmoo_mjx.evaluation.pushing_trials import EVERYTHING, KINDS
 from shmoo_mjx.evaluation.result import ExperimentResult
-from shmoo_mjx.evaluation.tables import differences_table
+from shmoo_mjx.evaluation.tables import cell, differences_table, lines_of, shown_name
 from shmoo_mjx.plant.objects import FAMILIES
 from shmoo_mjx.report.tables import markdown_table
 
@@ -37,6 +38,21 @@ _EVERYTHING = {
     "trials": "trials",
 }
 """Lines of the table of the stratum "everything"."""
+
+_SCORES: dict[str, tuple[str, Callable[[Any], Any]]] = {
+    "success_rate": ("success", np.mean),
+    "offset_m": ("offset_m", np.mean),
+    "offset_median_m": ("offset_m", np.median),
+    "yaw_error_deg": ("yaw_error_deg", np.mean),
+    "yaw_error_median_deg": ("yaw_error_deg", np.median),
+    "falls": ("fell", np.sum),
+    "toppled": ("toppled", np.sum),
+    "worst_lean_rad": ("worst_lean_rad", np.max),
+    "least_arm_margin_rad": ("arm_margin_rad", np.min),
+    "time_s": ("time_s", np.mean),
+    "pushes": ("pushes", np.mean),
+}
+"""Metrics over all rows: the field of a row, and the statistic of it."""
 
 Rows = list[dict[str, Any]]
 
@@ -98,9 +114,6 @@ def _way_to_oracle(of: dict[str, dict[str, Any]]) -> dict[str, float]:
 
 
 def _scores(rows: Rows) -> dict[str, Any]:
-    def mean(name: str, of: Rows = rows) -> float:
-        return float(np.mean([row[name] for row in of]))
-
     scores: dict[str, Any] = {}
     for goal in sorted(_values(rows, "goal")):
         there = [row for row in rows if row["goal"] == goal]
@@ -108,26 +121,14 @@ def _scores(rows: Rows) -> dict[str, Any]:
         scores[f"offset_goal{goal}_m"] = float(offsets.mean())
         scores[f"offset_goal{goal}_std_m"] = float(offsets.std())
         scores[f"circle_goal{goal}_m"] = float(offsets.max())
-        finals = np.array([[row["final_x"], row["final_y"]] for row in there])
-        scores[f"radius_goal{goal}_m"] = enclosing_circle(finals)[1]
+        scores[f"radius_goal{goal}_m"] = enclosing_circle(np.array([[r["final_x"], r["final_y"]] for r in there]))[1]
     for name, (key, value) in _groups(rows).items():
         there = [row for row in rows if row.get(key) == value]
         scores[f"trials_{name}"] = len(there)
-        scores |= {f"success_rate_{name}": mean("success", there), f"offset_{name}_m": mean("offset_m", there)}
-    return scores | {
-        "success_rate": mean("success"),
-        "offset_m": mean("offset_m"),
-        "offset_median_m": float(np.median([row["offset_m"] for row in rows])),
-        "yaw_error_deg": mean("yaw_error_deg"),
-        "yaw_error_median_deg": float(np.median([row["yaw_error_deg"] for row in rows])),
-        "falls": sum(row["fell"] for row in rows),
-        "toppled": sum(row["toppled"] for row in rows),
-        "worst_lean_rad": max(row["worst_lean_rad"] for row in rows),
-        "least_arm_margin_rad": min(row["arm_margin_rad"] for row in rows),
-        "time_s": mean("time_s"),
-        "pushes": mean("pushes"),
-        "trials": len(rows),
-    }
+        scores[f"success_rate_{name}"] = float(np.mean([row["success"] for row in there]))
+        scores[f"offset_{name}_m"] = float(np.mean([row["offset_m"] for row in there]))
+    scores |= {name: statistic([row[key] for row in rows]).item() for name, (key, statistic) in _SCORES.items()}
+    return scores | {"trials": len(rows)}
 
 
 def enclosing_circle(points: np.ndarray) -> tuple[np.ndarray, float]:
@@ -159,12 +160,9 @@ def _about_everything(result: ExperimentResult) -> str:
     counts = {kind: result.metrics.get(f"trials_kind_{kind}") or 0.0 for kind in KINDS}
     held = "; ".join(f"{counts[kind] / trials:.0%} {label}".replace("%", " %") for kind, label in KINDS.items())
     methods = _values(result.rows, "method")
-    prefixes = ["" if m == OURS else f"baseline_{m}_" for m in methods]
-    lines = [
-        [label, *(f"{value:.3g}" if (value := result.metrics.get(p + name)) is not None else "" for p in prefixes)]
-        for name, label in _EVERYTHING.items()
-    ]
-    table = markdown_table(["", *(m.replace("_", " ") for m in methods)], lines)
+    lines = lines_of(_EVERYTHING, *("{}" if method == OURS else f"baseline_{method}_{{}}" for method in methods))
+    rows = [[line.label, *(cell(result.metrics, name, infinite="") for name in line.metrics)] for line in lines]
+    table = markdown_table(["", *map(shown_name, methods)], rows)
     return f"Objects as they are drawn; none is left out, and none changes on the way. Trials: {held}.\n\n{table}"
 
 
@@ -173,11 +171,11 @@ def pushing_differences(result: ExperimentResult) -> str:
     others = [m for m in result.config.get("methods", []) if f"difference_{m}_offset_m" in result.metrics]
     if not others:
         return ""
-    lines = [(label, name, more) for name, (label, more) in COMPARED.items()]
+    lines = [(label, name, better) for name, (label, better) in COMPARED.items()]
     for group, (key, _) in _groups(result.rows).items():
         if len(_values(result.rows, key)) < 2:
             continue
         for name in ("offset_m", "success"):
-            label, more = COMPARED[name]
-            lines.append((f"{label}, {group.replace('_', ' ')}", f"{group}_{name}", more))
+            label, better = COMPARED[name]
+            lines.append((f"{label}, {group.replace('_', ' ')}", f"{group}_{name}", better))
     return differences_table(result.metrics, others, lines)

@@ -13,6 +13,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from shmoo_mjx.arrays import Array
 from shmoo_mjx.base import custom
 from shmoo_mjx.behavior.methods import PAPER, method_named
 from shmoo_mjx.behavior.push_task import Pusher, PushTask, pose_push_config
@@ -126,20 +127,20 @@ def _movable(family: str, first_seed: int, count: int) -> list[tuple[Condition, 
 
 def _demanding(family: str, first_seed: int, count: int) -> list[tuple[Condition, str]]:
     """``count`` objects that ask for adaptation, with what each of them asks; what can't be made so is drawn again."""
-    found: list[tuple[Condition, str]] = []
+    objects: list[tuple[Condition, str]] = []
     # Other objects than those of `_movable`, of the same 1,000 seeds.
     for seed in range(first_seed + 400, first_seed + 1000):
-        if len(found) == count:
+        if len(objects) == count:
             break
-        demand = _DEMANDS[family][len(found) % len(_DEMANDS[family])]
+        demand = _DEMANDS[family][len(objects) % len(_DEMANDS[family])]
         condition = draw_condition(family, seed)
         if any(condition.locked):
             continue
         condition = _demand(np.random.default_rng([seed, 13]), condition, demand)
         least = _LEAST_HEAVY if demand == "heavy" else 0.0
         if least <= condition.resistance <= 0.95 * _MOST["demanding"]:
-            found.append((condition, demand))
-    return found
+            objects.append((condition, demand))
+    return objects
 
 
 def _everything(family: str, first_seed: int, count: int) -> list[tuple[Condition, str]]:
@@ -192,15 +193,15 @@ def _changed(rng: np.random.Generator, condition: Condition, kind: str, most: fl
 
 
 def draw_trials(
-    first_unseen: int, seed: int, runs: int, goals: tuple[int, ...] = (1, 2, 3), stratum: str = STRATA[0]
+    first_unseen: int, seed: int, runs: int, *, goals: tuple[int, ...] = (1, 2, 3), stratum: str = STRATA[0]
 ) -> list[Trial]:
     """All trials of a stratum: three families x goals x runs. Run r of a family is the same object for each goal."""
     trials = []
-    more = [at] if (at := STRATA.index(stratum)) else []
+    stream = [at] if (at := STRATA.index(stratum)) else []
     for number, family in enumerate(FAMILIES):
         for run, (condition, demand) in enumerate(_OBJECTS[stratum](family, first_unseen, runs)):
             for goal in goals:
-                rng = np.random.default_rng([seed, first_unseen, number, goal, run, *more])
+                rng = np.random.default_rng([seed, first_unseen, number, goal, run, *stream])
                 kinds: tuple[str, ...] = ("none", "mass") if family == "box" else ("none", "mass", "brake")
                 kinds = {"demanding": kinds[1:], EVERYTHING: ("none",)}.get(stratum, kinds)
                 kind = str(rng.choice(kinds))
@@ -220,6 +221,13 @@ def draw_trials(
 def scene_of_trial(trial: Trial, condition: Condition, senses: Senses) -> Scene:
     """The trial's world with the body of the trial's robot."""
     return build_scene([(condition, trial.object_pose)], trial.robot_pose, adjust=senses.adjust(trial.seed))
+
+
+def task_of(condition: Condition, goal: Array, pusher: Pusher, *, seed: int, adapt: Known | None = None) -> PushTask:
+    """The task to bring an object near the origin of an open floor to the pose ``goal [3]``."""
+    grid = OccupancyGrid(np.zeros((240, 240), np.int8), 0.05, (-6.0, -6.0, 0.0))
+    kinds = [kind_of(condition)]
+    return PushTask(grid, [condition.half_extents], goal, pusher, seed=seed, adapt=adapt, kinds=kinds)
 
 
 def _pusher(method: str, weights: Weights, config: PushConfig) -> Pusher:
@@ -259,16 +267,10 @@ class Runner:
     """Runs trials of every method in one process; each method's controller is compiled once."""
 
     def __init__(
-        self,
-        weights: Weights,
-        time_limit: float,
-        senses: Senses = REAL,
-        config: PushConfig | None = None,
+        self, weights: Weights, time_limit: float, senses: Senses = REAL, config: PushConfig | None = None
     ) -> None:
-        self.weights = weights
+        self.weights, self.time_limit, self.senses = weights, time_limit, senses
         self.config = config or pose_push_config()
-        self.time_limit = time_limit
-        self.senses = senses
         self._pushers: dict[str, Pusher] = {}
 
     def run(self, trial: Trial, method: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -282,36 +284,37 @@ class Runner:
         if method == "oracle_coefficients":
             adapt = oracle_coefficients(self.weights, trial.condition, trial.seed % 10_000)
             adapt_after = oracle_coefficients(self.weights, trial.changed, trial.seed % 10_000)
-        grid = OccupancyGrid(np.zeros((240, 240), np.int8), 0.05, (-6.0, -6.0, 0.0))
-        sizes = [trial.condition.half_extents]
-        pusher, kinds = self._pushers[method], [kind_of(trial.condition)]
-        task = PushTask(grid, sizes, trial.goal_pose, pusher, seed=trial.seed, adapt=adapt, kinds=kinds)
+        pusher = self._pushers[method]
+        task = task_of(trial.condition, trial.goal_pose, pusher, seed=trial.seed, adapt=adapt)
         start = np.array(trial.object_pose[:2])
         way = float(np.linalg.norm(trial.goal_pose[:2] - start))
         rows: list[tuple[Any, ...]] = []
         with engine:
             world = engine.init()
-            seen, true = engine.observe(world), engine.true_observation(world)
-            changed_at, fell, lost = None, False, False
-            while not task.finished and float(seen.time[0]) < self.time_limit and not (fell or lost):
+            obs, true = engine.observe(world), engine.true_observation(world)
+            changed_at: float | None = None
+            fell, lost = False, False
+            while (
+                not task.finished and (now := float(np.asarray(obs.time)[0])) < self.time_limit and not (fell or lost)
+            ):
                 gone = float(np.linalg.norm(true.object_pose[0, 0, :2] - start)) / way
                 if changed_at is None and trial.change != "none" and gone > trial.change_at:
-                    changed_at = float(seen.time[0])
+                    changed_at = now
                     engine.change([scene_of_trial(trial, trial.changed, self.senses)])
                     if adapt_after is not None:
                         task.know(adapt_after)
-                tick = partial(task.tick, seen)
+                tick = partial(task.tick, obs)
                 command = tick() if method in METHODS else custom.asked(OWN, method, tick)
                 after = engine.step(world, command)
                 lost = bool(engine.diverged(after[0])[0])
                 if not lost:  # or the last whole state remains
-                    world, seen = after
+                    world, obs = after
                     true, fell = engine.true_observation(world), bool(engine.fallen(world)[0])
-                now = float(true.time[0]), true.object_pose[0, 0], true.robot_pose[0], str(task.mode)
-                rows.append((*now, world.physics[0, 1 : 1 + scene.model.nq].copy(), float(np.hypot(*true.lean[0]))))
+                poses = float(np.asarray(true.time)[0]), true.object_pose[0, 0], true.robot_pose[0], str(task.mode)
+                rows.append((*poses, world.physics[0, 1 : 1 + scene.model.nq].copy(), float(np.hypot(*true.lean[0]))))
         names = ("t", "object_pose", "robot_pose", "phase", "qpos", "lean")
         track = {name: np.array(column) for name, column in zip(names, zip(*rows, strict=True), strict=True)}
-        row = _row(trial, method, scene, task, track, changed_at, fell)
+        row = _row(trial, method, task, track, scene=scene, changed_at=changed_at, fell=fell)
         if lost:
             row |= {"success": False, "ended": "diverged", "reason": DIVERGED}
         return row, track | {"qpos": track["qpos"].astype(np.float32)}
@@ -320,9 +323,10 @@ class Runner:
 def _row(
     trial: Trial,
     method: str,
-    scene: Scene,
     task: PushTask,
     track: dict[str, np.ndarray],
+    *,
+    scene: Scene,
     changed_at: float | None,
     fell: bool,
 ) -> dict[str, Any]:

@@ -7,23 +7,21 @@ end, memory that grows, files that stay open. An errand that fails is given up f
 from __future__ import annotations
 
 from contextlib import closing
-from dataclasses import asdict, dataclass, replace
-from functools import partial
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import psutil
 import shapely
 
-from shmoo_mjx.base.assets import WEIGHTS, asset
-from shmoo_mjx.base.fingerprints import fingerprint
 from shmoo_mjx.behavior.state import Mode, Transition
 from shmoo_mjx.control.observation import local_distance_field
 from shmoo_mjx.control.pushing import PushController
-from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
+from shmoo_mjx.evaluation.experiment import Experiment, ExperimentConfig, Setup
+from shmoo_mjx.evaluation.result import ExperimentResult
 from shmoo_mjx.evaluation.scenarios import largest_room
-from shmoo_mjx.evaluation.trials import controller_of, run_trials
+from shmoo_mjx.evaluation.tables import Section
+from shmoo_mjx.evaluation.trials import controller_of
 from shmoo_mjx.planning.floorplan import draw_floorplan
 from shmoo_mjx.planning.footprints import footprint_polygon
 from shmoo_mjx.planning.maps import distance_field
@@ -40,7 +38,7 @@ _APART = 1.0
 
 
 @dataclass(frozen=True)
-class SoakTrials:
+class SoakTrials(ExperimentConfig):
     """What is done in the building."""
 
     minutes: float = 60.0
@@ -48,20 +46,6 @@ class SoakTrials:
     buildings: int = 10
     moved_every: float = 90.0
     """Time after which somebody puts one object elsewhere [s]."""
-
-
-def run(options: ExperimentOptions, trials: SoakTrials, workers: int = 2) -> ExperimentResult:
-    """Buildings ``options.seed``, ``options.seed + 1``, ...; one that is done is not gone through again."""
-    weights = options.weights or asset(WEIGHTS)
-    # Each building is a trial of its own: more of them go on from those that are there.
-    store = options.out / f"soak-{fingerprint(__name__, asdict(replace(trials, buildings=1)), weights)}"
-    names = {f"seed-{options.seed + i}": options.seed + i for i in range(trials.buildings)}
-    rows = run_trials(names, partial(_trial, trials, weights), store, options.progress, workers)
-    totals = ("falls", "livelocks", "open_files_left", "wall_contacts", "errands", "done")
-    metrics: dict[str, Any] = {name: sum(r[name] for r in rows) for name in totals}
-    metrics["hours"] = sum(r["simulated_s"] for r in rows) / 3600
-    metrics["memory_growth"] = max(r["memory_growth"] for r in rows)
-    return make_result("soak", options, asdict(trials), metrics, {}, rows)
 
 
 def summary(result: ExperimentResult) -> str:
@@ -156,13 +140,13 @@ def _reason(simulation: Simulation) -> str:
 
 def _apart(places: np.ndarray, rng: np.random.Generator, count: int) -> list[int]:
     """Indices of places at least a metre from each other."""
-    found: list[int] = []
+    chosen: list[int] = []
     for index in rng.permutation(len(places)):
-        if all(np.hypot(*(places[index] - places[other])) > 1.2 for other in found):
-            found.append(int(index))
-            if len(found) == count:
+        if all(np.hypot(*(places[index] - places[other])) > 1.2 for other in chosen):
+            chosen.append(int(index))
+            if len(chosen) == count:
                 break
-    return found
+    return chosen
 
 
 def _shapes(simulation: Simulation) -> list[Any]:
@@ -194,5 +178,37 @@ def _move_one(simulation: Simulation, places: np.ndarray, rng: np.random.Generat
     return 1
 
 
-def _trial(trials: SoakTrials, weights: Path, seed: int) -> list[dict[str, Any]]:
-    return [play(trials, seed, controller_of(weights))]
+def _trials(setup: Setup[SoakTrials]) -> dict[str, int]:
+    first = setup.options.seed
+    return {f"seed-{seed}": seed for seed in range(first, first + setup.config.buildings)}
+
+
+def _trial(setup: Setup[SoakTrials], seed: int) -> list[dict[str, Any]]:
+    return [play(setup.config, seed, controller_of(setup.options.weights_file))]
+
+
+def _metrics(setup: Setup[SoakTrials], rows: list[dict[str, Any]]) -> dict[str, Any]:
+    totals = ("falls", "livelocks", "open_files_left", "wall_contacts", "errands", "done")
+    metrics: dict[str, Any] = {name: sum(r[name] for r in rows) for name in totals}
+    metrics["hours"] = sum(r["simulated_s"] for r in rows) / 3600
+    return metrics | {"memory_growth": max(r["memory_growth"] for r in rows)}
+
+
+EXPERIMENT = Experiment(
+    Section(
+        "Soak",
+        "Errand after errand in one building while others move objects.",
+        arguments=lambda config: f"--minutes {config.get('minutes', 0):g} --buildings {config.get('buildings')}",
+        command="shmoo soak",
+        table=summary,
+    ),
+    SoakTrials(),
+    quick=SoakTrials(minutes=2.0, buildings=1),
+    trials=lambda setup: {
+        f"seed-{setup.options.seed + i}": setup.options.seed + i for i in range(setup.config.buildings)
+    },
+    trial=_trial,
+    metrics=_metrics,
+    # Each building is a trial of its own: more of them go on from those that are there.
+    neutral=("buildings",),
+)

@@ -14,7 +14,6 @@ from toy import toy_generated, toy_scenario
 from shmoo_mjx.evaluation import lifelong, navigation
 from shmoo_mjx.evaluation.certify import Attempt, Certificate
 from shmoo_mjx.evaluation.lifelong import GoalSequence, draw_sequence, measure
-from shmoo_mjx.evaluation.navigation import TestedRobot as Robot
 from shmoo_mjx.evaluation.navigation import play
 from shmoo_mjx.evaluation.page import render
 from shmoo_mjx.evaluation.result import ExperimentOptions
@@ -107,7 +106,7 @@ def test_legs_are_measured_one_by_one(tmp_path: Path, monkeypatch: pytest.Monkey
     ]
     asked: list[Any] = []
 
-    def fake_play(robot: Any, grid: Any, generated: Any, policy: str, goals: Any) -> FakeEpisode:
+    def fake_play(options: Any, grid: Any, generated: Any, policy: str, *, goals: Any) -> FakeEpisode:
         asked.append((policy, goals))
         return FakeEpisode(runs[len(asked) - 1])
 
@@ -158,10 +157,10 @@ def test_a_run_is_given_what_it_can_take(monkeypatch: pytest.MonkeyPatch) -> Non
         taken.append({"senses": senses, "goals": goals})
 
     monkeypatch.setattr(navigation, "controller_of", lambda *_: None)
-    robot = Robot(0, "perfect", Path("none"))
+    options = ExperimentOptions(senses="perfect")
     monkeypatch.setattr(episode, "run_episode", able)
-    play(robot, grid, world, "ours", [(1.0, 2.0)])
-    play(robot, grid, world, "ours")
+    play(options, grid, world, "ours", goals=[(1.0, 2.0)])
+    play(options, grid, world, "ours")
     assert taken == [{"senses": "perfect", "goals": [(1.0, 2.0)]}, {"senses": "perfect", "goals": ()}]
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from shmoo_mjx.base.assets import WEIGHTS, asset
+from shmoo_mjx.evaluation.experiment import Setup
 from shmoo_mjx.evaluation.manipulable import (
     SteadyPush,
     draw_immovable,
@@ -32,6 +33,7 @@ from shmoo_mjx.evaluation.object_planner import (
     probe,
     told_by,
 )
+from shmoo_mjx.evaluation.result import ExperimentOptions
 from shmoo_mjx.evaluation.trials import run_trials
 from shmoo_mjx.geometry.faces import faces_of, heading
 from shmoo_mjx.plant.objects import draw_condition
@@ -102,20 +104,22 @@ def test_a_load_brings_an_object_near_the_border_on_the_side_that_is_pushed(inde
 
 
 @pytest.mark.slow
-def test_the_navigator_pushes_the_side_on_which_an_object_is_near_the_border() -> None:
-    row = _trial(ObjectPlannerTrials(), 1_010_000, 0, asset(WEIGHTS), "real", ("border", 4))[0]
+def test_the_navigator_pushes_the_side_on_which_an_object_is_near_the_border(tmp_path: Path) -> None:
+    row = _trial(Setup(ExperimentOptions(condition_seed=10), ObjectPlannerTrials(), tmp_path, tmp_path), ("border", 4))[
+        0
+    ]
     assert row["border"] and row["manipulable"]
 
 
 @pytest.mark.slow
 def test_a_probe_is_asked_after_each_second_or_at_the_end_of_what_rolls_away() -> None:
     light = draw_condition("cart", 5, {"locked": [False] * 4, "payload": 0.0, "rolling": [0.01] * 4})
-    told, episode = probe(light, 0, 3, ObjectPlannerTrials(), asset(WEIGHTS))
+    told, episode = probe(light, 0, 3, cfg=ObjectPlannerTrials(), weights=asset(WEIGHTS))
     assert len(told["probabilities"]) == 3 and told["probabilities"][-1] > 0.8 and told["moved_m_first"] > 0.02
     assert episode.result["time_s"] < 20.0
-    fixed, _ = probe(draw_immovable("fixed", "box", 7), 2, 3, ObjectPlannerTrials(), asset(WEIGHTS))
+    fixed, _ = probe(draw_immovable("fixed", "box", 7), 2, 3, cfg=ObjectPlannerTrials(), weights=asset(WEIGHTS))
     assert len(fixed["probabilities"]) == 3 and max(fixed["probabilities"][1:]) < 0.2
-    never, _ = probe(light, 0, 3, ObjectPlannerTrials(time_s=2.0), asset(WEIGHTS))
+    never, _ = probe(light, 0, 3, cfg=ObjectPlannerTrials(time_s=2.0), weights=asset(WEIGHTS))
     assert never == {}
 
 

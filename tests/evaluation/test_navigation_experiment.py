@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,6 +21,7 @@ from shmoo_mjx.evaluation import navigation, navigation_places
 from shmoo_mjx.evaluation.certify import Attempt, Certificate
 from shmoo_mjx.evaluation.navigation import POLICIES
 from shmoo_mjx.evaluation.navigation_places import BUILDINGS, extras_of, find_maps, find_places, kept_scenario
+from shmoo_mjx.evaluation.registry import experiment_named, run_experiment
 from shmoo_mjx.evaluation.result import ExperimentOptions
 from shmoo_mjx.evaluation.scenarios import EXTRAS, Generated, ScenarioConfig
 from shmoo_mjx.planning.maps import load_map, save_map
@@ -126,7 +129,7 @@ def fake_result(outcome: str) -> dict[str, Any]:
 
 
 @pytest.fixture
-def fakes(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def fakes(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]]:
     """Stands for scenarios, runs, figures and films; the policies that have run, in order."""
     ran: list[str] = []
 
@@ -137,20 +140,16 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     monkeypatch.setattr(navigation, "play", play)
     monkeypatch.setattr(navigation, "kept_scenario", lambda *args: ("either", generated(True)))
     monkeypatch.setattr(navigation, "keep_failure", lambda store, name, episode: ran.append(f"kept {name}"))
-    monkeypatch.setattr(navigation, "NavigationTrials", one_worker(navigation.NavigationTrials))
-    monkeypatch.setattr("shmoo_mjx.evaluation.navigation_figures.draw_figures", lambda *args: None)
-    return ran
-
-
-def one_worker(settings: Any) -> Any:
-    def made(**given: Any) -> Any:
-        return settings(**{"workers": 1} | given)
-
-    return made
+    monkeypatch.setattr(navigation, "draw_figures", lambda *args: None)
+    one = {name: replace(getattr(navigation.EXPERIMENT, name), workers=1) for name in ("config", "quick")}
+    monkeypatch.setattr(navigation, "EXPERIMENT", replace(navigation.EXPERIMENT, **one))
+    experiment_named.cache_clear()
+    yield ran
+    experiment_named.cache_clear()
 
 
 def test_all_policies_run_on_all_scenarios_ours_first(tmp_path: Path, fakes: list[str]) -> None:
-    result = navigation.run(ExperimentOptions(out=tmp_path, quick=True, senses="perfect"))
+    result = run_experiment("navigation", ExperimentOptions(out=tmp_path, quick=True, senses="perfect"))
     assert fakes == [
         "ours",
         "ours",
@@ -177,22 +176,22 @@ def test_the_paper_runs_with_its_own_weights_and_pushing_and_the_others_with_our
     monkeypatch.setattr(
         "shmoo_mjx.run.episode.run_episode", lambda grid, scenario, controller, *rest, **more: controller
     )
-    robot = navigation.TestedRobot(0, "real", tmp_path / "mine.safetensors")
+    options = ExperimentOptions(weights=tmp_path / "mine.safetensors")
     for policy in POLICIES:
-        ran[policy] = navigation.play(robot, toy_scenario(1, True)[0], generated(True), policy)  # type: ignore[assignment]
+        ran[policy] = navigation.play(options, toy_scenario(1, True)[0], generated(True), policy)  # type: ignore[assignment]
     assert ran.pop("paper") == (asset(PAPER_WEIGHTS), "paper")
-    assert ran.pop("frozen") == (robot.weights, "frozen")
-    assert set(ran.values()) == {(robot.weights, "ours")}
+    assert ran.pop("frozen") == (options.weights, "frozen")
+    assert set(ran.values()) == {(options.weights, "ours")}
 
 
 def test_ours_alone_is_there_for_the_others_to_join(tmp_path: Path, fakes: list[str]) -> None:
     options = ExperimentOptions(out=tmp_path, scenarios=1, policies=("ours",))
-    alone = navigation.run(options)
+    alone = run_experiment("navigation", options)
     assert fakes.count("ours") == BUILDINGS and set(alone.config["policies"]) == {"ours"}
-    navigation.run(ExperimentOptions(out=tmp_path, scenarios=1))
+    run_experiment("navigation", ExperimentOptions(out=tmp_path, scenarios=1))
     assert fakes.count("ours") == BUILDINGS and fakes.count("always_push") == BUILDINGS
     # Other senses, other runs.
-    navigation.run(ExperimentOptions(out=tmp_path, scenarios=1, policies=("ours",), senses="perfect"))
+    run_experiment("navigation", ExperimentOptions(out=tmp_path, scenarios=1, policies=("ours",), senses="perfect"))
     assert fakes.count("ours") == 2 * BUILDINGS
 
 
@@ -205,10 +204,10 @@ def test_the_whole_experiment_on_a_floor_plan_and_again_from_its_files(
     (tmp_path / "maps").mkdir()
     save_map(draw_floorplan(np.random.default_rng(0)).grid, tmp_path / "maps" / "plan.yaml")
     options = ExperimentOptions(maps=tmp_path / "maps", scenarios=1, out=tmp_path / "out")
-    first = navigation.run(options)
+    first = run_experiment("navigation", options)
     assert first.metrics["falls"] == 0 and [r["policy"] for r in first.rows] == list(POLICIES)
     assert all(0.0 <= r["ins"] <= 1.0 for r in first.rows) and json.dumps(first.metrics)
     assert (tmp_path / "out" / "navigation" / "success.png").is_file()
     assert (tmp_path / "out" / "navigation" / "runs-plan.png").is_file()
     monkeypatch.setattr(navigation, "play", lambda *args: pytest.fail("a run that was kept is run again"))
-    assert navigation.run(options).metrics == first.metrics
+    assert run_experiment("navigation", options).metrics == first.metrics

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shmoo_mjx.base.assets import WEIGHTS, asset
+from shmoo_mjx.evaluation.experiment import Setup
 from shmoo_mjx.evaluation.outcomes import OutcomesConfig, _trial, draw_object, end_after
 from shmoo_mjx.evaluation.outcomes_measures import (
     covered,
@@ -84,10 +84,13 @@ def test_objects_have_one_locked_wheel_or_none() -> None:
 
 
 @pytest.mark.slow
-def test_a_push_of_a_box_is_predicted_and_the_posterior_is_surer_than_the_prior(tmp_path: Path) -> None:
+def test_a_push_of_a_box_is_predicted_and_the_posterior_is_surer_than_the_prior(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     # A light box.
     seed = next(s for s in range(1_027_000, 1_027_100) if draw_object(0, s).total_mass * draw_object(0, s).friction < 4)
-    rows = _trial(OutcomesConfig(), seed, 0, asset(WEIGHTS), "real", 0)
+    monkeypatch.setattr(ExperimentOptions, "first_unseen", seed)
+    rows = _trial(Setup(ExperimentOptions(), OutcomesConfig(), tmp_path, tmp_path), 0)
     assert len(rows) == 3 and len({r["side"] for r in rows}) == 3
     assert all(r["comes"] and r["known"] and r["robots_comes"] for r in rows)
     assert np.median([r["posterior_position_m"] for r in rows]) < 0.2

@@ -16,6 +16,7 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import pushing, pushing_trials
 from shmoo_mjx.evaluation.pushing_measures import enclosing_circle, metrics_of, pushing_differences, pushing_tables
 from shmoo_mjx.evaluation.pushing_trials import KINDS, METHODS, draw_trials, kind_by_resistance
+from shmoo_mjx.evaluation.registry import run_experiment
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult
 from shmoo_mjx.learning.weights import untrained
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
@@ -223,20 +224,20 @@ def test_finished_trials_are_not_run_again(tmp_path: Path, monkeypatch: pytest.M
             return row, {"object_pose": way}
 
     monkeypatch.setattr(pushing, "_runner", lambda *_: Fake())
-    monkeypatch.setattr(pushing, "QUICK", replace(pushing.QUICK, workers=1))
-    options = ExperimentOptions(quick=True, out=tmp_path)
+    config = replace(pushing.EXPERIMENT.quick, workers=1)
+    options = ExperimentOptions(out=tmp_path)
     with pytest.raises(KeyboardInterrupt):
-        pushing.run(options)
-    result = pushing.run(options)
+        run_experiment("pushing", options, config)
+    result = run_experiment("pushing", options, config)
     total = 18 * len(METHODS)
     assert len(asked) == total == len(set(asked))
     assert len(result.rows) == total
     assert result.metrics["success_rate"] == 1.0
     assert result.paper["offset_goal1_m"] == 0.067
     assert (tmp_path / "pushing" / "pushing.png").stat().st_size > 10_000
-    pushing.run(options)
+    run_experiment("pushing", options, config)
     assert len(asked) == total
-    pushing.run(ExperimentOptions(quick=True, out=tmp_path, seed=1))
+    run_experiment("pushing", ExperimentOptions(out=tmp_path, seed=1), config)
     assert len(asked) == 2 * total
 
 
@@ -265,7 +266,9 @@ def test_a_box_that_is_pushed_over_is_no_success() -> None:
     from shmoo_mjx.evaluation.pushing_trials import Runner
     from shmoo_mjx.learning.weights import load_weights
 
-    trial = next(t for t in draw_trials(1_111_000, 0, 1, (2,), "demanding") if t.name == "demanding-box-goal2-00")
+    trial = next(
+        t for t in draw_trials(1_111_000, 0, 1, goals=(2,), stratum="demanding") if t.name == "demanding-box-goal2-00"
+    )
     row, _ = Runner(load_weights(asset("experiments/weights/demo.safetensors")), 60.0).run(trial, "frozen_prior")
     assert row["toppled"] and not row["success"] and not row["fell"]
 

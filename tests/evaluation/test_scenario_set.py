@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from subprocess import CompletedProcess
 from typing import Any
@@ -15,7 +16,7 @@ from toy import toy_generated, toy_scenario
 
 from shmoo_mjx.base.assets import asset
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.evaluation import navigation, navigation_places, scenario_set
+from shmoo_mjx.evaluation import experiment, navigation, navigation_places, scenario_set
 from shmoo_mjx.evaluation.certify import Certificate
 from shmoo_mjx.evaluation.navigation_places import kept_scenario
 from shmoo_mjx.evaluation.result import ExperimentOptions, file_id
@@ -80,21 +81,22 @@ def test_object_files_are_relative_to_the_set(made: Path, tmp_path: Path, monkey
 def test_navigation_runs_the_set_and_says_which(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ran: list[str] = []
 
-    def trial(places: Any, robot: Any, store: Path, given: tuple[str, int, str]) -> list[dict[str, Any]]:
+    def trial(setup: Any, given: tuple[str, int, str]) -> list[dict[str, Any]]:
         ran.append("-".join(map(str, given)))
         return []
 
-    monkeypatch.setattr(navigation, "_trial", trial)
-    monkeypatch.setattr(navigation, "run_trials", at_once)
-    monkeypatch.setattr(navigation, "measure", lambda *given: {})
-    monkeypatch.setattr(navigation, "write_failures", lambda *given: None)
-    monkeypatch.setattr("shmoo_mjx.evaluation.navigation_figures.draw_figures", lambda *given: None)
+    trial.__module__ = navigation.__name__
+    changed = replace(navigation.EXPERIMENT, trial=trial, metrics=lambda setup, rows: {}, draw=None)
+    monkeypatch.setattr(experiment, "run_trials", at_once)
     options = ExperimentOptions(out=tmp_path, scenario_set=made, policies=("ours",))
-    result = navigation.run(options)
+    result = experiment.run("navigation", changed, options)
     assert sorted(ran) == sorted(f"{name}-{i}-ours" for name in ("one", TWO) for i in range(4))
     assert result.config["scenario_set"] == file_id(made) and result.config["generated_maps"] is False
-    other = navigation.trials_folder(ExperimentOptions(out=tmp_path), tmp_path, navigation.NavigationTrials().scenario)
-    assert navigation.trials_folder(options, tmp_path, navigation.NavigationTrials().scenario) != other
+    folders = [
+        experiment.prepare("navigation", navigation.EXPERIMENT, o).store
+        for o in (options, ExperimentOptions(out=tmp_path))
+    ]
+    assert folders[0] != folders[1]
 
 
 def test_a_folder_of_the_name_of_a_shipped_set_does_not_hide_it(
