@@ -13,7 +13,17 @@ from shmoo_mjx.evaluation.paired import OURS
 from shmoo_mjx.evaluation.scenarios import KINDS
 from shmoo_mjx.evaluation.tables import shown_name
 from shmoo_mjx.planning.maps import OccupancyGrid, load_map
-from shmoo_mjx.report.style import COLOURS, SERIES, blank_figure, object_colour, outline, save_figure, show_cells
+from shmoo_mjx.report.style import (
+    COLOURS,
+    SERIES,
+    beside,
+    blank_figure,
+    legend_above,
+    object_colour,
+    outline,
+    save_figure,
+    show_cells,
+)
 
 SHOWN = 8
 """Scenarios in the picture of a map."""
@@ -45,14 +55,13 @@ def _success(rows: list[dict[str, Any]]) -> Any:
     for k, policy in enumerate(policies):
         for g, kind in enumerate(groups):
             of = [r["success"] for r in rows if r["policy"] == policy and r["kind"] == kind]
-            place = g + (k - (len(policies) - 1) / 2) * 0.8 / len(policies)
+            place = beside(g, k, len(policies))
             label = shown_name(policy) if g == 0 else None
             axes.bar(place, np.mean(of), 0.75 / len(policies), color=SERIES[k], label=label)
             axes.text(place, float(np.mean(of)), f"{sum(of)}/{len(of)}", ha="center", va="bottom", fontsize=7)
     axes.set_xticks(range(len(groups)), groups)
-    axes.set_ylabel("share of runs that reach the goal")
-    axes.set_ylim(0, 1.12)
-    figure.legend(loc="outside upper center", ncols=4, fontsize=8, frameon=False)
+    axes.set(ylabel="share of runs that reach the goal", ylim=(0, 1.12))
+    legend_above(figure)
     return figure
 
 
@@ -81,11 +90,10 @@ def _time_over_extra(rows: list[dict[str, Any]]) -> Any:
         axes.plot(*np.array(means).reshape(-1, 2).T, color=colour, label=shown_name(policy), lw=1.2 + 0.8 * reference)
         if (extra == beside).any():
             axes.plot(beside, time[extra == beside].mean(), "D", color=colour, ms=6, markeredgecolor="white")
+    axes.set(xlabel="extra length of the way round [m]", ylabel="time [s], failures (x) at reference + 120 s")
     axes.set_xscale("log")
     axes.set_xticks([1, 3, 10, 30, nowhere], ["1", "3", "10", "30", "none"])
-    axes.set_xlabel("extra length of the way round [m]")
-    axes.set_ylabel("time [s], failures (x) at reference + 120 s")
-    figure.legend(loc="outside upper center", ncols=5, fontsize=8, frameon=False)
+    legend_above(figure, 5)
     return figure
 
 
@@ -106,7 +114,7 @@ def _causes(rows: list[dict[str, Any]]) -> Any:
     axes.set_yticks(range(len(causes)), causes, fontsize=8)
     axes.set_xlabel("failed runs")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    figure.legend(loc="outside upper center", ncols=4, fontsize=8, frameon=False)
+    legend_above(figure)
     return figure
 
 
@@ -134,7 +142,7 @@ def _runs(rows: list[dict[str, Any]], grid: OccupancyGrid) -> Any:
 def _draw_run(axes: Any, row: dict[str, Any], grid: OccupancyGrid) -> None:
     shade = np.full((*grid.cells.shape, 3), 0.85)
     shade[grid.free], shade[grid.occupied] = 1.0, 0.25
-    show_cells(axes, shade, grid.resolution, grid.origin)
+    show_cells(axes, shade, grid.resolution, np.array(grid.origin))
     driven = np.array(row["driven"])
     axes.plot(*driven.T, color=COLOURS["robot"], lw=1.5)
     goal = np.array(row["goal"])

@@ -11,7 +11,7 @@ from shmoo_mjx.behavior.state import NavigatorConfig
 from shmoo_mjx.evaluation.manipulable import STRATA
 from shmoo_mjx.evaluation.object_planner import FITTED, LEAST_K, told_by
 from shmoo_mjx.report.figures import draw_decision, evidence
-from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
+from shmoo_mjx.report.style import SERIES, blank_figure, draw_reliability, save_figure
 
 
 def draw_figures(folder: Path, rows: list[dict[str, Any]], episodes: list[tuple[str, Any, Any]]) -> None:
@@ -26,17 +26,10 @@ def _reliability(rows: list[dict[str, Any]]) -> Any:
     """Left: how often what is said comes true, by stratum. Right: both criteria after a second, by truth."""
     figure = blank_figure(9.6, 3.6)
     left, right = figure.subplots(1, 2)
-    left.plot((0, 1), (0, 1), color="black", lw=1.0, ls="--")
-    for (stratum, name), colour, below in zip(STRATA.items(), SERIES, (-1, 1), strict=False):
+    for (stratum, name), colour in zip(STRATA.items(), SERIES, strict=False):
         of = [r for r in rows if r["stratum"] == stratum]
-        p = told_by("reach", of)
         truth = np.array([r["manipulable"] for r in of], dtype=bool)
-        place = np.minimum((p * 5).astype(int), 4)
-        bins = [(p[place == b].mean(), truth[place == b].mean(), int(np.sum(place == b))) for b in np.unique(place)]
-        left.plot([b[0] for b in bins], [b[1] for b in bins], "o", color=colour, ms=6, label=name)
-        for said, came, count in bins:
-            away = {"xytext": (-7, 6 * below - 3), "ha": "right"} if said > 0.8 else {"xytext": (7, 6 * below - 3)}
-            left.annotate(str(count), (said, came), textcoords="offset points", fontsize=8, color=colour, **away)
+        draw_reliability(left, told_by("reach", of), truth, colour=colour, label=name)
     left.set_xlabel("probability of being manipulable, after 1 s of contact")
     left.set_ylabel("share that is")
     left.legend(fontsize=8, title="objects, and how many", title_fontsize=8)

@@ -12,7 +12,7 @@ import numpy as np
 from shmoo_mjx.arrays import Float
 from shmoo_mjx.evaluation.result import ExperimentResult
 from shmoo_mjx.geometry import se2
-from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
+from shmoo_mjx.report.style import SERIES, blank_figure, draw_reliability, save_figure
 from shmoo_mjx.report.tables import markdown_table
 
 STRATA = {"free": "all wheels free, and boxes", "locked": "one locked wheel"}
@@ -77,8 +77,8 @@ def measure(rows: Rows) -> dict[str, float]:
     metrics: dict[str, float] = {}
     for stratum, name in itertools.product(STRATA, PREDICTIONS):
         mine, suffix = [r for r in rows if r["stratum"] == stratum], f"{stratum}_{name}"
-        asked = [r for r in mine if f"{name}_moves" in r]
-        metrics[f"pushes_{suffix}"] = len(asked)
+        predicted = [r for r in mine if f"{name}_moves" in r]
+        metrics[f"pushes_{suffix}"] = len(predicted)
         metrics[f"compared_{suffix}"] = sum(f"{name}_position_m" in r for r in mine)
         for prefix, (key, statistic) in itertools.product(("", "stop_"), _OF_ENDS.items()):
             ends = [r for r in mine if f"{name}_{prefix}{key}" in r]
@@ -87,9 +87,9 @@ def measure(rows: Rows) -> dict[str, float]:
         for event in ("moves", "comes"):
             p, true = (np.array([r[key] for r in asked]) for key in (f"{name}_{event}", event))
             metrics[f"{event}_{suffix}"] = float(true.sum())
-            metrics |= _with_interval(f"right_{event}_{suffix}", asked, (p >= 0.5) == (true > 0.5), np.mean)
+            metrics |= _with_interval(f"right_{event}_{suffix}", predicted, (p >= 0.5) == (true > 0.5), np.mean)
             if name != "robots":
-                metrics |= _with_interval(f"brier_{event}_{suffix}", asked, (p - true) ** 2, np.mean)
+                metrics |= _with_interval(f"brier_{event}_{suffix}", predicted, (p - true) ** 2, np.mean)
     return metrics
 
 
@@ -97,12 +97,12 @@ def _with_interval(key: str, rows: Rows, values: np.ndarray, statistic: Callable
     """A statistic of the rows' values; nothing without rows."""
     if not rows:
         return {}
-    found, objects = values.astype(float), np.array([r["object"] for r in rows])
-    groups, rng = [found[objects == one] for one in np.unique(objects)], np.random.default_rng(0)
+    numbers, objects = values.astype(float), np.array([r["object"] for r in rows])
+    groups, rng = [numbers[objects == one] for one in np.unique(objects)], np.random.default_rng(0)
     drawn = rng.integers(len(groups), size=(_RESAMPLES, len(groups)))
     again = [statistic(np.concatenate([groups[i] for i in which])) for which in drawn]
     low, high = np.quantile(again, (0.025, 0.975))
-    return {key: float(statistic(found)), f"{key}_low": float(low), f"{key}_high": float(high)}
+    return {key: float(statistic(numbers)), f"{key}_low": float(low), f"{key}_high": float(high)}
 
 
 def outcomes_table(result: ExperimentResult) -> str:
@@ -155,16 +155,9 @@ def _draw_ends(axes: Any, rows: Rows) -> None:
 
 
 def _draw_reliability(axes: Any, rows: Rows, distance: float) -> None:
-    axes.plot((0, 1), (0, 1), color="black", lw=1.0, ls="--")
     for name, colour, marker in (("posterior", SERIES[0], "o"), ("prior", SERIES[5], "s")):
         p, came = (np.array([r[key] for r in rows]) for key in (f"{name}_comes", "comes"))
-        place = np.minimum((p * 5).astype(int), 4)
-        bins = [(p[place == b].mean(), came[place == b].mean(), int(np.sum(place == b))) for b in np.unique(place)]
-        axes.plot([b[0] for b in bins], [b[1] for b in bins], marker, color=colour, ms=6, label=name, ls="-", lw=0.8)
-        for said, share, count in bins:
-            axes.annotate(
-                str(count), (said, share), textcoords="offset points", xytext=(6, -10), fontsize=8, color=colour
-            )
+        draw_reliability(axes, p, came, colour=colour, label=name, marker=marker)
     axes.set_xlabel(f"probability to come {distance:g} m along the push")
     axes.set_ylabel("share that comes")
     axes.legend(fontsize=8, title="pushes, and how many", title_fontsize=8)

@@ -10,7 +10,7 @@ import numpy as np
 from shmoo_mjx.evaluation.pushing_measures import PAPER
 from shmoo_mjx.evaluation.pushing_trials import GOALS, METHODS, Trial, scene_of_trial
 from shmoo_mjx.evaluation.tables import shown_name
-from shmoo_mjx.report.style import COLOURS, SERIES, blank_figure, outline, save_figure
+from shmoo_mjx.report.style import COLOURS, SERIES, beside, blank_figure, outline, save_figure
 from shmoo_mjx.report.trace import read_arrays
 from shmoo_mjx.sensing import Senses
 
@@ -25,24 +25,25 @@ def draw_figure(path: Path, rows: list[dict[str, Any]], folder: Path) -> None:
     families = list(dict.fromkeys(row["family"] for row in rows))
     figure = blank_figure(4.4 * (len(families) + 1), 4.4)
     axes = figure.subplots(1, len(families) + 1)
+    ours = [row for row in rows if row["method"] == "ours"]
     lines = None
     for axis, family in zip(axes, families, strict=False):
-        for row in rows:
-            if row["method"] == "ours" and row["family"] == family:
-                way = _track(folder, row["trial"])["object_pose"][:, :2]
-                pieces = np.stack([way[:-1], way[1:]], axis=1)
-                progress = np.linspace(0, 1, len(pieces))
-                lines = axis.add_collection(LineCollection(list(pieces), array=progress, cmap="viridis", lw=1.2))
-                axis.plot(*way[-1], "o", ms=4, color=_COLOUR["ours"], mec="white", mew=0.5)
+        mine = [row for row in ours if row["family"] == family]
+        for row in mine:
+            way = _track(folder, row["trial"])["object_pose"][:, :2]
+            pieces = np.stack([way[:-1], way[1:]], axis=1)
+            progress = np.linspace(0, 1, len(pieces))
+            lines = axis.add_collection(LineCollection(list(pieces), array=progress, cmap="viridis", lw=1.2))
+            axis.plot(*way[-1], "o", ms=4, color=_COLOUR["ours"], mec="white", mew=0.5)
         axis.set_title(f"{family}: ways of the object")
-        _goals(axis, [r for r in rows if r["method"] == "ours" and r["family"] == family], circles=True)
+        _goals(axis, mine)
     if lines is not None:
         figure.colorbar(lines, ax=axes[: len(families)].tolist(), label="share of the trial's time", shrink=0.7)
     _offsets(axes[-1], rows)
     save_figure(path, figure, 130)
 
 
-def _goals(axis: Any, rows: list[dict[str, Any]], circles: bool) -> None:
+def _goals(axis: Any, rows: list[dict[str, Any]]) -> None:
     """The three goals, and round each the circle that holds all final positions."""
     from matplotlib.patches import Circle, Polygon
 
@@ -51,36 +52,35 @@ def _goals(axis: Any, rows: list[dict[str, Any]], circles: bool) -> None:
         if not offsets:
             continue
         pose = np.array([x, y, 2 * np.arctan2(y, x)])
-        axis.add_patch(Polygon(outline(pose, (0.3, 0.25)), fill=False, ec=COLOURS["goal"], lw=0.8, ls=":"))
+        axis.add_patch(Polygon(outline(pose, np.array([0.3, 0.25])), fill=False, ec=COLOURS["goal"], lw=0.8, ls=":"))
         axis.plot(x, y, "+", ms=9, mew=1.5, color=COLOURS["goal"])
-        if circles:
-            axis.add_patch(Circle((x, y), max(offsets), fill=False, ec=COLOURS["decision"], lw=1.0))
-            label = f"goal {number}\nmean {np.mean(offsets):.3f} m\ncircle {max(offsets):.2f} m"
-            axis.annotate(label, (x, y), (8, 8), textcoords="offset points", fontsize=7)
+        axis.add_patch(Circle((x, y), max(offsets), fill=False, ec=COLOURS["decision"], lw=1.0))
+        label = f"goal {number}\nmean {np.mean(offsets):.3f} m\ncircle {max(offsets):.2f} m"
+        axis.annotate(label, (x, y), (8, 8), textcoords="offset points", fontsize=7)
     axis.set_aspect("equal")
     axis.set(xlabel="x [m]", ylabel="y [m]", xlim=(-0.7, 2.4), ylim=(-1.3, 1.3))
 
 
 def _offsets(axis: Any, rows: list[dict[str, Any]]) -> None:
     """Final offsets per goal and method beside the paper's means."""
-    methods = list(dict.fromkeys(row["method"] for row in rows))
+    methods, goals = list(dict.fromkeys(row["method"] for row in rows)), sorted({row["goal"] for row in rows})
     width = 0.8 / len(methods)
-    for i, method in enumerate(methods):
-        for goal in sorted({row["goal"] for row in rows}):
+    for k, method in enumerate(methods):
+        colour = _COLOUR.get(method, _OWN)
+        for goal in goals:
             offsets = np.array([r["offset_m"] for r in rows if r["method"] == method and r["goal"] == goal])
-            x = goal - 0.4 + (i + 0.5) * width
+            x = beside(goal, k, len(methods))
             jitter = np.linspace(-0.3, 0.3, len(offsets)) * width
-            axis.plot(x + jitter, np.minimum(offsets, 1.5), ".", ms=3, alpha=0.6, color=_COLOUR.get(method, _OWN))
-            label = shown_name(method) if goal == min(r["goal"] for r in rows) else None
-            axis.bar(x, offsets.mean(), 0.9 * width, color=_COLOUR.get(method, _OWN), alpha=0.45, label=label)
-    for goal in sorted({row["goal"] for row in rows}):
+            axis.plot(x + jitter, np.minimum(offsets, 1.5), ".", ms=3, alpha=0.6, color=colour)
+            label = shown_name(method) if goal == goals[0] else None
+            axis.bar(x, offsets.mean(), 0.9 * width, color=colour, alpha=0.45, label=label)
+    for goal in goals:
         label = "paper" if goal == 1 else None
         axis.hlines(PAPER[f"offset_goal{goal}_m"], goal - 0.45, goal + 0.45, color="black", lw=1.2, label=label)
     axis.axhline(0.25, color="grey", lw=0.8, ls=":")
-    axis.set(xlabel="goal", ylabel="final offset [m]", xticks=sorted({row["goal"] for row in rows}), yscale="symlog")
+    axis.set(xlabel="goal", ylabel="final offset [m]", xticks=goals, title="final offsets (bars: mean)")
     axis.set_yscale("symlog", linthresh=0.1)
     axis.legend(fontsize=7)
-    axis.set_title("final offsets (bars: mean)")
 
 
 def _track(folder: Path, trial: str) -> dict[str, np.ndarray]:

@@ -84,6 +84,30 @@ def save_figure(path: Path, figure: Figure, dpi: int = 110) -> Path:
     return write_whole(path, to_png(figure, dpi))
 
 
+def legend_above(figure: Figure, columns: int = 4) -> None:
+    """A legend of all panels above them."""
+    figure.legend(loc="outside upper center", ncols=columns, fontsize=8, frameon=False)
+
+
+def beside(group: Any, k: int, count: int) -> Any:
+    """Place of bar ``k`` of ``count`` on an axis with a group of bars at each whole number; they take up 0.8 of it."""
+    return group + (k - (count - 1) / 2) * 0.8 / count
+
+
+def draw_reliability(
+    axes: Axes, probability: Array, truth: Array, *, colour: str, label: str, marker: str = "o"
+) -> None:
+    """How often what is predicted with ``probability [N]`` comes true (``truth [N]``), with counts, in five bins."""
+    place = np.minimum((probability * 5).astype(int), 4)
+    parts = [place == b for b in np.unique(place)]
+    predicted, came = ([np.mean(values[part]) for part in parts] for values in (probability, truth))
+    axes.plot((0, 1), (0, 1), color="black", lw=1.0, ls="--")
+    axes.plot(predicted, came, marker, color=colour, ms=6, label=label, ls="-", lw=0.8)
+    for x, y, part in zip(predicted, came, parts, strict=True):
+        place_of_text = {"xytext": (-7, 6), "ha": "right"} if x > 0.8 else {"xytext": (7, -10)}
+        axes.annotate(str(part.sum()), (x, y), textcoords="offset points", fontsize=8, color=colour, **place_of_text)
+
+
 def show_cells(axes: Axes, picture: Array, resolution: float, origin: Numbers | Array, **options: Any) -> None:
     """Draw a map's cells, ``[H, W]`` or ``[H, W, 3]``, row 0 at the bottom, where they lie in {W}.
 
