@@ -78,7 +78,7 @@ def steady_push(condition: Condition, side: int, cfg: SteadyPush = SteadyPush())
         u, yaw = np.array([[*lean, 0.0]]), np.array([heading(obs.object_pose[0, 0], face)])
         world, obs = engine.step(world, Command(u, yaw, np.array([REACH]), np.array([HAND_HEIGHT])))
         pose, time = obs.object_pose[0, 0], float(np.asarray(obs.time)[0])
-        if engine.fallen(world)[0] or abs(se2.wrap(pose[2])) > cfg.turn:
+        if engine.fallen(world)[0] or abs(float(se2.wrap(pose[2]))) > cfg.turn:
             break
         moved = float(pose[0] * np.cos(face[2]) + pose[1] * np.sin(face[2]))
     engine.close()

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from shmoo_mjx.arrays import Array
 from shmoo_mjx.base import custom
 from shmoo_mjx.base.assets import asset
 from shmoo_mjx.behavior.belief import Status
@@ -126,7 +127,7 @@ def _trials(setup: Setup[NavigationTrials]) -> dict[str, tuple[str, int, str]]:
         f"{scenario}-{custom.kept_as('policy', policy, POLICIES)}": (*place, policy)
         for policy in setup.config.policies
         for scenario, place in scenarios.items()
-        if places.given is None or scenario in places.given
+        if places.entries is None or scenario in places.entries
     }
 
 
@@ -235,7 +236,7 @@ def scores_of(episode: Episode, scenario: Scenario, shortest: float) -> dict[str
     return {"efficiency": efficiency, "effort": by_mass, "effort_force": by_force, "ins": score}
 
 
-def _travelled(path: np.ndarray) -> float:
+def _travelled(path: Array) -> float:
     """Length [m] of an object's way; what is below 1 mm in 0.1 s is settling."""
     steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
     return float(steps[steps > 1e-3].sum())

@@ -50,7 +50,7 @@ class Places:
     first_unseen: int
     """Seed of the first object."""
     config: ScenarioConfig
-    given: Mapping[str, SetEntry] | None = None
+    entries: Mapping[str, SetEntry] | None = None
     """Scenarios of a scenario set, by MAP-NUMBER, in the place of what would be drawn."""
 
 
@@ -99,8 +99,8 @@ def extras_of(map_name: str, number: int) -> list[Extra]:
 
 def kept_scenario(places: Places, grid: OccupancyGrid, map_name: str, number: int) -> tuple[Kind, Generated | None]:
     """The kind that scenario ``number`` of a map was to be, and the scenario; None if the map has no place for any."""
-    if places.given is not None:
-        entry = places.given[f"{map_name}-{number}"]
+    if places.entries is not None:
+        entry = places.entries[f"{map_name}-{number}"]
         return entry.wanted, entry
 
     def draw(extra: Extra, rng: np.random.Generator) -> Generated:

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from shmoo_mjx.arrays import Array, Float
+from shmoo_mjx.arrays import Float
 from shmoo_mjx.behavior.skills import one_push
 from shmoo_mjx.behavior.skills.approach import CONTACT_GAP
 from shmoo_mjx.control import equilibrium_lean
@@ -214,7 +214,7 @@ def end_after(
     a, b = (np.take_along_axis(p, k[..., None], axis=-2)[..., 0, :] for p in (before, poses))
     too_far, step = (np.take_along_axis(x, k, axis=-1) for x in (way - distance, steps))
     share = 1.0 - too_far / np.maximum(step, 1e-9)
-    turn = se2.wrap(b[..., 2] - a[..., 2])[..., None]
+    turn = np.asarray(se2.wrap(b[..., 2] - a[..., 2]))[..., None]
     pose = np.concatenate([a[..., :2] + share * (b - a)[..., :2], se2.wrap(a[..., 2:] + share * turn)], axis=-1)
     return np.where((way >= distance).any(axis=-1)[..., None], pose, np.nan)
 
@@ -237,12 +237,15 @@ def _true(push: _Push, track: np.ndarray, other: np.ndarray | None, distance: fl
         row |= {f"robots_{key}": value for key, value in their.items()}
         beside = {"stop_": (stop, where)} | ({"": (end, there)} if true["moves"] and their["moves"] else {})
         for prefix, (one, another) in beside.items():
-            apart = errors(se2.relative(track[0], one), se2.relative(other[0], another))
+            ends = (np.asarray(se2.relative(poses[0], last)) for poses, last in ((track, one), (other, another)))
+            apart = errors(*ends)
             row |= {f"robots_{prefix}{key}": value for key, value in apart.items()}
     return row
 
 
-def _compared(row: dict[str, Any], poses: Array, push: _Push, start: np.ndarray, *, distance: float) -> dict[str, Any]:
+def _compared(
+    row: dict[str, Any], poses: np.ndarray, push: _Push, start: np.ndarray, *, distance: float
+) -> dict[str, Any]:
     """Of a prediction: the probabilities to move and to come as far; how far the median end is off the true one where
     the push moves the object that far; and the same of where every push stops, at that path or at the last sample."""
     ends = end_after(poses, start, distance)

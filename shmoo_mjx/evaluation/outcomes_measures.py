@@ -21,7 +21,7 @@ PREDICTIONS = {"posterior": "posterior", "prior": "prior", "robots": "another ro
 """What predicts: samples of the posterior, samples of the prior of the object's kind, and the same push by another
 robot, which tells how much of a push is chance."""
 SHARE = 0.8
-"""Of the samples that the region holds which is asked for the true end."""
+"""Share of the samples in the region that is compared with the true end."""
 _LINES = {
     "position_m": "after 0.8 m: error of the position, median [m]",
     "yaw_deg": "after 0.8 m: error of the yaw, median [deg]",
@@ -85,7 +85,7 @@ def measure(rows: Rows) -> dict[str, float]:
             values = np.array([r[f"{name}_{prefix}{key}"] for r in ends])
             metrics |= _with_interval(f"{prefix}{key}_{suffix}", ends, values, statistic)
         for event in ("moves", "comes"):
-            p, true = (np.array([r[key] for r in asked]) for key in (f"{name}_{event}", event))
+            p, true = (np.array([r[key] for r in predicted]) for key in (f"{name}_{event}", event))
             metrics[f"{event}_{suffix}"] = float(true.sum())
             metrics |= _with_interval(f"right_{event}_{suffix}", predicted, (p >= 0.5) == (true > 0.5), np.mean)
             if name != "robots":

@@ -28,7 +28,7 @@ class Touch(NamedTuple):
     """``[N]`` negative inside [m]."""
 
 
-def estimate(touched: Array, radius: float, refine: int = 3) -> np.ndarray:
+def estimate(touched: np.ndarray, radius: float, refine: int = 3) -> np.ndarray:
     """The outline's corners ``[M, 2]``, anticlockwise.
 
     The hull of the pusher's centres lies outside of the noise, so each of its faces is fitted again to the points near

@@ -332,7 +332,7 @@ def _row(
 ) -> dict[str, Any]:
     final, goal = track["object_pose"][-1], trial.goal_pose
     offset = float(np.linalg.norm(final[:2] - goal[:2]))
-    turned = float(np.rad2deg(abs(se2.wrap(final[2] - goal[2]))))
+    turned = float(np.rad2deg(abs(float(se2.wrap(final[2] - goal[2])))))
     over = bool(toppled(scene, track["qpos"]).any())
     return {
         "trial": trial.name,

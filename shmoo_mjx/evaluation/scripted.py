@@ -218,6 +218,6 @@ def _leave(
     faces = np.stack([p.face for p in pushes])
     poses = obs.object_pose[np.arange(WORLDS), which]
     local = se2.relative(se2.compose(poses, faces[:, :3]), obs.robot_pose)
-    lost = (-local[:, 0] - REACH - HAND_RADIUS > 0.6) | (abs(local[:, 1]) > faces[:, 3] + 0.3)
+    lost = (-local[:, 0] - REACH - HAND_RADIUS > 0.6) | (np.abs(local[:, 1]) > faces[:, 3] + 0.3)
     ends = pushing & (now.freed | still | lost | (time > cfg.seconds) | (np.isinf(now.contact) & (time > 8.0)))
     now.left[ends] = time

@@ -65,8 +65,8 @@ def test_replaying_gives_the_same_again() -> None:
 @pytest.mark.slow
 def test_certificates_of_the_arena_are_replayed(tmp_path: Path) -> None:
     places, _ = open_set(find_set(Path("arena")), tmp_path)
-    assert places.given is not None
-    entries = places.given
+    assert places.entries is not None
+    entries = places.entries
     pushed = [key for key, found in entries.items() if found.certificate is not None and found.certificate.best][::8]
     done = []
     for key in pushed:

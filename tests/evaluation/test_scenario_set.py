@@ -111,12 +111,12 @@ def test_a_folder_of_the_name_of_a_shipped_set_does_not_hide_it(
 
 def test_the_arena_has_100_certified_scenarios_without_maps_of_others(tmp_path: Path) -> None:
     places, _ = open_set(find_set(Path("arena")), tmp_path)
-    assert places.given is not None and len(places.given) == 100 and len(places.maps) == 25
-    entries = [entry.certificate for entry in places.given.values()]
+    assert places.entries is not None and len(places.entries) == 100 and len(places.maps) == 25
+    entries = [entry.certificate for entry in places.entries.values()]
     assert all(entry is not None for entry in entries)
     solvable = [entry is not None and entry.reference_s is not None for entry in entries]
     assert 80 <= sum(solvable) < 100
-    kinds = [entry.kind for entry in places.given.values()]
+    kinds = [entry.kind for entry in places.entries.values()]
     assert [kind != "unsolvable" for kind in kinds] == solvable
     assert find_set(Path("arena")).stat().st_size < 500_000
 
@@ -124,8 +124,8 @@ def test_the_arena_has_100_certified_scenarios_without_maps_of_others(tmp_path: 
 def test_a_set_of_the_older_form_has_no_certificates_and_loads(tmp_path: Path) -> None:
     places, _ = open_set(SHIPPED, tmp_path)
     older = json.loads(SHIPPED.read_text())["scenarios"][0]
-    assert "certificate" not in older and "border" in older and places.given is not None
-    name = next(iter(places.given))
+    assert "certificate" not in older and "border" in older and places.entries is not None
+    name = next(iter(places.entries))
     found = kept_scenario(places, load_map(places.maps[name.rpartition("-")[0]]), *_place(name))[1]
     assert found is not None and found.certificate is None
 
@@ -138,8 +138,8 @@ def _place(name: str) -> tuple[str, int]:
 def test_the_shipped_set_has_20_scenarios_of_every_kind_that_fit_their_maps(tmp_path: Path) -> None:
     assert asset("experiments/scenario_sets/floor_plans.json") == SHIPPED and SHIPPED.stat().st_size < 200_000
     places, _ = open_set(SHIPPED, tmp_path)
-    assert places.given is not None and len(places.given) == 20 and len(places.maps) == 5
-    assert {entry.kind for entry in places.given.values()} == set(KINDS)
+    assert places.entries is not None and len(places.entries) == 20 and len(places.maps) == 5
+    assert {entry.kind for entry in places.entries.values()} == set(KINDS)
 
 
 @pytest.mark.parametrize(
