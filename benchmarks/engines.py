@@ -29,6 +29,7 @@ from shmoo_mjx.arrays import Array
 from shmoo_mjx.base.assets import WEIGHTS, asset
 from shmoo_mjx.control import cost, mppi, pushing, sharding
 from shmoo_mjx.control.observation import ObjectObservation, local_distance_field
+from shmoo_mjx.control.presets import PushConfig
 from shmoo_mjx.dynamics import CoreConfig, ObjectConfig, RobotConfig, core
 from shmoo_mjx.learning import weights as weights_file
 from shmoo_mjx.types import SystemState
@@ -62,15 +63,15 @@ def _sighting(rng: np.random.Generator) -> ObjectObservation:
     )
 
 
-def paper_form(activation: str, seed: int) -> tuple[weights_file.Weights, pushing.PushConfig]:
+def paper_form(activation: str, seed: int) -> tuple[weights_file.Weights, PushConfig]:
     """The paper's widths, untrained, and Eq. 9 alone."""
     body = replace(ObjectConfig.paper(), activation=activation)
     robot = replace(RobotConfig.paper(), activation=activation)
     weights = weights_file.untrained(CoreConfig(robot=robot, object=body), seed)
-    return weights, pushing.PushConfig(cost=cost.PushCost())
+    return weights, PushConfig(cost=cost.PushCost())
 
 
-def ours(weights: weights_file.Weights, config: pushing.PushConfig, seed: int) -> Callable[[], Any]:
+def ours(weights: weights_file.Weights, config: PushConfig, seed: int) -> Callable[[], Any]:
     """The control step of a push; each call goes on from the last one's state."""
     controller = pushing.PushController(weights, config)
     rng = np.random.default_rng(seed)
@@ -80,7 +81,9 @@ def ours(weights: weights_file.Weights, config: pushing.PushConfig, seed: int) -
 
     def step() -> Any:
         nonlocal state, u
-        u, state, plan = controller.step(state, _sighting(rng), u, GOAL, around, HALF_EXTENTS)
+        u, state, plan = controller.step(
+            state, _sighting(rng), goal=GOAL, last_u=u, half_extents=HALF_EXTENTS, clearance=around
+        )
         return jax.block_until_ready((state, plan))
 
     return step
@@ -136,17 +139,17 @@ def gemm(size: int) -> Callable[[], Any]:
 def batch(samples: int, horizon: int, problems: int, seed: int) -> Callable[[], Any]:
     """Plans for ``problems`` states in one call, with Eq. 9 as the cost."""
     weights = weights_file.load_weights(asset(WEIGHTS))
-    cfg = replace(pushing.PushConfig().control, num_rollouts=samples, horizon=horizon)
+    cfg = replace(PushConfig().control, num_rollouts=samples, horizon=horizon)
     mesh = sharding.rollout_mesh(samples) if problems == 1 else None
 
     def one(params: core.Params, x0: SystemState, state: mppi.MppiState) -> Any:
         def rollout_fn(x: SystemState, controls: Array) -> SystemState:
             return core.rollout(params, x, controls, weights.config)[0]
 
-        def cost_fn(states: SystemState, controls: Array, last_u: Array) -> Array:
-            return cost.push_cost(cost.PushCost(), GOAL, states, controls, last_u)
-
-        u, after, plan = mppi.plan(cfg, rollout_fn, cost_fn, x0, state, mesh)
+        cost_fn = cost.push_cost(cost.PushCost(), GOAL)
+        share = mesh and partial(sharding.shared, mesh)
+        u, after, plan = mppi.plan(cfg, rollout_fn, cost_fn, x0, state=state, share=share)
+        u, after = sharding.on_all(mesh, (u, after))
         return u, after, plan.costs
 
     if problems == 1:
@@ -197,7 +200,7 @@ def main() -> None:
     elif engine == "gemm":
         step = gemm(spec["samples"])
     else:
-        shipped = weights_file.load_weights(asset(WEIGHTS)), pushing.PushConfig()
+        shipped = weights_file.load_weights(asset(WEIGHTS)), PushConfig()
         weights, config = paper_form(spec["activation"], spec["seed"]) if engine == "ours_paper" else shipped
         control = replace(config.control, num_rollouts=spec["samples"], horizon=spec["horizon"])
         step = ours(weights, replace(config, control=control), spec["seed"])

@@ -14,7 +14,8 @@ from typing import Any
 
 from shmoo_mjx.behavior.methods import METHODS
 from shmoo_mjx.control.governor import GovernorConfig
-from shmoo_mjx.control.pushing import PushConfig, PushController
+from shmoo_mjx.control.presets import PushConfig
+from shmoo_mjx.control.pushing import PushController
 
 _PAPER = METHODS["paper"]
 Make = Callable[[Any, PushConfig], PushController]

@@ -15,7 +15,7 @@ import json
 import os
 import sys
 from contextlib import closing
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,8 +24,9 @@ import numpy as np
 
 from shmoo_mjx.base.assets import WEIGHTS, asset
 from shmoo_mjx.base.fingerprints import fingerprint
-from shmoo_mjx.behavior.push_task import pose_push_config
-from shmoo_mjx.control.mppi_config import SPARE, MppiConfig
+from shmoo_mjx.control.mppi_config import MppiConfig
+from shmoo_mjx.control.noise import SPARE, bank
+from shmoo_mjx.control.presets import pose_push_config
 from shmoo_mjx.evaluation.paired import paired_difference
 from shmoo_mjx.evaluation.pushing_trials import STRATA, Runner, Trial, draw_trials
 from shmoo_mjx.evaluation.result import ExperimentOptions, make_result, read_result, write_result
@@ -59,24 +60,25 @@ class Noise(MppiConfig):
 
     kind: str = KINDS[0]
 
-    def noise_list(self) -> np.ndarray:
-        """``[(S + 1) // 2 + SPARE, T, m]``; each plan takes a stretch and its mirror image."""
-        if self.kind == "shipped":
-            return super().noise_list()
-        if self.kind == "white":
-            return replace(self, kind="shipped", noise_correlation=0.0).noise_list()
-        count = (self.num_rollouts + 1) // 2 + SPARE
-        if self.kind == "sobol":
-            steps = np.arange(self.horizon)
-            values, vectors = np.linalg.eigh(self.noise_correlation ** np.abs(steps[:, None] - steps))
-            # Largest components first: the sequence's first dimensions are its best.
-            shape = (vectors * np.sqrt(np.maximum(values, 0.0)))[:, ::-1]
-            drawn = _sobol(count, self.horizon * self.controls)
-        else:
-            shape = _spline(self.horizon)
-            drawn = np.random.default_rng(0).standard_normal((count, KNOTS * self.controls))
-        drawn = drawn.reshape(count, shape.shape[1], self.controls)
-        return np.asarray(np.einsum("tk,skm->stm", shape, drawn) * self.sigma, dtype=np.float32)
+
+@bank.register
+def _(cfg: Noise) -> np.ndarray:
+    if cfg.kind in ("shipped", "white"):
+        correlation = cfg.noise_correlation if cfg.kind == "shipped" else 0.0
+        settings = {f.name: getattr(cfg, f.name) for f in fields(MppiConfig)} | {"noise_correlation": correlation}
+        return bank(MppiConfig(**settings))
+    count = (cfg.num_rollouts + 1) // 2 + SPARE
+    if cfg.kind == "sobol":
+        steps = np.arange(cfg.horizon)
+        values, vectors = np.linalg.eigh(cfg.noise_correlation ** np.abs(steps[:, None] - steps))
+        # Largest components first: the sequence's first dimensions are its best.
+        shape = (vectors * np.sqrt(np.maximum(values, 0.0)))[:, ::-1]
+        drawn = _sobol(count, cfg.horizon * cfg.controls)
+    else:
+        shape = _spline(cfg.horizon)
+        drawn = np.random.default_rng(0).standard_normal((count, KNOTS * cfg.controls))
+    drawn = drawn.reshape(count, shape.shape[1], cfg.controls)
+    return np.asarray(np.einsum("tk,skm->stm", shape, drawn) * cfg.sigma, dtype=np.float32)
 
 
 def _sobol(count: int, dimensions: int) -> np.ndarray:

@@ -10,7 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from shmoo_mjx.control.pushing import PushConfig, PushController
+from shmoo_mjx.control.presets import PushConfig
+from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.learning.weights import Weights
 
 Make = Callable[[Weights, PushConfig], PushController]
@@ -27,9 +28,16 @@ def _cost(**terms: float) -> Make:
 running, lateral, heading, aim, speed = (
     _cost(**{f"{term}_weight": 0.0}) for term in ("running", "lateral", "heading", "aim", "speed")
 )
-overspeed = _cost(overspeed_weight=0.0, slow_down=0.0)
+
+
+def _without_overspeed(config: PushConfig, **terms: float) -> PushConfig:
+    cost = replace(config.cost, overspeed_weight=0.0, **terms)
+    return replace(config, cost=cost, speed=replace(config.speed, slow_down=0.0))
+
+
+overspeed = _changed(_without_overspeed)
 """Neither what speeding costs nor the governor's slowing down before the goal."""
-heading_and_overspeed = _cost(heading_weight=0.0, overspeed_weight=0.0, slow_down=0.0)
+heading_and_overspeed = _changed(lambda config: _without_overspeed(config, heading_weight=0.0))
 """Each of the two is hardly missed."""
 governor = _changed(lambda config: replace(config, governor=replace(config.governor, gain=0.0)))
 """No bounds on the forward lean, in plan and command."""

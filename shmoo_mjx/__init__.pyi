@@ -1,7 +1,7 @@
 from .behavior.push_task import PushTask as PushTask
-from .behavior.push_task import pose_push_config as pose_push_config
 from .behavior.state import NavigatorConfig as NavigatorConfig
-from .control.pushing import PushConfig as PushConfig
+from .control.presets import PushConfig as PushConfig
+from .control.presets import pose_push_config as pose_push_config
 from .control.pushing import PushController as PushController
 from .errors import ShmooError as ShmooError
 from .learning.daiml import DaimlConfig as DaimlConfig

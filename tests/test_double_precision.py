@@ -92,7 +92,7 @@ def plan(folder: Path) -> Any:
     def one(state: mppi.MppiState, _: None) -> tuple[mppi.MppiState, jax.Array]:
         u, after, _ = mppi.plan(
             config, lambda x0, u: x0 + jnp.cumsum(u, axis=1), lambda x, u, last: jnp.sum((x - 1) ** 2, axis=(1, 2)),
-            jnp.zeros(2, jnp.float32), state,
+            jnp.zeros(2, jnp.float32), state=state,
         )  # fmt: skip
         return after, u
 

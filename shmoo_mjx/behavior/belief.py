@@ -11,7 +11,7 @@ import numpy as np
 import shapely
 
 from shmoo_mjx.arrays import Float
-from shmoo_mjx.learning.online import Known
+from shmoo_mjx.learning.online import LearnerState
 from shmoo_mjx.planning.distance_field import DistanceField
 from shmoo_mjx.planning.footprints import add_obstacles, footprint_polygon
 from shmoo_mjx.planning.maps import OccupancyGrid, distance_field
@@ -49,8 +49,8 @@ class ObjectBelief:
     status: Status = Status.UNKNOWN
     pushes: int = 0
     """How often a push has been started."""
-    adapt: Known | None = None
-    """What was learned from contact so far (`online.Known`)."""
+    adapt: LearnerState | None = None
+    """What was learned from contact so far (`online.LearnerState`)."""
     age: float = 0.0
     """Time since the object was last detected [s]."""
     registered: Float[np.ndarray, "3"] | None = None

@@ -410,10 +410,10 @@ class Machine:
 
     @property
     def learned(self) -> tuple[int, dict[str, float]] | None:
-        """The object that is pushed at present, and what has been learned of it (`online.learned`)."""
+        """The object that is pushed at present, and what has been learned of it (`online.summary`)."""
         if self.segment is None or self.segment.push is None:
             return None
-        return self.segment.object, online.learned(self.segment.push.pusher.adapt)
+        return self.segment.object, online.summary(self.segment.push.pusher.adapt)
 
     def _of(self, kind: type) -> list[Any]:
         return [event for event in self.events if isinstance(event, kind)]

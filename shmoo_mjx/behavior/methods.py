@@ -7,17 +7,14 @@ so that it runs). Commands, experiments and replays take their weights and setti
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from shmoo_mjx.base.assets import PAPER_WEIGHTS, WEIGHTS, asset
-from shmoo_mjx.behavior.push_task import pose_push_config
 from shmoo_mjx.behavior.state import NavigatorConfig
-from shmoo_mjx.control.cost import PushCost
-from shmoo_mjx.control.pushing import PushConfig, PushController
+from shmoo_mjx.control.presets import PushConfig, pose_push_config, printed_push_config
+from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.learning.adaptation import AdaptConfig
 from shmoo_mjx.learning.weights import Weights, load_weights
 
 OURS, FROZEN, PAPER = "ours", "frozen", "paper"
@@ -60,16 +57,6 @@ class Method:
         return PushController(self.load(path), self.pose_pushing if to_pose else self.pushing)
 
 
-def _as_printed() -> PushConfig:
-    """Eq. 8 and 9 as printed, and Williams' white noise; where the paper gives no number, it is ours. Of the additions
-    two remain: ``cost_scale`` and the governor, which needs a ``speed_limit``."""
-    base = PushConfig()
-    eq_9 = PushCost(yaw_weight=1.0, effort=base.cost.effort, change=base.cost.change, speed_limit=base.cost.speed_limit)
-    # Labels are differences of noisy twists, whose errors are correlated.
-    eq_8 = AdaptConfig(to_prior=False, outlier=math.inf, noise_scale=2.0)
-    return replace(base, cost=eq_9, control=replace(base.control, noise_correlation=0.0), adapt=eq_8)
-
-
 METHODS = {
     OURS: Method(OURS, WEIGHTS, PushConfig(), pose_push_config(), NavigatorConfig()),
     FROZEN: Method(
@@ -79,7 +66,7 @@ METHODS = {
         replace(pose_push_config(), adapts=False),
         NavigatorConfig(),
     ),
-    PAPER: Method(PAPER, PAPER_WEIGHTS, _as_printed(), _as_printed(), NavigatorConfig(decides_by="K")),
+    PAPER: Method(PAPER, PAPER_WEIGHTS, printed_push_config(), printed_push_config(), NavigatorConfig(decides_by="K")),
 }
 
 

@@ -22,12 +22,11 @@ from shmoo_mjx.behavior.push_options import SIDES
 from shmoo_mjx.behavior.skills import hold, push
 from shmoo_mjx.behavior.skills.push import Pusher
 from shmoo_mjx.behavior.state import Decision, Mode, NavigatorConfig, NavigatorState, Setup
-from shmoo_mjx.control.cost import PushCost
-from shmoo_mjx.control.pushing import PushConfig
+from shmoo_mjx.control.presets import pose_push_config
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.geometry.faces import faces_of
-from shmoo_mjx.learning.online import Known
+from shmoo_mjx.learning.online import LearnerState
 from shmoo_mjx.planning.footprints import footprints_free
 from shmoo_mjx.planning.maps import OccupancyGrid
 from shmoo_mjx.planning.reach import contact_foresight
@@ -46,18 +45,6 @@ _STALL = (0.03, 6.0)
 """A push that brought the object less nearer to its goal than this [m of error] in so much time [s] has stalled."""
 _NO_NEARER = 0.1
 """A push that has brought it less nearer than this counts against its side [m of error]."""
-
-
-def pose_push_config() -> PushConfig:
-    """The pushing controller's settings where the object's yaw counts and it has to stop at its goal."""
-    base = PushConfig()
-    cost: PushCost = replace(
-        base.cost, yaw_weight=0.6, aim_weight=0.7, lateral_weight=0.8, terminal_speed=0.07, slow_down=0.25,
-        speed_limit=0.16, overspeed_weight=3.0, speed_weight=0.3, change=0.03,
-    )  # fmt: skip
-    # Small, slow noise: a plan that jumps about shakes what rolls off the hands.
-    control = replace(base.control, sigma=(0.015, 0.012, 0.07), noise_correlation=0.95)
-    return replace(base, cost=cost, control=control, governor_room=0.04, foresees_governor=True)
 
 
 @dataclass(frozen=True)
@@ -87,7 +74,7 @@ class PushTask(Machine):
         index: int = 0,
         seed: int = 0,
         config: PushTaskConfig | None = None,
-        adapt: Known | None = None,
+        adapt: LearnerState | None = None,
         kinds: Sequence[str | None] | None = None,
     ) -> None:
         """Set up the task.
@@ -133,12 +120,12 @@ class PushTask(Machine):
         return self.belief.pushes
 
     @property
-    def adapt(self) -> Known | None:
+    def adapt(self) -> LearnerState | None:
         """What has been learned of the object."""
         target = self.belief.objects.get(self._index)
         return self._first_adapt if target is None or target.adapt is None else target.adapt
 
-    def know(self, adapt: Known) -> None:
+    def know(self, adapt: LearnerState) -> None:
         """Take over coefficients from elsewhere, in the middle of a push too."""
         self._first_adapt = adapt
         if self._index in self.belief.objects:

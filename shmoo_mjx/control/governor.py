@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from shmoo_mjx.arrays import Array, Float, Scalar
+from shmoo_mjx.control.observation import ObjectObservation
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.geometry.hands import HAND_HEIGHT, touches
 from shmoo_mjx.plant.robot import shmoobot
@@ -38,37 +39,29 @@ def static_lean(force: Scalar | Float[Array, "..."]) -> Scalar | Float[Array, ".
 
 
 def forward_lean(
-    config: GovernorConfig,
-    robot_pose: Float[Array, "3"],
-    robot_twist: Float[Array, "3"],
-    lean_rate: Float[Array, "2"],
-    wrench: Float[Array, "3"],
-    limit: Scalar,
-    more: Scalar,
+    config: GovernorConfig, obs: ObjectObservation, limit: Scalar, integral: Scalar
 ) -> tuple[Scalar, Scalar]:
-    """Lean [rad] that brings the robot to the speed ``limit`` against what it feels, and the next ``more``.
+    """Lean [rad] that brings the robot to the speed ``limit`` against what it feels, and the next ``integral``.
 
     At rest the whole felt force counts as resistance, at the speed allowed less than a third of it: by then most of it
     may be what accelerates the object, and leaning into that would diverge.
 
     Args:
         config: gains.
-        robot_pose: of {R} in {W}.
-        robot_twist: in {W}.
-        lean_rate: [rad/s]
-        wrench: felt on the object, in {W}.
+        obs: what is perceived now.
         limit: speed allowed [m/s].
-        more: lean for what lags behind so far in this push [rad]; 0 at its start.
+        integral: state of the velocity loop [rad]; 0 at the start of a push.
     """
-    xp, yaw = se2.array_module(robot_pose, robot_twist, lean_rate, wrench, limit, more), robot_pose[2]
+    twist, rate = obs.robot_twist, obs.lean_rate
+    xp, yaw = se2.array_module(obs.robot_pose, twist, rate, obs.wrench, limit, integral), obs.robot_pose[2]
     a, b, _ = shmoobot().flatness
     # Speed of the flat output: the base first moves the wrong way when the lean changes.
-    speed = se2.rotate(robot_twist[:2], -yaw)[0] + b / a * lean_rate[0]
-    behind = xp.where(touches(wrench), limit - speed, 0.0) * DT
-    more = xp.clip(more + _INTEGRAL_GAIN * behind, 0.0, INTEGRAL_LIMIT)
-    force = xp.maximum(se2.rotate(wrench[:2], -yaw)[0], 0.0)
+    speed = se2.rotate(twist[:2], -yaw)[0] + b / a * rate[0]
+    behind = xp.where(touches(obs.wrench), limit - speed, 0.0) * DT
+    integral = xp.clip(integral + _INTEGRAL_GAIN * behind, 0.0, INTEGRAL_LIMIT)
+    force = xp.maximum(se2.rotate(obs.wrench[:2], -yaw)[0], 0.0)
     share = 1.0 - 0.7 * xp.clip(speed / limit, 0.0, 1.0)
-    return share * static_lean(force) + config.gain * (limit - speed) + more, more
+    return share * static_lean(force) + config.gain * (limit - speed) + integral, integral
 
 
 def govern(u: Float[Array, "... 3"], low: Scalar, high: Scalar) -> Float[Array, "... 3"]:

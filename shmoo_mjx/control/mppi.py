@@ -12,11 +12,9 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax.sharding import Mesh
 
 from shmoo_mjx.arrays import Array, Bool, Float, Int, Key
-from shmoo_mjx.control import sharding
-from shmoo_mjx.control.mppi_config import SPARE
+from shmoo_mjx.control import noise
 from shmoo_mjx.control.mppi_config import MppiConfig as MppiConfig
 from shmoo_mjx.errors import ShmooError
 
@@ -24,6 +22,8 @@ RolloutFn = Callable[[Any, Float[Array, "S T m"]], Any]
 """(x0, U) -> trajectory, a pytree of arrays ``[S, T, ...]``: the states *after* each control."""
 CostFn = Callable[[Any, Float[Array, "S T m"], Float[Array, "m"]], Float[Array, "S"]]
 """(trajectory, U, last applied u) -> total cost of each roll-out."""
+Evaluation = Callable[[Float[Array, "S T m"]], Any]
+"""U -> a pytree of arrays ``[S, ...]``."""
 
 
 class MppiState(NamedTuple):
@@ -63,7 +63,13 @@ def init(cfg: MppiConfig, key: Key[Array, ""], u0: Float[Array, "m"] | None = No
 
 
 def plan(
-    cfg: MppiConfig, rollout_fn: RolloutFn, cost_fn: CostFn, x0: Any, state: MppiState, mesh: Mesh | None = None
+    cfg: MppiConfig,
+    rollout_fn: RolloutFn,
+    cost_fn: CostFn,
+    x0: Any,
+    *,
+    state: MppiState,
+    share: Callable[[Evaluation], Evaluation] | None = None,
 ) -> tuple[Float[Array, "m"], MppiState, Plan]:
     """The control to apply now, the state for the next call, and the plan (Sec. III-E).
 
@@ -71,9 +77,9 @@ def plan(
     start is zero control too. The arguments are those of `update`.
     """
     key, use = jax.random.split(state.key)
-    result = update(cfg, rollout_fn, cost_fn, x0, state.nominal, state.last_u, use, mesh)
-    nominal = sharding.on_all(mesh, result.nominal)
-    return nominal[0], MppiState(shift(nominal), nominal[0], key), result
+    updated = update(cfg, rollout_fn, cost_fn, x0, nominal=state.nominal, last_u=state.last_u, key=use, share=share)
+    nominal = updated.nominal
+    return nominal[0], MppiState(shift(nominal), nominal[0], key), updated
 
 
 def update(
@@ -81,10 +87,11 @@ def update(
     rollout_fn: RolloutFn,
     cost_fn: CostFn,
     x0: Any,
+    *,
     nominal: Float[Array, "T m"],
     last_u: Float[Array, "m"],
     key: Key[Array, ""],
-    mesh: Mesh | None = None,
+    share: Callable[[Evaluation], Evaluation] | None = None,
 ) -> Plan:
     """One path-integral update of ``nominal`` from state ``x0``, without shifting it.
 
@@ -96,7 +103,8 @@ def update(
         nominal: control sequence to update.
         last_u: control applied last, for costs on the change of control.
         key: random key.
-        mesh: devices to share the roll-outs among; both functions then see a part of the roll-outs each time.
+        share: spreads the evaluation of the roll-outs over devices (`sharding.shared`); both functions then see a
+            part of the roll-outs each time.
 
     Returns:
         The plan with its roll-outs.
@@ -111,8 +119,8 @@ def update(
         return trajectories, costs, jnp.isfinite(costs) & _finite((trajectories, controls), len(controls))
 
     nominal = jnp.asarray(nominal)
-    controls = sharding.split(mesh, sample_controls(cfg, key, nominal))
-    trajectories, costs, valid = sharding.shared(mesh, evaluate)(controls)
+    controls = sample_controls(cfg, key, nominal)
+    trajectories, costs, valid = (share(evaluate) if share else evaluate)(controls)
     weights = importance_weights(cfg, costs, valid)
     mean = jnp.einsum("s,stm->tm", weights, jnp.where(valid[:, None, None], controls, 0.0))
     # The clip: rounding may carry the mean over a bound by one ulp, and zero, the mean of no sample, may lie outside.
@@ -121,17 +129,13 @@ def update(
 
 
 def sample_controls(cfg: MppiConfig, key: Key[Array, ""], nominal: Float[Array, "T m"]) -> Float[Array, "S T m"]:
-    """Controls around ``nominal``: coloured noise, clipped to the bounds.
+    """Controls around ``nominal``: noise (`noise.draw`), clipped to the bounds.
 
-    The first is the nominal itself, the second zero control. The noise is a stretch of a list that is drawn once, the
-    key says which, and each sequence comes with its mirror image: what happens to be on one side of zero in the list
-    would else pull each plan there.
+    The first is the nominal itself, the second zero control.
     """
-    nominal, half = jnp.asarray(nominal), (cfg.num_rollouts + 1) // 2
-    first = jax.random.randint(key, (), 0, SPARE, dtype=jnp.int32)
-    noise = jax.lax.dynamic_slice_in_dim(jnp.asarray(cfg.noise_list(), nominal.dtype), first, half)
-    noise = jnp.concatenate([noise, -noise])[: cfg.num_rollouts].at[0].set(0.0)
-    return _clip(cfg, nominal + noise).at[1].set(_clip(cfg, jnp.zeros_like(nominal)))
+    nominal = jnp.asarray(nominal)
+    controls = nominal + noise.draw(cfg, key, nominal.dtype).at[0].set(0.0)
+    return _clip(cfg, controls).at[1].set(_clip(cfg, jnp.zeros_like(nominal)))
 
 
 def importance_weights(cfg: MppiConfig, costs: Float[Array, "S"], valid: Bool[Array, "S"]) -> Float[Array, "S"]:

@@ -1,19 +1,14 @@
-"""Settings of MPPI, and the list of coloured noise that they define."""
+"""Settings of MPPI."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
-from shmoo_mjx.arrays import Float
 from shmoo_mjx.errors import ShmooError
-
-SPARE = 4096
-"""By how many sequences the list of noise is longer than what a plan takes of it: so many different plans' noise."""
 
 
 @dataclass(frozen=True)
@@ -73,28 +68,13 @@ class MppiConfig:
         """m, number of control channels."""
         return len(self.sigma)
 
-    def noise_list(self) -> Float[np.ndarray, "n T m"]:
-        """Noise, of whose (S + 1) // 2 + SPARE sequences each plan takes a stretch; a subclass may have another."""
-        return _coloured(self)
-
 
 def _numbers(name: str, values: Iterable[float]) -> tuple[float, ...]:
     """One finite number per control channel."""
     try:
-        found = tuple(float(value) for value in values)
+        numbers = tuple(float(value) for value in values)
     except (TypeError, ValueError):
-        found = ()
-    if not found or not all(map(math.isfinite, found)):
+        numbers = ()
+    if not numbers or not all(map(math.isfinite, numbers)):
         raise ShmooError(f"MppiConfig: {name} is {values}; give one finite number per control channel.")
-    return found
-
-
-@lru_cache(maxsize=8)
-def _coloured(cfg: MppiConfig) -> np.ndarray:
-    """`MppiConfig.noise_list`: a tenth of a plan's time if drawn anew."""
-    white = np.random.default_rng(0).standard_normal(((cfg.num_rollouts + 1) // 2 + SPARE, cfg.horizon, cfg.controls))
-    # The Cholesky factor of the AR(1) correlation rho^|i - j|: coloured = factor white.
-    rho, steps = cfg.noise_correlation, np.arange(cfg.horizon)
-    factor = np.tril(rho ** np.maximum(steps[:, None] - steps[None, :], 0)) * math.sqrt(1 - rho**2)
-    factor[:, 0] = rho**steps
-    return np.asarray(np.einsum("tk,skm->stm", factor, white) * cfg.sigma, dtype=np.float32)
+    return numbers

@@ -2,7 +2,7 @@
 
 It takes the object to move as one with the two hands (a stable line contact, Lynch and Mason 1996) and to stand still
 as soon as the hands do. The hands are driven along the arc that ends at the goal with the goal's yaw, as fast as
-:func:`~shmoo_mjx.control.cost.allowed_speed` allows; the felt force is balanced by lean. Same signature as
+a :class:`~shmoo_mjx.control.speed.SpeedProfile` allows; the felt force is balanced by lean. Same signature as
 :class:`~shmoo_mjx.control.pushing.PushController`.
 """
 
@@ -13,13 +13,13 @@ from typing import NamedTuple
 import numpy as np
 
 from shmoo_mjx.arrays import Array, Float, Key, Scalar
-from shmoo_mjx.control.cost import PushCost, allowed_speed
 from shmoo_mjx.control.governor import GovernorConfig, forward_lean
 from shmoo_mjx.control.observation import LocalDistanceField, ObjectObservation
-from shmoo_mjx.control.pushing import PushConfig
+from shmoo_mjx.control.presets import PushConfig
+from shmoo_mjx.control.speed import SpeedProfile
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.geometry.hands import REACH
-from shmoo_mjx.learning.online import Known
+from shmoo_mjx.learning.online import LearnerState
 from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
 
 # Gains, tuned on objects of the development seeds.
@@ -42,16 +42,16 @@ class QuasiStaticState(NamedTuple):
 
     face: Float[np.ndarray, "4"]
     pose: Float[np.ndarray, "3"]
-    adapt: Known | None
-    more: Scalar
-    """Lean that the governor grants for lagging behind [rad]."""
+    adapt: LearnerState | None
+    governor_integral: Scalar
+    """Integral state of the governor's velocity loop [rad]."""
 
 
 class QuasiStaticPusher:
-    """Pushing controller by quasi-static geometry; ``cost`` gives the speed allowed."""
+    """Pushing controller by quasi-static geometry, as fast as ``speed`` allows."""
 
-    def __init__(self, cost: PushCost) -> None:
-        self.cost = cost
+    def __init__(self, speed: SpeedProfile) -> None:
+        self.speed = speed
 
     def init(
         self,
@@ -59,7 +59,8 @@ class QuasiStaticPusher:
         face: Float[Array, "4"],
         half_extents: Float[Array, "2"] | None,
         key: Key[Array, ""] | None,
-        adapt: Known | None = None,
+        *,
+        adapt: LearnerState | None = None,
         kind: str | None = None,
     ) -> QuasiStaticState:
         """Start a push on ``face``."""
@@ -69,14 +70,16 @@ class QuasiStaticPusher:
         self,
         state: QuasiStaticState,
         obs: ObjectObservation,
-        last_u: Float[Array, "3"],
+        *,
         goal: Float[Array, "3"],
-        around: LocalDistanceField,
-        half_extents: Float[Array, "2"] | None,
+        last_u: Float[Array, "3"] | None = None,
+        half_extents: Float[Array, "2"] | None = None,
+        clearance: LocalDistanceField | None = None,
     ) -> tuple[Float[np.ndarray, "3"], QuasiStaticState, None]:
         """The command for the next sample; arguments as for the controller it stands in for."""
-        u, more = control(self.cost, state.face, obs, np.asarray(goal, dtype=float), state.more)
-        return u, state._replace(pose=obs.object_pose, more=more), None
+        goal = np.asarray(goal, dtype=float)
+        u, integral = control(self.speed, obs, state.governor_integral, face=state.face, goal=goal)
+        return u, state._replace(pose=obs.object_pose, governor_integral=integral), None
 
     def coast(self, state: QuasiStaticState) -> Float[np.ndarray, "3"]:
         """Pose at which the object comes to rest if it is let go now: where it is."""
@@ -84,9 +87,14 @@ class QuasiStaticPusher:
 
 
 def control(
-    cost: PushCost, face: Float[Array, "4"], obs: ObjectObservation, goal: Float[Array, "3"], more: Scalar
+    speed: SpeedProfile,
+    obs: ObjectObservation,
+    governor_integral: Scalar,
+    *,
+    face: Float[Array, "4"],
+    goal: Float[Array, "3"],
 ) -> tuple[Float[Array, "3"], Scalar]:
-    """The command [rad] for ``face`` and ``goal`` in {W}, and the governor's next ``more``.
+    """The command [rad] for ``face`` and ``goal`` in {W}, and the governor's next integral [rad].
 
     Pure, on NumPy and JAX arrays alike.
     """
@@ -104,12 +112,9 @@ def control(
     sideways = _sideways(face, obs, error)
     velocity = se2.rotate(obs.robot_twist[:2], -obs.robot_pose[2])
     lean = velocity_to_lean(Gains(), velocity, obs.lean_rate, xp.stack([0.0 * sideways, sideways]))
-    limit = allowed_speed(cost, distance)
-    forward, more = forward_lean(
-        GovernorConfig(), obs.robot_pose, obs.robot_twist, obs.lean_rate, obs.wrench, limit, more
-    )
+    forward, integral = forward_lean(GovernorConfig(), obs, speed.allowed(distance), governor_integral)
     forward = xp.clip(forward, -LEAN_LIMIT, LEAN_LIMIT)
-    return xp.stack([forward, lean[1], xp.clip(_STEER * error, -_STEER_LIMIT, _STEER_LIMIT)]), more
+    return xp.stack([forward, lean[1], xp.clip(_STEER * error, -_STEER_LIMIT, _STEER_LIMIT)]), integral
 
 
 def _sideways(face: Array, obs: ObjectObservation, error: Scalar) -> Scalar:

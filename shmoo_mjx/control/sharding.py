@@ -1,7 +1,7 @@
 """Sharing of roll-outs among the devices of a CPU.
 
 XLA runs small matrix products on one core. Where JAX was started with several CPU devices (`rollout_mesh`),
-:func:`~shmoo_mjx.control.mppi.plan` takes a mesh and evaluates a part of its roll-outs on each.
+:func:`~shmoo_mjx.control.mppi.plan` evaluates a part of its roll-outs on each (``share=partial(shared, mesh)``).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from shmoo_mjx.arrays import Array, Shaped
+from shmoo_mjx.control.mppi import Evaluation
 
 _AXIS = "rollouts"
 _PROBLEMS = "problems"
@@ -68,22 +68,14 @@ def compiled(function: Callable[..., Any], mesh: Mesh | None) -> Callable[..., A
     return jax.jit(function) if mesh is None else jax.jit(function, in_shardings=NamedSharding(mesh, PartitionSpec()))
 
 
-def split(mesh: Mesh | None, x: Shaped[Array, "S ..."]) -> Shaped[Array, "S ..."]:
-    """``x`` with its first axis split among the devices; inside jit."""
-    return x if mesh is None else jax.lax.with_sharding_constraint(x, NamedSharding(mesh, PartitionSpec(_AXIS)))
+def on_all(mesh: Mesh | None, tree: Any) -> Any:
+    """The arrays of ``tree`` whole on every device; inside jit."""
+    return tree if mesh is None else jax.lax.with_sharding_constraint(tree, NamedSharding(mesh, PartitionSpec()))
 
 
-def on_all(mesh: Mesh | None, x: Shaped[Array, "..."]) -> Shaped[Array, "..."]:
-    """``x`` whole on every device; inside jit."""
-    return x if mesh is None else jax.lax.with_sharding_constraint(x, NamedSharding(mesh, PartitionSpec()))
-
-
-def shared(
-    mesh: Mesh | None, function: Callable[[Shaped[Array, "S ..."]], Any]
-) -> Callable[[Shaped[Array, "S ..."]], Any]:
-    """``function`` of an array, evaluated on each device for that device's part of it."""
-    if mesh is None:
-        return function
-    # The check would ask of every user's roll-out that it marks its carry as varying over the devices.
+def shared(mesh: Mesh, function: Evaluation) -> Evaluation:
+    """``function`` of an array, evaluated on each device for that device's part of its first axis; inside jit."""
     spec = PartitionSpec(_AXIS)
-    return jax.shard_map(function, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
+    # The check would ask of every user's roll-out that it marks its carry as varying over the devices.
+    each = jax.shard_map(function, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
+    return lambda x: each(jax.lax.with_sharding_constraint(x, NamedSharding(mesh, spec)))

@@ -21,8 +21,8 @@ from shmoo_mjx.arrays import Float
 from shmoo_mjx.behavior.skills import one_push
 from shmoo_mjx.behavior.skills.approach import CONTACT_GAP
 from shmoo_mjx.control import equilibrium_lean
-from shmoo_mjx.control.cost import PushCost
 from shmoo_mjx.control.observation import ObjectObservation
+from shmoo_mjx.control.speed import SpeedProfile
 from shmoo_mjx.evaluation.experiment import Experiment, ExperimentConfig, Setup
 from shmoo_mjx.evaluation.outcomes_measures import covered, draw_figure, errors, measure, median_pose, outcomes_table
 from shmoo_mjx.evaluation.pushing_trials import task_of
@@ -31,7 +31,7 @@ from shmoo_mjx.evaluation.trials import controller_of
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.geometry.faces import faces_of, stand_off
 from shmoo_mjx.learning.contact_prior import kind_of
-from shmoo_mjx.learning.online import Known
+from shmoo_mjx.learning.online import LearnerState
 from shmoo_mjx.planning.reach import STEPS, foresight_of, goal_ahead, probability_to_come
 from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
@@ -105,7 +105,7 @@ def _trial(setup: Setup[OutcomesConfig], index: int) -> list[dict[str, Any]]:
         bearing = float(rng.uniform(-config.bearing, config.bearing))
         pushes.append(_Push(int(side), bearing, faces[side], goal_ahead(origin, faces[side], bearing)))
     seeds = np.repeat(robots, len(pushes)).tolist()
-    tracks = _pushed(condition, [*pushes, *pushes], controller.config.cost, senses=senses, seeds=seeds)
+    tracks = _pushed(condition, [*pushes, *pushes], controller.config.speed, senses=senses, seeds=seeds)
     rows = []
     for push, track, other in zip(pushes, tracks, tracks[len(pushes) :], strict=False):
         if track is None:
@@ -126,7 +126,7 @@ def _trial(setup: Setup[OutcomesConfig], index: int) -> list[dict[str, Any]]:
 
 def _learned(
     config: OutcomesConfig, condition: Condition, face: np.ndarray, controller: Any, *, senses: Senses, seed: int
-) -> Known | None:
+) -> LearnerState | None:
     """What the pushing controller learns of the object at the origin in its first seconds of pushing straight on; None
     if it did not get there."""
     robot = stand_off(np.zeros(3), face, 2 * CONTACT_GAP)
@@ -146,7 +146,7 @@ def _learned(
 
 
 def _pushed(
-    condition: Condition, pushes: list[_Push], cost: PushCost, *, senses: Senses, seeds: list[int]
+    condition: Condition, pushes: list[_Push], speed: SpeedProfile, *, senses: Senses, seeds: list[int]
 ) -> list[np.ndarray | None]:
     """True poses ``[1 + T, 3]`` of the object at the origin from the first touch on, for each push by the robot of that
     seed. NaN after a fall; None where the object was not felt in time."""
@@ -158,7 +158,7 @@ def _pushed(
     ]
     faces, goals = (np.array([getattr(p, name) for p in pushes], np.float32) for name in ("face", "goal"))
     task = one_push.WorldGoal(faces, np.tile(np.float32(half), (count, 1)), goals)
-    begin, step = _policy(cost)
+    begin, step = _policy(speed)
     offsets, up = [equilibrium_lean.init()] * count, np.ones(count, bool)
     tracks, phases = [], []
     with SensedEngine(scenes, senses, seeds, poses_known=True) as engine:
@@ -194,9 +194,9 @@ def _balanced(offsets: list[equilibrium_lean.LeanOffset], each: list[Observation
 
 
 @cache
-def _policy(cost: PushCost) -> tuple[Any, Any]:
+def _policy(speed: SpeedProfile) -> tuple[Any, Any]:
     """The law as compiled functions of W worlds: (obs, task) -> state, (state, obs, task, ready) -> command, state."""
-    policy, key = one_push.quasi_static_policy(cost), jax.random.key(0)
+    policy, key = one_push.quasi_static_policy(speed), jax.random.key(0)
     begin = jax.vmap(lambda obs, task: one_push.init(policy, obs, task, key))
     step = jax.vmap(lambda state, obs, task, ready: one_push.step(policy, state, obs, task, key=key, ready=ready))
     return jax.jit(begin), jax.jit(step)

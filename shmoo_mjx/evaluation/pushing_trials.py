@@ -16,11 +16,11 @@ import numpy as np
 from shmoo_mjx.arrays import Array
 from shmoo_mjx.base import custom
 from shmoo_mjx.behavior.methods import PAPER, method_named
-from shmoo_mjx.behavior.push_task import Pusher, PushTask, pose_push_config
-from shmoo_mjx.control.pushing import PushConfig
+from shmoo_mjx.behavior.push_task import Pusher, PushTask
+from shmoo_mjx.control.presets import PushConfig, pose_push_config
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.learning.contact_prior import kind_of
-from shmoo_mjx.learning.online import Known
+from shmoo_mjx.learning.online import LearnerState
 from shmoo_mjx.learning.weights import Weights
 from shmoo_mjx.planning.maps import OccupancyGrid
 from shmoo_mjx.plant.condition import GRAVITY, Condition
@@ -240,7 +240,7 @@ def _pusher(method: str, weights: Weights, config: PushConfig) -> Pusher:
         make = custom.named(OWN, method)
         return cast(Pusher, custom.asked(OWN, method, lambda: make(weights, config)))
     if method == "quasi_static":
-        return QuasiStaticPusher(config.cost)
+        return QuasiStaticPusher(config.speed)
     if method == "contact_model":
         weights = weights._replace(
             config=replace(weights.config, object=replace(weights.config.object, residual=False))
@@ -248,7 +248,7 @@ def _pusher(method: str, weights: Weights, config: PushConfig) -> Pusher:
     return PushController(weights, replace(config, adapts=method in ("ours", "contact_model")))
 
 
-def oracle_coefficients(weights: Weights, condition: Condition, seed: int) -> Known:
+def oracle_coefficients(weights: Weights, condition: Condition, seed: int) -> LearnerState:
     """a* of Eq. 5 from recorded pushes of this very object, with senses that don't err; it stays as it is."""
     import jax.numpy as jnp
 

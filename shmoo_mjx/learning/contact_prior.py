@@ -53,7 +53,7 @@ def parameters_of(condition: Condition) -> Float[np.ndarray, "p"]:
 
 
 def true_values(condition: Condition) -> dict[str, float]:
-    """Ground truth of what `online.learned` estimates, by name: mass [kg], friction along x and y of {O} [N].
+    """Ground truth of what `online.summary` estimates, by name: mass [kg], friction along x and y of {O} [N].
 
     As in the contact model, the rotary inertia of wheels that roll counts as mass.
     """

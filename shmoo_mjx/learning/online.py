@@ -24,13 +24,13 @@ from shmoo_mjx.learning.estimate import EstimateConfig, ObjectEstimate, Sighting
 _BELIEVABLE = 1e4
 """Size from which on a sample holds no measurement and teaches nothing [SI units]: no robot of this kind comes near."""
 BAND = (0.1, 0.5, 0.9)
-"""Quantiles that `learned` gives: the median and an 80 % band."""
+"""Quantiles that `summary` gives: the median and an 80 % band."""
 
 NAMES = tuple(f"{name}{end}" for name in ("mass", "friction_x", "friction_y") for end in ("_low", "", "_high"))
-"""What `learned` tells of a posterior."""
+"""What `summary` tells of a posterior."""
 
-Known = ObjectEstimate | AdaptState
-"""What is known of an object; a pytree."""
+LearnerState = ObjectEstimate | AdaptState
+"""Estimate of an object's dynamics; a pytree."""
 
 
 class Transition(NamedTuple):
@@ -42,7 +42,7 @@ class Transition(NamedTuple):
     """Measured acceleration in {O}."""
     valid: Scalar
     """False without contact, with stale or missing poses: inputs and label say nothing."""
-    seen: Sighting
+    sighting: Sighting
     """What was perceived at its end."""
 
 
@@ -50,10 +50,10 @@ class Transition(NamedTuple):
 class Learner(Protocol):
     """A way to learn an object online; hashable and without state of its own."""
 
-    def adapt(self, known: Any, params: Params, sample: Transition) -> Any:
+    def adapt(self, state: Any, params: Params, sample: Transition) -> Any:
         """What is known after one more sample; one that is not finite changes nothing. Pure."""
 
-    def params_for_rollout(self, known: Any, params: Params) -> Params:
+    def params_for_rollout(self, state: Any, params: Params) -> Params:
         """The parameters of the dynamics core for this object."""
 
 
@@ -63,13 +63,13 @@ class Posterior:
 
     config: EstimateConfig = EstimateConfig()
 
-    def adapt(self, known: ObjectEstimate, params: Params, sample: Transition) -> ObjectEstimate:
+    def adapt(self, state: ObjectEstimate, params: Params, sample: Transition) -> ObjectEstimate:
         """See `Learner`."""
-        return estimate.step(self.config, known, sample.seen)
+        return estimate.step(self.config, state, sample.sighting)
 
-    def params_for_rollout(self, known: ObjectEstimate, params: Params) -> Params:
+    def params_for_rollout(self, state: ObjectEstimate, params: Params) -> Params:
         """See `Learner`."""
-        return params._replace(contact=estimate.mean(known))
+        return params._replace(contact=estimate.mean(state))
 
 
 @dataclass(frozen=True)
@@ -79,16 +79,16 @@ class Printed:
     shape: ObjectConfig
     config: AdaptConfig = AdaptConfig()
 
-    def adapt(self, known: AdaptState, params: Params, sample: Transition) -> AdaptState:
+    def adapt(self, state: AdaptState, params: Params, sample: Transition) -> AdaptState:
         """See `Learner`."""
         inputs, label = sample.inputs, sample.label
         believable = jnp.all(jnp.abs(inputs) < _BELIEVABLE) & jnp.all(jnp.abs(label) < _BELIEVABLE)
         phi = object_model.design_matrix(params.object, inputs, self.shape, params.contact)
-        return adaptation.step(self.config, known, phi, label, jnp.asarray(sample.valid) & believable)
+        return adaptation.step(self.config, state, phi, label, jnp.asarray(sample.valid) & believable)
 
-    def params_for_rollout(self, known: AdaptState, params: Params) -> Params:
+    def params_for_rollout(self, state: AdaptState, params: Params) -> Params:
         """See `Learner`."""
-        return params._replace(coefficients=known.mean.reshape(params.coefficients.shape))
+        return params._replace(coefficients=state.mean.reshape(params.coefficients.shape))
 
 
 def learner(shape: ObjectConfig, contact: EstimateConfig | None = None, adapt: AdaptConfig | None = None) -> Learner:
@@ -98,31 +98,31 @@ def learner(shape: ObjectConfig, contact: EstimateConfig | None = None, adapt: A
     return Printed(shape, adapt or AdaptConfig())
 
 
-def learned(known: Known) -> dict[str, float]:
+def summary(state: LearnerState) -> dict[str, float]:
     """What is known, by name: mass [kg], friction along x and y of {O} [N], each the median with `_low` and `_high` of
     an 80 % band; or a1 ... an of a psi without contact model. Not for jit."""
-    if isinstance(known, AdaptState):
-        return {f"a{k + 1}": a for k, a in enumerate(np.asarray(known.mean).tolist())}
+    if isinstance(state, AdaptState):
+        return {f"a{k + 1}": a for k, a in enumerate(np.asarray(state.mean).tolist())}
     # In NumPy: outside jit, JAX compiles every operation apart.
-    on_host = known._replace(parameters=np.asarray(known.parameters), log_weight=np.asarray(known.log_weight))
-    return dict(zip(NAMES, told(on_host).tolist(), strict=True))
+    on_host = state._replace(parameters=np.asarray(state.parameters), log_weight=np.asarray(state.log_weight))
+    return dict(zip(NAMES, summary_values(on_host).tolist(), strict=True))
 
 
-def told(known: Known) -> Float[Array, "n"]:
-    """The numbers of `learned`, in order; for jit too."""
-    if isinstance(known, AdaptState):
-        return known.mean
-    xp = se2.array_module(known.parameters)
-    values = xp.concatenate([xp.exp(known.parameters[:, :1]), contact_model.resistance(known.parameters)], axis=-1)
-    return estimate.quantiles(known, values, BAND).T.reshape(-1)
+def summary_values(state: LearnerState) -> Float[Array, "n"]:
+    """The numbers of `summary`, in order; for jit too."""
+    if isinstance(state, AdaptState):
+        return state.mean
+    xp = se2.array_module(state.parameters)
+    values = xp.concatenate([xp.exp(state.parameters[:, :1]), contact_model.resistance(state.parameters)], axis=-1)
+    return estimate.quantiles(state, values, BAND).T.reshape(-1)
 
 
-def relocated(known: Known) -> Known:
+def relocated(state: LearnerState) -> LearnerState:
     """The same at the start of another push."""
-    return known if isinstance(known, AdaptState) else estimate.relocated(known)
+    return state if isinstance(state, AdaptState) else estimate.relocated(state)
 
 
-def unchanged(before: Known, after: Known) -> Known:
+def unchanged(before: LearnerState, after: LearnerState) -> LearnerState:
     """What was known before a sample that says nothing of the object; the next one places a posterior's particles anew
     and makes draws of its own."""
     if isinstance(before, AdaptState) or isinstance(after, AdaptState):
@@ -130,6 +130,6 @@ def unchanged(before: Known, after: Known) -> Known:
     return estimate.relocated(before)._replace(key=after.key)
 
 
-def restarts(known: Known) -> int:
+def restarts(state: LearnerState) -> int:
     """How many times a posterior had lost all weight and began anew from the prior. Not for jit."""
-    return 0 if isinstance(known, AdaptState) else int(known.restarts)
+    return 0 if isinstance(state, AdaptState) else int(state.restarts)

@@ -21,7 +21,7 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.learning import adaptation, contact_prior, estimate, least_squares, serialisation
 from shmoo_mjx.learning.estimate import EstimateConfig
 from shmoo_mjx.learning.object_fit import ObjectFit
-from shmoo_mjx.learning.online import Known
+from shmoo_mjx.learning.online import LearnerState
 from shmoo_mjx.learning.robot_fit import RobotFit
 
 SCHEMA_VERSION = 7
@@ -60,7 +60,7 @@ def prior_state(
     config: EstimateConfig | None = None,
     key: Key[Array, ""] | None = None,
     kind: str | None = None,
-) -> Known:
+) -> LearnerState:
     """What is known before an object is touched: the prior.
 
     Args:
@@ -80,7 +80,7 @@ def posterior_from_recording(
     inputs: Float[Array, "N 13"],
     labels: Float[Array, "N 3"],
     sample_weights: Float[Array, "N"],
-) -> Known:
+) -> LearnerState:
     """What a whole recording of an object tells: the posterior of its contact parameters, or a* of Eq. 5 given the
     prior.
 

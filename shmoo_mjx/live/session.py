@@ -193,8 +193,8 @@ class Session:
 
     @cached_property
     def prior(self) -> dict[str, float]:
-        """What an object is taken to be before it is touched (`online.learned`)."""
-        return online.learned(prior_state(self.controller.weights, self.controller.config.estimate))
+        """What an object is taken to be before it is touched (`online.summary`)."""
+        return online.summary(prior_state(self.controller.weights, self.controller.config.estimate))
 
     def compile(self) -> None:
         """Compile what the first push needs, or the world stands still for seconds when it begins."""

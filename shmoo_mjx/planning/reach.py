@@ -16,10 +16,11 @@ import numpy as np
 
 from shmoo_mjx.arrays import Array, Float, Key, single_precision
 from shmoo_mjx.control import quasi_static
-from shmoo_mjx.control.cost import PushCost
 from shmoo_mjx.control.governor import static_lean
 from shmoo_mjx.control.observation import ObjectObservation
-from shmoo_mjx.control.pushing import PushConfig, PushController
+from shmoo_mjx.control.presets import PushConfig
+from shmoo_mjx.control.pushing import PushController
+from shmoo_mjx.control.speed import SpeedProfile
 from shmoo_mjx.dynamics import contact_model, core
 from shmoo_mjx.dynamics.core import CoreConfig, Params
 from shmoo_mjx.geometry import se2
@@ -27,7 +28,7 @@ from shmoo_mjx.geometry.faces import heading
 from shmoo_mjx.geometry.hands import HAND_RADIUS, REACH
 from shmoo_mjx.learning import estimate, online
 from shmoo_mjx.learning.estimate import ObjectEstimate
-from shmoo_mjx.learning.online import Known
+from shmoo_mjx.learning.online import LearnerState
 from shmoo_mjx.learning.weights import Weights, load_weights, prior_state
 from shmoo_mjx.types import SystemState
 
@@ -83,7 +84,7 @@ def reach(
     half_extents: Float[Array, "2"],
     options: Options,
     config: CoreConfig,
-    cost: PushCost,
+    speed: SpeedProfile,
     steps: int,
 ) -> Outcomes:
     """Roll out every option for every sample, with hands that touch the face and everything at rest at the start.
@@ -96,11 +97,11 @@ def reach(
         half_extents: of the footprint [m].
         options: what may be done.
         config: shapes of the model; static.
-        cost: gives the speed allowed; static.
+        speed: allowed; static.
         steps: T; static.
     """
     start = _start(jnp.asarray(object_pose, jnp.float32), jnp.hypot(*jnp.asarray(half_extents, jnp.float32)), options)
-    roll = partial(_roll, params=params, config=config, cost=cost, steps=steps, options=options, start=start)
+    roll = partial(_roll, params=params, config=config, speed=speed, steps=steps, options=options, start=start)
     unknown = jnp.array(_UNKNOWN) * jax.random.normal(key, (len(samples), len(_UNKNOWN)))
     objects, robots = jax.vmap(roll)(jnp.asarray(samples, jnp.float32), unknown)
     return Outcomes(jnp.transpose(objects, (2, 0, 1, 3)), jnp.transpose(robots, (2, 0, 1, 3)))
@@ -123,20 +124,22 @@ def _roll(
     *,
     params: Params,
     config: CoreConfig,
-    cost: PushCost,
+    speed: SpeedProfile,
     steps: int,
     options: Options,
     start: SystemState,
 ) -> tuple[Array, Array]:
     """Poses ``[T, O, 3]`` of object and robot for one sample."""
     params = params._replace(contact=contact)
-    law = jax.vmap(partial(quasi_static.control, cost), in_axes=(0, _ONE, 0, 0))
+
+    def law(obs: ObjectObservation, integral: Array, face: Array, goal: Array) -> tuple[Array, Array]:
+        return quasi_static.control(speed, obs, integral, face=face, goal=goal)
 
     def one(carry: tuple[SystemState, Array], _: None) -> tuple[tuple[SystemState, Array], tuple[Array, Array]]:
         state, integral = carry
         wrench = se2.rotate(state.last_wrench, state.object_pose[:, 2])
         obs = ObjectObservation(*state[:6], wrench)
-        u, later = law(state.face, obs, options.goal, integral)
+        u, later = jax.vmap(law, in_axes=(_ONE, 0, 0, 0))(obs, integral, state.face, options.goal)
         state = core.step(params, state, u + unknown, config)[0]
         return (state, jnp.asarray(later)), (state.object_pose, state.robot_pose)
 
@@ -195,7 +198,7 @@ class Foresight:
         # Over many seconds the contact model alone predicts better than psi, which is trained on three.
         model = replace(weights.config, object=replace(shape, residual=not shape.contact_model))
 
-        def run(adapt: Known, key: Array, options: Options, *, pose: Array, half_extents: Array) -> Outcomes:
+        def run(adapt: LearnerState, key: Array, options: Options, *, pose: Array, half_extents: Array) -> Outcomes:
             params = online.learner(shape, config.estimate, config.adapt).params_for_rollout(adapt, weights.params)
             draw_key, own_key = jax.random.split(key)
             if isinstance(adapt, ObjectEstimate):
@@ -210,7 +213,7 @@ class Foresight:
                 half_extents=half_extents,
                 options=options,
                 config=model,
-                cost=config.cost,
+                speed=config.speed,
                 steps=STEPS,
             )
 
@@ -221,7 +224,7 @@ class Foresight:
                 jnp.zeros(len(_UNKNOWN)),
                 params=weights.params,
                 config=model,
-                cost=config.cost,
+                speed=config.speed,
                 steps=_FAR_STEPS,
                 options=options,
                 start=begin,
@@ -236,7 +239,7 @@ class Foresight:
     @single_precision
     def __call__(
         self,
-        adapt: Known | None,
+        adapt: LearnerState | None,
         kind: str | None,
         pose: Float[Array, "3"],
         half_extents: Float[Array, "2"] | tuple[float, float],
@@ -265,7 +268,7 @@ class Foresight:
 
     def sampled_poses(
         self,
-        adapt: Known | None,
+        adapt: LearnerState | None,
         kind: str | None,
         pose: Float[Array, "3"],
         half_extents: Float[Array, "2"] | tuple[float, float],
@@ -280,7 +283,7 @@ class Foresight:
 
     def probability_to_move(
         self,
-        adapt: Known | None,
+        adapt: LearnerState | None,
         kind: str | None,
         pose: Float[Array, "3"],
         half_extents: Float[Array, "2"] | tuple[float, float],

@@ -15,7 +15,7 @@ import numpy as np
 from shmoo_mjx.arrays import Array, Bool, Float, Int
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.geometry.faces import faces_of
-from shmoo_mjx.learning.online import Known
+from shmoo_mjx.learning.online import LearnerState
 from shmoo_mjx.planning.reach import Options, goal_ahead
 
 YAW_WEIGHT = 0.25
@@ -73,7 +73,7 @@ def residual(pose: Float[Array, "*b 3"], goal: Float[Array, "3"]) -> Float[np.nd
 def push_displacements(
     foresight: Any,
     *,
-    adapt: Known | None,
+    adapt: LearnerState | None,
     kind: str | None,
     half_extents: tuple[float, float],
     goal: Float[Array, "3"],

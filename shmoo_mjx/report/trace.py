@@ -49,7 +49,7 @@ class Trace(NamedTuple):
     learned: Array
     """``[T, n]`` what has been learned of the object that is pushed; NaN where none is"""
     learned_names: tuple[str, ...]
-    """n names of `online.learned`"""
+    """n names of `online.summary`"""
     learned_object: Array
     """int ``[T]`` index of that object, -1 for none"""
     state: Array

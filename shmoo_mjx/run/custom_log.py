@@ -23,7 +23,7 @@ from shmoo_mjx.base.guard import ARRAYS, HTML, RECORDING, check_folder
 from shmoo_mjx.base.verbosity import LOG
 from shmoo_mjx.base.versions import versions
 from shmoo_mjx.behavior.push_decisions import PROBE_TIME
-from shmoo_mjx.control.pushing import PushConfig
+from shmoo_mjx.control.presets import PushConfig
 from shmoo_mjx.data.differentiate import body_acceleration
 from shmoo_mjx.dynamics import object_model
 from shmoo_mjx.dynamics.core import Params
@@ -181,7 +181,7 @@ def run_of_log(log: Log, half_extents: tuple[float, float], weights: Weights) ->
 
 def _learned(
     log: Log, half_extents: tuple[float, float], weights: Weights, pushes: list[slice]
-) -> tuple[np.ndarray, tuple[str, ...], dict[str, float], dict[str, float], list[online.Known]]:
+) -> tuple[np.ndarray, tuple[str, ...], dict[str, float], dict[str, float], list[online.LearnerState]]:
     """What is known after each sample ``[T, n]``, the names, the prior, which share of the accelerations is left
     unexplained by the prior and by the estimate from all earlier samples (empty if nothing was learned), and what is
     known after each of the ``pushes``."""
@@ -210,7 +210,7 @@ def _learned(
         for name, p in (("prior", first), ("learned", guesses))
         if spread > 0
     }
-    prior, after, done = online.learned(start), [start], 0
+    prior, after, done = online.summary(start), [start], 0
     for push in pushes:
         after.append(_known_after(learner, params, after[-1], rows, first=done, end=push.stop))
         done = push.stop
@@ -219,8 +219,14 @@ def _learned(
 
 @partial(jax.jit, static_argnums=0)
 def _known_after(
-    learner: online.Learner, params: Params, estimated: online.Known, rows: online.Transition, *, first: int, end: int
-) -> online.Known:
+    learner: online.Learner,
+    params: Params,
+    estimated: online.LearnerState,
+    rows: online.Transition,
+    *,
+    first: int,
+    end: int,
+) -> online.LearnerState:
     """What is known after the ``rows`` from ``first`` to before ``end``; a scan would keep it after every row."""
 
     def step(i: Array, estimated: Any) -> Any:
@@ -234,7 +240,7 @@ def _sample_by_sample(
     learner: online.Learner,
     shape: object_model.ObjectConfig,
     params: Params,
-    start: online.Known,
+    start: online.LearnerState,
     *,
     rows: online.Transition,
 ) -> tuple[Array, Array, Array]:
@@ -248,7 +254,7 @@ def _sample_by_sample(
     def step(estimated: Any, sample: online.Transition) -> tuple[Any, tuple[Array, Array]]:
         guess = predicted(estimated, sample.inputs)
         estimated = learner.adapt(estimated, params, sample)
-        return estimated, (online.told(estimated), guess)
+        return estimated, (online.summary_values(estimated), guess)
 
     _, (learned, guesses) = jax.lax.scan(step, start, rows)
     return learned, guesses, jax.vmap(partial(predicted, start))(rows.inputs)
@@ -288,7 +294,7 @@ def _pushes(log: Log) -> list[slice]:
 
 
 def _verdict(
-    log: Log, push: slice, estimated: online.Known, *, half_extents: tuple[float, float], foresight: Foresight
+    log: Log, push: slice, estimated: online.LearnerState, *, half_extents: tuple[float, float], foresight: Foresight
 ) -> dict[str, Any] | None:
     """Whether the object can be moved, by what is ``estimated`` after a push; None of a push that was too short."""
     touching = touches(log.wrench[push])

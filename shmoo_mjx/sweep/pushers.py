@@ -10,11 +10,10 @@ from dataclasses import replace
 from typing import Any
 
 from shmoo_mjx.arrays import Array
-from shmoo_mjx.behavior.push_task import pose_push_config
 from shmoo_mjx.behavior.skills import one_push
-from shmoo_mjx.control import pushing
+from shmoo_mjx.control import push_step
 from shmoo_mjx.control.observation import ObjectObservation
-from shmoo_mjx.control.pushing import PushConfig
+from shmoo_mjx.control.presets import PushConfig, pose_push_config
 from shmoo_mjx.learning.weights import Weights, prior_state
 from shmoo_mjx.sweep.config import Controller
 
@@ -23,24 +22,27 @@ def policy_of(controller: Controller, weights: Weights, kind: str | None = None)
     """The controller that a sweep file asks for, for objects that look like ``kind`` (`contact_prior.of_kind`)."""
     config = push_config(controller)
     if controller.kind == "quasi_static":
-        return one_push.quasi_static_policy(config.cost)
-    core, params = weights.config, weights.params
+        return one_push.quasi_static_policy(config.speed)
+    model = push_step.PushModel(config, weights.config, weights.params)
 
     def begin(obs: ObjectObservation, task: one_push.WorldGoal, key: Array) -> Any:
         adapt = prior_state(weights, config.estimate, kind=kind)
-        return pushing.start(config, adapt, obs, task.face, task.half_extents, key)
+        return push_step.start(config, adapt, obs, key, face=task.face, half_extents=task.half_extents)
 
     def advance(state: Any, obs: ObjectObservation, last_u: Array, task: one_push.WorldGoal) -> tuple[Array, Any]:
-        return pushing.step(config, core, params, state, obs, task.goal, last_u, task.half_extents)[:2]
+        return push_step.step(model, state, obs, goal=task.goal, last_u=last_u, half_extents=task.half_extents)[:2]
 
-    return one_push.PushPolicy(
-        begin, advance, lambda state, obs: pushing.coast(config, core, params, state.adapt, state.before)
-    )
+    return one_push.PushPolicy(begin, advance, lambda state, obs: push_step.coast(model, state.adapt, state.before))
 
 
 def push_config(c: Controller) -> PushConfig:
     """The settings of the pushing controller that a sweep file asks for."""
     base = pose_push_config()
     control = replace(base.control, num_rollouts=c.samples, horizon=c.horizon, temperature=c.temperature)
-    cost = replace(base.cost, speed_limit=c.speed_limit)
-    return replace(base, control=control, cost=cost, adapts=c.adapts, governor=replace(base.governor, gain=c.governor))
+    return replace(
+        base,
+        control=control,
+        speed=replace(base.speed, limit=c.speed_limit),
+        adapts=c.adapts,
+        governor=replace(base.governor, gain=c.governor),
+    )

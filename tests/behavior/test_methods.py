@@ -15,10 +15,9 @@ from toy import toy_scenario
 
 from shmoo_mjx.base.assets import WEIGHTS, asset
 from shmoo_mjx.behavior.methods import METHODS, method_named
-from shmoo_mjx.behavior.push_task import pose_push_config
 from shmoo_mjx.behavior.state import NavigatorConfig
 from shmoo_mjx.control.cost import PushCost
-from shmoo_mjx.control.pushing import PushConfig
+from shmoo_mjx.control.presets import PushConfig, pose_push_config
 from shmoo_mjx.dynamics.object_model import ObjectConfig
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.navigation import POLICIES

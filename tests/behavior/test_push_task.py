@@ -9,9 +9,10 @@ import pytest
 import shapely
 
 from shmoo_mjx.arrays import finite_numbers
-from shmoo_mjx.behavior.push_task import PushTask, pose_push_config
+from shmoo_mjx.behavior.push_task import PushTask
 from shmoo_mjx.behavior.state import Mode
 from shmoo_mjx.control.equilibrium_lean import arms_lean
+from shmoo_mjx.control.presets import pose_push_config
 from shmoo_mjx.control.quasi_static import QuasiStaticPusher
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.geometry import se2
@@ -77,7 +78,7 @@ def _grid(corridor: bool = False) -> OccupancyGrid:
 
 
 def _task(goal: np.ndarray, grid: OccupancyGrid | None = None) -> PushTask:
-    return PushTask(grid or _grid(), [HALF], goal, QuasiStaticPusher(pose_push_config().cost), kinds=["box"])
+    return PushTask(grid or _grid(), [HALF], goal, QuasiStaticPusher(pose_push_config().speed), kinds=["box"])
 
 
 @pytest.mark.parametrize("goal", [(0.5, 0.0), (0.5, 0.0, 0.0, 1.0), (0.5, np.nan, 0.0), (np.inf, 0.0, 0.0)])
@@ -96,7 +97,7 @@ def test_what_is_no_point_is_refused(given: Any) -> None:
 @pytest.mark.parametrize("index", [1, -1])
 def test_an_object_that_is_not_there_is_refused_at_once(index: int) -> None:
     with pytest.raises(ShmooError, match=f"no object {index}"):
-        PushTask(_grid(), [HALF], (0.5, 0.0, 0.0), QuasiStaticPusher(pose_push_config().cost), index=index)
+        PushTask(_grid(), [HALF], (0.5, 0.0, 0.0), QuasiStaticPusher(pose_push_config().speed), index=index)
 
 
 def _run(task: PushTask, world: _World, seconds: float = 120.0, meddle: object = None) -> None:

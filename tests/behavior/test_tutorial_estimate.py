@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from shmoo_mjx.behavior.push_task import PushTask, pose_push_config
+from shmoo_mjx.behavior.push_task import PushTask
+from shmoo_mjx.control.presets import pose_push_config
 from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.geometry.hands import touches
 from shmoo_mjx.learning import online
@@ -34,7 +35,7 @@ def estimates() -> Estimates:
         while not task.finished:
             world, seen = robot.step(world, task.tick(seen))
             if task.segment and task.segment.push:
-                rows.append(online.learned(task.segment.push.pusher.adapt))
+                rows.append(online.summary(task.segment.push.pusher.adapt))
                 contact.append(DT * bool(touches(seen.wrench[0, 0])))
     return {name: np.array([row[name] for row in rows]) for name in online.NAMES}, np.cumsum(contact)
 

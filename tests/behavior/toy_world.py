@@ -46,12 +46,12 @@ class Stand(SimpleNamespace):
         super().__init__(world=world, rooms=[], foresees=False)
 
     def init(
-        self, now: Any, face: Any, half: Any, key: Any, adapt: AdaptState | None = None, kind: Any = None
+        self, now: Any, face: Any, half: Any, key: Any, *, adapt: AdaptState | None = None, kind: Any = None
     ) -> State:
         return State(adapt or adaptation.init(np.zeros(18), np.eye(18), np.eye(3)), face, now.object_pose)
 
     def step(
-        self, state: State, now: Any, last_u: Any, goal: Any, around: Any, half: Any, governor_room: float | None = None
+        self, state: State, now: Any, *, governor_room: float | None = None, **task: Any
     ) -> tuple[np.ndarray, State, Any]:
         self.rooms.append(governor_room)
         assert np.isfinite(now.object_pose).all() and np.isfinite(now.object_twist).all()

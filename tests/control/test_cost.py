@@ -12,18 +12,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shmoo_mjx.control.cost import (
-    HAND_MARGIN,
     PushCost,
     change,
-    clearance_at,
-    clearance_near,
-    clearance_penalty,
     effort,
     face_misalignment,
-    footprint_points,
     pose_distance,
     push_cost,
     terminal_speed,
+)
+from shmoo_mjx.control.obstacles import (
+    HAND_MARGIN,
+    Margins,
+    clearance_at,
+    clearance_near,
+    clearance_penalty,
+    footprint_points,
 )
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.geometry.hands import REACH
@@ -50,7 +53,7 @@ def test_equation_9_as_printed() -> None:
     cfg = PushCost(yaw_weight=1.0, effort=0.1, change=0.01)
     # distance sqrt(1 + 4 + 0.25); ||u|| = 0.5 and sqrt(1.25); first change from last_u = (0.3, 0, 0): 0.4, then 1
     expected = np.sqrt(5.25) + 0.1 * (0.5 + np.sqrt(1.25)) + 0.01 * (0.4 + 1.0)
-    cost = push_cost(cfg, jnp.zeros(3), traj, controls, jnp.array([0.3, 0.0, 0.0]))
+    cost = push_cost(cfg, jnp.zeros(3))(traj, controls, jnp.array([0.3, 0.0, 0.0]))
     np.testing.assert_allclose(cost, [expected], rtol=1e-5)
 
 
@@ -71,8 +74,8 @@ def test_yaw_error_lives_on_the_circle(yaw: float, error: float, turns: int) -> 
 def test_extra_terms_are_off_by_default() -> None:
     traj = rollouts(object_twist=[1.0, 0.0, 0.0], robot_pose=[-1.0, 0.4, 0.3])
     field = DistanceField(jnp.zeros((4, 4)), jnp.zeros(3), 0.1)
-    args = (jnp.zeros(3), traj, jnp.zeros((2, 3, 3)), jnp.zeros(3))
-    np.testing.assert_array_equal(push_cost(PushCost(), *args, field, jnp.ones(2)), np.zeros(2))
+    cost_fn = push_cost(PushCost(), jnp.zeros(3), clearance=field, half_extents=jnp.ones(2))
+    np.testing.assert_array_equal(cost_fn(traj, jnp.zeros((2, 3, 3)), jnp.zeros(3)), np.zeros(2))
 
 
 def ramp(yaw: float = 0.0) -> DistanceField:
@@ -104,19 +107,20 @@ def test_footprint_points_turn_with_the_object() -> None:
 
 
 def test_clearance_penalty_counts_robot_and_outline_inside_their_margins() -> None:
-    cfg = replace(BARE, clearance_weight=2.0, object_margin=0.5, robot_margin=0.6)
+    cfg, margins = replace(BARE, clearance_weight=2.0), Margins(object=0.5, robot=0.6)
     # Robot at x = 1.4: clearance 0.5, 0.1 short. Object centred at 1.6, half length 0.3: clearance 0.4, 0.1 short.
     traj = rollouts(1, 10, robot_pose=[1.4, 0.0, 0.0], object_pose=[1.6, 0.0, 0.0])
     field, half = ramp(), jnp.array([0.3, 0.1])
-    np.testing.assert_allclose(clearance_penalty(cfg, traj, field, half), [0.2], rtol=1e-4)  # 0.2 m over 1 s
-    args = (jnp.zeros(3), traj, jnp.zeros((1, 10, 3)), jnp.zeros(3))
-    np.testing.assert_allclose(push_cost(cfg, *args, field, half) - push_cost(BARE, *args), [0.4], rtol=1e-4)
+    np.testing.assert_allclose(clearance_penalty(margins, traj, field, half), [0.2], rtol=1e-4)  # 0.2 m over 1 s
+    goal, args = jnp.zeros(3), (traj, jnp.zeros((1, 10, 3)), jnp.zeros(3))
+    cost_fn = push_cost(cfg, goal, margins=margins, clearance=field, half_extents=half)
+    np.testing.assert_allclose(cost_fn(*args) - push_cost(BARE, goal)(*args), [0.4], rtol=1e-4)
     clear = rollouts(1, 10, robot_pose=[2.4, 0.0, 0.0], object_pose=[2.6, 0.0, 0.0])
-    np.testing.assert_array_equal(clearance_penalty(cfg, clear, field, half), [0.0])
-    coarse = PushCost(object_margin=0.5, robot_margin=0.6, clearance_stride=3)
+    np.testing.assert_array_equal(clearance_penalty(margins, clear, field, half), [0.0])
+    coarse = replace(margins, stride=3)
     np.testing.assert_allclose(clearance_penalty(coarse, traj, field, half), [0.2], rtol=1e-4)
     with pytest.raises(ValueError, match="half_extents"):
-        push_cost(cfg, *args, field)
+        push_cost(cfg, goal, margins=margins, clearance=field)(*args)
 
 
 @given(st.floats(0.06, 3.9), st.floats(0.06, 1.9), st.floats(-3, 3))
@@ -130,17 +134,17 @@ def test_near_clearance_is_that_of_the_cell(x: float, y: float, yaw: float) -> N
 
 
 def test_a_hand_swept_into_a_wall_costs() -> None:
-    cfg = replace(BARE, object_margin=0.0, robot_margin=0.0)
+    margins = Margins(object=0.0, robot=0.0)
     field, half = ramp(), jnp.array([0.1, 0.1])
     field = field._replace(values=field.values + HAND_MARGIN - 0.25)
     # Clearance grows with x. Looking back, the hands are REACH nearer to the wall than the robot's centre.
     ahead, back = (rollouts(1, 10, robot_pose=[1.5, 0.0, yaw], object_pose=[2.5, 0.0, 0.0]) for yaw in (0.0, np.pi))
-    np.testing.assert_array_equal(clearance_penalty(cfg, ahead, field, half), [0.0])
+    np.testing.assert_array_equal(clearance_penalty(margins, ahead, field, half), [0.0])
     depth = 0.25 - (1.5 - REACH - 1.0 + 0.1)
-    np.testing.assert_allclose(clearance_penalty(cfg, back, field, half), [depth], atol=0.0501)
+    np.testing.assert_allclose(clearance_penalty(margins, back, field, half), [depth], atol=0.0501)
     # Steering puts the left hand forward, here towards the wall.
     turned = rollouts(1, 10, robot_pose=[1.5, 0.0, np.pi], object_pose=[2.5, 0.0, 0.0], last_u=[0.0, 0.0, 0.4])
-    assert float(clearance_penalty(cfg, turned, field, half)[0]) > depth + 0.01
+    assert float(clearance_penalty(margins, turned, field, half)[0]) > depth + 0.01
 
 
 def test_face_misalignment_of_hands_and_heading() -> None:
@@ -165,10 +169,12 @@ def test_running_and_speed_terms() -> None:
     twists = np.array([[[9.0, 0.0, 0.0], [9.0, 0.0, 0.0], [0.3, 0.4, 5.0]]])
     traj = rollouts(1, 3, object_pose=poses, object_twist=twists)
     np.testing.assert_allclose(terminal_speed(traj), [0.5], rtol=1e-6)
-    args = (jnp.zeros(3), traj, jnp.zeros((1, 3, 3)), jnp.zeros(3))
+    goal, args = jnp.zeros(3), (traj, jnp.zeros((1, 3, 3)), jnp.zeros(3))
     for cfg, expected in (
         (replace(BARE, running_weight=3.0), 3.0),
         (replace(BARE, speed_weight=2.0), 1.0),
         (replace(BARE, lateral_weight=1.0), 0.0),
     ):
-        np.testing.assert_allclose(push_cost(cfg, *args) - push_cost(BARE, *args), np.array([expected]), atol=1e-6)
+        np.testing.assert_allclose(
+            push_cost(cfg, goal)(*args) - push_cost(BARE, goal)(*args), np.array([expected]), atol=1e-6
+        )

@@ -19,7 +19,7 @@ CFG = mppi.MppiConfig(
     num_rollouts=24, horizon=8, cost_scale=200.0, sigma=(0.05, 0.02, 0.1), low=(-0.15,) * 3, high=(0.15,) * 3
 )
 GOAL = np.array([1.2, 0.0, 0.0])
-COST = partial(cost.push_cost, cost.PushCost(yaw_weight=0.0, effort=0.001, change=0.001), GOAL)
+COST = cost.push_cost(cost.PushCost(yaw_weight=0.0, effort=0.001, change=0.001), GOAL)
 
 
 def start() -> SystemState:
@@ -32,7 +32,7 @@ def start() -> SystemState:
 def test_a_model_starts_from_a_state() -> None:
     model = models.learned(core.init(jax.random.key(0)))
     run = jax.jit(partial(mppi.plan, CFG, model, COST))
-    u, _, plan = run(start(), mppi.init(CFG, jax.random.key(1)))
+    u, _, plan = run(start(), state=mppi.init(CFG, jax.random.key(1)))
     assert bool(plan.ok) and np.isfinite(u).all()
     assert {k: v.shape[:2] for k, v in plan.trajectories._asdict().items()} == dict.fromkeys(
         SystemState._fields, (24, 8)
@@ -46,7 +46,7 @@ def test_mppi_pushes_the_object_forward() -> None:
     def pushed(key: Any) -> Any:
         def sample(carry: Any, _: None) -> Any:
             now, state = carry
-            u, state, _ = mppi.plan(CFG, model, COST, now, state)
+            u, state, _ = mppi.plan(CFG, model, COST, now, state=state)
             return (jax.tree.map(lambda x: x[0, 0], model(now, u[None, None])), state), None
 
         (now, _), _ = jax.lax.scan(sample, (start(), mppi.init(CFG, key)), length=20)

@@ -49,7 +49,7 @@ def optimum() -> np.ndarray:
 
 def converge(cfg: mppi.MppiConfig, sweeps: int = 300) -> np.ndarray:
     def sweep(nominal: Any, key: Any) -> tuple[Any, Any]:
-        better = mppi.update(cfg, integrate, quadratic, X0, nominal, jnp.zeros(3), key).nominal
+        better = mppi.update(cfg, integrate, quadratic, X0, nominal=nominal, last_u=jnp.zeros(3), key=key).nominal
         return better, better
 
     keys = jax.random.split(jax.random.key(0), sweeps)
@@ -95,7 +95,7 @@ def test_under_jit_costs_of_any_size_choose_the_control_that_they_choose_eagerly
     def cost(traj: Any, controls: Any, last_u: Any) -> Any:
         return scale * jnp.sum((traj - 1) ** 2, axis=(-2, -1))
 
-    plan = partial(mppi.plan, cfg, integrate, cost, X0, mppi.init(cfg, jax.random.key(0)))
+    plan = partial(mppi.plan, cfg, integrate, cost, X0, state=mppi.init(cfg, jax.random.key(0)))
     (u, _, jitted), (expected, _, eager) = jax.jit(plan)(), plan()
     for found in (jitted, eager):
         assert bool(found.ok) and float(found.weights.sum()) == pytest.approx(1.0, abs=1e-5)
@@ -115,14 +115,14 @@ def test_under_jit_costs_of_any_size_choose_the_control_that_they_choose_eagerly
 def test_a_cost_that_is_not_one_number_per_rollout_is_refused(cost: Any, shape: str) -> None:
     run = partial(mppi.plan, CFG, integrate, cost, X0)
     with pytest.raises(ShmooError, match=re.escape(shape)) as refused:
-        jax.jit(run).lower(mppi.init(CFG, jax.random.key(0)))
+        jax.jit(run).lower(state=mppi.init(CFG, jax.random.key(0)))
     assert "(600,)" in str(refused.value) and "cost_fn" in str(refused.value)
 
 
 def test_a_trajectory_without_the_rollouts_first_is_refused() -> None:
     run = partial(mppi.plan, CFG, lambda x0, c: jnp.swapaxes(integrate(x0, c), 0, 1), quadratic, X0)
     with pytest.raises(ShmooError, match="rollout_fn"):
-        run(mppi.init(CFG, jax.random.key(0)))
+        run(state=mppi.init(CFG, jax.random.key(0)))
 
 
 def test_lists_and_arrays_make_the_config_that_tuples_make() -> None:
@@ -158,7 +158,9 @@ def test_one_nan_rollout_changes_nothing_but_its_own_weight() -> None:
             costs = quadratic(traj, controls, last_u)
             return costs.at[7].set(jnp.nan if bad else 1e6)  # a roll-out so dear weighs nothing either
 
-        return mppi.update(CFG, integrate, cost, X0, jnp.zeros((6, 3)), jnp.zeros(3), jax.random.key(2))
+        return mppi.update(
+            CFG, integrate, cost, X0, nominal=jnp.zeros((6, 3)), last_u=jnp.zeros(3), key=jax.random.key(2)
+        )
 
     clean, broken = plan(False), plan(True)
     assert int(clean.invalid) == 0 and int(broken.invalid) == 1 and bool(broken.ok)
@@ -178,9 +180,9 @@ def test_invalid_rollouts_are_ignored_and_counted() -> None:
         broken,
         lambda t, c, last: quadratic(t["seen"], c, last),
         X0,
-        jnp.zeros((6, 3)),
-        jnp.zeros(3),
-        jax.random.key(2),
+        nominal=jnp.zeros((6, 3)),
+        last_u=jnp.zeros(3),
+        key=jax.random.key(2),
     )
     positive = np.asarray(plan.controls[:, 0, 0] > 0)
     assert int(plan.invalid) == positive.sum() > 100
@@ -192,7 +194,7 @@ def test_invalid_rollouts_are_ignored_and_counted() -> None:
 def test_no_valid_rollout_gives_the_safe_action() -> None:
     state = mppi.init(CFG, jax.random.key(3), jnp.ones(3))
     u, after, plan = mppi.plan(
-        CFG, lambda x0, c: integrate(x0, c) * jnp.nan, lambda t, c, last: jnp.sum(t, axis=(-2, -1)), X0, state
+        CFG, lambda x0, c: integrate(x0, c) * jnp.nan, lambda t, c, last: jnp.sum(t, axis=(-2, -1)), X0, state=state
     )
     assert not bool(plan.ok) and int(plan.invalid) == CFG.num_rollouts
     np.testing.assert_array_equal(u, np.zeros(3))
@@ -202,7 +204,7 @@ def test_no_valid_rollout_gives_the_safe_action() -> None:
 
 def test_recovers_from_a_broken_warm_start() -> None:
     state = mppi.init(CFG, jax.random.key(3))._replace(nominal=jnp.full((6, 3), jnp.nan))
-    u, after, plan = mppi.plan(CFG, integrate, lambda t, c, last: jnp.zeros(len(c)), X0, state)
+    u, after, plan = mppi.plan(CFG, integrate, lambda t, c, last: jnp.zeros(len(c)), X0, state=state)
     assert bool(plan.ok)
     np.testing.assert_array_equal(u, np.zeros(3))
     assert np.isfinite(after.nominal).all()
@@ -210,7 +212,7 @@ def test_recovers_from_a_broken_warm_start() -> None:
 
 def test_warm_start_shifts_by_one_step() -> None:
     state = mppi.init(CFG, jax.random.key(4))
-    u, after, plan = mppi.plan(CFG, integrate, quadratic, X0, state)
+    u, after, plan = mppi.plan(CFG, integrate, quadratic, X0, state=state)
     np.testing.assert_array_equal(u, plan.nominal[0])
     np.testing.assert_array_equal(after.last_u, u)
     np.testing.assert_array_equal(after.nominal[:-1], plan.nominal[1:])
@@ -220,13 +222,13 @@ def test_warm_start_shifts_by_one_step() -> None:
 
 def test_last_applied_control_reaches_the_cost() -> None:
     state = mppi.init(CFG, jax.random.key(4), jnp.array([0.1, 0.2, 0.3]))
-    _, _, plan = mppi.plan(CFG, integrate, lambda t, c, last: jnp.full(len(c), last.sum()), X0, state)
+    _, _, plan = mppi.plan(CFG, integrate, lambda t, c, last: jnp.full(len(c), last.sum()), X0, state=state)
     np.testing.assert_allclose(plan.costs, 0.6, rtol=1e-6)
 
 
 def test_controls_stay_within_bounds() -> None:
     cfg = replace(CFG, low=(-0.2, -0.1, 0.05), high=(0.2, 0.3, 0.4), sigma=(1.0, 1.0, 1.0))
-    u, _, plan = mppi.plan(cfg, integrate, quadratic, 10 * X0, mppi.init(cfg, jax.random.key(5), 9 * jnp.ones(3)))
+    u, _, plan = mppi.plan(cfg, integrate, quadratic, 10 * X0, state=mppi.init(cfg, jax.random.key(5), 9 * jnp.ones(3)))
     for controls in (np.asarray(plan.controls), np.asarray(plan.nominal), np.asarray(u)):
         assert (controls >= np.array(cfg.low, np.float32)).all() and (controls <= np.array(cfg.high, np.float32)).all()
     np.testing.assert_allclose(plan.controls[1], np.broadcast_to([0.0, 0.0, 0.05], (6, 3)), rtol=1e-6)
@@ -234,12 +236,12 @@ def test_controls_stay_within_bounds() -> None:
 
 def test_same_key_same_plan_other_key_other_plan() -> None:
     run = partial(mppi.plan, CFG, integrate, quadratic, X0)
-    first, second = run(mppi.init(CFG, jax.random.key(6))), run(mppi.init(CFG, jax.random.key(6)))
+    first, second = run(state=mppi.init(CFG, jax.random.key(6))), run(state=mppi.init(CFG, jax.random.key(6)))
     jax.tree.map(np.testing.assert_array_equal, first[2], second[2])
-    third = run(mppi.init(CFG, jax.random.key(7)))
+    third = run(state=mppi.init(CFG, jax.random.key(7)))
     assert np.abs(first[2].controls - third[2].controls).max() > 0.1
     # The key moves on: planning again from the returned state draws other samples.
-    again = run(first[1])
+    again = run(state=first[1])
     noise = [r[2].controls[2] - start for r, start in ((first, jnp.zeros((6, 3))), (again, first[1].nominal))]
     assert np.abs(noise[0] - noise[1]).max() > 0.05
 
@@ -254,9 +256,9 @@ def test_batch_equals_one_by_one_and_compiles_once() -> None:
     run = jax.jit(partial(mppi.plan, CFG, counted, quadratic))
     starts = jnp.stack([X0, -X0, 2 * X0])
     states = [mppi.init(CFG, k) for k in jax.random.split(jax.random.key(8), 3)]
-    single = [run(x, s) for x, s in zip(starts, states, strict=True)]
+    single = [run(x, state=s) for x, s in zip(starts, states, strict=True)]
     assert len(traces) == 1
-    batch = jax.vmap(run)(starts, jax.tree.map(lambda *x: jnp.stack(x), *states))
+    batch = jax.vmap(run)(starts, state=jax.tree.map(lambda *x: jnp.stack(x), *states))
     for i, (u, state, plan) in enumerate(single):
         np.testing.assert_allclose(batch[0][i], u, atol=1e-5)
         np.testing.assert_allclose(batch[1].nominal[i], state.nominal, atol=1e-5)
@@ -297,5 +299,7 @@ def test_sigma_of_another_length_than_the_bounds_is_refused() -> None:
 
 
 def test_three_rollouts_are_the_least_and_do_sample() -> None:
-    _, _, plan = mppi.plan(replace(CFG, num_rollouts=3), integrate, quadratic, X0, mppi.init(CFG, jax.random.key(0)))
+    _, _, plan = mppi.plan(
+        replace(CFG, num_rollouts=3), integrate, quadratic, X0, state=mppi.init(CFG, jax.random.key(0))
+    )
     assert np.abs(plan.controls[2]).max() > 0.01

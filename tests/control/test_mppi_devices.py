@@ -15,6 +15,7 @@ import pytest
 
 SCRIPT = """
 import sys, jax, jax.numpy as jnp, numpy as np
+from functools import partial
 from shmoo_mjx.control import mppi, sharding
 
 cfg = mppi.MppiConfig((0.06, 0.06, 0.15), (-0.2, -0.2, -0.5), (0.2, 0.2, 0.5), num_rollouts=60, horizon=5)
@@ -30,7 +31,9 @@ def step(gain, x0, state):
         return jnp.moveaxis(jax.lax.scan(body, start, jnp.moveaxis(controls, 1, 0))[1], 0, 1)
     def cost_fn(seen, controls, last):
         return 30 * jnp.sum((seen[:, -1] - 1) ** 2, -1) + jnp.sum((controls[:, 0] - last) ** 2, -1)
-    return mppi.plan(cfg, rollout_fn, cost_fn, x0, state, mesh)
+    u, after, plan = mppi.plan(
+        cfg, rollout_fn, cost_fn, x0, state=state, share=mesh and partial(sharding.shared, mesh))
+    return *sharding.on_all(mesh, (u, after)), plan
 
 run = sharding.compiled(step, mesh)
 gain = sharding.replicated(mesh, jnp.eye(3) + 0.1)
@@ -96,9 +99,10 @@ import jax, numpy as np
 from shmoo_mjx.base.assets import WEIGHTS, asset
 from shmoo_mjx.control import pushing
 from shmoo_mjx.control.observation import local_distance_field
+from shmoo_mjx.control.presets import PushConfig
 from shmoo_mjx.learning.weights import load_weights
 
-config = pushing.PushConfig()
+config = PushConfig()
 config = replace(config, control=replace(config.control, num_rollouts=20, horizon=3))
 controller = pushing.PushController(load_weights(asset(WEIGHTS)), config)
 around = local_distance_field(type("Free", (), {"at": lambda self, p: p[..., 0] * 0 + 9.0})(), np.zeros(2))
@@ -106,8 +110,9 @@ half, u = np.full(2, 0.3), np.zeros(3)
 seen = pushing._STILL
 state = controller.init(seen, np.array([-0.3, 0.0, 0.0, 0.3]), half, jax.random.key(0))
 for _ in range(3):
-    u, state, _ = controller.step(state, seen, u, np.array([2.0, 0.0, 0.0]), around, half)
-print(len(jax.devices()), controller._compiled._cache_size())
+    goal = np.array([2.0, 0.0, 0.0])
+    u, state, _ = controller.step(state, seen, goal=goal, last_u=u, half_extents=half, clearance=around)
+print(len(jax.devices()), controller._learn_and_plan._cache_size())
 """
 
 

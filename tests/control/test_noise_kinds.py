@@ -11,13 +11,14 @@ import pytest
 
 from benchmarks.rollouts import Variant
 from shmoo_mjx.control import mppi
-from shmoo_mjx.control.pushing import PushConfig
+from shmoo_mjx.control.noise import bank
+from shmoo_mjx.control.presets import PushConfig
 
 
 @pytest.mark.parametrize("kind", ["shipped", "white", "sobol", "spline"])
 def test_every_kind_has_the_stated_deviation_and_reaches_the_plan(kind: str) -> None:
     control = Variant(kind, 64).config().control
-    noise = control.noise_list()
+    noise = bank(control)
     np.testing.assert_allclose(noise.std(axis=(0, 1)), control.sigma, rtol=0.03)
     np.testing.assert_allclose(noise[:, [0, 15, 29]].std(axis=0), np.tile(control.sigma, (3, 1)), rtol=0.06)
     later = np.corrcoef(noise[:, 10, 0], noise[:, 11, 0])[0, 1]

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shmoo_mjx.control.cost import PushCost, aim_error, allowed_speed
+from shmoo_mjx.control.cost import aim_error
+from shmoo_mjx.control.speed import SpeedProfile
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.geometry.faces import faces_of
 from shmoo_mjx.types import SystemState
@@ -43,12 +44,11 @@ def test_turning_the_wrong_way_costs_more_than_turning_the_right_way() -> None:
 @settings(deadline=None)
 @given(st.floats(0, 5), st.floats(0, 5))
 def test_speed_falls_towards_the_goal_and_stays_under_its_limit(near: float, far: float) -> None:
-    cfg = PushCost(terminal_speed=0.07, slow_down=0.25, speed_limit=0.2)
+    profile = SpeedProfile(limit=0.2, at_goal=0.07, slow_down=0.25)
     near, far = sorted((near, far))
-    slow, fast = float(allowed_speed(cfg, near)), float(allowed_speed(cfg, far))
+    slow, fast = float(profile.allowed(near)), float(profile.allowed(far))
     assert 0.07 <= slow <= fast <= 0.2
 
 
 def test_without_slow_down_the_limit_is_the_same_everywhere() -> None:
-    cfg = PushCost(speed_limit=0.3)
-    assert np.allclose(allowed_speed(cfg, np.array([0.0, 0.1, 3.0])), 0.3)
+    assert np.allclose(SpeedProfile(limit=0.3).allowed(np.array([0.0, 0.1, 3.0])), 0.3)

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shmoo_mjx.control.cost import PushCost
 from shmoo_mjx.control.governor import INTEGRAL_LIMIT, GovernorConfig, forward_lean, govern, static_lean
-from shmoo_mjx.control.observation import LocalDistanceField, ObjectObservation
+from shmoo_mjx.control.observation import ObjectObservation
 from shmoo_mjx.control.quasi_static import LEAN_LIMIT, QuasiStaticPusher
+from shmoo_mjx.control.speed import SpeedProfile
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.geometry.faces import faces_of, stand_off
 from shmoo_mjx.geometry.hands import HAND_HEIGHT
@@ -18,8 +18,13 @@ from shmoo_mjx.types import DT
 REST = np.zeros(2)
 
 
-def lean_at(twist: np.ndarray, wrench: np.ndarray, limit: float, more: float = 0.0) -> tuple[float, float]:
-    return forward_lean(GovernorConfig(), np.zeros(3), twist, REST, wrench, limit, more)
+def moving(twist: np.ndarray, wrench: np.ndarray, pose: np.ndarray | None = None) -> ObjectObservation:
+    pose = np.zeros(3) if pose is None else pose
+    return ObjectObservation(pose, twist, REST, REST, np.zeros(3), np.zeros(3), wrench)
+
+
+def lean_at(twist: np.ndarray, wrench: np.ndarray, limit: float, integral: float = 0.0) -> tuple[float, float]:
+    return forward_lean(GovernorConfig(), moving(twist, wrench), limit, integral)
 
 
 def test_a_stuck_object_gets_all_the_lean_it_resists_and_some_more() -> None:
@@ -29,12 +34,12 @@ def test_a_stuck_object_gets_all_the_lean_it_resists_and_some_more() -> None:
 
 
 def test_what_feels_too_little_does_not_stay_stuck_but_is_leant_into_no_harder_than_allowed() -> None:
-    more, leans = 0.0, []
+    integral, leans = 0.0, []
     for _ in range(60):
-        lean, more = lean_at(np.zeros(3), np.array([30.0, 0.0, 0.0]), 0.1, more)
+        lean, integral = lean_at(np.zeros(3), np.array([30.0, 0.0, 0.0]), 0.1, integral)
         leans.append(lean)
     assert leans[30] > static_lean(30.0) + 0.25 * 0.1 + 0.02
-    assert more == pytest.approx(INTEGRAL_LIMIT)
+    assert integral == pytest.approx(INTEGRAL_LIMIT)
     # Nothing touched: nothing to lean into. Faster than allowed: it goes back.
     assert lean_at(np.zeros(3), np.zeros(3), 0.1, 0.02)[1] == pytest.approx(0.02)
     assert lean_at(np.array([0.3, 0.0, 0.0]), np.array([30.0, 0.0, 0.0]), 0.1, 0.02)[1] < 0.02
@@ -52,7 +57,7 @@ def test_above_the_speed_allowed_the_lean_never_sustains_the_force(force: float,
 def test_only_the_frame_of_the_robot_counts(yaw: float) -> None:
     def lean(angle: float) -> float:
         turned = [se2.rotate(np.array(v), angle) for v in ([0.1, 0.05, 0.2], [20.0, 5.0, 1.0])]
-        return forward_lean(GovernorConfig(), np.array([1.0, 2.0, angle]), turned[0], REST, turned[1], 0.2, 0.0)[0]
+        return forward_lean(GovernorConfig(), moving(*turned, np.array([1.0, 2.0, angle])), 0.2, 0.0)[0]
 
     assert lean(yaw) == pytest.approx(lean(0.0), abs=1e-9)
 
@@ -80,10 +85,9 @@ def test_the_quasi_static_pusher_steers_towards_its_goal(side: int, turn: float)
     pose = np.array([0.3, -0.2, 0.7])
     direction = pose[2] + face[2] + turn / 2
     goal = np.array([*(pose[:2] + np.array([np.cos(direction), np.sin(direction)])), pose[2] + turn])
-    pusher = QuasiStaticPusher(PushCost(speed_limit=0.15))
+    pusher = QuasiStaticPusher(SpeedProfile(limit=0.15))
     now = _sighting(pose, face)
-    nowhere = LocalDistanceField(np.ones((4, 4)), np.zeros(3), np.float32(1.0))
-    u, state, _ = pusher.step(pusher.init(now, face, None, None), now, np.zeros(3), goal, nowhere, None)
+    u, state, _ = pusher.step(pusher.init(now, face, None, None), now, goal=goal)
     # A left turn takes the right hand forward (negative gamma) and the hands to the right (negative lean along y).
     assert np.sign(u[2]) == -np.sign(turn)
     assert np.sign(u[1]) == -np.sign(turn)

@@ -5,15 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from shmoo_mjx.behavior.push_task import pose_push_config
-from shmoo_mjx.control import pushing
+from shmoo_mjx.control import push_step
 from shmoo_mjx.control.observation import LocalDistanceField, ObjectObservation
+from shmoo_mjx.control.presets import pose_push_config
+from shmoo_mjx.control.push_step import PushModel
 from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.dynamics import contact_model
 from shmoo_mjx.geometry.faces import faces_of, stand_off
@@ -53,25 +55,33 @@ def test_two_mapped_pushes_are_the_two_controllers() -> None:
     )
     keys = jax.random.split(jax.random.key(3), 2)
     prior = prior_state(weights, config.estimate, jax.random.key(5))
-    alone = [controller.init(object_obs(w, 0), FACE, HALF, keys[w], prior) for w in range(2)]
+    alone = [controller.init(object_obs(w, 0), FACE, HALF, keys[w], adapt=prior) for w in range(2)]
     stacked = jax.tree.map(lambda *x: jnp.stack(x), *(object_obs(w, 0) for w in range(2)))
-    together = jax.vmap(lambda now, key: pushing.start(config, prior, now, FACE, HALF, key))(stacked, keys)
-    step = jax.jit(jax.vmap(partial(pushing.step, config, weights.config), in_axes=(None, 0, 0, 0, 0, None)))
-    coast = jax.vmap(partial(pushing.coast, config, weights.config), in_axes=(None, 0, 0))
+    model = PushModel(config, weights.config, weights.params)
+    together = jax.vmap(lambda now, key: push_step.start(config, prior, now, key, face=FACE, half_extents=HALF))(
+        stacked, keys
+    )
+
+    def one(state: Any, now: Any, goal: Any, last_u: Any) -> Any:
+        return push_step.step(model, state, now, goal=goal, last_u=last_u, half_extents=HALF)
+
+    step, coast = jax.jit(jax.vmap(one)), jax.vmap(partial(push_step.coast, model))
     last = np.zeros((2, 3))
     for sample in range(1, 4):
         seen = [object_obs(w, sample) for w in range(2)]
         stacked = jax.tree.map(lambda *x: jnp.stack(x), *seen)
-        u, together, _ = step(weights.params, together, stacked, jnp.asarray(GOALS), jnp.asarray(last), HALF)
+        u, together, _ = step(together, stacked, jnp.asarray(GOALS), jnp.asarray(last))
         for w in range(2):
-            expected, alone[w], _ = controller.step(alone[w], seen[w], last[w], GOALS[w], open_floor, HALF)
+            expected, alone[w], _ = controller.step(
+                alone[w], seen[w], goal=GOALS[w], last_u=last[w], half_extents=HALF, clearance=open_floor
+            )
             np.testing.assert_allclose(u[w], expected, atol=2e-5)
             np.testing.assert_allclose(
                 together.adapt.parameters[w].mean(0), alone[w].adapt.parameters.mean(0), atol=1e-3, rtol=1e-3
             )
         last = np.asarray(u, dtype=float)
     assert np.abs(u[0] - u[1]).max() > 1e-3
-    rest = coast(weights.params, together.adapt, together.before)
+    rest = coast(together.adapt, together.before)
     for w in range(2):
         np.testing.assert_allclose(rest[w], controller.coast(alone[w]), atol=1e-4)
 
@@ -83,9 +93,10 @@ def test_what_is_seen_late_answers_to_what_was_felt_a_sample_before(age: float) 
     pose = np.array([0.0, 0.0, yaw])
     seen = [object_obs(0, 0)._replace(age=age, wrench=f, object_pose=pose) for f in forces]
     nothing = adaptation.init(np.zeros(3), np.eye(3), np.eye(3))
-    state = pushing.start(config, nothing, seen[0], FACE, HALF, jax.random.key(0))
+    state = push_step.start(config, nothing, seen[0], jax.random.key(0), face=FACE, half_extents=HALF)
     for obs, earlier in zip(seen[1:], forces, strict=False):
-        system, learned = pushing._perceive(config, state, obs, np.zeros(3), HALF)
+        inputs = push_step.step_inputs(config, state, obs, goal=GOALS[0], last_u=np.zeros(3), half_extents=HALF)
+        system, learned = inputs.system, inputs.transition
         answered = earlier if age else obs.wrench
         np.testing.assert_allclose(learned.inputs[3:5], answered[0] * np.array([np.cos(yaw), -np.sin(yaw)]), rtol=1e-5)
         state = state._replace(before=system)
@@ -95,9 +106,11 @@ def test_what_is_seen_late_answers_to_what_was_felt_a_sample_before(age: float) 
 def test_only_what_is_felt_and_seen_is_learned_from(force: float, detected: bool, counts: bool) -> None:
     rolling = object_obs(0, 0)._replace(object_twist=np.array([0.3, 0.0, 0.0]), wrench=np.array([force, 0.0, 0.0]))
     nothing = adaptation.init(np.zeros(3), np.eye(3), np.eye(3))
-    state = pushing.start(pose_push_config(), nothing, rolling, FACE, HALF, jax.random.key(0))
+    config = pose_push_config()
+    state = push_step.start(config, nothing, rolling, jax.random.key(0), face=FACE, half_extents=HALF)
     obs = rolling._replace(detected=np.array(detected))
-    assert bool(pushing._perceive(pose_push_config(), state, obs, np.zeros(3), HALF)[1].valid) == counts
+    inputs = push_step.step_inputs(config, state, obs, goal=GOALS[0], last_u=np.zeros(3), half_extents=HALF)
+    assert bool(inputs.transition.valid) == counts
 
 
 @pytest.mark.parametrize("friction", [0.02, 0.05])
@@ -110,8 +123,8 @@ def test_what_is_let_go_coasts_as_far_as_the_friction_of_its_contacts_lets_it(fr
     adapt = adapt._replace(parameters=contact_model.with_friction(adapt.parameters, shift))
     along = np.array([np.cos(heading), np.sin(heading), 0.0])
     now = object_obs(0, 0)._replace(object_pose=np.array([1.0, 2.0, heading]), object_twist=speed * along)
-    state = pushing.start(config, adapt, now, FACE, HALF, jax.random.key(0))
-    rest = pushing.coast(config, weights.config, weights.params, adapt, state.before)
+    state = push_step.start(config, adapt, now, jax.random.key(0), face=FACE, half_extents=HALF)
+    rest = push_step.coast(PushModel(config, weights.config, weights.params), adapt, state.before)
     way = speed**2 / (2 * friction * 9.81)
     # It stops within a sample, which the trapezoidal rule does not see.
     np.testing.assert_allclose(rest - now.object_pose, way * along, atol=0.6 * friction * 9.81 * DT**2)
@@ -122,15 +135,16 @@ def test_what_a_wall_holds_is_not_learned_as_friction() -> None:
     base = pose_push_config()
     config = replace(base, control=replace(base.control, num_rollouts=8, horizon=3))
     prior = prior_state(weights, config.estimate, jax.random.key(5))
-    step = jax.jit(partial(pushing.step, config, weights.config))
+    step = jax.jit(partial(push_step.step, PushModel(config, weights.config, weights.params)))
 
     def known(clearance: float) -> ObjectEstimate:
         field = LocalDistanceField(
             jnp.full((4, 4), clearance, jnp.float32), jnp.array([-20, -20, 0], jnp.float32), jnp.float32(10.0)
         )
-        state = pushing.start(config, prior, object_obs(0, 0), FACE, HALF, jax.random.key(3))
+        state = push_step.start(config, prior, object_obs(0, 0), jax.random.key(3), face=FACE, half_extents=HALF)
         for sample in range(1, 6):
-            _, state, _ = step(weights.params, state, object_obs(0, sample), GOALS[0], np.zeros(3), HALF, field)
+            now = object_obs(0, sample)
+            _, state, _ = step(state, now, goal=GOALS[0], last_u=np.zeros(3), half_extents=HALF, clearance=field)
         return state.adapt
 
     np.testing.assert_array_equal(known(0.02).parameters, prior.parameters)

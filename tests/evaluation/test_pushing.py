@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from shmoo_mjx.behavior.methods import method_named
-from shmoo_mjx.behavior.push_task import pose_push_config
+from shmoo_mjx.control.presets import pose_push_config
 from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import pushing, pushing_trials

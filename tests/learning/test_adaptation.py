@@ -133,7 +133,7 @@ def test_a_psi_without_contact_model_learns_by_eq_8() -> None:
     sample = online.Transition(jnp.full(13, 0.3), jnp.array([0.4, 0.0, 0.1]), jnp.asarray(True), seen)
     end = learner.adapt(prior, params, sample)
     assert not np.allclose(end.mean, prior.mean)
-    assert list(online.learned(end).values()) == pytest.approx(np.asarray(end.mean).tolist())
+    assert list(online.summary(end).values()) == pytest.approx(np.asarray(end.mean).tolist())
     np.testing.assert_array_equal(learner.params_for_rollout(end, params).coefficients.reshape(-1), end.mean)
     jax.tree.map(
         np.testing.assert_array_equal, learner.adapt(prior, params, sample._replace(valid=False)).mean, 1.0 * prior.mean

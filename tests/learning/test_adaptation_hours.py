@@ -112,7 +112,7 @@ def check_sound(printed: bool, samples: tuple[jax.Array, jax.Array]) -> None:
     end, predicted = learned(printed)(samples)
     # A label of 20 m/s^2 is as much as an object of 2 kg gets from the robot's whole strength.
     assert np.isfinite(predicted).all() and np.abs(predicted).max() < 1e3
-    assert all(np.isfinite(value) for value in online.learned(end).values())
+    assert all(np.isfinite(value) for value in online.summary(end).values())
     if isinstance(end, AdaptState):
         covariance = np.asarray(end.covariance, float)
         scale = 1 / np.sqrt(np.diag(covariance))

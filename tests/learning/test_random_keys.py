@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 from jax.extend.random import define_prng_impl
 
-from shmoo_mjx.behavior.push_task import pose_push_config
 from shmoo_mjx.control.observation import LocalDistanceField, ObjectObservation
+from shmoo_mjx.control.presets import pose_push_config
 from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.geometry.faces import faces_of
 from shmoo_mjx.learning.daiml import DaimlConfig, fit

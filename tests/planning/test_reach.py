@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from shmoo_mjx.behavior.push_options import make_options
-from shmoo_mjx.control.pushing import PushConfig, PushController
+from shmoo_mjx.control.presets import PushConfig
+from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.geometry.faces import faces_of
 from shmoo_mjx.learning import contact_prior

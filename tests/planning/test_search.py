@@ -134,7 +134,7 @@ def test_an_object_that_nobody_touched_goes_left_as_it_goes_right(kind: str | No
 
 @cache
 def expected(kind: str | None) -> PushDisplacements:
-    from shmoo_mjx.control.pushing import PushConfig
+    from shmoo_mjx.control.presets import PushConfig
 
     return push_displacements(
         reach.contact_foresight(None, PushConfig()),

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from shmoo_mjx.behavior.push_task import pose_push_config
 from shmoo_mjx.behavior.skills import one_push
 from shmoo_mjx.control.observation import ObjectObservation
+from shmoo_mjx.control.presets import pose_push_config
 from shmoo_mjx.control.quasi_static import control
 from shmoo_mjx.geometry.faces import faces_of, stand_off
 from shmoo_mjx.geometry.hands import REACH
@@ -86,13 +86,13 @@ def test_a_command_arrives_after_its_delay(delay: int) -> None:
 
 
 def test_the_quasi_static_law_is_the_same_on_both_kinds_of_arrays() -> None:
-    cost, rng = pose_push_config().cost, np.random.default_rng(0)
+    speed, rng = pose_push_config().speed, np.random.default_rng(0)
     for _ in range(20):
         values = [rng.normal(size=n) * 0.3 for n in (3, 3, 2, 2, 3, 3)] + [rng.normal(size=3) * 20]
         goal = rng.normal(size=3)
-        plain, more = control(cost, FACE, ObjectObservation(*values), goal, np.float64(0.01))
+        plain, more = control(speed, ObjectObservation(*values), np.float64(0.01), face=FACE, goal=goal)
         traced, later = control(
-            cost, FACE, ObjectObservation(*map(jnp.asarray, values)), jnp.asarray(goal), jnp.float32(0.01)
+            speed, ObjectObservation(*map(jnp.asarray, values)), jnp.float32(0.01), face=FACE, goal=jnp.asarray(goal)
         )
         assert isinstance(plain, np.ndarray) and isinstance(traced, jax.Array)
         np.testing.assert_allclose(traced, plain, atol=2e-5)
@@ -102,7 +102,7 @@ def test_the_quasi_static_law_is_the_same_on_both_kinds_of_arrays() -> None:
 def test_a_sweeps_settings_reach_the_controller() -> None:
     config = pushers.push_config(Controller(samples=64, horizon=7, temperature=0.3, adapts=False, speed_limit=0.3))
     assert (config.control.num_rollouts, config.control.horizon, config.control.temperature) == (64, 7, 0.3)
-    assert not config.adapts and config.cost.speed_limit == 0.3
+    assert not config.adapts and config.speed.limit == 0.3
     assert pushers.push_config(Controller()) == pose_push_config()
 
 

@@ -16,8 +16,8 @@ from shmoo_mjx.arrays import Array
 from shmoo_mjx.behavior.skills import contact, hold, retreat
 from shmoo_mjx.behavior.skills.push import lets_go
 from shmoo_mjx.control import quasi_static
-from shmoo_mjx.control.cost import PushCost
 from shmoo_mjx.control.observation import ObjectObservation
+from shmoo_mjx.control.speed import SpeedProfile
 from shmoo_mjx.types import Command
 
 APPROACH, PUSH, LET_GO, DONE, FELL, UNSTABLE = range(6)
@@ -58,11 +58,13 @@ class PolicyState(NamedTuple):
     """``[5]`` how far the object would have coasted on in the last samples [m]."""
 
 
-def quasi_static_policy(cost: PushCost) -> PushPolicy:
-    """The pusher without a model; ``cost`` gives the speed allowed."""
+def quasi_static_policy(speed: SpeedProfile) -> PushPolicy:
+    """The pusher without a model, as fast as ``speed`` allows."""
     return PushPolicy(
         init=lambda obs, task, key: jnp.zeros(()),
-        step=lambda integral, obs, last_u, task: quasi_static.control(cost, task.face, obs, task.goal, integral),
+        step=lambda integral, obs, last_u, task: quasi_static.control(
+            speed, obs, integral, face=task.face, goal=task.goal
+        ),
         coast=lambda state, obs: obs.object_pose,
     )
 

@@ -14,7 +14,7 @@ from shmoo_mjx.control.observation import LocalDistanceField, ObjectObservation
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.geometry.faces import heading
 from shmoo_mjx.geometry.hands import HAND_HEIGHT, REACH, touches
-from shmoo_mjx.learning.online import Known
+from shmoo_mjx.learning.online import LearnerState
 from shmoo_mjx.types import DT, Command
 
 _LEAD = 0.015
@@ -37,7 +37,8 @@ class Pusher(Protocol):
         face: Float[Array, "4"],
         half_extents: Float[Array, "2"],
         key: Key[Array, ""],
-        adapt: Known | None = None,
+        *,
+        adapt: LearnerState | None = None,
         kind: str | None = None,
     ) -> Any:
         """Start a push; ``kind`` is what the object looks like, "box", "cart" or "wheelchair", None for none of
@@ -47,10 +48,11 @@ class Pusher(Protocol):
         self,
         state: Any,
         obs: ObjectObservation,
-        last_u: Float[Array, "3"],
+        *,
         goal: Float[Array, "3"],
-        around: LocalDistanceField,
+        last_u: Float[Array, "3"],
         half_extents: Float[Array, "2"],
+        clearance: LocalDistanceField,
     ) -> tuple[Float[np.ndarray, "3"], Any, Plan | None]:
         """One 10 Hz step."""
 
@@ -103,12 +105,12 @@ def init(
     *,
     half_extents: tuple[float, float] | Float[Array, "2"],
     key: Key[Array, ""] | None,
-    adapt: Known | None,
+    adapt: LearnerState | None,
     kind: str | None = None,
 ) -> PushState:
     """A push on ``face`` that starts at ``time`` [s]. Its first step comes a sample later: a pusher that was
     stepped with the very observation it began with would take the object to have been pushed and not moved."""
-    return PushState(pusher.init(obs, face, np.asarray(half_extents), key, adapt, kind), time)
+    return PushState(pusher.init(obs, face, np.asarray(half_extents), key, adapt=adapt, kind=kind), time)
 
 
 def step(
@@ -136,8 +138,11 @@ def step(
         half_extents: of the object's footprint [m].
         governor_room: in place of the pusher's own, for this step.
     """
-    options = () if governor_room is None else (governor_room,)
-    u, own, plan = pusher.step(state.pusher, obs, last_u, goal, clearance, np.asarray(half_extents), *options)
+    options = {} if governor_room is None else {"governor_room": governor_room}
+    half = np.asarray(half_extents)
+    u, own, plan = pusher.step(
+        state.pusher, obs, goal=goal, last_u=last_u, half_extents=half, clearance=clearance, **options
+    )
     touching = bool(touches(obs.wrench))
     ok = (plan is None or bool(plan.ok)) and bool(np.isfinite(u).all())
     state = replace(
