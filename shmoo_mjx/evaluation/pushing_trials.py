@@ -223,7 +223,9 @@ def scene_of_trial(trial: Trial, condition: Condition, senses: Senses) -> Scene:
     return build_scene([(condition, trial.object_pose)], trial.robot_pose, adjust=senses.adjust(trial.seed))
 
 
-def task_of(condition: Condition, goal: Array, pusher: Pusher, *, seed: int, adapt: Known | None = None) -> PushTask:
+def task_of(
+    condition: Condition, goal: Array, pusher: Pusher, *, seed: int, adapt: LearnerState | None = None
+) -> PushTask:
     """The task to bring an object near the origin of an open floor to the pose ``goal [3]``."""
     grid = OccupancyGrid(np.zeros((240, 240), np.int8), 0.05, (-6.0, -6.0, 0.0))
     kinds = [kind_of(condition)]

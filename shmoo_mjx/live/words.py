@@ -43,7 +43,7 @@ def beliefs(session: Session) -> str:
         moves = {None: "not known", True: "can be moved", False: "can't be moved"}[item.manipulable]
         parts = [f"{item.status}: {moves} ({last})"]
         if item.adapt is not None:
-            parts.append(_in_words(online.learned(item.adapt), session.prior))
+            parts.append(_in_words(online.summary(item.adapt), session.prior))
         lines.append(f"- **{name}** {'; '.join(parts)}")
     return "\n".join(lines)
 
