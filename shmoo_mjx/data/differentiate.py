@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from shmoo_mjx.arrays import Array, ArrayT
+from shmoo_mjx.arrays import Array
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.types import DT
 
 
-def sample_acceleration(twist: ArrayT, dt: float = DT) -> ArrayT:
+def sample_acceleration(twist: Array, dt: float = DT) -> Array:
     """Mean acceleration of each sample, ``(twist[k + 1] - twist[k]) / dt``.
 
     The mean over the sample, not a derivative at its start: Eq. 1 adds it to the twist over exactly this time, and the

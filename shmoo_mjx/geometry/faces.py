@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from shmoo_mjx.arrays import ArrayT, Float
+from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.geometry.hands import HAND_RADIUS, REACH, SEPARATION
 
@@ -30,7 +30,7 @@ def corners_of(half_extents: tuple[float, float]) -> Float[np.ndarray, "4 4"]:
     return np.concatenate([centres, np.arctan2(-signs[:, 1], -signs[:, 0])[:, None], half_width], axis=1)
 
 
-def heading(object_pose: Float[ArrayT, "... 3"], face: Float[ArrayT, "... 4"]) -> float | Float[ArrayT, "..."]:
+def heading(object_pose: Float[Array, "... 3"], face: Float[Array, "... 4"]) -> Scalar | Float[Array, "..."]:
     """Heading in {W} [rad] of a robot that faces ``face`` of an object at ``object_pose``."""
     return se2.wrap(object_pose[..., 2] + face[..., 2])
 

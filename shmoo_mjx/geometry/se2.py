@@ -67,7 +67,7 @@ def transform_point(pose: Float[ArrayT, "... 3"], point: Float[ArrayT, "... 2"])
 
 def inverse_transform_point(pose: Float[ArrayT, "... 3"], point: Float[ArrayT, "... 2"]) -> Float[ArrayT, "... 2"]:
     """A point of the parent frame, in the frame ``pose``."""
-    return rotate(point - pose[..., :2], -pose[..., 2])
+    return rotate(array_module(pose, point).subtract(point, pose[..., :2]), -pose[..., 2])
 
 
 def compose(a: Float[ArrayT, "... 3"], b: Float[ArrayT, "... 3"]) -> Float[ArrayT, "... 3"]:

@@ -254,7 +254,7 @@ def _matrix(quat: ArrayT) -> ArrayT:
 
 def arm_joints(qpos: Float[ArrayT, "... nq"]) -> Float[ArrayT, "... 2 3"]:
     """Angles of the arms' joints in a qpos of NQ or more."""
-    return qpos[..., _ARMS[0]].reshape(*qpos.shape[:-1], 2, 3)
+    return se2.array_module(qpos).reshape(qpos[..., _ARMS[0]], (*qpos.shape[:-1], 2, 3))
 
 
 def with_arms(qpos: Float[np.ndarray, "nq"], arms: Float[np.ndarray, "2 3"]) -> Float[np.ndarray, "nq"]:
