@@ -219,7 +219,7 @@ def sample(before: Observation, after: Observation, u: Array) -> dict[str, Array
         "u": u,
         "force_robot": se2.rotate(wrench[:, :2], -before.robot_pose[:, 2]),
         "wrench_object": se2.rotate(wrench, -before.object_pose[:, 0, 2]),
-        "contact": touches(wrench),
+        "contact": np.asarray(touches(wrench)),
     }
 
 

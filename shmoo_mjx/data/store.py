@@ -136,7 +136,8 @@ def create_or_open(directory: str | os.PathLike[str], schema: dict[str, Any]) ->
             )
         return Store(directory, manifest)
     directory.mkdir(parents=True, exist_ok=True)
-    manifest = {"schema_version": SCHEMA_VERSION, "schema": wanted, "versions": _versions(), "conditions": {}}
+    versions = {package: metadata.version(package) for package in ("shmoo-mjx", "mujoco", "jax", "numpy")}
+    manifest = {"schema_version": SCHEMA_VERSION, "schema": wanted, "versions": versions, "conditions": {}}
     write_whole(path, json.dumps(manifest, indent=1).encode())
     return Store(directory, manifest)
 
@@ -353,7 +354,3 @@ def _check_entries(path: Path, schema: dict[str, Any], conditions: dict[str, Any
 
 def _checksum(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-def _versions() -> dict[str, str]:
-    return {package: metadata.version(package) for package in ("shmoo-mjx", "mujoco", "jax", "numpy")}
