@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from shmoo_mjx.arrays import Bool, Float
+from shmoo_mjx.arrays import Array, Bool, Float
 from shmoo_mjx.base.assets import asset
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.geometry.hands import TUCKED_HEIGHT, TUCKED_REACH
@@ -97,7 +97,7 @@ def _yaw(qpos: np.ndarray) -> float:
 
 def command(
     worlds: int,
-    lean: Float[np.ndarray, "2"] | Float[np.ndarray, "W 2"] | tuple[float, float] = (0.0, 0.0),
+    lean: Float[Array, "2"] | Float[Array, "W 2"] | tuple[float, float] = (0.0, 0.0),
     *,
     gamma: float = 0.0,
     yaw: float | Float[np.ndarray, "W"] = 0.0,
