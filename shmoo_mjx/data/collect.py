@@ -98,17 +98,8 @@ def operators(
         [stand_off(np.zeros(3), f, rng.uniform(0.03, 0.35), o) for f, o in zip(faces, offset, strict=True)]
     )
     poses[:, 2] += rng.uniform(-0.15, 0.15, worlds)
-    zero = np.zeros(worlds)
-    operator = Operator(
-        faces,
-        zero,
-        zero + 0.16,
-        offset,
-        zero,
-        np.zeros((worlds, 3)),
-        zero,
-        np.exp(rng.uniform(np.log(0.4), np.log(5.0), worlds)),
-    )
+    zero, liveliness = np.zeros(worlds), np.exp(rng.uniform(np.log(0.4), np.log(5.0), worlds))
+    operator = Operator(faces, zero, zero + 0.16, offset, zero, np.zeros((worlds, 3)), zero, liveliness)
     return _reconsider(rng, operator, np.ones(worlds, dtype=bool)), poses
 
 

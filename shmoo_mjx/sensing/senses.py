@@ -147,17 +147,15 @@ class Estimates(NamedTuple):
 
 def draw(senses: Senses, seeds: list[int]) -> SensorDraw:
     """The senses of the robots with these seeds."""
-    rows = []
+    robots = []
     for seed in seeds:
         rng = np.random.default_rng([13, seed])
         moved = odometry.draw(senses.odometry, rng)
         low, high = senses.camera.delay
         frame = max(round((low + (high - low) * rng.random()) / TICK), int(moved.delay))
-        rows.append((moved, frame, round(senses.robot(seed).delay / TICK)))
-    moves, frames, commands = zip(*rows, strict=True)
-    return SensorDraw(
-        OdometryDraw(*(np.stack(column) for column in zip(*moves, strict=True))), np.array(frames), np.array(commands)
-    )
+        robots.append(SensorDraw(moved, np.array(frame), np.array(round(senses.robot(seed).delay / TICK))))
+    drawn: SensorDraw = jax.tree.map(lambda *each: np.stack(each), *robots)
+    return drawn
 
 
 def first_state(

@@ -91,12 +91,7 @@ def calibrate(
 
 
 def wrench(
-    touch: TouchConfig,
-    scale: ArmScale,
-    robot: Robot,
-    reading: ArmReading,
-    *,
-    object_pose: Float[Array, "W N 3"],
+    touch: TouchConfig, scale: ArmScale, robot: Robot, reading: ArmReading, *, object_pose: Float[Array, "W N 3"]
 ) -> Float[Array, "W N 3"]:
     """Gamma on each object about its centre, in {W}; all of it goes to the one nearest to the hands.
 
