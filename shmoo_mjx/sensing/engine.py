@@ -205,7 +205,7 @@ class SensedEngine:
     def observe(self, world: SensedWorld) -> Observation:
         """What the robot believes, with no wrench and without new noise."""
         true = _numpy(self.engine.observe(world.truth))
-        return self._perceived(world, true, np.zeros_like(true.wrench), 0.0)
+        return self._perceived(world, true, np.zeros_like(true.wrench))
 
     def true_observation(self, world: SensedWorld) -> Observation:
         """What the simulator knows, for scoring; the wrench is the contacts' own."""
@@ -245,35 +245,40 @@ class SensedEngine:
         else:
             world = world._replace(silent=world.silent + ticks)
         generators = self._generators(11, world.ticks)
-        worlds, objects = world.contact.shape[:2]
+        world, tracks = self._driven(world, ticks, push)
+        contact = np.sum([len(track.physics) / ticks * np.asarray(track.wrench, float) for track in tracks], axis=0)
+        world = world._replace(contact=contact, wall_parts=np.any([track.wall_parts for track in tracks], axis=0))
+        true = _numpy(self.engine.observe(world.truth))
+        if isinstance(world.sensor_state, PerfectState):
+            world = world._replace(sensor_state=self._look(world.sensor_state, true, world.ticks))
+            return world, self._perceived(world, true, contact)
+        worlds, objects = contact.shape[:2]
+        normal = np.stack([rng.normal(size=(ticks, 6 + 3 * objects)) for rng in generators], axis=1)
+        uniform = np.stack([rng.random((ticks, objects, 2)) for rng in generators], axis=1)
+        lean_noise = self.senses.lean_noise * np.stack([rng.normal(size=(2, 2)) for rng in generators], axis=1)
+        noise = Noise(normal[..., :6], normal[..., 6:].reshape(ticks, worlds, objects, 3), uniform)
+        sensor_state, wrench = self._watched(world, tracks, noise)
+        world = world._replace(sensor_state=sensor_state)
+        return world, self._perceived(world, true, wrench, lean_noise)
+
+    def _driven(
+        self, world: SensedWorld, ticks: int, push: Float[np.ndarray, "W 6"] | None
+    ) -> tuple[SensedWorld, list[Track]]:
+        """The true worlds some ticks on, under the commands that arrive meanwhile or the watchdog's."""
         # The low-level control holds headings as the robot believes them; the error hardly changes within a sample.
-        remembered = world.sensor_state
-        turned = sensing.heading_error(remembered) if isinstance(remembered, SensorState) else 0.0
+        state = world.sensor_state
+        heading_error = sensing.heading_error(state) if isinstance(state, SensorState) else 0.0
         left_alone = TICK * world.silent > _WATCHDOG + 1e-6
         tracks: list[Track] = []
         for length in [1] * ticks if left_alone else self._stretches(world, ticks):
             world = _arrived(world)
             if left_alone:
                 world = self._to_rest(world)
-            held = world.held._replace(yaw=se2.wrap(world.held.yaw - turned))
+            held = world.held._replace(yaw=se2.wrap(world.held.yaw - heading_error))
             truth, track = self.engine.advance(world.truth, held, length * TICK, length, push=push)
             tracks.append(track)
             world = world._replace(truth=truth, ticks=world.ticks + length)
-        contact = np.sum([len(track.physics) / ticks * np.asarray(track.wrench, float) for track in tracks], axis=0)
-        touched = np.any([track.wall_parts for track in tracks], axis=0)
-        true = _numpy(self.engine.observe(world.truth))
-        noisy: Any = 0.0
-        wrench, sensor_state = contact, remembered
-        if isinstance(remembered, PerfectState):
-            sensor_state = self._look(remembered, true, world.ticks)
-        else:
-            normal = np.stack([rng.normal(size=(ticks, 6 + 3 * objects)) for rng in generators], axis=1)
-            uniform = np.stack([rng.random((ticks, objects, 2)) for rng in generators], axis=1)
-            noisy = self.senses.lean_noise * np.stack([rng.normal(size=(2, 2)) for rng in generators], axis=1)
-            noise = Noise(normal[..., :6], normal[..., 6:].reshape(ticks, worlds, objects, 3), uniform)
-            sensor_state, wrench = self._watched(world, tracks, noise)
-        world = world._replace(sensor_state=sensor_state, contact=contact, wall_parts=touched)
-        return world, self._perceived(world, true, wrench, noisy)
+        return world, tracks
 
     def _watched(self, world: SensedWorld, tracks: Sequence[Track], noise: Noise) -> tuple[SensorState, np.ndarray]:
         """The senses after the ticks of a step, and the force that they report."""
@@ -331,8 +336,10 @@ class SensedEngine:
             np.where(shown, float(now), sensor_state.at),
         )
 
-    def _perceived(self, world: SensedWorld, true: Observation, wrench: np.ndarray, noise: Any) -> Observation:
-        """The observation; ``noise [2, W, 2]`` is that of the inertial unit."""
+    def _perceived(
+        self, world: SensedWorld, true: Observation, wrench: np.ndarray, lean_noise: np.ndarray | None = None
+    ) -> Observation:
+        """The observation; ``lean_noise [2, W, 2]`` is that of the inertial unit."""
         if isinstance(world.sensor_state, PerfectState):
             age = TICK * (world.ticks - world.sensor_state.at)
             now = age <= 0.5 * TICK
@@ -341,8 +348,8 @@ class SensedEngine:
                 object_pose=world.sensor_state.pose, object_twist=twist, wrench=wrench, object_age=age, detected=now
             )
         estimates = sensing.estimates(self.senses, self._drawn, world.sensor_state, world.ticks, sample=DT)
-        if np.ndim(noise):
-            true = true._replace(lean=true.lean + noise[0], lean_rate=true.lean_rate + 5 * noise[1])
+        if lean_noise is not None:
+            true = true._replace(lean=true.lean + lean_noise[0], lean_rate=true.lean_rate + 5 * lean_noise[1])
         return true._replace(wrench=wrench, **estimates._asdict())
 
 
