@@ -187,8 +187,8 @@ def test_where_the_scene_lies_makes_no_difference() -> None:
     roll(env, 2, 8)
     now, frame = env.unwrapped._now, np.array([3.0, -2.0, 2.1])
     there = now.context._replace(goal=se2.compose(frame, now.context.goal))
-    here = env.unwrapped.task.observe(now.context, now.seen)
-    np.testing.assert_allclose(env.unwrapped.task.observe(there, moved(now.seen, frame)), here, atol=1e-5)
+    here = env.unwrapped.task.observe(now.context, now.observed)
+    np.testing.assert_allclose(env.unwrapped.task.observe(there, moved(now.observed, frame)), here, atol=1e-5)
     env.close()
 
 
