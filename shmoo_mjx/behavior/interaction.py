@@ -11,7 +11,7 @@ takes effect ``planning_time`` later, and until then the robot goes on as it did
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
@@ -21,6 +21,7 @@ from shmoo_mjx.arrays import Array, Float, Numbers, finite_numbers
 from shmoo_mjx.behavior import drive
 from shmoo_mjx.behavior.belief import Belief, Status
 from shmoo_mjx.behavior.skills import approach, batched, contact, hold, push, retreat
+from shmoo_mjx.behavior.skills.push import Pusher
 from shmoo_mjx.behavior.state import (
     Decision,
     Event,
@@ -51,7 +52,7 @@ _UNDETECTED_LIMIT = 1.5
 """Time since the object's last detection at which a push ends [s]: a third of a metre at the speed allowed."""
 _LOST_AFTER = 2.0
 """Time without contact after which contact counts as lost [s]: the hands catch up with what rolls ahead of them."""
-_ROLLED = 0.10
+ROLLED = 0.10
 """An object that has moved this far under a probe gives way beyond doubt [m]."""
 _FOLDED = TUCKED_REACH + 0.06
 """Reach of the hands up to which the arms are folded [m]."""
@@ -85,7 +86,7 @@ class Rule(NamedTuple):
 
 def setup_of(
     sizes: Sequence[tuple[float, float]],
-    controller: Any,
+    controller: Pusher,
     config: NavigatorConfig | None = None,
     *,
     first_status: Sequence[Status] | None = None,
@@ -130,10 +131,7 @@ def _settled(state: NavigatorState, now: float) -> NavigatorState:
         return replace(state, pending=None)
     if now < pending.due - 1e-6:
         return state
-    events = (*state.events, *(event._replace(t=now) for event in pending.decided.events))
-    merged = _merged(pending.before, pending.decided, replace(state, pending=None))
-    begins = {"since": now} if merged.mode is not state.mode else {}
-    return replace(merged, events=events, pending=None, **begins)
+    return pending.applied_to(state, now)
 
 
 def _consider(modes: Mapping[Mode, Rule], setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState:
@@ -147,23 +145,6 @@ def _consider(modes: Mapping[Mode, Rule], setup: Setup, state: NavigatorState, o
     due = float(obs.time[0]) + setup.config.planning_time
     waiting = replace(state, pending=Pending(due, before, decided))
     return waiting if setup.config.planning_time > 0 else _settled(waiting, float(obs.time[0]))
-
-
-def _merged(before: Any, decided: Any, current: Any) -> Any:
-    """What a decision has changed, laid over what has happened since it was asked for."""
-    if decided is before:
-        return current
-    if current is before:
-        return decided
-    same = type(before) is type(decided) is type(current)
-    if is_dataclass(before) and not isinstance(before, type) and same:
-        names = [f.name for f in fields(before)]
-        merged = {n: _merged(getattr(before, n), getattr(decided, n), getattr(current, n)) for n in names}
-        changed: Any = replace(current, **merged)
-        return changed
-    if isinstance(before, dict) and isinstance(decided, dict) and isinstance(current, dict):
-        return {k: _merged(before.get(k), decided.get(k, v), v) for k, v in current.items()}
-    return decided
 
 
 # What is done in each mode.
@@ -303,7 +284,7 @@ def push_object(judge: Judge, setup: Setup, state: NavigatorState, obs: Observat
 def rolled(pushed: push.PushState, pose: Float[np.ndarray, "3"]) -> bool:
     """Whether the object has moved so far that it gives way beyond doubt: a cart that rolls ahead of the hands gives
     little contact, but its motion tells as much."""
-    return pushed.moved(pose) > _ROLLED
+    return pushed.moved(pose) > ROLLED
 
 
 def push_end_reason(state: NavigatorState, now: float) -> str | None:

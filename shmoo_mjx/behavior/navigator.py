@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
 
 import jax
 import numpy as np
@@ -20,6 +19,7 @@ from shmoo_mjx.behavior.interaction import Machine, Rule, nothing, place_of, set
 from shmoo_mjx.behavior.path_decisions import look_ahead, replan
 from shmoo_mjx.behavior.push_decisions import judge, review
 from shmoo_mjx.behavior.skills import hold
+from shmoo_mjx.behavior.skills.push import Pusher
 from shmoo_mjx.behavior.state import Event, Mode, NavigatorConfig, NavigatorState, Setup
 from shmoo_mjx.planning.maps import OccupancyGrid
 from shmoo_mjx.planning.scenario import ROBOT_RADIUS
@@ -95,7 +95,7 @@ class Navigator(Machine):
         grid: OccupancyGrid,
         goal: Numbers | Float[Array, "2"],
         sizes: Sequence[tuple[float, float]],
-        controller: Any,
+        controller: Pusher,
         *,
         seed: int = 0,
         config: NavigatorConfig | None = None,

@@ -12,6 +12,7 @@ import numpy as np
 from shmoo_mjx.arrays import Bool, Float
 from shmoo_mjx.behavior.belief import Status
 from shmoo_mjx.behavior.interaction import start_push
+from shmoo_mjx.behavior.skills.push import RolloutPlanner
 from shmoo_mjx.behavior.state import Decision, Mode, NavigatorState, Planned, Setup
 from shmoo_mjx.geometry.faces import faces_of, heading
 from shmoo_mjx.planning.object_planner import initial_goal, planning_stage
@@ -61,7 +62,7 @@ def choose(setup: Setup, state: NavigatorState, obs: Observation, index: int, *,
 def planning(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState:
     """The planning stage on the roll-outs of the adapted model: K in the probe, then a goal that is within reach."""
     now, segment, target = float(obs.time[0]), state.current(), state.target()
-    assert segment.push is not None
+    assert segment.push is not None and isinstance(setup.controller, RolloutPlanner)
     index, cfg, probes = segment.object, setup.config.planner, state.mode is Mode.PROBE
     # K asks how far it can be moved: a goal that is nearly reached would say nothing about that.
     ahead = heading(target.pose, segment.face)

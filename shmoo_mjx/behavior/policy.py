@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from shmoo_mjx.arrays import Array, Float, Numbers
 from shmoo_mjx.base import custom
 from shmoo_mjx.behavior.navigator import Navigator
+from shmoo_mjx.behavior.skills.push import Pusher
 from shmoo_mjx.behavior.state import Mode, NavigatorConfig, Transition
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.planning.maps import OccupancyGrid
@@ -28,7 +29,7 @@ class Policy(Protocol):
 
 
 PolicyMaker = Callable[
-    [OccupancyGrid, Float[np.ndarray, "2"], Sequence[tuple[float, float]], Any, NavigatorConfig], Policy
+    [OccupancyGrid, Float[np.ndarray, "2"], Sequence[tuple[float, float]], Pusher, NavigatorConfig], Policy
 ]
 """Takes the map, the goal in {W} [m], half extents of each object [m], a
 :class:`~shmoo_mjx.control.pushing.PushController` for whoever wants one, and settings that state the latency."""
@@ -56,7 +57,7 @@ class PolicyNavigator(Navigator):
         goal: Numbers | Float[Array, "2"],
         *,
         sizes: Sequence[tuple[float, float]],
-        controller: Any,
+        controller: Pusher,
         seed: int = 0,
         config: NavigatorConfig | None = None,
     ) -> None:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -15,13 +15,16 @@ from shmoo_mjx.behavior.belief import Belief, ObjectBelief, Status
 from shmoo_mjx.behavior.routes import Routes
 from shmoo_mjx.behavior.skills.approach import ApproachState
 from shmoo_mjx.behavior.skills.contact import ContactState
-from shmoo_mjx.behavior.skills.push import PushState
+from shmoo_mjx.behavior.skills.push import Pusher, PushState
 from shmoo_mjx.control import equilibrium_lean
 from shmoo_mjx.control.observation import LocalDistanceField
 from shmoo_mjx.planning.flat_qp import Planner, TrajectoryConfig
 from shmoo_mjx.planning.object_planner import ObjectPlannerConfig
 from shmoo_mjx.planning.paths import Path
 from shmoo_mjx.types import Observation
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 _MOVED = 0.3
 """After a push that has moved an object this far its sides are others than before [m]."""
@@ -201,7 +204,37 @@ class Pending:
     due: float
     """When it will be known [s]."""
     before: NavigatorState
+    """On which it rests."""
     decided: NavigatorState
+    """The same with what is decided."""
+
+    def applied_to(self, current: NavigatorState, now: float) -> NavigatorState:
+        """The ``current`` state with what the decision changes: in the state, in its segment and in each object."""
+        before, decided = self.before, self.decided
+        objects = dict(current.belief.objects)
+        for index, item in before.belief.objects.items():
+            objects[index] = _with_changes(objects[index], item, decided.belief.objects[index])
+        segment = decided.segment
+        if segment is before.segment:
+            segment = current.segment
+        elif segment is not None and before.segment is not None and current.segment is not None:
+            segment = _with_changes(current.segment, before.segment, segment)
+        state = _with_changes(current, before, decided)
+        return replace(
+            state,
+            belief=replace(current.belief, objects=objects),
+            segment=segment,
+            since=state.since if state.mode is current.mode else now,
+            events=(*current.events, *(event._replace(t=now) for event in decided.events)),
+            pending=None,
+        )
+
+
+def _with_changes[T: DataclassInstance](current: T, before: T, decided: T) -> T:
+    """The ``current`` value with those fields that a decision has changed."""
+    names = [field.name for field in fields(before)]
+    changes = {name: getattr(decided, name) for name in names if getattr(decided, name) is not getattr(before, name)}
+    return replace(current, **changes)
 
 
 class Setup(NamedTuple):
@@ -209,8 +242,8 @@ class Setup(NamedTuple):
 
     sizes: Sequence[tuple[float, float]]
     """Half extents of each object [m]."""
-    controller: Any
-    """The :class:`~shmoo_mjx.control.pushing.PushController`."""
+    controller: Pusher
+    """The :class:`~shmoo_mjx.control.pushing.PushController`, or what is compared with it."""
     config: NavigatorConfig
     trajectories: Planner
     first_status: Sequence[Status] | None = None

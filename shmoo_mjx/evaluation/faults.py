@@ -171,7 +171,7 @@ def _shove(trial: _Trial) -> None:
 
 def _close(trial: _Trial) -> None:
     """Something heavy stands where the robot was when it was 1.2 m from here."""
-    driven = [row["robot_pose"] for row in trial.simulation.history.rows]
+    driven = [row.robot_pose for row in trial.simulation.history.rows]
     behind: Any = next((p for p in reversed(driven) if np.hypot(*(p[:2] - trial.robot[:2])) > 1.2), None)
     if behind is not None:
         trial.simulation.place(-1, behind.tolist())

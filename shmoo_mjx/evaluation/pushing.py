@@ -14,6 +14,7 @@ from typing import Any
 
 from shmoo_mjx.base import custom
 from shmoo_mjx.base.assets import asset
+from shmoo_mjx.base.npz import write_arrays
 from shmoo_mjx.evaluation.experiment import Experiment, ExperimentConfig, Prepared, Setup
 from shmoo_mjx.evaluation.pushing_figure import draw_figure, film
 from shmoo_mjx.evaluation.pushing_measures import PAPER, metrics_of, pushing_tables
@@ -30,7 +31,6 @@ from shmoo_mjx.evaluation.tables import (
     short,
 )
 from shmoo_mjx.plant.objects import FAMILIES
-from shmoo_mjx.report.trace import write_arrays
 from shmoo_mjx.sensing import senses_named
 
 

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from shmoo_mjx.base.npz import read_arrays
 from shmoo_mjx.evaluation.pushing_measures import PAPER
 from shmoo_mjx.evaluation.pushing_trials import GOALS, METHODS, Trial, scene_of_trial
 from shmoo_mjx.evaluation.tables import shown_name
 from shmoo_mjx.report.style import COLOURS, SERIES, beside, blank_figure, outline, save_figure
-from shmoo_mjx.report.trace import read_arrays
 from shmoo_mjx.sensing import Senses
 
 _OWN = "0.45"  # Grey, for every method of the user's own.

@@ -114,9 +114,9 @@ def livelocks(transitions: list[Transition], history: History) -> int:
                 break
             if (earlier.target, earlier.reason) == (later.target, later.reason):
                 poses = [
-                    np.concatenate([row["robot_pose"][None], row["object_pose"]])[:, :2]
+                    np.concatenate([row.robot_pose[None], row.object_pose])[:, :2]
                     for row in history.rows
-                    if earlier.t - 1e-6 <= row["t"] <= later.t + 1e-6
+                    if earlier.t - 1e-6 <= row.t <= later.t + 1e-6
                 ]
                 count += not poses or float(np.abs(poses[-1] - poses[0]).max()) < 0.02
                 break

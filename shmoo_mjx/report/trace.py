@@ -17,14 +17,13 @@ A decision's ``object`` is an object's ``id``; its roll-outs stand in the trace 
 from __future__ import annotations
 
 import json
-import zipfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from shmoo_mjx.arrays import Array
-from shmoo_mjx.base.files import whole
+from shmoo_mjx.base.npz import read_arrays, write_arrays
 from shmoo_mjx.errors import ShmooError
 
 _RAGGED = ("plans", "decision_rollouts", "decision_candidates")
@@ -80,29 +79,6 @@ def save_trace(path: str | Path, trace: Trace) -> Path:
         else:
             arrays[name] = np.asarray(value)
     return write_arrays(path, arrays)
-
-
-def write_arrays(path: str | Path, arrays: dict[str, np.ndarray]) -> Path:
-    """Writes the whole ``.npz`` file or leaves what was there."""
-    with whole(path) as temporary, temporary.open("wb") as stream:
-        np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
-    return Path(path)
-
-
-def read_arrays(path: Path, what: str) -> dict[str, np.ndarray]:
-    """Reads an ``.npz`` file of a run; ``what`` names it in errors.
-
-    Raises:
-        ShmooError: the file is missing or damaged.
-    """
-    try:
-        # Given a path of what is no archive, NumPy leaves the file open.
-        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
-    except FileNotFoundError:
-        raise ShmooError(f"{path}: there is no {what} here; give the folder of a finished run.") from None
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
-        raise ShmooError(f"{path}: the {what} is damaged; run the scenario again.") from None
 
 
 def load_trace(path: str | Path) -> Trace:

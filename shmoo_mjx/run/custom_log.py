@@ -22,6 +22,7 @@ from shmoo_mjx.base.files import write_whole
 from shmoo_mjx.base.guard import ARRAYS, HTML, RECORDING, check_folder
 from shmoo_mjx.base.verbosity import LOG
 from shmoo_mjx.base.versions import versions
+from shmoo_mjx.behavior.interaction import ROLLED
 from shmoo_mjx.behavior.push_decisions import PROBE_TIME
 from shmoo_mjx.control.presets import PushConfig
 from shmoo_mjx.data.differentiate import body_acceleration
@@ -52,8 +53,6 @@ _LOST = 1.0
 """A push ends when the hands have not touched for so long [s]."""
 _TOLD = 0.05
 """What has moved less tells nothing of its mass and friction [m]."""
-_ROLLED = 0.10
-"""An object that has come this far is judged after a shorter push too [m]."""
 
 
 class Log(NamedTuple):
@@ -302,7 +301,7 @@ def _verdict(
     poses = log.object_pose[push.start : push.stop + 1]
     poses = poses[np.isfinite(poses).all(axis=1)]
     contact, moved = float(touching.sum() * DT), float(np.linalg.norm((poses[-1] - poses[0])[:2]))
-    if contact < PROBE_TIME - 1e-6 and moved <= _ROLLED:
+    if contact < PROBE_TIME - 1e-6 and moved <= ROLLED:
         return None
     force, faces = log.wrench[push][touching, :2].sum(axis=0), faces_of(half_extents)
     off = se2.wrap(np.arctan2(force[1], force[0]) - heading(poses[-1], faces))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -90,7 +90,7 @@ def run_episode(
     chosen = senses if isinstance(senses, Senses) else senses_named(senses or scenario.senses or "real")
     ahead = [tuple(goal) for goal in goals] or [scenario.goal]
     first = scenario.model_copy(update={"goal": ahead[0]})
-    legs: list[dict[str, Any]] = []
+    legs: list[Leg] = []
     with closing(
         Simulation(grid, first, controller, config=config, first_status=first_status, senses=chosen, policy=policy)
     ) as simulation:
@@ -109,7 +109,7 @@ def run_episode(
                 if real_time:
                     time.sleep(max(0.0, DT - (time.perf_counter() - tick)))
             legs.append(_leg(simulation, goal, began))
-            if not legs[-1]["success"]:
+            if not legs[-1].success:
                 break
     simulation.scenario = scenario  # the result tells of the goal that it names, whichever goals were taken
     history = simulation.history
@@ -133,14 +133,14 @@ def trace_of(simulation: Simulation) -> Trace:
     grid, navigator, history = simulation.grid, simulation.navigator, simulation.history
 
     def column(name: str) -> np.ndarray:
-        return np.array([row[name] for row in history.rows])
+        return np.array([getattr(row, name) for row in history.rows])
 
-    learned = next((tuple(row["learned"]) for row in history.rows if row["learned"]), ())
+    learned = next((tuple(row.learned) for row in history.rows if row.learned), ())
     blank = dict.fromkeys(learned, np.nan)
     names = ("t", "robot_pose", "lean", "u", "object_pose", "force", "learned_object", "state")
     return Trace(
         **{name: column(name) for name in names},
-        learned=np.array([[*(row["learned"] or blank).values()] for row in history.rows]),
+        learned=np.array([[*(row.learned or blank).values()] for row in history.rows]),
         learned_names=learned,
         state_names=tuple(str(m) for m in Mode),
         map_cells=grid.cells,
@@ -153,25 +153,42 @@ def trace_of(simulation: Simulation) -> Trace:
     )
 
 
-def _leg(simulation: Simulation, goal: Point, began: float) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Leg:
     """How one goal was reached, or not."""
+
+    goal: list[float]
+    outcome: str
+    reason: str
+    success: bool
+    time_s: float
+    path_length_m: float
+    goal_distance_m: float
+
+
+def _leg(simulation: Simulation, goal: Point, began: float) -> Leg:
     true, pushes = simulation.true, simulation.scenario.push_to is not None
     what = true.object_pose[0, 0] if pushes else true.robot_pose[0]
     distance = float(np.linalg.norm(what[:2] - np.asarray(goal)[:2]))
     outcome, reason = _outcome(simulation, distance)
-    path = np.array([row["robot_pose"][:2] for row in simulation.history.rows if row["t"] >= began - 1e-6])
-    return {
-        "goal": _floats(np.asarray(goal, dtype=float)),
-        "outcome": outcome,
-        "reason": reason,
-        "success": outcome == "success",
-        "time_s": round(simulation.time - began, 2),
-        "path_length_m": round(float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()), 3),
-        "goal_distance_m": round(distance, 3),
-    }
+    path = np.array([row.robot_pose[:2] for row in simulation.history.rows if row.t >= began - 1e-6])
+    return Leg(
+        goal=_floats(np.asarray(goal, dtype=float)),
+        outcome=outcome,
+        reason=reason,
+        success=outcome == "success",
+        time_s=round(simulation.time - began, 2),
+        path_length_m=_length(path),
+        goal_distance_m=round(distance, 3),
+    )
 
 
-def result_of(simulation: Simulation, legs: Sequence[dict[str, Any]] = (), goals: int = 1) -> dict[str, Any]:
+def _length(points: np.ndarray) -> float:
+    """Length of a polyline [m], to the millimetre."""
+    return round(float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum()), 3)
+
+
+def result_of(simulation: Simulation, legs: Sequence[Leg] = (), goals: int = 1) -> dict[str, Any]:
     """What has happened so far, JSON-able (report/trace.py lists the keys).
 
     ``legs`` tells how each goal was reached if there were several, ``goals`` how many there were to reach.
@@ -179,9 +196,9 @@ def result_of(simulation: Simulation, legs: Sequence[dict[str, Any]] = (), goals
     scenario, navigator, history = simulation.scenario, simulation.navigator, simulation.history
     legs = list(legs) or [_leg(simulation, navigator.state.goal.tolist(), 0.0)]
     last, true, senses = legs[-1], simulation.true, simulation.senses
-    path = np.array([row["robot_pose"][:2] for row in history.rows])
-    reached = sum(leg["success"] for leg in legs)
-    outcome = last["outcome"] if reached < goals else "success"
+    path = np.array([row.robot_pose[:2] for row in history.rows])
+    reached = sum(leg.success for leg in legs)
+    outcome = last.outcome if reached < goals else "success"
     over = toppled(simulation.scene, simulation.qpos)
     objects = []
     for i, (entry, condition) in enumerate(zip(scenario.objects, simulation.conditions, strict=True)):
@@ -202,17 +219,17 @@ def result_of(simulation: Simulation, legs: Sequence[dict[str, Any]] = (), goals
         )
     return {
         "outcome": outcome,
-        "reason": last["reason"],
+        "reason": last.reason,
         "senses": senses.name,
         "policy": simulation.policy,
         "seed": scenario.seed,
         "time_s": round(float(true.time[0]), 2),
-        "path_length_m": round(float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()), 3),
-        "goal_distance_m": last["goal_distance_m"],
+        "path_length_m": _length(path),
+        "goal_distance_m": last.goal_distance_m,
         "falls": history.falls,
         "wall_contacts": history.wall_contacts,
         "wall_parts": history.wall_parts,
-        "legs": legs,
+        "legs": [asdict(leg) for leg in legs],
         "missed_deadlines": history.late,
         "start": list(scenario.start),
         "goal": list(scenario.goal),

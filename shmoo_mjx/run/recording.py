@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from shmoo_mjx.base.npz import read_arrays, write_arrays
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.report.trace import read_arrays, write_arrays
 from shmoo_mjx.types import Command, Observation
 
 RECORDING_FILE = "recorded.npz"

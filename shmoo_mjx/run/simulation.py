@@ -33,11 +33,35 @@ from shmoo_mjx.types import DT, Command, Observation
 Point = Sequence[float]
 
 
+@dataclass(frozen=True)
+class Sample:
+    """What was true of the world in one sample, and what the robot did and learned."""
+
+    t: float
+    """[s]"""
+    robot_pose: np.ndarray
+    """``[3]`` in {W}"""
+    object_pose: np.ndarray
+    """``[N, 3]`` in {W}; NaN before an object was there"""
+    lean: np.ndarray
+    """``[2]`` [rad]"""
+    u: np.ndarray
+    """``[3]`` the command [rad]"""
+    force: np.ndarray
+    """``[2]`` of the hands in {R} [N]"""
+    learned: dict[str, float] | None
+    """Of the object that is pushed (`online.learned`); None where none is"""
+    learned_object: int
+    """Its number, or -1"""
+    state: int
+    """Number of the navigator's mode"""
+
+
 @dataclass
 class History:
     """What has happened so far, a row per sample."""
 
-    rows: list[dict[str, Any]] = field(default_factory=list)
+    rows: list[Sample] = field(default_factory=list)
     qpos: list[np.ndarray] = field(default_factory=list)
     observations: list[Observation] = field(default_factory=list)
     commands: list[Command] = field(default_factory=list)
@@ -253,17 +277,17 @@ class Simulation:
         history.commands.append(command)
         history.goals.append(self.navigator.state.goal)
         history.rows.append(
-            {
-                "t": float(true.time[0]),
-                "robot_pose": true.robot_pose[0],
-                "lean": true.lean[0],
-                "u": command.u[0],
-                "object_pose": true.object_pose[0],
-                "force": se2.rotate(wrench, -true.robot_pose[0, 2]),
-                "learned": None if learned is None else learned[1],
-                "learned_object": index,
-                "state": list(Mode).index(self.navigator.mode),
-            }
+            Sample(
+                t=float(true.time[0]),
+                robot_pose=np.asarray(true.robot_pose[0]),
+                object_pose=np.asarray(true.object_pose[0]),
+                lean=np.asarray(true.lean[0]),
+                u=np.asarray(command.u[0]),
+                force=np.asarray(se2.rotate(wrench, -true.robot_pose[0, 2])),
+                learned=None if learned is None else learned[1],
+                learned_object=index,
+                state=list(Mode).index(self.navigator.mode),
+            )
         )
 
     def _count_contacts(self) -> None:
@@ -283,5 +307,5 @@ class Simulation:
         rows, now = self.history.rows, self.qpos
         nowhere = np.full((added, 3), np.nan)
         for i, row in enumerate(rows):
-            rows[i] = row | {"object_pose": np.concatenate([row["object_pose"], nowhere])}
+            rows[i] = replace(row, object_pose=np.concatenate([row.object_pose, nowhere]))
         self.history.qpos = [np.concatenate([q, now[len(q) :]]) for q in self.history.qpos]

@@ -15,8 +15,8 @@ from shmoo_mjx.base import guard
 from shmoo_mjx.base.assets import WEIGHTS, asset
 from shmoo_mjx.base.files import write_whole
 from shmoo_mjx.base.guard import check_folder, check_output, kind_of, protected
+from shmoo_mjx.base.npz import write_arrays
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.report.trace import write_arrays
 
 
 def png() -> bytes:

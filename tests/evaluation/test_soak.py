@@ -11,14 +11,15 @@ from shmoo_mjx.behavior.state import Mode, Transition
 from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.evaluation.soak import SoakTrials, livelocks, play
 from shmoo_mjx.learning.weights import load_weights
-from shmoo_mjx.run.simulation import History
+from shmoo_mjx.run.simulation import History, Sample
 
 
 def _record(speed: float) -> History:
     history = History()
     for t in np.arange(0.0, 3.0, 0.1):
         pose = np.array([speed * t, 0.0, 0.0])
-        history.rows.append({"t": float(t), "robot_pose": pose, "object_pose": np.zeros((1, 3))})
+        none = np.zeros(3)
+        history.rows.append(Sample(float(t), pose, none[None], none[:2], none, none[:2], None, -1, 0))
     return history
 
 

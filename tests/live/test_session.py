@@ -203,7 +203,7 @@ def test_a_run_in_which_objects_came_makes_a_report(session: Session) -> None:
     session.add("box", free_place(session), {"mass": 5.0})
     run(session, 3)
     assert session.save_report("later").exists()
-    assert np.isnan(np.array(session.simulation.history.rows[0]["object_pose"])[-1]).all()
+    assert np.isnan(np.array(session.simulation.history.rows[0].object_pose)[-1]).all()
 
 
 def test_begin_again_is_the_scene_as_it_was_loaded(session: Session) -> None:

@@ -60,6 +60,16 @@ class Pusher(Protocol):
         """Where the object comes to rest if it is let go now."""
 
 
+@runtime_checkable
+class RolloutPlanner(Protocol):
+    """What plans by roll-outs of its model, as Algorithm 1 asks for."""
+
+    def planning_rollouts(
+        self, state: Any, goal: Float[Array, "3"], around: LocalDistanceField, half_extents: Float[Array, "2"]
+    ) -> tuple[Float[np.ndarray, "S T 3"], Float[np.ndarray, "S T 2"], Float[np.ndarray, "S"]]:
+        """Object poses and robot positions in {W}, and costs, of roll-outs towards ``goal``."""
+
+
 @dataclass(frozen=True, eq=False)
 class PushState:
     """State of one push."""
