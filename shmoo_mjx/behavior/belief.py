@@ -11,6 +11,7 @@ import numpy as np
 import shapely
 
 from shmoo_mjx.arrays import Float
+from shmoo_mjx.geometry.faces import corners_of, faces_of
 from shmoo_mjx.learning.online import LearnerState
 from shmoo_mjx.planning.distance_field import DistanceField
 from shmoo_mjx.planning.footprints import add_obstacles, footprint_polygon
@@ -35,6 +36,11 @@ class Status(StrEnum):
     """Pushed out of the way."""
     FIXED = "fixed"
     """Registered in the map as an obstacle: can't be moved, or can't be put anywhere."""
+
+
+def all_faces(half_extents: tuple[float, float]) -> Float[np.ndarray, "8 4"]:
+    """Sides and corners as faces to push on."""
+    return np.concatenate([faces_of(half_extents), corners_of(half_extents)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +71,11 @@ class ObjectBelief:
     """Expected time that it takes to push it out of the way, failures included [s]; None before that was looked at."""
     in_the_way: int = 0
     """How often it has stood in a path that was planned round it."""
+
+    @property
+    def faces(self) -> Float[np.ndarray, "8 4"]:
+        """Sides and corners as faces to push on."""
+        return all_faces(self.half_extents)
 
     @property
     def polygon(self) -> shapely.Polygon:

@@ -40,7 +40,6 @@ from shmoo_mjx.control.observation import ObjectObservation, local_distance_fiel
 from shmoo_mjx.geometry.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.learning import online
 from shmoo_mjx.planning import flat_qp
-from shmoo_mjx.planning.distance_field import DistanceField
 from shmoo_mjx.planning.flat_model import FlatModel
 from shmoo_mjx.planning.paths import Path, project
 from shmoo_mjx.plant import outline
@@ -185,10 +184,8 @@ def start_push(
     index: int,
     *,
     side: int,
-    face: Float[np.ndarray, "4"],
     goal: Float[np.ndarray, "3"],
     reached: tuple[Path, float, float],
-    clearance: DistanceField,
 ) -> NavigatorState:
     """The state in which a push has been chosen; the approach is next.
 
@@ -196,15 +193,13 @@ def start_push(
         state: before.
         now: [s]
         index: the object.
-        side: of the face.
-        face: as `faces_of` and `corners_of` give it.
+        side: index of the face among `ObjectBelief.faces`.
         goal: pose of the object in {W}.
         reached: way to the stand-off pose, its gap and its place along the face, as `Routes.path_to_face` gives them.
-        around: clearance without the object.
     """
     target, (way, gap, lateral) = state.belief.objects[index], reached
-    local_clearance = local_distance_field(clearance, target.pose)
-    segment = Segment(index, side, face, goal, way, approach.init(now, gap, lateral), local_clearance)
+    clearance = local_distance_field(state.belief.clearance(without=index), target.pose)
+    segment = Segment(index, side, target.faces[side], goal, way, approach.init(now, gap, lateral), clearance)
     state = replace(state, segment=segment, drive=drive.init())
     return state.with_object(index, pushes=target.pushes + 1, registered=target.pose)
 

@@ -45,16 +45,7 @@ def choose(setup: Setup, state: NavigatorState, obs: Observation, index: int, *,
         why = f"object {index} can be put nowhere: {first.reason}; registered as an obstacle"
         return state.given_up(index).go(now, Mode.REPLAN, why)
     side = list(usable)[first.direction]
-    state = start_push(
-        state,
-        now,
-        index,
-        side=side,
-        face=faces[side],
-        goal=first.goal,
-        reached=usable[side],
-        clearance=clearance_without,
-    )
+    state = start_push(state, now, index, side=side, goal=first.goal, reached=usable[side])
     why = f"object {index} blocks the path {distance:.2f} m ahead; first goal: {first.reason}"
     return state.go(now, Mode.APPROACH, why)
 

@@ -130,7 +130,7 @@ def _least_time(
     position, clearance = obs.robot_pose[0, :2], state.belief.clearance()
     dislike = routes.price or 0.0
     otherwise = push_options.time_without_push(through, detour)
-    faces, failed = push_options.all_faces(target.half_extents), target.failed_faces.count
+    faces, failed = target.faces, target.failed_faces.count
     ways, may_pay = {}, detour is None or otherwise > through.seconds + push_options.LEAST + dislike
     for side, face in enumerate(faces if may_pay else ()):
         reached = routes.path_to_face(position, index, face, clearance, failed=failed(side), corner=side >= 4)
@@ -151,11 +151,11 @@ def _least_time(
             seed=round(now / DT),
         )
         walks = {side: push_options.walk_time(way[0].length) for side, way in ways.items()}
-        weigh = partial(push_options.rank_pushes, pushes, walks=walks, failed=target.failed_faces, rest=through.seconds)
+        rank = partial(push_options.rank_pushes, pushes, walks=walks, failed=target.failed_faces, rest=through.seconds)
         # Its price counts no other push. Else each of two immovable objects would be a way round the other one.
         alone = routes.quickest(position, dict.fromkeys(state.belief.objects, 0.0))
-        price = weigh(push_options.time_without_push(through, alone))[0].seconds - through.seconds
-        options = weigh(otherwise)
+        price = rank(otherwise=push_options.time_without_push(through, alone))[0].seconds - through.seconds
+        options = rank(otherwise=otherwise)
         best, summary = options[0], push_options.describe_options(options[:3], way_round)
         state = state.with_events(_decision(now, index, summary=summary, options=options, otherwise=otherwise))
         state = state.with_object(index, price=max(price, 0.0))
@@ -168,16 +168,7 @@ def _least_time(
         return state if best else state.with_object(index, price=push_options.BLOCKED)
     if best is None:
         return _give_up(setup, state, now, index, why=f"no face can be reached; {summary}")
-    state = start_push(
-        state,
-        now,
-        index,
-        side=best.side,
-        face=faces[best.side],
-        goal=best.goal,
-        reached=ways[best.side],
-        clearance=clearance_without,
-    )
+    state = start_push(state, now, index, side=best.side, goal=best.goal, reached=ways[best.side])
     return state.go(now, Mode.APPROACH, f"object {index} is in the way: {summary}")
 
 

@@ -16,10 +16,9 @@ import scipy.ndimage
 import shapely
 
 from shmoo_mjx.arrays import Array, Bool, Float
-from shmoo_mjx.behavior.belief import ObjectBelief
+from shmoo_mjx.behavior.belief import ObjectBelief, all_faces
 from shmoo_mjx.behavior.routes import PACE, Route
 from shmoo_mjx.geometry import se2
-from shmoo_mjx.geometry.faces import corners_of, faces_of
 from shmoo_mjx.planning.distance_field import DistanceField
 from shmoo_mjx.planning.paths import Path
 from shmoo_mjx.planning.reach import STEPS, Options, Outcomes, goal_ahead
@@ -92,11 +91,6 @@ class _Of(NamedTuple):
 
     side: np.ndarray
     options: Options
-
-
-def all_faces(half_extents: tuple[float, float]) -> Float[np.ndarray, "8 4"]:
-    """Sides and corners as faces to push on."""
-    return np.concatenate([faces_of(half_extents), corners_of(half_extents)])
 
 
 def make_options(

@@ -184,16 +184,7 @@ class PushTask(Machine):
         chosen = ways[choice.side]
         assert chosen is not None
         state = state.with_object(index, adapt=self.adapt)
-        state = start_push(
-            state,
-            now,
-            index,
-            side=choice.side,
-            face=faces[choice.side],
-            goal=choice.goal,
-            reached=chosen,
-            clearance=clearance_without,
-        )
+        state = start_push(state, now, index, side=choice.side, goal=choice.goal, reached=chosen)
         final = "" if np.array_equal(choice.goal, self.goal) else " to a place on the way"
         why = f"push {target.pushes + 1} from {SIDES[choice.side]}{final}; the object is {where}"
         none = np.zeros((0, 1, 2))

@@ -118,7 +118,7 @@ class Segment:
 
     object: int
     side: int
-    """Index of the face among ``faces_of``, and after them ``corners_of``."""
+    """Index of the face among `ObjectBelief.faces`."""
     face: Float[np.ndarray, "4"]
     goal: Float[np.ndarray, "3"]
     """Pose in {W} to bring the object to."""

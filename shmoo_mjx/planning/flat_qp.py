@@ -94,6 +94,7 @@ def init(model: FlatModel, cfg: TrajectoryConfig = TrajectoryConfig()) -> Planne
     lean_acceleration = pull * _basis(cfg, np.linspace(0.0, cfg.horizon, _INTERVALS + 1), 4)
     ends = [_basis(cfg, np.zeros(1), k)[0] for k in range(4)]
     ends += [_basis(cfg, np.full(1, cfg.horizon), k)[0] for k in range(1, 4)]
+    quantities = _Quantities(np.array(ends), velocity, lean, position, lean_acceleration)
     return Planner(
         model=model,
         cfg=cfg,
@@ -101,22 +102,8 @@ def init(model: FlatModel, cfg: TrajectoryConfig = TrajectoryConfig()) -> Planne
         position=position,
         on_way=_quadratic(position, snap, at_end=False),
         at_end=_quadratic(position, snap, at_end=True),
-        rows=_rows(
-            np.array(ends),
-            velocity=velocity,
-            lean=lean,
-            position=position,
-            lean_acceleration=lean_acceleration,
-            recovery=False,
-        ),
-        recovery_rows=_rows(
-            np.array(ends),
-            velocity=velocity,
-            lean=lean,
-            position=position,
-            lean_acceleration=lean_acceleration,
-            recovery=True,
-        ),
+        rows=_rows(quantities, recovery=False),
+        recovery_rows=_rows(quantities, recovery=True),
     )
 
 
@@ -201,16 +188,21 @@ def _quadratic(position: Float[np.ndarray, "K n"], snap: Float[np.ndarray, "K n"
     )
 
 
-def _rows(
-    ends: Float[np.ndarray, "7 n"],
-    *,
-    velocity: Float[np.ndarray, "K n"],
-    lean: Float[np.ndarray, "K n"],
-    position: Float[np.ndarray, "K n"],
-    lean_acceleration: Float[np.ndarray, "J n"],
-    recovery: bool,
-) -> sparse.csc_matrix:
+class _Quantities(NamedTuple):
+    """Control points to what is limited."""
+
+    ends: Float[np.ndarray, "7 n"]
+    """S and its derivatives at the start and the end."""
+    velocity: Float[np.ndarray, "K n"]
+    lean: Float[np.ndarray, "K n"]
+    position: Float[np.ndarray, "K n"]
+    lean_acceleration: Float[np.ndarray, "J n"]
+    """At the knots."""
+
+
+def _rows(quantities: _Quantities, recovery: bool) -> sparse.csc_matrix:
     """Left-hand sides, in the order of ``_bounds``."""
+    ends, velocity, lean, position, lean_acceleration = quantities
     k = len(position)
     slack = -sparse.kron(np.ones((8, 1)), sparse.identity(k))
     blocks = [
