@@ -11,19 +11,17 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cache, partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from shmoo_mjx.arrays import Array
-from shmoo_mjx.base.fingerprints import fingerprint
-from shmoo_mjx.base.options import SensesName
 from shmoo_mjx.data.collect import drive, operators
 from shmoo_mjx.dynamics import contact_model, features, object_model
-from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result
-from shmoo_mjx.evaluation.trials import run_trials
+from shmoo_mjx.evaluation.experiment import Experiment, ExperimentConfig, Setup
+from shmoo_mjx.evaluation.tables import Section, lines_of
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.geometry.hands import HAND_HEIGHT, REACH, touches
 from shmoo_mjx.learning import contact_prior, estimate
@@ -42,6 +40,8 @@ SECONDS = (1.0, 3.0, 10.0)
 _MASS = contact_model.PARAMETERS.index("log_mass")
 _AHEAD = 30
 """Samples that are rolled out."""
+_CHUNK = 5
+"""Objects per trial, which are simulated side by side."""
 _DRAWS = 32
 """Roll-outs, each of another draw."""
 JUMP = 1.5
@@ -49,7 +49,7 @@ JUMP = 1.5
 
 
 @dataclass(frozen=True)
-class ObjectEstimateConfig:
+class ObjectEstimateConfig(ExperimentConfig):
     """Size of the experiment."""
 
     objects: int = 20
@@ -59,53 +59,29 @@ class ObjectEstimateConfig:
     speeds: tuple[float, float] = (0.06, 0.3)
     """Range of the operators' speeds [m/s]: they push steadily, as the controller does."""
     estimate: EstimateConfig = field(default_factory=EstimateConfig)
-    workers: int = 2
 
 
-class _Asked(NamedTuple):
-    """What a worker is told of the experiment's options."""
-
-    seed: int
-    first_unseen: int
-    senses: SensesName
-    weights: Path | None
+def _trials(setup: Setup[ObjectEstimateConfig]) -> dict[str, tuple[str, int]]:
+    chunks = range(0, setup.config.objects, _CHUNK)
+    return {f"{family}-{first}": (family, first) for family in FAMILIES for first in chunks}
 
 
-def run(options: ExperimentOptions) -> ExperimentResult:
-    """Record and estimate; goes on from ``options.out`` after a stop."""
-    config = ObjectEstimateConfig(objects=2, seconds=15.0) if options.quick else ObjectEstimateConfig()
-    identity = fingerprint(__name__, (config, options.seed, options.first_unseen, options.senses))
-    folder = options.out / "estimate" / identity[:10]
-    chunks = range(0, config.objects, 5)
-    trials = {f"{family}-{first}": (family, first) for family in FAMILIES for first in chunks}
-    rows = run_trials(
-        trials,
-        partial(_trial, _Asked(options.seed, options.first_unseen, options.senses, options.weights), config),
-        folder,
-        options.progress,
-        config.workers,
-    )
-    return make_result("estimate", options, config, _metrics(rows), {}, rows)
-
-
-def _trial(asked: _Asked, config: ObjectEstimateConfig, trial: tuple[str, int]) -> list[dict[str, Any]]:
+def _trial(setup: Setup[ObjectEstimateConfig], trial: tuple[str, int]) -> list[dict[str, Any]]:
     """One row for some objects and each of SECONDS that their recording has."""
-    family, first = trial
-    count = min(5, config.objects - first)
-    seeds = [asked.first_unseen + first + i for i in range(count)]
+    config, (family, first) = setup.config.estimate, trial
+    count = min(_CHUNK, setup.config.objects - first)
+    seeds = [setup.options.first_unseen + first + i for i in range(count)]
     conditions = [draw_condition(family, seed) for seed in seeds]
-    seen, poses, axes = _recorded(asked, config, conditions, seeds)
-    weights = _weights(asked.weights)
+    sightings, poses, axes = _recorded(setup, conditions, seeds)
+    weights = _weights(setup.options.weights_file)
     prior = contact_prior.of_kind(weights.contact_prior, family)
-    *found, states = _filter(config.estimate, prior, seen)
-    bands, masses = (np.asarray(a) for a in found)
-    contact = np.cumsum(touches(seen.wrench) & seen.detected, axis=1)
+    bands, masses, states = _filter(config, prior, sightings)
+    bands, masses = np.asarray(bands), np.asarray(masses)
+    contact = np.cumsum(touches(sightings.wrench) & sightings.detected, axis=1)
     rows = []
     for i, condition in enumerate(conditions):
         truth = contact_prior.parameters_of(condition)
-        true = np.log(
-            [contact_model.resistance(truth)[axes[i]], np.exp(truth[contact_model.PARAMETERS.index("log_mass")])]
-        )
+        true = np.log([contact_model.resistance(truth)[axes[i]], np.exp(truth[_MASS])])
         jumps = int(np.sum(np.abs(np.diff(np.log(masses[i]))) > np.log(JUMP)))
         for seconds in SECONDS:
             at = int(np.searchsorted(contact[i], round(seconds / DT)))
@@ -128,9 +104,14 @@ def _trial(asked: _Asked, config: ObjectEstimateConfig, trial: tuple[str, int]) 
                 }
             if at + _AHEAD < contact.shape[1]:
                 state = jax.tree.map(lambda a, i=i, at=at: a[i, at], states)
-                wrenches = seen.wrench[i, at : at + _AHEAD + 1]
                 row |= _ahead(
-                    config.estimate, weights, prior, state, wrenches, seen.size[i, 0], poses[i, at + _AHEAD, :2]
+                    config,
+                    weights,
+                    prior,
+                    state,
+                    wrenches=sightings.wrench[i, at : at + _AHEAD + 1],
+                    size=sightings.size[i, 0],
+                    true=poses[i, at + _AHEAD, :2],
                 )
             rows.append(row)
     return rows
@@ -141,6 +122,7 @@ def _ahead(
     weights: Weights,
     prior: Array,
     state: ObjectEstimate,
+    *,
     wrenches: np.ndarray,
     size: float,
     true: np.ndarray,
@@ -149,8 +131,8 @@ def _ahead(
     two axes of {W} on which the true position lies in the draws' 80 % band."""
     before = estimate.init(config, prior, jax.random.key(1))._replace(pose=state.pose, twist=state.twist)
     row = {}
-    for name, known in (("ahead", state), ("prior_ahead", before)):
-        ends = np.asarray(_roll_outs(config, weights.config.object, weights.params, known, wrenches, size))
+    for name, posterior in (("ahead", state), ("prior_ahead", before)):
+        ends = np.asarray(_roll_outs(config, weights.config.object, weights.params, posterior, wrenches, size))
         low, high = np.quantile(ends, (BAND[0], BAND[-1]), axis=0)
         row[f"{name}_error"] = float(np.hypot(*(ends.mean(axis=0) - true)))
         row[f"{name}_covered"] = float(np.mean((low <= true) & (true <= high)))
@@ -168,9 +150,9 @@ def _roll_outs(
     contact, force, pose, twist = (a[chosen] for a in (state.parameters, state.force, state.pose, state.twist))
     accelerations = jax.vmap(partial(object_model.predict, params.object, params.coefficients, config=shape))
 
-    def sample(carry: tuple[Array, ...], given: tuple[Array, Array]) -> tuple[tuple[Array, ...], None]:
+    def sample(carry: tuple[Array, ...], sensed: tuple[Array, Array]) -> tuple[tuple[Array, ...], None]:
         pose, twist, last_twist, last_wrench = carry
-        wrench = se2.rotate(estimate.true_wrench(config, force, *given), -pose[:, 2])
+        wrench = se2.rotate(estimate.true_wrench(config, force, *sensed), -pose[:, 2])
         inside = se2.rotate(twist, -pose[:, 2])
         inputs = features.object_inputs(inside, wrench, last_twist, size, last_wrench)
         acceleration = se2.rotate(accelerations(inputs=inputs, contact=contact), pose[:, 2])
@@ -183,12 +165,12 @@ def _roll_outs(
 
 
 def _recorded(
-    asked: _Asked, config: ObjectEstimateConfig, conditions: list[Condition], seeds: list[int]
+    setup: Setup[ObjectEstimateConfig], conditions: list[Condition], seeds: list[int]
 ) -> tuple[Sighting, np.ndarray, np.ndarray]:
     """What is perceived ``[W, T, ...]`` of W objects that operators push, their true poses ``[W, T, 3]`` in {W}, and
     the axis of {O} that each is pushed along (0 or 1)."""
-    senses, count = senses_named(asked.senses), len(conditions)
-    rng = np.random.default_rng([asked.seed, *seeds[:1], FAMILIES.index(conditions[0].family)])
+    senses, count = senses_named(setup.options.senses), len(conditions)
+    rng = np.random.default_rng([setup.options.seed, *seeds[:1], FAMILIES.index(conditions[0].family)])
     half_extents = [c.half_extents for c in conditions]
     operator, poses = operators(rng, count, half_extents)
     operator = operator._replace(liveliness=np.full(count, 0.4))
@@ -200,12 +182,12 @@ def _recorded(
     with SensedEngine(scenes, senses, seeds, poses_known=True) as engine:
         ones = np.ones(count)
         still = Command(np.zeros((count, 3)), poses[:, 2], REACH * ones, HAND_HEIGHT * ones)
-        world, seen = engine.step(engine.init(), still, 1.0)
-        for _ in range(round(config.seconds / DT)):
-            operator, command = drive(rng, operator, seen)
-            operator = operator._replace(speed=np.clip(operator.speed, *config.speeds))
-            world, seen = engine.step(world, command)
-            of_object = (seen.object_pose, seen.object_twist, seen.object_age, seen.detected, seen.wrench)
+        world, sensed = engine.step(engine.init(), still, 1.0)
+        for _ in range(round(setup.config.seconds / DT)):
+            operator, command = drive(rng, operator, sensed)
+            operator = operator._replace(speed=np.clip(operator.speed, *setup.config.speeds))
+            world, sensed = engine.step(world, command)
+            of_object = (sensed.object_pose, sensed.object_twist, sensed.object_age, sensed.detected, sensed.wrench)
             pose, twist, age, detected, wrench = (np.asarray(value[:, 0]) for value in of_object)
             columns.append(Sighting(pose, twist, age, detected, wrench, sizes))
             true.append(engine.true_observation(world).object_pose[:, 0])
@@ -214,42 +196,76 @@ def _recorded(
 
 
 @cache
-def _weights(weights: Path | None) -> Weights:
-    return load_weights(weights)
+def _weights(file: Path) -> Weights:
+    return load_weights(file)
 
 
 @partial(jax.jit, static_argnums=0)
-def _filter(config: EstimateConfig, prior: Any, seen: Sighting) -> tuple[Any, Any, ObjectEstimate]:
+def _filter(config: EstimateConfig, prior: Any, sightings: Sighting) -> tuple[Any, Any, ObjectEstimate]:
     """Bands ``[W, T, 3, 3]`` (low, median, high) of friction along x and y and of mass, the mean mass ``[W, T]``, and
     the posteriors after each sample, without what does not change."""
 
     def step(state: ObjectEstimate, sample: Sighting) -> tuple[ObjectEstimate, Any]:
         state = estimate.step(config, state, sample)
         friction = contact_model.resistance(state.parameters)
-        told = jnp.concatenate([friction, jnp.exp(state.parameters[:, _MASS, None])], axis=-1)
-        bands = estimate.quantiles(state, told, BAND)
+        quantities = jnp.concatenate([friction, jnp.exp(state.parameters[:, _MASS, None])], axis=-1)
+        bands = estimate.quantiles(state, quantities, BAND)
         return state, (bands, jnp.exp(estimate.mean(state)[_MASS]), state._replace(prior=None, key=None))
 
     def one(samples: Sighting, key: Any) -> Any:
         return jax.lax.scan(step, estimate.init(config, prior, key), samples)[1]
 
-    samples = jax.tree.map(lambda a: jnp.asarray(a, bool if a.dtype == bool else jnp.float32), seen)
-    found: tuple[Any, Any, ObjectEstimate] = jax.vmap(one)(samples, jax.random.split(jax.random.key(0), len(seen.size)))
-    return found
+    samples = jax.tree.map(lambda a: jnp.asarray(a, bool if a.dtype == bool else jnp.float32), sightings)
+    keys = jax.random.split(jax.random.key(0), len(sightings.size))
+    filtered: tuple[Any, Any, ObjectEstimate] = jax.vmap(one)(samples, keys)
+    return filtered
 
 
 def _metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
     """Median errors, shares of true values in the 80 % band, and the median number of jumps."""
-    found: dict[str, float] = {}
+    metrics: dict[str, float] = {}
     for family in FAMILIES:
         for seconds in SECONDS:
             mine = [r for r in rows if r["family"] == family and r["contact_s"] == seconds]
             for name in ("friction", "mass", "ahead", "prior_ahead"):
                 suffix = f"{family}_{seconds:g}s"
                 # A recording may end before that.
-                known = [r for r in mine if f"{name}_error" in r]
-                found[f"{name}_error_{suffix}"] = float(np.median([r[f"{name}_error"] for r in known] or [np.nan]))
-                found[f"{name}_coverage_{suffix}"] = float(np.mean([r[f"{name}_covered"] for r in known] or [np.nan]))
+                measured = [r for r in mine if f"{name}_error" in r]
+                metrics[f"{name}_error_{suffix}"] = float(np.median([r[f"{name}_error"] for r in measured] or [np.nan]))
+                metrics[f"{name}_coverage_{suffix}"] = float(
+                    np.mean([r[f"{name}_covered"] for r in measured] or [np.nan])
+                )
         jumps = {r["seed"]: r["jumps"] for r in rows if r["family"] == family}
-        found[f"jumps_{family}"] = float(np.median([*jumps.values()] or [np.nan]))
-    return found
+        metrics[f"jumps_{family}"] = float(np.median([*jumps.values()] or [np.nan]))
+    return metrics
+
+
+EXPERIMENT = Experiment(
+    Section(
+        "What the estimate knows of an object",
+        "Scripted operators push 20 unseen objects of each family, heavy ones and locked wheels included, with the "
+        "robot's own senses. Errors are of the posterior's median; coverage is the share of true values in its 80 % "
+        "band. Friction is that along the push. Roll-outs of 32 draws with psi, under the sensed force, predict the "
+        "position 3 s ahead: the error is that of their mean, and the coverage is the share of x and y in their 80 % "
+        "band. The prior's draws start from the same pose.",
+        tuple(f"{family}, {seconds:g} s" for family in FAMILIES for seconds in SECONDS),
+        lines_of(
+            {
+                "friction_error": "friction, relative error, median",
+                "friction_coverage": "friction, coverage",
+                "mass_error": "mass, relative error, median",
+                "mass_coverage": "mass, coverage",
+                "ahead_error": "position 3 s ahead, error, median [m]",
+                "prior_ahead_error": "position 3 s ahead, draws from the prior [m]",
+                "ahead_coverage": "position 3 s ahead, coverage",
+                "prior_ahead_coverage": "position 3 s ahead, coverage of the prior",
+            },
+            *(f"{{}}_{family}_{seconds:g}s" for family in FAMILIES for seconds in SECONDS),
+        ),
+    ),
+    ObjectEstimateConfig(),
+    quick=ObjectEstimateConfig(objects=2, seconds=15.0),
+    trials=_trials,
+    trial=_trial,
+    metrics=lambda setup, rows: _metrics(rows),
+)

@@ -67,6 +67,8 @@ class Experiment[C: ExperimentConfig]:
     trial: Callable[[Setup[C], Any], list[Row]]
     """One value of ``trials`` -> its rows; called in other processes. Code that it imports is in the fingerprint."""
     metrics: Callable[[Setup[C], list[Row]], dict[str, Any]]
+    further_trials: Callable[[Setup[C], list[Row]], Mapping[str, Any]] | None = None
+    """What is tried after ``trials``, given their rows."""
     draw: Callable[[Setup[C], list[Row]], None] | None = None
     """Writes figures into ``folder``."""
     prepare: Callable[[ExperimentOptions, C, Path], Prepared] = _weights
@@ -95,8 +97,14 @@ def run[C: ExperimentConfig](
         config: by default the experiment's own, or its quick one, adjusted by the options.
     """
     setup = prepare(name, experiment, options, config)
-    work = partial(experiment.trial, setup)
-    rows = run_trials(experiment.trials(setup), work, setup.store, options.progress, setup.config.workers)
+
+    def rows_of(trials: Mapping[str, Any]) -> list[Row]:
+        work = partial(experiment.trial, setup)
+        return run_trials(trials, work, setup.store, options.progress, workers=setup.config.workers)
+
+    rows = rows_of(experiment.trials(setup))
+    if experiment.further_trials is not None:
+        rows += rows_of(experiment.further_trials(setup, rows))
     metrics = experiment.metrics(setup, rows)
     if experiment.draw is not None:
         options.progress("figures", 0.98)

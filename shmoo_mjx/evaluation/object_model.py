@@ -10,33 +10,40 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from shmoo_mjx.data import store
-from shmoo_mjx.evaluation import datasets, scoring
+from shmoo_mjx.evaluation import datasets, scoring, trainings
 from shmoo_mjx.evaluation.baselines import METHODS, Budget, Job, Recordings, first_samples, recordings
 from shmoo_mjx.evaluation.baselines.adaptive import from_fit, prior_of, trained
 from shmoo_mjx.evaluation.baselines.protocol import Context, Predictor, output_scale
+from shmoo_mjx.evaluation.experiment import Experiment, Prepared, Setup
 from shmoo_mjx.evaluation.object_model_figures import draw_curve, draw_roll_outs
-from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result, spread
-from shmoo_mjx.evaluation.trainings import QUICK, Trainings, TrainingsConfig, prepare, rows_of
-from shmoo_mjx.evaluation.trials import run_trials
+from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, spread
+from shmoo_mjx.evaluation.tables import Section, SummaryValue, lines_of, measured
+from shmoo_mjx.evaluation.trainings import TrainingsConfig, job_of, rows_of, unseen_objects
 from shmoo_mjx.learning import estimate
 from shmoo_mjx.learning.daiml import DaimlConfig, ObjectFit
 from shmoo_mjx.learning.estimate import EstimateConfig
-from shmoo_mjx.plant.objects import draw_condition
+from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 from shmoo_mjx.types import DT
-
-PAPER = {"mse_before": 1.3131, "mse_after": 0.4271, "ratio_after_before": 0.325}
-"""Sec. V-A."""
 
 SECONDS = (0.2, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0, 20.0)
 """Of contact, at which the adaptation is looked at [s]."""
+
+
+class _Data(NamedTuple):
+    """Data sets of the experiment."""
+
+    train: Path
+    unseen: Path
+    brakes: Path
+    """Wheelchairs with a brake on, and the same without."""
 
 
 @dataclass(frozen=True)
@@ -51,39 +58,33 @@ class ObjectModelConfig(TrainingsConfig):
     """Of the contact parameters, online."""
 
 
-def run(options: ExperimentOptions, config: ObjectModelConfig | None = None) -> ExperimentResult:
-    """Train, adapt and score; goes on from ``options.out`` after a stop."""
-    config = config or (ObjectModelConfig(**QUICK, budget=Budget(3, 100, 3)) if options.quick else ObjectModelConfig())
-    shared = prepare(__name__, "object_model", options, config, {"seeds": 1})
-    trials = {f"psi-{i}": ("psi", i) for i in range(config.seeds)}
-    trials["constant_velocity"] = ("constant_velocity", 0)
-    rows = run_trials(trials, partial(_scored, shared, config), shared.folder, options.progress, config.workers)
-    metrics = _metrics(rows)
-    options.progress("online adaptation", 0.95)
-    job = _job(shared, config, 0)
-    fitted, daiml_settings = trained(job, DaimlConfig())
-    objects, scale = shared.objects(), output_scale(job.train.samples)
-    shares = gap_closed(fitted, daiml_settings, config.estimate, recordings(objects), scale)
-    metrics |= _curve_metrics(shares) | _brake_metrics(options, config, fitted, daiml_settings, scale)
-    curve = [
-        {"curve": "gap_closed", "condition": condition, "contact_s": s, "share": shares[i, k]}
-        for i, condition in enumerate(objects.names)
-        for k, s in enumerate(SECONDS)
+def _prepare(options: ExperimentOptions, config: ObjectModelConfig, folder: Path) -> Prepared:
+    """The data sets that all trainings share, and wheelchairs without and with a brake."""
+    shared = trainings.prepare(options, config, folder)
+    count = max(config.unseen.get("wheelchair", 0), 1)
+    seeds = range(options.first_unseen + 500, options.first_unseen + 500 + count)
+    free = {"locked": (False, False, False, False)}
+    braked = {"locked": (True, False, False, False)}
+    rows = [
+        (f"test-{state}-{seed}", "test", draw_condition("wheelchair", seed, properties))
+        for state, properties in (("free", free), ("braked", braked))
+        for seed in seeds
     ]
-    out = options.out / "object_model"
-    draw_curve(SECONDS, shares, out / "adaptation.png")
-    draw_roll_outs(from_fit(fitted, daiml_settings), prior_of(fitted, daiml_settings), objects, out / "roll_outs.png")
-    return make_result("object_model", options, config, metrics, PAPER, [*rows, *curve])
+    brakes = datasets.collect_rows(options, f"brake-{seeds[0]}-{count}", rows)
+    return shared._replace(data=_Data(*shared.data, brakes))
 
 
-def _job(shared: Trainings, config: ObjectModelConfig, number: int) -> Job:
-    return shared.job(f"psi-{number}", number, config.budget, round(config.fit_seconds / DT))
+def _trials(setup: Setup[ObjectModelConfig]) -> dict[str, tuple[str, int]]:
+    psi = {f"psi-{i}": ("psi", i) for i in range(setup.config.seeds)}
+    return psi | {"constant_velocity": ("constant_velocity", 0)}
 
 
-def _scored(shared: Trainings, config: ObjectModelConfig, trial: tuple[str, int]) -> list[dict[str, Any]]:
-    """The scores of one training of psi, or of a method that needs none."""
+def _trial(setup: Setup[ObjectModelConfig], trial: tuple[str, int]) -> list[dict[str, Any]]:
+    """The scores of one training of psi or of a method that needs none; or what psi's estimate reaches online."""
     method, number = trial
-    job, objects = _job(shared, config, number), shared.objects()
+    if method == "online":
+        return _online_rows(setup)
+    job, objects = _job(setup, number), unseen_objects(setup)
     predictors: dict[str, Predictor]
     if method == "psi":
         fitted = trained(job, DaimlConfig())
@@ -92,13 +93,32 @@ def _scored(shared: Trainings, config: ObjectModelConfig, trial: tuple[str, int]
         predictors = {method: METHODS[method].fit(job)}
     rows: list[dict[str, Any]] = []
     for label, predictor in predictors.items():
-        found = scoring.score(predictor, recordings(objects), output_scale(job.train.samples), job.fit_samples)
-        rows += rows_of(objects, found, {"predictor": label, "run": number})
+        scores = scoring.score(predictor, recordings(objects), output_scale(job.train.samples), job.fit_samples)
+        rows += rows_of(objects, scores, {"predictor": label, "run": number})
     return rows
 
 
+def _job(setup: Setup[ObjectModelConfig], number: int) -> Job:
+    fit_samples = round(setup.config.fit_seconds / DT)
+    return job_of(setup, f"psi-{number}", number, budget=setup.config.budget, fit_samples=fit_samples)
+
+
+def _online_rows(setup: Setup[ObjectModelConfig]) -> list[dict[str, Any]]:
+    """The first psi's online estimate: the gap closed for each object and time, and what a brake costs."""
+    job, objects = _job(setup, 0), unseen_objects(setup)
+    (fitted, settings), scale = trained(job, DaimlConfig()), output_scale(job.train.samples)
+    shares = gap_closed(fitted, settings, recordings(objects), online=setup.config.estimate, scale=scale)
+    curve = [
+        {"curve": "gap_closed", "condition": condition, "contact_s": s, "share": shares[i, k]}
+        for i, condition in enumerate(objects.names)
+        for k, s in enumerate(SECONDS)
+    ]
+    recorded = recordings(store.read(setup.data.brakes, splits=("test",)))
+    return curve + _brake_rows(setup.config, recorded, fitted, settings, scale)
+
+
 def gap_closed(
-    fitted: ObjectFit, config: DaimlConfig, online: EstimateConfig, recorded: Recordings, scale: np.ndarray
+    fitted: ObjectFit, config: DaimlConfig, recorded: Recordings, *, online: EstimateConfig, scale: np.ndarray
 ) -> np.ndarray:
     """Share of the way from the prior's error to that of the adapted psi that the online estimate has covered after
     SECONDS of contact.
@@ -114,13 +134,13 @@ def gap_closed(
     shares = np.full((len(recorded.samples.inputs), len(SECONDS)), np.nan)
     error_of, learn = _error_of(after, scale), _online(fitted, online)
     for i in range(len(shares)):
-        known = jax.tree.map(jnp.asarray, first_samples(recorded, i, config.fit_samples))
+        context = jax.tree.map(jnp.asarray, first_samples(recorded, i, config.fit_samples))
         later = _later(recorded, i, config.fit_samples)
-        prior, best = (float(error_of(a, later)) for a in (before.adapt(known), after.adapt(known)))
+        prior, best = (float(error_of(a, later)) for a in (before.adapt(context), after.adapt(context)))
         if best < prior:
-            learned = learn(known)
-            for k, mark in enumerate(marks[marks <= np.sum(known.weights > 0)]):
-                error = float(error_of(_after(learned, known.weights, mark), later))
+            learned = learn(context)
+            for k, mark in enumerate(marks[marks <= np.sum(context.weights > 0)]):
+                error = float(error_of(_after(learned, context.weights, mark), later))
                 shares[i, k] = (prior - error) / (prior - best)
     return shares
 
@@ -150,7 +170,7 @@ def _online(fitted: ObjectFit, online: EstimateConfig) -> Callable[[Context], An
         state = estimate.learn(online, state, x, y, fitted.params.label_scale, counts)
         return state, (coefficients, estimate.mean(state))
 
-    return jax.jit(lambda known: jax.lax.scan(one, start, (known.inputs, known.labels, known.weights > 0))[1])
+    return jax.jit(lambda rows: jax.lax.scan(one, start, (rows.inputs, rows.labels, rows.weights > 0))[1])
 
 
 def _after(learned: Any, weights: Any, count: int) -> Any:
@@ -164,67 +184,64 @@ def _later(recorded: Recordings, index: int, fit_samples: int) -> Recordings:
     return jax.tree.map(lambda values: jnp.asarray(values[index, fit_samples:]), recorded)
 
 
+def _shares(rows: list[dict[str, Any]]) -> np.ndarray:
+    """``[C, len(SECONDS)]`` what `gap_closed` has returned."""
+    return np.array([row["share"] for row in rows if "curve" in row]).reshape(-1, len(SECONDS))
+
+
 def _metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
+    shares, brakes = _shares(rows), [row for row in rows if "brake" in row]
+    rows = [row for row in rows if "predictor" in row]
+
     def of(predictor: str, measure: str, family: str | None = None, over_objects: Any = np.nanmean) -> list[float]:
         """Mean, or ``over_objects``, for each training."""
         mine = [r for r in rows if r["predictor"] == predictor and family in (None, r["family"])]
         runs = sorted({r["run"] for r in mine})
         return [float(over_objects([r[measure] for r in mine if r["run"] == k])) for k in runs]
 
-    found: dict[str, float] = {}
+    metrics: dict[str, float] = {}
     for predictor in ("before", "after", "constant_velocity"):
         for measure in ("mse", "mse_x", "mse_y", "mse_yaw", "fvu"):
             values = of(predictor, measure)
-            found[f"{measure}_{predictor}"] = float(np.mean(values))
+            metrics[f"{measure}_{predictor}"] = float(np.mean(values))
             if len(values) > 1 and measure in ("mse", "fvu"):
-                found[f"{measure}_{predictor}_std"] = float(np.std(values))
-        found[f"fvu_median_{predictor}"] = float(np.mean(of(predictor, "fvu", over_objects=np.nanmedian)))
+                metrics[f"{measure}_{predictor}_std"] = float(np.std(values))
+        metrics[f"fvu_median_{predictor}"] = float(np.mean(of(predictor, "fvu", over_objects=np.nanmedian)))
         suffix = "" if predictor == "after" else f"_{predictor}"
         for name in scoring.NAMES:
             if "rmse" in name:
-                found[f"{name}{suffix}"] = float(np.mean(of(predictor, name)))
+                metrics[f"{name}{suffix}"] = float(np.mean(of(predictor, name)))
     for family in dict.fromkeys(r["family"] for r in rows):
         for predictor in ("before", "after"):
             medians = of(predictor, "fvu", family, np.nanmedian)
-            found[f"fvu_median_{predictor}_{family}"] = float(np.mean(medians))
-    return found | {"ratio_after_before": found["mse_after"] / found["mse_before"]}
+            metrics[f"fvu_median_{predictor}_{family}"] = float(np.mean(medians))
+    metrics["ratio_after_before"] = metrics["mse_after"] / metrics["mse_before"]
+    return metrics | _curve_metrics(shares) | _brake_metrics(brakes)
 
 
 def _curve_metrics(shares: np.ndarray) -> dict[str, float]:
-    found: dict[str, float] = {}
+    metrics: dict[str, float] = {}
     for k, seconds in enumerate(SECONDS):
         values = spread(shares[:, k])
-        found |= {f"gap_closed_{seconds:g}s_{name}": values[name] for name in ("median", "q25", "q75")}
-    return found
+        metrics |= {f"gap_closed_{seconds:g}s_{name}": values[name] for name in ("median", "q25", "q75")}
+    return metrics
 
 
-def _brake_metrics(
-    options: ExperimentOptions, config: ObjectModelConfig, fitted: ObjectFit, settings: DaimlConfig, scale: np.ndarray
-) -> dict[str, float]:
-    """What a brake that is put on costs: error on the braked object when it is not yet felt, and when it is known.
-
-    And seconds of contact until the estimate has covered 60 % of the way between the two, where there is a way to go.
-    """
-    count = max(config.unseen.get("wheelchair", 0), 1)
-    seeds = range(options.first_unseen + 500, options.first_unseen + 500 + count)
-    free = {"locked": (False, False, False, False)}
-    braked = {"locked": (True, False, False, False)}
-    rows = [
-        (f"test-{state}-{seed}", "test", draw_condition("wheelchair", seed, properties))
-        for state, properties in (("free", free), ("braked", braked))
-        for seed in seeds
-    ]
-    directory = datasets.collect_rows(options, f"brake-{seeds[0]}-{count}", rows)
-    recorded = recordings(store.read(directory, splits=("test",)))
+def _brake_rows(
+    config: ObjectModelConfig, recorded: Recordings, fitted: ObjectFit, settings: DaimlConfig, scale: np.ndarray
+) -> list[dict[str, Any]]:
+    """What a brake that is put on costs each wheelchair: error on the braked object when it is not yet felt, and when
+    it is known; and seconds of contact until the estimate has covered 60 % of the way between the two, NaN where there
+    is no way to go."""
     after = from_fit(fitted, settings)
     error_of, learn = _error_of(after, scale), _online(fitted, config.estimate)
-    times, unaware, known = [], [], []
+    count, rows = len(recorded.samples.inputs) // 2, []
     # Names are read in alphabetical order: the braked ones come first.
     for i in range(count):
         new, old = (jax.tree.map(jnp.asarray, first_samples(recorded, k, settings.fit_samples)) for k in (i, i + count))
         both = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), old, new)
         later, learned = _later(recorded, i, settings.fit_samples), learn(both)
-        begun, counted = (int(np.sum(rows.weights > 0)) for rows in (old, both))
+        begun, counted = (int(np.sum(context.weights > 0)) for context in (old, both))
         wrong, best = (float(error_of(a, later)) for a in (_after(learned, both.weights, begun), after.adapt(new)))
         enough = wrong - 0.6 * (wrong - best)
         marks = [
@@ -232,13 +249,83 @@ def _brake_metrics(
             for k in range(1, counted - begun, 2)
             if float(error_of(_after(learned, both.weights, begun + k), later)) <= enough
         ]
-        times.append(marks[0] * DT if marks and best < wrong else np.nan)
-        unaware.append(wrong)
-        known.append(best)
+        readapted = marks[0] * DT if marks and best < wrong else np.nan
+        rows.append({"brake": i, "fvu_unaware": wrong, "fvu_known": best, "readapt_s": readapted})
+    return rows
+
+
+def _brake_metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
+    unaware, aware, times = (np.array([row[k] for row in rows]) for k in ("fvu_unaware", "fvu_known", "readapt_s"))
     return {
         "brake_fvu_unaware_median": spread(unaware)["median"],
-        "brake_fvu_known_median": spread(known)["median"],
-        "brake_with_a_way_to_go": float(np.sum(np.asarray(known) < np.asarray(unaware))),
+        "brake_fvu_known_median": spread(aware)["median"],
+        "brake_with_a_way_to_go": float(np.sum(aware < unaware)),
         "brake_readapt_s_median": spread(times)["median"],
         "brake_readapted": float(np.sum(np.isfinite(times))),
     }
+
+
+def _draw(setup: Setup[ObjectModelConfig], rows: list[dict[str, Any]]) -> None:
+    draw_curve(SECONDS, _shares(rows), setup.folder / "adaptation.png")
+    fitted = trained(_job(setup, 0), DaimlConfig())
+    draw_roll_outs(from_fit(*fitted), prior_of(*fitted), unseen_objects(setup), setup.folder / "roll_outs.png")
+
+
+def _summary(result: ExperimentResult) -> SummaryValue:
+    paper, unseen = result.paper.get("ratio_after_before"), result.config.get("unseen", {})
+    objects = sum(unseen.values()) if isinstance(unseen, dict) else int(unseen)
+    return f"{measured(result, 'ratio_after_before'):.2f}", objects, "" if paper is None else f"{paper:.2f}"
+
+
+EXPERIMENT = Experiment(
+    Section(
+        "Predicting unseen objects (III-D, Fig. 4)",
+        "psi adapts on the first 25 s of each unseen object and is scored on later rows.",
+        ("prior", "after 25 s", "constant twist"),
+        (
+            *lines_of(
+                {
+                    "mse": "MSE of the acceleration",
+                    "fvu_median": "variance unexplained, median object",
+                },
+                *("{}_before", "{}_after", "{}_constant_velocity"),
+            ),
+            *lines_of(
+                {family: f"variance unexplained, median {family}" for family in FAMILIES},
+                *("fvu_median_before_{}", "fvu_median_after_{}", ""),
+            ),
+            *lines_of(
+                {
+                    "pos_rmse_1s_m": "position after 1 s open loop [m]",
+                    "yaw_rmse_1s_deg": "yaw after 1 s [deg]",
+                    "pos_rmse_3s_m": "position after 3 s [m]",
+                    "yaw_rmse_3s_deg": "yaw after 3 s [deg]",
+                },
+                *("{}_before", "{}", "{}_constant_velocity"),
+            ),
+            *lines_of(
+                {
+                    "ratio_after_before": "MSE after / before",
+                    "gap_closed_1s_median": "gap closed after 1 s of contact, median",
+                    "gap_closed_1s_q25": "gap closed after 1 s, lower quartile",
+                    "gap_closed_5s_median": "gap closed after 5 s, median",
+                    "brake_fvu_unaware_median": "variance unexplained, a brake just put on, median",
+                    "brake_fvu_known_median": "variance unexplained, a brake felt for 25 s, median",
+                },
+                *("", "{}", ""),
+            ),
+        ),
+        ("roll_outs.png", "adaptation.png"),
+        summary=(("Prediction error after adaptation, as a share of the error before", _summary),),
+    ),
+    ObjectModelConfig(),
+    quick=ObjectModelConfig(**trainings.QUICK, budget=Budget(3, 100, 3)),
+    prepare=_prepare,
+    trials=_trials,
+    further_trials=lambda setup, rows: {"online": ("online", 0)},
+    trial=_trial,
+    metrics=lambda setup, rows: _metrics(rows),
+    draw=_draw,
+    neutral=("seeds",),
+    paper={"mse_before": 1.3131, "mse_after": 0.4271, "ratio_after_before": 0.325},  # Sec. V-A
+)

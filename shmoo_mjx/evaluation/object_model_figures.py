@@ -44,11 +44,11 @@ def _draw_one(axis: Any, after: Predictor, before: Predictor, recorded: Any, i: 
     start = _liveliest(recorded, i)
     rows = slice(start, start + STEPS)
     x, time, pose = recorded.samples.inputs[i, rows], recorded.time[i, rows], recorded.pose[i]
-    known = first_samples(recorded, i, FIT_SAMPLES)
+    context = first_samples(recorded, i, FIT_SAMPLES)
     truth = se2.relative(pose[start], pose[start : start + STEPS + 1])
     axis.plot(truth[:, 0], truth[:, 1], color="black", linewidth=2.2, label="recorded")
     for predictor, label, colour in ((before, "before: the prior", BEFORE), (after, "after 25 s", AFTER)):
-        path = np.asarray(roll_out(predictor, predictor.adapt(known), x, time))
+        path = np.asarray(roll_out(predictor, predictor.adapt(context), x, time))
         axis.plot(path[:, 0], path[:, 1], color=colour, linewidth=1.6, label=label)
         _outline(axis, path[-1], objects.conditions[i], colour)
     _outline(axis, truth[-1], objects.conditions[i], "black")

@@ -82,6 +82,14 @@ def cell(metrics: Metrics, name: str, std: str = "", infinite: str = "-", absent
     return infinite if value is None else f"{value:.3g}" + (f"±{spread:.2g}" if spread else "")
 
 
+def over_seeds_cell(metrics: Metrics, measure: str, name: str) -> str:
+    """Mean and standard deviation of what `result.over_seeds` has put into the metrics.
+
+    A measure that is there without a number is infinite: some object's roll-out diverged.
+    """
+    return cell(metrics, f"{measure}_{name}", f"{measure}_std_{name}", infinite="diverges", absent="-")
+
+
 def shown_name(method: str) -> str:
     """The name of a method in words; that of a user's own, "package.module:Name", stays as it is."""
     return method if ":" in method else method.replace("_", " ")

@@ -53,7 +53,7 @@ def test_a_posterior_is_compared_with_its_prior_and_the_truth(weights: Weights) 
     true = np.array([0.5 + WENT, 0.0])
 
     def row(*particles: object) -> dict[str, float]:
-        return experiment._ahead(EXACT, weights, prior, _state(*particles), PUSH, size, true)
+        return experiment._ahead(EXACT, weights, prior, _state(*particles), wrenches=PUSH, size=size, true=true)
 
     knows, unsure = row(BOX), row(*others)
     assert knows["ahead_error"] < 0.03 * WENT < knows["prior_ahead_error"]

@@ -6,9 +6,8 @@ trained anew with three seeds and scored on unseen objects. All see the same inp
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
-from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,22 +17,14 @@ from shmoo_mjx.evaluation import replay, scoring, trainings
 from shmoo_mjx.evaluation.baselines import METHODS, Budget, recordings
 from shmoo_mjx.evaluation.baselines.adaptive import prior
 from shmoo_mjx.evaluation.baselines.protocol import Method, output_scale
-from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result, over_seeds
-from shmoo_mjx.evaluation.trainings import Trainings, TrainingsConfig, prepare, rows_of
-from shmoo_mjx.evaluation.trials import run_trials
+from shmoo_mjx.evaluation.experiment import Experiment, Setup
+from shmoo_mjx.evaluation.result import ExperimentResult, over_seeds
+from shmoo_mjx.evaluation.tables import Section, cell, over_seeds_cell
+from shmoo_mjx.evaluation.trainings import TrainingsConfig, job_of, rows_of, unseen_objects
 from shmoo_mjx.learning.samples import samples_from_dataset
 from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
+from shmoo_mjx.report.tables import markdown_table
 from shmoo_mjx.types import DT
-
-PAPER = {
-    "mse_ours": 0.4271,
-    "mse_prior": 1.3131,
-    "mse_trigonometric": 0.5720,
-    "ratio_trigonometric": 1.34,
-    "ratio_residual": 1.13,
-}
-"""Sec. V-A and V-B; ratio_<name> is a method's mse over ours."""
-
 
 REPLAY = "replay"
 """Name of the plant itself among the methods (`replay`)."""
@@ -53,9 +44,6 @@ class BaselinesConfig(TrainingsConfig):
     """Recording that a method adapts on [s]."""
 
 
-QUICK = BaselinesConfig(**trainings.QUICK, settings=1, tuning=Budget(1, 50, 1), final=Budget(3, 100, 3))
-
-
 class _Fit(NamedTuple):
     """One fit of one method."""
 
@@ -72,69 +60,57 @@ class _Fit(NamedTuple):
         return "-".join(map(str, self))
 
 
-def run(options: ExperimentOptions, config: BaselinesConfig | None = None) -> ExperimentResult:
-    """Tune, train and score every method; goes on from ``options.out`` after a stop."""
-    config = config or (QUICK if options.quick else BaselinesConfig())
-    # How many there are, of what, changes neither what a fit gives nor what it is compared with.
-    shared = prepare(__name__, "baselines", options, config, {"seeds": 1, "methods": ()})
-    methods = [METHODS[name] for name in config.methods if name != REPLAY]
-    tried = _tune(methods, shared, config, options)
-    chosen = {
-        name: min(rows, key=lambda row: row["validation_fvu"])["number"] if rows else 0 for name, rows in tried.items()
-    }
-    fits = [
-        _Fit("final", m.name, chosen[m.name], seed) for m in methods for seed in range(config.seeds if m.trained else 1)
-    ]
-    fits += [_Fit("final", REPLAY)] if REPLAY in config.methods else []
-    rows = _run(fits, shared, config, options)
-    tuning = [row for name in tried for row in tried[name]]
-    result = make_result("baselines", options, config, _metrics(rows), PAPER, [*tuning, *rows])
-    _figure(result, options.out / "baselines" / "baselines.png")
-    return result
+def _methods(config: BaselinesConfig) -> list[Method]:
+    return [METHODS[name] for name in config.methods if name != REPLAY]
 
 
-def _tune(
-    methods: list[Method], shared: Trainings, config: BaselinesConfig, options: ExperimentOptions
-) -> dict[str, list[dict[str, Any]]]:
-    """What each setting of each method gave on the validation conditions; nothing where there is only one to try."""
-    counts = {m.name: min(config.settings, len(m.settings)) for m in methods}
+def _tuned(setup: Setup[BaselinesConfig]) -> dict[str, _Fit]:
+    """Each setting of each method, but where there is only one to try."""
+    counts = {m.name: min(setup.config.settings, len(m.settings)) for m in _methods(setup.config)}
     fits = [_Fit("tune", name, i) for name, count in counts.items() if count > 1 for i in range(count)]
-    rows = _run(fits, shared, config, options)
-    numbered = [row | {"number": fit.setting} for fit, row in zip(fits, rows, strict=True)]
-    return {m.name: [row for row in numbered if row["tuned"] == m.name] for m in methods}
+    return {fit.name: fit for fit in fits}
 
 
-def _run(
-    fits: list[_Fit], shared: Trainings, config: BaselinesConfig, options: ExperimentOptions
-) -> list[dict[str, Any]]:
-    named = {fit.name: fit for fit in fits}
-    return run_trials(named, partial(_scored, shared, config), shared.folder, options.progress, config.workers)
+def _final(setup: Setup[BaselinesConfig], tuning: list[dict[str, Any]]) -> dict[str, _Fit]:
+    """Each method with the setting that was best on the validation conditions."""
+    fits = []
+    for method in _methods(setup.config):
+        tried = [row for row in tuning if row["tuned"] == method.name]
+        best = min(tried, key=lambda row: row["validation_fvu"])["number"] if tried else 0
+        seeds = setup.config.seeds if method.trained else 1
+        fits += [_Fit("final", method.name, best, seed) for seed in range(seeds)]
+    fits += [_Fit("final", REPLAY)] if REPLAY in setup.config.methods else []
+    return {fit.name: fit for fit in fits}
 
 
-def _scored(shared: Trainings, config: BaselinesConfig, fit: _Fit) -> list[dict[str, Any]]:
+def _scored(setup: Setup[BaselinesConfig], fit: _Fit) -> list[dict[str, Any]]:
     """The rows of one fit."""
+    config, objects = setup.config, unseen_objects(setup)
     fit_samples = round(config.fit_seconds / DT)
     if fit.method == REPLAY:
-        scale = output_scale(samples_from_dataset(store.of_training(shared.train).split("train")))
-        found = replay.score(shared.objects(), scale, fit_samples)
-        return rows_of(shared.objects(), found, {"method": REPLAY, "run": 0, "setting": {}})
+        scale = output_scale(samples_from_dataset(store.of_training(setup.data.train).split("train")))
+        scores = replay.score(objects, scale, fit_samples)
+        return rows_of(objects, scores, {"method": REPLAY, "run": 0, "setting": {}})
     method = METHODS[fit.method]
     budget = config.tuning if fit.stage == "tune" else config.final
-    job = shared.job(fit.name, fit.number, budget, fit_samples, method.settings[fit.setting])
+    setting = method.settings[fit.setting]
+    job = job_of(setup, fit.name, fit.number, budget=budget, fit_samples=fit_samples, setting=setting)
     scale = output_scale(job.train.samples)
     if fit.stage == "tune":
-        found = scoring.score(method.fit(job), job.validation, scale, fit_samples)
-        return [{"tuned": method.name, "setting": job.setting, "validation_fvu": float(np.mean(found["fvu"]))}]
-    rows, recorded = [], recordings(shared.objects())
+        scores = scoring.score(method.fit(job), job.validation, scale, fit_samples)
+        row = {"tuned": method.name, "setting": job.setting, "validation_fvu": float(np.mean(scores["fvu"]))}
+        return [row | {"number": fit.setting}]
+    rows = []
     for name, trained in ({method.name: method.fit} | ({"prior": prior} if method.name == "ours" else {})).items():
-        found = scoring.score(trained(job), recorded, scale, fit_samples)
-        rows += rows_of(shared.objects(), found, {"method": name, "run": fit.number, "setting": job.setting})
+        scores = scoring.score(trained(job), recordings(objects), scale, fit_samples)
+        rows += rows_of(objects, scores, {"method": name, "run": fit.number, "setting": job.setting})
     return rows
 
 
 def _metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
     """Mean over conditions and seeds of each measure, the spread over seeds, and the ratios to ours."""
     metrics: dict[str, float] = {}
+    rows = [row for row in rows if "method" in row]
     for method in dict.fromkeys(row["method"] for row in rows):
         mine = [row for row in rows if row["method"] == method]
         runs = sorted({row["run"] for row in mine})
@@ -152,12 +128,12 @@ def _metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
     return metrics
 
 
-def _figure(result: ExperimentResult, path: Path) -> None:
+def _draw(setup: Setup[BaselinesConfig], rows: list[dict[str, Any]]) -> None:
     """Fraction of variance unexplained of each method: median over conditions, spread of seeds, a dot per condition.
 
     Not the mean: a condition that hardly moves has next to no variance, and may leave hundreds of times as much.
     """
-    rows = [row for row in result.rows if "method" in row]
+    rows = [row for row in rows if "method" in row]
     medians: dict[str, list[float]] = {}
     for name in dict.fromkeys(row["method"] for row in rows):
         runs = sorted({row["run"] for row in rows if row["method"] == name})
@@ -176,4 +152,68 @@ def _figure(result: ExperimentResult, path: Path) -> None:
     axes.set(yticks=range(len(names)), yticklabels=names, ylim=(-0.6, len(names) - 0.4))
     axes.set(xlim=(0, 2), xlabel="fraction of variance unexplained")
     axes.set_title("unseen objects, one step, after 25 s: median, a dot per object (over 2: at the edge)", fontsize=9)
-    save_figure(path, figure, 130)
+    save_figure(setup.folder / "baselines.png", figure, 130)
+
+
+_LABELS = {
+    "ours": "ours",
+    "ours_paper": "ours, the paper's printed form",
+    "trigonometric": "trigonometric functions of time",
+    "residual": "adaptive residual, with contact model",
+    "gru": "GRU, with contact model",
+    "mlp": "one MLP, no adaptation",
+    "prior": "ours, before contact (prior)",
+    "constant_velocity": "constant twist in {O}",
+    "replay": "simulator with true parameters, mean wrench",
+}
+
+
+def baselines_table(result: ExperimentResult) -> str:
+    """One line per method, the least MSE first: errors after adapting, spread over seeds, ratios to ours."""
+    metrics, paper = result.metrics | {"ratio_ours": 1.0}, result.paper
+    mse = {name: metrics[f"mse_{name}"] for name in _LABELS if f"mse_{name}" in metrics}
+    settings = {row["method"]: row["setting"] for row in result.rows if "method" in row}
+    rows = []
+    for name in sorted(mse, key=lambda name: math.inf if (error := mse[name]) is None else error):
+        setting = ", ".join(f"{key} {value}" for key, value in settings.get(name, {}).items())
+        rows.append(
+            [
+                _LABELS[name],
+                over_seeds_cell(metrics, "mse", name),
+                cell(metrics, f"ratio_{name}", absent="-"),
+                f"{paper[f'ratio_{name}']:g}" if f"ratio_{name}" in paper else "",
+                over_seeds_cell(metrics, "fvu", name),
+                cell(metrics, f"fvu_median_{name}", absent="-"),
+                *(over_seeds_cell(metrics, measure, name) for measure in trainings.AFTER_3S),
+                setting or "default",
+            ]
+        )
+    head = ("method", "MSE", "MSE / ours", "paper", "FVU", "FVU, median object", *trainings.AFTER_3S.values())
+    return f"{markdown_table((*head, 'setting'), rows)}\n\n{trainings.size_of(result)}"
+
+
+EXPERIMENT = Experiment(
+    Section(
+        "Beside other ways to predict (V-B)",
+        "Every method is tuned on validation objects with the same budget.",
+        figures=("baselines.png",),
+        table=baselines_table,
+    ),
+    BaselinesConfig(),
+    quick=BaselinesConfig(**trainings.QUICK, settings=1, tuning=Budget(1, 50, 1), final=Budget(3, 100, 3)),
+    prepare=trainings.prepare,
+    trials=_tuned,
+    further_trials=_final,
+    trial=_scored,
+    metrics=lambda setup, rows: _metrics(rows),
+    draw=_draw,
+    neutral=("seeds", "methods"),
+    # Sec. V-A and V-B; ratio_METHOD is a method's mse over ours.
+    paper={
+        "mse_ours": 0.4271,
+        "mse_prior": 1.3131,
+        "mse_trigonometric": 0.5720,
+        "ratio_trigonometric": 1.34,
+        "ratio_residual": 1.13,
+    },
+)

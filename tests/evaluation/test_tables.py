@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from shmoo_mjx.evaluation import method_tables
 from shmoo_mjx.evaluation.baselines import METHODS
-from shmoo_mjx.evaluation.baselines.experiment import REPLAY
+from shmoo_mjx.evaluation.baselines.experiment import REPLAY, baselines_table
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result, over_seeds
 
 
@@ -23,7 +22,7 @@ def result() -> ExperimentResult:
 
 
 def test_a_line_says_what_a_method_reaches_with_which_setting_the_best_first() -> None:
-    table = method_tables.baselines_table(result())
+    table = baselines_table(result())
     assert "| ours | 0.25 | 1 |  | 0.25±0.01 | 0.25 | 0.25 | 0.25 | default |" in table
     assert "| adaptive residual, with contact model | 0.5 | 2 | 1.5 | 0.5 | 0.5 | 0.5 | 0.5 | ridge 10.0 |" in table
     assert "2 unseen objects, 3 seeds." in table and table.index("| ours") < table.index("| adaptive")
@@ -33,7 +32,7 @@ def test_a_method_that_diverges_is_last_and_says_so() -> None:
     metrics = over_seeds("mse", "residual", [1.0, np.inf]) | over_seeds("mse", "ours", [1.0, 2.0])
     metrics |= over_seeds("pos_rmse_3s_m", "ours", [np.nan, np.nan])
     made = make_result("baselines", ExperimentOptions(), {"unseen": {"box": 2}, "seeds": 2}, metrics, {}, [])
-    ours, residual = [line.split("|") for line in method_tables.baselines_table(made).splitlines()[2:4]]
+    ours, residual = [line.split("|") for line in baselines_table(made).splitlines()[2:4]]
     assert ours[1:3] == [" ours ", " 1.5±0.5 "] and ours[7] == " - "
     assert residual[2] == " diverges "
 
@@ -42,7 +41,5 @@ def test_every_method_has_a_line() -> None:
     config = {"unseen": {"box": 2}, "seeds": 3}
     compared = [*METHODS, REPLAY, "prior"]
     metrics = {f"mse_{name}": 1.0 + i for i, name in enumerate(compared)}
-    lines = method_tables.baselines_table(
-        make_result("baselines", ExperimentOptions(), config, metrics, {}, [])
-    ).splitlines()
+    lines = baselines_table(make_result("baselines", ExperimentOptions(), config, metrics, {}, [])).splitlines()
     assert len([line for line in lines if line.startswith("| ")]) == 1 + len(compared)
