@@ -97,7 +97,18 @@ def navigate(
     name = str(scenario) if scenario else "--start/--goal"
     with progress.stages() as report:
         result = run.run_scenario(
-            grid, task, out, weights, video, name, report, record, chosen, real_time, policy, method
+            grid,
+            task,
+            out,
+            weights=weights,
+            video=video,
+            name=name,
+            progress=report,
+            record=record,
+            senses=chosen,
+            real_time=real_time,
+            policy=policy,
+            method=method,
         )
     if real_time:
         late = result["missed_deadlines"]
@@ -140,10 +151,19 @@ def push(
     from shmoo_mjx.base import progress
     from shmoo_mjx.run import scenario_run as run
 
-    grid, task = run.push_inputs(family, goal, set, seed, start)
+    grid, task = run.push_inputs(family, goal, set, seed=seed, start=start)
     with progress.stages() as report:
         result = run.run_scenario(
-            grid, task, out, weights, video, "push", report, record, _senses(senses), method=method
+            grid,
+            task,
+            out,
+            weights=weights,
+            video=video,
+            name="push",
+            progress=report,
+            record=record,
+            senses=_senses(senses),
+            method=method,
         )
     print(f"{result['outcome']}: {result['reason']}; {out / 'report.html'}")
     return 0 if result["outcome"] == "success" else 1

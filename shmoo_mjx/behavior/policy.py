@@ -61,7 +61,7 @@ class PolicyNavigator(Navigator):
         seed: int = 0,
         config: NavigatorConfig | None = None,
     ) -> None:
-        super().__init__(grid, goal, sizes, controller, seed, config)
+        super().__init__(grid, goal, sizes, controller, seed=seed, config=config)
         self._name = name
         self._make = lambda: maker(grid, self.state.goal, self.setup.sizes, controller, self.setup.config)
         self._policy = custom.asked("policy", self._name, self._make)

@@ -65,7 +65,7 @@ class RolloutPlanner(Protocol):
     """What plans by roll-outs of its model, as Algorithm 1 asks for."""
 
     def planning_rollouts(
-        self, state: Any, goal: Float[Array, "3"], around: LocalDistanceField, half_extents: Float[Array, "2"]
+        self, state: Any, goal: Float[Array, "3"], clearance: LocalDistanceField, half_extents: Float[Array, "2"]
     ) -> tuple[Float[np.ndarray, "S T 3"], Float[np.ndarray, "S T 2"], Float[np.ndarray, "S"]]:
         """Object poses and robot positions in {W}, and costs, of roll-outs towards ``goal``."""
 
