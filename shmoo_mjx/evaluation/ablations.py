@@ -82,7 +82,7 @@ def _trained(setup: Setup[AblationsConfig], trial: tuple[str, int]) -> list[dict
     scale = output_scale(recordings(store.of_training(setup.data.train).split("train")).samples)
     rows = []
     for seconds in config.fit_seconds if variant == "default" else (max(config.fit_seconds),):
-        scores = scoring.score(predictor, unseen, scale, round(seconds / DT), fit_samples)
+        scores = scoring.score(predictor, unseen, scale, round(seconds / DT), from_sample=fit_samples)
         # The mean hangs on objects that hardly move.
         median = {"fvu_median": float(np.nanmedian(scores["fvu"]))}
         rows.append(label | {"fit_seconds": seconds} | scoring.average(scores) | median)

@@ -18,40 +18,52 @@ def navigation_tables(result: ExperimentResult) -> str:
     return "\n\n".join(part for part in parts if part)
 
 
+_COLUMNS = (
+    ("success", ".2f", "success_rate_certified"),
+    ("regret [s]", ".1f", "regret_s"),
+    ("median", ".1f", "regret_s_median"),
+    *zip(
+        ("to 5 m", "5 to 15 m", "over 15 m", "no way round"),
+        (".1f",) * len(EXTRA_BANDS),
+        (f"regret_s_{band}" for band in EXTRA_BANDS),
+        strict=True,
+    ),
+    ("right first choice", ".2f", "right_first_choice"),
+    ("said blocked", ".0f", "unsolvable_called_blocked", "unsolvable"),
+    ("falls", ".0f", "falls"),
+    ("wall contacts", ".0f", "wall_contacts"),
+    ("score", ".2f", "ins"),
+)
+"""Of the table of policies: head, format, and the metrics of a cell."""
+
+
 def reference_table(result: ExperimentResult) -> str:
     """Every policy against the certificates of the scenarios, a row per policy; empty where there are none."""
-    metrics, lines = result.metrics, []
-    for policy in result.config.get("policies", []):
-        prefix = "" if policy == OURS else f"baseline_{policy}_"
-        if metrics.get(f"{prefix}certified") is None:
-            continue
+    metrics = result.metrics
 
-        def shown(name: str, form: str, prefix: str = prefix) -> str:
-            value = metrics.get(prefix + name)
-            return "-" if value is None else format(value, form)
+    def cell(name: str, form: str) -> str:
+        value = metrics.get(name)
+        return "-" if value is None else format(value, form)
 
-        difference = [metrics.get(f"difference_{policy}_regret_s{end}") for end in ("", "_low", "_high")]
-        mean, low, high = difference
-        versus = "" if mean is None or low is None or high is None else f"{mean:+.1f} ({low:.1f} to {high:.1f})"
-        regrets = [shown(f"regret_s_{band}", ".1f") for band in EXTRA_BANDS]
-        called = f"{shown('unsolvable_called_blocked', '.0f')} / {shown('unsolvable', '.0f')}"
-        row = [shown_name(policy), shown("success_rate_certified", ".2f"), shown("regret_s", ".1f")]
-        row += [shown("regret_s_median", ".1f"), *regrets, shown("right_first_choice", ".2f"), called]
-        row += [shown("falls", ".0f"), shown("wall_contacts", ".0f"), shown("ins", ".2f"), versus]
-        lines.append(row)
-    if not lines:
+    prefixes = {p: "" if p == OURS else f"baseline_{p}_" for p in result.config.get("policies", [])}
+    prefixes = {policy: p for policy, p in prefixes.items() if metrics.get(f"{p}certified") is not None}
+    if not prefixes:
         return ""
-    prefix = "" if "certified" in metrics else next(k for k in metrics if k.endswith("_certified"))[: -len("certified")]
-    counts = [f"{metrics.get(f'{prefix}certified_{band}') or 0:.0f}" for band in EXTRA_BANDS]
-    head = ["policy", "success", "regret [s]", "median", "to 5 m", "5 to 15 m", "over 15 m", "no way round"]
-    head += ["right first choice", "said blocked", "falls", "wall contacts", "score", "regret of ours minus it [s]"]
+    lines = []
+    for policy, p in prefixes.items():
+        mean, low, high = (metrics.get(f"difference_{policy}_regret_s{end}") for end in ("", "_low", "_high"))
+        versus = "" if mean is None or low is None or high is None else f"{mean:+.1f} ({low:.1f} to {high:.1f})"
+        cells = (" / ".join(cell(p + name, form) for name in names) for _, form, *names in _COLUMNS)
+        lines.append([shown_name(policy), *cells, versus])
+    p = prefixes.get(OURS, next(iter(prefixes.values())))
+    counts = [cell(f"{p}certified_{band}", ".0f") for band in EXTRA_BANDS]
     return (
-        f"Policies against the certificates: {metrics.get(f'{prefix}certified') or 0:.0f} scenarios that can be "
-        f"solved, {', '.join(counts)} of them in the four columns by extra length of the way round. Regret is the time "
-        f"minus that of the best certified option (mean {metrics.get(f'{prefix}reference_s') or 0:.1f} s); a failure "
-        f"counts {FAILURE_S:.0f} s. A first choice is right if the best option that begins so is within {TIE_S:.0f} s "
-        "of the best. Said blocked: of the scenarios that no option solves.\n\n"
-    ) + markdown_table(head, lines)
+        f"Policies against the certificates: {cell(f'{p}certified', '.0f')} scenarios that can be solved, "
+        f"{', '.join(counts)} of them in the four columns by extra length of the way round. Regret is the time minus "
+        f"that of the best certified option (mean {cell(f'{p}reference_s', '.1f')} s); a failure counts "
+        f"{FAILURE_S:.0f} s. A first choice is right if the best option that begins so is within {TIE_S:.0f} s of the "
+        "best. Said blocked: of the scenarios that no option solves.\n\n"
+    ) + markdown_table(["policy", *(head for head, *_ in _COLUMNS), "regret of ours minus it [s]"], lines)
 
 
 def _differences(result: ExperimentResult) -> str:

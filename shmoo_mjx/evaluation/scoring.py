@@ -51,6 +51,7 @@ def score(
     recorded: Recordings,
     scale: Array,
     fit_samples: int = FIT_SAMPLES,
+    *,
     from_sample: int | None = None,
     roll_outs: bool = True,
 ) -> dict[str, np.ndarray]:
@@ -75,11 +76,11 @@ def score(
 
     @jax.jit
     def measure(state: Any, recorded: Recordings) -> dict[str, Array]:
-        one = jax.vmap(lambda s, r: _one_step(predictor, s, r, scale, first))(state, recorded)
+        one = jax.vmap(lambda s, r: _one_step(predictor, s, r, scale=scale, first=first))(state, recorded)
         return one | jax.vmap(lambda s, r: _ends(predictor, s, r, first))(state, recorded) if roll_outs else one
 
-    found = measure(state, jax.tree.map(jnp.asarray, recorded))
-    return {name: np.asarray(found[name], float) for name in NAMES if name in found}
+    measures = measure(state, jax.tree.map(jnp.asarray, recorded))
+    return {name: np.asarray(measures[name], float) for name in NAMES if name in measures}
 
 
 def roll_out(predictor: Predictor, state: Any, inputs: Array, time: Array) -> Array:
@@ -98,7 +99,7 @@ def roll_out(predictor: Predictor, state: Any, inputs: Array, time: Array) -> Ar
     """
     memory = _twist_slices()
 
-    def step(carry: tuple[Array, Array], row: tuple[Array, Array]) -> tuple[tuple[Array, Array], Array]:
+    def step(carry: tuple[Any, Any], row: tuple[Any, Any]) -> tuple[tuple[Any, Any], Any]:
         pose, twists = carry
         x, t = row
         for where, twist in zip(memory, twists, strict=True):
@@ -129,7 +130,7 @@ def stretches(run: Array, weights: Array, first: int, steps: int) -> tuple[np.nd
     return starts, (run[starts] > steps) & (weights[window].mean(axis=1) >= 0.5)
 
 
-def _one_step(predictor: Predictor, state: Any, recorded: Recordings, scale: Array, first: int) -> dict[str, Array]:
+def _one_step(predictor: Predictor, state: Any, recorded: Recordings, *, scale: Array, first: int) -> dict[str, Array]:
     x, y, w, _ = (v[first:] for v in recorded.samples)
     weight = w[:, None]
     count = jnp.maximum(jnp.sum(w), 1.0)
@@ -137,12 +138,12 @@ def _one_step(predictor: Predictor, state: Any, recorded: Recordings, scale: Arr
     square = jnp.where(weight > 0, _no_number_is_infinite(square), 0.0)
     per_axis = jnp.sum(weight * square, axis=0) / count
     spread = jnp.sum(weight * (y - jnp.sum(weight * y, axis=0) / count) ** 2, axis=0) / count
-    found = {f"mse_{axis}": per_axis[i] for i, axis in enumerate(("x", "y", "yaw"))}
-    return found | {"mse": jnp.mean(per_axis), "fvu": jnp.sum(per_axis / scale**2) / jnp.sum(spread / scale**2)}
+    by_axis: dict[str, Array] = {f"mse_{axis}": per_axis[i] for i, axis in enumerate(("x", "y", "yaw"))}
+    return by_axis | {"mse": jnp.mean(per_axis), "fvu": jnp.sum(per_axis / scale**2) / jnp.sum(spread / scale**2)}
 
 
 def _ends(predictor: Predictor, state: Any, recorded: Recordings, first: int) -> dict[str, Array]:
-    rows, found = recorded.samples, {}
+    rows, ends_by_horizon = recorded.samples, dict[str, Array]()
     for name, h in HORIZONS.items():
         starts, good = stretches(rows.run, rows.weights, first, h)
         window = starts[:, None] + np.arange(h)
@@ -152,8 +153,9 @@ def _ends(predictor: Predictor, state: Any, recorded: Recordings, first: int) ->
         turn = jnp.where(good, se2.wrap(error[:, 2]), 0.0)
         mean = jnp.stack([jnp.sum(error[:, :2] ** 2), jnp.sum(turn**2)])
         mean = jnp.where(jnp.any(good), _no_number_is_infinite(mean), jnp.nan) / jnp.sum(good)
-        found[f"pos_rmse_{name}_m"], found[f"yaw_rmse_{name}_deg"] = jnp.sqrt(mean[0]), jnp.rad2deg(jnp.sqrt(mean[1]))
-    return found
+        errors = {f"pos_rmse_{name}_m": jnp.sqrt(mean[0]), f"yaw_rmse_{name}_deg": jnp.rad2deg(jnp.sqrt(mean[1]))}
+        ends_by_horizon |= errors
+    return ends_by_horizon
 
 
 def _no_number_is_infinite(values: Array) -> Array:
