@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -321,27 +321,6 @@ def auc(values: np.ndarray, truth: np.ndarray) -> float:
     return float(above)
 
 
-def fig5_episodes(weights: Path, seed: int, senses: SensesName = "real") -> list[tuple[str, dict[str, Any], Any]]:
-    """(title, result, trace) of one probe of each object of the paper's Fig. 5, ended at its decision."""
-    from shmoo_mjx.run.episode import Hooks, run_episode
-
-    objects: dict[str, tuple[str, dict[str, Any]]] = {
-        "wheelchair, right wheel locked": ("wheelchair", {"locked": [False, True, False, False], "payload": 10.0}),
-        "cart, front-left wheel locked": ("cart", {"locked": [True, False, False, False], "payload": 5.0}),
-        "box": ("box", {"mass": 2.8, "payload": 0.0, "friction": 0.4}),
-    }
-    episodes = []
-    for title, (family, properties) in objects.items():
-        condition = draw_condition(family, 5, properties)
-        scenario = open_floor_scenario(condition, 0, seed, 40.0)
-        over = Hooks(over=lambda navigator: any(d.manipulable for d in navigator.decisions))
-        # The figure shows the planning stage of Algorithm 1, which takes place where K decides.
-        config = replace(navigator_config(), decides_by="K")
-        episode = run_episode(open_floor(), scenario, controller_of(weights), config=config, hooks=over, senses=senses)
-        episodes.append((title, episode.result, episode.trace))
-    return episodes
-
-
 def _metrics(setup: Setup[ObjectPlannerTrials], rows: list[dict[str, Any]]) -> dict[str, float]:
     parts = {stratum: [r for r in rows if r["stratum"] == stratum] for stratum in STRATA}
     of = {"": parts["drawn"], "_border": parts["border"], "_all": rows}
@@ -351,8 +330,7 @@ def _metrics(setup: Setup[ObjectPlannerTrials], rows: list[dict[str, Any]]) -> d
 def _draw(setup: Setup[ObjectPlannerTrials], rows: list[dict[str, Any]]) -> None:
     from shmoo_mjx.evaluation.object_planner_figures import draw_figures
 
-    options = setup.options
-    draw_figures(setup.folder, rows, fig5_episodes(options.weights_file, options.seed, options.senses))
+    draw_figures(setup.folder, rows, setup.options)
 
 
 _CRITERIA = {"reach": "roll-outs", "K": "K", "impulse": "displacement and impulse", "moved_m": "displacement"}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,17 +10,27 @@ import numpy as np
 
 from shmoo_mjx.behavior.state import NavigatorConfig
 from shmoo_mjx.evaluation.manipulable import STRATA
-from shmoo_mjx.evaluation.object_planner import FITTED, LEAST_K, told_by
+from shmoo_mjx.evaluation.object_planner import (
+    FITTED,
+    LEAST_K,
+    navigator_config,
+    open_floor,
+    open_floor_scenario,
+    told_by,
+)
+from shmoo_mjx.evaluation.result import ExperimentOptions
+from shmoo_mjx.evaluation.trials import controller_of
+from shmoo_mjx.plant.objects import draw_condition
 from shmoo_mjx.report.figures import draw_decision, evidence
 from shmoo_mjx.report.style import SERIES, blank_figure, draw_reliability, save_figure
 
 
-def draw_figures(folder: Path, rows: list[dict[str, Any]], episodes: list[tuple[str, Any, Any]]) -> None:
+def draw_figures(folder: Path, rows: list[dict[str, Any]], options: ExperimentOptions) -> None:
     """Write reliability.png, confusion.png and planned_goals.png (the paper's Fig. 5) into ``folder``."""
     touched = [r for r in rows if "probabilities" in r]
     save_figure(folder / "reliability.png", _reliability(touched))
     save_figure(folder / "confusion.png", _confusion(touched))
-    save_figure(folder / "planned_goals.png", _planned_goals(episodes))
+    save_figure(folder / "planned_goals.png", _planned_goals(options))
 
 
 def _reliability(rows: list[dict[str, Any]]) -> Any:
@@ -71,13 +82,29 @@ def _confusion(rows: list[dict[str, Any]]) -> Any:
     return figure
 
 
-def _planned_goals(episodes: list[tuple[str, Any, Any]]) -> Any:
-    figure = blank_figure(5.2 * len(episodes), 5.4)
-    for axes, (title, result, trace) in zip(figure.subplots(1, len(episodes)), episodes, strict=True):
-        if result["decisions"]:
-            last = len(result["decisions"]) - 1
-            draw_decision(axes, result, trace, last)
-            axes.set_title(f"{title}: {evidence(result['decisions'][last])}", fontsize=11)
-        else:
-            axes.set_title(f"{title}: no decision", fontsize=11)
+FIG5: dict[str, tuple[str, dict[str, Any]]] = {
+    "wheelchair, right wheel locked": ("wheelchair", {"locked": [False, True, False, False], "payload": 10.0}),
+    "cart, front-left wheel locked": ("cart", {"locked": [True, False, False, False], "payload": 5.0}),
+    "box": ("box", {"mass": 2.8, "payload": 0.0, "friction": 0.4}),
+}
+"""The objects of the paper's Fig. 5, by title: family and properties."""
+
+
+def _planned_goals(options: ExperimentOptions) -> Any:
+    """A probe of each object of `FIG5`, ended at its decision."""
+    from shmoo_mjx.run.episode import Hooks, run_episode
+
+    controller = controller_of(options.weights_file)
+    over = Hooks(over=lambda navigator: any(d.manipulable for d in navigator.decisions))
+    # The figure shows the planning stage of Algorithm 1, which takes place where K decides.
+    config = replace(navigator_config(), decides_by="K")
+    figure = blank_figure(5.2 * len(FIG5), 5.4)
+    for axes, (title, (family, properties)) in zip(figure.subplots(1, len(FIG5)), FIG5.items(), strict=True):
+        scenario = open_floor_scenario(draw_condition(family, 5, properties), 0, options.seed, 40.0)
+        episode = run_episode(open_floor(), scenario, controller, config=config, hooks=over, senses=options.senses)
+        decisions, decision = episode.result["decisions"], "no decision"
+        if decisions:
+            draw_decision(axes, episode.result, episode.trace, len(decisions) - 1)
+            decision = evidence(decisions[-1])
+        axes.set_title(f"{title}: {decision}", fontsize=11)
     return figure
