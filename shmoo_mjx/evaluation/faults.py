@@ -120,6 +120,11 @@ def _frozen(trial: _Trial, obs: Observation) -> Observation:
     return obs._replace(robot_pose=stuck, robot_twist=np.zeros_like(obs.robot_twist), object_pose=moved)
 
 
+def _felt(change: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Callable[[_Trial, Observation], Observation]:
+    """The hands' wrench is ``change`` of (the true one, the one when the fault began)."""
+    return lambda trial, obs: obs._replace(wrench=change(np.asarray(obs.wrench), trial.first.wrench))
+
+
 def _jump(trial: _Trial) -> None:
     """The estimate of {D} in {W} is 0.3 m off; the localiser has to bring it back."""
     world = trial.simulation.world
@@ -195,18 +200,11 @@ FAULTS = {
     "false_detection": Fault("the wheelchair is seen 1 m ahead for 1 s", "follow path", 1.0, perceive=_ghost),
     "odometry_jumps": Fault("the robot's estimated pose jumps by 0.3 m", "follow path", once=_jump),
     "odometry_frozen": Fault("the robot's estimated pose stands still for 2 s", "follow path", 2.0, perceive=_frozen),
-    "wrench_stuck": Fault(
-        "the hands' force stays what it was", perceive=lambda trial, obs: obs._replace(wrench=trial.first.wrench)
-    ),
+    "wrench_stuck": Fault("the hands' force stays what it was", perceive=_felt(lambda wrench, first: first)),
     "wrench_nan": Fault(
-        "the hands' force is no number",
-        perceive=lambda _, obs: obs._replace(wrench=np.full_like(obs.wrench, np.nan)),
+        "the hands' force is no number", perceive=_felt(lambda wrench, first: np.full_like(wrench, np.nan))
     ),
-    "wrench_sign": Fault(
-        "the hands' force has the wrong sign",
-        "start",
-        perceive=lambda _, obs: obs._replace(wrench=-np.asarray(obs.wrench)),
-    ),
+    "wrench_sign": Fault("the hands' force has the wrong sign", "start", perceive=_felt(lambda wrench, first: -wrench)),
     "arm_motor_dead": Fault("the left shoulder has no torque", once=_dead_shoulder),
     "command_lost": Fault("no command arrives for 200 ms", lasts=0.2, loses_commands=True),
     "commands_stop": Fault("no command arrives any more", "follow path", loses_commands=True),
