@@ -33,14 +33,16 @@ def main() -> None:
     """Print bias and slopes of each criterion."""
     folder, cfg = Path(sys.argv[1]), ObjectPlannerTrials()
     objects = {f"{first}-{index:03d}": (first, index) for first in FIRST_SEEDS for index in range(OBJECTS)}
-    rows = run_trials(
-        objects, partial(touch, cfg), folder, lambda stage, done: print(f"{stage}: {done:.0%}"), cfg.workers
-    )
+    rows = run_trials(objects, partial(touch, cfg), folder, _report, workers=cfg.workers)
     truths = np.array([row["manipulable"] for row in rows], dtype=float)
     print(f"from {len(rows)} objects, {truths.sum():.0f} manipulable")
     for criterion in FITTED:
         x = np.array([features_of(row, criterion) for row in rows])
         print(f"after 1 s, {criterion}:", np.round(regression(x, truths), 3).tolist())
+
+
+def _report(stage: str, done: float) -> None:
+    print(f"{stage}: {done:.0%}")
 
 
 def touch(cfg: ObjectPlannerTrials, trial: tuple[int, int]) -> list[dict[str, Any]]:

@@ -249,7 +249,7 @@ def survey(count: int, out: Path, workers: int) -> None:
     chunks = {f"{first:05d}": first for first in range(0, count, _CHUNK)}
     code = fingerprint("shmoo_mjx.sensing.engine", {"chunk": _CHUNK}, Path(__file__))
     report = lambda what, done: print(f"{what}, {done:.0%}", flush=True)  # noqa: E731
-    rows = run_trials(chunks, envelope, out / f"envelope-{code}", report, workers)
+    rows = run_trials(chunks, envelope, out / f"envelope-{code}", report, workers=workers)
     fell = [seed for seed, row in enumerate(rows) if row["fell"]]
     print(f"{len(rows)} worlds, {len(fell)} fell: {fell[:10]}")
 

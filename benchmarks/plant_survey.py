@@ -42,7 +42,7 @@ def survey(count: int, workers: int, out: Path) -> None:
     report = lambda what, done: print(f"{what}, {done:.0%}", flush=True)  # noqa: E731
     for family in FAMILIES:
         chunks = {f"{family}-0-{first:05d}": (family, first) for first in range(0, count, _CHUNK)}
-        rows = run_trials(chunks, outcomes, out, report, workers)
+        rows = run_trials(chunks, outcomes, out, report, workers=workers)
         failed = [row["seed"] for row in rows if row["outcome"] in ("exploded", "did not settle")]
         counts = dict(sorted(Counter(row["outcome"] for row in rows).items()))
         print(json.dumps({"family": family, "conditions": len(rows), **counts, "seeds that failed": failed}))

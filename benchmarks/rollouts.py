@@ -268,7 +268,7 @@ def main() -> None:
     drawn = [t.name for t in trials]
     folder = args.out / fingerprint(Runner.__module__, (settings, args.condition_seed, drawn), asset(WEIGHTS))
     if "trials" in args.parts:
-        run_trials({v.name: v for v in VARIANTS}, partial(push, trials), folder, say, args.workers)
+        run_trials({v.name: v for v in VARIANTS}, partial(push, trials), folder, say, workers=args.workers)
     timed = [v for v in VARIANTS if v.kind == KINDS[0]]
     asked = {f"{v.name}-{n}-cores-{args.steps}": (v, n) for v in timed for n in (1, 2) if n <= usable_cores()}
     if "times" in args.parts:

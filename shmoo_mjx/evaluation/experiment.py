@@ -108,7 +108,7 @@ def run[C: ExperimentConfig](
     metrics = experiment.metrics(setup, rows)
     if experiment.draw is not None:
         options.progress("figures", 0.98)
-        experiment.draw(setup, rows)
+        experiment.draw(replace(setup, options=options), rows)
     options.progress("done", 1.0)
     settings = asdict(setup.config) | (experiment.about(setup) if experiment.about is not None else {})
     rows = [{key: value for key, value in row.items() if key not in experiment.only_drawn} for row in rows]

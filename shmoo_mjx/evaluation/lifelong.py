@@ -7,7 +7,7 @@ reached. A goal reached with a wall touched on the way does not count as reached
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,15 +16,15 @@ import numpy as np
 import shapely
 from pydantic import BaseModel
 
-from shmoo_mjx.base.fingerprints import fingerprint
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.evaluation.navigation import POLICIES, deciding, play, scores_of, told_of
+from shmoo_mjx.evaluation.experiment import Experiment, ExperimentConfig, Prepared, Setup
+from shmoo_mjx.evaluation.navigation import POLICIES, deciding, map_arguments, play, scores_of, told_of
 from shmoo_mjx.evaluation.navigation_failures import keep_failure, write_failures
 from shmoo_mjx.evaluation.navigation_places import Places, find_places, kept
 from shmoo_mjx.evaluation.paired import OURS, metrics_by_method
-from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result, no_progress
+from shmoo_mjx.evaluation.result import ExperimentOptions
 from shmoo_mjx.evaluation.scenarios import Extra, Generated, ScenarioConfig, draw_scenario, largest_room
-from shmoo_mjx.evaluation.trials import run_trials
+from shmoo_mjx.evaluation.tables import Section, lines_of
 from shmoo_mjx.planning.distance_field import DistanceField
 from shmoo_mjx.planning.footprints import footprint_polygon
 from shmoo_mjx.planning.maps import OccupancyGrid, distance_field, load_map
@@ -37,7 +37,7 @@ _TRIES = 60
 
 
 @dataclass(frozen=True)
-class LifelongTrials:
+class LifelongTrials(ExperimentConfig):
     """What is tried."""
 
     sequences: int = 8
@@ -45,7 +45,6 @@ class LifelongTrials:
     goals: int = 5
     """Per sequence."""
     policies: tuple[str, ...] = (OURS,)
-    workers: int = 2
     scenario: ScenarioConfig = ScenarioConfig()
 
 
@@ -60,60 +59,57 @@ class GoalSequence(BaseModel):
     """Length of the path to each goal past no object, from the goal before [m]."""
 
 
-def run(options: ExperimentOptions) -> ExperimentResult:
-    """Run the experiment on the maps of ``options.maps``; ``options.scenarios`` is the number of sequences per map."""
-    folder = options.out / "lifelong"
-    cfg = LifelongTrials(policies=options.chosen(POLICIES) if options.policies else (OURS,))
-    if options.quick:
-        cfg = replace(cfg, sequences=1, goals=2)
-    if options.scenarios is not None:
-        cfg = replace(cfg, sequences=options.scenarios)
-    places = find_places(options, folder, cfg.scenario, most=1 if options.quick else None)
-    files, settings = deciding(options)
-    about_runs = asdict(cfg.scenario), options.seed, options.condition_seed, options.senses, settings
-    store = folder / f"trials-{fingerprint(__name__, about_runs, *files)}"
-    maps = list(places.maps)
-    trials = {
-        f"{name}-{i}-{cfg.goals}-{policy}": (name, i, policy)
-        for policy in cfg.policies
-        for i in range(cfg.sequences)
-        for name in maps
+def _adjust(options: ExperimentOptions, config: LifelongTrials) -> LifelongTrials:
+    count = config.sequences if options.scenarios is None else options.scenarios
+    return replace(config, sequences=count, policies=options.chosen(POLICIES) if options.policies else (OURS,))
+
+
+def _prepare(options: ExperimentOptions, config: LifelongTrials, folder: Path) -> Prepared:
+    """The maps of ``options.maps``, or generated buildings."""
+    return Prepared(
+        find_places(options, folder, config.scenario, most=1 if options.quick else None), *deciding(options)
+    )
+
+
+def _trials(setup: Setup[LifelongTrials]) -> dict[str, tuple[str, int, str]]:
+    config = setup.config
+    return {
+        f"{name}-{i}-{config.goals}-{policy}": (name, i, policy)
+        for policy in config.policies
+        for i in range(config.sequences)
+        for name in setup.data.maps
     }
-    work = partial(_trial, places, replace(options, progress=no_progress), store, cfg.goals)
-    rows = run_trials(trials, work, store, options.progress, cfg.workers)
-    write_failures(folder, [r for r in rows if r["policy"] == OURS], store, options.progress)
-    metrics = measure(rows, cfg.policies, cfg.goals)
-    about = {"senses": options.senses, "maps": maps, "generated_maps": options.maps is None}
-    return make_result("lifelong", options, asdict(cfg) | about, metrics, {}, rows)
 
 
-def _trial(
-    places: Places, options: ExperimentOptions, store: Path, goals: int, trial: tuple[str, int, str]
-) -> list[dict[str, Any]]:
+def _trial(setup: Setup[LifelongTrials], trial: tuple[str, int, str]) -> list[dict[str, Any]]:
     """One run through a sequence. No row if the map has no place for it."""
     map_name, number, policy = trial
-    grid = load_map(places.maps[map_name])
-    sequence = _kept_sequence(places, grid, map_name, number, goals)
+    grid = load_map(setup.data.maps[map_name])
+    sequence = _kept_sequence(setup, grid, map_name, number)
     if sequence is None:
         return []
     generated = sequence.generated
-    episode = play(options, grid, generated, policy, goals=sequence.goals)
+    episode = play(setup.options, grid, generated, policy, goals=sequence.goals)
     legs, reached = episode.result["legs"], _reached(episode.result["legs"])
     scores = scores_of(episode, generated.scenario, sum(sequence.shortest))
     row = {"map": map_name, "scenario": number, "policy": policy, "kind": generated.kind} | told_of(episode, generated)
     row |= {"success": row["success"] and reached == len(sequence.goals), "goals_reached": reached}
     row |= {"legs": _legs(legs, sequence.shortest)} | {k: scores[k] for k in ("effort", "effort_force")}
     if policy == OURS and not row["success"]:
-        keep_failure(store, f"{map_name}-{number}", episode)
+        keep_failure(setup.store, f"{map_name}-{number}", episode)
     return [row]
 
 
-def _kept_sequence(places: Places, grid: OccupancyGrid, map_name: str, number: int, count: int) -> GoalSequence | None:
+def _kept_sequence(
+    setup: Setup[LifelongTrials], grid: OccupancyGrid, map_name: str, number: int
+) -> GoalSequence | None:
     """Sequence ``number`` of a map, for the range of the extra length whose turn it is."""
+    places: Places = setup.data
+    count = setup.config.goals
 
     def draw(extra: Extra, rng: np.random.Generator) -> GoalSequence:
         first = draw_scenario(grid, extra, rng, places.first_unseen, cfg=places.config)
-        return draw_sequence(first, grid, rng, count, places.config)
+        return draw_sequence(first, grid, rng, count=count, cfg=places.config)
 
     return kept(places, grid, map_name, (number, count), form=GoalSequence, draw=draw)
 
@@ -164,43 +160,44 @@ def _mean(values: list[Any]) -> float | None:
 
 
 def draw_sequence(
-    found: Generated, grid: OccupancyGrid, rng: np.random.Generator, count: int, cfg: ScenarioConfig
+    generated: Generated, grid: OccupancyGrid, rng: np.random.Generator, *, count: int, cfg: ScenarioConfig
 ) -> GoalSequence:
     """Draw further goals in a scenario, ``count`` with its own; the time limit of ``cfg`` is that of each goal.
 
     Each goal can be reached from the one before if those objects are gone that stand in the way and can be moved. Every
-    second path leads through an object where it stood at first, if such a goal is found: what the robot has learned of
+    second path leads through an object where it stood at first, if there is such a goal: what the robot has learned of
     that object, or done to it, is of use then. What its own pushes have blocked meanwhile is its own affair.
 
     Raises:
         ShmooError: the map has no place for such a sequence.
     """
     walls = distance_field(grid)
-    goals, shortest = [found.scenario.goal], [found.shortest]
+    goals, shortest = [generated.scenario.goal], [generated.shortest]
     while len(goals) < count:
-        leg = _next_leg(grid, walls, found, goals[-1], len(goals) % 2 == 1, rng, cfg)
+        leg = _next_leg(grid, walls, generated, start=goals[-1], blocked=len(goals) % 2 == 1, rng=rng, cfg=cfg)
         if leg is None:
             raise ShmooError(f"{grid.source or 'the map'}: no {count} goals in a row were found; give another map.")
         goals.append((round(float(leg.points[-1][0]), 3), round(float(leg.points[-1][1]), 3)))
         shortest.append(leg.length)
     limits = Limits(time_s=cfg.time_s * count)
-    scenario = found.scenario.model_copy(update={"limits": limits})
-    world = found.model_copy(update={"scenario": scenario})
+    scenario = generated.scenario.model_copy(update={"limits": limits})
+    world = generated.model_copy(update={"scenario": scenario})
     return GoalSequence(generated=world, goals=tuple(goals), shortest=tuple(shortest))
 
 
 def _next_leg(
     grid: OccupancyGrid,
     walls: DistanceField,
-    found: Generated,
+    generated: Generated,
+    *,
     start: tuple[float, float],
     blocked: bool,
     rng: np.random.Generator,
     cfg: ScenarioConfig,
 ) -> Route | None:
     """The path past no object to a goal in reach, if possible one that an object has ``blocked`` or has not."""
-    shapes = [_shape(entry) for entry in found.scenario.objects]
-    gone = [movable and in_the_way for movable, in_the_way in zip(found.movable, found.blocking, strict=True)]
+    shapes = [_shape(entry) for entry in generated.scenario.objects]
+    gone = [movable and in_the_way for movable, in_the_way in zip(generated.movable, generated.blocking, strict=True)]
     staying = [shape for shape, is_gone in zip(shapes, gone, strict=True) if not is_gone]
     centres = grid.cell_to_world(largest_room(np.asarray(walls.values), cfg.start_clearance))
     distance = np.linalg.norm(centres - np.asarray(start), axis=1)
@@ -224,3 +221,44 @@ def _next_leg(
 
 def _shape(entry: ObjectEntry) -> shapely.Polygon:
     return footprint_polygon(entry.pose, entry.condition().half_extents)
+
+
+def _draw(setup: Setup[LifelongTrials], rows: list[dict[str, Any]]) -> None:
+    write_failures(setup.folder, [r for r in rows if r["policy"] == OURS], setup.store, setup.options.progress)
+
+
+_GOALS = range(1, LifelongTrials().goals + 1)
+
+EXPERIMENT = Experiment(
+    Section(
+        "One goal after the other",
+        "Five goals in a row in a world that stays as the robot has left it, with what it remembers of objects. A "
+        "sequence ends where the robot gives up, falls or runs out of time.",
+        ("ours",),
+        lines_of(
+            {
+                "success_rate": "all goals reached",
+                "goals_reached": "goals reached",
+                **{f"success_rate_goal{i}": f"goal {i} reached, of those begun" for i in _GOALS},
+                **{f"time_s_goal{i}": f"time to goal {i} [s]" for i in _GOALS},
+                **{f"efficiency_goal{i}": f"path efficiency to goal {i}" for i in _GOALS},
+                "falls": "falls",
+                "wall_contacts_per_100_goals": "wall contacts in 100 goals",
+                "effort": "effort efficiency, mass moved",
+                "effort_force": "effort efficiency, force",
+                "sequences": "sequences",
+            }
+        ),
+        arguments=map_arguments,
+    ),
+    LifelongTrials(),
+    quick=LifelongTrials(sequences=1, goals=2),
+    adjust=_adjust,
+    prepare=_prepare,
+    trials=_trials,
+    trial=_trial,
+    metrics=lambda setup, rows: measure(rows, setup.config.policies, setup.config.goals),
+    draw=_draw,
+    neutral=("sequences", "goals", "policies"),
+    about=lambda setup: {"maps": list(setup.data.maps), "generated_maps": setup.options.maps is None},
+)

@@ -150,7 +150,7 @@ def _trial(setup: Setup[NavigationTrials], trial: tuple[str, int, str]) -> list[
 def _draw(setup: Setup[NavigationTrials], rows: list[dict[str, Any]]) -> None:
     places, _ = setup.data
     draw_figures(setup.folder, rows, places.maps)
-    write_failures(setup.folder, [r for r in rows if r["policy"] == OURS], setup.store)
+    write_failures(setup.folder, [r for r in rows if r["policy"] == OURS], setup.store, setup.options.progress)
 
 
 def _about(setup: Setup[NavigationTrials]) -> dict[str, Any]:

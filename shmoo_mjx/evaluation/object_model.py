@@ -114,7 +114,7 @@ def _online_rows(setup: Setup[ObjectModelConfig]) -> list[dict[str, Any]]:
         for k, s in enumerate(SECONDS)
     ]
     recorded = recordings(store.read(setup.data.brakes, splits=("test",)))
-    return curve + _brake_rows(setup.config, recorded, fitted, settings, scale)
+    return curve + _brake_rows(setup.config, recorded, fitted, settings, scale=scale)
 
 
 def gap_closed(
@@ -228,7 +228,7 @@ def _curve_metrics(shares: np.ndarray) -> dict[str, float]:
 
 
 def _brake_rows(
-    config: ObjectModelConfig, recorded: Recordings, fitted: ObjectFit, settings: DaimlConfig, scale: np.ndarray
+    config: ObjectModelConfig, recorded: Recordings, fitted: ObjectFit, settings: DaimlConfig, *, scale: np.ndarray
 ) -> list[dict[str, Any]]:
     """What a brake that is put on costs each wheelchair: error on the braked object when it is not yet felt, and when
     it is known; and seconds of contact until the estimate has covered 60 % of the way between the two, NaN where there

@@ -21,7 +21,7 @@ STEPS = 30
 """Length of the drawn roll-outs [samples]."""
 
 
-def draw_roll_outs(after: Predictor, before: Predictor, objects: store.Dataset, path: Path, count: int = 8) -> None:
+def draw_roll_outs(after: Predictor, before: Predictor, objects: store.Dataset, path: Path, *, count: int = 8) -> None:
     """Eight objects, pushed for 3 s after the 25 s of adaptation: where each went, and where psi says it would go."""
     recorded = recordings(objects)
     # One family after the other, so that the eight show them all.
@@ -33,14 +33,14 @@ def draw_roll_outs(after: Predictor, before: Predictor, objects: store.Dataset, 
     figure = blank_figure(12.5, 6.2)
     axes = figure.subplots(2, (len(chosen) + 1) // 2, squeeze=False)
     for axis, i in zip(axes.flat, chosen, strict=False):
-        _draw_one(axis, after, before, recorded, i, objects)
+        _draw_one(axis, after, before, recorded=recorded, i=i, objects=objects)
     axes.flat[0].legend(fontsize=7, loc="best")
     for axis in axes.flat[len(chosen) :]:
         axis.axis("off")
     save_figure(path, figure, 130)
 
 
-def _draw_one(axis: Any, after: Predictor, before: Predictor, recorded: Any, i: int, objects: store.Dataset) -> None:
+def _draw_one(axis: Any, after: Predictor, before: Predictor, *, recorded: Any, i: int, objects: store.Dataset) -> None:
     start = _liveliest(recorded, i)
     rows = slice(start, start + STEPS)
     x, time, pose = recorded.samples.inputs[i, rows], recorded.time[i, rows], recorded.pose[i]

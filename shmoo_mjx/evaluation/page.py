@@ -24,8 +24,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from shmoo_mjx.base.files import write_whole
+from shmoo_mjx.evaluation import faults, soak
 from shmoo_mjx.evaluation.navigation_tables import reference_table
-from shmoo_mjx.evaluation.page_sections import RELIABILITY, SECTIONS
 from shmoo_mjx.evaluation.registry import EXPERIMENTS, experiment_named
 from shmoo_mjx.evaluation.result import ExperimentResult, as_json, read_result, same_weights
 from shmoo_mjx.evaluation.tables import NotMeasured, Section
@@ -37,10 +37,14 @@ SUMMARY = ("navigation", "pushing", "object_planner", "object_model", "real_push
 _BLOCK = re.compile(r"(?<=<!-- results -->\n).*?(?=<!-- end -->)", re.DOTALL)
 
 
+RELIABILITY = {"faults": faults.EXPERIMENT.section, "soak": soak.EXPERIMENT.section}
+"""How the results of ``shmoo faults`` and ``shmoo soak`` are shown, behind the experiments."""
+
+
 @cache
 def sections() -> dict[str, Section]:
     """How each experiment is shown, in the order of the page."""
-    return {name: SECTIONS[name] if name in SECTIONS else experiment_named(name).section for name in EXPERIMENTS}
+    return {name: experiment_named(name).section for name in EXPERIMENTS}
 
 
 def section_named(name: str) -> Section:

@@ -47,11 +47,6 @@ def run_experiment(name: str, options: ExperimentOptions, config: Any = None) ->
 
     ``config`` takes the place of the experiment's own, its short form and the options that adjust it.
     """
-    if name not in EXPERIMENTS:
-        raise ShmooError(f"experiment {name!r} is not known; choose one of {', '.join(EXPERIMENTS)}.")
+    experiment = experiment_named(name)
     with claimed(options.out / name):
-        module = import_module(EXPERIMENTS[name])
-        if not hasattr(module, "EXPERIMENT"):  # TODO: goes when every module has its EXPERIMENT
-            result: ExperimentResult = module.run(options)
-            return result
-        return run(name, experiment_named(name), options, config)
+        return run(name, experiment, options, config)

@@ -88,7 +88,7 @@ def _trial(setup: Setup[RobotFinetuneConfig], number: int) -> list[dict[str, Any
     robots = {"before": weights.params.robot, "after": _tuned(setup, weights, train, number)}
     if config.more:
         train = _record(setup, robot_seed, config.more * config.train_episodes)
-        robots["more"] = _tuned(setup, weights, train, number, config.most_epochs)
+        robots["more"] = _tuned(setup, weights, train, number, epochs=config.most_epochs)
     rows: list[dict[str, Any]] = []
     for label, robot in robots.items():
         mine = weights._replace(params=weights.params._replace(robot=robot))
@@ -107,7 +107,7 @@ def _pushed(setup: Setup[RobotFinetuneConfig], weights: Weights, robot_seed: int
 
 
 def _tuned(
-    setup: Setup[RobotFinetuneConfig], weights: Weights, train: store.Dataset, number: int, epochs: int | None = None
+    setup: Setup[RobotFinetuneConfig], weights: Weights, train: store.Dataset, number: int, *, epochs: int | None = None
 ) -> RobotParams:
     """R trained further, for ``epochs`` or as the config says; the last episodes of each family, in the same share,
     are for early stopping."""

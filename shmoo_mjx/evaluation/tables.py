@@ -74,7 +74,7 @@ def metrics_table(result: ExperimentResult, columns: Sequence[str], lines: Seque
     return markdown_table(["", *(columns[i] for i in shown), "paper"], rows)
 
 
-def cell(metrics: Metrics, name: str, std: str = "", infinite: str = "-", absent: str = "") -> str:
+def cell(metrics: Metrics, name: str, std: str = "", *, infinite: str = "-", absent: str = "") -> str:
     """A metric with its standard deviation ``std``, where it has one; ``infinite`` where it has no number."""
     if name not in metrics:
         return absent

@@ -23,6 +23,7 @@ def run_trials(
     work: Work,
     folder: Path,
     progress: Callable[[str, float], None],
+    *,
     workers: int = 2,
 ) -> list[dict[str, Any]]:
     """The rows of every trial, in the order of ``trials``; those that ``folder`` has already are read from it.

@@ -11,11 +11,12 @@ import pytest
 import shapely
 from toy import toy_generated, toy_scenario
 
-from shmoo_mjx.evaluation import lifelong, navigation
+from shmoo_mjx.evaluation import experiment, lifelong, navigation
 from shmoo_mjx.evaluation.certify import Attempt, Certificate
 from shmoo_mjx.evaluation.lifelong import GoalSequence, draw_sequence, measure
 from shmoo_mjx.evaluation.navigation import play
 from shmoo_mjx.evaluation.page import render
+from shmoo_mjx.evaluation.registry import run_experiment
 from shmoo_mjx.evaluation.result import ExperimentOptions
 from shmoo_mjx.evaluation.scenarios import Generated, ScenarioConfig, draw_scenario
 from shmoo_mjx.planning.floorplan import draw_building
@@ -40,7 +41,7 @@ def drawn() -> tuple[OccupancyGrid, GoalSequence]:
     rng, cfg = np.random.default_rng(0), ScenarioConfig()
     grid = draw_building(rng)
     return grid, draw_sequence(
-        draw_scenario(grid, None, rng, 1_000_000, cfg=cfg, certifier=all_move), grid, rng, 5, cfg
+        draw_scenario(grid, None, rng, 1_000_000, cfg=cfg, certifier=all_move), grid, rng, count=5, cfg=cfg
     )
 
 
@@ -117,9 +118,11 @@ def test_legs_are_measured_one_by_one(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr(lifelong, "_kept_sequence", lambda *args: sequence)
     monkeypatch.setattr(lifelong, "keep_failure", lambda store, name, episode: kept.append(name))
     monkeypatch.setattr(
-        lifelong, "run_trials", lambda trials, work, *rest: [row for t in trials.values() for row in work(t)]
+        experiment,
+        "run_trials",
+        lambda trials, work, *rest, workers: [row for t in trials.values() for row in work(t)],
     )
-    result = lifelong.run(ExperimentOptions(out=tmp_path, quick=True, scenarios=2, senses="perfect"))
+    result = run_experiment("lifelong", ExperimentOptions(out=tmp_path, quick=True, scenarios=2, senses="perfect"))
     assert asked == [("ours", sequence.goals)] * 2 and kept == ["building_0-1"]
     metrics = result.metrics
     assert (metrics["success_rate"], metrics["goals_reached"], metrics["sequences"]) == (0.5, 0.75, 2)
@@ -166,5 +169,5 @@ def test_a_run_is_given_what_it_can_take(monkeypatch: pytest.MonkeyPatch) -> Non
 
 @pytest.mark.slow
 def test_two_goals_in_a_row(tmp_path: Path) -> None:
-    result = lifelong.run(ExperimentOptions(out=tmp_path, quick=True))
+    result = run_experiment("lifelong", ExperimentOptions(out=tmp_path, quick=True))
     assert len(result.rows) == 1 and result.metrics["falls"] == 0 and result.rows[0]["legs"]

@@ -46,6 +46,7 @@ def meta_train(
     job: Job,
     params: Tree,
     predictor: Callable[[Tree], Predictor],
+    *,
     name: str,
     sees: Sight,
     adapt_samples: int = 100,
@@ -79,7 +80,7 @@ def meta_train(
     ) -> tuple[_State, Array]:
         def update(state: _State, _: None) -> tuple[_State, Array]:
             key, batch_key = jax.random.split(jax.random.wrap_key_data(state.key))
-            tasks = _draw(train, contacts, sampler, batch_key, adapt_samples)
+            tasks = _draw(train, contacts, sampler, batch_key, adapt_samples=adapt_samples)
             total, gradient = jax.value_and_grad(lambda p: jnp.mean(jax.vmap(task_loss, (None, 0))(p, tasks)))(
                 state.params
             )
@@ -132,7 +133,7 @@ def _known(made: Predictor, context: Context) -> multistep.Predict:
 
 
 def _draw(
-    train: Recordings, contacts: Float[Array, "C M p"], sampler: Sampler, key: Key[Array, ""], adapt_samples: int
+    train: Recordings, contacts: Float[Array, "C M p"], sampler: Sampler, key: Key[Array, ""], *, adapt_samples: int
 ) -> MetaTask:
     """The batches that DAIML draws."""
     key, contact_key = jax.random.split(key)

@@ -32,7 +32,7 @@ def mlp(job: Job, contact_model: bool = False) -> Predictor:
     def predictor(params: Any) -> Predictor:
         return Predictor(sees.contact, lambda contact, x, time: network.apply(params, sees(x, contact)) * scale)
 
-    return predictor(meta_train(job, start, predictor, "mlp", sees, adapt_samples=8))
+    return predictor(meta_train(job, start, predictor, name="mlp", sees=sees, adapt_samples=8))
 
 
 def gru(job: Job) -> Predictor:
@@ -71,4 +71,4 @@ def gru(job: Job) -> Predictor:
 
         return Predictor(jax.jit(adapt), predict)
 
-    return predictor(meta_train(job, start, predictor, "gru", sees, adapt_samples=CONTEXT_ROWS))
+    return predictor(meta_train(job, start, predictor, name="gru", sees=sees, adapt_samples=CONTEXT_ROWS))
