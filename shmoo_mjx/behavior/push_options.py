@@ -86,7 +86,7 @@ class Push:
     """Expected time to the robot's goal [s], failures and what follows them included."""
 
 
-class _Of(NamedTuple):
+class _PushOptions(NamedTuple):
     """What each of the options is."""
 
     side: np.ndarray
@@ -95,7 +95,7 @@ class _Of(NamedTuple):
 
 def make_options(
     pose: Float[np.ndarray, "3"], half_extents: tuple[float, float], places: Float[np.ndarray, "8 3"]
-) -> _Of:
+) -> _PushOptions:
     """Pushes on every side in several directions, on every corner straight on, and on each to a place of its own;
     always as many."""
     which = [*((i, b) for i in range(4) for b in _BEARINGS), *((i, 0.0) for i in range(4, 8))]
@@ -103,7 +103,7 @@ def make_options(
     faces = np.stack([*(about[i] for i, _ in which), *about])
     goals = np.stack([*(goal_ahead(pose, about[i], bearing) for i, bearing in which), *places])
     side = np.array([*(i for i, _ in which), *range(8)])
-    return _Of(side, Options(faces.astype(np.float32), goals.astype(np.float32)))
+    return _PushOptions(side, Options(faces.astype(np.float32), goals.astype(np.float32)))
 
 
 def predict_pushes(

@@ -6,10 +6,11 @@ On another processor or with other versions they may not; then the first sample 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from shmoo_mjx.behavior.interaction import Machine
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.report.trace import load_result
 from shmoo_mjx.run.recording import RECORDING_FILE, Recording, load_recording
@@ -64,7 +65,7 @@ def replay(run: Path, weights: Path | None = None) -> Difference | None:
     return differences(navigator, recorded)
 
 
-def differences(navigator: Any, recorded: Recording) -> Difference | None:
+def differences(navigator: Machine, recorded: Recording) -> Difference | None:
     """The first sample at which ``navigator``, fresh from the start, gives another command than the recorded one."""
     for i, time in enumerate(recorded.observations.time[:, 0]):
         if i and not np.array_equal(recorded.goals[i], recorded.goals[i - 1]):

@@ -8,7 +8,7 @@ import shlex
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -32,6 +32,11 @@ from shmoo_mjx.planning.scenario import (
     with_own_objects,
 )
 from shmoo_mjx.types import DT
+
+if TYPE_CHECKING:
+    from shmoo_mjx.control.pushing import PushController
+    from shmoo_mjx.report.trace import Trace
+    from shmoo_mjx.run.episode import Episode
 
 OWN_WEIGHTS = "weights.safetensors"
 """What a run's folder calls the weights of a run, if they are not those of its method."""
@@ -159,8 +164,8 @@ def save_run(
     scenario: Scenario,
     *,
     result: dict[str, Any],
-    trace: Any,
-    controller: Any,
+    trace: Trace,
+    controller: PushController,
     method: str = "ours",
 ) -> dict[str, Any]:
     """Write what a report is made of into the folder ``out``, and all that it takes to run it again, wherever the
@@ -223,7 +228,7 @@ def checked_objects(grid: OccupancyGrid, scenario: Scenario, name: str) -> list[
     return conditions
 
 
-def _write_video(path: Path, result: dict[str, Any], episode: Any, progress: Callable[[str, float], None]) -> None:
+def _write_video(path: Path, result: dict[str, Any], episode: Episode, progress: Callable[[str, float], None]) -> None:
     from shmoo_mjx.plant.render import can_render, frames
     from shmoo_mjx.report import video
 
