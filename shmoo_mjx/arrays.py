@@ -79,17 +79,17 @@ def _narrow_leaf(x: Any) -> Any:
     return x.astype(kinds[x.dtype.kind]) if x.dtype.kind in kinds else x
 
 
-def finite_numbers(what: str, given: Any, names: str) -> Float[np.ndarray, "n"]:
+def finite_numbers(what: str, value: Any, names: str) -> Float[np.ndarray, "n"]:
     """A point or pose that a user gave, as an array of doubles with one number for each of the ``names`` "x, y".
 
     Raises:
         ShmooError: it has another length, or a value that is no finite number; ``what`` says whose it is.
     """
     try:
-        numbers = np.asarray(given, dtype=float)
+        numbers = np.asarray(value, dtype=float)
     except (TypeError, ValueError):
         numbers = np.zeros(0)
     count = len(names.split(", "))
     if numbers.shape != (count,) or not np.isfinite(numbers).all():
-        raise ShmooError(f"{what} must be {count} finite numbers ({names}), not {given!r}.")
+        raise ShmooError(f"{what} must be {count} finite numbers ({names}), not {value!r}.")
     return numbers

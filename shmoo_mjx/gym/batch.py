@@ -93,7 +93,6 @@ class ShmooVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if self._engine is None:
             raise gymnasium.error.ResetNeeded("call reset before step")
         resetting = self._over
-        assert isinstance(self.action_space, gymnasium.spaces.Box)
         wanted = self.task.command(checked(actions, self.action_space), self._observed)
         self._world, observed = self._sensed.step(self._world, wanted)
         diverged = self._sensed.diverged(self._world)

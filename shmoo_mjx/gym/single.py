@@ -25,12 +25,13 @@ def space(parts: tuple[Part, ...]) -> gymnasium.spaces.Box:
     return gymnasium.spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
 
 
-def checked(actions: np.ndarray, box: gymnasium.spaces.Box) -> np.ndarray:
+def checked(actions: np.ndarray, box: gymnasium.Space[np.ndarray]) -> np.ndarray:
     """The actions, cut to what is allowed.
 
     Raises:
         ShmooError: wrong shape, or a value that is no number.
     """
+    assert isinstance(box, gymnasium.spaces.Box)
     numbers = np.asarray(actions, dtype=float)
     if numbers.shape != box.shape or not np.isfinite(numbers).all():
         raise ShmooError(f"the action must be {box.shape} finite numbers, not {actions!r}.")
@@ -100,7 +101,7 @@ class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Hold ``action`` for 0.1 s. It never truncates: the registered limit of steps does."""
         now = self._episode()
-        wanted = self.task.command(checked(action, self._box)[None], now.observed)
+        wanted = self.task.command(checked(action, self.action_space)[None], now.observed)
         world, observed = now.engine.step(now.world, wanted)
         fallen, diverged, touching = now.engine.fallen(world), now.engine.diverged(world), world.wall_contact
         after = now.outcome
@@ -152,11 +153,6 @@ class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     def start(self) -> Start:
         """How the present episode began: its objects' properties, which the observation does not tell."""
         return self._episode().start
-
-    @property
-    def _box(self) -> gymnasium.spaces.Box:
-        assert isinstance(self.action_space, gymnasium.spaces.Box)
-        return self.action_space
 
     def _episode(self) -> _Episode:
         if self._now is None:
