@@ -26,9 +26,9 @@ from shmoo_mjx.arrays import Array, Bool, Float, single_precision
 from shmoo_mjx.base.processes import check_forked
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.geometry.hands import TUCKED_HEIGHT, TUCKED_REACH
-from shmoo_mjx.plant import lowlevel, observe
-from shmoo_mjx.plant.observe import observation, planar_wrench
-from shmoo_mjx.plant.robot import RobotState, readout
+from shmoo_mjx.plant import lowlevel
+from shmoo_mjx.plant.observe import TrueStates, observation, planar_wrench
+from shmoo_mjx.plant.robot import readout
 from shmoo_mjx.plant.scene import PARTS, Scene
 from shmoo_mjx.types import DT, Command, Observation, Track
 
@@ -91,7 +91,7 @@ class _Solver(NamedTuple):
     tolerance: float
 
 
-class MjxEngine:
+class MjxEngine(TrueStates):
     """Steps W worlds of one structure. Holds models, never state.
 
     Args:
@@ -334,28 +334,9 @@ class MjxEngine:
         return world, Track(physics.astype(float), torque.astype(float), wrench.mean(axis=0), touched.any(axis=0))
 
     @single_precision
-    def robot(self, world: MjxWorld) -> RobotState:
-        """The robots' true state, batched ``[W, ...]``."""
-        return readout(*self._split(world.physics))
-
-    @single_precision
     def torque(self, world: MjxWorld, command: Command) -> Float[Array, "... 9"]:
         """Motor torques [N m] that the control asks for now; what a robot measures as motor currents."""
         return self._asked(world, command)
-
-    @single_precision
-    def fallen(self, world: MjxWorld) -> Bool[Array, "..."]:
-        """Whether the body leans more than 0.6 rad; true of a world that has diverged."""
-        return observe.fallen(self.robot(world).lean)
-
-    @single_precision
-    def diverged(self, world: MjxWorld) -> Bool[Array, "..."]:
-        """Whether the physics is lost (`observe.diverged`)."""
-        return observe.diverged(*self._split(world.physics))
-
-    def _split(self, physics: Array) -> tuple[Array, Array]:
-        nq, nv = self.scenes[0].model.nq, self.scenes[0].model.nv
-        return physics[..., 1 : 1 + nq], physics[..., 1 + nq : 1 + nq + nv]
 
     def _touched(self, data: mjx.Data) -> Array:
         """``[P]`` which of PARTS touch a wall."""

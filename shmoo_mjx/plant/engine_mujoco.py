@@ -21,9 +21,9 @@ import numpy as np
 from shmoo_mjx.arrays import Array, Bool, Float, single_precision
 from shmoo_mjx.base.processes import check_forked
 from shmoo_mjx.geometry.hands import TUCKED_HEIGHT, TUCKED_REACH
-from shmoo_mjx.plant import lowlevel, observe
-from shmoo_mjx.plant.observe import observation, planar_wrench
-from shmoo_mjx.plant.robot import NQ, NV, Robot, RobotState, readout
+from shmoo_mjx.plant import lowlevel
+from shmoo_mjx.plant.observe import TrueStates, observation, planar_wrench
+from shmoo_mjx.plant.robot import NQ, NV, Robot, readout
 from shmoo_mjx.plant.scene import PARTS, Scene
 from shmoo_mjx.types import DT, Command, Observation, Track
 
@@ -97,7 +97,7 @@ class _Stage(NamedTuple):
     data: mujoco.MjData
 
 
-class MujocoEngine:
+class MujocoEngine(TrueStates):
     """Steps W worlds of one structure. Holds compiled models and scratch memory, never state."""
 
     def __init__(self, scenes: Sequence[Scene], gains: lowlevel.Gains | None = None, threads: int = 1) -> None:
@@ -105,7 +105,6 @@ class MujocoEngine:
         self.gains = gains or lowlevel.Gains()
         first = scenes[0]
         self.timestep = float(first.model.opt.timestep)
-        self._nq, self._nv = first.model.nq, first.model.nv
         self._torso = first.model.body("robot/torso").id
         self._control = _compiled_control(first.robot, self.gains, self.timestep)
         ends = np.linspace(0, len(scenes), min(threads, len(scenes)) + 1).astype(int)
@@ -254,21 +253,6 @@ class MujocoEngine:
         qpos, qvel = self._split(world.physics)
         inputs = _packed(world.control, [qpos[:, :NQ], qvel[:, :NV]], command)
         return np.asarray(self._control(inputs), dtype=np.float64)[:, _MEMORY:]
-
-    def robot(self, world: World) -> RobotState:
-        """The robots' true state, batched ``[W, ...]``."""
-        return readout(*self._split(world.physics))
-
-    def _split(self, physics: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return physics[:, 1 : 1 + self._nq], physics[:, 1 + self._nq : 1 + self._nq + self._nv]
-
-    def fallen(self, world: World) -> Bool[np.ndarray, "W"]:
-        """Whether the body leans more than 0.6 rad; true of a world that has diverged."""
-        return np.asarray(observe.fallen(self.robot(world).lean))
-
-    def diverged(self, world: World) -> Bool[np.ndarray, "W"]:
-        """Whether the physics is lost (`observe.diverged`); the world stays so."""
-        return np.asarray(observe.diverged(*self._split(world.physics)))
 
 
 def _begin(model: mujoco.MjModel, data: mujoco.MjData, state: np.ndarray) -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from shmoo_mjx.arrays import Array, ArrayT, Bool, Float, Int, Scalar
+from shmoo_mjx.arrays import Array, ArrayT, Bool, Float, Int, Scalar, single_precision
 from shmoo_mjx.geometry import se2
-from shmoo_mjx.plant.robot import readout
+from shmoo_mjx.plant.robot import RobotState, readout
 from shmoo_mjx.plant.scene import Scene
 from shmoo_mjx.types import Observation
 
@@ -48,6 +50,32 @@ def toppled(scene: Scene, qpos: Float[np.ndarray, "... nq"]) -> Bool[np.ndarray,
     """Which objects lean more than 0.5 rad: they have fallen over, or are about to."""
     qx, qy = (qpos[..., scene.object_qpos + i] for i in (4, 5))
     return 1 - 2 * (qx**2 + qy**2) < np.cos(0.5)
+
+
+class TrueStates:
+    """What is read alike from the worlds of both engines: true states, of W worlds or of one."""
+
+    scenes: list[Scene]
+
+    def _split(self, physics: Array) -> tuple[Array, Array]:
+        """Generalised coordinates and velocities in full physics states."""
+        nq, nv = self.scenes[0].model.nq, self.scenes[0].model.nv
+        return physics[..., 1 : 1 + nq], physics[..., 1 + nq : 1 + nq + nv]
+
+    @single_precision
+    def robot(self, world: Any) -> RobotState:
+        """The robots' true state."""
+        return readout(*self._split(world.physics))
+
+    @single_precision
+    def fallen(self, world: Any) -> Bool[Array, "..."]:
+        """Whether the body leans more than 0.6 rad; true of a world that has diverged."""
+        return fallen(self.robot(world).lean)
+
+    @single_precision
+    def diverged(self, world: Any) -> Bool[Array, "..."]:
+        """Whether the physics is lost (:func:`diverged`); the world stays so."""
+        return diverged(*self._split(world.physics))
 
 
 def observation(
