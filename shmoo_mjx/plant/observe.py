@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from shmoo_mjx.arrays import Array, ArrayT, Bool, Float, Int, Scalar, single_precision
+from shmoo_mjx.arrays import Array, ArrayT, Bool, Float, Int, single_precision
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.plant.robot import RobotState, readout
 from shmoo_mjx.plant.scene import Scene
@@ -80,7 +80,7 @@ class TrueStates:
 
 def observation(
     scene: Scene,
-    time: Scalar | Float[Array, "..."],
+    time: Float[Array, "..."],
     qpos: Float[Array, "... nq"],
     qvel: Float[Array, "... nv"],
     *,
