@@ -302,7 +302,7 @@ def train(
 
     target = out or Path("weights-quick.safetensors" if quick else "weights.safetensors")
     with progress.training(what) as report:
-        score = train_part(what, data, target, seed, report, quick, form)
+        score = train_part(what, data, target, seed=seed, progress=report, quick=quick, form=form)
     print(f"{target}: {what} model, fraction of variance unexplained on validation conditions {score:.3f}")
     if quick:
         print("A short training: these weights are not for use.")

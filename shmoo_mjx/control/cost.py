@@ -83,7 +83,7 @@ def _square(vector: Float[Array, "*b n"]) -> Scalar | Float[Array, "*b"]:
     return sum((vector[..., i] ** 2 for i in range(1, vector.shape[-1])), vector[..., 0] ** 2)
 
 
-def _length(vector: Float[Array, "*b n"]) -> Scalar | Float[Array, "*b"]:
+def _length(vector: Float[Array, "*b n"]) -> Float[Array, "*b"]:
     return jnp.sqrt(_square(vector))
 
 

@@ -157,7 +157,7 @@ def shift(nominal: Float[Array, "T m"]) -> Float[Array, "T m"]:
     return jnp.concatenate([nominal[1:], nominal[-1:]])
 
 
-def _clip(cfg: MppiConfig, u: Array) -> Array:
+def _clip(cfg: MppiConfig, u: Array) -> jax.Array:
     return jnp.clip(u, jnp.asarray(cfg.low, u.dtype), jnp.asarray(cfg.high, u.dtype))
 
 

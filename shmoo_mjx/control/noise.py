@@ -8,7 +8,6 @@ from functools import lru_cache, singledispatch
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import DTypeLike
 
 from shmoo_mjx.arrays import Array, Float, Key
 from shmoo_mjx.control.mppi_config import MppiConfig
@@ -17,7 +16,7 @@ SPARE = 4096
 """Sequences in the bank beyond those of one plan, which takes a random stretch of the bank: so many plans differ."""
 
 
-def draw(cfg: MppiConfig, key: Key[Array, ""], dtype: DTypeLike) -> Float[jax.Array, "S T m"]:
+def draw(cfg: MppiConfig, key: Key[Array, ""], dtype: np.dtype) -> Float[jax.Array, "S T m"]:
     """Noise of one plan: a stretch of `bank` that ``key`` selects, and its mirror image.
 
     Without the mirror image the mean of a stretch, which is not zero, would pull every plan to one side.

@@ -39,10 +39,10 @@ class ObjectObservation(NamedTuple):
     """Time since the frame that the object's pose and twist were last seen in [s]."""
 
     @classmethod
-    def of(cls, seen: Observation, index: int) -> ObjectObservation:
+    def of(cls, obs: Observation, index: int) -> ObjectObservation:
         """From an observation of one world (batch of one)."""
-        robot = (seen.robot_pose, seen.robot_twist, seen.lean, seen.lean_rate)
-        of_object = (seen.object_pose, seen.object_twist, seen.wrench, seen.detected, seen.object_age)
+        robot = (obs.robot_pose, obs.robot_twist, obs.lean, obs.lean_rate)
+        of_object = (obs.object_pose, obs.object_twist, obs.wrench, obs.detected, obs.object_age)
         return cls(*(np.asarray(v[0]) for v in robot), *(np.asarray(v[0, index]) for v in of_object))
 
 
@@ -56,4 +56,4 @@ def local_distance_field(
     points = np.stack(np.meshgrid(corner[0] + ticks, corner[1] + ticks, indexing="xy"), axis=-1)
     values = np.asarray(clearance.at(points), dtype=np.float32)
     origin = np.array([corner[0], corner[1], 0.0], dtype=np.float32)
-    return LocalDistanceField(values, origin, np.float32(resolution))
+    return LocalDistanceField(values, origin, np.asarray(resolution, np.float32))

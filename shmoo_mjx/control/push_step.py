@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -78,6 +78,14 @@ class ControllerState(NamedTuple):
     """Whether the object was detected in that sample."""
     governor_integral: Scalar
     """Integral state of the governor's velocity loop [rad]."""
+
+
+class Memory(NamedTuple):
+    """The part of a push's state that `learn_and_plan` carries on."""
+
+    adapt: LearnerState
+    """Estimate of the object's dynamics."""
+    plan: mppi.MppiState
 
 
 class StepInputs(NamedTuple):
@@ -149,8 +157,8 @@ def step(
         The command u to apply now, the next state, and the plan: of its trajectories the object poses only.
     """
     inputs = step_inputs(model.config, state, obs, goal=goal, last_u=last_u, half_extents=half_extents)
-    u, adapt, plan_state, plan = learn_and_plan(model, state, inputs, clearance)
-    return *bounded(u, inputs, adapt, plan_state), plan
+    u, memory, plan = learn_and_plan(model, Memory(state.adapt, state.plan), inputs, clearance)
+    return *bounded(u, inputs, memory), plan
 
 
 def step_inputs(
@@ -168,23 +176,24 @@ def step_inputs(
     ``governor_room`` takes the place of the configuration's.
     """
     system, transition = _perceive(state, obs, last_u, half_extents)
-    lean, integral = _governor_bounds(config, state, obs, goal, governor_room)
+    lean, integral = _governor_bounds(config, state, obs, goal, room=governor_room)
     return StepInputs(system, transition, _f32(goal), _f32(half_extents), lean, integral)
 
 
 def learn_and_plan(
-    model: PushModel, state: ControllerState, inputs: StepInputs, clearance: LocalDistanceField | None
-) -> tuple[Float[Array, "3"], LearnerState, mppi.MppiState, mppi.Plan]:
-    """Online learning (Eq. 8, or the posterior) and MPPI: u before the governor, both states, and the plan."""
-    config, adapt = model.config, state.adapt
+    model: PushModel, memory: Memory, inputs: StepInputs, clearance: LocalDistanceField | None
+) -> tuple[Float[Array, "3"], Memory, mppi.Plan]:
+    """Online learning (Eq. 8, or the posterior) and MPPI: u before the governor, the next memory, and the plan, whose
+    trajectories are the object poses alone."""
+    config, adapt = model.config, memory.adapt
     if config.adapts:
         adapt = model.learner.adapt(adapt, model.params, inputs.transition)
         if clearance is not None:
             # What a wall holds is not the object's friction.
             rim = footprint_points(inputs.system.object_pose, inputs.half_extents)
             leans = jnp.min(clearance_at(clearance, rim)) < _LEANING_CLEARANCE
-            adapt = jax.tree.map(partial(jnp.where, leans), online.unchanged(state.adapt, adapt), adapt)
-    plan_state = state.plan._replace(last_u=inputs.system.last_u)
+            adapt = jax.tree.map(partial(jnp.where, leans), online.unchanged(memory.adapt, adapt), adapt)
+    plan_state = memory.plan._replace(last_u=inputs.system.last_u)
     u, plan_state, plan = mppi.plan(
         config.control,
         _rollout_fn(model, adapt, inputs.lean if config.foresees_governor else None),
@@ -194,33 +203,31 @@ def learn_and_plan(
         share=model.mesh and partial(sharding.shared, model.mesh),
     )
     u, plan_state = sharding.on_all(model.mesh, (u, plan_state))
-    # Of the roll-outs only these are drawn; the rest would be copied for nobody.
-    drawn = SystemState(*(None,) * len(SystemState._fields))._replace(object_pose=plan.trajectories.object_pose)
-    return u, adapt, plan_state, plan._replace(trajectories=drawn)
+    # Of the roll-outs only the object poses are drawn; the rest would be copied for nobody.
+    return u, Memory(adapt, plan_state), plan._replace(trajectories=plan.trajectories.object_pose)
 
 
-def bounded(
-    u: Float[Array, "3"], inputs: StepInputs, adapt: LearnerState, plan: mppi.MppiState
-) -> tuple[Float[Array, "3"], ControllerState]:
+def bounded(u: Float[Array, "3"], inputs: StepInputs, memory: Memory) -> tuple[Float[Array, "3"], ControllerState]:
     """The command within the governor's bounds, and the next state."""
     detected = inputs.transition.sighting.detected
-    return govern(u, *inputs.lean), ControllerState(adapt, plan, inputs.system, detected, inputs.governor_integral)
+    return govern(u, *inputs.lean), ControllerState(*memory, inputs.system, detected, inputs.governor_integral)
 
 
 def planning_rollouts(
-    model: PushModel, state: ControllerState, inputs: StepInputs, clearance: LocalDistanceField | None
+    model: PushModel,
+    state: ControllerState,
+    target: tuple[Float[Array, "3"], Float[Array, "2"]],
+    clearance: LocalDistanceField | None,
 ) -> tuple[Float[Array, "S T 3"], Float[Array, "S T 2"], Float[Array, "S"]]:
-    """The planning stage's roll-outs (T = 50): object poses and robot positions in {W}, and costs.
-
-    Of ``inputs`` the present state, the goal and the object's size are used.
-    """
-    config, plan = model.config, state.plan
+    """The planning stage's roll-outs (T = 50) from the state of the last step: object poses and robot positions in {W},
+    and costs. ``target`` is the goal, and the half extents of the object."""
+    config, plan, (goal, half_extents) = model.config, state.plan, target
     extra = _PLANNING_HORIZON - config.control.horizon
     updated = mppi.update(
         replace(config.control, horizon=_PLANNING_HORIZON),
         _rollout_fn(model, state.adapt),
-        _cost_fn(config, inputs.goal, clearance, inputs.half_extents),
-        inputs.system,
+        _cost_fn(config, goal, clearance, half_extents),
+        state.before,
         nominal=jnp.concatenate([plan.nominal, jnp.repeat(plan.nominal[-1:], extra, axis=0)]),
         last_u=plan.last_u,
         # Not 0 or 1: those are the keys that the next plan splits this one into.
@@ -239,12 +246,12 @@ def coast(model: PushModel, adapt: LearnerState, state: SystemState) -> Float[Ar
         # Where it comes to rest is for dry friction to say: the contact model has it, and psi a comes close to it only.
         if shape.contact_model:
             return contact_model.acceleration(params.contact, inputs)
-        return object_model.predict(params.object, params.coefficients, inputs, shape, params.contact)
+        return object_model.predict(params.object, params.coefficients, inputs, shape, contact=params.contact)
 
-    def one_sample(carry: tuple[Array, ...], _: None) -> tuple[tuple[Array, ...], None]:
+    def one_sample(carry: Any, _: None) -> tuple[Any, None]:
         pose, twist, last, last_wrench = carry
         inside, none = se2.rotate(twist, -pose[2]), jnp.zeros(3)
-        inputs = features.object_inputs(inside, none, last, state.size, last_wrench)
+        inputs = features.object_inputs(inside, none, last_twist=last, size=state.size, last_wrench=last_wrench)
         new = twist + se2.rotate(free(inputs), pose[2]) * DT
         speed = jnp.linalg.norm(twist[:2]) + 1e-6
         share = jnp.minimum(jnp.sum(new[:2] * twist[:2]) / speed**2, 1.0 - _LEAST_DRAG * DT / speed)
@@ -265,7 +272,9 @@ def _perceive(
     force = se2.rotate(obs.wrench[:2], -before.robot_pose[2])
     # The camera's delay and the tracker's filter make what is seen late by some 0.1 s; what is felt is not.
     felt = xp.where(obs.age > 0, before.last_wrench, wrench)
-    inputs = xp.concatenate([twist_before, felt, before.last_object_twist, before.size[None], before.last_wrench])
+    inputs = xp.concatenate(
+        [twist_before, felt, before.last_object_twist, xp.asarray(before.size)[None], before.last_wrench]
+    )
     label = se2.rotate((obs.object_twist - before.object_twist) / DT, -before.object_pose[2])
     # A pose that was carried on, now or a sample ago, says nothing about the object.
     measured = xp.asarray(obs.detected) & xp.asarray(state.detected)
@@ -286,7 +295,7 @@ def _perceive(
 
 
 def _governor_bounds(
-    config: PushConfig, state: ControllerState, obs: ObjectObservation, goal: Array, room: float | None
+    config: PushConfig, state: ControllerState, obs: ObjectObservation, goal: Array, *, room: float | None
 ) -> tuple[Array, Scalar]:
     """``[2]`` least and largest forward lean that may be commanded now [rad], and the governor's next integral."""
     low, high = config.control.low[0], config.control.high[0]

@@ -16,7 +16,7 @@ from shmoo_mjx.base.verbosity import LOG
 from shmoo_mjx.control import mppi, push_step, sharding
 from shmoo_mjx.control.observation import LocalDistanceField, ObjectObservation
 from shmoo_mjx.control.presets import PushConfig
-from shmoo_mjx.control.push_step import ControllerState, PushModel, StepInputs
+from shmoo_mjx.control.push_step import ControllerState, Memory, PushModel, StepInputs
 from shmoo_mjx.geometry.faces import faces_of
 from shmoo_mjx.learning import online
 from shmoo_mjx.learning.online import LearnerState
@@ -39,8 +39,8 @@ class PushController:
         self._model = PushModel(self.config, weights.config, sharding.replicated(mesh, weights.params), mesh)
         _, unpack = ravel_pytree(self._example_inputs())
 
-        def learn_and_plan(model: PushModel, state: ControllerState, numbers: Array, clearance: Any) -> Any:
-            return push_step.learn_and_plan(model, state, unpack(numbers), clearance)
+        def learn_and_plan(model: PushModel, memory: Memory, numbers: jax.Array, clearance: Any) -> Any:
+            return push_step.learn_and_plan(model, memory, unpack(numbers), clearance)
 
         self._learn_and_plan = sharding.compiled(learn_and_plan, mesh)
         self._rollouts = sharding.compiled(push_step.planning_rollouts, mesh)
@@ -120,13 +120,12 @@ class PushController:
             half_extents=half_extents,
             governor_room=governor_room,
         )
-        # As one array, and without what is not needed: each array costs time on its way to the device.
+        # As one array: each costs time on its way to the device.
         numbers = np.concatenate([np.ravel(x) for x in jax.tree.leaves(inputs)], dtype=np.float32)
-        memory = state._replace(before=None, detected=None, governor_integral=None)
-        u, adapt, plan_state, plan = self._learn_and_plan(self._model, memory, numbers, clearance)
-        if online.restarts(adapt) > online.restarts(state.adapt):
+        u, memory, plan = self._learn_and_plan(self._model, Memory(state.adapt, state.plan), numbers, clearance)
+        if online.restarts(memory.adapt) > online.restarts(state.adapt):
             LOG.warning("the estimate of the pushed object had lost all weight and begins anew from the prior")
-        command, after = push_step.bounded(np.asarray(u, dtype=float), inputs, adapt, plan_state)
+        command, after = push_step.bounded(np.asarray(u, dtype=float), inputs, memory)
         return np.asarray(command), after, plan
 
     @single_precision
@@ -142,9 +141,8 @@ class PushController:
         Returns:
             Object poses, robot positions in {W} and costs.
         """
-        goal, half_extents = np.asarray(goal, np.float32), np.asarray(half_extents, np.float32)
-        inputs = StepInputs(state.before, None, goal, half_extents, None, None)
-        poses, robots, costs = self._rollouts(self._model, state, inputs, clearance)
+        target = np.asarray(goal, np.float32), np.asarray(half_extents, np.float32)
+        poses, robots, costs = self._rollouts(self._model, state, target, clearance)
         return np.asarray(poses), np.asarray(robots), np.asarray(costs)
 
     @single_precision

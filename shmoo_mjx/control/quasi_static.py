@@ -40,8 +40,8 @@ LEAN_LIMIT = PushConfig().control.high[0]
 class QuasiStaticState(NamedTuple):
     """State of one push: the face, and where the object is."""
 
-    face: Float[np.ndarray, "4"]
-    pose: Float[np.ndarray, "3"]
+    face: Float[Array, "4"]
+    pose: Float[Array, "3"]
     adapt: LearnerState | None
     governor_integral: Scalar
     """Integral state of the governor's velocity loop [rad]."""
@@ -79,11 +79,11 @@ class QuasiStaticPusher:
         """The command for the next sample; arguments as for the controller it stands in for."""
         goal = np.asarray(goal, dtype=float)
         u, integral = control(self.speed, obs, state.governor_integral, face=state.face, goal=goal)
-        return u, state._replace(pose=obs.object_pose, governor_integral=integral), None
+        return np.asarray(u), state._replace(pose=obs.object_pose, governor_integral=integral), None
 
     def coast(self, state: QuasiStaticState) -> Float[np.ndarray, "3"]:
         """Pose at which the object comes to rest if it is let go now: where it is."""
-        return state.pose
+        return np.asarray(state.pose)
 
 
 def control(

@@ -116,9 +116,9 @@ def acceleration(
     for name, (front, left) in POINTS.items():
         lx, ly = mid_x + front * half_x, mid_y + left * half_y
         weight = DT * mass * GRAVITY / 4 * (1 + front * load_x) * (1 + left * load_y)
-        friction = tuple(jnp.exp(named[f"log_friction_{axis}_{name}"] + shifted) for axis in "xy")
+        friction_x, friction_y = (jnp.exp(named[f"log_friction_{axis}_{name}"] + shifted) for axis in "xy")
         stiffness = 1.0 / (inverse_mass + (lx**2 + ly**2) * inverse_inertia)
-        points.append((lx, ly, inverse_inertia * lx, inverse_inertia * ly, stiffness, weight, friction))
+        points.append((lx, ly, inverse_inertia * lx, inverse_inertia * ly, stiffness, weight, (friction_x, friction_y)))
     # Twist of the centre of mass after the push alone; then the points take from it what they hold.
     pushed = (
         vx - spin * y + DT * inverse_mass * fx,
@@ -132,7 +132,7 @@ def acceleration(
         held = []
         for (lx, ly, turn_x, turn_y, stiffness, weight, friction), (old_x, old_y) in zip(points, impulses, strict=True):
             new_x, new_y = old_x - stiffness * (ux - turn * ly), old_y - stiffness * (uy + turn * lx)
-            new_x, new_y = _within_grip(new_x, new_y, weight, *friction)
+            new_x, new_y = _within_grip(new_x, new_y, weight, friction)
             dx, dy = new_x - old_x, new_y - old_y
             ux, uy = ux + inverse_mass * dx, uy + inverse_mass * dy
             turn = turn + turn_x * dy - turn_y * dx
@@ -146,10 +146,11 @@ def acceleration(
     return jnp.stack([ux + turn * y - vx, uy - turn * x - vy, turn - spin], axis=int(shifts is not None)) / DT
 
 
-def _within_grip(x: Array, y: Array, weight: Array, friction_x: Array, friction_y: Array) -> tuple[Array, Array]:
+def _within_grip(x: Array, y: Array, weight: Array, frictions: tuple[Array, Array]) -> tuple[Array, Array]:
     """The impulse nearest to ``(x, y)`` that a point can hold: within Coulomb's circle, whose radius is the larger of
     both grips (``weight`` times friction), and within each grip along its axis. A wheel's rolling resistance thus takes
     nothing from its grip across."""
+    friction_x, friction_y = frictions
     friction = jnp.maximum(friction_x, friction_y)
     share = jnp.minimum(1.0, weight * friction * jax.lax.rsqrt(jnp.maximum(x**2 + y**2, 1e-12)))
 

@@ -23,7 +23,7 @@ from shmoo_mjx.arrays import Array, Float, Key, Scalar, single_precision
 from shmoo_mjx.dynamics import contact_model, features, object_model, robot_model
 from shmoo_mjx.dynamics.features import Contact, Facing
 from shmoo_mjx.dynamics.fused import FusedEquivariantMLP
-from shmoo_mjx.dynamics.layout import channels_first, channels_last, to_channels_first, to_channels_last
+from shmoo_mjx.dynamics.layout import MOVING, channels_first, channels_last, to_channels_first, to_channels_last
 from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
 from shmoo_mjx.dynamics.robot_model import LeanResponse, RobotConfig, RobotParams
 from shmoo_mjx.geometry.hands import HAND_RADIUS
@@ -96,7 +96,7 @@ def contact_wrench(
     face = features.facing(inside)
     touch = features.contact(face, gamma)
     force = jnp.where(_out_of_reach(inside, touch, config), 0.0, channels_first(force))
-    return channels_last(_wrench(inside, face, touch, force, config))
+    return channels_last(_wrench(inside, face, touch, force, config=config))
 
 
 @single_precision
@@ -118,7 +118,7 @@ def step(
     batch = jnp.broadcast_shapes(jnp.shape(state.robot_pose)[:-1], jnp.shape(u)[:-1])
     u = channels_first(jnp.broadcast_to(u, (*batch, 3)))
     models, inside = _fuse(params, config), to_channels_first(state, batch)
-    new, _, wrench = _advance(models, inside, _remembered(models, inside, config), u, config)
+    new, _, wrench = _advance(models, inside, _remembered(models, inside, config), u, config=config)
     return to_channels_last(new), channels_last(wrench)
 
 
@@ -138,17 +138,17 @@ def rollout(
     models = _fuse(params, config)
     start = to_channels_first(state, controls.shape[:-2])
 
-    def one_sample(carry: tuple[SystemState, Array | None], u: Array) -> tuple[Any, tuple[SystemState, Array]]:
-        new, now, wrench = _advance(models, *carry, u, config)
-        return (new, now), (new._replace(face=None, size=None), wrench)
+    def one_sample(carry: tuple[SystemState, Array | None], u: Array) -> tuple[Any, tuple[dict[str, Array], Array]]:
+        new, now, wrench = _advance(models, *carry, u, config=config)
+        return (new, now), ({name: getattr(new, name) for name in MOVING}, wrench)
 
     commands = jnp.moveaxis(controls, (-2, -1), (0, 1))
     begin = start, _remembered(models, start, config)
     states, wrenches = jax.lax.scan(one_sample, begin, commands)[1]
     # [T, n, ...] as [n, ..., T]: time becomes the last batch dimension.
     states, wrenches = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), (states, wrenches))
-    states = states._replace(face=start.face[..., None], size=start.size[..., None])
-    return to_channels_last(states), channels_last(wrenches)
+    constant = {"face": start.face[..., None], "size": jnp.asarray(start.size)[..., None]}
+    return to_channels_last(SystemState(**states, **constant)), channels_last(wrenches)
 
 
 def _fuse(params: Params, config: CoreConfig) -> _Models:
@@ -161,30 +161,38 @@ def _fuse(params: Params, config: CoreConfig) -> _Models:
 def _remembered(models: _Models, state: SystemState, config: CoreConfig) -> Array | None:
     """What the contact model predicted for the sample before ``state`` (`object_model.remembered`)."""
     last, wrench = state.last_object_twist, state.last_wrench
-    inputs = features.object_inputs(jnp.zeros_like(last), jnp.zeros_like(last), last, state.size, wrench, axis=0)
+    inputs = features.object_inputs(
+        jnp.zeros_like(last), jnp.zeros_like(last), last_twist=last, size=state.size, last_wrench=wrench, axis=0
+    )
     return object_model.remembered(inputs, config.object, models.object.contact)
 
 
 def _advance(
-    models: _Models, state: SystemState, before: Array | None, u: Array, config: CoreConfig
+    models: _Models, state: SystemState, before: Array | None, u: Array, *, config: CoreConfig
 ) -> tuple[SystemState, Array | None, Array]:
     """`step` with channels first, stage by stage: features, R, contact, O, integration. ``before`` is `_remembered`,
     and returned for the next sample."""
     face = features.facing(state)
     touch = features.contact(face, u[2])
-    base, force = _robot_stage(models, state, face, touch, u, config)
-    wrench = _wrench(state, face, touch, force, config)
+    base, force = _robot_stage(models, state, face=face, touch=touch, u=u, config=config)
+    wrench = _wrench(state, face, touch, force, config=config)
     twist = face.yaw.inverse_apply(state.object_twist)
-    inputs = features.object_inputs(twist, wrench, state.last_object_twist, state.size, state.last_wrench, axis=0)
+    inputs = features.object_inputs(
+        twist, wrench, last_twist=state.last_object_twist, size=state.size, last_wrench=state.last_wrench, axis=0
+    )
     acceleration, now = object_model.forward(models.object, inputs, config.object, before)
     if config.unilateral:
-        acceleration = acceleration + _unilateral(state, face, touch, twist, acceleration, base, force)
-    new = _integrate(models, state, u, face.heading.apply(base), face.yaw.apply(acceleration), config)
+        acceleration = acceleration + _unilateral(
+            state, face, touch, twist=twist, acceleration=acceleration, base=base, force=force
+        )
+    new = _integrate(
+        models, state, u, robot=face.heading.apply(base), thing=face.yaw.apply(acceleration), config=config
+    )
     return new._replace(last_object_twist=twist, last_wrench=wrench, last_force=force, last_u=u), now, wrench
 
 
 def _robot_stage(
-    models: _Models, state: SystemState, face: Facing, touch: Contact, u: Array, config: CoreConfig
+    models: _Models, state: SystemState, *, face: Facing, touch: Contact, u: Array, config: CoreConfig
 ) -> tuple[Array, Array]:
     """R of Eq. 2: acceleration of the base ``[3, ...]`` and force of the hands ``[2, ...]``, both in {R}."""
     inputs = features.stacked_robot_inputs(state, face, features.contact(face, state.last_u[2]), u)
@@ -193,10 +201,12 @@ def _robot_stage(
 
 
 def _integrate(
-    models: _Models, state: SystemState, u: Array, robot: Array, thing: Array, config: CoreConfig
+    models: _Models, state: SystemState, u: Array, *, robot: Array, thing: Array, config: CoreConfig
 ) -> SystemState:
     """Eq. 1: poses, twists and lean one sample later under the accelerations ``robot`` and ``thing`` in {W}."""
-    lean, lean_rate = robot_model.lean_step(models.lean, state.lean, state.lean_rate, u[:2], state.last_force)
+    lean, lean_rate = robot_model.lean_step(
+        models.lean, state.lean, state.lean_rate, target=u[:2], force=state.last_force
+    )
     half = 0.0 if config.euler else 0.5 * DT**2
     return state._replace(
         robot_pose=state.robot_pose + state.robot_twist * DT + half * robot,
@@ -215,7 +225,7 @@ def _out_of_reach(state: SystemState, touch: Contact, config: CoreConfig) -> Arr
     return jnp.all((nearest > config.open_gap) | beside, axis=0)
 
 
-def _wrench(state: SystemState, face: Facing, touch: Contact, force: Array, config: CoreConfig) -> Array:
+def _wrench(state: SystemState, face: Facing, touch: Contact, force: Array, *, config: CoreConfig) -> Array:
     """Gamma^o ``[3, ...]`` of a hand force ``[2, ...]`` that is zero out of reach."""
     in_object = face.relative.inverse_apply(force)
     gap = touch.gap + config.pressure_lead * DT * touch.rate
@@ -229,7 +239,7 @@ def _wrench(state: SystemState, face: Facing, touch: Contact, force: Array, conf
 
 
 def _unilateral(
-    state: SystemState, face: Facing, touch: Contact, twist: Array, acceleration: Array, base: Array, force: Array
+    state: SystemState, face: Facing, touch: Contact, *, twist: Array, acceleration: Array, base: Array, force: Array
 ) -> Array:
     """Correction ``[3, ...]`` of the object's acceleration in {O} so that no pushed point of the face outruns its hand.
 

@@ -138,11 +138,11 @@ def width(table: tuple[Entry, ...]) -> int:
 
 def slices(table: tuple[Entry, ...]) -> dict[str, slice]:
     """Where each named entry lies in the vector the table describes."""
-    found, start = {}, 0
+    slices, start = {}, 0
     for entry in table:
-        found[entry.name] = slice(start, start + entry.width)
+        slices[entry.name] = slice(start, start + entry.width)
         start += entry.width
-    return found
+    return slices
 
 
 def reflection(table: tuple[Entry, ...]) -> Float[np.ndarray, "n n"]:
@@ -233,6 +233,7 @@ def stacked_robot_inputs(
 def object_inputs(
     twist: Float[Array, "... 3"] | Float[Array, "3 ..."],
     wrench: Float[Array, "... 3"] | Float[Array, "3 ..."],
+    *,
     last_twist: Float[Array, "... 3"] | Float[Array, "3 ..."],
     size: Scalar | Float[Array, "..."],
     last_wrench: Float[Array, "... 3"] | Float[Array, "3 ..."],
@@ -262,7 +263,14 @@ def last_sample(inputs: Float[Array, "13 ..."]) -> tuple[Float[Array, "13 ..."],
     """
     where = slices(OBJECT_INPUTS)
     twist, last, wrench = (inputs[where[name]] for name in ("object_twist", "last_object_twist", "last_wrench"))
-    before = object_inputs(last, wrench, jnp.zeros_like(last), inputs[where["size"]][0], jnp.zeros_like(last), axis=0)
+    before = object_inputs(
+        last,
+        wrench,
+        last_twist=jnp.zeros_like(last),
+        size=inputs[where["size"]][0],
+        last_wrench=jnp.zeros_like(last),
+        axis=0,
+    )
     turned = SO2.from_angle(0.5 * (last[2] + twist[2]) * DT)
     return before, (turned.apply(twist) - last) / DT
 

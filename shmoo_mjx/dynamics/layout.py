@@ -15,6 +15,9 @@ import jax.numpy as jnp
 from shmoo_mjx.arrays import Array, Float, Scalar, Shaped
 from shmoo_mjx.types import SystemState
 
+MOVING = tuple(name for name in SystemState._fields if name not in ("face", "size"))
+"""Fields of a state that change during a push."""
+
 
 def channels_first(x: Shaped[Array, "... n"]) -> Shaped[Array, "n ..."]:
     """The last axis first."""
@@ -31,19 +34,20 @@ def to_channels_first(state: SystemState, batch: tuple[int, ...]) -> SystemState
 
     Face and size get batch dimensions of length 1 where they are the same for all.
     """
-    moving = state._replace(face=None, size=None)
-    spread = jax.tree.map(lambda x: channels_first(jnp.broadcast_to(x, (*batch, jnp.shape(x)[-1]))), moving)
+    moving = {name: jnp.asarray(getattr(state, name)) for name in MOVING}
+    spread = {name: channels_first(jnp.broadcast_to(x, (*batch, x.shape[-1]))) for name, x in moving.items()}
     face, size = jnp.asarray(state.face), jnp.asarray(state.size)
     face = face.reshape((1,) * (len(batch) + 1 - face.ndim) + face.shape)
-    return spread._replace(face=channels_first(face), size=size.reshape((1,) * (len(batch) - size.ndim) + size.shape))
+    size = size.reshape((1,) * (len(batch) - size.ndim) + size.shape)
+    return SystemState(**spread, face=channels_first(face), size=size)
 
 
 def to_channels_last(state: SystemState) -> SystemState:
     """The inverse of `to_channels_first`: channels last, face and size spread over the whole batch."""
     batch = state.robot_pose.shape[1:]
-    moving = jax.tree.map(channels_last, state._replace(face=None, size=None))
+    moving = {name: channels_last(getattr(state, name)) for name in MOVING}
     face = channels_last(jnp.broadcast_to(state.face, (state.face.shape[0], *batch)))
-    return moving._replace(face=face, size=jnp.broadcast_to(state.size, batch))
+    return SystemState(**moving, face=face, size=jnp.broadcast_to(state.size, batch))
 
 
 def time_first(x: Shaped[Array, "*S T n"]) -> Shaped[Array, "T *S n"]:

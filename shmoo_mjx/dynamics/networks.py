@@ -91,15 +91,14 @@ class _Pairs(nn.Module):
         return even @ kernel[:n] + bias, odd @ kernel[n:]
 
 
-def init(module: nn.Module, key: Key[Array, ""], n_in: int) -> Network:
+def init(module: nn.Module, key: Key[jax.Array, ""], n_in: int) -> Network:
     """Fresh weights (LeCun normal, zero bias) for ``n_in`` inputs."""
     return Network(module.init(key, jnp.zeros(n_in))["params"], jnp.zeros(n_in), jnp.ones(n_in))
 
 
 def apply(module: nn.Module, net: Network, x: Float[Array, "... n_0"]) -> Float[Array, "... n_last"]:
     """Output for the input ``x``."""
-    out: Array = module.apply({"params": net.layers}, (x - net.mean) / net.scale)
-    return out
+    return jnp.asarray(module.apply({"params": net.layers}, (x - net.mean) / net.scale))
 
 
 def with_normaliser(

@@ -17,9 +17,8 @@ from shmoo_mjx.dynamics import fused as fusing
 PREDICTED_LIMIT = 20.0
 """Cap on the contact model's predictions, in standard deviations of the labels."""
 FRICTION_SHIFTS = (-0.2, 0.0, 0.2)
-"""The contact model predicts with so much more friction [log]. A push is often close to the friction, where a few per
-cent decide whether the object holds; how the predictions differ tells psi so, and to what to hedge over a long
-roll-out."""
+"""Shifts of the log friction at which the contact model is evaluated for psi's inputs: about 20 % less, unchanged and
+20 % more, so that psi can see how close the object is to the stick-slip boundary."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,7 @@ class ObjectParams(NamedTuple):
     """Learned parameters of psi, the same for all objects."""
 
     net: networks.Network
-    linear: Float[Array, "seen n"]
+    linear: Float[Array, "n_net n"]
     """Linear part of psi on what its network sees, normalised; zero unless config.linear_terms."""
     label_scale: Float[Array, "axes"]
     """Unit in which psi a predicts each axis [m/s^2, m/s^2, rad/s^2]."""
@@ -82,19 +81,19 @@ def init(
     """Untrained parameters; ``n_in`` and ``n_axes`` differ from 13 and 3 only for other people's data."""
     config = config or ObjectConfig()
     n_in = features.width(features.OBJECT_INPUTS) if n_in is None else n_in
-    n_seen = n_in - inputs_of(config, 0, n_axes)
+    n_net = n_in - inputs_of(config, 0, n_axes)
     n_out = config.functions * (n_axes if config.per_axis else 1)
     net_key, linear_key = jax.random.split(key)
-    linear = jax.random.normal(linear_key, (n_seen, n_out)) / jnp.sqrt(n_seen) * float(config.linear_terms)
-    net = networks.init(_module(config, n_axes), net_key, n_seen)
+    linear = jax.random.normal(linear_key, (n_net, n_out)) / jnp.sqrt(n_net) * float(config.linear_terms)
+    net = networks.init(_module(config, n_axes), net_key, n_net)
     return ObjectParams(net, linear, jnp.ones(n_axes))
 
 
-def inputs_of(config: ObjectConfig, seen: int, n_axes: int) -> int:
-    """Number of inputs of psi whose network sees ``seen`` numbers: more by the contact model's, fewer by the last
+def inputs_of(config: ObjectConfig, width: int, n_axes: int) -> int:
+    """Number of inputs of psi whose network sees ``width`` numbers: more by the contact model's, fewer by the last
     wrench."""
     answers = n_axes * (len(FRICTION_SHIFTS) + config.last_wrench) * config.contact_model
-    return seen + 3 * (not config.last_wrench) - answers
+    return width + 3 * (not config.last_wrench) - answers
 
 
 def network_inputs(
@@ -102,11 +101,11 @@ def network_inputs(
     inputs: Float[Array, "... n_in"],
     config: ObjectConfig,
     contact: Float[Array, "p"],
-) -> Float[Array, "... seen"]:
+) -> Float[Array, "... n_net"]:
     """Inputs of psi's network, 25 of them: the 13 ``inputs`` and what the contact model ``contact`` predicts."""
     inputs = jnp.moveaxis(inputs, -1, 0)
     before = remembered(inputs, config, contact)
-    return jnp.moveaxis(_seen(label_scale, inputs, config, contact, before)[0], 0, -1)
+    return jnp.moveaxis(_net_inputs(label_scale, inputs, config, contact=contact, before=before)[0], 0, -1)
 
 
 def remembered(
@@ -119,13 +118,13 @@ def remembered(
     return contact_model.acceleration(contact, features.last_sample(inputs)[0])
 
 
-def _seen(
-    label_scale: Array, inputs: Array, config: ObjectConfig, contact: Array, before: Array | None
+def _net_inputs(
+    label_scale: Array, inputs: Array, config: ObjectConfig, *, contact: Array, before: Array | None
 ) -> tuple[Array, Array | None]:
     """What psi's network sees, channels first, and the contact model's prediction for these inputs."""
-    seen = inputs if config.last_wrench else inputs[:-3]
+    visible = inputs if config.last_wrench else inputs[:-3]
     if not config.contact_model:
-        return seen, None
+        return visible, None
     predicted = contact_model.acceleration(contact, inputs, FRICTION_SHIFTS)
     now = predicted[FRICTION_SHIFTS.index(0.0)]
     if before is not None:
@@ -134,7 +133,7 @@ def _seen(
     predicted = jnp.clip(
         predicted / label_scale.reshape(-1, *(1,) * (inputs.ndim - 1)), -PREDICTED_LIMIT, PREDICTED_LIMIT
     )
-    return jnp.concatenate([seen, predicted.reshape(-1, *inputs.shape[1:])]), now
+    return jnp.concatenate([visible, predicted.reshape(-1, *inputs.shape[1:])]), now
 
 
 def basis(
@@ -144,10 +143,10 @@ def basis(
 
     ``contact`` as `contact_model.PARAMETERS` lists them; ignored unless config.contact_model.
     """
-    seen = network_inputs(params.label_scale, inputs, config, contact)
-    out = networks.apply(_module(config, params.label_scale.shape[-1]), params.net, seen)
+    net_inputs = network_inputs(params.label_scale, inputs, config, contact)
+    out = networks.apply(_module(config, params.label_scale.shape[-1]), params.net, net_inputs)
     if config.linear_terms:
-        out = out + ((seen - params.net.mean) / params.net.scale) @ _linear(params, config)
+        out = out + ((net_inputs - params.net.mean) / params.net.scale) @ _linear(params, config)
     return _by_axis(params, out, config)
 
 
@@ -156,6 +155,7 @@ def predict(
     coefficients: Float[Array, "... axes K"],
     inputs: Float[Array, "... n_in"],
     config: ObjectConfig,
+    *,
     contact: Float[Array, "p"],
 ) -> Float[Array, "... axes"]:
     """O of Eq. 3: acceleration in {O}."""
@@ -183,8 +183,8 @@ def fuse(
     """
 
     def weigh(rows: Array) -> Array:
-        said = _by_axis(params, rows.T, config) * coefficients
-        return (jnp.sum(said, axis=-1) * params.label_scale).T
+        signs = _by_axis(params, rows.T, config) * coefficients
+        return (jnp.sum(signs, axis=-1) * params.label_scale).T
 
     fused = fusing.fuse_equivariant(params.net, reflections(config)) if config.equivariant else fusing.fuse(params.net)
     layers = fused.followed_by(weigh)
@@ -213,8 +213,8 @@ def forward(
     """
     if not config.residual:
         return contact_model.acceleration(fused.contact, inputs), None
-    seen, now = _seen(fused.label_scale, inputs, config, fused.contact, before)
-    return fused.layers.forward(seen, config.activation), None if before is None else now
+    net_inputs, now = _net_inputs(fused.label_scale, inputs, config, contact=fused.contact, before=before)
+    return fused.layers.forward(net_inputs, config.activation), None if before is None else now
 
 
 def coefficient_signs(config: ObjectConfig) -> Float[np.ndarray, "3 K"]:
@@ -227,14 +227,14 @@ def coefficient_signs(config: ObjectConfig) -> Float[np.ndarray, "3 K"]:
     return np.broadcast_to(signs, (3, config.functions)) if config.per_axis else axes[:, None] * signs
 
 
-def reflections(config: ObjectConfig) -> tuple[Float[np.ndarray, "seen seen"], Float[np.ndarray, "n n"]]:
+def reflections(config: ObjectConfig) -> tuple[Float[np.ndarray, "n_net n_net"], Float[np.ndarray, "n n"]]:
     """Reflection matrices of the inputs and of the outputs of psi's network."""
-    seen, axes = features.reflection(features.OBJECT_INPUTS), features.reflection(features.OBJECT_OUTPUTS)
+    inputs, axes = features.reflection(features.OBJECT_INPUTS), features.reflection(features.OBJECT_OUTPUTS)
     if not config.last_wrench:
-        seen = seen[:-3, :-3]
+        inputs = inputs[:-3, :-3]
     answers = (len(FRICTION_SHIFTS) + config.last_wrench) * config.contact_model
-    said = np.diag(axes)[:, None] * coefficient_signs(config)
-    return block_diag(seen, *[axes] * answers), np.diag(said.reshape(-1) if config.per_axis else said[0])
+    signs = np.diag(axes)[:, None] * coefficient_signs(config)
+    return block_diag(inputs, *[axes] * answers), np.diag(signs.reshape(-1) if config.per_axis else signs[0])
 
 
 def _module(config: ObjectConfig, n_axes: int) -> networks.MLP | networks.EquivariantMLP:
@@ -246,11 +246,11 @@ def _module(config: ObjectConfig, n_axes: int) -> networks.MLP | networks.Equiva
 
 
 def _linear(params: ObjectParams, config: ObjectConfig) -> Array:
-    """The linear part ``[seen, n]``, of which only what has no preferred side counts if config.equivariant."""
+    """The linear part ``[n_net, n]``, of which only what has no preferred side counts if config.equivariant."""
     if not config.equivariant:
         return params.linear
-    seen, said = reflections(config)
-    return (params.linear + seen @ params.linear @ said) / 2
+    inputs, outputs = reflections(config)
+    return (params.linear + inputs @ params.linear @ outputs) / 2
 
 
 def _by_axis(params: ObjectParams, out: Array, config: ObjectConfig) -> Array:

@@ -101,6 +101,7 @@ def lean_step(
     response: LeanResponse,
     lean: Float[Array, "2 ..."],
     rate: Float[Array, "2 ..."],
+    *,
     target: Float[Array, "2 ..."],
     force: Float[Array, "2 ..."],
 ) -> tuple[Float[Array, "2 ..."], Float[Array, "2 ..."]]:
@@ -111,4 +112,4 @@ def lean_step(
     m = response.matrix.reshape(*response.matrix.shape, *(1,) * (lean.ndim - 1))
     inputs = (lean, rate, target, force, 1.0)
     new, new_rate = (sum(m[:, row, k] * inputs[k] for k in range(5)) for row in range(2))
-    return new, new_rate
+    return jnp.asarray(new), jnp.asarray(new_rate)

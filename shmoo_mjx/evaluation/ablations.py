@@ -77,7 +77,7 @@ def _trained(setup: Setup[AblationsConfig], trial: tuple[str, int]) -> list[dict
         shares = {f"probe_{what}": _probe(config, values, samples.weights) for what, values in raw.items()}
         return [label | shares | {"chance": 1 / len(samples.inputs)}]
     settings = daiml_config(job, DaimlConfig())
-    fitted = daiml.fit_samples(samples, job.validation.samples, settings, job.directory)
+    fitted = daiml.fit_samples(samples, job.validation.samples, settings, out_dir=job.directory)
     predictor, unseen = from_fit(fitted, settings), recordings(unseen_objects(setup))
     scale = output_scale(recordings(store.of_training(setup.data.train).split("train")).samples)
     rows = []

@@ -154,7 +154,7 @@ def _roll_outs(
         pose, twist, last_twist, last_wrench = carry
         wrench = se2.rotate(estimate.true_wrench(config, force, *sensed), -pose[:, 2])
         inside = se2.rotate(twist, -pose[:, 2])
-        inputs = features.object_inputs(inside, wrench, last_twist, size, last_wrench)
+        inputs = features.object_inputs(inside, wrench, last_twist=last_twist, size=size, last_wrench=last_wrench)
         acceleration = se2.rotate(accelerations(inputs=inputs, contact=contact), pose[:, 2])
         pose = pose + twist * DT + 0.5 * acceleration * DT**2
         return (pose, twist + acceleration * DT, inside, wrench), None

@@ -167,7 +167,7 @@ def _online(fitted: ObjectFit, online: EstimateConfig) -> Callable[[Context], An
 
     def one(state: Any, row: Any) -> tuple[Any, Any]:
         x, y, counts = row
-        state = estimate.learn(online, state, x, y, fitted.params.label_scale, counts)
+        state = estimate.learn(online, state, x, y, scale=fitted.params.label_scale, valid=counts)
         return state, (coefficients, estimate.mean(state))
 
     return jax.jit(lambda rows: jax.lax.scan(one, start, (rows.inputs, rows.labels, rows.weights > 0))[1])

@@ -73,6 +73,7 @@ def step(
     state: AdaptState,
     phi: Float[Array, "3 n"],
     label: Float[Array, "3"],
+    *,
     valid: Scalar = True,
     tracking_error: Float[Array, "3"] | None = None,
     dt: float = DT,

@@ -35,7 +35,7 @@ from shmoo_mjx.learning import samples as batches
 from shmoo_mjx.learning.estimate import EstimateConfig
 from shmoo_mjx.learning.object_fit import ObjectFit
 from shmoo_mjx.learning.samples import Batch, Sampler, Samples, label_scale, samples_from_arrays, samples_from_dataset
-from shmoo_mjx.learning.training_contacts import Found
+from shmoo_mjx.learning.training_contacts import Contacts
 
 NORM_CAP = 20.0
 """gamma: cap on ||a||."""
@@ -109,7 +109,7 @@ class _State(NamedTuple):
     discriminator: Discriminator
     discriminator_opt: Any
     vectors: dict[str, Array]
-    key: Array
+    key: jax.Array
 
 
 @single_precision
@@ -132,7 +132,9 @@ def train_object(
     """
     dataset = store.of_training(data)
     train, validation = dataset.split("train"), dataset.split("validation")
-    return fit_samples(samples_from_dataset(train), samples_from_dataset(validation), config, out_dir, progress)
+    return fit_samples(
+        samples_from_dataset(train), samples_from_dataset(validation), config, out_dir=out_dir, progress=progress
+    )
 
 
 @single_precision
@@ -140,6 +142,7 @@ def fit(
     train: Mapping[str, tuple[Float[Array, "_N n_in"], Float[Array, "_N m"]]],
     validation: Mapping[str, tuple[Float[Array, "_N n_in"], Float[Array, "_N m"]]],
     config: DaimlConfig | None = None,
+    *,
     out_dir: str | Path | None = None,
     progress: Callable[[training.Progress], None] | None = None,
 ) -> ObjectFit:
@@ -152,7 +155,9 @@ def fit(
     config = replace(
         config, open_loop=False, object=replace(config.object, last_wrench=True, contact_model=False, equivariant=False)
     )
-    return fit_samples(samples_from_arrays(train), samples_from_arrays(validation), config, out_dir, progress)
+    return fit_samples(
+        samples_from_arrays(train), samples_from_arrays(validation), config, out_dir=out_dir, progress=progress
+    )
 
 
 @single_precision
@@ -160,23 +165,26 @@ def fit_samples(
     train: Samples,
     validation: Samples,
     config: DaimlConfig | None = None,
+    *,
     out_dir: str | Path | None = None,
     progress: Callable[[training.Progress], None] | None = None,
-    found: Found | None = None,
+    known_contacts: Contacts | None = None,
 ) -> ObjectFit:
-    """`train_object` on samples that are already made; ``found`` are the contact parameters where they are known."""
+    """`train_object` on samples that are already made; ``known_contacts`` are the contact parameters, if they need no
+    estimate."""
     config = config or DaimlConfig()
     device = jax.tree.map(jnp.asarray, train)
     held_out = jax.tree.map(jnp.asarray, validation)
-    if found is None:
-        find = training_contacts.estimated if config.object.contact_model else training_contacts.nothing
-        found = find(config.contact_fit, train, validation, config.fit_samples, out_dir)
-    contact_prior, contacts, held_contacts = found
+    if known_contacts is None and config.object.contact_model:
+        known_contacts = training_contacts.estimated(
+            config.contact_fit, train, validation, fit_samples=config.fit_samples, out_dir=out_dir
+        )
+    contact_prior, contacts, held_contacts = known_contacts or training_contacts.zeros(train, validation)
     sampler = batches.sampler(train, config.horizon, LABEL_FLOOR)
     epoch, scores, prior = _compiled(replace(config, seed=0))
     fitted = training.run(
         _init(config, train, contacts),
-        lambda state: epoch(device, contacts, sampler, state),
+        lambda state: epoch((device, contacts, sampler), state),
         extract=lambda state: state.model,
         evaluate=lambda model: jnp.mean(
             jnp.minimum(jnp.stack(scores(held_out, held_contacts, model)), least_squares.WORST)
@@ -190,8 +198,16 @@ def fit_samples(
     model: Model = jax.tree.map(jnp.asarray, fitted.best)
     mean, covariance, noise = prior(device, contacts, model)
     shape = model.mean.shape
-    known = mean.reshape(shape), covariance, noise
-    return ObjectFit(model.params, *known, fitted.score, fitted.history, contact_prior, config.object)
+    return ObjectFit(
+        model.params,
+        mean.reshape(shape),
+        covariance,
+        noise,
+        fitted.score,
+        fitted.history,
+        contact_prior,
+        config.object,
+    )
 
 
 @single_precision
@@ -200,7 +216,7 @@ def contacts_seen(config: DaimlConfig, fitted: ObjectFit, samples: Samples) -> F
     if not config.object.contact_model:
         return jnp.zeros((samples.inputs.shape[0], len(contact_model.PARAMETERS)))
     return training_contacts.on_first_samples(
-        config.contact_fit, fitted.contact_prior, fitted.params.label_scale, samples, config.fit_samples
+        config.contact_fit, fitted.contact_prior, fitted.params.label_scale, samples, fit_samples=config.fit_samples
     )
 
 
@@ -224,12 +240,14 @@ def _validation_scores(
     """
 
     def adapted(x: Array, y: Array, w: Array, contact: Array) -> multistep.Predict:
-        a = _coefficients(config, model, x, y, w, contact)
-        return lambda inputs: object_model.predict(model.params, a, inputs, config.object, contact)
+        a = _coefficients(config, model, (x, y, w), contact)
+        return lambda inputs: object_model.predict(model.params, a, inputs, config.object, contact=contact)
 
     horizon = config.horizon if config.open_loop else 0
     scale = model.params.label_scale
-    return multistep.scores(samples, contacts, adapted, scale, config.fit_samples, horizon, LABEL_FLOOR)
+    return multistep.scores(
+        samples, contacts, adapted, scale=scale, fit_samples=config.fit_samples, horizon=horizon, floor=LABEL_FLOOR
+    )
 
 
 def _optimiser(config: DaimlConfig) -> optax.GradientTransformation:
@@ -246,17 +264,19 @@ def _init(config: DaimlConfig, samples: Samples, contacts: Array) -> _State:
     params = params._replace(label_scale=jnp.asarray(label_scale(samples), jnp.float32))
     network_inputs = partial(object_model.network_inputs, params.label_scale, config=config.object)
     see = jax.jit(jax.vmap(lambda x, contact: network_inputs(x, contact=contact)))
-    seen = see(jnp.asarray(samples.inputs), contacts[:, -1])
-    seen = seen[jnp.asarray(samples.weights) > 0]
+    net_inputs = see(jnp.asarray(samples.inputs), contacts[:, -1])
+    net_inputs = net_inputs[jnp.asarray(samples.weights) > 0]
     reflection = object_model.reflections(config.object)[0] if config.object.equivariant else None
-    params = params._replace(net=networks.with_normaliser(params.net, seen, reflection))
+    params = params._replace(net=networks.with_normaliser(params.net, net_inputs, reflection))
     mean = 0.3 * jax.random.normal(mean_key, (n_axes, config.object.functions))
     n = mean.size
     model = Model(params, mean, jnp.eye(n), jnp.full(n_axes, jnp.log(0.5)))
     layers = params.net.layers
     discriminator = untrained_discriminator(discriminator_key, params.linear.shape[1], samples.inputs.shape[0])
     vector_keys = dict(zip(layers, jax.random.split(vector_key, len(layers)), strict=True))
-    vectors = {name: jax.random.normal(vector_keys[name], layers[name]["kernel"].shape[1:]) for name in layers}
+    vectors: dict[str, Array] = {
+        name: jax.random.normal(vector_keys[name], layers[name]["kernel"].shape[1:]) for name in layers
+    }
     optimiser = _optimiser(config)
     return _State(
         model,
@@ -286,35 +306,45 @@ def _with_learned(model: Model, learned: tuple[Any, ...], config: ObjectConfig) 
     return Model(params, mean, factor, log_noise)
 
 
-def _coefficients(config: DaimlConfig, model: Model, x: Array, y: Array, w: Array, contact: Array) -> Array:
-    """a* of Eq. 5 ``[m, K]``."""
+def _coefficients(config: DaimlConfig, model: Model, rows: tuple[Array, Array, Array], contact: Array) -> Array:
+    """a* of Eq. 5 ``[m, K]``, fitted to inputs, labels and weights of some samples."""
+    x, y, w = rows
     params, labels = model.params, y / model.params.label_scale
     if config.coupled:
         phi = object_model.design_matrix(params, x, config.object, contact) / params.label_scale[:, None]
         noise = jnp.diag(jnp.exp(2 * model.log_noise))
-        a, _ = least_squares.posterior_from_factor(phi, labels, model.mean.reshape(-1), model.factor, noise, w)
+        a, _ = least_squares.posterior_from_factor(
+            phi, labels, mean=model.mean.reshape(-1), factor=model.factor, noise=noise, weights=w
+        )
         a = a.reshape(model.mean.shape)
     else:
         psi = object_model.basis(params, x, config.object, contact)
-        a = least_squares.ridge(psi, labels, model.mean, config.ridge, w)
+        a = least_squares.ridge(psi, labels, model.mean, config.ridge, weights=w)
     return least_squares.cap_norm(a, NORM_CAP)
 
 
-def _epoch(
-    config: DaimlConfig, samples: Samples, contacts: Array, sampler: Sampler, state: _State
-) -> tuple[_State, Array]:
+def _epoch(config: DaimlConfig, data: tuple[Samples, Array, Sampler], state: _State) -> tuple[_State, Array]:
+    """One epoch on samples, contact parameters of their conditions, and what draws batches of them."""
+    samples, contacts, sampler = data
     optimiser = _optimiser(config)
 
     def update(state: _State, _: None) -> tuple[_State, Array]:
         key, batch_key, coin_key, contact_key = jax.random.split(jax.random.wrap_key_data(state.key), 4)
-        sizes = (config.conditions, config.adapt_samples, config.windows, config.horizon)
-        batch = batches.draw(samples, sampler, batch_key, *sizes)
+        batch = batches.draw(
+            samples,
+            sampler,
+            batch_key,
+            conditions=config.conditions,
+            adapt_samples=config.adapt_samples,
+            windows=config.windows,
+            horizon=config.horizon,
+        )
         which = jax.random.randint(contact_key, batch.condition.shape, 0, contacts.shape[1])
         contact = contacts[batch.condition, which]
 
-        def loss_of(learned: tuple[Any, ...]) -> tuple[Array, dict[str, Array]]:
+        def loss_of(learned: tuple[Any, ...]) -> tuple[Scalar, dict[str, Array]]:
             model = _with_learned(state.model, learned, config.object)
-            return daiml_loss(model, state.discriminator, batch, contact, config)
+            return daiml_loss(model, state.discriminator, batch, contact, config=config)
 
         gradient, terms = jax.grad(loss_of, has_aux=True)(_learned(state.model))
         learned = _learned(state.model)
@@ -325,7 +355,7 @@ def _epoch(
         model = model._replace(params=model.params._replace(net=net))
         new = state._replace(model=model, model_opt=model_opt, vectors=vectors, key=jax.random.key_data(key))
         if config.alpha > 0:
-            new = _train_discriminator(config, new, terms["psi"], batch.condition, coin_key)
+            new = _train_discriminator(config, new, psi=terms["psi"], condition=batch.condition, key=coin_key)
         return new, terms["multi_step"]
 
     state, losses = jax.lax.scan(update, state, None, length=config.epoch_updates)
@@ -333,7 +363,7 @@ def _epoch(
 
 
 def daiml_loss(
-    model: Model, discriminator: Discriminator, batch: Batch, contacts: Float[Array, "C p"], config: DaimlConfig
+    model: Model, discriminator: Discriminator, batch: Batch, contacts: Float[Array, "C p"], *, config: DaimlConfig
 ) -> tuple[Scalar, dict[str, Float[Array, "..."]]]:
     """Eq. 6 for fixed h: the multi-step loss of Eq. 4 with a* of Eq. 5, less ``alpha`` times the cross-entropy of h.
 
@@ -350,16 +380,16 @@ def daiml_loss(
     """
     params = model.params
 
-    def left_over(adapt: tuple[Array, Array, Array], windows: Any, precision: Array, contact: Array) -> Array:
-        a = _coefficients(config, model, *adapt, contact)  # Eq. 5
+    def left_over(adapt: tuple[Array, Array, Array], windows: Any, precision: Array, contact: Array) -> Scalar:
+        a = _coefficients(config, model, adapt, contact)  # Eq. 5
         return multistep.loss(
-            lambda x: object_model.predict(params, a, x, config.object, contact),  # Eq. 3
+            lambda x: object_model.predict(params, a, x, config.object, contact=contact),  # Eq. 3
             windows,
-            precision,
-            params.label_scale,
-            config.open_loop,
-            config.one_step,
-            config.loss_on_twist,
+            precision=precision,
+            scale=params.label_scale,
+            feed_back=config.open_loop,
+            one_step=config.one_step,
+            on_twist=config.loss_on_twist,
         )
 
     multi_step = jnp.mean(jax.vmap(left_over)(batch.adapt, batch.windows, batch.precision, contacts))
@@ -377,7 +407,7 @@ def _raw_basis(config: DaimlConfig, params: ObjectParams, x: Array, contact: Arr
     return psi.reshape(*psi.shape[:-2], -1) if config.object.per_axis else psi[..., 0, :]
 
 
-def untrained_discriminator(key: Array, n_psi: int, conditions: int) -> Discriminator:
+def untrained_discriminator(key: jax.Array, n_psi: int, conditions: int) -> Discriminator:
     """h before its training, for psi of ``n_psi`` outputs."""
     params: Discriminator = _discriminator(conditions).init(key, jnp.zeros(n_psi))["params"]
     return params
@@ -389,12 +419,11 @@ def _discriminator(conditions: int) -> networks.MLP:
 
 def _cross_entropy(discriminator: Discriminator, psi: Array, condition: Array) -> Array:
     conditions = discriminator["layer2"]["bias"].shape[0]
-    logits: Array = _discriminator(conditions).apply({"params": discriminator}, psi)
-    logits = jax.nn.log_softmax(logits)
+    logits = jax.nn.log_softmax(jnp.asarray(_discriminator(conditions).apply({"params": discriminator}, psi)))
     return -jnp.mean(jnp.take_along_axis(logits, condition[:, None, None], axis=-1))
 
 
-def _train_discriminator(config: DaimlConfig, state: _State, psi: Array, condition: Array, key: Array) -> _State:
+def _train_discriminator(config: DaimlConfig, state: _State, *, psi: Array, condition: Array, key: Array) -> _State:
     gradient = jax.grad(_cross_entropy)(state.discriminator, jax.lax.stop_gradient(psi), condition)
     change, opt = _optimiser(config).update(gradient, state.discriminator_opt, state.discriminator)
     trained = optax.apply_updates(state.discriminator, change)
@@ -418,9 +447,11 @@ def _prior(config: DaimlConfig, samples: Samples, contacts: Array, model: Model)
     phi = jax.vmap(lambda x, b: object_model.design_matrix(model.params, x, config.object, b))(samples.inputs, contact)
     n = model.mean.size
     fit_one = jax.vmap(partial(_coefficients, config, model))
-    fitted = fit_one(samples.inputs, samples.labels, samples.weights, contact).reshape(-1, n)
+    fitted = fit_one((samples.inputs, samples.labels, samples.weights), contact).reshape(-1, n)
     spread = jnp.cov(fitted.T).reshape(n, n)
     covariance = spread + 0.05 * jnp.diag(jnp.diag(spread)) + 1e-4 * jnp.eye(n)
     mean = jnp.mean(fitted, axis=0)
     noise = jnp.diag((0.5 * scale) ** 2)
-    return least_squares.empirical_prior(phi, samples.labels, mean, covariance, noise, samples.weights)
+    return least_squares.empirical_prior(
+        phi, samples.labels, mean=mean, covariance=covariance, noise=noise, weights=samples.weights
+    )

@@ -124,32 +124,36 @@ def init(config: EstimateConfig, prior: Float[Array, "M p"], key: Key[Array, ""]
 
 
 @single_precision
-def step(config: EstimateConfig, state: ObjectEstimate, seen: Sighting) -> ObjectEstimate:
+def step(config: EstimateConfig, state: ObjectEstimate, sighting: Sighting) -> ObjectEstimate:
     """The posterior after one more sample. One with a number that is not finite changes nothing.
 
     Args:
         config: static.
         state: of one object; vmap for more.
-        seen: what is perceived at the sample's end.
+        sighting: what is perceived at the sample's end.
     """
-    seen = Sighting(*(jnp.asarray(value) for value in seen))
-    use = jnp.all(jnp.array([jnp.all(jnp.isfinite(v)) for v in (seen.pose, seen.twist, seen.wrench, seen.size)]))
-    use &= jnp.isfinite(seen.age) | ~seen.detected
-    seen = Sighting(*(jnp.where(use, value, jnp.ones_like(value)) for value in seen))
+    sighting = Sighting(*(jnp.asarray(value) for value in sighting))
+    use = jnp.all(
+        jnp.array([jnp.all(jnp.isfinite(v)) for v in (sighting.pose, sighting.twist, sighting.wrench, sighting.size)])
+    )
+    use = use & (jnp.isfinite(sighting.age) | ~jnp.asarray(sighting.detected))
+    pose_then, twist_then, age, detected, wrench, size = (
+        jnp.where(use, value, jnp.ones_like(value)) for value in map(jnp.asarray, sighting)
+    )
     key, noise_key, resample_key = jax.random.split(state.key, 3)
-    pose = jnp.where(state.located, state.pose, seen.pose)
-    twist = jnp.where(state.located, state.twist, seen.twist)
+    pose = jnp.where(state.located, state.pose, pose_then)
+    twist = jnp.where(state.located, state.twist, twist_then)
 
     inside = se2.rotate(twist, -pose[:, 2])
-    wrench = se2.rotate(true_wrench(config, state.force, seen.wrench, noise_key), -pose[:, 2])
-    acceleration = se2.rotate(_acceleration(state.parameters, inside, wrench, seen.size), pose[:, 2])
+    felt = se2.rotate(true_wrench(config, state.force, wrench, noise_key), -pose[:, 2])
+    acceleration = se2.rotate(_acceleration(state.parameters, inside, felt, size), pose[:, 2])
     new_twist = twist + acceleration * DT
     new_pose = pose + 0.5 * (twist + new_twist) * DT
 
-    measured = seen.detected & state.located
-    age = seen.age + config.lag
-    then = new_pose - new_twist * age + 0.5 * acceleration * age**2
-    difference = seen.pose - seen.twist * seen.age - then
+    measured = detected & state.located
+    late = age + config.lag
+    then = new_pose - new_twist * late + 0.5 * acceleration * late**2
+    difference = jnp.asarray(pose_then - twist_then * age - then)
     innovation = jnp.where(measured, difference.at[:, 2].set(se2.wrap(difference[:, 2])), 0.0)
     to_pose, to_twist = config.observer
     moved = state._replace(
@@ -170,6 +174,7 @@ def learn(
     state: ObjectEstimate,
     inputs: Float[Array, "13"],
     label: Float[Array, "3"],
+    *,
     scale: Float[Array, "3"],
     valid: Scalar = True,
 ) -> ObjectEstimate:
@@ -202,19 +207,20 @@ def after_rows(
     config: EstimateConfig,
     prior: Float[Array, "M p"],
     scale: Float[Array, "3"],
-    inputs: Float[Array, "N 13"],
-    labels: Float[Array, "N 3"],
-    weights: Float[Array, "N"],
+    rows: tuple[Float[Array, "N 13"], Float[Array, "N 3"], Float[Array, "N"]],
+    *,
     key: Key[Array, ""] | None = None,
 ) -> ObjectEstimate:
-    """The posterior after N recorded samples (`learn`), of which those with weight 0 don't count."""
+    """The posterior after N recorded samples (`learn`).
+
+    ``rows`` are their inputs, labels and weights; those with weight 0 don't count.
+    """
 
     def one(state: ObjectEstimate, row: tuple[Array, ...]) -> tuple[ObjectEstimate, None]:
         x, y, w = row
-        return learn(config, state, x, y, scale, w > 0), None
+        return learn(config, state, x, y, scale=scale, valid=w > 0), None
 
-    rows = tuple(jnp.asarray(a, jnp.float32) for a in (inputs, labels, weights))
-    return jax.lax.scan(one, init(config, prior, key), rows)[0]
+    return jax.lax.scan(one, init(config, prior, key), tuple(jnp.asarray(a, jnp.float32) for a in rows))[0]
 
 
 def relocated(state: ObjectEstimate) -> ObjectEstimate:
@@ -235,11 +241,11 @@ def quantiles(state: ObjectEstimate, values: Float[Array, "N ..."], shares: tupl
     flat = values.reshape(len(weight), -1)
     order = xp.argsort(flat, axis=0)
     below = xp.cumsum(weight[order], axis=0)
-    found = [
+    columns = [
         xp.take_along_axis(flat, xp.take_along_axis(order, xp.argmax(below >= q * below[-1], axis=0)[None], 0), 0)[0]
         for q in shares
     ]
-    return xp.stack(found).reshape(len(shares), *values.shape[1:])
+    return xp.stack(columns).reshape(len(shares), *values.shape[1:])
 
 
 @single_precision
@@ -251,7 +257,9 @@ def draw(state: ObjectEstimate, key: Key[Array, ""], count: int) -> Float[Array,
 def _acceleration(parameters: Array, twist: Array, wrench: Array, size: Array) -> Array:
     """``[N, 3]`` of each particle in {O}, under its wrench."""
     last = jnp.zeros_like(twist)
-    inputs = features.object_inputs(twist.T, wrench.T, last.T, jnp.full(len(twist), size), last.T, axis=0)
+    inputs = features.object_inputs(
+        twist.T, wrench.T, last_twist=last.T, size=jnp.full(len(twist), size), last_wrench=last.T, axis=0
+    )
     return contact_model.acceleration(parameters.T, inputs).T
 
 

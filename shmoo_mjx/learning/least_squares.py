@@ -13,6 +13,7 @@ def ridge(
     labels: Float[Array, "N m"],
     mean: Float[Array, "m K"],
     strength: Scalar,
+    *,
     weights: Float[Array, "N"] | None = None,
 ) -> Float[Array, "m K"]:
     """a* of Eq. 5, regularised: argmin sum_i |y_i - psi_i a|^2 + strength |a - mean|^2, one problem per axis.
@@ -45,6 +46,7 @@ def cap_norm(a: Float[Array, "m K"], cap: float) -> Float[Array, "m K"]:
 def posterior(
     phi: Float[Array, "N m n"],
     labels: Float[Array, "N m"],
+    *,
     mean: Float[Array, "n"],
     covariance: Float[Array, "n n"],
     noise: Float[Array, "m m"],
@@ -60,12 +62,15 @@ def posterior(
         noise: covariance of a sample's residual.
         weights: weight of each sample; ones if None.
     """
-    return posterior_from_factor(phi, labels, mean, jnp.linalg.cholesky(covariance), noise, weights)
+    return posterior_from_factor(
+        phi, labels, mean=mean, factor=jnp.linalg.cholesky(covariance), noise=noise, weights=weights
+    )
 
 
 def posterior_from_factor(
     phi: Float[Array, "N m n"],
     labels: Float[Array, "N m"],
+    *,
     mean: Float[Array, "n"],
     factor: Float[Array, "n n"],
     noise: Float[Array, "m m"],
@@ -88,6 +93,7 @@ def posterior_from_factor(
 def empirical_prior(
     phi: Float[Array, "C N m n"],
     labels: Float[Array, "C N m"],
+    *,
     mean: Float[Array, "n"],
     covariance: Float[Array, "n n"],
     noise: Float[Array, "m m"],
@@ -116,7 +122,7 @@ def empirical_prior(
 
     def one_round(carry: tuple[Array, Array, Array], _: None) -> tuple[tuple[Array, Array, Array], None]:
         mean, covariance, noise = carry
-        fit = jax.vmap(lambda p, y, w: posterior(p, y, mean, covariance, noise, w))
+        fit = jax.vmap(lambda p, y, w: posterior(p, y, mean=mean, covariance=covariance, noise=noise, weights=w))
         means, spreads = fit(phi, labels, weights)
         new_mean = jnp.mean(means, axis=0)
         centred = means - new_mean

@@ -35,7 +35,9 @@ def open_loop(predict: Predict, inputs: Float[Array, "B H 13"]) -> tuple[Float[A
     def one(carry: tuple[Array, Array], x: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         twist, last = carry
         wrench, size, last_wrench = (x[..., WHERE[name]] for name in ("wrench", "size", "last_wrench"))
-        acceleration = predict(features.object_inputs(twist, wrench, last, size[..., 0], last_wrench))
+        acceleration = predict(
+            features.object_inputs(twist, wrench, last_twist=last, size=size[..., 0], last_wrench=last_wrench)
+        )
         turn = twist[..., 2] * DT + 0.5 * acceleration[..., 2] * DT**2
         following = se2.rotate(twist + acceleration * DT, -turn)
         return (following, twist), (acceleration, twist)
@@ -48,6 +50,7 @@ def open_loop(predict: Predict, inputs: Float[Array, "B H 13"]) -> tuple[Float[A
 def loss(
     predict: Predict,
     windows: tuple[Float[Array, "B H n"], Float[Array, "B H m"], Float[Array, "B H n"]],
+    *,
     precision: Float[Array, "m m"],
     scale: Float[Array, "m"],
     feed_back: bool = True,
@@ -87,8 +90,9 @@ def loss(
 
 def scores(
     samples: Samples,
-    known: Any,
+    contacts: Any,
     adapted: Callable[[Float[Array, "N n"], Float[Array, "N m"], Float[Array, "N"], Any], Predict],
+    *,
     scale: Float[Array, "m"],
     fit_samples: int,
     horizon: int,
@@ -98,8 +102,8 @@ def scores(
 
     Args:
         samples: C conditions that were not trained on.
-        known: what else is known of each, a tree of ``[C, ...]``.
-        adapted: (inputs, labels, weights of some samples, what else is known) -> the object's predictor.
+        contacts: contact parameters of each, a tree of ``[C, ...]``.
+        adapted: (inputs, labels, weights of some samples, contact parameters) -> the object's predictor.
         scale: of the labels.
         fit_samples: how many samples are adapted on, at most half of them.
         horizon: steps of the open-loop roll-out; 0 leaves it out.
@@ -111,10 +115,11 @@ def scores(
     """
     extra = floor * jnp.asarray(scale) ** 2
 
-    def one(x: Array, y: Array, w: Array, run: Array, known: Any) -> tuple[Array, Array]:
+    def one(rows: Samples, contact: Any) -> tuple[Scalar, Scalar]:
+        x, y, w, run = rows
         n, h = x.shape[0], horizon
         first = min(fit_samples, n // 2)
-        predict = adapted(x[:first], y[:first], w[:first], known)
+        predict = adapted(x[:first], y[:first], w[:first], contact)
         one_step = least_squares.fraction_unexplained(predict(x[first:]), y[first:], w[first:], extra)
         if h == 0 or n - first <= h:
             return one_step, one_step
@@ -125,4 +130,5 @@ def scores(
         change, truth = jnp.mean(rolled, axis=1), jnp.mean(y[window], axis=1)
         return one_step, least_squares.fraction_unexplained(change, truth, good, extra / h)
 
-    return jax.vmap(one)(*samples, known)
+    one_step, rolled_out = jax.vmap(one)(samples, contacts)
+    return jnp.asarray(one_step), jnp.asarray(rolled_out)

@@ -56,12 +56,12 @@ class ObjectFit(NamedTuple):
             raise ShmooError(f"adapt: x has {len(x)} rows and y {len(y)}; give as many of each, and at least one.")
         prior = self.contact_prior
         if self.config.contact_model:
-            after = estimate.after_rows(EstimateConfig(), prior, self.params.label_scale, x, y, jnp.ones(len(x)))
+            after = estimate.after_rows(EstimateConfig(), prior, self.params.label_scale, (x, y, jnp.ones(len(x))))
             prior = estimate.draw(after, jax.random.key(0), len(prior))
         adapted = self._replace(contact_prior=prior)
         phi = object_model.design_matrix(self.params, x, self.config, adapted._contact())
         mean, covariance = least_squares.posterior(
-            phi, y, self.prior_mean.reshape(-1), self.prior_covariance, self.noise
+            phi, y, mean=self.prior_mean.reshape(-1), covariance=self.prior_covariance, noise=self.noise
         )
         return adapted._replace(prior_mean=mean.reshape(self.prior_mean.shape), prior_covariance=covariance)
 
@@ -73,7 +73,7 @@ class ObjectFit(NamedTuple):
             ShmooError: x is not finite, or of another shape than psi was trained on.
         """
         x = self._checked("x", x, self._inputs())
-        return np.asarray(object_model.predict(self.params, self.prior_mean, x, self.config, self._contact()))
+        return np.asarray(object_model.predict(self.params, self.prior_mean, x, self.config, contact=self._contact()))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the fit to one safetensors file, which `load_fit` reads; whole or not at all."""
@@ -89,12 +89,12 @@ class ObjectFit(NamedTuple):
         return jnp.mean(jnp.asarray(self.contact_prior), axis=0)
 
     def _checked(self, name: str, values: Any, width: int) -> Array:
-        found = np.asarray(values, np.float32)
-        if found.ndim != 2 or found.shape[1] != width:
-            raise ShmooError(f"{name}: the array has shape {found.shape}; give [N, {width}], as in training.")
-        if not np.isfinite(found).all():
+        numbers = np.asarray(values, np.float32)
+        if numbers.ndim != 2 or numbers.shape[1] != width:
+            raise ShmooError(f"{name}: the array has shape {numbers.shape}; give [N, {width}], as in training.")
+        if not np.isfinite(numbers).all():
             raise ShmooError(f"{name}: not all numbers are finite; leave those rows out.")
-        return jnp.asarray(found)
+        return jnp.asarray(numbers)
 
 
 @single_precision

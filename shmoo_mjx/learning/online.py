@@ -84,7 +84,7 @@ class Printed:
         inputs, label = sample.inputs, sample.label
         believable = jnp.all(jnp.abs(inputs) < _BELIEVABLE) & jnp.all(jnp.abs(label) < _BELIEVABLE)
         phi = object_model.design_matrix(params.object, inputs, self.shape, params.contact)
-        return adaptation.step(self.config, state, phi, label, jnp.asarray(sample.valid) & believable)
+        return adaptation.step(self.config, state, phi, label, valid=jnp.asarray(sample.valid) & believable)
 
     def params_for_rollout(self, state: AdaptState, params: Params) -> Params:
         """See `Learner`."""

@@ -82,14 +82,14 @@ class RobotFit(NamedTuple):
 class _State(NamedTuple):
     net: networks.Network
     opt: Any
-    key: Array
+    key: jax.Array
 
 
 @single_precision
 def samples_from_dataset(dataset: store.Dataset) -> RobotSamples:
     """The samples of every condition of a data set; the first sample of an episode has no past and is left out."""
-    found = [_condition_rows(arrays) for arrays in dataset.arrays]
-    return jax.tree.map(lambda *parts: np.concatenate(parts), *found)
+    rows = [_condition_rows(arrays) for arrays in dataset.arrays]
+    return jax.tree.map(lambda *parts: np.concatenate(parts), *rows)
 
 
 def _condition_rows(arrays: dict[str, np.ndarray]) -> RobotSamples:
@@ -113,6 +113,7 @@ def train_robot(
     data: str | Path | store.Dataset,
     out_dir: str | Path | None = None,
     config: RobotFitConfig | None = None,
+    *,
     progress: Callable[[training.Progress], None] | None = None,
     start: RobotParams | None = None,
 ) -> RobotFit:
@@ -130,7 +131,14 @@ def train_robot(
     """
     dataset = store.of_training(data)
     train, validation = dataset.split("train"), dataset.split("validation")
-    return fit_samples(samples_from_dataset(train), samples_from_dataset(validation), config, out_dir, progress, start)
+    return fit_samples(
+        samples_from_dataset(train),
+        samples_from_dataset(validation),
+        config,
+        out_dir=out_dir,
+        progress=progress,
+        start=start,
+    )
 
 
 @single_precision
@@ -138,6 +146,7 @@ def fit_samples(
     train: RobotSamples,
     validation: RobotSamples,
     config: RobotFitConfig | None = None,
+    *,
     out_dir: str | Path | None = None,
     progress: Callable[[training.Progress], None] | None = None,
     start: RobotParams | None = None,
@@ -152,7 +161,7 @@ def fit_samples(
     params = params._replace(lean=fit_lean(train))
     # The samples are arguments, not constants: XLA would fold constants of this size at length.
     scores_of = jax.jit(partial(_unexplained, config))
-    scores = partial(scores_of, params, jnp.asarray(validation.inputs), jnp.asarray(validation.labels))
+    scores = partial(scores_of, params, (jnp.asarray(validation.inputs), jnp.asarray(validation.labels)))
     epoch = jax.jit(partial(_epoch, config))
     samples = jax.tree.map(jnp.asarray, train)
     starts = np.flatnonzero(train.following >= config.horizon)
@@ -165,7 +174,7 @@ def fit_samples(
     key = jax.random.key_data(jax.random.key(config.seed))
     fitted = training.run(
         _State(params.net, optimiser.init(params.net.layers), key),
-        lambda state: epoch(params, samples, starts, state),
+        lambda state: epoch(params, (samples, starts), state),
         extract=lambda state: state.net,
         evaluate=lambda net: jnp.mean(scores(net)),
         epochs=config.epochs,
@@ -208,8 +217,10 @@ def _optimiser(config: RobotFitConfig) -> optax.GradientTransformation:
 
 
 def _epoch(
-    config: RobotFitConfig, params: RobotParams, samples: RobotSamples, starts: Array, state: _State
+    config: RobotFitConfig, params: RobotParams, data: tuple[RobotSamples, Array], state: _State
 ) -> tuple[_State, Array]:
+    """One epoch on samples, at some of which a roll-out may start."""
+    samples, starts = data
     optimiser = _optimiser(config)
 
     def update(state: _State, _: None) -> tuple[_State, Array]:
@@ -242,7 +253,7 @@ def _rolled_out(config: RobotFitConfig, params: RobotParams, samples: RobotSampl
     shape = CoreConfig(robot=config.robot, object=ObjectConfig.paper())
     model = core.init(jax.random.key(0), shape)._replace(robot=params)
 
-    def one(state: SystemState, sample: Array) -> tuple[SystemState, Array]:
+    def one(state: SystemState, sample: Any) -> tuple[SystemState, jax.Array]:
         now = jax.tree.map(lambda a: a[sample], samples.state)
         # The robot is where it was predicted to be, the object where it was.
         state = state._replace(object_pose=now.object_pose, object_twist=now.object_twist)
@@ -253,16 +264,17 @@ def _rolled_out(config: RobotFitConfig, params: RobotParams, samples: RobotSampl
 
     steps = jnp.arange(config.horizon)
     start = jax.tree.map(lambda a: a[windows], samples.state)
-    error = jax.lax.scan(one, start, windows[None] + steps[:, None])[1] / params.output_scale
+    error = jnp.asarray(jax.lax.scan(one, start, windows[None] + steps[:, None])[1] / params.output_scale)
     # After h steps of independent errors the twist's variance would be h times that of one.
     error = error.at[..., :3].divide(jnp.sqrt(1.0 + steps)[:, None, None])
     return jnp.mean(error**2)
 
 
 def _unexplained(
-    config: RobotFitConfig, params: RobotParams, inputs: Array, labels: Array, net: networks.Network
+    config: RobotFitConfig, params: RobotParams, rows: tuple[Array, Array], net: networks.Network
 ) -> Array:
-    """Share of each output's variance left unexplained ``[5]``."""
+    """Share of each output's variance left unexplained ``[5]`` on rows of inputs and labels."""
+    inputs, labels = rows
     base, force = robot_model.predict(params._replace(net=net), inputs, config.robot)
     error = jnp.concatenate([base, force], axis=-1) - labels
     return jnp.mean(error**2, axis=0) / jnp.maximum(jnp.var(jnp.asarray(labels), axis=0), 1e-9)

@@ -58,7 +58,9 @@ def samples_from_dataset(dataset: store.Dataset) -> Samples:
         recorded = store.system_states(arrays)
         twist = se2.rotate(recorded.state.object_twist, -recorded.state.object_pose[..., 2])
         last = recorded.state
-        x = features.object_inputs(twist, recorded.wrench, last.last_object_twist, last.size, last.last_wrench)
+        x = features.object_inputs(
+            twist, recorded.wrench, last_twist=last.last_object_twist, size=last.size, last_wrench=last.last_wrench
+        )
         n_episodes, length = x.shape[:2]
         moving = np.linalg.norm(twist, axis=-1) > 5e-3
         counts = recorded.contact | moving
@@ -91,22 +93,23 @@ def label_scale(samples: Samples) -> Float[np.ndarray, "m"]:
 def sampler(samples: Samples, horizon: int, floor: float) -> Sampler:
     """Prepare `draw` for windows of ``horizon`` steps; ``floor`` (in label_scale squared) is added to Sigma_C."""
     scale = label_scale(samples)
-    found, starts, precision = [], [], []
+    usable, starts, precision = [], [], []
     for y, w, run in zip(samples.labels, samples.weights, samples.run, strict=True):
         good = np.flatnonzero(w > 0)
         begin = np.flatnonzero((w > 0) & (run >= horizon))
-        found.append(good if len(good) else np.zeros(1, int))
+        usable.append(good if len(good) else np.zeros(1, int))
         starts.append(begin if len(begin) else np.zeros(1, int))
         scaled = y[good] / scale
         covariance = np.cov(scaled.T).reshape(y.shape[1], y.shape[1]) if len(good) > 1 else np.zeros((y.shape[1],) * 2)
         precision.append(np.linalg.inv(covariance + floor * np.eye(y.shape[1])))
-    return Sampler(_repeat(found), jnp.sort(_repeat(starts), axis=1), jnp.asarray(np.stack(precision), jnp.float32))
+    return Sampler(_repeat(usable), jnp.sort(_repeat(starts), axis=1), jnp.asarray(np.stack(precision), jnp.float32))
 
 
 def draw(
     samples: Samples,
     sampler: Sampler,
     key: Key[Array, ""],
+    *,
     conditions: int,
     adapt_samples: int,
     windows: int,

@@ -56,8 +56,8 @@ def load_tree(path: str | os.PathLike[str], like: Tree) -> tuple[Tree, dict[str,
                 f"{path}: field '{name}' has shape {arrays[name].shape} where {np.shape(leaf)} is needed; use a file "
                 "that was trained with this configuration."
             )
-    found = [arrays[name] for name in wanted]
-    return jax.tree.unflatten(jax.tree.structure(like), found), notes
+    ordered = [arrays[name] for name in wanted]
+    return jax.tree.unflatten(jax.tree.structure(like), ordered), notes
 
 
 def _flatten(tree: Tree) -> dict[str, np.ndarray]:

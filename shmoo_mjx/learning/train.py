@@ -27,6 +27,7 @@ def train_part(
     what: Literal["object", "robot"],
     data: Path,
     out: Path,
+    *,
     seed: int = 0,
     progress: Callable[[Progress], None] | None = None,
     quick: bool = False,
@@ -65,15 +66,17 @@ def train_part(
         else:
             widths = RobotConfig.paper() if form == "paper" else RobotConfig()
             settings = robot_fit.RobotFitConfig(widths, seed=seed, **(_QUICK if quick else {}))
-            robot = robot_fit.train_robot(dataset, checkpoints, settings, progress)
+            robot = robot_fit.train_robot(dataset, checkpoints, settings, progress=progress)
             new = weights.with_robot(old or weights.untrained(), robot, settings.robot)
             score = float(robot.score)
-        made_by = new.info.get("made_by", {}) | {what: origin(what, data, seed, score, quick, form)}
+        made_by = new.info.get("made_by", {}) | {what: origin(what, data, seed, score=score, quick=quick, form=form)}
         weights.save_weights(out, new._replace(info=new.info | {"made_by": made_by}))
         return score
 
 
-def origin(what: str, data: Path, seed: int, score: float, quick: bool = False, form: Form = "ours") -> dict[str, Any]:
+def origin(
+    what: str, data: Path, seed: int, *, score: float, quick: bool = False, form: Form = "ours"
+) -> dict[str, Any]:
     """What a trained part is made of and by: command, data set, seed, versions, score. The same training gives the
     same, wherever its files are.
 

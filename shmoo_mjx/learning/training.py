@@ -51,6 +51,7 @@ def bounded_gradient() -> optax.GradientTransformation:
 def run(
     state: Tree,
     epoch: Callable[[Tree], tuple[Tree, Scalar]],
+    *,
     extract: Callable[[Tree], Tree],
     evaluate: Callable[[Tree], Scalar],
     epochs: int,

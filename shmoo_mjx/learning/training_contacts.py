@@ -27,7 +27,7 @@ STRETCHES = (0, 10, 10, 30, 30, 100, 100, 250)
 _KEYS = 581
 """Seed of the estimates of training conditions; the next one is that of validation conditions."""
 
-Found = tuple[Float[Array, "M p"], Float[Array, "C S p"], Float[Array, "C_validation p"]]
+Contacts = tuple[Float[Array, "M p"], Float[Array, "C S p"], Float[Array, "C_validation p"]]
 """Draws from the prior, the parameters of training conditions and those of validation conditions."""
 
 
@@ -35,9 +35,10 @@ def estimated(
     config: EstimateConfig,
     train: Samples,
     validation: Samples,
+    *,
     fit_samples: int,
     out_dir: str | Path | None = None,
-) -> Found:
+) -> Contacts:
     """Estimate the parameters, or take them from beside ``out_dir`` where another training on these samples has left
     them.
 
@@ -52,16 +53,16 @@ def estimated(
     identity = fingerprint(__name__, (config, fit_samples), *measured)
     path = None if out_dir is None else Path(out_dir).parent / f"contacts-{identity[:10]}.safetensors"
     if path is not None and path.is_file() and serialisation.read_notes(path).get("identity") == identity:
-        return _single(serialisation.load_tree(path, nothing(config, train, validation))[0])
+        return _single(serialisation.load_tree(path, zeros(train, validation))[0])
     scale, prior = label_scale(train), contact_prior.draws()
-    contacts = from_stretches(config, prior, scale, train, STRETCHES)
-    found = _single((prior, contacts, on_first_samples(config, prior, scale, validation, fit_samples)))
+    contacts = from_stretches(config, prior, scale, samples=train, lengths=STRETCHES)
+    of_all = _single((prior, contacts, on_first_samples(config, prior, scale, validation, fit_samples=fit_samples)))
     if path is not None:
-        serialisation.save_tree(path, found, {"identity": identity})
-    return found
+        serialisation.save_tree(path, of_all, {"identity": identity})
+    return of_all
 
 
-def nothing(config: EstimateConfig, train: Samples, validation: Samples, *_: Any) -> Found:
+def zeros(train: Samples, validation: Samples) -> Contacts:
     """`estimated` for a psi without contact model: zeros of the same shapes."""
     p, counts = len(contact_model.PARAMETERS), [samples.inputs.shape[0] for samples in (train, validation)]
     shapes = (contact_prior.COUNT, p), (counts[0], len(STRETCHES), p), (counts[1], p)
@@ -73,6 +74,7 @@ def from_stretches(
     config: EstimateConfig,
     prior: Float[Array, "M p"],
     scale: Float[Array, "3"],
+    *,
     samples: Samples,
     lengths: tuple[int, ...],
 ) -> Float[Array, "C S p"]:
@@ -101,7 +103,7 @@ def from_stretches(
             # The samples that count, in order, and no others: most stretches are short.
             at = at[jnp.argsort(weights[at] == 0, stable=True)[: max(length, 1)]]
             own = inputs[at], labels[at], weights[at] * (length > 0)
-            return estimate.mean(after(*own, key))
+            return estimate.mean(after(own, key=key))
 
         return jax.lax.map(one, (keys, starts, rows))
 
@@ -109,14 +111,14 @@ def from_stretches(
 
 
 def on_first_samples(
-    config: EstimateConfig, prior: Float[Array, "M p"], scale: Float[Array, "3"], samples: Samples, fit_samples: int
+    config: EstimateConfig, prior: Float[Array, "M p"], scale: Float[Array, "3"], samples: Samples, *, fit_samples: int
 ) -> Float[Array, "C p"]:
     """The parameters of conditions by their first ``fit_samples`` samples, at most half of them."""
     n = min(fit_samples, samples.inputs.shape[1] // 2)
     after = partial(estimate.after_rows, config, jnp.asarray(prior), jnp.asarray(scale))
     first = tuple(jnp.asarray(a[:, :n]) for a in samples[:3])
     keys = jax.random.split(jax.random.key(_KEYS + 1), len(first[0]))
-    return jax.jit(lambda rows: jax.lax.map(lambda row: estimate.mean(after(*row)), rows))((*first, keys))
+    return jax.jit(lambda rows: jax.lax.map(lambda row: estimate.mean(after(row[0], key=row[1])), rows))((first, keys))
 
 
 def _single(tree: Any) -> Any:

@@ -92,10 +92,16 @@ def posterior_from_recording(
     """
     params, shape, scale = weights.params, weights.config.object, weights.params.object.label_scale
     if shape.contact_model:
-        return estimate.after_rows(EstimateConfig(), weights.contact_prior, scale, inputs, labels, sample_weights)
+        return estimate.after_rows(EstimateConfig(), weights.contact_prior, scale, (inputs, labels, sample_weights))
     phi = object_model.design_matrix(params.object, inputs, shape, params.contact)
-    known = (params.coefficients.reshape(-1), weights.prior_covariance, weights.noise)
-    mean = least_squares.posterior(phi, labels, *known, sample_weights)[0]
+    mean, _ = least_squares.posterior(
+        phi,
+        labels,
+        mean=params.coefficients.reshape(-1),
+        covariance=weights.prior_covariance,
+        noise=weights.noise,
+        weights=sample_weights,
+    )
     state = adaptation.init(params.coefficients, weights.prior_covariance, weights.noise)
     return state._replace(mean=mean)
 

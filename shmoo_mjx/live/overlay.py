@@ -80,7 +80,7 @@ def rollouts(plan: Plan | None, top: float = 0.0) -> Lines:
         return path(None)
     order = fit[np.argsort(-costs[fit])]
     chosen = order[np.unique(np.linspace(0, len(order) - 1, _SHOWN).astype(int))]
-    places = np.asarray(plan.trajectories.object_pose)[chosen, :, :2]
+    places = np.asarray(plan.trajectories)[chosen, :, :2]
     height = top + _FLOOR + 0.05 * np.linspace(0.0, 1.0, len(chosen))[:, None, None]
     points = np.concatenate([places, np.broadcast_to(height, (*places.shape[:-1], 1))], axis=-1)
     return _lines(points, _COSTS(np.linspace(0.05, 0.95, len(chosen))))

@@ -248,7 +248,7 @@ def _sample_by_sample(
 
     def predicted(estimated: Any, x: Array) -> Array:
         own = learner.params_for_rollout(estimated, params)
-        return object_model.predict(own.object, own.coefficients, x, shape, own.contact)
+        return object_model.predict(own.object, own.coefficients, x, shape, contact=own.contact)
 
     def step(estimated: Any, sample: online.Transition) -> tuple[Any, tuple[Array, Array]]:
         guess = predicted(estimated, sample.inputs)

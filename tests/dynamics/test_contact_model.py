@@ -109,7 +109,8 @@ def test_it_is_the_simulators_box(seed: int) -> None:
     st.tuples(st.floats(-5, 5), st.floats(-5, 5)), st.sampled_from([(1.0, 1.0), (0.05, 1.0), (0.8, 1.0), (1.0, 0.3)])
 )
 def test_a_point_holds_the_impulse_nearest_to_what_would_stop_it(trial: tuple[float, float], grips: Any) -> None:
-    held = contact_model._within_grip(*(jnp.asarray(a, jnp.float32) for a in (*trial, 1.0, *grips)))
+    x, y, weight, *frictions = (jnp.asarray(a, jnp.float32) for a in (*trial, 1.0, *grips))
+    held = contact_model._within_grip(x, y, weight, tuple(frictions))
     angle = np.linspace(-np.pi, np.pi, 2001)
     rim = max(grips) * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     allowed = np.concatenate([s * np.clip(rim, -np.array(grips), grips) for s in np.linspace(0, 1, 101)])

@@ -91,7 +91,7 @@ def test_steering_turns_the_object(gamma: float, sign: float) -> None:
 def test_a_lag_is_exact_for_any_damping() -> None:
     for w, zeta in ((6.0, 0.3), (6.0, 1.0), (6.0, 3.0), (60.0, 0.7)):
         lean, rate, u = np.array([0.05, -0.1]), np.array([0.3, 0.2]), np.array([0.1, 0.0])
-        new, new_rate = robot_model.lean_step(robot_model.lag(w, zeta), lean, rate, u, np.zeros(2))
+        new, new_rate = robot_model.lean_step(robot_model.lag(w, zeta), lean, rate, target=u, force=np.zeros(2))
         matrix = expm(np.array([[0, 1], [-(w**2), -2 * zeta * w]]) * DT)
         expected = matrix @ np.stack([lean - u, rate])
         np.testing.assert_allclose(new - u, expected[0], atol=1e-5)

@@ -114,7 +114,7 @@ def test_inputs_tell_what_happened_a_sample_ago(values: list[float]) -> None:
     last, wrench, acceleration, now = v[:3], v[3:6], v[6:9], v[9:12]
     turn = last[2] * DT + 0.5 * acceleration[2] * DT**2
     twist = se2.rotate(last + acceleration * DT, -turn)
-    inputs = features.object_inputs(twist, now, last, np.float32(0.4), wrench)
+    inputs = features.object_inputs(twist, now, last_twist=last, size=np.float32(0.4), last_wrench=wrench)
     before, happened = features.last_sample(inputs)
     np.testing.assert_allclose(happened, acceleration, atol=1e-4)
     where = features.slices(features.OBJECT_INPUTS)

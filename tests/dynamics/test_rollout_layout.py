@@ -88,9 +88,14 @@ def plain_step(params: Params, state: SystemState, u: np.ndarray, config: CoreCo
 
     twist = into(-yaw, s["object_twist"])
     psi_inputs = np.asarray(
-        features.object_inputs(twist, wrench, s["last_object_twist"], s["size"], s["last_wrench"]), np.float32
+        features.object_inputs(
+            twist, wrench, last_twist=s["last_object_twist"], size=s["size"], last_wrench=s["last_wrench"]
+        ),
+        np.float32,
     )
-    push = np.asarray(PREDICTED(params.object, params.coefficients, psi_inputs, config.object, params.contact), float)
+    push = np.asarray(
+        PREDICTED(params.object, params.coefficients, psi_inputs, config.object, contact=params.contact), float
+    )
     if config.unilateral:
         n = np.array([math.cos(face[2]), math.sin(face[2])])
         arm = face[0] * n[1] - face[1] * n[0] - lateral
@@ -177,9 +182,9 @@ def test_folding_changes_no_prediction(config: CoreConfig) -> None:
     params = random_params(config)
     x = np.random.default_rng(4).standard_normal((7, 13)).astype(np.float32)
     x[:, 9] = 0.4
-    expected = PREDICTED(params.object, params.coefficients, x, config.object, params.contact)
-    fused = object_model.fuse(params.object, params.coefficients, config.object, params.contact)
-    before = object_model.remembered(x.T, config.object, params.contact)
+    expected = PREDICTED(params.object, params.coefficients, x, config.object, contact=params.contact)
+    fused = object_model.fuse(params.object, params.coefficients, config.object, contact=params.contact)
+    before = object_model.remembered(x.T, config.object, contact=params.contact)
     said = object_model.forward(fused, x.T, config.object, before)[0]
     np.testing.assert_allclose(said.T, expected, atol=1e-5)
     assert fused.layers.biases[-1].shape == (3,)

@@ -24,7 +24,8 @@ def start(seed: int = 0) -> AdaptState:
 
 def run(config: AdaptConfig, state: AdaptState, phi: jax.Array, y: jax.Array, valid: jax.Array) -> AdaptState:
     def one_sample(state: AdaptState, x: tuple) -> tuple[AdaptState, None]:
-        return adaptation.step(config, state, *x), None
+        phi, y, valid = x
+        return adaptation.step(config, state, phi, y, valid=valid), None
 
     return jax.lax.scan(one_sample, state, (phi, y, valid))[0]
 
@@ -37,7 +38,7 @@ def test_no_forgetting_is_batch_bayes() -> None:
     y = phi @ jnp.arange(1.0, N + 1) + 0.2 * jax.random.normal(jax.random.key(2), (40, 3))
     state = start()
     end = run(config, state, phi, y, jnp.ones(40, bool))
-    mean, covariance = least_squares.posterior(phi, y, state.mean, state.covariance, state.noise)
+    mean, covariance = least_squares.posterior(phi, y, mean=state.mean, covariance=state.covariance, noise=state.noise)
     np.testing.assert_allclose(end.mean, mean, atol=2e-3)
     np.testing.assert_allclose(end.covariance, covariance, atol=1e-4)
 
@@ -91,7 +92,7 @@ def test_the_sign_of_the_tracking_term() -> None:
             state, s = carry
             s = s + 0.1 * (1.0 - state.mean[0] - 0.5 * s)
             error = jnp.array([sign, 0.0, 0.0]) * s
-            return (adaptation.step(config, state, phi, jnp.zeros(3), True, error), s), None
+            return (adaptation.step(config, state, phi, jnp.zeros(3), valid=True, tracking_error=error), s), None
 
         (state, _), _ = jax.lax.scan(one_sample, (state, jnp.zeros(())), None, length=600)
         return float(jnp.abs(state.mean[0] - 1.0))

@@ -86,7 +86,7 @@ def learned(printed: bool) -> Any:
     def one(known: Any, sample: Transition) -> tuple[Any, jax.Array]:
         known = learner.adapt(known, weights.params, sample)
         own = learner.params_for_rollout(known, weights.params)
-        return known, object_model.predict(own.object, own.coefficients, PROBE, shape, own.contact)
+        return known, object_model.predict(own.object, own.coefficients, PROBE, shape, contact=own.contact)
 
     start = prior_state(weights)
     return jax.jit(lambda samples: jax.lax.scan(one, start, transitions(*samples)))

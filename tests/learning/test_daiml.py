@@ -83,7 +83,7 @@ def test_open_loop_feeds_its_own_twist_back(per_axis: bool) -> None:
 
     @jax.jit
     def predict(x: jax.Array) -> jax.Array:
-        return object_model.predict(params, a, x, config, contact)
+        return object_model.predict(params, a, x, config, contact=contact)
 
     fed, twists = multistep.open_loop(predict, inputs)
     forced = predict(inputs)
@@ -111,8 +111,8 @@ def test_the_loss_counts_how_far_the_twist_has_drifted() -> None:
             return x[..., 3:6] + wrong * jnp.array([1.0, 0.0, 0.0])
 
         share = 2.0 * (wrong / 0.5) ** 2 / 3
-        forced = multistep.loss(predict, windows, precision, scale, feed_back=False)
-        fed = multistep.loss(predict, windows, precision, scale, one_step=0.5)
+        forced = multistep.loss(predict, windows, precision=precision, scale=scale, feed_back=False)
+        fed = multistep.loss(predict, windows, precision=precision, scale=scale, one_step=0.5)
         np.testing.assert_allclose(forced, share, atol=1e-6)
         np.testing.assert_allclose(fed, (drift + 0.5) * share, atol=1e-5)
 
@@ -123,7 +123,7 @@ def test_design_matrix_is_the_model() -> None:
         a = jax.random.normal(jax.random.key(1), (3, config.functions))
         x = jax.random.normal(jax.random.key(2), (5, 13)).at[..., 9].set(0.4)
         phi = object_model.design_matrix(params, x, config, contact_model.guess())
-        expected = object_model.predict(params, a, x, config, contact_model.guess())
+        expected = object_model.predict(params, a, x, config, contact=contact_model.guess())
         np.testing.assert_allclose(phi @ a.reshape(-1), expected, atol=1e-5)
 
 

@@ -140,9 +140,9 @@ def test_recorded_rows_tell_the_friction(family: str) -> None:
     labels = acceleration(jnp.asarray(np.repeat(parameters[:, None], 120, 1), jnp.float32), jnp.asarray(rows.T)).T
     scale, weights = jnp.array([0.3, 0.3, 0.8]), np.ones(120)
     after_rows = jax.jit(partial(estimate.after_rows, CONFIG, jnp.asarray(PRIOR), scale))
-    found = estimate.mean(after_rows(rows, labels, weights))
+    found = estimate.mean(after_rows((rows, labels, weights)))
     assert abs(np.log(float(contact_model.resistance(found)[0]) / limit)) < 0.3
-    none = estimate.mean(after_rows(rows, labels, 0 * weights))
+    none = estimate.mean(after_rows((rows, labels, 0 * weights)))
     np.testing.assert_allclose(none, estimate.mean(estimate.init(CONFIG, PRIOR)), atol=1e-5)
 
 

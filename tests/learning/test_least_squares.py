@@ -1,5 +1,7 @@
 """Eq. 5, its Bayesian form, and the empirical prior."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,7 +20,7 @@ def test_ridge_finds_the_coefficients_and_the_prior() -> None:
     np.testing.assert_allclose(least_squares.ridge(psi, y, jnp.zeros((3, 4)), 1e-3), a, atol=0.02)
     mean = jnp.ones((3, 4))
     np.testing.assert_allclose(least_squares.ridge(psi, y, mean, 1e7), mean, atol=1e-3)
-    dropped = least_squares.ridge(psi, y.at[0].set(1e3), jnp.zeros((3, 4)), 1e-3, jnp.ones(60).at[0].set(0.0))
+    dropped = least_squares.ridge(psi, y.at[0].set(1e3), jnp.zeros((3, 4)), 1e-3, weights=jnp.ones(60).at[0].set(0.0))
     np.testing.assert_allclose(dropped, a, atol=0.02)
 
 
@@ -46,7 +48,7 @@ def test_posterior_agrees_with_ridge_for_a_plain_prior() -> None:
     psi, _, y = problem()
     phi = (psi[..., :, None, :] * jnp.eye(3)[:, :, None]).reshape(60, 3, 12)
     mean = jnp.full(12, 0.3)
-    found, spread = least_squares.posterior(phi, y, mean, 0.5 * jnp.eye(12), 0.1 * jnp.eye(3))
+    found, spread = least_squares.posterior(phi, y, mean=mean, covariance=0.5 * jnp.eye(12), noise=0.1 * jnp.eye(3))
     expected = least_squares.ridge(psi, y, mean.reshape(3, 4), 0.1 / 0.5)
     np.testing.assert_allclose(found.reshape(3, 4), expected, atol=1e-4)
     assert np.all(np.linalg.eigvalsh(spread) > 0) and float(jnp.trace(spread)) < 0.5 * 12
@@ -57,7 +59,7 @@ def test_coupled_prior_tells_an_axis_that_was_not_excited() -> None:
     covariance = jnp.array([[1.0, 0.95], [0.95, 1.0]])
     phi = jnp.zeros((20, 2, 2)).at[:, 0, 0].set(1.0)
     labels = jnp.zeros((20, 2)).at[:, 0].set(2.0)
-    found, _ = least_squares.posterior(phi, labels, jnp.zeros(2), covariance, 0.1 * jnp.eye(2))
+    found, _ = least_squares.posterior(phi, labels, mean=jnp.zeros(2), covariance=covariance, noise=0.1 * jnp.eye(2))
     assert found[1] > 1.7
 
 
@@ -68,8 +70,9 @@ def test_empirical_prior_recovers_the_population() -> None:
     phi = rng.normal(size=(200, 30, 2, 3))
     y = np.einsum("cnai,ci->cna", phi, a) + 0.3 * rng.normal(size=(200, 30, 2))
     guess = (jnp.zeros(3), 10 * jnp.eye(3), jnp.eye(2))
-    args = (jnp.asarray(phi), jnp.asarray(y), *guess, jnp.ones((200, 30)))
-    found_mean, covariance, noise = jax.jit(lambda *x: least_squares.empirical_prior(*x, rounds=10))(*args)
+    prior = dict(zip(("mean", "covariance", "noise"), guess, strict=True))
+    fit = jax.jit(partial(least_squares.empirical_prior, rounds=10), static_argnames="rounds")
+    found_mean, covariance, noise = fit(jnp.asarray(phi), jnp.asarray(y), **prior, weights=jnp.ones((200, 30)))
     np.testing.assert_allclose(found_mean, mean, atol=0.25)
     np.testing.assert_allclose(covariance, factor @ factor.T, atol=0.3)
     np.testing.assert_allclose(noise, 0.09 * np.eye(2), atol=0.02)

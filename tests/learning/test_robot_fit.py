@@ -35,7 +35,7 @@ def test_killed_and_started_again_gives_the_same(tmp_path: Path, synthetic_datas
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        robot_fit.train_robot(synthetic_dataset, tmp_path, config, stop)
+        robot_fit.train_robot(synthetic_dataset, tmp_path, config, progress=stop)
     resumed = robot_fit.train_robot(synthetic_dataset, tmp_path, config)
     assert resumed.history == whole.history
     jax.tree.map(np.testing.assert_array_equal, resumed.params, whole.params)

@@ -48,7 +48,7 @@ def made_by(path: Path) -> dict[str, Any]:
 
 def test_weights_carry_what_made_each_part(untaught: None, tmp_path: Path) -> None:
     data, out = record(tmp_path / "data", ("a", "b")), tmp_path / "w.safetensors"
-    assert train_part("object", data, out, 3) == 0.2 and train_part("robot", data, out, 4) == 0.1
+    assert train_part("object", data, out, seed=3) == 0.2 and train_part("robot", data, out, seed=4) == 0.1
     found = made_by(out)
     assert set(found) == {"object", "robot"}
     psi, robot = found["object"], found["robot"]
@@ -90,7 +90,7 @@ def test_the_papers_form_is_trained_and_said(tmp_path: Path, monkeypatch: pytest
             train_part(part, data, tmp_path / "w.safetensors", form="paper")
     assert asked["object"][0] == "object-paper" and asked["object"][1].object == ObjectConfig.paper()
     assert asked["robot"][0] == "robot-paper" and asked["robot"][1].robot == RobotConfig.paper()
-    said = train.origin("object", data, 2, 0.1, quick=True, form="paper")["command"]
+    said = train.origin("object", data, 2, score=0.1, quick=True, form="paper")["command"]
     assert said == "shmoo train object DATA --seed 2 --form paper --quick"
 
 

@@ -47,8 +47,12 @@ def test_a_training_without_a_finite_score_is_an_error() -> None:
         return state, jnp.nan
 
     with pytest.raises(ShmooError, match="finite validation score"):
-        training.run(jnp.zeros(2), epoch, lambda state: state, lambda state: jnp.nan, epochs=3, patience=2)
-    found = training.run(jnp.zeros(2), epoch, lambda state: state, lambda state: jnp.float32(1.0), epochs=3, patience=2)
+        training.run(
+            jnp.zeros(2), epoch, extract=lambda state: state, evaluate=lambda state: jnp.nan, epochs=3, patience=2
+        )
+    found = training.run(
+        jnp.zeros(2), epoch, extract=lambda state: state, evaluate=lambda state: jnp.float32(1.0), epochs=3, patience=2
+    )
     assert found.score == 1.0
 
 

@@ -66,7 +66,7 @@ def residual(job: Job) -> Predictor:
     common_job = replace(job, setting={"learning_rate": 1e-3}, directory=_beside(job, "common"))
     common, sees = mlp(common_job, contact_model=True), sight(common_job)
     config = replace(daiml_config(job, DaimlConfig()), open_loop=False, horizon=1)
-    prior, contacts, held_contacts = sees.found
+    prior, contacts, held_contacts = sees.contacts
 
     def predicted(context: Context) -> Float[Array, "N m"]:
         return common.predict(common.adapt(context), context.inputs, context.time)
@@ -77,8 +77,10 @@ def residual(job: Job) -> Predictor:
         return samples._replace(labels=samples.labels - np.asarray(jax.jit(jax.vmap(predicted))(contexts)))
 
     samples, held_out = left(job.train, contacts[:, -1]), left(job.validation, held_contacts)
-    found = prior, contacts[:, -1:], held_contacts
-    own = from_fit(daiml.fit_samples(samples, held_out, config, _beside(job, "psi"), found=found), config)
+    known_contacts = prior, contacts[:, -1:], held_contacts
+    own = from_fit(
+        daiml.fit_samples(samples, held_out, config, out_dir=_beside(job, "psi"), known_contacts=known_contacts), config
+    )
 
     def adapt(context: Context) -> tuple[Any, Any]:
         known = context._replace(contact=sees.contact(context))
@@ -103,20 +105,22 @@ def from_fit(fitted: ObjectFit, config: DaimlConfig) -> Predictor:
         contact = jnp.zeros(len(contact_model.PARAMETERS)) if context.contact is None else context.contact
         if config.object.contact_model and context.contact is None:
             contact = estimate.mean(
-                estimate.after_rows(config.contact_fit, fitted.contact_prior, params.label_scale, x, y, w)
+                estimate.after_rows(config.contact_fit, fitted.contact_prior, params.label_scale, (x, y, w))
             )
         if not config.coupled:
             psi = object_model.basis(params, x, config.object, contact)
-            a = least_squares.ridge(psi, y / params.label_scale, mean, config.ridge, w)
+            a = least_squares.ridge(psi, y / params.label_scale, mean, config.ridge, weights=w)
             return least_squares.cap_norm(a, NORM_CAP), contact
         phi = object_model.design_matrix(params, x, config.object, contact)
-        known = (mean.reshape(-1), fitted.prior_covariance, fitted.noise)
-        return least_squares.posterior(phi, y, *known, w)[0].reshape(mean.shape), contact
+        a, _ = least_squares.posterior(
+            phi, y, mean=mean.reshape(-1), covariance=fitted.prior_covariance, noise=fitted.noise, weights=w
+        )
+        return a.reshape(mean.shape), contact
 
     def predict(
         known: tuple[Float[Array, "m K"], Float[Array, "p"]], x: Float[Array, "*batch n"], time: Float[Array, "*batch"]
     ) -> Float[Array, "*batch m"]:
-        return object_model.predict(params, known[0], x, config.object, known[1])
+        return object_model.predict(params, known[0], x, config.object, contact=known[1])
 
     return Predictor(jax.jit(adapt), predict)
 
@@ -130,7 +134,7 @@ def prior_of(fitted: ObjectFit, config: DaimlConfig) -> Predictor:
 def trained(job: Job, config: DaimlConfig) -> tuple[ObjectFit, DaimlConfig]:
     """psi trained by these settings under the job's, or read from its checkpoint, and all settings."""
     config = daiml_config(job, config)
-    return daiml.fit_samples(job.train.samples, job.validation.samples, config, job.directory), config
+    return daiml.fit_samples(job.train.samples, job.validation.samples, config, out_dir=job.directory), config
 
 
 def _beside(job: Job, part: str) -> Path | None:

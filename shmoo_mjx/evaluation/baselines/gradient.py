@@ -71,9 +71,9 @@ def meta_train(
 
     def task_loss(params: Tree, task: MetaTask) -> Float[Array, ""]:
         predict = _known(predictor(params), task.context)
-        return multistep.loss(predict, task.windows, task.precision, scale, feed_back=False)
+        return multistep.loss(predict, task.windows, precision=task.precision, scale=scale, feed_back=False)
 
-    _, contacts, held_contacts = sees.found
+    _, contacts, held_contacts = sees.contacts
 
     def epoch(
         train: Recordings, contacts: Float[Array, "C M p"], sampler: Sampler, state: _State
@@ -99,7 +99,9 @@ def meta_train(
         ) -> multistep.Predict:
             return _known(made, Context(x, y, w, jnp.zeros_like(w), contact))
 
-        shares, _ = multistep.scores(samples, contacts, adapted, scale, job.fit_samples, 0, LABEL_FLOOR)
+        shares, _ = multistep.scores(
+            samples, contacts, adapted, scale=scale, fit_samples=job.fit_samples, horizon=0, floor=LABEL_FLOOR
+        )
         return jnp.mean(jnp.minimum(shares, least_squares.WORST))
 
     device, held_out = jax.tree.map(jnp.asarray, (job.train, job.validation))
@@ -137,7 +139,9 @@ def _draw(
 ) -> MetaTask:
     """The batches that DAIML draws."""
     key, contact_key = jax.random.split(key)
-    batch = batches.draw(train.samples, sampler, key, CONDITIONS, adapt_samples, ROWS, 1)
+    batch = batches.draw(
+        train.samples, sampler, key, conditions=CONDITIONS, adapt_samples=adapt_samples, windows=ROWS, horizon=1
+    )
     x, y, w = batch.adapt
     which = jax.random.randint(contact_key, batch.condition.shape, 0, contacts.shape[1])
     contact = contacts[batch.condition, which]

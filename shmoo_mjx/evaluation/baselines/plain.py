@@ -27,7 +27,7 @@ def trigonometric(job: Job) -> Predictor:
         f = basis(context.time)
         psi = jnp.broadcast_to(f[:, None, :], (f.shape[0], scale.shape[0], f.shape[-1]))
         start = jnp.zeros(psi.shape[1:])
-        return least_squares.ridge(psi, context.labels / scale, start, job.setting["ridge"], context.weights)
+        return least_squares.ridge(psi, context.labels / scale, start, job.setting["ridge"], weights=context.weights)
 
     return Predictor(jax.jit(adapt), lambda a, x, time: basis(time) @ a.T * scale)
 

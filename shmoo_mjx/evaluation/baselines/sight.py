@@ -17,7 +17,7 @@ from shmoo_mjx.dynamics.object_model import ObjectConfig
 from shmoo_mjx.evaluation.baselines.protocol import Context, Job, output_scale
 from shmoo_mjx.learning import estimate, training_contacts
 from shmoo_mjx.learning.estimate import EstimateConfig
-from shmoo_mjx.learning.training_contacts import Found
+from shmoo_mjx.learning.training_contacts import Contacts
 
 NARROWEST = 1e-3
 """Least standard deviation that an input is divided by."""
@@ -30,7 +30,7 @@ class Sight:
     config: ObjectConfig
     """Only ``contact_model`` and ``last_wrench`` matter."""
     fit: EstimateConfig
-    found: Found
+    contacts: Contacts
     """Contact parameters of the training and validation conditions; zeros if the method sees none."""
     label_scale: Float[Array, "m"]
     mean: Float[Array, "n"]
@@ -42,24 +42,26 @@ class Sight:
         if context.contact is not None:
             return context.contact
         if not self.config.contact_model:
-            return jnp.zeros(self.found[1].shape[-1])
+            return jnp.zeros(self.contacts[1].shape[-1])
         rows = context.inputs, context.labels, context.weights
-        return estimate.mean(estimate.after_rows(self.fit, self.found[0], self.label_scale, *rows))
+        return estimate.mean(estimate.after_rows(self.fit, self.contacts[0], self.label_scale, rows))
 
     def __call__(self, inputs: Float[Array, "*batch 13"], contact: Float[Array, "p"]) -> Float[Array, "*batch n"]:
         """What is seen of samples of an object with these contact parameters."""
-        seen = object_model.network_inputs(self.label_scale, inputs, self.config, contact)
-        return (seen - self.mean) / self.spread
+        values = object_model.network_inputs(self.label_scale, inputs, self.config, contact)
+        return (values - self.mean) / self.spread
 
 
 def sight(job: Job, contact_model: bool = True) -> Sight:
     """What a method sees; the contact parameters are kept beside the job's directory, for other methods."""
     config, fit = ObjectConfig(contact_model=contact_model), EstimateConfig()
-    find = training_contacts.estimated if config.contact_model else training_contacts.nothing
-    train = job.train.samples
-    found = find(fit, train, job.validation.samples, job.fit_samples, job.directory)
+    train, held_out = job.train.samples, job.validation.samples
+    if contact_model:
+        contacts = training_contacts.estimated(fit, train, held_out, fit_samples=job.fit_samples, out_dir=job.directory)
+    else:
+        contacts = training_contacts.zeros(train, held_out)
     scale = jnp.asarray(output_scale(train))
     see = jax.jit(jax.vmap(lambda x, contact: object_model.network_inputs(scale, x, config, contact)))
-    seen = see(jnp.asarray(train.inputs), found[1][:, -1])[train.weights > 0]
-    spread = jnp.maximum(jnp.std(seen, axis=0), NARROWEST)
-    return Sight(config, fit, found, scale, jnp.mean(seen, axis=0), spread)
+    values = see(jnp.asarray(train.inputs), contacts[1][:, -1])[train.weights > 0]
+    spread = jnp.maximum(jnp.std(values, axis=0), NARROWEST)
+    return Sight(config, fit, contacts, scale, jnp.mean(values, axis=0), spread)
