@@ -92,8 +92,8 @@ def test_a_safe_stop_does_not_lean_for_another_sample() -> None:
     stand = Stand(world)
     lost = stand.step
 
-    def blind(*given: Any) -> Any:
-        u, state, _ = lost(*given)
+    def blind(*args: Any, **kwargs: Any) -> Any:
+        u, state, _ = lost(*args, **kwargs)
         return np.full_like(u, 0.15), state, SimpleNamespace(ok=False)
 
     navigator = Navigator(grid, scenario.goal, [HALF], stand)
