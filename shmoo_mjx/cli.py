@@ -271,7 +271,7 @@ def collect(
 
     config = CollectConfig(train=train, validation=validation, episodes=episodes, seconds=seconds, seed=seed)
     with progress.counter("conditions") as report:
-        run(directory, config, workers, report)
+        run(directory, config, workers, progress=report)
     print(f"{directory}: complete")
     return 0
 
