@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Literal, cast
+from typing import Any, Literal
 
 import tyro
 from tyro.conf import Positional
@@ -19,21 +19,22 @@ from shmoo_mjx.base import options as bounded
 from shmoo_mjx.base.assets import benchmark_suite
 from shmoo_mjx.base.environment import check_environment, prepare_environment
 from shmoo_mjx.base.inputs import with_inputs_kept
-from shmoo_mjx.base.options import SENSES, SensesName
-from shmoo_mjx.base.seeds import UNSEEN_SEED, ConditionSeed, Seed, check_seed, seed_of
+from shmoo_mjx.base.seeds import UNSEEN_SEED, ConditionSeed, Seed, Seeds, check_seed
 from shmoo_mjx.base.verbosity import with_verbosity
 from shmoo_mjx.errors import ShmooError
 
 
 def demo(
-    seed: str = "0",
+    *,
+    seed: Seeds = range(1),
     out: Path = Path("runs"),
     weights: Path | None = None,
     video: bool = True,
     quick: bool = False,
-    senses: str = "real",
+    senses: bounded.Senses = "real",
     scene: Literal["generated", "paper"] = "generated",
-    method: str = "ours",
+    method: bounded.Method = "ours",
+    set: tuple[str, ...] = (),
 ) -> int:
     """Run the whole story on a generated floor plan: push a box away, recognise a locked wheelchair, go round.
 
@@ -47,16 +48,18 @@ def demo(
         quick: a short form for checks: no video.
         senses: real (camera, odometry, joint torques) or perfect (the simulator's truth).
         scene: generated, or paper (a box of 2.8 kg, an empty wheelchair of 11.9 kg with locked wheels).
-        method: ours, or paper (the paper's system, docs/paper_system.md).
+        method: ours, frozen (learns nothing of an object), or paper (the paper's system, docs/paper_system.md).
+        set: settings of the run, NAME=VALUE, such as control.num_rollouts=128 (shmoo list settings).
     """
     from shmoo_mjx.run.demo import run_demo
 
     return run_demo(
-        _seeds(seed), out, weights, video=video and not quick, senses=_senses(senses), scene=scene, method=method
+        seed, out, weights, video=video and not quick, senses=senses, scene=scene, method=method, settings=set
     )
 
 
 def navigate(
+    *,
     scenario: Path | None = None,
     map: Path | None = None,
     start: str | None = None,
@@ -65,10 +68,11 @@ def navigate(
     weights: Path | None = None,
     video: bool = True,
     record: bool = False,
-    senses: str | None = None,
+    senses: bounded.Senses | None = None,
     real_time: bool = False,
     policy: str | None = None,
-    method: str = "ours",
+    method: bounded.Method = "ours",
+    set: tuple[str, ...] = (),
 ) -> int:
     """Run a scenario in any ROS map_server map.
 
@@ -87,12 +91,12 @@ def navigate(
         real_time: run against the wall clock: what computing really takes passes in the world, and each missed
             deadline is reported.
         policy: package.module:Name of your own navigation policy, in the place of ours.
-        method: ours, or paper (the paper's system, docs/paper_system.md).
+        method: ours, frozen (learns nothing of an object), or paper (the paper's system, docs/paper_system.md).
+        set: settings of the run, NAME=VALUE, such as control.num_rollouts=128 (shmoo list settings).
     """
     from shmoo_mjx.base import progress
     from shmoo_mjx.run import scenario_run as run
 
-    chosen = None if senses is None else _senses(senses)
     grid, task = run.load_inputs(map, scenario, start, goal)
     name = str(scenario) if scenario else "--start/--goal"
     with progress.stages() as report:
@@ -105,10 +109,11 @@ def navigate(
             name=name,
             progress=report,
             record=record,
-            senses=chosen,
+            senses=senses,
             real_time=real_time,
             policy=policy,
             method=method,
+            settings=set,
         )
     if real_time:
         late = result["missed_deadlines"]
@@ -120,6 +125,7 @@ def navigate(
 
 def push(
     family: Positional[str] = "box",
+    *,
     goal: str = "1.2,0.3,0.4",
     set: tuple[str, ...] = (),
     seed: Seed = 0,
@@ -128,8 +134,8 @@ def push(
     weights: Path | None = None,
     video: bool = True,
     record: bool = False,
-    senses: str = "real",
-    method: str = "ours",
+    senses: bounded.Senses = "real",
+    method: bounded.Method = "ours",
 ) -> int:
     """Push one object to a pose on an open floor, with report and film.
 
@@ -138,7 +144,8 @@ def push(
     Args:
         family: box, cart, wheelchair, or an object file that shmoo object add has made. It stands at 0,0,0.
         goal: x,y,yaw [m, rad] to which the object is to be brought.
-        set: properties as in a scenario file (docs/scenario.md), NAME=VALUE; the others are drawn.
+        set: properties of the object as in a scenario file (docs/scenario.md), such as mass=12, of which the others are
+            drawn; and settings of the run, such as control.num_rollouts=128 (shmoo list settings).
         seed: draws the properties that are not set, and all noise.
         start: x,y,yaw [m, rad] of the robot.
         out: folder for result.json, report.html and episode.mp4.
@@ -146,12 +153,14 @@ def push(
         video: draw episode.mp4.
         record: write episode.rrd too, a 3-D recording to scrub through (needs the package rerun-sdk).
         senses: real or perfect.
-        method: ours, or paper (the paper's system, docs/paper_system.md).
+        method: ours, frozen (learns nothing of an object), or paper (the paper's system, docs/paper_system.md).
     """
     from shmoo_mjx.base import progress
+    from shmoo_mjx.base.options import parted
     from shmoo_mjx.run import scenario_run as run
 
-    grid, task = run.push_inputs(family, goal, set, seed=seed, start=start)
+    properties, settings = parted(set)
+    grid, task = run.push_inputs(family, goal, properties, seed=seed, start=start)
     with progress.stages() as report:
         result = run.run_scenario(
             grid,
@@ -162,8 +171,9 @@ def push(
             name="push",
             progress=report,
             record=record,
-            senses=_senses(senses),
+            senses=senses,
             method=method,
+            settings=settings,
         )
     print(f"{result['outcome']}: {result['reason']}; {out / 'report.html'}")
     return 0 if result["outcome"] == "success" else 1
@@ -171,9 +181,10 @@ def push(
 
 def live(
     scene: Positional[str] = "demo 0",
+    *,
     host: str = "127.0.0.1",
     port: bounded.Port = 8080,
-    senses: str = "real",
+    senses: bounded.Senses = "real",
     weights: Path | None = None,
     out: Path = Path("runs/live"),
     seconds: bounded.Seconds | None = None,
@@ -193,10 +204,10 @@ def live(
     """
     from shmoo_mjx.live.command import run_live
 
-    return run_live(scene, host=host, port=port, senses=_senses(senses), weights=weights, out=out, seconds=seconds)
+    return run_live(scene, host=host, port=port, senses=senses, weights=weights, out=out, seconds=seconds)
 
 
-def replay(run: Positional[Path], weights: Path | None = None) -> int:
+def replay(run: Positional[Path], *, weights: Path | None = None) -> int:
     """Feed a run's recorded observations to the navigator again and compare its commands bit for bit.
 
     Example: shmoo replay runs/demo-0
@@ -214,6 +225,7 @@ def replay(run: Positional[Path], weights: Path | None = None) -> int:
 
 def report(
     source: Positional[Path],
+    *,
     size: tuple[bounded.Side, bounded.Side] | None = None,
     out: Path = Path("runs/report"),
     weights: Path | None = None,
@@ -245,6 +257,7 @@ def report(
 
 def collect(
     directory: Positional[Path],
+    *,
     train: bounded.Train = 40,
     validation: bounded.Validation = 8,
     episodes: bounded.Episodes = 8,
@@ -279,6 +292,7 @@ def collect(
 def train(
     what: Positional[Literal["object", "robot"]],
     data: Positional[Path],
+    *,
     out: Path | None = None,
     seed: Seed = 0,
     quick: bool = False,
@@ -312,6 +326,7 @@ def train(
 def map_(
     action: Positional[Literal["show"]],
     map: Positional[Path],
+    *,
     out: Path | None = None,
     radius: bounded.Radius = 0.29,
 ) -> int:
@@ -341,6 +356,7 @@ def map_(
 
 def scenarios(
     action: Positional[Literal["make"]],
+    *,
     out: Path,
     maps: Path | None = None,
     condition_seed: tuple[ConditionSeed, ...] = (0,),
@@ -369,6 +385,7 @@ def scenarios(
 def object_(
     action: Positional[Literal["add"]],
     source: Positional[Path],
+    *,
     friction: bounded.Friction,
     mass: bounded.Mass | None = None,
     wheels: Literal["none", "casters", "rear"] = "none",
@@ -420,6 +437,7 @@ def object_(
 
 def view(
     what: Positional[str] = "robot",
+    *,
     seed: Seed = 0,
     record: Path | None = None,
     out: Path = Path("runs/view"),
@@ -458,7 +476,8 @@ def view(
 
 def experiment(
     name: Positional[str],
-    seed: Seed = 0,
+    *,
+    seed: Seed | None = None,
     condition_seed: ConditionSeed = 0,
     json: Path | None = None,
     quick: bool = False,
@@ -468,17 +487,26 @@ def experiment(
     policies: tuple[str, ...] = (),
     weights: Path | None = None,
     pushes: Path | None = None,
-    out: Path = Path("runs/experiments"),
-    senses: str = "real",
+    out: Path | None = None,
+    senses: bounded.Senses = "real",
+    runs: bounded.Runs | None = None,
+    only: tuple[str, ...] = (),
+    minutes: bounded.Minutes | None = None,
+    buildings: bounded.Buildings | None = None,
+    workers: bounded.Workers = 2,
 ) -> int:
     """Run an experiment: object_model, estimate, outcomes, baselines, ablations, robot_finetune, pushing,
-    object_planner, real_pushing, navigation, lifelong; or all of them, with a page of their results.
+    object_planner, real_pushing, navigation, lifelong; or all of them, with a page of their results. For developers:
+    faults (each fault in the demo's scenes) and soak (hours of errands while others move objects).
 
     Example: shmoo experiment object_model --json object_model.json
 
+    Example: shmoo experiment faults --runs 2 --only camera_gone person_walks
+
     Args:
         name: which experiment.
-        seed: of trainings, operators and noise.
+        seed: of trainings, operators and noise; of the first demo for faults, of the first building for soak (default:
+            0, for faults 900, for soak 950).
         condition_seed: draws the unseen objects or scenarios; another number gives others nobody has looked at.
         json: file for the result (default: OUT/NAME.json).
         quick: a short form of the same shape.
@@ -487,22 +515,32 @@ def experiment(
         scenarios: scenarios per map, for navigation; or a scenario set in the place of maps: a file made by shmoo
             scenarios make, or arena or floor_plans, the shipped ones.
         policies: which policies (navigation, lifelong) or pushing controllers (pushing) run, by their names (default:
-            all); for navigation and pushing also your own, as package.module:Name.
+            all; shmoo list policies, shmoo list controllers); for navigation and pushing also your own, as
+            package.module:Name.
         weights: trained weights (default: the shipped ones).
         pushes: folder of recorded pushes, for real_pushing among all.
-        out: folder for figures and what an interrupted experiment goes on from.
+        out: folder for figures and what an interrupted experiment goes on from (default: runs/experiments, for faults
+            and soak runs/NAME).
         senses: real or perfect, of the robots that act in the experiment.
+        runs: of each fault, for faults (default: 20).
+        only: these faults, for faults (default: all; shmoo list faults).
+        minutes: simulated time in each building, for soak (default: 60).
+        buildings: how many, for soak (default: 10).
+        workers: processes, for faults and soak.
     """
-    perceived = _senses(senses)
     from shmoo_mjx.base import progress
     from shmoo_mjx.base.guard import EXPERIMENT, check_output
-    from shmoo_mjx.evaluation.everything import run_all
-    from shmoo_mjx.evaluation.navigation_tables import reference_table
     from shmoo_mjx.evaluation.registry import run_experiment
     from shmoo_mjx.evaluation.result import ExperimentOptions, table, write_result
 
-    target = json or out / f"{name}.json"
+    tests_reliability = name in ("faults", "soak")
+    folder = out or Path("runs") / (name if tests_reliability else "experiments")
+    target = json or folder / f"{name}.json"
     check_output(target, EXPERIMENT)
+    for option, value, users in (("runs", runs, "faults"), ("only", only, "faults"),
+                                 ("minutes", minutes, "soak"), ("buildings", buildings, "soak")):  # fmt: skip
+        if value and name != users:
+            raise ShmooError(f"--{option} is for shmoo experiment {users} alone; leave it out.")
     count, scenario_set = (None, scenarios) if isinstance(scenarios, Path) else (scenarios, None)
     if scenario_set is not None:
         from shmoo_mjx.evaluation.scenario_set import find_set
@@ -510,26 +548,59 @@ def experiment(
         if name != "navigation" or maps is not None:
             raise ShmooError(f"--scenarios {scenario_set}: a scenario set is for navigation alone, without --maps.")
         scenario_set = find_set(scenario_set)
+    first = {"faults": 900, "soak": 950}.get(name, 0) if seed is None else seed
     with progress.stages() as report:
         options = ExperimentOptions(
-            seed, condition_seed, quick, data, maps, count, scenario_set, weights, out, report, perceived, policies
+            first, condition_seed, quick, data, maps, count, scenario_set, weights, folder, report, senses, policies
         )
-        if name == "all":
+        if tests_reliability:
+            result, summary = _reliability(
+                name,
+                options,
+                runs=runs or 20,
+                only=only,
+                minutes=minutes or 60.0,
+                buildings=buildings or 10,
+                workers=workers,
+            )
+        elif name == "all":
+            from shmoo_mjx.evaluation.everything import run_all
+
             page, left_out = run_all(options, pushes)
             for other, reason in left_out.items():
                 print(f"{other} was left out: {reason}")
             print(page)
             return 0
-        result = run_experiment(name, options)
+        else:
+            from shmoo_mjx.evaluation.navigation_tables import reference_table
+
+            result = run_experiment(name, options)
+            summary = reference_table(result) or table(result)
     write_result(target, result)
-    print(reference_table(result) or table(result))
-    print(target)
+    print(f"{summary}\n{target}")
     return 0
+
+
+def _reliability(
+    name: str, options: Any, *, runs: int, only: tuple[str, ...], minutes: float, buildings: int, workers: int
+) -> tuple[Any, str]:
+    """Result and table of ``faults`` or ``soak``."""
+    from shmoo_mjx.base.files import claimed
+    from shmoo_mjx.evaluation import faults, soak
+    from shmoo_mjx.evaluation.experiment import run
+
+    with claimed(options.out):
+        if name == "faults":
+            result = run(name, faults.EXPERIMENT, options, faults.FaultTrials(workers, runs=runs, only=only))
+            return result, faults.summary(result)
+        result = run(name, soak.EXPERIMENT, options, soak.SoakTrials(workers, minutes=minutes, buildings=buildings))
+        return result, soak.summary(result)
 
 
 def bench(
     name: Positional[str],
     files: Positional[tuple[Path, ...]] = (),
+    *,
     json: Path | None = None,
     quick: bool = False,
     peers_python: Path | None = None,
@@ -578,6 +649,7 @@ def bench(
 
 def sweep(
     config: Positional[Path],
+    *,
     out: Path | None = None,
     weights: Path | None = None,
     quick: bool = False,
@@ -586,7 +658,7 @@ def sweep(
     jobs: bounded.Jobs = 0,
     cluster: Literal["slurm", "local"] = "slurm",
     options: tuple[str, ...] = (),
-    senses: str | None = None,
+    senses: bounded.Senses | None = None,
 ) -> int:
     """Push objects in thousands of randomised MJX worlds and say when pushes succeed; goes on where it was stopped.
 
@@ -604,7 +676,6 @@ def sweep(
         options: with --jobs: settings of submitit, such as timeout_min=60 gpus_per_node=1 slurm_partition=gpu.
         senses: real or perfect; overrides the sweep's own (default: real).
     """
-    perceived = None if senses is None else _senses(senses)
     from shmoo_mjx.base import progress
     from shmoo_mjx.sweep.command import carry_out
 
@@ -619,91 +690,45 @@ def sweep(
         cluster=cluster,
         options=options,
         progress=progress.stages,
-        senses=perceived,
+        senses=senses,
     )
     for path in made:
         print(path)
     return 0
 
 
-def faults(
-    runs: bounded.Runs = 20,
-    only: tuple[str, ...] = (),
-    seed: Seed = 900,
-    json: Path | None = None,
-    weights: Path | None = None,
-    out: Path = Path("runs/faults"),
-    workers: bounded.Workers = 2,
+def list_(
+    what: Positional[
+        Literal[
+            "all",
+            "scenarios",
+            "sets",
+            "maps",
+            "objects",
+            "weights",
+            "methods",
+            "experiments",
+            "policies",
+            "controllers",
+            "faults",
+            "sweeps",
+            "benchmarks",
+            "settings",
+        ]
+    ] = "all",
 ) -> int:
-    """Run each fault of docs/results.md in the demo's scenes and print what came out; goes on where it was stopped.
+    """List what is shipped, a line each with what to type.
 
-    Example: shmoo faults --runs 2 --only camera_gone person_walks
+    Example: shmoo list settings
 
     Args:
-        runs: of each fault.
-        only: these faults (default: all), by their names.
-        seed: of the first demo; the others follow.
-        json: file for the result (default: OUT/faults.json).
-        weights: trained weights (default: the shipped ones).
-        out: folder that keeps each run.
-        workers: processes.
-    """
-    from shmoo_mjx.base import progress
-    from shmoo_mjx.base.files import claimed
-    from shmoo_mjx.base.guard import EXPERIMENT, check_output
-    from shmoo_mjx.evaluation import faults as matrix
-    from shmoo_mjx.evaluation.experiment import run
-    from shmoo_mjx.evaluation.result import ExperimentOptions, write_result
+        what: one kind, or all but the settings.
+    """  # fmt: skip
+    from shmoo_mjx.evaluation.catalogue import KINDS, lines
 
-    target = json or out / "faults.json"
-    check_output(target, EXPERIMENT)
-    with progress.stages() as report, claimed(out):
-        options = ExperimentOptions(seed, weights=weights, out=out, progress=report)
-        result = run("faults", matrix.EXPERIMENT, options, matrix.FaultTrials(workers, runs=runs, only=only))
-    write_result(target, result)
-    print(f"{matrix.summary(result)}\n{target}")
-    return 0
-
-
-def soak(
-    minutes: bounded.Minutes = 60.0,
-    buildings: bounded.Buildings = 10,
-    seed: Seed = 950,
-    json: Path | None = None,
-    weights: Path | None = None,
-    out: Path = Path("runs/soak"),
-    workers: bounded.Workers = 2,
-) -> int:
-    """Send the robot on errand after errand for hours while others move objects, and count what goes wrong; goes on
-    where it was stopped.
-
-    Example: shmoo soak --minutes 10 --buildings 2
-
-    Args:
-        minutes: simulated time in each building.
-        buildings: how many.
-        seed: of the first building; the others follow.
-        json: file for the result (default: OUT/soak.json).
-        weights: trained weights (default: the shipped ones).
-        out: folder that keeps what is done.
-        workers: processes.
-    """
-    from shmoo_mjx.base import progress
-    from shmoo_mjx.base.files import claimed
-    from shmoo_mjx.base.guard import EXPERIMENT, check_output
-    from shmoo_mjx.evaluation import soak as errands
-    from shmoo_mjx.evaluation.experiment import run
-    from shmoo_mjx.evaluation.result import ExperimentOptions, write_result
-
-    target = json or out / "soak.json"
-    check_output(target, EXPERIMENT)
-    with progress.stages() as report, claimed(out):
-        options = ExperimentOptions(seed, weights=weights, out=out, progress=report)
-        trials = errands.SoakTrials(workers, minutes=minutes, buildings=buildings)
-        result = run("soak", errands.EXPERIMENT, options, trials)
-    write_result(target, result)
-    print(errands.summary(result))
-    print(target)
+    print("\n".join(lines([kind for kind in KINDS if kind != "settings"] if what == "all" else [what])))
+    if what == "all":
+        print("shmoo list settings shows the settings of a run, for --set.")
     return 0
 
 
@@ -733,75 +758,63 @@ _COMMANDS: dict[str, Callable[..., int]] = {
     "navigate": navigate,
     "push": push,
     "live": live,
-    "replay": replay,
     "report": report,
-    "collect": collect,
-    "train": train,
-    "map": map_,
+    "view": view,
     "scenarios": scenarios,
     "object": object_,
-    "view": view,
+    "map": map_,
+    "train": train,
+    "collect": collect,
     "experiment": experiment,
-    "bench": bench,
     "sweep": sweep,
-    "faults": faults,
-    "soak": soak,
+    "list": list_,
+    "bench": bench,
     "doctor": doctor,
+    "replay": replay,
     "completion": completion,
 }
-_NEED_NO_DEVICE = ("doctor", "completion")
-_GO_ON = ("collect", "train", "scenarios", "experiment", "sweep", "faults", "soak")
+"""Users' commands first, then those for developers."""
+_MOVED = {"faults": "experiment faults", "soak": "experiment soak"}
+_NEED_NO_DEVICE = ("doctor", "completion", "list")
+_GO_ON = ("collect", "train", "scenarios", "experiment", "sweep")
 """Commands that go on where they were stopped."""
 
 
 def _run(arguments: list[str] | None = None) -> int:
     """Run the command that the arguments name (default: those of this process)."""
-    given = _joined(sys.argv[1:] if arguments is None else arguments)
-    if given == ["--version"]:
+    words = _joined(sys.argv[1:] if arguments is None else arguments)
+    if words == ["--version"]:
         print(f"shmoo_mjx {shmoo_mjx.__version__}")
         return 0
-    if given and not given[0].startswith("-") and given[0] not in _COMMANDS:
-        near = get_close_matches(given[0], _COMMANDS, 1)
+    if words and not words[0].startswith("-") and words[0] not in _COMMANDS:
+        if moved := _MOVED.get(words[0]):
+            raise ShmooError(f"shmoo {words[0]} is shmoo {moved} now, with the same options.")
+        near = get_close_matches(words[0], _COMMANDS, 1)
         hint = f"did you mean {near[0]}?" if near else f"choose from {', '.join(_COMMANDS)}."
-        raise ShmooError(f"there is no command {given[0]!r}; {hint}")
-    if given and given[0] in _COMMANDS and given[0] not in _NEED_NO_DEVICE and not {"--help", "-h"} & set(given):
+        raise ShmooError(f"there is no command {words[0]!r}; {hint}")
+    if words and words[0] in _COMMANDS and words[0] not in _NEED_NO_DEVICE and not {"--help", "-h"} & set(words):
         check_environment()
     commands = {name: with_verbosity(with_inputs_kept(command)) for name, command in _COMMANDS.items()}
     code: int = tyro.extras.subcommand_cli_from_dict(
         commands,
         prog="shmoo",
         description=str(shmoo_mjx.__doc__).partition("\n")[0],
-        args=given,
+        args=words,
         # Without a text tyro parses its own source for one, which takes a fifth of the time of --help.
-        config=(tyro.conf.arg(help="shmoo COMMAND --help lists its options."),),  # type: ignore[arg-type]
+        config=(tyro.conf.arg(help="shmoo COMMAND --help lists its options. For developers: bench, doctor, replay."),),  # type: ignore[arg-type]
     )
     return code
 
 
-def _joined(given: list[str]) -> list[str]:
+def _joined(words: list[str]) -> list[str]:
     """``--start -1,2,0`` as ``--start=-1,2,0``: a place may begin with a minus without being an option."""
     joined: list[str] = []
-    for word in given:
+    for word in words:
         if joined and joined[-1] in ("--start", "--goal") and re.match(r"-[\d.]", word):
             joined[-1] += f"={word}"
         else:
             joined.append(word)
     return joined
-
-
-def _senses(text: str) -> SensesName:
-    if text not in SENSES:
-        raise ShmooError(f"--senses {text!r} are unknown; choose {' or '.join(SENSES)}.")
-    return cast(SensesName, text)
-
-
-def _seeds(text: str) -> range:
-    first, dots, last = text.partition("..")
-    start = seed_of("--seed", first)
-    seeds = range(start, (seed_of("--seed", last) if dots else start) + 1)
-    if not seeds:
-        raise ShmooError(f"--seed {text!r} must begin with its smallest number, as 0..19 does.")
-    return seeds
 
 
 def main() -> None:

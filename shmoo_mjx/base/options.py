@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
@@ -15,6 +15,8 @@ from shmoo_mjx.errors import ShmooError
 SensesName = Literal["real", "perfect"]
 """How the robot perceives: as a robot does, or the simulator's truth (shmoo_mjx/sensing)."""
 SENSES: tuple[str, ...] = get_args(SensesName)
+METHODS = ("ours", "frozen", "paper")
+"""Names in `shmoo_mjx.behavior.methods`, which takes long to import."""
 
 
 def option(parse: Callable[[str], Any], metavar: str) -> PrimitiveConstructorSpec[Any]:
@@ -23,9 +25,27 @@ def option(parse: Callable[[str], Any], metavar: str) -> PrimitiveConstructorSpe
         nargs=1,
         metavar=metavar,
         instance_from_str=lambda texts: parse(texts[0]),
-        is_instance=lambda value: isinstance(value, int | float | Path),
-        str_from_instance=lambda value: [f"{value:g}" if isinstance(value, float) else str(value)],
+        is_instance=lambda value: isinstance(value, int | float | Path | str | range),
+        str_from_instance=lambda value: [_text(value)],
     )
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, range):
+        return str(value[0]) if len(value) == 1 else f"{value[0]}..{value[-1]}"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def choice(name: str, choices: Sequence[str]) -> PrimitiveConstructorSpec[Any]:
+    """An option with few values, which its help names."""
+
+    def parse(text: str) -> str:
+        if text not in choices:
+            *others, last = choices
+            raise ShmooError(f"{name} {shortened(text)!r} is unknown; choose {', '.join(others)} or {last}.")
+        return text
+
+    return option(parse, f"{{{','.join(choices)}}}")
 
 
 def whole_number(name: str, low: int, high: int, text: str) -> int:
@@ -67,11 +87,19 @@ def _real(name: str, low: float, high: float, unit: str = "") -> PrimitiveConstr
     return option(parse, "FLOAT")
 
 
+def parted(assignments: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Properties of an object and settings of the run among ``NAME=VALUE`` texts: names of settings have a dot."""
+    settings = [text for text in assignments if "." in text.partition("=")[0]]
+    return [text for text in assignments if text not in settings], settings
+
+
 def shortened(text: str) -> str:
     """What was typed, as an error message quotes it."""
     return text if len(text) <= 40 else text[:40] + "..."
 
 
+Senses = Annotated[SensesName, choice("--senses", SENSES)]
+Method = Annotated[str, choice("--method", METHODS)]
 Workers = Annotated[int, _whole("--workers", 1, 256)]
 Jobs = Annotated[int, _whole("--jobs", 0, 10_000)]
 Train = Annotated[int, _whole("--train", 0, 10_000_000)]

@@ -6,6 +6,7 @@ from functools import partial
 from typing import Annotated
 
 from shmoo_mjx.base.options import option, whole_number
+from shmoo_mjx.errors import ShmooError
 
 MAX_SEED = 2**31 - 1
 """What every generator we use (numpy, JAX, Gymnasium) takes, with room to count on from."""
@@ -34,6 +35,23 @@ def seed_of(name: str, text: str, highest: int = MAX_SEED) -> int:
     """
     return whole_number(name, 0, highest, text)
 
+
+def seeds_of(text: str) -> range:
+    """The seeds that "3" or "0..19" says.
+
+    Raises:
+        ShmooError: it is neither.
+    """
+    first, dots, last = text.partition("..")
+    start = seed_of("--seed", first)
+    seeds = range(start, (seed_of("--seed", last) if dots else start) + 1)
+    if not seeds:
+        raise ShmooError(f"--seed {text!r} must begin with its smallest number, as 0..19 does.")
+    return seeds
+
+
+Seeds = Annotated[range, option(seeds_of, "SEED|FIRST..LAST")]
+"""The type of a --seed that may be several."""
 
 Seed = Annotated[int, option(partial(seed_of, "--seed"), "SEED")]
 """The type of every --seed."""

@@ -346,7 +346,7 @@ EXPERIMENT = Experiment(
         "Faults",
         "One fault in each run of the demo, judged by the true state.",
         arguments=lambda config: f"--runs {config.get('runs')}",
-        command="shmoo faults",
+        command="shmoo experiment faults",
         table=summary,
     ),
     FaultTrials(),

@@ -199,7 +199,7 @@ EXPERIMENT = Experiment(
         "Soak",
         "Errand after errand in one building while others move objects.",
         arguments=lambda config: f"--minutes {config.get('minutes', 0):g} --buildings {config.get('buildings')}",
-        command="shmoo soak",
+        command="shmoo experiment soak",
         table=summary,
     ),
     SoakTrials(),

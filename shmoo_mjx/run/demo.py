@@ -19,11 +19,13 @@ def run_demo(
     senses: SensesName = "real",
     scene: str = "generated",
     method: str = "ours",
+    settings: Sequence[str] = (),
 ) -> int:
     """Run the demo for each seed, in a folder ``out / demo-SEED`` of its own; 0 if all succeeded, 1 otherwise.
 
     ``scene`` is one of `SCENES`; the folders of others than "generated" are called SCENE-SEED. The folders of a
-    ``method`` (`shmoo_mjx.behavior.methods`) other than "ours" are called SCENE-SEED-METHOD.
+    ``method`` (`shmoo_mjx.behavior.methods`) other than "ours" are called SCENE-SEED-METHOD. ``settings`` are used in
+    the place of the method's own (`shmoo_mjx.behavior.settings`).
 
     It prints the outcome and decisions of each run, the success rate, and where the last report is.
     """
@@ -46,6 +48,7 @@ def run_demo(
                 progress=report,
                 senses=senses,
                 method=method,
+                settings=settings,
             )
         results.append(result)
         print(_line(seed, result), flush=True)

@@ -46,13 +46,14 @@ def replay(run: Path, weights: Path | None = None) -> Difference | None:
         ShmooError: a file is missing, damaged or of another version, or the run was made with other weights.
     """
     from shmoo_mjx.behavior.methods import method_named
+    from shmoo_mjx.behavior.settings import with_settings
     from shmoo_mjx.planning.maps import load_map
     from shmoo_mjx.planning.scenario import load_scenario
     from shmoo_mjx.sensing import senses_named
 
     result, recorded = load_result(run / "result.json"), load_recording(run / RECORDING_FILE)
     own = run / OWN_WEIGHTS
-    method = method_named(str(result.get("method", "ours")))
+    method = with_settings(method_named(str(result.get("method", "ours"))), result.get("settings", ()))
     scenario = load_scenario(run / "scenario.yaml")
     to_pose = scenario.push_to is not None
     controller = method.controller(weights or (own if own.is_file() else None), to_pose)

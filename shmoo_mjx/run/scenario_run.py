@@ -71,6 +71,7 @@ def run_scenario(
     real_time: bool = False,
     policy: str | None = None,
     method: str = "ours",
+    settings: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Run one scenario and write its folder ``out``.
 
@@ -87,19 +88,21 @@ def run_scenario(
         real_time: run against the wall clock, and report every missed deadline.
         policy: "package.module:Name" of what drives in the place of our navigator.
         method: "ours", or "paper" for the paper's system (`shmoo_mjx.behavior.methods`).
+        settings: "NAME=VALUE" each, in the place of the method's own (`shmoo_mjx.behavior.settings`).
 
     Returns:
         The result, as in result.json.
 
     Raises:
         ShmooError: the scenario does not fit the map, the weights can't be read or do not fit the method, there is no
-            such method, or a file in ``out`` is not one of an earlier run.
+            such method or setting, or a file in ``out`` is not one of an earlier run.
     """
     check_run_folder(out)
     check_scenario(grid, scenario, ROBOT_RADIUS, name)
     conditions = checked_objects(grid, scenario, name)
     # Only now what takes seconds to import: bad input is answered at once.
     from shmoo_mjx.behavior.methods import method_named
+    from shmoo_mjx.behavior.settings import with_settings
     from shmoo_mjx.control.observation import local_distance_field
     from shmoo_mjx.planning.maps import distance_field
     from shmoo_mjx.report.html import write_report
@@ -109,7 +112,7 @@ def run_scenario(
 
     if record:
         require_rerun()
-    chosen = method_named(method)
+    chosen = with_settings(method_named(method), settings)
     controller = chosen.controller(weights, to_pose=scenario.push_to is not None)
     with claimed(out):
         # Before the run, which they might not outlive.
@@ -133,7 +136,14 @@ def run_scenario(
             policy=policy,
         )
         result = save_run(
-            out, grid, scenario, result=episode.result, trace=episode.trace, controller=controller, method=method
+            out,
+            grid,
+            scenario,
+            result=episode.result,
+            trace=episode.trace,
+            controller=controller,
+            method=method,
+            settings=settings,
         )
         save_recording(out / RECORDING_FILE, episode.recorded)
         # The report shows the film that lies there: one of an earlier run must not.
@@ -167,6 +177,7 @@ def save_run(
     trace: Trace,
     controller: PushController,
     method: str = "ours",
+    settings: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Write what a report is made of into the folder ``out``, and all that it takes to run it again, wherever the
     folder is: trace.npz, map, scenario, object files, weights that are not those of the ``method``, and result.json.
@@ -194,9 +205,9 @@ def save_run(
         (out / OWN_WEIGHTS).unlink(missing_ok=True)
     else:
         save_weights(out / OWN_WEIGHTS, controller.weights)
-    about = {"method": method, "versions": versions(), "weights": controller.weights.info}
+    about = {"method": method, "settings": list(settings), "versions": versions(), "weights": controller.weights.info}
     whole = {"name": out.resolve().name, **result, **about}
-    whole["command"] = _command(whole["name"], shipped, result["policy"], method)
+    whole["command"] = _command(whole["name"], shipped, result["policy"], method, settings)
     whole["config"] = result["config"] | {
         "pushing": asdict(controller.config),
         "scenario": portable(own, out).model_dump(mode="json"),
@@ -205,12 +216,13 @@ def save_run(
     return whole
 
 
-def _command(name: str, shipped_weights: bool, policy: str | None, method: str) -> str:
+def _command(name: str, shipped_weights: bool, policy: str | None, method: str, settings: Sequence[str]) -> str:
     """What repeats a run, from where its folder ``name`` lies."""
     words = ["uv", "run", "shmoo", "navigate", "--scenario", f"{name}/scenario.yaml"]
     words += [] if shipped_weights else ["--weights", f"{name}/{OWN_WEIGHTS}"]
     words += [] if policy is None else ["--policy", policy]
     words += [] if method == "ours" else ["--method", method]
+    words += ["--set", *settings] if settings else []
     return shlex.join([*words, "--out", f"{name}-again"])
 
 

@@ -26,6 +26,7 @@ def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
         (["box", "--set", "mass=heavy"], "finite number"),
         (["box", "--set", "masss=3"], "'masss' of the box is unknown"),
         (["box", "--set", "locked=[true"], "a list such as"),
+        (["box", "--set", "mass=6", "control.rollouts=64"], "control.num_rollouts"),
         (["box", "--goal", "1,2"], "3 finite numbers"),
         (["box", "--goal", "20,0,0"], "'push_to' (20, 0): the box reaches off the map"),
         (["box", "--start", "0.1,0,0"], "stands where the robot is"),
@@ -43,14 +44,24 @@ def test_what_is_no_task_is_refused_in_one_sentence(
 @pytest.mark.slow
 def test_a_box_is_brought_to_its_pose_told_of_and_replayed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "out"
-    words = ["--set", "mass=6", "friction=0.4", "--goal", "0.8,0.1,0.1", "--seed", "3", "--no-video"]
+    words = [
+        "--set",
+        "mass=6",
+        "friction=0.4",
+        "control.num_rollouts=128",
+        "--goal",
+        "0.8,0.1,0.1",
+        "--seed",
+        "3",
+        "--no-video",
+    ]
     assert run(monkeypatch, "push", "box", *words, "--out", str(out)) == 0
     result = json.loads((out / "result.json").read_text())
     assert result["push_to"] == [0.8, 0.1, 0.1] and result["goal_distance_m"] < 0.25
+    assert result["config"]["pushing"]["control"]["num_rollouts"] == 128
     assert "brought box 0 to its goal" in (out / "report.html").read_text()
     assert replay(out) is None
     again = tmp_path / "again"
-    assert (
-        run(monkeypatch, "navigate", "--scenario", str(out / "scenario.yaml"), "--no-video", "--out", str(again)) == 0
-    )
+    words = ["--scenario", str(out / "scenario.yaml"), "--set", *result["settings"], "--no-video", "--out", str(again)]
+    assert run(monkeypatch, "navigate", *words) == 0
     assert json.loads((again / "result.json").read_text())["transitions"] == result["transitions"]

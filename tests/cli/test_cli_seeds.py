@@ -31,8 +31,8 @@ COMMANDS = {
     "experiment": "experiment object_model --seed",
     "objects of an experiment": "experiment object_model --condition-seed",
     "bench": "bench mppi --seed",
-    "faults": "faults --seed",
-    "soak": "soak --seed",
+    "faults": "experiment faults --seed",
+    "soak": "experiment soak --seed",
 }
 
 
@@ -67,8 +67,8 @@ def test_no_option_of_a_seed_was_forgotten() -> None:
             if "seed" in parameter:
                 found.append(name)
                 kind = seeds.ConditionSeed if parameter == "condition_seed" else seeds.Seed
-                fine = hints[parameter] in (kind, tuple[kind, ...])  # type: ignore[valid-type]
-                assert fine or (name, parameter) == ("demo", "seed"), (name, parameter)
+                fine = hints[parameter] in (kind, kind | None, tuple[kind, ...])  # type: ignore[valid-type]
+                assert fine or (name, hints[parameter]) == ("demo", seeds.Seeds), (name, parameter)
     assert set(found) == {command.split()[0] for command in COMMANDS.values()}
 
 
@@ -135,7 +135,7 @@ def test_the_largest_seed_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
     monkeypatch.setattr("shmoo_mjx.run.demo.run_demo", lambda drawn, *_, **__: asked.append(drawn) or 0)
     for text in ("0", "2147483647", "0..2147483647"):
-        assert cli.demo(seed=text) == 0
+        assert cli.demo(seed=seeds.seeds_of(text)) == 0
     assert [(drawn[0], drawn[-1]) for drawn in asked] == [(0, 0), (2**31 - 1, 2**31 - 1), (0, 2**31 - 1)]
     with pytest.raises(ShmooError, match=r"0\.\.19"):
-        cli.demo(seed="3..2")
+        seeds.seeds_of("3..2")

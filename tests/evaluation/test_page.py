@@ -190,9 +190,9 @@ def test_faults_and_soak_have_their_tables_on_the_page(tmp_path: Path) -> None:
     (docs / "results.md").write_text(before)
     page.write_page({"faults": faults, "soak": soak}, tmp_path, docs / "results.md", docs / "figures")
     text = (docs / "results.md").read_text()
-    assert "`shmoo faults --runs 2 --seed 900`" in text and "by hand" not in text
+    assert "`shmoo experiment faults --runs 2 --seed 900`" in text and "by hand" not in text
     assert "| no object is detected for 5 s | 1 | 0 | 1 | 0 | 1 | fell |" in text and "3 runs: 1 falls" in text
-    assert "`shmoo soak --minutes 60 --buildings 10 --seed 950`" in text and "2 x blocked" in text
+    assert "`shmoo experiment soak --minutes 60 --buildings 10 --seed 950`" in text and "2 x blocked" in text
     assert text.index("## Caveats") < text.index("## Faults") < text.index("## Soak") and "\n\ntwo\n" in text
     kept = page.read_results(docs / "results")
     assert all(page.section_of(kept[name], []) in text for name in ("faults", "soak"))
