@@ -284,7 +284,7 @@ def collect(
 
     config = CollectConfig(train=train, validation=validation, episodes=episodes, seconds=seconds, seed=seed)
     with progress.counter("conditions") as report:
-        run(directory, config, workers, progress=report)
+        run(directory, config, workers=workers, progress=report)
     print(f"{directory}: complete")
     return 0
 
