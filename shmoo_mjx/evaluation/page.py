@@ -38,7 +38,7 @@ _BLOCK = re.compile(r"(?<=<!-- results -->\n).*?(?=<!-- end -->)", re.DOTALL)
 
 
 RELIABILITY = {"faults": faults.EXPERIMENT.section, "soak": soak.EXPERIMENT.section}
-"""How the results of ``shmoo faults`` and ``shmoo soak`` are shown, behind the experiments."""
+"""How the results of ``shmoo experiment faults`` and ``soak`` are shown, behind the experiments."""
 
 
 @cache
