@@ -81,7 +81,6 @@ def main() -> None:
     from shmoo_mjx.base.environment import prepare_environment
 
     prepare_environment()
-    import shmoo_mjx.report.html
     import shmoo_mjx.run.episode  # noqa: F401
     from shmoo_mjx.planning.floorplan import demo_scenario
     from shmoo_mjx.planning.scenario import Limits

@@ -101,9 +101,9 @@ def plain_jax(samples: int, horizon: int, activation: str, seed: int) -> Callabl
         return x
 
     def rollout(controls: Array) -> Array:
-        def body(x: Array, u: Array) -> tuple[Array, Array]:
+        def body(x: Any, u: Any) -> tuple[Any, Any]:
             new = work.transition(
-                jnp, partial(net, problem.robot), lambda s: net(problem.psi, s) @ problem.coefficients.T, x, u[None]
+                jnp, partial(net, problem.robot), lambda s: net(problem.psi, s) @ problem.coefficients.T, x=x, u=u[None]
             )
             return new, new[0]
 
@@ -171,7 +171,7 @@ def batch(samples: int, horizon: int, problems: int, seed: int) -> Callable[[], 
 
 def _state(rng: np.random.Generator) -> SystemState:
     seen, zero = _sighting(rng), np.zeros(3)
-    memory = {
+    memory: dict[str, Any] = {
         "last_object_twist": zero,
         "last_wrench": zero,
         "last_force": zero[:2],
@@ -179,7 +179,7 @@ def _state(rng: np.random.Generator) -> SystemState:
         "face": FACE,
         "size": 0.39,
     }
-    perceived = {k: v for k, v in seen._asdict().items() if k in SystemState._fields}
+    perceived: dict[str, Any] = {k: v for k, v in seen._asdict().items() if k in SystemState._fields}
     return SystemState(**perceived, **memory)
 
 

@@ -86,7 +86,9 @@ def _starters(cfg: MppiSizes, seed: int, python: Path) -> dict[str, Callable[[],
 
     def other(engine: str, by: Path, samples: int = cfg.samples) -> Callable[[], Worker]:
         device = "cpu" if on_cpu else "cuda"
-        return lambda: workers.peer(by, engine, samples, cfg.horizon, cfg.activation, seed, device)
+        return lambda: workers.peer(
+            by, engine, samples=samples, horizon=cfg.horizon, activation=cfg.activation, seed=seed, device=device
+        )
 
     return {
         "ours": own("ours"),
@@ -136,7 +138,14 @@ def _worst_case(cfg: MppiSizes, options: BenchOptions, busy: bool) -> Row:
         ours = stack.enter_context(closing(workers.ours(_spec(cfg, options.seed, engine="ours"))))
         if not busy:
             row = _many(cfg, options, ours, "quiet")
-            bare = workers.peer(Path(sys.executable), "gemm", _JITTER, cfg.horizon, cfg.activation, options.seed)
+            bare = workers.peer(
+                Path(sys.executable),
+                "gemm",
+                samples=_JITTER,
+                horizon=cfg.horizon,
+                activation=cfg.activation,
+                seed=options.seed,
+            )
             ms = 1e3 * np.asarray(stack.enter_context(closing(bare)).seconds(max(cfg.steps // 4, 20))[0])
             return row | {"gemm_p99_over_median": np.quantile(ms, 0.99) / np.median(ms)}
         plain = stack.enter_context(closing(workers.ours(_spec(cfg, options.seed, engine="plain_jax"), 1)))

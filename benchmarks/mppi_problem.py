@@ -62,7 +62,7 @@ def flop(samples: int, horizon: int) -> int:
     return 2 * samples * horizon * sum(n * m for n, m in pairs)
 
 
-def transition(xp: Any, robot: Any, push: Any, x: Array, u: Array) -> Array:
+def transition(xp: Any, robot: Any, push: Any, *, x: Array, u: Array) -> Array:
     """The state one sample later; ``xp`` is numpy, jax.numpy or torch, ``x [S, 31]``, ``u [S, 3]``.
 
     ``robot`` is R and ``push`` is psi a, each a function of a batch of inputs.

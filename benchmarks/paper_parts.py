@@ -25,7 +25,7 @@ def _with(config: PushConfig) -> Make:
     return lambda weights, other: PushController(_PAPER.load(), config)
 
 
-def _control(**settings: float) -> PushConfig:
+def _control(**settings: Any) -> PushConfig:
     return replace(_PAPER.pose_pushing, control=replace(_PAPER.pose_pushing.control, **settings))
 
 

@@ -49,7 +49,7 @@ def numpy_engine(samples: int, horizon: int, activation: str, seed: int) -> Call
         x = np.broadcast_to(problem.x0, (samples, 31))
         states = np.empty((horizon, samples, 31), np.float32)
         for t in range(horizon):
-            x = states[t] = work.transition(np, lambda s: net(problem.robot, s), push, x, controls[:, t])
+            x = states[t] = work.transition(np, lambda s: net(problem.robot, s), push, x=x, u=controls[:, t])
         costs = work.cost(np, problem.goal, x, controls)
         weights = np.exp((costs.min() - costs) / work.TEMPERATURE)
         best = np.einsum("s,stm->tm", weights / weights.sum(), controls)
@@ -60,7 +60,7 @@ def numpy_engine(samples: int, horizon: int, activation: str, seed: int) -> Call
 
 
 def torch_engine(
-    samples: int, horizon: int, activation: str, seed: int, threads: int, device: str, compiled: bool
+    samples: int, horizon: int, activation: str, seed: int, *, threads: int, device: str, compiled: bool
 ) -> Callable[[], Any]:
     """pytorch_mppi's own controller on the same networks and cost; ``device`` is cpu or cuda."""
     import torch
@@ -83,7 +83,7 @@ def torch_engine(
     robot, psi = net(problem.robot), net(problem.psi)
 
     def dynamics(x: Array, u: Array) -> Array:
-        return work.transition(torch, robot, lambda s: psi(s) @ a, x, u)
+        return work.transition(torch, robot, lambda s: psi(s) @ a, x=x, u=u)
 
     def running_cost(x: Array, u: Array) -> Array:
         return work.EFFORT * torch.linalg.vector_norm(u, dim=-1)
@@ -153,7 +153,7 @@ def main() -> None:
         import torch
 
         about |= {"torch": torch.__version__, "device": device}
-        step = torch_engine(*size, int(threads), device, engine == "pytorch_mppi_compiled")
+        step = torch_engine(*size, threads=int(threads), device=device, compiled=engine == "pytorch_mppi_compiled")
     started = time.perf_counter()
     for _ in range(3):
         step()

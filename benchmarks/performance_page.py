@@ -130,7 +130,7 @@ def page(text: str) -> str:
         there = [RESULTS / file for file in files if (RESULTS / file).is_file()]
         if there:
             block = f"<!-- {name} -->\n{make(read_result(there[0]))}\n<!-- end -->"
-            text, count = re.subn(f"<!-- {name} -->.*?<!-- end -->", lambda _, b=block: b, text, flags=re.DOTALL)
+            text, count = re.subn(f"<!-- {name} -->.*?<!-- end -->", block.replace("\\", r"\\"), text, flags=re.DOTALL)
             if count != 1:
                 raise SystemExit(f"{PAGE}: has {count} blocks named {name}, and needs one.")
     return text

@@ -63,7 +63,7 @@ def run(cfg: PlantSizes, options: BenchOptions) -> Measured:
             options.progress(f"MJX, {name}, {batch} worlds", (done + (i + 1) / (len(batches) + 1)) / len(cfg.scenes))
             here += mjx_rows(name, batch, cfg.seconds, rates)
             if warp and name != "room":
-                here += mjx_rows(name, batch, cfg.seconds, rates, "warp")
+                here += mjx_rows(name, batch, cfg.seconds, rates, impl="warp")
         rows += here
     metrics = {key: value for row in rows for key, value in _metrics(row).items()}
     return Measured(metrics, rows)
@@ -154,7 +154,12 @@ def c_rows(name: str, threads: int, seconds: float) -> list[Row]:
 
 
 def mjx_rows(
-    name: str, batch: int, seconds: float, c_rates: dict[tuple[str, int], float], impl: Literal["jax", "warp"] = "jax"
+    name: str,
+    batch: int,
+    seconds: float,
+    c_rates: dict[tuple[str, int], float],
+    *,
+    impl: Literal["jax", "warp"] = "jax",
 ) -> list[Row]:
     """MJX with ``batch`` worlds, standing and pushing, beside the rates of C MuJoCo."""
     engine = MjxEngine([scene_of(name, "mjx")] * batch, impl=impl)

@@ -207,7 +207,9 @@ def senses_figure(plt: Any) -> None:
     place = (REACH + 0.12 + condition.half_extents[0], 0.03, 0.1)
     squares = []
     for seed in range(1, 6):
-        reported, true, time = [], [], []
+        reported: list[Any] = []
+        true: list[Any] = []
+        time: list[Any] = []
         with SensedEngine([build_scene([(condition, place)], adjust=REAL.adjust(seed))], REAL, seed) as engine:
             world = engine.init()
             for i in range(60):

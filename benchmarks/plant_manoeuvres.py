@@ -68,7 +68,12 @@ class Track(NamedTuple):
 
 
 def follow(
-    scenes: list[Scene], senses: Senses, seconds: float, wish: Reference, push: Callable[[float], Any] = lambda t: None
+    scenes: list[Scene],
+    senses: Senses,
+    seconds: float,
+    wish: Reference,
+    *,
+    push: Callable[[float], Any] = lambda t: None,
 ) -> Track:
     """Drive every world by what its robot perceives: flat feed-forward with feedback, as in navigation."""
     rows: list[Observation] = []
@@ -88,7 +93,8 @@ def follow(
             rows.append(engine.true_observation(world))
             fallen |= engine.fallen(world)
     names = ("time", "robot_pose", "robot_twist", "lean")
-    return Track(*(np.stack([getattr(r, n) for r in rows]) for n in names), fallen)
+    time, pose, twist, lean = (np.stack([getattr(r, n) for r in rows]) for n in names)
+    return Track(time, pose, twist, lean, fallen)
 
 
 def _lean(wish: Reference, time: float, seen: Observation) -> np.ndarray:
@@ -174,11 +180,11 @@ def manoeuvres(senses: Senses) -> tuple[dict[str, Any], dict[str, Track]]:
     for force in FORCES:
         wrench = np.zeros((count, 6))
         wrench[:, 0] = SCALE * force
-        track = follow(scenes, senses, 11.0, lambda t: Wish(), _during(6.0, 11.0, wrench))
+        track = follow(scenes, senses, 11.0, lambda t: Wish(), push=_during(6.0, 11.0, wrench))
         numbers[f"{SCALE * force:.1f} N for 5 s: speed [m/s]"] = float(np.median(track.twist[-1, :, 0]))
     wrench = np.zeros((count, 6))
     wrench[:, 0] = SCALE * 310.0
-    track = follow(scenes, senses, 8.0, stand, _during(2.0, 2.4, wrench))
+    track = follow(scenes, senses, 8.0, stand, push=_during(2.0, 2.4, wrench))
     numbers[f"kick of {SCALE * 310:.0f} N x 0.4 s: falls of {count}"] = int(track.fallen.sum())
     return numbers, tracks
 
@@ -199,7 +205,7 @@ def impulses(senses: Senses) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     wrench[:, 0], wrench[:, 1] = force * np.cos(grid[:, 1]), force * np.sin(grid[:, 1])
     arm = grid[:, 0] - shmoobot().ball_radius - shmoobot().body_com_height
     wrench[:, 3], wrench[:, 4] = -arm * wrench[:, 1], arm * wrench[:, 0]
-    fallen = follow(scenes, senses, 5.0, stand, _during(1.0, 1.1, wrench)).fallen
+    fallen = follow(scenes, senses, 5.0, stand, push=_during(1.0, 1.1, wrench)).fallen
     stood = ~fallen.reshape(len(heights), len(angles), len(sizes))
     most = np.where(stood.all(axis=-1), len(sizes), np.argmin(stood, axis=-1))
     return heights, angles, np.where(most > 0, sizes[np.maximum(most - 1, 0)], 0.0)
@@ -240,7 +246,7 @@ def envelope(first: int) -> list[dict[str, Any]]:
     wrench = np.zeros((count, 6))
     wrench[:, 0], wrench[:, 1] = size * np.cos(angle), size * np.sin(angle)
     wish = lambda t: Wish(None, (0.4, 0.0) if 1.0 < t < 5.0 else (0.0, 0.0))  # noqa: E731
-    track = follow([scene for scene, _ in worlds], REAL, 11.0, wish, _during(8.0, 8.1, wrench))
+    track = follow([scene for scene, _ in worlds], REAL, 11.0, wish, push=_during(8.0, 8.1, wrench))
     return [drawn | {"fell": bool(f)} for (_, drawn), f in zip(worlds, track.fallen, strict=True)]
 
 

@@ -86,7 +86,7 @@ def run_all(options: BenchOptions, out: Path) -> ExperimentResult:
 def _result(name: str, options: BenchOptions, settings: dict[str, Any], measured: Measured) -> ExperimentResult:
     sizes = ExperimentOptions(seed=options.seed, quick=options.quick)
     settings = settings | {"machine": machine()}
-    return make_result(f"bench_{name}", sizes, settings, measured.metrics, measured.paper, measured.rows)
+    return make_result(f"bench_{name}", sizes, settings, measured.metrics, paper=measured.paper, rows=measured.rows)
 
 
 def _on_gpu() -> bool:

@@ -273,12 +273,12 @@ def main() -> None:
     asked = {f"{v.name}-{n}-cores-{args.steps}": (v, n) for v in timed for n in (1, 2) if n <= usable_cores()}
     if "times" in args.parts:
         run_trials(asked, partial(_clocked, args.steps), folder / "times", say, workers=1)
-    rows = _read(args.json, folder, [v.name for v in VARIANTS], "cost_m", args.condition_seed)
-    times = _read(args.json, folder / "times", list(asked), "cores", args.condition_seed)
+    rows = _read(args.json, folder, [v.name for v in VARIANTS], "cost_m", condition_seed=args.condition_seed)
+    times = _read(args.json, folder / "times", list(asked), "cores", condition_seed=args.condition_seed)
     lines = summary(rows, times)
     options = ExperimentOptions(condition_seed=args.condition_seed)
     metrics = {f"{x['name']}_{k}": v for x in lines for k, v in x.items() if isinstance(v, float)}
-    result = make_result("rollouts", options, settings | {"machine": machine()}, metrics, {}, rows + times)
+    result = make_result("rollouts", options, settings | {"machine": machine()}, metrics, paper={}, rows=rows + times)
     write_result(args.json, result)
     if any(row["variant"] == SHIPPED.name for row in rows):
         draw_figure(args.figure, lines)
@@ -289,7 +289,7 @@ def _clocked(steps: int, asked: tuple[Variant, int]) -> list[Row]:
     return [clock(*asked, steps)]
 
 
-def _read(saved: Path, folder: Path, names: list[str], key: str, condition_seed: int) -> list[Row]:
+def _read(saved: Path, folder: Path, names: list[str], key: str, *, condition_seed: int) -> list[Row]:
     """The rows that ``folder`` has under ``names``; of other variants those of the JSON ``saved`` that have ``key``."""
     files = [path for name in names if (path := folder / f"{name}.json").is_file()]
     rows = [row for path in files for row in json.loads(path.read_text())]

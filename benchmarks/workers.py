@@ -88,7 +88,7 @@ def ours(spec: dict[str, Any], devices: int | None = None) -> Worker:
 
 
 def peer(
-    python: Path, engine: str, samples: int, horizon: int, activation: str, seed: int, device: str = "cpu"
+    python: Path, engine: str, *, samples: int, horizon: int, activation: str, seed: int, device: str = "cpu"
 ) -> Worker:
     """One of `peers`, run by the interpreter ``python``; torch's ``device`` is cpu or cuda."""
     script = Path(__file__).with_name("peers.py")

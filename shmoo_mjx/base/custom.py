@@ -34,14 +34,14 @@ def named(kind: str, name: str) -> Callable[..., Any]:
     return member
 
 
-def asked(kind: str, name: str, ask: Callable[[], Any]) -> Any:
-    """What ``ask`` gives.
+def call(kind: str, name: str, function: Callable[[], Any]) -> Any:
+    """What ``function``, code of the user's, returns.
 
     Raises:
         ShmooError: the user's code failed; it says in which line.
     """
     try:
-        return ask()
+        return function()
     except ShmooError:
         raise
     except Exception as error:

@@ -64,14 +64,14 @@ class PolicyNavigator(Navigator):
         super().__init__(grid, goal, sizes, controller, seed=seed, config=config)
         self._name = name
         self._make = lambda: maker(grid, self.state.goal, self.setup.sizes, controller, self.setup.config)
-        self._policy = custom.asked("policy", self._name, self._make)
+        self._policy = custom.call("policy", self._name, self._make)
 
     def tick(self, obs: Observation) -> Command:
         """One decision of the policy."""
         now = float(obs.time[0])
         belief, _ = self.state.belief.update(obs, self.setup.sizes)
         self.state = replace(self.state, belief=belief)
-        command = custom.asked("policy", self._name, lambda: self._policy.tick(obs))
+        command = custom.call("policy", self._name, lambda: self._policy.tick(obs))
         if not isinstance(command, Command) or np.shape(command.u) != (1, 3):
             raise ShmooError(f"policy {self._name}: tick must give a Command whose u is [1, 3]; it gave {command!r}.")
         if not all(np.isfinite(np.asarray(value, dtype=float)).all() for value in command):
@@ -85,7 +85,7 @@ class PolicyNavigator(Navigator):
     def head_for(self, goal: Numbers | Float[Array, "2"], now: float) -> None:
         """The policy begins anew, with another goal."""
         super().head_for(goal, now)
-        self._policy = custom.asked("policy", self._name, self._make)
+        self._policy = custom.call("policy", self._name, self._make)
 
     def _go(self, now: float, target: Mode, reason: str) -> None:
         self.events.append(Transition(now, self.mode, target, reason))

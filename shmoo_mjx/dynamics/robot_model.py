@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.linalg import expm
@@ -53,7 +54,7 @@ class RobotParams(NamedTuple):
     lean: LeanResponse
 
 
-def init(key: Key[Array, ""], config: RobotConfig | None = None) -> RobotParams:
+def init(key: Key[jax.Array, ""], config: RobotConfig | None = None) -> RobotParams:
     """Untrained parameters."""
     config = config or RobotConfig()
     n_in, n_out = features.width(features.ROBOT_INPUTS), features.width(features.ROBOT_OUTPUTS)

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from shmoo_mjx.arrays import Array
+from shmoo_mjx.arrays import Array, Scalar
 from shmoo_mjx.data.collect import drive, operators
 from shmoo_mjx.dynamics import contact_model, features, object_model
 from shmoo_mjx.evaluation.experiment import Experiment, ExperimentConfig, Setup
@@ -77,7 +77,7 @@ def _trial(setup: Setup[ObjectEstimateConfig], trial: tuple[str, int]) -> list[d
     prior = contact_prior.of_kind(weights.contact_prior, family)
     bands, masses, states = _filter(config, prior, sightings)
     bands, masses = np.asarray(bands), np.asarray(masses)
-    contact = np.cumsum(touches(sightings.wrench) & sightings.detected, axis=1)
+    contact = np.cumsum(np.asarray(touches(sightings.wrench)) & np.asarray(sightings.detected), axis=1)
     rows = []
     for i, condition in enumerate(conditions):
         truth = contact_prior.parameters_of(condition)
@@ -109,8 +109,8 @@ def _trial(setup: Setup[ObjectEstimateConfig], trial: tuple[str, int]) -> list[d
                     weights,
                     prior,
                     state,
-                    wrenches=sightings.wrench[i, at : at + _AHEAD + 1],
-                    size=sightings.size[i, 0],
+                    wrenches=np.asarray(sightings.wrench)[i, at : at + _AHEAD + 1],
+                    size=float(np.asarray(sightings.size)[i, 0]),
                     true=poses[i, at + _AHEAD, :2],
                 )
             rows.append(row)
@@ -132,7 +132,9 @@ def _ahead(
     before = estimate.init(config, prior, jax.random.key(1))._replace(pose=state.pose, twist=state.twist)
     row = {}
     for name, posterior in (("ahead", state), ("prior_ahead", before)):
-        ends = np.asarray(_roll_outs(config, weights.config.object, weights.params, posterior, wrenches, size))
+        ends = np.asarray(
+            _roll_outs(config, weights.config.object, weights.params, posterior, wrenches=wrenches, size=size)
+        )
         low, high = np.quantile(ends, (BAND[0], BAND[-1]), axis=0)
         row[f"{name}_error"] = float(np.hypot(*(ends.mean(axis=0) - true)))
         row[f"{name}_covered"] = float(np.mean((low <= true) & (true <= high)))
@@ -141,7 +143,7 @@ def _ahead(
 
 @partial(jax.jit, static_argnums=(0, 1))
 def _roll_outs(
-    config: EstimateConfig, shape: Any, params: Any, state: ObjectEstimate, wrenches: Array, size: Array
+    config: EstimateConfig, shape: Any, params: Any, state: ObjectEstimate, *, wrenches: Array, size: Scalar
 ) -> Array:
     """``[_DRAWS, 2]`` positions in {W} of the object after the sensed ``wrenches [1 + T, 3]``, of which the first is
     that of the sample before."""
@@ -150,7 +152,7 @@ def _roll_outs(
     contact, force, pose, twist = (a[chosen] for a in (state.parameters, state.force, state.pose, state.twist))
     accelerations = jax.vmap(partial(object_model.predict, params.object, params.coefficients, config=shape))
 
-    def sample(carry: tuple[Array, ...], sensed: tuple[Array, Array]) -> tuple[tuple[Array, ...], None]:
+    def sample(carry: Any, sensed: Any) -> tuple[Any, None]:
         pose, twist, last_twist, last_wrench = carry
         wrench = se2.rotate(estimate.true_wrench(config, force, *sensed), -pose[:, 2])
         inside = se2.rotate(twist, -pose[:, 2])
@@ -210,13 +212,14 @@ def _filter(config: EstimateConfig, prior: Any, sightings: Sighting) -> tuple[An
         friction = contact_model.resistance(state.parameters)
         quantities = jnp.concatenate([friction, jnp.exp(state.parameters[:, _MASS, None])], axis=-1)
         bands = estimate.quantiles(state, quantities, BAND)
-        return state, (bands, jnp.exp(estimate.mean(state)[_MASS]), state._replace(prior=None, key=None))
+        moving: dict[str, Any] = state._asdict() | {"prior": None, "key": None}
+        return state, (bands, jnp.exp(estimate.mean(state)[_MASS]), ObjectEstimate(**moving))
 
     def one(samples: Sighting, key: Any) -> Any:
         return jax.lax.scan(step, estimate.init(config, prior, key), samples)[1]
 
     samples = jax.tree.map(lambda a: jnp.asarray(a, bool if a.dtype == bool else jnp.float32), sightings)
-    keys = jax.random.split(jax.random.key(0), len(sightings.size))
+    keys = jax.random.split(jax.random.key(0), len(sightings.pose))
     filtered: tuple[Any, Any, ObjectEstimate] = jax.vmap(one)(samples, keys)
     return filtered
 

@@ -112,7 +112,7 @@ def run[C: ExperimentConfig](
     options.progress("done", 1.0)
     settings = asdict(setup.config) | (experiment.about(setup) if experiment.about is not None else {})
     rows = [{key: value for key, value in row.items() if key not in experiment.only_drawn} for row in rows]
-    return make_result(name, options, settings, metrics, dict(experiment.paper), rows)
+    return make_result(name, options, settings, metrics, paper=dict(experiment.paper), rows=rows)
 
 
 def prepare[C: ExperimentConfig](
@@ -125,6 +125,6 @@ def prepare[C: ExperimentConfig](
     folder = options.out / name
     data, files, settings = experiment.prepare(options, config, folder)
     deciding = {k: v for k, v in asdict(config).items() if k not in ("workers", *experiment.neutral)}
-    asked = deciding, options.seed, options.condition_seed, options.senses, settings
-    store = folder / f"trials-{fingerprint(experiment.trial.__module__, asked, *files)}"
+    identity = deciding, options.seed, options.condition_seed, options.senses, settings
+    store = folder / f"trials-{fingerprint(experiment.trial.__module__, identity, *files)}"
     return Setup(replace(options, progress=no_progress), config, folder, store, data)

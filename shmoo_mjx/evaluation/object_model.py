@@ -71,7 +71,7 @@ def _prepare(options: ExperimentOptions, config: ObjectModelConfig, folder: Path
         for seed in seeds
     ]
     brakes = datasets.collect_rows(options, f"brake-{seeds[0]}-{count}", rows)
-    return shared._replace(data=_Data(*shared.data, brakes))
+    return shared._replace(data=_Data(shared.data.train, shared.data.unseen, brakes))
 
 
 def _trials(setup: Setup[ObjectModelConfig]) -> dict[str, tuple[str, int]]:

@@ -56,7 +56,7 @@ def align(points: Array, touched: Array) -> np.ndarray:
 
     The markers that an object's pose is measured by are put on anew for each recording.
     """
-    corners = estimate(points, 0.0)
+    corners = estimate(np.asarray(points), 0.0)
 
     def gaps(change: Array) -> np.ndarray:
         moved = se2.inverse_transform_point(change[:3], touched)

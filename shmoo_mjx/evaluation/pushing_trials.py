@@ -240,7 +240,7 @@ def _pusher(method: str, weights: Weights, config: PushConfig) -> Pusher:
         return method_named(PAPER).controller(to_pose=True)
     if method not in METHODS:
         make = custom.named(OWN, method)
-        return cast(Pusher, custom.asked(OWN, method, lambda: make(weights, config)))
+        return cast(Pusher, custom.call(OWN, method, lambda: make(weights, config)))
     if method == "quasi_static":
         return QuasiStaticPusher(config.speed)
     if method == "contact_model":
@@ -306,7 +306,7 @@ class Runner:
                     if adapt_after is not None:
                         task.know(adapt_after)
                 tick = partial(task.tick, obs)
-                command = tick() if method in METHODS else custom.asked(OWN, method, tick)
+                command = tick() if method in METHODS else custom.call(OWN, method, tick)
                 after = engine.step(world, command)
                 lost = bool(engine.diverged(after[0])[0])
                 if not lost:  # or the last whole state remains

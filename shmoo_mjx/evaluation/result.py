@@ -63,21 +63,21 @@ class ExperimentOptions:
         check_seed("--seed", self.seed)
         check_seed("--condition-seed", self.condition_seed, MAX_CONDITION_SEED)
 
-    def chosen(self, known: Iterable[str], others: bool = False) -> tuple[str, ...]:
-        """Those of the ``known`` policies or methods that are asked for, or all, in the order in which they run.
+    def chosen(self, names: Iterable[str], others: bool = False) -> tuple[str, ...]:
+        """Those of the policies or methods ``names`` that are asked for, or all, in the order in which they run.
 
         With ``others``, "package.module:Name" stands for one of the user's own and comes after them.
 
         Raises:
             ShmooError: one is not known.
         """
-        known = tuple(known)
+        names = tuple(names)
         own = tuple(dict.fromkeys(name for name in self.policies if others and ":" in name))
         for name in self.policies:
-            if name not in known and name not in own:
-                more = " and your own as package.module:Name" if others else ""
-                raise ShmooError(f"--policies {name}: is not known; choose from {', '.join(known)}{more}.")
-        return (*(name for name in known if not self.policies or name in self.policies), *own)
+            if name not in names and name not in own:
+                own_too = " and your own as package.module:Name" if others else ""
+                raise ShmooError(f"--policies {name}: is not known; choose from {', '.join(names)}{own_too}.")
+        return (*(name for name in names if not self.policies or name in self.policies), *own)
 
     @property
     def weights_file(self) -> Path:
@@ -113,12 +113,13 @@ def make_result(
     options: ExperimentOptions,
     config: Any,
     metrics: dict[str, Any],
+    *,
     paper: dict[str, float],
     rows: list[dict[str, Any]],
 ) -> ExperimentResult:
     """Assemble a result; numpy numbers become plain ones and what is not finite becomes null."""
     settings = asdict(config) if is_dataclass(config) and not isinstance(config, type) else dict(config)
-    asked = {
+    choices = {
         "condition_seed": options.condition_seed,
         "quick": options.quick,
         "weights": weights_id(options.weights),
@@ -127,7 +128,7 @@ def make_result(
     return ExperimentResult(
         experiment=experiment,
         seed=options.seed,
-        config=_plain(settings | asked),
+        config=_plain(settings | choices),
         versions=versions(),
         metrics=_plain(metrics),
         paper=paper,

@@ -54,7 +54,7 @@ class RobotFinetuneConfig(ExperimentConfig):
     """Of these, the last ones, on which early stopping looks."""
     test_episodes: int = 3
     """Per family, each on an object of its own: 3 x 3 x 13.3 s = 2 minutes."""
-    more: int = 8
+    longer: int = 8
     """R is fine-tuned once more, on so many times as many episodes; 0 leaves that out."""
     seconds: float = 12.5
     test_seconds: float = 13.3
@@ -86,8 +86,8 @@ def _trial(setup: Setup[RobotFinetuneConfig], number: int) -> list[dict[str, Any
     train = _record(setup, robot_seed, config.train_episodes)
     test = _record(setup, robot_seed, config.test_episodes, test=True)
     robots = {"before": weights.params.robot, "after": _tuned(setup, weights, train, number)}
-    if config.more:
-        train = _record(setup, robot_seed, config.more * config.train_episodes)
+    if config.longer:
+        train = _record(setup, robot_seed, config.longer * config.train_episodes)
         robots["more"] = _tuned(setup, weights, train, number, epochs=config.most_epochs)
     rows: list[dict[str, Any]] = []
     for label, robot in robots.items():
@@ -272,7 +272,7 @@ EXPERIMENT = Experiment(
     ),
     RobotFinetuneConfig(),
     quick=RobotFinetuneConfig(
-        robots=1, train_episodes=2, validation_episodes=1, test_episodes=1, more=2, pushed=0, most_epochs=5
+        robots=1, train_episodes=2, validation_episodes=1, test_episodes=1, longer=2, pushed=0, most_epochs=5
     ),
     trials=lambda setup: {f"robot-{i}": i for i in range(setup.config.robots)},
     trial=_trial,

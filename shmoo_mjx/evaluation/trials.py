@@ -37,7 +37,7 @@ def run_trials(
     """
     folder.mkdir(parents=True, exist_ok=True)
     files = {name: folder / f"{name}.json" for name in trials}
-    missing = {name: given for name, given in trials.items() if not files[name].is_file()}
+    missing = {name: trial for name, trial in trials.items() if not files[name].is_file()}
     done = len(trials) - len(missing)
     progress(f"{done} of {len(trials)} trials were there", done / max(len(trials), 1))
     for name, rows in _worked(missing, work, min(workers, len(missing))):
@@ -57,17 +57,17 @@ def one_core() -> None:
 
 def _worked(trials: Mapping[str, Any], work: Work, workers: int) -> Iterator[tuple[str, list[dict[str, Any]]]]:
     if workers <= 1:
-        yield from ((name, _tried(work, given)) for name, given in trials.items())
+        yield from ((name, _tried(work, trial)) for name, trial in trials.items())
         return
     with process_pool(min(workers, os.cpu_count() or 1), one_core) as pool:
-        waiting = {pool.submit(_tried, work, given): name for name, given in trials.items()}
+        waiting = {pool.submit(_tried, work, trial): name for name, trial in trials.items()}
         for future in as_completed(waiting):
             yield waiting[future], future.result()
 
 
 @single_precision
-def _tried(work: Work, given: Any) -> list[dict[str, Any]]:
-    return work(given)
+def _tried(work: Work, trial: Any) -> list[dict[str, Any]]:
+    return work(trial)
 
 
 @cache

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from shmoo_mjx.arrays import Array, Float, Key, single_precision
+from shmoo_mjx.arrays import Array, Float, Key, Scalar, single_precision
 from shmoo_mjx.control import quasi_static
 from shmoo_mjx.control.governor import static_lean
 from shmoo_mjx.control.observation import ObjectObservation
@@ -132,7 +132,7 @@ def _roll(
     """Poses ``[T, O, 3]`` of object and robot for one sample."""
     params = params._replace(contact=contact)
 
-    def law(obs: ObjectObservation, integral: Array, face: Array, goal: Array) -> tuple[Array, Array]:
+    def law(obs: ObjectObservation, integral: Array, face: Array, goal: Array) -> tuple[Array, Scalar]:
         return quasi_static.control(speed, obs, integral, face=face, goal=goal)
 
     def one(carry: tuple[SystemState, Array], _: None) -> tuple[tuple[SystemState, Array], tuple[Array, Array]]:

@@ -101,11 +101,11 @@ def draw_decision(axes: Axes, result: dict[str, Any], trace: Trace, number: int)
     robot = trace.robot_pose[_sample(trace, decision["t"])]
     axes.plot(*robot[:2], "o", color=COLOURS["robot"], ms=9, label="robot")
     verdict = "can be moved" if decision["manipulable"] else "can't be moved"
-    known, name = is_number(decision.get("K")), object_name(result, decision["object"])
-    if not known and is_number(decision.get("probability")):
+    by_k, name = is_number(decision.get("K")), object_name(result, decision["object"])
+    if not by_k and is_number(decision.get("probability")):
         says = str(decision["reason"])  # by expected time
     else:
-        says = f"{verdict}, {evidence(decision)}" if known else "first goal, dynamics not known yet"
+        says = f"{verdict}, {evidence(decision)}" if by_k else "first goal, dynamics not known yet"
     title = f"{number + 1}. At {float(decision['t']):.1f} s, {name}: {says}"
     axes.set_title(textwrap.fill(title, _TITLE_WIDTH), fontsize=10)
     axes.legend(loc="best", fontsize=7, framealpha=0.9)

@@ -71,8 +71,9 @@ def differences(navigator: Machine, recorded: Recording) -> Difference | None:
     for i, time in enumerate(recorded.observations.time[:, 0]):
         if i and not np.array_equal(recorded.goals[i], recorded.goals[i - 1]):
             navigator.head_for(recorded.goals[i], float(time))
-        command = navigator.tick(Observation(*(field[i] for field in recorded.observations)))
+        command = navigator.tick(Observation(*(np.asarray(field)[i] for field in recorded.observations)))
         for name, then, now in zip(Command._fields, recorded.commands, command, strict=True):
-            if not np.array_equal(then[i], now):
-                return Difference(i, float(time), str(navigator.mode), name, np.asarray(then[i]), np.asarray(now))
+            before = np.asarray(then)[i]
+            if not np.array_equal(before, now):
+                return Difference(i, float(time), str(navigator.mode), name, before, np.asarray(now))
     return None

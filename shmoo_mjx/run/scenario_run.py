@@ -207,7 +207,7 @@ def save_run(
         save_weights(out / OWN_WEIGHTS, controller.weights)
     about = {"method": method, "settings": list(settings), "versions": versions(), "weights": controller.weights.info}
     whole = {"name": out.resolve().name, **result, **about}
-    whole["command"] = _command(whole["name"], shipped, result["policy"], method, settings)
+    whole["command"] = _command(whole["name"], shipped, policy=result["policy"], method=method, settings=settings)
     whole["config"] = result["config"] | {
         "pushing": asdict(controller.config),
         "scenario": portable(own, out).model_dump(mode="json"),
@@ -216,7 +216,7 @@ def save_run(
     return whole
 
 
-def _command(name: str, shipped_weights: bool, policy: str | None, method: str, settings: Sequence[str]) -> str:
+def _command(name: str, shipped_weights: bool, *, policy: str | None, method: str, settings: Sequence[str]) -> str:
     """What repeats a run, from where its folder ``name`` lies."""
     words = ["uv", "run", "shmoo", "navigate", "--scenario", f"{name}/scenario.yaml"]
     words += [] if shipped_weights else ["--weights", f"{name}/{OWN_WEIGHTS}"]

@@ -120,7 +120,7 @@ def tick(
         wrenches.append(obs.wrench)
         show(world)
     obs = obs._replace(wrench=np.mean(wrenches, axis=0))
-    rows = (*session.rows, sample(session.obs, obs, wanted.u)) if record else ()
+    rows: tuple[Any, ...] = (*session.rows, sample(session.obs, obs, wanted.u)) if record else ()
     return TeleopSession(world, obs, driver, rows)
 
 

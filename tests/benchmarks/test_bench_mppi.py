@@ -36,7 +36,11 @@ def test_numpy_and_jax_do_the_same_transition() -> None:
 
     def run(xp: Any) -> Any:
         return work.transition(
-            xp, lambda s: net(problem.robot, s, xp), lambda s: net(problem.psi, s, xp) @ problem.coefficients.T, x, u
+            xp,
+            lambda s: net(problem.robot, s, xp),
+            lambda s: net(problem.psi, s, xp) @ problem.coefficients.T,
+            x=x,
+            u=u,
         )
 
     np.testing.assert_allclose(run(np), run(jnp), atol=1e-5)
@@ -48,15 +52,15 @@ def test_numpy_and_jax_do_the_same_transition() -> None:
 
 def test_an_absent_peer_says_so() -> None:
     with pytest.raises(ShmooError, match=r"pytorch_mppi|torch"):
-        workers.peer(Path(sys.executable), "pytorch_mppi_eager", 10, 2, "relu", 0)
+        workers.peer(Path(sys.executable), "pytorch_mppi_eager", samples=10, horizon=2, activation="relu", seed=0)
     with pytest.raises(ShmooError, match="no-such-python"):
-        workers.peer(Path("no-such-python"), "numpy", 10, 2, "relu", 0)
+        workers.peer(Path("no-such-python"), "numpy", samples=10, horizon=2, activation="relu", seed=0)
     with pytest.raises(ShmooError, match="choose one of startup"):
         run_benchmark("nonsense", BenchOptions())
 
 
 def test_a_worker_times_what_it_is_asked_to() -> None:
-    worker = workers.peer(Path(sys.executable), "numpy", 20, 3, "tanh", 0)
+    worker = workers.peer(Path(sys.executable), "numpy", samples=20, horizon=3, activation="tanh", seed=0)
     try:
         for calls in (3, 1):
             seconds, compiled = worker.seconds(calls)

@@ -33,7 +33,7 @@ def test_the_suite_holds_all_and_keeps_each(monkeypatch: pytest.MonkeyPatch, tmp
     def fake(name: str, options: BenchOptions) -> Any:
         options.progress("half", 0.5)
         row = {"absent": "a peer is absent: it is not installed"} if name == "mppi" else {"name": "engine"}
-        return make_result(f"bench_{name}", ExperimentOptions(), {"size": 1}, {"tick_ms": 2.0}, {}, [row])
+        return make_result(f"bench_{name}", ExperimentOptions(), {"size": 1}, {"tick_ms": 2.0}, paper={}, rows=[row])
 
     monkeypatch.setattr(registry, "run_benchmark", fake)
     said: list[tuple[str, float]] = []

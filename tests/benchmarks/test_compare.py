@@ -24,7 +24,9 @@ BEFORE = {
 
 def saved(folder: Path, name: str, metrics: dict[str, Any], quick: bool = False, **config: Any) -> Path:
     settings = {"machine": machine()} | config
-    write_result(folder / name, make_result("bench_mppi", ExperimentOptions(quick=quick), settings, metrics, {}, []))
+    write_result(
+        folder / name, make_result("bench_mppi", ExperimentOptions(quick=quick), settings, metrics, paper={}, rows=[])
+    )
     return folder / name
 
 
@@ -78,7 +80,7 @@ def test_wrong_files_are_named(tmp_path: Path) -> None:
         compare_files([old])
     with pytest.raises(ShmooError, match=r"absent\.json: does not exist"):
         compare_files([old, tmp_path / "absent.json"])
-    other = make_result("pushing", ExperimentOptions(), {}, {"tick_ms": 1.0}, {}, [])
+    other = make_result("pushing", ExperimentOptions(), {}, {"tick_ms": 1.0}, paper={}, rows=[])
     write_result(tmp_path / "pushing.json", other)
     with pytest.raises(ShmooError, match=r"pushing\.json: is no benchmark"):
         compare_files([old, tmp_path / "pushing.json"])

@@ -208,7 +208,7 @@ def test_policies_are_compared_with_the_certificates_of_what_can_be_solved() -> 
     assert metrics["unsolvable"] == metrics["unsolvable_called_blocked"] == 1
     assert metrics["difference_my_own:P_regret_s"] == -5.0 and metrics["difference_my_own:P_regret_s_pairs"] == 4
     config = {"policies": ("ours", "my_own:P")}
-    text = reference_table(make_result("navigation", ExperimentOptions(), config, metrics, {}, rows))
+    text = reference_table(make_result("navigation", ExperimentOptions(), config, metrics, paper={}, rows=rows))
     assert (
         "| my_own:P | 1.00 | 20.0 | 20.0 | 5.0 | 15.0 | 25.0 | 35.0 | 1.00 | 1 / 1 |" in text
         and "-5.0 (-5.0 to -5.0)" in text
@@ -220,7 +220,7 @@ def test_without_certificates_there_is_no_such_table() -> None:
     metrics = measure(ROWS, tuple(POLICIES))
     assert "certified" not in metrics
     config = {"policies": tuple(POLICIES)}
-    assert reference_table(make_result("navigation", ExperimentOptions(), config, metrics, {}, ROWS)) == ""
+    assert reference_table(make_result("navigation", ExperimentOptions(), config, metrics, paper={}, rows=ROWS)) == ""
 
 
 def test_some_policies_alone_are_measured_as_well() -> None:
@@ -234,7 +234,7 @@ def test_the_page_says_better_by_interval_and_what_failed() -> None:
     many = [r | {"scenario": 4 * k + r["scenario"]} for k in range(8) for r in ROWS]
     metrics = measure(many, tuple(POLICIES))
     found = make_result(
-        "navigation", ExperimentOptions(senses="perfect"), {"policies": tuple(POLICIES)}, metrics, {}, many
+        "navigation", ExperimentOptions(senses="perfect"), {"policies": tuple(POLICIES)}, metrics, paper={}, rows=many
     )
     text = navigation_tables(found)
     assert "| success | " in text and "| -0.25 (" in text and "**worse**" in text and "**better**" in text

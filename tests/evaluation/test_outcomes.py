@@ -72,7 +72,7 @@ def test_measures_and_their_table() -> None:
     assert metrics["pushes_free_posterior"] == 4 and metrics["comes_free_posterior"] == 3
     low, high = (metrics[f"position_m_free_posterior_{end}"] for end in ("low", "high"))
     assert low == pytest.approx(0.1) and high == pytest.approx(0.2)
-    text = outcomes_table(make_result("outcomes", ExperimentOptions(), {}, metrics, {}, rows))
+    text = outcomes_table(make_result("outcomes", ExperimentOptions(), {}, metrics, paper={}, rows=rows))
     assert "| 0.1 (0.1 to 0.2) |" in text and "nan" not in text
 
 

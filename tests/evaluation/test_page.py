@@ -26,7 +26,7 @@ def result_of(name: str, options: ExperimentOptions) -> ExperimentResult:
     if name == "ablations":
         metrics = {"mse_default": 0.5, "probe_inputs": 0.1, "probe_inputs_without_size": 0.1, "chance": 0.01}
     paper = {"mse_before": 1.3131, "mse_after": 0.4271} if name == "object_model" else {}
-    return make_result(name, options, {"unseen": {"box": 1}, "seeds": 1}, metrics, paper, [])
+    return make_result(name, options, {"unseen": {"box": 1}, "seeds": 1}, metrics, paper=paper, rows=[])
 
 
 def run_fake(name: str, options: ExperimentOptions) -> ExperimentResult:
@@ -152,8 +152,8 @@ def test_the_summary_gives_values_with_intervals() -> None:
     pushing = {"trials": 30.0, "offset_m": 0.1, "offset_median_m": 0.054}
     paper = {"offset_goal1_m": 0.1, "offset_goal2_m": 0.12, "offset_goal3_m": 0.14}
     results = {
-        "navigation": make_result("navigation", ExperimentOptions(), {}, navigation, {}, []),
-        "pushing": make_result("pushing", ExperimentOptions(), {}, pushing, paper, []),
+        "navigation": make_result("navigation", ExperimentOptions(), {}, navigation, paper={}, rows=[]),
+        "pushing": make_result("pushing", ExperimentOptions(), {}, pushing, paper=paper, rows=[]),
     }
     # Wilson's interval of 90 in 100 is 0.826 to 0.945.
     assert [row[2:] for row in summary(results)] == [
@@ -176,12 +176,12 @@ def test_faults_and_soak_have_their_tables_on_the_page(tmp_path: Path) -> None:
         {"fault": "door_closes", "outcome": "stopped safely", "reason": "blocked", "wall_contacts": 0},
     ]
     faults = make_result(
-        "faults", ExperimentOptions(seed=900), about, {"falls": 1, "silent_wrong_successes": 0}, {}, rows
+        "faults", ExperimentOptions(seed=900), about, {"falls": 1, "silent_wrong_successes": 0}, paper={}, rows=rows
     )
     names = ("errands", "done", "falls", "livelocks", "wall_contacts", "memory_growth", "open_files_left")
     building = {"seed": 950, **dict.fromkeys(names, 7), "given_up": ["blocked", "blocked"]}
     kind = {"minutes": 60.0, "buildings": 10}
-    soak = make_result("soak", ExperimentOptions(seed=950), kind, {"falls": 0}, {}, [building])
+    soak = make_result("soak", ExperimentOptions(seed=950), kind, {"falls": 0}, paper={}, rows=[building])
     docs, before = (
         tmp_path / "docs",
         "# Results\n\nold\n\n## Caveats\n\none\n\n## Faults\n\nby hand\n\n## Last\n\ntwo\n",

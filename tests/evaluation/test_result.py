@@ -28,7 +28,12 @@ def example() -> ExperimentResult:
     metrics = {"mse_after": np.float32(0.25), "mse_before": 1.0, "lost": math.nan}
     rows = [{"condition": "box-1", "pose": np.zeros(3), "ok": np.bool_(True)}]
     return make_result(
-        "object_model", ExperimentOptions(seed=3, quick=True), {"seeds": (1, 2)}, metrics, {"mse_after": 0.4271}, rows
+        "object_model",
+        ExperimentOptions(seed=3, quick=True),
+        {"seeds": (1, 2)},
+        metrics,
+        paper={"mse_after": 0.4271},
+        rows=rows,
     )
 
 

@@ -18,7 +18,9 @@ def result() -> ExperimentResult:
     }
     metrics |= {"ratio_residual": 2.0, "fvu_std_ours": 0.01}
     rows = [{"method": "ours", "setting": {}}, {"method": "residual", "setting": {"ridge": 10.0}}]
-    return make_result("baselines", ExperimentOptions(seed=4), config, metrics, {"ratio_residual": 1.5}, rows)
+    return make_result(
+        "baselines", ExperimentOptions(seed=4), config, metrics, paper={"ratio_residual": 1.5}, rows=rows
+    )
 
 
 def test_a_line_says_what_a_method_reaches_with_which_setting_the_best_first() -> None:
@@ -31,7 +33,7 @@ def test_a_line_says_what_a_method_reaches_with_which_setting_the_best_first() -
 def test_a_method_that_diverges_is_last_and_says_so() -> None:
     metrics = over_seeds("mse", "residual", [1.0, np.inf]) | over_seeds("mse", "ours", [1.0, 2.0])
     metrics |= over_seeds("pos_rmse_3s_m", "ours", [np.nan, np.nan])
-    made = make_result("baselines", ExperimentOptions(), {"unseen": {"box": 2}, "seeds": 2}, metrics, {}, [])
+    made = make_result("baselines", ExperimentOptions(), {"unseen": {"box": 2}, "seeds": 2}, metrics, paper={}, rows=[])
     ours, residual = [line.split("|") for line in baselines_table(made).splitlines()[2:4]]
     assert ours[1:3] == [" ours ", " 1.5±0.5 "] and ours[7] == " - "
     assert residual[2] == " diverges "
@@ -41,5 +43,7 @@ def test_every_method_has_a_line() -> None:
     config = {"unseen": {"box": 2}, "seeds": 3}
     compared = [*METHODS, REPLAY, "prior"]
     metrics = {f"mse_{name}": 1.0 + i for i, name in enumerate(compared)}
-    lines = baselines_table(make_result("baselines", ExperimentOptions(), config, metrics, {}, [])).splitlines()
+    lines = baselines_table(
+        make_result("baselines", ExperimentOptions(), config, metrics, paper={}, rows=[])
+    ).splitlines()
     assert len([line for line in lines if line.startswith("| ")]) == 1 + len(compared)

@@ -67,7 +67,8 @@ def step(
         remaining: length of the path still to go [m].
         room: whether the arms have room to extend here.
     """
-    wanted, pose = stand_off(obs.object_pose, face, state.gap, state.lateral), obs.robot_pose
+    object_pose, pose = np.asarray(obs.object_pose), obs.robot_pose
+    wanted = stand_off(object_pose, np.asarray(face), state.gap, state.lateral)
     near = np.linalg.norm(pose[:2] - wanted[:2]) < 0.10
     slow = np.linalg.norm(obs.robot_twist[:2]) < 0.08
     extended_at = state.extended_at

@@ -83,8 +83,8 @@ def residual(job: Job) -> Predictor:
     )
 
     def adapt(context: Context) -> tuple[Any, Any]:
-        known = context._replace(contact=sees.contact(context))
-        return common.adapt(known), own.adapt(known._replace(labels=known.labels - predicted(known)))
+        context = context._replace(contact=sees.contact(context))
+        return common.adapt(context), own.adapt(context._replace(labels=context.labels - predicted(context)))
 
     def predict(
         state: tuple[Any, Any], x: Float[Array, "*batch n"], time: Float[Array, "*batch"]
@@ -118,17 +118,17 @@ def from_fit(fitted: ObjectFit, config: DaimlConfig) -> Predictor:
         return a.reshape(mean.shape), contact
 
     def predict(
-        known: tuple[Float[Array, "m K"], Float[Array, "p"]], x: Float[Array, "*batch n"], time: Float[Array, "*batch"]
+        state: tuple[Float[Array, "m K"], Float[Array, "p"]], x: Float[Array, "*batch n"], time: Float[Array, "*batch"]
     ) -> Float[Array, "*batch m"]:
-        return object_model.predict(params, known[0], x, config.object, contact=known[1])
+        return object_model.predict(params, state[0], x, config.object, contact=state[1])
 
     return Predictor(jax.jit(adapt), predict)
 
 
 def prior_of(fitted: ObjectFit, config: DaimlConfig) -> Predictor:
     """The same psi before the object is touched."""
-    known = jnp.asarray(fitted.prior_mean), jnp.mean(jnp.asarray(fitted.contact_prior), axis=0)
-    return from_fit(fitted, config)._replace(adapt=lambda context: known)
+    prior = jnp.asarray(fitted.prior_mean), jnp.mean(jnp.asarray(fitted.contact_prior), axis=0)
+    return from_fit(fitted, config)._replace(adapt=lambda context: prior)
 
 
 def trained(job: Job, config: DaimlConfig) -> tuple[ObjectFit, DaimlConfig]:

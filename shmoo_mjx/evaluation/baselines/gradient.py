@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from shmoo_mjx.arrays import Array, Float, Key
+from shmoo_mjx.arrays import Array, Float, Key, Scalar
 from shmoo_mjx.base.fingerprints import fingerprint
 from shmoo_mjx.evaluation.baselines.protocol import Context, Job, Predictor, Recordings, output_scale
 from shmoo_mjx.evaluation.baselines.sight import Sight
@@ -39,7 +39,7 @@ class MetaTask(NamedTuple):
 class _State(NamedTuple):
     params: Tree
     opt: Any
-    key: Array
+    key: jax.Array
 
 
 def meta_train(
@@ -69,7 +69,7 @@ def meta_train(
     sampler = batches.sampler(samples, 1, LABEL_FLOOR)
     optimiser = _optimiser(job)
 
-    def task_loss(params: Tree, task: MetaTask) -> Float[Array, ""]:
+    def task_loss(params: Tree, task: MetaTask) -> Scalar:
         predict = _known(predictor(params), task.context)
         return multistep.loss(predict, task.windows, precision=task.precision, scale=scale, feed_back=False)
 

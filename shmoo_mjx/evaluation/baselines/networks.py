@@ -30,7 +30,9 @@ def mlp(job: Job, contact_model: bool = False) -> Predictor:
     start = network.init(jax.random.key(job.seed), sees.mean)
 
     def predictor(params: Any) -> Predictor:
-        return Predictor(sees.contact, lambda contact, x, time: network.apply(params, sees(x, contact)) * scale)
+        return Predictor(
+            sees.contact, lambda contact, x, time: jnp.asarray(network.apply(params, sees(x, contact))) * scale
+        )
 
     return predictor(meta_train(job, start, predictor, name="mlp", sees=sees, adapt_samples=8))
 
@@ -48,12 +50,10 @@ def gru(job: Job) -> Predictor:
     }
 
     def predictor(params: Any) -> Predictor:
-        def read(
-            memory: Float[Array, "M"], sample: tuple[Float[Array, "n"], Float[Array, ""]]
-        ) -> tuple[Float[Array, "M"], None]:
-            seen, weight = sample
+        def read(memory: jax.Array, sample: Any) -> tuple[jax.Array, None]:
+            inputs, weight = sample
             # A sample that does not count leaves the memory as it was.
-            return memory + weight * (cell.apply(params["cell"], memory, seen)[0] - memory), None
+            return memory + weight * (jnp.asarray(cell.apply(params["cell"], memory, inputs)[0]) - memory), None
 
         def adapt(context: Context) -> tuple[Float[Array, "M"], Float[Array, "p"]]:
             contact = sees.contact(context)
@@ -66,8 +66,9 @@ def gru(job: Job) -> Predictor:
             time: Float[Array, "*batch"],
         ) -> Float[Array, "*batch m"]:
             memory, contact = state
-            known = jnp.broadcast_to(memory, (*x.shape[:-1], MEMORY))
-            return head.apply(params["head"], jnp.concatenate([sees(x, contact), known], axis=-1)) * scale
+            context = jnp.broadcast_to(memory, (*x.shape[:-1], MEMORY))
+            inputs = jnp.concatenate([sees(x, contact), context], axis=-1)
+            return jnp.asarray(head.apply(params["head"], inputs)) * scale
 
         return Predictor(jax.jit(adapt), predict)
 
