@@ -117,7 +117,10 @@ def _paths(place: str, grid: OccupancyGrid, pairs: int) -> tuple[dict[str, Any],
     """A row, and its metrics, of global paths between random pairs of one room, ours beside pyastar2d's by turns."""
     field = distance_field(grid)
     rows = np.array([_query(grid, field, ends) for ends in _pairs(field, pairs)])
-    median, p90 = np.nanmedian(rows, axis=0), np.nanquantile(rows, 0.9, axis=0)
+    # A column without any number: the peer is not installed.
+    there = ~np.isnan(rows).all(axis=0)
+    median, p90 = np.full((2, rows.shape[1]), np.nan)
+    median[there], p90[there] = np.nanmedian(rows[:, there], axis=0), np.nanquantile(rows[:, there], 0.9, axis=0)
     row = {"name": "global path", "place": place, "pairs": pairs}
     row |= {f"{name}_median": median[i] for i, name in enumerate(COLUMNS)}
     row |= {f"{name}_p90": p90[i] for i, name in enumerate(COLUMNS)}

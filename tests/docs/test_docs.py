@@ -103,13 +103,6 @@ def test_the_readme_begins_with_its_two_lines() -> None:
     assert "(pip install uv && uv run pytest)" in read(".ci/run")
 
 
-def test_the_readme_is_one_screen_with_a_short_example() -> None:
-    readme = read("README.md")
-    assert len(readme.split()) <= 650
-    example = re.search(r"```python\n(.*?)```", readme, re.DOTALL)
-    assert example and len([line for line in example[1].splitlines() if line]) == 12
-
-
 LAYERS = (
     {"arrays", "base", "errors", "geometry", "types"},
     {"plant", "dynamics"},
