@@ -77,5 +77,5 @@ def method_named(name: str) -> Method:
         ShmooError: there is none.
     """
     if name not in METHODS:
-        raise ShmooError(f"there is no method {name!r}; choose {' or '.join(METHODS)}.")
+        raise ShmooError(f"there is no method {name!r}; choose from {', '.join(METHODS)}.")
     return METHODS[name]

@@ -69,7 +69,7 @@ def test_frozen_is_ours_without_learning() -> None:
 def test_weights_that_do_not_fit_the_method_are_refused() -> None:
     with pytest.raises(ShmooError, match=r"demo\.safetensors.* --form paper"):
         PAPER.load(asset(WEIGHTS))
-    with pytest.raises(ShmooError, match="no method 'printed'; choose ours or frozen or paper"):
+    with pytest.raises(ShmooError, match="no method 'printed'; choose from ours, frozen, paper"):
         method_named("printed")
 
 
@@ -127,7 +127,7 @@ def test_an_unknown_method_is_answered_with_one_sentence(
     save_map(grid, tmp_path / "rooms.yaml")
     save_scenario(scenario.model_copy(update={"map": "rooms.yaml"}), tmp_path / "short.yaml")
     for words, said in (
-        (("--method", "papr"), "choose ours or frozen or paper"),
+        (("--method", "papr"), "choose ours, frozen or paper"),
         (("--method", "paper", "--weights", str(asset(WEIGHTS))), "--form paper"),
     ):
         done = shmoo(*command, *words)

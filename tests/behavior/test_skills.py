@@ -112,11 +112,11 @@ class _Pusher:
     ok = True
 
     def init(
-        self, now: ObjectObservation, face: Any, half_extents: Any, key: Any, adapt: Any = None, kind: Any = None
+        self, now: ObjectObservation, face: Any, half_extents: Any, key: Any, *, adapt: Any = None, kind: Any = None
     ) -> _Adapt:
         return _Adapt(adapt)
 
-    def step(self, state: _Adapt, now: ObjectObservation, *given: Any) -> tuple[np.ndarray, _Adapt, Any]:
+    def step(self, state: _Adapt, now: ObjectObservation, **task: Any) -> tuple[np.ndarray, _Adapt, Any]:
         return np.array([0.1, 0.0, 0.0]), state, type("Plan", (), {"ok": self.ok})
 
 

@@ -84,8 +84,8 @@ def contacts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Contact parameters of conditions as drawn, not estimated, which would take a minute."""
     prior = contact_prior.draws(96)
 
-    def drawn(config: Any, train: Samples, validation: Samples, *_: Any) -> training_contacts.Found:
-        of_prior, of_training, of_validation = training_contacts.nothing(config, train, validation)
+    def drawn(config: Any, train: Samples, validation: Samples, **_: Any) -> training_contacts.Contacts:
+        of_prior, of_training, of_validation = training_contacts.zeros(train, validation)
         spread = np.random.default_rng(0).normal(size=of_training.shape)
         own = jnp.asarray(prior.mean(0) + prior.std(0) * spread, jnp.float32)
         return of_prior, own, of_validation + prior.mean(0)
@@ -95,7 +95,7 @@ def contacts(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_what_sees_the_contact_model_sees_what_psi_sees(contacts: None, job: Job) -> None:
     sees, plain = sight.sight(job), sight.sight(job, contact_model=False)
-    context, contact = first_samples(job.train, 0, 50), sees.found[1][0, -1]
+    context, contact = first_samples(job.train, 0, 50), sees.contacts[1][0, -1]
     config, scale = ObjectConfig(), jnp.asarray(output_scale(job.train.samples))
     raw = object_model.network_inputs(scale, jnp.asarray(context.inputs), config, contact)
     np.testing.assert_allclose(sees(context.inputs, contact) * sees.spread + sees.mean, raw, atol=1e-3)

@@ -36,8 +36,8 @@ def drawn_quickly(grid: Any, extra: Any, *rest: Any, **options: Any) -> Generate
     return toy_generated(True, kind="detour only", detour=9.0, certificate=CERTIFICATE)
 
 
-def at_once(trials: dict[str, Any], work: Callable[[Any], list[Any]], *rest: Any) -> list[Any]:
-    return [row for given in trials.values() for row in work(given)]
+def at_once(trials: dict[str, Any], work: Callable[[Any], list[Any]], *rest: Any, **options: Any) -> list[Any]:
+    return [row for trial in trials.values() for row in work(trial)]
 
 
 @pytest.fixture

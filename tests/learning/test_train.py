@@ -38,8 +38,8 @@ def untaught(monkeypatch: pytest.MonkeyPatch) -> None:
     known = np.zeros_like(made.params.coefficients), made.prior_covariance, made.noise
     psi = daiml.ObjectFit(made.params.object, *known, 0.2, [], made.contact_prior, made.config.object)
     robot = robot_fit.RobotFit(made.params.robot, 0.1, np.zeros(5), [])
-    monkeypatch.setattr(daiml, "train_object", lambda *_: psi)
-    monkeypatch.setattr(robot_fit, "train_robot", lambda *_: robot)
+    monkeypatch.setattr(daiml, "train_object", lambda *_, **__: psi)
+    monkeypatch.setattr(robot_fit, "train_robot", lambda *_, **__: robot)
 
 
 def made_by(path: Path) -> dict[str, Any]:
