@@ -18,7 +18,8 @@ from scipy.optimize import minimize
 
 from shmoo_mjx.base.assets import WEIGHTS, asset
 from shmoo_mjx.evaluation.manipulable import manipulable
-from shmoo_mjx.evaluation.object_planner import FITTED, ObjectPlannerTrials, draw_object, features_of, probe
+from shmoo_mjx.evaluation.movability import FITTED, features_of
+from shmoo_mjx.evaluation.object_planner import ObjectPlannerTrials, draw_object, probe
 from shmoo_mjx.evaluation.trials import run_trials
 
 FIRST_SEEDS = (300_000, 301_000)

@@ -19,13 +19,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.special import expit
 
-from shmoo_mjx.arrays import Array, Float
+from shmoo_mjx.arrays import Array
 from shmoo_mjx.base.options import SensesName
 from shmoo_mjx.behavior.interaction import rolled
 from shmoo_mjx.behavior.push_decisions import PROBE_TIME
-from shmoo_mjx.behavior.state import Mode, NavigatorConfig
+from shmoo_mjx.behavior.state import Mode
 from shmoo_mjx.evaluation.experiment import Experiment, ExperimentConfig, Prepared, Setup
 from shmoo_mjx.evaluation.manipulable import (
     IMMOVABLE,
@@ -37,30 +36,23 @@ from shmoo_mjx.evaluation.manipulable import (
     near_border_by_load,
     steady_push,
 )
-from shmoo_mjx.evaluation.scenarios import entry_of
+from shmoo_mjx.evaluation.movability import (
+    CRITERIA,
+    navigator_config,
+    open_floor,
+    open_floor_scenario,
+    probability_by,
+)
+from shmoo_mjx.evaluation.object_planner_figures import draw_figures
 from shmoo_mjx.evaluation.tables import Section, lines_of, rate
 from shmoo_mjx.evaluation.trials import controller_of
-from shmoo_mjx.geometry import se2
-from shmoo_mjx.geometry.faces import faces_of
-from shmoo_mjx.planning.maps import OCCUPIED, OccupancyGrid
 from shmoo_mjx.planning.object_planner import planning_stage
 from shmoo_mjx.planning.reach import foresight_of
-from shmoo_mjx.planning.scenario import Limits, Scenario
 from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 
-FITTED = {"K": (0.817, 1.148), "impulse": (28.173, 3.931, -5.141), "moved_m": (13.111, 4.519)}
-"""Criteria beside roll-outs: K of Algorithm 1, displacement and impulse, and displacement alone. Bias and slopes of
-each logistic regression are fitted to touches of objects of training: python -m benchmarks.fit_criteria FOLDER"""
-CRITERIA = ("reach", *FITTED)
-"""What may decide after the first second of contact; the first is the navigator's own way."""
 LOOKS = (1.0, 2.0, 3.0)
 """Contact times at which it is asked [s]; a push that ends before is asked about at its end."""
-LEAST_K = 1e-4
-"""A smaller K counts as this [m^2]."""
-_LEAST_MOVED = 0.02
-"""So that the camera's noise on an object that stands still says nothing [m]."""
-
 _BINS = 5
 """Of the calibration error."""
 
@@ -74,31 +66,6 @@ class ObjectPlannerTrials(ExperimentConfig):
     time_s: float = 40.0
     """Longest trial [s]."""
     truth: SteadyPush = SteadyPush()
-
-
-def navigator_config() -> NavigatorConfig:
-    """The navigator as it is, but on open floor it must not just walk round the object."""
-    return NavigatorConfig(goes_round="never")
-
-
-def open_floor(length: float = 9.0, width: float = 7.0, resolution: float = 0.05) -> OccupancyGrid:
-    """A room with nothing in it."""
-    cells = np.zeros((round(width / resolution), round(length / resolution)), dtype=np.int8)
-    cells[:2] = cells[-2:] = cells[:, :2] = cells[:, -2:] = OCCUPIED
-    return OccupancyGrid(cells, resolution)
-
-
-def open_floor_scenario(condition: Condition, side: int, seed: int, time_s: float) -> Scenario:
-    """The object in the middle of ``open_floor``, face ``side`` towards the robot, a little askew."""
-    rng = np.random.default_rng([seed, 7])
-    yaw = float(se2.wrap(-faces_of(condition.half_extents)[side][2] + rng.uniform(-0.15, 0.15)))
-    return Scenario(
-        start=(1.2, 3.5 + round(rng.uniform(-0.2, 0.2), 3), 0.0),
-        goal=(7.8, 3.5),
-        objects=(entry_of(condition, (3.6, 3.5, yaw)),),
-        seed=seed,
-        limits=Limits(time_s=time_s),
-    )
 
 
 def draw_object(index: int, first_seed: int, cfg: SteadyPush) -> tuple[Condition, int, str]:
@@ -252,22 +219,6 @@ def _trial(setup: Setup[ObjectPlannerTrials], trial: tuple[str, int]) -> list[di
     return [row | evidence]
 
 
-def features_of(row: dict[str, Any], criterion: str) -> tuple[float, ...]:
-    """What one of `FITTED` goes by after the first second of contact."""
-    if criterion == "K":
-        return (float(np.log(max(row["K_first"], LEAST_K))),)
-    moved, impulse = float(np.log(row["moved_m_first"] + _LEAST_MOVED)), float(np.log(row["impulse_Ns_first"] + 1.0))
-    return (moved,) if criterion == "moved_m" else (moved, impulse)
-
-
-def told_by(criterion: str, rows: list[dict[str, Any]]) -> Float[np.ndarray, "N"]:
-    """Probability of being manipulable by a criterion after the first second of contact, of each of N touches."""
-    if criterion == "reach":
-        return np.array([row["probabilities"][0] for row in rows])
-    bias, *slopes = FITTED[criterion]
-    return np.array([expit(bias + np.dot(slopes, features_of(row, criterion))) for row in rows])
-
-
 def right(row: dict[str, Any], look: int = 0) -> bool:
     """Whether roll-outs say at one of `LOOKS` what is true; an object that was not touched counts as a mistake."""
     return "probabilities" in row and (row["probabilities"][look] >= 0.5) == row["manipulable"]
@@ -285,11 +236,11 @@ def measure(rows: list[dict[str, Any]]) -> dict[str, float]:
         "undecided": len(rows) - len(touched),
     }
     for truth, name in ((True, "manipulable"), (False, "immovable")):
-        decided = told_by("reach", [r for r in touched if r["manipulable"] == truth]) >= 0.5
+        decided = probability_by("reach", [r for r in touched if r["manipulable"] == truth]) >= 0.5
         metrics[f"{name}_called_manipulable"] = int(np.sum(decided))
         metrics[f"{name}_called_immovable"] = int(np.sum(~decided))
     for criterion in CRITERIA:
-        p = told_by(criterion, touched)
+        p = probability_by(criterion, touched)
         metrics |= {
             f"accuracy_{criterion}_after_1s": float(np.sum((p >= 0.5) == truths)) / len(rows),
             f"log_score_{criterion}_after_1s": log_score(p, truths),
@@ -328,8 +279,6 @@ def _metrics(setup: Setup[ObjectPlannerTrials], rows: list[dict[str, Any]]) -> d
 
 
 def _draw(setup: Setup[ObjectPlannerTrials], rows: list[dict[str, Any]]) -> None:
-    from shmoo_mjx.evaluation.object_planner_figures import draw_figures
-
     draw_figures(setup.folder, rows, setup.options)
 
 

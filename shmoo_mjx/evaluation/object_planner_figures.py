@@ -10,13 +10,13 @@ import numpy as np
 
 from shmoo_mjx.behavior.state import NavigatorConfig
 from shmoo_mjx.evaluation.manipulable import STRATA
-from shmoo_mjx.evaluation.object_planner import (
+from shmoo_mjx.evaluation.movability import (
     FITTED,
     LEAST_K,
     navigator_config,
     open_floor,
     open_floor_scenario,
-    told_by,
+    probability_by,
 )
 from shmoo_mjx.evaluation.result import ExperimentOptions
 from shmoo_mjx.evaluation.trials import controller_of
@@ -40,7 +40,7 @@ def _reliability(rows: list[dict[str, Any]]) -> Any:
     for (stratum, name), colour in zip(STRATA.items(), SERIES, strict=False):
         of = [r for r in rows if r["stratum"] == stratum]
         truth = np.array([r["manipulable"] for r in of], dtype=bool)
-        draw_reliability(left, told_by("reach", of), truth, colour=colour, label=name)
+        draw_reliability(left, probability_by("reach", of), truth, colour=colour, label=name)
     left.set_xlabel("probability of being manipulable, after 1 s of contact")
     left.set_ylabel("share that is")
     left.legend(fontsize=8, title="objects, and how many", title_fontsize=8)
@@ -49,7 +49,7 @@ def _reliability(rows: list[dict[str, Any]]) -> Any:
             of = [r for r in rows if r["manipulable"] == value and r["stratum"] == stratum]
             k = np.clip([r["K_first"] for r in of], LEAST_K, 1e2)
             name = f"{label}, {STRATA[stratum]} ({len(of)})"
-            right.plot(told_by("reach", of), k, marker, ms=4, alpha=0.7, color=colour, label=name)
+            right.plot(probability_by("reach", of), k, marker, ms=4, alpha=0.7, color=colour, label=name)
     limit, (bias, slope) = NavigatorConfig().planner.threshold, FITTED["K"]
     right.axhline(limit, color="black", lw=1.4, ls="--", label=f"K = {limit:g} m², the paper's rule")
     fitted = float(np.exp(-bias / slope))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import dataclasses
 import re
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -120,13 +121,29 @@ LAYERS = (
 )
 
 
+def imports_of(source: Path) -> set[str]:
+    """Modules and names of the package that a file imports, also inside functions."""
+    nodes = ast.walk(ast.parse(source.read_text(encoding="utf-8")))
+    froms = [n for n in nodes if isinstance(n, ast.ImportFrom) and (n.module or "").startswith("shmoo_mjx")]
+    return {f"{n.module}.{alias.name}" for n in froms for alias in n.names}
+
+
 def test_imports_point_one_way() -> None:
     rank = {part: i for i, layer in enumerate(LAYERS) for part in layer}
     for source in (ROOT / "shmoo_mjx").rglob("*.py"):
         part = source.relative_to(ROOT / "shmoo_mjx").parts[0].removesuffix(".py")
-        for node in ast.walk(ast.parse(source.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("shmoo_mjx"):
-                modules = [node.module] if node.module != "shmoo_mjx" else [f"shmoo_mjx.{a.name}" for a in node.names]
-                for other in (str(m).split(".")[1] for m in modules if m):
-                    allowed = other == part or rank[part] > rank[other] or rank[part] == rank[other] == 0
-                    assert allowed, f"{source.relative_to(ROOT)} imports {other}"
+        for other in (name.split(".")[1] for name in imports_of(source)):
+            allowed = other == part or rank.get(part, 0) > rank.get(other, 0) or rank[part] == rank[other] == 0
+            assert allowed, f"{source.relative_to(ROOT)} imports {other}"
+
+
+def test_no_modules_import_each_other() -> None:
+    names = {
+        ".".join(p.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): p
+        for p in (ROOT / "shmoo_mjx").rglob("*.py")
+    }
+    graph = {
+        name: {m if m in names else m.rpartition(".")[0] for m in imports_of(path)} & set(names) - {name}
+        for name, path in names.items()
+    }
+    assert list(TopologicalSorter(graph).static_order())  # a CycleError names the circle

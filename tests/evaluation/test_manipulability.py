@@ -19,8 +19,8 @@ from shmoo_mjx.evaluation.manipulable import (
     near_border_by_load,
     steady_push,
 )
+from shmoo_mjx.evaluation.movability import CRITERIA, open_floor_scenario, probability_by
 from shmoo_mjx.evaluation.object_planner import (
-    CRITERIA,
     ObjectPlannerTrials,
     _trial,
     auc,
@@ -29,9 +29,7 @@ from shmoo_mjx.evaluation.object_planner import (
     draw_object,
     log_score,
     measure,
-    open_floor_scenario,
     probe,
-    told_by,
 )
 from shmoo_mjx.evaluation.result import ExperimentOptions
 from shmoo_mjx.evaluation.trials import run_trials
@@ -185,7 +183,7 @@ def test_the_log_score_is_that_of_what_came_true() -> None:
 def test_each_criterion_is_more_certain_the_more_has_been_seen_to_move() -> None:
     little, much = row(True, 0.1, 0.05), row(True, 0.9, 2.0)
     for criterion in CRITERIA:
-        low, high = told_by(criterion, [little, much])
+        low, high = probability_by(criterion, [little, much])
         assert low < 0.5 < high, criterion
 
 
