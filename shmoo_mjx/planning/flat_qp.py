@@ -1,8 +1,8 @@
 """The quadratic program (QP) of a flat trajectory.
 
 With the flat output S of ``flat_model``, a quintic B-spline for S in x and in y makes position, speed and lean linear
-functions of the control points. Limits on them and a corridor around the path then give a QP. Its variables are the
-x coordinates of the control points, then their y coordinates, then one slack per sample time.
+functions of the control points. Limits on them and a corridor around the path then give a QP. Its variables are the x
+coordinates of the control points, then their y coordinates, then one slack per sample time.
 """
 
 from __future__ import annotations

@@ -175,8 +175,7 @@ def _too_near(trajectory: Trajectory, planner: Planner, clearance: DistanceField
     times = np.linspace(0.0, trajectory.horizon, 120)
     distance = clearance.at(evaluate(trajectory, times).position)
     # Required distance: the radius, plus the tracking error where the path has room for it, because fast turns leave
-    # the
-    # corridor, whose width has a minimum. A robot that is already too close must not come closer. The field is
+    # the corridor, whose width has a minimum. A robot that is already too close must not come closer. The field is
     # uncertain by half a cell.
     radius, here = planner.cfg.robot_radius, float(distance[0])
     beside_path = float(np.min(clearance.at(trajectory.reference))) - _CORRIDOR[0]

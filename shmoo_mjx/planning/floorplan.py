@@ -193,8 +193,7 @@ def draw_building(rng: np.random.Generator) -> OccupancyGrid:
     """Draws a building with many rooms and corridors.
 
     Walls divide a rectangle recursively. Each wall has one doorway, so every room can be reached. Some walls have a
-    second
-    doorway; the fewer there are, the longer the detours.
+    second doorway; the fewer there are, the longer the detours.
     """
     size = np.array([_snap(rng.uniform(14.0, 32.0), RESOLUTION), _snap(rng.uniform(10.0, 22.0), RESOLUTION)])
     cells = np.full(_cells((size[1], size[0]), RESOLUTION), FREE, dtype=np.int8)

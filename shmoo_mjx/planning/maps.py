@@ -62,8 +62,7 @@ class OccupancyGrid:
         """(row, column) of the cells that contain ``points`` in {W}. They may lie off the map."""
         local = se2.inverse_transform_point(np.asarray(self.origin), np.asarray(points, dtype=float))
         # Coordinates such as 1e308 overflow int. The result is off the map, so NumPy's warning would only distract from
-        # the
-        # error message that follows.
+        # the error message that follows.
         with np.errstate(invalid="ignore", over="ignore"):
             return np.floor(local[..., ::-1] / self.resolution).astype(int)
 
@@ -122,13 +121,11 @@ def load_map(yaml_path: str | Path) -> OccupancyGrid:
     """Reads a map_server YAML and its image (PGM, PNG or another format that Pillow reads).
 
     The rules are those of navigation2's map server since version 1.4.0. The image is converted to 8-bit grey, colours
-    by
-    their luminance. shade = grey / 255, and occ = 1 - shade (shade if ``negate``). In the modes trinary and scale a
-    cell is
-    free if occ <= free_thresh and occupied if occ >= occupied_thresh. Between the thresholds, trinary gives unknown and
-    scale gives 0..100 in proportion. In both modes a pixel that is not opaque is unknown. The mode raw keeps grey
-    0..100
-    and maps other values to unknown. The image path is relative to the YAML. The thresholds default to 0.65 and 0.196.
+    by their luminance. shade = grey / 255, and occ = 1 - shade (shade if ``negate``). In the modes trinary and scale a
+    cell is free if occ <= free_thresh and occupied if occ >= occupied_thresh. Between the thresholds, trinary gives
+    unknown and scale gives 0..100 in proportion. In both modes a pixel that is not opaque is unknown. The mode raw
+    keeps grey 0..100 and maps other values to unknown. The image path is relative to the YAML. The thresholds default
+    to 0.65 and 0.196.
 
     Raises:
         ShmooError: the file is missing or invalid. The message names the file, the field and the remedy.
@@ -244,8 +241,7 @@ def obstacle_distance(grid: OccupancyGrid) -> Float[np.ndarray, "H W"]:
     """Distance [m] from each cell's centre to the nearest cell that is not free; zero in such cells.
 
     The distance is measured to the near face of that cell (too large by at most 0.21 cell sides on a diagonal). Cells
-    off
-    the map count as not free.
+    off the map count as not free.
     """
     padded = np.pad(grid.free, 1, constant_values=False)
     distance = distance_transform_edt(padded)[1:-1, 1:-1]

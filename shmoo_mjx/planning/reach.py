@@ -271,8 +271,7 @@ class Foresight:
         """Poses of an object that starts at the origin, for the median of its estimated dynamics.
 
         One roll-out per option: a straight push of a symmetric object stays straight. If ``adapt`` is not a posterior
-        of the
-        contact parameters, the prior of the object's kind is used.
+        of the contact parameters, the prior of the object's kind is used.
         """
         estimated = adapt if isinstance(adapt, ObjectEstimate) else self._prior(kind)
         poses = self._run_median(estimated, np.asarray(half_extents, np.float32), Options(*map(np.asarray, options)))
