@@ -184,9 +184,9 @@ def _learned(
     """The estimate after each sample and after each push.
 
     Returns:
-        The estimate after each sample ``[T, n]``, the names of its n values, the prior, the share of the acceleration
-        variance that prior and estimate leave unexplained (the estimate uses only earlier samples; empty if nothing was
-        learned), and the learner state after each of the ``pushes``.
+        The estimate after each sample ``[T, n]``, the names of its n values, the prior, the share of the squared
+        accelerations that prior and estimate leave unexplained (the estimate uses only earlier samples; empty if
+        nothing was learned), and the learner state after each of the ``pushes``.
     """
     params, shape, yaw = weights.params, weights.config.object, log.object_pose[:, 2]
     # Poses of a log have no age. Its forces come from a sensor, not from motors that also hold the arms.

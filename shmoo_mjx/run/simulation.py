@@ -256,7 +256,9 @@ class Simulation:
             self._widen(added)
 
     def alter(self, change: Callable[[mujoco.MjSpec], None]) -> None:
-        """Continues from the same state with an MJCF that ``change`` modifies in place, such as the floor's friction.
+        """Continues from the same state with an MJCF that ``change`` modifies in place, for example a floor's friction.
+
+        The objects, the map and the robot's sensing stay the same.
         """
         self.scene = scene_of(self.grid, self.scenario, self.conditions, senses=self.senses, alter=change)
         self.engine.change([self.scene])
