@@ -131,14 +131,15 @@ class Belief:
         first_status: Sequence[Status] | None = None,
         kinds: Sequence[str | None] | None = None,
     ) -> tuple[Belief, list[str]]:
-        """Updates poses, sizes and kinds from an observation, as markers on an object's corners give them. It contains
-        no dynamics.
+        """Updates poses, sizes and kinds from an observation.
+
+        Markers on an object's corners provide them. An observation does not contain dynamics.
 
         Args:
             obs: observation of one world; the pose of an object that was never detected is NaN.
             sizes: half extents of each object [m].
             pushed: index of the object that the robot is pushing.
-            first_status: initial status of each object; UNKNOWN if not given. A given status FIXED is permanent.
+            first_status: initial status of each object; UNKNOWN if not given. If given, the status FIXED is permanent.
             kinds: recognised kind of each object, see `ObjectBelief`.
 
         Returns:

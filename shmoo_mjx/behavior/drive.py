@@ -33,8 +33,7 @@ LEAD = 0.25
 _LEAN_LIMIT = 0.14
 """Maximum commanded lean while driving [rad]: the trajectory's own limit plus feedback."""
 _LOOKAHEAD = 0.7
-"""Distance along the path of the point that the robot faces [m]. With smaller values the heading swings at each bend.
-"""
+"""Distance along the path of the point that the robot faces [m]. Smaller values make the heading swing at bends."""
 
 
 class DriveState(NamedTuple):

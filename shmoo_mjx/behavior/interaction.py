@@ -50,8 +50,7 @@ from shmoo_mjx.types import Command, Observation
 _UNDETECTED_LIMIT = 1.5
 """Time since the object's last detection at which a push ends [s]: a third of a metre at the permitted speed."""
 _LOST_AFTER = 2.0
-"""Time without contact after which contact counts as lost [s]. The hands need time to catch up with a rolling object.
-"""
+"""Time without contact after which contact counts as lost [s]. The hands need time to catch up with rolling objects."""
 ROLLED = 0.10
 """Displacement during a probe above which an object is certainly movable [m]."""
 _FOLDED = TUCKED_REACH + 0.06

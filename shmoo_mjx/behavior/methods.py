@@ -37,7 +37,7 @@ class Method:
         """Loads the weights in ``path``, by default the method's own.
 
         Raises:
-            ShmooError: the file can't be read, or its psi does not fit the method, which learns by Eq. 8.
+            ShmooError: the file can't be read, or the method is "paper" and its psi contains the contact model.
         """
         loaded = load_weights(path or asset(self.weights))
         if self.name == PAPER and loaded.config.object.contact_model:

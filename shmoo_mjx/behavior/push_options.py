@@ -96,8 +96,7 @@ class _PushOptions(NamedTuple):
 def make_options(
     pose: Float[np.ndarray, "3"], half_extents: tuple[float, float], places: Float[np.ndarray, "8 3"]
 ) -> _PushOptions:
-    """Candidate pushes: every side in several directions, every corner straight ahead, and one more on each to
-    ``places``.
+    """Candidate pushes: on every side in several directions, on every corner straight ahead, and on each to its place.
 
     The number of options is constant, so that the roll-out compiles once.
     """
@@ -199,7 +198,7 @@ def walk_time(length: float) -> float:
 
 
 def _goal(free: Float[Array, "S"], poses: Float[Array, "S T 3"]) -> Float[np.ndarray, "3"]:
-    """Median over the samples of the pose one second or less after the path is free.
+    """Median over the samples of the object's pose one second after the path is free.
 
     The goal lies beyond that point, because a push slows down near its goal.
     """

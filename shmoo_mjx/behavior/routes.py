@@ -88,8 +88,8 @@ class Routes:
     ) -> Route | None:
         """The route to the goal with the least expected time. It avoids some objects and passes through others.
 
-        Best-first search: each step adds one blocking object to the set to avoid, in the order of the lower time
-        bounds.
+        Best-first search over sets of objects to avoid: each step adds one blocking object, and the sets with the
+        lowest bound on the time come first.
 
         Args:
             position: position of the robot.
@@ -211,8 +211,7 @@ class Routes:
         )
 
     def retreat_path(self, position: Float[Array, "2"], object_pose: Float[np.ndarray, "3"]) -> Path | None:
-        """A short straight path to a place where the robot can turn and fold its arms, away from an object that it
-        touches.
+        """A short path away from a touched object to a place where the robot can turn and fold its arms.
 
         None if moving straight back suffices, or if there is no such place nearby.
         """

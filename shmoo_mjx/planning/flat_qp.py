@@ -53,8 +53,8 @@ class TrajectoryConfig:
     speed: float = 0.45
     """Target speed [m/s]. Larger values drive faster and deviate more from the path."""
     speed_max: float = 0.60
-    """Speed limit at the sample times [m/s]. Between them the speed may exceed it slightly, and in a recovery by more.
-    Larger values let the robot catch up after a stop."""
+    """Speed limit at the sample times, except in a recovery [m/s]. Between them it is exceeded only slightly. Larger
+    values let the robot catch up after a stop."""
     lean_max: float = 0.10
     """Lean limit outside a recovery [rad]. Larger values accelerate and brake harder."""
     acceleration: float = 0.35

@@ -16,8 +16,7 @@ class PathConfig:
     """Cost of driving near walls."""
 
     soft_clearance: float = 0.30
-    """Distance beyond the robot's radius up to which walls add cost [m]. Larger values give wider bends around walls.
-    """
+    """Distance beyond the robot's radius up to which walls add cost [m]. Larger values give wider bends at walls."""
     soft_weight: float = 3.0
     """Extra cost per metre at the inflated walls, relative to a metre in the open [1]. Larger values prefer longer
     detours in the open. 0 gives the shortest path."""

@@ -10,9 +10,9 @@ from shmoo_mjx.arrays import Bool, Int, Scalar
 def cover_rectangles(mask: Bool[np.ndarray, "H W"]) -> Int[np.ndarray, "K 4"]:
     """Rectangles that cover every True cell and no False cell.
 
-    Greedy: cells are processed in decreasing order of the longest straight run through them. Each uncovered cell takes
-    the better of two maximal rectangles, grown from its row run and from its column run. Rectangles may overlap: where
-    walls cross, this needs fewer of them than a partition.
+    Greedy: cells are processed in decreasing order of the longest straight run through them. For each uncovered cell
+    there are two maximal rectangles, grown from its row run and from its column run; the one that covers more uncovered
+    cells is taken. Rectangles may overlap: where walls cross, this needs fewer of them than a partition.
 
     Returns:
         One row per rectangle: first row, last row + 1, first column, last column + 1.

@@ -72,8 +72,7 @@ def run_episode(
     real_time: bool = False,
     policy: str | None = None,
 ) -> Episode:
-    """Runs ``scenario`` until the navigator finishes, the robot falls, the physics diverges or the time limit is
-    reached.
+    """Runs ``scenario`` until the navigator finishes, the robot falls, the physics diverges or the time is over.
 
     Args:
         grid: the map.
