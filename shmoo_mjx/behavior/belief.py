@@ -51,9 +51,11 @@ class ObjectBelief:
     pose: Float[np.ndarray, "3"]
     """Pose in {W}."""
     half_extents: tuple[float, float]
+    """Half sizes of the footprint along {O} [m]."""
     kind: str | None = None
     """Recognised kind: "box", "cart" or "wheelchair"; None for other objects."""
     status: Status = Status.UNKNOWN
+    """What the robot may do with it."""
     pushes: int = 0
     """Number of pushes started."""
     adapt: LearnerState | None = None
@@ -99,9 +101,11 @@ class Belief:
     """The map and the known objects. It is immutable; every change makes a new one."""
 
     grid: OccupancyGrid
+    """The map."""
     wall_clearance: DistanceField
     """Distance to the walls."""
     objects: Mapping[int, ObjectBelief] = field(default_factory=dict)
+    """The known objects by index."""
 
     def with_object(self, index: int, **changes: Any) -> Belief:
         """The belief with these fields of object ``index`` changed."""

@@ -40,6 +40,7 @@ class DriveState(NamedTuple):
     """The local trajectory being followed."""
 
     trajectory: Trajectory | None
+    """The trajectory; None before the first one."""
     start: float
     """Start time of the trajectory [s]."""
     failed_since: float | None

@@ -25,6 +25,7 @@ class Method:
     """Weights and settings of a robot."""
 
     name: str
+    """Name of the method."""
     weights: str
     """Asset name of the trained weights."""
     pushing: PushConfig
@@ -32,6 +33,7 @@ class Method:
     pose_pushing: PushConfig
     """Settings of the pushing controller for pushing to a pose (`PushTask`)."""
     navigator: NavigatorConfig
+    """Settings of the navigator."""
 
     def load(self, path: Path | None = None) -> Weights:
         """Loads the weights in ``path``, by default the method's own.

@@ -67,6 +67,7 @@ class Route(NamedTuple):
     """A route to the goal."""
 
     path: Path
+    """The path to the goal."""
     seconds: float
     """Expected time [s], including the time to push aside objects in the path."""
 
@@ -76,6 +77,7 @@ class Routes:
     """Path queries. ``position`` is always the robot's, in {W} [m]."""
 
     belief: Belief
+    """The belief that is queried."""
     goal: Float[np.ndarray, "2"]
     """Goal position in {W} [m]."""
     pushed: tuple[Status, ...] = (Status.UNKNOWN, Status.PARKED)

@@ -67,31 +67,45 @@ class NavigatorConfig:
     """When a detour is taken, for decisions by expected time: if it takes less time than a push, whenever there is one,
     or never. The last two are baselines."""
     planner: ObjectPlannerConfig = ObjectPlannerConfig()
+    """Settings of Algorithm 1."""
     trajectory: TrajectoryConfig = TrajectoryConfig(robot_radius=0.27)
+    """Settings of the local trajectories."""
 
 
 class Transition(NamedTuple):
     """A mode switch."""
 
     t: float
+    """Time [s]."""
     source: Mode
+    """Mode before."""
     target: Mode
+    """Mode after."""
     reason: str
+    """Reason for the switch, as text."""
 
 
 class Decision(NamedTuple):
     """A decision about an object, with the evidence for it."""
 
     t: float
+    """Time [s]."""
     object: int
+    """Index of the object."""
     K: float
+    """Criterion K of Algorithm 1 [m^2]; NaN if expected times decide."""
     G: float
+    """Criterion G of Algorithm 1 [m]; NaN if expected times decide."""
     manipulable: bool
+    """Whether the object counts as movable or, before a push by expected times, whether a push is best."""
     goal: Float[np.ndarray, "3"] | None
+    """Target pose of the object in {W}, if any."""
     reason: str
+    """Reason for the decision, as text."""
     rollouts: Float[np.ndarray, "R T 2"]
     """Predicted object positions, best first."""
     candidates: Float[np.ndarray, "C 3"]
+    """Candidate target poses in {W}."""
     probability: float | None
     """Probability that the best option frees the path; None if K decides."""
 
@@ -100,13 +114,16 @@ class Note(NamedTuple):
     """An event that the robot observes but does not cause."""
 
     t: float
+    """Time [s]."""
     text: str
+    """Description of the observation."""
 
 
 class Planned(NamedTuple):
     """A global path that the robot follows, or that a decision is based on."""
 
     t: float
+    """Time [s]."""
     points: Float[np.ndarray, "N 2"]
     """Vertices in {W} [m]."""
 
@@ -119,17 +136,23 @@ class Segment:
     """Data of one push, from the choice of a face to the retreat."""
 
     object: int
+    """Index of the object."""
     side: int
     """Index of the face in `ObjectBelief.faces`."""
     face: Float[np.ndarray, "4"]
+    """The face itself, as `faces_of` and `corners_of` return it."""
     goal: Float[np.ndarray, "3"]
     """Target pose of the object in {W}."""
     way: Path
     """Path to the stand-off pose."""
     approach: ApproachState
+    """State of the approach."""
     clearance: LocalDistanceField
+    """Distance to obstacles near the object, without the object itself."""
     contact: ContactState | None = None
+    """State of making contact; None before."""
     push: PushState | None = None
+    """State of the push; None before."""
     back: Path | None = None
     """Path away from the object after the push."""
     reviewed: float = 0.0
@@ -143,19 +166,29 @@ class NavigatorState:
     goal: Float[np.ndarray, "2"]
     """Goal position in {W} [m]."""
     belief: Belief
+    """The map and the known objects."""
     key: Key[Array, ""]
+    """Random key of the pushing controller."""
     mode: Mode = Mode.REPLAN
+    """The current mode."""
     since: float = 0.0
     """Time at which the mode began [s]."""
     path: Path | None = None
+    """The global path, if there is one."""
     waits_from: float | None = None
     """Time since which no path to the goal has been available [s]."""
     segment: Segment | None = None
+    """The current push, if there is one."""
     drive: drive.DriveState = field(default_factory=drive.init)
+    """The local trajectory."""
     lean_offset: equilibrium_lean.LeanOffset = field(default_factory=equilibrium_lean.init)
+    """Estimate of the lean at which the robot balances."""
     last_u: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
+    """Command of the last sample [rad]."""
     last_obs: Observation | None = None
+    """Observation of the last sample."""
     pending: Pending | None = None
+    """A decision that has not taken effect yet."""
     events: tuple[Event, ...] = ()
     """Events of the current step."""
 
@@ -249,7 +282,9 @@ class Setup(NamedTuple):
     controller: Pusher
     """The :class:`~shmoo_mjx.control.pushing.PushController`, or a baseline."""
     config: NavigatorConfig
+    """Settings."""
     trajectories: Planner
+    """Precomputed data of the local trajectories."""
     first_status: Sequence[Status] | None = None
     """Initial status of each object; UNKNOWN if not given."""
     kinds: Sequence[str | None] | None = None

@@ -38,6 +38,7 @@ class Trajectory(NamedTuple):
     """A trajectory, or the reason why there is none."""
 
     ok: bool
+    """Whether the trajectory may be driven."""
     reason: str
     """Empty if ok, else one sentence."""
     control_points: Float[np.ndarray, "n 2"]
@@ -45,6 +46,7 @@ class Trajectory(NamedTuple):
     horizon: float
     """Duration [s]."""
     model: FlatModel
+    """The flat model that it was computed with."""
     reference: Float[np.ndarray, "K 2"]
     """Points of the path that were tracked, in {W} [m]."""
     reaches_end: bool

@@ -56,12 +56,14 @@ class InitialGoal(NamedTuple):
     candidates: Float[np.ndarray, "M 3"]
     """Collision-free poses (the goal buffer), nearest first."""
     reason: str
+    """One phrase that explains the result."""
 
 
 class ObjectDecision(NamedTuple):
     """Result of the planning stage."""
 
     manipulable: bool
+    """Whether the object can be moved."""
     K: float
     """Sum over the best roll-outs of the squared end displacement [m^2]; NaN if no roll-out is finite."""
     G: float
@@ -72,6 +74,7 @@ class ObjectDecision(NamedTuple):
     candidates: Float[np.ndarray, "M 3"]
     """Collision-free end poses (the goal buffer), nearest first."""
     reason: str
+    """One phrase that explains the decision."""
 
 
 def goal_grid(object_pose: Float[Array, "3"], area: float = AREA) -> Float[np.ndarray, "N 3"]:

@@ -19,9 +19,13 @@ class Check(NamedTuple):
     """Result of one check."""
 
     name: str
+    """Name of the checked item."""
     ok: bool
+    """Whether the check passed."""
     finding: str
+    """What was found."""
     remedy: str
+    """What to do if the check failed."""
     needed: bool = True
     """Whether the main function fails without it."""
 

@@ -40,12 +40,15 @@ class Episode(NamedTuple):
     result: dict[str, Any]
     """JSON-compatible: outcome, transitions, decisions, objects (report/trace.py lists the keys)."""
     trace: Trace
+    """The history as arrays."""
     scene: Scene
+    """The simulated scene."""
     qpos: np.ndarray
     """``[T, nq]`` configurations for rendering."""
     navigator: Machine
     """The navigator in its final state."""
     recorded: Recording
+    """The navigator's observations and commands."""
 
 
 class Hooks(NamedTuple):
@@ -158,12 +161,19 @@ class Leg:
     """Result of one goal."""
 
     goal: list[float]
+    """Goal in {W} [m, m, rad]."""
     outcome: str
+    """Outcome: "success", "blocked", "timeout" and so on."""
     reason: str
+    """Reason for the outcome, as text."""
     success: bool
+    """Whether the outcome is "success"."""
     time_s: float
+    """Simulated time of this goal [s]."""
     path_length_m: float
+    """Length of the robot's path [m]."""
     goal_distance_m: float
+    """Final distance from the goal [m]."""
 
 
 def _leg(simulation: Simulation, goal: Point, began: float) -> Leg:

@@ -24,6 +24,7 @@ class Difference(NamedTuple):
     """The first sample at which a replay gives another command."""
 
     sample: int
+    """Index of the sample."""
     time: float
     """Time of the sample [s]."""
     state: str
@@ -31,7 +32,9 @@ class Difference(NamedTuple):
     field: str
     """Field of the command that differs."""
     recorded: np.ndarray
+    """Value of the field in the recording."""
     replayed: np.ndarray
+    """Value of the field in the replay."""
 
     def __str__(self) -> str:
         values = f"{np.round(self.recorded, 6).tolist()} recorded, {np.round(self.replayed, 6).tolist()} now"

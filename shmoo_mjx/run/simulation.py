@@ -62,18 +62,27 @@ class History:
     """History of a simulation, one row per sample."""
 
     rows: list[Sample] = field(default_factory=list)
+    """Ground truth, command and estimate."""
     qpos: list[np.ndarray] = field(default_factory=list)
+    """``[nq]`` configurations, for rendering."""
     observations: list[Observation] = field(default_factory=list)
+    """The navigator's inputs."""
     commands: list[Command] = field(default_factory=list)
+    """The navigator's outputs."""
     goals: list[np.ndarray] = field(default_factory=list)
+    """``[2]`` goal positions in {W} [m]."""
     late: list[dict[str, Any]] = field(default_factory=list)
     """Samples whose computation took longer than a sample time (real time only)."""
     falls: int = 0
+    """Number of falls."""
     diverged: bool = False
     """Whether the physics diverged in the last sample. The simulation keeps the state before it."""
     wall_contacts: int = 0
+    """Number of contacts of the robot with walls."""
     touching: bool = False
+    """Whether the robot touched a wall in the last sample."""
     wall_parts: dict[str, int] = field(default_factory=dict)
+    """Number of wall contacts of each part of the robot."""
     touches: list[dict[str, Any]] = field(default_factory=list)
     """Contacts with walls, as events."""
 

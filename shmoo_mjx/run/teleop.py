@@ -52,6 +52,7 @@ class Driver(NamedTuple):
     gamma: float = 0.0
     """Steering angle [rad]."""
     arms_out: bool = False
+    """Whether the arms are extended."""
 
 
 def press(driver: Driver, key: int, arms_fixed: bool = False) -> Driver:
@@ -91,8 +92,11 @@ class TeleopSession(NamedTuple):
     """A teleoperated drive so far."""
 
     world: Any
+    """State of the engine."""
     obs: Observation
+    """Last observation."""
     driver: Driver
+    """Current set points."""
     rows: tuple[dict[str, np.ndarray], ...] = ()
     """Recorded samples, each field ``[1, ...]``; empty if nothing is recorded."""
 

@@ -50,8 +50,11 @@ class PolicyState(NamedTuple):
     """State of one push."""
 
     policy: Any
+    """State of the controller."""
     contact: contact.ContactState
+    """State of making contact."""
     phase: Array
+    """One of APPROACH to UNSTABLE."""
     last_u: Array
     """``[3]`` command of the last sample."""
     coasts: Array
