@@ -194,6 +194,7 @@ class Pictures:
                 self.count += 1
 
     def draw_lines(self) -> None:
+        """Draws paths, roll-outs, the camera's view, believed footprints, the goal and the distance field."""
         session = self.session
         simulation, state = session.simulation, session.simulation.navigator.state
         way, trajectory = state.path, state.drive.trajectory
