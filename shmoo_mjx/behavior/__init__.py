@@ -1,1 +1,1 @@
-"""What the robot does: skills, one machine that deals with an object, decisions, navigator and pushing task."""
+"""Behaviour of the robot: skills, the state machine for pushing, decisions, the navigator and the push task."""

@@ -1,4 +1,4 @@
-"""Belief of the robot: the map, and pose and status of each detected object."""
+"""The robot's belief: the map, and pose and status of each detected object."""
 
 from __future__ import annotations
 
@@ -19,23 +19,24 @@ from shmoo_mjx.planning.maps import OccupancyGrid, distance_field
 from shmoo_mjx.types import Observation
 
 _DISPLACED = 0.15
-"""An object that stands this far from where it was left has been moved by somebody else [m]."""
+"""Displacement from the registered pose above which somebody else must have moved an object [m]."""
 _WIDER = 0.05
-"""What paths keep more from an object for each time after the first that it stood in a path round it [m]: from afar a
-gap may look wide enough that is not, and the robot would come back to it for ever."""
+"""Increase of the margin around an object for each time after the first that it blocks a planned detour [m]. From afar
+a gap may look wide enough although it is not, and without the margin the robot would return to it forever."""
 _LOST = 0.5
-"""Age from which an object counts as not detected [s]: a camera misses frames, and now and then half a second."""
+"""Age of a detection from which an object counts as not detected [s]. A camera misses single frames, and sometimes half
+a second."""
 
 
 class Status(StrEnum):
     """Status of an object."""
 
     UNKNOWN = "unknown"
-    """Seen, never touched: taken to be movable."""
+    """Detected but never touched; assumed to be movable."""
     PARKED = "parked"
     """Pushed out of the way."""
     FIXED = "fixed"
-    """Registered in the map as an obstacle: can't be moved, or can't be put anywhere."""
+    """Registered in the map as an obstacle: it cannot be moved, or there is no place to move it to."""
 
 
 def all_faces(half_extents: tuple[float, float]) -> Float[np.ndarray, "8 4"]:
@@ -45,32 +46,34 @@ def all_faces(half_extents: tuple[float, float]) -> Float[np.ndarray, "8 4"]:
 
 @dataclass(frozen=True, eq=False)
 class ObjectBelief:
-    """One object as perceived (pose and size) and as experienced (status, coefficients)."""
+    """Belief about one object: perceived pose and size, status, and learned dynamics."""
 
     pose: Float[np.ndarray, "3"]
-    """In {W}."""
+    """Pose in {W}."""
     half_extents: tuple[float, float]
+    """Half sizes of the footprint along {O} [m]."""
     kind: str | None = None
-    """What it looks like, "box", "cart" or "wheelchair"; None for none of them."""
+    """Recognised kind: "box", "cart" or "wheelchair"; None for other objects."""
     status: Status = Status.UNKNOWN
+    """What the robot may do with it."""
     pushes: int = 0
-    """How often a push has been started."""
+    """Number of pushes started."""
     adapt: LearnerState | None = None
-    """What was learned from contact so far (`online.LearnerState`)."""
+    """Learner state from the contact so far (`online.LearnerState`)."""
     age: float = 0.0
-    """Time since the object was last detected [s]."""
+    """Time since the last detection [s]."""
     registered: Float[np.ndarray, "3"] | None = None
-    """Pose at which it was registered or parked."""
+    """Pose at which the object was registered or parked."""
     given_up: int | None = None
-    """How many pushes of anything there had been when it was registered as an obstacle; None where it never was."""
+    """Total number of pushes of all objects when it was registered as an obstacle; None if it never was."""
     manipulable: bool | None = None
-    """What the last decision has found; None before."""
+    """Result of the last decision; None before the first."""
     failed_faces: tuple[int, ...] = ()
-    """Faces on which a push did not free the way, each as often as that was tried."""
+    """Faces on which a push did not free the path. A face occurs once per failed push."""
     price: float | None = None
-    """Expected time that it takes to push it out of the way, failures included [s]; None before that was looked at."""
+    """Expected time to push it out of the way, failures included [s]; None before the first evaluation."""
     in_the_way: int = 0
-    """How often it has stood in a path that was planned round it."""
+    """Number of times that it blocked a path planned around it."""
 
     @property
     def faces(self) -> Float[np.ndarray, "8 4"]:
@@ -84,23 +87,25 @@ class ObjectBelief:
 
     @property
     def avoided(self) -> shapely.Polygon:
-        """What paths lead round: the footprint, or a wider one."""
+        """Region that paths avoid: the footprint, or a larger one."""
         return self.polygon.buffer(_WIDER * max(self.in_the_way - 1, 0))
 
     @property
     def displaced(self) -> bool:
-        """Whether it stands elsewhere than where it was registered."""
+        """Whether it is away from its registered pose."""
         return self.registered is not None and _distance(self.pose, self.registered) > _DISPLACED
 
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """The map and the known objects; every change makes a new one."""
+    """The map and the known objects. It is immutable; every change makes a new one."""
 
     grid: OccupancyGrid
+    """The map."""
     wall_clearance: DistanceField
     """Distance to the walls."""
     objects: Mapping[int, ObjectBelief] = field(default_factory=dict)
+    """The known objects by index."""
 
     def with_object(self, index: int, **changes: Any) -> Belief:
         """The belief with these fields of object ``index`` changed."""
@@ -108,7 +113,7 @@ class Belief:
 
     @property
     def pushes(self) -> int:
-        """How many pushes there have been."""
+        """Total number of pushes so far."""
         return sum(item.pushes for item in self.objects.values())
 
     def polygons(
@@ -118,7 +123,7 @@ class Belief:
         return [o.polygon for i, o in self.objects.items() if o.status in statuses and i != without]
 
     def clearance(self, without: int | None = None) -> DistanceField:
-        """Distance to walls and to every known object but ``without``."""
+        """Distance to walls and to every known object except ``without``."""
         return add_obstacles(self.wall_clearance, self.polygons(without=without))
 
     def update(
@@ -130,17 +135,19 @@ class Belief:
         first_status: Sequence[Status] | None = None,
         kinds: Sequence[str | None] | None = None,
     ) -> tuple[Belief, list[str]]:
-        """Take in an observation: poses, sizes and kinds, as markers on an object's corners give them; never dynamics.
+        """Updates poses, sizes and kinds from an observation.
+
+        Markers on an object's corners provide them. An observation does not contain dynamics.
 
         Args:
-            obs: one world; the pose of an object that was never detected is NaN.
+            obs: observation of one world; the pose of an object that was never detected is NaN.
             sizes: half extents of each object [m].
-            pushed: the object that the robot itself is dealing with.
-            first_status: what each object is taken to be at first sight; UNKNOWN if not given. Such a status stays.
-            kinds: what each object looks like, see `ObjectBelief`.
+            pushed: index of the object that the robot is pushing.
+            first_status: initial status of each object; UNKNOWN if not given. If given, the status FIXED is permanent.
+            kinds: recognised kind of each object, see `ObjectBelief`.
 
         Returns:
-            The new belief and what was noticed.
+            The new belief and notes on noticed changes.
         """
         objects, notes = dict(self.objects), []
         for index, size in enumerate(sizes):
@@ -185,7 +192,7 @@ def _perceived(
     )
     new = replace(new, registered=pose, price=None)
     if before.status is Status.FIXED and not fixed_for_good:
-        # Whoever moved it may have released its brakes: what was learned no longer holds.
+        # The person who moved it may have released its brakes, so the learned dynamics no longer hold.
         new = replace(new, status=Status.UNKNOWN, adapt=None, failed_faces=())
         text += "; it counts as unknown again"
     return new, [*notes, text]

@@ -1,4 +1,4 @@
-"""Driving: lean commands that follow a path by local flat trajectories, hold a place, or move at a velocity."""
+"""Driving: lean commands that follow a path by local flat trajectories, or track a velocity."""
 
 from __future__ import annotations
 
@@ -18,33 +18,35 @@ from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
 from shmoo_mjx.types import Observation
 
 _REPLAN_EVERY = 0.5
-"""Time between two local trajectories [s]: a seventh of their length, so that obstacles that appear are met in time."""
+"""Time between two local trajectories [s]. It is a seventh of their length, so the robot reacts to new obstacles in
+time."""
 STIFFNESS = 1.0
-"""Acceleration of the flat output per metre of error [1/s^2]; with the delays of real senses 2.5 is unstable."""
+"""Acceleration of the flat output per metre of error [1/s^2]. With the delays of real sensing, 2.5 is unstable."""
 DAMPING = 1.6
 """Acceleration of the flat output per m/s of error [1/s]: a damping ratio of 0.8."""
 _STRAYED = (0.15, 0.3)
-"""Deviation in place [m] and in speed [m/s] beyond which a new trajectory starts from where the robot is. Otherwise
-from where the last one has got to: planned from measurements that lag behind the commands, trajectories circle
-round their end for as long as one waits."""
+"""Deviation in position [m] and speed [m/s] above which a new trajectory starts from the measured state. Otherwise it
+starts from the state planned by the previous one: measurements lag behind the commands, and trajectories that start
+from them would circle around their end."""
 LEAD = 0.25
-"""How far ahead the lean is read off the trajectory [s]: the lag of the lean loop."""
+"""Prediction time at which the lean is read from the trajectory [s]: the lag of the lean loop."""
 _LEAN_LIMIT = 0.14
-"""Largest commanded lean while driving [rad]: a trajectory's own limit and what the feedback adds."""
+"""Maximum commanded lean while driving [rad]: the trajectory's own limit plus feedback."""
 _LOOKAHEAD = 0.7
-"""Distance along the path of the point the robot faces [m]: nearer, the heading swings at each bend."""
+"""Distance along the path of the point that the robot faces [m]. Smaller values make the heading swing at bends."""
 
 
 class DriveState(NamedTuple):
     """The local trajectory being followed."""
 
     trajectory: Trajectory | None
+    """The trajectory; None before the first one."""
     start: float
-    """Time at which it starts [s]."""
+    """Start time of the trajectory [s]."""
     failed_since: float | None
-    """Since when no local trajectory has been found [s]."""
+    """Time since which no local trajectory has been found [s]."""
     reason: str
-    """Why the last one was refused."""
+    """Reason why the last one was rejected."""
 
 
 def init() -> DriveState:
@@ -60,10 +62,10 @@ def follow(
     *,
     clearance: Callable[[], DistanceField],
 ) -> tuple[DriveState, Float[np.ndarray, "2"]]:
-    """One control step along ``path``; the lean command in {R} [rad].
+    """One control step along ``path``: the next state and the lean command in {R} [rad].
 
-    A trajectory always ends at rest, so that while no new one is found the old one brings the robot to a stop; so it
-    does without a path. ``clearance`` is asked only where a new trajectory is due.
+    A trajectory always ends at rest. Without a new trajectory or without a path, the old one therefore stops the robot.
+    ``clearance`` is only evaluated when a new trajectory is due.
     """
     now = float(obs.time[0])
     position, velocity = obs.robot_pose[0, :2], obs.robot_twist[0, :2]
@@ -78,12 +80,12 @@ def follow(
             state = state._replace(failed_since=since, reason=trajectory.reason)
     if state.trajectory is None:
         return state, velocity_command(obs, np.zeros(2))
-    # The lean is commanded in {R}, which turns on until the body has got there.
+    # The lean is commanded in {R}, which rotates further until the body has reached that lean.
     return state, _track(planner, state, now, flat, yaw=yaw + LEAD * obs.robot_twist[0, 2])
 
 
 def _begin(planner: Planner, state: DriveState, now: float, flat: Float[np.ndarray, "4 2"]) -> Float[np.ndarray, "4 2"]:
-    """The flat state that the next trajectory starts from: where the last one has got to, if the robot is near it."""
+    """Initial flat state of the next trajectory: the state planned by the last one, if the robot is near it."""
     if state.trajectory is None:
         return flat
     at = flat_trajectory.evaluate(state.trajectory, now - state.start)
@@ -117,7 +119,7 @@ def velocity_command(
 
 
 def yaw_ahead(obs: Observation, path: Path) -> float:
-    """Heading in {W} [rad] towards the path a little ahead; the present one near the path's end."""
+    """Heading in {W} [rad] towards a path point ahead. Near the path's end it is the current heading."""
     position = obs.robot_pose[0, :2]
     offset = point_at(path, project(path, position) + _LOOKAHEAD) - position
     return float(np.arctan2(offset[1], offset[0])) if np.hypot(*offset) > 0.3 else float(obs.robot_pose[0, 2])

@@ -1,11 +1,11 @@
-"""Dealing with an object, one machine for whoever moves one: approach a face, make contact, push, retreat.
+"""The state machine for pushing an object: approach a face, make contact, push, retreat.
 
-A frozen state, a table of modes, and a list of events: ``step`` takes a state and an observation and gives the next
-state, the command for the next sample, and what has happened. The navigator and the pushing task differ in their
-tables: in what is decided before a push, and in what ends one.
+It consists of a frozen state, a table of modes, and events. ``step`` takes a state and an observation and returns the
+next state, the command for the next sample, and the events. The navigator and the push task use different tables: they
+decide differently before a push and end a push differently.
 
-Each mode *acts* at 10 Hz. What takes longer to compute, a global path or a planning stage, it *decides*: the decision
-takes effect ``planning_time`` later, and until then the robot goes on as it did.
+Each mode *acts* at 10 Hz. A computation that takes longer, such as a global path or a planning stage, is a *decision*:
+it takes effect ``planning_time`` later, and until then the robot continues its action.
 """
 
 from __future__ import annotations
@@ -48,37 +48,37 @@ from shmoo_mjx.sensing import finite
 from shmoo_mjx.types import Command, Observation
 
 _UNDETECTED_LIMIT = 1.5
-"""Time since the object's last detection at which a push ends [s]: a third of a metre at the speed allowed."""
+"""Time since the object's last detection at which a push ends [s]: a third of a metre at the permitted speed."""
 _LOST_AFTER = 2.0
-"""Time without contact after which contact counts as lost [s]: the hands catch up with what rolls ahead of them."""
+"""Time without contact after which contact counts as lost [s]. The hands need time to catch up with rolling objects."""
 ROLLED = 0.10
-"""An object that has moved this far under a probe gives way beyond doubt [m]."""
+"""Displacement during a probe above which an object is certainly movable [m]."""
 _FOLDED = TUCKED_REACH + 0.06
-"""Reach of the hands up to which the arms are folded [m]."""
+"""Maximum reach of folded arms [m]."""
 _PUSH_LIMIT = 45.0
-"""Longest push [s]: 11 m at the speed allowed on a way to a goal, 7 m at that to a pose."""
+"""Maximum duration of a push [s]: 11 m at the permitted speed during navigation, 7 m when pushing to a pose."""
 _ARM_ROOM = 0.05
-"""Distance from walls at which the arms may unfold or fold [m]: they swing a little."""
+"""Distance from walls at which the arms may unfold or fold [m]. They swing slightly."""
 _LONGEST_RETREAT = 6.0
-"""Time after which a retreat ends wherever the robot is [s]."""
+"""Maximum duration of a retreat [s]."""
 _LONGEST_CONTACT = 10.0
-"""Time to feel the object after which something else must hold the hands [s]; two are usual."""
+"""Maximum time to make contact [s]; usually it takes two. After it something else must be blocking the hands."""
 PROBE_ROOM = 0.03
-"""How far the probe's lean may stay below what the governor grants, while the object has not moved yet [rad]: a verdict
-on what was only touched gently would be worth little."""
+"""Maximum difference between the probe's lean and the governor's limit while the object has not moved [rad]. A weak
+push says little about whether the object can be moved."""
 Act = Callable[[Setup, NavigatorState, Observation], tuple[NavigatorState, Command]]
-"""The next state and the command for the next sample, of one world, unbatched."""
+"""(setup, state, observation) -> next state and command for the next sample, of one world, unbatched."""
 Judge = Callable[[Setup, NavigatorState, Observation], NavigatorState]
-"""The state with the push ended, if it is to end."""
+"""(setup, state, observation) -> the state, in which the push has ended if it must end."""
 
 
 class Rule(NamedTuple):
-    """What is done in a mode."""
+    """Action and decision of a mode."""
 
     act: Act
-    """What the robot does; it may change the mode."""
+    """The robot's action; it may switch the mode."""
     decide: Callable[[Setup, NavigatorState, Observation], NavigatorState | None]
-    """What takes time to compute, if anything is due: the state in which it has been decided."""
+    """The state after a decision that takes time to compute; None if none is due."""
     leads_to: tuple[Mode, ...]
     """Modes that may follow."""
 
@@ -91,7 +91,7 @@ def setup_of(
     first_status: Sequence[Status] | None = None,
     kinds: Sequence[str | None] | None = None,
 ) -> Setup:
-    """Constant parts of a machine; see the fields of :class:`~shmoo_mjx.behavior.state.Setup`."""
+    """Constant parts of a state machine; see the fields of :class:`~shmoo_mjx.behavior.state.Setup`."""
     config = config or NavigatorConfig()
     planner = flat_qp.init(FlatModel(*shmoobot().flatness), config.trajectory)
     return Setup(sizes, controller, config, planner, first_status, kinds)
@@ -100,7 +100,7 @@ def setup_of(
 def step(
     modes: Mapping[Mode, Rule], setup: Setup, state: NavigatorState, obs: Observation
 ) -> tuple[NavigatorState, Command, tuple[Event, ...]]:
-    """One sample: the next state, the command (a batch of one) and what has happened."""
+    """One sample: the next state, the command (a batch of one) and the events."""
     state, obs = _perceive(setup, state, obs)
     state = _settled(state, float(obs.time[0]))
     state, command = modes[state.mode].act(setup, state, equilibrium_lean.predicted(obs, setup.config.latency))
@@ -110,7 +110,7 @@ def step(
 
 
 def _perceive(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Observation]:
-    """Take in an observation; its lean is counted from where the robot balances from here on."""
+    """Updates the belief from an observation and corrects the lean by the estimated offset of the balance point."""
     obs = finite(obs, state.last_obs)
     now = float(obs.time[0])
     pushed = None if state.segment is None else state.segment.object
@@ -122,7 +122,7 @@ def _perceive(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[Na
 
 
 def _settled(state: NavigatorState, now: float) -> NavigatorState:
-    """Take over a decision that has become known; it is void if the mode has changed meanwhile."""
+    """Applies a pending decision that is due. A decision is dropped if the mode has changed meanwhile."""
     pending = state.pending
     if pending is None:
         return state
@@ -134,7 +134,7 @@ def _settled(state: NavigatorState, now: float) -> NavigatorState:
 
 
 def _consider(modes: Mapping[Mode, Rule], setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState:
-    """Begin to compute what the mode has to decide, if it is due and nothing else is being computed."""
+    """Starts the mode's decision if it is due and no other decision is pending."""
     if state.pending is not None:
         return state
     before = replace(state, events=())
@@ -146,7 +146,7 @@ def _consider(modes: Mapping[Mode, Rule], setup: Setup, state: NavigatorState, o
     return waiting if setup.config.planning_time > 0 else _settled(waiting, float(obs.time[0]))
 
 
-# What is done in each mode.
+# Actions of the modes.
 
 
 def rest(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Command]:
@@ -155,7 +155,7 @@ def rest(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[Navigat
 
 
 def arms(state: NavigatorState, obs: Observation) -> tuple[float, float]:
-    """Reach and height of the hands while driving: folded, or drawn back while walls leave no room to fold."""
+    """Reach and height of the hands while driving: folded, or drawn back where walls leave no room to fold."""
     hands = float(np.max(obs.hands[0, :, 0]))
     if hands < _FOLDED or _may_fold(state, obs, hands):
         return TUCKED_REACH, TUCKED_HEIGHT
@@ -173,7 +173,7 @@ def _arms_have_room(state: NavigatorState, obs: Observation, between: tuple[floa
 def drive_along(
     setup: Setup, state: NavigatorState, obs: Observation, path: Path | None
 ) -> tuple[NavigatorState, Float[np.ndarray, "2"]]:
-    """Lean along ``path`` round everything that is known."""
+    """Lean command along ``path``, avoiding everything known."""
     driven, lean = drive.follow(setup.trajectories, state.drive, obs, path, clearance=state.belief.clearance)
     return replace(state, drive=driven), lean
 
@@ -187,15 +187,15 @@ def start_push(
     goal: Float[np.ndarray, "3"],
     reached: tuple[Path, float, float],
 ) -> NavigatorState:
-    """The state in which a push has been chosen; the approach is next.
+    """The state after choosing a push. The approach is next.
 
     Args:
-        state: before.
-        now: [s]
-        index: the object.
-        side: index of the face among `ObjectBelief.faces`.
-        goal: pose of the object in {W}.
-        reached: way to the stand-off pose, its gap and its place along the face, as `Routes.path_to_face` gives them.
+        state: state before.
+        now: time [s].
+        index: index of the object.
+        side: index of the face in `ObjectBelief.faces`.
+        goal: target pose of the object in {W}.
+        reached: path to the stand-off pose, its gap and its lateral offset, as `Routes.path_to_face` returns them.
     """
     target, (way, gap, lateral) = state.belief.objects[index], reached
     clearance = local_distance_field(state.belief.clearance(without=index), target.pose)
@@ -227,7 +227,7 @@ def approach_face(setup: Setup, state: NavigatorState, obs: Observation) -> tupl
 
 
 def make_contact(then: Mode, setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Command]:
-    """Move slowly forward until the hands feel the object; ``then`` is the mode in which it is pushed."""
+    """Move slowly forward until the hands touch the object. ``then`` is the mode of the push that follows."""
     segment, target, now = state.current(), state.target(), float(obs.time[0])
     object_obs = ObjectObservation.of(obs, segment.object)
     assert segment.contact is not None
@@ -277,13 +277,15 @@ def push_object(judge: Judge, setup: Setup, state: NavigatorState, obs: Observat
 
 
 def rolled(pushed: push.PushState, pose: Float[np.ndarray, "3"]) -> bool:
-    """Whether the object has moved so far that it gives way beyond doubt: a cart that rolls ahead of the hands gives
-    little contact, but its motion tells as much."""
+    """Whether the object has moved so far that it is certainly movable.
+
+    A cart that rolls ahead of the hands has little contact, but its motion is equally conclusive.
+    """
     return pushed.moved(pose) > ROLLED
 
 
 def push_end_reason(state: NavigatorState, now: float) -> str | None:
-    """Why no push goes on, wherever it leads: None if it can."""
+    """Reason why a push must end regardless of its result; None if it can continue."""
     target, pushed, index = state.target(), state.current().push, state.current().object
     assert pushed is not None
     if not pushed.ok:
@@ -298,7 +300,7 @@ def push_end_reason(state: NavigatorState, now: float) -> str | None:
 
 
 def back_away(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Command]:
-    """Away from the object to where the arms have room to fold."""
+    """Move away from the object to a place where the arms have room to fold."""
     segment, now, pose = state.current(), float(obs.time[0]), obs.robot_pose[0]
     if segment.back is None:
         way = setup.routes(state).retreat_path(pose[:2], state.target().pose)
@@ -316,37 +318,37 @@ def back_away(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[Na
 
 
 def robot_alone(obs: Observation) -> ObjectObservation:
-    """The robot, as a sighting of nothing."""
+    """The robot's observation without an object."""
     none = np.zeros(3)
     pose, twist, lean, rate = (np.asarray(v[0]) for v in (obs.robot_pose, obs.robot_twist, obs.lean, obs.lean_rate))
     return ObjectObservation(pose, twist, lean, rate, none, none, none, False)
 
 
 def place_of(goal: Numbers | Float[Array, "n"]) -> Float[np.ndarray, "2"]:
-    """The place of a goal in {W} [m], which may have a yaw too."""
+    """Position (x, y) of a goal in {W} [m], which may have a yaw as well."""
     return finite_numbers("the goal", goal[:2], "x, y")
 
 
 def nothing(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState | None:
-    """Nothing to decide."""
+    """The decision of modes without one."""
     return None
 
 
 class Machine:
-    """``step`` with its state and all its events kept, for whoever runs it sample by sample."""
+    """``step`` with its state and all events, for use sample by sample."""
 
     def __init__(self, modes: Mapping[Mode, Rule], setup: Setup, state: NavigatorState) -> None:
         self.modes, self.setup, self.state = modes, setup, state
         self.events: list[Event] = []
 
     def tick(self, obs: Observation) -> Command:
-        """One decision from one observation of a single world: the command for the next sample."""
+        """One step of the state machine: the command for the next sample, from an observation of a single world."""
         self.state, command, events = step(self.modes, self.setup, self.state, obs)
         self.events += events
         return command
 
     def head_for(self, goal: Numbers | Float[Array, "2"], now: float) -> None:
-        """Go on to another goal in {W}, with all that is known; each side of an object may be tried anew."""
+        """Switches to another goal in {W}. The belief stays; each side of an object may be tried again."""
         state = replace(self.state, goal=place_of(goal), path=None, drive=drive.init())
         for index in state.belief.objects:
             state = state.with_object(index, failed_faces=(), price=None, in_the_way=0)
@@ -355,38 +357,38 @@ class Machine:
         self.state = replace(state, mode=Mode.REPLAN, since=now, segment=None, pending=None, waits_from=None)
 
     def expect(self, sizes: Sequence[tuple[float, float]], kinds: Sequence[str | None] | None = None) -> None:
-        """There are more objects, or others: half extents [m] and looks of each. What is being computed is dropped."""
+        """Sets new objects: half extents [m] and kind of each. A pending decision is dropped."""
         self.setup = self.setup._replace(sizes=sizes, kinds=kinds)
         self.state = replace(self.state, last_obs=None, pending=None)
 
     @property
     def config(self) -> NavigatorConfig:
-        """The settings of how it drives and decides."""
+        """Settings of driving and decisions."""
         return self.setup.config
 
     @property
     def mode(self) -> Mode:
-        """What it is doing."""
+        """The current mode."""
         return self.state.mode
 
     @property
     def belief(self) -> Belief:
-        """What it knows of the world."""
+        """The current belief."""
         return self.state.belief
 
     @property
     def segment(self) -> Segment | None:
-        """The object that it is dealing with."""
+        """The current push, if any."""
         return self.state.segment
 
     @property
     def finished(self) -> bool:
-        """Whether the run has come to its end."""
+        """Whether the run is over."""
         return self.mode in (Mode.DONE, Mode.FAILED)
 
     @property
     def learned(self) -> tuple[int, dict[str, float]] | None:
-        """The object that is pushed at present, and what has been learned of it (`online.summary`)."""
+        """Index of the object being pushed and its estimate (`online.summary`); None without a push."""
         if self.segment is None or self.segment.push is None:
             return None
         return self.segment.object, online.summary(self.segment.push.pusher.adapt)
@@ -396,20 +398,20 @@ class Machine:
 
     @property
     def transitions(self) -> list[Transition]:
-        """Every change of mode so far."""
+        """All mode switches so far."""
         return self._of(Transition)
 
     @property
     def decisions(self) -> list[Decision]:
-        """Every planning stage so far."""
+        """All planning stages so far."""
         return self._of(Decision)
 
     @property
     def plans(self) -> list[Planned]:
-        """Every global path so far."""
+        """All global paths so far."""
         return self._of(Planned)
 
     @property
     def notes(self) -> list[Note]:
-        """What it noticed so far."""
+        """All notes so far."""
         return self._of(Note)

@@ -1,8 +1,8 @@
-"""Methods: the weights and settings that a robot runs with, by name.
+"""Methods: named presets of the weights and settings that a robot runs with.
 
-``ours`` is what the package ships. ``frozen`` is the same, but learns nothing of an object. ``paper`` is the paper's
-system as one preset: psi as printed, Eq. 8, Eq. 9, the first-goal grid and K (docs/paper_system.md lists what was added
-so that it runs). Commands, experiments and replays take their weights and settings from here.
+``ours`` is the method that the package ships. ``frozen`` is the same without learning about the object. ``paper`` is
+the paper's system: psi as printed, Eq. 8, Eq. 9, the first-goal grid and K (docs/paper_system.md lists the additions
+that it needs to run). Commands, experiments and replays take their weights and settings from here.
 """
 
 from __future__ import annotations
@@ -22,22 +22,24 @@ OURS, FROZEN, PAPER = "ours", "frozen", "paper"
 
 @dataclass(frozen=True)
 class Method:
-    """What a robot runs with."""
+    """Weights and settings of a robot."""
 
     name: str
+    """Name of the method."""
     weights: str
-    """Asset of the trained weights."""
+    """Asset name of the trained weights."""
     pushing: PushConfig
-    """Of the pushing controller while navigating."""
+    """Settings of the pushing controller during navigation."""
     pose_pushing: PushConfig
-    """Of the pushing controller where an object is brought to a pose (`PushTask`)."""
+    """Settings of the pushing controller for pushing to a pose (`PushTask`)."""
     navigator: NavigatorConfig
+    """Settings of the navigator."""
 
     def load(self, path: Path | None = None) -> Weights:
-        """The weights in ``path``, by default the method's own.
+        """Loads the weights in ``path``, by default the method's own.
 
         Raises:
-            ShmooError: the file can't be read, or its psi is not one that the method learns by Eq. 8.
+            ShmooError: the file can't be read, or the method is "paper" and its psi contains the contact model.
         """
         loaded = load_weights(path or asset(self.weights))
         if self.name == PAPER and loaded.config.object.contact_model:
@@ -48,11 +50,11 @@ class Method:
         return loaded
 
     def controller(self, path: Path | None = None, to_pose: bool = False) -> PushController:
-        """The pushing controller with the weights in ``path``, by default the method's own.
+        """Makes the pushing controller with the weights in ``path``, by default the method's own.
 
         Args:
             path: weights file.
-            to_pose: for bringing an object to a pose, rather than for navigation.
+            to_pose: for pushing an object to a pose instead of navigation.
         """
         return PushController(self.load(path), self.pose_pushing if to_pose else self.pushing)
 
@@ -74,7 +76,7 @@ def method_named(name: str) -> Method:
     """The method called ``name``.
 
     Raises:
-        ShmooError: there is none.
+        ShmooError: there is no such method.
     """
     if name not in METHODS:
         raise ShmooError(f"there is no method {name!r}; choose from {', '.join(METHODS)}.")

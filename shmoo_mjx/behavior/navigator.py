@@ -1,7 +1,7 @@
-"""Interactive navigation (Sec. IV): follow the path, push what is in the way, go round what can't be pushed.
+"""Interactive navigation (Sec. IV): follow the path, push objects out of the way, avoid immovable ones.
 
-It perceives poses and sizes of objects and the force on its hands; what it knows of an object's dynamics it has learned
-by touching it. How an object is pushed is in `interaction`; here is the way between pushes.
+The navigator observes poses and sizes of objects and the force on its hands. It learns an object's dynamics from
+contact only. `interaction` contains the pushes; this module contains the driving between them.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ from shmoo_mjx.planning.scenario import ROBOT_RADIUS
 from shmoo_mjx.types import Command, Observation
 
 _NO_TRAJECTORY = 3.0
-"""Time without a local trajectory after which another path is sought [s]."""
+"""Time without a local trajectory after which another path is planned [s]."""
 _TURNING_ROOM = 0.05
-"""Distance from walls beyond the robot's radius at which it may turn on its way [m]: its elbows sweep a circle."""
+"""Clearance beyond the robot's radius at which it may turn while driving [m]. Its elbows sweep a circle."""
 
 
 def init(grid: OccupancyGrid, goal: Numbers | Float[Array, "2"], seed: int = 0) -> NavigatorState:
-    """State at the start, with nothing known but the map; the goal is in {W} [m]."""
+    """Initial state, in which only the map is known; the goal is in {W} [m]."""
     return NavigatorState(place_of(goal), belief_of(grid), jax.random.key(seed))
 
 
-# What is done in each mode.
+# Actions of the modes.
 
 
 def _brake(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Command]:
-    """While a path is sought: to the end of the present trajectory, which is at rest."""
+    """While a path is being planned: follow the current trajectory to its end, where the robot rests."""
     if state.drive.trajectory is None:
         return interaction.rest(setup, state, obs)
     state, lean = interaction.drive_along(setup, state, obs, None)
@@ -48,7 +48,7 @@ def _brake(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[Navig
 
 
 def _turned(state: NavigatorState, obs: Observation, yaw: float) -> float:
-    """The heading ``yaw``, or the present one where walls leave no room to turn."""
+    """The heading ``yaw``, or the current one where walls leave no room to turn."""
     room = float(state.belief.wall_clearance.at(obs.robot_pose[0, :2])) - ROBOT_RADIUS
     return yaw if room > _TURNING_ROOM else float(obs.robot_pose[0, 2])
 
@@ -79,16 +79,16 @@ MODES: dict[Mode, Rule] = {
     Mode.DONE: Rule(interaction.rest, nothing, ()),
     Mode.FAILED: Rule(interaction.rest, nothing, ()),
 }
-"""The transition table. A test follows runs through it."""
+"""The transition table. A test checks runs against it."""
 
 
 def step(setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Command, tuple[Event, ...]]:
-    """One sample: the next state, the command (a batch of one) and what has happened."""
+    """One sample: the next state, the command (a batch of one) and the events."""
     return interaction.step(MODES, setup, state, obs)
 
 
 class Navigator(Machine):
-    """The machine that brings the robot to a goal; ``tick`` takes it a sample further."""
+    """The state machine that brings the robot to a goal. ``tick`` runs one sample."""
 
     def __init__(
         self,

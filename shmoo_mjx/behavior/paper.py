@@ -1,8 +1,8 @@
-"""Algorithm 1 as the paper prints it: push what is in the way to the nearest free place, and go round what K says can't
-be moved.
+"""Algorithm 1 as the paper prints it, as a baseline for decisions by expected time.
 
-For comparison with decisions by expected time. Beside what is printed: faces have to be within reach, the first goals
-lie in a cone about a face's push direction, and what stalls counts as immovable.
+It pushes an object in the path to the nearest free place, and takes a detour if K says that the object cannot be moved.
+There are three additions: faces must be reachable, first goals lie in a cone around a face's push direction, and an
+object whose push stalls counts as immovable.
 """
 
 from __future__ import annotations
@@ -19,18 +19,20 @@ from shmoo_mjx.planning.object_planner import initial_goal, planning_stage
 from shmoo_mjx.types import Observation
 
 _FAR_AREA = 5.0
-"""Side of the square in which first goals are sought where the planner's own holds none, as in a corridor [m]."""
+"""Side of the square for first goals if the planner's own square contains none, for example in a corridor [m]."""
 _AT_GOAL = 0.10
 """Distance from its goal at which an object has arrived [m]."""
 _PASSED = -0.08
-"""Way left to the goal along the push at which it has been passed [m]."""
+"""Remaining distance to the goal along the push at which the object has passed it [m]."""
 _SHOWN = 40
-"""Roll-outs of a planning stage that are kept for pictures."""
+"""Number of roll-outs of a planning stage that are kept for display."""
 
 
 def choose(setup: Setup, state: NavigatorState, obs: Observation, index: int, *, distance: float) -> NavigatorState:
-    """The initialisation stage: first goal, face and way to the stand-off pose of object ``index``, ``distance`` [m]
-    along the path; or register it."""
+    """Initialisation stage: chooses first goal, face and path to the stand-off pose, or registers the object.
+
+    Object ``index`` blocks the path ``distance`` [m] ahead.
+    """
     target, now, routes = state.belief.objects[index], float(obs.time[0]), setup.routes(state)
     position, clearance = obs.robot_pose[0, :2], state.belief.clearance()
     faces, failed = faces_of(target.half_extents), target.failed_faces
@@ -51,11 +53,11 @@ def choose(setup: Setup, state: NavigatorState, obs: Observation, index: int, *,
 
 
 def planning(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState:
-    """The planning stage on the roll-outs of the adapted model: K in the probe, then a goal that is within reach."""
+    """Planning stage on roll-outs of the adapted model: K during the probe, and a reachable goal."""
     now, segment, target = float(obs.time[0]), state.current(), state.target()
     assert segment.push is not None and isinstance(setup.controller, RolloutPlanner)
     index, cfg, probes = segment.object, setup.config.planner, state.mode is Mode.PROBE
-    # K asks how far it can be moved: a goal that is nearly reached would say nothing about that.
+    # Near the goal K is uninformative, so it is evaluated for a point ``min_displacement`` ahead of the object.
     ahead = heading(target.pose, segment.face)
     straight = target.pose[:2] + cfg.min_displacement * np.array([np.cos(ahead), np.sin(ahead)])
     near = _left(segment.goal, target.pose, segment.face) < cfg.min_displacement
@@ -69,7 +71,7 @@ def planning(setup: Setup, state: NavigatorState, obs: Observation) -> Navigator
     free = routes.collision_free(position, target, state.belief.clearance(without=index), path)
 
     def reachable(ends: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
-        # What a roll-out turns may end a little behind, and a goal there would be passed before it is pushed to.
+        # A roll-out that turns the object may end slightly behind it. Such a goal would count as passed at once.
         return free(ends) & (_left(ends, target.pose, segment.face) > 0.0)
 
     result = planning_stage(poses[:, -1], costs, target.pose, reachable, cfg=cfg, manipulable=None if probes else True)
@@ -86,7 +88,7 @@ def planning(setup: Setup, state: NavigatorState, obs: Observation) -> Navigator
 
 
 def arrived(state: NavigatorState, now: float) -> NavigatorState:
-    """End a push whose object is at its goal, or past it."""
+    """Ends a push whose object is at its goal or has passed it."""
     segment, target, index = state.current(), state.target(), state.current().object
     if state.mode is Mode.PUSH and float(np.linalg.norm(target.pose[:2] - segment.goal[:2])) < _AT_GOAL:
         state = state.with_object(index, status=Status.PARKED)
@@ -97,7 +99,7 @@ def arrived(state: NavigatorState, now: float) -> NavigatorState:
 
 
 def immovable(state: NavigatorState, now: float, why: str) -> NavigatorState:
-    """Register the object that is pushed as an obstacle."""
+    """Registers the pushed object as an obstacle."""
     state = state.failed().given_up(state.current().object)
     return state.go(now, Mode.RETREAT, f"{why}; registered as an obstacle")
 
@@ -105,6 +107,6 @@ def immovable(state: NavigatorState, now: float, why: str) -> NavigatorState:
 def _left(
     goal: Float[np.ndarray, "*g 3"], pose: Float[np.ndarray, "3"], face: Float[np.ndarray, "4"]
 ) -> Float[np.ndarray, "*g"]:
-    """Way left to ``goal`` along the push [m]."""
+    """Remaining distance to ``goal`` along the push [m]."""
     ahead = heading(pose, face)
     return np.asarray((goal[..., :2] - pose[:2]) @ np.array([np.cos(ahead), np.sin(ahead)]))

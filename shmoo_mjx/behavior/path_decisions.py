@@ -1,6 +1,6 @@
-"""Decisions on the way to the goal: which path, and whether to bypass an object in it or to push it, and from where.
+"""Decisions on the way to the goal: the path, and whether and from where to push an object that blocks it.
 
-Each takes a state and an observation and gives the state in which the choice has been made.
+Each function takes a state and an observation and returns the state after the decision.
 """
 
 from __future__ import annotations
@@ -25,18 +25,19 @@ from shmoo_mjx.planning.scenario import ROBOT_RADIUS
 from shmoo_mjx.types import DT, Observation
 
 _PATIENCE = 4.0
-"""How long it waits where every route is blocked before it gives up: what rolls comes to rest, others walk on [s]."""
+"""Waiting time while every route is blocked, before the robot gives up [s]. Meanwhile rolling objects come to rest and
+people walk on."""
 _ASK_AGAIN = 1.0
-"""Time between two looks meanwhile [s]."""
+"""Time between two attempts while waiting [s]."""
 _LEFT_AFTER = 2 * ROBOT_RADIUS
-"""Distance along the path after which it keeps the robot's radius from what the robot stood too near to [m]."""
+"""Distance along the path after which an object that is too close to the robot now must keep the robot's radius [m]."""
 _ACT_WITHIN = 2.2
-"""Distance along the path within which an object in the way is dealt with [m]: room to brake and for a stand-off
+"""Distance along the path within which the robot acts on an object [m]. It leaves room to brake and for a stand-off
 pose."""
 
 
 def replan(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState | None:
-    """A path to the goal round everything that is not to be pushed; without one, wait and then give up."""
+    """Plans a path to the goal. If every route is blocked, the robot waits and then gives up."""
     now = float(obs.time[0])
     if state.waits_from is not None and now - state.since < _ASK_AGAIN:
         return None
@@ -64,7 +65,7 @@ def _on_path(state: NavigatorState, now: float, path: Path) -> NavigatorState:
 
 
 def _another_chance(state: NavigatorState, now: float) -> NavigatorState:
-    """With every route blocked, what was given up is looked at again if anything has been pushed since."""
+    """If anything was pushed since, reconsiders objects that were registered as obstacles."""
     pushes = state.belief.pushes
     for index, item in state.belief.objects.items():
         if item.status is Status.FIXED and item.given_up is not None and item.given_up < pushes:
@@ -77,9 +78,10 @@ def _another_chance(state: NavigatorState, now: float) -> NavigatorState:
 def first_block(
     setup: Setup, state: NavigatorState, obs: Observation, within: float = np.inf
 ) -> tuple[int, float] | None:
-    """The known object that blocks the path first, and how far along the path [m], not farther than ``within``.
+    """The first known object that blocks the path, and its distance along the path [m], at most ``within``.
 
-    What the robot stands too near to, as after a push, does not block the beginning of a path that leads away from it.
+    An object that is already too close to the robot, as after a push, does not block the beginning of a path that leads
+    away from it.
     """
     assert state.path is not None
     position, blocks = obs.robot_pose[0, :2], []
@@ -94,7 +96,7 @@ def first_block(
 
 
 def look_ahead(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState | None:
-    """Decision on an object that blocks the path: bypass it, push it, or replan; None if the path is free."""
+    """Decides about an object that blocks the path: detour, push or replan. None if the path is free."""
     blocked = first_block(setup, state, obs, np.inf if setup.by_time else _ACT_WITHIN)
     if blocked is None or state.path is None:
         return None
@@ -125,7 +127,10 @@ def _least_time(
     detour: Route | None,
     near: bool,
 ) -> NavigatorState:
-    """Go round object ``index`` or push it, whichever takes less time on average. From afar a push is not begun."""
+    """Takes a detour around object ``index`` or pushes it, whichever has the lower expected time.
+
+    If the object is not ``near``, no push is started.
+    """
     now, target, routes = float(obs.time[0]), state.belief.objects[index], setup.routes(state)
     position, clearance = obs.robot_pose[0, :2], state.belief.clearance()
     dislike = routes.price or 0.0
@@ -152,7 +157,8 @@ def _least_time(
         )
         walks = {side: push_options.walk_time(way[0].length) for side, way in ways.items()}
         rank = partial(push_options.rank_pushes, pushes, walks=walks, failed=target.failed_faces, rest=through.seconds)
-        # Its price counts no other push. Else each of two immovable objects would be a way round the other one.
+        # The price assumes no other pushes. Otherwise each of two immovable objects would count as a detour around the
+        # other.
         alone = routes.quickest(position, dict.fromkeys(state.belief.objects, 0.0))
         price = rank(otherwise=push_options.time_without_push(through, alone))[0].seconds - through.seconds
         options = rank(otherwise=otherwise)
@@ -192,7 +198,7 @@ def _places(
 
 
 def _decision(now: float, index: int, *, summary: str, options: list[push_options.Push], otherwise: float) -> Decision:
-    """What was decided before a push, with where the options lead."""
+    """The decision before a push, with the predicted outcomes of the options."""
     best = options[0]
     pushed, goals = best.seconds < otherwise, np.stack([push.goal for push in options])
     ends = np.concatenate([push.ends for push in options])
@@ -200,7 +206,7 @@ def _decision(now: float, index: int, *, summary: str, options: list[push_option
 
 
 def _give_up(setup: Setup, state: NavigatorState, now: float, index: int, *, why: str) -> NavigatorState:
-    """Take object ``index`` for an obstacle."""
+    """Registers object ``index`` as an obstacle, or fails if detours are not allowed."""
     if setup.config.goes_round == "never":
         return state.go(now, Mode.FAILED, f"object {index}: {why}, and going round is not allowed")
     return state.given_up(index).go(now, Mode.REPLAN, f"object {index}: {why}; registered as an obstacle")

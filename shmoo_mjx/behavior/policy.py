@@ -1,4 +1,4 @@
-"""Interface for custom navigation policies: the same observations and commands as the navigator."""
+"""Interface for custom navigation policies, with the same observations and commands as the navigator."""
 
 from __future__ import annotations
 
@@ -22,31 +22,31 @@ class Policy(Protocol):
     """A navigation policy."""
 
     finished: bool
-    """Whether it has done what it could; a run counts as a success if the robot then stands at the goal."""
+    """Whether the policy has finished. A run succeeds if the robot is then at the goal."""
 
     def tick(self, obs: Observation) -> Command:
-        """The command for the next 0.1 s from what the robot perceives, both of one world (a batch of one)."""
+        """The command for the next 0.1 s, given the observation. Both are batches of one world."""
 
 
 PolicyMaker = Callable[
     [OccupancyGrid, Float[np.ndarray, "2"], Sequence[tuple[float, float]], Pusher, NavigatorConfig], Policy
 ]
-"""Takes the map, the goal in {W} [m], half extents of each object [m], a
-:class:`~shmoo_mjx.control.pushing.PushController` for whoever wants one, and settings that state the latency."""
+"""Makes a policy. Takes the map, the goal in {W} [m], half extents of each object [m], a
+:class:`~shmoo_mjx.control.pushing.PushController` that the policy may use, and settings that include the latency."""
 
 
 class PolicyNavigator(Navigator):
-    """A navigator that does what a policy says. It knows where objects are; what they are is the policy's to find out.
+    """A navigator that runs a custom policy. It tracks object poses; the policy estimates everything else.
 
     Args:
-        name: of the policy, for errors.
-        maker: makes it.
+        name: name of the policy, for error messages.
+        maker: makes the policy.
         grid: the map.
-        goal: in {W} [m].
+        goal: goal position in {W} [m].
         sizes: half extents of each object [m].
-        controller: handed on to the policy.
-        seed: of the run.
-        config: handed on to the policy.
+        controller: passed to the policy.
+        seed: seed of the run.
+        config: passed to the policy.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class PolicyNavigator(Navigator):
         self._policy = custom.call("policy", self._name, self._make)
 
     def tick(self, obs: Observation) -> Command:
-        """One decision of the policy."""
+        """Runs the policy for one step."""
         now = float(obs.time[0])
         belief, _ = self.state.belief.update(obs, self.setup.sizes)
         self.state = replace(self.state, belief=belief)
@@ -83,7 +83,7 @@ class PolicyNavigator(Navigator):
         return command
 
     def head_for(self, goal: Numbers | Float[Array, "2"], now: float) -> None:
-        """The policy begins anew, with another goal."""
+        """Restarts the policy with another goal in {W} [m]."""
         super().head_for(goal, now)
         self._policy = custom.call("policy", self._name, self._make)
 

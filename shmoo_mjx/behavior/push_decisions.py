@@ -1,4 +1,4 @@
-"""Decisions during a push: is it over, lost or stuck, and does something else take less time."""
+"""Decisions during a push: whether it is finished, lost or stuck, and whether another option takes less time."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from shmoo_mjx.planning.reach import foresight_of
 from shmoo_mjx.types import DT, Observation
 
 PROBE_TIME = 1.0
-"""Contact time before the first decision and between two [s], the first as in the paper."""
+"""Contact time before the first decision, as in the paper, and between two decisions [s]."""
 _STALLED = 0.05
-"""An object that moved less than this in the time that a push is given has stalled [m]."""
+"""Distance moved in the stall time below which a push has stalled [m]."""
 _CLEAR_EVERY = 5
-"""Samples between two looks whether a pushed object has left the path free: each plans two paths."""
+"""Samples between two checks whether the path is free. Each check plans two paths."""
 _ROUND_MARGIN = 0.10
-"""What a way round keeps from the object beside the robot's radius [m]: letting go moves it a little."""
+"""Extra distance between a detour and the object [m]. The object moves slightly when it is released."""
 
 
 def judge(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState:
-    """End a push that is over, stuck or lost, as far as that takes no planning to see."""
+    """Ends a push that is finished, stuck or lost, as far as this needs no planning."""
     now, push, index = float(obs.time[0]), state.current().push, state.current().object
     over = push_end_reason(state, now)
     if over:
@@ -36,7 +36,7 @@ def judge(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorSta
 
 
 def review(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState | None:
-    """Look whether the path is clear, or decide again, where either is due."""
+    """Checks whether the path is clear, or decides again, if either is due."""
     now, segment = float(obs.time[0]), state.current()
     push, target, routes = segment.push, state.target(), setup.routes(state)
     assert push is not None
@@ -51,7 +51,7 @@ def review(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorSt
 
 
 def _think_again(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState:
-    """Go on with this push, or leave it where the way round takes less time on average."""
+    """Continues this push, or leaves it if the detour has the lower expected time."""
     now, segment, target = float(obs.time[0]), state.current(), state.target()
     index, routes, position = segment.object, setup.routes(state), obs.robot_pose[0, :2]
     through = routes.quickest(position, without=index)
@@ -69,7 +69,7 @@ def _think_again(setup: Setup, state: NavigatorState, obs: Observation) -> Navig
     )
     never = setup.config.goes_round == "never"
     detour = None if never else routes.quickest(position, {index: _ROUND_MARGIN})
-    # Without a way round what follows a failure is another push, at what that was taken to cost.
+    # Without a detour, a failure is followed by another push, which costs the object's price.
     again = through.seconds + (push_options.BLOCKED if target.price is None else target.price)
     otherwise = push_options.AWAY + (again if detour is None else detour.seconds)
     (here,) = push_options.rank_pushes(

@@ -1,7 +1,7 @@
-"""Which option about an object in the way takes the least time, by what is known of the object's dynamics.
+"""Expected time of each option for an object in the path, from the object's estimated dynamics.
 
-Pushes are rolled out over samples of the posterior (`planning.reach`); an outcome is the time until the object has left
-the robot's path, with a probability of never. A push that fails costs its time and the best of what is left.
+Pushes are rolled out over posterior samples (`planning.reach`). An outcome is the time until the object has left the
+robot's path, which may be never. A failed push costs its own time and that of the best remaining option.
 """
 
 from __future__ import annotations
@@ -32,38 +32,38 @@ SIDES = (
 )  # fmt: skip
 """Names of sides and corners."""
 _SETUP = 3.2
-"""Time from the end of the walk to contact: to stop, to extend the arms, to reach the face [s]."""
+"""Time from the end of the walk to contact [s]: to stop, to extend the arms and to reach the face."""
 AWAY = 3.5
-"""Time of backing away, of folding the arms, and of setting out again [s]."""
+"""Time to back away, to fold the arms and to start driving again [s]."""
 LEAST = _SETUP + AWAY
-"""What every push takes at least [s]."""
+"""Minimum time of any push [s]."""
 GIVES_UP = 6.0
-"""Time of a push that leads nowhere until this is seen [s]."""
+"""Time until a push without effect ends [s]."""
 BLOCKED = 300.0
-"""What it counts for to give up [s]: somebody has to come."""
+"""Cost of giving up [s]: a person has to help."""
 _TRUST = 0.25
-"""What a push that failed leaves of the probability of another one on that side: something is not as it is modelled."""
+"""Factor on a side's success probability for each failed push there. After a failure the model is probably wrong."""
 _ERRS = 0.05
-"""Share of roll-outs in which it comes otherwise."""
+"""Assumed share of roll-outs with a wrong prediction."""
 _BEARINGS = (-0.5, -0.25, 0.0, 0.25, 0.5)
-"""Directions of the goals of pushes on a side, to the left of its normal [rad]; corners are pushed straight on."""
+"""Directions of push goals on a side, to the left of its normal [rad]. Corners are pushed straight ahead."""
 _EVERY = 5
-"""Every so many samples of a roll-out are looked at."""
+"""Stride over the time steps of a roll-out."""
 _TOUCHING = 0.01
-"""Distance from walls at which what is left of the footprint has met them [m]."""
+"""Clearance at which the reduced footprint counts as touching a wall [m]."""
 _STEERED = 0.08
-"""How far the object and the robot may go into walls in a roll-out [m]: they do not know of walls, from which the
-pushing controller steers away."""
+"""How far object and robot may enter walls in a roll-out [m]. Roll-outs ignore walls, but the pushing controller steers
+away from them."""
 _GRAIN = np.array([0.1, 0.1, 0.3])
-"""Poses that are so near to each other are taken for one [m, m, rad]; also the size of cells."""
+"""Resolution at which poses count as equal [m, m, rad]; also the cell size."""
 _WINDOW = 5.0
-"""How far along each axis from the object its path is looked at [m]: farther than a push goes."""
+"""Half size of the window around the object in which the path is checked [m], larger than a push."""
 _BESIDE = 1.0
-"""How far beside its path the robot may pass it [m]: what is farther is a way round."""
+"""How far beside its path the robot may pass the object [m]. Anything farther is a detour."""
 _ENDS = 9
-"""Cells nearest to an end of the path, of which one has to be free."""
+"""Number of cells nearest to an end of the path, at least one of which must be free."""
 _PATH_MARGIN = 0.05
-"""What must be free beside the robot's radius between its path and the object [m]."""
+"""Required distance between the robot's path and the object, in addition to the robot's radius [m]."""
 
 
 @dataclass(eq=False)
@@ -71,23 +71,23 @@ class Push:
     """A push on one face in one direction."""
 
     side: int
-    """Index among `faces_of` and, after them, `corners_of`."""
+    """Index of the face: `faces_of`, then `corners_of`."""
     goal: Float[np.ndarray, "3"]
-    """Pose in {W} of the object a little after it has left the path, in the middle of the samples."""
+    """Target pose of the object in {W}, slightly beyond where it has left the path; the median of the samples."""
     free: Float[np.ndarray, "S"]
-    """Time until the path is free in each sample [s]; infinite where it never is."""
+    """Time until the path is free in each sample [s]; infinite if never."""
     ends: Float[np.ndarray, "S T 2"]
     """Predicted positions of the object."""
     probability: float = 0.0
-    """That the path will be free."""
+    """Probability that the push frees the path."""
     works: float = np.inf
-    """Expected time to the robot's goal if it succeeds [s]."""
+    """Expected time to the robot's goal if the push succeeds [s]."""
     seconds: float = np.inf
-    """Expected time to the robot's goal [s], failures and what follows them included."""
+    """Expected time to the robot's goal, failures and their consequences included [s]."""
 
 
 class _PushOptions(NamedTuple):
-    """What each of the options is."""
+    """The candidate pushes and the side of each."""
 
     side: np.ndarray
     options: Options
@@ -96,8 +96,10 @@ class _PushOptions(NamedTuple):
 def make_options(
     pose: Float[np.ndarray, "3"], half_extents: tuple[float, float], places: Float[np.ndarray, "8 3"]
 ) -> _PushOptions:
-    """Pushes on every side in several directions, on every corner straight on, and on each to a place of its own;
-    always as many."""
+    """Candidate pushes: on every side in several directions, on every corner straight ahead, and on each to its place.
+
+    The number of options is constant, so that the roll-out compiles once.
+    """
     which = [*((i, b) for i in range(4) for b in _BEARINGS), *((i, 0.0) for i in range(4, 8))]
     about = all_faces(half_extents)
     faces = np.stack([*(about[i] for i, _ in which), *about])
@@ -116,16 +118,16 @@ def predict_pushes(
     places: Mapping[int, Float[np.ndarray, "3"]],
     seed: int = 0,
 ) -> list[Push]:
-    """What pushes on ``sides`` lead to, in several directions each.
+    """Predicts the outcomes of pushes on ``sides``, in several directions each.
 
     Args:
-        foresight: of the pushing controller (`planning.reach.Foresight`).
-        known: the object.
-        path: of the robot, as if the object were not there.
-        around: clearance without the object.
-        sides: that may be pushed.
-        places: where the object may be put from some of them, in {W}.
-        seed: of the draws.
+        foresight: predictor of the pushing controller (`planning.reach.Foresight`).
+        target: the object.
+        path: path of the robot without the object.
+        clearance: distance to obstacles without the object.
+        sides: indices of the sides that may be pushed.
+        places: target poses of the object in {W} for some of the sides.
+        seed: seed of the posterior samples.
     """
     where = np.stack([places.get(side, target.pose) for side in range(8)])
     of = make_options(target.pose, target.half_extents, where)
@@ -143,16 +145,16 @@ def predict_pushes(
 def rank_pushes(
     pushes: Sequence[Push], *, walks: Mapping[int, float], failed: Sequence[int], rest: float, otherwise: float
 ) -> list[Push]:
-    """The best push on each side, the quickest first, with probability and expected seconds to the goal.
+    """The best push on each side, the fastest first, with its probability and expected times.
 
-    What a push costs that fails is the best of what is left: another side, for those samples in which this one fails,
-    or what can be done without a push.
+    A failed push costs the best remaining option: a push on another side, evaluated on the samples in which this push
+    fails, or the time without a push.
 
     Args:
-        found: what can be done.
+        pushes: the predicted pushes.
         walks: time until the hands touch each side [s].
-        failed: sides of pushes of this object that failed before.
-        rest: time of the way past it to the goal [s].
+        failed: sides of this object's failed pushes.
+        rest: time of the path past the object to the goal [s].
         otherwise: time to the goal without a push [s].
     """
     side = np.array([push.side for push in pushes])
@@ -175,13 +177,13 @@ def rank_pushes(
 
 
 def time_without_push(through: Route, detour: Route | None) -> float:
-    """Time to the goal without a push, by the way ``detour`` or, without one, by giving up [s]."""
+    """Time to the goal without a push [s]: by ``detour``, or by giving up if there is none."""
     return through.seconds + BLOCKED if detour is None else detour.seconds
 
 
 def describe_options(options: Sequence[Push], detour: float | None) -> str:
-    """Pushes and going round, which takes ``detour`` [s] if there is a way round, in words."""
-    # Without a way round the mean is that of succeeding and of giving up, which says nothing to a reader.
+    """Text that describes the pushes and the detour, which takes ``detour`` [s] if there is one."""
+    # Without a detour the mean mixes success with giving up, which is not informative.
     mean = [f", {push.seconds:.0f} s on average" if detour is not None else "" for push in options]
     pushes = [
         f"push from {SIDES[push.side]} {push.works:.0f} s ({push.probability:.0%}{average})"
@@ -191,13 +193,15 @@ def describe_options(options: Sequence[Push], detour: float | None) -> str:
 
 
 def walk_time(length: float) -> float:
-    """Time of a walk to contact [s]."""
+    """Time of a path of this length to a face, until contact [s]."""
     return length / PACE + _SETUP
 
 
 def _goal(free: Float[Array, "S"], poses: Float[Array, "S T 3"]) -> Float[np.ndarray, "3"]:
-    """The pose in the middle of those that samples have a second after the way is free: a goal at which a push would
-    slow down is farther."""
+    """Median over the samples of the object's pose one second after the path is free.
+
+    The goal lies beyond that point, because a push slows down near its goal.
+    """
     good = np.flatnonzero(np.isfinite(free))
     at = np.minimum(np.round(free[good] / (DT * _EVERY)).astype(int) + 1, poses.shape[1] - 1)
     there = poses[good, at]
@@ -208,16 +212,19 @@ def _goal(free: Float[Array, "S"], poses: Float[Array, "S T 3"]) -> Float[np.nda
 def _times(
     outcomes: Outcomes, target: ObjectBelief, path: Path, clearance: DistanceField
 ) -> tuple[Float[np.ndarray, "O S"], Float[np.ndarray, "O S T 3"], Float[np.ndarray, "O S T 2"]]:
-    """Time at which the robot can pass the object [s], infinite where it never can or something meets a wall before;
-    the poses that were looked at, and positions that stay where that happens."""
-    # A roll-out that diverges is off the map, where all is wall.
+    """Time until the robot can pass the object [s], infinite if never or if something hits a wall before.
+
+    Returns:
+        These times, the evaluated poses, and the predicted positions, which stay constant after a wall is hit.
+    """
+    # A roll-out that diverges is placed off the map, which counts as wall.
     poses, robots = (np.nan_to_num(np.asarray(a, float)[:, :, _EVERY - 1 :: _EVERY], nan=1e6) for a in outcomes)
     a, b = (max(half - _STEERED, 0.0) for half in target.half_extents)
     rim = np.array([(x * a, y * b) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y])
     hits = (clearance.at(se2.transform_point(poses[..., None, :], rim)) < _TOUCHING).any(axis=-1)
     hits |= clearance.at(robots[..., :2]) < shmoobot().radius - _STEERED
     possible = ~np.logical_or.accumulate(hits, axis=2)
-    # Poses that are nearly the same are looked at once.
+    # Nearly equal poses are evaluated once.
     coarse = np.round(poses[possible] / _GRAIN).astype(int)
     unique, which = np.unique(coarse, axis=0, return_inverse=True)
     clear = np.zeros(possible.shape, bool)
@@ -238,8 +245,10 @@ def _passes(
     path: Path,
     clearance: DistanceField,
 ) -> Bool[np.ndarray, "N"]:
-    """Whether the robot can pass the object, now at ``pose``, at each of ``poses``: free cells join both ends of its
-    path near by."""
+    """Whether the robot can pass the object, now at ``pose``, at each of ``poses``.
+
+    It can if free cells connect both ends of its path near the object.
+    """
     if not len(poses):
         return np.zeros(0, bool)
     whole = _dense(path.points)
@@ -271,7 +280,7 @@ def _passes(
 
 
 def _joined(free: Bool[np.ndarray, "N h w"], from_end: Sequence[Float[np.ndarray, "h w"]]) -> Bool[np.ndarray, "N"]:
-    """Whether free cells join both ends, given each cell's distance from them."""
+    """Whether free cells connect both ends, given each cell's distance from them."""
     same = np.zeros((3, 3, 3), bool)
     same[1] = True
     labels, _ = scipy.ndimage.label(free, same)
@@ -285,7 +294,7 @@ def _joined(free: Bool[np.ndarray, "N h w"], from_end: Sequence[Float[np.ndarray
 
 
 def _taken(yaw: float, half_extents: tuple[float, float]) -> Bool[np.ndarray, "c c"]:
-    """Cells that the robot can't stand in, on a square about an object at the centre of the middle cell."""
+    """Cells that the robot can't occupy, on a square around an object at the centre of the middle cell."""
     reach = int((np.hypot(*half_extents) + ROBOT_RADIUS + _PATH_MARGIN) / _GRAIN[0]) + 1
     ticks = _GRAIN[0] * np.arange(-reach, reach + 1)
     cells = np.stack(np.meshgrid(ticks, ticks, indexing="ij"), axis=-1)
@@ -301,7 +310,7 @@ def _near(
 
 
 def _dense(points: Float[np.ndarray, "N 2"], spacing: float = 0.1) -> Float[np.ndarray, "M 2"]:
-    """Points along a polyline, little more than ``spacing`` apart."""
+    """Points along a polyline with a spacing of slightly more than ``spacing``."""
     lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     at = np.linspace(0.0, lengths[-1], max(2, int(lengths[-1] / spacing)))
     return np.stack([np.interp(at, lengths, points[:, k]) for k in range(2)], axis=-1)

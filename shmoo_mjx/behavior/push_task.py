@@ -1,8 +1,9 @@
-"""Adaptive pushing by itself: bring one object to a pose, from any start pose of the robot round it.
+"""The push task: bring one object to a pose, from any start pose of the robot around it.
 
-Choose a face, drive to its stand-off pose, extend the arms, make contact, push with MPPI while a adapts, let go in time
-for the object to coast into its goal, back away, and look. If the object is not where it should be, another push
-follows, on another face where that helps: what has gone too far is pushed back from the other side.
+The robot chooses a face, drives to its stand-off pose, extends the arms, makes contact, and pushes with MPPI while the
+coefficients a adapt. It releases the object in time to coast to its goal, backs away, and looks at the result. If the
+object is not at its goal, another push follows, on another face if that helps: an object that has passed its goal is
+pushed back from the other side.
 """
 
 from __future__ import annotations
@@ -34,17 +35,17 @@ from shmoo_mjx.planning.search import choose_push, push_displacements, residual
 from shmoo_mjx.types import DT, Command, Observation
 
 _FRESH = 0.3
-"""Age of a pose from which the robot first turns to the object to look where it is [s]."""
+"""Age of a detection above which the robot first turns to the object to look at it [s]."""
 _LONGEST_LOOK = 4.0
-"""How long it looks for it [s]."""
+"""Maximum duration of that look [s]."""
 _WALL_CLEARANCE = 0.06
-"""Distance from walls that the footprint keeps at the end of a push [m]: what the pushing controller keeps, too."""
+"""Distance of the footprint from walls at the end of a push [m]. The pushing controller uses the same."""
 AT_REST = 0.03
-"""Speed below which the object counts as resting [m/s]: 3 mm in a sample."""
+"""Speed below which the object counts as resting [m/s]: 3 mm per sample."""
 _STALL = (0.03, 6.0)
-"""A push that brought the object less nearer to its goal than this [m of error] in so much time [s] has stalled."""
+"""A push has stalled if it reduces the error by less than this [m] in this time [s]."""
 _NO_NEARER = 0.1
-"""A push that has brought it less nearer than this counts against its side [m of error]."""
+"""A stalled push that has reduced the error by less than this counts as a failure of its side [m]."""
 
 
 @dataclass(frozen=True)
@@ -52,17 +53,17 @@ class PushTaskConfig:
     """Settings of the task, SI units."""
 
     arrived: float = 0.07
-    """Distance from the goal at which the object is left where it is [m]; less makes for more pushes."""
+    """Position error below which the object is left where it is [m]. Smaller values need more pushes."""
     arrived_yaw: float = float(np.deg2rad(10.0))
-    """Yaw error at which it is [rad]; less makes for more pushes."""
+    """Yaw error below which the object is left where it is [rad]. Smaller values need more pushes."""
     max_pushes: int = 6
-    """Pushes after which the object is left where it is [1]; more can mend more, and take longer."""
+    """Maximum number of pushes [1]. Larger values can correct more and take longer."""
     moves: NavigatorConfig = NavigatorConfig()
-    """How the robot drives from face to face."""
+    """Settings for driving between faces."""
 
 
 class PushTask(Machine):
-    """The machine that brings an object to a pose; ``tick`` takes it a sample further."""
+    """The state machine that brings an object to a pose. ``tick`` runs one sample."""
 
     def __init__(
         self,
@@ -77,19 +78,19 @@ class PushTask(Machine):
         adapt: LearnerState | None = None,
         kinds: Sequence[str | None] | None = None,
     ) -> None:
-        """Set up the task.
+        """Sets up the task.
 
         Args:
             grid: the map.
             sizes: half extents of each object [m].
-            goal: pose (x, y, yaw) in {W} to bring the object to.
+            goal: target pose (x, y, yaw) of the object in {W}.
             pusher: the pushing controller.
-            index: the object.
-            seed: of the controller's random numbers.
+            index: index of the object to push.
+            seed: seed of the controller's random numbers.
             config: settings.
-            adapt: coefficients to start from; the prior if not given.
-            kinds: what each object looks like: "box", "cart", "wheelchair", or None for none of them, as all are if not
-                given. It decides the prior.
+            adapt: initial learner state; the prior if not given.
+            kinds: recognised kind of each object: "box", "cart", "wheelchair", or None for other objects. It determines
+                the prior. All None if not given.
 
         Raises:
             ShmooError: the goal is not three finite numbers, or there is no object ``index``.
@@ -116,17 +117,17 @@ class PushTask(Machine):
 
     @property
     def pushes(self) -> int:
-        """How many pushes have been begun."""
+        """Number of pushes started."""
         return self.belief.pushes
 
     @property
     def adapt(self) -> LearnerState | None:
-        """What has been learned of the object."""
+        """Learner state of the object."""
         target = self.belief.objects.get(self._index)
         return self._first_adapt if target is None or target.adapt is None else target.adapt
 
     def know(self, adapt: LearnerState) -> None:
-        """Take over coefficients from elsewhere, in the middle of a push too."""
+        """Sets the learner state, also during a push."""
         self._first_adapt = adapt
         if self._index in self.belief.objects:
             self.state = self.state.with_object(self._index, adapt=adapt)
@@ -135,14 +136,14 @@ class PushTask(Machine):
             self.state = self.state.with_segment(push=replace(pushed, pusher=pushed.pusher._replace(adapt=adapt)))
 
     def head_for(self, goal: Numbers | Float[Array, "3"], now: float) -> None:
-        """Go on to another pose in {W}, with all that is known."""
+        """Switches to another pose in {W}. The belief stays."""
         self.goal = finite_numbers("PushTask: the goal", goal, "x, y, yaw")
         super().head_for(goal, now)
         if self._index in self.belief.objects:
             self.state = self.state.with_object(self._index, pushes=0)
 
     def _look(self, setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Command]:
-        """Stand and look at the object."""
+        """Stand still and look at the object."""
         target, command = state.belief.objects.get(self._index), hold(interaction.robot_alone(obs))
         if target is None:
             return state, command
@@ -150,8 +151,8 @@ class PushTask(Machine):
         return state, command._replace(yaw=np.arctan2(offset[1], offset[0]))
 
     def _choose(self, setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState | None:
-        """With the object at rest: leave it, or choose the next push."""
-        if state.segment is not None:  # the push before is over
+        """With the object at rest: finish, or choose the next push."""
+        if state.segment is not None:  # the previous push is over
             return replace(state, segment=None)
         cfg, index, now = self.settings, self._index, float(obs.time[0])
         target = state.belief.objects.get(index)
@@ -192,7 +193,7 @@ class PushTask(Machine):
         return state.with_events(event).go(now, Mode.APPROACH, why)
 
     def _judge(self, setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState:
-        """End a push that is to let go now, or that leads no further."""
+        """Ends a push that must release the object now, or that makes no progress."""
         now, segment, target = float(obs.time[0]), state.current(), state.target()
         pushed = segment.push
         assert pushed is not None

@@ -1,4 +1,4 @@
-"""Path queries on the belief: to the goal, to an object's face, past an object that is moved."""
+"""Path queries on the belief: to the goal, to an object's face, and past a moved object."""
 
 from __future__ import annotations
 
@@ -25,74 +25,78 @@ from shmoo_mjx.plant import outline
 from shmoo_mjx.plant.robot import shmoobot
 
 PACE = 0.45
-"""Speed of walking [m/s]."""
+"""Driving speed [m/s] for expected times."""
 PUSH = 20.0
-"""What it is taken to cost to push an object aside that has not been looked at yet [s]."""
+"""Assumed time to push aside an object that has not been evaluated [s]."""
 SLACK = 0.03
-"""By how much an object may come nearer to the path than the robot's radius before it blocks it [m]."""
+"""Distance by which an object may be closer to the path than the robot's radius without blocking it [m]."""
 _REACHING_ROOM = (0.06, 0.01)
-"""Distance from walls and other objects that body, arms and hands keep from the stand-off pose to contact [m], where
-there is a way to; and where not."""
+"""Distance from walls and other objects that body, arms and hands keep between the stand-off pose and contact [m]: the
+preferred value, and the value used if the preferred one allows no path."""
 _BACK_ROOM = ROBOT_RADIUS + 0.12
-"""Distance from everything at which a retreat ends where there is such a place [m]."""
+"""Preferred distance from everything at the end of a retreat [m]."""
 _BACK_ANGLES = np.deg2rad([0, -20, 20, -40, 40, -60, 60])
-"""Directions in which a retreat may lead, from straight away from the object [rad]."""
+"""Directions of a retreat relative to straight away from the object [rad]."""
 _BACK_LENGTHS = np.array([0.2, 0.3, 0.4, 0.55, 0.7])
-"""[m]"""
+"""Lengths of a retreat [m]."""
 _PASSING = 0.3
 """A pushed object is out of the way once passing it makes the path at most this much longer [m]."""
 _PATH_MARGIN = 0.05
-"""What must be free beside the robot's radius between the path and a pushed object [m]."""
+"""Required distance between the path and a pushed object, in addition to the robot's radius [m]."""
 _WALL_MARGIN = 0.05
-"""What must be free between walls and a pushed object's goal [m]."""
+"""Required distance between walls and a pushed object's goal [m]."""
 _OTHER_DETOUR = 1.5
-"""How much longer such a path may be than the present one [m]."""
+"""Maximum extra length of another path, compared with the current one [m]."""
 _OTHER_PATHS = 12
-"""Goals for which another path is sought when none leaves the path free."""
+"""Number of goals for which another path is planned if no goal leaves the current path free."""
 
 _ASIDE = (0.0, 0.1, -0.1, 0.2, -0.2)
-"""Places along a face from which contact is sought, one after the other [m]: one hand at least is on it. All but the
-middle only with the wider `_REACHING_ROOM`."""
+"""Lateral offsets along a face at which contact is tried, in this order [m]. At least one hand touches the face.
+Offsets other than zero require the larger `_REACHING_ROOM`."""
 _BESIDE_CORNER = (0.0, 0.05, -0.05)
-"""The same for a corner [m]: farther aside one hand is off the object when the other touches it."""
+"""The same for a corner [m]. With larger offsets one hand misses the object when the other touches it."""
 _BEGINS = (0, 3, 4)
-"""Which of them is sought first: the middle, after a failure one end, after another the other end. Always the middle,
-2 of 5 doorways that a second push opens stay closed, and none of 5 others opens."""
+"""Index of the offset to try first: the middle, after one failure one end, after another failure the other end. If the
+middle always came first, 2 of 5 doorways that a second push opens would stay closed, and none of 5 others would open.
+"""
 _WIDER_GAPS = (0.2, 0.3, 0.4)
-"""Distances between hands and face from which contact is sought where a wall leaves no room nearer by [m]."""
+"""Larger distances between hands and face from which contact is tried if a wall is too close [m]."""
 
 
 class Route(NamedTuple):
-    """A way to the goal."""
+    """A route to the goal."""
 
     path: Path
+    """The path to the goal."""
     seconds: float
-    """Expected time, that of pushing aside what it leads through included [s]."""
+    """Expected time [s], including the time to push aside objects in the path."""
 
 
 @dataclass(frozen=True)
 class Routes:
-    """Path queries. Every ``position`` is the robot's, in {W} [m]."""
+    """Path queries. ``position`` is always the robot's, in {W} [m]."""
 
     belief: Belief
+    """The belief that is queried."""
     goal: Float[np.ndarray, "2"]
-    """In {W} [m]."""
+    """Goal position in {W} [m]."""
     pushed: tuple[Status, ...] = (Status.UNKNOWN, Status.PARKED)
-    """What may be pushed aside; the rest is gone round."""
+    """Statuses of objects that may be pushed aside. Paths avoid all other objects."""
     price: float | None = None
-    """Expected time that this takes [s]; None where it is each object's own."""
+    """Expected time to push aside any object [s]; None to use each object's own."""
 
     def quickest(
         self, position: Float[Array, "2"], round_it: Mapping[int, float] | None = None, without: int | None = None
     ) -> Route | None:
-        """The way to the goal of least expected time, which leads round some objects and through others.
+        """The route to the goal with the least expected time. It avoids some objects and passes through others.
 
-        Paths round more and more of what is in the way are sought, those first that could be the quickest.
+        Best-first search over sets of objects to avoid: each step adds one blocking object, and the sets with the
+        lowest bound on the time come first.
 
         Args:
-            position: of the robot.
-            round_it: what is not to be pushed aside, with the margin to keep from it [m].
-            without: an object that is taken not to be there.
+            position: position of the robot.
+            round_it: objects that must not be pushed aside, with the margin to keep from them [m].
+            without: index of an object to ignore.
         """
         objects, round_it = self.belief.objects, round_it or {}
         there = {i: o for i, o in objects.items() if i != without}
@@ -120,24 +124,24 @@ class Routes:
         return own if self.price is None else self.price
 
     def path_clear(self, position: Float[Array, "2"], index: int) -> bool:
-        """Whether the way on passes object ``index`` where it stands, little longer than without it."""
+        """Whether object ``index`` at its current pose makes the path at most slightly longer than without it."""
         through, detour = self.quickest(position, without=index), self.quickest(position, {index: _PATH_MARGIN})
         return through is not None and detour is not None and detour.seconds < through.seconds + _PASSING / PACE
 
     def free_path(
         self, position: Float[Array, "2"], target: ObjectBelief, instead: shapely.Polygon | None = None
     ) -> Path | None:
-        """The way on as if ``target`` were not there, or stood where ``instead`` is."""
+        """The path to the goal without ``target``, or with ``instead`` in its place."""
         others = [o.polygon for o in self.belief.objects.values() if o is not target and o.status is not Status.UNKNOWN]
         return self.plan(position, others if instead is None else [*others, instead])
 
     def collision_free(
         self, position: Float[Array, "2"], target: ObjectBelief, clearance: DistanceField, path: Path | None
     ) -> Callable[[Float[np.ndarray, "P 3"]], Bool[np.ndarray, "P"]]:
-        """CollisionCheck(M, P, g): the footprint clear of walls, other objects and the path P, as if it were not there.
+        """CollisionCheck(M, P, g): whether the footprint is clear of walls, other objects and the path P.
 
-        Where no pose leaves the path free, poses that leave room for another path, little longer, are taken (a
-        deviation from the paper: the path P was planned before anybody knew where the object would go).
+        If no pose leaves P free, poses are accepted that leave room for another, slightly longer path. This is a
+        deviation from the paper, because P is planned before the object's goal is known.
         """
         half = np.array(target.half_extents)
         path_clearance = ROBOT_RADIUS + _PATH_MARGIN
@@ -171,10 +175,22 @@ class Routes:
         failed: int = 0,
         corner: bool = False,
     ) -> tuple[Path, float, float] | None:
-        """Way to the nearest stand-off pose at ``face`` of object ``index`` where the robot has room, and that
-        pose's gap and place along the face [m]; None if there is no room or no way. ``clearance`` is that of everything
-        known. Beside the middle of the face only where there is no room at it, or where pushes there have ``failed`` so
-        often: what is jammed against a wall is turned by a push at its end. A ``corner`` is met near its middle."""
+        """Path to the nearest stand-off pose at a face where the robot has room.
+
+        Places beside the middle of the face are tried only if there is no room at the middle, or after failed pushes: a
+        push at its end turns an object that is jammed against a wall. Places at a corner are all near its middle.
+
+        Args:
+            position: position of the robot.
+            index: index of the object.
+            face: the face to push on.
+            clearance: distance to everything known.
+            failed: number of failed pushes on this face.
+            corner: whether the face is a corner.
+
+        Returns:
+            The path, and the pose's gap and lateral offset along the face [m]; None if there is no room or no path.
+        """
         target, obstacles = self.belief.objects[index], self.belief.polygons()
         others = self.belief.clearance(without=index)
         for reserve, lateral, gap in _stand_off_places(failed, corner):
@@ -187,7 +203,7 @@ class Routes:
         return None
 
     def plan(self, position: Float[Array, "2"], obstacles: list[shapely.Polygon]) -> Path | None:
-        """The path to the goal clear of walls and of ``obstacles``."""
+        """The path to the goal that avoids walls and ``obstacles``."""
         return self._path(position, self.goal, obstacles)
 
     def _path(self, start: Float[Array, "2"], end: Float[Array, "2"], obstacles: list[shapely.Polygon]) -> Path | None:
@@ -197,13 +213,16 @@ class Routes:
         )
 
     def retreat_path(self, position: Float[Array, "2"], object_pose: Float[np.ndarray, "3"]) -> Path | None:
-        """A short way aslant to where the robot has room to turn and to fold its arms, away from an object that it
-        touches; None if straight back will do, or if there is none near by."""
+        """A short path away from a touched object to a place where the robot can turn and fold its arms.
+
+        None if moving straight back suffices, or if there is no such place nearby.
+        """
         away = np.arctan2(*(position - object_pose[:2])[::-1])
         angles, lengths = (grid.ravel() for grid in np.meshgrid(away + _BACK_ANGLES, _BACK_LENGTHS, indexing="ij"))
         ends = position + lengths[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
         room = np.asarray(self.belief.clearance().at(ends))
-        # The shortest with room, straight back before aslant; where none has room, the one with most.
+        # Prefers the shortest path with enough room, and straight over oblique. If none has room, the one with most
+        # room.
         cost = lengths + 0.15 * np.abs(se2.wrap(angles - away)) + 5.0 * np.maximum(_BACK_ROOM - room, 0.0)
         best = int(np.argmin(cost))
         if room[best] < shmoobot().radius or best == 0:
@@ -212,7 +231,7 @@ class Routes:
 
 
 def _stand_off_places(failed: int, corner: bool) -> Iterator[tuple[float, float, float]]:
-    """Room to keep, place along the face and gap from which contact is sought [m], in the order in which they are."""
+    """Candidates (room to keep, lateral offset along the face, gap) for contact [m], in the order of preference."""
     gaps, (roomy, tight), first = (CONTACT_GAP, *_WIDER_GAPS), _REACHING_ROOM, _BEGINS[failed % len(_BEGINS)]
     if corner:
         return itertools.product((roomy, tight), _BESIDE_CORNER, gaps)

@@ -1,4 +1,4 @@
-"""Settings of a run by name, as ``control.num_rollouts=128``: of the pushing controller and of the navigator."""
+"""Settings of the pushing controller and the navigator by name, for example ``control.num_rollouts=128``."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from shmoo_mjx.behavior.methods import Method
 from shmoo_mjx.errors import ShmooError
 
 NAVIGATOR, PUSHING = "navigator.", "pushing."
-"""Begin the names of the navigator's settings, and of those of `PushConfig` that belong to no part of it."""
+"""Prefixes of the navigator's settings, and of the `PushConfig` settings that belong to no group."""
 
 
 def settings_of(method: Method) -> dict[str, Any]:
-    """Every setting of the method by name, with its value where the robot navigates."""
+    """Every setting of the method by name, with its value for navigation."""
     pushing = {name if "." in name else PUSHING + name: value for name, value in _leaves(method.pushing)}
     return pushing | {NAVIGATOR + name: value for name, value in _leaves(method.navigator)}
 
 
 def with_settings(method: Method, settings: Sequence[str]) -> Method:
-    """The method with the values that texts such as ``control.num_rollouts=128`` give.
+    """The method with the settings that texts such as ``control.num_rollouts=128`` give.
 
     Raises:
-        ShmooError: a name is no setting, or a value is none that the setting can have.
+        ShmooError: a name is not a setting, or a value is not valid for its setting.
     """
     for text in settings:
         name, equals, value = text.partition("=")

@@ -27,13 +27,13 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 _MOVED = 0.3
-"""After a push that has moved an object this far its sides are others than before [m]."""
+"""Displacement of an object above which a push counts as having moved it [m]. Its sides are then in new places."""
 _PRICES = {"when quicker": None, "always": 1e4, "never": 0.0}
-"""What it is taken to cost to push an object aside, where that does not come from what is known of it [s]."""
+"""Assumed cost of pushing an object aside [s], where the estimate of the object does not determine it."""
 
 
 class Mode(StrEnum):
-    """States of the navigator."""
+    """Modes of the navigator."""
 
     FOLLOW = "follow path"
     APPROACH = "approach"
@@ -48,65 +48,84 @@ class Mode(StrEnum):
 
 @dataclass(frozen=True)
 class NavigatorConfig:
-    """Settings of the state machine, SI units."""
+    """Settings of the navigator, SI units."""
 
     goal_tolerance: float = 0.15
-    """Distance at which the goal counts as reached [m]; the scenario's own may be wider. Less takes longer."""
+    """Distance at which the goal counts as reached [m]. The scenario's own tolerance may be larger. Smaller values take
+    longer."""
     planning_time: float = 0.0
-    """Time that a planning stage or a global path takes to compute [s]; the robot goes on as it did meanwhile, and
-    what it decides is the older for it."""
+    """Simulated computing time of a planning stage or a global path [s]. The robot continues its action meanwhile.
+    Larger values make decisions older when they take effect."""
     latency: float = 0.0
-    """Time from what a command answers to its effect [s]; the robot's motion is foreseen for so long, the less exactly
-    the longer."""
+    """Time from an observation to the effect of its command [s]. The robot's motion is predicted over this time. Larger
+    values make the prediction less accurate."""
     decides_by: Literal["time", "K"] = "time"
-    """What decides about an object: the expected time of each option, by roll-outs of what was learned of it; or
-    Algorithm 1 of the paper, which pushes whatever is in the way and goes round where K says that it can't be moved."""
+    """Decision rule for an object in the path. "time" compares the expected time of each option, by roll-outs of the
+    learned dynamics. "K" is Algorithm 1 of the paper: it pushes the object, and takes a detour if K says that it cannot
+    be moved."""
     goes_round: Literal["when quicker", "always", "never"] = "when quicker"
-    """Whether a way round is taken, where expected times decide: where it takes less time than a push, wherever there
-    is one, or never. The last two are for comparison."""
+    """When a detour is taken, for decisions by expected time: if it takes less time than a push, whenever there is one,
+    or never. The last two are baselines."""
     planner: ObjectPlannerConfig = ObjectPlannerConfig()
+    """Settings of Algorithm 1."""
     trajectory: TrajectoryConfig = TrajectoryConfig(robot_radius=0.27)
+    """Settings of the local trajectories."""
 
 
 class Transition(NamedTuple):
-    """A change of state."""
+    """A mode switch."""
 
     t: float
+    """Time [s]."""
     source: Mode
+    """Mode before."""
     target: Mode
+    """Mode after."""
     reason: str
+    """Reason for the switch, as text."""
 
 
 class Decision(NamedTuple):
-    """What to do about an object, with the evidence."""
+    """A decision about an object, with the evidence for it."""
 
     t: float
+    """Time [s]."""
     object: int
+    """Index of the object."""
     K: float
+    """Criterion K of Algorithm 1 [m^2]; NaN if expected times decide."""
     G: float
+    """Criterion G of Algorithm 1 [m]; NaN if expected times decide."""
     manipulable: bool
+    """Whether the object counts as movable or, before a push by expected times, whether a push is best."""
     goal: Float[np.ndarray, "3"] | None
+    """Target pose of the object in {W}, if any."""
     reason: str
+    """Reason for the decision, as text."""
     rollouts: Float[np.ndarray, "R T 2"]
     """Predicted object positions, best first."""
     candidates: Float[np.ndarray, "C 3"]
+    """Candidate target poses in {W}."""
     probability: float | None
-    """That a push frees the path, of the best option; None where K decides."""
+    """Probability that the best option frees the path; None if K decides."""
 
 
 class Note(NamedTuple):
-    """Something that the robot noticed without having done it."""
+    """An event that the robot observes but does not cause."""
 
     t: float
+    """Time [s]."""
     text: str
+    """Description of the observation."""
 
 
 class Planned(NamedTuple):
-    """A global path that was taken, or on which a decision rests."""
+    """A global path that the robot follows, or that a decision is based on."""
 
     t: float
+    """Time [s]."""
     points: Float[np.ndarray, "N 2"]
-    """In {W} [m]."""
+    """Vertices in {W} [m]."""
 
 
 Event = Transition | Decision | Note | Planned
@@ -114,64 +133,80 @@ Event = Transition | Decision | Note | Planned
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """Everything about one push, from the choice of a face to the retreat."""
+    """Data of one push, from the choice of a face to the retreat."""
 
     object: int
+    """Index of the object."""
     side: int
-    """Index of the face among `ObjectBelief.faces`."""
+    """Index of the face in `ObjectBelief.faces`."""
     face: Float[np.ndarray, "4"]
+    """The face itself, as `faces_of` and `corners_of` return it."""
     goal: Float[np.ndarray, "3"]
-    """Pose in {W} to bring the object to."""
+    """Target pose of the object in {W}."""
     way: Path
-    """To the stand-off pose."""
+    """Path to the stand-off pose."""
     approach: ApproachState
+    """State of the approach."""
     clearance: LocalDistanceField
+    """Distance to obstacles near the object, without the object itself."""
     contact: ContactState | None = None
+    """State of making contact; None before."""
     push: PushState | None = None
+    """State of the push; None before."""
     back: Path | None = None
-    """Away from the object, once the push is over."""
+    """Path away from the object after the push."""
     reviewed: float = 0.0
     """Contact time at the last planning stage [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class NavigatorState:
-    """Complete state of the navigator; every step makes a new one."""
+    """Complete state of the navigator. It is immutable; every step makes a new one."""
 
     goal: Float[np.ndarray, "2"]
-    """In {W} [m]."""
+    """Goal position in {W} [m]."""
     belief: Belief
+    """The map and the known objects."""
     key: Key[Array, ""]
+    """Random key of the pushing controller."""
     mode: Mode = Mode.REPLAN
+    """The current mode."""
     since: float = 0.0
-    """When the mode began [s]."""
+    """Time at which the mode began [s]."""
     path: Path | None = None
+    """The global path, if there is one."""
     waits_from: float | None = None
-    """Since when no way to the goal has been known [s]."""
+    """Time since which no path to the goal has been available [s]."""
     segment: Segment | None = None
+    """The current push, if there is one."""
     drive: drive.DriveState = field(default_factory=drive.init)
+    """The local trajectory."""
     lean_offset: equilibrium_lean.LeanOffset = field(default_factory=equilibrium_lean.init)
+    """Estimate of the lean at which the robot balances."""
     last_u: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
+    """Command of the last sample [rad]."""
     last_obs: Observation | None = None
+    """Observation of the last sample."""
     pending: Pending | None = None
+    """A decision that has not taken effect yet."""
     events: tuple[Event, ...] = ()
-    """Of the present step."""
+    """Events of the current step."""
 
     def go(self, now: float, target: Mode, reason: str) -> NavigatorState:
-        """The state in mode ``target``, with the event that says why."""
+        """The state in mode ``target``, with an event that gives the reason."""
         event = Transition(now, self.mode, target, reason)
         return replace(self, mode=target, since=now, events=(*self.events, event))
 
     def with_events(self, *events: Event) -> NavigatorState:
-        """The state with more events."""
+        """The state with ``events`` appended."""
         return replace(self, events=(*self.events, *events))
 
     def target(self) -> ObjectBelief:
-        """The object that is dealt with."""
+        """The object of the current segment."""
         return self.belief.objects[self.current().object]
 
     def current(self) -> Segment:
-        """Dealing with an object; only asked in modes that do."""
+        """The current segment. Only valid in modes that deal with an object."""
         assert self.segment is not None, f"{self.mode} needs an object"
         return self.segment
 
@@ -184,8 +219,10 @@ class NavigatorState:
         return replace(self, belief=self.belief.with_object(index, **changes))
 
     def failed(self) -> NavigatorState:
-        """The state in which the push has not freed the way: one that has hardly moved the object counts against its
-        side."""
+        """The state after a push that has not freed the path.
+
+        If the push has hardly moved the object, the face is added to its failed faces.
+        """
         target, segment = self.target(), self.current()
         if segment.push is not None and segment.push.moved(target.pose) > _MOVED:
             return self
@@ -199,17 +236,17 @@ class NavigatorState:
 
 @dataclass(frozen=True, eq=False)
 class Pending:
-    """A decision that is being computed while the robot goes on."""
+    """A decision that is being computed while the robot continues."""
 
     due: float
-    """When it will be known [s]."""
+    """Time at which the decision takes effect [s]."""
     before: NavigatorState
-    """On which it rests."""
+    """State that the decision is based on."""
     decided: NavigatorState
-    """The same with what is decided."""
+    """That state after the decision."""
 
     def applied_to(self, current: NavigatorState, now: float) -> NavigatorState:
-        """The ``current`` state with what the decision changes: in the state, in its segment and in each object."""
+        """The ``current`` state with the changes of the decision: to the state, to its segment and to each object."""
         before, decided = self.before, self.decided
         objects = dict(current.belief.objects)
         for index, item in before.belief.objects.items():
@@ -231,7 +268,7 @@ class Pending:
 
 
 def _with_changes[T: DataclassInstance](current: T, before: T, decided: T) -> T:
-    """The ``current`` value with those fields that a decision has changed."""
+    """The ``current`` value with those fields that the decision changed between ``before`` and ``decided``."""
     names = [field.name for field in fields(before)]
     changes = {name: getattr(decided, name) for name in names if getattr(decided, name) is not getattr(before, name)}
     return replace(current, **changes)
@@ -243,13 +280,15 @@ class Setup(NamedTuple):
     sizes: Sequence[tuple[float, float]]
     """Half extents of each object [m]."""
     controller: Pusher
-    """The :class:`~shmoo_mjx.control.pushing.PushController`, or what is compared with it."""
+    """The :class:`~shmoo_mjx.control.pushing.PushController`, or a baseline."""
     config: NavigatorConfig
+    """Settings."""
     trajectories: Planner
+    """Precomputed data of the local trajectories."""
     first_status: Sequence[Status] | None = None
-    """What each object is taken to be at first sight; UNKNOWN if not given."""
+    """Initial status of each object; UNKNOWN if not given."""
     kinds: Sequence[str | None] | None = None
-    """What each object looks like: "box", "cart", "wheelchair", or None for none of them, as all are if not given."""
+    """Recognised kind of each object: "box", "cart", "wheelchair", or None for other objects. All None if not given."""
 
     @property
     def by_time(self) -> bool:
@@ -257,7 +296,7 @@ class Setup(NamedTuple):
         return self.config.decides_by == "time"
 
     def routes(self, state: NavigatorState) -> Routes:
-        """Path queries on the present belief."""
+        """Path queries on the current belief."""
         if not self.by_time:
             return Routes(state.belief, state.goal, (Status.UNKNOWN,), 0.0)
         return Routes(state.belief, state.goal, price=_PRICES[self.config.goes_round])

@@ -1,1 +1,1 @@
-"""A page in the browser on which one sees the robot think, and moves things in its way."""
+"""A browser page that shows a simulation with the robot's plans and estimates, and lets the user change the world."""

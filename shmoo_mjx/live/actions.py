@@ -1,4 +1,4 @@
-"""What a person asks for on the live page, carried out between two samples; each action says what it has done."""
+"""User actions of the live page, executed between two samples. Each returns a message about its effect."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from shmoo_mjx.live.words import object_index
 
 
 class Actions:
-    """Changes of the session, shown on the page's panel and pictures."""
+    """Changes the session and updates the page's panel and pictures."""
 
     def __init__(self, panel: Panel, pictures: Pictures) -> None:
         self.panel, self.pictures = panel, pictures
 
     @property
     def session(self) -> Session:
-        """What is changed."""
+        """The session to change."""
         return self.panel.session
 
     def reset(self) -> str:
-        """Begin the scene again."""
+        """Restarts the scene."""
         self.session.reset()
         self.panel.forget_curves()
         return "The scene begins again."
 
     def load(self, name: str) -> str:
-        """Load another scene."""
+        """Loads another scene."""
         loaders = self.panel.scenes()
         if name not in loaders:
             raise ShmooError(f"There is no scene {name!r} any more.")
@@ -40,22 +40,22 @@ class Actions:
         return f"Loaded {name}."
 
     def save(self, name: str) -> str:
-        """Save the scene as it is now."""
+        """Saves the current scene."""
         path = self.session.save_scenario(name)
         self.panel.scene.options = tuple(self.panel.scenes())
         return f"Saved {path}; shmoo navigate --scenario {path}"
 
     def report(self, name: str) -> str:
-        """Save the run as a report."""
+        """Saves the run as a report."""
         return f"Saved {self.session.save_report(name)}."
 
     def head_for(self, x: float, y: float) -> str:
-        """Set another goal in {W} [m]."""
+        """Sets another goal in {W} [m]."""
         self.session.head_for(x, y)
         return f"It heads for ({x:.2f}, {y:.2f})."
 
     def add(self, family: str, pose: tuple[float, float, float], properties: dict[str, float], braked: bool) -> str:
-        """Put a new object to ``pose`` in {W}."""
+        """Adds a new object at ``pose`` in {W}."""
         session, index = self.session, len(self.session.scenario.objects)
         session.add(str(object_files(session.out).get(family, family)), pose, properties)
         if session.simulation.conditions[index].locked:
@@ -65,7 +65,7 @@ class Actions:
         return f"Object {index}: {session.simulation.conditions[index].describe()}."
 
     def alter(self, which: str, what: str, value: Any) -> str:
-        """Change the load, friction or brakes of an object that is there."""
+        """Changes the load, friction or brakes of an existing object."""
         index, session = object_index(which), self.session
         if index is None:
             raise ShmooError("There is no object yet; put one down first.")
@@ -76,7 +76,7 @@ class Actions:
         return f"Object {index}: {session.simulation.conditions[index].describe()}."
 
     def place(self, index: int, pose: tuple[float, float, float]) -> str:
-        """Put an object that is there to ``pose`` in {W}."""
+        """Moves an existing object to ``pose`` in {W}."""
         try:
             self.session.place(index, pose)
         finally:

@@ -1,4 +1,4 @@
-"""What the live page draws over the world: lines on the floor, as arrays."""
+"""Lines and images that the live page draws over the world, as arrays."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ from shmoo_mjx.types import Observation
 _CAMERA, _LOCAL, _REMEMBERED = "#56B4E9", "#CC79A7", "#777777"
 _COSTS = matplotlib.colormaps["plasma"]
 _CLEAR = 1.2
-"""Clearance from which on the picture is white [m]."""
+"""Clearance from which the image is white [m]."""
 _SHOWN = 60
-"""Roll-outs that are drawn, evenly over the costs."""
+"""Number of roll-outs that are drawn, evenly spaced in the order of their costs."""
 _FLOOR = 0.015
-"""Height of lines on the floor [m]: above it, or they flicker."""
+"""Height of lines above the floor [m]. On the floor they would flicker."""
 
 
 class Lines(NamedTuple):
-    """Segments in {W}."""
+    """Line segments in {W}."""
 
     points: np.ndarray
-    """``[N, 2, 3]`` [m]"""
+    """``[N, 2, 3]`` end points [m]."""
     colours: np.ndarray
-    """``[N, 2, 3]`` uint8, linear light: the browser encodes what it draws of lines as sRGB."""
+    """``[N, 2, 3]`` uint8 colours in linear light, because the browser converts line colours to sRGB."""
 
 
 def _lines(points: Array, colours: Array) -> Lines:
-    """A polyline ``[T, 2 or 3]`` or several ``[S, T, ...]``, each of one colour (0 to 1)."""
+    """Lines of a polyline ``[T, 2 or 3]`` or of several ``[S, T, ...]``, each with one colour (0 to 1)."""
     flat = np.asarray(points, dtype=np.float32)
     flat = flat[None] if flat.ndim == 2 else flat
     if flat.shape[-1] == 2:
@@ -59,7 +59,7 @@ def _rgb(colour: str) -> np.ndarray:
 
 
 def path(points: Array | None, local: bool = False) -> Lines:
-    """A way ``[N, 2]`` in {W}; nothing without one. ``local`` is in the colour of the local trajectory."""
+    """Lines of a path ``[N, 2]`` in {W}; empty without one. ``local`` uses the colour of the local trajectory."""
     return _coloured(points, _LOCAL if local else COLOURS["plan"])
 
 
@@ -68,9 +68,9 @@ def _coloured(points: Array | None, colour: str) -> Lines:
 
 
 def rollouts(plan: Plan | None, top: float = 0.0) -> Lines:
-    """Where the object would go, roll-out by roll-out, from the dearest (dark) to the cheapest (bright).
+    """Predicted object positions of the roll-outs, coloured from the highest cost (dark) to the lowest (bright).
 
-    They are drawn above ``top`` [m], the object's height: on the floor it would hide them.
+    They are drawn above ``top`` [m], the object's height. On the floor the object would hide them.
     """
     if plan is None:
         return path(None)
@@ -87,7 +87,7 @@ def rollouts(plan: Plan | None, top: float = 0.0) -> Lines:
 
 
 def field_of_view(camera: Camera, pose: Array) -> Lines:
-    """The edge of what the camera sees from the robot's ``pose [3]``; walls are not looked at."""
+    """Boundary of the camera's field of view from the robot's ``pose [3]``. Walls are ignored."""
     half = min(camera.field_of_view / 2, np.pi)
     angles = float(pose[2]) + np.linspace(-half, half, 25)
     rays = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
@@ -96,7 +96,7 @@ def field_of_view(camera: Camera, pose: Array) -> Lines:
 
 
 def believed(navigator: Machine, obs: Observation, sizes: Sequence[tuple[float, float]]) -> Lines:
-    """Footprints where the robot takes the objects to be: seen now (blue), remembered (grey), fixed (red)."""
+    """Footprints of the objects in the robot's belief: detected now (blue), remembered (grey), fixed (red)."""
     parts = [path(None)]
     for index, item in navigator.belief.objects.items():
         if index >= len(sizes):
@@ -109,13 +109,13 @@ def believed(navigator: Machine, obs: Observation, sizes: Sequence[tuple[float, 
 
 
 def clearance_picture(field: DistanceField) -> np.ndarray:
-    """The distance to walls and known objects as a picture ``[H, W, 3]`` uint8, row 0 at the bottom of the map."""
+    """Image ``[H, W, 3]`` uint8 of the distance to walls and known objects, row 0 at the bottom of the map."""
     near = np.clip(np.asarray(field.values) / _CLEAR, 0.0, 1.0)
     return (255 * matplotlib.colormaps["YlGnBu_r"](0.15 + 0.85 * near)[..., :3]).astype(np.uint8)
 
 
 def legend(plan: Plan | None) -> str:
-    """What the colours mean, as HTML; with the costs of the roll-outs in ``plan``."""
+    """Legend of the colours as HTML, with the cost range of the roll-outs in ``plan``."""
     costs = np.zeros(0) if plan is None else np.asarray(plan.costs)
     costs = costs[np.isfinite(costs)]
     ends = (f"{costs.max():.1f}", f"{costs.min():.1f}") if len(costs) else ("", "")

@@ -1,7 +1,7 @@
-"""Who may use the live page: its own page in a browser, and nobody through a page or a name of somebody else.
+"""Access control of the live page: rejects requests from other web pages and through foreign host names.
 
-A page from elsewhere can open a websocket to this machine, and a name from elsewhere can be made to lead to it (DNS
-rebinding). A browser tells both: the page in ``Origin``, the name in ``Host``.
+A foreign web page can open a websocket to this machine, and a foreign host name can be made to resolve to it (DNS
+rebinding). A browser reports both: the page in ``Origin``, the name in ``Host``.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ AT_HOME = ("127.0.0.1", "localhost", "::1")
 
 @contextmanager
 def obeying_own_page(host: str) -> Iterator[None]:
-    """The server that viser starts within listens on ``host`` and refuses (403) what comes from elsewhere.
+    """Makes the server that viser starts in this context listen on ``host`` and reject (403) foreign requests.
 
-    viser has no setting for this, so that what it starts its server with is replaced meanwhile.
+    viser has no setting for this, so its function that starts the server is patched in this context.
 
     Raises:
-        ShmooError: the server was started in another way, unguarded.
+        ShmooError: the server was started in another way and is not guarded.
     """
     serve, guarded = websockets.asyncio.server.serve, list[bool]()
 
@@ -49,12 +49,12 @@ def obeying_own_page(host: str) -> Iterator[None]:
 
 
 def refused(host: str, hosts: list[str], origins: list[str]) -> bool:
-    """Whether a request to a server that listens on ``host`` comes from elsewhere.
+    """Whether a request to a server that listens on ``host`` is foreign.
 
     Args:
-        host: what the server was told to listen on.
-        hosts: the request's ``Host`` headers: there must be one, with a name of this server.
-        origins: its ``Origin`` headers: none (no browser), or one of the same host and port.
+        host: the address that the server listens on.
+        hosts: the request's ``Host`` headers. There must be exactly one, with a name of this server.
+        origins: its ``Origin`` headers: none (not a browser), or one with the same host and port.
     """
     if len(hosts) != 1 or not _is_own(host, hosts[0]):
         return True
@@ -63,7 +63,10 @@ def refused(host: str, hosts: list[str], origins: list[str]) -> bool:
 
 
 def _is_own(host: str, host_header: str) -> bool:
-    """Whether a ``Host`` header names the server that listens on ``host``; any port, as tunnels change it."""
+    """Whether a ``Host`` header names the server that listens on ``host``.
+
+    Any port is allowed, because tunnels change it.
+    """
     try:
         name = (urlsplit(f"//{host_header}").hostname or "").lower()
     except ValueError:
@@ -75,7 +78,7 @@ def _is_own(host: str, host_header: str) -> bool:
     this = socket.gethostname().lower()
     if name in (this, f"{this}.local", socket.getfqdn().lower()):
         return True
-    # Listening on every address: an address, unlike a name, can't be made to lead elsewhere.
+    # The server listens on every address. An IP address, unlike a name, cannot be redirected.
     with suppress(ValueError):
         return ipaddress.ip_address(host).is_unspecified and bool(ipaddress.ip_address(name))
     return False

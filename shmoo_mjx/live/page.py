@@ -1,7 +1,7 @@
-"""The live page: a viser server that shows a :class:`~shmoo_mjx.live.session.Session` and takes what a person wants.
+"""The live page: a viser server that shows a :class:`~shmoo_mjx.live.session.Session` and handles user input.
 
-The page's callbacks come in threads of the server. They only put what is wanted into a queue; whoever runs the session
-carries it out between two samples (:meth:`Page.carry_out`), so that nothing changes under the simulation's feet.
+The page's callbacks run in threads of the server. They only put requests into a queue. The owner of the session
+executes them between two samples (:meth:`Page.carry_out`), so that nothing changes during a step.
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ from shmoo_mjx.live.session import Session
 
 
 class Page:
-    """A page in the browser on ``http://host:port``, or the next free port; whoever makes it steps the session.
+    """A browser page on ``http://host:port``, or the next free port. The caller steps the session.
 
-    ``scene`` is what the session has loaded, as `scene_named` takes it; the page's box of scenes shows it at first.
+    ``scene`` is the name of the loaded scene for `scene_named`. It is the initial value of the page's scene menu.
     """
 
     def __init__(
         self, session: Session, host: str = "127.0.0.1", port: int = 8080, scene: str = "the first scene"
     ) -> None:
         self.session = session
-        with obeying_own_page(host), redirect_stdout(io.StringIO()):  # its banner
+        with obeying_own_page(host), redirect_stdout(io.StringIO()):  # hides its banner
             self.server = viser.ViserServer(host=host, port=port, label="shmoo live", verbose=False)
         self._requests: queue.SimpleQueue[Callable[[], str | None]] = queue.SimpleQueue()
         self._single = False
-        # Its button to share a page would hand this one to a server elsewhere.
+        # viser's share button would expose this page through an external server.
         self.server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
         self.server.scene.set_up_direction("+z")
-        # Shadows cost a browser that draws in software a third of its pictures.
+        # Shadows cost a third of the frame rate in a browser with software rendering.
         self.server.scene.configure_default_lights(cast_shadow=False)
         self.panel = Panel(self.server, session, scene)
         self.pictures = Pictures(
@@ -56,12 +56,12 @@ class Page:
 
     @property
     def url(self) -> str:
-        """Where the page is."""
+        """Address of the page."""
         return f"http://{self.server.get_host()}:{self.server.get_port()}"
 
     @property
     def speed(self) -> float:
-        """Simulated seconds in a second, 0 for as fast as it goes."""
+        """Simulated seconds per second; 0 for as fast as possible."""
         return self.pictures.speed
 
     @speed.setter
@@ -70,7 +70,7 @@ class Page:
 
     @property
     def paused(self) -> bool:
-        """Whether the world stands still, as the page's box says."""
+        """Whether the simulation is paused."""
         return bool(self.panel.pause.value)
 
     @paused.setter
@@ -79,21 +79,21 @@ class Page:
 
     @property
     def closed(self) -> bool:
-        """Whether it has been closed."""
+        """Whether the page has been closed."""
         return self.pictures.closed
 
     def close(self) -> None:
-        """Stop the server."""
+        """Stops the server."""
         self.pictures.close()
         with redirect_stdout(io.StringIO()):
             self.server.stop()
 
     def ask(self, request: Callable[[], str | None]) -> None:
-        """Have ``request`` carried out between two samples; it gives a sentence about what it has done, or nothing."""
+        """Queues ``request`` for execution between two samples. It returns a message about its effect, or None."""
         self._requests.put(request)
 
     def carry_out(self) -> bool:
-        """Do what was asked for on the page since the last call; whether a sample is due then."""
+        """Executes the requests since the last call. Returns whether a sample is due."""
         any_request = False
         while True:
             try:
@@ -108,7 +108,7 @@ class Page:
         return due
 
     def _attempt(self, request: Callable[[], str | None]) -> None:
-        """Do it, and say how that went; whatever fails, the run goes on."""
+        """Executes a request and shows its message. The run continues after any error."""
         say = self.panel.say
         try:
             say(request() or "")
@@ -121,7 +121,7 @@ class Page:
             say(f"That failed ({type(error).__name__}: {error}).", refused=True)
 
     def show(self) -> None:
-        """Take in the session's last sample: lines, words and curves at once, the world from now on."""
+        """Shows the session's last sample: lines, texts and curves at once, the world by interpolation from now on."""
         if self.closed:
             return
         if self.pictures.outdated:
@@ -130,18 +130,18 @@ class Page:
         self.panel.tell()
 
     def one_sample(self) -> None:
-        """Let a world that stands still go on for a sample."""
+        """Requests one sample while the simulation is paused."""
         self._single = True
 
     def new_object(self, x: float, y: float) -> Callable[[], str]:
-        """The request to put the object that the panel describes to (x, y) in {W} [m]."""
+        """A request that adds the object described by the panel at (x, y) in {W} [m]."""
         panel = self.panel
         properties = {"mass": panel.mass.value, "payload": panel.payload.value, "friction": panel.friction.value}
         pose = (float(x), float(y), float(np.deg2rad(panel.where.value[2])))
         return partial(self.actions.add, panel.family.value, pose, properties, panel.braked.value)
 
     def clicked(self, event: viser.SceneClickEvent) -> None:
-        """A click on the floor."""
+        """Handles a click on the floor."""
         start, along = np.asarray(event.ray_origin), np.asarray(event.ray_direction)
         if abs(along[2]) < 1e-6 or -start[2] / along[2] <= 0:
             return
@@ -150,7 +150,7 @@ class Page:
         self.ask(partial(self.actions.head_for, x, y) if goal else self.new_object(x, y))
 
     def _redraw(self) -> None:
-        """Another world, or the same with other objects: all of it is drawn anew."""
+        """Redraws everything, for another world or other objects."""
         self.pictures.redraw()
         self.panel.list_objects()
         self.panel.tell()
@@ -178,6 +178,6 @@ class Page:
         for box in panel.shown.values():
             box.on_update(lambda _: ask(self.pictures.draw_lines))
         self.server.on_client_connect(lambda _: ask(panel.look_for_files))
-        # Whoever leaves lets go.
+        # A user who disconnects releases the handles.
         self.server.on_client_disconnect(lambda _: ask(self.pictures.draw_handles))
         self.server.scene.on_click()(self.clicked)

@@ -1,4 +1,4 @@
-"""The live page's panel: its controls, and the words and curves that it shows."""
+"""The live page's panel: its controls, texts and curves."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from shmoo_mjx.types import DT
 
 SPEEDS = {"0.25 x": 0.25, "0.5 x": 0.5, "1 x": 1.0, "2 x": 2.0, "as fast as it goes": 0.0}
 SETS_GOAL = "sets the goal"
-"""A click on the floor does this, or puts down the new object."""
+"""Effect of a click on the floor. The alternative puts down the new object."""
 _KEPT = 30.0
-"""Time that the curves show [s]."""
+"""Time span of the curves [s]."""
 
 
 class Panel:
-    """Controls of the page. What they bring about is connected by the page; here is what they show."""
+    """Controls of the page. The page connects their actions; this class holds what they show."""
 
     def __init__(self, server: viser.ViserServer, session: Session, first_scene: str) -> None:
         self.session, self._first_scene = session, first_scene
@@ -81,23 +81,23 @@ class Panel:
         self._chance = gui.add_uplot((empty, empty), chance, aspect=3.2, scales=scales)
 
     def say(self, text: str, refused: bool = False) -> None:
-        """Tell how a request went."""
+        """Shows the message of a request."""
         if text:
             self.message.content = f"**{'Refused' if refused else 'Done'}.** {text}"
 
     def scenes(self) -> dict[str, SceneLoader]:
-        """What can be loaded, first of all what the page began with."""
+        """Loaders of all available scenes, including the page's first scene."""
         loaders = scenes(self.session.out)
         return loaders if self._first_scene in loaders else {self._first_scene: self.session.first, **loaders}
 
     def look_for_files(self) -> None:
-        """What has been made meanwhile is there to choose when the page is loaded anew."""
+        """Updates the menus with new files when the page is reloaded."""
         for menu, names in ((self.scene, self.scenes()), (self.family, [*FAMILIES, *object_files(self.session.out)])):
             if menu.options != tuple(names):
                 menu.options = tuple(names)
 
     def show_own_object(self) -> None:
-        """Mass and friction that an object of one's own has already."""
+        """Sets mass and friction from a user's own object file."""
         if path := object_files(self.session.out).get(self.family.value):
             condition = draw_condition(str(path), 0)
             _set(self.mass, condition.mass)
@@ -105,13 +105,13 @@ class Panel:
             _set(self.friction, condition.friction)
 
     def list_objects(self) -> None:
-        """The objects that are there, to choose from."""
+        """Updates the menu of existing objects."""
         names = (words.object_name(i, c) for i, c in enumerate(self.session.simulation.conditions))
         self.which.options = tuple(names) or ("none",)
         self.show_chosen()
 
     def show_chosen(self) -> None:
-        """The controls of an object that is there show what it is."""
+        """Shows the properties of the chosen object in its controls."""
         index, (heavier, slippery, brakes) = words.object_index(self.which.value), self.present
         if index is not None and index < len(self.session.simulation.conditions):
             condition = self.session.simulation.conditions[index]
@@ -120,11 +120,11 @@ class Panel:
             brakes.value = any(condition.locked)
 
     def forget_curves(self) -> None:
-        """Another run begins."""
+        """Clears the curves for a new run."""
         self._history.clear()
 
     def tell(self) -> None:
-        """Words and curves of the session's last sample."""
+        """Updates texts and curves with the session's last sample."""
         session, simulation = self.session, self.session.simulation
         true, p = simulation.true, session.probability
         force = float(np.linalg.norm(true.wrench[0, :, :2].sum(axis=0))) if true.wrench.size else 0.0
@@ -144,6 +144,6 @@ class Panel:
 
 
 def _set(slider: Any, value: float) -> None:
-    """The value, also where the slider's usual range ends before it."""
+    """Sets the value, extending the slider's range if necessary."""
     slider.min, slider.max = min(slider.min, value), max(slider.max, value)
     slider.value = value

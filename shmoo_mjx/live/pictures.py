@@ -1,6 +1,7 @@
-"""The live page's pictures: world, handles, lines and distance field, drawn on a viser server.
+"""The live page's 3-D view: world, handles, lines and distance field, drawn on a viser server.
 
-Pictures are drawn by a thread of their own, between the last two samples, smoothly whatever a sample takes.
+A separate thread draws frames that interpolate between the last two samples, so the motion is smooth regardless of the
+computing time of a sample.
 """
 
 from __future__ import annotations
@@ -25,14 +26,14 @@ from shmoo_mjx.planning import flat_trajectory
 from shmoo_mjx.types import DT
 
 RATE = 20.0
-"""Pictures that are sent each second."""
+"""Frames per second."""
 
 
 class _World(NamedTuple):
-    """What pictures are drawn of."""
+    """The world that is drawn."""
 
     number: int
-    """Session.started when it was made."""
+    """Value of Session.started when it was made."""
     scene: ViserMujocoScene
     model: mujoco.MjModel
     data: mujoco.MjData
@@ -42,9 +43,9 @@ class Pictures:
     """Draws the session's world on a server until it is closed.
 
     Args:
-        server: of the page.
-        panel: says what is shown.
-        place: takes an object's number and the pose to which somebody has dragged it.
+        server: server of the page.
+        panel: determines what is shown.
+        place: takes the index and the new pose of an object that the user has dragged.
     """
 
     def __init__(
@@ -52,19 +53,19 @@ class Pictures:
     ) -> None:
         self.server, self.panel, self._place = server, panel, place
         self.speed, self.count = 1.0, 0
-        """Speed of the world, 0 for as fast as it goes; pictures so far."""
+        """Speed of the simulation, 0 for as fast as possible; number of frames so far."""
         self._lock, self._closed = threading.RLock(), threading.Event()
         self._world: _World | None = None
         self._samples: tuple[np.ndarray, np.ndarray, float] | None = None
         self.handles: list[Any] = []
         self._dragged: set[int] = set()
-        """Objects whose handles somebody holds."""
+        """Objects whose handles the user is dragging."""
         self._clearance: Any = None
         self._thread = threading.Thread(target=self._draw, name="pictures", daemon=True)
 
     @property
     def session(self) -> Session:
-        """What is drawn."""
+        """The session that is drawn."""
         return self.panel.session
 
     @property
@@ -73,11 +74,11 @@ class Pictures:
         return self._closed.is_set()
 
     def start(self) -> None:
-        """Begin to draw."""
+        """Starts drawing."""
         self._thread.start()
 
     def close(self) -> None:
-        """Draw no more."""
+        """Stops drawing."""
         self._closed.set()
         self._thread.join(timeout=2.0)
 
@@ -87,7 +88,7 @@ class Pictures:
         return self._world is None or self._world.number != self.session.started
 
     def show(self) -> None:
-        """Take in the session's last sample: lines at once, the world from now on."""
+        """Shows the session's last sample: lines at once, the world by interpolation from now on."""
         now = self.session.simulation.qpos
         with self._lock:
             before = now if self._samples is None or len(self._samples[1]) != len(now) else self._samples[1]
@@ -96,13 +97,13 @@ class Pictures:
         self.draw_lines()
 
     def _move_handles(self) -> None:
-        """Every handle goes with its object, but for one that somebody holds."""
+        """Moves every handle to its object, except handles that the user is dragging."""
         for index, handle in enumerate(self.handles):
             if index not in self._dragged:
                 handle.position, handle.wxyz = _placed(self.session.simulation.true.object_pose[0, index])
 
     def draw_handles(self) -> None:
-        """A handle on every object, where it stands now."""
+        """Draws a handle on every object at its current pose."""
         for handle in self.handles:
             handle.remove()
         self.handles = []
@@ -123,7 +124,10 @@ class Pictures:
             self.handles.append(handle)
 
     async def dragging(self, index: int, event: viser.TransformControlsEvent) -> None:
-        """A handle is taken, moved or let go. On the server's loop, as only there the phases come in their order."""
+        """Handles the start, motion and end of a drag.
+
+        It runs on the server's event loop, which keeps these phases in order.
+        """
         if event.phase != "end":
             self._dragged.add(index)
             return
@@ -133,7 +137,7 @@ class Pictures:
         self._place(index, place)
 
     def redraw(self) -> None:
-        """Another world, or the same with other objects: all of it is drawn anew."""
+        """Redraws everything, for another world or other objects."""
         session = self.session
         with self._lock, self.server.atomic():
             self.server.scene.reset()
@@ -152,7 +156,7 @@ class Pictures:
         if fresh:
             centre, size = self._extent()
             reach, camera = max(size), self.server.initial_camera
-            x = centre[0] + 0.12 * reach  # to the right of the map's middle stands the panel
+            x = centre[0] + 0.12 * reach  # the panel covers the right side of the view
             camera.position, camera.look_at = (x, centre[1] - 0.5 * reach, 0.75 * reach), (x, centre[1], 0.0)
 
     def _extent(self) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -161,7 +165,7 @@ class Pictures:
         return ((low_x + high_x) / 2, (low_y + high_y) / 2), (high_x - low_x, high_y - low_y)
 
     def _lay_floor(self) -> None:
-        """A pale floor as large as the map, with a line each metre, in the place of an endless one."""
+        """A pale floor of the map's size with a line per metre, which replaces the infinite floor."""
         for name in ("/fixed_bodies/world/floor", "/fixed_bodies/world/None"):
             if endless := self.server.scene.get_handle_by_name(name):
                 endless.visible = False
@@ -173,7 +177,7 @@ class Pictures:
         )  # fmt: skip
 
     def _draw(self) -> None:
-        """Pictures between the last two samples."""
+        """Draws frames that interpolate between the last two samples."""
         while not self._closed.wait(1.0 / RATE):
             with self._lock:
                 if self._world is None or self._samples is None:
@@ -190,6 +194,7 @@ class Pictures:
                 self.count += 1
 
     def draw_lines(self) -> None:
+        """Draws paths, roll-outs, the camera's view, believed footprints, the goal and the distance field."""
         session = self.session
         simulation, state = session.simulation, session.simulation.navigator.state
         way, trajectory = state.path, state.drive.trajectory
@@ -222,7 +227,7 @@ class Pictures:
             self._draw_clearance()
 
     def _draw_clearance(self) -> None:
-        """The distance field as a picture on the floor, anew when an object is taken to be elsewhere."""
+        """Draws the distance field on the floor. It is redrawn when the believed pose of an object changes."""
         shown = self.panel.shown["clearance"].value
         field = self.session.simulation.navigator.belief.clearance() if shown else None
         if field is self._clearance:
@@ -241,6 +246,6 @@ class Pictures:
 
 
 def _placed(pose: Array) -> tuple[tuple[float, float, float], tuple[float, float, float, float]]:
-    """Position and quaternion of a handle on an object at ``pose [3]``."""
+    """Position and quaternion of a handle for an object at ``pose [3]``."""
     x, y, half = (float(v) for v in (pose[0], pose[1], pose[2] / 2))
     return (x, y, 0.05), (float(np.cos(half)), 0.0, 0.0, float(np.sin(half)))

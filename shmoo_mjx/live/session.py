@@ -1,6 +1,6 @@
-"""What the live page shows and changes, without the page: a simulation, and what a person does to its world.
+"""The model of the live page, independent of the page: a simulation, and the user's changes to its world.
 
-Whatever is asked for and can't be is refused with a :class:`~shmoo_mjx.errors.ShmooError`, before anything changes.
+An impossible request raises a :class:`~shmoo_mjx.errors.ShmooError` before anything changes.
 """
 
 from __future__ import annotations
@@ -52,18 +52,18 @@ from shmoo_mjx.sensing import Senses, senses_named
 from shmoo_mjx.types import DT
 
 SceneLoader = Callable[[], tuple[OccupancyGrid, Scenario]]
-"""Loads a map and what stands in it."""
+"""Loads a map and a scenario."""
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,60}")
 _DEMOS = 20
 _OBJECT_FILE = 100_000
-"""Object files are smaller than this [bytes]."""
+"""Maximum size of an object file [bytes]."""
 
 
 def scenes(own: Path) -> dict[str, SceneLoader]:
-    """What can be loaded, by name: the demo's floor plans, and scenarios and maps that are found.
+    """Loaders of all available scenes by name: the demo's floor plans, and the scenarios and maps found.
 
-    They are looked for in the package, in ``own`` and in the present folder; a map is an empty scene.
+    Files come from the package, from ``own`` and from the working directory. A map is an empty scene.
     """
     loaders: dict[str, SceneLoader] = {f"demo {seed}": partial(demo_scenario, seed) for seed in range(_DEMOS)}
     shipped = [asset(f"experiments/{kind}") for kind in ("scenarios", "maps")]
@@ -76,17 +76,17 @@ def scenes(own: Path) -> dict[str, SceneLoader]:
 
 
 def object_files(own: Path) -> dict[str, Path]:
-    """What ``shmoo object add`` has made in the present folder or in ``own``, by name."""
+    """Object files from ``shmoo object add`` in the working directory or in ``own``, by name."""
     paths = (path for folder in _own_folders(own) for path in sorted(folder.glob("*.json")))
     return {path.stem: path.resolve() for path, text in _texts(paths, _OBJECT_FILE) if '"hull"' in text}
 
 
 def _texts(paths: Iterable[Path], longest: float = math.inf) -> Iterator[tuple[Path, str]]:
-    """Those of the files that can be read and have at most ``longest`` bytes, with what they hold."""
+    """Path and content of the files that can be read and have at most ``longest`` bytes."""
     for path in paths:
         try:
             text = path.read_text(errors="replace") if path.stat().st_size <= longest else None
-        except OSError:  # a folder, a link that leads nowhere, somebody else's file
+        except OSError:  # a folder, a broken link, or a file without read permission
             continue
         if text is not None:
             yield path, text
@@ -97,12 +97,12 @@ def _own_folders(own: Path) -> tuple[Path, Path]:
 
 
 def scene_named(name: str, own: Path) -> tuple[OccupancyGrid, Scenario]:
-    """Load the scene of that name, a demo of any seed, or a scenario file."""
+    """Loads the scene with this name, a demo of any seed, or a scenario file."""
     return loader_named(name, own)()
 
 
 def loader_named(name: str, own: Path) -> SceneLoader:
-    """What loads the scene of that name, a demo of any seed, or a scenario file."""
+    """The loader of the scene with this name, of a demo of any seed, or of a scenario file."""
     loaders = scenes(own)
     if name in loaders:
         return loaders[name]
@@ -129,7 +129,7 @@ def _from_file(path: Path) -> tuple[OccupancyGrid, Scenario]:
 
 
 def _empty(grid: OccupancyGrid) -> tuple[OccupancyGrid, Scenario]:
-    """The map with the robot where it has the most room, at its goal."""
+    """The map with the robot at the place with the most clearance, which is also the goal."""
     room = np.asarray(distance_field(grid).values)
     if room.max() < ROBOT_RADIUS:
         raise ShmooError(f"{grid.source}: has no room for a robot of radius {ROBOT_RADIUS:.2f} m; give another map.")
@@ -138,12 +138,12 @@ def _empty(grid: OccupancyGrid) -> tuple[OccupancyGrid, Scenario]:
 
 
 def _files_of(scene: SceneLoader) -> set[Path]:
-    """Every file that a loader of `scenes` or `loader_named` reads."""
+    """All files that a loader of `scenes` or `loader_named` reads."""
     return files_read(getattr(scene, "args", ()))
 
 
 class _Watched(PushController):
-    """A controller whose last plan can be looked at."""
+    """A controller that stores its last plan."""
 
     last_plan: Plan | None = None
 
@@ -154,7 +154,7 @@ class _Watched(PushController):
 
 
 class Session:
-    """A world that goes on, whatever its goals; ``load`` makes the first scene, ``out`` is for what is saved."""
+    """A simulation that continues across goals. ``load`` makes the first scene; ``out`` is for saved files."""
 
     def __init__(self, weights: Weights, load: SceneLoader, senses: SensesName = "real", out: Path = Path("runs/live")):
         self.controller = _Watched(weights)
@@ -164,9 +164,9 @@ class Session:
         self.spent: deque[float] = deque(maxlen=100)
         """Wall-clock time of the last control steps [s]."""
         self.late = 0
-        """Samples that took longer to compute than they last."""
+        """Number of samples whose computation took longer than a sample time."""
         self.started = 0
-        """How many worlds there have been: a page draws a new one anew, and one with other objects too."""
+        """Number of worlds so far. A change of objects counts as a new world, so that the page redraws it."""
         self.first = load
         """Makes the first scene again."""
         self._start, self._inputs = load(), _files_of(load)
@@ -174,17 +174,17 @@ class Session:
 
     @property
     def scenario(self) -> Scenario:
-        """What stands in the world, as it was put there."""
+        """The current scenario."""
         return self.simulation.scenario
 
     @property
     def plan(self) -> Plan | None:
-        """The roll-outs of the last control step, while an object is being pushed."""
+        """Roll-outs of the last control step, while an object is being pushed."""
         return self.controller.last_plan if self.simulation.navigator.learned is not None else None
 
     @property
     def probability(self) -> float | None:
-        """Probability of the last decision on the present push: that it frees the path; None before there is one."""
+        """Probability that the current push frees the path, from the last decision; None before the first decision."""
         navigator = self.simulation.navigator
         if navigator.mode not in (Mode.PROBE, Mode.PUSH) or not navigator.decisions:
             return None
@@ -193,26 +193,26 @@ class Session:
 
     @cached_property
     def prior(self) -> dict[str, float]:
-        """What an object is taken to be before it is touched (`online.summary`)."""
+        """Prior of an object before contact (`online.summary`)."""
         return online.summary(prior_state(self.controller.weights, self.controller.config.estimate))
 
     def compile(self) -> None:
-        """Compile what the first push needs, or the world stands still for seconds when it begins."""
+        """Compiles what the first push needs. Otherwise the simulation stops for seconds when it begins."""
         belief, pose = self.simulation.navigator.belief, self.simulation.true.robot_pose[0]
         self.controller.compile(local_distance_field(belief.clearance(), pose))
 
     def close(self) -> None:
-        """Stop the simulation's threads."""
+        """Stops the simulation's threads."""
         self.simulation.close()
 
     def load(self, scene: SceneLoader) -> None:
-        """Another map and scenario."""
+        """Loads another map and scenario."""
         loaded = scene()
         self._begin(*loaded)
         self._start, self._inputs = loaded, _files_of(scene)
 
     def reset(self) -> None:
-        """The scene as it was loaded."""
+        """Restores the scene as it was loaded."""
         self._begin(*self._start)
 
     def _begin(self, grid: OccupancyGrid, scenario: Scenario) -> None:
@@ -224,7 +224,7 @@ class Session:
         self.late, self.started = 0, self.started + 1
 
     def step(self) -> None:
-        """One sample of 0.1 s. A robot that has fallen lies there; a world that has diverged stands still."""
+        """Runs one sample of 0.1 s. After a fall or a divergence nothing happens."""
         if self.simulation.history.ended:
             return
         began = time.perf_counter()
@@ -235,7 +235,7 @@ class Session:
         self.late += spent > DT
 
     def head_for(self, x: float, y: float) -> None:
-        """Another goal in {W} [m]."""
+        """Sets another goal in {W} [m]."""
         simulation = self.simulation
         finite_numbers("the goal", (x, y), "x, y")
         check_point(simulation.grid, (x, y), ROBOT_RADIUS, "the goal")
@@ -243,7 +243,7 @@ class Session:
         simulation.navigator.head_for(np.array([x, y]), simulation.time)
 
     def add(self, family: str, pose: tuple[float, float, float], properties: Mapping[str, Any], seed: int = 0) -> None:
-        """Another object at ``pose`` (x, y, yaw) in {W}; what is not among ``properties`` is drawn by ``seed``."""
+        """Adds an object at ``pose`` (x, y, yaw) in {W}. ``seed`` draws the properties that are not given."""
         if len(self.scenario.objects) >= MOST_OBJECTS:
             raise ShmooError(f"There are {MOST_OBJECTS} objects already; reset the scene.")
         fields = {"family": family, "pose": pose, "properties": dict(properties), "seed": seed}
@@ -252,7 +252,7 @@ class Session:
         self._change((*self.scenario.objects, entry))
 
     def place(self, index: int, pose: tuple[float, float, float]) -> None:
-        """Put object ``index`` to ``pose`` in {W}, as somebody would who carries it there."""
+        """Moves object ``index`` to ``pose`` in {W}."""
         entry = self._entry(index)
         self._check_free(f"object {index}", pose, self.simulation.conditions[index].half_extents, index)
         self.simulation.place(index, pose)
@@ -261,13 +261,13 @@ class Session:
         self.simulation.scenario = self.scenario.model_copy(update={"objects": tuple(objects)})
 
     def alter(self, index: int, **properties: Any) -> None:
-        """Other ``properties`` (docs/scenario.md) of object ``index``, at once: a load, brakes, friction."""
+        """Changes ``properties`` (docs/scenario.md) of object ``index`` at once, such as load, brakes or friction."""
         entry, objects = self._entry(index), list(self.scenario.objects)
         objects[index] = entry.model_copy(update={"properties": {**entry.properties, **properties}})
         self._change(tuple(objects))
 
     def brake(self, index: int, on: bool) -> None:
-        """Press or release all of an object's brakes; a wheelchair's are on its rear wheels."""
+        """Applies or releases all brakes of an object. A wheelchair has brakes on its rear wheels."""
         family = self._entry(index).family
         count = len(self.simulation.conditions[index].locked)
         if not count:
@@ -296,7 +296,7 @@ class Session:
         check_place(self.simulation.grid, what, pose, half_extents, robot=true.robot_pose[0, :2], others=others)
 
     def as_it_stands(self) -> Scenario:
-        """The scenario that begins with the world as it is now."""
+        """The scenario that starts from the current state of the world."""
         true = self.simulation.true
         poses = true.object_pose[0].tolist()
         objects = tuple(
@@ -305,8 +305,10 @@ class Session:
         return self.scenario.model_copy(update={"start": tuple(true.robot_pose[0].tolist()), "objects": objects})
 
     def save_scenario(self, name: str) -> Path:
-        """Write the present scene and its map as NAME.yaml and NAME.map.yaml into the session's folder, which gets a
-        copy of each object file too; the files of the scene that was loaded are not written over."""
+        """Writes the current scene and its map as NAME.yaml and NAME.map.yaml to the session's folder.
+
+        The folder also gets a copy of each object file. The files of the loaded scene are not overwritten.
+        """
         path = self.out / f"{_checked(name)}.yaml"
         map_path = path.with_suffix(".map.yaml")
         self.out.mkdir(parents=True, exist_ok=True)
@@ -319,7 +321,11 @@ class Session:
         return path
 
     def save_report(self, name: str) -> Path:
-        """Write the run so far as a report into the folder NAME; the page report.html."""
+        """Writes the run so far as a report to the folder NAME.
+
+        Returns:
+            The path of report.html.
+        """
         from shmoo_mjx.report.html import write_report
 
         folder, simulation = self.out / _checked(name), self.simulation

@@ -1,4 +1,4 @@
-"""What the live page says of a session, as Markdown."""
+"""Texts of the live page about a session, as Markdown."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from shmoo_mjx.types import DT
 
 
 def state_text(session: Session, lean: float, force: float) -> str:
-    """Mode and its reason, time, ``lean`` [deg], ``force`` of the hands [N], and how long control steps take."""
+    """Mode and its reason, time, ``lean`` [deg], ``force`` of the hands [N], and computing time of control steps."""
     simulation, navigator, p = session.simulation, session.simulation.navigator, session.probability
     state = str(navigator.mode)
     reason = navigator.transitions[-1].reason if navigator.transitions else "it looks for a way"
@@ -31,7 +31,7 @@ def state_text(session: Session, lean: float, force: float) -> str:
 
 
 def beliefs(session: Session) -> str:
-    """What the robot thinks of each object, as a list: a table would be too wide for a phone."""
+    """The robot's estimate of each object as a list, because a table would be too wide for a phone."""
     navigator, lines = session.simulation.navigator, list[str]()
     for index, condition in enumerate(session.simulation.conditions):
         name, item = object_name(index, condition), navigator.belief.objects.get(index)
@@ -49,18 +49,18 @@ def beliefs(session: Session) -> str:
 
 
 def object_name(index: int, condition: Condition) -> str:
-    """What the page calls an object: its number and family."""
+    """Name of an object on the page: its index and family."""
     return f"{index} {Path(condition.family).stem}"
 
 
 def object_index(name: str) -> int | None:
-    """The number that an object's name begins with; None for "none"."""
+    """The index at the beginning of an object's name; None for "none"."""
     number = name.partition(" ")[0]
     return int(number) if number.isdigit() else None
 
 
 def _in_words(learned: dict[str, float], prior: dict[str, float]) -> str:
-    """What was learned of an object against what it was taken to be at first, as far as it is told in a few words."""
+    """The estimate of an object compared with its prior, in short form."""
     if "mass" not in learned:
         return "coefficients"
     units = {"friction_x": "N along", "friction_y": "N across", "mass": "kg"}

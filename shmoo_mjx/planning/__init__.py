@@ -1,1 +1,1 @@
-"""Maps, paths and local trajectories of the robot, and where pushes lead."""
+"""Maps, path planning, local trajectories, and prediction of where pushes lead."""

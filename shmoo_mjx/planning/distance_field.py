@@ -1,4 +1,4 @@
-"""Clearance field: distance to the nearest obstacle over the map, looked up between cell centres."""
+"""Clearance field: distance to the nearest obstacle, interpolated between cell centres."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from shmoo_mjx.geometry import se2
 
 class _Field(NamedTuple):
     values: Float[Array, "H W"]
-    """Distance [m], row 0 at the bottom."""
+    """Distance to the nearest obstacle [m]; row 0 is at the bottom."""
     origin: Float[Array, "3"]
-    """Pose (x, y, yaw) in {W} of the lower-left corner."""
+    """Pose (x, y, yaw) of the lower-left corner in {W} [m, m, rad]."""
     resolution: Scalar
     """Side of a cell [m]."""
 
 
 class DistanceField(_Field):
-    """Distance to what must not be touched, sampled at cell centres; a plain pytree.
+    """Distance to the nearest obstacle, sampled at cell centres. A plain pytree.
 
     ``values [H, W]`` [m] with row 0 at the bottom, ``origin [3]`` pose (x, y, yaw) in {W} of the lower-left corner,
     ``resolution`` side of a cell [m].
@@ -29,38 +29,38 @@ class DistanceField(_Field):
 
     @cached_property
     def memo(self) -> dict[Any, Any]:
-        """What has been derived from this very field, by its owner's key. It dies with the field; copies start anew."""
+        """Cache for results derived from this field. Each user has its own key. Copies start with an empty cache."""
         return {}
 
     @property
     def constant(self) -> bool:
-        """Whether nobody can change the values, so that what is derived from them may be kept in ``memo``."""
+        """Whether the values are read-only. Only then may derived results be kept in ``memo``."""
         return not np.asarray(self.values).flags.writeable
 
     def __getstate__(self) -> None:
-        """Pickles and copies leave ``memo`` behind."""
+        """Excludes ``memo`` from pickles and copies."""
 
     def at(self, points: Numbers | Float[Array, "*p 2"]) -> Float[np.ndarray, "*p"]:
-        """Bilinear look-up [m] at ``points`` in {W}, zero off the map."""
+        """Bilinearly interpolated distance [m] at ``points`` in {W}; zero off the map."""
         at = self.to_cells(points)
         return self.look_up(at[..., 0], at[..., 1])
 
     def to_cells(self, points: Numbers | Float[Array, "*p 2"]) -> Float[np.ndarray, "*p 2"]:
-        """(row, column), with fractions, of ``points`` in {W}: whole numbers at cell centres."""
+        """Fractional (row, column) of ``points`` in {W}. Cell centres have whole numbers."""
         points = np.asarray(points, dtype=float)
         origin = np.asarray(self.origin, dtype=float)
         local = points - origin[:2] if origin[2] == 0.0 else se2.inverse_transform_point(origin, points)
         return local[..., ::-1] / self.resolution - 0.5
 
     def to_world(self, cells: Shaped[Array, "*c 2"]) -> Float[np.ndarray, "*c 2"]:
-        """Points in {W} of (row, column), fractions allowed: undoes ``to_cells``."""
+        """Points in {W} of fractional (row, column). The inverse of ``to_cells``."""
         local = (np.asarray(cells, dtype=float)[..., ::-1] + 0.5) * self.resolution
         return se2.transform_point(np.asarray(self.origin, dtype=float), local)
 
     def look_up(
         self, rows: Scalar | Float[np.ndarray, "*p"], cols: Scalar | Float[np.ndarray, "*p"]
     ) -> Float[np.ndarray, "*p"]:
-        """Bilinear look-up [m] at ``rows``, ``cols`` as of ``to_cells``, zero off the map."""
+        """Bilinearly interpolated distance [m] at fractional ``rows``, ``cols`` of ``to_cells``; zero off the map."""
         values = np.asarray(self.values)
         height, width = values.shape
         row = np.minimum(np.maximum(rows, 0.0), height - 1.0)

@@ -1,7 +1,7 @@
-"""The flat output of the ball-balancing robot.
+"""Differentially flat model of the ball-balancing robot.
 
-One plane of the robot, linearised about upright, obeys a x'' + b phi'' = c phi with x the ball's position and phi the
-lean. S = x + (b/a) phi is a flat output: phi = (a/c) S'' and x = S - (b/c) S''.
+One plane of the robot, linearised about upright, obeys a x'' + b phi'' = c phi, where x is the ball's position and phi
+the lean. S = x + (b/a) phi is a flat output: phi = (a/c) S'' and x = S - (b/c) S''.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from shmoo_mjx.arrays import Array, Float, Numbers
 
 
 class FlatModel(NamedTuple):
-    """Coefficients of a x'' + b phi'' = c phi, for both planes."""
+    """Coefficients of a x'' + b phi'' = c phi. Both planes have the same."""
 
     a: float
-    """[kg m]"""
+    """Coefficient of the ball's acceleration [kg m]."""
     b: float
-    """[kg m^2]"""
+    """Coefficient of the lean acceleration [kg m^2]."""
     c: float
-    """[N m]"""
+    """Coefficient of the lean [N m]."""
 
     def flat_state(
         self,
@@ -30,7 +30,7 @@ class FlatModel(NamedTuple):
         lean: Numbers | Float[Array, "2"],
         lean_rate: Numbers | Float[Array, "2"],
     ) -> Float[np.ndarray, "4 2"]:
-        """S and its first three derivatives from ball position, velocity, lean, lean rate in {W}."""
+        """S and its first three derivatives, given ball position, velocity, lean and lean rate in {W}."""
         position, velocity, lean, lean_rate = (
             np.asarray(v, dtype=float)[:2] for v in (position, velocity, lean, lean_rate)
         )

@@ -1,8 +1,8 @@
-"""The quadratic program behind a flat trajectory.
+"""The quadratic program (QP) of a flat trajectory.
 
-With the flat output S of ``flat_model``, a quintic B-spline for S in x and in y gives position, speed and lean as
-linear functions of its control points, so that limits on them and a corridor round the path make a quadratic program.
-Its variables are the control points' x, then their y, then one slack per sample time.
+With the flat output S of ``flat_model``, a quintic B-spline for S in x and in y makes position, speed and lean linear
+functions of the control points. Limits on them and a corridor around the path then give a QP. Its variables are the x
+coordinates of the control points, then their y coordinates, then one slack per sample time.
 """
 
 from __future__ import annotations
@@ -22,66 +22,66 @@ from shmoo_mjx.planning.flat_model import FlatModel
 DEGREE = 5
 _ANGLES = np.arange(8) * np.pi / 4
 _NORMALS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=-1)
-"""Directions of an octagon's sides: a disc written as linear constraints."""
+"""Normals of an octagon, which approximates a disc by linear constraints."""
 _INSCRIBED = float(np.cos(np.pi / 8))
 _INTERVALS = 12
-"""Number of polynomial pieces of the spline: one in 0.3 s."""
+"""Number of polynomial pieces of the spline: about one per 0.3 s."""
 SAMPLES = 24
-"""Number of times at which limits and corridor are imposed: two on each piece."""
+"""Number of times at which limits and corridor are imposed: two per piece."""
 LEAN_RECOVERY = 0.20
-"""Lean never exceeded in a recovery [rad]: twice the limit of common driving."""
+"""Lean limit in a recovery [rad]: twice the limit in normal driving."""
 _LEAN_ACCELERATION_MAX = 5.0
-"""Acceleration of the lean never exceeded [rad/s^2]: about the drive's torque over the body's inertia about the ball
-axis."""
+"""Limit of the lean acceleration [rad/s^2]: about the drive's torque over the body's inertia about the ball axis."""
 _TRACKING_WEIGHT = 1.0
-"""Weight of the squared distance from the reference [1/m^2]; the other weights are relative to it."""
+"""Weight of the squared distance from the reference [1/m^2]. The other weights are relative to it."""
 _END_WEIGHT = 100.0
-"""Weight of that distance at the end of the horizon where that is the path's end [1/m^2]: it is to be reached."""
+"""Weight of that distance at the end of the horizon, if the horizon ends at the path's end [1/m^2]."""
 _SMOOTH_WEIGHT = 2e-3
 """Weight of the squared fourth derivative of S, to which the drive's torque is proportional [s^8/m^2]."""
 _SLACK_WEIGHT = 200.0
-"""Weight of leaving the corridor [1/m], and in a recovery of excess speed [s/m]: so high that only the limits make it
-leave."""
+"""Weight of leaving the corridor [1/m] and, in a recovery, of excess speed [s/m]. It is so high that slack is only used
+where the limits require it."""
 
 
 @dataclass(frozen=True)
 class TrajectoryConfig:
-    """Limits and horizon."""
+    """Limits and horizon of a trajectory."""
 
     horizon: float = 3.5
-    """Length of a trajectory [s]; it always ends at rest, so that following an old one to its end is safe. Longer goes
-    faster, for there is more way to stop, and takes longer to compute."""
+    """Duration of a trajectory [s]. It always ends at rest, so following an old trajectory to its end is safe. Larger
+    values allow faster driving, because there is more time to stop, and take longer to compute."""
     speed: float = 0.45
-    """Speed aimed at [m/s]; more is sooner there and strays farther from its path."""
+    """Target speed [m/s]. Larger values drive faster and deviate more from the path."""
     speed_max: float = 0.60
-    """Speed not exceeded at the sample times [m/s], and between them by little, except in a recovery; more lets the
-    robot catch up after a stop."""
+    """Speed limit at the sample times, except in a recovery [m/s]. Between them it is exceeded only slightly. Larger
+    values let the robot catch up after a stop."""
     lean_max: float = 0.10
-    """Lean never exceeded [rad], except in a recovery; more accelerates and brakes harder."""
+    """Lean limit outside a recovery [rad]. Larger values accelerate and brake harder."""
     acceleration: float = 0.35
-    """Acceleration of the reference along the path [m/s^2], below g times ``lean_max``; more is sooner at its speed."""
+    """Acceleration of the reference along the path [m/s^2], below g times ``lean_max``. Larger values reach the target
+    speed earlier."""
     robot_radius: float = 0.25
-    """Radius of the disc that must stay clear, margin included [m]; more keeps off walls and finds no way through
-    narrow places."""
+    """Radius of the disc that must stay clear, margin included [m]. Larger values keep more distance from walls and
+    exclude narrow passages."""
 
 
 class Planner(NamedTuple):
-    """What depends on model and configuration only; made once by ``init``. n control points, K samples."""
+    """Precomputed data that depends on model and configuration only (``init``). n control points, K samples."""
 
     model: FlatModel
     cfg: TrajectoryConfig
     times: Float[np.ndarray, "K"]
-    """Sample times [s], the last one being the horizon."""
+    """Sample times [s]. The last one is the horizon."""
     position: Float[np.ndarray, "K n"]
-    """Control points to ball position."""
+    """Maps control points to ball positions."""
     on_way: sparse.csc_matrix
-    """``[2n + K, 2n + K]`` upper half of the quadratic cost."""
+    """``[2n + K, 2n + K]`` upper triangle of the quadratic cost."""
     at_end: sparse.csc_matrix
-    """The same where the horizon ends at the path's end."""
+    """The same, for a horizon that ends at the path's end."""
     rows: sparse.csc_matrix
-    """``[R, 2n + K]`` left-hand sides: 14 equalities, then inequalities."""
+    """``[R, 2n + K]`` constraint matrix: 14 equalities, then inequalities."""
     recovery_rows: sparse.csc_matrix
-    """The same with slack on speed."""
+    """The same, with slack on speed."""
 
 
 def init(model: FlatModel, cfg: TrajectoryConfig = TrajectoryConfig()) -> Planner:
@@ -90,7 +90,7 @@ def init(model: FlatModel, cfg: TrajectoryConfig = TrajectoryConfig()) -> Planne
     value, speed, tilt, jerk, snap = (_basis(cfg, times, order) for order in range(5))
     lag, pull = model.b / model.c, model.a / model.c
     position, velocity, lean = value - lag * tilt, speed - lag * jerk, pull * tilt
-    # The fourth derivative is linear between knots, so that limits at the knots hold everywhere.
+    # The fourth derivative is linear between knots, so limits at the knots hold everywhere.
     lean_acceleration = pull * _basis(cfg, np.linspace(0.0, cfg.horizon, _INTERVALS + 1), 4)
     ends = [_basis(cfg, np.zeros(1), k)[0] for k in range(4)]
     ends += [_basis(cfg, np.full(1, cfg.horizon), k)[0] for k in range(1, 4)]
@@ -116,18 +116,18 @@ def solve(
     at_end: bool,
     recovery: bool = False,
 ) -> tuple[Float[np.ndarray, "n 2"], float] | None:
-    """Solves for the spline.
+    """Solves for the spline's control points.
 
     Args:
-        planner: from ``init``.
+        planner: precomputed data from ``init``.
         state: flat state at the start.
-        reference: where to be at the sample times [m].
-        width: radius of the disc round each reference point that should not be left [m].
-        at_end: weigh the last point as the path's end.
-        recovery: allow LEAN_RECOVERY and, at a price, speeds above ``speed_max``.
+        reference: reference positions at the sample times [m].
+        width: radius of the corridor around each reference point [m].
+        at_end: whether the last point gets the weight of the path's end.
+        recovery: allows LEAN_RECOVERY and, at a cost, speeds above ``speed_max``.
 
     Returns:
-        Control points and the largest slack, or None if the limits contradict the state.
+        Control points and the largest slack, or None if the limits are infeasible from the state.
     """
     n = planner.position.shape[1]
     linear = -2 * (planner.position.T * _tracking_weights(at_end)) @ reference
@@ -151,23 +151,23 @@ def solve(
 
 
 def knot_vector(intervals: int, horizon: float) -> Float[np.ndarray, "k"]:
-    """Knots of the clamped spline with this many equal pieces over [0, horizon] s."""
+    """Knots of the clamped spline with ``intervals`` equal pieces over [0, horizon] s."""
     inner = np.linspace(0.0, horizon, intervals + 1)
     return np.concatenate([np.zeros(DEGREE), inner, np.full(DEGREE, horizon)])
 
 
 @lru_cache(maxsize=8)
 def basis_splines(intervals: int, horizon: float) -> tuple[BSpline, ...]:
-    """The basis of S and of its first four derivatives, one column of coefficients per control point.
+    """Basis of S and of its first four derivatives, with one column of coefficients per control point.
 
-    Remembered, because to derive them takes far longer than to evaluate them; not to be written to.
+    Cached, because deriving them takes far longer than evaluating them. Callers must not modify them.
     """
     basis = BSpline(knot_vector(intervals, horizon), np.eye(intervals + DEGREE), DEGREE)
     return (basis, *(basis.derivative(order) for order in range(1, 5)))
 
 
 def _basis(cfg: TrajectoryConfig, times: Float[np.ndarray, "K"], order: int) -> Float[np.ndarray, "K n"]:
-    """Control points to the derivative of S of this order."""
+    """Maps control points to the derivative of S of this order."""
     return basis_splines(_INTERVALS, cfg.horizon)[order](times)
 
 
@@ -179,7 +179,7 @@ def _tracking_weights(at_end: bool) -> Float[np.ndarray, "K"]:
 
 
 def _quadratic(position: Float[np.ndarray, "K n"], snap: Float[np.ndarray, "K n"], at_end: bool) -> sparse.csc_matrix:
-    """Upper half of the quadratic cost: tracking and smoothness; slack costs linearly."""
+    """Upper triangle of the quadratic cost: tracking and smoothness. Slack has a linear cost."""
     k = SAMPLES
     hessian = 2 * (position.T * _tracking_weights(at_end)) @ position
     hessian += 2 * _SMOOTH_WEIGHT / k * snap.T @ snap
@@ -189,7 +189,7 @@ def _quadratic(position: Float[np.ndarray, "K n"], snap: Float[np.ndarray, "K n"
 
 
 class _Quantities(NamedTuple):
-    """Control points to what is limited."""
+    """Matrices that map control points to the constrained quantities."""
 
     ends: Float[np.ndarray, "7 n"]
     """S and its derivatives at the start and the end."""
@@ -197,11 +197,11 @@ class _Quantities(NamedTuple):
     lean: Float[np.ndarray, "K n"]
     position: Float[np.ndarray, "K n"]
     lean_acceleration: Float[np.ndarray, "J n"]
-    """At the knots."""
+    """At the J knots."""
 
 
 def _rows(quantities: _Quantities, recovery: bool) -> sparse.csc_matrix:
-    """Left-hand sides, in the order of ``_bounds``."""
+    """Constraint matrix, in the order of ``_bounds``."""
     ends, velocity, lean, position, lean_acceleration = quantities
     k = len(position)
     slack = -sparse.kron(np.ones((8, 1)), sparse.identity(k))
@@ -224,7 +224,7 @@ def _bounds(
     *,
     recovery: bool,
 ) -> tuple[Float[np.ndarray, "14"], Float[np.ndarray, "r"]]:
-    """Right-hand sides of the equalities (state at the start, rest at the end) and of the inequalities."""
+    """Right-hand sides of the equalities (initial state, rest at the end) and of the inequalities."""
     k = SAMPLES
     pinned = np.concatenate([np.concatenate([state[:, i], np.zeros(3)]) for i in range(2)])
     limits = [
@@ -243,6 +243,6 @@ def _octagon(rows: Float[np.ndarray, "K n"]) -> sparse.csc_matrix:
 
 
 def _box(rows: Float[np.ndarray, "K n"]) -> sparse.csc_matrix:
-    """``[4 K, 2 n]``: plus and minus each axis's part of the quantity; cheaper than the octagon, and stricter."""
+    """``[4 K, 2 n]``: plus and minus each component of the quantity. Cheaper and stricter than the octagon."""
     signed = np.vstack([np.eye(2), -np.eye(2)])
     return sparse.kron(signed, sparse.csc_matrix(rows), format="csc")

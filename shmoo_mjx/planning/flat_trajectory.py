@@ -1,7 +1,7 @@
 """Local trajectories that a ball-balancing robot can follow, by differential flatness and one QP.
 
-Here the path becomes the reference and the corridor of the quadratic program in ``flat_qp``, and its solution a
-trajectory that has been checked and can be evaluated.
+This module turns a path into the reference and the corridor of the QP in ``flat_qp``. It checks the solution and
+evaluates it as a trajectory.
 """
 
 from __future__ import annotations
@@ -19,71 +19,73 @@ from shmoo_mjx.planning.flat_qp import DEGREE, LEAN_RECOVERY, SAMPLES, Planner, 
 from shmoo_mjx.planning.paths import Path, point_at, project, tangent_at
 
 _CORRIDOR = (0.04, 0.50)
-"""Half width that the corridor is given where there is none, and at which it is cut off [m]: some is needed for the
-program to have a solution, and a wide one would let the robot cut its corners."""
+"""Minimum and maximum half width of the corridor [m]. The minimum keeps the QP feasible. The maximum stops the robot
+from cutting corners."""
 _NARROW = 0.20
-"""Half width of the corridor below which the reference slows down in proportion, at most to a third [m]: three times
-what the robot strays."""
+"""Half width of the corridor below which the reference slows down in proportion, down to a third [m]. It is three times
+the tracking error."""
 _STRAY = 0.06
-"""How far the robot strays from its trajectory, measured in the 95th percentile [m]: the corridor keeps off walls by as
-much where it can."""
+"""Tracking error of the robot, 95th percentile of measurements [m]. The corridor keeps this extra distance from walls
+where possible."""
 _GENTLE_LEAN = 0.02
-"""Lean within which it leaves what it stands near to, where more is refused [rad]: the ball then rolls towards that by
-1 cm, at 0.10 rad by 2 to 3 cm."""
+"""Reduced lean limit for leaving a nearby obstacle when the normal trajectory is refused [rad]. The ball first rolls
+towards the obstacle: by 1 cm with this limit, by 2 to 3 cm with 0.10 rad."""
 _NEAR = 0.03
-"""Room beyond the radius within which that is tried [m]."""
+"""Distance beyond the radius within which the reduced limit is tried [m]."""
 
 
 class Trajectory(NamedTuple):
-    """A solution, or why there is none."""
+    """A trajectory, or the reason why there is none."""
 
     ok: bool
+    """Whether the trajectory may be driven."""
     reason: str
     """Empty if ok, else one sentence."""
     control_points: Float[np.ndarray, "n 2"]
-    """Of S in {W} [m]."""
+    """Control points of S in {W} [m]."""
     horizon: float
-    """[s]"""
+    """Duration [s]."""
     model: FlatModel
+    """The flat model that it was computed with."""
     reference: Float[np.ndarray, "K 2"]
-    """Points of the path that were tracked, {W} [m]."""
+    """Points of the path that were tracked, in {W} [m]."""
     reaches_end: bool
-    """Does the trajectory end at the path's end."""
+    """Whether the trajectory ends at the path's end."""
     recovery: bool = False
-    """Were the limits on lean and speed relaxed because the robot was beyond them, say after a push."""
+    """Whether the limits on lean and speed were relaxed because the state violates them, for example after a shove."""
 
 
 class TrajectorySample(NamedTuple):
-    """The trajectory at some times, in {W}."""
+    """State of the trajectory at given times, in {W}."""
 
     position: Float[np.ndarray, "... 2"]
-    """Of the ball [m]."""
+    """Position of the ball [m]."""
     velocity: Float[np.ndarray, "... 2"]
-    """Of the ball [m/s]."""
+    """Velocity of the ball [m/s]."""
     acceleration: Float[np.ndarray, "... 2"]
-    """Of the ball [m/s^2]."""
+    """Acceleration of the ball [m/s^2]."""
     lean: Float[np.ndarray, "... 2"]
-    """Lean towards +x and +y that goes with it: the feed-forward [rad]."""
+    """Feed-forward lean towards +x and +y [rad]."""
     lean_rate: Float[np.ndarray, "... 2"]
-    """[rad/s]"""
+    """Rate of that lean [rad/s]."""
 
 
 def plan(
     planner: Planner, state: Float[Array, "4 2"], path: Path, clearance: DistanceField | None = None
 ) -> Trajectory:
-    """The smoothest trajectory that follows the path within the limits, at rest at the end of the horizon.
+    """The smoothest trajectory that follows the path within the limits and ends at rest.
 
     Args:
-        planner: from ``init``.
+        planner: precomputed data from ``flat_qp.init``.
         state: flat state in {W}, see ``FlatModel.flat_state``.
         path: the global path; the part behind the robot is skipped.
-        field: distance to walls and obstacles, which makes the corridor; None for open floor.
+        clearance: distance to walls and obstacles, from which the corridor follows; None for open floor.
 
     Returns:
-        The trajectory; ``ok`` is False, with the reason, where limits and state contradict each other or the robot
-        would come nearer to a wall than its radius and, where the path has room, what it may stray (and nearer than it
-        is now). From a state that can't keep the limits, a ``recovery`` may lean up to LEAN_RECOVERY and exceed
-        ``speed_max`` as little as possible.
+        The trajectory. ``ok`` is False, with the reason, if the limits are infeasible from the state or if the
+        trajectory is too close to an obstacle. The required distance is the radius, plus the tracking error where the
+        path has room for it, but never more than the present distance. If the state violates the limits, the result is
+        a ``recovery``: it may lean up to LEAN_RECOVERY and exceeds ``speed_max`` as little as possible.
     """
     state = np.asarray(state, dtype=float)
     cfg = planner.cfg
@@ -108,7 +110,7 @@ def plan(
     if clearance is None or not trajectory.ok or not (reason := _too_near(trajectory, planner, clearance)):
         return trajectory
     if float(clearance.at(evaluate(trajectory, 0.0).position)) < cfg.robot_radius + _NEAR:
-        # To lean away from what it stands near to, its ball first rolls towards that: less far if it leans less.
+        # To lean away from an obstacle, the ball first rolls towards it. A smaller lean makes this motion smaller.
         gentle = attempt(_GENTLE_LEAN)
         if gentle is not None and gentle.ok and not _too_near(gentle, planner, clearance):
             return gentle
@@ -116,7 +118,7 @@ def plan(
 
 
 def evaluate(trajectory: Trajectory, t: Scalar | Float[Array, "..."]) -> TrajectorySample:
-    """The trajectory ``t`` s after its start; at rest at its end from the horizon on."""
+    """State of the trajectory ``t`` s after its start. Beyond the horizon it rests at its end."""
     t = np.asarray(t, dtype=float)
     after = (t > trajectory.horizon)[..., None]
     intervals = len(trajectory.control_points) - DEGREE
@@ -139,7 +141,7 @@ def evaluate(trajectory: Trajectory, t: Scalar | Float[Array, "..."]) -> Traject
 def _reference(
     planner: Planner, state: Float[np.ndarray, "4 2"], path: Path, clearance: DistanceField | None
 ) -> tuple[Float[np.ndarray, "K 2"], Float[np.ndarray, "K"], bool]:
-    """Points of the path to be at, half width of the corridor there, and is the end reached."""
+    """Reference points on the path, corridor half widths there, and whether the reference reaches the path's end."""
     cfg, lag = planner.cfg, planner.model.b / planner.model.c
     here = state[0] - lag * state[2]
     s = project(path, here)
@@ -161,7 +163,7 @@ def _reference(
 
 
 def _leans_too_far(trajectory: Trajectory, planner: Planner) -> str:
-    """Why the trajectory can't be leant into, or nothing: the limits hold at samples, this looks between them."""
+    """Reason why the trajectory leans too far, or an empty string. It also checks between the QP's samples."""
     cfg = planner.cfg
     lean = np.linalg.norm(evaluate(trajectory, np.linspace(0.0, trajectory.horizon, 120)).lean, axis=1)
     allowed = 1.05 * (LEAN_RECOVERY if trajectory.recovery else cfg.lean_max)
@@ -171,11 +173,12 @@ def _leans_too_far(trajectory: Trajectory, planner: Planner) -> str:
 
 
 def _too_near(trajectory: Trajectory, planner: Planner, clearance: DistanceField) -> str:
-    """Why the trajectory must not be driven, or nothing."""
+    """Reason why the trajectory comes too close to an obstacle, or an empty string."""
     times = np.linspace(0.0, trajectory.horizon, 120)
     distance = clearance.at(evaluate(trajectory, times).position)
-    # The radius, and what it may stray as well where the path has room for it: a turn at speed leaves the corridor,
-    # which has some width everywhere. Who stands too near may not come nearer. Half a cell is uncertain in the field.
+    # Required distance: the radius, plus the tracking error where the path has room for it, because fast turns leave
+    # the corridor, whose width has a minimum. A robot that is already too close must not come closer. The field is
+    # uncertain by half a cell.
     radius, here = planner.cfg.robot_radius, float(distance[0])
     beside_path = float(np.min(clearance.at(trajectory.reference))) - _CORRIDOR[0]
     allowed = min(float(np.clip(beside_path, radius, radius + _STRAY)), here) - 0.5 * float(clearance.resolution)

@@ -1,9 +1,9 @@
-"""Floor plans and the demo's scene, drawn from a seed.
+"""Random floor plans and the demo's scene.
 
-Three rooms in a row, A (start), B and C (goal). One doorway joins A and B; two join B and C, one near the straight line
-to the goal and one far off it. A light box stands in the doorway of A, a wheelchair with its brakes on in the near
-doorway of C, so that every way is blocked until the box is moved, and the way by the far doorway is free then. Half of
-the seeds are mirrored.
+Three rooms lie in a row: A (start), B and C (goal). One doorway joins A and B. Two doorways join B and C: the near one
+close to the straight line to the goal, the far one far off it. A light box stands in the doorway of A. A wheelchair
+with locked brakes stands in the near doorway of C. Every path is blocked until the box is moved; then the path through
+the far doorway is free. Half of the seeds are mirrored.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ RESOLUTION = 0.05
 """Side of a cell [m]."""
 _WALL = 0.10
 """Thickness of every wall [m]."""
-# Ranges that are drawn from uniformly.
+# Ranges of the uniform distributions.
 _HEIGHT: Range = (6.0, 6.5)
-"""Size along y [m]."""
+"""Size of the floor plan along y [m]."""
 _ROOM_A: Range = (2.9, 3.2)
 """Depth of room A along x [m]."""
 _ROOM_B: Range = (2.9, 3.2)
@@ -45,31 +45,31 @@ class Doorway(NamedTuple):
     """A gap in a wall that runs along y."""
 
     x: float
-    """Middle of the wall [m]."""
+    """x of the wall's centre line [m]."""
     y: float
-    """Middle of the gap [m]."""
+    """y of the gap's centre [m]."""
     width: float
-    """[m]"""
+    """Width of the gap [m]."""
 
 
 class Floorplan(NamedTuple):
-    """A map and where its doorways are."""
+    """A map and its doorways."""
 
     grid: OccupancyGrid
-    """Walls and floor; origin at the lower-left outer corner."""
+    """Walls and floor. The origin is the lower-left outer corner."""
     entry: Doorway
     """Between rooms A and B."""
     near: Doorway
-    """Between rooms B and C, near the way to the goal."""
+    """Between rooms B and C, near the straight line to the goal."""
     far: Doorway
-    """Between rooms B and C, far off it."""
+    """Between rooms B and C, far off that line."""
 
 
 def draw_floorplan(rng: np.random.Generator, widths: tuple[float, float] | None = None) -> Floorplan:
-    """Draws the three rooms.
+    """Draws the floor plan of three rooms.
 
     Args:
-        rng: consumed.
+        rng: random generator; its state advances.
         widths: widths of the entry and of the near doorway [m], drawn if not given.
     """
 
@@ -98,10 +98,10 @@ def draw_floorplan(rng: np.random.Generator, widths: tuple[float, float] | None 
 
 
 def demo_scenario(seed: int) -> tuple[OccupancyGrid, Scenario]:
-    """The demo's map and scenario for a seed, objects' properties included."""
+    """The demo's map and scenario for a seed, including the objects' properties."""
     rng = np.random.default_rng([seed, 0x5F100])
     box_side, chair_width = rng.uniform(0.45, 0.58), rng.uniform(0.54, 0.60)
-    # Beside the objects less than the robot's 0.5 m is left, yet enough for them to turn a little while pushed.
+    # The gap beside each object is narrower than the robot's 0.5 m, but wide enough for the object to turn a little.
     widths = (np.clip(box_side + rng.uniform(0.60, 0.68), 1.1, 1.25), chair_width + rng.uniform(0.58, 0.66))
     plan = draw_floorplan(rng, widths=widths)
     start_y = plan.entry.y + rng.uniform(0.1, 0.6)
@@ -118,10 +118,11 @@ def demo_scenario(seed: int) -> tuple[OccupancyGrid, Scenario]:
 
 
 def paper_scenario(seed: int) -> tuple[OccupancyGrid, Scenario]:
-    """The paper's own scene (Sec. VI-B): a box of 2.8 kg and an empty wheelchair of 11.9 kg with locked wheels.
+    """The paper's scene (Sec. VI-B): a box of 2.8 kg and an empty wheelchair of 11.9 kg with locked wheels.
 
-    The floor plan is the demo's, since the paper gives none, and so are sizes and friction; ``seed`` draws them. With
-    its rear wheels alone locked the robot could push the empty wheelchair from behind; the paper's is not manipulable.
+    The paper gives no floor plan, sizes or friction, so these are the demo's, drawn from ``seed``. All four wheels are
+    locked: with only the rear wheels locked the robot could push the empty wheelchair from behind, but the paper's
+    wheelchair is not manipulable.
     """
     grid, scenario = demo_scenario(seed)
     box, chair = scenario.objects
@@ -135,7 +136,7 @@ def paper_scenario(seed: int) -> tuple[OccupancyGrid, Scenario]:
 
 
 SCENES = {"generated": demo_scenario, "paper": paper_scenario}
-"""Scenes of `shmoo demo`, drawn from a seed."""
+"""Scenes of `shmoo demo`. Each takes a seed."""
 
 
 def _draw_box(rng: np.random.Generator, door: Doorway, side: float) -> ObjectEntry:
@@ -163,7 +164,7 @@ def _draw_wheelchair(rng: np.random.Generator, door: Doorway, width: float) -> O
 
 
 def _mirrored(grid: OccupancyGrid, scenario: Scenario) -> tuple[OccupancyGrid, Scenario]:
-    """Map and scenario with y turned round; payload offsets to the side are drawn symmetric anyway."""
+    """Map and scenario mirrored in y. Lateral payload offsets stay, because their distribution is symmetric."""
     height = grid.cells.shape[0] * grid.resolution
 
     def flip(x: float, y: float, *yaw: float) -> Any:
@@ -184,15 +185,15 @@ def _cells(lengths: tuple[float, ...], resolution: float) -> tuple[int, ...]:
 
 
 def _rounded(*values: float) -> Any:
-    # Three decimals keep a written scenario readable and equal to the drawn one.
+    # Three decimals keep a written scenario readable and equal to the one in memory.
     return tuple(round(float(v), 3) for v in values)
 
 
 def draw_building(rng: np.random.Generator) -> OccupancyGrid:
-    """Draws a building of many rooms and corridors.
+    """Draws a building with many rooms and corridors.
 
-    Walls divide a rectangle again and again, each with one doorway, so that every room can be reached. Some walls get a
-    second doorway: the fewer there are, the longer are the ways round.
+    Walls divide a rectangle recursively. Each wall has one doorway, so every room can be reached. Some walls have a
+    second doorway; the fewer there are, the longer the detours.
     """
     size = np.array([_snap(rng.uniform(14.0, 32.0), RESOLUTION), _snap(rng.uniform(10.0, 22.0), RESOLUTION)])
     cells = np.full(_cells((size[1], size[0]), RESOLUTION), FREE, dtype=np.int8)
@@ -206,7 +207,7 @@ def draw_building(rng: np.random.Generator) -> OccupancyGrid:
 def _divide(
     cells: np.ndarray, rng: np.random.Generator, room: tuple[int, int, int, int], *, least: float, second: float
 ) -> None:
-    """Divide a room (left, low, right, high) [cells] by a wall, and both parts in turn, down to about ``least``."""
+    """Divides a room (left, low, right, high) [cells] by a wall, and both parts recursively down to ``least``."""
     left, low, right, high = room
     upright = right - left > high - low
     begin, end = (left, right) if upright else (low, high)
@@ -215,7 +216,7 @@ def _divide(
     places = [
         at
         for at in range(round(begin + least), round(end - least - edge))
-        # No wall ends in a doorway.
+        # A wall must not end in a doorway.
         if (grid[[bottom - 1, top], max(at - 8, 0) : at + edge + 8] == OCCUPIED).all()
     ]
     if end - begin < 2.4 * least or top - bottom < 1.6 / RESOLUTION or not places:

@@ -1,4 +1,4 @@
-"""Rectangular footprints of objects: as polygons, in clearance fields and maps, and against walls and paths."""
+"""Rectangular footprints of objects: polygons, clearance fields with obstacles, and collision checks."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from shmoo_mjx.planning.distance_field import DistanceField
 from shmoo_mjx.planning.maps import OccupancyGrid
 
 _KEPT = 4
-"""So many fields with obstacles are remembered; the robot knows a handful of objects, and asks with and without."""
+"""Number of cached fields with obstacles. There are few objects, and each is queried with and without."""
 _SIGNS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 
 
@@ -27,14 +27,14 @@ def footprint_corners(
 
 
 def footprint_polygon(pose: Numbers | Float[Array, "3"], half_extents: Numbers | Float[Array, "2"]) -> shapely.Polygon:
-    """The footprint in {W} of a rectangle at ``pose`` with ``half_extents`` along {O} [m]."""
+    """Footprint polygon in {W} of a rectangle at ``pose`` with ``half_extents`` along {O} [m]."""
     return shapely.Polygon(footprint_corners(pose, half_extents))
 
 
 def wall_distance(grid: OccupancyGrid, shape: shapely.Geometry, reach: float) -> float:
-    """Distance [m] from a shape in {W} to the nearest cell that is not free, the cells taken as areas.
+    """Distance [m] from a shape in {W} to the area of the nearest cell that is not free.
 
-    Zero where they touch, infinite where every such cell on the map is farther away than ``reach`` [m].
+    Zero if they touch. Infinite if no such cell on the map is within ``reach`` [m].
     """
     corners = shapely.get_coordinates(shape.envelope.buffer(reach + grid.resolution, join_style="mitre"))
     local = se2.inverse_transform_point(np.asarray(grid.origin), corners) / grid.resolution
@@ -47,10 +47,10 @@ def wall_distance(grid: OccupancyGrid, shape: shapely.Geometry, reach: float) ->
 
 
 def add_obstacles(clearance: DistanceField, polygons: Iterable[shapely.Polygon], reach: float = 1.5) -> DistanceField:
-    """The clearance field [m] with the distance to ``polygons`` (footprints in {W}) taken into account.
+    """Adds the distance to ``polygons`` (footprints in {W}) to the clearance field [m].
 
-    Exact up to ``reach`` [m] from a polygon; farther away the polygon is not looked at. The same polygons on the same
-    field give the same answer again without computing it: while objects stand still, every tick asks for it.
+    Exact up to ``reach`` [m] from a polygon. Farther away the polygon is ignored. Results are cached per field and
+    polygons, because every tick asks for the same ones while objects stand still.
     """
     polygons = tuple(polygons)
     if not polygons:
@@ -83,7 +83,7 @@ def window_near(clearance: DistanceField, polygon: shapely.Polygon, reach: float
 
 
 def polygon_distance(polygon: shapely.Polygon, points: Float[np.ndarray, "*p 2"]) -> Scalar | Float[np.ndarray, "*p"]:
-    """Distance [m] of ``points`` in {W} to a polygon, zero inside; quick where it is convex."""
+    """Distance [m] from ``points`` in {W} to a polygon, zero inside. Fast for convex polygons."""
     corners = _convex_corners(polygon)
     if corners is None:
         return shapely.distance(polygon, shapely.points(points))
@@ -92,7 +92,7 @@ def polygon_distance(polygon: shapely.Polygon, points: Float[np.ndarray, "*p 2"]
     lengths = np.hypot(*sides.T)
     along = sides / lengths[:, None]
     outward = np.stack([along[:, 1], -along[:, 0]], axis=-1)
-    # The side whose line is farthest inwards of a point holds, or ends at, the point of the polygon nearest to it.
+    # The nearest point of the polygon lies on the side from whose line the point is farthest outwards, or at its end.
     side = np.argmax(flat @ outward.T - np.einsum("ij,ij->i", outward, corners), axis=1)
     offset = flat - corners[side]
     off = np.einsum("ij,ij->i", offset, outward[side])
@@ -102,7 +102,7 @@ def polygon_distance(polygon: shapely.Polygon, points: Float[np.ndarray, "*p 2"]
 
 
 def _convex_corners(polygon: shapely.Polygon) -> Float[np.ndarray, "E 2"] | None:
-    """Corners anticlockwise, without doubles; None if the polygon is not convex or has holes."""
+    """Corners in anticlockwise order without duplicates; None if the polygon is not convex or has holes."""
     ring = np.asarray(polygon.exterior.coords)[:, :2]
     ring = ring[:-1][np.hypot(*np.diff(ring, axis=0).T) > 1e-9]
     if len(ring) < 3 or len(polygon.interiors):
@@ -124,21 +124,21 @@ def footprints_free(
     path_clearance: float = 0.0,
     wall_clearance: float = 0.0,
 ) -> Bool[np.ndarray, "N"]:
-    """Which placements of a rectangle touch neither walls nor the path; the whole footprint is looked at.
+    """Mask of the placements whose whole footprint is clear of walls and of the path.
 
     Args:
-        field: distance to walls, unknown cells and registered obstacles [m].
-        poses: in {W}; one is as good as a list of one.
+        clearance: distance to walls, unknown cells and registered obstacles [m].
+        poses: one or more poses in {W}.
         half_extents: half sizes along {O} [m].
         path: polyline in {W}, or None.
-        path_clearance: distance that must be left between footprint and path [m].
-        wall_clearance: distance that must be left between footprint and walls [m].
+        path_clearance: required distance between footprint and path [m].
+        wall_clearance: required distance between footprint and walls [m].
     """
     poses = np.atleast_2d(np.asarray(poses, dtype=float))
     resolution = float(clearance.resolution)
     samples = _lattice(np.asarray(half_extents, dtype=float), resolution)
     points = se2.transform_point(poses[:, None, :], samples)
-    # At a wall's face the bilinear look-up reads a quarter of a cell: half a cell at the free centre, zero in the wall.
+    # At a wall's face the interpolated value is a quarter of a cell: half a cell at the free centre, zero in the wall.
     free = (clearance.at(points) >= max(wall_clearance, 0.25 * resolution)).all(axis=1)
     if path is None or not free.any():
         return free
@@ -149,7 +149,7 @@ def footprints_free(
 
 
 def _lattice(half_extents: Float[np.ndarray, "2"], spacing: float) -> Float[np.ndarray, "P 2"]:
-    """Points that fill a rectangle, edges included, at most ``spacing`` apart."""
+    """Grid of points that fills a rectangle, edges included, with a spacing of at most ``spacing``."""
     axes = [np.linspace(-h, h, max(2, int(np.ceil(2 * h / spacing)) + 1)) for h in half_extents]
     return np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
 
@@ -160,7 +160,7 @@ def _bounding_corners(polygon: shapely.Polygon) -> Float[np.ndarray, "4 2"]:
 
 
 def _window(cells: Int[np.ndarray, "N 2"], pad: int, shape: tuple[int, ...]) -> tuple[slice, slice]:
-    """The part of a map of this shape that holds ``cells`` (row, column) and ``pad`` cells round them."""
+    """Rows and columns that contain ``cells`` (row, column) and a border of ``pad`` cells, clipped to the map."""
     low = np.clip(cells.min(axis=0) - pad, 0, shape)
     high = np.maximum(np.minimum(cells.max(axis=0) + pad + 1, shape), low)
     return slice(int(low[0]), int(high[0])), slice(int(low[1]), int(high[1]))

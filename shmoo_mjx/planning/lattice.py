@@ -1,8 +1,7 @@
-"""Sparse lattice for path search: one point in each block of cells of the map, straight lines between them.
+"""Sparse lattice for path search: one point in each block of cells, connected by straight lines.
 
-A map of 0.05 m cells has sixteen times as many cells as blocks of 0.2 m. Each point is the cell of its block that is
-cheapest to stand on, so that narrow passages keep their points; lines cost what they cost on the distance field, and
-SciPy's Dijkstra finds the ways.
+A map with 0.05 m cells has sixteen times as many cells as blocks of 0.2 m. Each point is the cheapest cell of its
+block, so narrow passages keep their points. Line costs come from the distance field. SciPy's Dijkstra finds the paths.
 """
 
 from __future__ import annotations
@@ -21,30 +20,30 @@ from shmoo_mjx.planning.footprints import window_near
 from shmoo_mjx.planning.line_costs import DiscSpace, line_costs
 
 _SPACING = 0.30
-"""Largest distance between the points of the lattice on which a way is sought [m]; at least a cell."""
+"""Largest block size of the lattice [m]; a block is at least one cell."""
 _POINTS = 5000
-"""Number of points up to which they lie closer; more are slower to search."""
+"""Target number of points, from which the block size follows. More points are slower to search."""
 _HALF = ((0, 1), (1, 0), (1, 1), (1, -1))
-"""Blocks (rows, columns) on to which a line leads; the other four are the same lines backwards."""
+"""Offsets (rows, columns) of the connected neighbour blocks. The other four are the same lines reversed."""
 _TIGHT = 2.0
-"""A line nearer to something than the radius, by half a cell at most, is that much dearer."""
+"""Cost factor of a line whose clearance is less than the radius, by half a cell at most."""
 
 
 class Lattice(NamedTuple):
-    """The graph for one `DiscSpace`; N points, E directed lines."""
+    """The graph of one `DiscSpace` with N points and E directed lines."""
 
     cells: Int[np.ndarray, "N 2"]
-    """(row, column) of the points."""
+    """(row, column) of each point."""
     number: Int[np.ndarray, "BH BW"]
-    """The point in each block, or -1."""
+    """Index of the point in each block, or -1."""
     side: int
-    """Cells along a block."""
+    """Side of a block [cells]."""
     graph: sparse.csr_matrix
-    """``[N, N]`` cost of the lines [m, near-wall metres counted more], infinite where something is in the way."""
+    """``[N, N]`` costs of the lines [m, weighted near walls]; infinite where a line is blocked."""
 
 
 def build(space: DiscSpace) -> Lattice:
-    """The lattice of a disc's space."""
+    """Builds the lattice of a disc's space."""
     side = _side(space)
     blocks = tuple(-(-n // side) for n in np.shape(space.clearance.values))
     has_point, cells = _points(space, (slice(0, blocks[0]), slice(0, blocks[1])), side)
@@ -63,7 +62,7 @@ def build(space: DiscSpace) -> Lattice:
 
 
 def _side(space: DiscSpace) -> int:
-    """Cells along a block: few on a small map, where many points cost little, up to _SPACING on a large one."""
+    """Side of a block [cells]: small on a small map, where many points are cheap, and up to _SPACING on a large one."""
     usable = int(np.count_nonzero(np.asarray(space.clearance.values) >= space.radius))
     wanted = int(np.ceil(np.sqrt(usable / _POINTS)))
     return max(1, min(wanted, round(_SPACING / space.resolution)))
@@ -72,10 +71,10 @@ def _side(space: DiscSpace) -> int:
 def with_obstacles(
     lattice: Lattice, space: DiscSpace, polygons: Sequence[shapely.Polygon]
 ) -> tuple[Lattice, Bool[np.ndarray, "N"]]:
-    """The lattice for ``space``, which is the lattice's own with the polygons added.
+    """Updates a lattice for ``space``, which is the lattice's own space with the polygons added.
 
     Returns:
-        The lattice, and the points at which something is different.
+        The new lattice, and a mask of the points with a changed line.
     """
     cells, data = lattice.cells.copy(), lattice.graph.data.copy()
     touched = np.zeros(len(cells), dtype=bool)
@@ -96,12 +95,12 @@ def with_obstacles(
 
 
 def costs_from(lattice: Lattice, point: int) -> tuple[Float[np.ndarray, "N"], Int[np.ndarray, "N"]]:
-    """Cost of the cheapest way between each point and this one, and the next point on it (or < 0)."""
+    """Cost of the cheapest path between each point and ``point``, and the next point on that path (or < 0)."""
     return dijkstra(lattice.graph, indices=point, return_predecessors=True)
 
 
 def nodes_in(lattice: Lattice, window: tuple[slice, slice]) -> Int[np.ndarray, "M"]:
-    """Numbers of the points in a window of cells."""
+    """Indices of the points in a window of cells."""
     side = lattice.side
     blocks = tuple(slice(part.start // side, -(-part.stop // side)) for part in window)
     number = lattice.number[blocks]
@@ -122,7 +121,7 @@ def _points(
     inner = padded.reshape(h, side, w, side).swapaxes(1, 2).reshape(h, w, side * side)
     offset = np.stack(np.divmod(np.arange(side * side), side), axis=-1)
     from_middle = np.hypot(*(offset - (side - 1) / 2).T) / side
-    # Where all of a block costs the same its middle is taken; ways over evenly spaced points are the straightest.
+    # If a whole block costs the same, its middle is chosen: evenly spaced points give the straightest paths.
     score = np.where(inner >= space.radius, space.metre_cost(inner) + 0.5 * from_middle, np.inf)
     best = score.argmin(axis=-1)
     corner = np.stack(np.meshgrid(*(np.arange(b.start, b.stop) * side for b in blocks), indexing="ij"), axis=-1)
@@ -130,7 +129,7 @@ def _points(
 
 
 def _neighbours(number: Int[np.ndarray, "BH BW"]) -> tuple[Int[np.ndarray, "P"], Int[np.ndarray, "P"]]:
-    """Pairs of points in neighbouring blocks, each pair once."""
+    """Pairs of points in neighbouring blocks. Each pair occurs once."""
     height, width = number.shape
     pairs = []
     for rows, cols in _HALF:
@@ -145,13 +144,13 @@ def _neighbours(number: Int[np.ndarray, "BH BW"]) -> tuple[Int[np.ndarray, "P"],
 def _line_costs(
     starts: Int[np.ndarray, "M 2"], ends: Int[np.ndarray, "M 2"], space: DiscSpace
 ) -> Float[np.ndarray, "M"]:
-    """Cost [m] of lines between cells, infinite where there is no way."""
+    """Costs [m] of lines between cells; infinite where a line is blocked."""
     if not len(starts):
         return np.zeros(0)
     lowest, cost = line_costs(starts.astype(float), ends.astype(float), space)
     tight = is_tight(starts, ends, lowest, space.radius)
     cost[tight] *= _TIGHT
-    # Between cell centres that are far enough the look-up may read up to half a cell less.
+    # Between cell centres with enough clearance the interpolated value may be up to half a cell lower.
     cost[tight & (lowest < space.radius - 0.5 * space.resolution)] = np.inf
     values = np.asarray(space.clearance.values)
     cost[np.minimum(values[tuple(starts.T)], values[tuple(ends.T)]) < space.radius] = np.inf
@@ -161,14 +160,14 @@ def _line_costs(
 def is_tight(
     starts: Int[np.ndarray, "M 2"], ends: Int[np.ndarray, "M 2"], lowest: Float[np.ndarray, "M"], radius: float
 ) -> Bool[np.ndarray, "M"]:
-    """Lines between cells that come nearer than the radius; neighbouring cells count as connected."""
+    """Mask of lines between cells with less clearance than the radius. Neighbouring cells count as connected."""
     return (lowest < radius - 1e-9) & (np.abs(ends - starts).max(axis=1) > 1)
 
 
 def _blocks_near(
     lattice: Lattice, clearance: DistanceField, polygon: shapely.Polygon, reach: float
 ) -> tuple[slice, slice]:
-    """Blocks whose points or lines can be different because of a polygon, and their neighbours."""
+    """Blocks whose points or lines a polygon may change, and their neighbours."""
     side, shape = lattice.side, lattice.number.shape
     cells = window_near(clearance, polygon, reach)
     rows, cols = (

@@ -1,4 +1,4 @@
-"""Cost and lowest clearance of straight lines through a distance field, many lines at once."""
+"""Cost and minimum clearance of straight lines through a distance field, vectorised over lines."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ class PathConfig:
     """Cost of driving near walls."""
 
     soft_clearance: float = 0.30
-    """Distance up to which walls are felt beyond the robot's radius [m]; more leads round them in a wider bend."""
+    """Distance beyond the robot's radius up to which walls add cost [m]. Larger values give wider bends at walls."""
     soft_weight: float = 3.0
-    """Cost of a metre that touches the inflated walls, less 1 [1] (a metre in the open costs 1); more prefers a longer
-    way in the open, 0 takes the shortest."""
+    """Extra cost per metre at the inflated walls, relative to a metre in the open [1]. Larger values prefer longer
+    detours in the open. 0 gives the shortest path."""
 
 
 class DiscSpace(NamedTuple):
-    """Where a disc may drive, and what it costs it."""
+    """The space that a disc may drive in, and the cost of driving there."""
 
     clearance: DistanceField
-    """Distance to walls and obstacles."""
+    """Distance to walls and obstacles [m]."""
     radius: float
-    """Of the disc [m]."""
+    """Radius of the disc [m]."""
     cfg: PathConfig
-    """The cost of being near walls."""
+    """Cost of driving near walls."""
 
     def metre_cost(self, distance: Float[np.ndarray, "*d"]) -> Float[np.ndarray, "*d"]:
-        """Cost of a metre driven at ``distance`` [m] from the nearest wall."""
+        """Cost per metre at ``distance`` [m] from the nearest wall."""
         reach = max(self.cfg.soft_clearance, 1e-9)
         nearness = np.minimum(np.maximum((self.radius + reach - distance) / reach, 0.0), 1.0)
         return 1.0 + self.cfg.soft_weight * nearness * nearness
@@ -47,16 +47,16 @@ class DiscSpace(NamedTuple):
 def line_costs(
     starts: Float[np.ndarray, "M 2"], ends: Float[np.ndarray, "M 2"], space: DiscSpace
 ) -> tuple[Float[np.ndarray, "M"], Float[np.ndarray, "M"]]:
-    """Lowest clearance and cost of straight lines; sampled at least once in a cell's length.
+    """Minimum clearance and cost of straight lines, sampled at least once per cell length.
 
     Args:
-        starts: (row, column) with fractions, as of ``DistanceField.to_cells``; what lies off the map counts
-            as its border.
-        ends: likewise.
-        space: of the disc.
+        starts: fractional (row, column) as ``DistanceField.to_cells`` returns. Points off the map are clipped to its
+            border.
+        ends: like ``starts``.
+        space: the disc and its clearance.
 
     Returns:
-        Lowest clearance [m], and cost [m, near-wall metres counted more].
+        Minimum clearance [m], and cost [m, weighted near walls].
     """
     cfg, steps = space.cfg, ends - starts
     lengths = np.hypot(steps[:, 0], steps[:, 1])
@@ -79,9 +79,9 @@ def line_costs(
 def _sampled(
     lines: Float[np.ndarray, "M 4"], count: Int[np.ndarray, "M"], first: Int[np.ndarray, "M"], clearance: DistanceField
 ) -> Float[np.ndarray, "S"]:
-    """The distance along lines, one after the other; ``lines`` are a first sample and the step to the next.
+    """Distances along all lines, concatenated. ``lines`` hold each first sample and the step to the next.
 
-    The same as ``DistanceField.look_up`` with less of NumPy's overhead, for it is asked dozens of times per path.
+    Equivalent to ``DistanceField.look_up`` with less NumPy overhead, because it runs dozens of times per path.
     """
     values = np.asarray(clearance.values)
     height, width = values.shape
@@ -96,7 +96,7 @@ def _sampled(
     col -= low_col
     corner = low_row * width + low_col
     flat = values.reshape(-1)
-    # Past the last row or column the fraction is zero, so that it doesn't matter which cell the clipped index names.
+    # Past the last row or column the fraction is zero, so the value of the clipped index does not matter.
     low, up = flat.take(corner), flat.take(corner + width, mode="clip")
     low += col * (flat.take(corner + 1, mode="clip") - low)
     up += col * (flat.take(corner + (width + 1), mode="clip") - up)

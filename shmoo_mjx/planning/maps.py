@@ -1,7 +1,7 @@
-"""Occupancy maps in the ROS map_server format: reading, writing, and what else is derived from the cells.
+"""Occupancy maps in the ROS map_server format: reading, writing, and derived quantities.
 
 Rows count from the bottom of the map, so row and column grow with y and x of the map's own axes. The origin is the pose
-in {W} of the lower-left corner of the lower-left cell; with a yaw the map's axes are turned in {W}.
+in {W} of the lower-left corner of the lower-left cell. With a yaw the map's axes are rotated in {W}.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ OCCUPIED = 100
 UNKNOWN = -1
 
 _MOST_CELLS = 25_000_000
-"""Largest map that is read: 250 m by 250 m at 0.05 m."""
+"""Maximum number of cells of a map file: 250 m by 250 m at 0.05 m."""
 _MAP_SAVER_UNKNOWN = 205
-"""Grey that map_saver writes for an unknown cell."""
+"""Grey value that map_saver writes for an unknown cell."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,43 +40,44 @@ class OccupancyGrid:
     """A map of square cells. Only cells that are exactly FREE may be driven on."""
 
     cells: Int[np.ndarray, "H W"]
-    """int8, row 0 at the bottom: FREE 0, OCCUPIED 100, UNKNOWN -1, shades 1..99 in between."""
+    """int8, row 0 at the bottom: FREE 0, OCCUPIED 100, UNKNOWN -1, intermediate values 1..99."""
     resolution: float
     """Side of a cell [m]."""
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Pose (x, y, yaw) in {W} of the map's lower-left corner [m, m, rad]."""
     source: str | None = None
-    """The YAML file it was read from, if any."""
+    """The YAML file of the map, if any."""
 
     @property
     def free(self) -> Bool[np.ndarray, "H W"]:
-        """Known to be free."""
+        """Mask of the cells known to be free."""
         return self.cells == FREE
 
     @property
     def occupied(self) -> Bool[np.ndarray, "H W"]:
-        """Certainly occupied."""
+        """Mask of the cells known to be occupied."""
         return self.cells >= OCCUPIED
 
     def world_to_cell(self, points: Numbers | Float[Array, "*p 2"]) -> Int[np.ndarray, "*p 2"]:
-        """(row, column) of the cells that hold ``points`` in {W}; may lie off the map."""
+        """(row, column) of the cells that contain ``points`` in {W}. They may lie off the map."""
         local = se2.inverse_transform_point(np.asarray(self.origin), np.asarray(points, dtype=float))
-        # No int holds 1e308: what becomes of it is off the map, and no warning stands beside the sentence that says so.
+        # Coordinates such as 1e308 overflow int. The result is off the map, so NumPy's warning would only distract from
+        # the error message that follows.
         with np.errstate(invalid="ignore", over="ignore"):
             return np.floor(local[..., ::-1] / self.resolution).astype(int)
 
     def cell_to_world(self, cells: Numbers | Shaped[Array, "*c 2"]) -> Float[np.ndarray, "*c 2"]:
-        """Centres in {W} of the cells (row, column); fractions are allowed."""
+        """Points in {W} of the cell centres (row, column). Fractions are allowed."""
         local = (np.asarray(cells, dtype=float)[..., ::-1] + 0.5) * self.resolution
         return se2.transform_point(np.asarray(self.origin), local)
 
     def inside(self, cells: Numbers | Shaped[Array, "*c 2"]) -> np.bool | Bool[np.ndarray, "*c"]:
-        """Are the cells (row, column) on the map."""
+        """Whether the cells (row, column) are on the map."""
         cells = np.asarray(cells)
         return ((cells >= 0) & (cells < np.array(self.cells.shape))).all(axis=-1)
 
     def values_at(self, points: Numbers | Float[Array, "*p 2"]) -> Int[np.ndarray, "*p"]:
-        """The cells under ``points`` in {W}; UNKNOWN off the map."""
+        """Cell values at ``points`` in {W}; UNKNOWN off the map."""
         cells = self.world_to_cell(points)
         inside = np.asarray(self.inside(cells))
         rows, cols = np.moveaxis(np.where(inside[..., None], cells, 0), -1, 0)
@@ -117,17 +118,17 @@ class _MapYaml(BaseModel):
 
 
 def load_map(yaml_path: str | Path) -> OccupancyGrid:
-    """Reads a map_server YAML and its image (PGM, PNG or what else Pillow reads).
+    """Reads a map_server YAML and its image (PGM, PNG or another format that Pillow reads).
 
-    The rules are those of navigation2's map server since version 1.4.0. The image is turned into 8-bit grey, colours by
-    their luminance; shade = grey / 255, and occ = 1 - shade (shade if ``negate``). In the modes trinary and scale a
-    cell is free if occ <= free_thresh and occupied if occ >= occupied_thresh. Between the thresholds trinary gives
-    unknown, and scale gives 0..100 in proportion. In both a pixel that is not opaque is unknown. The mode raw keeps
-    grey 0..100 and takes the rest as unknown. The image path is relative to the YAML. The thresholds default to 0.65
-    and 0.196.
+    The rules are those of navigation2's map server since version 1.4.0. The image is converted to 8-bit grey, colours
+    by their luminance. shade = grey / 255, and occ = 1 - shade (shade if ``negate``). In the modes trinary and scale a
+    cell is free if occ <= free_thresh and occupied if occ >= occupied_thresh. Between the thresholds, trinary gives
+    unknown and scale gives 0..100 in proportion. In both modes a pixel that is not opaque is unknown. The mode raw
+    keeps grey 0..100 and maps other values to unknown. The image path is relative to the YAML. The thresholds default
+    to 0.65 and 0.196.
 
     Raises:
-        ShmooError: names the file, the field and the remedy.
+        ShmooError: the file is missing or invalid. The message names the file, the field and the remedy.
     """
     path = Path(yaml_path)
     meta, grey, opaque = _read(path)
@@ -136,7 +137,7 @@ def load_map(yaml_path: str | Path) -> OccupancyGrid:
 
 
 def count_free_unknown(yaml_path: str | Path) -> int:
-    """How many cells are free only because the thresholds let grey 205, which map_saver writes for unknown, be free.
+    """Number of cells with grey 205, map_saver's value for unknown, that the thresholds make free.
 
     Raises:
         ShmooError: as :func:`load_map`.
@@ -147,7 +148,7 @@ def count_free_unknown(yaml_path: str | Path) -> int:
 
 
 def _read(path: Path) -> tuple[_MapYaml, Shaped[np.ndarray, "H W"], Bool[np.ndarray, "H W"]]:
-    """The YAML, the image's grey 0..255, and which of its pixels are opaque; row 0 at the top."""
+    """The YAML, the image's grey values 0..255, and the mask of opaque pixels; row 0 at the top."""
     meta = validated(_MapYaml, read_mapping(path, "map"), path)
     image_path = path.parent / meta.image
     if not image_path.is_file():
@@ -161,14 +162,14 @@ def _pixels(image_path: Path, yaml_path: Path) -> tuple[Shaped[np.ndarray, "H W"
     what = f"{yaml_path}: 'image' names {image_path.name}, which"
     large = f"{what} has more pixels than the {_MOST_CELLS // 10**6} million that are read; crop it or make it coarser."
     try:
-        # Of a damaged image the library leaves the file open, so it gets the content.
+        # Pillow leaves a damaged file open, so it gets the content instead of the path.
         with warnings.catch_warnings(), Image.open(io.BytesIO(image_path.read_bytes())) as image:
-            warnings.simplefilter("ignore")  # Pillow's, of large images
+            warnings.simplefilter("ignore")  # Pillow warns about large images
             if image.width * image.height > _MOST_CELLS:
                 raise ShmooError(large)
             if getattr(image, "n_frames", 1) > 1:
                 raise ShmooError(f"{what} holds several frames; give a still one.")
-            # Pillow stretches a PGM of 16 bits to the whole range; other images of such modes can mean anything.
+            # Pillow stretches a 16-bit PGM to the whole range. For other images in these modes the range is unknown.
             if image.mode == "F" or (image.mode == "I" and image.format != "PPM"):
                 raise ShmooError(
                     f"{what} has greys whose black and white are not known; save it with 8 bits per pixel."
@@ -177,14 +178,14 @@ def _pixels(image_path: Path, yaml_path: Path) -> tuple[Shaped[np.ndarray, "H W"
                 grey = np.rint(np.asarray(image) / 257.0).astype(np.uint8)
                 return grey, np.ones(grey.shape, dtype=bool)
             alpha = np.asarray(image.convert("RGBA"))[..., 3] if image.has_transparency_data else None
-            # An image in CMYK has no direct way to grey.
+            # Pillow cannot convert CMYK to grey directly.
             grey = np.asarray(image.convert("RGB").convert("L") if image.mode == "CMYK" else image.convert("L"))
             return grey, np.ones(grey.shape, dtype=bool) if alpha is None else alpha == 255
     except Image.DecompressionBombError:
         raise ShmooError(large) from None
     except ShmooError:
         raise
-    except Exception:  # Pillow raises many kinds for damaged files, none of which says more to the user
+    except Exception:  # Pillow raises many exception types for damaged files, and none tells the user more
         raise ShmooError(f"{what} is no readable image; give a whole PGM or PNG file.") from None
 
 
@@ -193,7 +194,7 @@ def _interpret(
 ) -> Int[np.ndarray, "H W"]:
     if meta.mode == "raw":
         return np.where(grey <= OCCUPIED, grey.astype(np.int16), UNKNOWN).astype(np.int8)
-    # In single precision as there, so that thresholds that a grey just meets fall to the same side.
+    # navigation2 uses single precision. Using the same puts greys that just meet a threshold on the same side.
     shade = grey.astype(np.float32) / np.float32(255)
     occ = shade if meta.negate else np.float32(1) - shade
     free, occupied = np.float32(meta.free_thresh), np.float32(meta.occupied_thresh)
@@ -206,9 +207,12 @@ def _interpret(
 
 
 def save_map(grid: OccupancyGrid, yaml_path: str | Path) -> OccupancyGrid:
-    """Writes the YAML and a PNG of the same name beside it, to be read back cell by cell as they are.
+    """Writes the YAML and a PNG of the same name beside it. Reading them back gives the same cells.
 
-    Trinary where there are only free, occupied and unknown cells, raw otherwise. Returns the grid with its new source.
+    The mode is trinary if there are only free, occupied and unknown cells, and raw otherwise.
+
+    Returns:
+        The grid with its new ``source``.
     """
     import imageio.v3 as iio
 
@@ -236,8 +240,8 @@ def save_map(grid: OccupancyGrid, yaml_path: str | Path) -> OccupancyGrid:
 def obstacle_distance(grid: OccupancyGrid) -> Float[np.ndarray, "H W"]:
     """Distance [m] from each cell's centre to the nearest cell that is not free; zero in such cells.
 
-    Measured to the near face of that cell (too large by at most 0.21 cell sides on a diagonal). Off the map counts as
-    not free.
+    The distance is measured to the near face of that cell (too large by at most 0.21 cell sides on a diagonal). Cells
+    off the map count as not free.
     """
     padded = np.pad(grid.free, 1, constant_values=False)
     distance = distance_transform_edt(padded)[1:-1, 1:-1]
@@ -245,31 +249,31 @@ def obstacle_distance(grid: OccupancyGrid) -> Float[np.ndarray, "H W"]:
 
 
 def distance_field(grid: OccupancyGrid) -> DistanceField:
-    """`obstacle_distance` with the frame to look it up at points of {W}; its values can't be written to."""
+    """`obstacle_distance` as a `DistanceField` in {W}. Its values are read-only."""
     values = obstacle_distance(grid)
     values.flags.writeable = False
     return DistanceField(values, np.array(grid.origin), grid.resolution)
 
 
 def inflate(grid: OccupancyGrid, radius: float) -> Bool[np.ndarray, "H W"]:
-    """Cells where a disc of ``radius`` [m] about the cell's centre touches only free cells."""
+    """Mask of the cells where a disc of ``radius`` [m] around the cell's centre touches only free cells."""
     return grid.free & (obstacle_distance(grid) >= radius)
 
 
 def occupied_rectangles(
     grid: OccupancyGrid, window: tuple[float, float, float, float] | None = None, unknown_borders: bool = False
 ) -> list[tuple[float, float, float, float]]:
-    """Few boxes that cover the occupied cells exactly: wall geoms.
+    """A small set of boxes that exactly covers the occupied cells, for use as wall geoms.
 
     Args:
         grid: the map.
         window: (x_min, y_min, x_max, y_max) in {W} [m]; only cells whose centre lies in it.
         unknown_borders: also cover unknown cells that touch free ones. In a scanned map the floor ends there at a
-            surface that the scan was too faint to call occupied; without it a simulated robot could drive through.
+            surface that was too faint to count as occupied. Otherwise a simulated robot could drive through it.
 
     Returns:
-        ``[(centre x, centre y, half size x, half size y)]`` [m]: centres in {W}, half sizes along the map's axes, which
-        in {W} are turned by ``grid.origin[2]``.
+        ``[(centre x, centre y, half size x, half size y)]`` [m]. Centres are in {W}. Half sizes are along the map's
+        axes, which are rotated by ``grid.origin[2]`` in {W}.
     """
     mask = grid.occupied
     if unknown_borders:

@@ -1,8 +1,8 @@
-"""Path search through a distance field: on a lattice where it is wide, cell by cell where it has to be.
+"""Path search through a distance field: on a lattice where possible, cell by cell where necessary.
 
-The ends of a way, where a robot may stand too near to something, are searched cell by cell in a small window, the part
-between them on the lattice. Where the lattice knows no way that surely keeps the radius, all cells are searched, so a
-way is found exactly if the cells have one.
+Both ends of a path, where the robot may stand too near to an obstacle, are searched cell by cell in a small window. The
+part between them is searched on the lattice. If the lattice has no path that certainly keeps the radius, all cells are
+searched. So a path is found exactly if one exists on the cells.
 """
 
 from __future__ import annotations
@@ -22,36 +22,36 @@ from shmoo_mjx.planning.lattice import Lattice
 from shmoo_mjx.planning.line_costs import DiscSpace, line_costs
 
 _ESCAPE_RADIUS = 0.35
-"""Distance from a start nearer to a wall than the radius allows within which cells that are no nearer may be used [m]:
-the robot's radius and a reserve."""
+"""Radius around a start that is too near to a wall [m]. Within it, cells that are no nearer to a wall may be used. It
+is the robot's radius plus a margin."""
 _KEPT = 8
-"""So many trees of ways to a goal are remembered for each lattice."""
+"""Number of shortest-path trees that are cached for each lattice."""
 
 
 class _Query(NamedTuple):
-    """A query."""
+    """A path query."""
 
     space: DiscSpace
     start: Float[np.ndarray, "2"]
-    """In {W} [m]."""
+    """Start position in {W} [m]."""
     goal: Float[np.ndarray, "2"]
-    """In {W} [m]."""
+    """Goal position in {W} [m]."""
 
     def cell(self, point: Float[np.ndarray, "2"]) -> tuple[int, int]:
-        """(row, column) of the cell that holds the point."""
+        """(row, column) of the cell that contains the point."""
         row, col = np.floor(self.space.clearance.to_cells(point) + 0.5).astype(int)
         return int(row), int(col)
 
 
 class _Ways(NamedTuple):
-    """What queries about the same walls share."""
+    """Data shared by queries with the same walls."""
 
     lattice: Lattice
     trees: dict[int, tuple[Float[np.ndarray, "N"], Int[np.ndarray, "N"]]]
-    """By point of the lattice: the ways to it past walls alone, of the last few goals."""
+    """Recent results of ``costs_from`` by their root point, for walls only."""
 
     def tree(self, root: int) -> tuple[Float[np.ndarray, "N"], Int[np.ndarray, "N"]]:
-        """``costs_from`` the point ``root``."""
+        """``costs_from`` the point ``root``, cached."""
         if root not in self.trees:
             while len(self.trees) >= _KEPT:
                 del self.trees[next(iter(self.trees))]
@@ -60,29 +60,29 @@ class _Ways(NamedTuple):
 
 
 class _Window(NamedTuple):
-    """Cell by cell ways from one end to the cells round it."""
+    """Cell-by-cell paths from one end of the query to the cells around it."""
 
     parts: tuple[slice, slice]
     search: MCP_Geometric
     cost: Float[np.ndarray, "h w"]
-    """[m, near-wall metres counted more]."""
+    """Cost from that end [m, weighted near walls]."""
 
     @property
     def corner(self) -> Int[np.ndarray, "2"]:
         return np.array([part.start for part in self.parts])
 
     def costs_at(self, cells: Int[np.ndarray, "M 2"]) -> Float[np.ndarray, "M"]:
-        """Cost of the cheapest way to ``cells`` of the window."""
+        """Cost of the cheapest path to ``cells`` of the window."""
         rows, cols = (cells - self.corner).T
         return self.cost[rows, cols]
 
     def way_to(self, cell: Int[np.ndarray, "2"]) -> Int[np.ndarray, "K 2"]:
-        """Cells of that way, from the end outwards."""
+        """Cells of that path, from the end outwards."""
         return np.array(self.search.traceback(tuple(np.asarray(cell) - self.corner))) + self.corner
 
 
 def cell_costs(space: DiscSpace, parts: tuple[slice, ...] = (slice(None), slice(None))) -> Float[np.ndarray, "h w"]:
-    """Cost of each cell per metre, -1 where the disc can't be; of all cells or of ``parts``, rows and columns."""
+    """Cost per metre of each cell in ``parts`` (rows, columns; default all); -1 where the disc does not fit."""
     values = np.asarray(space.clearance.values)[parts]
     return np.where(values >= space.radius, space.metre_cost(values), -1.0)
 
@@ -95,17 +95,18 @@ def find_way(
     wall_clearance: DistanceField,
     obstacles: Sequence[shapely.Polygon],
 ) -> Int[np.ndarray, "N 2"] | None:
-    """The cheapest way, or nearly, of a disc from start to goal as cells, or None if there is none.
+    """A cheapest or nearly cheapest path of a disc from start to goal as cells, or None if there is none.
 
     Args:
-        start: in {W} [m], on the map.
-        goal: in {W} [m], on the map.
-        space: of the disc, with the obstacles.
-        wall_clearance: distance to walls alone; what is derived from it is kept in its ``memo``.
+        start: position in {W} [m], on the map.
+        goal: position in {W} [m], on the map.
+        space: the disc with the clearance that includes the obstacles.
+        wall_clearance: distance to walls alone; its ``memo`` caches derived data.
         obstacles: footprints in {W}.
 
     Returns:
-        (row, column); neighbours are neighbouring cells, or points of the lattice with a clear line between.
+        (row, column) of each cell. Consecutive cells are adjacent, or are lattice points with a clear line between
+        them.
     """
     task = _Query(space, start, goal)
     ways = _ways_past(space._replace(clearance=wall_clearance))
@@ -117,7 +118,7 @@ def find_way(
 
 
 def _ways_past(walls: DiscSpace) -> _Ways:
-    """What queries about these walls share, from the distance field's memo if its values can't change."""
+    """Shared data for these walls. It is cached in the distance field's memo if the field is read-only."""
     field, key = walls.clearance, ("ways", walls.radius, walls.cfg)
     if not field.constant:
         return _Ways(lattices.build(walls), {})
@@ -127,7 +128,7 @@ def _ways_past(walls: DiscSpace) -> _Ways:
 
 
 def _window(task: _Query, end: Float[np.ndarray, "2"], side: int) -> _Window | None:
-    """Ways from an end of the query to all cells near it; None if the disc can't be there."""
+    """Paths from one end of the query to all cells near it; None if the disc does not fit at that end."""
     cell, resolution = task.cell(end), task.space.resolution
     half = max(int(np.ceil(_ESCAPE_RADIUS / resolution)), 2 * side) + 2
     shape = np.shape(task.space.clearance.values)
@@ -143,17 +144,17 @@ def _window(task: _Query, end: Float[np.ndarray, "2"], side: int) -> _Window | N
 
 
 def _opened_costs(task: _Query, parts: tuple[slice, slice]) -> Float[np.ndarray, "h w"]:
-    """The costs of some cells, with those added that the robot may use because of where it starts or ends."""
+    """Cell costs in ``parts``, with additional cells opened near the start and at the goal."""
     (clearance, radius, cfg), resolution = task.space, task.space.resolution
     costs = cell_costs(task.space, parts)
     last = tuple(c - part.start for c, part in zip(task.cell(task.goal), parts, strict=True))
     inside = all(0 <= c < n for c, n in zip(last, costs.shape, strict=True))
     if inside and costs[last] < 0 and float(clearance.at(task.goal)) >= radius:
-        costs[last] = 1.0 + cfg.soft_weight  # the point is far enough though its cell's centre is not
+        costs[last] = 1.0 + cfg.soft_weight  # the point has enough clearance although its cell's centre does not
     here = float(clearance.at(task.start))
     if here >= radius + resolution:
         return costs
-    # A robot that stands too near to something must get out, but not squeeze through where it is narrower still.
+    # A robot that is too near to an obstacle must be able to leave, but not through an even narrower place.
     rows, cols = np.mgrid[parts]
     row, col = clearance.to_cells(task.start)
     values = np.asarray(clearance.values)[parts]
@@ -165,7 +166,7 @@ def _opened_costs(task: _Query, parts: tuple[slice, slice]) -> Float[np.ndarray,
 def _on_lattice(
     task: _Query, ways: _Ways, obstacles: Sequence[shapely.Polygon], *, near_start: _Window, near_goal: _Window
 ) -> Int[np.ndarray, "K 2"] | None:
-    """Cells of the cheapest way over the lattice; None if none surely keeps the radius."""
+    """Cells of the cheapest path over the lattice; None if no path certainly keeps the radius."""
     lattice, changed = ways.lattice, np.zeros(len(ways.lattice.cells), dtype=bool)
     if obstacles:
         lattice, changed = lattices.with_obstacles(lattice, task.space, obstacles)
@@ -184,14 +185,14 @@ def _on_lattice(
 
 
 def _entries(lattice: Lattice, window: _Window) -> tuple[Int[np.ndarray, "M"], Float[np.ndarray, "M"]]:
-    """Points of the lattice that can be reached in a window, and at which cost."""
+    """Lattice points reachable within a window, and the cost of reaching them."""
     numbers = lattices.nodes_in(lattice, window.parts)
     cost = window.costs_at(lattice.cells[numbers])
     return numbers[np.isfinite(cost)], cost[np.isfinite(cost)]
 
 
 def _direct(task: _Query, near_start: _Window) -> tuple[float, Int[np.ndarray, "K 2"] | None]:
-    """Cost of the way that stays in the start's window, and its cells; infinite and None if there is none."""
+    """Cost and cells of the path that stays in the start's window; infinite and None if there is none."""
     last = np.array(task.cell(task.goal))
     inside = ((last >= near_start.corner) & (last < near_start.corner + near_start.cost.shape)).all()
     cost = float(near_start.costs_at(last[None])[0]) if inside else np.inf
@@ -206,13 +207,13 @@ def _route(
     entries: tuple[Int[np.ndarray, "M"], Float[np.ndarray, "M"]],
     root: int,
 ) -> tuple[float, Int[np.ndarray, "K"]]:
-    """Cost [m] of the cheapest way from the start over a point it can reach to ``root``, and its points."""
+    """Cost [m] of the cheapest path from the start through an entry point to ``root``, and its points."""
     if not changed.any():
         return _follow(ways.tree(root), entries)
     if root in ways.trees:
         cost, route = _follow(ways.trees[root], entries)
         if len(route) and not changed[route].any():
-            # Obstacles only ever make lines dearer: a way that they leave as it was is still the cheapest.
+            # Obstacles only raise the cost of lines, so an unchanged path is still the cheapest.
             return cost, route
     return _follow(lattices.costs_from(lattice, root), entries)
 
@@ -233,7 +234,7 @@ def _follow(
 
 
 def _is_tight(task: _Query, cells: Int[np.ndarray, "K 2"]) -> bool:
-    """Whether some line of a route comes nearer to something than the radius, by half a cell at most."""
+    """Whether a line of the route has less clearance than the radius, by half a cell at most."""
     if len(cells) < 2:
         return False
     starts, ends = cells[:-1], cells[1:]
@@ -242,7 +243,7 @@ def _is_tight(task: _Query, cells: Int[np.ndarray, "K 2"]) -> bool:
 
 
 def _cell_by_cell(task: _Query) -> Int[np.ndarray, "K 2"] | None:
-    """The cheapest way over all cells of the map."""
+    """The cheapest path over all cells of the map."""
     height, width = np.shape(task.space.clearance.values)
     costs = _opened_costs(task, (slice(0, height), slice(0, width)))
     first, last = task.cell(task.start), task.cell(task.goal)

@@ -1,4 +1,4 @@
-"""Shortening of grid paths: fewer points, no more cost, and never nearer to walls than allowed."""
+"""Shortens grid paths: fewer points, at no higher cost, with the required clearance."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ _MOVES = np.vstack([[0.0, 0.0], np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axi
 
 _AHEAD = np.unique(np.geomspace(1, 1e5, 48).astype(int))
 _STEPS = (0.20, 0.06)
-"""How far corners are moved, in turn [m]."""
+"""Distances by which corners are moved, tried in this order [m]."""
 
 
 def shorten(points: Float[np.ndarray, "N 2"], space: DiscSpace) -> Float[np.ndarray, "M 2"]:
-    """Replaces parts of a polyline by straight lines, then moves the corners that are left to where they cost least.
+    """Replaces parts of a polyline by straight lines, then moves the remaining corners to reduce the cost.
 
     Args:
-        points: in {W} [m].
-        space: of the disc; straight lines keep its radius.
+        points: polyline in {W} [m].
+        space: the disc and its clearance; straight lines keep its radius.
 
     Returns:
-        One with the same ends, M <= N.
+        A polyline with the same ends, M <= N.
     """
     corners = _pull_taut(space.clearance.to_cells(points), space)
     for step in _STEPS:
@@ -34,7 +34,7 @@ def shorten(points: Float[np.ndarray, "N 2"], space: DiscSpace) -> Float[np.ndar
 
 
 def _pull_taut(points: Float[np.ndarray, "N 2"], space: DiscSpace) -> Float[np.ndarray, "M 2"]:
-    """The polyline with straight lines in place of all parts that cost no less [cells]."""
+    """The polyline [cells] with straight lines replacing every part that does not cost less."""
     total = np.concatenate([[0.0], np.cumsum(line_costs(points[:-1], points[1:], space)[1])])
     kept, i, n = [0], 0, len(points)
     while i < n - 1:
@@ -48,16 +48,16 @@ def _pull_taut(points: Float[np.ndarray, "N 2"], space: DiscSpace) -> Float[np.n
 
 
 def _look_ahead(i: int, n: int) -> Int[np.ndarray, "K"]:
-    """Candidates for the end of a straight line from point i, spaced ever wider, the last point among them."""
+    """Candidate end points of a straight line from point i, with growing spacing. They include the last point."""
     farthest = n - 1 - i
     return i + np.append(_AHEAD[: np.searchsorted(_AHEAD, farthest)], farthest)
 
 
 def _settle(corners: Float[np.ndarray, "N 2"], step: float, space: DiscSpace) -> Float[np.ndarray, "M 2"]:
-    """Sweeps over the corners, four at most, until none is dropped or moved by ``step`` [cells] any more.
+    """Sweeps over the corners, at most four times, until ``step`` [cells] drops or moves none.
 
-    Every other corner is tried at once: between them lie corners that stay. One whose neighbours have stayed since it
-    was last tried is left out.
+    Each half sweep tries every other corner at once, so the corners between them stay fixed. A corner is skipped if its
+    neighbours have not moved since it was last tried.
     """
     corners, restless = corners.copy(), np.ones(len(corners), dtype=bool)
     for half in range(8):
@@ -82,7 +82,7 @@ def _settle(corners: Float[np.ndarray, "N 2"], step: float, space: DiscSpace) ->
 def _better(
     corners: Float[np.ndarray, "N 2"], tried: Int[np.ndarray, "K"], step: float, space: DiscSpace
 ) -> tuple[Float[np.ndarray, "K 2"], Bool[np.ndarray, "K"]]:
-    """Cheaper places for the corners ``tried``, and which of them are better dropped."""
+    """Cheaper places for the corners ``tried``, and which of them to drop."""
     before, after = corners[tried - 1], corners[tried + 1]
     candidates = corners[tried, None] + step * _MOVES
     candidates = np.clip(candidates, 0.0, np.array(space.clearance.values.shape) - 1.0)

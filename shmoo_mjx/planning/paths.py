@@ -1,7 +1,7 @@
-"""Global paths for a round robot: minimum-cost paths on the distance field, and questions about a path.
+"""Global paths for a disc-shaped robot: minimum-cost search on the distance field, and path geometry.
 
-The search is scikit-image's ``MCP_Geometric`` (Euclidean step costs). A cell costs its length, more where a wall is
-near, so that the path keeps to the middle where there is room; then the path is pulled taut where that costs nothing.
+The cell search uses scikit-image's ``MCP_Geometric`` with Euclidean step costs. The cost per metre rises near walls, so
+paths stay in the middle where there is room. The path is then shortened where that does not raise its cost.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ class Path:
     """A polyline on the floor."""
 
     points: Float[np.ndarray, "N 2"]
-    """In {W} [m], N >= 2."""
+    """Vertices in {W} [m], N >= 2."""
     length: float
-    """[m]"""
+    """Total length [m]."""
 
     @cached_property
     def along(self) -> Float[np.ndarray, "N"]:
-        """Arc length [m] from the first point to each."""
+        """Arc length [m] from the first point to each point."""
         return arc_lengths(self.points)
 
 
@@ -52,22 +52,22 @@ def plan_path(
 
     Args:
         grid: the map; unknown cells count as walls.
-        start: in {W} [m].
-        goal: in {W} [m].
-        obstacles: footprints in {W} that are to be avoided like walls.
+        start: position in {W} [m].
+        goal: position in {W} [m].
+        obstacles: footprints in {W} that the path avoids like walls.
         robot_radius: radius of the disc, margin included [m].
-        cfg: see ``PathConfig``.
-        wall_clearance: ``distance_field(grid)`` if the caller has it already.
+        cfg: cost of driving near walls.
+        wall_clearance: ``distance_field(grid)``, if the caller already has it.
 
     Returns:
-        The path from start to goal. Every point keeps ``robot_radius`` from walls and obstacles to within the map's
-        discretisation, except where the start itself doesn't.
+        The path from start to goal. Every point keeps ``robot_radius`` from walls and obstacles, up to the map's
+        discretisation, except near a start that is itself too close.
     """
     start, goal = np.asarray(start, dtype=float)[:2], np.asarray(goal, dtype=float)[:2]
     if not grid.inside(grid.world_to_cell(np.stack([start, goal]))).all():
         return None
     walls, obstacles = wall_clearance if wall_clearance is not None else distance_field(grid), tuple(obstacles)
-    # Farther away a polygon costs nothing; two cells more, because the look-up is between the centres of cells.
+    # Beyond this distance a polygon adds no cost. Two extra cells cover the interpolation between cell centres.
     clearance = add_obstacles(walls, obstacles, robot_radius + cfg.soft_clearance + 2 * float(walls.resolution))
     space = DiscSpace(clearance, robot_radius, cfg)
     cells = find_way(start, goal, space, wall_clearance=walls, obstacles=obstacles)
@@ -85,7 +85,7 @@ def cost_to_go(
     robot_radius: float = 0.25,
     cfg: PathConfig = PathConfig(),  # noqa: B008  (frozen)
 ) -> Float[np.ndarray, "H W"]:
-    """Cost of the cheapest path from each cell's centre to the goal [m, near-wall metres counted more].
+    """Cost of the cheapest path from each cell's centre to the goal [m, weighted near walls].
 
     Infinite where no path exists. With ``soft_weight = 0`` it is the length of the shortest 8-connected path [m].
     """
@@ -109,7 +109,7 @@ def arc_lengths(points: Float[Array, "N 2"]) -> Float[np.ndarray, "N"]:
 
 
 def point_at(path: Path, s: Scalar | Float[Array, "*s"]) -> Float[np.ndarray, "*s 2"]:
-    """Points in {W} at arc lengths ``s`` [m]; the ends hold beyond the ends."""
+    """Points in {W} at arc lengths ``s`` [m]. Values beyond an end return that end."""
     return np.stack([np.interp(s, path.along, path.points[:, i]) for i in range(2)], axis=-1)
 
 
@@ -125,7 +125,7 @@ def tangent_at(path: Path, s: Scalar | Float[Array, "*s"]) -> Float[np.ndarray, 
 
 
 def project(path: Path, point: Numbers | Float[Array, "2"], after: float = 0.0) -> float:
-    """Arc length [m] of the path's point nearest to ``point`` in {W}, not before ``after`` [m]."""
+    """Arc length [m] of the path's point nearest to ``point`` in {W}, at or beyond arc length ``after`` [m]."""
     along, steps = path.along, np.diff(path.points, axis=0)
     lengths = np.diff(along)
     offset = np.asarray(point, dtype=float)[:2] - path.points[:-1]
@@ -141,7 +141,13 @@ def project(path: Path, point: Numbers | Float[Array, "2"], after: float = 0.0) 
 def path_blocked_by(
     path: Path, polygon: shapely.Polygon, radius: float, after: float = 0.0
 ) -> tuple[bool, float | None]:
-    """Does a disc of radius ``radius`` [m] that follows the path from arc length ``after`` [m] touch the polygon.
+    """Whether a disc that follows the path from arc length ``after`` [m] touches the polygon.
+
+    Args:
+        path: the path to follow.
+        polygon: obstacle in {W}.
+        radius: radius of the disc [m].
+        after: arc length at which the disc starts [m].
 
     Returns:
         (blocked, arc length [m] of the first touch or None).

@@ -1,7 +1,7 @@
-"""Where pushes lead: roll-outs of the dynamics core under a simple push, over samples of what is known of an object.
+"""Predicts where pushes lead, by roll-outs of the dynamics core over posterior samples of an object's dynamics.
 
-An option is a push on a face towards a goal, by the law of `quasi_static`. Each is rolled out for every sample of the
-posterior in one batch, so that an outcome is a distribution.
+An option is a push on a face towards a goal with the control law of `quasi_static`. One batch rolls out each option for
+every posterior sample, so the outcome is a distribution.
 """
 
 from __future__ import annotations
@@ -33,45 +33,45 @@ from shmoo_mjx.learning.weights import Weights, load_weights, prior_state
 from shmoo_mjx.types import SystemState
 
 SAMPLES = 16
-"""Samples of the posterior that each option is rolled out for."""
+"""Number of posterior samples for each option."""
 STEPS = 120
-"""Samples of time of a roll-out: 12 s."""
+"""Number of time steps of a roll-out: 12 s."""
 _FAR = 2.5
-"""Distance of the goal of a push that is to go on [m]: farther than a push mostly goes."""
+"""Distance of the goal of an open-ended push [m], longer than most pushes."""
 MOVES = 0.316
-"""An object can be moved if it comes at least this far along a push [m]: what K = 0.3 m^2 asks of each of three
-roll-outs, and what certificates call movable."""
+"""Distance along a push at which an object counts as movable [m]. It is what K = 0.3 m^2 requires of each of three
+roll-outs, and the certificates use it too."""
 TURNS = float(np.radians(30.0))
-"""Unless it has turned this far by then [rad]: it turns away instead of going along."""
+"""Rotation beyond which it does not count as movable [rad], because it turns away instead of moving along."""
 _PRIOR_KEY = 55
-"""Seed of the particles of objects that nobody has touched."""
+"""Seed of the prior particles of untouched objects."""
 _ONE = ObjectObservation._make((0, 0, 0, 0, 0, 0, 0, None, None))
-"""Axes of an observation that the law is mapped over."""
+"""vmap axes of the observation that the control law takes."""
 _UNKNOWN = (0.02, 0.03, 0.25)
-"""Standard deviations of a constant difference between the command and what it does [rad, rad, rad]: robots balance and
-steer otherwise than the model has it, and the model errs."""
+"""Standard deviations of a constant difference between the command and its effect [rad, rad, rad]. It models errors of
+the robot's balance and steering, and of the model."""
 _FAR_STEPS = 240
-"""Samples of time of an expected push: 24 s, in which it comes 3.5 m at the speed of pushing to a pose."""
+"""Number of time steps of an expected push: 24 s, or 3.5 m at the speed of pushing to a pose."""
 _STRONGEST = quasi_static.LEAN_LIMIT / float(static_lean(1.0))
-"""Force of the hands at the lean limit [N]: what resists with more along both axes does not move."""
+"""Force of the hands at the lean limit [N]. An object with more resistance along both axes does not move."""
 
 
 class Options(NamedTuple):
-    """O pushes of one object, each from the middle of a face towards a goal."""
+    """O candidate pushes of one object, each from the middle of a face towards a goal."""
 
     face: Float[Array, "O 4"]
-    """As `faces_of` and `corners_of` have them."""
+    """Faces as `faces_of` and `corners_of` return them."""
     goal: Float[Array, "O 3"]
-    """Pose of {O} in {W} that the push steers for."""
+    """Target pose of {O} in {W}."""
 
 
 class Outcomes(NamedTuple):
-    """Where O pushes lead for S samples of an object's dynamics, at the end of each of T samples of time."""
+    """Predicted poses for O pushes and S samples of an object's dynamics, at the end of each of T time steps."""
 
     object_pose: Float[Array, "O S T 3"]
-    """In {W}."""
+    """Pose of the object in {W}."""
     robot_pose: Float[Array, "O S T 3"]
-    """In {W}."""
+    """Pose of the robot in {W}."""
 
 
 @single_precision
@@ -87,17 +87,17 @@ def reach(
     speed: SpeedProfile,
     steps: int,
 ) -> Outcomes:
-    """Roll out every option for every sample, with hands that touch the face and everything at rest at the start.
+    """Rolls out every option for every sample. At the start the hands touch the face and everything is at rest.
 
     Args:
-        params: the learned model; its contact parameters are replaced by the samples.
-        samples: contact parameters, as `estimate.draw` gives them.
-        key: of what differs between samples beside those.
-        object_pose: of {O} in {W}.
-        half_extents: of the footprint [m].
-        options: what may be done.
+        params: the learned model; the samples replace its contact parameters.
+        samples: contact parameters, as `estimate.draw` returns them.
+        key: random key of the differences between command and effect.
+        object_pose: pose of {O} in {W}.
+        half_extents: half sizes of the footprint [m].
+        options: the candidate pushes.
         config: shapes of the model; static.
-        speed: allowed; static.
+        speed: speed limits; static.
         steps: T; static.
     """
     start = _start(jnp.asarray(object_pose, jnp.float32), jnp.hypot(*jnp.asarray(half_extents, jnp.float32)), options)
@@ -150,8 +150,14 @@ def _roll(
 def goal_ahead(
     pose: Float[np.ndarray, "3"], face: Float[np.ndarray, "4"], bearing: float = 0.0, distance: float = _FAR
 ) -> Float[np.ndarray, "3"]:
-    """Goal in {W} of a push on ``face`` of an object at ``pose``, along an arc to a place ``bearing`` [rad] to the left
-    of straight ahead, ``distance`` [m] away."""
+    """Goal in {W} of a push on ``face`` of an object at ``pose`` along an arc.
+
+    Args:
+        pose: pose of the object in {W}.
+        face: the face to push on.
+        bearing: bearing of the goal, to the left of straight ahead [rad].
+        distance: distance of the goal [m].
+    """
     ahead = heading(pose, face) + bearing
     return np.array([pose[0] + distance * np.cos(ahead), pose[1] + distance * np.sin(ahead), pose[2] + 2.0 * bearing])
 
@@ -159,8 +165,10 @@ def goal_ahead(
 def progress(
     poses: Float[np.ndarray, "*n T 3"], start: Float[np.ndarray, "3"], face: Float[np.ndarray, "4"]
 ) -> Float[np.ndarray, "*n T"]:
-    """Way [m] that an object has come along a push on ``face`` at each of its ``poses``, all in {W}; ``start`` comes
-    before the first. The direction of the push turns with the object."""
+    """Distance [m] that an object has moved along a push on ``face``, at each of its ``poses``.
+
+    All poses are in {W}; ``start`` precedes the first. The push direction turns with the object.
+    """
     before = np.concatenate([np.broadcast_to(start, poses[..., :1, :].shape), poses[..., :-1, :]], axis=-2)
     ahead, step = heading(before, face), poses[..., :2] - before[..., :2]
     return np.cumsum(step[..., 0] * np.cos(ahead) + step[..., 1] * np.sin(ahead), axis=-1)
@@ -174,17 +182,17 @@ def probability_to_come(
     distance: float,
     turn: float = np.inf,
 ) -> Float[np.ndarray, "*n"]:
-    """Probability that an object comes ``distance`` [m] along a push on ``face`` before it turns by ``turn`` [rad].
+    """Probability that an object moves ``distance`` [m] along a push on ``face`` before it turns by ``turn`` [rad].
 
-    It is the share of samples that do, of ``poses`` as in `Outcomes`, which begin at ``start``. A sample that diverges
-    comes no farther.
+    It is the share of the samples in ``poses`` (see `Outcomes`) that do so from ``start``. A sample that diverges stops
+    moving.
     """
     within = np.logical_and.accumulate(~(np.abs(se2.wrap(poses[..., 2] - start[2])) > turn), axis=-1)
     return np.asarray(((progress(poses, start, face) >= distance) & within).any(axis=-1).mean(axis=-1))
 
 
 def median_parameters(estimated: ObjectEstimate) -> Float[Array, "p"]:
-    """Median of each contact parameter among the particles that a push can move, or among all if it can move none."""
+    """Median of each contact parameter over the particles that a push can move, or over all if it can move none."""
     moves = contact_model.resistance(estimated.parameters).min(axis=-1) < _STRONGEST
     weight = jnp.where(moves | ~moves.any(), estimated.log_weight, -jnp.inf)
     return estimate.quantiles(estimated._replace(log_weight=weight), estimated.parameters, (0.5,))[0]
@@ -195,7 +203,7 @@ class Foresight:
 
     def __init__(self, weights: Weights, config: PushConfig) -> None:
         shape = weights.config.object
-        # Over many seconds the contact model alone predicts better than psi, which is trained on three.
+        # Over many seconds the contact model alone predicts better than with psi, which is trained on three.
         model = replace(weights.config, object=replace(shape, residual=not shape.contact_model))
 
         def run(adapt: LearnerState, key: Array, options: Options, *, pose: Array, half_extents: Array) -> Outcomes:
@@ -247,7 +255,10 @@ class Foresight:
         options: Options,
         seed: int,
     ) -> Outcomes:
-        """Outcomes of as many options as ever, by what was learned of the object or, untouched, by its looks."""
+        """Outcomes for the object's posterior or, before the first contact, for the prior of its kind.
+
+        Keep the number of options constant, so that the function compiles once.
+        """
         estimated = self._prior(kind) if adapt is None else adapt
         key = jax.random.key(seed)
         body = {"pose": np.asarray(pose, np.float32), "half_extents": np.asarray(half_extents, np.float32)}
@@ -257,10 +268,10 @@ class Foresight:
     def median_poses(
         self, adapt: Any, kind: str | None, half_extents: tuple[float, float], options: Options
     ) -> Float[np.ndarray, "O T 3"]:
-        """Poses of an object that begins at the origin, for the middle of what is known of it.
+        """Poses of an object that starts at the origin, for the median of its estimated dynamics.
 
-        One roll-out of each option: a straight push of a symmetric object stays straight. Where ``adapt`` is no
-        posterior of the contact parameters, the prior of what the object looks like takes its place.
+        One roll-out per option: a straight push of a symmetric object stays straight. If ``adapt`` is not a posterior
+        of the contact parameters, the prior of the object's kind is used.
         """
         estimated = adapt if isinstance(adapt, ObjectEstimate) else self._prior(kind)
         poses = self._run_median(estimated, np.asarray(half_extents, np.float32), Options(*map(np.asarray, options)))
@@ -292,20 +303,22 @@ class Foresight:
         distance: float = MOVES,
         turn: float = TURNS,
     ) -> float:
-        """Probability that a push straight on moves the object (`probability_to_come`)."""
+        """Probability that a straight push moves the object (`probability_to_come`)."""
         pose, face = np.asarray(pose, float), np.asarray(face, float)
         poses = self.sampled_poses(adapt, kind, pose, half_extents, face=face, goal=goal_ahead(pose, face))
         return float(probability_to_come(poses, pose, face, distance=distance, turn=turn))
 
 
 def foresight_of(controller: Any) -> Any:
-    """What foresees where a controller's pushes lead: its `Foresight`, or a method ``foresee`` of its own like it."""
+    """The predictor of where a controller's pushes lead: its `Foresight`, or its own method ``foresee``."""
     return _of(controller) if isinstance(controller, PushController) else controller.foresee
 
 
 def contact_foresight(controller: Any, config: PushConfig) -> Foresight:
-    """The `Foresight` of a controller whose psi has the contact model, or else that of the shipped weights with
-    ``config``: what learns otherwise, or not at all, is given the same choice of pushes."""
+    """The `Foresight` of a controller whose psi has the contact model, or else of the shipped weights with ``config``.
+
+    So controllers that learn otherwise, or not at all, get the same choice of pushes.
+    """
     if isinstance(controller, PushController) and controller.weights.config.object.contact_model:
         return _of(controller)
     return _shipped(config)

@@ -1,8 +1,8 @@
-"""Sequences of pushes that bring an object to a pose.
+"""Searches for sequences of pushes that bring an object to a pose.
 
-Single pushes on each side are rolled out once, in several directions, for the middle of what is known of the object's
-dynamics. A push may end anywhere on its way. Dynamics do not depend on where an object stands, so sequences are
-compositions of these displacements.
+Single pushes on each side are rolled out once, in several directions, with the median of the estimated dynamics. A push
+may end anywhere along its way. The dynamics do not depend on the object's pose, so a sequence is a composition of these
+displacements.
 """
 
 from __future__ import annotations
@@ -19,52 +19,52 @@ from shmoo_mjx.learning.online import LearnerState
 from shmoo_mjx.planning.reach import Options, goal_ahead
 
 YAW_WEIGHT = 0.25
-"""Metres that a yaw error of 1 rad counts for [m/rad]: about half the side of an object."""
+"""Position error that a yaw error of 1 rad equals [m/rad]: about half the side of an object."""
 COST = 0.05
-"""Metres of error that a push has to mend by itself, and for each metre of its way: about what it errs [m, 1]. More
-makes for fewer and shorter pushes."""
+"""Cost of each push [m] and of each metre that it moves the object [1]: about the error of a push. Larger values give
+fewer and shorter pushes."""
 _WALK = 0.01
-"""Metres of error that a metre of walking to the face counts for [1]: decides only between faces that are as good."""
+"""Cost of walking to the face [1]. It only decides between faces that are otherwise equal."""
 _ARCS = ((0.25, 2.5), (0.55, 2.5), (0.6, 1.4))
 _DIRECTIONS = ((0.0, 4.0), *((sign * bearing, far) for bearing, far in _ARCS for sign in (1, -1)))
-"""Bearing [rad] and distance [m] of the goals of pushes on a side: straight on, and along gentle and sharp arcs."""
+"""Bearing [rad] and distance [m] of push goals on a side: straight ahead, and along gentle and sharp arcs."""
 _TURNS = (-0.3, -0.2, -0.1, 0.0, 0.1, 0.2, 0.3)
-"""What is added to the yaw of the goal for pushes towards it [rad]: an object lags behind the turn that is steered."""
+"""Yaw offsets of the goal for pushes towards it [rad]. They compensate for the object turning less than steered."""
 _STEP, _LONGEST = 0.02, 3.2
-"""Spacing of the places where a push may end along its way, and the longest way [m]."""
+"""Spacing of the possible end points along a push, and the maximum length of a push [m]."""
 _FIRST, _SECOND = 12, 4
-"""Every so many of these places are looked at as the end of a first and of a second push."""
+"""Stride over these end points for a first and for a second push."""
 _SHORTEST = 0.1
-"""Least way of a push along its face's normal [m]: an object whose goal is nearer, or beside the face, is let go at
-once."""
+"""Minimum length of a push along its face's normal [m]. A push to a nearer goal, or to a goal beside the face, would
+end at once."""
 
 
 class PushDisplacements(NamedTuple):
-    """Displacements of an object by single pushes."""
+    """Displacements of an object by N single pushes."""
 
     side: Int[np.ndarray, "N"]
-    """Index of the face among `faces_of`."""
+    """Index of the face in `faces_of`."""
     moved: Float[np.ndarray, "N 3"]
-    """Pose of the object after the push in {O} before it."""
+    """Pose of the object after the push, in {O} before the push."""
     way: Float[np.ndarray, "N"]
-    """Length of its way [m], a turn counted by `YAW_WEIGHT`."""
+    """Length of the object's way [m]. Turns count with `YAW_WEIGHT`."""
     aimed: Bool[np.ndarray, "N"]
-    """Whether it is steered towards the goal, rather than in a direction from wherever the object stands."""
+    """Whether the push steers towards the goal. False if it goes in a direction relative to the object."""
 
 
 class Choice(NamedTuple):
-    """A push to make next."""
+    """The next push."""
 
     side: int
     """Index of the face."""
     goal: Float[np.ndarray, "3"]
-    """Where this push is to bring the object, in {W}."""
+    """Target pose of the object for this push, in {W}."""
     cost: float
-    """Error left after the last push, with what the pushes cost [m]."""
+    """Residual error after the last push plus the cost of the pushes [m]."""
 
 
 def residual(pose: Float[Array, "*b 3"], goal: Float[Array, "3"]) -> Float[np.ndarray, "*b"]:
-    """Error [m] of ``pose`` against ``goal``, a yaw error on the circle counted by `YAW_WEIGHT`."""
+    """Error [m] of ``pose`` relative to ``goal``. The wrapped yaw error counts with `YAW_WEIGHT`."""
     offset = np.asarray(pose)[..., :2] - np.asarray(goal)[:2]
     yaw = se2.wrap(np.asarray(pose)[..., 2] - np.asarray(goal)[2])
     return np.asarray(np.hypot(offset[..., 0], offset[..., 1]) + YAW_WEIGHT * np.abs(yaw))
@@ -78,14 +78,14 @@ def push_displacements(
     half_extents: tuple[float, float],
     goal: Float[Array, "3"],
 ) -> PushDisplacements:
-    """Where single pushes on each side lead: in several directions, and towards a goal.
+    """Predicted displacements of single pushes on each side: in several directions, and towards a goal.
 
     Args:
-        foresight: what has a method ``median_poses`` as `Foresight` has (`planning.reach.contact_foresight`).
-        adapt: what was learned of the object; None before it was touched.
-        kind: what it looks like.
-        half_extents: of its footprint [m].
-        goal: in {O}.
+        foresight: provides ``median_poses`` like `Foresight` (`planning.reach.contact_foresight`).
+        adapt: learner state of the object; None before the first contact.
+        kind: the object's recognised kind, or None.
+        half_extents: half sizes of its footprint [m].
+        goal: target pose in {O}.
     """
     faces = faces_of(half_extents)
     towards = goal + np.array([(0.0, 0.0, turn) for turn in _TURNS])
@@ -112,14 +112,14 @@ def choose_push(
     ways: Sequence[float | None],
     free: Callable[[Float[np.ndarray, "N 3"]], Bool[np.ndarray, "N"]],
 ) -> Choice | None:
-    """The first push of the sequence of none, one or two that leaves the least error; None if that is the one of none.
+    """The first push of the sequence of zero, one or two pushes with the least cost. None if zero pushes are best.
 
     Args:
-        reached: where pushes lead (`push_displacements`).
-        pose: of the object in {W}.
-        goal: where it is to be.
-        faces: as `faces_of` gives them.
-        ways: length of the way to each face [m], None where it can't be reached or must not be pushed.
+        reached: predicted displacements (`push_displacements`).
+        pose: pose of the object in {W}.
+        goal: target pose in {W}.
+        faces: faces as `faces_of` returns them.
+        ways: length of the way to each face [m]; None if the face is unreachable or must not be pushed.
         free: whether the object may stand at each of these poses in {W} between two pushes.
     """
     walks = _WALK * np.array([np.inf if way is None else way for way in ways])
@@ -128,7 +128,8 @@ def choose_push(
     normals = np.stack([np.cos(faces[:, 2]), np.sin(faces[:, 2])], axis=-1)[side]
     ends = np.asarray(se2.compose(pose, reached.moved))
     best, least = None, float(residual(pose, goal))
-    # What leads to the goal directly is given the goal itself: steering may do better than the roll-out.
+    # Pushes that lead to the goal get the goal itself as their target, because feedback may do better than the
+    # roll-out.
     leads = normals @ se2.inverse_transform_point(pose, goal[:2]) >= _SHORTEST
     errors = np.where(leads, residual(ends, goal) + costs, np.inf)
     if len(side) and errors.min() < least:
@@ -152,7 +153,7 @@ def _after(
     reached: PushDisplacements,
     goal: Float[np.ndarray, "3"],
 ) -> Float[np.ndarray, "M"]:
-    """Least error after a push on another side than ``first`` from each stop, with what that push costs."""
+    """Least cost of a second push from each stop on another side than ``first``: residual error plus push cost."""
     left = np.full(len(stops), np.inf)
     for pushed in np.unique(first):
         mine, others = first == pushed, reached.side != pushed

@@ -1,4 +1,4 @@
-"""Covering the occupied cells of a map with few rectangles, to be used as wall geoms."""
+"""Covers the occupied cells of a map with few rectangles, which become wall geoms."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from shmoo_mjx.arrays import Bool, Int, Scalar
 
 
 def cover_rectangles(mask: Bool[np.ndarray, "H W"]) -> Int[np.ndarray, "K 4"]:
-    """Rectangles that together cover every True cell and no False one.
+    """Rectangles that cover every True cell and no False cell.
 
-    Greedy: the cells with the longest straight run through them come first, each takes the larger of the two maximal
-    rectangles grown from its row run and from its column run. Rectangles may overlap, which needs fewer of them than
-    a partition where walls cross.
+    Greedy: cells are processed in decreasing order of the longest straight run through them. For each uncovered cell
+    there are two maximal rectangles, grown from its row run and from its column run; the one that covers more uncovered
+    cells is taken. Rectangles may overlap: where walls cross, this needs fewer of them than a partition.
 
     Returns:
-        First row, last row + 1, first column, last column + 1.
+        One row per rectangle: first row, last row + 1, first column, last column + 1.
     """
     mask = np.asarray(mask, dtype=bool)
     rows, cols = np.nonzero(mask)
@@ -40,7 +40,7 @@ def cover_rectangles(mask: Bool[np.ndarray, "H W"]) -> Int[np.ndarray, "K 4"]:
 
 
 def _runs(mask: Bool[np.ndarray, "H W"]) -> tuple[Int[np.ndarray, "H W"], Int[np.ndarray, "H W"]]:
-    """For each cell the first column and the end column of the run of True cells through it, along its row."""
+    """First column and end column of the run of True cells through each cell, along its row."""
     width = mask.shape[1]
     columns = np.arange(width)
     last_gap = np.maximum.accumulate(np.where(mask, -1, columns), axis=1)
@@ -49,7 +49,7 @@ def _runs(mask: Bool[np.ndarray, "H W"]) -> tuple[Int[np.ndarray, "H W"], Int[np
 
 
 def _grow(mask: Bool[np.ndarray, "H W"], row: Scalar, start: Scalar, end: Scalar) -> tuple[int, int, int, int]:
-    """Widens the run ``mask[row, start:end]`` over the rows above and below in which all of it is True."""
+    """Extends the run ``mask[row, start:end]`` to the adjacent rows in which all of it is True."""
     full = mask[:, start:end].all(axis=1)
     gaps = np.flatnonzero(~full)
     at = int(np.searchsorted(gaps, row))

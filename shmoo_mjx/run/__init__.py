@@ -1,1 +1,1 @@
-"""Runs: the simulation loop, an episode and its recording, and the commands that make or show one."""
+"""Runs: the simulation loop, an episode and its recording, and the commands that make or show a run."""

@@ -1,8 +1,8 @@
-"""A recording of somebody's own robot, as a run that the report draws: what is learned of the object, and verdicts.
+"""Converts a user's own recording to a run for the report: the estimate of the object, and verdicts.
 
-The estimate is that of the robot, sample by sample, so it uses no later samples. Only twists use later poses: a
-parabola is fitted to the poses of 0.15 s before and after. After each push, roll-outs over what is known by then give
-the probability that this package's robot can move the object along the side that was pushed.
+The estimate is that of the robot, sample by sample, and uses no later samples. Only twists use later poses: a parabola
+is fitted to the poses within 0.15 s. After each push, roll-outs over the posterior at that time give the probability
+that this package's robot can move the object along the pushed side.
 """
 
 from __future__ import annotations
@@ -43,40 +43,40 @@ from shmoo_mjx.run.log_table import check_extents, in_degrees, read_columns
 from shmoo_mjx.types import DT
 
 _WINDOW = 0.15
-"""Poses so far before and after a sample's start give its twist [s]."""
+"""Half width of the time window whose poses give a sample's twist [s]."""
 _FASTEST = (5.0, 10.0)
-"""Speed [m/s] and yaw rate [rad/s] above which numbers are in other units."""
+"""Speed [m/s] and yaw rate [rad/s] above which the numbers must be in other units."""
 _AGAINST = -0.3
-"""Work of the hands over the sum of its magnitude, below which the force points against the motion. An object at rest
-whose pose is noisy comes near zero."""
+"""Ratio of the hands' net work to the sum of its magnitudes, below which the force points against the motion. An object
+at rest with noisy poses has a ratio near zero."""
 _LOST = 1.0
-"""A push ends when the hands have not touched for so long [s]."""
+"""Time without contact after which a push ends [s]."""
 _TOLD = 0.05
-"""What has moved less tells nothing of its mass and friction [m]."""
+"""Displacement below which the motion is not informative about mass and friction [m]."""
 
 
 class Log(NamedTuple):
-    """The recording at 10 Hz: T samples. {W}, SI units; NaN where a pose is not known."""
+    """The recording resampled to 10 Hz: T samples in {W}, SI units; NaN where a pose is unknown."""
 
     t: np.ndarray
-    """``[T]`` start of each sample [s]"""
+    """``[T]`` start of each sample [s]."""
     object_pose: np.ndarray
-    """``[T, 3]``"""
+    """``[T, 3]`` poses of the object."""
     object_twist: np.ndarray
-    """``[T, 3]``"""
+    """``[T, 3]`` twists of the object."""
     wrench: np.ndarray
-    """``[T, 3]`` of the hands on the object about its centre, mean over the sample"""
+    """``[T, 3]`` wrench of the hands on the object about its centre, mean over the sample."""
     robot_pose: np.ndarray
-    """``[T, 3]``"""
+    """``[T, 3]`` poses of the robot."""
     doubts: tuple[str, ...] = ()
-    """Sentences about numbers that may be in other units."""
+    """Warnings about numbers that may be in other units."""
 
 
 def read_log(path: str | Path) -> Log:
-    """The recording in a CSV or Parquet file (docs/make_your_own.md lists its columns), as samples of 0.1 s.
+    """Reads a recording from a CSV or Parquet file (docs/make_your_own.md lists its columns) as samples of 0.1 s.
 
     Raises:
-        ShmooError: as `read_columns`; or the numbers can't be what they should.
+        ShmooError: as `read_columns`, or the numbers are not plausible.
     """
     file = Path(path)
     columns = read_columns(file)
@@ -110,7 +110,7 @@ def read_log(path: str | Path) -> Log:
 
 
 def _smoothed(t: np.ndarray, pose: np.ndarray, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pose and twist ``[T, 3]`` at the times ``grid`` of parabolas through the poses near each; NaN with too few."""
+    """Pose and twist ``[T, 3]`` at the times ``grid``, from parabolas through the poses near each; NaN with too few."""
     visible = np.isfinite(pose).all(axis=1)
     t, pose = t[visible], pose[visible].copy()
     pose[:, 2] = np.unwrap(pose[:, 2])
@@ -127,13 +127,13 @@ def _smoothed(t: np.ndarray, pose: np.ndarray, grid: np.ndarray) -> tuple[np.nda
 
 
 def _means(t: np.ndarray, values: np.ndarray, grid: np.ndarray) -> np.ndarray:
-    """Means over [grid, grid + DT) of what changes linearly between the rows; what is not known is taken as zero."""
+    """Means over [grid, grid + DT) of values that are linear between the rows. Unknown values count as zero."""
     until = make_interp_spline(t, np.nan_to_num(values), k=1).antiderivative()
     return np.asarray(until(grid + DT) - until(grid)) / DT
 
 
 def run_of_log(log: Log, half_extents: tuple[float, float], weights: Weights) -> tuple[dict[str, Any], Trace]:
-    """What the report draws of a recording: `result.json` and the trace."""
+    """The report's inputs for a recording: the content of `result.json` and the trace."""
     visible = np.isfinite(log.object_pose).all(axis=1)
     pushes = [p for p in _pushes(log) if visible[p].any()]
     learned, names, prior, errors, after = _learned(log, half_extents, weights, pushes)
@@ -181,11 +181,15 @@ def run_of_log(log: Log, half_extents: tuple[float, float], weights: Weights) ->
 def _learned(
     log: Log, half_extents: tuple[float, float], weights: Weights, pushes: list[slice]
 ) -> tuple[np.ndarray, tuple[str, ...], dict[str, float], dict[str, float], list[online.LearnerState]]:
-    """What is known after each sample ``[T, n]``, the names, the prior, which share of the accelerations is left
-    unexplained by the prior and by the estimate from all earlier samples (empty if nothing was learned), and what is
-    known after each of the ``pushes``."""
+    """The estimate after each sample and after each push.
+
+    Returns:
+        The estimate after each sample ``[T, n]``, the names of its n values, the prior, the share of the squared
+        accelerations that prior and estimate leave unexplained (the estimate uses only earlier samples; empty if
+        nothing was learned), and the learner state after each of the ``pushes``.
+    """
     params, shape, yaw = weights.params, weights.config.object, log.object_pose[:, 2]
-    # Poses of a log have no age, and its forces come from a sensor, not from motors that hold arms too.
+    # Poses of a log have no age. Its forces come from a sensor, not from motors that also hold the arms.
     config = EstimateConfig(lag=0.0, force_bias=0.0, force_error=(0.05, 0.5), force_noise=0.5)
     learner = online.learner(shape, config)
     twist, wrench = se2.rotate(log.object_twist, -yaw), se2.rotate(log.wrench, -yaw)
@@ -226,7 +230,7 @@ def _known_after(
     first: int,
     end: int,
 ) -> online.LearnerState:
-    """What is known after the ``rows`` from ``first`` to before ``end``; a scan would keep it after every row."""
+    """The learner state after the ``rows`` from ``first`` to before ``end``. A scan would store it for every row."""
 
     def step(i: Array, estimated: Any) -> Any:
         return learner.adapt(estimated, params, jax.tree.map(lambda x: x[i], rows))
@@ -243,8 +247,10 @@ def _sample_by_sample(
     *,
     rows: online.Transition,
 ) -> tuple[Array, Array, Array]:
-    """What is known after each of the ``rows``, and the acceleration that was predicted before each by what was known
-    then, and by ``start``."""
+    """The estimate after each of the ``rows``, and the predicted accelerations.
+
+    They are predicted before each row from the estimate at that time, and from ``start``.
+    """
 
     def predicted(estimated: Any, x: Array) -> Array:
         own = learner.params_for_rollout(estimated, params)
@@ -260,7 +266,7 @@ def _sample_by_sample(
 
 
 def _doubts(log: Log, errors: dict[str, float]) -> list[str]:
-    """What speaks against the result: work that no hand does, and motion that no object of the prior has."""
+    """Warnings about the result: negative work of the hands, or accelerations that the model does not explain."""
     if _moved(log) < _TOLD:
         return []
     doubts = []
@@ -280,13 +286,13 @@ def _doubts(log: Log, errors: dict[str, float]) -> list[str]:
 
 
 def _moved(log: Log) -> float:
-    """How far the object came from where it was first seen [m]."""
+    """Maximum distance of the object from its first pose [m]."""
     poses = log.object_pose[np.isfinite(log.object_pose).all(axis=1), :2]
     return float(np.linalg.norm(poses - poses[0], axis=1).max())
 
 
 def _pushes(log: Log) -> list[slice]:
-    """Stretches in which the hands touch, but for short losses."""
+    """Intervals in which the hands touch the object. Short losses of contact do not end an interval."""
     touching = np.flatnonzero(touches(log.wrench))
     parts = np.split(touching, np.flatnonzero(np.diff(touching) * DT > _LOST) + 1)
     return [slice(int(part[0]), int(part[-1]) + 1) for part in parts]
@@ -295,9 +301,9 @@ def _pushes(log: Log) -> list[slice]:
 def _verdict(
     log: Log, push: slice, estimated: online.LearnerState, *, half_extents: tuple[float, float], foresight: Foresight
 ) -> dict[str, Any] | None:
-    """Whether the object can be moved, by what is ``estimated`` after a push; None of a push that was too short."""
+    """Verdict whether the object can be moved, from the estimate after a push; None if the push was too short."""
     touching = touches(log.wrench[push])
-    # The last sample's force acts until its end, where the next one begins.
+    # The last sample's force acts until its end, which is the start of the next sample.
     poses = log.object_pose[push.start : push.stop + 1]
     poses = poses[np.isfinite(poses).all(axis=1)]
     contact, moved = float(touching.sum() * DT), float(np.linalg.norm((poses[-1] - poses[0])[:2]))
@@ -313,7 +319,7 @@ def _verdict(
 
 
 def _floor(points: np.ndarray, margin: float) -> tuple[np.ndarray, np.ndarray, float]:
-    """Free cells under all ``points [N, 2]``, for want of a map: cells, origin and resolution."""
+    """A map of free cells that contains all ``points [N, 2]``: cells, origin and resolution. A log has no map."""
     points = points[np.isfinite(points).all(axis=1)]
     low, high, cell = points.min(axis=0) - margin - 1.0, points.max(axis=0) + margin + 1.0, 0.1
     width, height = np.ceil((high - low) / cell).astype(int)
@@ -356,10 +362,13 @@ def _summary(
 
 
 def write_run(file: Path, size: tuple[float, float], out: Path, weights: Weights) -> Path:
-    """Write what `run_of_log` makes of ``file``, with an object of ``size [2]`` [m], into ``out``; the report's page.
+    """Writes the report of the recording ``file`` with an object of ``size [2]`` [m] into ``out``.
+
+    Returns:
+        The path of the report.
 
     Raises:
-        ShmooError: as `read_log`; or a file in ``out`` is not one of an earlier report of a recording.
+        ShmooError: as `read_log`, or a file in ``out`` does not belong to an earlier report of a recording.
     """
     from shmoo_mjx.report.html import write_report
 

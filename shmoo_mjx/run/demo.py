@@ -1,4 +1,4 @@
-"""The demo: one generated scenario per seed, each with its own folder, and a table of how they went."""
+"""The demo: one generated scenario per seed, each with its own folder, and a summary of the outcomes."""
 
 from __future__ import annotations
 
@@ -21,13 +21,23 @@ def run_demo(
     method: str = "ours",
     settings: Sequence[str] = (),
 ) -> int:
-    """Run the demo for each seed, in a folder ``out / demo-SEED`` of its own; 0 if all succeeded, 1 otherwise.
+    """Runs the demo for each seed, each in its own folder ``out / demo-SEED``.
 
-    ``scene`` is one of `SCENES`; the folders of others than "generated" are called SCENE-SEED. The folders of a
-    ``method`` (`shmoo_mjx.behavior.methods`) other than "ours" are called SCENE-SEED-METHOD. ``settings`` are used in
-    the place of the method's own (`shmoo_mjx.behavior.settings`).
+    It prints the outcome and decisions of each run, the success rate, and the path of the last report.
 
-    It prints the outcome and decisions of each run, the success rate, and where the last report is.
+    Args:
+        seeds: seeds of the scenes.
+        out: folder of the runs' folders.
+        weights: trained weights; those of the method if not given.
+        video: whether to render videos.
+        senses: sensing, "real" or "perfect".
+        scene: one of `SCENES`. The folders of scenes other than "generated" are called SCENE-SEED.
+        method: a method of `shmoo_mjx.behavior.methods`. The folders of methods other than "ours" are called
+            SCENE-SEED-METHOD.
+        settings: replace settings of the method (`shmoo_mjx.behavior.settings`).
+
+    Returns:
+        0 if all runs succeeded, 1 otherwise.
     """
     from shmoo_mjx.base import progress
     from shmoo_mjx.run.scenario_run import run_scenario

@@ -1,4 +1,4 @@
-"""``shmoo doctor``: what this machine has, what is missing, and what to do about it."""
+"""``shmoo doctor``: checks the installation of this machine and suggests remedies."""
 
 from __future__ import annotations
 
@@ -16,14 +16,18 @@ from shmoo_mjx.base.environment import device_problem, graphics_problem
 
 
 class Check(NamedTuple):
-    """One finding."""
+    """Result of one check."""
 
     name: str
+    """Name of the checked item."""
     ok: bool
+    """Whether the check passed."""
     finding: str
+    """What was found."""
     remedy: str
+    """What to do if the check failed."""
     needed: bool = True
-    """Whether the main job fails without it."""
+    """Whether the main function fails without it."""
 
 
 def _python() -> Check:
@@ -47,7 +51,7 @@ def _jax() -> Check:
 def _device() -> Check:
     jax, problem = importlib.import_module("jax"), device_problem()
     if problem:
-        # The other checks have findings of their own.
+        # The other checks need a device that works.
         jax.config.update("jax_platforms", "cpu")
     finding = problem or ", ".join(str(d) for d in jax.devices())
     return Check("JAX device", not problem, finding, "unset JAX_PLATFORMS, or install the cuda extra")
@@ -56,7 +60,7 @@ def _device() -> Check:
 def _renderer() -> Check:
     problem = graphics_problem()
     if problem:
-        os.environ["MUJOCO_GL"] = "disable"  # as above
+        os.environ["MUJOCO_GL"] = "disable"  # the other checks must not fail for the same reason
         return Check("3-D renderer", False, problem, "unset MUJOCO_GL, or set it to egl, glfw or disable")
     from shmoo_mjx.plant.render import can_render
 
@@ -77,7 +81,7 @@ def _encoder() -> Check:
     try:
         with tempfile.TemporaryDirectory() as folder:
             write_video(Path(folder) / "try.mp4", [np.zeros((64, 64, 3), np.uint8)] * 3)
-    except Exception as error:  # whatever the encoder's program does wrong
+    except Exception as error:  # the encoder program may fail in any way
         return Check("video encoder", False, f"{type(error).__name__}: {error}", remedy)
     return Check("video encoder", True, "H.264", remedy)
 
@@ -94,7 +98,7 @@ def _weights() -> Check:
         made_by = load_weights(path).info.get("made_by", {})
     except ShmooError as error:
         return Check("shipped weights", False, str(error), remedy)
-    except Exception as error:  # what the check before this one finds
+    except Exception as error:  # another check reports this problem
         return Check("shipped weights", False, f"{type(error).__name__}: {error}", remedy)
     of = "; ".join(
         f"{part}: {by['command']}, data {by['data']['sha256'][:8]}, score {by['score']:.3f}"
@@ -104,7 +108,10 @@ def _weights() -> Check:
 
 
 def _training() -> Check:
-    """Networks, optimiser and checkpoints, in the smallest form: versions of these packages often do not fit JAX's."""
+    """Checks networks, optimiser and checkpoints on a minimal example.
+
+    Versions of these packages often do not fit JAX's.
+    """
     remedy = "pip install --upgrade flax optax orbax-checkpoint"
     try:
         jax, optax = importlib.import_module("jax"), importlib.import_module("optax")
@@ -118,7 +125,7 @@ def _training() -> Check:
             kept.save(1, state, {})
             kept.load(state)
             kept.close()
-    except Exception as error:  # whatever does not fit
+    except Exception as error:  # any incompatibility
         return Check("training", False, f"{type(error).__name__}: {str(error).partition(chr(10))[0]}", remedy)
     versions = ", ".join(f"{name} {metadata.version(name)}" for name in ("flax", "optax", "orbax-checkpoint"))
     return Check("training", True, versions, remedy)
@@ -128,12 +135,12 @@ CHECKS: tuple[Callable[[], Check], ...] = (_python, _mujoco, _jax, _device, _ren
 
 
 def checks() -> list[Check]:
-    """Every finding; takes some seconds."""
+    """Results of all checks. Takes some seconds."""
     return [check() for check in CHECKS]
 
 
 def report() -> int:
-    """Print the findings. Returns 0 if the main job can run, 1 otherwise."""
+    """Prints the results. Returns 0 if the main function can run, 1 otherwise."""
     results = checks()
     for check in results:
         mark = "ok  " if check.ok else ("FAIL" if check.needed else "note")

@@ -1,4 +1,4 @@
-"""One run of a scenario, from its start to its end: what came of it, and its history."""
+"""One run of a scenario from start to end: its result and its history."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from shmoo_mjx.sensing import Senses, senses_named
 from shmoo_mjx.types import DT, Observation
 
 _YAW_TOLERANCE = float(np.radians(20.0))
-"""Yaw error at which an object counts as brought to its pose [rad]."""
+"""Maximum yaw error of an object that counts as brought to its pose [rad]."""
 
 Point = Sequence[float]
 
@@ -38,25 +38,28 @@ class Episode(NamedTuple):
     """A finished run."""
 
     result: dict[str, Any]
-    """JSON-able: outcome, transitions, decisions, objects (report/trace.py lists the keys)."""
+    """JSON-compatible: outcome, transitions, decisions, objects (report/trace.py lists the keys)."""
     trace: Trace
+    """The history as arrays."""
     scene: Scene
+    """The simulated scene."""
     qpos: np.ndarray
-    """``[T, nq]`` for rendering."""
+    """``[T, nq]`` configurations for rendering."""
     navigator: Machine
-    """As it was at the end."""
+    """The navigator in its final state."""
     recorded: Recording
+    """The navigator's observations and commands."""
 
 
 class Hooks(NamedTuple):
-    """What a caller may add to a run; each is called once a sample."""
+    """Callbacks of a run. Each is called once per sample."""
 
     progress: Callable[[float, str], None] = lambda time, mode: None
-    """Takes (simulated time [s], state)."""
+    """Takes (simulated time [s], mode)."""
     perceive: Callable[[Observation], Observation] = lambda obs: obs
-    """A further fault of the senses, such as a pose of NaN."""
+    """Adds a fault to the observation, such as a pose of NaN."""
     over: Callable[[Machine], bool] = lambda navigator: False
-    """Ends the run before the navigator does."""
+    """Ends the run before the navigator does, if it returns True."""
 
 
 def run_episode(
@@ -72,7 +75,7 @@ def run_episode(
     real_time: bool = False,
     policy: str | None = None,
 ) -> Episode:
-    """Run ``scenario`` until the navigator ends, the robot falls, the physics diverges or time is up.
+    """Runs ``scenario`` until the navigator finishes, the robot falls, the physics diverges or the time is over.
 
     Args:
         grid: the map.
@@ -80,12 +83,12 @@ def run_episode(
         controller: the adaptive pushing controller.
         config: the navigator's settings.
         hooks: callbacks of the caller.
-        first_status: what the robot takes each object to be when it first sees it; UNKNOWN if not given.
-        senses: real or perfect, or others; if not given those of the scenario, or real.
-        goals: ``(x, y)`` in {W} [m], in place of the scenario's: one after the other, in the world as the robot has
-            left it and with all that it knows; the time limit is that of all.
-        real_time: run against the wall clock. A command takes effect after the time it really took to compute.
-        policy: "package.module:Name" of what drives in the place of our navigator (docs/make_your_own.md).
+        first_status: initial status of each object in the robot's belief; UNKNOWN if not given.
+        senses: sensing, real, perfect or custom; by default that of the scenario, or real.
+        goals: ``(x, y)`` in {W} [m], in place of the scenario's. The robot drives to one after the other in the same
+            world and keeps its belief. The time limit applies to the sum.
+        real_time: run against the wall clock. A command takes effect after its real computing time.
+        policy: "package.module:Name" of a policy that replaces the navigator (docs/make_your_own.md).
     """
     chosen = senses if isinstance(senses, Senses) else senses_named(senses or scenario.senses or "real")
     ahead = [tuple(goal) for goal in goals] or [scenario.goal]
@@ -111,7 +114,7 @@ def run_episode(
             legs.append(_leg(simulation, goal, began))
             if not legs[-1].success:
                 break
-    simulation.scenario = scenario  # the result tells of the goal that it names, whichever goals were taken
+    simulation.scenario = scenario  # The result contains the scenario's own goal, even if other goals were used
     history = simulation.history
     return Episode(
         result_of(simulation, legs, len(ahead)),
@@ -124,12 +127,12 @@ def run_episode(
 
 
 def _stacked(rows: Sequence[Any]) -> Any:
-    """Named tuples of arrays as one, with time in front."""
+    """Stacks named tuples of arrays along a new leading time axis."""
     return type(rows[0])(*(np.stack([np.asarray(v) for v in column]) for column in zip(*rows, strict=True)))
 
 
 def trace_of(simulation: Simulation) -> Trace:
-    """What has happened so far as arrays."""
+    """The history so far as arrays."""
     grid, navigator, history = simulation.grid, simulation.navigator, simulation.history
 
     def column(name: str) -> np.ndarray:
@@ -155,15 +158,22 @@ def trace_of(simulation: Simulation) -> Trace:
 
 @dataclass(frozen=True)
 class Leg:
-    """How one goal was reached, or not."""
+    """Result of one goal."""
 
     goal: list[float]
+    """Goal in {W} [m, m, rad]."""
     outcome: str
+    """Outcome: "success", "blocked", "timeout" and so on."""
     reason: str
+    """Reason for the outcome, as text."""
     success: bool
+    """Whether the outcome is "success"."""
     time_s: float
+    """Simulated time of this goal [s]."""
     path_length_m: float
+    """Length of the robot's path [m]."""
     goal_distance_m: float
+    """Final distance from the goal [m]."""
 
 
 def _leg(simulation: Simulation, goal: Point, began: float) -> Leg:
@@ -184,14 +194,17 @@ def _leg(simulation: Simulation, goal: Point, began: float) -> Leg:
 
 
 def _length(points: np.ndarray) -> float:
-    """Length of a polyline [m], to the millimetre."""
+    """Length of a polyline [m], rounded to 1 mm."""
     return round(float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum()), 3)
 
 
 def result_of(simulation: Simulation, legs: Sequence[Leg] = (), goals: int = 1) -> dict[str, Any]:
-    """What has happened so far, JSON-able (report/trace.py lists the keys).
+    """The result so far, JSON-compatible (report/trace.py lists the keys).
 
-    ``legs`` tells how each goal was reached if there were several, ``goals`` how many there were to reach.
+    Args:
+        simulation: the simulation.
+        legs: result of each goal, if there were several.
+        goals: number of goals to reach.
     """
     scenario, navigator, history = simulation.scenario, simulation.navigator, simulation.history
     legs = list(legs) or [_leg(simulation, navigator.state.goal.tolist(), 0.0)]

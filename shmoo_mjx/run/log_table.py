@@ -1,4 +1,4 @@
-"""The table of a recording of somebody's own robot: its columns as arrays, and whether their numbers can be true."""
+"""Reads the table of a user's own recording: columns as arrays, with plausibility checks."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ REQUIRED = ("t", "object_x", "object_y", "object_yaw", "force_x", "force_y")
 OPTIONAL = ("torque", "robot_x", "robot_y", "robot_yaw")
 
 _SLOWEST = 0.12
-"""Longest usual time between two rows [s]."""
+"""Maximum median time between two rows [s]."""
 _NOTHING = ("", "nan", "na", "n/a", "#n/a", "null", "none")
-"""What stands in a cell whose number is not known."""
+"""Cell contents that mean an unknown number."""
 _LONGEST = (60.0, 4 * 3600.0)
-"""Longest time between two rows, and from the first to the last [s]."""
+"""Maximum time between two rows, and from the first to the last row [s]."""
 _FARTHEST = (
     dict.fromkeys(("object_x", "object_y", "robot_x", "robot_y"), 100.0)
     | dict.fromkeys(("object_yaw", "robot_yaw"), 1000.0)
     | dict.fromkeys(("force_x", "force_y", "torque"), 10_000.0)
 )
-"""What a column may differ from its median [m, rad, N, N m]."""
+"""Maximum deviation of a column's values from its median [m, rad, N, N m]."""
 
 
 def read_columns(file: Path) -> dict[str, np.ndarray]:
-    """The columns ``[N]`` of a CSV or Parquet file that we know, by name; NaN where a number is not known.
+    """The known columns ``[N]`` of a CSV or Parquet file by name; NaN where a number is unknown.
 
     Columns of a CSV file are separated by commas, semicolons or tabs. The first row below the header is row 1.
 
     Raises:
-        ShmooError: the file can't be read, a column is missing or stands twice, a value is no finite number, or times
-            do not grow by small steps; it names the column, and the row where one is at fault.
+        ShmooError: the file can't be read, a column is missing or occurs twice, a value is not a finite number, or
+            times do not increase by small steps. The message names the column, and the row if one is wrong.
     """
     if not file.is_file():
         raise ShmooError(f"{file}: there is no such file; give a log as CSV or Parquet.")
@@ -50,7 +50,7 @@ def read_columns(file: Path) -> dict[str, np.ndarray]:
 
 
 def _places(file: Path, names: list[str]) -> dict[str, int]:
-    """Where the columns that we know stand among all."""
+    """Positions of the known columns among all columns."""
     for name in REQUIRED:
         if name not in names:
             near = closest_name(name, names)
@@ -72,7 +72,7 @@ def _parquet(file: Path) -> dict[str, np.ndarray]:
 
 
 def _csv(file: Path) -> dict[str, np.ndarray]:
-    """Columns are separated by what splits the header into the most names that we know."""
+    """Reads a CSV file. The separator is the one that splits the header into the most known names."""
     with file.open(encoding="utf-8-sig", newline="") as opened:
         lines = (line for line in opened if line.strip())
         header = next(lines, "")
@@ -93,7 +93,7 @@ def _csv(file: Path) -> dict[str, np.ndarray]:
 
 
 def _numbers(file: Path, name: str, values: list[Any]) -> np.ndarray:
-    """The values of a column, NaN where nothing stands."""
+    """The values of a column; NaN for empty cells."""
     numbers = np.full(len(values), np.nan)
     for i, value in enumerate(values):
         text = "" if value is None else str(value).strip()
@@ -140,10 +140,10 @@ def _check_times(file: Path, t: np.ndarray) -> None:
 
 
 def check_extents(file: Path, columns: dict[str, np.ndarray]) -> None:
-    """Check that no value is far from the others of its column.
+    """Checks that no value is far from the others of its column.
 
     Raises:
-        ShmooError: one is; it names the row and the column.
+        ShmooError: a value is too far away. The message names the row and the column.
     """
     for name, values in columns.items():
         limit = _FARTHEST.get(name, np.inf)
@@ -159,7 +159,7 @@ def check_extents(file: Path, columns: dict[str, np.ndarray]) -> None:
 
 
 def in_degrees(columns: dict[str, np.ndarray]) -> list[str]:
-    """A sentence about each yaw that exceeds a whole turn, and so may be in degrees."""
+    """Warnings about yaws that exceed a whole turn and may therefore be in degrees."""
     sentences = []
     for name in ("object_yaw", "robot_yaw"):
         largest = float(np.nanmax(np.abs(columns.get(name, np.zeros(1))), initial=0.0))

@@ -1,4 +1,4 @@
-"""The recording of a run: what the navigator perceived and commanded, sample by sample."""
+"""Recording of a run: the navigator's observations and commands, sample by sample."""
 
 from __future__ import annotations
 
@@ -12,31 +12,31 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.types import Command, Observation
 
 RECORDING_FILE = "recorded.npz"
-"""Its name in a run's folder."""
+"""Name of the recording in a run's folder."""
 _VERSION = 1
-"""Of the file's layout."""
+"""Version of the file's layout."""
 
 
 class Recording(NamedTuple):
-    """What went into the navigator and came out of it, sample by sample."""
+    """Inputs and outputs of the navigator, sample by sample."""
 
     observations: Observation
     """Fields ``[T, 1, ...]``."""
     commands: Command
     """Fields ``[T, 1, ...]``."""
     goals: np.ndarray
-    """``[T, 2]`` the goal it was given, in {W} [m]."""
+    """``[T, 2]`` goal in {W} [m]."""
 
 
 def save_recording(path: Path, recorded: Recording) -> None:
-    """Write a run's observations and commands."""
+    """Writes a run's observations and commands."""
     arrays = {f"observation.{k}": v for k, v in recorded.observations._asdict().items()}
     arrays |= {f"command.{k}": v for k, v in recorded.commands._asdict().items()}
     write_arrays(path, arrays | {"goals": recorded.goals, "version": np.array(_VERSION)})
 
 
 def load_recording(path: Path) -> Recording:
-    """Read them.
+    """Reads a recording.
 
     Raises:
         ShmooError: the file is missing, damaged, or of another version.

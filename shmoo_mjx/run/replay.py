@@ -1,6 +1,7 @@
-"""Replay: the observations recorded in a run, fed to the navigator again, give the same commands bit for bit.
+"""Replay: feeds the recorded observations of a run to the navigator and compares the commands bit for bit.
 
-On another processor or with other versions they may not; then the first sample that differs says where to look.
+On another processor or with other versions the commands may differ. The first differing sample then shows where to
+look.
 """
 
 from __future__ import annotations
@@ -23,14 +24,17 @@ class Difference(NamedTuple):
     """The first sample at which a replay gives another command."""
 
     sample: int
+    """Index of the sample."""
     time: float
-    """[s]"""
+    """Time of the sample [s]."""
     state: str
-    """What the navigator is doing there."""
+    """Mode of the navigator."""
     field: str
-    """Of the command."""
+    """Field of the command that differs."""
     recorded: np.ndarray
+    """Value of the field in the recording."""
     replayed: np.ndarray
+    """Value of the field in the replay."""
 
     def __str__(self) -> str:
         values = f"{np.round(self.recorded, 6).tolist()} recorded, {np.round(self.replayed, 6).tolist()} now"
@@ -38,12 +42,14 @@ class Difference(NamedTuple):
 
 
 def replay(run: Path, weights: Path | None = None) -> Difference | None:
-    """The first command that differs when the recording in folder ``run`` is fed to this version's navigator, or None.
+    """The first command that differs when this version's navigator replays the recording in folder ``run``, or None.
 
-    With the ``weights`` that the folder holds, or else those of the run's method, if none are given.
+    Args:
+        run: folder of the run.
+        weights: weights file; by default the one in the folder, or else that of the run's method.
 
     Raises:
-        ShmooError: a file is missing, damaged or of another version, or the run was made with other weights.
+        ShmooError: a file is missing, damaged or from another version, or the run was made with other weights.
     """
     from shmoo_mjx.behavior.methods import method_named
     from shmoo_mjx.behavior.settings import with_settings
@@ -67,7 +73,7 @@ def replay(run: Path, weights: Path | None = None) -> Difference | None:
 
 
 def differences(navigator: Machine, recorded: Recording) -> Difference | None:
-    """The first sample at which ``navigator``, fresh from the start, gives another command than the recorded one."""
+    """The first sample at which ``navigator``, in its initial state, gives another command than the recorded one."""
     for i, time in enumerate(recorded.observations.time[:, 0]):
         if i and not np.array_equal(recorded.goals[i], recorded.goals[i - 1]):
             navigator.head_for(recorded.goals[i], float(time))

@@ -1,4 +1,4 @@
-"""Runs that leave a folder: simulate a scenario, then write result.json, trace.npz, report.html and episode.mp4."""
+"""Runs that write a folder: simulate a scenario, then write result.json, trace.npz, report.html and episode.mp4."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ if TYPE_CHECKING:
     from shmoo_mjx.run.episode import Episode
 
 OWN_WEIGHTS = "weights.safetensors"
-"""What a run's folder calls the weights of a run, if they are not those of its method."""
+"""File name of a run's weights in its folder, if they are not those of its method."""
 _FLOOR, _CELL = 12.0, 0.05
-"""Side of the open floor on which ``shmoo push`` pushes, and of its cells [m]."""
+"""Side of the open floor of ``shmoo push``, and of its cells [m]."""
 _FILES = {
     "trace.npz": ARRAYS,
     "result.json": RUN,
@@ -54,7 +54,7 @@ _FILES = {
     "episode.mp4": FILM,
     "episode.rrd": VIEWER,
 }
-"""Files of a run's folder; the first one is written first."""
+"""Files of a run's folder. The first one is written first."""
 
 
 def run_scenario(
@@ -73,34 +73,34 @@ def run_scenario(
     method: str = "ours",
     settings: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Run one scenario and write its folder ``out``.
+    """Runs one scenario and writes its folder ``out``.
 
     Args:
         grid: the map.
-        scenario: what to do in it.
-        out: folder for the results; made if absent, files of an earlier run are replaced.
+        scenario: the scenario to run.
+        out: folder for the results; created if absent. Files of an earlier run are replaced.
         weights: trained weights; those of the method if not given.
-        video: draw episode.mp4, which takes about as long as the simulation.
-        name: what to call the scenario in error messages.
-        progress: called with (stage, fraction of its limit that has passed).
+        video: whether to render episode.mp4, which takes about as long as the simulation.
+        name: name of the scenario in error messages.
+        progress: called with (stage, elapsed fraction of its limit).
         record: also write episode.rrd, a 3-D recording for the Rerun viewer.
-        senses: what the robot perceives with; if not given the scenario's, or real.
-        real_time: run against the wall clock, and report every missed deadline.
-        policy: "package.module:Name" of what drives in the place of our navigator.
+        senses: sensing of the robot; by default the scenario's, or real.
+        real_time: run against the wall clock and report every missed deadline.
+        policy: "package.module:Name" of a policy that replaces the navigator.
         method: "ours", or "paper" for the paper's system (`shmoo_mjx.behavior.methods`).
-        settings: "NAME=VALUE" each, in the place of the method's own (`shmoo_mjx.behavior.settings`).
+        settings: "NAME=VALUE" texts that replace settings of the method (`shmoo_mjx.behavior.settings`).
 
     Returns:
         The result, as in result.json.
 
     Raises:
         ShmooError: the scenario does not fit the map, the weights can't be read or do not fit the method, there is no
-            such method or setting, or a file in ``out`` is not one of an earlier run.
+            such method or setting, or a file in ``out`` does not belong to an earlier run.
     """
     check_run_folder(out)
     check_scenario(grid, scenario, ROBOT_RADIUS, name)
     conditions = checked_objects(grid, scenario, name)
-    # Only now what takes seconds to import: bad input is answered at once.
+    # Imports that take seconds come after the checks, so that invalid input is reported at once.
     from shmoo_mjx.behavior.methods import method_named
     from shmoo_mjx.behavior.settings import with_settings
     from shmoo_mjx.control.observation import local_distance_field
@@ -115,7 +115,7 @@ def run_scenario(
     chosen = with_settings(method_named(method), settings)
     controller = chosen.controller(weights, to_pose=scenario.push_to is not None)
     with claimed(out):
-        # Before the run, which they might not outlive.
+        # Copied before the run, because the object files may disappear during it.
         scenario = with_own_objects(scenario, out)
         if not is_quiet():
             for i, condition in enumerate(conditions):
@@ -123,7 +123,7 @@ def run_scenario(
         limit = scenario.limits.time_s
         hooks = Hooks(progress=lambda t, mode: progress(f"simulating: {mode}", t / limit))
         if real_time:
-            # What is compiled meanwhile would miss every deadline.
+            # Compilation during the run would miss every deadline.
             controller.compile(local_distance_field(distance_field(grid), scenario.start))
         episode = run_episode(
             grid,
@@ -146,7 +146,7 @@ def run_scenario(
             settings=settings,
         )
         save_recording(out / RECORDING_FILE, episode.recorded)
-        # The report shows the film that lies there: one of an earlier run must not.
+        # The report shows the video in the folder, so one of an earlier run must be removed.
         (out / "episode.mp4").unlink(missing_ok=True)
         (out / "episode.rrd").unlink(missing_ok=True)
         if record:
@@ -160,10 +160,10 @@ def run_scenario(
 
 
 def check_run_folder(out: Path) -> None:
-    """Check that a run may leave its files in ``out``.
+    """Checks that a run may write its files to ``out``.
 
     Raises:
-        ShmooError: one of them would replace an input, or what is not of an earlier run.
+        ShmooError: one of them would replace an input, or a file that does not belong to an earlier run.
     """
     check_folder(out, _FILES, "trace.npz")
 
@@ -179,15 +179,16 @@ def save_run(
     method: str = "ours",
     settings: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Write what a report is made of into the folder ``out``, and all that it takes to run it again, wherever the
-    folder is: trace.npz, map, scenario, object files, weights that are not those of the ``method``, and result.json.
+    """Writes the inputs of a report to the folder ``out``, and everything needed to repeat the run from there.
+
+    The files are trace.npz, map, scenario, object files, weights that are not those of the ``method``, and result.json.
 
     Returns:
-        The result as it is written, with the versions, weights and settings that it depends on, and the command that
-        repeats it.
+        The result as written, with the versions, weights and settings that it depends on, and the command that repeats
+        it.
 
     Raises:
-        ShmooError: a file in ``out`` is not one of an earlier run.
+        ShmooError: a file in ``out`` does not belong to an earlier run.
     """
     from shmoo_mjx.behavior.methods import method_named
     from shmoo_mjx.learning.weights import load_weights, save_weights
@@ -217,7 +218,7 @@ def save_run(
 
 
 def _command(name: str, shipped_weights: bool, *, policy: str | None, method: str, settings: Sequence[str]) -> str:
-    """What repeats a run, from where its folder ``name`` lies."""
+    """The command that repeats a run, in the parent directory of its folder ``name``."""
     words = ["uv", "run", "shmoo", "navigate", "--scenario", f"{name}/scenario.yaml"]
     words += [] if shipped_weights else ["--weights", f"{name}/{OWN_WEIGHTS}"]
     words += [] if policy is None else ["--policy", policy]
@@ -227,7 +228,11 @@ def _command(name: str, shipped_weights: bool, *, policy: str | None, method: st
 
 
 def checked_objects(grid: OccupancyGrid, scenario: Scenario, name: str) -> list[Any]:
-    """The objects; properties that none can have and places where none can stand are refused by name."""
+    """The conditions of the objects.
+
+    Raises:
+        ShmooError: an object has invalid properties or stands in an impossible place. The message names it.
+    """
     from shmoo_mjx.planning.scenario import check_places
 
     conditions = []
@@ -266,7 +271,7 @@ def load_inputs(
     """Map and scenario from the options of ``shmoo navigate``.
 
     Raises:
-        ShmooError: no map, neither scenario nor start and goal, or anything wrong inside the files.
+        ShmooError: there is no map, neither a scenario nor start and goal, or a file has an error.
     """
     from shmoo_mjx.planning.maps import load_map
     from shmoo_mjx.planning.scenario import load_scenario
@@ -293,17 +298,17 @@ def load_inputs(
 def push_inputs(
     family: str, goal: str, properties: Sequence[str], *, seed: int, start: str
 ) -> tuple[OccupancyGrid, Scenario]:
-    """An open floor with one object at the origin, and the pose that it is to be brought to: ``shmoo push``.
+    """An open floor with one object at the origin, and a scenario that pushes it to a pose: ``shmoo push``.
 
     Args:
         family: box, cart, wheelchair, or an object file.
         goal: "x,y,yaw" of the object [m, rad].
-        properties: "name=value" each, as in a scenario file.
-        seed: draws the properties that are not given.
+        properties: "name=value" texts, as in a scenario file.
+        seed: seed of the properties that are not given.
         start: "x,y,yaw" of the robot [m, rad].
 
     Raises:
-        ShmooError: any of them is not what it should be.
+        ShmooError: an argument is invalid.
     """
     values = {}
     for text in properties:

@@ -1,6 +1,6 @@
-"""A scenario sample by sample: the simulated world, the robot's senses and navigator, and a history of what happens.
+"""Step-by-step simulation of a scenario: the world, the robot's sensing and navigator, and a history.
 
-``run_episode`` lets one run to its end; the live page steps one, and changes the world between samples.
+``run_episode`` runs one to its end. The live page steps one and changes the world between samples.
 """
 
 from __future__ import annotations
@@ -35,45 +35,54 @@ Point = Sequence[float]
 
 @dataclass(frozen=True)
 class Sample:
-    """What was true of the world in one sample, and what the robot did and learned."""
+    """Ground truth of one sample, and the robot's command and estimate."""
 
     t: float
-    """[s]"""
+    """Time [s]."""
     robot_pose: np.ndarray
-    """``[3]`` in {W}"""
+    """``[3]`` pose of the robot in {W}."""
     object_pose: np.ndarray
-    """``[N, 3]`` in {W}; NaN before an object was there"""
+    """``[N, 3]`` poses of the objects in {W}; NaN before an object was added."""
     lean: np.ndarray
-    """``[2]`` [rad]"""
+    """``[2]`` lean [rad]."""
     u: np.ndarray
-    """``[3]`` the command [rad]"""
+    """``[3]`` command [rad]."""
     force: np.ndarray
-    """``[2]`` of the hands in {R} [N]"""
+    """``[2]`` total force of the hands in {R} [N]."""
     learned: dict[str, float] | None
-    """Of the object that is pushed (`online.learned`); None where none is"""
+    """Estimate of the pushed object (`online.summary`); None without a push."""
     learned_object: int
-    """Its number, or -1"""
+    """Index of that object, or -1."""
     state: int
-    """Number of the navigator's mode"""
+    """Index of the navigator's mode."""
 
 
 @dataclass
 class History:
-    """What has happened so far, a row per sample."""
+    """History of a simulation, one row per sample."""
 
     rows: list[Sample] = field(default_factory=list)
+    """Ground truth, command and estimate."""
     qpos: list[np.ndarray] = field(default_factory=list)
+    """``[nq]`` configurations, for rendering."""
     observations: list[Observation] = field(default_factory=list)
+    """The navigator's inputs."""
     commands: list[Command] = field(default_factory=list)
+    """The navigator's outputs."""
     goals: list[np.ndarray] = field(default_factory=list)
+    """``[2]`` goal positions in {W} [m]."""
     late: list[dict[str, Any]] = field(default_factory=list)
-    """Missed deadlines, against the wall clock."""
+    """Samples whose computation took longer than a sample time (real time only)."""
     falls: int = 0
+    """Number of falls."""
     diverged: bool = False
-    """Whether the physics was lost in the last sample; the simulation then stays as it was before."""
+    """Whether the physics diverged in the last sample. The simulation keeps the state before it."""
     wall_contacts: int = 0
+    """Number of contacts of the robot with walls."""
     touching: bool = False
+    """Whether the robot touched a wall in the last sample."""
     wall_parts: dict[str, int] = field(default_factory=dict)
+    """Number of wall contacts of each part of the robot."""
     touches: list[dict[str, Any]] = field(default_factory=list)
     """Contacts with walls, as events."""
 
@@ -84,7 +93,7 @@ class History:
 
 
 def conditions_of(scenario: Scenario) -> list[Condition]:
-    """The objects' conditions, drawn from family and seed with the given properties replaced."""
+    """The objects' conditions, drawn from family and seed, with the given properties replaced."""
     return [o.condition() for o in scenario.objects]
 
 
@@ -96,9 +105,10 @@ def scene_of(
     senses: Senses = PERFECT,
     alter: Callable[[mujoco.MjSpec], None] = lambda spec: None,
 ) -> Scene:
-    """The MuJoCo world: every wall of the map (a way round may lead anywhere), objects and the robot.
+    """The MuJoCo world: all walls of the map, the objects and the robot.
 
-    ``alter`` makes last changes to the MJCF in place, after those of the robot's body.
+    All walls are included because a detour may lead anywhere. ``alter`` modifies the MJCF in place, after the changes
+    of the robot's body.
     """
     walls = occupied_rectangles(grid, unknown_borders=True)
     placed = [(c, o.pose) for c, o in zip(conditions, scenario.objects, strict=True)]
@@ -121,10 +131,10 @@ def navigator_of(
     first_status: Sequence[Status] | None = None,
     policy: str | None = None,
 ) -> Machine:
-    """What drives the robot in a run: the navigator, the pushing task where the scenario has a pose for an object, or
-    the ``policy`` "package.module:Name".
+    """The controller of the robot in a run.
 
-    What it has to compute takes as long as ``senses`` say.
+    It is the navigator, the push task if the scenario has a pose for an object, or the ``policy``
+    "package.module:Name". Computing time and latency are those of ``senses``.
 
     Raises:
         ShmooError: there is a policy, but no goal for the robot.
@@ -157,7 +167,10 @@ def navigator_of(
 
 
 class Simulation:
-    """One scenario sample by sample; to be closed at the end (``contextlib.closing``). Arguments: see `run_episode`."""
+    """Step-by-step simulation of one scenario. Arguments: see `run_episode`.
+
+    Close it at the end (``contextlib.closing``).
+    """
 
     def __init__(
         self,
@@ -177,14 +190,14 @@ class Simulation:
             grid, scenario, controller, senses, config=config, first_status=first_status, policy=policy
         )
         self.history = History()
-        # Where the object stands that is to be brought to a pose is told with the task.
+        # The task includes the initial pose of an object that is pushed to a pose.
         self.engine = SensedEngine([self.scene], senses, scenario.seed, poses_known=scenario.push_to is not None)
         self.world: SensedWorld = self.engine.init()
         self.observation = self.engine.observe(self.world)
         self.true = self.engine.true_observation(self.world)
 
     def close(self) -> None:
-        """Stop the engine's threads."""
+        """Stops the engine's threads."""
         self.engine.close()
 
     @property
@@ -194,22 +207,22 @@ class Simulation:
 
     @property
     def qpos(self) -> np.ndarray:
-        """``[nq]`` of the world now, for pictures."""
+        """``[nq]`` configuration of the world, for rendering."""
         return np.array(self.world.physics[0, 1 : 1 + self.scene.model.nq])
 
     def decide(self, perceive: Callable[[Observation], Observation] = lambda obs: obs) -> Command:
-        """What the robot does next, by what it perceives now; ``perceive`` may add a fault."""
+        """The robot's next command, from the current observation. ``perceive`` may add a fault to the observation."""
         perceived = perceive(self.observation)
         command = self.navigator.tick(perceived)
         self._note(perceived, command)
         return command
 
     def advance(self, command: Command | None, spent: float | None = None) -> None:
-        """The world goes on for a sample, or for as many as computing has really taken.
+        """Advances the world by one sample, or by as many as the computation really took.
 
         Args:
-            command: what the robot does; None if the command got lost on its way.
-            spent: wall-clock time that it took to compute [s], if that is to pass in the world.
+            command: the robot's command; None if the command is lost.
+            spent: computing time on the wall clock [s], if it elapses in the simulated world too.
         """
         world, obs = self.engine.step(self.world, command, computing=spent)
         if spent is not None and spent > DT:
@@ -217,7 +230,7 @@ class Simulation:
             self.history.late.append(late | {"ms": round(1e3 * spent)})
             for _ in range(int(spent / DT)):
                 world, obs = self.engine.step(world, command, computing=0.0)
-            # The controller's samples are DT apart: what spans a longer time teaches nothing.
+            # The controller assumes samples that are DT apart, so a longer step must not be used for learning.
             obs = obs._replace(detected=np.zeros_like(obs.detected))
         if self.engine.diverged(world)[0]:
             self.history.diverged = True
@@ -228,15 +241,15 @@ class Simulation:
         self.history.falls += int(self.engine.fallen(self.world)[0])
 
     def change(self, scenario: Scenario) -> None:
-        """Go on with more objects at the end of the list, or with other properties of those that are there.
+        """Adds objects at the end of the list, or changes properties of existing objects.
 
-        New objects appear at rest at their poses; all others stay where they are.
+        New objects appear at rest at their poses. All other objects stay where they are.
 
         Args:
-            scenario: its objects begin with those of the present one, each of the same family.
+            scenario: its objects begin with those of the current scenario, each of the same family.
         """
         before = self.scene
-        # All that may fail comes first: what is refused has changed nothing.
+        # Everything that may fail comes first, so that a rejected change has no effect.
         conditions = conditions_of(scenario)
         scene = scene_of(self.grid, scenario, conditions, senses=self.senses)
         engine = SensedEngine([scene], self.senses, scenario.seed)
@@ -252,12 +265,15 @@ class Simulation:
             self._widen(added)
 
     def alter(self, change: Callable[[mujoco.MjSpec], None]) -> None:
-        """Go on from the same state in a world whose MJCF ``change`` changes in place, such as a floor's friction."""
+        """Continues from the same state with an MJCF that ``change`` modifies in place, for example a floor's friction.
+
+        The objects, the map and the robot's sensing stay the same.
+        """
         self.scene = scene_of(self.grid, self.scenario, self.conditions, senses=self.senses, alter=change)
         self.engine.change([self.scene])
 
     def place(self, index: int, pose: Point) -> None:
-        """Somebody puts object ``index`` to the pose (x, y, yaw) in {W}, where it rests."""
+        """Moves object ``index`` to the pose (x, y, yaw) in {W}, at rest."""
         physics, scene = self.world.truth.physics.copy(), self.scene
         poses = [*self.true.object_pose[0]]
         poses[index] = np.asarray(pose, dtype=float)
@@ -291,7 +307,7 @@ class Simulation:
         )
 
     def _count_contacts(self) -> None:
-        """A contact counts once, however long it lasts."""
+        """Counts each contact with a wall once, regardless of its duration."""
         history, touching = self.history, bool(self.world.wall_contact[0])
         if touching and not history.touching:
             history.wall_contacts += 1
@@ -303,7 +319,7 @@ class Simulation:
         history.touching = touching
 
     def _widen(self, added: int) -> None:
-        """Room for new objects in the history: nowhere before now, and for pictures where they appeared."""
+        """Extends the history for new objects: NaN poses in the past, and their initial pose in ``qpos``."""
         rows, now = self.history.rows, self.qpos
         nowhere = np.full((added, 3), np.nan)
         for i, row in enumerate(rows):

@@ -1,6 +1,7 @@
-"""A person drives the robot with the keyboard, and what happens is recorded as ``collect`` records it.
+"""Keyboard teleoperation of the robot, recorded in the format of ``collect``.
 
-Keys change wishes step by step, since a viewer reports presses and no releases; a velocity loop turns them into leans.
+A viewer reports key presses but no releases, so each press changes a set point by one step. A velocity loop turns the
+set points into leans.
 """
 
 from __future__ import annotations
@@ -19,11 +20,11 @@ from shmoo_mjx.plant.lowlevel import Gains, velocity_to_lean
 from shmoo_mjx.types import DT, Command, Observation
 
 _SPEED, _TURN, _STEER = 0.05, np.deg2rad(7.5), 0.05
-"""What one press changes: speed [m/s], heading [rad], steering angle [rad]."""
+"""Change per key press: speed [m/s], heading [rad], steering angle [rad]."""
 _FASTEST, _SHARPEST = 0.5, 0.5
-"""Largest wishes: speed [m/s] and steering angle [rad]."""
+"""Limits of the set points: speed [m/s] and steering angle [rad]."""
 _FRAMES = 5
-"""Pictures in a sample time."""
+"""Frames per sample time."""
 
 KEYS = {
     265: "up: faster forwards",
@@ -37,11 +38,11 @@ KEYS = {
     259: "backspace: stop",
     257: "enter: arms out or in (always out while recording)",
 }
-"""GLFW key codes, chosen beside those that MuJoCo's viewer uses itself."""
+"""GLFW key codes that MuJoCo's viewer does not use itself."""
 
 
 class Driver(NamedTuple):
-    """What the person wants at present."""
+    """Set points of the teleoperation."""
 
     forward: float = 0.0
     left: float = 0.0
@@ -51,10 +52,11 @@ class Driver(NamedTuple):
     gamma: float = 0.0
     """Steering angle [rad]."""
     arms_out: bool = False
+    """Whether the arms are extended."""
 
 
 def press(driver: Driver, key: int, arms_fixed: bool = False) -> Driver:
-    """The wishes after one key press; a key without meaning changes nothing."""
+    """The set points after one key press. Other keys change nothing."""
 
     def moved(value: float, step: float, limit: float) -> float:
         return float(np.clip(value + step, -limit, limit))
@@ -77,9 +79,9 @@ def press(driver: Driver, key: int, arms_fixed: bool = False) -> Driver:
 
 
 def command(driver: Driver, obs: Observation) -> Command:
-    """The robot's command for one sample time, of a batch of one world."""
+    """The robot's command for one sample time, for a batch of one world."""
     moving = se2.rotate(obs.robot_twist[:, :2], -obs.robot_pose[:, 2])
-    # Stiffer than for driving alone: what an object holds back, the person makes up for by asking for more speed.
+    # The gain is higher than for driving alone. If an object slows the robot, the operator asks for more speed.
     lean = velocity_to_lean(Gains(velocity_p=0.3), moving, obs.lean_rate, np.array([[driver.forward, driver.left]]))
     u = np.concatenate([lean, [[driver.gamma]]], axis=-1)
     reach, height = (REACH, HAND_HEIGHT) if driver.arms_out else (TUCKED_REACH, TUCKED_HEIGHT)
@@ -87,17 +89,20 @@ def command(driver: Driver, obs: Observation) -> Command:
 
 
 class TeleopSession(NamedTuple):
-    """A drive so far."""
+    """A teleoperated drive so far."""
 
     world: Any
+    """State of the engine."""
     obs: Observation
+    """Last observation."""
     driver: Driver
+    """Current set points."""
     rows: tuple[dict[str, np.ndarray], ...] = ()
-    """Recorded samples, each field ``[1, ...]``; empty where nothing is recorded."""
+    """Recorded samples, each field ``[1, ...]``; empty if nothing is recorded."""
 
 
 def begin(engine: Any, record: bool = False) -> TeleopSession:
-    """Standing still; for a recording, with the arms out and at rest."""
+    """Starts a drive at rest. If it is recorded, the arms are extended."""
     world = engine.init()
     obs = engine.observe(world)
     driver = Driver(yaw=float(obs.robot_pose[0, 2]), arms_out=record)
@@ -109,7 +114,7 @@ def begin(engine: Any, record: bool = False) -> TeleopSession:
 def tick(
     engine: Any, session: TeleopSession, keys: list[int], *, record: bool = False, show: Any = lambda world: None
 ) -> TeleopSession:
-    """One sample time. ``show`` is called with the engine's world for each picture."""
+    """Runs one sample time. ``show`` is called with the engine's world for each frame."""
     driver = session.driver
     for key in keys:
         driver = press(driver, key, arms_fixed=record)
@@ -125,10 +130,13 @@ def tick(
 
 
 def save(directory: Path, condition: Condition, rows: tuple[dict[str, np.ndarray], ...]) -> str:
-    """Add a drive to a data set as one condition with one episode; returns the condition's name.
+    """Adds a drive to a data set as one condition with one episode.
+
+    Returns:
+        The condition's name.
 
     Raises:
-        ShmooError: the directory holds a data set of another kind.
+        ShmooError: the directory contains a data set of another kind.
     """
     from shmoo_mjx.data import store
 
@@ -145,7 +153,7 @@ def save(directory: Path, condition: Condition, rows: tuple[dict[str, np.ndarray
 
 
 def _face(condition: Condition, arrays: dict[str, np.ndarray], when: int) -> np.ndarray:
-    """The face ``[4]`` the robot stood nearest to at sample ``when``."""
+    """The face ``[4]`` nearest to the robot at sample ``when``."""
     faces = faces_of(condition.half_extents)
     robot = se2.relative(arrays["object_pose"][0, when], arrays["robot_pose"][0, when])
     return np.asarray(faces[np.argmin(np.hypot(*(faces[:, :2] - robot[:2]).T))])

@@ -1,4 +1,4 @@
-"""``shmoo view``: a scene in MuJoCo's window, where keys drive the robot, or a film where no window can open."""
+"""``shmoo view``: a scene in MuJoCo's viewer with keyboard teleoperation, or a video if no window can open."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from shmoo_mjx.types import DT
 
 
 def scene_named(what: str, seed: int) -> Scene:
-    """The scene a user names: robot, demo, an object family, an object file (*.json) or a scenario file (*.yaml).
+    """The scene with this name: robot, demo, an object family, an object file (*.json) or a scenario file (*.yaml).
 
     Raises:
-        ShmooError: nothing has this name, or the file is wrong.
+        ShmooError: there is no such scene, or the file has an error.
     """
     if what == "robot":
         return build_scene()
@@ -47,9 +47,9 @@ def scene_named(what: str, seed: int) -> Scene:
 
 
 def interactive(scene: Scene, record: Path | None = None) -> None:
-    """Show the scene in MuJoCo's viewer until it is closed; keys drive the robot (teleop.KEYS).
+    """Shows the scene in MuJoCo's viewer until it is closed. Keys drive the robot (teleop.KEYS).
 
-    The drive of a scene with one object is added to the data set ``record``.
+    The drive is added to the data set ``record``, which needs a scene with one object.
     """
     import mujoco.viewer
 
@@ -77,7 +77,7 @@ def interactive(scene: Scene, record: Path | None = None) -> None:
 
 
 def film(scene: Scene, out: Path, seconds: float = 8.0) -> list[Path]:
-    """A still of the whole scene and a film of the robot, which pushes the one object there is or looks round.
+    """Renders a still of the whole scene and a video of the robot, which pushes a single object or turns around.
 
     Raises:
         ShmooError: no renderer works here, or a file in ``out`` may not be replaced.
@@ -99,7 +99,7 @@ def film(scene: Scene, out: Path, seconds: float = 8.0) -> list[Path]:
 
 
 def _drive(scene: Scene, seconds: float) -> Iterator[np.ndarray]:
-    """Configurations ``[nq]`` at 50 Hz of a drive by fixed key presses."""
+    """Configurations ``[nq]`` at 50 Hz of a drive with fixed key presses."""
     pushing = len(scene.conditions) == 1 and not scene.wall_geoms
     turns = {round(i): [263] * 2 for i in np.linspace(8, 10 * seconds - 10, 24)}
     script: dict[int, list[int]] = {0: [257]} | ({8: [265] * 6, 30: [46] * 3} if pushing else turns)

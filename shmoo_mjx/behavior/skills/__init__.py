@@ -1,7 +1,7 @@
-"""What dealing with an object is made of: approach a face, make contact, push, retreat.
+"""Skills for pushing an object: approach a face, make contact, push, retreat.
 
-Each skill is ``init`` and ``step`` on a frozen state. The navigator, the pushing task, the sweeps' pushers and whoever
-else moves an object string these together; a controller that pushes is their argument.
+Each skill is ``init`` and ``step`` on a frozen state. The navigator, the push task and the sweeps' pushers combine
+them. The pushing controller is an argument.
 """
 
 from shmoo_mjx.behavior.skills import approach, contact, push, retreat

@@ -15,14 +15,14 @@ from shmoo_mjx.geometry.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_R
 from shmoo_mjx.types import Command
 
 CONTACT_GAP = 0.12
-"""Distance between hands and face at the stand-off pose [m]: more keeps off an object whose pose is uncertain, and
-leaves more way on which contact can be missed."""
+"""Distance between hands and face at the stand-off pose [m]. Larger values keep clear of an object with an uncertain
+pose, but make it easier to miss the contact."""
 _UNFOLDING = 1.0
-"""Time that the arms take to extend [s]."""
+"""Time for the arms to extend [s]."""
 _LOOKING = 2.0
-"""Distance from the object within which the robot turns to it, so that the camera keeps it in view [m]."""
+"""Distance from the object within which the robot turns to it to keep it in the camera's view [m]."""
 _LIMIT = 30.0
-"""Longest approach [s]."""
+"""Maximum duration of an approach [s]."""
 
 
 @dataclass(frozen=True)
@@ -30,13 +30,13 @@ class ApproachState:
     """State of one approach."""
 
     started: float
-    """[s]"""
+    """Start time [s]."""
     gap: float
     """Distance between hands and face at the stand-off pose [m]."""
     lateral: float = 0.0
-    """Place of the stand-off pose along the face, to the robot's left of its middle [m]."""
+    """Offset of the stand-off pose along the face, to the robot's left of its middle [m]."""
     extended_at: float | None = None
-    """When the arms were commanded to extend [s]."""
+    """Time at which the arms were commanded to extend [s]."""
 
 
 def init(time: float, gap: float, lateral: float = 0.0) -> ApproachState:
@@ -59,12 +59,12 @@ def step(
 
     Args:
         state: from :func:`init` or the last step.
-        time: [s]
+        time: current time [s].
         obs: robot and object.
         face: as in :func:`~shmoo_mjx.geometry.faces.faces_of`.
-        lean: that follows the path to the stand-off pose [rad].
+        lean: lean command that follows the path to the stand-off pose [rad].
         yaw: heading along that path, in {W} [rad].
-        remaining: length of the path still to go [m].
+        remaining: remaining length of the path [m].
         room: whether the arms have room to extend here.
     """
     object_pose, pose = np.asarray(obs.object_pose), obs.robot_pose

@@ -1,4 +1,4 @@
-"""Make contact: move slowly forward until the hands feel the object, or until it gives way without being felt."""
+"""Make contact: move slowly forward until the hands feel the object, or until the object moves."""
 
 from __future__ import annotations
 
@@ -13,33 +13,33 @@ from shmoo_mjx.geometry.hands import HAND_HEIGHT, HAND_RADIUS, REACH, touches
 from shmoo_mjx.types import Command
 
 _SPEED = 0.12
-"""Speed at which contact is made [m/s]: faster knocks light objects away, slower takes longer."""
+"""Speed at which contact is made [m/s]. Larger values knock light objects away; smaller values take longer."""
 _SHIFT = 0.03
-"""An object near the hands that has moved this far is touched, however little it resists [m]: several times the
-camera's noise at that distance."""
+"""Displacement at which an object near the hands counts as touched, however small its resistance [m]. It is several
+times the camera's noise at that distance."""
 _NEAR = 0.08
-"""Distance of the hands from the face within which what is felt is the object, and not the arms that unfold, and within
-which an object that moves was touched, and not moved by others [m]."""
+"""Distance of the hands from the face below which a force or a displacement counts as contact [m]. Farther away, a
+force comes from the unfolding arms and a displacement from somebody else."""
 _ASTRAY = (0.5, 0.3)
-"""Distance of the hands from the face, and of the robot from its place along it, at which contact has failed [m]."""
+"""Distance of the hands from the face, and lateral error of the robot, at which contact has failed [m]."""
 
 
 class ContactState(NamedTuple):
     """State of one attempt to make contact."""
 
     object_pose: Float[Array, "3"]
-    """When the hands began to feel for it, in {W}."""
+    """Pose of the object at the start of the attempt, in {W}."""
     lateral: Scalar = 0.0
-    """Where along the face they do, to the robot's left of its middle [m]."""
+    """Target offset along the face, to the robot's left of its middle [m]."""
 
 
 def init(obs: ObjectObservation, lateral: Scalar = 0.0) -> ContactState:
-    """Before the first step."""
+    """State before the first step."""
     return ContactState(obs.object_pose, lateral)
 
 
 def step(state: ContactState, obs: ObjectObservation, face: Float[Array, "4"]) -> tuple[ContactState, Move]:
-    """One sample; pure, on NumPy and JAX arrays alike.
+    """One sample. Pure; takes NumPy or JAX arrays.
 
     Args:
         state: from :func:`init`.

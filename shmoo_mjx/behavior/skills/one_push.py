@@ -1,7 +1,7 @@
-"""One push on one face as pure functions of one world, to be mapped over many (Sec. III-E).
+"""One push on one face as pure functions of one world, for vmap over many worlds (Sec. III-E).
 
-Move slowly forward until the hands feel the object, push by any law, let go in time for the object to coast into its
-goal, back away. It is what the pushing task does round the pushing controller.
+The robot moves slowly forward until the hands touch the object, pushes with any control law, releases the object in
+time to coast to its goal, and backs away. The push task does the same around the pushing controller.
 """
 
 from __future__ import annotations
@@ -21,45 +21,48 @@ from shmoo_mjx.control.speed import SpeedProfile
 from shmoo_mjx.types import Command
 
 APPROACH, PUSH, LET_GO, DONE, FELL, UNSTABLE = range(6)
-"""Phases of a push; from DONE on nothing happens any more."""
+"""Phases of a push. From DONE on nothing changes."""
 
 
 class WorldGoal(NamedTuple):
-    """Face to push, size and goal of the object of one world."""
+    """Face to push, object size and goal of one world."""
 
     face: Array
-    """``[4]``"""
+    """``[4]`` the face to push on."""
     half_extents: Array
-    """``[2]``"""
+    """``[2]`` half extents [m]."""
     goal: Array
-    """``[3]`` in {W}"""
+    """``[3]`` target pose in {W}."""
 
 
 class PushPolicy(NamedTuple):
-    """A pushing controller; its state is any pytree."""
+    """A pushing controller. Its state is any pytree."""
 
     init: Callable[[ObjectObservation, WorldGoal, Array], Any]
-    """(what is perceived, task, key) -> state"""
+    """(observation, task, key) -> state"""
     step: Callable[[Any, ObjectObservation, Array, WorldGoal], tuple[Array, Any]]
-    """(state, what is perceived, the command of the last sample, task) -> command ``[3]``, state"""
+    """(state, observation, command of the last sample, task) -> command ``[3]``, state"""
     coast: Callable[[Any, ObjectObservation], Array]
-    """(state, what is perceived) -> where the object comes to rest if it is let go now ``[3]``"""
+    """(state, observation) -> pose ``[3]`` at which the object comes to rest if it is released now"""
 
 
 class PolicyState(NamedTuple):
     """State of one push."""
 
     policy: Any
+    """State of the controller."""
     contact: contact.ContactState
+    """State of making contact."""
     phase: Array
+    """One of APPROACH to UNSTABLE."""
     last_u: Array
-    """``[3]``"""
+    """``[3]`` command of the last sample."""
     coasts: Array
-    """``[5]`` how far the object would have coasted on in the last samples [m]."""
+    """``[5]`` predicted coasting distances in the last samples [m]."""
 
 
 def quasi_static_policy(speed: SpeedProfile) -> PushPolicy:
-    """The pusher without a model, as fast as ``speed`` allows."""
+    """The model-free pusher, with the speed limits ``speed``."""
     return PushPolicy(
         init=lambda obs, task, key: jnp.zeros(()),
         step=lambda integral, obs, last_u, task: quasi_static.control(
@@ -77,12 +80,13 @@ def init(policy: PushPolicy, obs: ObjectObservation, task: WorldGoal, key: Array
 def step(
     policy: PushPolicy, state: PolicyState, obs: ObjectObservation, task: WorldGoal, *, key: Array, ready: Array
 ) -> tuple[Command, PolicyState]:
-    """The command for the next sample. Every phase is computed and one is taken: so it is under vmap anyway.
+    """The command for the next sample, and the next state.
 
-    ``ready`` says that the arms are out; ``key`` is what the controller's random numbers start with.
+    Every phase is computed and one is selected, which costs nothing extra under vmap. ``ready`` tells whether the arms
+    are extended. ``key`` seeds the controller's random numbers.
     """
     waiting, pushing_now = state.phase == APPROACH, state.phase == PUSH
-    # The hands feel for the object from when the arms are out.
+    # Contact detection starts when the arms are extended.
     feeling = contact.ContactState(jnp.where(ready, state.contact.object_pose, obs.object_pose))
     feeling, touching = contact.step(feeling, obs, task.face)
     back = retreat.step(obs, task.face, folded=jnp.bool_(False))
@@ -93,7 +97,7 @@ def step(
     phase = jnp.where(waiting & ready & touching.over, PUSH, state.phase)
     phase = jnp.where(pushing_now & let_go, LET_GO, phase)
     goes_on = pushing_now & ~let_go
-    # Until the first push the controller's memory is ever a fresh one.
+    # Until the push begins, the controller's state is reinitialised at every sample.
     kept = _choose(waiting, policy.init(obs, task, key), _choose(pushing_now, after, state.policy))
     moved = jnp.where(waiting, jnp.where(ready, touching.command.u, hold(obs, True).u), back.command.u)
     u = jnp.where(goes_on, pushed, moved)

@@ -1,4 +1,4 @@
-"""Push: a controller moves the object towards a goal; forces and motion are recorded for the decisions on it."""
+"""Push: a controller moves the object towards a goal. Forces and motion are recorded for decisions."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from shmoo_mjx.learning.online import LearnerState
 from shmoo_mjx.types import DT, Command
 
 _LEAD = 0.015
-"""An object is let go where it is expected to stop this far before its goal [m]: hands relax by about that much."""
+"""An object is released when it is expected to stop this far before its goal [m], because the relaxing hands move it by
+about this much."""
 _WITHIN = 0.3
-"""Largest distance from the goal at which an object is let go [m]: after that it can't be steered."""
+"""Maximum distance from the goal at which an object is released [m]. Afterwards it cannot be steered."""
 
 
 @runtime_checkable
 class Pusher(Protocol):
-    """Interface of pushing controllers: :class:`~shmoo_mjx.control.pushing.PushController`, or something to compare it
-    with.
+    """Interface of pushing controllers: :class:`~shmoo_mjx.control.pushing.PushController`, or a baseline.
 
-    Its state is a NamedTuple of its own with a field ``adapt``: what has been learned of the object.
+    The state is a NamedTuple with a field ``adapt``: the learner state of the object.
     """
 
     def init(
@@ -41,8 +41,7 @@ class Pusher(Protocol):
         adapt: LearnerState | None = None,
         kind: str | None = None,
     ) -> Any:
-        """Start a push; ``kind`` is what the object looks like, "box", "cart" or "wheelchair", None for none of
-        them."""
+        """Starts a push. ``kind`` is the recognised kind: "box", "cart" or "wheelchair"; None for other objects."""
 
     def step(
         self,
@@ -54,15 +53,15 @@ class Pusher(Protocol):
         half_extents: Float[Array, "2"],
         clearance: LocalDistanceField,
     ) -> tuple[Float[np.ndarray, "3"], Any, Plan | None]:
-        """One 10 Hz step."""
+        """One 10 Hz step: the command u, the next state, and the plan, if any."""
 
     def coast(self, state: Any) -> Float[np.ndarray, "3"]:
-        """Where the object comes to rest if it is let go now."""
+        """Pose at which the object comes to rest if it is released now."""
 
 
 @runtime_checkable
 class RolloutPlanner(Protocol):
-    """What plans by roll-outs of its model, as Algorithm 1 asks for."""
+    """A controller that can plan by roll-outs of its model, as Algorithm 1 requires."""
 
     def planning_rollouts(
         self, state: Any, goal: Float[Array, "3"], clearance: LocalDistanceField, half_extents: Float[Array, "2"]
@@ -75,19 +74,19 @@ class PushState:
     """State of one push."""
 
     pusher: Any
-    """The pusher's own."""
+    """State of the pusher."""
     started: float
-    """[s]"""
+    """Start time [s]."""
     contact_time: float = 0.0
     """Time in contact so far [s]."""
     since_contact: float = 0.0
     """Time since the hands last touched the object [s]."""
     impulse: float = 0.0
-    """What the hands have spent on the object so far [N s]."""
+    """Impulse of the hands on the object so far [N s]."""
     poses: tuple[Float[np.ndarray, "3"], ...] = ()
-    """Of the object in {W}, one of each sample."""
+    """Pose of the object in {W} at each sample."""
     coasts: Float[Array, "5"] = field(default_factory=lambda: np.zeros(5))
-    """How far it would coast along the push, in the last samples [m]; for who lets go in time (:func:`lets_go`)."""
+    """Predicted coasting distances along the push in the last samples [m], for :func:`lets_go`."""
     ok: bool = True
     """Whether the last plan had a finite roll-out."""
 
@@ -97,9 +96,12 @@ class PushState:
         return float(np.linalg.norm(pose[:2] - start[:2]))
 
     def travelled(self, seconds: float) -> float | None:
-        """How far the object has come in the last ``seconds`` of the push [m]; None if it is younger. Twice the way
-        between the means of both halves, so that neither noise nor a jammed object's rocking counts. Contact does
-        not count either: what the pusher dares touch no more is as stuck as what does not move."""
+        """Distance that the object moved in the last ``seconds`` of the push [m]; None if the push is shorter.
+
+        It is twice the distance between the mean positions of both halves of this time, so that noise and the rocking
+        of a jammed object do not count. Contact does not matter: an object that the pusher no longer touches is stuck
+        as well.
+        """
         half = round(seconds / DT / 2)
         if len(self.poses) < 2 * half:
             return None
@@ -118,8 +120,11 @@ def init(
     adapt: LearnerState | None,
     kind: str | None = None,
 ) -> PushState:
-    """A push on ``face`` that starts at ``time`` [s]. Its first step comes a sample later: a pusher that was
-    stepped with the very observation it began with would take the object to have been pushed and not moved."""
+    """A push on ``face`` that starts at ``time`` [s].
+
+    Its first step must use the next sample. With the same observation twice, a pusher would infer that the object was
+    pushed and did not move.
+    """
     return PushState(pusher.init(obs, face, np.asarray(half_extents), key, adapt=adapt, kind=kind), time)
 
 
@@ -135,18 +140,18 @@ def step(
     half_extents: tuple[float, float] | Float[Array, "2"],
     governor_room: float | None = None,
 ) -> tuple[PushState, Command]:
-    """One sample: adapt, plan, and give the command; stand still if no roll-out of the model is finite.
+    """One sample: adapts, plans, and returns the command. The robot stands still if no roll-out of the model is finite.
 
     Args:
-        pusher: what pushes.
+        pusher: the pushing controller.
         state: from :func:`init` or the last step.
         obs: robot and object, with the wrench of the sample that ended.
-        face: that is pushed.
-        last_u: what was applied during that sample.
-        goal: pose of the object in {W}.
-        clearance: distance to obstacles near the object; None for a pusher that does not ask.
-        half_extents: of the object's footprint [m].
-        governor_room: in place of the pusher's own, for this step.
+        face: the face to push on.
+        last_u: command during that sample.
+        goal: target pose of the object in {W}.
+        clearance: distance to obstacles near the object; None for a pusher that does not use it.
+        half_extents: half sizes of the object's footprint [m].
+        governor_room: replaces the pusher's own value in this step.
     """
     options = {} if governor_room is None else {"governor_room": governor_room}
     half = np.asarray(half_extents)
@@ -176,17 +181,17 @@ def lets_go(
     face: Float[Array, "4"],
     goal: Float[Array, "3"],
 ) -> tuple[Float[Array, "5"], Scalar, np.bool | Bool[Array, ""]]:
-    """Release criterion: whether an object that is let go now coasts into its goal; pure, NumPy and JAX alike.
+    """Release criterion: whether an object that is released now coasts to its goal. Pure; takes NumPy or JAX arrays.
 
     Args:
-        rest: where the object comes to rest if it is let go now, in {W}.
-        coasts: how far it would have coasted along the push in the last samples [m]; a single one is noisy.
-        object_pose: now.
-        face: that is pushed.
-        goal: in {W}.
+        rest: pose in {W} at which the object comes to rest if it is released now.
+        coasts: predicted coasting distances along the push in the last samples [m]; a single one is noisy.
+        object_pose: current pose in {W}.
+        face: the pushed face.
+        goal: target pose in {W}.
 
     Returns:
-        The coasting distances with this one, the way left along the push [m], and whether to let go.
+        The coasting distances including this one, the remaining distance along the push [m], and whether to release.
     """
     xp = se2.array_module(rest, object_pose)
     ahead = heading(object_pose, face)

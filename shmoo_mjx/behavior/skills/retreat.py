@@ -1,4 +1,4 @@
-"""Retreat: draw the hands back, back away from the face, fold the arms at rest."""
+"""Retreat: draw the hands back, back away from the face, and fold the arms at rest."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ from shmoo_mjx.geometry.hands import HAND_HEIGHT, REACH, TUCKED_REACH
 from shmoo_mjx.types import Command
 
 CLEAR = 0.05
-"""Distance between the extended hands' place and the face at which a retreat stops and the arms fold [m]: more room for
-the arms, and a longer way back."""
+"""Distance of the extended hands' position from the face at which a retreat stops and the arms fold [m]. Larger values
+give the arms more room and the robot a longer way back."""
 WITHDRAW = 0.12
-"""How far the hands draw back as soon as a push ends [m]: the base first rolls forward when it is to go back."""
+"""Distance by which the hands draw back when a push ends [m], because the base first rolls forward before it moves
+back."""
 _SPEED = 0.2
-"""Speed backwards [m/s]."""
+"""Backward speed [m/s]."""
 _SLOW = 0.08
-"""Speed below which the robot stands [m/s]."""
+"""Speed below which the robot counts as standing [m/s]."""
 
 
 def step(
@@ -30,23 +31,23 @@ def step(
     lean: Float[Array, "2"] | None = None,
     room: bool | np.bool | Array = True,
 ) -> Move:
-    """One sample; pure, on NumPy and JAX arrays alike. No memory: where robot and object are says what is next.
+    """One sample. Pure and stateless; takes NumPy or JAX arrays.
 
     Args:
         obs: robot and object.
         face: as in :func:`~shmoo_mjx.geometry.faces.faces_of`.
         folded: whether the arms are folded.
-        lean: that follows a way back [rad]; straight back from the face if not given.
+        lean: lean command that follows a retreat path [rad]; straight back from the face if not given.
         room: whether the arms have room to fold.
     """
     xp = se2.array_module(obs.object_pose, obs.robot_pose)
-    # The arms fold at rest: their centre of mass moves, and a robot under way would be carried along by it.
+    # The arms fold at rest, because their moving centre of mass would accelerate a moving robot.
     clear = hands_to_face(obs.object_pose, obs.robot_pose, face) > CLEAR
     slow = xp.hypot(obs.robot_twist[0], obs.robot_twist[1]) < _SLOW
     over = clear & folded & slow
     if lean is None:
         lean = lean_for(obs, xp.stack([xp.where(clear, 0.0, -_SPEED), xp.asarray(0.0)]))
-    # A ball-balancing robot first rolls forwards when it is to go back: hands left out would push once more.
+    # A ball-balancing robot first rolls forward before it moves back. Extended hands would push the object again.
     reach = xp.where(clear & room, TUCKED_REACH, REACH - WITHDRAW)
     command = Command(xp.concatenate([lean, np.zeros(1)]), obs.robot_pose[2], reach, xp.asarray(HAND_HEIGHT))
     return Move(command, over)

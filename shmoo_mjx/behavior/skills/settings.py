@@ -1,4 +1,4 @@
-"""Results and helper functions that the skills share."""
+"""Result type and helper functions that the skills share."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from shmoo_mjx.types import Command
 
 
 class Move(NamedTuple):
-    """One step of a skill; its flags are arrays under JAX."""
+    """Result of one step of a skill. Its flags are arrays under JAX."""
 
     command: Command
-    """For the next sample, of one world: u ``[3]``, the rest scalars."""
+    """Command for the next sample, of one world: u ``[3]``, the rest scalars."""
     over: Scalar = False
-    """The skill has reached its end."""
+    """Whether the skill has finished."""
     failed: Scalar = False
-    """It can't."""
+    """Whether the skill has failed."""
 
 
 def batched(command: Command) -> Command:
@@ -33,7 +33,7 @@ def batched(command: Command) -> Command:
 def in_face(
     object_pose: Float[Array, "3"], robot_pose: Float[Array, "3"], face: Float[Array, "4"]
 ) -> Float[Array, "3"]:
-    """Pose of {R} in the frame of ``face``: x is along its inward normal."""
+    """Pose of {R} in the frame of ``face``, whose x axis is the inward normal."""
     return se2.relative(se2.compose(object_pose, face[:3]), robot_pose)
 
 
@@ -43,13 +43,13 @@ def hands_to_face(object_pose: Float[Array, "3"], robot_pose: Float[Array, "3"],
 
 
 def lean_for(obs: ObjectObservation, wish: Float[Array, "2"]) -> Float[Array, "2"]:
-    """Lean [rad] of the velocity loop for a velocity ``wish`` in {R} [m/s]."""
+    """Lean command [rad] of the velocity loop for a velocity ``wish`` in {R} [m/s]."""
     velocity = se2.rotate(obs.robot_twist[:2], -obs.robot_pose[2])
     return velocity_to_lean(Gains(), velocity, obs.lean_rate, wish)
 
 
 def hold(obs: ObjectObservation, extended: bool = False) -> Command:
-    """Command that makes the robot stand still, arms folded or extended."""
+    """Command to stand still, with the arms folded or extended."""
     reach, height = (REACH, HAND_HEIGHT) if extended else (TUCKED_REACH, TUCKED_HEIGHT)
     xp = se2.array_module(obs.robot_pose)
     lean = lean_for(obs, xp.zeros(2))
