@@ -2,8 +2,8 @@
 
 Robot and floor are symmetric, so a mirrored recording is a valid recording of the mirrored object. Training on both
 removes a left-right bias: otherwise a learner picks up the random asymmetry of the objects' loads and steers against
-it. R and psi are equivariant by construction (`dynamics.equivariant`). The baselines' networks and the prior of bodies
-are not.
+it. R and psi are equivariant by construction (`dynamics.networks`). The baselines' networks and the prior of bodies are
+not.
 """
 
 from __future__ import annotations
