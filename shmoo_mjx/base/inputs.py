@@ -33,8 +33,7 @@ def with_inputs_kept(command: Callable[..., int]) -> Callable[..., int]:
 
 
 def files_read(values: Iterable[Any]) -> set[Path]:
-    """All files that ``values`` name, the YAML files in folders that they name, and all files that YAML files refer to.
-    """
+    """All files among ``values``, the YAML files in folders among them, and all files to which YAML files refer."""
     files: set[Path] = set()
     for value in values:
         if isinstance(value, tuple):
