@@ -24,7 +24,7 @@ def policy_of(controller: Controller, weights: Weights, kind: str | None = None)
     Args:
         controller: controller settings of the sweep file.
         weights: weights of the learned model.
-        kind: kind of object that selects the contact prior (`contact_prior.of_kind`).
+        kind: kind of object, which selects the prior (`contact_prior.of_kind`).
     """
     config = push_config(controller)
     if controller.kind == "quasi_static":
