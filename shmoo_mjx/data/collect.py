@@ -60,7 +60,7 @@ class Operator(NamedTuple):
     """Current targets of the operators of W worlds."""
 
     face: np.ndarray
-    """Pushed face in {O}, ``[W, 4]``; see :func:`~shmoo_mjx.geometry.faces.faces_of`."""
+    """Pushed face in {O}, ``[W, 4]``, in the format of `faces_of`."""
     speed: np.ndarray
     """Desired speed along the face's inward normal [m/s], ``[W]``."""
     gain: np.ndarray
@@ -173,8 +173,8 @@ def record(
         engine_of: function from scenes to an engine, by default C MuJoCo.
 
     Yields:
-        The arrays of each condition, in order, with E episodes of L samples: the fields of
-        :data:`~shmoo_mjx.data.store.FIELDS` ``[E, L, ...]``, face ``[E, 4]`` and size ``[E]``.
+        The arrays of each condition, in order, with E episodes of L samples: the fields of `store.FIELDS`
+            ``[E, L, ...]``, face ``[E, 4]`` and size ``[E]``.
 
     Raises:
         ShmooError: the simulation of an object diverged.
@@ -216,7 +216,7 @@ def record(
 
 
 def sample(before: Observation, after: Observation, u: Array) -> dict[str, Array]:
-    """Fields of one sample, each ``[W, ...]``; see :data:`~shmoo_mjx.data.store.FIELDS`.
+    """Fields of one sample, each ``[W, ...]``; see `store.FIELDS`.
 
     Args:
         before: observation at the start of the sample.

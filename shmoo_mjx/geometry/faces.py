@@ -17,7 +17,7 @@ def faces_of(half_extents: tuple[float, float]) -> Float[np.ndarray, "4 4"]:
 
     Returns:
         One row per face: centre x, y [m], direction of the inward normal [rad], half width [m]. The order is rear
-        (pushes towards +x), right (+y), front (-x), left (-y).
+            (pushes towards +x), right (+y), front (-x), left (-y).
     """
     a, b = half_extents
     return np.array([(-a, 0.0, 0.0, b), (0.0, -b, np.pi / 2, a), (a, 0.0, -np.pi, b), (0.0, b, -np.pi / 2, a)])
@@ -31,7 +31,7 @@ def corners_of(half_extents: tuple[float, float]) -> Float[np.ndarray, "4 4"]:
 
     Returns:
         One row per corner, in the format of :func:`faces_of`. The order is rear right (pushes towards +x, +y), front
-        right, front left, rear left.
+            right, front left, rear left.
     """
     deep = SEPARATION / 2 - (np.sqrt(2) - 1) * HAND_RADIUS  # distance from the corner to the plane at the hands' front
     signs = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])

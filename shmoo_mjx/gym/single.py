@@ -117,7 +117,7 @@ class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
         Returns:
             Observation ``[n]``, reward, terminated, truncated and info. Truncated is always False here; Gymnasium's
-            registered step limit truncates episodes.
+                registered step limit truncates episodes.
         """
         now = self._episode()
         wanted = self.task.command(checked(action, self.action_space)[None], now.observed)

@@ -32,7 +32,7 @@ from shmoo_mjx.plant.robot import readout
 from shmoo_mjx.plant.scene import PARTS, Scene
 from shmoo_mjx.types import DT, Command, Observation, Track
 
-with contextlib.redirect_stdout(io.StringIO()):  # it prints that its optional Warp back end is missing
+with contextlib.redirect_stdout(io.StringIO()):  # MJX prints a message if its optional Warp back end is missing
     from mujoco import mjx
 
 
@@ -114,9 +114,9 @@ class MjxEngine(TrueStates):
         line_search: iterations of the solver's line search; static.
         tolerance: tolerance at which the solver stops. MuJoCo's default of 1e-8 is out of reach in single precision:
             every world would use all iterations.
-        impl: MJX's back end: "jax" or "warp". Warp is for NVIDIA GPUs; it also runs on a CPU, slowly.
         devices: devices that share the worlds. By default all devices, or only the first if W is not a multiple of
             their number.
+        impl: MJX's back end: "jax" or "warp". Warp is for NVIDIA GPUs; it also runs on a CPU, slowly.
     """
 
     model: mjx.Model

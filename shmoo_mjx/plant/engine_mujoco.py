@@ -69,12 +69,12 @@ def _unpacked(memory: Array) -> lowlevel.LowLevelState:
 
 
 def _columns(tree: Any) -> list[Any]:
-    """Fields ``[W, n]`` or ``[W]`` as columns of one array."""
+    """Fields ``[W, n]`` or ``[W]`` of a tree as a list of columns ``[W, n]``."""
     return [x if x.ndim == 2 else x[:, None] for x in jax.tree.leaves(tree)]
 
 
 def _packed(*parts: Any) -> np.ndarray:
-    """The fields of all parts as one array ``[W, n]``."""
+    """Concatenate the fields of all parts to one array ``[W, n]``."""
     return np.concatenate([np.asarray(column) for column in _columns(parts)], axis=-1).astype(np.float32)
 
 

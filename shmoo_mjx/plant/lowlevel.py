@@ -219,8 +219,8 @@ def control(
         dt: control period [s].
 
     Returns:
-        The new state and the motor torques [N m] in the order of ``ACTUATORS``: drive x, y, z in the body
-        frame, then left and right arm (yaw, pitch, elbow).
+        The new state, and the motor torques [N m] in the order of ``ACTUATORS``: drive x, y, z in the body frame, then
+            left and right arm (yaw, pitch, elbow).
     """
     xp = se2.array_module(state.gamma, sensed.lean)
     state = _references(gains, state, command, dt)

@@ -128,7 +128,7 @@ def cells(
 
     Returns:
         Edges along the first and the second parameter, and successes and worlds per cell. The second parameter is the
-        first axis of the cells.
+            first axis of the cells.
     """
     x, y = (np.array(table[name], dtype=float) for name in axes)
     family = np.array(table["family"]) == np.array(table["family"])[mine][0]

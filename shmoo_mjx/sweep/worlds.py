@@ -53,7 +53,7 @@ class Drawn:
     condition: Condition
     """Condition of the object."""
     face: np.ndarray
-    """Pushed face in {O}, ``[4]``; see :func:`~shmoo_mjx.geometry.faces.faces_of`."""
+    """Pushed face in {O}, ``[4]``, in the format of `faces_of`."""
     goal: np.ndarray
     """Goal pose of the object in {W} [m, rad], ``[3]``. The object starts at the origin."""
     robot: np.ndarray
