@@ -57,7 +57,9 @@ class Store(NamedTuple):
     """An open data set directory."""
 
     directory: Path
+    """Directory of the data set."""
     manifest: dict[str, Any]
+    """Content of the manifest; writing a condition updates it in place."""
 
     def has(self, name: str) -> bool:
         """Whether the condition is recorded and its file matches the checksum."""

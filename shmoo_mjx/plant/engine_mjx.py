@@ -362,7 +362,18 @@ class MjxEngine(TrueStates):
         *,
         push: Float[Array, "W 6"] | None = None,
     ) -> tuple[MjxWorld, Track]:
-        """Like :meth:`step`, but returns the states at the ends of ``readings`` equal parts of ``duration``."""
+        """Like :meth:`step`, but returns the states at the ends of ``readings`` equal parts of ``duration``.
+
+        Args:
+            world: state of the W worlds.
+            command: constant command, fields batched ``[W, ...]``.
+            duration: time to simulate [s].
+            readings: number of parts T.
+            push: external disturbance on the robot: force [N] and torque [N m] in {W} at the torso's CoM.
+
+        Returns:
+            The new state, and the motion at the ends of the parts.
+        """
         rows = []
         for _ in range(readings):
             world, observed = self.step(world, command, duration / readings, push)

@@ -185,7 +185,18 @@ class MujocoEngine(TrueStates):
         *,
         push: Float[np.ndarray, "W 6"] | None = None,
     ) -> tuple[World, Track]:
-        """Like :meth:`step`, but returns the states at the ends of ``readings`` equal parts of ``duration``."""
+        """Like :meth:`step`, but returns the states at the ends of ``readings`` equal parts of ``duration``.
+
+        Args:
+            world: state of the W worlds.
+            command: constant command, fields batched ``[W, ...]``.
+            duration: time to simulate [s].
+            readings: number of parts T.
+            push: external disturbance on the robot: force [N] and torque [N m] in {W} at the torso's CoM.
+
+        Returns:
+            The new state, and the motion at the ends of the parts.
+        """
         substeps = round(duration / self.timestep / readings)
         hold = functools.partial(self._hold, readings=readings, substeps=substeps)
         parts = [(p, _cut(world, p), _cut(command, p), None if push is None else push[p]) for p in self._parts]

@@ -36,8 +36,11 @@ class Room(NamedTuple):
     """Clearance of each part's surface to the nearest obstacle [m]; negative inside an obstacle."""
 
     torso: Scalar | Float[np.ndarray, "..."]
+    """Clearance of the torso [m]."""
     arms: Scalar | Float[np.ndarray, "..."]
+    """Clearance of both arms [m]."""
     hands: Scalar | Float[np.ndarray, "..."]
+    """Clearance of both hands [m]."""
 
     @property
     def least(self) -> Scalar | Float[np.ndarray, "..."]:

@@ -97,7 +97,16 @@ def _plain(renderer: mujoco.Renderer) -> None:
 
 
 def overview(scene: Scene, width: int = 1280, height: int = 720) -> Shaped[np.ndarray, "height width 3"]:
-    """Render the whole scene in its initial configuration, seen obliquely from above, as a uint8 RGB image."""
+    """Render the whole scene in its initial configuration, seen obliquely from above.
+
+    Args:
+        scene: scene to render.
+        width: image width [pixels].
+        height: image height [pixels].
+
+    Returns:
+        RGB image, uint8.
+    """
     model, data = scene.model, mujoco.MjData(scene.model)
     data.qpos[:] = scene.qpos0
     mujoco.mj_forward(model, data)

@@ -97,7 +97,12 @@ def label(family: str) -> str:
 
 
 def draw(config: SweepConfig, family: str, index: int) -> Drawn:
-    """Draw world ``index`` of a family.
+    """Draw one world of a sweep.
+
+    Args:
+        config: configuration of the sweep.
+        family: family of the object.
+        index: index i of the world.
 
     Raises:
         ShmooError: the object's properties are out of range, or the object lacks a varied property.
