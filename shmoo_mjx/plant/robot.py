@@ -129,7 +129,8 @@ class Robot:
     def flatness(self) -> tuple[float, float, float]:
         """Coefficients (a, b, c) of the linearised dynamics of one plane, a x'' + b phi'' = c phi.
 
-        The arms count as point masses at the body's CoM. The flat output is S = x + (b/a) phi, and phi = (a/c) S''.
+        The arms count as point masses at the body's CoM, which approximates folded arms. The flat output is
+        S = x + (b/a) phi, and phi = (a/c) S''.
         """
         m, height, r = self.upper_mass, self.body_com_height, self.ball_radius
         total = m + self.ball_mass * (1 + 2 / 5)  # a solid ball's I / r^2
