@@ -1,7 +1,7 @@
-"""Arrays in annotations: ``Float[Array, "N 3"]`` is an array of NumPy or JAX with that shape.
+"""Array types for annotations: ``Float[Array, "N 3"]`` is a NumPy or JAX array with that shape.
 
-Names of axes stand for one size within a signature, ``...`` for any leading axes, ``*batch`` for named leading axes.
-Checked in tests: ``pytest --jaxtyping-packages=shmoo_mjx.dynamics,beartype.beartype``.
+An axis name stands for the same size within a signature, ``...`` for any leading axes, ``*batch`` for named leading
+axes. Tests check the shapes: ``pytest --jaxtyping-packages=shmoo_mjx.dynamics,beartype.beartype``.
 """
 
 from __future__ import annotations
@@ -25,27 +25,27 @@ __all__ = [
 
 Array = np.ndarray | jax.Array
 if TYPE_CHECKING:
-    # For a type checker np.float64 is a float; its shape and NumPy's other scalars are checked in tests.
+    # A type checker sees np.float64 as a float. Tests check shapes and NumPy's other scalar types.
     Scalar = float | Array
 else:
     Scalar = float | int | np.generic | Shaped[Array, ""]
 
 ArrayT = TypeVar("ArrayT", bound=Array)
-"""The kind of array that a function takes and returns: NumPy's in, NumPy's out."""
+"""Array type of both arguments and result: NumPy in, NumPy out."""
 ScalarT = TypeVar("ScalarT", bound=Scalar | Array)
-"""The same for functions that take numbers too."""
+"""Like `ArrayT`, for functions that also accept numbers."""
 
 Numbers = Sequence[Scalar]
-"""A point, a pose or sizes written out, as in ``(1.0, 2.0)``."""
+"""A point, pose or size as a sequence of numbers, such as ``(1.0, 2.0)``."""
 
 
 def single_precision[**P, R](function: Callable[P, R]) -> Callable[P, R]:
-    """``function`` computed in float32 and int32 with JAX's own promotion rules, whatever the process has set.
+    """Decorator that runs a function in float32 and int32 with JAX's default promotion rules, whatever JAX's settings.
 
     The weights are single precision, and MJX creates arrays of JAX's default type. With ``JAX_ENABLE_X64`` (or another
-    library's ``jax.config.update``) both would mix with float64, which ends in a TypeError at the first loop. Entry
-    points are decorated, so the flag changes neither the types nor the numbers they return. JAX arrays of 64 bits among
-    the arguments are rounded first.
+    library's ``jax.config.update``) both would mix with float64 and raise a TypeError in the first loop. With decorated
+    entry points, the flag changes neither types nor values of the results. 64-bit JAX arrays among the arguments are
+    rounded to 32 bits.
     """
 
     @functools.wraps(function)
@@ -66,12 +66,12 @@ def single_precision[**P, R](function: Callable[P, R]) -> Callable[P, R]:
 
 
 def _narrow(tree: Any) -> Any:
-    """Its JAX arrays of 64 bits as ones of 32 bits, the rest as it is. JAX rounds NumPy arrays by itself."""
+    """Convert the 64-bit JAX arrays of a tree to 32 bits. NumPy arrays need no conversion, JAX rounds them itself."""
     return jax.tree.map(_narrow_leaf, tree, is_leaf=lambda x: isinstance(x, dict))
 
 
 def _narrow_leaf(x: Any) -> Any:
-    if isinstance(x, dict):  # JAX would sort its keys, and a caller's order counts
+    if isinstance(x, dict):  # jax.tree.map would sort the keys, but their order must be kept
         return {key: _narrow(value) for key, value in x.items()}
     if not isinstance(x, jax.Array) or jnp.issubdtype(x.dtype, jax.dtypes.extended) or x.dtype.itemsize < 8:
         return x
@@ -80,10 +80,15 @@ def _narrow_leaf(x: Any) -> Any:
 
 
 def finite_numbers(what: str, value: Any, names: str) -> Float[np.ndarray, "n"]:
-    """A point or pose that a user gave, as an array of doubles with one number for each of the ``names`` "x, y".
+    """Convert a user's point or pose to an array of doubles.
+
+    Args:
+        what: description of the value, for the error message.
+        value: numbers given by the user.
+        names: names of the expected numbers, such as "x, y".
 
     Raises:
-        ShmooError: it has another length, or a value that is no finite number; ``what`` says whose it is.
+        ShmooError: the length is wrong, or a value is not a finite number.
     """
     try:
         numbers = np.asarray(value, dtype=float)

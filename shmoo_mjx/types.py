@@ -1,7 +1,7 @@
-"""Every pytree that crosses a folder's border, with shapes, units and frames.
+"""Pytrees shared by several packages, with shapes, units and frames.
 
-Frames: {W} world; {R} robot (origin at the wheel's contact point, x forward, yaw only); {O} object (at the object's
-centre, yaw only). SI units, angles in rad. ``...`` stands for any batch dimensions.
+Frames: {W} is the world. {R} is the robot (origin at the contact point with the floor, x forward, yaw only). {O} is the
+object (origin at its centre, yaw only). SI units, angles in rad. ``...`` stands for any batch dimensions.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ DT = 0.1
 
 
 class Command(NamedTuple):
-    """What the low-level control of the robot takes, held for one sample time."""
+    """Command to the robot's low-level control, constant for one sample time."""
 
     u: Float[Array, "... 3"]
-    """Lean angle towards +x and +y of {R} and steering angle: (phi_x, phi_y, gamma) [rad]."""
+    """Lean angles towards +x and +y of {R}, and steering angle: (phi_x, phi_y, gamma) [rad]."""
     yaw: Scalar | Float[Array, "..."]
-    """Heading of the robot in {W} that the yaw loop holds [rad]."""
+    """Desired heading of the robot in {W} [rad]."""
     reach: Scalar | Float[Array, "..."]
     """x of the hands' midpoint in {R} [m]."""
     hand_height: Scalar | Float[Array, "..."]
@@ -28,78 +28,78 @@ class Command(NamedTuple):
 
 
 class Track(NamedTuple):
-    """What an engine's W worlds went through while a command was held, at the ends of T equal parts of the time."""
+    """Motion of W worlds while a command is held, sampled at the ends of T equal parts of its duration."""
 
     physics: Float[Array, "T W n"]
     """MuJoCo's full physics state."""
     torque: Float[Array, "T W 9"]
-    """Motor torques that the control asks for [N m]."""
+    """Commanded motor torques [N m]."""
     wrench: Float[Array, "W N 3"]
-    """Gamma on each object, about its centre, in {W}, mean over the whole time [N, N m]."""
+    """Gamma on each object about its centre, in {W}, mean over the whole duration (fx, fy, tz) [N, N m]."""
     wall_parts: Bool[Array, "W P"]
-    """Which of scene.PARTS touched a wall in that time."""
+    """Which of scene.PARTS touched a wall during that time."""
 
 
 class Observation(NamedTuple):
-    """What the robot perceives at the end of a sample time; an engine's own observation is the truth. N objects."""
+    """Observation at the end of a sample time, with N objects: a sensed estimate, or ground truth from an engine."""
 
     time: Float[Array, "..."]
-    """[s]"""
+    """Simulated time [s]."""
     robot_pose: Float[Array, "... 3"]
-    """Of {R} in {W}: (x, y, yaw)."""
+    """Pose (x, y, yaw) of {R} in {W} [m, rad]."""
     robot_twist: Float[Array, "... 3"]
-    """Derivative of robot_pose, in {W}."""
+    """Derivative of ``robot_pose`` in {W} [m/s, rad/s]."""
     lean: Float[Array, "... 2"]
     """Lean angles towards +x and +y of {R} [rad]."""
     lean_rate: Float[Array, "... 2"]
-    """Their rates [rad/s]."""
+    """Rates of the lean angles [rad/s]."""
     hands: Float[Array, "... 2 3"]
-    """Hand centres (left, right) in {R}; z above the floor [m]."""
+    """Hand centres (left, right) in {R}, with z above the floor [m]."""
     object_pose: Float[Array, "... N 3"]
-    """Of {O} in {W}."""
+    """Poses (x, y, yaw) of {O} in {W} [m, rad]."""
     object_twist: Float[Array, "... N 3"]
-    """Derivative of object_pose, in {W}."""
+    """Derivatives of ``object_pose`` in {W} [m/s, rad/s]."""
     wrench: Float[Array, "... N 3"]
-    """Gamma: planar wrench of the hands on each object, about that object's centre, in {W}, mean over
-    the last sample time (fx, fy [N], tz [N m])."""
+    """Gamma: planar wrench of the hands on each object about the object's centre, in {W}, mean over the last sample
+    time (fx, fy, tz) [N, N m]."""
     robot_age: Scalar | Float[Array, "..."]
-    """Time since the measurement that the robot's pose rests on [s]."""
+    """Age of the measurement on which the robot's pose is based [s]."""
     object_age: Float[Array, "... N"]
-    """Time since the measurement that each object's pose rests on [s]; infinite, with a pose of NaN, for
-    an object that was never detected."""
+    """Age of the measurement on which each object's pose is based [s]. An object that was never detected has infinite
+    age and a NaN pose."""
     detected: Bool[Array, "... N"]
-    """Whether the object was detected within the last sample time; otherwise its pose is carried on."""
+    """Whether the object was detected within the last sample time. Otherwise its pose is extrapolated."""
 
 
 class SystemState(NamedTuple):
-    """x_t of Eq. 1 for the robot and the one object it pushes, with the memory the learned models use.
+    """State x_t of Eq. 1: the robot and the object that it pushes, with the past values that the learned models use.
 
-    Inside the transition channels come first instead (dynamics/layout.py).
+    Here the feature axis is last; inside the transition it is first (dynamics/layout.py).
     """
 
     robot_pose: Float[Array, "... 3"]
-    """Of {R} in {W}."""
+    """Pose (x, y, yaw) of {R} in {W} [m, rad]."""
     robot_twist: Float[Array, "... 3"]
-    """Derivative of robot_pose, in {W}."""
+    """Derivative of ``robot_pose`` in {W} [m/s, rad/s]."""
     lean: Float[Array, "... 2"]
-    """[rad]"""
+    """Lean angles towards +x and +y of {R} [rad]."""
     lean_rate: Float[Array, "... 2"]
-    """[rad/s]"""
+    """Rates of the lean angles [rad/s]."""
     object_pose: Float[Array, "... 3"]
-    """Of {O} in {W}."""
+    """Pose (x, y, yaw) of {O} in {W} [m, rad]."""
     object_twist: Float[Array, "... 3"]
-    """Derivative of object_pose, in {W}."""
+    """Derivative of ``object_pose`` in {W} [m/s, rad/s]."""
     last_object_twist: Float[Array, "... 3"]
-    """The twist one sample earlier, in {O} of that time: casters have memory."""
+    """Object twist one sample earlier, in {O} of that time [m/s, rad/s]. The casters' state depends on past motion."""
     last_wrench: Float[Array, "... 3"]
-    """Mean wrench of the hands on the object over the last sample, in {O} of that time: with the two
-    twists it tells what held the object back, whatever that was [N, N m]."""
+    """Mean wrench of the hands on the object over the last sample, in {O} of that time [N, N m]. Together with the two
+    twists it determines the total resistance to the motion."""
     last_force: Float[Array, "... 2"]
     """Mean force of the hands on the object over the last sample, in {R} [N]."""
     last_u: Float[Array, "... 3"]
-    """The command of the last sample [rad]."""
+    """Command u of the last sample [rad]."""
     face: Float[Array, "... 4"]
-    """The face that is pushed, in {O}: centre x, y [m], direction of its inward normal [rad], half its
-    width [m]. Constant over a roll-out."""
+    """Pushed face in {O}: centre x, y [m], direction of the inward normal [rad], half width [m]. Constant over a
+    roll-out."""
     size: Scalar | Float[Array, "..."]
     """Half the diagonal of the object's footprint [m]. Constant over a roll-out."""

@@ -1,1 +1,1 @@
-"""What every part uses: files, guards of input, progress, seeds, versions."""
+"""Utilities shared by all packages: files, input checks, progress, seeds, versions."""

@@ -1,4 +1,4 @@
-"""Finds the files that come with the package, in an editable and in an installed copy alike."""
+"""Finds the files that are shipped with the package, in a checkout and in an installed wheel."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from pathlib import Path
 from types import ModuleType
 
 WEIGHTS = "experiments/weights/demo.safetensors"
-"""The weights that come with the package (docs/models.md says how they are made)."""
+"""Weights shipped with the package. docs/models.md describes their training."""
 
 PAPER_WEIGHTS = "experiments/weights/paper.safetensors"
-"""The same R with psi as the paper prints it."""
+"""Weights with the same R, and with psi in the form of the paper."""
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 
@@ -18,12 +18,12 @@ _PACKAGE = Path(__file__).resolve().parents[1]
 def asset(relative_path: str) -> Path:
     """Path of a shipped file such as ``models_xml/shmoobot.xml`` or ``experiments/weights/demo.safetensors``.
 
-    In a wheel the top-level folders lie inside the package; in a checkout, beside it.
+    In a wheel, the top-level folders are inside the package; in a checkout, they are next to it.
     """
     inside = _PACKAGE / relative_path
     return inside if inside.exists() else _PACKAGE.parent / relative_path
 
 
 def benchmark_suite() -> ModuleType:
-    """The module ``registry`` of ``benchmarks``, which is part of this package in a wheel only."""
+    """The module ``benchmarks.registry``. In a wheel, ``benchmarks`` is inside this package."""
     return import_module(f"{'shmoo_mjx.' if (_PACKAGE / 'benchmarks').is_dir() else ''}benchmarks.registry")

@@ -1,4 +1,4 @@
-"""What a user brings as "package.module:Name": found, named in errors, and told apart by its source."""
+"""Loads user code given as "package.module:Name", reports its errors, and identifies it by its source."""
 
 from __future__ import annotations
 
@@ -14,10 +14,14 @@ from shmoo_mjx.errors import ShmooError
 
 
 def named(kind: str, name: str) -> Callable[..., Any]:
-    """The class or function that ``name``, "package.module:Name", says; modules in the present folder are found too.
+    """Import a class or function given as "package.module:Name". Modules in the current folder are found too.
+
+    Args:
+        kind: what the name stands for, for the error message.
+        name: "package.module:Name".
 
     Raises:
-        ShmooError: there is none, or its module can't be imported; ``kind`` says what it was to be.
+        ShmooError: the class or function does not exist, or its module can't be imported.
     """
     module_name, _, attribute = name.partition(":")
     if str(Path.cwd()) not in sys.path:
@@ -35,10 +39,15 @@ def named(kind: str, name: str) -> Callable[..., Any]:
 
 
 def call(kind: str, name: str, function: Callable[[], Any]) -> Any:
-    """What ``function``, code of the user's, returns.
+    """Call user code and return its result.
+
+    Args:
+        kind: what the code stands for, for the error message.
+        name: name of the code, for the error message.
+        function: user code to call.
 
     Raises:
-        ShmooError: the user's code failed; it says in which line.
+        ShmooError: the user code raised an exception. The message names the line.
     """
     try:
         return function()
@@ -49,7 +58,13 @@ def call(kind: str, name: str, function: Callable[[], Any]) -> Any:
 
 
 def kept_as(kind: str, name: str, own: Iterable[str]) -> str:
-    """``name`` as part of a result's name: what isn't our ``own`` goes with the content of the file it stands in."""
+    """``name`` as part of a result's name. For user code, a hash of its source file is appended.
+
+    Args:
+        kind: what the name stands for, for the error message.
+        name: built-in name or "package.module:Name".
+        own: built-in names, which are returned unchanged.
+    """
     if name in own:
         return name
     named(kind, name)
@@ -58,6 +73,6 @@ def kept_as(kind: str, name: str, own: Iterable[str]) -> str:
 
 
 def _told(error: Exception) -> str:
-    """What went wrong, and in which line."""
+    """The error with its type, file and line."""
     last = traceback.extract_tb(error.__traceback__)[-1]
     return f"{type(error).__name__} in {Path(last.filename).name}, line {last.lineno}: {error}"

@@ -1,6 +1,7 @@
-"""Files that are there whole or not at all, whenever their writer is stopped, in folders that one process keeps.
+"""Atomic file writing and folder locks.
 
-None of them replaces an input or a file of another kind (guard.py).
+Files are written completely or not at all, even if the process is killed. Writing never replaces an input file or a
+file of another kind (guard.py).
 """
 
 from __future__ import annotations
@@ -17,17 +18,17 @@ from shmoo_mjx.errors import ShmooError
 
 @contextmanager
 def claimed(folder: str | Path) -> Iterator[None]:
-    """Keep a folder to this process while it writes there; made if absent, and gone again if nothing was written.
+    """Lock a folder for this process while it writes there.
 
-    Without POSIX's ``flock`` it is only made.
+    A missing folder is created, and removed again if nothing was written. Without POSIX's ``flock`` there is no lock.
 
     Raises:
-        ShmooError: another process keeps it.
+        ShmooError: another process has locked the folder.
     """
     folder = Path(folder)
     made = not folder.exists()
     folder.mkdir(parents=True, exist_ok=True)
-    # The folder itself is locked: nothing is left in it, and the lock ends with the process, however that ends.
+    # Lock the folder itself: this needs no lock file, and the lock ends with the process, even if it is killed.
     descriptor = os.open(folder, os.O_RDONLY) if os.name == "posix" else None
     try:
         if descriptor is not None:
@@ -43,12 +44,17 @@ def claimed(folder: str | Path) -> Iterator[None]:
 
 @contextmanager
 def whole(path: str | Path, suffix: str = "") -> Iterator[Path]:
-    """A temporary name (NAME.PID.tmp, with the ending that a library asks for) whose file becomes ``path`` at the end.
+    """Context manager for writing a file atomically.
 
-    Missing folders are made. What a killed process was about to write in the same place is removed.
+    It yields a temporary path, NAME.PID.tmp, and renames this file to ``path`` at the end. Missing folders are created.
+    Temporary files of killed processes for the same ``path`` are removed.
+
+    Args:
+        path: file to write.
+        suffix: suffix of the temporary path, if a library needs one.
 
     Raises:
-        OSError: with ``path`` as its file, whatever could not be written.
+        OSError: writing failed; its filename is ``path``.
         ShmooError: ``path`` is an input or a file of another kind.
     """
     path = Path(path)
@@ -70,10 +76,10 @@ def whole(path: str | Path, suffix: str = "") -> Iterator[Path]:
 
 
 def write_whole(path: str | Path, content: bytes) -> Path:
-    """Write ``content`` to ``path``, whole or not at all; returns the path.
+    """Write ``content`` to ``path`` atomically and return the path.
 
     Raises:
-        OSError, ShmooError: as `whole`.
+        OSError, ShmooError: see `whole`.
     """
     with whole(path) as temporary, open(temporary, "wb") as file:
         file.write(content)
@@ -101,7 +107,7 @@ def _clear_abandoned(path: Path) -> None:
 
 def _alive(process: int) -> bool:
     if os.name != "posix":
-        return True  # Elsewhere signal 0 would end the process; rather leave its file.
+        return True  # On other systems signal 0 would end the process, so keep the file.
     try:
         os.kill(process, 0)
     except (ProcessLookupError, OverflowError):

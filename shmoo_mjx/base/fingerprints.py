@@ -1,4 +1,4 @@
-"""What decides about a kept result: settings, files and arrays, and the code that made it."""
+"""Fingerprints of cached results, from settings, files, arrays and the code that makes the result."""
 
 from __future__ import annotations
 
@@ -19,12 +19,16 @@ _ROOT = Path(__file__).parents[1]
 
 
 def fingerprint(code: str, settings: object, *parts: Any) -> str:
-    """Name for what a module makes of these settings and parts, and of no others.
+    """Fingerprint that identifies a result by its code and inputs.
 
     Args:
-        code: the module, ``__name__`` of the caller; it and everything of this package that it imports count.
-        settings: anything that JSON or ``repr`` tells apart.
-        parts: paths, whose contents count, and arrays.
+        code: module that makes the result, ``__name__`` of the caller. All modules of this package that it imports are
+            included.
+        settings: settings that JSON or ``repr`` can serialise.
+        parts: further inputs: paths, whose file contents are hashed, and arrays.
+
+    Returns:
+        16 hexadecimal digits.
     """
     digest = hashlib.sha256(code_hash(code).encode())
     digest.update(json.dumps(settings, sort_keys=True, default=repr).encode())
@@ -36,9 +40,9 @@ def fingerprint(code: str, settings: object, *parts: Any) -> str:
 
 @cache
 def code_hash(module: str) -> str:
-    """Hash of a module's code and of all that it imports from this package, now or later; comments don't count.
+    """Hash of a module's code and of all modules of this package that it imports, also inside functions.
 
-    Who imports the plant depends on its MJCF as well.
+    Comments are ignored; docstrings are not. If the plant is among the modules, its MJCF files are included.
     """
     trees, todo = dict[str, str](), [module]
     while todo:

@@ -1,4 +1,4 @@
-"""What may be written where: no file that a command reads, and no file of another kind, is ever replaced."""
+"""Checks of output paths: a command must not replace its input files or files of another kind."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _JSON_KEYS = {
     "fingerprint": SWEEP,
     "conditions": "the manifest of a data set",
 }
-"""The top-level key that tells a kind from the others."""
+"""Kind of a JSON file by the top-level key that identifies it."""
 
 _Identity = tuple[int, int]
 _INPUTS: ContextVar[Mapping[_Identity, Path]] = ContextVar("inputs", default={})  # noqa: B039  (never changed)
@@ -55,7 +55,7 @@ _INPUTS: ContextVar[Mapping[_Identity, Path]] = ContextVar("inputs", default={})
 
 @contextmanager
 def protected(inputs: Iterable[str | Path]) -> Iterator[None]:
-    """While it lasts, `check_output` refuses every one of the files ``inputs``, under whatever name or link."""
+    """Context manager in which `check_output` rejects the files ``inputs``, also under other names and links."""
     files = dict(_INPUTS.get())
     for path in map(Path, inputs):
         if (identity := _identity(path)) is not None:
@@ -71,11 +71,11 @@ def check_output(path: str | Path, kind: str = "") -> None:
     """Check that ``path`` may be written.
 
     Args:
-        path: of a file that need not exist.
-        kind: what is to be written there, as `kind_of` says it; not checked if it is not given.
+        path: file to write; it need not exist.
+        kind: kind of the new content, as returned by `kind_of`; empty to skip the check of the kind.
 
     Raises:
-        ShmooError: the file is an input, or is not empty and of another kind.
+        ShmooError: the file is an input, or it is not empty and of another kind.
     """
     path = Path(path)
     identity = _identity(path)
@@ -90,16 +90,16 @@ def check_output(path: str | Path, kind: str = "") -> None:
 
 
 def check_folder(folder: Path, files: Mapping[str, str], mark: str) -> None:
-    """Check, before anything is computed, that all ``files`` of an output may be written into ``folder``.
+    """Check, before any computation, that all output files may be written into ``folder``.
 
     Args:
-        folder: need not exist.
-        files: kind of each file, by its name.
-        mark: name of the file that is written first. A folder without it holds no earlier output, so that files with
-            the other names are somebody else's.
+        folder: output folder; it need not exist.
+        files: kind of each output file by its name.
+        mark: name of the file that a command writes first. In a folder without it, existing files with the other names
+            do not come from an earlier run and must not be replaced.
 
     Raises:
-        ShmooError: one of them may not be written.
+        ShmooError: one of the files may not be written.
     """
     for name, kind in files.items():
         check_output(folder / name, kind)
@@ -111,7 +111,7 @@ def check_folder(folder: Path, files: Mapping[str, str], mark: str) -> None:
 
 
 def kind_of(path: Path, name: str = "") -> str:
-    """What a file holds, in words; told by its content, and for YAML by the ending of ``name`` (default: its own)."""
+    """Kind of a file in words, from its content, and for YAML also from the suffix of ``name`` (by default its own)."""
     with path.open("rb") as file:
         head = file.read(4096)
     for magic, kind in _MAGIC.items():
@@ -147,7 +147,7 @@ def _json_kind(path: Path) -> str:
 
 
 def _identity(path: Path) -> _Identity | None:
-    """What `os.path.samefile` compares; None where there is no file."""
+    """Device and inode, as `os.path.samefile` compares them; None if there is no file."""
     try:
         status = path.stat()
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""Which files a command reads: those that its arguments name, and those that these refer to."""
+"""Finds the files that a command reads: those among its arguments, and those to which they refer."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from shmoo_mjx.base.guard import protected
 from shmoo_mjx.errors import ShmooError
 
 _OUTPUTS = ("out", "json", "record", "directory")
-"""Parameters of commands that name what is written; every other path is read."""
+"""Command parameters that name output paths. All other paths are inputs."""
 _FOLDERS = ("maps",)
-"""Parameters of commands that name a folder whose YAML files are read, wherever below it they lie."""
+"""Command parameters that name a folder whose YAML files are read, including those in subfolders."""
 
 
 def with_inputs_kept(command: Callable[..., int]) -> Callable[..., int]:
-    """The command, which can't write over what it reads."""
+    """Decorator that prevents a command from overwriting its input files."""
     signature = inspect.signature(command)
 
     @functools.wraps(command)
@@ -33,7 +33,7 @@ def with_inputs_kept(command: Callable[..., int]) -> Callable[..., int]:
 
 
 def files_read(values: Iterable[Any]) -> set[Path]:
-    """The files among ``values``, the YAML files in folders among them, and all files that YAML files refer to."""
+    """All files among ``values``, the YAML files in folders among them, and all files to which YAML files refer."""
     files: set[Path] = set()
     for value in values:
         if isinstance(value, tuple):
@@ -49,7 +49,7 @@ def files_read(values: Iterable[Any]) -> set[Path]:
 
 
 def _is_file(value: Any) -> bool:
-    """Whether it names no folder: to look through any folder that somebody names, a home say, would take minutes."""
+    """Whether the value is not a folder. Searching an arbitrary folder, such as a home folder, would take minutes."""
     return not (isinstance(value, Path) and value.is_dir())
 
 
@@ -59,7 +59,7 @@ def _add(file: Path, files: set[Path]) -> None:
     files.add(file)
     if _is_yaml(file.name):
         for text in _texts(_content(file)):
-            # A map's image, a scenario's map and object files, a sweep's object files.
+            # These are a map's image, a scenario's map and object files, or a sweep's object files.
             if os.path.isfile(file.parent / text):
                 _add(file.parent / text, files)
 
@@ -70,7 +70,7 @@ def _content(file: Path) -> Any:
     try:
         return read_mapping(file, "YAML")
     except ShmooError:
-        return None  # Whoever reads the file for its content says what is wrong with it.
+        return None  # The code that reads the file's content reports the error.
 
 
 def _texts(data: Any) -> Iterator[str]:
@@ -81,7 +81,7 @@ def _texts(data: Any) -> Iterator[str]:
         if isinstance(value, str):
             yield value
         elif isinstance(value, dict | list) and id(value) not in visited:
-            visited.add(id(value))  # YAML's aliases would otherwise be walked through again and again.
+            visited.add(id(value))  # Visit a value with YAML aliases only once.
             waiting += value.values() if isinstance(value, dict) else value
 
 

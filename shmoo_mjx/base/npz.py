@@ -1,4 +1,4 @@
-"""Files of arrays (.npz)."""
+"""Reads and writes array files (.npz)."""
 
 from __future__ import annotations
 
@@ -12,20 +12,24 @@ from shmoo_mjx.errors import ShmooError
 
 
 def write_arrays(path: str | Path, arrays: dict[str, np.ndarray]) -> Path:
-    """Writes the whole ``.npz`` file or leaves what was there."""
+    """Write an ``.npz`` file atomically and return its path."""
     with whole(path) as temporary, temporary.open("wb") as stream:
         np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
     return Path(path)
 
 
 def read_arrays(path: Path, what: str) -> dict[str, np.ndarray]:
-    """Reads an ``.npz`` file of a run; ``what`` names it in errors.
+    """Read an ``.npz`` file of a run.
+
+    Args:
+        path: file to read.
+        what: what the file is, for the error message.
 
     Raises:
         ShmooError: the file is missing or damaged.
     """
     try:
-        # Given a path of what is no archive, NumPy leaves the file open.
+        # Given a path instead of an open file, NumPy leaves the file open if it is not an archive.
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
     except FileNotFoundError:

@@ -1,4 +1,4 @@
-"""What users give on the command line: numbers, of which each option states its range and refuses in one sentence."""
+"""Types of command line options: each checks its range and reports errors in one sentence."""
 
 from __future__ import annotations
 
@@ -13,14 +13,17 @@ from tyro.constructors import PrimitiveConstructorSpec
 from shmoo_mjx.errors import ShmooError
 
 SensesName = Literal["real", "perfect"]
-"""How the robot perceives: as a robot does, or the simulator's truth (shmoo_mjx/sensing)."""
+"""Sensing of the robot: realistic, or ground truth from the simulator (shmoo_mjx/sensing)."""
 SENSES: tuple[str, ...] = get_args(SensesName)
 METHODS = ("ours", "frozen", "paper")
-"""Names in `shmoo_mjx.behavior.methods`, which takes long to import."""
+"""Names of the methods in `shmoo_mjx.behavior.methods`, repeated here because that module imports slowly."""
 
 
 def option(parse: Callable[[str], Any], metavar: str) -> PrimitiveConstructorSpec[Any]:
-    """How tyro reads an option by ``parse``, whose ShmooError passes through; of a ValueError it would make a page."""
+    """Specification for tyro of an option that ``parse`` reads.
+
+    A ShmooError from ``parse`` passes through tyro unchanged, while a ValueError would print a whole help page.
+    """
     return PrimitiveConstructorSpec(
         nargs=1,
         metavar=metavar,
@@ -37,7 +40,7 @@ def _text(value: Any) -> str:
 
 
 def choice(name: str, choices: Sequence[str]) -> PrimitiveConstructorSpec[Any]:
-    """An option with few values, which its help names."""
+    """An option with a fixed set of values, which its help lists."""
 
     def parse(text: str) -> str:
         if text not in choices:
@@ -49,12 +52,18 @@ def choice(name: str, choices: Sequence[str]) -> PrimitiveConstructorSpec[Any]:
 
 
 def whole_number(name: str, low: int, high: int, text: str) -> int:
-    """The number that the text says.
+    """Parse a whole number.
+
+    Args:
+        name: name of the option, for the error message.
+        low: smallest allowed number.
+        high: largest allowed number.
+        text: text to parse.
 
     Raises:
-        ShmooError: it is no whole number from ``low`` to ``high``; ``name`` says which option it was given to.
+        ShmooError: the text is not a whole number from ``low`` to ``high``.
     """
-    # int() also takes "1_000", " 7" and other scripts' digits, and refuses texts of thousands of digits by itself.
+    # int() would also accept "1_000", " 7" and digits of other scripts, and it fails for thousands of digits.
     plain = text.isascii() and text.isdigit() and len(text) <= 20
     if not plain or not low <= int(text) <= high:
         raise ShmooError(f"{name} {shortened(text)!r} must be a whole number from {low} to {high}.")
@@ -66,7 +75,7 @@ def _whole(name: str, low: int, high: int) -> PrimitiveConstructorSpec[Any]:
 
 
 def _scenarios(text: str) -> int | Path:
-    """A number, or the name of a file."""
+    """Parse a number of scenarios or a file name."""
     number = re.fullmatch(r"[+-]?[\d_.]+", text.strip())
     return whole_number("--scenarios", 1, 10_000, text) if number else Path(text)
 
@@ -77,7 +86,7 @@ def _real(name: str, low: float, high: float, unit: str = "") -> PrimitiveConstr
             value = float(text) if text.isascii() and "_" not in text else None
         except ValueError:
             value = None
-        # Not a number compares false.
+        # A comparison with NaN is false, so NaN is rejected too.
         if value is None or not low <= value <= high:
             raise ShmooError(
                 f"{name} {shortened(text)!r} must be a number from {low:g} to {high:g}{unit and f' {unit}'}."
@@ -88,13 +97,13 @@ def _real(name: str, low: float, high: float, unit: str = "") -> PrimitiveConstr
 
 
 def parted(assignments: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Properties of an object and settings of the run among ``NAME=VALUE`` texts: names of settings have a dot."""
+    """Split ``NAME=VALUE`` texts into object properties and run settings. Names of settings contain a dot."""
     settings = [text for text in assignments if "." in text.partition("=")[0]]
     return [text for text in assignments if text not in settings], settings
 
 
 def shortened(text: str) -> str:
-    """What was typed, as an error message quotes it."""
+    """User input, shortened to 40 characters for an error message."""
     return text if len(text) <= 40 else text[:40] + "..."
 
 

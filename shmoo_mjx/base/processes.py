@@ -1,4 +1,4 @@
-"""A pool of worker processes that does not outlive the process it works for, and a check of processes of others."""
+"""A pool of worker processes that ends with its parent process, and a check for forked processes."""
 
 from __future__ import annotations
 
@@ -14,27 +14,28 @@ from contextlib import contextmanager, suppress
 from shmoo_mjx.errors import ShmooError
 
 _PATIENCE = 5.0
-"""Longest time that ending the workers may take [s]."""
+"""Longest time to wait for the workers to end [s]."""
 
 
 @contextmanager
 def process_pool(workers: int, prepare: Callable[[], None] | None = None) -> Iterator[ProcessPoolExecutor]:
-    """Worker processes; an exception, or the end of this process however it comes, stops them too.
+    """Context manager with a pool of worker processes, which stop at an exception or when this process ends.
 
-    Forked children would inherit JAX's locks; these are spawned, start clean, and share its compilation cache on disk.
+    The workers are spawned, because forked children would inherit JAX's locks. They share JAX's compilation cache on
+    disk.
 
     Args:
-        workers: how many, at most.
-        prepare: called in each before its first job; must be picklable.
+        workers: largest number of workers.
+        prepare: function that each worker calls before its first job; must be picklable.
     """
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin, initargs=(prepare,))
     try:
         yield pool
     except BaseException:
-        # Otherwise every job that still waits would be run first, and those under way to their end.
+        # Without this, the pool would finish all running and waiting jobs first.
         pool.shutdown(wait=False, cancel_futures=True)
-        # One may just be starting.
+        # Repeat the kill, because a worker may just be starting.
         until = time.monotonic() + _PATIENCE
         while (left := multiprocessing.active_children()) and time.monotonic() < until:
             for worker in left:
@@ -45,15 +46,15 @@ def process_pool(workers: int, prepare: Callable[[], None] | None = None) -> Ite
 
 
 def check_forked() -> None:
-    """Refuse to compute in a process in which JAX would wait for ever.
+    """Raise an error in a forked process in which JAX would hang.
 
-    A fork copies JAX's state without the threads that JAX works with. Checked where the system lists a process's
-    threads (Linux); elsewhere new processes are not forked by default.
+    A fork copies JAX's state without JAX's threads. The check works where the system lists the threads of a process
+    (Linux). On other systems, new processes are not forked by default.
 
     Raises:
         ShmooError: this process was forked from one in which JAX was running.
     """
-    # Imported late: worker processes that never compute need no JAX.
+    # A local import, because worker processes that never compute need no JAX.
     from jax._src import xla_bridge
 
     with suppress(OSError):
@@ -65,7 +66,7 @@ def check_forked() -> None:
 
 
 def _begin(prepare: Callable[[], None] | None) -> None:
-    # Ctrl-C reaches every process of the terminal; the parent decides what it means.
+    # Ctrl-C is sent to all processes of the terminal. Only the parent handles it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if prepare is not None:
@@ -73,7 +74,7 @@ def _begin(prepare: Callable[[], None] | None) -> None:
 
 
 def _end_with_parent() -> None:
-    """A parent that is killed has no time to tell its workers."""
+    """End this worker when its parent ends, since a killed parent can't stop its workers."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

@@ -1,4 +1,4 @@
-"""Progress on the terminal: what is being done, how far, how long yet. As a bar, as lines of a log, or not at all."""
+"""Progress display: current stage, fraction done and remaining time, as a bar, as log lines, or not at all."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from typing import Any
 from shmoo_mjx.base.verbosity import LOG, is_quiet, is_verbose
 
 _EVERY = 10.0
-"""Time between two lines of a log that say the same but for its numbers [s]."""
+"""Shortest time between two log lines that differ only in their numbers [s]."""
 
 
 class _Lines:
-    """What rich's Progress is for a bar, for a log: a line for each new stage, and one now and then."""
+    """Log replacement for rich's Progress: one line per new stage, and further lines at intervals."""
 
     def __init__(self) -> None:
         self._began = self._last = time.monotonic()
@@ -46,20 +46,20 @@ def _bar() -> Iterator[Any]:
 
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"))
     times = (TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
-    # To stderr, so that what a command prints can be piped.
+    # Progress goes to stderr, so that a command's output can be piped.
     console = Console(stderr=True)
     with Progress(*columns, *times, console=console, disable=is_quiet()) as bar:
         try:
             yield bar
         except BaseException:
-            # Wiped: an error is told by its one sentence alone.
+            # Remove the bar, so that only the error message remains.
             bar.live.transient, console.quiet = True, not console.is_terminal
             raise
 
 
 @contextmanager
 def stages() -> Iterator[Callable[[str, float], None]]:
-    """A bar for work in named stages: call with (stage, fraction done)."""
+    """Progress of work in named stages; the yielded function takes (stage, fraction done)."""
     with _bar() as bar:
         task = bar.add_task("starting", total=1.0)
         yield lambda stage, fraction: bar.update(task, description=stage[:60], completed=fraction)
@@ -67,7 +67,7 @@ def stages() -> Iterator[Callable[[str, float], None]]:
 
 @contextmanager
 def counter(what: str) -> Iterator[Callable[[int, int], None]]:
-    """A bar for countable work: call with (done, total)."""
+    """Progress of countable work; the yielded function takes (done, total)."""
     with _bar() as bar:
         task = bar.add_task(what, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
@@ -75,7 +75,7 @@ def counter(what: str) -> Iterator[Callable[[int, int], None]]:
 
 @contextmanager
 def training(what: str) -> Iterator[Callable[[Any], None]]:
-    """A bar for a training: call with a learning.training.Progress."""
+    """Progress of a training; the yielded function takes a learning.training.Progress."""
     with _bar() as bar:
         task = bar.add_task(what, total=None)
 

@@ -1,4 +1,4 @@
-"""Seeds as users give them: one bounded kind for every command, and the border above which no training draws."""
+"""Seeds given by users: their allowed range for all commands, and the ranges reserved for unseen objects."""
 
 from __future__ import annotations
 
@@ -9,38 +9,48 @@ from shmoo_mjx.base.options import option, whole_number
 from shmoo_mjx.errors import ShmooError
 
 MAX_SEED = 2**31 - 1
-"""What every generator we use (numpy, JAX, Gymnasium) takes, with room to count on from."""
+"""Largest seed. All generators in use (NumPy, JAX, Gymnasium) accept it, with room for larger derived seeds."""
 
 UNSEEN_SEED = 1_000_000
-"""First seed of the objects that no training can reach; each --condition-seed has 1,000 seeds of its own above it."""
+"""First seed of test objects, which training never uses. Each --condition-seed owns 1,000 seeds from here on."""
 
 MAX_CONDITION_SEED = (MAX_SEED - UNSEEN_SEED) // 1000 - 1
-"""Largest one whose objects' seeds are seeds too. Below 0 they would be those of training."""
+"""Largest --condition-seed whose object seeds do not exceed MAX_SEED. Negative ones would give training objects."""
 
 
 def check_seed(name: str, seed: int, highest: int = MAX_SEED) -> int:
-    """The seed itself.
+    """Check a seed and return it.
+
+    Args:
+        name: name of the seed, for the error message.
+        seed: seed to check.
+        highest: largest allowed seed.
 
     Raises:
-        ShmooError: it is below 0 or above ``highest``; ``name`` says whose it is.
+        ShmooError: the seed is below 0 or above ``highest``.
     """
     return seed_of(name, str(seed), highest)
 
 
 def seed_of(name: str, text: str, highest: int = MAX_SEED) -> int:
-    """The seed that the text says.
+    """Parse a seed.
+
+    Args:
+        name: name of the option, for the error message.
+        text: text to parse.
+        highest: largest allowed seed.
 
     Raises:
-        ShmooError: it is no whole number from 0 to ``highest``; ``name`` says which option it was given to.
+        ShmooError: the text is not a whole number from 0 to ``highest``.
     """
     return whole_number(name, 0, highest, text)
 
 
 def seeds_of(text: str) -> range:
-    """The seeds that "3" or "0..19" says.
+    """Parse one seed ("3") or a range of seeds ("0..19", both ends included).
 
     Raises:
-        ShmooError: it is neither.
+        ShmooError: the text is neither.
     """
     first, dots, last = text.partition("..")
     start = seed_of("--seed", first)
@@ -51,10 +61,10 @@ def seeds_of(text: str) -> range:
 
 
 Seeds = Annotated[range, option(seeds_of, "SEED|FIRST..LAST")]
-"""The type of a --seed that may be several."""
+"""Type of a --seed option that accepts several seeds."""
 
 Seed = Annotated[int, option(partial(seed_of, "--seed"), "SEED")]
-"""The type of every --seed."""
+"""Type of a --seed option with one seed."""
 
 ConditionSeed = Annotated[int, option(partial(seed_of, "--condition-seed", highest=MAX_CONDITION_SEED), "SEED")]
-"""The type of --condition-seed."""
+"""Type of the option --condition-seed."""

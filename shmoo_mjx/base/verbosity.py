@@ -1,7 +1,7 @@
-"""How much a command says: ``--quiet`` and ``--verbose`` for every command, and the log behind them.
+"""The options ``--quiet`` and ``--verbose`` of all commands, and the logger behind them.
 
-The logger ``shmoo_mjx`` holds the choice as its level. Quiet: results and errors only. Default: progress bars. Verbose:
-in place of bars, dated lines on stderr that make a log when they are kept (``2> run.log``).
+The level of the logger ``shmoo_mjx`` stores the choice. Quiet prints only results and errors. The default shows
+progress bars. Verbose prints lines with date and time to stderr instead of bars (``2> run.log`` saves them as a log).
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ _OPTIONS = """\
 
 
 def is_quiet() -> bool:
-    """Whether progress is unwanted."""
+    """Whether progress is switched off (``--quiet``)."""
     return LOG.getEffectiveLevel() > logging.WARNING
 
 
 def is_verbose() -> bool:
-    """Whether progress is wanted as lines."""
+    """Whether progress is printed as log lines (``--verbose``)."""
     return LOG.getEffectiveLevel() <= logging.INFO
 
 
 def with_verbosity(command: Callable[..., int]) -> Callable[..., int]:
-    """The command with the two options that all commands share, for a parser that reads signature and docstring."""
+    """Decorator that adds ``--quiet`` and ``--verbose`` to a command, for a parser of its signature and docstring."""
 
     def run(*arguments: Any, quiet: bool = False, verbose: bool = False, **options: Any) -> int:
         _set(quiet, verbose)

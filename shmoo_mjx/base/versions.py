@@ -1,4 +1,4 @@
-"""Versions of what a result depends on."""
+"""Versions of the software on which a result depends."""
 
 from __future__ import annotations
 
@@ -7,6 +7,6 @@ from importlib import metadata
 
 
 def versions() -> dict[str, str]:
-    """Versions of everything a result depends on."""
+    """Versions of Python and of the packages on which a result depends."""
     names = ("shmoo-mjx", "jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy", "scikit-image", "clarabel")
     return {"python": platform.python_version()} | {name: metadata.version(name) for name in names}

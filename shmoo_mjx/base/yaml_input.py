@@ -1,4 +1,4 @@
-"""Reads a user's YAML file, with the numbers of YAML 1.2, and writes files that it reads back as they were."""
+"""Reads users' YAML files with the scalar rules of YAML 1.2, and writes YAML files that it can read back unchanged."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ import yaml
 from shmoo_mjx.errors import ShmooError
 
 _DEEPEST = 32
-"""More brackets within brackets cost recursion, and time with their square."""
+"""Largest nesting depth. Parsing is recursive, and its time grows with the square of the depth."""
 _LONGEST_NUMBER = 300
-"""Characters; a longer whole number is no float."""
-# The core schema of YAML 1.2 (chapter 10.3.2). PyYAML follows 1.1, where 010 is 8, 1:30 is 90, yes is true, and 1e1 is
-# text.
+"""Largest number of characters of a number. A longer whole number would not fit in a float."""
+# The core schema of YAML 1.2 (chapter 10.3.2). PyYAML follows YAML 1.1, where 010 is 8, 1:30 is 90, yes is true, and
+# 1e1 is text.
 _CORE = {
     "bool": ("tTfF", re.compile(r"(true|True|TRUE|false|False|FALSE)$")),
     "int": ("-+0123456789", re.compile(r"([-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+)$")),
@@ -24,12 +24,12 @@ _CORE = {
         re.compile(r"([-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN))$"),
     ),
 }
-"""First characters and pattern of what is no text."""
+"""First characters and pattern of each scalar type that is not text."""
 _TAG = "tag:yaml.org,2002:"
 
 
 class _Loader(yaml.SafeLoader):
-    """Plain data, not too deep, no key twice in one mapping: YAML would let the last one win in silence."""
+    """Loader of plain data. It rejects deep nesting and duplicate keys, of which YAML would silently keep the last."""
 
     _depth = 0
 
@@ -54,7 +54,7 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
     def construct_core(self, node: yaml.ScalarNode) -> bool | int | float:
-        """A value of YAML 1.2, whether its kind is seen from its text or given by a tag."""
+        """A scalar of YAML 1.2; its type is either detected from the text or given by a tag."""
         text, kind = str(node.value), node.tag.removeprefix(_TAG)
         if not _CORE[kind][1].match(text) or len(text) > _LONGEST_NUMBER:
             raise yaml.constructor.ConstructorError(None, None, f"no {kind}", node.start_mark)
@@ -66,7 +66,7 @@ class _Loader(yaml.SafeLoader):
 
 
 class _Dumper(yaml.SafeDumper):
-    """Quotes text that either version of YAML would take for something else."""
+    """Dumper that quotes text which YAML 1.1 or 1.2 would read as another type."""
 
 
 _Loader.yaml_implicit_resolvers = {
@@ -84,21 +84,25 @@ for _kind, (_first, _pattern) in _CORE.items():
 
 
 def yaml_text(data: dict[str, Any]) -> bytes:
-    """``data`` as a YAML file, lists of plain values on one line."""
+    """Serialise ``data`` as YAML, with lists of plain values on one line."""
     return yaml.dump(data, Dumper=_Dumper, sort_keys=False, default_flow_style=None).encode()
 
 
 def yaml_files(folder: Path, below: bool = False) -> list[Path]:
-    """The files *.yaml and *.yml in ``folder``, sorted; with ``below`` also those in the folders in it."""
+    """Sorted list of the YAML files (*.yaml, *.yml) in ``folder``; with ``below`` also those in subfolders."""
     paths = folder.rglob("*") if below else folder.glob("*")
     return sorted(p for p in paths if p.suffix.lower() in (".yaml", ".yml") and p.is_file())
 
 
 def value_of(text: str, name: str) -> Any:
-    """What ``text`` says as a YAML value: a number, a truth value, a list, text.
+    """Parse ``text`` as a YAML value: a number, a boolean, a list or text.
+
+    Args:
+        text: text to parse.
+        name: name of the option or field, for the error message.
 
     Raises:
-        ShmooError: it is no YAML; ``name`` says what it was given to.
+        ShmooError: the text is not valid YAML.
     """
     try:
         return yaml.load(text, _Loader)
@@ -107,14 +111,14 @@ def value_of(text: str, name: str) -> Any:
 
 
 def read_mapping(path: str | Path, what: str) -> dict[str, Any]:
-    """The top-level mapping of a YAML file.
+    """Read the top-level mapping of a YAML file.
 
     Args:
-        path: the file.
-        what: what the file is, for the error ("map", "scenario").
+        path: file to read.
+        what: what the file is ("map", "scenario"), for the error message.
 
     Raises:
-        ShmooError: the file is missing, unreadable, no YAML, or not a mapping.
+        ShmooError: the file is missing or unreadable, not valid YAML, or not a mapping.
     """
     path = Path(path)
     try:

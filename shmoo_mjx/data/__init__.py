@@ -1,1 +1,1 @@
-"""Recordings: what a sample is, where data sets lie, how labels are made."""
+"""Recordings: samples, data sets on disk, and labels for the learners."""

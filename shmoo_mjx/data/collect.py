@@ -1,8 +1,8 @@
-"""Scripted tele-operators drive every condition and record what the learners need (Sec. III-C).
+"""Collects training data: scripted tele-operators push every condition (Sec. III-C).
 
-Each world holds one object; a chunk of conditions of one family, several episodes each, advances as one batch. Chunks
-run in separate processes and each condition is written as soon as its chunk ends, so an interrupted run resumes
-and keeps whatever was written.
+Each world contains one object. A chunk of conditions of one family, with several episodes each, advances as one batch.
+Chunks run in separate processes. Each condition is written as soon as its chunk ends, so an interrupted collection
+keeps the written conditions and can resume.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.types import DT, Command, Observation
 
 Row = tuple[str, str, Condition]
-"""(name, split, condition) of what becomes one file of a data set."""
+"""(name, split, condition) of one file of a data set."""
 
 SPLIT_SEEDS = {"train": 0, "validation": 100_000, "test": UNSEEN_SEED}
-"""First object seed of each split; training can't reach the test seeds."""
+"""First object seed of each split. Training can't use the test seeds."""
 
 
 @dataclass(frozen=True)
 class CollectConfig:
-    """What to collect."""
+    """Settings of a data collection."""
 
     train: int = 40
     """Training conditions per family."""
@@ -47,38 +47,39 @@ class CollectConfig:
     test: int = 0
     """Test conditions per family."""
     episodes: int = 8
-    """Episodes per condition; each starts at a new face and offset."""
+    """Episodes per condition. Each starts at a random face and offset."""
     seconds: float = 12.0
     """Length of an episode [s]."""
     seed: int = 0
-    """Seed of the operators; the objects' seeds are set by the split."""
+    """Seed of the operators. The objects' seeds depend on the split."""
     chunk: int = 8
-    """Conditions that advance together."""
+    """Number of conditions that advance as one batch."""
 
 
 class Operator(NamedTuple):
-    """What each world's operator wants at present."""
+    """Current targets of the operators of W worlds."""
 
     face: np.ndarray
-    """``[W, 4]``"""
+    """Pushed face in {O}, ``[W, 4]``, in the format of `faces_of`."""
     speed: np.ndarray
-    """``[W]`` along the face's inward normal [m/s]"""
+    """Desired speed along the face's inward normal [m/s], ``[W]``."""
     gain: np.ndarray
-    """``[W]`` lean per speed error [rad s/m]"""
+    """Lean per speed error [rad s/m], ``[W]``."""
     offset: np.ndarray
-    """``[W]`` lateral place on the face, to the robot's left [m]"""
+    """Desired lateral position on the face, to the robot's left [m], ``[W]``."""
     gamma: np.ndarray
-    """``[W]`` [rad]"""
+    """Steering angle [rad], ``[W]``."""
     noise: np.ndarray
-    """``[W, 3]`` slow noise on u"""
+    """Slowly varying noise on u [rad], ``[W, 3]``."""
     yaw_error: np.ndarray
-    """``[W]`` deliberate heading error [rad]"""
+    """Deliberate heading error [rad], ``[W]``."""
     liveliness: np.ndarray
-    """``[W]`` factor on the noise: calm episodes for steady pushing, lively ones like a sampling planner's trials"""
+    """Factor on the noise, ``[W]``. Small values give steady pushing, large ones resemble a sampling planner's
+    roll-outs."""
 
 
 def conditions(config: CollectConfig) -> list[Row]:
-    """(name, split, condition) of every condition, in the order they are collected."""
+    """All conditions of a collection, in the order of collection."""
     rows = []
     for split, count in (("train", config.train), ("validation", config.validation), ("test", config.test)):
         for family in FAMILIES:
@@ -91,7 +92,13 @@ def conditions(config: CollectConfig) -> list[Row]:
 def operators(
     rng: np.random.Generator, worlds: int, half_extents: list[tuple[float, float]]
 ) -> tuple[Operator, np.ndarray]:
-    """Operators and the robots' starting poses ``[W, 3]`` with every object at the origin."""
+    """Draw operators and the robots' initial poses in {W} ``[W, 3]``; every object is at the origin.
+
+    Args:
+        rng: random generator.
+        worlds: number of worlds W.
+        half_extents: half length and half width of each world's object [m].
+    """
     faces = np.stack([faces_of(h)[rng.integers(4)] for h in half_extents])
     offset = rng.uniform(-0.6, 0.6, worlds) * faces[:, 3]
     poses = np.stack(
@@ -104,7 +111,7 @@ def operators(
 
 
 def _reconsider(rng: np.random.Generator, op: Operator, who: np.ndarray) -> Operator:
-    """New wishes for the worlds in ``who [W]``: speed, gain, lateral place, steering, heading error."""
+    """Draw new targets for the worlds ``who [W]``: speed, gain, lateral position, steering angle, heading error."""
     n = len(who)
     retreat, stop = rng.random(n) < 0.06, rng.random(n) < 0.08
     speed = np.where(retreat, rng.uniform(-0.25, -0.1, n), np.where(stop, 0.0, rng.uniform(0.06, 0.45, n)))
@@ -119,21 +126,27 @@ def _reconsider(rng: np.random.Generator, op: Operator, who: np.ndarray) -> Oper
 
 
 def drive(rng: np.random.Generator, op: Operator, observed: Observation) -> tuple[Operator, Command]:
-    """One decision of each operator: velocity loop along the face, lateral loop to its place, smooth noise on u."""
+    """One decision of each operator.
+
+    The lean comes from a velocity loop along the face and a lateral position loop. Smooth noise is added to u.
+
+    Returns:
+        The operators with updated targets and noise, and the command.
+    """
     n = len(op.speed)
     op = _reconsider(rng, op, rng.random(n) < DT / 1.8)
     noise = 0.85 * op.noise + op.liveliness[:, None] * np.array([0.008, 0.005, 0.04]) * rng.normal(size=(n, 3))
     wanted_yaw = heading(observed.object_pose[:, 0], op.face) + op.yaw_error
     in_face = se2.relative(se2.compose(observed.object_pose[:, 0], op.face[:, :3]), observed.robot_pose)
     lateral_speed = np.clip(0.8 * (op.offset - in_face[:, 1]), -0.25, 0.25)
-    # The wish is given along the face; the lean acts along the robot's axes.
+    # Rotate the desired velocity from the face's axes to the robot's axes, along which the lean acts.
     relative_yaw = se2.wrap(observed.robot_pose[:, 2] - op.face[:, 2] - observed.object_pose[:, 0, 2])
     wish = se2.rotate(np.stack([op.speed, lateral_speed], axis=-1), -relative_yaw)
     velocity = se2.rotate(observed.robot_twist[:, :2], -observed.robot_pose[:, 2])
     a, b, _ = shmoobot().flatness
-    # Velocity of the flat output: the base first moves the wrong way when the lean changes.
+    # Regulate the velocity of the flat output, because the base first moves the wrong way when the lean changes.
     lean = op.gain[:, None] * (wish - velocity - b / a * observed.lean_rate) + noise[:, :2]
-    # A robot that has lost its object far away comes back rather than recording empty floor.
+    # A robot that is far behind its object returns to it, since samples without an object nearby are useless.
     u = np.concatenate([np.clip(lean, -0.2, 0.2), np.clip(op.gamma + noise[:, 2], -0.5, 0.5)[:, None]], axis=-1)
     far = in_face[:, 0] < -(REACH + 0.6)
     op = op._replace(noise=noise, speed=np.where(far, 0.3, op.speed))
@@ -149,14 +162,19 @@ def record(
     adjust: Callable[[Any], None] = lambda spec: None,
     engine_of: Callable[[list[Any]], Any] | None = None,
 ) -> Iterator[dict[str, np.ndarray]]:
-    """Drive one chunk of conditions of one family; yields each condition's arrays ``[E, L, ...]`` in order.
+    """Simulate and record one chunk of conditions of one family.
 
-    ``adjust`` (as `build_scene` takes it) and ``engine_of`` (scenes -> engine) put another robot in the place of the
-    training plant; then the arrays hold what that robot perceives.
+    Args:
+        config: settings of the collection.
+        chunk: conditions of one family.
+        seed: seed of this chunk's operators.
+        adjust: change of the robot's MJCF, as for `build_scene`. Together with ``engine_of`` it replaces the training
+            plant by another robot. The arrays then contain that robot's sensed observations.
+        engine_of: function from scenes to an engine, by default C MuJoCo.
 
-    Arrays: robot_pose, robot_twist, lean, lean_rate, object_pose, object_twist at the start of each sample ({W}); u
-    held over it; force_robot ({R}) and wrench_object ({O}, about the object's centre), the hands' mean over it in the
-    frames of its start; contact; per episode face [4] and size.
+    Yields:
+        The arrays of each condition, in order, with E episodes of L samples: the fields of `store.FIELDS`
+            ``[E, L, ...]``, face ``[E, 4]`` and size ``[E]``.
 
     Raises:
         ShmooError: the simulation of an object diverged.
@@ -198,7 +216,13 @@ def record(
 
 
 def sample(before: Observation, after: Observation, u: Array) -> dict[str, Array]:
-    """The fields of one sample, each ``[W, ...]``: observations before and after it and u ``[W, 3]`` held over it."""
+    """Fields of one sample, each ``[W, ...]``; see `store.FIELDS`.
+
+    Args:
+        before: observation at the start of the sample.
+        after: observation at the end of the sample.
+        u: command held over the sample, ``[W, 3]``.
+    """
     wrench = after.wrench[:, 0]
     return {
         "robot_pose": before.robot_pose,
@@ -242,14 +266,17 @@ def collect(
     progress: Callable[[int, int], None] = lambda done, total: None,
     rows: list[Row] | None = None,
 ) -> None:
-    """Fill ``directory`` with one file per condition; conditions already there and whole are kept.
+    """Collect a data set with one file per condition. Complete files that exist already are kept.
 
     Args:
         directory: data set to create or to resume.
-        config: what to collect; must equal that of a data set that is resumed.
-        workers: processes.
-        progress: called with (conditions done, conditions in all).
-        rows: (name, split, condition) of each condition; by default those that ``config`` counts.
+        config: settings; must equal those of a data set that is resumed.
+        workers: number of worker processes.
+        progress: function called with (conditions done, total conditions).
+        rows: conditions to collect, by default those of ``config``.
+
+    Raises:
+        ShmooError: the settings are invalid, differ from those of the existing data set, or a simulation diverged.
     """
     from shmoo_mjx.data import store
 
@@ -266,7 +293,7 @@ def collect(
         chunks: list[tuple[int, list[Row]]] = []
         for number, start in enumerate(range(0, len(rows), config.chunk)):
             part = rows[start : start + config.chunk]
-            # A chunk holds one family only: split it where the family changes.
+            # A batch can contain only one family, so split the chunk by family.
             for k, family in enumerate(FAMILIES):
                 mine = [r for r in part if r[2].family == family]
                 if mine and not all(r[0] in present for r in mine):
@@ -280,7 +307,7 @@ def collect(
             }
             for job in as_completed(jobs):
                 for (name, _, _), arrays in zip(jobs[job], job.result(), strict=True):
-                    # A chunk is driven as a whole; those of it that were recorded before the cut stay as they are.
+                    # An interrupted chunk is simulated again as a whole. Keep the conditions that it already wrote.
                     if name not in present:
                         store.write_condition(opened, name, arrays, entries[name])
                     done += 1

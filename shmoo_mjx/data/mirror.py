@@ -1,9 +1,9 @@
-"""Mirror images of recordings: what happened, seen with left and right exchanged.
+"""Mirror images of recordings, with left and right exchanged, for data augmentation.
 
-Robot and floor are the same on both sides, so that a mirrored recording is one that could have been made, of the
-mirrored object. A learner that sees both has no reason to prefer a side; one that doesn't takes the chance
-preponderance of some objects' loads for a law, and steers against it. R and psi have no side by their form
-(`dynamics.equivariant`); the baselines' networks and the prior of bodies have not.
+Robot and floor are symmetric, so a mirrored recording is a valid recording of the mirrored object. Training on both
+removes a left-right bias: otherwise a learner picks up the random asymmetry of the objects' loads and steers against
+it. R and psi are equivariant by construction (`dynamics.networks`). The baselines' networks and the prior of bodies are
+not.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ _SIGNS = {
     "face": (1, -1, -1, 1),
     "size": (1,),
 }
-"""Of the last axis of each array of a recording: y and what turns change their sign."""
+"""Signs of the last axis of each array under mirroring: y components and rotations change their sign."""
 
 
 def mirrored(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """A condition's arrays (`store.FIELDS`, face and size) in the mirror of the x-z plane."""
+    """Mirror a condition's arrays (`store.FIELDS`, face and size) at the x-z plane."""
     return {
         name: values if set(_SIGNS[name]) == {1} else values * np.array(_SIGNS[name], dtype=values.dtype)
         for name, values in arrays.items()
@@ -38,7 +38,7 @@ def mirrored(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def mirrored_condition(condition: dict[str, Any]) -> dict[str, Any]:
-    """What the manifest tells of an object, of its mirror image: wheels come in pairs of a left and a right one."""
+    """Mirror a condition as stored in the manifest. Wheels are ordered in pairs of left and right."""
     new = dict(condition)
     if "payload_y" in new:
         new["payload_y"] = -new["payload_y"]

@@ -1,7 +1,7 @@
-"""Recorded planar pushes of other people's robots: folders with ``mit_push`` and ``mlab_triangle`` in them.
+"""Reads public data sets of planar pushes by real robots (``mit_push`` and ``mlab_triangle``).
 
-A condition is one object on one surface: a shape-surface pair, or the triangle with one support. Everything is in the
-frame the object had before the push, so the pose in the room plays no part.
+A condition is one object on one surface: a pair of shape and surface, or the triangle with one support. Poses are
+relative to the object's frame before the push, so results do not depend on the pose in the room.
 """
 
 from __future__ import annotations
@@ -24,31 +24,35 @@ class RealPushCondition(NamedTuple):
     """N pushes of one object on one surface."""
 
     shape: str
-    """Conditions of one shape look the same."""
+    """Name of the object's shape. Conditions with the same shape have the same appearance."""
     start: np.ndarray
-    """``[N, 2]`` pusher before the push, in the object's frame before the push [m]."""
+    """Position of the pusher before the push, in the object's frame before the push [m], ``[N, 2]``."""
     end: np.ndarray
-    """``[N, 2]`` pusher after the push, in the same frame [m]."""
+    """Position of the pusher after the push, in the same frame [m], ``[N, 2]``."""
     motion: np.ndarray
-    """``[N, 3]`` the object's pose after the push, in the same frame [m, m, rad]."""
+    """Pose of the object after the push, in the same frame [m, m, rad], ``[N, 3]``."""
     touch: np.ndarray
-    """``[N, 2]`` where the pusher's centre was while it touched, in the object's own frame at that moment [m]."""
+    """Position of the pusher's centre at a moment of contact, in the object's frame at that moment [m], ``[N, 2]``."""
     published: dict[str, np.ndarray]
-    """``[N, 3]`` motions that published models predict."""
+    """Motions that published models predict, by model, in the format of ``motion``."""
     touching_at_start: bool
-    """Whether a recording starts at first contact; otherwise there is a gap before it."""
+    """Whether the recording starts at first contact. Otherwise there is a gap before contact."""
     tip_radius: float
-    """Of the pusher [m]."""
+    """Radius of the pusher [m]."""
 
 
 def load(directory: Path) -> dict[str, dict[str, RealPushCondition]]:
-    """Data sets by name, each with its conditions by name.
+    """Load the data sets in a folder.
 
     Args:
-        directory: holds ``mit_push/pushes_heldout_with_model_pred.csv``, ``mlab_triangle/pushes.csv`` or both.
+        directory: folder with ``mit_push/pushes_heldout_with_model_pred.csv``, ``mlab_triangle/pushes.csv`` or both.
+
+    Returns:
+        Conditions by name, by name of the data set.
 
     Raises:
-        ShmooError: neither is there, or one lacks a column, a number or enough pushes.
+        ShmooError: neither file exists, a column is missing, a value is not a finite number, or there are too few
+            conditions or pushes.
     """
     readers = {
         "mit_push": ("pushes_heldout_with_model_pred.csv", _mit_push),
@@ -63,7 +67,7 @@ def load(directory: Path) -> dict[str, dict[str, RealPushCondition]]:
 
 
 def _mit_push(path: Path) -> dict[str, RealPushCondition]:
-    """Cylinder of 4.75 mm radius; recordings start at first contact and carry two models' predictions."""
+    """Read ``mit_push``: cylindrical pusher of 4.75 mm radius, start at first contact, predictions of two models."""
     models = {"quadratic": "quad", "poly4": "poly4"}
     predicted = [f"pred_{short}_{axis}1" for short in models.values() for axis in ("x", "y", "th")]
     columns = [*_POSES, "tip_x0", "tip_y0", "tip_x1", "tip_y1", *predicted]
@@ -79,7 +83,7 @@ def _mit_push(path: Path) -> dict[str, RealPushCondition]:
 
 
 def _mlab_triangle(path: Path) -> dict[str, RealPushCondition]:
-    """One triangle on several supports; recordings start before contact and end on the outline itself."""
+    """Read ``mlab_triangle``: one triangle on several supports, start before contact, end on the outline."""
     columns = [*_POSES, "pusher_x0", "pusher_y0", "pusher_x1", "pusher_y1"]
     conditions = {}
     for (surface, support), values in _groups(path, ("surface", "support"), columns).items():
@@ -91,7 +95,7 @@ def _mlab_triangle(path: Path) -> dict[str, RealPushCondition]:
 
 
 def _groups(path: Path, keys: tuple[str, str], columns: Sequence[str]) -> dict[tuple[str, str], np.ndarray]:
-    """The columns' numbers by the values of two keys."""
+    """Read the numbers of ``columns``, grouped by the values of two key columns."""
     groups: dict[tuple[str, str], list[list[float]]] = {}
     try:
         with path.open(newline="") as file:

@@ -1,8 +1,8 @@
 """A data set on disk: a directory with one safetensors file per condition and a manifest.
 
-The manifest names every file with its checksum and its condition. A file counts as recorded once the manifest names it,
-so collection that was cut short goes on where it stopped, and a file that changed afterwards is named, not read. What
-was written whole just before the cut, and not named yet, is `adopt`ed. One process at a time may write a data set.
+The manifest lists every file with its checksum and condition. A file counts as recorded when the manifest lists it, so
+an interrupted collection can resume. Reading a file that has changed since then raises an error. `adopt` adds complete
+files that an interruption left out of the manifest. Only one process at a time may write a data set.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from shmoo_mjx.geometry import se2
 from shmoo_mjx.types import DT, SystemState
 
 SCHEMA_VERSION = 1
-"""Raised whenever a field of a condition's file changes its meaning."""
+"""Version of the file format; increased when a field changes its meaning."""
 
 SPLITS = ("train", "validation", "test")
-"""Splits are by condition, never by row."""
+"""Names of the splits. A condition belongs to one split with all its samples."""
 
 FIELDS: dict[str, tuple[int, ...]] = {
     "robot_pose": (3,),
@@ -42,23 +42,27 @@ FIELDS: dict[str, tuple[int, ...]] = {
     "wrench_object": (3,),
     "contact": (),
 }
-"""Per sample: what follows ``[E, L]`` for E episodes of L samples. Poses and twists are in {W} at the start of the
-sample; u is held over it; force_robot ({R} at its start) and wrench_object (about the object's centre, {O} at its
-start) are means over it. Beside these a file has face ``[E, 4]`` and size ``[E]`` as types.SystemState tells them."""
+"""Fields of a sample with their shapes after ``[E, L]``, for E episodes of L samples.
+
+Poses and twists are in {W} at the start of the sample. The command u is held over the sample. The hands' force_robot
+(in {R} at the start) and wrench_object (about the object's centre, in {O} at the start) are means over the sample. A
+file also has face ``[E, 4]`` and size ``[E]``, see types.SystemState."""
 
 MANIFEST = "manifest.json"
 _MIRRORED = "-mirrored"
-"""What the name of a mirror image ends in."""
+"""Suffix of the names of mirror images."""
 
 
 class Store(NamedTuple):
     """An open data set directory."""
 
     directory: Path
+    """Directory of the data set."""
     manifest: dict[str, Any]
+    """Content of the manifest; writing a condition updates it in place."""
 
     def has(self, name: str) -> bool:
-        """Whether the condition is recorded and its file is as it was written."""
+        """Whether the condition is recorded and its file matches the checksum."""
         entry = self.manifest["conditions"].get(name)
         if entry is None:
             return False
@@ -67,19 +71,23 @@ class Store(NamedTuple):
 
 
 class Dataset(NamedTuple):
-    """What `read` found, one entry per condition in each list."""
+    """A data set in memory. Each list has one entry per condition."""
 
     names: list[str]
+    """Names of the conditions."""
     conditions: list[dict[str, Any]]
+    """Conditions as plain data, with family, seed and split."""
     arrays: list[dict[str, np.ndarray]]
+    """Recorded arrays of each condition, see `FIELDS`."""
     schema: dict[str, Any]
+    """Settings of the collection."""
 
     def split(self, name: str) -> Dataset:
         """The conditions of one split: train, validation or test."""
         return self.chosen([i for i, condition in enumerate(self.conditions) if condition["split"] == name])
 
     def chosen(self, indices: Sequence[int]) -> Dataset:
-        """Some of the conditions, by their places."""
+        """The conditions with these indices."""
         return self._replace(
             names=[self.names[i] for i in indices],
             conditions=[self.conditions[i] for i in indices],
@@ -87,7 +95,7 @@ class Dataset(NamedTuple):
         )
 
     def with_mirror_images(self) -> Dataset:
-        """The data set and, behind it, the mirror image of each of its conditions as another one. Done once only."""
+        """Append the mirror image of each condition. Returns the data set unchanged if it has mirror images already."""
         if any(name.endswith(_MIRRORED) for name in self.names):
             return self
         return self._replace(
@@ -98,31 +106,33 @@ class Dataset(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """A condition's file as the learners take it; L - 1 samples have a label."""
+    """Training samples of one condition: E episodes of L - 1 samples, since the last sample has no label."""
 
     state: SystemState
-    """``[E, L - 1, ...]``"""
+    """States at the start of the samples, fields ``[E, L - 1, ...]``."""
     u: np.ndarray
-    """``[E, L - 1, 3]`` [rad]"""
+    """Commands [rad], ``[E, L - 1, 3]``."""
     robot_acceleration: np.ndarray
-    """``[E, L - 1, 3]`` in {R}"""
+    """Labels: mean accelerations of the robot in {R} [m/s^2, rad/s^2], ``[E, L - 1, 3]``."""
     force: np.ndarray
-    """``[E, L - 1, 2]`` in {R} [N]"""
+    """Mean forces of the hands in {R} [N], ``[E, L - 1, 2]``."""
     wrench: np.ndarray
-    """``[E, L - 1, 3]`` in {O} [N, N m]"""
+    """Mean wrenches of the hands on the object in {O} [N, N m], ``[E, L - 1, 3]``."""
     object_acceleration: np.ndarray
-    """``[E, L - 1, 3]`` in {O}"""
+    """Labels: mean accelerations of the object in {O} [m/s^2, rad/s^2], ``[E, L - 1, 3]``."""
     contact: np.ndarray
-    """``[E, L - 1]`` bool"""
+    """Whether the hands touched the object, ``[E, L - 1]``."""
 
 
 def create_or_open(directory: str | os.PathLike[str], schema: dict[str, Any]) -> Store:
-    """Open the data set in ``directory``, or start an empty one.
+    """Open the data set in ``directory``, or create an empty one.
 
-    ``schema`` is what the whole collection depends on (seeds, episode length, ...), JSON-able.
+    Args:
+        directory: directory of the data set.
+        schema: settings on which the whole collection depends (seeds, episode length, ...); must be JSON-serialisable.
 
     Raises:
-        ShmooError: the directory holds a data set made with another schema, or a damaged manifest.
+        ShmooError: the directory contains a data set with another schema, or the manifest is damaged.
     """
     directory = Path(directory)
     path = directory / MANIFEST
@@ -143,16 +153,16 @@ def create_or_open(directory: str | os.PathLike[str], schema: dict[str, Any]) ->
 
 
 def write_condition(store: Store, name: str, arrays: dict[str, np.ndarray], condition: dict[str, Any]) -> None:
-    """Add one condition: its file first, then the manifest that names it, each written whole or not at all.
+    """Add one condition to a data set. First its file and then the manifest is written, each atomically.
 
     Args:
-        store: from `create_or_open`.
-        name: unique; becomes the file's name.
-        arrays: every entry of FIELDS ``[E, L, ...]``, face ``[E, 4]`` and size ``[E]``.
-        condition: JSON-able, with at least family, seed and split.
+        store: data set from `create_or_open`.
+        name: unique name, used as the file's name.
+        arrays: all entries of FIELDS ``[E, L, ...]``, face ``[E, 4]`` and size ``[E]``.
+        condition: JSON-serialisable condition, with at least family, seed and split.
 
     Raises:
-        ShmooError: an array is missing, has another shape or holds a value that is not finite; a condition without
+        ShmooError: an array is missing, has a wrong shape or contains a non-finite value; or the condition lacks
             family, seed or a known split.
     """
     from safetensors.numpy import save
@@ -167,10 +177,15 @@ def write_condition(store: Store, name: str, arrays: dict[str, np.ndarray], cond
 
 
 def adopt(store: Store, name: str, condition: dict[str, Any]) -> bool:
-    """Name in the manifest the file of a condition that `write_condition` was stopped before it could name.
+    """Add a complete file to the manifest, if `write_condition` was interrupted before it could do so.
+
+    Args:
+        store: data set from `create_or_open`.
+        name: name of the condition.
+        condition: condition that the file must contain.
 
     Returns:
-        Whether there was one: whole, of this condition, and of a data set with the same schema.
+        Whether a file was added. It must be complete, of this condition, and of a data set with the same schema.
     """
     from safetensors import SafetensorError, safe_open
     from safetensors.numpy import load
@@ -195,7 +210,7 @@ def read(directory: str | os.PathLike[str], splits: tuple[str, ...] = SPLITS) ->
     """Read the conditions of the given splits.
 
     Raises:
-        ShmooError: no data set there, or a file that is missing or differs from what was written.
+        ShmooError: the directory contains no data set, or a file is missing or does not match its checksum.
     """
     from safetensors.numpy import load
 
@@ -221,10 +236,10 @@ def read(directory: str | os.PathLike[str], splits: tuple[str, ...] = SPLITS) ->
 
 
 def read_manifest(directory: str | os.PathLike[str]) -> dict[str, Any]:
-    """A data set's manifest: schema, versions and conditions.
+    """Read the manifest of a data set: schema, versions and conditions.
 
     Raises:
-        ShmooError: no data set there, or a damaged manifest.
+        ShmooError: the directory contains no data set, or the manifest is damaged.
     """
     path = Path(directory) / MANIFEST
     if not path.is_file():
@@ -247,17 +262,20 @@ def read_manifest(directory: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def fingerprint_of(directory: str | os.PathLike[str]) -> str:
-    """SHA-256 of how a data set was collected and of every file in it, in whatever order these were written."""
+    """SHA-256 of a data set's schema and of all its files, independent of the order in which they were written."""
     manifest = read_manifest(directory)
     files = sorted((name, entry["sha256"]) for name, entry in manifest["conditions"].items())
     return hashlib.sha256(json.dumps([manifest["schema"], files], sort_keys=True).encode()).hexdigest()
 
 
 def of_training(data: str | os.PathLike[str] | Dataset) -> Dataset:
-    """The train and validation conditions of a data set, given as a directory or read already, and their mirror images.
+    """The train and validation conditions of a data set with their mirror images.
+
+    Args:
+        data: directory of the data set, or a loaded data set.
 
     Raises:
-        ShmooError: as `read`; or one of the two splits is empty.
+        ShmooError: the data set can't be read (see `read`), or one of the two splits is empty.
     """
     dataset = data if isinstance(data, Dataset) else read(data, splits=("train", "validation"))
     for split in ("train", "validation"):
@@ -268,9 +286,9 @@ def of_training(data: str | os.PathLike[str] | Dataset) -> Dataset:
 
 
 def system_states(arrays: dict[str, np.ndarray]) -> Samples:
-    """The states, commands and labels of one condition's arrays.
+    """Convert one condition's arrays to states, commands and labels.
 
-    The last_* fields are the values of the sample before, zeros at an episode's start.
+    The ``last_*`` fields contain the values of the previous sample, and zeros at an episode's start.
     """
     object_pose, object_twist = arrays["object_pose"], arrays["object_twist"]
     body_twist = np.asarray(se2.rotate(object_twist, -object_pose[..., 2]))
@@ -301,7 +319,7 @@ def system_states(arrays: dict[str, np.ndarray]) -> Samples:
 
 
 def _origin(store: Store, condition: dict[str, Any]) -> str:
-    """What a file says of itself. In one entry: safetensors writes several in any order, which changes the checksum."""
+    """Metadata of a file, as one entry: safetensors writes several in random order, which would change the checksum."""
     schema = json.dumps(store.manifest["schema"], sort_keys=True).encode()
     return json.dumps(condition | {"schema_sha256": hashlib.sha256(schema).hexdigest()})
 
@@ -342,7 +360,7 @@ def _check_condition(name: str, condition: dict[str, Any]) -> None:
 
 
 def _check_entries(path: Path, schema: dict[str, Any], conditions: dict[str, Any]) -> None:
-    """Refuse entries that `write_condition` does not make: above all files outside the data set's folder."""
+    """Reject entries that `write_condition` can't have made, above all files outside the data set's folder."""
     schema.items()
     for name, entry in conditions.items():
         if entry["file"] != f"{name}.safetensors" or Path(entry["file"]).name != entry["file"]:

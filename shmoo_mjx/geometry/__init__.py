@@ -1,1 +1,1 @@
-"""Poses in the plane, faces of objects, places of the hands."""
+"""Planar poses, faces of objects, and hand positions."""

@@ -1,4 +1,4 @@
-"""Where the two hands are asked to be: the steering rule of Sec. III, shared by the plant and the dynamics core."""
+"""Desired hand positions by the steering rule of Sec. III, shared by the plant and the dynamics core."""
 
 from __future__ import annotations
 
@@ -8,23 +8,24 @@ from shmoo_mjx.arrays import Array, Bool, Float, Scalar
 from shmoo_mjx.geometry import se2
 
 REACH = 0.42
-"""x of the point midway between the hands in {R} when the arms are extended [m]."""
+"""x of the hands' midpoint in {R} with extended arms [m]."""
 TUCKED_REACH = 0.20
-"""x of that point when the arms are folded for driving [m]."""
+"""x of the hands' midpoint in {R} with arms folded for driving [m]."""
 SEPARATION = 0.36
-"""Distance l between the hands when the arms are extended [m]."""
+"""Distance l between the hands with extended arms [m]."""
 HAND_HEIGHT = 0.38
-"""Height of the hands above the floor while pushing [m]: low, so that boxes slide rather than topple."""
+"""Height of the hands above the floor while pushing [m]. It is low so that boxes slide instead of toppling."""
 TUCKED_HEIGHT = 0.68
-"""Their height when the arms are folded [m]: with the hands lower the elbows stick out beside the body."""
+"""Height of the hands above the floor with folded arms [m]. With lower hands, the elbows would protrude sideways."""
 HAND_RADIUS = 0.04
-"""Radius of the spherical hand [m]; the contact surface is this far ahead of the hand's centre."""
+"""Radius of the spherical hand [m]."""
 CONTACT_FORCE = 2.0
-"""Force of the hands from which they touch an object [N]: below it a reading of the joint torques says nothing."""
+"""Planar force above which the hands count as touching an object [N]. Smaller values are within the error of the
+estimate from joint torques."""
 
 
 def touches(wrench: Float[Array, "... 3"]) -> np.bool | Bool[Array, "..."]:
-    """Whether the hands touch an object on which their planar wrench is ``wrench``; not if it is NaN."""
+    """Whether the hands touch an object, from their planar wrench (fx, fy, tz) on it [N, N m]. False for NaN."""
     xp = se2.array_module(wrench)
     return xp.hypot(wrench[..., 0], wrench[..., 1]) > CONTACT_FORCE
 
@@ -35,8 +36,8 @@ def hand_targets(
     """Desired hand centres in {R}: [p_l, p_r] = [x, y] +- R_z(gamma)^T l/2 (Sec. III).
 
     Args:
-        gamma: steering angle [rad]; positive moves the left hand forward and turns the object to the right.
-        reach: x of the midpoint in {R} [m]; the hands come together in proportion as the arms fold.
+        gamma: steering angle [rad]; a positive angle moves the left hand forward and turns the object to the right.
+        reach: x of the midpoint in {R} [m]; the distance between the hands is proportional to it.
 
     Returns:
         (left, right) x (x, y) [m].
@@ -52,7 +53,7 @@ def hand_components(
     tuple[Scalar | Float[Array, "..."], Scalar | Float[Array, "..."]],
     tuple[Scalar | Float[Array, "..."], Scalar | Float[Array, "..."]],
 ]:
-    """`hand_targets` as its parts: ((left x, left y), (right x, right y)), each of gamma's shape [m]."""
+    """Components of `hand_targets`: ((left x, left y), (right x, right y)) [m], each with the shape of ``gamma``."""
     xp = se2.array_module(gamma, reach)
     gamma = xp.asarray(gamma)
     half = SEPARATION / 2 * (reach / REACH)

@@ -1,10 +1,10 @@
-"""Gymnasium environments: ``ShmooPush-v0`` and ``ShmooNavigate-v0``, one world in C MuJoCo or many at once in MJX.
+"""Gymnasium environments ``ShmooPush-v0`` and ``ShmooNavigate-v0``: single worlds in C MuJoCo, or batches in MJX.
 
     gymnasium.make("shmoo_mjx.gym:ShmooPush-v0")
     gymnasium.make_vec("shmoo_mjx.gym:ShmooPush-v0", num_envs=64)
 
-Importing this package registers them, as Gymnasium's convention has it. docs/gym.md lists every observation and action.
-Needs the extra ``gym``.
+Importing this package registers the environments. docs/gym.md lists all observations and actions. The package needs the
+extra ``gym``.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ except ModuleNotFoundError:
 __all__ = ["EPISODE_STEPS"]
 
 EPISODE_STEPS = {"ShmooPush-v0": 400, "ShmooNavigate-v0": 1800}
-"""Environment to the steps of 0.1 s after which an episode is cut off: 40 s and 180 s."""
+"""Number of steps of 0.1 s after which an episode is truncated, by environment: 40 s and 180 s."""
 
 for _name, _steps in EPISODE_STEPS.items():
     _kind = _name.removeprefix("Shmoo").removesuffix("-v0")

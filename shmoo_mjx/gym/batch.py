@@ -1,4 +1,4 @@
-"""Many worlds in MJX as a ``gymnasium.vector.VectorEnv``."""
+"""Batches of worlds in MJX as a ``gymnasium.vector.VectorEnv``."""
 
 from __future__ import annotations
 
@@ -25,20 +25,29 @@ from shmoo_mjx.types import Observation
 
 
 class ShmooVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
-    """A task in ``num_envs`` worlds that are stepped together.
+    """Vector environment that steps a task in ``num_envs`` worlds together.
 
-    World i is that of a single environment seeded with ``seed + i``, noise included. Its objects and walls stay until
-    the next ``reset(seed=...)``; an episode that ends is followed by another one in the same world, with a new start
-    and goal where the task draws them apart. That one begins with the step after the last (NEXT_STEP), whose action
-    does nothing in this world and whose reward is 0. What happens in a world depends on its seed and its actions alone:
-    one world with ``seed + i`` repeats any episode of world i.
+    World i equals a single environment with seed ``seed + i``, including noise. Its objects and walls stay the same
+    until the next ``reset(seed=...)``. After an episode ends, the next one starts in the same world, with a new start
+    and goal if the task draws these separately. It starts in the step after the end (NEXT_STEP). In that step the
+    world's action has no effect and its reward is 0.
+
+    The result for a world depends only on its seed and its actions: one world with ``seed + i`` repeats any episode of
+    world i.
+
+    Args:
+        num_envs: number of worlds W.
+        max_episode_steps: number of steps after which an episode is truncated, by default that of the environment.
+        config: configuration of the task.
+        senses: sensing, "real" or "perfect".
+        render_mode: not supported, must be None.
     """
 
     metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012 (as Gymnasium declares it)
 
     kind: ClassVar[type[PushEnvTask] | type[NavigateTask]]
     steps: ClassVar[int]
-    """After which an episode is cut off, unless told otherwise."""
+    """Default number of steps after which an episode is truncated."""
 
     def __init__(
         self,
@@ -73,7 +82,15 @@ class ShmooVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin an episode in every world, with a seed (and the first time) in new worlds. There are no options."""
+        """Start an episode in every world. With a seed, and at the first call, new worlds are drawn.
+
+        Args:
+            seed: seed of the first world; world i gets ``seed + i``.
+            options: must be empty.
+
+        Returns:
+            Observations ``[W, n]`` and info.
+        """
         check_forked()
         seed = seed_of(seed, options)
         super().reset(seed=seed)
@@ -89,14 +106,18 @@ class ShmooVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return self.task.observe(self._context, self._observed), self._infos(begun(self._outcome))
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Hold ``actions [W, m]`` for 0.1 s."""
+        """Hold ``actions [W, m]`` for 0.1 s.
+
+        Returns:
+            Observations ``[W, n]``, rewards, terminated, truncated (``[W]`` each), and info.
+        """
         if self._engine is None:
             raise gymnasium.error.ResetNeeded("call reset before step")
         resetting = self._over
         wanted = self.task.command(checked(actions, self.action_space), self._observed)
         self._world, observed = self._sensed.step(self._world, wanted)
         diverged = self._sensed.diverged(self._world)
-        # A world that has diverged is shown as it was at last.
+        # A diverged world keeps its last finite observation.
         self._observed = jax.tree.map(lambda new, old: _chosen(np, diverged, old, new), observed, self._observed)
         self._steps += 1
         if resetting.any():
@@ -113,7 +134,7 @@ class ShmooVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     @property
     def starts(self) -> tuple[Start, ...]:
-        """How each world's present episode began: its objects' properties, which the observation does not tell."""
+        """Start of each world's current episode, with object properties that the observation does not contain."""
         return tuple(self._starts)
 
     def _build(self, starts: list[Start], robots: list[int]) -> None:
@@ -128,7 +149,7 @@ class ShmooVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         )
 
     def _begin(self, which: np.ndarray, drawn: bool = False) -> None:
-        """Start episodes in the worlds ``which [W]``; ``drawn`` if their starts are new already."""
+        """Start episodes in the worlds ``which [W]``; ``drawn`` says whether their starts have been drawn already."""
         assert self._engine is not None
         if not drawn:
             for i in np.flatnonzero(which):
@@ -167,18 +188,18 @@ def _chosen(xp: Any, which: np.ndarray, new: Any, old: Any) -> Any:
 
 
 def _merged(which: np.ndarray, new: MjxWorld, old: MjxWorld) -> MjxWorld:
-    """``new`` in the worlds ``which``, laid out over the devices as it was: another layout would compile anew."""
+    """Replace the worlds ``which`` by ``new``. The device layout is kept, because another one would recompile."""
     merged: MjxWorld = jax.tree.map(lambda a, b: jax.device_put(_chosen(jnp, which, a, b), b.sharding), new, old)
     return merged
 
 
 class PushVectorEnv(ShmooVectorEnv):
-    """``ShmooPush-v0``, batched; its config is a `PushEnvConfig`."""
+    """Batched ``ShmooPush-v0``; its config is a `PushEnvConfig`."""
 
     kind, steps = PushEnvTask, EPISODE_STEPS["ShmooPush-v0"]
 
 
 class NavigateVectorEnv(ShmooVectorEnv):
-    """``ShmooNavigate-v0``, batched; its config is a `NavigateConfig`."""
+    """Batched ``ShmooNavigate-v0``; its config is a `NavigateConfig`."""
 
     kind, steps = NavigateTask, EPISODE_STEPS["ShmooNavigate-v0"]

@@ -1,4 +1,4 @@
-"""ShmooNavigate: through the demo's three rooms, where a box can be pushed away and a locked wheelchair can't."""
+"""ShmooNavigate: drive through the demo's three rooms, with a movable box and a locked, immovable wheelchair."""
 
 from __future__ import annotations
 
@@ -21,42 +21,44 @@ from shmoo_mjx.sensing.rays import cast
 from shmoo_mjx.types import Command, Observation
 
 _OBJECTS = 2
-"""The demo's box and wheelchair."""
+"""Number of objects: the demo's box and wheelchair."""
 _RAYS = 32
 _FAR = 1e6
 
 
 @dataclass(frozen=True)
 class NavigateConfig:
-    """Choices of the task, SI units."""
+    """Configuration of the navigation task, SI units."""
 
     reach: float = 3.5
-    """Longest of the ranges [m]; the observation space is as wide."""
+    """Largest range measurement [m]. Larger values also widen the observation space."""
     arrived: float = 0.25
-    """Distance from the goal that counts as success [m]."""
+    """Largest distance from the goal for success [m]."""
     slow: float = 0.1
-    """Speed below which arriving there counts [m/s]."""
+    """Largest speed of the robot for success [m/s]."""
     lookahead: float = 0.4
-    """How far ahead the direction of the way is looked up [m]."""
+    """Distance ahead at which the direction of the path is evaluated [m]."""
     fall: float = -1.0
+    """Reward of a fall."""
     bonus: float = 1.0
+    """Reward of success."""
     bump: float = -0.05
-    """Per 0.1 s in contact with a wall."""
+    """Reward of 0.1 s in contact with a wall."""
 
 
 class Rooms(NamedTuple):
-    """What differs between worlds. K walls, N objects."""
+    """Goals, objects and walls of W worlds with N objects and K walls."""
 
     goal: np.ndarray
-    """``[W, 2]`` in {W}."""
+    """Goal positions of the robots in {W} [m], ``[W, 2]``."""
     half_extents: np.ndarray
-    """``[W, N, 2]`` of the objects [m]."""
+    """Half extents of the objects' footprints [m], ``[W, N, 2]``."""
     wall_pose: np.ndarray
-    """``[W, K, 3]`` in {W}."""
+    """Poses of the walls in {W} [m, rad], ``[W, K, 3]``."""
     wall_half: np.ndarray
-    """``[W, K, 2]`` [m]"""
+    """Half extents of the walls [m], ``[W, K, 2]``."""
     way: np.ndarray
-    """``[W, rows, columns]`` length of the way to the goal [m]."""
+    """Path length from each map cell to the goal [m], ``[W, rows, columns]``."""
 
 
 def _object_parts(i: int) -> tuple[Part, ...]:
@@ -70,7 +72,7 @@ def _object_parts(i: int) -> tuple[Part, ...]:
 
 
 class NavigateTask:
-    """The robot knows the map, not what stands in it; it sees what its senses show."""
+    """Navigation task. The robot knows the map but not the objects, which it must detect."""
 
     observation: tuple[Part, ...] = (
         *BODY,
@@ -90,7 +92,7 @@ class NavigateTask:
         self._rays = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
 
     def draw(self, rng: np.random.Generator, same_world: Start | None = None) -> Start:
-        """A floor plan with its objects as ``shmoo demo`` draws them; in the same world the same once more."""
+        """Draw a floor plan with objects like ``shmoo demo``; for the same world, return the same start again."""
         if same_world is not None:
             return same_world
         grid, scenario = demo_scenario(int(rng.integers(2**31)))
@@ -104,7 +106,7 @@ class NavigateTask:
         )
 
     def gather(self, starts: Sequence[Start]) -> Rooms:
-        """Goals, footprints, walls and maps; what is missing in the smaller ones lies far away."""
+        """Batch goals, footprints, walls and path lengths. Zero-size walls far away pad worlds with fewer walls."""
         count = max(len(s.walls) for s in starts)
         walls = np.full((len(starts), count, 4), [_FAR, _FAR, 0.0, 0.0])
         way = np.full((len(starts), *np.max([s.way.shape for s in starts], axis=0)), 40.0, dtype=np.float32)
@@ -116,11 +118,11 @@ class NavigateTask:
         return Rooms(np.stack([s.goal for s in starts]), half, pose, walls[..., 2:], way)
 
     def command(self, actions: np.ndarray, observed: Observation) -> Command:
-        """The last action folds and extends the arms."""
+        """Low-level command; the last action folds and extends the arms."""
         return command(actions, observed, actions[:, 4])
 
     def observe(self, context: Rooms, observed: Observation) -> np.ndarray:
-        """See ``observation``."""
+        """Observations ``[W, n]``; ``observation`` lists the parts."""
         yaw, position = observed.robot_pose[:, 2], observed.robot_pose[:, :2]
         rays = se2.rotate(self._rays[None], yaw[:, None])
         object_pose = np.where(np.isfinite(observed.object_pose), observed.object_pose, _FAR)
@@ -144,7 +146,7 @@ class NavigateTask:
         return flat(self.observation, values)
 
     def judge(self, context: Rooms, true: Observation) -> Outcome:
-        """The potential is minus the length of the way to the goal on the map, whatever stands in it."""
+        """Outcome. The potential is minus the path length to the goal on the map, without regard to objects."""
         position = true.robot_pose[:, :2]
         distance = np.linalg.norm(position - context.goal, axis=-1)
         slow = np.linalg.norm(true.robot_twist[:, :2], axis=-1) < self.config.slow
@@ -152,7 +154,7 @@ class NavigateTask:
         return Outcome(-way, distance, (distance < self.config.arrived) & slow)
 
     def _way(self, context: Rooms, observed: Observation) -> np.ndarray:
-        """``[W, 3]`` length, and direction in {R} of the point round the robot from which the way is shortest."""
+        """Path length, and direction in {R} of the point around the robot with the shortest path, ``[W, 3]``."""
         points = observed.robot_pose[:, None, :2] + self.config.lookahead * self._rays
         best = np.argmin(_look_up(context.way, points), axis=1)
         here = _look_up(context.way, observed.robot_pose[:, None, :2])
@@ -160,14 +162,17 @@ class NavigateTask:
 
 
 def _way_to(grid: OccupancyGrid, goal: np.ndarray) -> np.ndarray:
-    """Length ``[H, W]`` [m] of the robot's shortest way to the goal; near walls, by the nearest free cell."""
+    """Length of the robot's shortest path from each cell to the goal [m], ``[H, W]``.
+
+    Cells that the robot can't reach get the length of the nearest reachable cell plus the distance to it.
+    """
     length = cost_to_go(grid, goal, robot_radius=ROBOT_RADIUS, cfg=PathConfig(soft_weight=0.0))
     away, (rows, columns) = distance_transform_edt(~np.isfinite(length), return_indices=True)
     return length[rows, columns] + away * grid.resolution
 
 
 def _look_up(way: np.ndarray, points: Array) -> np.ndarray:
-    """Bilinear ``[W, P]`` at ``points [W, P, 2]`` in {W}; a floor plan's origin is its lower-left corner."""
+    """Bilinear interpolation ``[W, P]`` at ``points [W, P, 2]`` in {W}; the map's origin is its lower-left corner."""
     cells = points / RESOLUTION - 0.5
     world = np.broadcast_to(np.arange(len(way))[:, None], cells.shape[:2])
     return map_coordinates(way, np.stack([world, cells[..., 1], cells[..., 0]]), order=1, mode="nearest")

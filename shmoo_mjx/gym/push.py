@@ -1,4 +1,4 @@
-"""ShmooPush: bring one object of unknown mass and friction to a goal pose and let it rest there."""
+"""ShmooPush: push one object of unknown mass and friction to a goal pose and leave it there at rest."""
 
 from __future__ import annotations
 
@@ -17,44 +17,46 @@ from shmoo_mjx.types import Command, Observation
 
 @dataclass(frozen=True)
 class PushEnvConfig:
-    """Choices of the task, SI units."""
+    """Configuration of the pushing task, SI units."""
 
     family: str = "box"
-    """box, cart or wheelchair, or an object file (*.json)."""
+    """Object family: box, cart or wheelchair, or an object file (*.json)."""
     distance: tuple[float, float] = (0.6, 1.6)
-    """Range of the way to the goal [m]."""
+    """Range of the distance to the goal [m]."""
     bearing: float = 0.3
-    """Largest angle between the face's direction and the goal [rad]. The goal's yaw is turned by twice the angle:
-    the end of the arc that starts straight ahead."""
+    """Largest angle between the push direction and the goal [rad]. The goal's yaw is twice the drawn angle, as at the
+    end of an arc that starts straight ahead."""
     gap: tuple[float, float] = (0.05, 0.15)
     """Range of the distance between hands and face at the start [m]."""
     lateral: float = 0.05
-    """Largest shift along the face at the start [m]."""
+    """Largest lateral shift of the robot along the face at the start [m]."""
     arrived: float = 0.10
-    """Distance from the goal that counts as success [m]."""
+    """Largest distance from the goal for success [m]."""
     arrived_yaw: float = float(np.deg2rad(10.0))
-    """Yaw error that counts as success there [rad]."""
+    """Largest yaw error for success [rad]."""
     at_rest: float = 0.03
-    """Speed below which arriving there counts [m/s]."""
+    """Largest speed of the object for success [m/s]."""
     yaw_weight: float = 0.3
-    """Metres that a radian of yaw error counts as."""
+    """Weight of the yaw error in the potential [m/rad]."""
     near_weight: float = 0.1
-    """Share of the distance between hands and object that counts as distance from the goal: it leads to contact."""
+    """Weight of the distance between hands and object in the potential. It rewards making contact."""
     fall: float = -1.0
+    """Reward of a fall."""
     bonus: float = 1.0
+    """Reward of success."""
 
 
 class PushGoal(NamedTuple):
-    """What differs between worlds."""
+    """Goals and objects of W worlds."""
 
     goal: np.ndarray
-    """``[W, 3]`` in {W}."""
+    """Goal poses of the objects in {W} [m, rad], ``[W, 3]``."""
     half_extents: np.ndarray
-    """``[W, 2]`` [m]"""
+    """Half extents of the objects' footprints [m], ``[W, 2]``."""
 
 
 class PushEnvTask:
-    """The robot starts in front of the object's rear face; its arms come out in the first half second."""
+    """Pushing task. The robot starts at the object's rear face and extends its arms in the first half second."""
 
     observation: tuple[Part, ...] = (
         *BODY,
@@ -71,13 +73,13 @@ class PushEnvTask:
     def __init__(self, config: PushEnvConfig | None = None) -> None:
         self.config = config_of(PushEnvConfig, config)
         self._family = str(self.config.family)
-        draw_condition(self._family, 0)  # refuses what is no family
+        draw_condition(self._family, 0)  # raises an error for an unknown family
         far = 2.0 + self.config.gap[1] + self.config.distance[1]
         self.observation = widened(type(self).observation, ("object", "goal"), far)
         self.fall, self.bonus = self.config.fall, self.config.bonus
 
     def draw(self, rng: np.random.Generator, same_world: Start | None = None) -> Start:
-        """An object (unless given) at the origin, the robot behind it, and a goal ahead."""
+        """Draw an object (unless given) at the origin, the robot behind it, and a goal ahead."""
         cfg = self.config
         thing = same_world.conditions[0] if same_world else draw_condition(self._family, int(rng.integers(2**31)))
         face = faces_of(thing.half_extents)[0]
@@ -87,17 +89,17 @@ class PushEnvTask:
         return Start((thing,), np.zeros((1, 3)), robot, goal)
 
     def gather(self, starts: Sequence[Start]) -> PushGoal:
-        """Goals and footprints."""
+        """Batch the goals and footprints."""
         return PushGoal(
             np.stack([s.goal for s in starts]), np.array([s.conditions[0].half_extents for s in starts], dtype=float)
         )
 
     def command(self, actions: np.ndarray, observed: Observation) -> Command:
-        """Arms extended."""
+        """Low-level command with extended arms."""
         return command(actions, observed)
 
     def observe(self, context: PushGoal, observed: Observation) -> np.ndarray:
-        """See ``observation``."""
+        """Observations ``[W, n]``; ``observation`` lists the parts."""
         yaw = observed.robot_pose[:, 2]
         return flat(
             self.observation,
@@ -112,7 +114,7 @@ class PushEnvTask:
         )
 
     def judge(self, context: PushGoal, true: Observation) -> Outcome:
-        """The potential is minus the distance from the goal, yaw error and distance of the hands included."""
+        """Outcome. The potential is minus the weighted sum of goal distance, yaw error and distance of the hands."""
         cfg, pose = self.config, true.object_pose[:, 0]
         distance = np.linalg.norm(pose[:, :2] - context.goal[:, :2], axis=-1)
         turned = np.abs(se2.wrap(pose[:, 2] - context.goal[:, 2]))

@@ -20,16 +20,16 @@ from shmoo_mjx.types import DT, Observation
 
 
 def space(parts: tuple[Part, ...]) -> gymnasium.spaces.Box:
-    """The box that ``parts`` span."""
+    """Gymnasium box space of the concatenated ``parts``."""
     low, high = (np.concatenate([np.full(p.size, getattr(p, end)) for p in parts]) for end in ("low", "high"))
     return gymnasium.spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
 
 
 def checked(actions: np.ndarray, box: gymnasium.Space[np.ndarray]) -> np.ndarray:
-    """The actions, cut to what is allowed.
+    """Check actions and clip them to the action space.
 
     Raises:
-        ShmooError: wrong shape, or a value that is no number.
+        ShmooError: the shape is wrong, or a value is not finite.
     """
     assert isinstance(box, gymnasium.spaces.Box)
     numbers = np.asarray(actions, dtype=float)
@@ -39,7 +39,7 @@ def checked(actions: np.ndarray, box: gymnasium.Space[np.ndarray]) -> np.ndarray
 
 
 class _Episode(NamedTuple):
-    """What is running."""
+    """The current episode."""
 
     start: Start
     context: Any
@@ -47,15 +47,21 @@ class _Episode(NamedTuple):
     world: SensedWorld
     observed: Observation
     outcome: Outcome
-    """Of the last whole state, as world and observed are."""
+    """Outcome of the last finite state; ``world`` and ``observed`` also belong to that state."""
 
 
 class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
-    """A task in one world; every reset draws another one, and another robot if the senses are real ones.
+    """Environment with a task in one world.
 
-    The reward of a step is what it has gained in the task's potential, plus what the task gives for success, for a fall
-    and for contact with a wall. An episode ends with success, with a fall, or where the physics diverges; ``info`` has
-    the reason. A copy (``copy.deepcopy``, ``pickle``) goes on where the original stands.
+    Every reset draws a new world, and with "real" sensing a new robot. The reward of a step is the increase of the
+    task's potential plus the task's rewards for success, a fall and wall contact. An episode ends with success, with a
+    fall, or if the physics diverges; ``info`` contains the reason. A copy (``copy.deepcopy``, ``pickle``) continues
+    from the state of the original.
+
+    Args:
+        config: configuration of the task.
+        render_mode: "human", "rgb_array" or None.
+        senses: sensing, "real" or "perfect".
     """
 
     # As Gymnasium declares it.
@@ -68,7 +74,7 @@ class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             raise ShmooError(f"render_mode {render_mode!r} is not known; use 'human', 'rgb_array' or none.")
         if render_mode == "human" and not has_display():
             raise ShmooError("render_mode 'human': no window can be opened here; use 'rgb_array', or leave it out.")
-        # Asked before the first picture: a GL library without a display ends the whole process.
+        # Check before rendering, because a GL library without a display terminates the process.
         if render_mode == "rgb_array" and (problem := can_render()):
             raise ShmooError(
                 f"render_mode {render_mode!r}: MuJoCo can't draw here ({problem}); set MUJOCO_GL=egl before Python "
@@ -83,7 +89,15 @@ class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Draw and begin an episode. There are no options."""
+        """Draw a world and start an episode.
+
+        Args:
+            seed: seed of the world and the robot.
+            options: must be empty.
+
+        Returns:
+            Observation ``[n]`` and info.
+        """
         check_forked()
         super().reset(seed=seed_of(seed, options))
         self._stop()
@@ -99,7 +113,12 @@ class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         return self.task.observe(context, observed)[0], _info(begun(outcome), world.wall_contact)
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Hold ``action`` for 0.1 s. It never truncates: the registered limit of steps does."""
+        """Hold ``action`` for 0.1 s.
+
+        Returns:
+            Observation ``[n]``, reward, terminated, truncated and info. Truncated is always False here; Gymnasium's
+                registered step limit truncates episodes.
+        """
         now = self._episode()
         wanted = self.task.command(checked(action, self.action_space)[None], now.observed)
         world, observed = now.engine.step(now.world, wanted)
@@ -115,7 +134,7 @@ class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         return vector, float(step.reward[0]), bool(step.terminated[0]), False, _info(step, touching)
 
     def render(self) -> np.ndarray | None:  # type: ignore[override]
-        """The world from behind and above the robot, uint8 ``[480, 640, 3]``; in the mode human a window shows it."""
+        """Image of the world, seen obliquely from above, uint8 ``[480, 640, 3]``; None unless the mode is rgb_array."""
         if self.render_mode != "rgb_array":
             return None
         now = self._episode()
@@ -123,7 +142,7 @@ class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         return next(iter(frames(scene, now.world.physics[:, 1 : 1 + scene.model.nq])))
 
     def _show(self) -> None:
-        """In the mode human: the world in MuJoCo's viewer, in real time. A window that is closed stays closed."""
+        """In the mode human, show the world in MuJoCo's viewer in real time. A closed window is not opened again."""
         if self.render_mode != "human":
             return
         import mujoco
@@ -146,12 +165,12 @@ class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self._window = (viewer, data, time.monotonic(), drawing)
 
     def close(self) -> None:
-        """Stop the engine, and close the window."""
+        """Stop the engine and close the window."""
         self._stop()
 
     @property
     def start(self) -> Start:
-        """How the present episode began: its objects' properties, which the observation does not tell."""
+        """Start of the current episode, with object properties that the observation does not contain."""
         return self._episode().start
 
     def _episode(self) -> _Episode:
@@ -167,7 +186,7 @@ class ShmooEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             viewer, _, _, drawing = self._window
             self._window = None
             viewer.close()
-            # A process that ends while the window is being closed would crash.
+            # Wait for the viewer's threads: a process that ends before they do would crash.
             for thread in drawing:
                 thread.join(timeout=5.0)
         if self._now is not None:

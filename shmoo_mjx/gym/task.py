@@ -1,8 +1,8 @@
-"""What both environments and both engines share: the parts of an observation or action, and what a task is.
+"""Code shared by both environments and both engines: parts of observations and actions, and the interface of a task.
 
-Everything here works on W worlds at once, with NumPy; a single environment is a batch of one. Vectors are given in {R},
-the robot's frame (origin at the wheel's contact point, x forward, yaw only), so that a policy need not learn that
-rooms look alike from all sides.
+All functions work on W worlds with NumPy; a single environment is a batch of one. Vectors are in the robot's frame {R}
+(origin at the contact point with the floor, x forward, yaw only), so that a policy need not learn the invariance to
+position and heading.
 """
 
 from __future__ import annotations
@@ -24,18 +24,24 @@ from shmoo_mjx.types import Command, Observation
 
 Adjust = Callable[[mujoco.MjSpec], None]
 _SIGNED = ("fall", "bonus", "bump")
-"""Fields of a config that are rewards; all other numbers are lengths, angles, speeds or weights."""
+"""Config fields that are rewards and may be negative. All others are lengths, angles, speeds or weights."""
 
 
 class Part(NamedTuple):
-    """Some neighbouring numbers of an observation or an action."""
+    """A named, contiguous part of an observation or action vector."""
 
     name: str
+    """Name of the part."""
     size: int
+    """Number of entries."""
     low: float
+    """Smallest value."""
     high: float
+    """Largest value."""
     unit: str
+    """Unit of the entries."""
     meaning: str
+    """Description for users."""
 
 
 ACTIONS = (
@@ -43,7 +49,7 @@ ACTIONS = (
     Part("gamma", 1, -0.45, 0.45, "rad", "steering angle of the hands; positive turns the object to the right"),
     Part("turn", 1, -0.4, 0.4, "rad", "heading to turn to, from the present one; the robot turns at twice that per s"),
 )
-"""Held for 0.1 s. Every one is small enough for Gymnasium's recommended range of -1 to 1."""
+"""Parts of the action, which is held for 0.1 s. All ranges are within Gymnasium's recommended range of -1 to 1."""
 
 BODY = (
     Part("lean", 2, -1.6, 1.6, "rad", "lean towards +x and +y"),
@@ -51,59 +57,67 @@ BODY = (
     Part("twist", 3, -10.0, 10.0, "m/s, rad/s", "velocity of the robot (x, y) and yaw rate"),
     Part("hands", 4, -2.0, 2.0, "m", "centres of the left and the right hand (x, y)"),
 )
-"""What every observation begins with."""
+"""First parts of every observation."""
 
 
 class Start(NamedTuple):
-    """One episode of one world before it begins. N objects; poses in {W}, SI units."""
+    """Start of an episode in one world with N objects. Poses are in {W}."""
 
     conditions: tuple[Condition, ...]
+    """Condition of each object."""
     object_poses: np.ndarray
-    """``[N, 3]``"""
+    """Initial poses of the objects [m, rad], ``[N, 3]``."""
     robot_pose: np.ndarray
-    """``[3]``"""
+    """Initial pose of the robot [m, rad], ``[3]``."""
     goal: np.ndarray
-    """``[3]`` pose of the object (push) or ``[2]`` place of the robot (navigate)."""
+    """Goal pose of the object ``[3]`` (push) or goal position of the robot ``[2]`` (navigate) [m, rad]."""
     walls: np.ndarray = np.zeros((0, 4))
-    """``[K, 4]`` boxes along the axes of {W}: centre x, y, half lengths [m]."""
+    """Boxes along the axes of {W}: centre x, y, half lengths [m], ``[K, 4]``."""
     way: np.ndarray = np.zeros((0, 0))
-    """``[H, W]`` length of the way to the goal from each cell of the map [m]."""
+    """Path length from each cell of the map to the goal [m], ``[H, W]``."""
 
     def scene(self, engine: Literal["mujoco", "mjx"], adjust: Adjust = lambda spec: None) -> Scene:
-        """The world in MuJoCo; ``adjust``, as build_scene takes it, makes the robot's body."""
+        """Build the MuJoCo scene; ``adjust`` changes the robot's body as in build_scene."""
         placed = list(zip(self.conditions, self.object_poses, strict=True))
         walls = [tuple(w) for w in self.walls]
         return build_scene(placed, self.robot_pose.tolist(), walls, engine=engine, adjust=adjust)
 
 
 class Outcome(NamedTuple):
-    """What a task makes of W worlds, ``[W]`` each."""
+    """Outcome of W worlds in a task, ``[W]`` each."""
 
     progress: np.ndarray
-    """A potential [m]: the reward of a step is what it has gained."""
+    """Potential [m]; the reward of a step is its increase."""
     distance: np.ndarray
-    """From the goal [m]."""
+    """Distance from the goal [m]."""
     success: np.ndarray
+    """Whether the task is solved."""
 
 
 class Judged(NamedTuple):
-    """What a step brought W worlds, ``[W]`` each."""
+    """Result of a step for W worlds, ``[W]`` each."""
 
     outcome: Outcome
-    """After the step; a world that has diverged keeps the one before."""
+    """Outcome after the step; a diverged world keeps the one before the step."""
     reward: np.ndarray
+    """Reward of the step."""
     success: np.ndarray
+    """Whether the task is solved and the robot stands."""
     fallen: np.ndarray
+    """Whether the robot has fallen; False for diverged worlds."""
     terminated: np.ndarray
+    """Whether the episode has ended."""
     reason: np.ndarray
-    """Why the episode is over: "success", "fallen", "diverged", or "" while it goes on."""
+    """Reason of the end: "success", "fallen" or "diverged"; empty if the episode continues."""
 
 
 class Task(Protocol):
-    """What to do, and how it is seen and judged. ``context`` is what :meth:`gather` made of the worlds' starts."""
+    """Interface of a task. ``context`` is the result of :meth:`gather`."""
 
     observation: tuple[Part, ...]
+    """Parts of the observation."""
     action: tuple[Part, ...]
+    """Parts of the action."""
     fall: float
     """Reward of a fall, which ends the episode."""
     bonus: float
@@ -111,36 +125,36 @@ class Task(Protocol):
     bump: float
     """Reward of 0.1 s in contact with a wall."""
     poses_known: bool
-    """Whether the robot knows from the start where the objects stand, in sight or not."""
+    """Whether the robot knows all object poses at the start, even those out of sight."""
 
     def draw(self, rng: np.random.Generator, same_world: Start | None = None) -> Start:
-        """An episode; with ``same_world``, another one with the objects and walls of that one."""
+        """Draw an episode; with ``same_world``, one with the same objects and walls."""
 
     def gather(self, starts: Sequence[Start]) -> Any:
-        """The batched arrays that the methods below need."""
+        """Batch the data of the starts that the other methods need."""
 
     def command(self, actions: np.ndarray, observed: Observation) -> Command:
-        """The low-level command for actions ``[W, m]``."""
+        """Low-level command for actions ``[W, m]``."""
 
     def observe(self, context: Any, observed: Observation) -> np.ndarray:
-        """Observations ``[W, n]``, float32."""
+        """Observations ``[W, n]``, float32, from the sensed observation."""
 
     def judge(self, context: Any, true: Observation) -> Outcome:
-        """How far the worlds are, by the truth, whatever the robot perceives."""
+        """Outcome from the ground truth."""
 
 
 def judged(
     task: Task, before: Outcome, after: Outcome, *, fallen: np.ndarray, diverged: np.ndarray, touching: np.ndarray
 ) -> Judged:
-    """Rewards and ends of one step.
+    """Rewards and terminations of one step.
 
     Args:
-        task: gives the rewards.
+        task: task that defines the rewards.
         before: outcome before the step.
-        after: outcome after it.
-        fallen: which robots lie on the floor ``[W]``.
-        diverged: which worlds the physics has lost ``[W]``; this ends an episode as a fall does.
-        touching: which robots touched a wall ``[W]``.
+        after: outcome after the step.
+        fallen: which robots have fallen, ``[W]``.
+        diverged: which worlds have diverged, ``[W]``. They end with the reward of a fall.
+        touching: which robots touched a wall, ``[W]``.
     """
     after = Outcome(*(np.where(diverged, old, new) for old, new in zip(before, after, strict=True)))
     lost = fallen | diverged
@@ -151,13 +165,13 @@ def judged(
 
 
 def begun(outcome: Outcome) -> Judged:
-    """What is reported of an episode that begins."""
+    """Result to report at the start of an episode."""
     no = np.zeros(outcome.success.shape, dtype=bool)
     return Judged(outcome, np.zeros(no.shape), outcome.success, no, no, np.full(no.shape, "", dtype=object))
 
 
 def info_of(step: Judged, touching: np.ndarray) -> dict[str, np.ndarray]:
-    """What the environments report as ``info``, ``[W]`` each."""
+    """The ``info`` of the environments, ``[W]`` each."""
     return {
         "success": step.success,
         "distance": step.outcome.distance,
@@ -168,10 +182,10 @@ def info_of(step: Judged, touching: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def seed_of(seed: Any, options: Mapping[str, Any] | None) -> int | None:
-    """The seed given to ``reset``; any kind of whole number will do.
+    """Check the arguments of ``reset`` and return the seed as an int. Any integer type is accepted.
 
     Raises:
-        ShmooError: there are options, of which no environment knows any, or the seed is no whole number.
+        ShmooError: there are options (no environment has any), or the seed is not a whole number.
     """
     if options:
         raise ShmooError(f"reset knows no options, and was given {', '.join(map(repr, options))}; leave them out.")
@@ -182,10 +196,10 @@ def seed_of(seed: Any, options: Mapping[str, Any] | None) -> int | None:
 
 
 def config_of[Config](kind: type[Config], config: Config | None) -> Config:
-    """The config itself, or the default one for None.
+    """Check a config and return it, or the default config for None.
 
     Raises:
-        ShmooError: it is of another kind, or a field of it is not the number or pair of numbers that it should be.
+        ShmooError: the config has the wrong type, or a field is not a valid number or pair of numbers.
     """
     usual = kind()
     config = usual if config is None else config
@@ -210,7 +224,7 @@ def _numbers_from(low: float, value: Any, shape: tuple[int, ...]) -> bool:
 
 
 def widened(parts: Sequence[Part], names: Sequence[str], reach: float) -> tuple[Part, ...]:
-    """The parts, with the ranges of those that are named at least from -``reach`` (or 0) to ``reach``."""
+    """Copy of ``parts`` in which the ranges of ``names`` are widened to at least -``reach`` (or 0) to ``reach``."""
     return tuple(
         p._replace(low=min(p.low, -reach) if p.low < 0 else p.low, high=max(p.high, reach)) if p.name in names else p
         for p in parts
@@ -218,7 +232,7 @@ def widened(parts: Sequence[Part], names: Sequence[str], reach: float) -> tuple[
 
 
 def command(actions: np.ndarray, observed: Observation, arms: np.ndarray | float = 1.0) -> Command:
-    """ACTIONS ``[W, 4+]`` as a command; ``arms [W]`` goes from folded (0) to extended (1)."""
+    """Convert ACTIONS ``[W, 4+]`` to a command; ``arms [W]`` is 0 for folded and 1 for extended arms."""
     extended = np.broadcast_to(arms, len(actions))
     return Command(
         u=np.asarray(actions[:, :3], dtype=float),
@@ -229,13 +243,13 @@ def command(actions: np.ndarray, observed: Observation, arms: np.ndarray | float
 
 
 def flat(parts: Sequence[Part], values: Mapping[str, Array]) -> np.ndarray:
-    """The observation ``[W, n]``: each part's values ``[W, ...]`` in turn, cut to its range."""
+    """Concatenate the values ``[W, ...]`` of all parts, clipped to their ranges, to observations ``[W, n]``."""
     columns = [np.clip(values[p.name].reshape(len(values[p.name]), p.size), p.low, p.high) for p in parts]
     return np.concatenate(columns, axis=1).astype(np.float32)
 
 
 def body(observed: Observation) -> dict[str, Array]:
-    """Values of BODY."""
+    """Values of the parts BODY."""
     return {
         "lean": observed.lean,
         "lean_rate": observed.lean_rate,
@@ -245,7 +259,7 @@ def body(observed: Observation) -> dict[str, Array]:
 
 
 def in_robot(observed: Observation, poses: Array) -> np.ndarray:
-    """Poses ``[W, ..., 3]`` of {W} as (x, y, cos yaw, sin yaw) in {R} ``[W, ..., 4]``."""
+    """Transform poses ``[W, ..., 3]`` in {W} to (x, y, cos yaw, sin yaw) in {R}, ``[W, ..., 4]``."""
     robot = observed.robot_pose.reshape(len(observed.robot_pose), *(1,) * (poses.ndim - 2), 3)
     local = se2.relative(robot, poses)
     return np.concatenate([local[..., :2], np.cos(local[..., 2:]), np.sin(local[..., 2:])], axis=-1)

@@ -1,1 +1,1 @@
-"""The simulated world: robot, objects, scenes, low-level control, and the engines that step them."""
+"""The simulated world: robot, objects, scenes, low-level control and the physics engines."""

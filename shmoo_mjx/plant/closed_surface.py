@@ -1,7 +1,7 @@
-"""Closes and orients the surface of a mesh file, so that it has a volume, a centre of mass and an inertia.
+"""Closes and orients the surface of a mesh file, so that volume, centre of mass and inertia are defined.
 
-Mesh files hold what is drawn: vertices that are doubled where texture or normals jump, faces without area, faces that
-are wound the wrong way. None of this may change what an object weighs where.
+Mesh files are made for drawing. They contain duplicate vertices where texture or normals jump, faces without area, and
+faces with the wrong winding. None of these defects may change the mass distribution.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from shmoo_mjx.arrays import Bool, Float, Int
 from shmoo_mjx.errors import ShmooError
 
 _SAME_PLACE = 6
-"""Vertices that agree to so many decimals of a metre are one."""
+"""Vertices whose coordinates in metres agree to this number of decimals are merged."""
 _SAMPLES = 200
-"""Vertices of a body that are looked at to tell whether it lies within another."""
+"""Largest number of vertices of a body that are tested to find out whether it lies inside another body."""
 
 
 class _Surface(NamedTuple):
-    """Triangles in which every edge has exactly two faces."""
+    """Closed triangle surface: every edge belongs to exactly two faces."""
 
     vertices: Float[np.ndarray, "V 3"]
     faces: Int[np.ndarray, "F 3"]
@@ -34,19 +34,23 @@ class _Surface(NamedTuple):
 
 
 def closed_solid(parts: Sequence[Any], name: str) -> Any:
-    """The parts of a mesh file as one trimesh whose bodies are closed and wound outwards, cavities inwards.
+    """Join the parts of a mesh file into one closed trimesh; bodies are wound outwards, cavities inwards.
 
     Args:
-        parts: trimeshes [m], as the file holds them.
-        name: of the file, for the error.
+        parts: trimeshes as loaded from the file [m].
+        name: name of the file, for the error message.
+
+    Returns:
+        The joined trimesh [m].
 
     Raises:
-        ShmooError: the surface is open, one-sided, or ambiguous about what is inside.
+        ShmooError: the surface is open or one-sided, or it is unclear which side is inside.
     """
     import trimesh
 
     joined = trimesh.util.concatenate([trimesh.Trimesh(p.vertices, p.faces, process=False) for p in parts])
-    # Parts of one material each close together only; parts that touch along an edge close only singly.
+    # Parts that are split by material are closed only when joined. Parts that touch along an edge are closed only one
+    # by one. So try both.
     for group in ([joined], parts):
         surfaces = [surface for surface in map(_closed, group) if surface is not None]
         if len(surfaces) == len(group):
@@ -62,7 +66,7 @@ def closed_solid(parts: Sequence[Any], name: str) -> Any:
 
 
 def _closed(part: Any) -> _Surface | None:
-    """The part without doubled vertices and faces, or None if it is open."""
+    """The part without duplicate vertices and faces, or None if it is open."""
     import trimesh
 
     mesh = trimesh.Trimesh(part.vertices, part.faces, process=False)
@@ -71,7 +75,7 @@ def _closed(part: Any) -> _Surface | None:
     rows = np.sort(faces, axis=1)
     faces = faces[(rows[:, 0] != rows[:, 1]) & (rows[:, 1] != rows[:, 2])]
     _, first, times = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
-    # A face that stands twice is a copy, or the wall between two bodies, which goes.
+    # A duplicate face is either a copy (keep one) or the wall between two bodies (remove both).
     for kept in (first, first[times % 2 == 1]):
         if len(kept) and (_edges(faces[kept], len(mesh.vertices))[1] == 2).all():
             return _Surface(np.asarray(mesh.vertices, dtype=float), faces[kept])
@@ -79,7 +83,7 @@ def _closed(part: Any) -> _Surface | None:
 
 
 def _edges(faces: Int[np.ndarray, "F 3"], vertices: int) -> tuple[Int[np.ndarray, "3*F"], Int[np.ndarray, "E"]]:
-    """Number of the edge of each side of each face, and how many faces each edge has."""
+    """Edge index of each side of each face, and the number of faces at each edge."""
     ends = np.sort(_sides(faces), axis=1).astype(np.int64)
     _, edge, count = np.unique(ends[:, 0] * vertices + ends[:, 1], return_inverse=True, return_counts=True)
     return edge, count
@@ -90,14 +94,15 @@ def _sides(faces: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, "3*F 2"]:
 
 
 def _oriented(surface: _Surface, name: str) -> Int[np.ndarray, "F 3"]:
-    """The faces, wound so that a body's volume is positive, and that of a cavity in it negative."""
+    """The faces, wound so that bodies have positive volume and cavities have negative volume."""
     body, turned = _bodies(surface, name)
     surface = surface._replace(faces=_flipped(surface.faces, turned))
     a, b, c = np.moveaxis(surface.corners - surface.vertices.mean(axis=0), 1, 0)
     sign = np.sign(np.bincount(body, np.einsum("fi,fi->f", a, np.cross(b, c))))
     within = _nested(surface, body)
     wanted = np.where(within.sum(axis=1) % 2, -1, 1)
-    # A body that was wound in one way tells by its sign what its author took it for, others don't.
+    # If the file winds a body consistently, the sign of its volume shows whether the author meant a solid or a cavity.
+    # Bodies with mixed winding carry no such information.
     faces, turns = np.bincount(body), np.bincount(body, turned)
     told = (turns == 0) | (turns == faces)
     as_wanted = np.where(turns == faces, -sign, sign) == wanted
@@ -116,14 +121,14 @@ def _flipped(faces: Int[np.ndarray, "F 3"], which: Bool[np.ndarray, "F"]) -> Int
 
 
 def _bodies(surface: _Surface, name: str) -> tuple[Int[np.ndarray, "F"], Bool[np.ndarray, "F"]]:
-    """The body of each face, and which faces must be turned for a body's faces to be wound alike."""
+    """Body index of each face, and which faces must be flipped so that each body has consistent winding."""
     faces = len(surface.faces)
     sides = _sides(surface.faces)
     order = np.argsort(_edges(surface.faces, len(surface.vertices))[0], kind="stable").reshape(-1, 2)
     one, other = (order // 3).T
-    # Neighbours that are wound alike run along their edge in opposite directions.
+    # Two neighbours with the same winding traverse their common edge in opposite directions.
     unlike = (sides[order[:, 0]] == sides[order[:, 1]]).all(axis=1)
-    # Each face stands for two nodes, as it is and turned; what is connected is wound alike.
+    # Each face gives two graph nodes, one as it is and one flipped. Connected nodes have the same winding.
     rows = np.concatenate([one, one + faces])
     columns = np.concatenate([other + faces * unlike, other + faces * ~unlike])
     links = coo_array((np.ones(len(rows), dtype=bool), (rows, columns)), shape=(2 * faces, 2 * faces))
@@ -134,7 +139,7 @@ def _bodies(surface: _Surface, name: str) -> tuple[Int[np.ndarray, "F"], Bool[np
 
 
 def _nested(surface: _Surface, body: Int[np.ndarray, "F"]) -> Bool[np.ndarray, "B B"]:
-    """Which body (row) lies wholly within which other (column)."""
+    """Whether a body (row) lies completely inside another body (column)."""
     corners = [surface.corners[body == b] for b in range(body.max() + 1)]
     within = np.zeros((len(corners), len(corners)), dtype=bool)
     low, high = (np.array([extreme(c, axis=(0, 1)) for c in corners]) for extreme in (np.min, np.max))
@@ -149,7 +154,10 @@ def _nested(surface: _Surface, body: Int[np.ndarray, "F"]) -> Bool[np.ndarray, "
 
 
 def _encloses(corners: Float[np.ndarray, "F 3 3"], point: Float[np.ndarray, "3"]) -> bool:
-    """Is the point within or on a closed surface of one winding: it is seen from there under half a sphere or more."""
+    """Whether the point is inside or on a closed surface with consistent winding.
+
+    The surface then covers a solid angle of at least half a sphere, seen from the point.
+    """
     a, b, c = np.moveaxis(corners - point, 1, 0)
     la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
     ab, ac, bc = (np.einsum("fi,fi->f", u, v) for u, v in ((a, b), (a, c), (b, c)))

@@ -1,4 +1,4 @@
-"""Condition c of an object (Sec. III): everything about it that pushing depends on."""
+"""Condition c of an object (Sec. III): all object properties that affect pushing."""
 
 from __future__ import annotations
 
@@ -13,39 +13,42 @@ from typing import Any
 import numpy as np
 
 GRAVITY = 9.81
-"""[m/s^2]"""
+"""Gravitational acceleration [m/s^2]."""
 
 
 def is_custom(family: str) -> bool:
-    """Whether the family is an object file of a user's own."""
+    """Whether the family is the path of a custom object file (``*.json``) instead of a built-in family."""
     return family.endswith(".json")
 
 
 @dataclass(frozen=True)
 class Condition:
-    """One object's fixed dynamic properties (condition c of Sec. III). SI units."""
+    """Fixed dynamic properties of one object (condition c of Sec. III). SI units."""
 
     family: str
+    """Built-in object family, or the path of a custom object file."""
     seed: int
+    """Seed from which the properties are drawn."""
     size: tuple[float, float, float]
-    """Length (x of {O}), width and height of the hull."""
+    """Length (x of {O}), width and height of the hull [m]."""
     mass: float
-    """Mass of the empty object, without wheels and forks."""
+    """Mass of the empty object, without wheels and forks [kg]."""
     payload: float
-    """Mass of the load."""
+    """Mass of the load [kg]."""
     payload_x: float
+    """Offset of the load from the centre of {O} along x [m]."""
     payload_y: float
-    """Offset of the load from the centre of {O}."""
+    """Offset of the load from the centre of {O} along y [m]."""
     friction: float
-    """Coulomb coefficient mu of sole or wheels on the floor."""
+    """Coulomb friction coefficient mu between the floor and the sole or the wheels."""
     rolling: tuple[float, ...] = ()
-    """Rolling resistance coefficient sigma (C_rr) of each wheel: force over load."""
+    """Rolling resistance coefficient sigma (C_rr) of each wheel: resisting force divided by wheel load."""
     swivel_friction: float = 0.0
-    """Dry friction of each caster's swivel [N m]."""
+    """Dry friction torque of each caster's swivel [N m]."""
     locked: tuple[bool, ...] = ()
-    """Brake of each wheel."""
+    """Whether each wheel's brake is on."""
     caster_angle: tuple[float, ...] = ()
-    """Starting angle of each caster [rad]."""
+    """Initial angle of each caster [rad]."""
 
     @property
     def half_extents(self) -> tuple[float, float]:
@@ -54,37 +57,42 @@ class Condition:
 
     @property
     def total_mass(self) -> float:
-        """Empty object plus load, without wheels [kg]."""
+        """Mass of the empty object and its load, without wheels [kg]."""
         return self.mass + self.payload
 
     @property
     def resistance(self) -> float:
-        """Force that keeps the object moving straight on [N]: friction of a sole, or of wheels that share the load."""
+        """Force that keeps the object in straight motion [N].
+
+        It is the sole's friction force, or that of wheels that carry equal loads.
+        """
         if not self.rolling:
             return self.friction * self.total_mass * GRAVITY
         share = [self.friction if locked else sigma for sigma, locked in zip(self.rolling, self.locked, strict=True)]
         return float(np.mean(share)) * self.total_mass * GRAVITY
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data that :meth:`from_dict` turns back into an equal condition."""
+        """Plain data from which :meth:`from_dict` restores an equal condition."""
         return dataclasses.asdict(self)
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Condition:
-        """The condition :meth:`to_dict` came from, also after a trip through JSON."""
+        """Restore a condition from the output of :meth:`to_dict`, also after JSON serialisation."""
         tuples: dict[str, Any] = {k: tuple(v) if isinstance(v, list | tuple) else v for k, v in data.items()}
         return cls(**tuples)
 
     def fingerprint(self) -> str:
-        """Hash of every property, equal on every machine; of a custom object, its file's content counts, not its
-        path."""
+        """Hash of all properties, the same on every machine.
+
+        For a custom object, the file's content is hashed, not its path.
+        """
         values = self.to_dict()
         if is_custom(self.family):
             values["family"] = hashlib.sha256(Path(self.family).read_bytes()).hexdigest()
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:16]
 
     def describe(self) -> str:
-        """The condition in one sentence."""
+        """One-line description of the condition, for people."""
         names = {
             "cart": ("front left", "front right", "rear left", "rear right"),
             "wheelchair": ("rear left", "rear right", "front left", "front right"),

@@ -1,9 +1,9 @@
-"""MJX behind the engines' signature: ``init() -> state`` and ``step(state, command) -> state, observation``.
+"""MJX engine with the common interface ``init() -> state`` and ``step(state, command) -> state, observation``.
 
-A batch of W worlds is one vmapped function. What differs between the worlds' models (an object's size, mass or
-friction; a randomised robot) is batched, everything else is shared. ``step`` is pure and may be called inside jit, scan
-and vmap. Where JAX has several devices, each takes an equal part of the worlds; a CPU counts as several if
-``XLA_FLAGS=--xla_force_host_platform_device_count=N`` is set before JAX starts.
+A batch of W worlds is one vmapped function. Model fields that differ between worlds (an object's size, mass or
+friction; a randomised robot) are batched, all others are shared. ``step`` is pure and can be called inside jit, scan
+and vmap. If JAX has several devices, each device steps an equal part of the worlds. Set
+``XLA_FLAGS=--xla_force_host_platform_device_count=N`` before JAX starts to use a CPU as N devices.
 """
 
 from __future__ import annotations
@@ -32,29 +32,34 @@ from shmoo_mjx.plant.robot import readout
 from shmoo_mjx.plant.scene import PARTS, Scene
 from shmoo_mjx.types import DT, Command, Observation, Track
 
-with contextlib.redirect_stdout(io.StringIO()):  # it prints that its optional Warp back end is missing
+with contextlib.redirect_stdout(io.StringIO()):  # MJX prints a message if its optional Warp back end is missing
     from mujoco import mjx
 
 
 class MjxWorld(NamedTuple):
-    """Complete state of W worlds; without W inside a vmap."""
+    """Complete state of W worlds; inside a vmap the axis W is absent."""
 
     physics: Float[jax.Array, "... n"]
-    """Time, qpos, qvel, motors (1 + nq + nv + na): the layout of C MuJoCo's physics state."""
+    """Time, qpos, qvel, act (length 1 + nq + nv + na), in the layout of C MuJoCo's physics state."""
     control: lowlevel.LowLevelState
+    """State of the low-level control."""
     wall_contact: Bool[jax.Array, "..."]
-    """Whether any part of the robot touched a wall in the last sample time."""
+    """Whether any part of the robot touched a wall during the last step."""
     wall_parts: Bool[jax.Array, "... P"]
-    """Which of scene.PARTS did."""
+    """Which of scene.PARTS touched a wall during the last step."""
     warm_start: Float[jax.Array, "... nv"]
-    """Acceleration the solver starts from [m/s^2, rad/s^2]."""
+    """Initial guess of the constraint solver: joint accelerations [m/s^2, rad/s^2]."""
 
 
 def check_backend(impl: str, walls: bool = False) -> None:
-    """Whether MJX's back end ``impl`` can run here.
+    """Check that MJX's back end ``impl`` can run here.
+
+    Args:
+        impl: "jax" or "warp".
+        walls: whether the scenes have walls.
 
     Raises:
-        ShmooError: warp without its package, or with walls.
+        ShmooError: ``impl`` is "warp" and the package warp-lang is missing, or the scenes have walls.
     """
     if impl != "warp":
         return
@@ -68,7 +73,14 @@ def check_backend(impl: str, walls: bool = False) -> None:
 
 @single_precision
 def stack_models(models: Sequence[mjx.Model]) -> tuple[mjx.Model, mjx.Model]:
-    """One model whose differing arrays have a leading axis W, and the ``in_axes`` tree that says which those are."""
+    """Stack the models of W worlds into one model.
+
+    Args:
+        models: one model per world, all of the same structure.
+
+    Returns:
+        The model, in which arrays that differ between worlds have a leading axis W, and the ``in_axes`` tree for vmap.
+    """
     leaves = [jax.tree.leaves(m) for m in models]
     tree = jax.tree.structure(models[0])
     stacked, axes = [], []
@@ -84,7 +96,7 @@ def _alike(column: Sequence[Array]) -> bool:
 
 
 class _Solver(NamedTuple):
-    """Limits of the constraint solver; static, a change compiles anew."""
+    """Limits of the constraint solver. They are static: a change recompiles."""
 
     iterations: int
     line_search: int
@@ -92,21 +104,23 @@ class _Solver(NamedTuple):
 
 
 class MjxEngine(TrueStates):
-    """Steps W worlds of one structure. Holds models, never state.
+    """Steps W worlds of one structure with MJX. Holds models, never state.
 
     Args:
-        scenes: one per world, each built with ``engine="mjx"``; scenes may share a model.
-        gains: of the low-level control.
-        iterations: of the constraint solver; static, a change compiles anew. docs/plant.md has accuracy and cost.
-        line_search: iterations of its line search; static.
-        tolerance: at which the solver stops. Single precision never reaches MuJoCo's 1e-8, so that every world of the
-            batch would take all iterations.
-        impl: MJX's back end: jax, or warp, which is for NVIDIA GPUs (it runs on a CPU too, slowly).
-        devices: that share the worlds; all there are by default, or the first alone if W can't be parted equally.
+        scenes: one per world, each built with ``engine="mjx"``. Scenes may share a model.
+        gains: gains of the low-level control.
+        iterations: iterations of the constraint solver. More are more accurate and slower (see docs/plant.md). Static:
+            a change recompiles.
+        line_search: iterations of the solver's line search; static.
+        tolerance: tolerance at which the solver stops. MuJoCo's default of 1e-8 is out of reach in single precision:
+            every world would use all iterations.
+        devices: devices that share the worlds. By default all devices, or only the first if W is not a multiple of
+            their number.
+        impl: MJX's back end: "jax" or "warp". Warp is for NVIDIA GPUs; it also runs on a CPU, slowly.
     """
 
     model: mjx.Model
-    """Of all worlds; what differs between them has a leading axis W."""
+    """Model of all worlds; fields that differ between worlds have a leading axis W."""
 
     @single_precision
     def __init__(
@@ -158,24 +172,25 @@ class MjxEngine(TrueStates):
             self._use(*stack_models([put[id(s.model)] for s in self.scenes]))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """A copy compiles anew, on all devices that there are."""
+        """Pickle as constructor arguments: a copy recompiles and uses all available devices."""
         if self._other_model:
             raise TypeError("an engine made by with_model can't be copied; copy the first one, and call with_model")
         make = functools.partial(type(self), impl=self._impl, **self._solver._asdict())
         return make, (self.scenes, self.gains)
 
     def _put_once(self, scenes: Sequence[Scene]) -> dict[int, mjx.Model]:
-        """The scenes' models on the device, by the ids of C MuJoCo's."""
+        """The scenes' models on the device, keyed by ``id`` of the C MuJoCo model."""
         models = {id(scene.model): scene.model for scene in scenes}
-        # Which joints have dry friction belongs to the structure: what one world brakes, all worlds must be able to.
+        # The set of joints with dry friction is part of the compiled structure, so all worlds need the same set.
         self._dry = self._dry | np.any([model.dof_frictionloss > 0 for model in models.values()], axis=0)
         return {key: _put(model, self._impl, self._dry, self._solver) for key, model in models.items()}
 
     @single_precision
     def change(self, scenes: Sequence[Scene]) -> None:
-        """Go on with other scenes of the same structure; the worlds' states stay as they are.
+        """Replace the scenes by others of the same structure; the worlds' states stay valid.
 
-        Compiles anew only if something differs between the new worlds that was the same in all the old ones.
+        Recompiles only if a field differs between the new worlds that was equal in all old worlds, or if a joint has
+        dry friction for the first time.
         """
         before, put = self._dry, self._put_once(scenes)
         models, self.scenes = [put[id(s.model)] for s in scenes], list(scenes)
@@ -195,17 +210,23 @@ class MjxEngine(TrueStates):
         self.model = jax.tree.unflatten(tree, placed)
 
     def _make_data(self, model: mujoco.MjModel) -> mjx.Data:
-        """What a step begins with; for Warp, room for the contacts and constraints of all worlds of a device."""
+        """Template data for a step; for Warp, with buffers for the contacts and constraints of a device's worlds."""
         if self._impl == "jax":
             return mjx.make_data(self._single)
-        # Warp counts contacts as they come, over all worlds, and drops what has no room: as many as MJX always has.
+        # Warp has one contact buffer for all worlds and drops contacts when it is full. Reserve as many per world as
+        # MJX's JAX back end does.
         most = mjx.make_data(_put(model, "jax", self._dry, self._solver))._impl
         worlds = len(self.scenes) // self._mesh.size
         return mjx.make_data(model, impl="warp", naconmax=worlds * len(most.contact.dist), njmax=len(most.efc_type))
 
     @single_precision
     def with_model(self, model: mjx.Model, in_axes: mjx.Model) -> MjxEngine:
-        """The same engine on another model of the same structure, such as plant/randomize.py makes."""
+        """This engine with another model of the same structure, such as one from plant/randomize.py.
+
+        Args:
+            model: model of all worlds; fields that differ between worlds have a leading axis W.
+            in_axes: tree for vmap that says which fields have the axis W.
+        """
         other = object.__new__(type(self))
         other.__dict__ = self.__dict__ | {"_other_model": True}
         other._use(model, in_axes)
@@ -222,7 +243,7 @@ class MjxEngine(TrueStates):
             model: mjx.Model, world: MjxWorld, command: Command, push: Array, *, substeps: int
         ) -> tuple[MjxWorld, Observation]:
             one = jax.vmap(functools.partial(self.step_one, substeps=substeps), in_axes=(in_axes, 0, 0, 0))
-            # Each device iterates its own worlds' solvers; nothing passes between them.
+            # Each device runs the solver for its own worlds; no communication between devices.
             return jax.shard_map(
                 one, mesh=self._mesh, in_specs=(parts, each, each, each), out_specs=each, check_vma=False
             )(model, world, command, push)
@@ -231,7 +252,7 @@ class MjxEngine(TrueStates):
 
     @single_precision
     def init(self) -> MjxWorld:
-        """All worlds at their scenes' starting configuration, arms folded."""
+        """State of all worlds at their scenes' initial configuration, with folded arms."""
         worlds, nv, na = len(self.scenes), self.scenes[0].model.nv, self.scenes[0].model.na
         qpos = np.stack([s.qpos0 for s in self.scenes])
         physics = np.concatenate([np.zeros((worlds, 1)), qpos, np.zeros((worlds, nv + na))], axis=-1)
@@ -242,12 +263,12 @@ class MjxEngine(TrueStates):
             wall_parts=jnp.zeros((worlds, len(PARTS)), dtype=bool),
             warm_start=jnp.zeros((worlds, nv)),
         )
-        # As committed to the device as every later state is; or the second step would compile again.
+        # Later states are committed to the devices. The first state must be too, otherwise the second step recompiles.
         return jax.device_put(world, self._placement)
 
     @single_precision
     def scratch_bytes(self) -> int:
-        """Memory the compiled sample of all worlds takes beside its inputs and outputs, on all devices together."""
+        """Temporary memory of one compiled step of all worlds [bytes], without inputs and outputs, over all devices."""
         world = self.init()
         command = Command(*(jnp.zeros((len(self.scenes), *shape)) for shape in ((3,), (), (), ())))
         push = jnp.zeros((len(self.scenes), 6))
@@ -258,16 +279,23 @@ class MjxEngine(TrueStates):
 
     @single_precision
     def observe(self, world: MjxWorld) -> Observation:
-        """The worlds as they are, with no wrench."""
+        """Observation of the current states, with zero wrench."""
         return self._observed(world.physics)
 
     @single_precision
     def step(
         self, world: MjxWorld, command: Command, duration: float = DT, push: Float[Array, "W 6"] | None = None
     ) -> tuple[MjxWorld, Observation]:
-        """Hold ``command`` (fields batched ``[W, ...]``) for ``duration`` seconds.
+        """Step all worlds with a constant command.
 
-        ``push`` is an outside disturbance: force [N] and torque [N m] in {W} at the CoM of the robot's torso.
+        Args:
+            world: state of the W worlds.
+            command: constant command, fields batched ``[W, ...]``.
+            duration: time to simulate [s].
+            push: external disturbance on the robot: force [N] and torque [N m] in {W} at the torso's CoM.
+
+        Returns:
+            The new state, and its observation with the mean wrench over ``duration``.
         """
         push = np.zeros((*world.physics.shape[:-1], 6)) if push is None else push
         command, push = jax.device_put(jax.tree.map(jnp.asarray, (command, push)), self._placement)
@@ -284,9 +312,18 @@ class MjxEngine(TrueStates):
         substeps: int,
         gains: lowlevel.Gains | None = None,
     ) -> tuple[MjxWorld, Observation]:
-        """One world without batch axis: what :meth:`step` maps, for callers that map it themselves.
+        """Step one world without a batch axis. :meth:`step` vmaps this function; callers can vmap it themselves.
 
-        ``gains``, if given, are this world's own; their fields may be traced.
+        Args:
+            model: model of this world.
+            world: state of this world.
+            command: constant command, without batch axis.
+            push: force [N] and torque [N m] in {W} at the torso's CoM.
+            substeps: number of physics steps; static.
+            gains: gains of this world's low-level control, by default the engine's. Their fields may be traced.
+
+        Returns:
+            The new state, and its observation with the mean wrench over the physics steps.
         """
         data = self._template.replace(xfrc_applied=self._template.xfrc_applied.at[self._torso].set(push))
 
@@ -305,7 +342,7 @@ class MjxEngine(TrueStates):
                 time=carry.physics[0], qpos=qpos, qvel=qvel, act=motors, ctrl=torque, qacc_warmstart=carry.warm_start
             )
             after = mjx.step(model, now)
-            # Contact sensors belong to the configuration before the step.
+            # MuJoCo evaluates contact sensors at the configuration before the step.
             wrench = planar_wrench(self.scenes[0], qpos, after.sensordata)
             physics = jnp.concatenate([jnp.atleast_1d(after.time), after.qpos, after.qvel, after.act])
             parts = carry.wall_parts | self._touched(after)
@@ -325,7 +362,18 @@ class MjxEngine(TrueStates):
         *,
         push: Float[Array, "W 6"] | None = None,
     ) -> tuple[MjxWorld, Track]:
-        """As :meth:`step`, but what is observed is the state at the end of each of ``readings`` parts of the time."""
+        """Like :meth:`step`, but returns the states at the ends of ``readings`` equal parts of ``duration``.
+
+        Args:
+            world: state of the W worlds.
+            command: constant command, fields batched ``[W, ...]``.
+            duration: time to simulate [s].
+            readings: number of parts T.
+            push: external disturbance on the robot: force [N] and torque [N m] in {W} at the torso's CoM.
+
+        Returns:
+            The new state, and the motion at the ends of the parts.
+        """
         rows = []
         for _ in range(readings):
             world, observed = self.step(world, command, duration / readings, push)
@@ -335,11 +383,11 @@ class MjxEngine(TrueStates):
 
     @single_precision
     def torque(self, world: MjxWorld, command: Command) -> Float[Array, "... 9"]:
-        """Motor torques [N m] that the control asks for now; what a robot measures as motor currents."""
+        """Motor torques that the control commands in this state [N m]. A real robot measures them as motor currents."""
         return self._asked(world, command)
 
     def _touched(self, data: mjx.Data) -> Array:
-        """``[P]`` which of PARTS touch a wall."""
+        """Which of PARTS touch a wall, ``[P]``."""
         if not self.scenes[0].wall_geoms:
             return jnp.zeros(len(PARTS), dtype=bool)
         contact = data._impl.contact
@@ -349,7 +397,7 @@ class MjxEngine(TrueStates):
 
 
 def _put(model: mujoco.MjModel, impl: str, dry: np.ndarray, solver: _Solver) -> mjx.Model:
-    """The model on the device, with some dry friction, however little, on every joint ``[nv]`` of ``dry``."""
+    """The model on the device; joints in ``dry`` ``[nv]`` get at least a tiny dry friction."""
     model = copy.deepcopy(model)
     model.dof_frictionloss[dry] = np.maximum(model.dof_frictionloss[dry], 1e-9)
     model.opt.iterations, model.opt.ls_iterations, model.opt.tolerance = solver

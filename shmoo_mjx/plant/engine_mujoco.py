@@ -1,8 +1,8 @@
-"""C MuJoCo behind the engines' signature: ``init() -> state`` and ``step(state, command) -> state, observation``.
+"""C MuJoCo engine with the common interface ``init() -> state`` and ``step(state, command) -> state, observation``.
 
-A batch of W worlds of one structure (the same family and number of objects) advances together: the control is one
-compiled function over all worlds, the physics a call of ``mj_step`` for each. With several threads, each takes a part
-of the worlds through the whole sample time: to meet after every 2 ms would cost what the second thread brings.
+A batch of W worlds of one structure (the same family and number of objects) advances together. The control is one
+compiled function over all worlds; the physics is one call of ``mj_step`` per world. With several threads, each thread
+steps its part of the worlds through the whole sample time, because synchronising every 2 ms costs more than it gains.
 """
 
 from __future__ import annotations
@@ -29,26 +29,26 @@ from shmoo_mjx.types import DT, Command, Observation, Track
 
 _FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _MEMORY, _SENSED = 10, NQ + NV
-"""Numbers of the control's memory and of what it senses."""
+"""Number of scalars in the control's state and in the robot state that it reads."""
 _FEW_WALLS = 32
-"""Up to which every wall stays in the physics."""
+"""Scenes with at most this number of walls simulate all of them."""
 _CELL = 1.0
-"""Walls are chosen anew where the robot or an object enters another cell of this width [m]."""
+"""Width of the grid cells [m]. The simulated walls are selected again when the robot or an object changes its cell."""
 _ROBOT_EXTENT = 1.0
-"""How far the robot reaches with its arms, generously [m]."""
+"""Upper bound of the robot's radius including its arms [m]."""
 _SLACK = 0.5
-"""How far the robot or an object may move beyond its cell within a sample time [m]: at 5 m/s."""
+"""Distance that the robot or an object may move beyond its cell within a sample time [m]; it allows 5 m/s."""
 _MOST_KEPT = 16
-"""Models with different walls that are kept for coming back."""
+"""Number of models with different wall selections that a world caches."""
 
 
 @functools.cache
 def _compiled_control(robot: Robot, gains: lowlevel.Gains, timestep: float) -> Callable[[np.ndarray], Array]:
-    """The low-level control, (memory, sensed, command) -> (memory, torque), compiled once for all engines.
+    """The low-level control, (state, sensed, command) -> (state, torque), compiled once for all engines.
 
-    Compiled even for one world: some 80 small array operations cost NumPy twenty times as much. All arguments are one
-    array ``[W, 10 + (NQ + NV) + 6]``, and all results another one ``[W, 10 + 9]``, since to hand over every field by
-    itself takes longer than the computation.
+    It is compiled even for one world: NumPy takes twenty times as long for its about 80 small array operations. All
+    arguments are packed into one array ``[W, 10 + (NQ + NV) + 6]`` and all results into another one ``[W, 10 + 9]``,
+    because passing each field separately takes longer than the computation.
     """
 
     def control(inputs: Array) -> Array:
@@ -57,7 +57,7 @@ def _compiled_control(robot: Robot, gains: lowlevel.Gains, timestep: float) -> C
         wanted = Command(command[:, :3], *(command[:, i] for i in (3, 4, 5)))
         state, torque = lowlevel.control(robot, gains, _unpacked(inputs[:, :_MEMORY]), now, command=wanted, dt=timestep)
         after = jnp.concatenate([*_columns(state), torque], axis=-1)
-        # MuJoCo resets a world that diverges, but warns at every step of motors that are not finite.
+        # MuJoCo resets a diverged world, but it prints a warning in every step if a motor command is not finite.
         return jnp.where(jnp.isfinite(after), after, 0.0)
 
     return jax.jit(control)
@@ -69,12 +69,12 @@ def _unpacked(memory: Array) -> lowlevel.LowLevelState:
 
 
 def _columns(tree: Any) -> list[Any]:
-    """Fields ``[W, n]`` or ``[W]`` as columns of one array."""
+    """Fields ``[W, n]`` or ``[W]`` of a tree as a list of columns ``[W, n]``."""
     return [x if x.ndim == 2 else x[:, None] for x in jax.tree.leaves(tree)]
 
 
 def _packed(*parts: Any) -> np.ndarray:
-    """The fields of all parts as one array ``[W, n]``."""
+    """Concatenate the fields of all parts to one array ``[W, n]``."""
     return np.concatenate([np.asarray(column) for column in _columns(parts)], axis=-1).astype(np.float32)
 
 
@@ -84,21 +84,28 @@ class World(NamedTuple):
     physics: Float[np.ndarray, "W n"]
     """MuJoCo's full physics state."""
     control: lowlevel.LowLevelState
+    """State of the low-level control."""
     wall_contact: Bool[np.ndarray, "W"]
-    """Whether any part of the robot touched a wall in the last sample time."""
+    """Whether any part of the robot touched a wall during the last step."""
     wall_parts: Bool[np.ndarray, "W P"]
-    """Which of scene.PARTS did."""
+    """Which of scene.PARTS touched a wall during the last step."""
 
 
 class _Stage(NamedTuple):
-    """What a world is stepped with."""
+    """Model and scratch data of one world."""
 
     model: mujoco.MjModel
     data: mujoco.MjData
 
 
 class MujocoEngine(TrueStates):
-    """Steps W worlds of one structure. Holds compiled models and scratch memory, never state."""
+    """Steps W worlds of one structure with C MuJoCo. Holds compiled models and scratch memory, never state.
+
+    Args:
+        scenes: one per world.
+        gains: gains of the low-level control.
+        threads: number of threads that share the worlds.
+    """
 
     def __init__(self, scenes: Sequence[Scene], gains: lowlevel.Gains | None = None, threads: int = 1) -> None:
         check_forked()
@@ -118,16 +125,16 @@ class MujocoEngine(TrueStates):
         self._stages: list[dict[Any, _Stage]] = [{} for _ in scenes]
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """A copy compiles anew, as threads and scratch memory can't be copied; worlds are none of an engine's state."""
+        """Pickle as constructor arguments, because threads and scratch memory can't be copied."""
         return type(self), (self.scenes, self.gains, len(self._parts))
 
     def close(self) -> None:
-        """Stop the threads."""
+        """Shut down the thread pool."""
         if self._pool is not None:
             self._pool.shutdown()
 
     def init(self) -> World:
-        """All worlds at their scenes' starting configuration, arms folded."""
+        """State of all worlds at their scenes' initial configuration, with folded arms."""
         rows = []
         for scene in self.scenes:
             data = mujoco.MjData(scene.model)
@@ -139,24 +146,31 @@ class MujocoEngine(TrueStates):
         return World(np.array(rows), control, np.zeros(batch, dtype=bool), np.zeros((*batch, len(PARTS)), dtype=bool))
 
     def change(self, scenes: Sequence[Scene]) -> None:
-        """Go on with other scenes of the same structure: what an object weighs or which brakes are on changes mid-run.
+        """Replace the scenes by others of the same structure, for instance to change a mass or a brake during a run.
 
-        The worlds' states stay as they are. Poses in the new scenes' starting configurations mean nothing here.
+        The worlds' states stay valid. The new scenes' initial configurations are not used.
         """
         _check_structure([self.scenes[0].model, *(s.model for s in scenes)])
         self._use(scenes)
 
     def observe(self, world: World) -> Observation:
-        """The worlds as they are, with no wrench."""
+        """Observation of the current states, with zero wrench."""
         none = np.zeros((len(self.scenes), len(self.scenes[0].conditions), 3))
         return observation(self.scenes[0], world.physics[:, 0], *self._split(world.physics), wrench=none)
 
     def step(
         self, world: World, command: Command, duration: float = DT, push: Float[np.ndarray, "W 6"] | None = None
     ) -> tuple[World, Observation]:
-        """Hold ``command`` (fields batched ``[W, ...]``) for ``duration`` seconds.
+        """Step all worlds with a constant command.
 
-        ``push`` is an outside disturbance: force [N] and torque [N m] in {W} at the CoM of the robot's torso.
+        Args:
+            world: state of the W worlds.
+            command: constant command, fields batched ``[W, ...]``.
+            duration: time to simulate [s].
+            push: external disturbance on the robot: force [N] and torque [N m] in {W} at the torso's CoM.
+
+        Returns:
+            The new state, and its observation with the mean wrench over ``duration``.
         """
         world, track = self.advance(world, command, duration, 1, push=push)
         wrench = np.asarray(track.wrench)
@@ -171,7 +185,18 @@ class MujocoEngine(TrueStates):
         *,
         push: Float[np.ndarray, "W 6"] | None = None,
     ) -> tuple[World, Track]:
-        """As :meth:`step`, but what is observed is the state at the end of each of ``readings`` parts of the time."""
+        """Like :meth:`step`, but returns the states at the ends of ``readings`` equal parts of ``duration``.
+
+        Args:
+            world: state of the W worlds.
+            command: constant command, fields batched ``[W, ...]``.
+            duration: time to simulate [s].
+            readings: number of parts T.
+            push: external disturbance on the robot: force [N] and torque [N m] in {W} at the torso's CoM.
+
+        Returns:
+            The new state, and the motion at the ends of the parts.
+        """
         substeps = round(duration / self.timestep / readings)
         hold = functools.partial(self._hold, readings=readings, substeps=substeps)
         parts = [(p, _cut(world, p), _cut(command, p), None if push is None else push[p]) for p in self._parts]
@@ -186,7 +211,7 @@ class MujocoEngine(TrueStates):
     def _hold(
         self, part: slice, world: World, command: Command, push: np.ndarray | None, *, readings: int, substeps: int
     ) -> tuple[World, Track]:
-        """The part's worlds after ``readings`` times ``substeps``."""
+        """Step the worlds of one part for ``readings`` times ``substeps`` physics steps."""
         scenes, stages = self.scenes[part], [*map(self._stage, range(part.start, part.stop), world.physics)]
         for i, (model, data) in enumerate(stages):
             _begin(model, data, world.physics[i])
@@ -202,11 +227,11 @@ class MujocoEngine(TrueStates):
                 for i, (model, data) in enumerate(stages):
                     data.ctrl[:] = done[i, _MEMORY:]
                     before = data.qpos.copy()
-                    # From its last answer the solver now and then stops at once, off by a jerk of some cm/s.
+                    # With a warm start the solver sometimes stops at once, with a velocity error of a few cm/s.
                     data.qacc_warmstart[:] = 0.0
                     mujoco.mj_step(model, data)
                     if data.sensordata.any():
-                        # Contact sensors belong to the configuration before the step.
+                        # MuJoCo evaluates contact sensors at the configuration before the step.
                         felt.append((i, before, data.sensordata.copy()))
                 done = self._asked(inputs, stages)
             for i, (model, data) in enumerate(stages):
@@ -218,21 +243,21 @@ class MujocoEngine(TrueStates):
             np.add.at(wrench, worlds, planar_wrench(scenes[0], qpos, sensors) / (readings * substeps))
             np.logical_or.at(touched, worlds, (sensors[..., scenes[0].wall_sensor] > 0).any(axis=-1))
         ends = world.physics[:, 0] + substeps * self.timestep * np.arange(1, readings + 1)[:, None]
-        # MuJoCo resets a world that it can't simulate on to its first state and to time 0.
+        # MuJoCo resets a diverged world to its initial state and to time 0.
         lost = ~(np.isfinite(world.physics.sum(axis=-1)) & (physics[..., 0] > ends - 0.5 * self.timestep))
         physics[lost], physics[lost, 0] = np.nan, ends[lost]
         after = World(physics[-1], _unpacked(inputs[:, :_MEMORY]), touched.any(axis=-1), touched)
         return after, Track(physics, torques, wrench, touched)
 
     def _asked(self, inputs: np.ndarray, stages: Sequence[_Stage]) -> np.ndarray:
-        """Memory and torque ``[w, 10 + 9]`` that the control answers to where the worlds are."""
+        """The control's new state and torque ``[w, 10 + 9]`` for the worlds' current states."""
         for i, (_, data) in enumerate(stages):
             inputs[i, _MEMORY : _MEMORY + NQ] = data.qpos[:NQ]
             inputs[i, _MEMORY + NQ : _MEMORY + _SENSED] = data.qvel[:NV]
         return np.asarray(self._control(inputs))
 
     def _stage(self, index: int, state: Float[np.ndarray, "n"]) -> _Stage:
-        """Model and scratch memory of world ``index`` in this state: of many walls, with those alone that are near."""
+        """Model and scratch memory of world ``index`` in this state; of many walls, it has only those nearby."""
         scene, kept = self.scenes[index], self._stages[index]
         places = state[1 + np.concatenate([[0], scene.object_qpos])[:, None] + [0, 1]]
         many = len(scene.walls) > _FEW_WALLS and scene.spec is not None
@@ -249,16 +274,16 @@ class MujocoEngine(TrueStates):
 
     @single_precision
     def torque(self, world: World, command: Command) -> Float[np.ndarray, "W 9"]:
-        """Motor torques [N m] that the control asks for now; what a robot measures as motor currents."""
+        """Motor torques that the control commands in this state [N m]. A real robot measures them as motor currents."""
         qpos, qvel = self._split(world.physics)
         inputs = _packed(world.control, [qpos[:, :NQ], qvel[:, :NV]], command)
         return np.asarray(self._control(inputs), dtype=np.float64)[:, _MEMORY:]
 
 
 def _begin(model: mujoco.MjModel, data: mujoco.MjData, state: np.ndarray) -> None:
-    """Scratch memory in the given state, with nothing left of what it was used for before.
+    """Reset the scratch data and set it to the given state.
 
-    MuJoCo gives what falls asleep a velocity of exactly zero. What has that may sleep again at once.
+    MuJoCo sets the velocity of a sleeping tree to exactly zero. Trees with zero velocity may sleep again at once.
     """
     mujoco.mj_resetData(model, data)
     mujoco.mj_setState(model, data, state, _FULL)
@@ -276,7 +301,7 @@ def _state(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
 
 
 def _check_structure(models: Sequence[mujoco.MjModel]) -> None:
-    """MuJoCo would read past its arrays if the worlds of a batch were unlike each other."""
+    """Raise ValueError unless all models have the same sizes, since MuJoCo would read past its arrays otherwise."""
     shapes = {(m.nq, m.nv, m.nbody, m.na, m.nsensordata) for m in models}
     if len(shapes) > 1:
         raise ValueError("the worlds of one engine must have the same structure: family and number of objects")

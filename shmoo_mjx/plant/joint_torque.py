@@ -1,7 +1,7 @@
-"""Gamma = J tau: the interaction wrench as hardware without force sensors estimates it (Sec. III-C.1).
+"""Gamma = J tau: interaction wrench estimated from arm motor torques, without force sensors (Sec. III-C.1).
 
-Arm torque less gravity is balanced by the hand's contact force, exactly so at rest. The simulator's own contact wrench
-(plant/observe.py) stands beside it.
+At rest, the arm torque minus gravity balances the hand's contact force exactly; during motion approximately. The
+simulator's own contact wrench is computed in plant/observe.py.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ from shmoo_mjx.plant.robot import Robot, RobotState
 
 
 def hand_forces(robot: Robot, sensed: RobotState, arm_torque: Float[Array, "... 6"]) -> Float[Array, "... 2 3"]:
-    """Force of each hand on what it touches, in {R} [N].
+    """Contact force that each hand exerts, in {R} [N], from J^T f = tau - tau_gravity.
 
     Args:
-        robot: its numbers.
-        sensed: its state.
+        robot: nominal robot parameters.
+        sensed: robot state.
         arm_torque: motor torques (left, right) x (yaw, pitch, elbow) [N m].
 
     Returns:
-        (left, right) x (x, y, z), from J^T f = tau - tau_gravity.
+        Forces (left, right) x (x, y, z) [N].
     """
     xp = se2.array_module(sensed.arms, arm_torque)
     torque = arm_torque.reshape(sensed.arms.shape) - arm_gravity(robot, sensed.arms, sensed.lean[..., :1])
@@ -33,19 +33,22 @@ def hand_forces(robot: Robot, sensed: RobotState, arm_torque: Float[Array, "... 
 def joint_torque_wrench(
     robot: Robot, sensed: RobotState, arm_torque: Float[Array, "... 6"], object_pose: Float[Array, "... 3"]
 ) -> Float[Array, "... 3"]:
-    """Planar wrench of both hands on the object about its centre, in {W}: (fx, fy [N], tz [N m]).
+    """Planar wrench of both hands on the object about its centre, in {W}.
 
     Args:
-        robot: its numbers.
-        sensed: its state.
-        arm_torque: [N m].
-        object_pose: of the object the hands touch, in {W}.
+        robot: nominal robot parameters.
+        sensed: robot state.
+        arm_torque: motor torques (left, right) x (yaw, pitch, elbow) [N m].
+        object_pose: pose (x, y, yaw) of the touched object in {W} [m, rad].
+
+    Returns:
+        (fx, fy, tz) [N, N m].
     """
     xp = se2.array_module(sensed.arms, arm_torque, object_pose)
     force = hand_forces(robot, sensed, arm_torque)[..., :2]
     hands = xp.einsum("...ij,...hj->...hi", sensed.rotation, robot.hand_in_body(sensed.arms))[..., :2]
     size = xp.sqrt(xp.sum(force * force, axis=-1, keepdims=True))
-    # The contact lies where the force leaves the sphere.
+    # The contact point is where the force direction leaves the hand's sphere.
     contact = hands + robot.hand_radius * force / xp.maximum(size, 1e-6)
     heading = sensed.pose[..., 2][..., None]
     force = se2.rotate(force, heading)

@@ -1,9 +1,9 @@
-"""Low-level control of Shmoobot (Sec. III), one functional implementation for every engine and batch shape.
+"""Low-level control of Shmoobot (Sec. III): one pure function for all engines and batch shapes.
 
-Cascade: the lean command passes a reference filter, a PID per plane turns lean error into drive torque with friction
-compensation, a PI on yaw rate under a P on heading turns the robot, and each hand is held by a Cartesian impedance at
-the place the steering rule gives. The CoM offset of the arms is subtracted from the lean command (feed-forward).
-Everything works on NumPy and JAX arrays alike; C MuJoCo runs it with the former, MJX with the latter.
+The cascade has four parts. A reference filter smooths the lean command. One PID per plane turns the lean error into
+drive torque, with friction compensation and a feed-forward of the arms' CoM offset. A P controller on heading with an
+inner PI controller on yaw rate turns the robot. A Cartesian impedance holds each hand at the target that the steering
+rule gives. The functions accept NumPy arrays (C MuJoCo) and JAX arrays (MJX).
 """
 
 from __future__ import annotations
@@ -20,38 +20,48 @@ from shmoo_mjx.types import Command
 
 @dataclass(frozen=True)
 class Gains:
-    """Gains of the low-level control, SI units."""
+    """Gains and limits of the low-level control, SI units."""
 
     lean_p: float = 600.0
+    """Drive torque per lean error [N m/rad]."""
     lean_i: float = 300.0
+    """Drive torque per integral of the lean error [N m/(rad s)]."""
     lean_d: float = 120.0
+    """Drive torque per lean rate error [N m s/rad]."""
     friction_compensation: float = 0.8
-    """Share of the nominal drive friction that is fed forward."""
+    """Fraction of the nominal drive friction that is compensated by feed-forward."""
     friction_speed: float = 0.2
-    """Drive rate over which the Coulomb compensation changes sign [rad/s]."""
+    """Drive rate scale of the Coulomb compensation's tanh [rad/s]; larger values give a smoother sign change."""
     lean_limit: float = 0.2
     """Largest commanded lean [rad]."""
     lean_bandwidth: float = 8.0
-    """Natural frequency of the critically damped reference filter of the lean command [rad/s]."""
+    """Natural frequency of the critically damped filter of the lean command [rad/s]; larger values respond faster."""
     lean_integral_limit: float = 0.08
     """Bound of the integral of the lean error [rad s]."""
     com_feed_forward: float = 1.0
-    """Share of the arms' CoM offset that is subtracted from the lean command; 0 switches the feed-forward off."""
+    """Fraction of the arms' CoM offset that is subtracted from the lean command; 0 switches the feed-forward off."""
     yaw_p: float = 2.0
+    """Yaw rate per heading error [1/s]."""
     yaw_rate_p: float = 8.0
+    """Yaw torque per yaw rate error [N m s/rad]."""
     yaw_rate_i: float = 8.0
+    """Yaw torque per integral of the yaw rate error [N m/rad]."""
     yaw_integral_share: float = 0.5
-    """Share of the yaw torque limit that the integral may take."""
+    """Largest fraction of the yaw torque limit that the integral term may use."""
     yaw_rate_limit: float = 0.8
+    """Largest yaw rate that the heading loop commands [rad/s]."""
     yaw_torque_limit: float = 3.0
-    """Below what the ball's contact patch holds by torsional friction (about 3.7 N m)."""
+    """Largest yaw torque [N m]. The ball slips on the floor above about 3.7 N m (torsional friction)."""
     hand_stiffness: float = 600.0
+    """Stiffness of the hands' Cartesian impedance [N/m]."""
     hand_damping: float = 40.0
+    """Damping of the hands' Cartesian impedance [N s/m]."""
     hand_speed: float = 0.6
-    """Rate limit of the hands' reach and height [m/s] and of the steering angle [rad/s, 2.5 times this]."""
+    """Rate limit of the hands' reach and height [m/s]. The steering angle's limit is 2.5 times this value [rad/s]."""
     arm_torque_limit: float = 60.0
+    """Largest torque of each arm joint [N m]."""
     velocity_p: float = 0.16
-    """Outer loop: lean per velocity error [rad s/m]."""
+    """Lean command per velocity error in the outer loop [rad s/m]."""
 
 
 class LowLevelState(NamedTuple):
@@ -60,21 +70,28 @@ class LowLevelState(NamedTuple):
     lean_ref: Float[Array, "... 2"]
     """Filtered lean command [rad]."""
     lean_ref_rate: Float[Array, "... 2"]
-    """[rad/s]"""
+    """Rate of the filtered lean command [rad/s]."""
     lean_integral: Float[Array, "... 2"]
-    """[rad s]"""
+    """Integral of the lean error [rad s]."""
     yaw_integral: Scalar | Float[Array, "..."]
-    """[rad]"""
+    """Integral of the yaw rate error [rad]."""
     reach: Scalar | Float[Array, "..."]
-    """[m]"""
+    """Rate-limited reach of the hands [m]."""
     hand_height: Scalar | Float[Array, "..."]
-    """[m]"""
+    """Rate-limited height of the hands above the floor [m]."""
     gamma: Scalar | Float[Array, "..."]
-    """[rad]"""
+    """Rate-limited steering angle [rad]."""
 
 
 def init(xp: Any, batch: tuple[int, ...], reach: float, hand_height: float) -> LowLevelState:
-    """State at rest; ``xp`` is numpy or jax.numpy."""
+    """Control state of a robot at rest.
+
+    Args:
+        xp: numpy or jax.numpy.
+        batch: batch shape.
+        reach: reach of the hands [m].
+        hand_height: height of the hands above the floor [m].
+    """
     pair, scalar = xp.zeros((*batch, 2)), xp.zeros(batch)
     return LowLevelState(pair, pair, pair, scalar, scalar + reach, scalar + hand_height, scalar)
 
@@ -87,10 +104,20 @@ def velocity_to_lean(
     *,
     robot: Robot | None = None,
 ) -> Float[ArrayT, "... 2"]:
-    """Outer loop of the cascade: lean command [rad] from velocities in {R} [m/s].
+    """Lean command of the outer velocity loop.
 
-    Regulates the velocity of the flat output S = x + (b/a) phi: the base itself first moves the wrong way when the lean
-    changes, which a tight loop on it would amplify. The robot is Shmoobot unless another is given.
+    The loop regulates the velocity of the flat output S = x + (b/a) phi. The base velocity itself is not used, because
+    the base first moves the wrong way when the lean changes (non-minimum phase).
+
+    Args:
+        gains: gains of the low-level control.
+        velocity: velocity of the base in {R} [m/s].
+        lean_rate: lean rate [rad/s].
+        desired: desired velocity in {R} [m/s].
+        robot: robot whose flat output is used, by default Shmoobot.
+
+    Returns:
+        Lean command [rad].
     """
     xp = se2.array_module(velocity, desired)
     a, b, _ = (robot or shmoobot()).flatness
@@ -128,7 +155,7 @@ def _drive_torque(
     dt: float,
 ) -> tuple[LowLevelState, Array]:
     xp = se2.array_module(state.gamma, sensed.lean)
-    # The CoM of the extended arms lies ahead of the body axis: lean the axis back by that angle.
+    # The CoM of the extended arms is ahead of the body axis, so the axis must lean back by that angle.
     offset = gains.com_feed_forward * robot.com_offset(sensed.arms) / robot.body_com_height
     error = sensed.lean + offset - state.lean_ref
     limit = gains.lean_integral_limit
@@ -144,8 +171,8 @@ def _drive_torque(
     turn = xp.clip(gains.yaw_rate_p * rate_error + gains.yaw_rate_i * yaw_integral, -yaw_limit, yaw_limit)
     rate = sensed.drive_rate[..., :2]
     friction = robot.drive_coulomb * xp.tanh(rate / gains.friction_speed) + robot.drive_viscous * rate
-    # A lean towards +x turns about +y and one towards +y about -x; the torque acts on the ball, so turning the body
-    # left asks for a torque to the right.
+    # A lean towards +x is a rotation about +y, a lean towards +y one about -x. The torque acts on the ball, so a body
+    # rotation to the left needs a torque to the right.
     planar = xp.stack([-effort[..., 1], effort[..., 0]], axis=-1) + gains.friction_compensation * friction
     planar = xp.clip(planar, -robot.drive_limit, robot.drive_limit)
     torque = xp.concatenate([planar, -turn[..., None]], axis=-1)
@@ -153,7 +180,7 @@ def _drive_torque(
 
 
 def _arm_torque(robot: Robot, gains: Gains, state: LowLevelState, sensed: RobotState) -> Array:
-    """tau = J^T (K (p_des - p) - D v) + gravity compensation, ``[..., 2, 3]``."""
+    """Joint torques tau = J^T (K (p_des - p) - D v) + gravity compensation [N m], ``[..., 2, 3]``."""
     xp = se2.array_module(state.gamma, sensed.arms)
     target = hand_targets(state.gamma, state.reach)
     height = xp.broadcast_to((state.hand_height - sensed.height)[..., None, None], (*target.shape[:-1], 1))
@@ -169,7 +196,7 @@ def _arm_torque(robot: Robot, gains: Gains, state: LowLevelState, sensed: RobotS
 def arm_gravity(
     robot: Robot, arms: Float[Array, "... 2 3"], lean: Scalar | Float[Array, "... 1"] = 0.0
 ) -> Float[Array, "... 2 3"]:
-    """Joint torques [N m] that hold the arms against gravity, on a body that leans forward by ``lean`` [rad]."""
+    """Joint torques that hold the arms against gravity [N m], for a body that leans forward by ``lean`` [rad]."""
     xp = se2.array_module(arms)
     g, l1, l2 = 9.81, robot.upper_arm, robot.forearm
     pitch, fore = arms[..., 1] + lean, arms[..., 1] + arms[..., 2] + lean
@@ -181,11 +208,19 @@ def arm_gravity(
 def control(
     robot: Robot, gains: Gains, state: LowLevelState, sensed: RobotState, *, command: Command, dt: float
 ) -> tuple[LowLevelState, Float[Array, "... 9"]]:
-    """One control period of ``dt`` seconds.
+    """One period of the low-level control.
+
+    Args:
+        robot: nominal robot parameters.
+        gains: gains of the control.
+        state: control state.
+        sensed: robot state.
+        command: command to follow.
+        dt: control period [s].
 
     Returns:
-        The new state and the motor torques [N m] in the order of ``ACTUATORS``: drive x, y, z in the body
-        frame, then left and right arm (yaw, pitch, elbow).
+        The new state, and the motor torques [N m] in the order of ``ACTUATORS``: drive x, y, z in the body frame, then
+            left and right arm (yaw, pitch, elbow).
     """
     xp = se2.array_module(state.gamma, sensed.lean)
     state = _references(gains, state, command, dt)

@@ -1,7 +1,7 @@
-"""Conversion of a mesh or MJCF file to an object file, which stands wherever a family's name does.
+"""Converts a mesh or MJCF file into an object file, which can be used wherever a family name can.
 
-``shmoo object add chair.stl --mass 7 --friction 0.4`` writes chair.json: convex hull, mass, CoM, inertia, feet or
-wheels. ``family: chair.json`` in a scenario, or ``draw_condition("chair.json", seed)``, then gives the object.
+``shmoo object add chair.stl --mass 7 --friction 0.4`` writes chair.json with convex hull, mass, CoM, inertia, and feet
+or wheels. Use the object as ``family: chair.json`` in a scenario or ``draw_condition("chair.json", seed)`` in Python.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _FORMATS = (".stl", ".obj", ".ply", ".glb", ".gltf", ".off", ".dae")
 _CONVERT = "convert it to GLB or STL, for instance with Blender"
 _UNITS = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254}
 _Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""Turns a file's axes with y up into z up."""
+"""Rotation from axes with y up to axes with z up."""
 _HULL_VERTICES = 64
 _MOST_FEET = 6
 
@@ -45,29 +45,29 @@ def add_object(
     hull: bool = False,
     out: Path | None = None,
 ) -> Path:
-    """Turn a mesh file or an MJCF file into an object file.
+    """Convert a mesh file or an MJCF file into an object file.
 
     Args:
         source: STL, OBJ, PLY, OFF, GLB, glTF, Collada (with pycollada), or MJCF (.xml) of one rigid object.
-        mass: of the whole object, wheels included [kg]; None takes that of an MJCF file.
-        friction: Coulomb coefficient of feet or wheels on the floor.
-        wheels: none (slides on its feet), casters (a swivel caster at each foot), rear (two fixed wheels behind, two
-            casters in front; x points forward).
-        wheel_radius: [m].
+        mass: mass of the whole object including wheels [kg]; None takes the mass of the MJCF file.
+        friction: Coulomb friction coefficient between the floor and the feet or wheels.
+        wheels: "none" (the object slides on its feet), "casters" (a swivel caster at each foot) or "rear" (two fixed
+            wheels at the rear, two casters in front; x points forward).
+        wheel_radius: radius of the wheels [m].
         rolling: rolling resistance coefficient of each wheel.
-        swivel_friction: dry friction of each caster's swivel [N m].
-        scale: metres per unit of the file: 0.001 for millimetres, 0.01 for centimetres, 0.0254 for inches. A Collada
-            file states its unit, by which it is multiplied.
-        up: which axis of the file points up; auto is y for GLB and glTF, as that format says, what a Collada file
-            states, else z.
-        hull: take the mass distribution of the convex hull, for a mesh that isn't closed.
-        out: file to write (default: the source's name with .json, in the present folder).
+        swivel_friction: dry friction torque of each caster's swivel [N m].
+        scale: metres per unit of the file: 0.001 for millimetres, 0.01 for centimetres, 0.0254 for inches. For a
+            Collada file it is multiplied by the unit that the file states.
+        up: axis of the file that points up. "auto" is y for GLB and glTF (as the format defines), the stated axis for
+            Collada, and z otherwise.
+        hull: whether to use the mass distribution of the convex hull, for a mesh that isn't closed.
+        out: file to write, by default the source's name with .json in the current folder.
 
     Returns:
-        The file written.
+        Path of the written file.
 
     Raises:
-        ShmooError: the file or a number can't be an object; one sentence with the remedy.
+        ShmooError: the file can't be read as an object, or a number is out of range.
     """
     name = source.name
     if not 0 < scale < np.inf:
@@ -113,7 +113,7 @@ def add_object(
 
 
 def _measure(mesh_file: Path, scale: float, up: str, hull: bool) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Vertices of the convex hull [m], and CoM and inertia per mass (xx, yy, zz, xy, xz, yz) [m^2], z up."""
+    """Vertices of the convex hull [m], and CoM [m] and inertia per mass (xx, yy, zz, xy, xz, yz) [m^2], with z up."""
     import trimesh
 
     parts, unit, own_up = _load(mesh_file)
@@ -141,7 +141,7 @@ def _measure(mesh_file: Path, scale: float, up: str, hull: bool) -> tuple[np.nda
 
 
 def _measure_mjcf(source: Path, scale: float, up: str, hull: bool) -> tuple[np.ndarray, dict[str, np.ndarray], float]:
-    """The same of an MJCF file, and its mass [kg]."""
+    """Like `_measure` for an MJCF file, and also its mass [kg]."""
     import trimesh
 
     solid = read_mjcf(source)
@@ -177,7 +177,7 @@ def _is_size(size: np.ndarray) -> bool:
 
 
 def _load(mesh_file: Path) -> tuple[list[Any], float, str]:
-    """The parts of a mesh file, its unit [m], and its axis that points up."""
+    """The parts of a mesh file, its length unit [m], and the axis that points up."""
     import trimesh
 
     name, kind = mesh_file.name, mesh_file.suffix.lower()
@@ -194,7 +194,7 @@ def _load(mesh_file: Path) -> tuple[list[Any], float, str]:
         raise ShmooError(f"{mesh_file} does not exist; give the path of a mesh file.")
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of pycollada, about NumPy
+            warnings.simplefilter("ignore")  # pycollada warns about NumPy
             unit, up = _collada_axes(mesh_file) if kind == ".dae" else (1.0, "y" if kind in (".glb", ".gltf") else "z")
             scene = trimesh.load_scene(mesh_file, process=False)
             parts = [part for part in scene.dump() if isinstance(part, trimesh.Trimesh) and len(part.faces)]
@@ -208,7 +208,7 @@ def _load(mesh_file: Path) -> tuple[list[Any], float, str]:
 
 
 def _collada_axes(mesh_file: Path) -> tuple[float, str]:
-    """Unit [m] and upward axis that a Collada file states; the format's defaults are 1 m and y."""
+    """Length unit [m] and upward axis of a Collada file; the format's defaults are 1 m and y."""
     try:
         import collada
     except ImportError:
@@ -223,7 +223,7 @@ def _collada_axes(mesh_file: Path) -> tuple[float, str]:
 
 
 def _fewer(vertices: np.ndarray) -> np.ndarray:
-    """At most 64 of the hull's vertices: those that reach furthest in evenly spread directions."""
+    """At most 64 of the hull's vertices: the support points in evenly distributed directions."""
     if len(vertices) <= _HULL_VERTICES:
         return vertices
     i = np.arange(_HULL_VERTICES)
@@ -234,12 +234,12 @@ def _fewer(vertices: np.ndarray) -> np.ndarray:
 
 
 def _feet(vertices: np.ndarray, name: str) -> np.ndarray:
-    """Corners ``[F, 2]`` of the area the object stands on, at most six."""
+    """Corners ``[F, 2]`` of the support area [m], at most six."""
     low = vertices[vertices[:, 2] < 0.005 + 0.01 * vertices[:, 2].max(), :2]
     area = shapely.MultiPoint(low).convex_hull
     if not isinstance(area, shapely.Polygon) or area.area < 0.1 * np.prod(np.ptp(vertices[:, :2], axis=0)):
         raise ShmooError(f"{name} stands on a point or an edge; turn it so that it stands, or give --up y.")
-    # The several corners of one leg or wheel count as one foot.
+    # Merge neighbouring corners: a leg or wheel has several corners but is one foot.
     near = 0.15 * float(np.sqrt(area.area))
     groups: list[list[np.ndarray]] = []
     for corner in np.asarray(area.exterior.coords)[:-1]:
@@ -251,7 +251,7 @@ def _feet(vertices: np.ndarray, name: str) -> np.ndarray:
         groups[0] += groups.pop()
     corners = np.array([np.mean(g, axis=0) for g in groups])
     tolerance, outline = 0.001, corners
-    # A round base has no corners of its own: groups run together, and its outline is thinned instead.
+    # On a round base all corners merge into few groups, so simplify its outline instead.
     if len(corners) < 3:
         outline = np.asarray(area.exterior.coords)[:-1]
     while len(outline) > _MOST_FEET:

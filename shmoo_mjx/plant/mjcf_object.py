@@ -22,24 +22,26 @@ _SHAPES = (
 
 
 class Solid(NamedTuple):
-    """A rigid body in the axes of its file."""
+    """A rigid body, in the file's axes."""
 
     points: Float[np.ndarray, "V 3"]
-    """Points whose convex hull is the object's [m]."""
+    """Surface points; their convex hull is the object's hull [m]."""
     mass: float
+    """Mass [kg]."""
     com: Float[np.ndarray, "3"]
-    """[m]"""
+    """Centre of mass [m]."""
     inertia: Float[np.ndarray, "3 3"]
-    """About the CoM, per mass [m^2]."""
+    """Inertia about the CoM divided by the mass [m^2]."""
 
 
 def read_mjcf(path: Path) -> Solid:
-    """The object as its file places it, all bodies as one piece.
+    """Read an MJCF file as one rigid body; all bodies of the file are joined at their initial poses.
 
-    Shapes that collide make the hull; if none does, all of them. Mass and inertia are what MuJoCo compiles.
+    The hull is made of the colliding geoms, or of all geoms if none collides. Mass and inertia are those that MuJoCo
+    compiles.
 
     Raises:
-        ShmooError: the file is missing, does not compile, holds a floor, moves at a joint or weighs nothing.
+        ShmooError: the file is missing, does not compile, contains a floor or a joint, or has no mass.
     """
     model = _compiled(path)
     data = mujoco.MjData(model)

@@ -1,6 +1,7 @@
-"""Conditions c of the three object families, drawn from a seed, and the MJCF of an object.
+"""Random conditions c of the three object families, and the MJCF of an object.
 
-A condition is re-created from (family, seed); every law and range stands in ``_DRAW`` with its source in docs/plant.md.
+Family and seed determine a condition. The functions in ``_DRAW`` define all distributions and ranges; docs/plant.md
+gives their sources.
 """
 
 from __future__ import annotations
@@ -23,9 +24,9 @@ FAMILIES = ("box", "cart", "wheelchair")
 _CASTER_RADIUS = {"cart": 0.05, "wheelchair": 0.08}
 _REAR_RADIUS = 0.28
 _REAR_AXLE = -0.12
-"""x of the wheelchair's rear axle in {O} [m]: the wheels end with the footprint."""
+"""x of the wheelchair's rear axle in {O} [m]. The wheels then end at the footprint's rear edge."""
 _LOCKED_TORQUE = 200.0
-"""Roll friction of a locked wheel [N m]: more than any floor contact can overcome, so that it slides."""
+"""Roll friction of a locked wheel [N m]. No floor contact can overcome it, so the wheel slides."""
 
 
 def _draw_box(rng: np.random.Generator) -> dict[str, Any]:
@@ -45,7 +46,7 @@ def _draw_box(rng: np.random.Generator) -> dict[str, Any]:
 def _draw_wheeled(
     rng: np.random.Generator, size: tuple[float, float, float], *, mass: float, load: float, load_x: tuple[float, float]
 ) -> dict[str, Any]:
-    # Resistance varies between objects more than between the wheels of one.
+    # Rolling resistance varies more between objects than between the wheels of one object.
     sigma = np.exp(rng.uniform(np.log(0.008), np.log(0.05))) * rng.uniform(0.8, 1.25, 4)
     locked = [False] * 4
     brakes = rng.choice([0, 1, 2], p=[0.6, 0.2, 0.2])
@@ -73,10 +74,10 @@ def _draw_cart(rng: np.random.Generator) -> dict[str, Any]:
 
 def _draw_wheelchair(rng: np.random.Generator) -> dict[str, Any]:
     size = (0.80, rng.uniform(0.54, 0.60), 0.52)
-    # The load sits ahead of the rear axle, or the chair would tip.
+    # The load is ahead of the rear axle; otherwise the chair would tip.
     values = _draw_wheeled(rng, size, mass=rng.uniform(8.0, 15.0), load=rng.uniform(0.0, 70.0), load_x=(0.0, 0.10))
     locked = values["locked"]
-    brakes = sum(locked)  # a wheelchair's brakes act on its rear wheels
+    brakes = sum(locked)  # a wheelchair has brakes on its rear wheels only
     left_first = rng.random() < 0.5
     rear = {0: (False, False), 1: (left_first, not left_first), 2: (True, True)}[brakes]
     return values | {
@@ -89,21 +90,24 @@ _DRAW = {"box": _draw_box, "cart": _draw_cart, "wheelchair": _draw_wheelchair}
 
 
 def draw_condition(family: str, seed: SupportsIndex, properties: Mapping[str, Any] | None = None) -> Condition:
-    """The condition with this family and seed, with single properties replaced by ``properties``.
+    """Draw the condition of an object from its family and a seed.
 
     Args:
-        family: one of FAMILIES, or the path of an object file that plant/mesh.py made (it ends with .json).
-        seed: draws every property; of a custom object only the casters' starting angles.
-        properties: values of single fields of :class:`Condition`.
+        family: one of FAMILIES, or the path of an object file (``*.json``) from plant/mesh.py.
+        seed: seed of all properties; for a custom object it draws only the casters' initial angles.
+        properties: values that replace drawn ones, by field name of :class:`Condition`.
+
+    Returns:
+        The condition.
 
     Raises:
-        ShmooError: unknown family, unknown property, or a value no object can have.
+        ShmooError: the family or a property is unknown, or a value is out of range.
     """
     seed = operator.index(seed)
     if is_custom(family):
         values = custom_condition(family, seed)
     elif family in _DRAW:
-        # The family's index keeps (box, 3) and (cart, 3) from sharing their random numbers.
+        # With the family's index in the seed, (box, 3) and (cart, 3) draw different random numbers.
         rng = np.random.default_rng([FAMILIES.index(family), seed])
         values = {"family": family, "seed": seed} | _plain(_DRAW[family](rng))
     else:
@@ -165,7 +169,10 @@ def _check(c: Condition, drawn: Condition) -> None:
 
 
 def object_spec(condition: Condition) -> mujoco.MjSpec:
-    """MJCF of the object: the family's XML with this condition's numbers. Its root body is ``object`` at {O}."""
+    """MJCF of the object: the family's XML with the values of this condition.
+
+    Its root body is named ``object`` and its frame is {O}.
+    """
     if is_custom(condition.family):
         return custom_spec(condition)
     spec = mujoco.MjSpec.from_file(str(asset(f"models_xml/objects/{condition.family}.xml")))
@@ -176,7 +183,7 @@ def object_spec(condition: Condition) -> mujoco.MjSpec:
     hull.size, hull.pos = [length / 2, width / 2, half_height], [0, 0, bottom + half_height]
     hull.mass = condition.mass
     payload = spec.geom("payload")
-    # MuJoCo refuses massless bodies but takes massless geoms; a hidden payload is simply not drawn.
+    # MuJoCo rejects massless bodies but accepts massless geoms. So an empty payload stays, and is only made invisible.
     payload.mass = condition.payload
     payload.pos = [condition.payload_x, condition.payload_y, hull.pos[2]]
     if condition.payload == 0:
@@ -194,7 +201,7 @@ def _set_wheels(spec: mujoco.MjSpec, c: Condition) -> None:
     casters = range(4) if c.family == "cart" else range(2, 4)
     for wheel in range(4):
         radius = _CASTER_RADIUS[c.family] if wheel in casters else _REAR_RADIUS
-        # condim 6: the rolling coefficient is a length, C_rr times the wheel's radius.
+        # With condim 6, MuJoCo's rolling coefficient is a length: C_rr times the wheel's radius.
         spec.geom(f"wheel{wheel}").friction = [c.friction, 0.002, c.rolling[wheel] * radius]
         if c.locked[wheel]:
             spec.joint(f"wheel{wheel}_roll").frictionloss = _LOCKED_TORQUE

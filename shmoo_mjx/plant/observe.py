@@ -1,4 +1,4 @@
-"""Observations of both engines, from generalised coordinates and contact sensors."""
+"""Observations from generalised coordinates and contact sensors, for both engines."""
 
 from __future__ import annotations
 
@@ -16,65 +16,66 @@ from shmoo_mjx.types import Observation
 def scene_poses(
     scene: Scene, physics: Float[np.ndarray, "... n"]
 ) -> tuple[Float[np.ndarray, "... 3"], Float[np.ndarray, "... N 3"]]:
-    """Poses in {W} of the robots and of the objects, from full physics states."""
+    """Poses (x, y, yaw) of the robot and of the objects in {W} [m, rad], from full physics states."""
     poses = _planar_poses(physics[..., 1:], np.concatenate([[0], scene.object_qpos]))
     return poses[..., 0, :], poses[..., 1:, :]
 
 
 def _planar_poses(qpos: ArrayT, joints: Int[np.ndarray, "n"]) -> ArrayT:
-    """Poses ``[..., n, 3]`` in {W} of the bodies whose free joints begin at ``joints`` in qpos."""
+    """Poses ``[..., n, 3]`` in {W} of the bodies whose free joints start at the indices ``joints`` of qpos."""
     xp = se2.array_module(qpos)
     x, y, qw, qx, qy, qz = (qpos[..., joints + i] for i in (0, 1, 3, 4, 5, 6))
     return se2.stack(x, y, xp.arctan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz)))
 
 
 DIVERGED = "the simulation diverged: a number in its state is not finite or far beyond what can happen"
-"""Reason of a run that ended so."""
+"""Reason that a run reports if its physics diverged."""
 _FASTEST = 1e4
-"""Speed of any joint from which a world counts as diverged [m/s, rad/s]."""
+"""Joint speed at or above which a world counts as diverged [m/s, rad/s]."""
 
 
 def diverged(qpos: Float[Array, "... nq"], qvel: Float[Array, "... nv"]) -> Bool[Array, "..."]:
-    """Which worlds are lost: NaN or infinite coordinates, or a joint that moves faster than 10^4 m/s or rad/s."""
+    """Which worlds have diverged: NaN or infinite coordinates, or a joint speed of 10^4 m/s or rad/s or more."""
     xp = se2.array_module(qpos, qvel)
     return ~(xp.isfinite(qpos).all(axis=-1) & (xp.abs(qvel) < _FASTEST).all(axis=-1))
 
 
 def fallen(lean: Float[Array, "... 2"]) -> Bool[Array, "..."]:
-    """Which robots lean more than 0.6 rad, or by no number at all."""
+    """Which robots have fallen: the lean exceeds 0.6 rad or is NaN."""
     xp = se2.array_module(lean)
     return ~(xp.abs(se2.wrap(lean)) <= 0.6).all(axis=-1)
 
 
 def toppled(scene: Scene, qpos: Float[np.ndarray, "... nq"]) -> Bool[np.ndarray, "... N"]:
-    """Which objects lean more than 0.5 rad: they have fallen over, or are about to."""
+    """Which objects have toppled or are about to: they tilt by more than 0.5 rad."""
     qx, qy = (qpos[..., scene.object_qpos + i] for i in (4, 5))
     return 1 - 2 * (qx**2 + qy**2) < np.cos(0.5)
 
 
 class TrueStates:
-    """What is read alike from the worlds of both engines: true states, of W worlds or of one."""
+    """Mixin of both engines that reads true states (ground truth), for W worlds or one."""
 
     scenes: list[Scene]
+    """One scene per world."""
 
     def _split(self, physics: Array) -> tuple[Array, Array]:
-        """Generalised coordinates and velocities in full physics states."""
+        """Generalised coordinates and velocities of full physics states."""
         nq, nv = self.scenes[0].model.nq, self.scenes[0].model.nv
         return physics[..., 1 : 1 + nq], physics[..., 1 + nq : 1 + nq + nv]
 
     @single_precision
     def robot(self, world: Any) -> RobotState:
-        """The robots' true state."""
+        """True state of the robots."""
         return readout(*self._split(world.physics))
 
     @single_precision
     def fallen(self, world: Any) -> Bool[Array, "..."]:
-        """Whether the body leans more than 0.6 rad; true of a world that has diverged."""
+        """Whether the robot's body leans more than 0.6 rad. True for diverged worlds."""
         return fallen(self.robot(world).lean)
 
     @single_precision
     def diverged(self, world: Any) -> Bool[Array, "..."]:
-        """Whether the physics is lost (:func:`diverged`); the world stays so."""
+        """Whether the physics has diverged (:func:`diverged`). A diverged world stays diverged."""
         return diverged(*self._split(world.physics))
 
 
@@ -86,14 +87,23 @@ def observation(
     *,
     wrench: Float[Array, "... N 3"],
 ) -> Observation:
-    """Observation from generalised coordinates and the mean wrench."""
+    """Noise-free observation from generalised coordinates and the mean wrench.
+
+    Args:
+        scene: scene of the worlds.
+        time: simulated time [s].
+        qpos: generalised coordinates.
+        qvel: generalised velocities.
+        wrench: mean planar wrench of the hands on each object in {W} [N, N m].
+    """
     xp = se2.array_module(qpos, qvel)
     robot = readout(qpos, qvel)
     hands = xp.einsum("...ij,...hj->...hi", robot.rotation, scene.robot.hand_in_body(robot.arms))
     level = xp.zeros_like(robot.height)
     lift = se2.stack(level, level, robot.height)
     pose = _planar_poses(qpos, scene.object_qpos)
-    # A free joint's angular velocity is in the body's own frame; objects stay level but for the sag of their contacts.
+    # A free joint's angular velocity is in the body frame. Its z component is the yaw rate, since objects stay level up
+    # to contact compliance.
     twist = qvel[..., scene.object_qvel[:, None] + np.array([0, 1, 5])]
     return Observation(
         time=time,
@@ -114,10 +124,18 @@ def observation(
 def planar_wrench(
     scene: Scene, qpos: Float[Array, "... nq"], sensordata: Float[Array, "... sensors"]
 ) -> Float[Array, "... N 3"]:
-    """Wrench Gamma of both hands on each object about its centre, in {W}: (fx, fy, tz).
+    """Wrench Gamma of both hands on each object about its centre, in {W}.
 
-    Each contact sensor gives the net force and torque at a point; the planar moment about the object's centre is
+    Each contact sensor gives the net force and torque at a point. The planar moment about the object's centre is
     lever x force plus the vertical torque.
+
+    Args:
+        scene: scene of the worlds.
+        qpos: generalised coordinates at which the sensors were evaluated.
+        sensordata: MuJoCo's sensor data.
+
+    Returns:
+        (fx, fy, tz) [N, N m].
     """
     xp = se2.array_module(qpos, sensordata)
     adr = scene.contact_sensor  # [N, 2]
@@ -133,7 +151,7 @@ def planar_wrench(
 
 
 def _from_contact_frame(sensordata: Array, adr: np.ndarray) -> tuple[Array, Array]:
-    """Planar force ``[..., N, 2, 2]`` and vertical torque ``[..., N, 2]`` in {W} from framed sensors."""
+    """Planar force ``[..., N, 2, 2]`` and vertical torque ``[..., N, 2]`` in {W}, from sensors in the contact frame."""
     xp = se2.array_module(sensordata)
     force, torque, normal, tangent = (sensordata[..., adr[:, :, None] + [i, i + 1, i + 2]] for i in (0, 3, 9, 12))
     axes = xp.stack([normal, tangent, xp.cross(normal, tangent)], axis=-2)

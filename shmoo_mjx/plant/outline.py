@@ -1,7 +1,7 @@
-"""The robot seen from above as discs, arms included, and how far each part is from what is in the way.
+"""The robot's outline from above as discs, and the clearance of each part to obstacles.
 
-Seen from above the robot is wider than its body. Arms out, the hands are 0.46 m ahead; folded, the elbows are 0.28 m to
-the side, a little behind.
+The outline includes the arms, which reach beyond the body. With unfolded arms, the hands are 0.46 m ahead. With folded
+arms, the elbows are 0.28 m to the side and slightly behind.
 """
 
 from __future__ import annotations
@@ -18,34 +18,37 @@ from shmoo_mjx.geometry.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_R
 from shmoo_mjx.plant.robot import Robot, shmoobot
 
 _SPACING = 0.04
-"""Of the discs along an arm [m]."""
+"""Largest spacing of the discs along an arm [m]."""
 
 
 class Outline(NamedTuple):
-    """Discs in {R}."""
+    """Centres of the discs in {R} [m]. The radii are those of the robot's parts."""
 
     torso: Float[np.ndarray, "2 2"]
-    """Centres [m], of the torso's radius; the torso leans, so that its ends differ."""
+    """Discs of the torso's two ends. They differ because the torso leans."""
     arms: Float[np.ndarray, "A 2"]
-    """Centres, of the arms' radius."""
+    """Discs of both arms."""
     hands: Float[np.ndarray, "2 2"]
-    """Centres (left, right), of the hands' radius."""
+    """Discs of the hands (left, right)."""
 
 
 class Room(NamedTuple):
-    """Distance of each part's surface from what is nearest [m]; negative inside it."""
+    """Clearance of each part's surface to the nearest obstacle [m]; negative inside an obstacle."""
 
     torso: Scalar | Float[np.ndarray, "..."]
+    """Clearance of the torso [m]."""
     arms: Scalar | Float[np.ndarray, "..."]
+    """Clearance of both arms [m]."""
     hands: Scalar | Float[np.ndarray, "..."]
+    """Clearance of both hands [m]."""
 
     @property
     def least(self) -> Scalar | Float[np.ndarray, "..."]:
-        """Of all parts."""
+        """Smallest clearance of all parts [m]."""
         return np.minimum(np.minimum(self.torso, self.arms), self.hands)
 
 
-@lru_cache(maxsize=64)  # the same few postures are asked for again and again, and the arms' angles take a while
+@lru_cache(maxsize=64)  # callers use few different postures, and the inverse kinematics of the arms is slow
 def outline(
     reach: float = REACH,
     hand_height: float | None = None,
@@ -54,14 +57,18 @@ def outline(
     *,
     robot: Robot | None = None,
 ) -> Outline:
-    """The discs of a robot that stands with its hands held there.
+    """Outline of a standing robot with the given hand posture.
 
     Args:
         reach: x of the hands' midpoint in {R} [m].
-        hand_height: above the floor [m]; by default what goes with ``reach`` while the arms unfold.
+        hand_height: height of the hands above the floor [m], by default interpolated between folded and unfolded arms
+            according to ``reach``.
         gamma: steering angle [rad].
-        lean: of the body towards +x, +y of {R} [rad]; by default as it stands in balance, leant back a little.
-        robot: Shmoobot by default.
+        lean: lean of the body towards +x, +y of {R} [rad], by default the slight backward lean of a balanced robot.
+        robot: robot, by default Shmoobot.
+
+    Returns:
+        The discs in {R}.
     """
     robot = robot or shmoobot()
     folded = (REACH - reach) / (REACH - TUCKED_REACH)
@@ -69,7 +76,7 @@ def outline(
     flat = np.asarray(hand_targets(np.array(gamma), np.array(reach)))
     hands = np.concatenate([flat, np.full((2, 1), height - robot.ball_radius)], axis=-1)
     if lean is None:
-        # The arms' own CoM decides by how much; that with an upright body is near enough to start from.
+        # The balanced lean depends on the arms' CoM. The CoM for an upright body is accurate enough.
         lean = (-float(robot.com_offset(robot.arm_angles(hands))[0]) / robot.body_com_height, 0.0)
     body = _leant(*lean)
     angles = robot.arm_angles(hands @ body)
@@ -83,7 +90,7 @@ def outline(
 
 
 def _leant(x: float, y: float) -> np.ndarray:
-    """Body axes in {R} ``[3, 3]`` (columns) of a body that leans by these angles."""
+    """Axes ``[3, 3]`` (columns) in {R} of a body that leans by these angles [rad]."""
     (cx, sx), (cy, sy) = (np.cos(x), np.sin(x)), (np.cos(y), np.sin(y))
     return np.array([[cx, 0, sx], [0, 1, 0], [-sx, 0, cx]]) @ np.array([[1, 0, 0], [0, cy, sy], [0, -sy, cy]])
 
@@ -101,14 +108,16 @@ def room(
     *,
     robot: Robot | None = None,
 ) -> Room:
-    """How far torso, arms and hands are from obstacles.
+    """Clearance of torso, arms and hands to obstacles.
 
     Args:
-        at: distance to the nearest obstacle [m] at points in {W}, such as ``DistanceField.at``.
-        pose: of {R} in {W}.
-        reach: x of the hands' midpoint [m]; of several the worst counts, as while the arms unfold.
+        at: function that gives the distance to the nearest obstacle [m] at points in {W}, such as
+            ``DistanceField.at``.
+        pose: pose of {R} in {W} [m, rad].
+        reach: x of the hands' midpoint in {R} [m]. For several values, such as those while the arms unfold, the
+            smallest clearance counts.
         gamma: steering angle [rad].
-        robot: Shmoobot by default.
+        robot: robot, by default Shmoobot.
     """
     robot = robot or shmoobot()
     pose = np.asarray(pose, dtype=float)

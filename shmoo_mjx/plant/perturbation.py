@@ -1,7 +1,7 @@
-"""Perturbed robot body: one that the control and the models do not know, which stands for the hardware.
+"""Perturbed robot body, unknown to the control and the models: a stand-in for the real hardware.
 
-Mass, CoM, drive friction, motor gains and motor lag differ, and commands arrive late. How such a robot perceives is
-`shmoo_mjx.sensing`'s matter. Training never sees any of it.
+Mass, CoM, drive friction, motor gains and motor lag differ from the nominal robot, and commands are delayed. Sensing is
+simulated in `shmoo_mjx.sensing`. Training does not use perturbed bodies.
 """
 
 from __future__ import annotations
@@ -15,54 +15,62 @@ import mujoco
 import numpy as np
 
 _TICK = 0.01
-"""What delays are rounded to [s]."""
+"""Delays are rounded to multiples of this time [s]."""
 
 
 @dataclass(frozen=True)
 class Perturbation:
-    """Every difference from the training plant's body; 0 switches one off. Widths of draws are relative, and each
-    number raised makes robots differ more."""
+    """How much drawn robot bodies differ from the training plant's body.
+
+    Values are half widths of uniform draws, relative to nominal unless a unit is given. ``motor_lag`` is not drawn, and
+    ``delay`` is a range. 0 switches a difference off. Larger values make robots differ more.
+    """
 
     body_mass: float = 0.15
+    """Mass and inertia of the torso."""
     body_com: float = 0.005
     """Shift of the torso's CoM along x and y [m]."""
     body_com_height: float = 0.04
     """Shift of the torso's CoM along z [m]."""
     drive_friction: float = 0.4
+    """Coulomb and viscous friction between body and ball."""
     drive_gain: float = 0.05
+    """Torque of the drive motors divided by the commanded torque; one factor for all three."""
     arm_gain: float = 0.15
-    """Torque of the arms' motors over what is asked of them."""
+    """Torque of an arm motor divided by the commanded torque; one factor per motor."""
     motor_lag: float = 0.01
-    """Time constant of every motor [s]."""
+    """Time constant of every motor [s]; the same for all robots. Larger values slow the motors down."""
     delay: tuple[float, float] = (0.02, 0.04)
-    """Range of the delay of commands on their way to the motors [s], rounded to 10 ms. Longer: the robot answers later
-    and sways more."""
+    """Range of the command delay [s], rounded to 10 ms. With a longer delay the robot responds later and sways more."""
 
     @classmethod
     def none(cls) -> Perturbation:
-        """The training plant."""
+        """No perturbation: the training plant."""
         zeros: dict[str, Any] = {f.name: 0.0 for f in dataclasses.fields(cls)}
         return cls(**zeros | {"delay": (0.0, 0.0)})
 
 
 class PerturbedBody(NamedTuple):
-    """One drawn robot: factors and shifts on the nominal one."""
+    """One drawn robot body: factors on the nominal values unless a unit is given. See :class:`Perturbation`."""
 
     mass: float
+    """Factor on the torso's mass and inertia."""
     com: tuple[float, float, float]
-    """[m]"""
+    """Shift of the torso's CoM [m]."""
     drive_friction: float
+    """Factor on Coulomb and viscous drive friction."""
     drive_gain: float
+    """Factor on the torque of the drive motors."""
     arm_gain: tuple[float, ...]
-    """``[6]``"""
+    """Factor on the torque of each arm motor, ``[6]``."""
     motor_lag: float
-    """[s]"""
+    """Time constant of every motor [s]."""
     delay: float
-    """[s]"""
+    """Command delay [s]."""
 
 
 def draw_body(perturbation: Perturbation, seed: int) -> PerturbedBody:
-    """The robot with this seed."""
+    """Draw a robot body from a seed."""
     rng = np.random.default_rng([7, seed])
     unit = rng.uniform(-1, 1, 13)
     at = perturbation
@@ -79,7 +87,7 @@ def draw_body(perturbation: Perturbation, seed: int) -> PerturbedBody:
 
 
 def adjustment(body: PerturbedBody) -> Callable[[mujoco.MjSpec], None]:
-    """Argument ``adjust`` of :func:`~shmoo_mjx.plant.scene.build_scene` that builds this robot."""
+    """The argument ``adjust`` of :func:`~shmoo_mjx.plant.scene.build_scene` that applies this body to the robot."""
 
     def adjust(spec: mujoco.MjSpec) -> None:
         torso, ball = spec.body("robot/torso"), spec.joint("robot/ball")

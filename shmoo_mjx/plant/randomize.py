@@ -1,8 +1,7 @@
 """Domain randomisation for MJX: ``(model, keys) -> (model, in_axes)``, ready for vmap.
 
-Sizes stay as they are; what is drawn needs no new compilation. MuJoCo's derived ``body_invweight0`` and
-``dof_invweight0`` keep their nominal values, so the softness of constraints shifts by as much as the masses do (a few
-per cent).
+Sizes are not randomised, so a draw needs no recompilation. MuJoCo's derived ``body_invweight0`` and ``dof_invweight0``
+keep their nominal values. The softness of constraints therefore changes by as much as the masses do (a few per cent).
 """
 
 from __future__ import annotations
@@ -20,7 +19,10 @@ from shmoo_mjx.plant.scene import Scene
 
 @dataclass(frozen=True)
 class Ranges:
-    """Half widths of uniform draws: relative unless a unit is given."""
+    """Half widths of uniform draws, relative to nominal unless a unit is given.
+
+    Larger values make worlds differ more.
+    """
 
     body_mass: float = 0.15
     """Mass and inertia of the torso."""
@@ -29,42 +31,44 @@ class Ranges:
     drive_friction: float = 0.4
     """Coulomb and viscous friction between body and ball."""
     arm_mass: float = 0.15
+    """Mass and inertia of the arms and hands; one factor for all."""
     torque_gain: float = 0.1
-    """Torque of each motor over what is asked of it."""
+    """Torque of each motor divided by the commanded torque; one factor per motor."""
     object_mass: float = 0.2
-    """Mass and inertia of every object's bodies."""
+    """Mass and inertia of all bodies of the objects; one factor for all."""
     object_friction: float = 0.2
-    """Coulomb and rolling coefficients of what stands on the floor."""
+    """Coulomb and rolling friction coefficients between the floor and the objects' soles and wheels."""
     hand_friction: float = 0.3
+    """Friction coefficients of the hands."""
 
 
 class Factors(NamedTuple):
-    """How one world's model differs from the nominal one: factors, unless a unit is given. See :class:`Ranges`."""
+    """Difference of one world's model from the nominal one: factors unless a unit is given. See :class:`Ranges`."""
 
     body_mass: Scalar
     arm_mass: Scalar
     object_mass: Scalar
     drive_friction: Scalar
     body_com: Float[Array, "3"]
-    """[m]"""
+    """Shift of the torso's CoM [m]."""
     hand_friction: Scalar
     torque_gain: Scalar | Float[Array, "nu"]
-    """One of each motor, or one for all."""
+    """One factor per motor, or one for all."""
     object_friction: Scalar
 
 
 @single_precision
 def randomize(model: Any, keys: Key[Array, "W"], scene: Scene, ranges: Ranges | None = None) -> tuple[Any, Any]:
-    """Draw one model per key.
+    """Draw one randomised model per key.
 
     Args:
         model: ``mjx.Model`` of ``scene``, not batched.
-        keys: one of each world.
-        scene: names of bodies, joints and geoms.
-        ranges: what to vary.
+        keys: one key per world.
+        scene: scene that gives the names of bodies, joints and geoms.
+        ranges: half widths of the draws, by default ``Ranges()``.
 
     Returns:
-        The model whose randomised arrays have a leading axis W, and the ``in_axes`` tree for vmap.
+        The model, whose randomised arrays have a leading axis W, and the ``in_axes`` tree for vmap.
     """
     chosen = ranges or Ranges()
     motors = int(scene.model.nu)
@@ -75,7 +79,7 @@ def randomize(model: Any, keys: Key[Array, "W"], scene: Scene, ranges: Ranges | 
 
 @single_precision
 def perturbed(model: Any, factors: Factors, scene: Scene) -> dict[str, Float[Array, "..."]]:
-    """The fields of ``mjx.Model`` that ``factors`` change, for one world, with their new values."""
+    """New values of the fields of ``mjx.Model`` that ``factors`` change, for one world."""
     names = scene.model
     torso, ball = names.body("robot/torso").id, names.joint("robot/ball")
     bodies = [names.body(i).name for i in range(names.nbody)]
@@ -104,7 +108,7 @@ def _draw(key: Array, ranges: Ranges, motors: int) -> Factors:
     def factor(width: float, shape: tuple[int, ...] = ()) -> Array:
         return jax.random.uniform(next(keys), shape, minval=1 - width, maxval=1 + width)
 
-    # One factor for everything of a kind, except for motors, which differ from each other.
+    # All parts of a kind share one factor. Only motors get individual factors.
     return Factors(
         body_mass=factor(ranges.body_mass),
         arm_mass=factor(ranges.arm_mass),
@@ -118,5 +122,5 @@ def _draw(key: Array, ranges: Ranges, motors: int) -> Factors:
 
 
 def _having(names: list[str], prefix: str, *parts: str) -> np.ndarray:
-    """Indices of the names that start with ``prefix`` and hold one of ``parts``."""
+    """Indices of the names that start with ``prefix`` and contain one of ``parts``."""
     return np.array([i for i, n in enumerate(names) if n.startswith(prefix) and any(p in n for p in parts)], dtype=int)

@@ -1,4 +1,4 @@
-"""Pictures of a scene by MuJoCo's own renderer, without a display."""
+"""Renders a scene off-screen with MuJoCo's renderer."""
 
 from __future__ import annotations
 
@@ -28,9 +28,12 @@ with mujoco.Renderer(model, 16, 16) as renderer:
 
 @cache
 def can_render() -> str:
-    """Empty if MuJoCo can draw here, else why not.
+    """Check whether MuJoCo can render on this machine.
 
-    Tried in a process of its own: a GL library that lacks a display may end the process it is loaded in.
+    The check runs in a separate process, because a GL library without a display can terminate its process.
+
+    Returns:
+        An empty string if rendering works, otherwise the reason.
     """
     if os.environ.get("MUJOCO_GL") == "disable":
         return "MUJOCO_GL is disable, as it is by default where there is neither a display nor EGL"
@@ -42,7 +45,7 @@ def can_render() -> str:
 
 
 def has_display() -> bool:
-    """Whether a window can be opened here."""
+    """Whether a window can be opened on this machine."""
     import glfw
 
     with warnings.catch_warnings():
@@ -53,9 +56,19 @@ def has_display() -> bool:
 def frames(
     scene: Scene, qpos: Float[np.ndarray, "T nq"], *, width: int = 640, height: int = 480, distance: float = 3.6
 ) -> Iterator[Shaped[np.ndarray, "height width 3"]]:
-    """Draw configurations ``qpos`` from behind and above the robot; yields uint8.
+    """Render configurations, seen obliquely from above.
 
-    The camera follows the robot's position smoothly and does not turn with it, so that motion stays readable.
+    The camera follows the robot's position smoothly. It does not rotate with the robot.
+
+    Args:
+        scene: scene to render.
+        qpos: configurations, one per image.
+        width: image width [pixels].
+        height: image height [pixels].
+        distance: distance of the camera from the robot [m].
+
+    Yields:
+        One uint8 RGB image per configuration.
     """
     model = scene.model
     data = mujoco.MjData(model)
@@ -78,17 +91,26 @@ def frames(
 
 
 def _plain(renderer: mujoco.Renderer) -> None:
-    """No shadows and reflections: the shadow map is coarse and leaves speckles, and each draws the scene once more."""
+    """Switch off shadows, which cause speckles, and reflections; each would render the scene once more."""
     for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
         renderer.scene.flags[flag] = 0
 
 
 def overview(scene: Scene, width: int = 1280, height: int = 720) -> Shaped[np.ndarray, "height width 3"]:
-    """The whole scene as it starts, seen from above at an angle; uint8."""
+    """Render the whole scene in its initial configuration, seen obliquely from above.
+
+    Args:
+        scene: scene to render.
+        width: image width [pixels].
+        height: image height [pixels].
+
+    Returns:
+        RGB image, uint8.
+    """
     model, data = scene.model, mujoco.MjData(scene.model)
     data.qpos[:] = scene.qpos0
     mujoco.mj_forward(model, data)
-    # The floor is endless: what counts is where bodies and walls are.
+    # The floor is infinite, so the view is fitted to the bodies and walls.
     places = np.concatenate([data.xpos[model.body_weldid > 0, :2], data.geom_xpos[sorted(scene.wall_geoms), :2]])
     low, high = places.min(axis=0), places.max(axis=0)
     camera, options = mujoco.MjvCamera(), mujoco.MjvOption()

@@ -1,6 +1,6 @@
-"""A ball-balancing robot with two arms: its nominal numbers, read from its MJCF by names, and its kinematics.
+"""Nominal parameters and kinematics of a ball-balancing robot with two arms, read from its MJCF by name.
 
-The low-level control knows nominal values only: what the MJCF says, never what an engine's randomised model holds.
+The low-level control uses only these nominal values, never those of a randomised or perturbed model.
 """
 
 from __future__ import annotations
@@ -22,52 +22,66 @@ _ARM_JOINTS = ("shoulder_yaw", "shoulder_pitch", "elbow")
 ACTUATORS = ("drive_x", "drive_y", "drive_z", *(f"{side}_{joint}" for side in _SIDES for joint in _ARM_JOINTS))
 """Motors of a robot, in the order of `lowlevel.control`'s torques."""
 _BALL, _ARMS = (slice(7, 11), slice(6, 9)), (slice(11, 17), slice(9, 15))
-"""Where the ball's and the arms' joints stand in qpos and qvel, after the root's; `Robot.from_mjcf` sees to it."""
+"""Slices of the ball's and the arms' joints in (qpos, qvel); `Robot.from_mjcf` checks them."""
 NQ, NV = 17, 15
-"""Length of a robot's qpos and qvel, which come before those of everything else in a world."""
+"""Number of the robot's entries in qpos and qvel. They are the first entries in every world."""
 
 
 @dataclass(frozen=True)
 class Robot:
-    """Nominal robot, SI units."""
+    """Nominal robot parameters, SI units. "Body" is the torso without the arms."""
 
     mjcf: Path
-    """File that it was read from."""
+    """MJCF file from which the parameters are read."""
     ball_radius: float
+    """Radius of the ball [m]."""
     ball_mass: float
+    """Mass of the ball [kg]."""
     body_mass: float
+    """Mass of the body [kg]."""
     body_com_height: float
-    """Height of the body's CoM (without arms) above the ball's centre."""
+    """Height of the body's CoM above the ball's centre [m]."""
     body_inertia: tuple[float, float, float]
-    """Principal moments about the body's CoM."""
+    """Principal moments of inertia about the body's CoM [kg m^2]."""
     torso: tuple[float, float]
-    """Ends of the axis of the capsule that encloses the torso, above the ball's centre."""
+    """Lower and upper end of the axis of the torso's bounding capsule, above the ball's centre [m]."""
     radius: float
-    """Of that capsule."""
+    """Radius of the torso's bounding capsule [m]."""
     shoulder: tuple[float, float, float]
-    """Left shoulder in the body frame (origin at the ball's centre); the right one mirrors y."""
+    """Left shoulder in the body frame (origin at the ball's centre) [m]. The right shoulder mirrors y."""
     upper_arm: float
+    """Length of the upper arm [m]."""
     forearm: float
+    """Length of the forearm [m]."""
     arm_radius: float
+    """Radius of the arm's capsules [m]."""
     hand_radius: float
+    """Radius of the hand's sphere [m]."""
     upper_arm_mass: float
+    """Mass of one upper arm [kg]."""
     forearm_mass: float
+    """Mass of one forearm [kg]."""
     hand_mass: float
+    """Mass of one hand [kg]."""
     drive_limit: float
-    """Roll and pitch torque limit between body and ball."""
+    """Largest roll and pitch torque between body and ball [N m]."""
     drive_coulomb: float
+    """Coulomb friction torque between body and ball [N m]."""
     drive_viscous: float
-    """Drive friction between body and ball [N m, N m s/rad]."""
+    """Viscous friction between body and ball [N m s/rad]."""
 
     @classmethod
     def from_mjcf(cls, path: Path) -> Robot:
-        """The robot of an MJCF file with the bodies, joints, geoms and motors of models_xml/shmoobot.xml.
+        """Read the robot from an MJCF file.
+
+        Args:
+            path: file with the names of bodies, joints, geoms and motors of models_xml/shmoobot.xml.
 
         Raises:
-            ShmooError: the file is no MJCF, a name is missing, the joints or motors are in another order, or the right
-                arm is not the left one's mirror image.
+            ShmooError: the file is not valid MJCF, a name is missing, the joints or motors are in another order, or
+                the right arm is not the mirror image of the left one.
         """
-        # Here, so that whoever imports the kinematics does not load a simulator.
+        # A local import: users of the kinematics alone need not load the simulator.
         import mujoco
 
         try:
@@ -87,7 +101,7 @@ class Robot:
             raise ShmooError(f"{path}: the right arm must mirror the left one (place, lengths, masses and radii).")
         body, hull, drive = model.body("torso"), model.geom("torso_hull"), model.joint("ball")
         shoulder, (upper_arm, forearm, *masses), radii = left[:3], left[3:8], left[8:]
-        # MuJoCo keeps a capsule's middle and half length; rounded, their sum is what the file says.
+        # MuJoCo stores a capsule's centre and half length. Rounding recovers the end points of the file.
         bottom, top = (round(float(hull.pos[2] + sign * hull.size[1]), 9) for sign in (-1, 1))
         return cls(
             mjcf=path,
@@ -113,9 +127,10 @@ class Robot:
 
     @property
     def flatness(self) -> tuple[float, float, float]:
-        """(a, b, c) of one linearised plane, a x'' + b phi'' = c phi, arms folded near the body's CoM.
+        """Coefficients (a, b, c) of the linearised dynamics of one plane, a x'' + b phi'' = c phi.
 
-        The flat output is S = x + (b/a) phi and phi = (a/c) S''.
+        The arms count as point masses at the body's CoM, which approximates folded arms. The flat output is
+        S = x + (b/a) phi, and phi = (a/c) S''.
         """
         m, height, r = self.upper_mass, self.body_com_height, self.ball_radius
         total = m + self.ball_mass * (1 + 2 / 5)  # a solid ball's I / r^2
@@ -124,7 +139,7 @@ class Robot:
 
     @property
     def upper_mass(self) -> float:
-        """Mass of everything above the ball."""
+        """Mass of body, arms and hands [kg]."""
         return self.body_mass + 2 * (self.upper_arm_mass + self.forearm_mass + self.hand_mass)
 
     @property
@@ -134,7 +149,7 @@ class Robot:
         return np.array([(x, y, z), (x, -y, z)])
 
     def hand_in_body(self, arms: Float[Array, "... 2 3"]) -> Float[Array, "... 2 3"]:
-        """Hand centres in the body frame from joint angles."""
+        """Forward kinematics: hand centres in the body frame [m] from joint angles [rad]."""
         xp = se2.array_module(arms)
         yaw, pitch, fore = arms[..., 0], arms[..., 1], arms[..., 1] + arms[..., 2]
         out = self.upper_arm * xp.cos(pitch) + self.forearm * xp.cos(fore)
@@ -142,7 +157,7 @@ class Robot:
         return self.shoulders + se2.stack(out * xp.cos(yaw), out * xp.sin(yaw), -down)
 
     def arm_angles(self, hands: Float[np.ndarray, "2 3"]) -> Float[np.ndarray, "2 3"]:
-        """Joint angles that put the hands (body frame) there, elbows up: inverts `hand_in_body`."""
+        """Inverse kinematics: elbow-up joint angles [rad] for hand centres in the body frame [m]."""
         x, y, z = (hands - self.shoulders).T
         out, l1, l2 = np.hypot(x, y), self.upper_arm, self.forearm
         elbow = -np.arccos(np.clip((out * out + z * z - l1 * l1 - l2 * l2) / (2 * l1 * l2), -1.0, 1.0))
@@ -150,7 +165,7 @@ class Robot:
         return np.stack([np.arctan2(y, x), pitch, elbow], axis=-1)
 
     def arm_jacobian(self, arms: Float[Array, "... 2 3"]) -> Float[Array, "... 2 3 3"]:
-        """d hand / d joint angles (arm, x y z, joint) in the body frame."""
+        """Jacobian of the hand centres in the body frame with axes (arm, x y z, joint) [m/rad]."""
         xp = se2.array_module(arms)
         yaw, pitch, fore = arms[..., 0], arms[..., 1], arms[..., 1] + arms[..., 2]
         l1, l2 = self.upper_arm, self.forearm
@@ -167,7 +182,7 @@ class Robot:
         return se2.stack(*columns)
 
     def com_offset(self, arms: Float[Array, "... 2 3"]) -> Float[Array, "... 2"]:
-        """Horizontal CoM of body and arms in the body frame [m]: what the CoM feed-forward subtracts."""
+        """Horizontal CoM of body and arms in the body frame [m]. The CoM feed-forward uses it."""
         xp = se2.array_module(arms)
         yaw, pitch, fore = arms[..., 0], arms[..., 1], arms[..., 1] + arms[..., 2]
         l1, l2 = self.upper_arm, self.forearm
@@ -179,8 +194,10 @@ class Robot:
 
 
 def _arm(model: Any, side: str) -> np.ndarray:
-    """Shoulder (x, y, z), lengths of upper arm and forearm, masses of upper arm, forearm and hand, radii of arm and
-    hand ``[10]``."""
+    """Parameters of one arm, ``[10]``.
+
+    Shoulder (x, y, z), lengths of upper arm and forearm, masses of upper arm, forearm and hand, radii of arm and hand.
+    """
     parts = [model.body(f"{side}_{part}") for part in ("upper_arm", "forearm", "hand")]
     lengths = [parts[1].pos[0], parts[2].pos[0]]
     radii = [model.geom(f"{side}_{part}").size[0] for part in ("upper_arm", "hand")]
@@ -204,26 +221,26 @@ def shmoobot() -> Robot:
 
 
 class RobotState(NamedTuple):
-    """The robot's state in the frames the control works in."""
+    """Robot state in the frames that the low-level control uses."""
 
     pose: Float[Array, "... 3"]
-    """Of {R} in {W}."""
+    """Pose (x, y, yaw) of {R} in {W} [m, rad]."""
     twist: Float[Array, "... 3"]
-    """Of {R} in {W}."""
+    """Twist (vx, vy, yaw rate) of {R} in {W} [m/s, rad/s]."""
     rotation: Float[Array, "... 3 3"]
     """Body axes in the levelled robot frame {R} (columns)."""
     lean: Float[Array, "... 2"]
     """Lean of the body axis towards +x, +y of {R} [rad]."""
     lean_rate: Float[Array, "... 2"]
-    """[rad/s]"""
+    """Lean rate [rad/s]."""
     drive_rate: Float[Array, "... 3"]
     """Angular velocity of the ball relative to the body, in the body frame [rad/s]."""
     height: Float[Array, "..."]
-    """Of the ball's centre above the floor [m]."""
+    """Height of the ball's centre above the floor [m]."""
     arms: Float[Array, "... 2 3"]
     """Joint angles (left, right) x (yaw, pitch, elbow) [rad]."""
     arm_rates: Float[Array, "... 2 3"]
-    """[rad/s]"""
+    """Joint rates (left, right) x (yaw, pitch, elbow) [rad/s]."""
 
 
 def quat_rotate(quat: Float[ArrayT, "... 4"], vector: Float[ArrayT, "... 3"]) -> Float[ArrayT, "... 3"]:
@@ -234,7 +251,7 @@ def quat_rotate(quat: Float[ArrayT, "... 4"], vector: Float[ArrayT, "... 3"]) ->
 
 
 def _cross(a: ArrayT, b: ArrayT) -> list[Any]:
-    # numpy.cross costs ten times as much for one vector, and this runs at 500 Hz.
+    # This runs at 500 Hz, and numpy.cross takes ten times as long for a single vector.
     return [
         a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
         a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2],
@@ -253,23 +270,24 @@ def _matrix(quat: ArrayT) -> ArrayT:
 
 
 def arm_joints(qpos: Float[ArrayT, "... nq"]) -> Float[ArrayT, "... 2 3"]:
-    """Angles of the arms' joints in a qpos of NQ or more."""
+    """Joint angles of the arms (left, right) x (yaw, pitch, elbow) [rad] in a qpos with at least NQ entries."""
     return se2.array_module(qpos).reshape(qpos[..., _ARMS[0]], (*qpos.shape[:-1], 2, 3))
 
 
 def with_arms(qpos: Float[np.ndarray, "nq"], arms: Float[np.ndarray, "2 3"]) -> Float[np.ndarray, "nq"]:
-    """A copy of a qpos of NQ or more with these angles of the arms' joints."""
+    """Copy of a qpos with at least NQ entries, with the arms' joint angles replaced by ``arms`` [rad]."""
     qpos = qpos.copy()
     qpos[_ARMS[0]] = arms.ravel()
     return qpos
 
 
 def readout(qpos: Float[Array, "... nq"], qvel: Float[Array, "... nv"]) -> RobotState:
-    """Robot state from MuJoCo's generalised coordinates of the robot: root, ball, arms; what follows is not read.
+    """Robot state from MuJoCo's generalised coordinates and velocities.
 
     Args:
-        qpos: NQ or more.
-        qvel: NV or more; MuJoCo gives the angular velocity of free and ball joints in the child's own frame.
+        qpos: coordinates; the first NQ entries are the robot's (root, ball, arms), others are ignored.
+        qvel: velocities; the first NV entries are the robot's. MuJoCo gives the angular velocity of free and ball
+            joints in the child body's frame.
     """
     xp = se2.array_module(qpos, qvel)
     body = _matrix(qpos[..., 3:7])

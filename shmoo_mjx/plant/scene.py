@@ -1,4 +1,4 @@
-"""Puts robot, objects and walls into one MuJoCo model."""
+"""Builds one MuJoCo model from robot, objects and walls."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from shmoo_mjx.plant.objects import object_spec
 from shmoo_mjx.plant.robot import Robot, arm_joints, shmoobot, with_arms
 
 WALL_HEIGHT = 1.3
-"""How high a wall stands in the physics [m]: higher than the robot."""
+"""Height of the simulated walls [m], above the robot's height."""
 
 _HANDS = ("left_hand", "right_hand")
-# The geoms of each part that collide.
+# Colliding geoms of each part.
 _SHAPES = {
     "torso": ("torso_hull",),
     "ball": ("ball",),
@@ -31,9 +31,9 @@ _SHAPES = {
     "right_hand": ("right_hand",),
 }
 PARTS = tuple(_SHAPES)
-"""Parts of the robot that a contact is told by; an arm is its upper arm and forearm."""
-_RARE_BIT = 8  # models_xml/shmoobot.xml says what each bit is for
-_FOUND = 1 << 0  # mjCONDATA bit: how many contacts
+"""Parts of the robot for which wall contacts are reported. An arm consists of upper arm and forearm."""
+_RARE_BIT = 8  # models_xml/shmoobot.xml explains the bits
+_FOUND = 1 << 0  # mjCONDATA bit: number of contacts
 _FORCE_TORQUE_POSITION = (1 << 1) | (1 << 2) | (1 << 4)  # mjCONDATA bits of a contact sensor: force, torque, pos
 _NET_FORCE = 3  # mjREDUCE: one wrench for all contacts of a pair, in {W}
 _FRAME = (1 << 5) | (1 << 6)  # mjCONDATA bits: normal, tangent
@@ -42,48 +42,53 @@ _NEAREST = 1  # mjREDUCE: the deepest contact of a pair, in its own frame
 
 @dataclass(frozen=True)
 class Scene:
-    """A compiled world and where things stand in its arrays."""
+    """A compiled world, with the indices of its parts in MuJoCo's arrays."""
 
     model: mujoco.MjModel
+    """Compiled model."""
     conditions: tuple[Condition, ...]
+    """Condition of each object."""
     object_qpos: Int[np.ndarray, "N"]
     """First index of each object's free joint in qpos."""
     object_qvel: Int[np.ndarray, "N"]
-    """The same in qvel."""
+    """First index of each object's free joint in qvel."""
     contact_sensor: Int[np.ndarray, "N 2"]
-    """First index in sensordata of (force, torque, position) of object x hand (left, right)."""
+    """First index in sensordata of (force, torque, position), for each object and hand (left, right)."""
     part_of_geom: Int[np.ndarray, "ngeom"]
-    """Index into PARTS of each of the robot's shapes that collide, -1 for all other geoms."""
+    """Index into PARTS for the robot's colliding geoms, -1 for all other geoms."""
     wall_geoms: frozenset[int]
+    """Ids of the walls' geoms."""
     wall_sensor: Int[np.ndarray, "P 2"] | Int[np.ndarray, "P 0"]
-    """Index in sensordata of how many contacts with walls each of PARTS has, for both of its geoms (the same
-    twice if it has one); none without walls, and for MJX, whose sensors know no bodies."""
+    """Index in sensordata of the number of wall contacts, for both geoms of each of PARTS (twice the same index if a
+    part has one geom). Empty without walls and for MJX, whose contact sensors do not support bodies."""
     qpos0: Float[np.ndarray, "nq"]
-    """Starting configuration."""
+    """Initial configuration."""
     robot: Robot
-    """Nominal: what ``adjust`` changed is not in it."""
+    """Nominal robot, without the changes that ``adjust`` makes."""
     spec: mujoco.MjSpec | None
-    """Of robot, objects and their sensors, without walls; None in a copy, which MuJoCo can't make of it."""
+    """Specification of robot, objects and their sensors, without walls. None in a pickled copy, because MuJoCo can't
+    copy it."""
     walls: Float[np.ndarray, "K 4"]
-    """Boxes (centre x, centre y, half length x, half length y): centres in {W}, lengths along the map's axes [m]."""
+    """Boxes (centre x, centre y, half length x, half length y) [m]; centres in {W}, lengths along the map's axes."""
     wall_yaw: float = 0.0
-    """Yaw of the map's axes [rad]."""
+    """Yaw of the map's axes in {W} [rad]."""
     framed: bool = False
-    """Whether the sensors report in the contact's own frame, with normal and tangent after the position: MJX knows no
-    net wrench. A hand, being a sphere, has one contact with a convex hull, so that the two agree."""
+    """Whether the hands' contact sensors report in the contact frame, with normal and tangent after the position. MJX
+    offers no net wrench. A hand is a sphere and has one contact with a convex hull, so both forms agree."""
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"spec": None}
 
     def model_near(self, places: Float[np.ndarray, "n 2"], reach: Float[np.ndarray, "n"]) -> mujoco.MjModel:
-        """The same world with those walls alone that lie within ``reach`` of some of ``places``, and none drawn.
+        """Compile the same world with nearby walls only, and without drawn walls.
 
-        States and sensors are laid out as in ``model``, and while nothing moves farther than ``reach`` the physics is
-        the same. MuJoCo looks at every wall in every step, so that a building's thousands would take most of the time.
+        MuJoCo checks every wall in every step, so the thousands of walls of a building would dominate the run time.
+        States and sensors have the same layout as in ``model``. The physics is the same as long as nothing moves
+        farther than ``reach``.
 
         Args:
-            places: in {W} [m].
-            reach: of each [m].
+            places: points in {W} [m].
+            reach: distance from each point within which walls are kept [m].
         """
         assert self.spec is not None, "a copied scene has its whole model alone"
         spec = self.spec.copy()
@@ -94,7 +99,7 @@ class Scene:
         return spec.compile()
 
     def placed(self, robot_pose: Any, object_poses: Any) -> Float[np.ndarray, "nq"]:
-        """The starting configuration with robot and objects at other poses (x, y, yaw) in {W}."""
+        """Initial configuration with robot and objects at the given poses (x, y, yaw) in {W} [m, rad]."""
         qpos = self.qpos0.copy()
         qpos[:7] = _free(robot_pose, qpos[2])
         qpos[3:7] = _balanced(self.robot, qpos[3:7], arm_joints(qpos))
@@ -114,20 +119,20 @@ def build_scene(
     robot: Robot | None = None,
     adjust: Callable[[mujoco.MjSpec], None] = lambda spec: None,
 ) -> Scene:
-    """A scene of a robot, ``objects`` at their (x, y, yaw) in {W}, and walls.
+    """Build a scene of one robot, objects and walls.
 
     Args:
-        objects: (condition, pose) of each object.
-        robot_pose: (x, y, yaw) of {R} in {W} [m, rad].
-        walls: boxes (centre x, centre y, half length x, half length y) in the map's axes [m].
-        wall_yaw: yaw of the map's axes [rad]; centres are already in {W}.
-        wall_height: to which the walls are drawn [m]; in the physics they are WALL_HEIGHT high.
-        engine: which engine's contact sensors to build. The physics is the same until the robot falls, an object
-            topples, or an arm or the ball touches an object: these contacts are left out for MJX, which computes every
-            contact that could be.
-        robot: Shmoobot by default.
-        adjust: last changes to the MJCF before it is compiled, in place (plant/perturbation.py makes another robot this
-            way).
+        objects: condition and pose (x, y, yaw) in {W} [m, rad] of each object.
+        robot_pose: pose (x, y, yaw) of {R} in {W} [m, rad].
+        walls: boxes (centre x, centre y, half length x, half length y) [m]; centres in {W}, lengths along the map's
+            axes.
+        wall_yaw: yaw of the map's axes in {W} [rad].
+        wall_height: height to which walls are drawn [m]. Simulated walls have the height WALL_HEIGHT.
+        engine: engine for which contact sensors are built. MJX computes every possible contact, so for MJX some rare
+            contacts are removed: those of a fallen robot or object with the floor, and those of an arm or the ball with
+            an object. In all other situations the physics is the same.
+        robot: robot, by default Shmoobot.
+        adjust: function that changes the MJCF in place before it is compiled (used by plant/perturbation.py).
     """
     framed, robot = engine == "mjx", robot or shmoobot()
     boxes = np.array(walls, dtype=float).reshape(-1, 4)
@@ -139,7 +144,7 @@ def build_scene(
     if framed:
         _drop_idle_contacts(spec)
     else:
-        # Objects at rest cost nothing until something touches them.
+        # With sleeping enabled, objects at rest cost no time until something touches them.
         spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
     adjust(spec)
     whole = spec.copy()
@@ -151,13 +156,13 @@ def build_scene(
 
 
 def _add_hand_sensors(spec: mujoco.MjSpec, index: int, framed: bool) -> None:
-    """What object ``index`` feels of each arm: hand and arm together in C, the hand alone in MJX."""
+    """Add sensors of the contact between object ``index`` and each arm: the whole arm in C, only the hand in MJX."""
     for hand in _HANDS:
         arm = hand.replace("hand", "upper_arm")
         spec.add_sensor(
             name=f"object{index}/{hand}",
             type=mujoco.mjtSensor.mjSENS_CONTACT,
-            # An "xbody" is a body with all that hangs on it.
+            # An "xbody" is a body together with all its descendants.
             objtype=mujoco.mjtObj.mjOBJ_GEOM if framed else mujoco.mjtObj.mjOBJ_XBODY,
             objname=f"robot/{hand if framed else arm}",
             reftype=mujoco.mjtObj.mjOBJ_GEOM,
@@ -174,9 +179,15 @@ def _add_walls(
     drawn: float | None = None,
     sensors: bool = True,
 ) -> None:
-    """Walls on a body of their own, and sensors of which parts of the robot touch it.
+    """Add a body with the walls, and sensors for the contacts between it and the robot's parts.
 
-    They are drawn ``drawn`` high, lower than they are, so that one sees into the rooms; None: not at all.
+    Args:
+        spec: specification to change.
+        walls: boxes, see :attr:`Scene.walls`.
+        yaw: yaw of the map's axes in {W} [rad].
+        drawn: height to which walls are drawn [m], below their real height so that rooms stay visible. None draws no
+            walls.
+        sensors: whether to add the sensors.
     """
     body = spec.worldbody.add_body(name="walls")
     box = {"type": mujoco.mjtGeom.mjGEOM_BOX, "euler": [0, 0, yaw], "contype": 0, "material": "wall"}
@@ -199,7 +210,7 @@ def _add_walls(
 
 
 def _drop_idle_contacts(spec: mujoco.MjSpec) -> None:
-    """Body and hull against floor, arms and ball against hull: contacts that are open in any ordinary push."""
+    """Disable contacts that no ordinary push makes: torso and hull with the floor, arms and ball with the hull."""
     for geom in spec.geoms:
         if geom.name.endswith("hull"):
             geom.contype &= ~1
@@ -248,14 +259,14 @@ def _index(
 
 
 def _folded_arms(robot: Robot) -> np.ndarray:
-    """Joint angles ``[2, 3]`` with the hands where the control holds them folded: a world starts without a swing."""
+    """Joint angles ``[2, 3]`` [rad] of the control's folded posture, so that the arms do not swing at the start."""
     flat = hand_targets(np.array(0.0), np.array(TUCKED_REACH))
     height = np.full((2, 1), TUCKED_HEIGHT - robot.ball_radius)
     return robot.arm_angles(np.concatenate([flat, height], axis=-1))
 
 
 def _balanced(robot: Robot, quat: np.ndarray, arms: np.ndarray) -> np.ndarray:
-    """Lean the body back until its CoM with the arms is above the ball, as the control's feed-forward does."""
+    """Lean the body back so that the CoM of body and arms is above the ball, like the control's feed-forward."""
     lean = -robot.com_offset(arms)[0] / robot.body_com_height
     out = np.empty(4)
     mujoco.mju_mulQuat(out, quat, np.array([np.cos(lean / 2), 0.0, np.sin(lean / 2), 0.0]))

@@ -1,6 +1,6 @@
-"""Bench trials of the robot and of single objects: what tests, figures and the settling survey share.
+"""Bench trials of the robot and of single objects, shared by tests, figures and the settling survey.
 
-Nothing here takes part in a run. Pushes come from outside instead of from the hands.
+Runs do not use this module. Objects are pushed by external wrenches instead of the hands.
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ class Track(NamedTuple):
     """Planar motion of an object, sampled at every physics step."""
 
     time: Float[np.ndarray, "T"]
-    """[s]"""
+    """Time since the start [s]."""
     pose: Float[np.ndarray, "T 3"]
-    """Of {O} in {W}; yaw not wrapped."""
+    """Pose (x, y, yaw) of {O} in {W} [m, rad]; yaw is unwrapped."""
     twist: Float[np.ndarray, "T 3"]
-    """Its derivative, in {W}."""
+    """Twist in {W} [m/s, rad/s]."""
 
 
 def object_alone(condition: Condition) -> mujoco.MjModel:
-    """The object by itself on the floor of models_xml/scene.xml."""
+    """Model of a single object on the floor of models_xml/scene.xml."""
     spec = mujoco.MjSpec.from_file(str(asset("models_xml/scene.xml")))
     spec.attach(object_spec(condition), prefix="object0/", frame=spec.worldbody.add_frame())
     return spec.compile()
 
 
 def settled(model: mujoco.MjModel, seconds: float = 0.5) -> mujoco.MjData:
-    """The object after standing still for ``seconds``."""
+    """State of the object after it has settled on the floor for ``seconds`` [s]."""
     data = mujoco.MjData(model)
     for _ in range(round(seconds / model.opt.timestep)):
         mujoco.mj_step(model, data)
@@ -48,7 +48,7 @@ def settled(model: mujoco.MjModel, seconds: float = 0.5) -> mujoco.MjData:
 
 
 def release(data: mujoco.MjData, twist: Float[np.ndarray, "3"]) -> None:
-    """Give the object the planar twist in {W}, its wheels at rest."""
+    """Set the object's planar twist in {W} [m/s, rad/s]; the wheels' velocities stay as they are."""
     data.qvel[:2], data.qvel[5] = twist[:2], twist[2]
 
 
@@ -61,15 +61,15 @@ def pushed(
     height: float = 0.1,
     follow: bool = False,
 ) -> Track:
-    """Apply a planar wrench at the centre of {O} and record the motion. ``data`` is advanced in place.
+    """Apply a planar wrench at the centre of {O} and record the motion.
 
     Args:
-        model: as :func:`object_alone` gives it.
-        data: state to start from.
-        wrench: constant or per step: fx, fy [N], tz [N m].
-        seconds: duration.
-        height: of the point of application above the floor [m].
-        follow: the wrench is given in {O} and turns with the object, else in {W}.
+        model: model from :func:`object_alone`.
+        data: initial state, advanced in place.
+        wrench: wrench (fx, fy, tz) [N, N m], constant or per physics step.
+        seconds: duration [s].
+        height: height of the point of application above the floor [m].
+        follow: if True, the wrench is given in {O} and rotates with the object; otherwise it is given in {W}.
     """
     steps = round(seconds / model.opt.timestep)
     wrenches = np.broadcast_to(wrench, (steps, 3))
@@ -104,7 +104,16 @@ def command(
     reach: float = TUCKED_REACH,
     hand_height: float = TUCKED_HEIGHT,
 ) -> Command:
-    """The same command for W worlds, but for leans and yaws that are given for each."""
+    """Command for W worlds; lean and yaw can differ between worlds.
+
+    Args:
+        worlds: number of worlds W.
+        lean: lean towards +x, +y of {R} [rad].
+        gamma: steering angle [rad].
+        yaw: heading to hold [rad].
+        reach: reach of the hands [m].
+        hand_height: height of the hands above the floor [m].
+    """
     u = np.zeros((worlds, 3))
     u[:, :2], u[:, 2] = lean, gamma
     return Command(u, np.broadcast_to(yaw, worlds).astype(float), np.full(worlds, reach), np.full(worlds, hand_height))
@@ -121,20 +130,21 @@ def drive(
     arms: Callable[[float], tuple[float, float]] = lambda time: (TUCKED_REACH, TUCKED_HEIGHT),
     sensor_noise: tuple[np.random.Generator, float, float] | None = None,
 ) -> tuple[Observation, Bool[np.ndarray, "W"]]:
-    """Run the velocity loop of the cascade on every world of ``engine``.
+    """Run the outer velocity loop on every world of ``engine``.
 
     Args:
-        engine: any batch of worlds, on either engine, with senses or without.
-        seconds: duration.
-        velocity: wish in {R} [m/s] over time.
-        station: gain of station keeping at the origin [1/s]; 0 is off.
-        push: wrench on the torso over time, or None.
+        engine: either engine, with or without simulated sensing.
+        seconds: duration [s].
+        velocity: function of time [s] that gives the desired velocity in {R} [m/s].
+        station: gain of station keeping at the origin [1/s]; 0 switches it off.
+        push: function of time [s] that gives force and torque on the torso in {W} [N, N m], or None.
         yaw: heading to hold [rad].
-        arms: (reach, hand height) over time [m].
-        sensor_noise: (generator, standard deviation of velocity [m/s], of lean rate [rad/s]) of the outer loop.
+        arms: function of time [s] that gives reach and hand height [m].
+        sensor_noise: random generator, and the outer loop's noise as standard deviations of velocity [m/s] and lean
+            rate [rad/s].
 
     Returns:
-        Observations stacked over time ``[T, W, ...]`` and whether each world ended fallen.
+        Observations stacked over time ``[T, W, ...]``, and whether each world's robot has fallen at the end.
     """
     world = engine.init()
     observed = _numpy(engine.observe(world))

@@ -1,4 +1,4 @@
-"""Simulated sensing: camera, odometry, touch and tracker between the plant and everything else."""
+"""Simulated sensing (camera, odometry, touch and tracker): turns true states into the robot's observations."""
 
 from __future__ import annotations
 

@@ -1,10 +1,11 @@
-"""Simulated camera on the torso: which tags on objects it detects, and with which noise.
+"""Simulated torso camera: which objects it detects by their tags, and with which noise.
 
-An object carries a tag at each corner of its top. A tag lies flat enough to be read from all sides, and the camera
-looks down on every object of ours, so that an object hides other objects' tags and never its own. Walls hide whatever
-is behind them, however low they are simulated. An object is detected in a frame if one of its tags is seen: one
-AprilTag gives a whole pose. Neither arms and hands nor the camera's field of view up and down are looked at, and
-lean is taken to be compensated by the inertial unit.
+Every object has a tag at each corner of its top. The tags lie flat and can be read from all sides. An object is
+detected in a frame if at least one of its tags is visible, because one AprilTag gives the full pose.
+
+Occlusion: the camera is higher than every shipped object, so an object occludes the tags of other objects but never its
+own. Walls occlude everything behind them, independent of their simulated height. The model ignores occlusion by arms
+and hands and the vertical field of view. It assumes that the inertial unit compensates lean.
 """
 
 from __future__ import annotations
@@ -22,48 +23,55 @@ from shmoo_mjx.sensing.rays import hidden
 
 _CORNERS = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
 _INSET = 0.9
-"""Of the footprint's half extents: where a tag's centre is, which has to be seen."""
+"""Position of a tag's centre as a fraction of the footprint's half extents. The centre must be visible."""
 
 
 _FAR_AWAY = 1e6
-"""Where walls without size stand that fill up an array [m]."""
+"""Coordinate of the zero-size walls that pad an array [m]."""
 _WAY = 1.0
-"""How far a robot may move while its near walls stay the same [m]."""
+"""Largest motion of the robot during which the selection of near walls stays valid [m]."""
 
 
 @dataclass(frozen=True)
 class Camera:
-    """An RGB-D camera of the RealSense D435 class that reads AprilTags of some 10 cm; judged where no source stands."""
+    """RGB-D camera of the RealSense D435 class that reads AprilTags of about 10 cm.
+
+    Values without a stated source are estimates.
+    """
 
     field_of_view: float = float(np.deg2rad(69.0))
-    """Width of the field of view [rad]: the D435's colour image. Wider: sees more beside the robot."""
+    """Horizontal field of view [rad]; the default is that of the D435's colour image. Larger values see more beside the
+    robot."""
     near: float = 0.3
-    """Nearest distance on the floor at which a tag is found [m]: the D435's least depth. Larger: no detection while
-    pushing."""
+    """Smallest horizontal distance at which a tag is detected [m]; the default is the D435's minimum depth. Larger
+    values prevent detections while pushing."""
     far: float = 4.0
-    """Farthest one [m]: a tag of 10 cm is then some 16 pixels wide. Larger: objects are known earlier."""
+    """Largest horizontal distance at which a tag is detected [m]; a tag of 10 cm is about 16 pixels wide at 4 m. Larger
+    values detect objects earlier."""
     rate: float = 30.0
-    """Frames per second [Hz]. Higher: less noise once filtered, more computing."""
+    """Frame rate [Hz]. Larger values reduce the filtered noise and need more computing time."""
     delay: tuple[float, float] = (0.02, 0.04)
-    """Range from which the age of a frame on arrival is drawn for each robot [s]: exposure, transfer, finding tags.
-    Longer: poses of what moves are guessed further ahead."""
+    """Range of a frame's age on arrival [s], drawn per robot: exposure, transfer and tag detection. With a longer
+    delay, poses of moving objects are extrapolated further."""
     position_noise: float = 0.005 / 1.5
-    """Standard deviation of a detected position over distance [m/m]: 5 mm at 1.5 m. More: noisier poses and twists."""
+    """Standard deviation of a detected position per distance [m/m]; the default gives 5 mm at 1.5 m. Larger values make
+    poses and twists noisier."""
     yaw_noise: float = float(np.deg2rad(0.5)) / 1.5
-    """Standard deviation of a detected yaw over distance [rad/m]: 0.5 deg at 1.5 m. More: noisier yaws and yaw
-    rates."""
+    """Standard deviation of a detected yaw per distance [rad/m]; the default gives 0.5 deg at 1.5 m. Larger values make
+    yaws and yaw rates noisier."""
     least_position_noise: float = 0.0015
-    """Least standard deviation of a position [m]: calibration and printing leave that however near the tag is."""
+    """Smallest standard deviation of a detected position [m], due to calibration and printing errors. It applies at
+    short distances."""
     least_yaw_noise: float = float(np.deg2rad(0.15))
-    """Least standard deviation of a yaw [rad], for the same reason."""
+    """Smallest standard deviation of a detected yaw [rad], for the same reason."""
     drop_out: float = 0.05
-    """Share of frames in which an object in sight is not found: blur and glare meet all its tags alike."""
+    """Fraction of frames in which a visible object is missed. Blur and glare affect all tags of an object together."""
     burst: float = 0.005
-    """Chance per frame that an object stays lost for ``burst_time``. More: longer times without its pose."""
+    """Probability per frame that an object is lost for ``burst_time``. Larger values lose objects more often."""
     burst_time: float = 0.4
-    """Duration of such a loss [s]. More: longer times without its pose."""
+    """Duration of such a loss [s]. Larger values lose objects for longer."""
     objects_hide: bool = True
-    """Whether objects hide what is behind them."""
+    """Whether objects occlude other objects."""
 
     def __post_init__(self) -> None:
         low, high = self.delay
@@ -84,22 +92,22 @@ class Camera:
 
 
 class Scenery(NamedTuple):
-    """Sizes and walls that lines of sight depend on. W worlds, N objects, K walls."""
+    """Geometry that determines lines of sight, for W worlds, N objects and K walls."""
 
     eye: Float[Array, "W 3"]
-    """The camera in {R}: x, y, and height above the floor [m]."""
+    """Position of the camera: x and y in {R}, and height above the floor [m]."""
     half_extents: Float[Array, "W N 2"]
-    """Of the objects' footprints [m]."""
+    """Half extents of the objects' footprints [m]."""
     tops: Float[Array, "W N"]
-    """The objects' heights [m]."""
+    """Heights of the objects [m]."""
     wall_pose: Float[Array, "W K 3"]
-    """In {W}."""
+    """Poses (x, y, yaw) of the walls in {W} [m, rad]."""
     wall_half: Float[Array, "W K 2"]
-    """[m]"""
+    """Half extents of the walls along their own axes [m]."""
 
 
 def scenery_of(scenes: list[Scene]) -> Scenery:
-    """The scenery of some worlds; where one has fewer walls than another, walls without size lie far away."""
+    """Scenery of several worlds. Worlds with fewer walls are padded with far-away walls of zero size."""
     most = max(len(s.walls) for s in scenes)
     pose, half = np.full((len(scenes), most, 3), [_FAR_AWAY, _FAR_AWAY, 0.0]), np.zeros((len(scenes), most, 2))
     eyes = []
@@ -114,10 +122,15 @@ def scenery_of(scenes: list[Scene]) -> Scenery:
 
 
 def near_walls(scenery: Scenery, camera: Camera, robot_pose: Float[np.ndarray, "W 3"]) -> Scenery:
-    """The scenery with those walls alone that can hide something from robots about there, for a sample time.
+    """Scenery with only the walls that can occlude something near the robots during one sample time.
 
-    Their number is filled up to 0, 16, 64, 256, ..., with walls without size far away: what is compiled for one number
-    serves others.
+    The number of walls is padded to 0, 16, 64, 256, ... with far-away walls of zero size, which limits the number of
+    recompilations.
+
+    Args:
+        scenery: scenery with all walls.
+        camera: camera, whose range selects the walls.
+        robot_pose: poses of the robots in {W} [m, rad].
     """
     x, y = (scenery.wall_pose[..., i] - robot_pose[:, None, i] for i in range(2))
     reach = scenery.wall_half.sum(axis=-1) + camera.far + _WAY
@@ -134,13 +147,13 @@ def near_walls(scenery: Scenery, camera: Camera, robot_pose: Float[np.ndarray, "
 def in_sight(
     camera: Camera, scenery: Scenery, robot_pose: Float[Array, "W 3"], object_pose: Float[Array, "W N 3"]
 ) -> Bool[Array, "W N"]:
-    """Whether some tag of each object is in the field of view, in range and not hidden.
+    """Whether at least one tag of each object is in the field of view, in range and not occluded.
 
     Args:
-        camera: its limits.
-        scenery: sizes and walls.
-        robot_pose: true, in {W}.
-        object_pose: true, in {W}.
+        camera: camera limits.
+        scenery: geometry of objects and walls.
+        robot_pose: true robot poses in {W} [m, rad].
+        object_pose: true object poses in {W} [m, rad].
     """
     xp = se2.array_module(robot_pose, object_pose)
     worlds, count = object_pose.shape[:2]

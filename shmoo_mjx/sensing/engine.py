@@ -1,7 +1,8 @@
-"""An engine behind a robot's senses: ``init() -> world``, ``step(world, command) -> world, what the robot perceives``.
+"""Engine with simulated sensing: ``init() -> world`` and ``step(world, command) -> world, sensed observation``.
 
-The world goes on while the controller computes: a command reaches the motors `Senses.computing` and the robot's own
-delay after the observation that it answers, and until then the last one is held.
+The world advances while the controller computes. A command reaches the motors after the computing time
+(`Senses.computing`) plus the robot's command delay, counted from the observation that it answers. Until then the motors
+follow the previous command.
 """
 
 from __future__ import annotations
@@ -32,66 +33,70 @@ from shmoo_mjx.types import DT, Command, Observation, Track
 
 _NEVER = np.iinfo(np.int64).max
 _WATCHDOG = 0.3
-"""Time without a command after which the low-level control brings the robot to rest by itself [s]."""
+"""Time without a command after which the watchdog of the low-level control stops the robot [s]."""
 _STATION = 0.5
-"""Gain with which it then keeps its place [1/s]: with zero velocity wished for, a CoM off the axis drifts at 7 cm/s."""
+"""Gain of the watchdog's station keeping [1/s]. With zero desired velocity alone, a robot whose CoM is off the axis
+drifts at 7 cm/s."""
 
 
 _watch = jax.jit(sensing.watch, static_argnames=("senses", "robot"))
 
 
 class PerfectState(NamedTuple):
-    """State of perfect senses: where each object was last in sight."""
+    """State of perfect sensing: the last visible pose of each object."""
 
     pose: Float[np.ndarray, "W N 3"]
-    """NaN before."""
+    """Pose in {W} when the object was last in sight [m, rad]; NaN if it never was."""
     at: Float[np.ndarray, "W N"]
-    """Tick, -inf before."""
+    """Tick of that time; -inf if the object was never in sight."""
 
 
 class SensedWorld(NamedTuple):
-    """Complete state: the true worlds, the commands on their way, and what the senses remember."""
+    """Complete state of W worlds: true states, delayed commands and sensor state."""
 
     truth: Any
-    """The engine's own state."""
+    """State of the underlying engine (ground truth)."""
     held: Command
-    """What the motors follow."""
+    """Command that the motors follow now."""
     pending: tuple[tuple[Int[np.ndarray, "W"], Command], ...]
-    """(tick of arrival, command), in the order in which they were sent."""
+    """Commands that have not arrived yet, as (tick of arrival, command), in the order of sending."""
     sensor_state: SensorState | PerfectState
+    """State of the simulated sensors."""
     contact: Float[np.ndarray, "W N 3"]
-    """True mean wrench over the last sample, in {W}."""
+    """True mean wrench on each object over the last step, in {W} [N, N m]."""
     wall_parts: Bool[np.ndarray, "W P"]
-    """Which of scene.PARTS touched a wall in the last sample time."""
+    """Which of scene.PARTS touched a wall during the last step."""
     ticks: int
+    """Time since the start, in ticks."""
     silent: int = 0
-    """Ticks since the last command ended."""
+    """Ticks since the end of the last step that had a command."""
     station: Float[np.ndarray, "W 2"] | None = None
-    """Where the watchdog keeps the robot [m], in {W}; None while commands come."""
+    """Position in {W} where the watchdog holds the robot [m]; None while commands arrive."""
 
     @property
     def wall_contact(self) -> Bool[np.ndarray, "W"]:
-        """Whether any did."""
+        """Whether any part of the robot touched a wall during the last step."""
         return np.asarray(self.wall_parts.any(axis=-1))
 
     @property
     def physics(self) -> Float[np.ndarray, "W n"]:
-        """MuJoCo's full physics state, for pictures."""
+        """MuJoCo's full physics state, for rendering."""
         return np.asarray(self.truth.physics)
 
 
 class SensedEngine:
-    """Steps W robots with their senses. Holds models, never state; leaving its ``with`` block closes it.
+    """Steps W worlds with simulated sensing. Holds models, never state. Can be used as a context manager.
 
     Args:
-        scenes: built with ``adjust=senses.adjust(seed)``.
-        senses: REAL, PERFECT or others.
-        seed: of the robot (body, delays, drift) and of all noise, one for all worlds or one for each. A world behaves
-            as it does alone with its seed. Worlds with the same seed have the same robot and different noise.
-        gains: of the low-level control, which knows nominal values only.
-        threads: as for :class:`~shmoo_mjx.plant.engine_mujoco.MujocoEngine`.
-        poses_known: whether the robot knows at the start where all objects stand, in sight or not.
-        backend: another engine in the place of C MuJoCo's, made of the same scenes.
+        scenes: one per world, built with ``adjust=senses.adjust(seed)``.
+        senses: sensing settings, such as REAL or PERFECT.
+        seed: seed of the robot (body, delays, drift) and of all noise, one for all worlds or one per world. The result
+            for a world does not depend on the other worlds of the batch. Worlds with the same seed have the same robot
+            and different noise.
+        gains: gains of the low-level control.
+        threads: number of threads, see :class:`~shmoo_mjx.plant.engine_mujoco.MujocoEngine`.
+        poses_known: whether the robot knows all object poses at the start, even those out of sight.
+        backend: engine of the same scenes to use instead of C MuJoCo.
     """
 
     def __init__(
@@ -121,12 +126,12 @@ class SensedEngine:
         self.close()
 
     def close(self) -> None:
-        """Stop the engine's threads."""
+        """Shut down the engine's threads."""
         if isinstance(self.engine, MujocoEngine):
             self.engine.close()
 
     def change(self, scenes: Sequence[Scene]) -> None:
-        """Go on with other objects of the same structure, as the engine's own ``change`` does."""
+        """Replace the scenes by others of the same structure; see the engine's ``change``."""
         self.engine.change(scenes)
         self._use(scenes)
 
@@ -135,11 +140,16 @@ class SensedEngine:
         self._scenery = scenery_of(self.scenes)
 
     def init(self) -> SensedWorld:
-        """All worlds at their scenes' starting configuration; the robot stands and has looked once."""
+        """State of all worlds at their scenes' initial configuration, after one camera frame of the standing robot."""
         return self.begin(self.engine.init())
 
     def begin(self, truth: Any, ticks: int = 0) -> SensedWorld:
-        """The senses' first state in worlds that are at rest as ``truth`` says, from tick ``ticks`` on."""
+        """Initial state, with fresh sensors, for worlds that are at rest.
+
+        Args:
+            truth: state of the underlying engine.
+            ticks: tick at which the worlds start.
+        """
         true = _numpy(self.engine.observe(truth))
         control = truth.control
         held = Command(np.zeros((len(true.robot_pose), 3)), true.robot_pose[:, 2], control.reach, control.hand_height)
@@ -158,7 +168,13 @@ class SensedEngine:
         return SensedWorld(truth, _numpy(held), (), sensor_state, np.zeros_like(true.object_pose), no_contact, ticks)
 
     def restart(self, world: SensedWorld, truth: Any, which: Bool[np.ndarray, "W"]) -> SensedWorld:
-        """Begin the worlds ``which`` anew, at rest as ``truth`` says of them; the others go on."""
+        """Restart the worlds ``which`` at rest; the other worlds continue.
+
+        Args:
+            world: state of all worlds.
+            truth: state of the underlying engine, in which the restarted worlds are at rest.
+            which: mask of the worlds to restart.
+        """
         fresh = self.begin(truth, world.ticks)
         chosen = [
             jax.tree.map(lambda new, old: _chosen(which, new, old), getattr(fresh, name), getattr(world, name))
@@ -169,10 +185,17 @@ class SensedEngine:
         return SensedWorld(truth, held, pending, sensor_state, contact, touched, world.ticks)
 
     def resume(self, world: SensedWorld, before: Scene) -> SensedWorld:
-        """The state with which this engine of one world goes on where an engine of the scene ``before`` stopped.
+        """Continue, in this engine of one world, a run of an engine that had fewer objects.
 
-        The objects of ``before`` are the first of this engine's, with other properties perhaps. What comes after them
-        stands where this engine's scene says, at rest, and has not been seen yet.
+        The objects of ``before`` are the first objects of this engine; their properties may differ. Additional objects
+        start at rest where this engine's scene puts them, and the robot has not seen them yet.
+
+        Args:
+            world: last state of the other engine.
+            before: scene of the other engine.
+
+        Returns:
+            The state to continue from.
         """
         (scene,), fresh, old = self.scenes, self.engine.init(), world.truth.physics
         (nq, nv), first_velocity = (before.model.nq, before.model.nv), 1 + scene.model.nq
@@ -203,20 +226,20 @@ class SensedEngine:
         return world._replace(truth=truth, sensor_state=sensor_state, contact=contact)
 
     def observe(self, world: SensedWorld) -> Observation:
-        """What the robot believes, with no wrench and without new noise."""
+        """Sensed observation of the current state, with zero wrench and without new noise."""
         true = _numpy(self.engine.observe(world.truth))
         return self._perceived(world, true, np.zeros_like(true.wrench))
 
     def true_observation(self, world: SensedWorld) -> Observation:
-        """What the simulator knows, for scoring; the wrench is the contacts' own."""
+        """Ground truth observation for scoring, with the simulator's contact wrench."""
         return _numpy(self.engine.observe(world.truth))._replace(wrench=world.contact)
 
     def fallen(self, world: SensedWorld) -> Bool[np.ndarray, "W"]:
-        """Whether the body leans more than 0.6 rad; true of a world that has diverged."""
+        """Whether the robot's body leans more than 0.6 rad. True for diverged worlds."""
         return np.asarray(self.engine.fallen(world.truth))
 
     def diverged(self, world: SensedWorld) -> Bool[np.ndarray, "W"]:
-        """Whether the physics of a world is lost (`observe.diverged`); the other worlds are not touched by it."""
+        """Whether the physics of a world has diverged (`observe.diverged`). Other worlds are not affected."""
         return np.asarray(self.engine.diverged(world.truth))
 
     def step(
@@ -228,15 +251,18 @@ class SensedEngine:
         *,
         computing: float | None = None,
     ) -> tuple[SensedWorld, Observation]:
-        """Go on for ``duration`` seconds.
+        """Step all worlds.
 
         Args:
-            world: as it was when the robot perceived what ``command`` answers.
-            command: fields ``[W, ...]``; held until the next one arrives. None is a sample in which none was sent: the
-                last one is held on, and after 0.3 s of that a watchdog brings the robot to rest.
-            duration: a multiple of 10 ms.
-            push: outside disturbance, as for the engines.
-            computing: time that this command took to compute [s], if not the senses' own.
+            world: state whose observation ``command`` answers.
+            command: command with fields ``[W, ...]``, held until the next one arrives. None means that no command was
+                sent: the previous one is held, and after 0.3 s without a command a watchdog stops the robot.
+            duration: time to simulate [s], a multiple of 10 ms.
+            push: external disturbance on the robot: force [N] and torque [N m] in {W} at the torso's CoM.
+            computing: computing time of this command [s], by default that of the sensing settings.
+
+        Returns:
+            The new state and the sensed observation.
         """
         ticks = round(duration / TICK)
         if command is not None:
@@ -264,8 +290,8 @@ class SensedEngine:
     def _driven(
         self, world: SensedWorld, ticks: int, push: Float[np.ndarray, "W 6"] | None
     ) -> tuple[SensedWorld, list[Track]]:
-        """The true worlds some ticks on, under the commands that arrive meanwhile or the watchdog's."""
-        # The low-level control holds headings as the robot believes them; the error hardly changes within a sample.
+        """Advance the true worlds by ``ticks``, with the commands that arrive meanwhile or the watchdog's commands."""
+        # The low-level control holds the estimated heading. Its error is almost constant within a sample.
         state = world.sensor_state
         heading_error = sensing.heading_error(state) if isinstance(state, SensorState) else 0.0
         left_alone = TICK * world.silent > _WATCHDOG + 1e-6
@@ -281,7 +307,7 @@ class SensedEngine:
         return world, tracks
 
     def _watched(self, world: SensedWorld, tracks: Sequence[Track], noise: Noise) -> tuple[SensorState, np.ndarray]:
-        """The senses after the ticks of a step, and the force that they report."""
+        """Sensor state after the ticks of a step, and the estimated wrench."""
         physics = np.concatenate([track.physics for track in tracks])
         torque = np.concatenate([track.torque for track in tracks])[..., 3:]
         robot, others = scene_poses(self.scenes[0], physics)
@@ -292,7 +318,7 @@ class SensedEngine:
         )
         motion = Motion(robot, others, coordinates, torque, np.asarray(world.truth.control.reach, dtype=float))
         scenery = near_walls(self._scenery, self.senses.camera, robot[0])
-        # In double precision, as poses tens of metres from the origin are told apart by micrometres.
+        # Double precision is needed to resolve micrometres at poses tens of metres from the origin.
         with jax.enable_x64(True):
             watched = _watch(
                 self.senses, scene.robot, self._drawn, scenery, sensor_state=world.sensor_state, motion=motion,
@@ -301,18 +327,18 @@ class SensedEngine:
         return _numpy(watched)
 
     def _generators(self, purpose: int, ticks: int) -> list[np.random.Generator]:
-        """Each world's generator at this tick, which no other world has a part in."""
+        """One independent random generator per world for this tick."""
         return [np.random.default_rng([purpose, entropy, ticks]) for entropy in self._entropy]
 
     def _sent(self, world: SensedWorld, command: Command, computing: float) -> SensedWorld:
-        """The command on its way; what would arrive after it is overtaken and never followed."""
+        """Queue the command; earlier commands that would arrive at the same time or later are dropped."""
         late = round(computing / TICK) + self._drawn.command_delay
         arrives = np.asarray(world.ticks + late, dtype=np.int64)
         earlier = tuple((np.where(at >= arrives, _NEVER, at), other) for at, other in world.pending)
         return world._replace(pending=(*earlier, (arrives, _numpy(command))))
 
     def _to_rest(self, world: SensedWorld) -> SensedWorld:
-        """Brake, and keep the place once that is done; heading and hands stay where they are held."""
+        """The watchdog's command: brake, then hold the position. Heading and hands keep their held targets."""
         robot, held = self.engine.robot(world.truth), world.held
         pose, twist = np.asarray(robot.pose), np.asarray(robot.twist)[:, :2]
         braking = np.hypot(*twist.T)[:, None] > 0.1
@@ -323,13 +349,13 @@ class SensedEngine:
         return world._replace(held=held._replace(u=np.concatenate([lean, held.u[:, 2:]], axis=-1)), station=station)
 
     def _stretches(self, world: SensedWorld, ticks: int) -> list[int]:
-        """Numbers of ticks between which no command arrives: without any delay one, of the whole sample."""
+        """Split the step into stretches of ticks at the arrivals of commands; without arrivals it is one stretch."""
         arrivals = {int(t) - world.ticks for at, _ in world.pending for t in np.unique(at) if t != _NEVER}
         ends = [0, *sorted(t for t in arrivals if 0 < t < ticks), ticks]
         return np.diff(ends).tolist()
 
     def _look(self, sensor_state: PerfectState, true: Observation, now: int) -> PerfectState:
-        """Perfect senses: what is in sight is known exactly."""
+        """Perfect sensing: store the exact poses of visible objects."""
         shown = in_sight(self.senses.camera, self._scenery, true.robot_pose, true.object_pose)
         return PerfectState(
             np.where(shown[..., None], true.object_pose, sensor_state.pose),
@@ -339,7 +365,7 @@ class SensedEngine:
     def _perceived(
         self, world: SensedWorld, true: Observation, wrench: np.ndarray, lean_noise: np.ndarray | None = None
     ) -> Observation:
-        """The observation; ``lean_noise [2, W, 2]`` is that of the inertial unit."""
+        """Sensed observation; ``lean_noise [2, W, 2]`` is the inertial unit's noise of lean and, times 5, lean rate."""
         if isinstance(world.sensor_state, PerfectState):
             age = TICK * (world.ticks - world.sensor_state.at)
             now = age <= 0.5 * TICK
@@ -354,7 +380,7 @@ class SensedEngine:
 
 
 def _entropies(seeds: Sequence[int]) -> list[int]:
-    """Entropy of each world's noise. The first world with a seed has that of the seed alone."""
+    """Entropy of each world's noise, from the seed and the number of earlier worlds with the same seed."""
     before, entropies = Counter[int](), list[int]()
     for seed in seeds:
         entropies.append(int(np.random.SeedSequence([seed, before[seed]]).generate_state(1)[0]))
@@ -363,7 +389,7 @@ def _entropies(seeds: Sequence[int]) -> list[int]:
 
 
 def _arrived(world: SensedWorld) -> SensedWorld:
-    """The commands that reach the motors by now are the ones held."""
+    """Move commands that have arrived at the motors from ``pending`` to ``held``."""
     held, waiting = world.held, []
     for at, command in world.pending:
         here = at <= world.ticks
@@ -376,7 +402,7 @@ def _arrived(world: SensedWorld) -> SensedWorld:
 
 
 def _first(new: Array, old: Array, axis: int) -> np.ndarray:
-    """``new`` with ``old`` in the place of its first entries along ``axis``."""
+    """Copy of ``new`` whose first entries along ``axis`` are replaced by ``old``."""
     out = np.array(new, dtype=float)
     out[(slice(None),) * axis + (slice(old.shape[axis]),)] = old
     return out
@@ -387,7 +413,7 @@ def _chosen(which: np.ndarray, new: np.ndarray, old: np.ndarray) -> np.ndarray:
 
 
 def _numpy(tree: Any) -> Any:
-    """The same tree with NumPy arrays of doubles; flags stay flags."""
+    """The same tree with NumPy arrays of doubles; boolean arrays stay boolean."""
 
     def convert(leaf: Any) -> np.ndarray:
         array = np.asarray(leaf)

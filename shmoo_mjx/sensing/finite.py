@@ -1,4 +1,4 @@
-"""Replacement of values that are not finite in observations."""
+"""Replaces non-finite values in observations."""
 
 from __future__ import annotations
 
@@ -8,17 +8,23 @@ from shmoo_mjx.types import DT, Observation
 
 
 def finite(observed: Observation, last: Observation | None = None) -> Observation:
-    """The observation with every NaN or infinity replaced; the same object if there was none.
+    """Replace NaN and infinity in an observation.
 
-    What the robot knows of itself is taken from ``last``, or is 0 before there is one, and ``robot_age`` grows (from
-    infinity, if nothing was ever known): a caller that wants to stop can see that. An object with a broken pose or
-    twist counts as not detected; its pose is that of ``last``, it rests, and its age has grown. An object that was
-    never detected keeps a pose of NaN, all of it, with the age infinity by which it is known, and moves and feels
-    nothing. A broken wrench is none.
+    The rules are:
+
+    - A non-finite value of the robot's own state is replaced by that of ``last``, or by 0 without ``last``. In this
+      case ``robot_age`` grows by one sample, or is infinite without ``last``, so that a caller can stop.
+    - An object with a non-finite pose or twist counts as not detected, and its twist is 0. If the pose is not finite,
+      the object keeps the pose of ``last``, and its age grows by one sample.
+    - An object that was never detected keeps an all-NaN pose and an infinite age. Its twist and wrench are 0.
+    - A non-finite wrench becomes 0.
 
     Args:
-        observed: what an engine or a recorder of someone else reports.
-        last: what this function gave one sample earlier.
+        observed: observation from any engine or recorder.
+        last: result of this function one sample earlier.
+
+    Returns:
+        The repaired observation, or the same object if nothing had to be replaced.
     """
     own = {name: np.asarray(getattr(observed, name), dtype=float) for name in _OWN}
     pose, twist = np.asarray(observed.object_pose, dtype=float), np.asarray(observed.object_twist, dtype=float)
@@ -35,7 +41,7 @@ def finite(observed: Observation, last: Observation | None = None) -> Observatio
         robot_age = np.full_like(robot_age, np.inf) if last is None else np.asarray(last.robot_age) + DT
     old_pose = np.full_like(pose, np.nan) if last is None else np.asarray(last.object_pose, dtype=float)
     old_age = np.full_like(age, np.inf) if last is None else np.asarray(last.object_age, dtype=float) + DT
-    # An object whose pose alone is whole has been detected; its twist is unknown.
+    # An object with a finite pose has been located, even if its twist is unknown.
     placed = np.isfinite(pose).all(axis=-1)
     return observed._replace(
         **own,
@@ -49,4 +55,4 @@ def finite(observed: Observation, last: Observation | None = None) -> Observatio
 
 
 _OWN = ("time", "robot_pose", "robot_twist", "lean", "lean_rate", "hands")
-"""What a robot knows of itself."""
+"""Fields of the robot's own state."""

@@ -1,8 +1,8 @@
-"""Estimate of the robot's own pose: odometry that drifts, and a localiser that corrects it by the map.
+"""Estimate of the robot's pose: odometry that drifts, and a localiser that corrects the drift with the map.
 
-Frames as in ROS REP 105. {D} is the odometry frame: the robot's pose in it is continuous, without jumps, and drifts.
-The localiser keeps the pose of {D} in {W}; it changes that slowly, so that the robot's pose in {W} does not jump. What
-is tracked (sensing/tracker.py) lives in {D}: a correction is then no motion of an object.
+The frames follow ROS REP 105. {D} is the odometry frame, in which the robot's pose is continuous but drifts. The
+localiser estimates the pose of {D} in {W}. It changes this estimate slowly, so the robot's pose in {W} does not jump.
+Object tracks (sensing/tracker.py) are kept in {D}, so a correction does not look like a motion of an object.
 """
 
 from __future__ import annotations
@@ -17,44 +17,55 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.geometry import se2
 
 TICK = 0.01
-"""Time between two readings of the senses, and what delays are rounded to [s]."""
+"""Sensor period [s]. Delays are rounded to multiples of it."""
 
 
 @dataclass(frozen=True)
 class OdometryConfig:
-    """Visual-inertial odometry with the ball's encoders (T265 class: its data sheet says under 1 % of the way), and a
-    scan matcher as localiser (AMCL class: some cm). The split among the causes of drift is a judgement."""
+    """Errors of odometry and localiser.
+
+    The odometry is visual-inertial with the ball's encoders (T265 class, whose data sheet gives a drift below 1 % of
+    the travelled distance). The localiser is a scan matcher (AMCL class, with an accuracy of a few cm). How the drift
+    is divided among its causes is an estimate.
+    """
 
     scale: float = 0.006
-    """Standard deviation of the drawn error of length over length [1]. More: drifts along the way."""
+    """Standard deviation of the relative length error, drawn per robot. Larger values increase the drift with travelled
+    distance."""
     yaw_scale: float = 0.005
-    """Standard deviation of the drawn error of turned angle over angle [1]. More: drifts where the robot turns."""
+    """Standard deviation of the relative turning error, drawn per robot. Larger values increase the drift with turned
+    angle."""
     yaw_bias: float = float(np.deg2rad(0.02))
-    """Standard deviation of the drawn drift of the yaw [rad/s]: what is left of a gyro's bias. More: the way bends."""
+    """Standard deviation of the yaw drift rate, drawn per robot [rad/s]: the remaining gyro bias. Larger values bend
+    the estimated path more."""
     walk: float = 0.006
-    """Standard deviation of the position's random walk over the root of the way [m / sqrt(m)]."""
+    """Standard deviation of the position's random walk per root of travelled distance [m / sqrt(m)]."""
     yaw_walk: float = float(np.deg2rad(0.06))
-    """Standard deviation of the yaw's random walk over the root of time [rad / sqrt(s)]."""
+    """Standard deviation of the yaw's random walk per root of time [rad / sqrt(s)]."""
     delay: tuple[float, float] = (0.02, 0.04)
-    """Range from which the age of a pose on arrival is drawn [s]; the robot carries it on by its twist meanwhile."""
+    """Range of a pose's age on arrival, drawn per robot [s]. The estimate extrapolates the pose by the twist."""
     smoothing: float = 0.03
-    """Time constant of the low-pass on differences of poses that gives the twist [s]. Longer: smoother and later."""
+    """Time constant of the low-pass filter of pose differences, which gives the twist [s]. Larger values make the twist
+    smoother and more delayed."""
     localised: bool = True
-    """Whether the map corrects the pose; without, it drifts off."""
+    """Whether the localiser corrects the pose. Without it, the drift is unbounded."""
     fix_period: tuple[float, float] = (0.5, 1.0)
-    """Range from which the time between two fixes on the map is drawn [s]: AMCL updates every 0.2 m or 0.5 rad."""
+    """Range of the time between two fixes of the localiser, drawn per robot [s]. For comparison, AMCL updates every
+    0.2 m or 0.5 rad."""
     fix_position: float = 0.025
-    """Standard deviation of a fix's position [m]: half a cell of a 5 cm map."""
+    """Standard deviation of a fix's position [m]; the default is half a cell of a 5 cm map."""
     fix_yaw: float = float(np.deg2rad(0.5))
     """Standard deviation of a fix's yaw [rad]."""
     fix_delay: float = 0.1
-    """Age of a fix on arrival [s]: the matching takes that long."""
+    """Age of a fix on arrival [s], due to the time for scan matching."""
     fix_gain: float = 0.25
-    """Share of a fix's innovation that is taken over. More: follows drift faster and the fixes' noise more."""
+    """Fraction of a fix's innovation that is applied. Larger values follow both the drift and the fixes' noise
+    faster."""
     blend: float = 0.03
-    """Fastest correction of the position [m/s]: 3 mm in a sample. More: larger jumps of the robot's pose."""
+    """Largest rate of position corrections [m/s]; the default gives 3 mm per sample. Larger values cause larger jumps
+    of the robot's pose."""
     blend_yaw: float = float(np.deg2rad(1.0))
-    """Fastest correction of the yaw [rad/s]. More: larger jumps of the robot's pose."""
+    """Largest rate of yaw corrections [rad/s]. Larger values cause larger jumps of the robot's pose."""
 
     def __post_init__(self) -> None:
         for name in ("delay", "fix_period"):
@@ -67,35 +78,37 @@ class OdometryConfig:
 
 
 class OdometryDraw(NamedTuple):
-    """What the seeds of W robots decide, or that of one."""
+    """Odometry parameters drawn from the seeds, for W robots or one."""
 
     scale: Float[Array, "..."]
+    """Relative length error."""
     yaw_scale: Float[Array, "..."]
+    """Relative turning error."""
     yaw_bias: Float[Array, "..."]
-    """[rad/s]"""
+    """Yaw drift rate [rad/s]."""
     delay: Int[Array, "..."]
-    """In ticks."""
+    """Age of a pose on arrival [ticks]."""
     fix_period: Int[Array, "..."]
-    """In ticks."""
+    """Time between two fixes [ticks]."""
 
 
 class Odometry(NamedTuple):
-    """State of W robots; L ticks are remembered, the newest last."""
+    """State of odometry and localiser for W robots. Histories have L ticks, the newest last."""
 
     true: Float[Array, "W L 3"]
-    """Of {R} in {W}: what the sensors measure, never reported as it is."""
+    """True poses of {R} in {W} [m, rad]. The simulated sensors measure them; they are never reported directly."""
     pose: Float[Array, "W L 3"]
-    """Of {R} in {D}."""
+    """Odometry poses of {R} in {D} [m, rad]."""
     twist: Float[Array, "W 3"]
-    """In {D}, filtered, of the newest pose that has arrived."""
+    """Filtered twist in {D} at the newest pose that has arrived [m/s, rad/s]."""
     frame: Float[Array, "W 3"]
-    """Of {D} in {W}, as the localiser has it."""
+    """The localiser's estimate of the pose of {D} in {W} [m, rad]."""
     correction: Float[Array, "W 3"]
-    """What it still has to add to the robot's pose in {W}."""
+    """Remaining correction of the robot's pose in {W}, applied gradually [m, rad]."""
 
 
 def draw(config: OdometryConfig, rng: np.random.Generator) -> OdometryDraw:
-    """One robot."""
+    """Draw the odometry parameters of one robot."""
     normal, unit = rng.normal(size=3), rng.random(2)
     late = config.delay[0] + (config.delay[1] - config.delay[0]) * unit[0]
     period = config.fix_period[0] + (config.fix_period[1] - config.fix_period[0]) * unit[1]
@@ -109,7 +122,7 @@ def draw(config: OdometryConfig, rng: np.random.Generator) -> OdometryDraw:
 
 
 def init(robot_pose: Float[Array, "W 3"], length: int) -> Odometry:
-    """At rest at ``robot_pose``, which the robot knows; remembers ``length`` ticks."""
+    """Initial state of robots at rest at the known poses ``robot_pose`` in {W}, with histories of ``length`` ticks."""
     xp = se2.array_module(robot_pose)
     true = xp.repeat(robot_pose[:, None], length, axis=1)
     zero = xp.zeros_like(robot_pose)
@@ -125,14 +138,14 @@ def step(
     noise: Float[Array, "W 6"],
     now: Scalar,
 ) -> Odometry:
-    """One tick.
+    """Advance odometry and localiser by one tick.
 
     Args:
-        config: see there.
-        drawn: this robot.
-        state: before the tick.
-        robot_pose: true, after it.
-        noise: standard normal: of the walk and of a fix.
+        config: error parameters.
+        drawn: drawn parameters of the robots.
+        state: state before the tick.
+        robot_pose: true robot poses in {W} after the tick [m, rad].
+        noise: standard normal numbers, three for the random walk and three for a fix.
         now: number of the tick.
     """
     xp = se2.array_module(robot_pose, noise, state.pose)
@@ -152,7 +165,7 @@ def step(
 
 
 def _localise(config: OdometryConfig, drawn: OdometryDraw, state: Odometry, *, noise: Array, now: Scalar) -> Odometry:
-    """A fix, where one is due, and a little of the correction."""
+    """Take in a fix where one is due, and apply a part of the remaining correction."""
     xp = se2.array_module(noise, state.pose)
     late = round(config.fix_delay / TICK)
     deviation = np.array([config.fix_position, config.fix_position, config.fix_yaw])
@@ -163,7 +176,7 @@ def _localise(config: OdometryConfig, drawn: OdometryDraw, state: Odometry, *, n
     correction = state.correction + xp.where(due[:, None], config.fix_gain * error, 0.0)
     most = TICK * np.array([config.blend, config.blend, config.blend_yaw])
     share = xp.clip(correction, -most, most)
-    # The robot's pose is corrected and {D} follows: a turn about {D}'s origin would throw a far robot aside.
+    # Correct the robot's pose and derive {D} from it. Turning {D} about its own origin would displace a distant robot.
     pose = state.pose[:, -1]
     here = se2.compose(state.frame, pose) + share
     frame = se2.compose(here, se2.relative(pose, xp.zeros_like(pose)))
@@ -171,11 +184,11 @@ def _localise(config: OdometryConfig, drawn: OdometryDraw, state: Odometry, *, n
 
 
 def estimate(drawn: OdometryDraw, state: Odometry) -> Float[Array, "W 3"]:
-    """The robot's pose in {D} now: the newest that has arrived, carried on by the twist."""
+    """Current pose of {R} in {D} [m, rad]: the newest pose that has arrived, extrapolated by the twist."""
     return ago(state.pose, drawn.delay) + state.twist * TICK * drawn.delay[:, None]
 
 
 def ago(history: Shaped[Array, "W L ..."], ticks: Int[Array, "W"]) -> Shaped[Array, "W ..."]:
-    """Of a history, the entry ``ticks`` before the newest one."""
+    """Entry of a history that is ``ticks`` older than the newest one."""
     xp = se2.array_module(history, ticks)
     return history[xp.arange(history.shape[0]), history.shape[1] - 1 - ticks]

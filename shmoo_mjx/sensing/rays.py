@@ -1,4 +1,4 @@
-"""Lines of sight among rectangles on the plane: walls and the footprints of objects."""
+"""Lines of sight among rectangles in the plane: walls and the footprints of objects."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ def cast(
     *,
     reach: float,
 ) -> Float[Array, "W R"]:
-    """Distance [m] along rays to the first of some rectangles, ``reach`` where none is nearer.
+    """Distance along each ray to the first rectangle [m].
 
     Args:
-        origins: in {W}.
-        directions: unit vectors in {W}.
-        poses: of the rectangles in {W}.
-        half_extents: along their own axes [m].
-        reach: of the rays [m].
+        origins: origins of the rays in {W} [m].
+        directions: unit vectors of the rays in {W}.
+        poses: poses (x, y, yaw) of the rectangles in {W} [m, rad].
+        half_extents: half extents of the rectangles along their own axes [m].
+        reach: length of the rays [m]; the result for a ray that hits nothing.
     """
     xp = se2.array_module(origins, directions, poses, half_extents)
     enter, leave = _crossing(origins, directions, poses, half_extents)
@@ -37,26 +37,26 @@ def hidden(
     *,
     tops: Float[Array, "W K"],
 ) -> Bool[Array, "W K R"]:
-    """Whether each of K boxes that stand on the floor lies between the eye and each of R points.
+    """Whether each of K boxes on the floor occludes each of R points from the eye.
 
     Args:
-        eye: (x, y, z) in {W} [m].
-        points: in {W} [m].
-        poses: of the boxes' footprints in {W}.
-        half_extents: along their own axes [m].
-        tops: their heights [m]; infinite for what nothing looks over.
+        eye: position (x, y, z) of the eye in {W} [m].
+        points: positions of the points in {W} [m].
+        poses: poses (x, y, yaw) of the boxes' footprints in {W} [m, rad].
+        half_extents: half extents of the boxes along their own axes [m].
+        tops: heights of the boxes [m]; infinite if the eye can never see over a box.
     """
     xp = se2.array_module(eye, points, poses, half_extents)
     along = points - eye[:, None]
     enter, leave = _crossing(eye[:, :2], along[..., :2], poses, half_extents)
     enter, leave = xp.maximum(enter, 0.0), xp.minimum(leave, 1.0)
-    # A straight line is lowest where it enters or where it leaves.
+    # A straight line has its lowest point inside the box either where it enters or where it leaves.
     lowest = eye[:, None, None, 2] + xp.minimum(enter * along[:, None, :, 2], leave * along[:, None, :, 2])
     return (leave > enter) & (lowest < tops[..., None])
 
 
 def _crossing(origins: Array, along: Array, poses: Array, half_extents: Array) -> tuple[Array, Array]:
-    """Where lines enter and leave rectangles ``[W, K, R]``, in units of ``along [W, R, 2]``; see :func:`cast`."""
+    """Line parameters ``[W, K, R]`` at which lines enter and leave rectangles, in units of ``along [W, R, 2]``."""
     xp = se2.array_module(origins, along, poses, half_extents)
     origin = se2.inverse_transform_point(poses, origins[:, None])[:, :, None]
     local = se2.rotate(along[:, None], -poses[:, :, None, 2])

@@ -1,6 +1,6 @@
-"""A robot's senses as one settings object, and their state: what is remembered between two readings.
+"""Sensing settings of a robot, and the sensor state with its update functions.
 
-Everything here takes NumPy or JAX arrays of W worlds. Random numbers come in as arguments.
+Functions take NumPy or JAX arrays of W worlds. Random numbers are arguments.
 """
 
 from __future__ import annotations
@@ -27,30 +27,36 @@ from shmoo_mjx.sensing.touch import ArmReading, ArmScale, TouchConfig
 from shmoo_mjx.sensing.tracker import TrackerConfig, Tracks
 
 _TOUCH_EVERY = 2
-"""Ticks between two readings of the joint torques: 50 Hz."""
+"""Ticks between two readings of the joint torques (50 Hz)."""
 
 
 @dataclass(frozen=True)
 class Senses:
-    """What a robot perceives, and the body that goes with it."""
+    """Sensing settings, and the perturbation of the robot's body."""
 
     name: str = "real"
-    """What runs record."""
+    """Name that runs record."""
     perfect: bool = False
-    """True poses, twists and forces without delay, of what the camera has in sight; else everything below counts."""
+    """If True, the robot gets true poses, twists and forces without delay for objects in the camera's sight, and most
+    settings below have no effect."""
     camera: Camera = Camera()
+    """Object detection."""
     odometry: OdometryConfig = OdometryConfig()
+    """Odometry and localisation of the robot."""
     tracker: TrackerConfig = TrackerConfig()
+    """Filter of the objects' poses and twists."""
     touch: TouchConfig = TouchConfig()
+    """Estimate of contact forces."""
     lean_noise: float = float(np.deg2rad(0.1))
-    """Standard deviation of lean [rad] and, five times larger, of its rate [rad/s]: a MEMS inertial unit's attitude."""
+    """Standard deviation of the measured lean [rad], as of a MEMS inertial unit. That of the lean rate [rad/s] is five
+    times this value."""
     computing: float = 0.03
-    """Time that the controller computes [s], which passes in the world: a command reaches the motors so much later. A
-    fixed budget keeps runs repeatable; the shipped controller takes 20 to 30 ms on two cores."""
+    """Computing time of the controller [s], by which its commands are delayed. The fixed value keeps runs repeatable;
+    the shipped controller takes 20 to 30 ms on two cores."""
     planning: float = 0.2
-    """Time that a global path or a planning stage takes to compute [s]; the robot goes on as it did meanwhile."""
+    """Computing time of a global path or a planning stage [s]. Meanwhile the robot continues what it was doing."""
     body: Perturbation = Perturbation()
-    """How the robot's body differs from the one the control knows, and how late commands arrive."""
+    """Differences between the real and the nominal robot body, and the command delay."""
 
     def __post_init__(self) -> None:
         for name in ("lean_noise", "computing", "planning"):
@@ -59,23 +65,23 @@ class Senses:
 
     @property
     def latency(self) -> float:
-        """Time from what a command answers to its effect [s], as the robot knows it: with means of what is drawn."""
+        """Nominal latency from sensing to actuation [s], with the means of the drawn delays; 0 for perfect sensing."""
         if self.perfect:
             return 0.0
         sensed = float(np.mean(self.odometry.delay)) + self.odometry.smoothing
         return sensed + self.computing + float(np.mean(self.body.delay))
 
     def robot(self, seed: int) -> PerturbedBody:
-        """The body of the robot with this seed."""
+        """Body of the robot with this seed."""
         return draw_body(self.body, seed)
 
     def adjust(self, seed: int) -> Callable[[mujoco.MjSpec], None]:
-        """Argument ``adjust`` of :func:`~shmoo_mjx.plant.scene.build_scene` that builds that body."""
+        """The argument ``adjust`` of :func:`~shmoo_mjx.plant.scene.build_scene` that applies that body."""
         return adjustment(self.robot(seed))
 
 
 REAL = Senses()
-"""The default of every run."""
+"""Realistic sensing, the default of every run."""
 
 PERFECT = Senses(
     name="perfect",
@@ -85,14 +91,14 @@ PERFECT = Senses(
     planning=0.0,
     body=Perturbation.none(),
 )
-"""The nominal body; true poses of what is within 3.5 m all round and not behind a wall."""
+"""Perfect sensing with the nominal body: true poses of objects within 3.5 m in all directions and not behind a wall."""
 
 
 def senses_named(name: str) -> Senses:
-    """REAL or PERFECT.
+    """The shipped sensing settings with this name: "real" or "perfect".
 
     Raises:
-        ShmooError: another name.
+        ShmooError: the name is unknown.
     """
     named = {s.name: s for s in (REAL, PERFECT)}
     if name not in named:
@@ -101,40 +107,45 @@ def senses_named(name: str) -> Senses:
 
 
 class SensorDraw(NamedTuple):
-    """What the seeds of W robots decide about their senses."""
+    """Sensor parameters of W robots, drawn from their seeds."""
 
     odometry: OdometryDraw
+    """Drawn parameters of odometry and localiser."""
     frame_delay: Int[Array, "W"]
-    """Age of a camera frame when it is taken in, in ticks; odometry of that time must have arrived too."""
+    """Age of a camera frame when it is processed [ticks]. It is at least the odometry's delay, because processing needs
+    the robot's pose at the frame's time."""
     command_delay: Int[Array, "W"]
-    """Of commands on their way to the motors, in ticks."""
+    """Delay of commands to the motors [ticks]."""
 
 
 class Noise(NamedTuple):
     """Random numbers of one tick."""
 
     odometry: Float[Array, "W 6"]
-    """Standard normal."""
+    """Standard normal numbers of odometry and localiser."""
     camera: Float[Array, "W N 3"]
-    """Standard normal."""
+    """Standard normal numbers of the detected poses."""
     lost: Float[Array, "W N 2"]
-    """Uniform from 0 to 1: drop-out, burst."""
+    """Uniform numbers from 0 to 1 for drop-out and burst."""
 
 
 class SensorState(NamedTuple):
-    """State of the senses of W robots."""
+    """Sensor state of W robots."""
 
     odometry: Odometry
+    """State of odometry and localiser."""
     objects: Float[Array, "W L N 3"]
-    """True object poses of the last ticks, the newest last: what the camera still has to report."""
+    """True object poses of the last L ticks in {W}, the newest last; delayed camera frames use them."""
     lost_until: Float[Array, "W N"]
-    """Tick up to which each object's tags stay lost."""
+    """Tick at which the current loss (burst) of each object ends."""
     tracks: Tracks
+    """State of the object tracker."""
     arms: ArmScale
+    """State of the motor calibration."""
 
 
 class Estimates(NamedTuple):
-    """Estimated poses and twists in {W}, now."""
+    """Current estimates of poses and twists in {W}; fields as in :class:`~shmoo_mjx.types.Observation`."""
 
     robot_pose: Float[Array, "W 3"]
     robot_twist: Float[Array, "W 3"]
@@ -146,7 +157,7 @@ class Estimates(NamedTuple):
 
 
 def draw(senses: Senses, seeds: list[int]) -> SensorDraw:
-    """The senses of the robots with these seeds."""
+    """Draw the sensor parameters of robots from their seeds."""
     robots = []
     for seed in seeds:
         rng = np.random.default_rng([13, seed])
@@ -170,18 +181,19 @@ def first_state(
     now: int = 0,
     remembers: float = 0.0,
 ) -> SensorState:
-    """Before the first step, when the robot has stood there for a while: one frame of what is in sight has been taken.
+    """Initial sensor state of standing robots, after one camera frame.
 
     Args:
-        senses: see there.
-        drawn: these robots.
-        scenery: sizes and walls.
-        robot_pose: true; the robot knows where it starts.
-        object_pose: true.
-        noise: standard normal.
-        poses_known: whether it knows the poses of all objects too, as exactly as its camera would see them from there.
+        senses: sensing settings.
+        drawn: drawn sensor parameters.
+        scenery: geometry of objects and walls.
+        robot_pose: true robot poses in {W} [m, rad]; the robot knows its initial pose.
+        object_pose: true object poses in {W} [m, rad].
+        noise: standard normal numbers of the detected poses.
+        poses_known: whether the frame detects all objects, even those out of sight.
         now: number of the tick.
-        remembers: for how long poses are kept at least [s], where frames may be older than the senses' own.
+        remembers: minimum length of the pose histories [s], for callers whose frames are older than those of
+            ``senses``.
     """
     xp = se2.array_module(robot_pose, object_pose, noise)
     worlds, objects = object_pose.shape[:2]
@@ -214,17 +226,17 @@ def tick(
     noise: Noise,
     now: Scalar,
 ) -> SensorState:
-    """One tick of odometry and, in the worlds where a frame arrives, of the camera.
+    """Advance the odometry by one tick, and process a camera frame in worlds where one arrives.
 
     Args:
-        senses: see there.
-        drawn: these robots.
-        scenery: sizes and walls.
-        sensor_state: before the tick.
-        robot_pose: true, after it.
-        object_pose: true.
-        noise: of this tick.
-        now: its number.
+        senses: sensing settings.
+        drawn: drawn sensor parameters.
+        scenery: geometry of objects and walls.
+        sensor_state: state before the tick.
+        robot_pose: true robot poses in {W} after the tick [m, rad].
+        object_pose: true object poses in {W} after the tick [m, rad].
+        noise: random numbers of this tick.
+        now: number of the tick.
     """
     moved = odometry.step(
         senses.odometry, drawn.odometry, sensor_state.odometry, robot_pose, noise=noise.odometry, now=now
@@ -254,18 +266,18 @@ def tick(
 
 
 class Motion(NamedTuple):
-    """What W robots and their objects do in T ticks."""
+    """True motion of W robots and their objects during T ticks."""
 
     robot_pose: Float[Array, "T W 3"]
-    """True, after each tick."""
+    """True robot pose in {W} after each tick [m, rad]."""
     object_pose: Float[Array, "T W N 3"]
-    """True."""
+    """True object poses in {W} after each tick [m, rad]."""
     coordinates: Float[Array, "T W q"]
-    """The robot's qpos and qvel."""
+    """The robot's qpos and qvel after each tick."""
     torque: Float[Array, "T W 6"]
-    """Of the arms' motors [N m]."""
+    """Torques of the arm motors [N m]."""
     reach: Float[Array, "W"]
-    """Of the hands [m]."""
+    """Reach of the hands [m]."""
 
 
 def watch(
@@ -279,19 +291,22 @@ def watch(
     noise: Noise,
     before: Scalar,
 ) -> tuple[SensorState, Float[Array, "W N 3"]]:
-    """The senses after T ticks, and the mean of the force readings, which are taken in every second tick.
+    """Advance all sensors by T ticks.
 
-    To be compiled: in NumPy its thousands of small operations take longer than the physics.
+    Call this function inside jit: without compilation, its thousands of small operations take longer than the physics.
 
     Args:
-        senses: see there.
-        robot: its nominal numbers.
-        drawn: these robots.
-        scenery: sizes and walls.
-        sensor_state: before the ticks.
-        motion: what happened in them.
-        noise: of all ticks: fields ``[T, ...]``.
-        before: number of the tick before the first.
+        senses: sensing settings.
+        robot: nominal robot parameters.
+        drawn: drawn sensor parameters.
+        scenery: geometry of objects and walls.
+        sensor_state: state before the ticks.
+        motion: true motion during the ticks.
+        noise: random numbers of all ticks, fields ``[T, ...]``.
+        before: number of the tick before the first one.
+
+    Returns:
+        The new sensor state, and the mean of the wrench estimates in {W} [N, N m], which are made in every second tick.
     """
     ticks = len(motion.robot_pose)
     read = (ticks - 1 - np.arange(ticks)) % _TOUCH_EVERY == 0
@@ -319,24 +334,24 @@ def watch(
 
 
 class _Frame(NamedTuple):
-    """A camera frame of each of W robots."""
+    """One camera frame of each of W robots. Poses are those at the time when the frame was taken."""
 
     robot_pose: Array
-    """True when it was taken, in {W}."""
+    """True robot pose in {W}, ``[W, 3]``."""
     believed_pose: Array
-    """Of the robot in {D} by odometry, then."""
+    """Robot pose in {D} by odometry, ``[W, 3]``."""
     object_pose: Array
-    """True, then."""
+    """True object poses in {W}, ``[W, N, 3]``."""
     detected: Array
-    """``[W, N]``"""
+    """Which objects are detected, ``[W, N]``."""
     noise: Array
-    """``[W, N, 3]`` standard normal."""
+    """Standard normal numbers, ``[W, N, 3]``."""
 
 
 def _tracked(
     senses: Senses, sensor_state: SensorState, frame: _Frame, *, seconds: Array, time: tuple[Array, Array]
 ) -> SensorState:
-    """A frame's detections in the tracks: the camera measures from the robot, the tracks stand in {D}."""
+    """Update the tracks with a frame: the camera measures poses relative to the robot, the tracks are in {D}."""
     xp = se2.array_module(frame.robot_pose, frame.object_pose, frame.noise)
     measured = se2.relative(frame.robot_pose[:, None], frame.object_pose)
     spread = deviation(senses.camera, xp.sqrt(xp.sum(measured[..., :2] ** 2, axis=-1)))
@@ -349,10 +364,17 @@ def _tracked(
 
 
 def estimates(senses: Senses, drawn: SensorDraw, sensor_state: SensorState, now: Scalar, *, sample: float) -> Estimates:
-    """What the robot publishes at tick ``now``, everything carried on to that time; ``sample`` is the sample time [s].
+    """Estimates at tick ``now``, with poses extrapolated to that time.
 
-    Robot and objects go through the same estimate of {D} in {W}: seen from the robot, an object is where the camera
-    has seen it, however far the robot has drifted.
+    Robot and objects use the same estimate of {D} in {W}. The pose of an object relative to the robot is therefore
+    unaffected by the robot's drift.
+
+    Args:
+        senses: sensing settings.
+        drawn: drawn sensor parameters.
+        sensor_state: current sensor state.
+        now: number of the tick.
+        sample: sample time [s]; ``detected`` covers the frames that arrived within it.
     """
     xp = se2.array_module(sensor_state.tracks.pose, sensor_state.odometry.pose)
     frame, tracks = sensor_state.odometry.frame, sensor_state.tracks
@@ -371,7 +393,7 @@ def estimates(senses: Senses, drawn: SensorDraw, sensor_state: SensorState, now:
 
 
 def heading_error(sensor_state: SensorState) -> Float[Array, "W"]:
-    """Believed minus true yaw [rad]: the low-level control holds headings by what the robot believes."""
+    """Estimated minus true yaw [rad]. The low-level control holds the estimated heading."""
     moved = sensor_state.odometry
     return se2.wrap(moved.frame[:, 2] + moved.pose[:, -1, 2] - moved.true[:, -1, 2])
 
@@ -381,6 +403,6 @@ def _wrapped(xp: Any, pose: Array) -> Array:
 
 
 def altered(senses: Senses, **changes: Any) -> Senses:
-    """The senses with some fields of their parts replaced, such as ``altered(REAL, camera={"drop_out": 0.0})``."""
+    """Copy of ``senses`` with fields of its parts replaced, such as ``altered(REAL, camera={"drop_out": 0.0})``."""
     parts = {k: dataclasses.replace(getattr(senses, k), **v) for k, v in changes.items()}
     return dataclasses.replace(senses, **parts)

@@ -1,7 +1,7 @@
 """One constant-velocity Kalman filter per object and axis (x, y, yaw of {O} in the odometry frame {D}).
 
-An object that is not detected is taken to come to rest. A detection far off what is expected is held back: if the next
-ones agree with it, the object has really been displaced and the filter starts again there.
+While an object is not detected, its estimated twist decays to zero. A detection far from the prediction is held back as
+an outlier. If the following detections agree with it, the object has been displaced, and the filter restarts there.
 """
 
 from __future__ import annotations
@@ -18,53 +18,55 @@ from shmoo_mjx.sensing.odometry import TICK
 
 @dataclass(frozen=True)
 class TrackerConfig:
-    """Numbers of the filter. Noise of the detections comes with them."""
+    """Settings of the filter. The measurement noise is an argument of :func:`update`."""
 
     acceleration: float = 1.5
-    """Standard deviation of an object's acceleration between frames [m/s^2]. More: follows faster, with noisier twists;
-    from 1 to 2 the error of the twist in a push hardly changes."""
+    """Standard deviation of an object's acceleration between frames [m/s^2]. Larger values follow faster, with noisier
+    twists. Between 1 and 2 the twist error during a push hardly changes."""
     yaw_acceleration: float = 2.0
-    """Standard deviation of its yaw acceleration between frames [rad/s^2]. More: follows faster, with noisier yaw
-    rates."""
+    """Standard deviation of an object's yaw acceleration between frames [rad/s^2]. Larger values follow faster, with
+    noisier yaw rates."""
     first_speed: float = 0.1
-    """Standard deviation of an object's speed at first sight [m/s]: nearly all stand still."""
+    """Standard deviation of an object's speed at its first detection [m/s]; small, since most objects stand still."""
     first_yaw_rate: float = 0.2
-    """Standard deviation of an object's yaw rate at first sight [rad/s]."""
+    """Standard deviation of an object's yaw rate at its first detection [rad/s]."""
     fading: float = 0.3
-    """Time constant with which the twist of an object that is not detected fades [s]. Longer: carried on further."""
+    """Time constant with which the twist of an undetected object decays [s]. Larger values extrapolate further."""
     gate: float = 25.0
-    """Squared innovation over its variance, summed over the axes, above which a detection is held back: one in 65,000
-    is by chance. More: believes false jumps sooner."""
+    """Normalised squared innovation, summed over the axes, above which a detection is held back. Noise alone exceeds
+    the default in one of 65,000 detections. Larger values accept more outliers."""
     confirm: int = 3
-    """Detections in a row, agreeing with each other, after which a jump is believed. More: later."""
+    """Number of consecutive, mutually consistent outliers that restart the filter. Larger values react later."""
     forget: float = 1.0
-    """Time without a detection after which the filter starts anew with the next one [s]: a twist made up from where the
-    object has meanwhile been put would be no twist."""
+    """Time without a detection after which the next detection restarts the filter [s]. Someone may have moved the
+    object meanwhile, and this displacement must not be taken for a twist."""
     fastest: float = 1.5
-    """Speed up to which held-back detections can belong together [m/s]; in yaw, rad/s."""
+    """Speed up to which consecutive outliers count as consistent [m/s]; for yaw [rad/s]."""
 
 
 class Tracks(NamedTuple):
-    """W x N filters. Times are numbers of ticks."""
+    """State of W x N filters, three axes each. Times are in ticks."""
 
     pose: Float[Array, "W N 3"]
-    """In {D}; NaN for an object that was never detected."""
+    """Estimated pose in {D} [m, rad]; NaN for an object that was never detected."""
     rate: Float[Array, "W N 3"]
+    """Estimated twist in {D} [m/s, rad/s]."""
     variance: Float[Array, "W N 3"]
-    """Of the pose."""
+    """Variance of the pose."""
     covariance: Float[Array, "W N 3"]
-    """Of pose and rate."""
+    """Covariance of pose and rate."""
     rate_variance: Float[Array, "W N 3"]
+    """Variance of the rate."""
     at: Float[Array, "W"]
-    """Time that the filters stand at: that of the last frame."""
+    """Time of the estimates: that of the last frame."""
     detected_at: Float[Array, "W N"]
-    """Time of the last frame in which the object was detected (and believed); -inf before."""
+    """Time of the last frame with an accepted detection of the object; -inf if there was none."""
     arrived_at: Float[Array, "W N"]
-    """When that frame arrived."""
+    """Time at which that frame arrived; -inf if there was none."""
     outlier: Float[Array, "W N 3"]
-    """The last detection that was held back."""
+    """Pose of the last detection that was held back, in {D}."""
     outlier_count: Float[Array, "W N"]
-    """How many in a row were, each near the one before."""
+    """Number of consecutive outliers, each consistent with the one before."""
 
 
 def init(worlds: int, objects: int) -> Tracks:
@@ -81,7 +83,7 @@ def ever_detected(tracks: Tracks) -> Bool[Array, "W N"]:
 
 
 def ahead(tracks: Tracks, seconds: Float[Array, "W"]) -> Float[Array, "W N 3"]:
-    """Poses in {D} ``seconds`` after the filters' time."""
+    """Poses in {D}, extrapolated by ``seconds`` from the filters' time."""
     return tracks.pose + tracks.rate * seconds[:, None, None]
 
 
@@ -95,21 +97,23 @@ def update(
     seconds: Float[Array, "W"],
     time: tuple[Shaped[Array, "W"], Shaped[Array, "W"]],
 ) -> Tracks:
-    """Take in one frame of each world; a world without one passes 0 seconds and nothing detected, and stays as it is.
+    """Update the filters with one frame per world.
+
+    A world without a frame passes 0 seconds and no detection; its tracks do not change.
 
     Args:
-        config: of the filter.
-        tracks: as they were.
-        measured: detected poses in {D}.
-        deviation: their standard deviations.
-        detected: which objects were.
-        seconds: since the frame before [s].
-        time: numbers of the ticks at which the frame was taken and is taken in.
+        config: settings of the filter.
+        tracks: state before the frame.
+        measured: detected poses in {D} [m, rad].
+        deviation: standard deviations of the detected poses [m, rad].
+        detected: which objects were detected.
+        seconds: time since the previous frame [s].
+        time: ticks at which the frame was taken and at which it arrived.
     """
     xp = se2.array_module(tracks.pose, measured, seconds)
     dt = seconds[:, None, None]
     pushed = dt**2 * np.array([config.acceleration, config.acceleration, config.yaw_acceleration]) ** 2
-    # White acceleration, constant over a frame.
+    # Process noise: a random acceleration that is constant between two frames.
     variance = tracks.variance + 2 * dt * tracks.covariance + dt**2 * tracks.rate_variance + pushed * dt**2 / 4
     covariance = tracks.covariance + dt * tracks.rate_variance + pushed * dt / 2
     rate_variance = tracks.rate_variance + pushed
@@ -133,9 +137,9 @@ def update(
     gain, rate_gain = variance / xp.maximum(spread, 1e-12), covariance / xp.maximum(spread, 1e-12)
     fading = xp.exp(-dt / config.fading)
     first = np.array([config.first_speed, config.first_speed, config.first_yaw_rate]) ** 2
-    # Whatever has been displaced may still be moving.
+    # A displaced object may still be moving, so its initial rate is more uncertain.
     fresh_rate = xp.where(rejected[..., None], (config.fastest / 3) ** 2, first) + 0.0 * rate_variance
-    # It may have gone on instead: once a twist has faded, its whole square is uncertain.
+    # The object may have kept moving while the twist decayed, so the lost part adds to the variance.
     forgotten = rate_variance + tracks.rate**2 * (1 - fading**2)
 
     def choose(carried: Array, corrected: Array, fresh: Array) -> Array:

@@ -1,1 +1,1 @@
-"""Domain-randomisation sweeps: thousands of MJX worlds, one row each."""
+"""Domain-randomisation sweeps over thousands of MJX worlds, with one result row per world."""

@@ -1,4 +1,4 @@
-"""A sweep's shards over many machines, by submitit: Slurm, or processes of this machine."""
+"""Distributes a sweep's shards with submitit: over a Slurm cluster, or over processes of this machine."""
 
 from __future__ import annotations
 
@@ -12,13 +12,22 @@ from shmoo_mjx.sweep.config import SweepConfig
 from shmoo_mjx.sweep.run import ShardRunner, Sweep
 
 Cluster = Literal["slurm", "local", "debug"]
-"""Slurm; other processes of this machine; or this process, one job after the other, for tests."""
+"""Slurm, other processes of this machine ("local"), or this process, one job after the other, for tests ("debug")."""
 
 
 def job(config: SweepConfig, out: Path, weights: Path, part: tuple[int, int]) -> int:
-    """The k-th of n jobs: computes its missing shards, on whatever devices its machine has. Says how many those were.
+    """Run one job: compute its missing shards on all devices of its machine.
 
-    It may be killed and started again, and run beside others.
+    A job can be killed and started again, and jobs can run in parallel.
+
+    Args:
+        config: configuration of the sweep.
+        out: folder of the sweep.
+        weights: file with the weights of the learned model.
+        part: (k, n) for the k-th of n jobs.
+
+    Returns:
+        Number of computed shards.
     """
     runner = ShardRunner(Sweep.open(config, out, weights), part)
     runner.run()
@@ -34,18 +43,23 @@ def submit(
     progress: Callable[[str, float], None] = lambda stage, fraction: None,
     poll: float = 2.0,
 ) -> None:
-    """Start ``jobs`` jobs and wait for them; whoever stops waiting leaves them running.
+    """Start jobs and wait for them. If waiting is interrupted, the jobs continue.
 
-    The sweep's folder must be one that all machines see. ``options`` are those of submitit's executor, ``progress``
-    takes (stage, share of the shards that are there), ``poll`` is the time between two looks [s].
+    Args:
+        sweep: sweep to compute; all machines must have access to its folder.
+        jobs: number of jobs.
+        cluster: where to run the jobs.
+        options: options of submitit's executor.
+        progress: function called with (stage, fraction of finished shards).
+        poll: time between two checks of the jobs [s].
 
     Raises:
-        ShmooError: submitit is missing, there is no such cluster here, or a job failed.
+        ShmooError: submitit is missing, the cluster is not available, or a job failed.
     """
     total, jobs = len(sweep.shards), min(jobs, len(sweep.shards))
     started = _start(sweep, jobs, cluster, options)
     for one in started if cluster == "debug" else []:
-        _result(one)  # a debug job runs when it is asked for its result
+        _result(one)  # a debug job runs when its result is requested
     while not all(one.done() for one in started):
         progress(f"{jobs} jobs", 1 - len(sweep.missing()) / total)
         time.sleep(poll)
@@ -73,7 +87,7 @@ def _result(one: Any) -> None:
     try:
         one.result()
     except Exception as error:
-        # submitit quotes the job's trace between two dashed lines, then says where the logs are.
+        # submitit's message contains the job's traceback between two dashed lines, followed by the paths of the logs.
         quoted = (str(error) or repr(error)).split("-" * 22)
         reason = quoted[len(quoted) // 2].strip().splitlines()[-1]
         raise ShmooError(f"{one.paths.stderr}: job {one.job_id} failed ({reason}); read it there.") from None

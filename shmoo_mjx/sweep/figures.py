@@ -1,4 +1,4 @@
-"""What a sweep's rows say: how often pushes succeed and robots fall, by parameter and over two of them."""
+"""Summary and figures of a sweep: success and fall rates by one parameter and over two parameters."""
 
 from __future__ import annotations
 
@@ -20,7 +20,15 @@ _COLUMNS = 5
 
 
 def rate(successes: np.ndarray, trials: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Share, and Wilson's interval at 95 %; NaN where there are no trials."""
+    """Success rate with Wilson's 95 % interval.
+
+    Args:
+        successes: number of successes.
+        trials: number of trials.
+
+    Returns:
+        Rate, and lower and upper end of the interval; NaN if there are no trials.
+    """
     k, n, z = np.asarray(successes, float), np.asarray(trials, float), 1.96
     with np.errstate(invalid="ignore", divide="ignore"):
         share = k / n
@@ -30,9 +38,16 @@ def rate(successes: np.ndarray, trials: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def binned(values: np.ndarray, happened: np.ndarray, bins: int = 8) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Counts of what happened over a parameter: median value ``[B]``, how often ``[B]`` and out of how many ``[B]``.
+    """Count events in bins of a parameter.
 
-    Few different values are bins of their own; else each bin holds about as many worlds.
+    Args:
+        values: parameter value of each world.
+        happened: whether the event happened in each world.
+        bins: largest number of bins B. If there are at most this many distinct values, each is a bin. Otherwise all
+            bins contain about the same number of worlds.
+
+    Returns:
+        Median value, number of events and number of worlds per bin, ``[B]`` each.
     """
     values, happened = np.asarray(values, float), np.asarray(happened, bool)
     distinct = np.unique(values)
@@ -50,13 +65,13 @@ def binned(values: np.ndarray, happened: np.ndarray, bins: int = 8) -> tuple[np.
 
 
 def groups_of(table: Table) -> dict[tuple[str, str], np.ndarray]:
-    """Rows of each (family, controller), in order of appearance."""
+    """Row masks of each (family, controller), in order of appearance."""
     pairs = list(zip(table["family"], table["controller"], strict=True))
     return {pair: np.array([p == pair for p in pairs]) for pair in dict.fromkeys(pairs)}
 
 
 def summary(config: SweepConfig, table: Table) -> str:
-    """The answer in numbers: outcomes per family and controller, and successes over the map's two parameters."""
+    """Text summary: outcomes per family and controller, and successes by resistance and over the map's parameters."""
     lines = [config.question] if config.question else []
     head = f"{'family':12} {'controller':14} {'worlds':>7} {'success':>8} {'95 %':>13}"
     lines.append(head + "".join(f" {name:>9}" for name in _OUTCOMES[1:]))
@@ -83,7 +98,7 @@ def _resistance_lines(table: Table) -> list[str]:
 
 
 def _bins(worlds: int) -> int:
-    """As many as leave enough worlds in each."""
+    """Number of bins, so that each bin has at least about twelve worlds; from 2 to 8."""
     return int(np.clip(worlds // 12, 2, 8))
 
 
@@ -102,9 +117,18 @@ def _map_lines(axes: tuple[str, str], table: Table) -> list[str]:
 def cells(
     axes: tuple[str, str], table: Table, mine: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Edges along both axes ``[B + 1]``, and successes and worlds in each cell ``[B, B]`` (second axis first).
+    """Count successes and worlds in the cells of a two-parameter map.
 
-    The edges are those of all worlds of the family, so that controllers share them.
+    The edges are quantiles over all worlds of the family, so that its controllers share them.
+
+    Args:
+        axes: names of the two parameters.
+        table: columns of the sweep's rows.
+        mine: mask of the rows to count, of one family.
+
+    Returns:
+        Edges along the first and the second parameter, and successes and worlds per cell. The second parameter is the
+            first axis of the cells.
     """
     x, y = (np.array(table[name], dtype=float) for name in axes)
     family = np.array(table["family"]) == np.array(table["family"])[mine][0]
@@ -116,7 +140,7 @@ def cells(
 
 
 def draw_figures(config: SweepConfig, table: Table, out: Path) -> list[Path]:
-    """``parameters.png``, and ``map.png`` if the sweep has a map."""
+    """Write ``parameters.png`` if parameters are varied, and ``map.png`` if the sweep has a map. Returns the paths."""
     paths = []
     if config.varied:
         paths.append(_draw_parameters(config, table, out / "parameters.png"))
@@ -126,7 +150,7 @@ def draw_figures(config: SweepConfig, table: Table, out: Path) -> list[Path]:
 
 
 def _draw_parameters(config: SweepConfig, table: Table, path: Path) -> Path:
-    """One panel a parameter: how often pushes succeed (solid) and robots fall (dashed)."""
+    """Draw one panel per parameter with the rates of success (solid) and of falls (dashed)."""
     names = [RESISTANCE, *config.varied]
     columns = min(len(names), _COLUMNS)
     rows = -(-len(names) // columns)
@@ -153,7 +177,7 @@ def _draw_parameters(config: SweepConfig, table: Table, path: Path) -> Path:
 
 
 def _scale(axes: Any, which: str, logarithmic: bool) -> None:
-    """Ticks 1, 2, 5 in plain numbers where an axis, x or y, is logarithmic."""
+    """Make an axis (x or y) logarithmic if asked, with ticks at 1, 2 and 5 in plain numbers."""
     from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
     if logarithmic:
@@ -165,9 +189,9 @@ def _scale(axes: Any, which: str, logarithmic: bool) -> None:
 
 
 def _draw_rate(axis: Any, table: Table, columns: tuple[str, str], mine: np.ndarray, **style: str) -> None:
-    """How often the second of the columns is true over the first, a parameter."""
+    """Draw the rate at which the second column (an event) is true over the first column (a parameter)."""
     name, happened = columns
-    # Families without wheels have no rolling resistance.
+    # A parameter is missing for families that lack it, such as the rolling resistance of families without wheels.
     values = np.array([np.nan if v is None else v for v in table.get(name, [None] * len(mine))], dtype=float)
     mine = mine & np.isfinite(values)
     if not mine.any():
@@ -179,7 +203,7 @@ def _draw_rate(axis: Any, table: Table, columns: tuple[str, str], mine: np.ndarr
 
 
 def _draw_map(config: SweepConfig, names: tuple[str, str], table: Table, path: Path) -> Path:
-    """Each world as a mark on the shares of success."""
+    """Draw the map of success rates, with each world as a mark."""
     groups = groups_of(table)
     figure = blank_figure(4.4 * len(groups) + 1.0, 4.6)
     axes = figure.subplots(1, len(groups), squeeze=False)

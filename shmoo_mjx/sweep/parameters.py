@@ -1,4 +1,4 @@
-"""What a sweep may vary, by name: where each value goes, its unit, its nominal value and the values that make sense."""
+"""Parameters that a sweep can vary, with their default values, units and bounds."""
 
 from __future__ import annotations
 
@@ -9,22 +9,25 @@ from typing import NamedTuple
 from shmoo_mjx.plant.lowlevel import Gains
 
 MOST_DELAY = 0.3
-"""Longest delay of commands and of the camera [s]."""
+"""Largest delay of commands and of the camera [s]."""
 
 RESISTANCE = "object.resistance"
-"""Column of the force that keeps the object moving straight on [N], which follows from its mass and friction."""
+"""Column of the force that keeps the object in straight motion [N]. It follows from mass and friction."""
 
 
 class Parameter(NamedTuple):
     """One parameter of a world."""
 
     default: float | None
-    """Its value where the sweep says nothing; None is what the object's seed draws."""
+    """Value if the sweep does not vary the parameter; None if the object's seed draws it."""
     unit: str
+    """Unit of the values."""
     low: float
+    """Smallest allowed value."""
     high: float
-    """Bounds of the values that make sense."""
+    """Largest allowed value."""
     text: str
+    """Description for users."""
 
 
 def _gains() -> dict[str, Parameter]:

@@ -1,6 +1,6 @@
-"""The pushing controllers that sweeps compare, as laws of `one_push` (Sec. III-E).
+"""The pushing controllers that sweeps compare, as policies of `one_push` (Sec. III-E).
 
-The paper's controller is the one that runs everywhere else (control/pushing.py): MPPI on the learned core, adaptation
+The MPPI controller is the one that all other code uses (control/pushing.py), with MPPI on the learned core, adaptation
 and the governor.
 """
 
@@ -19,7 +19,13 @@ from shmoo_mjx.sweep.config import Controller
 
 
 def policy_of(controller: Controller, weights: Weights, kind: str | None = None) -> one_push.PushPolicy:
-    """The controller that a sweep file asks for, for objects that look like ``kind`` (`contact_prior.of_kind`)."""
+    """Pushing policy of a controller in a sweep file.
+
+    Args:
+        controller: controller settings of the sweep file.
+        weights: weights of the learned model.
+        kind: kind of object, which selects the prior (`contact_prior.of_kind`).
+    """
     config = push_config(controller)
     if controller.kind == "quasi_static":
         return one_push.quasi_static_policy(config.speed)
@@ -36,7 +42,7 @@ def policy_of(controller: Controller, weights: Weights, kind: str | None = None)
 
 
 def push_config(c: Controller) -> PushConfig:
-    """The settings of the pushing controller that a sweep file asks for."""
+    """Settings of the pushing controller for a controller in a sweep file."""
     base = pose_push_config()
     control = replace(base.control, num_rollouts=c.samples, horizon=c.horizon, temperature=c.temperature)
     return replace(

@@ -1,4 +1,4 @@
-"""One row a world: what it was and what came of it."""
+"""Result rows of a sweep, one per world."""
 
 from __future__ import annotations
 
@@ -16,22 +16,28 @@ from shmoo_mjx.sweep.worlds import Drawn
 
 
 class Tally(NamedTuple):
-    """What is counted of a world's push."""
+    """Running statistics of a world's push."""
 
     time: Array
-    """[s]"""
+    """Time since the start [s]."""
     contact: Array
-    """Time with more than 2 N on the hands [s]."""
+    """Total time with more than CONTACT_FORCE (2 N) on the hands [s]."""
     lean: Array
     """Largest lean [rad]."""
     force: Array
-    """Largest mean force over a sample [N]."""
+    """Largest force of the hands, as a mean over one sample [N]."""
     pose: Array
-    """``[3]`` of the object in {W}, true."""
+    """True pose of the object in {W} [m, rad], ``[3]``."""
 
 
 def rows_of(config: SweepConfig, worlds: Sequence[Drawn], ended: tuple[np.ndarray, Tally]) -> list[dict[str, Any]]:
-    """One row a world: what it was and what came of it."""
+    """Result rows with the parameters and the outcome of each world.
+
+    Args:
+        config: configuration of the sweep.
+        worlds: drawn worlds.
+        ended: final phase (see `one_push`) and statistics of each world.
+    """
     phases, tally = ended
     rows = []
     for i, w in enumerate(worlds):
@@ -54,7 +60,13 @@ def rows_of(config: SweepConfig, worlds: Sequence[Drawn], ended: tuple[np.ndarra
 
 
 def _outcome(phase: int, near: bool, moved: float) -> str:
-    """What came of a world, in a word."""
+    """Outcome of a world.
+
+    Args:
+        phase: final phase of `one_push`.
+        near: whether the object is within the goal's tolerances.
+        moved: distance of the object from its start [m].
+    """
     ended = {one_push.UNSTABLE: "unstable", one_push.FELL: "fell", one_push.APPROACH: "unfelt"}
     if phase in ended:
         return ended[phase]

@@ -1,7 +1,7 @@
-"""A sweep as a list of shards, each a file that is there whole or not at all.
+"""A sweep as a list of shards, each with an atomically written result file.
 
-A shard is some worlds in a row of one family under one controller. Whoever finds one missing may compute it: after a
-kill, on another machine, or several jobs side by side. When all are there they become one table, and figures.
+A shard is a range of worlds of one family with one controller. Any process can compute a missing shard: after an
+interruption, on another machine, or in parallel jobs. Complete sweeps are collected into one table and figures.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ if TYPE_CHECKING:
     from shmoo_mjx.sweep.simulate import Batches
 
 NOTES = "sweep.json"
-"""What a sweep's folder holds first."""
+"""File that is written first into a sweep's folder."""
 _FILES = {NOTES: SWEEP, "results.parquet": TABLE, "summary.txt": TEXT, "parameters.png": PNG, "map.png": PNG}
 
 
 class Shard(NamedTuple):
-    """Worlds first .. first + worlds - 1 of one family under one controller."""
+    """Worlds first .. first + worlds - 1 of one family with one controller."""
 
     family: str
     controller: str
@@ -43,21 +43,25 @@ class Shard(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Name of its file, without the ending."""
+        """Name of the shard's file, without suffix."""
         return f"{label(self.family)}-{self.controller}-{self.first:07d}-{self.worlds}"
 
 
 class Estimate(NamedTuple):
-    """What the missing shards of one family and controller take."""
+    """Estimated time and memory for the missing shards of one family and controller."""
 
     family: str
     controller: str
     worlds: int
+    """Number of worlds to compute."""
     batch: int
+    """Number of worlds per batch."""
     bytes: int
-    """Of a batch."""
+    """Memory of a batch on all devices [bytes]."""
     free: int
+    """Available memory on all devices [bytes]."""
     seconds: float
+    """Estimated computing time [s]."""
 
     def __str__(self) -> str:
         each, whole = self.bytes / self.batch / 1e6, self.bytes / 1e9
@@ -68,18 +72,26 @@ class Estimate(NamedTuple):
 
 @dataclass(frozen=True)
 class Sweep:
-    """A sweep and the folder it lives in."""
+    """A sweep and its output folder."""
 
     config: SweepConfig
+    """Configuration of the sweep."""
     out: Path
+    """Output folder."""
     weights: Path
+    """File with the weights of the learned model."""
 
     @classmethod
     def open(cls, config: SweepConfig, out: Path, weights: Path | None = None) -> Sweep:
-        """Begin in ``out`` or go on there.
+        """Start a sweep in the folder ``out``, or resume the one there.
+
+        Args:
+            config: configuration of the sweep.
+            out: output folder.
+            weights: file with the weights of the learned model, by default the shipped ones.
 
         Raises:
-            ShmooError: there are no such weights, or ``out`` holds another sweep or somebody else's files.
+            ShmooError: the weights file does not exist, or ``out`` contains another sweep or other files.
         """
         check_folder(out, _FILES, NOTES)
         sweep = cls(config, out, Path(weights or asset(WEIGHTS)))
@@ -108,16 +120,16 @@ class Sweep:
         ]
 
     def file(self, shard: Shard) -> Path:
-        """Where a shard's rows are."""
+        """Path of a shard's rows."""
         return self.out / "shards" / f"{shard.name}.parquet"
 
     def missing(self, part: tuple[int, int] = (0, 1)) -> list[Shard]:
-        """Shards that are not there yet; with ``part`` (k, n) those of the k-th of n jobs."""
+        """Shards without a result file; with ``part`` (k, n), only those of the k-th of n jobs."""
         mine = self.shards[part[0] :: part[1]]
         return [s for s in mine if not self.file(s).exists()]
 
     def collect(self) -> Path:
-        """All rows as one file, once every shard is there."""
+        """Write all rows to one file and return its path. All shards must be complete."""
         tables = [_read(self.file(s)) for s in self.shards]
         whole = pa.concat_tables(tables, promote_options="default")
         path = self.out / "results.parquet"
@@ -125,18 +137,20 @@ class Sweep:
         return path
 
     def write(self, shard: Shard, rows: list[dict[str, Any]]) -> None:
-        """A shard's file, whole or not at all."""
+        """Write a shard's rows atomically."""
         named = [{"family": label(shard.family), "controller": shard.controller, **row} for row in rows]
         table = pa.Table.from_pylist(named).replace_schema_metadata({"sweep": self.config.model_dump_json()})
         write_whole(self.file(shard), _written(table))
 
 
 class ShardRunner:
-    """Computes missing shards in this process, of ``part`` (k, n) those of the k-th of n jobs.
+    """Computes missing shards in this process.
 
     Args:
-        make: (family, controller) -> simulator; MJX on all devices by default.
-        memory: bytes that a batch may take on all devices together; by default what is free.
+        sweep: sweep to compute.
+        part: (k, n) to compute only the shards of the k-th of n jobs.
+        make: function (family, controller) -> simulator, by default MJX on all devices.
+        memory: memory that a batch may use on all devices together [bytes], by default the free memory.
     """
 
     def __init__(
@@ -151,7 +165,7 @@ class ShardRunner:
         self._simulator = cache(make or _mjx(sweep, memory))
 
     def estimate(self) -> Iterator[Estimate]:
-        """Compile what is needed and say what it takes, group by group; then :meth:`run` can begin."""
+        """Compile the program of each family and controller, and yield its estimated time and memory."""
         for family, controller in dict.fromkeys((s.family, s.controller) for s in self.missing):
             mine = [s for s in self.missing if (s.family, s.controller) == (family, controller)]
             simulator = self._simulator(family, controller)
@@ -187,7 +201,7 @@ def _mjx(sweep: Sweep, memory: int | None) -> Callable[[str, str], Batches]:
 
 
 def read_table(path: Path) -> dict[str, list[Any]]:
-    """A Parquet file's columns."""
+    """Columns of a Parquet file."""
     return _read(path).to_pydict()
 
 
@@ -206,7 +220,7 @@ def _written(table: Any) -> bytes:
 
 
 def duration(seconds: float) -> str:
-    """Some seconds in a unit that suits them."""
+    """Format a duration [s] in s, min or h."""
     if seconds < 90:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -1,7 +1,7 @@
-"""Batches of worlds in MJX: vmapped, sharded over devices, cut to fit their memory.
+"""Simulates batches of worlds in MJX: vmapped, sharded over devices, and sized to fit their memory.
 
-A batch is one compiled program that advances its worlds by a second; all that differs between worlds is an argument.
-Each device takes an equal part of the worlds and nothing passes between them.
+A batch is one compiled program that advances its worlds by one second. All differences between worlds are arguments.
+Each device computes an equal part of the worlds, without communication between devices.
 """
 
 from __future__ import annotations
@@ -46,15 +46,15 @@ from shmoo_mjx.types import DT, Command, Observation
 _TICKS = round(DT / TICK)
 _MOST = round(MOST_DELAY / TICK)
 _SECOND = round(1.0 / DT)
-"""Samples per call of the compiled program; the arms take the first second to unfold."""
+"""Samples per call of the compiled program (one second). The arms unfold in the first second."""
 _AT_ONCE = 4
-"""Worlds whose plans a CPU computes at a time: more would leave its caches."""
+"""Number of worlds whose plans a CPU computes together. More would exceed its caches."""
 _SHARE = 0.8
-"""Of the free memory that a batch may take."""
+"""Largest fraction of the available memory that a batch may use."""
 
 
 class Stream(IntEnum):
-    """What a world's random numbers are for."""
+    """Purposes of a world's random numbers; each has its own random stream."""
 
     CONTROLLER = 0
     FIRST_LOOK = 1
@@ -64,30 +64,34 @@ class Stream(IntEnum):
 
 
 class State(NamedTuple):
-    """W worlds between two samples."""
+    """State of W worlds between two samples."""
 
     world: MjxWorld
+    """State of the physics and the low-level control."""
     sent: Command
-    """``[W, H, ...]`` the last commands, newest first."""
+    """The last H commands, newest first, fields ``[W, H, ...]``."""
     sensor_state: SensorState
-    """``[W, 1, ...]`` each: what the senses remember."""
+    """State of the simulated sensors, fields ``[W, 1, ...]``."""
     observed: ObjectObservation
+    """Last sensed observation."""
     memory: one_push.PolicyState
+    """State of the pushing policy, with the phase."""
     samples: Array
-    """``[W]`` int"""
+    """Number of samples since the start, ``[W]`` int."""
     tally: Tally
+    """Running statistics."""
 
 
 class Batches:
-    """Simulates worlds of one family under one controller, a batch at a time.
+    """Simulates worlds of one family with one controller, batch by batch.
 
     Args:
-        config: of the sweep.
-        family: of the objects.
-        controller: its name in the sweep.
-        weights: of the learned model.
-        memory: bytes that all devices together may take; what is free by default.
-        devices: to share the worlds out among; all that JAX sees by default.
+        config: configuration of the sweep.
+        family: family of the objects.
+        controller: name of the controller in the sweep.
+        weights: weights of the learned model.
+        memory: memory that all devices together may use [bytes], by default the free memory.
+        devices: devices that share the worlds, by default all of JAX's devices.
     """
 
     @single_precision
@@ -142,7 +146,7 @@ class Batches:
 
     @single_precision
     def time_one(self) -> float:
-        """Seconds that a whole batch takes, by its first second on the sweep's first world."""
+        """Estimated computing time of a batch [s], from its first simulated second with copies of the first world."""
         many = jax.tree.map(lambda x: jnp.repeat(x, self.batch, axis=0), self._one)
         many = jax.device_put(many, self._each)
         state = self._start(self._nominal, many)
@@ -155,7 +159,14 @@ class Batches:
     def run(
         self, worlds: Sequence[Drawn], progress: Callable[[float], None] = lambda fraction: None
     ) -> list[dict[str, Any]]:
-        """What came of each world, in order: see :func:`rows_of`. A last batch that is not full is filled up."""
+        """Simulate worlds and return their result rows in order, see :func:`rows_of`.
+
+        An incomplete last batch is padded with copies of its last world.
+
+        Args:
+            worlds: worlds to simulate.
+            progress: function called with the fraction done.
+        """
         rows: list[dict[str, Any]] = []
         for first in range(0, len(worlds), self.batch):
             part = list(worlds[first : first + self.batch])
@@ -175,7 +186,7 @@ class Batches:
         world = jax.tree.map(jnp.asarray, self._still)._replace(physics=physics)
         truth = self.engine.observe(world)
         noise = jax.random.normal(key_of(setup, Stream.FIRST_LOOK), (1, 1, 3))
-        # It knows where the object stands.
+        # The robot knows the object's pose at the start (poses_known).
         sensor_state = sensing.first_state(
             self._senses, setup.sensing, setup.scenery, robot_pose=truth.robot_pose[None],
             object_pose=truth.object_pose[None], noise=noise, poses_known=True, remembers=MOST_DELAY + TICK,
@@ -190,7 +201,7 @@ class Batches:
         return State(world, sent, sensor_state, observed, memory, jnp.int32(0), tally)
 
     def _second(self, nominal: Any, setup: WorldSetup, state: State) -> State:
-        """All the device's worlds by one second."""
+        """Advance all worlds of a device by one second."""
 
         def decide(inputs: tuple[Any, ...]) -> tuple[Command, one_push.PolicyState]:
             task, key, memory, observed, samples = inputs
@@ -210,7 +221,7 @@ class Batches:
     def _move(
         self, nominal: Any, setup: WorldSetup, state: State, decided: tuple[Command, one_push.PolicyState]
     ) -> State:
-        """One world by one sample under the command ``decided``; a world that is over stays as it is."""
+        """Advance one world by one sample with the command ``decided``; a finished world does not change."""
         command, memory = decided
         sent = jax.tree.map(lambda new, old: jnp.concatenate([new[None], old[:-1]]), command, state.sent)
         model = nominal.tree_replace(setup.fields)
@@ -218,7 +229,7 @@ class Batches:
         gains = Gains(**setup.gains)
         substeps = round(TICK / self.engine.timestep)
 
-        # Headings are held as the robot believes them.
+        # The low-level control holds the estimated heading, so subtract the estimation error from the target.
         turned = 0.0 if self._senses.perfect else sensing.heading_error(state.sensor_state)[0]
 
         def tick(world: MjxWorld, number: Array) -> tuple[MjxWorld, Observation]:
@@ -239,7 +250,7 @@ class Batches:
         return jax.tree.map(lambda a, b: jnp.where(state.memory.phase >= one_push.DONE, a, b), state, after)
 
     def _watched(self, setup: WorldSetup, state: State, track: Observation) -> SensorState:
-        """The senses after the sample's ticks, of which ``track [T, ...]`` is the truth."""
+        """Sensor state after the sample's ticks, of which ``track [T, ...]`` is the ground truth."""
         normal = jax.random.normal(key_of(setup, Stream.SENSES, state.samples), (_TICKS, 9))
         uniform = jax.random.uniform(key_of(setup, Stream.DROP_OUTS, state.samples), (_TICKS, 1, 1, 2))
 
@@ -258,7 +269,12 @@ class Batches:
 
 
 def commands_ago(delay: Array, tick: Array) -> Array:
-    """Which command the motors follow in a sample's ``tick`` if commands are ``delay`` ticks late; 0 is the newest."""
+    """Age, in commands, of the command that the motors follow at a tick of a sample; 0 is the newest command.
+
+    Args:
+        delay: command delay [ticks].
+        tick: number of the tick in the sample.
+    """
     return jnp.maximum((delay - tick + _TICKS - 1) // _TICKS, 0)
 
 
@@ -267,14 +283,17 @@ def _task(setup: WorldSetup) -> one_push.WorldGoal:
 
 
 def key_of(setup: WorldSetup, stream: Stream, sample: Array | int = 0) -> Array:
-    """Random key of one world for one use in one sample; every random number of a batch is drawn with one of these."""
+    """Random key of one world for one purpose in one sample. All random numbers of a batch use these keys."""
     return jax.random.fold_in(jax.random.fold_in(setup.key, stream), sample)
 
 
 def _perceived(
     senses: Senses, setup: WorldSetup, truth: Observation, sensor_state: SensorState, *, wrench: Array, samples: Array
 ) -> ObjectObservation:
-    """What the robot's senses make of the truth, with the swept noise; perfect ones see late at most."""
+    """Sensed observation of the true state, with the noise of the sweep's parameters.
+
+    With perfect sensing, the estimate is the ground truth, delayed by the camera's delay.
+    """
     error = setup.noise * jax.random.normal(key_of(setup, Stream.SWEPT_NOISE, samples), (11,))
     if senses.perfect:
         late = setup.sensing.frame_delay
@@ -303,7 +322,8 @@ def _perceived(
 
 
 def _phase(phase: Array, truth: Observation, world: MjxWorld, setup: WorldSetup) -> Array:
-    """The phase after a sample: over if the robot has fallen, or if it has let go and the object rests."""
+    """Phase after a sample. A world ends if the robot has fallen, if it has let go and the object is at rest, or if the
+    physics has diverged."""
     away = hands_to_face(truth.object_pose[0], truth.robot_pose, setup.face) > CLEAR
     resting = jnp.hypot(truth.object_twist[0, 0], truth.object_twist[0, 1]) < AT_REST
     phase = jnp.where((phase == one_push.LET_GO) & away & resting, one_push.DONE, phase)
@@ -323,7 +343,7 @@ def _counted(tally: Tally, truth: Observation, wrench: Array, samples: Array) ->
 
 
 def free_memory(devices: Sequence[jax.Device]) -> int:
-    """Bytes that are free on all ``devices`` together; of CPUs, in the machine."""
+    """Free memory on all ``devices`` together [bytes]; for CPUs, the available memory of the machine."""
     stats = [d.memory_stats() for d in devices]
     if all(s and "bytes_limit" in s for s in stats):
         return sum(s["bytes_limit"] - s["bytes_in_use"] for s in stats if s)

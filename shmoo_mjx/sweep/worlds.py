@@ -1,7 +1,7 @@
-"""World i of a sweep: its object, its robot, its task, drawn from (seed, family, i) alone.
+"""Draws world i of a sweep (object, robot and task) from (seed, family, i) only.
 
-Whatever else is swept, however the worlds are cut into shards and batches: the same i gives the same world. Each
-parameter has random numbers of its own, so that varying one more leaves the others as they were.
+World i is therefore independent of the division into shards and batches. Each parameter has its own random numbers, so
+varying another parameter does not change the values of the others.
 """
 
 from __future__ import annotations
@@ -38,64 +38,74 @@ _FIELDS = (
     "body_invweight0", "dof_invweight0", "dof_frictionloss", "dof_M0", "geom_pos", "geom_size", "geom_aabb",
     "geom_rbound", "geom_friction",
 )  # fmt: skip
-"""Fields of a model that an object's properties decide and physics depends on; a test looks for others."""
+"""Model fields that depend on the object's properties and affect the physics. A test checks that none is missing."""
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """One world as drawn."""
+    """One drawn world."""
 
     index: int
+    """Index i of the world in the sweep."""
     values: dict[str, float]
-    """Of every parameter by its name; those of the object as it is, drawn by its seed or by the sweep. Parameters that
-    this family's objects don't have are missing."""
+    """Value of every parameter by name, drawn by the sweep or by the object's seed. Parameters that objects of this
+    family lack are missing."""
     condition: Condition
+    """Condition of the object."""
     face: np.ndarray
-    """``[4]``"""
+    """Pushed face in {O}, ``[4]``, in the format of `faces_of`."""
     goal: np.ndarray
-    """``[3]`` of the object in {W}; the object starts at the origin."""
+    """Goal pose of the object in {W} [m, rad], ``[3]``. The object starts at the origin."""
     robot: np.ndarray
-    """``[3]`` start pose of {R} in {W}."""
+    """Initial pose of {R} in {W} [m, rad], ``[3]``."""
     sensing: sensing.SensorDraw
-    """What the robot's seed decides about its senses, for one world."""
+    """Sensor parameters drawn from the robot's seed, for one world."""
 
 
 class WorldSetup(NamedTuple):
-    """W worlds as arrays with a leading axis W: all in which they differ before the first step."""
+    """All differences between W worlds before the first step, as arrays with a leading axis W."""
 
     fields: dict[str, Array]
-    """Of ``mjx.Model``, by name."""
+    """Fields of ``mjx.Model`` by name."""
     factors: Factors
+    """Factors on the robot's nominal properties."""
     gains: dict[str, Any]
-    """``[W]`` each, of the low-level control, by name."""
+    """Gains of the low-level control by name, ``[W]`` each."""
     noise: Array
-    """``[W, 11]`` standard deviations: lean (2), lean rate (2), object pose (3) and twist (3), force."""
+    """Standard deviations of lean (2), lean rate (2), object pose (3), object twist (3) and force, ``[W, 11]``."""
     delay: Array
-    """``[W]`` int, of commands, in ticks."""
+    """Command delay [ticks], ``[W]`` int."""
     sensing: sensing.SensorDraw
-    """``[W, 1]`` each: a world is a batch of one to its senses."""
+    """Drawn sensor parameters, fields ``[W, 1]``: the sensing code sees each world as a batch of one."""
     scenery: Scenery
-    """``[W, 1, ...]`` each."""
+    """Geometry for lines of sight, fields ``[W, 1, ...]``."""
     qpos: Array
-    """``[W, nq]`` starting configuration."""
+    """Initial configuration, ``[W, nq]``."""
     face: Array
+    """Pushed face in {O}, ``[W, 4]``."""
     half_extents: Array
-    """``[W, 2]``"""
+    """Half extents of the object's footprint [m], ``[W, 2]``."""
     goal: Array
+    """Goal pose of the object in {W} [m, rad], ``[W, 3]``."""
     key: Array
-    """``[W]`` of noise and controller."""
+    """Random keys for noise and controller, ``[W]``."""
 
 
 def label(family: str) -> str:
-    """A family's name; of an own object its file's, wherever it lies."""
+    """Name of a family; for a custom object, its file name without folder and suffix."""
     return Path(family).stem
 
 
 def draw(config: SweepConfig, family: str, index: int) -> Drawn:
-    """World ``index`` of a family.
+    """Draw one world of a sweep.
+
+    Args:
+        config: configuration of the sweep.
+        family: family of the object.
+        index: index i of the world.
 
     Raises:
-        ShmooError: an object that can't be, or that lacks a varied property.
+        ShmooError: the object's properties are out of range, or the object lacks a varied property.
     """
     named = zlib.crc32(label(family).encode())
     values = {}
@@ -109,7 +119,7 @@ def draw(config: SweepConfig, family: str, index: int) -> Drawn:
     seed = int(np.random.default_rng([config.seed, named, index, zlib.crc32(b"senses")]).integers(2**31))
     drawn = sensing.draw(senses, [seed])
     if not senses.perfect:
-        # What a sweep says of delays and of lean goes before the senses' own.
+        # Use the sensing settings' delays and lean noise only where the sweep does not vary them.
         own = {
             "delay.camera": TICK * int(drawn.frame_delay[0]),
             "delay.command": TICK * int(drawn.command_delay[0]) + senses.computing,
@@ -117,7 +127,7 @@ def draw(config: SweepConfig, family: str, index: int) -> Drawn:
         }
         values |= {name: value for name, value in own.items() if name not in config.vary}
     frames = round(values["delay.camera"] / TICK)
-    # A frame waits for the odometry of its time.
+    # A frame can only be processed when the odometry of its time has arrived.
     frames = frames if senses.perfect else max(frames, int(drawn.odometry.delay[0]))
     drawn = drawn._replace(frame_delay=np.array([frames]))
     condition = _condition(config, family, index, values)
@@ -143,7 +153,7 @@ def _condition(config: SweepConfig, family: str, index: int, values: dict[str, f
 
 
 def _properties(c: Condition) -> dict[str, float]:
-    """An object's scalar properties, by the names of their parameters."""
+    """Scalar properties of an object, by the names of their parameters."""
     flat = {k: getattr(c, k) for k in ("mass", "payload", "payload_x", "payload_y", "friction")}
     if c.rolling:
         flat |= {"rolling": float(np.mean(c.rolling)), "swivel_friction": c.swivel_friction}
@@ -151,20 +161,30 @@ def _properties(c: Condition) -> dict[str, float]:
 
 
 def scene_of(drawn: Drawn) -> Scene:
-    """The world for MJX, without what ``WorldSetup.factors`` changes of the robot."""
+    """MJX scene of a world, with the nominal robot: ``WorldSetup.factors`` are applied later."""
     placed, robot = [(drawn.condition, (0.0, 0.0, 0.0))], drawn.robot.tolist()
     return build_scene(placed, robot, engine="mjx", adjust=_every_wheel_has_friction)
 
 
 def _every_wheel_has_friction(spec: mujoco.MjSpec) -> None:
-    """MJX compiles in which joints have dry friction: a wheel without gets a trace, so that another may be locked."""
+    """Give every wheel at least a tiny dry friction.
+
+    MJX fixes the set of joints with dry friction at compile time, and in other worlds these wheels may be locked.
+    """
     for joint in spec.joints:
         if joint.name.startswith("object") and joint.name.endswith("_roll"):
             joint.frictionloss = max(float(np.max(joint.frictionloss)), 1e-6)
 
 
 def set_up(config: SweepConfig, worlds: Sequence[Drawn], nominal: Any, scene: Scene) -> WorldSetup:
-    """Worlds of one family as arrays, with fields shaped like those of ``nominal``, the ``mjx.Model`` of ``scene``."""
+    """Convert drawn worlds of one family to arrays.
+
+    Args:
+        config: configuration of the sweep.
+        worlds: drawn worlds.
+        nominal: ``mjx.Model`` of ``scene``, which defines shapes and types of the model fields.
+        scene: scene with the structure of all worlds.
+    """
     scenes = [scene_of(w) for w in worlds]
     models = [s.model for s in scenes]
     for model in models:
@@ -203,7 +223,7 @@ def _factors(column: Any) -> Factors:
     return Factors(
         body_mass=column("robot.body_mass"),
         arm_mass=column("robot.arm_mass"),
-        object_mass=one,  # the object's own are in its model
+        object_mass=one,  # the model fields already contain the object's properties
         drive_friction=column("robot.drive_friction"),
         body_com=column("robot.com_x", "robot.com_y", "robot.com_z"),
         hand_friction=column("robot.hand_friction"),
@@ -213,7 +233,7 @@ def _factors(column: Any) -> Factors:
 
 
 def _single(each: list[Any]) -> Any:
-    """Trees of one world each as one tree ``[W, 1, ...]`` of float32 and int32."""
+    """Stack trees of one world each into one tree ``[W, 1, ...]`` of float32 and int32."""
 
     def stack(*leaves: Any) -> np.ndarray:
         stacked = np.stack(leaves)
@@ -228,6 +248,6 @@ def _stacked(values: list[Any], like: Array) -> np.ndarray:
 
 
 def _same_structure(model: mujoco.MjModel, other: mujoco.MjModel) -> None:
-    """What MJX compiles into the program must not differ between the worlds."""
+    """Assert that two models agree in everything that MJX compiles into the program."""
     same = (model.nq, model.nv, model.ngeom) == (other.nq, other.nv, other.ngeom)
     assert same and np.array_equal(model.dof_frictionloss > 0, other.dof_frictionloss > 0)
