@@ -1,8 +1,8 @@
 """Online adaptation of the coefficients a by Eq. 8.
 
 This is the discrete form from the supplement of Neural-Fly: propagate, then update with a Kalman gain. The covariance
-update uses Joseph's form, which stays positive definite; plain Euler steps of P do not. Units: psi a is an acceleration,
-so a has the unit of an acceleration divided by psi, and covariances have the square of that unit.
+update uses Joseph's form, which stays positive definite; plain Euler steps of P do not. Units: psi a is an
+acceleration, so a has the unit of an acceleration divided by psi, and covariances have the square of that unit.
 """
 
 from __future__ import annotations

@@ -157,8 +157,8 @@ def fit(
 ) -> ObjectFit:
     """Train psi on arbitrary arrays {condition: (x, y)} with DAIML.
 
-    The meaning of the inputs is unknown. The training therefore uses teacher forcing, no contact model and no
-    reflection.
+    The meaning of the inputs is unknown. The training therefore uses teacher forcing, and psi has no contact model and
+    is not equivariant.
 
     Args:
         train: inputs and labels of each training condition.

@@ -51,8 +51,8 @@ class EstimateConfig:
     """Standard deviations of two errors of the sensed force: of the logarithm of sensed over true force [1], due to
     motor constants, and of a constant offset [N], due to the weight of the arms."""
     force_bias: float = 1.2
-    """Value added to the sensed force [N]. Sensed forces are some newtons too low if the arm motors are calibrated while
-    the robot sways (`sensing.touch`). Larger makes objects appear to resist more."""
+    """Value added to the sensed force [N]. Sensed forces are some newtons too low if the arm motors are calibrated
+    while the robot sways (`sensing.touch`). Larger makes objects appear to resist more."""
     lag: float = 0.05
     """Delay of a tracked pose beyond its age, due to the tracker's filter [s]. A value that is too small makes light
     objects appear heavy."""
@@ -135,7 +135,7 @@ def init(config: EstimateConfig, prior: Float[Array, "M p"], key: Key[Array, ""]
 
 @single_precision
 def step(config: EstimateConfig, state: ObjectEstimate, sighting: Sighting) -> ObjectEstimate:
-    """The posterior after one more sample. A non-finite sample changes only the random key and ``located``.
+    """The posterior after one more sample. A non-finite sample changes only the random key.
 
     Args:
         config: settings; static.
@@ -174,7 +174,7 @@ def step(config: EstimateConfig, state: ObjectEstimate, sighting: Sighting) -> O
     )
     likelihood = jnp.where(measured, _log_likelihood(innovation / jnp.array(config.pose_noise)), 0.0)
     new = _updated(config, moved, likelihood, resample_key)
-    # The draws of a sample that changes nothing are not made again for the next one.
+    # An ignored sample also advances the key, so its random draws are not reused.
     return jax.tree.map(lambda a, b: jnp.where(use, a, b), new, state._replace(key=key))
 
 
@@ -209,7 +209,7 @@ def learn(
     predicted = _acceleration(state.parameters, twist, wrench, inputs[where["size"]][0])
     likelihood = _log_likelihood((label - predicted) / (config.acceleration_noise * scale))
     new = _updated(config, state._replace(key=key), likelihood, resample_key)
-    # The draws of a sample that changes nothing are not made again for the next one.
+    # An ignored sample also advances the key, so its random draws are not reused.
     return jax.tree.map(lambda a, b: jnp.where(use, a, b), new, state._replace(key=key))
 
 
