@@ -39,7 +39,7 @@ the motion until the next measurement."""
 _COAST_SAMPLES = 40
 """Horizon of `coast` [samples]. At the allowed speed near a goal, the minimum drag stops every object sooner."""
 _LEAST_DRAG = 0.08
-"""Minimum deceleration of a coasting object [m/s^2], a rolling resistance of 0.008. Larger predicts shorter coasting."""
+"""Minimum deceleration of a coasting object [m/s^2], a rolling resistance of 0.008. Larger predicts less coasting."""
 
 
 @partial(jax.tree_util.register_dataclass, data_fields=["params"], meta_fields=["config", "core", "mesh"])
