@@ -113,6 +113,12 @@ def clearance_penalty(
     The depth of the object is the largest of its four corners and four edge midpoints. The depth of the hands is the
     larger of the two. The hands are included because they extend beyond the disc of the robot, and in a push around a
     corner they sweep an area that the object has not passed.
+
+    Args:
+        margins: margins, and interval of the look-ups.
+        traj: roll-outs.
+        field: distance to obstacles.
+        half_extents: half length and half width of the object's footprint [m].
     """
     steps = traj.robot_pose.shape[-2]
     robot_pose, object_pose, command = (

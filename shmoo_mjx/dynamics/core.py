@@ -35,7 +35,9 @@ class CoreConfig:
     """Static options of the transition. It is hashable, so it can be a static argument of jit."""
 
     robot: RobotConfig = field(default_factory=RobotConfig)
+    """Structure of R."""
     object: ObjectConfig = field(default_factory=ObjectConfig)
+    """Structure of psi."""
     euler: bool = False
     """Use Eq. 1 literally: positions change by q' dt only."""
     unilateral: bool = True
@@ -52,7 +54,9 @@ class Params(NamedTuple):
     """Parameters of the transition."""
 
     robot: RobotParams
+    """Parameters of R and of the lean response."""
     object: ObjectParams
+    """Parameters of psi."""
     coefficients: Float[Array, "... 3 K"]
     """The coefficients a of Eq. 3, per axis."""
     contact: Float[Array, "... 12"]

@@ -26,10 +26,15 @@ class Entry(NamedTuple):
     """One line of the input/output table."""
 
     name: str
+    """Name of the entry, unique in its table."""
     width: int
+    """Number of channels."""
     frame: str
+    """Letter of the frame, R or O."""
     unit: str
+    """Units of the channels."""
     meaning: str
+    """Description for the docs."""
     reflected: tuple[int, ...]
     """Sign of each channel under reflection in the x-z plane."""
     sides: bool = False

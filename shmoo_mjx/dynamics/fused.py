@@ -1,7 +1,7 @@
 """Networks in the form for roll-outs: channels first, with the normaliser folded into the first layer.
 
-The networks are trained in `networks`. The fused form gives the same outputs and is faster, because one plan evaluates
-it about a thousand times.
+`networks` defines them for training. The fused form gives the same outputs and is faster, which matters because one
+plan evaluates it thousands of times.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class FusedMLP(NamedTuple):
         return self._replace(biases=(*self.biases[:-1], self.biases[-1] + bias), skip=skip)
 
     def forward(self, x: Float[Array, "n_0 ..."], activation: str = "tanh") -> Float[Array, "n_last ..."]:
-        """What `networks.apply` gives, with channels first."""
+        """The same output as `networks.apply`, with channels first."""
         function = ACTIVATIONS[activation]
         ones = (1,) * (x.ndim - 1)
         h = x
@@ -68,7 +68,7 @@ class FusedEquivariantMLP(NamedTuple):
         return self._replace(biases=(*self.biases[:-1], self.biases[-1] + bias), skip=skip)
 
     def forward(self, x: Float[Array, "n_0 ..."], activation: str = "tanh") -> Float[Array, "n_last ..."]:
-        """What `networks.apply` gives, with channels first."""
+        """The same output as `networks.apply`, with channels first."""
         function = ACTIVATIONS[activation]
         ones = (1,) * (x.ndim - 1)
         even = odd = x

@@ -72,7 +72,9 @@ class SO2(NamedTuple):
     """A planar rotation, stored as cosine and sine so that they are computed once."""
 
     c: Float[Array, "..."]
+    """Cosine of the angle."""
     s: Float[Array, "..."]
+    """Sine of the angle."""
 
     @classmethod
     def from_angle(cls, angle: Scalar | Float[Array, "..."]) -> SO2:

@@ -42,6 +42,7 @@ class MLP(nn.Module):
     widths: tuple[int, ...]
     """Widths of the hidden layers and of the output."""
     activation: str = "tanh"
+    """Name in ACTIVATIONS."""
 
     @nn.compact
     def __call__(self, x: Float[Array, "... n_0"]) -> Float[Array, "... n_last"]:
@@ -60,6 +61,7 @@ class EquivariantMLP(nn.Module):
     reflections: tuple[np.ndarray, np.ndarray]
     """Reflection matrices of the input ``[n_0, n_0]`` and of the output ``[n_last, n_last]``."""
     activation: str = "tanh"
+    """Name in ACTIVATIONS."""
 
     @nn.compact
     def __call__(self, x: Float[Array, "... n_0"]) -> Float[Array, "... n_last"]:

@@ -62,6 +62,7 @@ class ObjectParams(NamedTuple):
     """Learned parameters of psi, shared by all objects."""
 
     net: networks.Network
+    """Parameters of the network."""
     linear: Float[Array, "n_net n"]
     """Linear part of psi, a map of the normalised network inputs; zero unless config.linear_terms."""
     label_scale: Float[Array, "axes"]
@@ -72,6 +73,7 @@ class FusedObjectModel(NamedTuple):
     """O with the coefficients included, in the form for roll-outs."""
 
     layers: fusing.FusedMLP | fusing.FusedEquivariantMLP
+    """The network of psi, with the coefficients in its last layer."""
     contact: Float[Array, "p"]
     """Parameters of the contact model; used if config.contact_model, or without config.residual."""
     label_scale: Float[Array, "axes"]
@@ -163,8 +165,12 @@ def basis(
 ) -> Float[Array, "... axes K"]:
     """psi of Eq. 3. The rows of the axes are equal unless config.per_axis.
 
-    ``contact`` holds the parameters of the contact model in the order of `contact_model.PARAMETERS`. It is ignored
-    unless config.contact_model.
+    Args:
+        params: parameters of psi.
+        inputs: in the order of OBJECT_INPUTS.
+        config: structure of psi.
+        contact: parameters of the contact model, in the order of `contact_model.PARAMETERS`; ignored unless
+            config.contact_model.
     """
     net_inputs = network_inputs(params.label_scale, inputs, config, contact)
     out = networks.apply(_module(config, params.label_scale.shape[-1]), params.net, net_inputs)
@@ -181,7 +187,15 @@ def predict(
     *,
     contact: Float[Array, "p"],
 ) -> Float[Array, "... axes"]:
-    """O of Eq. 3: acceleration in {O} [m/s^2, m/s^2, rad/s^2]."""
+    """O of Eq. 3: acceleration in {O} [m/s^2, m/s^2, rad/s^2].
+
+    Args:
+        params: parameters of psi.
+        coefficients: the coefficients a of the object.
+        inputs: in the order of OBJECT_INPUTS.
+        config: structure of psi.
+        contact: parameters of the contact model.
+    """
     if not config.residual:
         return jnp.moveaxis(contact_model.acceleration(contact, jnp.moveaxis(inputs, -1, 0)), 0, -1)
     return jnp.sum(basis(params, inputs, config, contact) * coefficients, axis=-1) * params.label_scale
@@ -190,7 +204,10 @@ def predict(
 def design_matrix(
     params: ObjectParams, inputs: Float[Array, "... n_in"], config: ObjectConfig, contact: Float[Array, "p"]
 ) -> Float[Array, "... axes m"]:
-    """Phi with acceleration = Phi a, where one vector a holds the coefficients of all axes. Eq. 8 calls it psi."""
+    """Phi with acceleration = Phi a, where one vector a holds the coefficients of all axes. Eq. 8 calls it psi.
+
+    The arguments are those of `basis`.
+    """
     psi = basis(params, inputs, config, contact) * params.label_scale[:, None]
     n_axes = params.label_scale.shape[-1]
     blocks = psi[..., :, None, :] * jnp.eye(n_axes)[:, :, None]

@@ -27,6 +27,7 @@ class RobotConfig:
     """Widths of the hidden layers. They are half of the paper's: pushes end equally close to their goals, and plans
     take less time."""
     activation: str = "relu"
+    """Name in `networks.ACTIVATIONS`."""
 
     @classmethod
     def paper(cls) -> RobotConfig:
@@ -116,7 +117,12 @@ def lean_step(
 ) -> tuple[Float[Array, "2 ..."], Float[Array, "2 ..."]]:
     """Lean [rad] and its rate [rad/s] one sample later, channels first.
 
-    ``target`` is the command [rad] and ``force`` is the hand force of the last sample in {R} [N].
+    Args:
+        response: the lean response.
+        lean: lean [rad].
+        rate: rate of the lean [rad/s].
+        target: command [rad].
+        force: force of the hands on the object over the last sample, in {R} [N].
     """
     m = response.matrix.reshape(*response.matrix.shape, *(1,) * (lean.ndim - 1))
     inputs = (lean, rate, target, force, 1.0)

@@ -33,7 +33,7 @@ class AdaptConfig:
     values above 1 for correlated residuals."""
     outlier: float = 16.0
     """Squared Mahalanobis distance of the innovation [1]. Above it, the noise of a sample is raised in proportion to
-    the distance. Larger rejects fewer outliers."""
+    the distance. Larger gives fewer samples a reduced weight."""
     tracking: bool = False
     """Use the tracking term +P psi^T s dt."""
 

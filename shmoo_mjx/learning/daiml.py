@@ -112,6 +112,8 @@ Discriminator = dict[str, dict[str, Array]]
 
 
 class _State(NamedTuple):
+    """State of the training between updates."""
+
     model: Model
     model_opt: Any
     discriminator: Discriminator

@@ -321,6 +321,7 @@ def _updated(config: EstimateConfig, state: ObjectEstimate, log_likelihood: Arra
 
 
 def _resampled(config: EstimateConfig, state: ObjectEstimate, key: Array) -> ObjectEstimate:
+    """Systematic resampling, followed by shrinkage, perturbation and new draws from the prior (Liu and West 2001)."""
     count = config.particles
     start, first, second, prior_key = jax.random.split(key, 4)
     places = (jnp.arange(count) + jax.random.uniform(start)) / count

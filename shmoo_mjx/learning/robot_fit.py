@@ -44,7 +44,7 @@ class RobotFitConfig:
     """Weight decay of AdamW."""
     input_noise: float = 0.02
     """Standard deviation of the noise added to the inputs, in standard deviations of each input [1]. It prepares R for
-    its own errors in roll-outs; larger is more robust and less accurate."""
+    its own errors in roll-outs; larger regularises R more."""
     horizon: int = 0
     """Length of the roll-outs of R that are trained in addition to the one step of Eq. 7 [samples]. The object moves as
     recorded. 0 gives Eq. 7."""
@@ -91,6 +91,8 @@ class RobotFit(NamedTuple):
 
 
 class _State(NamedTuple):
+    """State of the training between updates."""
+
     net: networks.Network
     opt: Any
     key: jax.Array

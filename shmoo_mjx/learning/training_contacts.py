@@ -112,7 +112,15 @@ def from_stretches(
 def on_first_samples(
     config: EstimateConfig, prior: Float[Array, "M p"], scale: Float[Array, "3"], samples: Samples, *, fit_samples: int
 ) -> Float[Array, "C p"]:
-    """Contact parameters of each condition, estimated from its first ``fit_samples`` samples, at most half of them."""
+    """Contact parameters of each condition, estimated from its first samples.
+
+    Args:
+        config: settings of the estimate; static.
+        prior: draws from the prior.
+        scale: standard deviation of the labels.
+        samples: samples of C conditions.
+        fit_samples: number of first samples to use, at most half of all samples.
+    """
     n = min(fit_samples, samples.inputs.shape[1] // 2)
     after = partial(estimate.after_rows, config, jnp.asarray(prior), jnp.asarray(scale))
     first = tuple(jnp.asarray(a[:, :n]) for a in samples[:3])

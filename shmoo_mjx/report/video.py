@@ -235,6 +235,7 @@ def _star(draw: Any, view: TopDown, point: np.ndarray) -> None:
 
 
 def _registered_at(result: dict[str, Any], item: dict[str, Any], t: float) -> bool:
+    """True if the object, which is registered at the end, has been found immovable by time ``t``."""
     times = [d["t"] for d in result["decisions"] if d["object"] == item["id"] and not d["manipulable"]]
     return not times or t >= min(times)
 
