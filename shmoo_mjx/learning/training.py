@@ -46,7 +46,7 @@ class Fitted(NamedTuple):
 
 
 def bounded_gradient() -> optax.GradientTransformation:
-    """Clip gradients to norm 1 and replace NaN by zero. Roll-outs of an untrained model can overflow."""
+    """Clip gradients to norm 1. A gradient that overflows, as in roll-outs of an untrained model, becomes zero."""
     return optax.chain(optax.clip_by_global_norm(1.0), optax.zero_nans())
 
 
