@@ -1,1 +1,1 @@
-"""Choosing the next action: a model-agnostic MPPI planner and the cost of pushing an object to a goal."""
+"""Control: a model-agnostic MPPI planner, and the cost and controller for pushing an object to a goal."""

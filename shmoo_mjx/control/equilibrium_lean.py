@@ -1,8 +1,8 @@
 """Online estimate of the equilibrium-lean offset.
 
-A centre of mass that lies some millimetres beside where the model has it makes a robot at zero lean drift off. Along
-the flat output S = x + (b/a) phi one plane obeys a S'' = c (phi + arms - offset - h F / (m g l)) (``Robot.flatness``),
-so the offset is what the measured lean, with what the arms weigh, has more than S'' explains.
+If the true centre of mass is some millimetres away from that of the model, a robot at zero lean drifts. In each plane
+the flat output S = x + (b/a) phi obeys a S'' = c (phi + arms - offset - h F / (m g l)) (``Robot.flatness``). The offset
+is therefore the measured lean, plus the lean due to the arms, minus the lean that S'' explains.
 """
 
 from __future__ import annotations
@@ -18,12 +18,11 @@ from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.types import DT, Command, Observation
 
 _MEMORY = 4.0
-"""Time over which the estimate averages [s]: shorter lets the noise of the twist through, longer follows a shift of
-the centre of mass late."""
+"""Averaging time of the estimate [s]. Larger is less noisy and follows a shift of the centre of mass more slowly."""
 _FREE = 1.0
-"""Hand force from which a sample is left out [N]: half of what counts as contact."""
+"""Hand force above which a sample is ignored [N]. It is half the force that counts as contact."""
 LIMIT = 0.04
-"""Largest offset [rad]: 2 cm at the height of the centre of mass."""
+"""Largest offset [rad], which is 2 cm at the height of the centre of mass."""
 
 
 class LeanOffset(NamedTuple):
@@ -32,18 +31,18 @@ class LeanOffset(NamedTuple):
     lean: Float[np.ndarray, "2"]
     """Lean at which the robot balances, in {R} [rad]."""
     samples: int
-    """Samples that it rests on so far."""
+    """Number of samples used so far."""
     before: tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]] | None
-    """Velocity of the flat output in {W} and lean in {R}, a sample ago."""
+    """Velocity of the flat output in {W} [m/s] and lean in {R} [rad] one sample ago."""
 
 
 def init() -> LeanOffset:
-    """Estimate before the first sample: no offset."""
+    """The estimate before the first sample: zero offset."""
     return LeanOffset(np.zeros(2), 0, None)
 
 
 def step(state: LeanOffset, obs: Observation) -> LeanOffset:
-    """Estimate after one more sample of one world."""
+    """The estimate after one more sample of one world."""
     a, b, c = shmoobot().flatness
     yaw = obs.robot_pose[0, 2]
     lean = np.asarray(obs.lean[0], dtype=float)
@@ -54,17 +53,17 @@ def step(state: LeanOffset, obs: Observation) -> LeanOffset:
     explained = a / c * se2.rotate(speed - state.before[0], -yaw) / DT
     error = 0.5 * (lean + state.before[1]) + arms_lean(obs.hands[0]) - explained - state.lean
     samples = state.samples + 1
-    # The first seconds count in full: a mean grows into a fading memory.
+    # The gain starts as that of a plain mean and becomes that of an exponential average.
     gain = max(DT / _MEMORY, 1.0 / samples)
     offset = np.clip(state.lean + gain * error, -LIMIT, LIMIT)
     return state._replace(lean=offset, samples=samples, before=(speed, lean))
 
 
 def arms_lean(hands: Float[Array, "2 3"]) -> Float[np.ndarray, "2"]:
-    """Lean [rad] by which the low-level control compensates the arms; the lean is commanded without it.
+    """Lean with which the low-level control compensates the weight of the arms [rad]. Commanded leans exclude it.
 
     Args:
-        hands: as in an Observation.
+        hands: positions of the hands, as in an Observation.
     """
     robot = shmoobot()
     in_body = np.asarray(hands, dtype=float) - [0.0, 0.0, robot.ball_radius]
@@ -72,9 +71,14 @@ def arms_lean(hands: Float[Array, "2 3"]) -> Float[np.ndarray, "2"]:
 
 
 def predicted(obs: Observation, seconds: float) -> Observation:
-    """Robot and objects extrapolated by ``seconds``; ``obs`` counts the lean from where the robot balances.
+    """The observation extrapolated by ``seconds``.
 
-    What the lean has beyond the felt force moves the robot (S'' of the flat output), and objects keep their twist.
+    The acceleration of the robot follows from the lean minus the lean that balances the sensed force (S'' of the flat
+    output). Objects keep their twist.
+
+    Args:
+        obs: observation whose lean is relative to the equilibrium lean (`corrected`).
+        seconds: time to extrapolate [s].
     """
     if not seconds:
         return obs
@@ -92,12 +96,12 @@ def predicted(obs: Observation, seconds: float) -> Observation:
 
 
 def corrected(state: LeanOffset, obs: Observation) -> Observation:
-    """The observation with its lean counted from where the robot balances."""
+    """The observation with its lean relative to the equilibrium lean."""
     return obs._replace(lean=obs.lean - state.lean)
 
 
 def shifted(state: LeanOffset, command: Command) -> Command:
-    """The command with its lean counted from where the body's axis is upright, as the low-level control takes it."""
+    """The command with its lean relative to the upright body axis, as the low-level control expects it."""
     u = np.array(command.u, dtype=float)
     u[:, :2] += state.lean
     return command._replace(u=u)

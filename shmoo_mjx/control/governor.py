@@ -1,10 +1,11 @@
-"""Governor on the forward lean: a velocity loop with force feed-forward that bounds what MPPI may command.
+"""Governor of the forward lean: a velocity loop with force feed-forward that bounds the commands of MPPI.
 
-An object that sticks makes a planner lean harder until it breaks away, and then the robot falls forward with it: what
-rolls can't be braked by pushing. The governor keeps the lean near that of the cascade's velocity loop (Sec. III), so
-that the speed stays where it was allowed and the hands stay on the object, whatever the model believes. Like any
-velocity loop it has an integral: what sticks just below the lean that balances what is felt would be stuck for good.
-For one robot, on NumPy and JAX arrays alike; vmap for more.
+If an object sticks, a planner leans more and more until the object breaks away. The robot then falls forward with it,
+because a push can not brake a rolling object. The governor keeps the lean near that of the velocity loop of the cascade
+(Sec. III). The speed therefore stays near the allowed speed and the hands stay on the object, even if the model is
+wrong. The loop has an integral term, so that an object that sticks just below the balancing lean does not stay stuck.
+
+The functions are for one robot (vmap for more) and accept NumPy and JAX arrays.
 """
 
 from __future__ import annotations
@@ -19,43 +20,43 @@ from shmoo_mjx.plant.robot import shmoobot
 from shmoo_mjx.types import DT
 
 _INTEGRAL_GAIN = 0.1
-"""Lean per metre by which the robot lags behind the speed allowed [rad/m]: what sticks is leant into within seconds."""
+"""Integral gain: lean per metre of lag behind the allowed speed [rad/m]. Larger pushes a stuck object harder sooner."""
 INTEGRAL_LIMIT = 0.04
-"""Largest lean that comes of lagging behind [rad]: 18 N."""
+"""Upper limit of the integral state [rad], which corresponds to a force of 18 N."""
 
 
 @dataclass(frozen=True)
 class GovernorConfig:
-    """Gain of the velocity loop."""
+    """Settings of the velocity loop."""
 
     gain: float = 0.25
-    """Lean per m/s left to the speed allowed [rad s/m]; 0 switches the governor off, more reaches that speed
-    sooner."""
+    """Proportional gain: lean per m/s below the allowed speed [rad s/m]. Larger reaches that speed sooner; 0 disables
+    the governor."""
 
 
 def static_lean(force: Scalar | Float[Array, "..."]) -> Scalar | Float[Array, "..."]:
-    """Lean [rad] that balances a forward force [N] of the hands: m g l phi = F h."""
+    """Lean [rad] that balances a forward force of the hands [N]: m g l phi = F h."""
     return force * HAND_HEIGHT / shmoobot().flatness[2]
 
 
 def forward_lean(
     config: GovernorConfig, obs: ObjectObservation, limit: Scalar, integral: Scalar
 ) -> tuple[Scalar, Scalar]:
-    """Lean [rad] that brings the robot to the speed ``limit`` against what it feels, and the next ``integral``.
+    """Lean [rad] that brings the robot to the speed ``limit`` against the sensed force, and the next ``integral``.
 
-    At rest the whole felt force counts as resistance, at the speed allowed less than a third of it: by then most of it
-    may be what accelerates the object, and leaning into that would diverge.
+    The force feed-forward uses the whole sensed force at rest and 30 % of it at the allowed speed. At speed, most of
+    the force may accelerate the object, and compensating it would diverge.
 
     Args:
         config: gains.
-        obs: what is perceived now.
-        limit: speed allowed [m/s].
-        integral: state of the velocity loop [rad]; 0 at the start of a push.
+        obs: current observation.
+        limit: allowed speed [m/s].
+        integral: integral state of the velocity loop [rad]; 0 at the start of a push.
     """
     twist, rate = obs.robot_twist, obs.lean_rate
     xp, yaw = se2.array_module(obs.robot_pose, twist, rate, obs.wrench, limit, integral), obs.robot_pose[2]
     a, b, _ = shmoobot().flatness
-    # Speed of the flat output: the base first moves the wrong way when the lean changes.
+    # Use the speed of the flat output, because the base first moves in the wrong direction when the lean changes.
     speed = se2.rotate(twist[:2], -yaw)[0] + b / a * rate[0]
     behind = xp.where(touches(obs.wrench), limit - speed, 0.0) * DT
     integral = xp.clip(integral + _INTEGRAL_GAIN * behind, 0.0, INTEGRAL_LIMIT)
@@ -65,6 +66,6 @@ def forward_lean(
 
 
 def govern(u: Float[Array, "... 3"], low: Scalar, high: Scalar) -> Float[Array, "... 3"]:
-    """``u`` (phi_x, phi_y, gamma) [rad] with its forward lean within ``low`` and ``high``."""
+    """``u`` (phi_x, phi_y, gamma) [rad] with its forward lean clipped to [``low``, ``high``]."""
     xp = se2.array_module(u, high)
     return xp.concatenate([xp.clip(u[..., :1], low, high), u[..., 1:]], axis=-1)

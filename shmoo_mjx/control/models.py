@@ -1,4 +1,4 @@
-"""The learned core as a model for MPPI."""
+"""The learned dynamics model in the form for MPPI."""
 
 from __future__ import annotations
 
@@ -8,5 +8,8 @@ from shmoo_mjx.dynamics.core import CoreConfig, Params
 
 
 def learned(params: Params, config: CoreConfig | None = None) -> RolloutFn:
-    """R and psi a, with the coefficients that ``params`` holds: (SystemState, controls ``[S, T, 3]``) -> ``[S, T]``."""
+    """Roll-out function of R and psi a: from a SystemState and controls ``[S, T, 3]`` to a SystemState ``[S, T]``.
+
+    ``params`` includes the coefficients a.
+    """
     return lambda state, controls: core.rollout(params, state, controls, config)[0]

@@ -1,8 +1,8 @@
 """Model predictive path integral control (Sec. III-E; Williams et al. 2017) for any model and cost.
 
-Both are arguments, so a learned model, a hand-written one and a simulator stand in the same place. Everything is pure:
-``jax.jit(partial(plan, cfg, rollout_fn, cost_fn))`` compiles once per configuration; ``jax.vmap`` of it over ``x0`` and
-the state plans a batch of problems in one call, and `sharding.each_problem` does so faster on a CPU.
+Model and cost are arguments, so the model can be a learned model, a hand-written one or a simulator. All functions are
+pure. ``jax.jit(partial(plan, cfg, rollout_fn, cost_fn))`` compiles once per configuration. ``jax.vmap`` of it over
+``x0`` and the state plans a batch of problems in one call; `sharding.each_problem` is faster on a CPU.
 """
 
 from __future__ import annotations
@@ -19,45 +19,45 @@ from shmoo_mjx.control.mppi_config import MppiConfig as MppiConfig
 from shmoo_mjx.errors import ShmooError
 
 RolloutFn = Callable[[Any, Float[Array, "S T m"]], Any]
-"""(x0, U) -> trajectory, a pytree of arrays ``[S, T, ...]``: the states *after* each control."""
+"""Function from (x0, U) to a trajectory, a pytree of arrays ``[S, T, ...]`` with the states *after* each control."""
 CostFn = Callable[[Any, Float[Array, "S T m"], Float[Array, "m"]], Float[Array, "S"]]
-"""(trajectory, U, last applied u) -> total cost of each roll-out."""
+"""Function from (trajectory, U, last applied u) to the total cost of each roll-out."""
 Evaluation = Callable[[Float[Array, "S T m"]], Any]
-"""U -> a pytree of arrays ``[S, ...]``."""
+"""Function from U to a pytree of arrays ``[S, ...]``."""
 
 
 class MppiState(NamedTuple):
-    """Warm start and random key for the next plan."""
+    """Warm start and random key of the next plan."""
 
     nominal: Float[Array, "T m"]
     """Warm start, already shifted to the next time step."""
     last_u: Float[Array, "m"]
-    """The control applied last; replace it when the robot was given another one than the plan's."""
+    """The last applied control. Replace it if the robot received a control other than the plan's."""
     key: Key[Array, ""]
     """Random key, consumed by the next plan."""
 
 
 class Plan(NamedTuple):
-    """A plan with the evidence for it: the object planner (Algorithm 1) takes the roll-outs."""
+    """A plan with its roll-outs, which the object planner (Algorithm 1) uses."""
 
     controls: Float[Array, "S T m"]
     """Sampled controls, within the bounds."""
     trajectories: Any
-    """Roll-outs as the model gave them, pytree ``[S, T, ...]``."""
+    """Roll-outs from the model, pytree ``[S, T, ...]``."""
     costs: Float[Array, "S"]
-    """Cost as the cost function gave it; may be NaN or inf where invalid."""
+    """Costs from the cost function. They can be NaN or inf for invalid roll-outs."""
     weights: Float[Array, "S"]
-    """Importance weights: sum to 1, or all 0 when no roll-out is valid."""
+    """Importance weights. They sum to 1, or are all 0 if no roll-out is valid."""
     nominal: Float[Array, "T m"]
     """Updated control sequence, not yet shifted."""
     invalid: Int[Array, ""]
-    """Roll-outs with a non-finite state or cost, which were ignored."""
+    """Number of ignored roll-outs, those with a non-finite state or cost."""
     ok: Bool[Array, ""]
-    """At least one roll-out was valid. If not, the nominal is the safe zero control."""
+    """True if at least one roll-out is valid. Otherwise the nominal is the safe zero control."""
 
 
 def init(cfg: MppiConfig, key: Key[Array, ""], u0: Float[Array, "m"] | None = None) -> MppiState:
-    """State before the first plan; ``u0``, by default zero, is the control applied last and the warm start."""
+    """State before the first plan. ``u0`` is the last applied control and the warm start, by default zero."""
     u0 = jnp.zeros(cfg.controls) if u0 is None else jnp.asarray(u0, dtype=float)
     return MppiState(jnp.broadcast_to(_clip(cfg, u0), (cfg.horizon, cfg.controls)), u0, key)
 
@@ -73,8 +73,8 @@ def plan(
 ) -> tuple[Float[Array, "m"], MppiState, Plan]:
     """The control to apply now, the state for the next call, and the plan (Sec. III-E).
 
-    If every roll-out is invalid the control is zero (clipped to the bounds), ``Plan.ok`` is False and the next warm
-    start is zero control too. The arguments are those of `update`.
+    If every roll-out is invalid, the control and the next warm start are zero (clipped to the bounds) and ``Plan.ok``
+    is False. The arguments are those of `update`; ``state`` holds the nominal, the last control and the key.
     """
     key, use = jax.random.split(state.key)
     updated = update(cfg, rollout_fn, cost_fn, x0, nominal=state.nominal, last_u=state.last_u, key=use, share=share)
@@ -97,20 +97,21 @@ def update(
 
     Args:
         cfg: static settings.
-        rollout_fn: the model, (x0, U) -> trajectory pytree ``[S, T, ...]``.
-        cost_fn: (trajectory, U, last_u) -> cost.
-        x0: present state, any pytree.
+        rollout_fn: the model, from (x0, U) to a trajectory pytree ``[S, T, ...]``.
+        cost_fn: the cost, from (trajectory, U, last_u) to ``[S]``.
+        x0: current state, any pytree.
         nominal: control sequence to update.
-        last_u: control applied last, for costs on the change of control.
+        last_u: last applied control, for costs on the change of control.
         key: random key.
-        share: spreads the evaluation of the roll-outs over devices (`sharding.shared`); both functions then see a
-            part of the roll-outs each time.
+        share: distributes the evaluation of the roll-outs over devices (`sharding.shared`). Each call of
+            ``rollout_fn`` and ``cost_fn`` then gets a part of the roll-outs.
 
     Returns:
         The plan with its roll-outs.
 
     Raises:
-        ShmooError: while it is traced, if the states or the costs are not one row or number per roll-out.
+        ShmooError: (during tracing) the first axis of the states is not the roll-outs, or the costs are not one number
+            per roll-out.
     """
 
     def evaluate(controls: Array) -> tuple[Any, Array, Array]:
@@ -123,15 +124,16 @@ def update(
     trajectories, costs, valid = (share(evaluate) if share else evaluate)(controls)
     weights = importance_weights(cfg, costs, valid)
     mean = jnp.einsum("s,stm->tm", weights, jnp.where(valid[:, None, None], controls, 0.0))
-    # The clip: rounding may carry the mean over a bound by one ulp, and zero, the mean of no sample, may lie outside.
+    # Clip, because rounding can move the mean over a bound by one ulp, and the zero control of an invalid plan can lie
+    # outside the bounds.
     better = _clip(cfg, mean.astype(nominal.dtype))
     return Plan(controls, trajectories, costs, weights, better, jnp.sum(~valid), jnp.any(valid))
 
 
 def sample_controls(cfg: MppiConfig, key: Key[Array, ""], nominal: Float[Array, "T m"]) -> Float[Array, "S T m"]:
-    """Controls around ``nominal``: noise (`noise.draw`), clipped to the bounds.
+    """Controls around ``nominal`` with the noise of `noise.draw`, clipped to the bounds.
 
-    The first is the nominal itself, the second zero control.
+    The first sequence is the nominal itself, and the second is zero control.
     """
     nominal = jnp.asarray(nominal)
     controls = nominal + noise.draw(cfg, key, nominal.dtype).at[0].set(0.0)
@@ -139,21 +141,21 @@ def sample_controls(cfg: MppiConfig, key: Key[Array, ""], nominal: Float[Array, 
 
 
 def importance_weights(cfg: MppiConfig, costs: Float[Array, "S"], valid: Bool[Array, "S"]) -> Float[Array, "S"]:
-    """exp(-(S - min S) / lambda), normalised; invalid roll-outs weigh 0, all of them 0 if none is valid.
+    """Normalised weights exp(-(S - min S) / lambda). Invalid roll-outs have weight 0.
 
-    The least cost is taken off before scaling, so costs of any size, equal or far apart, neither overflow nor vanish.
+    The minimum cost is subtracted before scaling, so large costs neither overflow nor underflow.
     """
     best = jnp.argmin(jnp.where(valid, costs, jnp.inf))
     excess = jnp.maximum(costs - costs[best], 0.0)
     raw = jnp.exp(-excess * (cfg.cost_scale / cfg.temperature))
-    # A compiler may compute a cost twice, and round it otherwise for the minimum than for the difference from it. At
-    # large costs not even the best would then weigh anything.
+    # The compiler can compute a cost twice with different rounding, for the minimum and for the difference. With large
+    # costs the best roll-out could then have weight zero.
     raw = jnp.where(valid, jnp.where(jnp.arange(len(costs)) == best, 1.0, raw), 0.0)
     return raw / jnp.maximum(jnp.sum(raw), 1.0)
 
 
 def shift(nominal: Float[Array, "T m"]) -> Float[Array, "T m"]:
-    """``nominal`` one time step on; the last control is repeated."""
+    """``nominal`` advanced by one time step, with the last control repeated."""
     return jnp.concatenate([nominal[1:], nominal[-1:]])
 
 
@@ -172,7 +174,7 @@ def _checked_states(trajectories: Any, count: int) -> Any:
 
 
 def _checked_costs(costs: Any, count: int) -> Array:
-    # Summed over the roll-outs too, they would all weigh the same.
+    # A cost that is also summed over the roll-outs would give all of them the same weight.
     if jnp.shape(costs) != (count,):
         raise ShmooError(
             f"cost_fn: the cost has shape {jnp.shape(costs)}; for {count} roll-outs it must have shape ({count},), one "
@@ -182,8 +184,8 @@ def _checked_costs(costs: Any, count: int) -> Array:
 
 
 def _finite(trees: Any, count: int) -> Array:
-    """Which of ``count`` roll-outs ``[S]`` have no NaN and no infinity in any array ``[S, ...]`` of ``trees``."""
+    """True for each of ``count`` roll-outs ``[S]`` whose arrays ``[S, ...]`` in ``trees`` are all finite."""
     leaves = [x for x in jax.tree.leaves(trees) if jnp.issubdtype(x.dtype, jnp.inexact)]
-    # NaN or infinity times zero is NaN, and one sum over numbers finds it.
+    # NaN or infinity times zero is NaN, so one sum per array detects non-finite numbers.
     checks = [jnp.sum(0.0 * x, axis=tuple(range(1, x.ndim))) == 0.0 for x in leaves]
     return jnp.all(jnp.stack([jnp.ones(count, bool), *checks]), axis=0)

@@ -13,35 +13,38 @@ from shmoo_mjx.errors import ShmooError
 
 @dataclass(frozen=True)
 class MppiConfig:
-    """Static (hashable) settings, in the caller's units of control and cost.
+    """Static (hashable) settings of MPPI, in the caller's units of control and cost.
 
     Raises:
-        ShmooError: a field that is not finite, out of its range, or not of the length of ``sigma``.
+        ShmooError: a field is not finite or out of its range, or does not have the length of ``sigma``.
     """
 
     sigma: tuple[float, ...]
-    """Standard deviation of the control noise per channel; 0 freezes a channel, more searches wider and less finely."""
+    """Standard deviation of the control noise per channel, in the unit of the control. Larger searches more widely and
+    less finely; 0 disables the noise of a channel."""
     low: tuple[float, ...]
-    """Lower bound per channel."""
+    """Lower bound per channel, in the unit of the control."""
     high: tuple[float, ...]
-    """Upper bound per channel."""
+    """Upper bound per channel, in the unit of the control."""
     num_rollouts: int = 500
-    """S, roll-outs per plan, at least 3: the first is the nominal, the second zero control, the others are sampled.
-    More make the plan less noisy, and computing time grows with them."""
+    """S, number of roll-outs per plan, at least 3. The first is the nominal, the second is zero control, and the others
+    are sampled. More gives less noisy plans and takes more time."""
     horizon: int = 30
-    """T, time steps per roll-out; more see farther ahead, and computing time grows with them."""
+    """T, number of time steps per roll-out. More looks further ahead and takes more time."""
     temperature: float = 0.7
-    """lambda, in units of ``cost_scale`` x cost; lower follows the best roll-outs, higher the mean of all."""
+    """lambda, in units of ``cost_scale`` times cost. Lower follows the best roll-outs, higher the mean of all."""
     cost_scale: float = 1.0
-    """Factor on every cost before the temperature acts [1/unit of cost]: 1 leaves the temperature as the paper has it.
-    With a cost in metres, 0.7 hardly tells roll-outs apart that end 0.1 m from each other."""
+    """Factor on every cost before the temperature [1/unit of cost]. Larger has the effect of a lower temperature; 1
+    uses the temperature as in the paper. With a cost in metres, the temperature 0.7 hardly distinguishes roll-outs that
+    end 0.1 m apart."""
     noise_correlation: float = 0.8
-    """Correlation of the noise from one time step to the next, in [0, 1): a stationary AR(1) process whose standard
-    deviation stays ``sigma``. 0 is Williams' white noise; near 1 each roll-out holds one perturbation throughout."""
+    """Correlation of the noise between consecutive time steps, in [0, 1). The noise is a stationary AR(1) process with
+    standard deviation ``sigma``. 0 is the white noise of Williams et al.; near 1 each roll-out has an almost constant
+    perturbation."""
 
     def __post_init__(self) -> None:
         for name in ("sigma", "low", "high"):
-            # Lists and arrays are welcome, but could not be hashed.
+            # Convert lists and arrays, which are not hashable.
             object.__setattr__(self, name, _numbers(name, getattr(self, name)))
         for name in ("low", "high"):
             count = len(getattr(self, name))
@@ -65,12 +68,12 @@ class MppiConfig:
 
     @property
     def controls(self) -> int:
-        """m, number of control channels."""
+        """m, the number of control channels."""
         return len(self.sigma)
 
 
 def _numbers(name: str, values: Iterable[float]) -> tuple[float, ...]:
-    """One finite number per control channel."""
+    """Convert ``values`` to one finite number per control channel, or raise ShmooError."""
     try:
         numbers = tuple(float(value) for value in values)
     except (TypeError, ValueError):

@@ -1,4 +1,4 @@
-"""Clearance of a roll-out's robot, hands and object from a map's obstacles."""
+"""Clearance between the obstacles of a map and the robot, hands and object of a roll-out."""
 
 from __future__ import annotations
 
@@ -14,33 +14,34 @@ from shmoo_mjx.geometry.hands import hand_targets
 from shmoo_mjx.types import DT, SystemState
 
 HAND_MARGIN = 0.08
-"""Clearance that the hands' centres keep [m]: their radius and a reserve."""
+"""Margin of the hands' centres [m]: their radius plus a reserve. Larger keeps the hands farther from obstacles."""
 
 
 @dataclass(frozen=True)
 class Margins:
-    """Clearance that robot and object keep, and how often it is looked up."""
+    """Margins of robot and object to obstacles, and the interval of the look-ups in the map."""
 
     object: float = 0.10
-    """Clearance the object's outline keeps [m]; more keeps farther off walls."""
+    """Margin of the object's outline [m]. Larger keeps the object farther from walls."""
     robot: float = 0.30
-    """Clearance the robot's centre keeps [m]: its radius and a reserve. Holds the elbows of extended arms as well."""
+    """Margin of the robot's centre [m]: its radius plus a reserve, which includes the elbows of extended arms. Larger
+    keeps the robot farther from walls."""
     stride: int = 1
-    """Number of time steps between two look-ups in the map [1]; the last one always is looked up. More is faster and
-    sees less of narrow walls."""
+    """Number of time steps between two look-ups in the map [1]. The last step is always looked up. Larger is faster and
+    can miss narrow walls."""
 
 
 @runtime_checkable
 class DistanceField(Protocol):
-    """Distance to the nearest obstacle on a grid: the map's clearance field has these, and so can any other pytree."""
+    """Distance to the nearest obstacle on a grid. The map's clearance field and any pytree with these fields fit."""
 
     @property
     def values(self) -> Float[Array, "H W"]:
-        """[m]; ``values[j, i]`` holds at the centre of cell (i, j), i along x and j along y of the grid."""
+        """Distances [m]. ``values[j, i]`` is at the centre of cell (i, j), with i along x and j along y of the grid."""
 
     @property
     def origin(self) -> Float[Array, "3"]:
-        """Pose in {W} of the grid's corner, the outer corner of cell (0, 0) (x, y [m], yaw [rad])."""
+        """Pose (x, y [m], yaw [rad]) of the grid's corner in {W}, the outer corner of cell (0, 0)."""
 
     @property
     def resolution(self) -> Scalar:
@@ -48,8 +49,8 @@ class DistanceField(Protocol):
 
 
 def clearance_at(field: DistanceField, points: Float[Array, "*batch 2"]) -> Float[Array, "*batch"]:
-    """Clearance [m] at ``points`` in {W}, bilinear; zero off the grid."""
-    # With a rim of zeros every look-up lies on the grid: `map_coordinates` would check each of the four.
+    """Clearance at ``points`` in {W} [m], with bilinear interpolation; zero outside the grid."""
+    # A border of zeros puts every look-up on the grid. This avoids the four range checks of `map_coordinates`.
     values = once(jnp.pad(jnp.asarray(field.values), 1))
     rows, columns = values.shape
     i, j = _on_grid(field, points)
@@ -62,15 +63,15 @@ def clearance_at(field: DistanceField, points: Float[Array, "*batch 2"]) -> Floa
 
 
 def footprint_points(pose: Float[Array, "*batch 3"], half_extents: Float[Array, "2"]) -> Float[Array, "*batch 8 2"]:
-    """Corners and edge midpoints in {W} of a rectangle with ``half_extents`` [m] at ``pose``."""
+    """Corners and edge midpoints in {W} of a rectangle with ``half_extents`` [m] at ``pose`` in {W}."""
     unit = jnp.array([[1, 0], [1, 1], [0, 1], [-1, 1], [-1, 0], [-1, -1], [0, -1], [1, -1]], dtype=float)
     return _placed(pose, unit * jnp.asarray(half_extents))
 
 
 def clearance_near(field: DistanceField, points: Float[Array, "*batch 2"]) -> Float[Array, "*batch"]:
-    """Clearance [m] of the cell that holds each of ``points`` in {W}; zero off the grid.
+    """Clearance of the cell that contains each of ``points`` in {W} [m]; zero outside the grid.
 
-    Off by up to 0.7 cells from :func:`clearance_at`, at a quarter of its look-ups.
+    It needs a quarter of the look-ups of :func:`clearance_at` and differs from it by up to 0.7 cells.
     """
     values = jnp.asarray(field.values)
     rows, columns = values.shape
@@ -83,19 +84,21 @@ def clearance_near(field: DistanceField, points: Float[Array, "*batch 2"]) -> Fl
 def hand_points(
     robot_pose: Float[Array, "*batch 3"], gamma: Scalar | Float[Array, "*batch"]
 ) -> Float[Array, "*batch 2 2"]:
-    """Centres of the extended hands (left, right) in {W}; gamma [rad]."""
+    """Centres of the extended hands (left, right) in {W} [m], for the steering angle ``gamma`` [rad]."""
     return _placed(robot_pose, hand_targets(gamma))
 
 
 def _placed(pose: Array, points: Array) -> Array:
-    """``points [..., P, 2]`` of bodies at ``pose [..., 3]``, in {W}: `se2.transform_point`, but for computing each sine
-    once and not once a point."""
+    """``points [..., P, 2]`` of bodies at ``pose [..., 3]``, in {W}.
+
+    The same as `se2.transform_point`, with one sine and cosine per body instead of one per point.
+    """
     turn, x, y = once(SO2.from_angle(pose[..., 2:])), points[..., 0], points[..., 1]
     return jnp.stack([pose[..., :1] + turn.c * x - turn.s * y, pose[..., 1:2] + turn.s * x + turn.c * y], axis=-1)
 
 
 def _on_grid(field: DistanceField, points: Array) -> tuple[Array, Array]:
-    """Column and row ``[...]``, in cells from the grid's corner, of ``points [..., 2]`` in {W}."""
+    """Column and row ``[...]`` of ``points [..., 2]`` in {W}, in cells from the grid's corner."""
     origin = jnp.asarray(field.origin)
     turn = once(SO2.from_angle(origin[2]))
     x, y = (points[..., 0] - origin[0]) / field.resolution, (points[..., 1] - origin[1]) / field.resolution
@@ -105,10 +108,17 @@ def _on_grid(field: DistanceField, points: Array) -> tuple[Array, Array]:
 def clearance_penalty(
     margins: Margins, traj: SystemState, field: DistanceField, half_extents: Float[Array, "2"]
 ) -> Float[Array, "..."]:
-    """Time integral of the depth by which robot centre, hands and object outline enter their margins [m s].
+    """Time integral of the depth by which robot centre, hands and object outline are inside their margins [m s].
 
-    The object counts with the deepest of its four corners and four edge midpoints, the hands with the deeper one. Hands
-    stick out of the disc round the robot, and where one pushes round a corner they sweep where the object has not been.
+    The depth of the object is the largest of its four corners and four edge midpoints. The depth of the hands is the
+    larger of the two. The hands are included because they extend beyond the disc of the robot, and in a push around a
+    corner they sweep an area that the object has not passed.
+
+    Args:
+        margins: margins, and interval of the look-ups.
+        traj: roll-outs.
+        field: distance to obstacles.
+        half_extents: half length and half width of the object's footprint [m].
     """
     steps = traj.robot_pose.shape[-2]
     robot_pose, object_pose, command = (
@@ -125,5 +135,5 @@ def clearance_penalty(
 
 
 def _least(x: Array) -> Array:
-    """Least ``[...]`` of ``x [..., P]`` for a few P; see `mean_over_time`."""
+    """Minimum ``[...]`` of ``x [..., P]``, computed element by element because XLA is slow for reductions of few P."""
     return reduce(jnp.minimum, (x[..., i] for i in range(x.shape[-1])))

@@ -16,8 +16,10 @@ from shmoo_mjx.learning.estimate import EstimateConfig
 
 @dataclass(frozen=True)
 class PushConfig:
-    """Settings of the pushing controller; the paper's values where it gives them. The defaults push an object aside:
-    its yaw does not count."""
+    """Settings of the pushing controller, with the paper's values where it gives them.
+
+    The defaults are for pushing an object aside, without a goal for its yaw.
+    """
 
     control: MppiConfig = MppiConfig(
         cost_scale=40.0,
@@ -26,6 +28,7 @@ class PushConfig:
         high=(0.15, 0.10, 0.45),
         noise_correlation=0.9,
     )
+    """Settings of MPPI."""
     cost: PushCost = PushCost(
         yaw_weight=0.0,
         effort=0.002,
@@ -38,33 +41,37 @@ class PushConfig:
         speed_weight=1.0,
         overspeed_weight=15.0,
     )
+    """Weights of the cost terms."""
     speed: SpeedProfile = SpeedProfile(limit=0.25)
+    """Allowed speed of the robot."""
     margins: Margins = Margins(object=0.06, stride=3)
+    """Margins to obstacles."""
     estimate: EstimateConfig = EstimateConfig()
-    """How contact parameters are learned (`online.Posterior`)."""
+    """Settings of the contact parameter estimate (`online.Posterior`)."""
     adapt: AdaptConfig = field(default_factory=AdaptConfig)
-    """How a psi without contact model learns (`online.Printed`)."""
+    """Settings of the adaptation of a psi without the contact model (`online.Printed`)."""
     adapts: bool = True
-    """False keeps the estimate of the object as it is, for comparison."""
+    """Update the estimate of the object during a push. False is for comparison."""
     governor: GovernorConfig = GovernorConfig()
-    """Bounds on the forward lean."""
+    """Settings of the governor, which bounds the forward lean."""
     governor_room: float = 1.0
-    """Largest distance of the plan below the governor's lean [rad]; more leaves more to the plan, 1 is no bound."""
+    """Largest distance of the commanded lean below the governor's lean [rad]. Larger gives the plan more freedom; 1
+    means no lower bound from the governor."""
     foresees_governor: bool = False
-    """Roll-outs lean within the governor's present bounds too. Otherwise they foresee firmer pushes than there will be,
-    and believe that steering turns what hardly resists."""
+    """Apply the governor's current bounds in roll-outs too. Without them, roll-outs assume stronger pushes than the
+    governor allows, and overestimate how much steering turns an object with little resistance."""
 
     def light(self) -> PushConfig:
-        """The preset for small computers: these settings with 128 roll-outs in place of 500."""
+        """These settings with 128 roll-outs instead of 500, for small computers."""
         return replace(self, control=replace(self.control, num_rollouts=128))
 
 
 def pose_push_config() -> PushConfig:
-    """Settings for bringing an object to a pose: its yaw counts, and it has to stop at its goal."""
+    """Settings for pushing an object to a pose: its yaw counts, and it must stop at its goal."""
     base = PushConfig()
     return replace(
         base,
-        # Small, slow noise: a plan that jumps about shakes what rolls off the hands.
+        # Small, slowly varying noise, because abrupt changes of the plan shake rolling objects off the hands.
         control=replace(base.control, sigma=(0.015, 0.012, 0.07), noise_correlation=0.95),
         cost=replace(
             base.cost,
@@ -82,9 +89,10 @@ def pose_push_config() -> PushConfig:
 
 
 def printed_push_config() -> PushConfig:
-    """Eq. 8 and 9 as printed, and Williams' white noise; numbers that the paper does not give are ours.
+    """Settings with Eq. 8 and 9 as printed and the white noise of Williams et al.
 
-    Two additions remain, without which it can't run: ``cost_scale``, and the governor with its speed limit.
+    Values that the paper does not give are our own. Two additions remain because the controller does not work without
+    them: ``cost_scale``, and the governor with its speed limit.
     """
     base = PushConfig()
     return replace(
@@ -92,6 +100,6 @@ def printed_push_config() -> PushConfig:
         control=replace(base.control, noise_correlation=0.0),
         cost=PushCost(yaw_weight=1.0, effort=base.cost.effort, change=base.cost.change),
         margins=Margins(),
-        # Labels are differences of noisy twists, whose errors are correlated: noise_scale is above 1.
+        # noise_scale is above 1 because labels are differences of noisy twists, whose errors are correlated.
         adapt=AdaptConfig(to_prior=False, outlier=math.inf, noise_scale=2.0),
     )

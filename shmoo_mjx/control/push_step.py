@@ -1,8 +1,7 @@
-"""One step of adaptive pushing (Sec. III-E) as pure functions, for jit and vmap: MPPI on the learned core while the
-object's dynamics are learned.
+"""Adaptive pushing (Sec. III-E) as pure functions: MPPI on the learned model with online learning of the object.
 
-`start` begins a push, `step` is its 10 Hz control step, `coast` says where the object comes to rest if it is let go.
-:class:`~shmoo_mjx.control.pushing.PushController` compiles them for one world.
+`start` begins a push, `step` is its 10 Hz control step, and `coast` predicts where a released object comes to rest. The
+functions work under jit and vmap. :class:`~shmoo_mjx.control.pushing.PushController` compiles them for one world.
 """
 
 from __future__ import annotations
@@ -33,36 +32,37 @@ from shmoo_mjx.learning.online import LearnerState, Transition
 from shmoo_mjx.types import DT, SystemState
 
 _PLANNING_HORIZON = 50
-"""T of the planning stage, in samples (Sec. IV-B)."""
+"""T of the planning stage (Sec. IV-B) [samples]."""
 _LEANING_CLEARANCE = 0.10
-"""Distance from a wall or another object at which the pushed one may lean on it [m]: the error of its pose, and how far
-it goes until that is seen."""
+"""Clearance below which the pushed object may touch a wall or another object [m]. It covers the error of the pose and
+the motion until the next measurement."""
 _COAST_SAMPLES = 40
-"""How far ahead `coast` looks, in samples: at the speed allowed near a goal the least drag stops anything sooner."""
+"""Horizon of `coast` [samples]. At the allowed speed near a goal, the minimum drag stops every object sooner."""
 _LEAST_DRAG = 0.08
-"""Deceleration that any object has on any floor, whatever the model says [m/s^2]: a rolling resistance of 0.008."""
+"""Minimum deceleration of a coasting object [m/s^2], a rolling resistance of 0.008. Larger predicts less coasting."""
 
 
 @partial(jax.tree_util.register_dataclass, data_fields=["params"], meta_fields=["config", "core", "mesh"])
 @dataclass(frozen=True)
 class PushModel:
-    """What a push is computed with; a pytree of the learned parameters, all else is static."""
+    """Settings and learned model of a push. As a pytree it holds the learned parameters; all else is static."""
 
     config: PushConfig
+    """Settings of the controller."""
     core: CoreConfig
-    """Shapes of the learned model."""
+    """Static options of the learned model."""
     params: Params
-    """The learned model."""
+    """Parameters of the learned model."""
     mesh: Mesh | None = None
     """CPU devices that share the roll-outs (`sharding.rollout_mesh`)."""
 
     @property
     def learner(self) -> online.Learner:
-        """How the object is learned."""
+        """The online learner of the object."""
         return online.learner(self.core.object, self.config.estimate, self.config.adapt)
 
     def adapted(self, adapt: LearnerState) -> Params:
-        """The parameters for roll-outs with the object of this estimate."""
+        """The parameters for roll-outs with the estimate ``adapt`` of the object."""
         return self.learner.params_for_rollout(adapt, self.params)
 
 
@@ -72,37 +72,39 @@ class ControllerState(NamedTuple):
     adapt: LearnerState
     """Estimate of the object's dynamics."""
     plan: mppi.MppiState
+    """State of MPPI."""
     before: SystemState
-    """State one sample ago, with the memory it had then."""
+    """System state one sample ago, including its memory at that time."""
     detected: Scalar
-    """Whether the object was detected in that sample."""
+    """True if the object was detected in that sample."""
     governor_integral: Scalar
     """Integral state of the governor's velocity loop [rad]."""
 
 
 class Memory(NamedTuple):
-    """The part of a push's state that `learn_and_plan` carries on."""
+    """The part of a push's state that `learn_and_plan` updates."""
 
     adapt: LearnerState
     """Estimate of the object's dynamics."""
     plan: mppi.MppiState
+    """State of MPPI."""
 
 
 class StepInputs(NamedTuple):
     """Inputs of `learn_and_plan`."""
 
     system: SystemState
-    """The present state."""
+    """Current system state."""
     transition: Transition
-    """The sample that just ended."""
+    """The sample that has just ended."""
     goal: Float[Array, "3"]
     """Desired object pose in {W}."""
     half_extents: Float[Array, "2"]
-    """Of the object's footprint [m]."""
+    """Half length and half width of the object's footprint [m]."""
     lean: Float[Array, "2"]
-    """The governor's bounds on the forward lean [rad]."""
+    """Lower and upper bound of the forward lean from the governor [rad]."""
     governor_integral: Scalar
-    """The governor's integral after this sample [rad]."""
+    """Integral state of the governor after this sample [rad]."""
 
 
 @single_precision
@@ -115,12 +117,21 @@ def start(
     face: Float[Array, "4"],
     half_extents: Float[Array, "2"],
 ) -> ControllerState:
-    """The state with which a push on ``face`` begins; pure."""
+    """The initial state of a push on ``face``. A pure function.
+
+    Args:
+        config: settings.
+        adapt: estimate of the object's dynamics.
+        obs: current observation.
+        key: random key of all plans of the push.
+        face: the pushed face in {O}: centre x, y [m], direction of the inward normal [rad], half width [m].
+        half_extents: half length and half width of the object's footprint [m].
+    """
     zero = np.zeros(3)
     before = _system_state(
         obs,
         last_object_twist=zero,
-        last_wrench=se2.rotate(obs.wrench, -obs.object_pose[2]),  # while contact was made
+        last_wrench=se2.rotate(obs.wrench, -obs.object_pose[2]),  # measured while contact was established
         last_force=zero[:2],
         last_u=zero,
         face=face,
@@ -142,19 +153,20 @@ def step(
     half_extents: Float[Array, "2"],
     clearance: LocalDistanceField | None = None,
 ) -> tuple[Float[Array, "3"], ControllerState, mppi.Plan]:
-    """One 10 Hz control step: adapt on the sample that ended, plan, and give the command.
+    """One 10 Hz control step: adapt on the last sample, plan, and compute the command.
 
     Args:
         model: settings and learned model.
-        state: from `start` or the last step.
-        obs: what is perceived now, with the wrench of the sample that ended.
+        state: result of `start` or of the last step.
+        obs: current observation, with the wrench of the last sample.
         goal: desired object pose in {W}.
-        last_u: what was applied during that sample.
-        half_extents: of the object's footprint [m].
-        clearance: distance to obstacles round the object, itself left out; None on a floor without any.
+        last_u: command applied during the last sample [rad].
+        half_extents: half length and half width of the object's footprint [m].
+        clearance: distance to obstacles around the object, without the object itself; None for a floor without
+            obstacles.
 
     Returns:
-        The command u to apply now, the next state, and the plan: of its trajectories the object poses only.
+        The command u to apply now, the next state, and the plan. The trajectories of the plan hold only object poses.
     """
     inputs = step_inputs(model.config, state, obs, goal=goal, last_u=last_u, half_extents=half_extents)
     u, memory, plan = learn_and_plan(model, Memory(state.adapt, state.plan), inputs, clearance)
@@ -171,9 +183,9 @@ def step_inputs(
     half_extents: Float[Array, "2"],
     governor_room: float | None = None,
 ) -> StepInputs:
-    """What `learn_and_plan` needs of the world, in NumPy or JAX as it is given; arguments as for `step`.
+    """The inputs of `learn_and_plan`, as NumPy or JAX arrays like the arguments.
 
-    ``governor_room`` takes the place of the configuration's.
+    The arguments are those of `step`. ``governor_room`` replaces the value in the configuration.
     """
     system, transition = _perceive(state, obs, last_u, half_extents)
     lean, integral = _governor_bounds(config, state, obs, goal, room=governor_room)
@@ -183,13 +195,23 @@ def step_inputs(
 def learn_and_plan(
     model: PushModel, memory: Memory, inputs: StepInputs, clearance: LocalDistanceField | None
 ) -> tuple[Float[Array, "3"], Memory, mppi.Plan]:
-    """Online learning (Eq. 8, or the posterior) and MPPI: u before the governor, the next memory, and the plan, whose
-    trajectories are the object poses alone."""
+    """One step of online learning (Eq. 8, or the posterior) and of MPPI.
+
+    Args:
+        model: settings and learned model.
+        memory: memory after the last step.
+        inputs: result of `step_inputs`.
+        clearance: distance to obstacles around the object; None for a floor without obstacles.
+
+    Returns:
+        The command u before the governor, the next memory, and the plan. The trajectories of the plan hold only object
+        poses.
+    """
     config, adapt = model.config, memory.adapt
     if config.adapts:
         adapt = model.learner.adapt(adapt, model.params, inputs.transition)
         if clearance is not None:
-            # What a wall holds is not the object's friction.
+            # Do not learn while the object may touch a wall: the wall's reaction is not friction of the object.
             rim = footprint_points(inputs.system.object_pose, inputs.half_extents)
             leans = jnp.min(clearance_at(clearance, rim)) < _LEANING_CLEARANCE
             adapt = jax.tree.map(partial(jnp.where, leans), online.unchanged(memory.adapt, adapt), adapt)
@@ -203,12 +225,12 @@ def learn_and_plan(
         share=model.mesh and partial(sharding.shared, model.mesh),
     )
     u, plan_state = sharding.on_all(model.mesh, (u, plan_state))
-    # Of the roll-outs only the object poses are drawn; the rest would be copied for nobody.
+    # Return only the object poses of the roll-outs. Nothing uses the rest, and copying it takes time.
     return u, Memory(adapt, plan_state), plan._replace(trajectories=plan.trajectories.object_pose)
 
 
 def bounded(u: Float[Array, "3"], inputs: StepInputs, memory: Memory) -> tuple[Float[Array, "3"], ControllerState]:
-    """The command within the governor's bounds, and the next state."""
+    """The command clipped to the governor's bounds, and the next state."""
     detected = inputs.transition.sighting.detected
     return govern(u, *inputs.lean), ControllerState(*memory, inputs.system, detected, inputs.governor_integral)
 
@@ -219,8 +241,17 @@ def planning_rollouts(
     target: tuple[Float[Array, "3"], Float[Array, "2"]],
     clearance: LocalDistanceField | None,
 ) -> tuple[Float[Array, "S T 3"], Float[Array, "S T 2"], Float[Array, "S"]]:
-    """The planning stage's roll-outs (T = 50) from the state of the last step: object poses and robot positions in {W},
-    and costs. ``target`` is the goal, and the half extents of the object."""
+    """Roll-outs of the planning stage (T = 50) from the state of the last step.
+
+    Args:
+        model: settings and learned model.
+        state: state after the last step.
+        target: goal pose in {W}, and half extents of the object [m].
+        clearance: distance to obstacles around the object; None for a floor without obstacles.
+
+    Returns:
+        Object poses and robot positions in {W}, and costs.
+    """
     config, plan, (goal, half_extents) = model.config, state.plan, target
     extra = _PLANNING_HORIZON - config.control.horizon
     updated = mppi.update(
@@ -230,7 +261,7 @@ def planning_rollouts(
         state.before,
         nominal=jnp.concatenate([plan.nominal, jnp.repeat(plan.nominal[-1:], extra, axis=0)]),
         last_u=plan.last_u,
-        # Not 0 or 1: those are the keys that the next plan splits this one into.
+        # Use 2, because the next plan splits this key into the streams 0 and 1.
         key=jax.random.fold_in(plan.key, 2),
         share=model.mesh and partial(sharding.shared, model.mesh),
     )
@@ -239,11 +270,11 @@ def planning_rollouts(
 
 @single_precision
 def coast(model: PushModel, adapt: LearnerState, state: SystemState) -> Float[Array, "3"]:
-    """Pose in {W} at which the object comes to rest without a force; it slows down, and never turns back."""
+    """Pose in {W} at which the coasting object comes to rest. Its speed decreases and never changes sign."""
     params, shape = model.adapted(adapt), model.core.object
 
     def free(inputs: Array) -> Array:
-        # Where it comes to rest is for dry friction to say: the contact model has it, and psi a comes close to it only.
+        # Dry friction determines where the object stops. The contact model has it; psi a only approximates it.
         if shape.contact_model:
             return contact_model.acceleration(params.contact, inputs)
         return object_model.predict(params.object, params.coefficients, inputs, shape, contact=params.contact)
@@ -265,18 +296,19 @@ def coast(model: PushModel, adapt: LearnerState, state: SystemState) -> Float[Ar
 def _perceive(
     state: ControllerState, obs: ObjectObservation, last_u: Array, half_extents: Array
 ) -> tuple[SystemState, Transition]:
-    """The present state, and the sample that just ended."""
+    """The current system state and the sample that has just ended."""
     before, xp = state.before, se2.array_module(obs.wrench)
     twist_before = se2.rotate(before.object_twist, -before.object_pose[2])
     wrench = se2.rotate(obs.wrench, -before.object_pose[2])
     force = se2.rotate(obs.wrench[:2], -before.robot_pose[2])
-    # The camera's delay and the tracker's filter make what is seen late by some 0.1 s; what is felt is not.
+    # Visual measurements are about 0.1 s late because of the camera's delay and the tracker's filter. The sensed wrench
+    # is not, so it is taken from one sample earlier.
     felt = xp.where(obs.age > 0, before.last_wrench, wrench)
     inputs = xp.concatenate(
         [twist_before, felt, before.last_object_twist, xp.asarray(before.size)[None], before.last_wrench]
     )
     label = se2.rotate((obs.object_twist - before.object_twist) / DT, -before.object_pose[2])
-    # A pose that was carried on, now or a sample ago, says nothing about the object.
+    # An extrapolated pose, now or one sample ago, carries no information about the object.
     measured = xp.asarray(obs.detected) & xp.asarray(state.detected)
     valid = xp.asarray(touches(obs.wrench) & measured)
     sighting = Sighting(
@@ -297,7 +329,7 @@ def _perceive(
 def _governor_bounds(
     config: PushConfig, state: ControllerState, obs: ObjectObservation, goal: Array, *, room: float | None
 ) -> tuple[Array, Scalar]:
-    """``[2]`` least and largest forward lean that may be commanded now [rad], and the governor's next integral."""
+    """Lower and upper bound ``[2]`` of the commanded forward lean [rad], and the governor's next integral state."""
     low, high = config.control.low[0], config.control.high[0]
     offset = goal[:2] - obs.object_pose[:2]
     xp = se2.array_module(obs.wrench, offset)
@@ -307,7 +339,8 @@ def _governor_bounds(
     lean, integral = forward_lean(config.governor, obs, limit, state.governor_integral)
     lean, room = xp.clip(lean, low, high), config.governor_room if room is None else room
     if room < 1.0:
-        # What sticks is leant into until it breaks away, whatever the model believes.
+        # At rest the plan must follow the governor's lean, so that a stuck object breaks away even if the model is
+        # wrong.
         room = room * xp.clip(xp.hypot(obs.robot_twist[0], obs.robot_twist[1]) / limit, 0.0, 1.0)
     return xp.stack([lean - room, lean]), integral
 
@@ -344,8 +377,10 @@ def _system_state(
 
 
 def _rollout_fn(model: PushModel, adapt: LearnerState, lean: Array | None = None) -> mppi.RolloutFn:
-    """The learned core for the object at hand; with the governor's bounds ``lean``, commands are bound as `bounded`
-    binds them."""
+    """Roll-out function with the estimate ``adapt`` of the object.
+
+    With the governor's bounds ``lean``, commands are clipped as in `bounded`.
+    """
     rollout_fn = models.learned(model.adapted(adapt), model.core)
     if lean is None:
         return rollout_fn

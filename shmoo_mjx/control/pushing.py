@@ -1,4 +1,4 @@
-"""The pushing controller: the pure functions of `push_step`, compiled once for every map and object.
+"""The pushing controller: the pure functions of `push_step`, compiled once for all maps and objects.
 
 All memory is in ``ControllerState``.
 """
@@ -25,11 +25,16 @@ from shmoo_mjx.learning.weights import Weights, prior_state
 _ZERO, _FLAT = np.zeros(3), np.zeros(2)
 _HALF, _FACE = np.full(2, 0.3), faces_of((0.3, 0.3))[0]
 _STILL = ObjectObservation(_ZERO, _ZERO, _FLAT, _FLAT, np.array([0.9, 0.0, 0.0]), _ZERO, _ZERO, np.array(True))
-"""Robot and object at rest; for compiling."""
+"""Example observation for compilation: robot and object at rest."""
 
 
 class PushController:
-    """Compiled functions for one set of weights and one configuration; no state of its own."""
+    """Compiled functions of the pushing controller for one set of weights and one configuration. It has no state.
+
+    Args:
+        weights: trained weights.
+        config: settings; by default those for pushing an object aside.
+    """
 
     @single_precision
     def __init__(self, weights: Weights, config: PushConfig | None = None) -> None:
@@ -57,18 +62,29 @@ class PushController:
         adapt: LearnerState | None = None,
         kind: str | None = None,
     ) -> ControllerState:
-        """Start a push on ``face``; ``adapt`` carries over what was learned of this object before, ``kind`` says what
-        it looks like (`contact_prior.of_kind`)."""
-        # Not 0 to 2, which MPPI and the planning stage take of this key.
+        """The initial state of a push on ``face``.
+
+        Args:
+            obs: current observation.
+            face: the pushed face in {O}: centre x, y [m], direction of the inward normal [rad], half width [m].
+            half_extents: half length and half width of the object's footprint [m].
+            key: random key of the push.
+            adapt: estimate of this object from earlier pushes; the prior if None.
+            kind: kind of the object by its appearance, for the prior (`contact_prior.of_kind`).
+        """
+        # Use 3, because MPPI and the planning stage use the streams 0 to 2 of this key.
         adapt = adapt or prior_state(self.weights, self.config.estimate, jax.random.fold_in(key, 3), kind)
         state = push_step.start(self.config, adapt, obs, key, face=face, half_extents=half_extents)
-        # Placed as what `step` gives back is: it would else be compiled for either.
+        # Use the same device placement as the results of `step`, to avoid a second compilation.
         adapt, plan = sharding.replicated(self._model.mesh, (state.adapt, state.plan))
         return state._replace(adapt=adapt, plan=plan)
 
     @single_precision
     def compile(self, clearance: LocalDistanceField) -> None:
-        """Compile all that a push needs, for which the first contact waits otherwise; any ``clearance`` will do."""
+        """Compile all functions of a push in advance, to avoid a delay at the first contact.
+
+        ``clearance`` can be any field, because all fields have the same shape.
+        """
         goal = np.array([1.9, 0.0, 0.0])
         _, key = jax.random.split(jax.random.key(0))
         state = self.init(_STILL, _FACE, _HALF, key)
@@ -77,7 +93,7 @@ class PushController:
         self.coast(state)
 
     def _example_inputs(self) -> StepInputs:
-        """Inputs of a step; all have these shapes."""
+        """Example inputs of a step, with the shapes that all steps have."""
         state = push_step.start(
             self.config,
             prior_state(self.weights, self.config.estimate),
@@ -100,16 +116,19 @@ class PushController:
         clearance: LocalDistanceField | None,
         governor_room: float | None = None,
     ) -> tuple[Float[np.ndarray, "3"], ControllerState, mppi.Plan]:
-        """`push_step.step`, compiled once: the command u to apply now, the next state, and the plan.
+        """One 10 Hz control step: `push_step.step`, compiled.
 
         Args:
-            state: from ``init`` or the last step.
-            obs: what is perceived now, with the wrench of the sample that ended.
+            state: result of ``init`` or of the last step.
+            obs: current observation, with the wrench of the last sample.
             goal: desired object pose in {W}.
-            last_u: what was applied during that sample.
-            half_extents: of the object's footprint [m].
-            clearance: distance to obstacles round the object, itself left out.
-            governor_room: in place of the configuration's, for this step.
+            last_u: command applied during the last sample [rad].
+            half_extents: half length and half width of the object's footprint [m].
+            clearance: distance to obstacles around the object, without the object itself.
+            governor_room: replaces the value in the configuration for this step.
+
+        Returns:
+            The command u to apply now [rad], the next state, and the plan.
         """
         inputs = push_step.step_inputs(
             self.config,
@@ -120,7 +139,7 @@ class PushController:
             half_extents=half_extents,
             governor_room=governor_room,
         )
-        # As one array: each costs time on its way to the device.
+        # Pass all inputs as one array, because each transfer to the device takes time.
         numbers = np.concatenate([np.ravel(x) for x in jax.tree.leaves(inputs)], dtype=np.float32)
         u, memory, plan = self._learn_and_plan(self._model, Memory(state.adapt, state.plan), numbers, clearance)
         if online.restarts(memory.adapt) > online.restarts(state.adapt):
@@ -136,10 +155,10 @@ class PushController:
         clearance: LocalDistanceField,
         half_extents: Float[Array, "2"],
     ) -> tuple[Float[np.ndarray, "S T 3"], Float[np.ndarray, "S T 2"], Float[np.ndarray, "S"]]:
-        """The planning stage's roll-outs (T = 50) from the state of the last step.
+        """Roll-outs of the planning stage (T = 50) from the state of the last step.
 
         Returns:
-            Object poses, robot positions in {W} and costs.
+            Object poses and robot positions in {W}, and costs.
         """
         target = np.asarray(goal, np.float32), np.asarray(half_extents, np.float32)
         poses, robots, costs = self._rollouts(self._model, state, target, clearance)
@@ -147,5 +166,5 @@ class PushController:
 
     @single_precision
     def coast(self, state: ControllerState) -> Float[np.ndarray, "3"]:
-        """Where the object comes to rest in {W} if the hands let go of it now, as the adapted model has it."""
+        """Pose in {W} at which the object comes to rest if it is released now, predicted by the adapted model."""
         return np.asarray(self._coast(self._model, state.adapt, state.before), dtype=float)

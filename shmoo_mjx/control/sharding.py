@@ -1,7 +1,7 @@
-"""Sharing of roll-outs among the devices of a CPU.
+"""Distribution of roll-outs over several CPU devices.
 
-XLA runs small matrix products on one core. Where JAX was started with several CPU devices (`rollout_mesh`),
-:func:`~shmoo_mjx.control.mppi.plan` evaluates a part of its roll-outs on each (``share=partial(shared, mesh)``).
+XLA runs small matrix products on one core. If JAX has several CPU devices (`rollout_mesh`),
+:func:`~shmoo_mjx.control.mppi.plan` can evaluate a part of its roll-outs on each (``share=partial(shared, mesh)``).
 """
 
 from __future__ import annotations
@@ -20,10 +20,11 @@ _PROBLEMS = "problems"
 
 
 def each_problem(function: Callable[..., Any], count: int) -> Callable[..., Any]:
-    """``function(params, *one)`` for ``count`` problems: arrays ``[count, ...]`` in, the same out; to be jitted.
+    """``function(params, *one)`` batched over ``count`` problems, with arrays ``[count, ...]``; to be jitted.
 
-    Every CPU device takes its own problems, one after another: no device waits for another within a problem, and a
-    problem's arrays stay in the cache. That takes 0.65 (64 problems) to 0.9 of a vmap's time; other devices get a vmap.
+    Every CPU device solves its own problems one after another. No device waits for another within a problem, and the
+    arrays of a problem stay in the cache. This takes 0.65 (64 problems) to 0.9 of the time of a vmap. Other devices use
+    a vmap.
     """
     devices = jax.devices()
     if devices[0].platform != "cpu":
@@ -43,10 +44,10 @@ def each_problem(function: Callable[..., Any], count: int) -> Callable[..., Any]
 
 
 def rollout_mesh(num_rollouts: int) -> Mesh | None:
-    """The CPU devices among which ``num_rollouts`` can be shared evenly; None if that is one, or not a CPU.
+    """CPU devices over which ``num_rollouts`` can be distributed evenly; None for one device or no CPU.
 
-    There are as many as JAX was started with: ``JAX_NUM_CPU_DEVICES``, which the command line sets. Each count gives
-    the same plan but for rounding.
+    The command line sets the number of CPU devices with ``JAX_NUM_CPU_DEVICES``. The plan does not depend on it except
+    for rounding.
     """
     devices = jax.devices()
     if devices[0].platform != "cpu":
@@ -56,26 +57,26 @@ def rollout_mesh(num_rollouts: int) -> Mesh | None:
 
 
 def replicated(mesh: Mesh | None, tree: Any) -> Any:
-    """The arrays of ``tree`` copied to every device of ``mesh``, so that no call has to bring them there."""
+    """The arrays of ``tree`` copied to every device of ``mesh``, so that later calls need no transfer."""
     return tree if mesh is None else jax.device_put(tree, NamedSharding(mesh, PartitionSpec()))
 
 
 def compiled(function: Callable[..., Any], mesh: Mesh | None) -> Callable[..., Any]:
-    """``jax.jit`` of a function whose arguments are the same on all devices of ``mesh``.
+    """``jax.jit`` of a function whose arguments are replicated on all devices of ``mesh``.
 
-    Naming the placement keeps it from compiling again when an answer comes back as an argument.
+    The explicit placement avoids a second compilation when a result is passed as an argument.
     """
     return jax.jit(function) if mesh is None else jax.jit(function, in_shardings=NamedSharding(mesh, PartitionSpec()))
 
 
 def on_all(mesh: Mesh | None, tree: Any) -> Any:
-    """The arrays of ``tree`` whole on every device; inside jit."""
+    """The arrays of ``tree`` replicated on every device; for use inside jit."""
     return tree if mesh is None else jax.lax.with_sharding_constraint(tree, NamedSharding(mesh, PartitionSpec()))
 
 
 def shared(mesh: Mesh, function: Evaluation) -> Evaluation:
-    """``function`` of an array, evaluated on each device for that device's part of its first axis; inside jit."""
+    """``function`` of an array, with the first axis distributed over the devices; for use inside jit."""
     spec = PartitionSpec(_AXIS)
-    # The check would ask of every user's roll-out that it marks its carry as varying over the devices.
+    # The check is off because it would require every user's roll-out to mark its carry as varying over the devices.
     each = jax.shard_map(function, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
     return lambda x: each(jax.lax.with_sharding_constraint(x, NamedSharding(mesh, spec)))

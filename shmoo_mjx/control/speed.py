@@ -1,4 +1,4 @@
-"""How fast the robot may be on its way to the object's goal."""
+"""Allowed speed of the robot during a push."""
 
 from __future__ import annotations
 
@@ -10,19 +10,21 @@ from shmoo_mjx.geometry import se2
 
 @dataclass(frozen=True)
 class SpeedProfile:
-    """Allowed speed of the robot by the object's distance from its goal: pushing can't brake what rolls, so that it
-    has to arrive slowly."""
+    """Allowed speed of the robot as a function of the object's distance from its goal.
+
+    A push can not brake a rolling object, so the object must arrive slowly.
+    """
 
     limit: float = 0.4
-    """Largest speed allowed [m/s]; more is faster, and loses what rolls."""
+    """Largest allowed speed [m/s]. Larger is faster, but rolling objects can roll away from the hands."""
     at_goal: float = 0.0
-    """Speed allowed at the goal [m/s], where ``slow_down`` is set."""
+    """Allowed speed at the goal [m/s], used if ``slow_down`` is not zero. Larger arrives faster."""
     slow_down: float = 0.0
-    """Increase of the allowed speed per metre from the goal, up to ``limit`` [1/s]; more slows down later, 0 leaves the
-    limit the same everywhere."""
+    """Increase of the allowed speed per metre from the goal, up to ``limit`` [1/s]. Larger slows down later; 0 gives
+    ``limit`` everywhere."""
 
     def allowed(self, distance: Scalar | Float[Array, "..."]) -> Scalar | Float[Array, "..."]:
-        """Allowed speed [m/s] where the object is ``distance`` [m] from its goal."""
+        """Allowed speed [m/s] at a ``distance`` [m] between the object and its goal."""
         if not self.slow_down:
             return self.limit + 0.0 * distance
         return se2.array_module(distance).minimum(self.at_goal + self.slow_down * distance, self.limit)

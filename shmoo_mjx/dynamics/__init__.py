@@ -1,4 +1,4 @@
-"""The dynamics core: inputs of the networks (features), R, psi a, and the transition built from them."""
+"""The dynamics model: network inputs (features), the networks R and psi, and the transition built from them."""
 
 from shmoo_mjx.dynamics.core import CoreConfig, Params, contact_wrench, init, rollout, step
 from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams

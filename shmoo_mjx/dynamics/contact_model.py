@@ -1,13 +1,13 @@
 """Four-point Coulomb contact model of an object: its acceleration under a push at the height of the hands.
 
-Dry friction decides within a sample whether an object holds, slides or stops, and that border moves with mass and
-friction. Here it is sharp: each point holds or slips by Coulomb's law, solved implicitly over the whole sample.
-Friction that sets in gradually with speed would let an object creep that is pushed below its break-away force, and
-whoever fits such a model to data makes up for it with a hundredfold mass.
+Within one sample an object can stick, slide or stop, and the stick-slip boundary depends on mass and friction. The
+model keeps this boundary sharp: each point sticks or slips by Coulomb's law, solved implicitly over the whole sample.
+Friction that grows smoothly with speed would let an object creep under a push below its break-away force. A fit of
+such a model to data compensates with a mass that is about a hundred times too large.
 
-A push at the height of the hands loads the far points and relieves the near ones, which turns the object. Each point
-has friction of its own along x and along y of {O}: a wheel rolls along x and grips along y, a locked wheel grips along
-both, a free caster along neither.
+A push at the height of the hands increases the load on the far points and decreases it on the near ones, which turns
+the object. Each point has separate friction coefficients along x and y of {O}: a wheel rolls along x and grips along
+y, a locked wheel grips along both, and a free caster along neither.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from shmoo_mjx.geometry.hands import HAND_HEIGHT
 from shmoo_mjx.types import DT
 
 POINTS = {"front_left": (1.0, 1.0), "front_right": (1.0, -1.0), "rear_left": (-1.0, 1.0), "rear_right": (-1.0, -1.0)}
-"""The four points, and where each lies along x and y of {O} from the middle of them, in half distances."""
+"""The four points and their positions along x and y of {O}, relative to their midpoint, in half distances."""
 
 GUESS: dict[str, float] = {
     "log_mass": 3.0,
@@ -38,34 +38,37 @@ GUESS: dict[str, float] = {
     "feet_y": 0.0,
     **{f"log_friction_{axis}_{point}": -2.0 for axis in "xy" for point in POINTS},
 }
-"""Parameters of the model, each with a value for what nothing is known of.
+"""Parameters of the model with their default values for an unknown object.
 
-Mass [log kg]; friction coefficient of each point along x and y of {O} [log]; all else over half the diagonal of the
-footprint: radius of gyration [log], centre of mass, half distances of the points [log], and the point in the middle of
-them. Wheels that turn with the object's motion count as mass by their rotary inertia."""
+``log_mass`` is the logarithm of the mass in kg; it includes the rotary inertia of wheels that turn with the object.
+``log_friction_*`` is the logarithm of the friction coefficient of a point along x or y of {O}. All others are lengths
+divided by half the diagonal of the footprint: ``log_gyration`` (radius of gyration), ``centre_*`` (centre of mass),
+``log_foot_*`` (half distances of the points) and ``feet_*`` (midpoint of the points)."""
 
 PARAMETERS = tuple(GUESS)
 """Names of the parameters, in order."""
 
 GRAVITY = 9.81
 GAUSS_SEIDEL_ITERATIONS = 5
-"""Projected Gauss-Seidel iterations over the four points: what one holds changes what the others have to hold."""
+"""Projected Gauss-Seidel iterations over the four points, whose impulses depend on each other. More is more accurate
+and slower."""
 
 
 def guess() -> Float[Array, "16"]:
-    """GUESS as an array."""
+    """The values of GUESS as an array."""
     return jnp.array(list(GUESS.values()))
 
 
 def with_friction(parameters: Float[Array, "*many 16"], shift: float) -> Float[Array, "*many 16"]:
-    """The parameters with ``shift`` added to the logarithms of its friction."""
+    """The parameters with ``shift`` added to every log friction coefficient."""
     return parameters + shift * np.array([name.startswith("log_friction") for name in PARAMETERS], np.float32)
 
 
 def resistance(parameters: Float[Array, "... 16"]) -> Float[Array, "... 2"]:
-    """Friction against straight motion along x and y of {O} [N]: each point's share of the weight times its friction.
+    """Friction force against straight motion along x and y of {O} [N].
 
-    A slow push tells this product of mass and friction, and neither of the two.
+    It is the sum over the points of load times friction coefficient. A slow push identifies this product of mass and
+    friction, but not the two factors.
     """
     xp = se2.array_module(parameters)
     named = {name: parameters[..., i] for i, name in enumerate(PARAMETERS)}
@@ -89,12 +92,15 @@ def resistance(parameters: Float[Array, "... 16"]) -> Float[Array, "... 2"]:
 def acceleration(
     parameters: Float[Array, "16 ..."], inputs: Float[Array, "n ..."], shifts: tuple[float, ...] | None = None
 ) -> Float[Array, "3 ..."] | Float[Array, "K 3 ..."]:
-    """Mean acceleration in {O} over a sample under the inputs' wrench, channels first.
+    """Mean acceleration of the object over one sample, in {O}, channels first.
 
     Args:
-        parameters: as PARAMETERS lists them; of one object, or of as many as there are inputs.
-        inputs: as OBJECT_INPUTS lists them; the last wrench may be left out.
-        shifts: added to the logarithms of the friction, for one answer each ``[K, 3, ...]``.
+        parameters: in the order of PARAMETERS; of one object, or one set per input.
+        inputs: in the order of OBJECT_INPUTS; the last wrench is optional.
+        shifts: K values to add to the log friction coefficients; each gives one prediction.
+
+    Returns:
+        Acceleration [m/s^2, m/s^2, rad/s^2], ``[3, ...]``, or ``[K, 3, ...]`` with ``shifts``.
     """
     where = features.slices(features.OBJECT_INPUTS)
     vx, vy, spin = inputs[where["object_twist"]]
@@ -105,9 +111,10 @@ def acceleration(
     inverse_mass, inverse_inertia = 1.0 / mass, 1.0 / (mass * gyration**2)
     x, y = named["centre_x"] * size, named["centre_y"] * size
     half_x, half_y = jnp.exp(named["log_foot_x"]) * size, jnp.exp(named["log_foot_y"]) * size
-    # From the centre of mass to the middle of the points.
+    # Vector from the centre of mass to the midpoint of the points.
     mid_x, mid_y = named["feet_x"] * size - x, named["feet_y"] * size - y
-    # Where the floor's reaction acts, in half distances of the points: weight, and the push's tipping moment.
+    # Centre of pressure of the floor's reaction, in half distances of the points. The push shifts it, because it acts
+    # above the floor and so makes a tipping moment.
     tip = HAND_HEIGHT / (mass * GRAVITY)
     load_x = jnp.clip((tip * fx - mid_x) / half_x, -0.98, 0.98)
     load_y = jnp.clip((tip * fy - mid_y) / half_y, -0.98, 0.98)
@@ -119,7 +126,7 @@ def acceleration(
         friction_x, friction_y = (jnp.exp(named[f"log_friction_{axis}_{name}"] + shifted) for axis in "xy")
         stiffness = 1.0 / (inverse_mass + (lx**2 + ly**2) * inverse_inertia)
         points.append((lx, ly, inverse_inertia * lx, inverse_inertia * ly, stiffness, weight, (friction_x, friction_y)))
-    # Twist of the centre of mass after the push alone; then the points take from it what they hold.
+    # Twist of the centre of mass after the push alone, before the friction impulses of the points.
     pushed = (
         vx - spin * y + DT * inverse_mass * fx,
         vy + spin * x + DT * inverse_mass * fy,
@@ -127,7 +134,7 @@ def acceleration(
     )
 
     def iterate(carry: tuple[Any, Any], _: None) -> tuple[tuple[Any, Any], None]:
-        """Point by point: the impulse that would stop it, cut to what its load allows."""
+        """One Gauss-Seidel sweep: each point gets the impulse that would stop it, clipped to its friction limit."""
         (ux, uy, turn), impulses = carry
         held = []
         for (lx, ly, turn_x, turn_y, stiffness, weight, friction), (old_x, old_y) in zip(points, impulses, strict=True):
@@ -147,16 +154,19 @@ def acceleration(
 
 
 def _within_grip(x: Array, y: Array, weight: Array, frictions: tuple[Array, Array]) -> tuple[Array, Array]:
-    """The impulse nearest to ``(x, y)`` that a point can hold: within Coulomb's circle, whose radius is the larger of
-    both grips (``weight`` times friction), and within each grip along its axis. A wheel's rolling resistance thus takes
-    nothing from its grip across."""
+    """Clip the friction impulse ``(x, y)`` of a point to its limits.
+
+    The impulse stays within ``weight`` times friction along each axis, and within a Coulomb circle whose radius is the
+    larger of these two limits. The rolling resistance of a wheel therefore does not reduce its lateral grip.
+    """
     friction_x, friction_y = frictions
     friction = jnp.maximum(friction_x, friction_y)
     share = jnp.minimum(1.0, weight * friction * jax.lax.rsqrt(jnp.maximum(x**2 + y**2, 1e-12)))
 
     def along(own: Array, most: Array, across: Array) -> Array:
-        # What the circle leaves to this axis where the other one's grip is used up; zero if this one's is the smaller.
-        # Not quite, as a root has no derivative at zero. It depends on no state, which keeps roots out of roll-outs.
+        # The limit that the circle leaves to this axis when the other axis is at its own limit. It is zero if this
+        # axis has the smaller friction; the floor of 1e-12 keeps the derivative of the root finite there. The root
+        # depends on no state, so it is not recomputed in a roll-out.
         rest = jnp.sqrt(jnp.maximum(friction**2 - across**2, 1e-12))
         limit = jnp.minimum(jnp.maximum(jnp.abs(own) * share, weight * rest), weight * most)
         return jnp.clip(own, -limit, limit)

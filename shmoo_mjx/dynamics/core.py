@@ -1,14 +1,14 @@
-"""F of Eq. 1: the state transition that training, MPPI and the object planner share.
+"""F of Eq. 1: the state transition used by training, MPPI and the object planner.
 
-Three readings go beyond the printed equations; each has a switch in CoreConfig:
+Three details go beyond the printed equations. CoreConfig has the options for each:
 
-* The acceleration is constant over the sample, so positions move by q' dt + q'' dt^2 / 2; ``euler`` gives the literal
-  form.
-* R predicts a planar force, psi takes a wrench: the force acts at the centre of pressure of the two hands, found from
-  how far each would be pressed in. Hands that are well away from the face push nothing.
-* At dt = 0.1 s the contact is stiff (the hands are springs, the object weighs little), so an explicit step would throw
-  light objects off the hands. ``unilateral`` adds what a push can not do: make the face leave the hand faster than the
-  compression can be released within the sample.
+* The acceleration is constant over the sample, so positions change by q' dt + q'' dt^2 / 2. ``euler`` selects the
+  literal form.
+* R predicts a planar force, but psi takes a wrench. The force acts at the centre of pressure of the two hands, which
+  follows from the compression of each hand. Hands farther than ``open_gap`` from the face exert no force.
+* At dt = 0.1 s the contact is stiff (the hands are springs and the object is light), so an explicit step would throw
+  light objects off the hands. ``unilateral`` limits the speed of the face: it can not leave the hand faster than the
+  compression is released within the sample.
 """
 
 from __future__ import annotations
@@ -32,43 +32,50 @@ from shmoo_mjx.types import DT, SystemState
 
 @dataclass(frozen=True)
 class CoreConfig:
-    """Static choices of the transition; hashable, so it can be a static argument of jit."""
+    """Static options of the transition. It is hashable, so it can be a static argument of jit."""
 
     robot: RobotConfig = field(default_factory=RobotConfig)
+    """Structure of R."""
     object: ObjectConfig = field(default_factory=ObjectConfig)
+    """Structure of psi."""
     euler: bool = False
-    """Literal Eq. 1: positions move by q' dt only."""
+    """Use Eq. 1 literally: positions change by q' dt only."""
     unilateral: bool = True
-    """A pushed face can not leave the hand faster than the compression releases."""
+    """Limit the speed at which a pushed face leaves the hand to the speed at which the compression is released."""
     open_gap: float = 0.03
-    """Hands farther than this from the face, now and at the sample's end, push nothing [m]."""
+    """Largest gap between hand and face at which a hand exerts force [m], at the start or at the end of the sample.
+    Larger counts more distant hands as touching."""
     pressure_lead: float = 0.5
-    """The centre of pressure is taken at this fraction of the sample, by the gaps' present rates [1]."""
+    """Fraction of the sample at which the centre of pressure is evaluated [1]. The gaps are extrapolated with their
+    current rates; larger looks further ahead."""
 
 
 class Params(NamedTuple):
     """Parameters of the transition."""
 
     robot: RobotParams
+    """Parameters of R and of the lean response."""
     object: ObjectParams
+    """Parameters of psi."""
     coefficients: Float[Array, "... 3 K"]
-    """a of Eq. 3."""
+    """The coefficients a of Eq. 3, per axis."""
     contact: Float[Array, "... 12"]
-    """Of the four-point contact model that is among the inputs of psi, as `contact_model.PARAMETERS` lists them."""
+    """Parameters of the four-point contact model, in the order of `contact_model.PARAMETERS`. The predictions of this
+    model are inputs of psi."""
 
 
 class _Models(NamedTuple):
-    """Params made ready for `_advance`, once per roll-out."""
+    """Params in the form that `_advance` uses, prepared once per roll-out."""
 
     robot: FusedEquivariantMLP
     object: object_model.FusedObjectModel
-    """With the coefficients in it: O of Eq. 3, not psi."""
+    """O of Eq. 3, with the coefficients included."""
     lean: LeanResponse
 
 
 @single_precision
 def init(key: Key[Array, ""], config: CoreConfig | None = None) -> Params:
-    """Untrained parameters, with zero coefficients (an object that keeps its twist)."""
+    """Untrained parameters with zero coefficients, which predict a constant object twist."""
     config = config or CoreConfig()
     robot_key, object_key = jax.random.split(key)
     return Params(
@@ -86,10 +93,19 @@ def contact_wrench(
     gamma: Scalar | Float[Array, "..."],
     config: CoreConfig | None = None,
 ) -> Float[Array, "... 3"]:
-    """Gamma^o: the force of the hands in {R} [N] as a wrench about the object's centre, in {O}.
+    """Gamma^o: the wrench of the hands about the object's centre, in {O}.
 
-    The force acts at the mean of the two contact points weighted by the compression of each hand; equal weights if
-    neither is compressed; no wrench if both are out of reach.
+    The force acts at the mean of the two contact points, weighted by the compression of each hand. The weights are
+    equal if neither hand is compressed. The wrench is zero if both hands are out of reach.
+
+    Args:
+        state: SystemState, any batch dimensions.
+        force: planar force of the hands on the object in {R} [N].
+        gamma: steering angle of the arms [rad].
+        config: static options.
+
+    Returns:
+        Wrench [N, N, N m] in {O}.
     """
     config = config or CoreConfig()
     inside = to_channels_first(state, jnp.broadcast_shapes(jnp.shape(state.robot_pose)[:-1], jnp.shape(gamma)))
@@ -103,16 +119,16 @@ def contact_wrench(
 def step(
     params: Params, state: SystemState, u: Float[Array, "... 3"], config: CoreConfig | None = None
 ) -> tuple[SystemState, Float[Array, "... 3"]]:
-    """One sample of DT by Eq. 1 to 3.
+    """Advance the state by one sample DT (Eq. 1 to 3).
 
     Args:
         params: with coefficients ``[3, K]``; vmap for more than one object.
         state: SystemState, any batch dimensions.
-        u: command (phi_x, phi_y, gamma) [rad], held over the sample.
-        config: static choices.
+        u: command (phi_x, phi_y, gamma) [rad], constant over the sample.
+        config: static options.
 
     Returns:
-        The state one sample later and the wrench on the object in {O} at the start of the sample.
+        The state one sample later, and the wrench on the object in {O} at the start of the sample.
     """
     config = config or CoreConfig()
     batch = jnp.broadcast_shapes(jnp.shape(state.robot_pose)[:-1], jnp.shape(u)[:-1])
@@ -126,9 +142,15 @@ def step(
 def rollout(
     params: Params, state: SystemState, controls: Float[Array, "... T 3"], config: CoreConfig | None = None
 ) -> tuple[SystemState, Float[Array, "... T 3"]]:
-    """The states after each of the T commands and the wrenches on the way.
+    """Simulate T commands: the state after each command and the wrench during it.
 
-    A whole batch of roll-outs in one call is much faster than a vmap of single ones, and gives the same.
+    One call with a batch of roll-outs is much faster than a vmap over single roll-outs. The results are the same.
+
+    Args:
+        params: with coefficients ``[3, K]``; vmap for more than one object.
+        state: initial SystemState, with the batch dimensions of ``controls``.
+        controls: commands (phi_x, phi_y, gamma) [rad].
+        config: static options.
 
     Returns:
         SystemState ``[..., T, n]``, and wrenches in {O} at the start of each sample.
@@ -145,7 +167,7 @@ def rollout(
     commands = jnp.moveaxis(controls, (-2, -1), (0, 1))
     begin = start, _remembered(models, start, config)
     states, wrenches = jax.lax.scan(one_sample, begin, commands)[1]
-    # [T, n, ...] as [n, ..., T]: time becomes the last batch dimension.
+    # From [T, n, ...] to [n, ..., T]: time becomes the last batch dimension.
     states, wrenches = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), (states, wrenches))
     constant = {"face": start.face[..., None], "size": jnp.asarray(start.size)[..., None]}
     return to_channels_last(SystemState(**states, **constant)), channels_last(wrenches)
@@ -159,7 +181,7 @@ def _fuse(params: Params, config: CoreConfig) -> _Models:
 
 
 def _remembered(models: _Models, state: SystemState, config: CoreConfig) -> Array | None:
-    """What the contact model predicted for the sample before ``state`` (`object_model.remembered`)."""
+    """The contact model's prediction for the sample before ``state`` (`object_model.remembered`)."""
     last, wrench = state.last_object_twist, state.last_wrench
     inputs = features.object_inputs(
         jnp.zeros_like(last), jnp.zeros_like(last), last_twist=last, size=state.size, last_wrench=wrench, axis=0
@@ -170,8 +192,10 @@ def _remembered(models: _Models, state: SystemState, config: CoreConfig) -> Arra
 def _advance(
     models: _Models, state: SystemState, before: Array | None, u: Array, *, config: CoreConfig
 ) -> tuple[SystemState, Array | None, Array]:
-    """`step` with channels first, stage by stage: features, R, contact, O, integration. ``before`` is `_remembered`,
-    and returned for the next sample."""
+    """`step` with channels first: features, R, contact, O, integration.
+
+    ``before`` is the result of `_remembered`. The second return value is ``before`` for the next sample.
+    """
     face = features.facing(state)
     touch = features.contact(face, u[2])
     base, force = _robot_stage(models, state, face=face, touch=touch, u=u, config=config)
@@ -194,7 +218,7 @@ def _advance(
 def _robot_stage(
     models: _Models, state: SystemState, *, face: Facing, touch: Contact, u: Array, config: CoreConfig
 ) -> tuple[Array, Array]:
-    """R of Eq. 2: acceleration of the base ``[3, ...]`` and force of the hands ``[2, ...]``, both in {R}."""
+    """R of Eq. 2: base acceleration ``[3, ...]`` and hand force ``[2, ...]``, both in {R}."""
     inputs = features.stacked_robot_inputs(state, face, features.contact(face, state.last_u[2]), u)
     outputs = models.robot.forward(inputs, config.robot.activation)
     return outputs[:3], jnp.where(_out_of_reach(state, touch, config), 0.0, outputs[3:])
@@ -219,17 +243,17 @@ def _integrate(
 
 
 def _out_of_reach(state: SystemState, touch: Contact, config: CoreConfig) -> Array:
-    """True where both hands are well off the face, ahead of it or beside it, throughout the sample."""
+    """True where both hands are away from the face during the whole sample, either in front of it or beside it."""
     nearest = jnp.minimum(touch.gap, touch.gap + DT * touch.rate)
     beside = jnp.abs(touch.lateral) > state.face[3] + HAND_RADIUS
     return jnp.all((nearest > config.open_gap) | beside, axis=0)
 
 
 def _wrench(state: SystemState, face: Facing, touch: Contact, force: Array, *, config: CoreConfig) -> Array:
-    """Gamma^o ``[3, ...]`` of a hand force ``[2, ...]`` that is zero out of reach."""
+    """Gamma^o ``[3, ...]`` of a hand force ``[2, ...]``, which must be zero where the hands are out of reach."""
     in_object = face.relative.inverse_apply(force)
     gap = touch.gap + config.pressure_lead * DT * touch.rate
-    # The small constant gives equal weights where neither hand is pressed in, and a smooth change between the cases.
+    # The small constant gives equal weights if neither hand is compressed, and a smooth transition otherwise.
     weight = jnp.maximum(-gap, 0.0) + 1e-4
     lateral = jnp.clip(touch.lateral, -state.face[3], state.face[3])
     mean = jnp.sum(weight * lateral, axis=0) / jnp.sum(weight, axis=0)
@@ -241,21 +265,23 @@ def _wrench(state: SystemState, face: Facing, touch: Contact, force: Array, *, c
 def _unilateral(
     state: SystemState, face: Facing, touch: Contact, *, twist: Array, acceleration: Array, base: Array, force: Array
 ) -> Array:
-    """Correction ``[3, ...]`` of the object's acceleration in {O} so that no pushed point of the face outruns its hand.
+    """Correction ``[3, ...]`` of the object's acceleration in {O}: no pushed point of the face may outrun its hand.
 
-    Along the inward normal n, at each hand's contact point: v_object(t+1) <= max(v_hand(t+1) + compression / DT,
-    v_object(t)). The second entry leaves an object that already coasts away alone. The two excess speeds are taken off
-    by the pair (speed along n, spin) that removes exactly those. ``base`` is the robot's acceleration in {R}.
+    The constraint at the contact point of each hand, along the inward normal n, is
+    v_object(t+1) <= max(v_hand(t+1) + compression / DT, v_object(t)).
+    The term v_object(t) leaves an object unchanged that is already coasting away. The correction is the pair (speed
+    along n, spin) that removes exactly the two excess speeds. ``base`` is the robot's acceleration in {R}.
     """
     nx, ny = jnp.cos(state.face[2]), jnp.sin(state.face[2])
-    # Speed along n of the face's point at offset s is v.n + w (arm - s), with arm the moment of n about the centre.
+    # The point of the face at offset s moves along n with v.n + w (m - s), where m is the moment of n about the
+    # object's centre. ``arm`` is m - s for each hand.
     arm = state.face[0] * ny - state.face[1] * nx - touch.lateral
     before = twist[0] * nx + twist[1] * ny + twist[2] * arm
     gain = (acceleration[0] * nx + acceleration[1] * ny + acceleration[2] * arm) * DT
     release = _hand_speed(state, face, touch, base) + jnp.maximum(-touch.gap, 0.0) / DT
     pushed = force[0] * face.normal.c + force[1] * face.normal.s > 0.0
     nearest = jnp.minimum(touch.gap, touch.gap + DT * touch.rate)
-    touching = nearest <= jnp.maximum(nearest[::-1], 0.0)  # pressed in, or the nearer hand of the two
+    touching = nearest <= jnp.maximum(nearest[::-1], 0.0)  # compressed, or the nearer of the two
     beside = jnp.abs(touch.lateral) > state.face[3] + HAND_RADIUS
     excess = jnp.where(pushed & touching & ~beside, jnp.maximum(before + gain - jnp.maximum(release, before), 0.0), 0.0)
     between = touch.lateral[0] - touch.lateral[1]

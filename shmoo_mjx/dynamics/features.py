@@ -1,6 +1,6 @@
-"""Inputs and outputs of the networks: one table of each, and the functions that compute them.
+"""Inputs and outputs of the networks: one table each, and the functions that compute them.
 
-All of it is expressed in {R} or {O}, so that moving and turning the whole scene leaves every number here as it was.
+All quantities are expressed in {R} or {O}, so they are invariant to translation and rotation of the whole scene.
 """
 
 from __future__ import annotations
@@ -18,21 +18,27 @@ from shmoo_mjx.geometry.hands import HAND_RADIUS, hand_components
 from shmoo_mjx.types import DT, SystemState
 
 GAP_LIMIT = 0.15
-"""Gaps between hand and face are clipped to +- this [m]: farther off, they say nothing about the force."""
+"""Gaps between hand and face are clipped to plus or minus this value [m]. Larger gaps carry no information about the
+force."""
 
 
 class Entry(NamedTuple):
     """One line of the input/output table."""
 
     name: str
+    """Name of the entry, unique in its table."""
     width: int
+    """Number of channels."""
     frame: str
+    """Letter of the frame, R or O."""
     unit: str
+    """Units of the channels."""
     meaning: str
+    """Description for the docs."""
     reflected: tuple[int, ...]
-    """Signs of its channels in the mirror of the x-z plane."""
+    """Sign of each channel under reflection in the x-z plane."""
     sides: bool = False
-    """Whether its two channels are of the left and the right hand, which the mirror exchanges."""
+    """True if the two channels belong to the left and the right hand, which the reflection exchanges."""
 
 
 ROBOT_INPUTS: tuple[Entry, ...] = (
@@ -85,7 +91,7 @@ OBJECT_INPUTS: tuple[Entry, ...] = (
     Entry("size", 1, "O", "m", "half the diagonal of the footprint", (1,)),
     Entry("last_wrench", 3, "O", "N, N m", "wrench one sample earlier, in {O} of that time", (1, -1, -1)),
 )
-"""The 13 inputs of psi; the paper has 10, and the last entry is not among them."""
+"""The 13 inputs of psi. The paper has 10 inputs, all but the last entry."""
 
 OBJECT_OUTPUTS: tuple[Entry, ...] = (
     Entry(
@@ -101,43 +107,45 @@ OBJECT_OUTPUTS: tuple[Entry, ...] = (
 
 
 class Facing(NamedTuple):
-    """Poses and relative motion of robot and face, whatever the hands do; channels first."""
+    """Pose and relative motion of robot and face, independent of the hands. Channels first."""
 
     heading: SO2
-    """From {R} to {W}."""
+    """Rotation from {R} to {W}."""
     yaw: SO2
-    """From {O} to {W}."""
+    """Rotation from {O} to {W}."""
     relative: SO2
-    """From {O} to {R}."""
+    """Rotation from {O} to {R}."""
     pose: Float[Array, "3 ..."]
     """Pose of the face in {R}: centre x, y [m], direction of the inward normal [rad]."""
     motion: Float[Array, "3 ..."]
-    """Twist of the face as seen from the moving {R}, at the face's centre [m/s, rad/s]."""
+    """Twist of the face at its centre, relative to the moving {R} [m/s, rad/s]."""
     normal: SO2
-    """Its cosine and sine are the inward normal of the face in {R}."""
+    """Direction of the face's inward normal in {R}; its cosine and sine are the unit vector."""
 
 
 class Contact(NamedTuple):
-    """Gaps and offsets of the hands' targets against the face, for one steering angle; channels first, hands (left,
-    right)."""
+    """Gaps and offsets between the target positions of the hands and the face, for one steering angle.
+
+    Channels first, hands in the order (left, right).
+    """
 
     gap: Float[Array, "2 ..."]
-    """From the hand's surface to the face's line, along the inward normal [m]; negative = pressed in."""
+    """Distance from the hand's surface to the face's line along the inward normal [m]; negative means compression."""
     lateral: Float[Array, "2 ..."]
     """Offset of the hand from the face's centre along the face [m]."""
     rate: Float[Array, "2 ..."]
-    """Rate of the gap with the hands at rest in {R} [m/s]."""
+    """Rate of change of the gap for hands at rest in {R} [m/s]."""
     hands: tuple[Float[Array, "2 ..."], Float[Array, "2 ..."]]
     """x and y of the hands in {R} [m]."""
 
 
 def width(table: tuple[Entry, ...]) -> int:
-    """Total width of a table."""
+    """Total number of channels of a table."""
     return sum(entry.width for entry in table)
 
 
 def slices(table: tuple[Entry, ...]) -> dict[str, slice]:
-    """Where each named entry lies in the vector the table describes."""
+    """Slice of each named entry in the vector that the table describes."""
     slices, start = {}, 0
     for entry in table:
         slices[entry.name] = slice(start, start + entry.width)
@@ -146,7 +154,7 @@ def slices(table: tuple[Entry, ...]) -> dict[str, slice]:
 
 
 def reflection(table: tuple[Entry, ...]) -> Float[np.ndarray, "n n"]:
-    """The matrix that makes the vector of the table what it is in the mirror of the x-z plane."""
+    """Matrix that reflects the vector of the table in the x-z plane."""
     blocks = []
     for entry in table:
         block = np.diag(np.array(entry.reflected, np.float32))
@@ -164,7 +172,7 @@ def markdown_table(table: tuple[Entry, ...]) -> str:
 
 
 def facing(state: SystemState) -> Facing:
-    """Pose and motion of the pushed face, for a state with channels first (`layout`) and any batch dimensions."""
+    """Pose and motion of the pushed face, for a state with channels first (see `layout`) and any batch dimensions."""
     heading, yaw = once((SO2.from_angle(state.robot_pose[2]), SO2.from_angle(state.object_pose[2])))
     relative = yaw.compose(heading.inverse())
     lever = yaw.apply(state.face[:2])
@@ -183,7 +191,7 @@ def facing(state: SystemState) -> Facing:
 
 
 def contact(face: Facing, gamma: Scalar | Float[Array, "..."]) -> Contact:
-    """Gaps and offsets of the hands, held at the targets for steering angle ``gamma`` [rad], against the face."""
+    """Gaps and offsets between the face and the hands at their targets for steering angle ``gamma`` [rad]."""
     n = face.normal
     (left_x, left_y), (right_x, right_y) = hand_components(gamma)
     x, y = once((jnp.stack([left_x, right_x]), jnp.stack([left_y, right_y])))
@@ -199,7 +207,12 @@ def contact(face: Facing, gamma: Scalar | Float[Array, "..."]) -> Contact:
 
 
 def robot_inputs(state: SystemState, u: Float[Array, "... 3"]) -> Float[Array, "... 28"]:
-    """The inputs of R as ROBOT_INPUTS lists them; ``u`` is the command of this sample [rad]."""
+    """The inputs of R in the order of ROBOT_INPUTS.
+
+    Args:
+        state: SystemState, any batch dimensions.
+        u: command (phi_x, phi_y, gamma) of this sample [rad].
+    """
     batch = jnp.broadcast_shapes(jnp.shape(state.robot_pose)[:-1], jnp.shape(u)[:-1])
     inside = to_channels_first(state, batch)
     u = channels_first(jnp.broadcast_to(u, (*batch, 3)))
@@ -210,7 +223,7 @@ def robot_inputs(state: SystemState, u: Float[Array, "... 3"]) -> Float[Array, "
 def stacked_robot_inputs(
     state: SystemState, face: Facing, touch: Contact, u: Float[Array, "3 ..."]
 ) -> Float[Array, "28 ..."]:
-    """`robot_inputs` with channels first, from the contact as the last command's steering has it."""
+    """`robot_inputs` with channels first. ``touch`` is the contact for the steering angle of the last command."""
     half_width = state.face[3:]
     return jnp.concatenate(
         [
@@ -239,15 +252,15 @@ def object_inputs(
     last_wrench: Float[Array, "... 3"] | Float[Array, "3 ..."],
     axis: int = -1,
 ) -> Float[Array, "... 13"] | Float[Array, "13 ..."]:
-    """The inputs of psi as OBJECT_INPUTS lists them.
+    """The inputs of psi in the order of OBJECT_INPUTS.
 
     Args:
-        twist: of the object, in {O}.
-        wrench: about the object's centre, in {O}.
-        last_twist: one sample earlier, in {O} of that time.
+        twist: twist of the object in {O} [m/s, rad/s].
+        wrench: wrench of the hands about the object's centre in {O} [N, N m].
+        last_twist: twist one sample earlier, in {O} of that time.
         size: half the diagonal of the footprint [m].
-        last_wrench: one sample earlier, in {O} of that time.
-        axis: where the channels lie, in the arguments and in the answer; 0 for channels first.
+        last_wrench: wrench one sample earlier, in {O} of that time.
+        axis: axis of the channels in the arguments and in the result; 0 for channels first, -1 for channels last.
     """
     batch = twist.shape[:-1] if axis == -1 else twist.shape[1:]
     size = jnp.expand_dims(jnp.broadcast_to(jnp.asarray(size), batch), axis)
@@ -255,11 +268,11 @@ def object_inputs(
 
 
 def last_sample(inputs: Float[Array, "13 ..."]) -> tuple[Float[Array, "13 ..."], Float[Array, "3 ..."]]:
-    """Inputs and acceleration of the previous sample, as far as psi's inputs, channels first, hold them.
+    """Inputs and acceleration of the previous sample, recovered from the inputs of psi. Channels first.
 
     Returns:
-        Inputs of that sample, whose own past is not known and left zero; and the mean acceleration over it, in {O} at
-        its start, the convention of psi's labels.
+        The inputs of the previous sample, in which the last twist and last wrench are unknown and set to zero; and the
+        mean acceleration over that sample, in {O} at its start, as in the labels of psi.
     """
     where = slices(OBJECT_INPUTS)
     twist, last, wrench = (inputs[where[name]] for name in ("object_twist", "last_object_twist", "last_wrench"))
@@ -276,5 +289,5 @@ def last_sample(inputs: Float[Array, "13 ..."]) -> tuple[Float[Array, "13 ..."],
 
 
 def _point_velocity(twist: Array, lever: Array) -> Array:
-    """Velocity ``[2, ...]`` of the point at ``lever`` from the origin of a body with this twist, all in one frame."""
+    """Velocity ``[2, ...]`` of the point at ``lever`` from a body's origin; ``twist`` and ``lever`` in one frame."""
     return jnp.stack([twist[0] - twist[2] * lever[1], twist[1] + twist[2] * lever[0]])

@@ -1,6 +1,7 @@
-"""Networks made ready for roll-outs: channels first, and the normaliser folded into the first layer.
+"""Networks in the form for roll-outs: channels first, with the normaliser folded into the first layer.
 
-`networks` trains them; what is fused gives the same outputs (tests hold it to that), some thousand times per plan.
+`networks` defines them for training. The fused form gives the same outputs and is faster, which matters because one
+plan evaluates it thousands of times.
 """
 
 from __future__ import annotations
@@ -16,14 +17,14 @@ from shmoo_mjx.dynamics.networks import ACTIVATIONS, Network, parts
 
 
 class FusedMLP(NamedTuple):
-    """`networks.MLP`, ready for roll-outs."""
+    """`networks.MLP` in the form for roll-outs."""
 
     weights: tuple[Float[Array, "_n_out _n_in"], ...]
-    """One per layer."""
+    """Weight matrix of each layer."""
     biases: tuple[Float[Array, "_n_out"], ...]
-    """One per layer."""
+    """Bias of each layer."""
     skip: Float[Array, "n_last n_0"] | None = None
-    """A linear map of the input that is added to the output."""
+    """Linear map of the input that is added to the output."""
 
     def followed_by(self, linear: Callable[[Float[Array, "n_last ..."]], Float[Array, "m ..."]]) -> FusedMLP:
         """The network followed by a linear map of its outputs."""
@@ -35,7 +36,7 @@ class FusedMLP(NamedTuple):
         return self._replace(biases=(*self.biases[:-1], self.biases[-1] + bias), skip=skip)
 
     def forward(self, x: Float[Array, "n_0 ..."], activation: str = "tanh") -> Float[Array, "n_last ..."]:
-        """What `networks.apply` gives, with channels first."""
+        """The same output as `networks.apply`, with channels first."""
         function = ACTIVATIONS[activation]
         ones = (1,) * (x.ndim - 1)
         h = x
@@ -46,15 +47,16 @@ class FusedMLP(NamedTuple):
 
 
 class FusedEquivariantMLP(NamedTuple):
-    """`networks.EquivariantMLP`, ready for roll-outs."""
+    """`networks.EquivariantMLP` in the form for roll-outs."""
 
     even: tuple[Float[Array, "_out _in"], ...]
-    """One ``[n_out / 2, n_in / 2]`` per layer, for the sums of pairs; the first ``[n_1 / 2, n_0]``."""
+    """Weights of each layer for the sums of pairs, ``[n_out / 2, n_in / 2]``; the first is ``[n_1 / 2, n_0]``."""
     odd: tuple[Float[Array, "_out _in"], ...]
-    """The same for their differences."""
+    """Weights of each layer for the differences of pairs, with the same shapes."""
     biases: tuple[Float[Array, "_out"], ...]
+    """Bias of each layer."""
     skip: Float[Array, "n_last n_0"] | None = None
-    """A linear map of the input that is added to the output."""
+    """Linear map of the input that is added to the output."""
 
     def followed_by(self, linear: Callable[[Float[Array, "n_last ..."]], Float[Array, "m ..."]]) -> FusedEquivariantMLP:
         """The network followed by a linear map of its outputs."""
@@ -66,7 +68,7 @@ class FusedEquivariantMLP(NamedTuple):
         return self._replace(biases=(*self.biases[:-1], self.biases[-1] + bias), skip=skip)
 
     def forward(self, x: Float[Array, "n_0 ..."], activation: str = "tanh") -> Float[Array, "n_last ..."]:
-        """What `networks.apply` gives, with channels first."""
+        """The same output as `networks.apply`, with channels first."""
         function = ACTIVATIONS[activation]
         ones = (1,) * (x.ndim - 1)
         even = odd = x
@@ -81,7 +83,7 @@ class FusedEquivariantMLP(NamedTuple):
 
 
 def fuse(net: Network) -> FusedMLP:
-    """A `networks.MLP` for `FusedMLP.forward`; once per plan, so that its steps need not."""
+    """Convert a `networks.MLP` to the form for roll-outs. Call it once per plan."""
     weights, biases = _layers(net)
     first = weights[0].T / net.scale
     return FusedMLP((first, *(w.T for w in weights[1:])), (biases[0] - first @ net.mean, *biases[1:]))
@@ -90,7 +92,10 @@ def fuse(net: Network) -> FusedMLP:
 def fuse_equivariant(
     net: Network, reflections: tuple[Float[np.ndarray, "n_0 n_0"], Float[np.ndarray, "n_last n_last"]]
 ) -> FusedEquivariantMLP:
-    """A `networks.EquivariantMLP` for `FusedEquivariantMLP.forward`; once per plan, so that its steps need not."""
+    """Convert a `networks.EquivariantMLP` to the form for roll-outs. Call it once per plan.
+
+    ``reflections`` are the matrices of the input and of the output.
+    """
     kernels, biases = _layers(net)
     halves = [jnp.split(kernel, 2) for kernel in kernels]
     even, odd = (list(weights) for weights in zip(*halves, strict=True))
@@ -104,6 +109,6 @@ def fuse_equivariant(
 
 
 def _layers(net: Network) -> tuple[list[Array], list[Array]]:
-    """Kernels and biases, first layer first."""
+    """Kernels and biases in the order of the layers."""
     layers = [net.layers[f"layer{i}"] for i in range(len(net.layers))]
     return [layer["kernel"] for layer in layers], [layer["bias"] for layer in layers]

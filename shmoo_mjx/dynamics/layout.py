@@ -1,8 +1,8 @@
-"""Channels first: how arrays lie inside the transition.
+"""Conversion between the channels-last layout of states and the channels-first layout inside the transition.
 
-Outside, a state is ``[..., n]``. Inside, it is ``[n, ...]``, so that each channel of a batch of roll-outs is one whole
-vector of samples: on a CPU that makes arithmetic on poses and contacts several times as fast, and the networks' matrix
-products need no transposition. This module is the only place where one becomes the other.
+Outside the transition a state is ``[..., n]``. Inside it is ``[n, ...]``, so each channel of a batch of roll-outs is
+contiguous in memory. On a CPU this makes arithmetic on poses and contacts several times as fast, and the matrix
+products of the networks need no transposition. Only this module converts between the two.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ MOVING = tuple(name for name in SystemState._fields if name not in ("face", "siz
 
 
 def channels_first(x: Shaped[Array, "... n"]) -> Shaped[Array, "n ..."]:
-    """The last axis first."""
+    """Move the last axis to the front."""
     return jnp.moveaxis(jnp.asarray(x), -1, 0)
 
 
 def channels_last(x: Shaped[Array, "n ..."]) -> Shaped[Array, "... n"]:
-    """The first axis last."""
+    """Move the first axis to the end."""
     return jnp.moveaxis(x, 0, -1)
 
 
 def to_channels_first(state: SystemState, batch: tuple[int, ...]) -> SystemState:
-    """A state with channels first and its batch dimensions spread to ``batch``; face and size are not copied.
+    """A state with channels first, broadcast to the batch dimensions ``batch``.
 
-    Face and size get batch dimensions of length 1 where they are the same for all.
+    Face and size are not broadcast: they get batch dimensions of length 1 where one value holds for all.
     """
     moving = {name: jnp.asarray(getattr(state, name)) for name in MOVING}
     spread = {name: channels_first(jnp.broadcast_to(x, (*batch, x.shape[-1]))) for name, x in moving.items()}
@@ -43,7 +43,7 @@ def to_channels_first(state: SystemState, batch: tuple[int, ...]) -> SystemState
 
 
 def to_channels_last(state: SystemState) -> SystemState:
-    """The inverse of `to_channels_first`: channels last, face and size spread over the whole batch."""
+    """The inverse of `to_channels_first`: channels last, with face and size broadcast over the whole batch."""
     batch = state.robot_pose.shape[1:]
     moving = {name: channels_last(getattr(state, name)) for name in MOVING}
     face = channels_last(jnp.broadcast_to(state.face, (state.face.shape[0], *batch)))
@@ -51,39 +51,43 @@ def to_channels_last(state: SystemState) -> SystemState:
 
 
 def time_first(x: Shaped[Array, "*S T n"]) -> Shaped[Array, "T *S n"]:
-    """Time as the first axis. In memory the roll-outs' samples lie side by side: what computes in this order reads them
-    as vectors."""
+    """Move the time axis to the front.
+
+    Roll-outs store equal times side by side in memory, so computation in this order is vectorised.
+    """
     return jnp.moveaxis(x, -2, 0)
 
 
 def mean_over_time(x: Shaped[Array, "T *S"]) -> Shaped[Array, "*S"]:
-    """Mean over the first axis: as a product, for which XLA has faster code than for a sum."""
+    """Mean over the first axis, written as a matrix product because XLA has faster code for it than for a sum."""
     return jnp.tensordot(jnp.full(len(x), 1.0 / len(x)), x, axes=1)
 
 
 def once(tree: Any) -> Any:
-    """The same values, computed once: left alone, XLA repeats cheap-looking geometry for every use of it."""
+    """The same values, behind an optimization barrier. Without it XLA recomputes cheap geometry for every use."""
     return jax.lax.optimization_barrier(tree)
 
 
 class SO2(NamedTuple):
-    """A rotation by some angle, kept as its cosine and sine: those are worth computing once."""
+    """A planar rotation, stored as cosine and sine so that they are computed once."""
 
     c: Float[Array, "..."]
+    """Cosine of the angle."""
     s: Float[Array, "..."]
+    """Sine of the angle."""
 
     @classmethod
     def from_angle(cls, angle: Scalar | Float[Array, "..."]) -> SO2:
-        """R_z(angle)."""
+        """The rotation R_z(angle), for an angle in rad."""
         return cls(jnp.cos(angle), jnp.sin(angle))
 
     def apply(self, vector: Float[Array, "n ..."]) -> Float[Array, "n ..."]:
-        """`se2.rotate` with channels first: turns the first two of ``vector``'s two or three."""
+        """Rotate the first two of the two or three components of ``vector``: `se2.rotate` with channels first."""
         x, y = vector[0], vector[1]
         return jnp.stack([self.c * x - self.s * y, self.s * x + self.c * y, *vector[2:]])
 
     def inverse_apply(self, vector: Float[Array, "n ..."]) -> Float[Array, "n ..."]:
-        """The inverse rotation."""
+        """Rotate ``vector`` by the negative angle."""
         return self.inverse().apply(vector)
 
     def compose(self, other: SO2) -> SO2:

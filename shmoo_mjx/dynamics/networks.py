@@ -1,12 +1,12 @@
-"""Multi-layer perceptrons as flax modules, plain and without a preferred side, and the norm of their layers.
+"""Multi-layer perceptrons as flax modules, plain and reflection-equivariant, and the spectral norm of their layers.
 
-Robot and floor are alike on both sides, so a network that prefers one has mistaken chance for a law, and whoever plans
-with it steers against an imagined turn. With `EquivariantMLP` no weights can: the answer to a mirrored input is the
-mirrored answer. Hidden units come in pairs that see an input and its mirror image with the same weights. What a pair's
-sum and difference are multiplied with is kept apart, so a layer of n units costs half the products of a plain one
-(group convolution over the group of two elements, Cohen and Welling 2016).
+Robot and floor are symmetric left to right. A network with a left-right bias has fitted noise, and a planner that uses
+it steers against a turn that does not exist. `EquivariantMLP` excludes this bias: the output for a mirrored input is
+the mirrored output. Its hidden units form pairs that see an input and its mirror image with the same weights. Sums and
+differences of pairs have separate weights, so a layer of n units needs half the products of a plain layer (group
+convolution over the group of two elements, Cohen and Welling 2016).
 
-A reflection is a symmetric matrix R with R R = 1: signs, and channels that change places.
+A reflection is a symmetric matrix R with R R = 1. It consists of signs and exchanged channels.
 """
 
 from __future__ import annotations
@@ -22,26 +22,27 @@ from flax import linen as nn
 from shmoo_mjx.arrays import Array, Float, Key
 
 ACTIVATIONS: dict[str, Callable[[Array], Array]] = {"tanh": jnp.tanh, "relu": jax.nn.relu, "silu": jax.nn.silu}
-"""Names a config may use."""
+"""Activation functions by the name that a config uses."""
 
 
 class Network(NamedTuple):
-    """A module's parameters, and the normalisation of its inputs."""
+    """Parameters of a module and the normalisation of its inputs."""
 
     layers: dict[str, dict[str, Array]]
-    """Of each layer ("layer0" first): "kernel" and "bias"."""
+    """The "kernel" and the "bias" of each layer, from "layer0" on."""
     mean: Float[Array, "n_0"]
-    """Subtracted from the input, in the input's unit."""
+    """Value subtracted from the input, in the input's unit."""
     scale: Float[Array, "n_0"]
-    """The input is divided by this, in the input's unit."""
+    """Value by which the input is divided, in the input's unit."""
 
 
 class MLP(nn.Module):
     """A fully connected network; the last layer is linear."""
 
     widths: tuple[int, ...]
-    """Of the hidden layers and of the output."""
+    """Widths of the hidden layers and of the output."""
     activation: str = "tanh"
+    """Name in ACTIVATIONS."""
 
     @nn.compact
     def __call__(self, x: Float[Array, "... n_0"]) -> Float[Array, "... n_last"]:
@@ -53,13 +54,14 @@ class MLP(nn.Module):
 
 
 class EquivariantMLP(nn.Module):
-    """The same, of pairs of units: a mirrored input gives the mirrored output."""
+    """A fully connected network of pairs of units, whose output for a mirrored input is the mirrored output."""
 
     widths: tuple[int, ...]
-    """Of the hidden layers, which count both units of a pair and are even, and of the output."""
+    """Widths of the hidden layers and of the output. A hidden width counts both units of each pair and is even."""
     reflections: tuple[np.ndarray, np.ndarray]
-    """Of input ``[n_0, n_0]`` and output ``[n_last, n_last]``."""
+    """Reflection matrices of the input ``[n_0, n_0]`` and of the output ``[n_last, n_last]``."""
     activation: str = "tanh"
+    """Name in ACTIVATIONS."""
 
     @nn.compact
     def __call__(self, x: Float[Array, "... n_0"]) -> Float[Array, "... n_last"]:
@@ -79,7 +81,7 @@ class EquivariantMLP(nn.Module):
 
 
 class _Pairs(nn.Module):
-    """A layer of pairs: kernel ``[2 n_in, n_out]``, the weights for sums above those for differences."""
+    """A layer of pairs. Kernel ``[2 n_in, n_out]``: first the weights for sums, then those for differences."""
 
     width: int
 
@@ -104,21 +106,23 @@ def apply(module: nn.Module, net: Network, x: Float[Array, "... n_0"]) -> Float[
 def with_normaliser(
     net: Network, inputs: Float[Array, "... n_0"], reflection: Float[np.ndarray, "n_0 n_0"] | None = None
 ) -> Network:
-    """The network normalised by the mean and standard deviation of ``inputs``, and of their mirror images if their
-    ``reflection`` is given."""
+    """The network with its normalisation set to the mean and standard deviation of ``inputs``.
+
+    With a ``reflection``, the statistics include the mirror images of the inputs.
+    """
     rows = inputs.reshape(-1, inputs.shape[-1])
     if reflection is not None:
         rows = jnp.concatenate([rows, rows @ reflection])
     mean: Array = jnp.mean(rows, axis=0)
     scale: Array = jnp.maximum(jnp.std(rows, axis=0), 1e-3)
     if reflection is not None:
-        # Exactly: sums of many numbers and of their negatives need not be zero.
+        # Makes the symmetry exact: rounding errors leave it approximate in the sums above.
         mean, scale = parts(reflection)[0] @ mean, parts(np.abs(reflection))[0] @ scale
     return net._replace(mean=mean, scale=scale)
 
 
 def parts(reflection: Float[np.ndarray, "n n"]) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n n"]]:
-    """Projections on what the mirror leaves and on what it turns round."""
+    """Projections on the even part (unchanged by the reflection) and on the odd part (sign reversed by it)."""
     one = np.eye(len(reflection), dtype=np.float32)
     return (one + reflection) / 2, (one - reflection) / 2
 
@@ -126,7 +130,16 @@ def parts(reflection: Float[np.ndarray, "n n"]) -> tuple[Float[np.ndarray, "n n"
 def power_iterate(
     weight: Float[Array, "n m"], vector: Float[Array, "m"], steps: int = 1
 ) -> tuple[Float[Array, ""], Float[Array, "m"]]:
-    """Estimate the spectral norm of ``weight``, going on from ``vector``: (norm, new vector)."""
+    """Estimate the spectral norm of ``weight`` by power iteration.
+
+    Args:
+        weight: the matrix.
+        vector: estimate of its right singular vector, the starting point.
+        steps: number of iterations; more is more accurate.
+
+    Returns:
+        The norm and the new vector.
+    """
     for _ in range(steps):
         left = weight @ vector
         left = left / (jnp.linalg.norm(left) + 1e-12)
@@ -138,8 +151,8 @@ def power_iterate(
 def cap_spectral_norm(net: Network, vectors: dict[str, Array], cap: float) -> tuple[Network, dict[str, Array]]:
     """Scale down each layer whose spectral norm exceeds ``cap``, as DAIML does after every update.
 
-    ``vectors`` holds one right singular vector estimate per layer, kept from update to update: the weights move slowly,
-    so one step of power iteration each time follows them.
+    ``vectors`` holds one estimate of a right singular vector per layer and is kept between updates. The weights change
+    slowly, so one step of power iteration per update is enough.
     """
     layers, following = {}, {}
     for name, layer in net.layers.items():

@@ -1,4 +1,4 @@
-"""O = psi a: the shared basis psi and the object's own coefficients a (Eq. 3)."""
+"""O = psi a: the shared basis psi and the coefficients a of one object (Eq. 3)."""
 
 from __future__ import annotations
 
@@ -15,37 +15,39 @@ from shmoo_mjx.dynamics import contact_model, features, networks
 from shmoo_mjx.dynamics import fused as fusing
 
 PREDICTED_LIMIT = 20.0
-"""Cap on the contact model's predictions, in standard deviations of the labels."""
+"""Limit of the contact model's predictions as inputs of psi, in standard deviations of the labels."""
 FRICTION_SHIFTS = (-0.2, 0.0, 0.2)
-"""Shifts of the log friction at which the contact model is evaluated for psi's inputs: about 20 % less, unchanged and
-20 % more, so that psi can see how close the object is to the stick-slip boundary."""
+"""Shifts of the log friction at which the contact model is evaluated for the inputs of psi: about 20 % less, unchanged
+and 20 % more. They show psi how close the object is to the stick-slip boundary."""
 
 
 @dataclass(frozen=True)
 class ObjectConfig:
-    """Shape of psi."""
+    """Structure of psi."""
 
     hidden: tuple[int, ...] = (64, 64)
-    """Widths of the hidden layers, half of the paper's: pushes end as near to their goals, and plans take less time."""
+    """Widths of the hidden layers. They are half of the paper's: pushes end equally close to their goals, and plans
+    take less time."""
     functions: int = 12
-    """K, number of basis functions (and coefficients) per axis; 6 in the paper. One psi serves objects that slide and
-    objects that roll, and the learned prior keeps many coefficients from needing many samples."""
+    """K, the number of basis functions and coefficients per axis (6 in the paper). More functions let one psi serve
+    objects that slide and objects that roll. The learned prior limits the number of samples that they need."""
     activation: str = "relu"
-    """As good as tanh on held-out objects and about a third of its training time."""
+    """Name of the activation. relu is as accurate as tanh on held-out objects and trains in about a third of the
+    time."""
     per_axis: bool = True
-    """Each of x, y and yaw has K functions of its own; otherwise the three share them, as the paper's widths
-    [10, 128, 128, 50, 6] say. Own functions leave less error on held-out objects."""
+    """Give each of x, y and yaw its own K functions. If False, the axes share them, as the paper's widths
+    [10, 128, 128, 50, 6] say. Separate functions have a smaller error on held-out objects."""
     linear_terms: bool = True
-    """Add a learned linear map of the inputs to psi: rolling objects are close to linear in twist and wrench."""
+    """Add a learned linear map of the inputs to psi. Rolling objects are almost linear in twist and wrench."""
     last_wrench: bool = True
-    """psi sees the last of OBJECT_INPUTS too; otherwise the paper's 10."""
+    """Include the last entry of OBJECT_INPUTS. If False, psi has the 10 inputs of the paper."""
     contact_model: bool = True
-    """Inputs of psi include what the four-point Coulomb contact model (`contact_model`), estimated online, predicts
-    for the same push and, with ``last_wrench``, by how much it was wrong a sample ago; not in the paper."""
+    """Include predictions of the four-point Coulomb contact model (`contact_model`), which is estimated online, in the
+    inputs of psi. With ``last_wrench`` its error one sample ago is included too. Not in the paper."""
     residual: bool = True
-    """False leaves out psi: the acceleration is what the contact model predicts, for comparison."""
+    """If False, omit psi: the acceleration is the prediction of the contact model. For comparison."""
     equivariant: bool = True
-    """No preferred side by construction (`networks.EquivariantMLP`); not in the paper."""
+    """Make psi reflection-equivariant (`networks.EquivariantMLP`), without left-right bias. Not in the paper."""
 
     @classmethod
     def paper(cls) -> ObjectConfig:
@@ -57,28 +59,38 @@ class ObjectConfig:
 
 
 class ObjectParams(NamedTuple):
-    """Learned parameters of psi, the same for all objects."""
+    """Learned parameters of psi, shared by all objects."""
 
     net: networks.Network
+    """Parameters of the network."""
     linear: Float[Array, "n_net n"]
-    """Linear part of psi on what its network sees, normalised; zero unless config.linear_terms."""
+    """Linear part of psi, a map of the normalised network inputs; zero unless config.linear_terms."""
     label_scale: Float[Array, "axes"]
-    """Unit in which psi a predicts each axis [m/s^2, m/s^2, rad/s^2]."""
+    """Scale of each axis, by which psi a is multiplied to give the acceleration [m/s^2, m/s^2, rad/s^2]."""
 
 
 class FusedObjectModel(NamedTuple):
-    """O with its coefficients, made ready for roll-outs."""
+    """O with the coefficients included, in the form for roll-outs."""
 
     layers: fusing.FusedMLP | fusing.FusedEquivariantMLP
+    """The network of psi, with the coefficients in its last layer."""
     contact: Float[Array, "p"]
-    """Unused unless config.contact_model."""
+    """Parameters of the contact model; used if config.contact_model, or without config.residual."""
     label_scale: Float[Array, "axes"]
+    """As in ObjectParams."""
 
 
 def init(
     key: Key[Array, ""], config: ObjectConfig | None = None, n_in: int | None = None, n_axes: int = 3
 ) -> ObjectParams:
-    """Untrained parameters; ``n_in`` and ``n_axes`` differ from 13 and 3 only for other people's data."""
+    """Untrained parameters.
+
+    Args:
+        key: random key.
+        config: structure of psi.
+        n_in: number of inputs; the default is the 13 of OBJECT_INPUTS. External data sets can have others.
+        n_axes: number of predicted axes.
+    """
     config = config or ObjectConfig()
     n_in = features.width(features.OBJECT_INPUTS) if n_in is None else n_in
     n_net = n_in - inputs_of(config, 0, n_axes)
@@ -90,8 +102,11 @@ def init(
 
 
 def inputs_of(config: ObjectConfig, width: int, n_axes: int) -> int:
-    """Number of inputs of psi whose network sees ``width`` numbers: more by the contact model's, fewer by the last
-    wrench."""
+    """Number of inputs of psi for a network with ``width`` inputs.
+
+    The predictions of the contact model are network inputs but not inputs of psi. Without config.last_wrench, the last
+    wrench is an input of psi but not of the network.
+    """
     answers = n_axes * (len(FRICTION_SHIFTS) + config.last_wrench) * config.contact_model
     return width + 3 * (not config.last_wrench) - answers
 
@@ -102,7 +117,14 @@ def network_inputs(
     config: ObjectConfig,
     contact: Float[Array, "p"],
 ) -> Float[Array, "... n_net"]:
-    """Inputs of psi's network, 25 of them: the 13 ``inputs`` and what the contact model ``contact`` predicts."""
+    """The 25 inputs of psi's network: the 13 ``inputs`` and the predictions of the contact model.
+
+    Args:
+        label_scale: as in ObjectParams.
+        inputs: in the order of OBJECT_INPUTS.
+        config: structure of psi.
+        contact: parameters of the contact model, in the order of `contact_model.PARAMETERS`.
+    """
     inputs = jnp.moveaxis(inputs, -1, 0)
     before = remembered(inputs, config, contact)
     return jnp.moveaxis(_net_inputs(label_scale, inputs, config, contact=contact, before=before)[0], 0, -1)
@@ -111,8 +133,10 @@ def network_inputs(
 def remembered(
     inputs: Float[Array, "n_in ..."], config: ObjectConfig, contact: Float[Array, "p"]
 ) -> Float[Array, "3 ..."] | None:
-    """The contact model's prediction for the sample before the ``inputs``', channels first; None if psi has no use for
-    it. In a roll-out it is what `forward` gave a sample ago."""
+    """The contact model's prediction for the sample before the one of ``inputs``, channels first.
+
+    None if psi does not use it. Within a roll-out, `forward` returns it for the next sample.
+    """
     if not (config.contact_model and config.last_wrench and config.residual):
         return None
     return contact_model.acceleration(contact, features.last_sample(inputs)[0])
@@ -121,7 +145,7 @@ def remembered(
 def _net_inputs(
     label_scale: Array, inputs: Array, config: ObjectConfig, *, contact: Array, before: Array | None
 ) -> tuple[Array, Array | None]:
-    """What psi's network sees, channels first, and the contact model's prediction for these inputs."""
+    """Inputs of psi's network, channels first, and the contact model's prediction for this sample."""
     visible = inputs if config.last_wrench else inputs[:-3]
     if not config.contact_model:
         return visible, None
@@ -129,7 +153,7 @@ def _net_inputs(
     now = predicted[FRICTION_SHIFTS.index(0.0)]
     if before is not None:
         predicted = jnp.concatenate([(before - features.last_sample(inputs)[1])[None], predicted])
-    # What is far beyond anything in training tells no more than what is at its edge.
+    # Clip, so that the network does not extrapolate far beyond its training data.
     predicted = jnp.clip(
         predicted / label_scale.reshape(-1, *(1,) * (inputs.ndim - 1)), -PREDICTED_LIMIT, PREDICTED_LIMIT
     )
@@ -139,9 +163,14 @@ def _net_inputs(
 def basis(
     params: ObjectParams, inputs: Float[Array, "... n_in"], config: ObjectConfig, contact: Float[Array, "p"]
 ) -> Float[Array, "... axes K"]:
-    """psi of Eq. 3; the rows of the axes are equal unless config.per_axis.
+    """psi of Eq. 3. The rows of the axes are equal unless config.per_axis.
 
-    ``contact`` as `contact_model.PARAMETERS` lists them; ignored unless config.contact_model.
+    Args:
+        params: parameters of psi.
+        inputs: in the order of OBJECT_INPUTS.
+        config: structure of psi.
+        contact: parameters of the contact model, in the order of `contact_model.PARAMETERS`; ignored unless
+            config.contact_model.
     """
     net_inputs = network_inputs(params.label_scale, inputs, config, contact)
     out = networks.apply(_module(config, params.label_scale.shape[-1]), params.net, net_inputs)
@@ -158,7 +187,15 @@ def predict(
     *,
     contact: Float[Array, "p"],
 ) -> Float[Array, "... axes"]:
-    """O of Eq. 3: acceleration in {O}."""
+    """O of Eq. 3: acceleration in {O} [m/s^2, m/s^2, rad/s^2].
+
+    Args:
+        params: parameters of psi.
+        coefficients: the coefficients a of the object.
+        inputs: in the order of OBJECT_INPUTS.
+        config: structure of psi.
+        contact: parameters of the contact model.
+    """
     if not config.residual:
         return jnp.moveaxis(contact_model.acceleration(contact, jnp.moveaxis(inputs, -1, 0)), 0, -1)
     return jnp.sum(basis(params, inputs, config, contact) * coefficients, axis=-1) * params.label_scale
@@ -167,7 +204,10 @@ def predict(
 def design_matrix(
     params: ObjectParams, inputs: Float[Array, "... n_in"], config: ObjectConfig, contact: Float[Array, "p"]
 ) -> Float[Array, "... axes m"]:
-    """Phi with acceleration = Phi a, for the coefficients of all axes in one vector a: what Eq. 8 calls psi."""
+    """Phi with acceleration = Phi a, where one vector a holds the coefficients of all axes. Eq. 8 calls it psi.
+
+    The arguments are those of `basis`.
+    """
     psi = basis(params, inputs, config, contact) * params.label_scale[:, None]
     n_axes = params.label_scale.shape[-1]
     blocks = psi[..., :, None, :] * jnp.eye(n_axes)[:, :, None]
@@ -177,9 +217,10 @@ def design_matrix(
 def fuse(
     params: ObjectParams, coefficients: Float[Array, "axes K"], config: ObjectConfig, contact: Float[Array, "p"]
 ) -> FusedObjectModel:
-    """O made ready for roll-outs with these coefficients: `forward` of it gives the acceleration in {O}.
+    """O with these coefficients in the form for roll-outs, to be evaluated with `forward`.
 
-    psi a is linear in the last layer's output, so a goes into that layer's weights, and psi itself is never formed.
+    psi a is linear in the output of the last layer. The weights of that layer therefore include a, and psi itself is
+    never computed.
     """
 
     def weigh(rows: Array) -> Array:
@@ -200,13 +241,13 @@ def forward(
     config: ObjectConfig,
     before: Float[Array, "3 ..."] | None,
 ) -> tuple[Float[Array, "axes ..."], Float[Array, "3 ..."] | None]:
-    """What `predict` gives, with channels first.
+    """Acceleration in {O}: the same as `predict`, with channels first.
 
     Args:
         fused: the model.
-        inputs: as OBJECT_INPUTS lists them.
-        config: its shape.
-        before: what `remembered` gives for the inputs, or this function gave for the sample before.
+        inputs: in the order of OBJECT_INPUTS.
+        config: structure of psi.
+        before: result of `remembered` for the inputs, or the second result of this function for the sample before.
 
     Returns:
         The acceleration, and ``before`` for the next sample.
@@ -218,9 +259,10 @@ def forward(
 
 
 def coefficient_signs(config: ObjectConfig) -> Float[np.ndarray, "3 K"]:
-    """What a mirrored object's coefficients are multiplied with; a symmetrical object has none that change.
+    """Signs that multiply the coefficients of an object when it is mirrored.
 
-    Every third function is for what tells left from right: a load off the centre, one braked wheel.
+    Every third function describes a left-right asymmetry of the object, such as a load off the centre or one braked
+    wheel. A symmetric object has zero coefficients wherever the sign is -1.
     """
     signs = np.where(np.arange(config.functions) % 3 == 2, -1.0, 1.0).astype(np.float32)
     axes = np.diag(features.reflection(features.OBJECT_OUTPUTS))
@@ -246,7 +288,7 @@ def _module(config: ObjectConfig, n_axes: int) -> networks.MLP | networks.Equiva
 
 
 def _linear(params: ObjectParams, config: ObjectConfig) -> Array:
-    """The linear part ``[n_net, n]``, of which only what has no preferred side counts if config.equivariant."""
+    """The linear part ``[n_net, n]``, reduced to its equivariant component if config.equivariant."""
     if not config.equivariant:
         return params.linear
     inputs, outputs = reflections(config)
@@ -254,7 +296,7 @@ def _linear(params: ObjectParams, config: ObjectConfig) -> Array:
 
 
 def _by_axis(params: ObjectParams, out: Array, config: ObjectConfig) -> Array:
-    """The last layer's outputs ``[..., n_out]`` as psi ``[..., 3, K]``."""
+    """Reshape the outputs of the last layer ``[..., n_out]`` to psi ``[..., 3, K]``."""
     n_axes = params.label_scale.shape[-1]
     if config.per_axis:
         return out.reshape(*out.shape[:-1], n_axes, config.functions)

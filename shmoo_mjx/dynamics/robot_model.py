@@ -16,42 +16,45 @@ from shmoo_mjx.dynamics.networks import Network
 from shmoo_mjx.types import DT
 
 REFLECTIONS = (features.reflection(features.ROBOT_INPUTS), features.reflection(features.ROBOT_OUTPUTS))
-"""The mirror's matrices for R's inputs and outputs."""
+"""Reflection matrices of the inputs and outputs of R."""
 
 
 @dataclass(frozen=True)
 class RobotConfig:
-    """Shape of R."""
+    """Structure of R."""
 
     hidden: tuple[int, ...] = (64, 64)
-    """Widths of the hidden layers, half of the paper's: pushes end as near to their goals, and plans take less time."""
+    """Widths of the hidden layers. They are half of the paper's: pushes end equally close to their goals, and plans
+    take less time."""
     activation: str = "relu"
+    """Name in `networks.ACTIVATIONS`."""
 
     @classmethod
     def paper(cls) -> RobotConfig:
-        """R with the widths that the paper prints, [28, 128, 128, 50, 5]."""
+        """R with the widths printed in the paper, [28, 128, 128, 50, 5]."""
         return cls(hidden=(128, 128, 50))
 
 
 class LeanResponse(NamedTuple):
-    """Response of the lean to its command over one sample: a second-order lag in its exact, discrete form."""
+    """Response of the lean to its command over one sample: a second-order lag, exactly discretised."""
 
     matrix: Float[Array, "2 2 5"]
     """For x and y: from (lean [rad], its rate [rad/s], command [rad], force of the hands on the object over the last
-    sample [N], 1) to (lean, its rate) one sample later. The force leans the body, and the constant holds what the
-    weight of the extended arms takes."""
+    sample [N], 1) to (lean, its rate) one sample later. The force column describes how contact forces lean the body.
+    The constant column describes the offset from the weight of the extended arms."""
 
 
 class RobotParams(NamedTuple):
     """Learned parameters of R and of the lean response."""
 
     net: Network
-    """Of an `EquivariantMLP`."""
+    """Parameters of an `EquivariantMLP`."""
     output_mean: Float[Array, "5"]
-    """In the units of ROBOT_OUTPUTS."""
+    """Mean of the outputs, in the units of ROBOT_OUTPUTS."""
     output_scale: Float[Array, "5"]
-    """In the units of ROBOT_OUTPUTS."""
+    """Standard deviation of the outputs, in the units of ROBOT_OUTPUTS."""
     lean: LeanResponse
+    """Response of the lean to its command."""
 
 
 def init(key: Key[jax.Array, ""], config: RobotConfig | None = None) -> RobotParams:
@@ -69,18 +72,18 @@ def init(key: Key[jax.Array, ""], config: RobotConfig | None = None) -> RobotPar
 def predict(
     params: RobotParams, inputs: Float[Array, "... 28"], config: RobotConfig
 ) -> tuple[Float[Array, "... 3"], Float[Array, "... 2"]]:
-    """R of Eq. 2: base acceleration and hand force, both in {R}."""
+    """R of Eq. 2: base acceleration [m/s^2, rad/s^2] and hand force [N], both in {R}."""
     out = normalised(params.net, inputs, config) * params.output_scale + params.output_mean
     return out[..., :3], out[..., 3:]
 
 
 def normalised(net: Network, inputs: Float[Array, "... 28"], config: RobotConfig) -> Float[Array, "... 5"]:
-    """R's outputs in units of their spread in training."""
+    """Outputs of R before they are scaled by ``output_scale`` and shifted by ``output_mean``."""
     return networks.apply(_module(config), net, inputs)
 
 
 def fuse(params: RobotParams) -> fused.FusedEquivariantMLP:
-    """R made ready for roll-outs: its `forward` gives the outputs in the units of ROBOT_OUTPUTS."""
+    """R in the form for roll-outs. Its `forward` gives the outputs in the units of ROBOT_OUTPUTS."""
     net = fused.fuse_equivariant(params.net, REFLECTIONS)
     return net.followed_by(lambda rows: (rows.T * params.output_scale).T).with_affine(None, params.output_mean)
 
@@ -91,7 +94,13 @@ def _module(config: RobotConfig) -> networks.EquivariantMLP:
 
 
 def lag(frequency: float, damping: float, dt: float = DT) -> LeanResponse:
-    """The response phi'' = w^2 (u - phi) - 2 zeta w phi' for w [rad/s] and zeta [1], the same in x and y."""
+    """The response phi'' = w^2 (u - phi) - 2 zeta w phi', the same in x and y.
+
+    Args:
+        frequency: w [rad/s]; larger responds faster.
+        damping: zeta [1]; larger oscillates less.
+        dt: sample time [s].
+    """
     system = np.array([[0.0, 1.0, 0.0], [-(frequency**2), -2 * damping * frequency, frequency**2], [0.0, 0.0, 0.0]])
     matrix = np.zeros((2, 2, 5), np.float32)
     matrix[:, :, :3] = expm(system * dt)[:2]
@@ -106,9 +115,14 @@ def lean_step(
     target: Float[Array, "2 ..."],
     force: Float[Array, "2 ..."],
 ) -> tuple[Float[Array, "2 ..."], Float[Array, "2 ..."]]:
-    """Lean and its rate [rad, rad/s] one sample later, channels first.
+    """Lean [rad] and its rate [rad/s] one sample later, channels first.
 
-    ``target`` is the command, ``force`` the one of the last sample in {R}.
+    Args:
+        response: the lean response.
+        lean: lean [rad].
+        rate: rate of the lean [rad/s].
+        target: command [rad].
+        force: force of the hands on the object over the last sample, in {R} [N].
     """
     m = response.matrix.reshape(*response.matrix.shape, *(1,) * (lean.ndim - 1))
     inputs = (lean, rate, target, force, 1.0)

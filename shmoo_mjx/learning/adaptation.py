@@ -1,8 +1,8 @@
 """Online adaptation of the coefficients a by Eq. 8.
 
-The discrete form of Neural-Fly's supplement: propagate, then update by a Kalman gain with Joseph's form of the
-covariance, which stays positive definite where plain Euler steps of P do not. Units: a is in units of psi's inverse
-(psi a is an acceleration), so covariances are in a squared.
+This is the discrete form from the supplement of Neural-Fly: propagate, then update with a Kalman gain. The covariance
+update uses Joseph's form, which stays positive definite; plain Euler steps of P do not. Units: psi a is an
+acceleration, so a has the unit of an acceleration divided by psi, and covariances have the square of that unit.
 """
 
 from __future__ import annotations
@@ -22,30 +22,35 @@ class AdaptConfig:
     """Gains of Eq. 8."""
 
     decay: float = 0.01
-    """lambda [1/s]: forgetting, towards the prior or towards zero."""
+    """lambda [1/s], the rate of forgetting. Larger forgets faster."""
     to_prior: bool = True
-    """Forget towards the prior's mean; Eq. 8 as printed forgets towards zero."""
+    """Forget towards the prior mean. If False, forget towards zero, as Eq. 8 is printed."""
     process: float = 0.02
-    """Q as a share of the prior covariance added per second [1/s]. With 2 * decay the prior is the stationary state."""
+    """Q, as the fraction of the prior covariance that is added per second [1/s]. Larger follows changes of the object
+    faster and is noisier. At 2 * decay the prior is the stationary state."""
     noise_scale: float = 1.0
-    """R dt = noise_scale times the residual covariance found in training [1]; above 1 for correlated residuals."""
+    """R dt is noise_scale times the residual covariance from training [1]. Larger makes each sample count less; use
+    values above 1 for correlated residuals."""
     outlier: float = 16.0
-    """Squared Mahalanobis distance of the innovation above which a sample's noise is raised in proportion [1]."""
+    """Squared Mahalanobis distance of the innovation [1]. Above it, the noise of a sample is raised in proportion to
+    the distance. Larger gives fewer samples a reduced weight."""
     tracking: bool = False
-    """Use the term +P psi^T s dt."""
+    """Use the tracking term +P psi^T s dt."""
 
 
 class AdaptState(NamedTuple):
-    """The estimate and what it relaxes to. n = 3 K coefficients."""
+    """The estimate of n = 3 K coefficients and its prior."""
 
     mean: Float[Array, "... n"]
-    """a, flattened (axis-major)."""
+    """Estimate of a, flattened (axis-major)."""
     covariance: Float[Array, "... n n"]
-    """P."""
+    """Covariance P of the estimate."""
     prior_mean: Float[Array, "... n"]
+    """Mean of the prior, to which forgetting returns the estimate."""
     prior_covariance: Float[Array, "... n n"]
+    """Covariance of the prior, which scales the process noise."""
     noise: Float[Array, "... 3 3"]
-    """Covariance of a sample's residual [(m/s^2)^2, (rad/s^2)^2]."""
+    """Residual covariance of one sample [(m/s^2)^2, (rad/s^2)^2]."""
 
 
 @single_precision
@@ -54,12 +59,12 @@ def init(
     prior_covariance: Float[Array, "n n"],
     noise: Float[Array, "3 3"],
 ) -> AdaptState:
-    """Estimate before the object is touched: the prior.
+    """The estimate before the first contact, which equals the prior.
 
     Args:
-        prior_mean: of a.
-        prior_covariance: P at the start.
-        noise: covariance of a sample's residual.
+        prior_mean: mean of a.
+        prior_covariance: initial P.
+        noise: residual covariance of one sample.
     """
     mean = jnp.asarray(prior_mean, dtype=jnp.float32).reshape(-1)
     covariance = jnp.asarray(prior_covariance, dtype=jnp.float32)
@@ -78,14 +83,14 @@ def step(
     tracking_error: Float[Array, "3"] | None = None,
     dt: float = DT,
 ) -> AdaptState:
-    """One sample of Eq. 8. A sample that is not valid or not finite leaves the state as it is.
+    """Update the estimate with one sample (Eq. 8). An invalid or non-finite sample leaves the state unchanged.
 
     Args:
         config: gains; static.
-        state: unbatched; vmap for more.
+        state: estimate of one object; vmap for more.
         phi: design matrix (`object_model.design_matrix`), the psi of Eq. 8.
-        label: measured acceleration of the object in {O}, y of Eq. 8.
-        valid: False without contact, with stale or missing poses.
+        label: measured acceleration of the object in {O}, the y of Eq. 8.
+        valid: False without contact, or with stale or missing poses.
         tracking_error: s of Eq. 8, used if config.tracking.
         dt: time since the last sample [s].
     """
@@ -93,34 +98,35 @@ def step(
     if tracking_error is not None:
         finite &= jnp.all(jnp.isfinite(tracking_error))
     use = finite & jnp.asarray(valid)
-    # Replaced before any arithmetic: NaN times zero is still NaN.
+    # Replace the values before any arithmetic, because NaN times zero is NaN.
     phi, label = jnp.where(use, phi, 0.0), jnp.where(use, label, 0.0)
     mean, covariance = _propagate(config, state, dt)
     innovation = label - phi @ mean
     noise = config.noise_scale * state.noise
     spread = phi @ covariance @ phi.T
     distance = innovation @ jnp.linalg.solve(spread + noise, innovation)
-    # Of a label so far off that its square overflows nothing can be learned either.
+    # Drop labels so large that their square overflows.
     use &= jnp.isfinite(distance)
     noise = noise * jnp.maximum(1.0, distance / config.outlier)
     gain = jnp.linalg.solve(spread + noise, phi @ covariance).T
     new_mean = mean + gain @ innovation
     if config.tracking and tracking_error is not None:
-        # Plus and times dt, as in Eq. 8: the discrete form is printed elsewhere with a minus, which diverges.
+        # The sign is plus and the factor is dt, as in Eq. 8. Other sources print the discrete form with a minus, which
+        # diverges.
         new_mean = new_mean + covariance @ phi.T @ jnp.where(use, tracking_error, 0.0) * dt
     rest = jnp.eye(mean.shape[0]) - gain @ phi
     new_covariance = rest @ covariance @ rest.T + gain @ noise @ gain.T
-    # Joseph's form is positive definite but for float32's rounding, which huge features bring to light; a millionth of
-    # each variance outweighs that and is far below the process noise.
+    # With very large features, float32 rounding can make Joseph's form indefinite. A millionth of each variance
+    # outweighs this error and is far below the process noise.
     new_covariance = 0.5 * (new_covariance + new_covariance.T) + 1e-6 * jnp.diag(jnp.diag(new_covariance))
     new = state._replace(mean=new_mean, covariance=new_covariance)
-    # Finite inputs can still overflow float32; such a sample is dropped as well.
+    # Finite inputs can overflow float32 in the update. Drop these samples too.
     use &= jnp.all(jnp.isfinite(new_mean)) & jnp.all(jnp.isfinite(new_covariance))
     return jax.tree.map(lambda a, b: jnp.where(use, a, b), new, state)
 
 
 def _propagate(config: AdaptConfig, state: AdaptState, dt: float) -> tuple[Array, Array]:
-    """a- and P-, before the sample is looked at."""
+    """Predicted mean a- and covariance P- before the update with the sample."""
     keep = 1.0 - config.decay * dt
     centre = state.prior_mean if config.to_prior else jnp.zeros_like(state.prior_mean)
     mean = centre + keep * (state.mean - centre)

@@ -1,4 +1,4 @@
-"""The state that a training which was cut short goes on from, kept by orbax."""
+"""Checkpoints of a training with orbax, from which an interrupted training resumes."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ Tree = Any
 
 
 class Checkpoints:
-    """The latest state of one training in a directory; what another training has left there is deleted.
+    """The latest checkpoint of one training in a directory. Checkpoints of other trainings in it are deleted.
 
     Args:
-        directory: made where it is not there.
-        identity: what decides about the training (`shmoo_mjx.base.fingerprints`).
+        directory: directory of the checkpoint; created if it does not exist.
+        identity: fingerprint of everything that determines the training (`shmoo_mjx.base.fingerprints`).
     """
 
     def __init__(self, directory: Path, identity: str) -> None:
-        # Here, as it takes a second to load.
+        # Imported here because the import takes a second.
         import orbax.checkpoint as ocp
 
         self._args, self._identity, self._directory = ocp.args, identity, directory
@@ -32,10 +32,10 @@ class Checkpoints:
             self._manager = ocp.CheckpointManager(directory.resolve(), options=options)
 
     def load(self, like: Tree) -> tuple[Tree, dict[str, Any]] | None:
-        """The state, in the structure of ``like``, and its notes; None where this training has left none.
+        """The saved state, in the structure of ``like``, and its notes; None if this training saved none.
 
         Raises:
-            ShmooError: it is damaged.
+            ShmooError: the checkpoint is damaged.
         """
         with self._explained("read"):
             step = self._manager.latest_step()
@@ -50,10 +50,10 @@ class Checkpoints:
             return self._manager.restore(step, args=parts)["tree"], notes
 
     def save(self, step: int, tree: Tree, notes: dict[str, Any]) -> None:
-        """Keep the state after ``step`` in place of the last one, whole or not at all.
+        """Replace the checkpoint with the state after ``step``, atomically.
 
         Raises:
-            ShmooError: it can't be written.
+            ShmooError: the checkpoint can't be written.
         """
         notes = notes | {"identity": self._identity}
         parts = self._args.Composite(tree=self._args.StandardSave(tree), notes=self._args.JsonSave(notes))
@@ -61,7 +61,7 @@ class Checkpoints:
             self._manager.save(step, args=parts)
 
     def close(self) -> None:
-        """Stop orbax's threads."""
+        """Stop the threads of orbax."""
         self._manager.close()
 
     @contextmanager

@@ -1,4 +1,4 @@
-"""What contact parameters an object has, by its condition; and the prior: those of many training conditions."""
+"""Ground-truth contact parameters of a condition's object, and the prior: the parameters of many such objects."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from shmoo_mjx.plant.condition import Condition, is_custom
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition, object_spec
 
 FIRST_SEED = 50_000
-"""Seed of the first condition that the prior is drawn from: between those of training and validation."""
+"""Seed of the first condition in the prior. It lies between the seeds of training and of validation."""
 
 COUNT = 1026
-"""Objects that the prior is made of: as many of each family, half of them mirrored."""
+"""Number of objects in the prior: equally many of each family, half of them mirror images."""
 
 
 def parameters_of(condition: Condition) -> Float[np.ndarray, "p"]:
-    """The contact parameters of an object whose MuJoCo model is known, as `contact_model.PARAMETERS` lists them.
+    """Contact parameters of an object from its MuJoCo model, in the order of `contact_model.PARAMETERS`.
 
-    A wheel that rolls has its rolling resistance as friction along the way it rolls, and a free caster along both axes.
-    Of more than four wheels the outermost count.
+    For a rolling wheel, the friction along its rolling direction is its rolling resistance; for a free caster this
+    holds along both axes. Of more than four wheels, the four outermost are used.
     """
     model = object_spec(condition).compile()
     data = mujoco.MjData(model)
@@ -53,9 +53,9 @@ def parameters_of(condition: Condition) -> Float[np.ndarray, "p"]:
 
 
 def true_values(condition: Condition) -> dict[str, float]:
-    """Ground truth of what `online.summary` estimates, by name: mass [kg], friction along x and y of {O} [N].
+    """Ground truth of the quantities in `online.summary`, by name: mass [kg], friction along x and y of {O} [N].
 
-    As in the contact model, the rotary inertia of wheels that roll counts as mass.
+    As in the contact model, the mass includes the rotary inertia of rolling wheels.
     """
     parameters = parameters_of(condition)
     friction_x, friction_y = resistance(parameters).tolist()
@@ -64,22 +64,25 @@ def true_values(condition: Condition) -> dict[str, float]:
 
 
 def draws(count: int = COUNT, first_seed: int = FIRST_SEED) -> Float[np.ndarray, "count p"]:
-    """The parameters of ``count`` objects, a multiple of six: row i is of family FAMILIES[i % 3]. Half of them are the
-    mirror images of the others, for nothing prefers a side."""
+    """Contact parameters of ``count`` objects, which must be a multiple of six.
+
+    Row i is of family FAMILIES[i % 3]. Half of the rows are mirror images of the others, so that the prior is
+    symmetric.
+    """
     seeds = [(FAMILIES[i % len(FAMILIES)], first_seed + i // len(FAMILIES)) for i in range(count // 2)]
     own = np.array([parameters_of(draw_condition(*seed)) for seed in seeds], np.float32)
     return np.concatenate([own, mirrored(own)])
 
 
 def of_kind(prior: Float[Array, "M p"], kind: str | None) -> Float[Array, "M p"]:
-    """What is known of an object by its looks: the draws of its family alone, as many; all of them for None.
+    """The prior for an object of a known kind: the draws of its family, repeated to the same number of rows.
 
     Args:
-        prior: from `draws`.
-        kind: one of FAMILIES, or None for what looks like none of them.
+        prior: result of `draws`.
+        kind: one of FAMILIES, or None for an unknown kind, which returns ``prior``.
 
     Raises:
-        ShmooError: another kind.
+        ShmooError: ``kind`` is unknown.
     """
     if kind is None:
         return prior
@@ -90,14 +93,14 @@ def of_kind(prior: Float[Array, "M p"], kind: str | None) -> Float[Array, "M p"]
 
 
 def kind_of(condition: Condition) -> str | None:
-    """What an object looks like, one of FAMILIES; None for an object file with wheels."""
+    """Kind of an object by its appearance, one of FAMILIES; None for an object file with wheels."""
     if not is_custom(condition.family):
         return condition.family
     return None if condition.rolling else "box"
 
 
 def mirrored(parameters: Float[np.ndarray, "... p"]) -> Float[np.ndarray, "... p"]:
-    """The parameters of the object in the mirror of its x-z plane."""
+    """Contact parameters of the object mirrored in its x-z plane."""
     other = {"left": "right", "right": "left"}
     names = ["_".join(other.get(word, word) for word in name.split("_")) for name in PARAMETERS]
     signs = np.array([-1.0 if name in ("centre_y", "feet_y") else 1.0 for name in PARAMETERS], np.float32)
@@ -105,8 +108,12 @@ def mirrored(parameters: Float[np.ndarray, "... p"]) -> Float[np.ndarray, "... p
 
 
 def _points(condition: Condition, model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray, float]:
-    """Where the object stands on the floor ``[4, 2]`` in the order of POINTS, its friction there along x and y
-    ``[4, 2]``, and what its wheels' rotary inertia adds to its mass."""
+    """Contact points of an object on the floor.
+
+    Returns:
+        Positions ``[4, 2]`` in the order of POINTS [m], friction coefficients along x and y at them ``[4, 2]``, and
+        the mass equivalent of the wheels' rotary inertia [kg].
+    """
     if not condition.rolling:
         soles = [i for i in range(model.ngeom) if model.geom(i).name.endswith("sole")]
         centres, halves = data.geom_xpos[soles, :2], model.geom_aabb[soles, 3:5]
@@ -116,7 +123,7 @@ def _points(condition: Condition, model: mujoco.MjModel, data: mujoco.MjData) ->
     names = [f"wheel{k}" for k in range(len(condition.rolling))]
     places = np.array([data.geom(name).xpos[:2] for name in names])
     swivels = np.array([_has(model, f"{name}_swivel") for name in names])
-    # A caster stands under its swivel on average, wherever it trails at present.
+    # The contact point of a caster is under its swivel on average, whatever its current direction.
     places[swivels] = [data.joint(f"{name}_swivel").xanchor[:2] for name, on in zip(names, swivels, strict=True) if on]
     locked, rolling = np.array(condition.locked), np.array(condition.rolling)
     along = np.where(locked, condition.friction, rolling)

@@ -1,15 +1,17 @@
-"""DAIML: learning psi so that a few coefficients a(c) tell objects apart (Eq. 4 to 6).
+"""DAIML: training of psi such that a few coefficients a(c) describe each object (Eq. 4 to 6).
 
-Every update draws some conditions; for each, a* is fitted on one batch of samples (Eq. 5, differentiable) and scored on
-windows of H steps elsewhere (Eq. 4); a discriminator tries to tell the condition from psi, and psi is paid for keeping
-it from that (Eq. 6). Interpretations and deviations:
+Every update draws some conditions. For each of them a* is fitted on one batch of samples (Eq. 5, differentiable), and
+its error is computed on windows of H steps elsewhere (Eq. 4). A discriminator predicts the condition from psi, and the
+loss of psi rewards a high error of the discriminator (Eq. 6). Interpretations and deviations:
 
 * Eq. 4 is an open-loop roll-out of the object: the predicted twist is fed back for H steps under the recorded wrench.
-  ``open_loop=False`` feeds the recorded twist instead.
-* Sigma_C is the covariance of the condition's own labels, so each condition counts by the share it leaves unexplained.
-* a* is drawn towards a prior (the object not yet touched) whose mean and covariance are learned along with psi. The
-  covariance couples the axes, so a push along x says something about y and yaw; ``coupled=False`` gives a plain ridge.
-* B^a is a stretch of consecutive samples of random length, as the robot meets them, not samples from all over the
+  ``open_loop=False`` uses the recorded twist instead.
+* Sigma_C is the covariance of the condition's own labels, so the loss of each condition is its fraction of variance
+  unexplained.
+* a* is regularised towards a prior (an object before contact), whose mean and covariance are learned along with psi.
+  The covariance couples the axes, so a push along x is informative about y and yaw. ``coupled=False`` gives a plain
+  ridge.
+* B^a is a stretch of consecutive samples of random length, as the robot observes them, not a random subset of the
   recording.
 """
 
@@ -38,14 +40,14 @@ from shmoo_mjx.learning.samples import Batch, Sampler, Samples, label_scale, sam
 from shmoo_mjx.learning.training_contacts import Contacts
 
 NORM_CAP = 20.0
-"""gamma: cap on ||a||."""
+"""gamma: upper limit of ||a||."""
 DISCRIMINATOR_SHARE = 0.5
 """Probability that an update also trains the discriminator."""
 SPECTRAL_CAP = 2.5
-"""Cap on the spectral norm of each layer of psi."""
+"""Upper limit of the spectral norm of each layer of psi."""
 LABEL_FLOOR = 0.1
-"""Share of all conditions' label variance added to each condition's own in Sigma_C and in the validation score: an
-object that hardly moves must not outweigh the others by its noise."""
+"""Fraction of the label variance over all conditions that is added to each condition's own variance, in Sigma_C and in
+the validation score. Without it, objects that hardly move would dominate the loss with their noise."""
 
 
 @dataclass(frozen=True)
@@ -53,57 +55,65 @@ class DaimlConfig:
     """Settings of the training of psi."""
 
     object: ObjectConfig = field(default_factory=lambda: ObjectConfig())
+    """Structure of psi."""
     horizon: int = 15
-    """H of Eq. 4 [samples]."""
+    """H of Eq. 4, length of a window [samples]. Larger trains for longer roll-outs."""
     open_loop: bool = True
-    """Feed the prediction back over the H steps; otherwise the recorded twist (teacher-forced)."""
+    """Feed the prediction back over the H steps. If False, use the recorded twist (teacher forcing)."""
     loss_on_twist: bool = True
-    """Take the error of Eq. 4 on the twist reached after each step; otherwise on each step's acceleration as printed,
-    whose noise from step to step hides the drift that planning suffers from."""
+    """Compute the error of Eq. 4 on the twist after each step. If False, compute it on the acceleration of each step,
+    as printed; the noise of single accelerations then hides the drift that matters for planning."""
     one_step: float = 1.0
-    """Weight of the error of one step from the recorded twists, added to that of the open loop, where psi must live
-    with its own errors: one step ahead it may use what just happened."""
+    """Weight of the one-step error from recorded twists, added to the open-loop error. In one step psi can use the most
+    recent measurement; in the open loop it only has its own predictions."""
     conditions: int = 12
-    """Conditions per update."""
+    """Number of conditions per update."""
     adapt_samples: int = 100
-    """B^a of Eq. 5: at most so many consecutive samples per condition that a* is fitted on."""
+    """Maximum length of B^a of Eq. 5, the consecutive samples per condition on which a* is fitted."""
     windows: int = 16
-    """Windows of H steps per condition that the loss is taken on, half of them soon after B^a, half anywhere."""
+    """Number of windows of H steps per condition in the loss. Half of them start soon after B^a, half anywhere."""
     coupled: bool = True
-    """Learn the prior's covariance over all axes; otherwise a ridge of fixed strength per axis."""
+    """Learn the prior covariance over all axes. If False, use a ridge of fixed strength per axis."""
     ridge: float = 0.3
-    """Strength of the ridge of Eq. 5 if not coupled [samples]."""
+    """Strength of the ridge of Eq. 5 if not coupled [samples]. Larger keeps a* closer to the prior mean."""
     alpha: float = 0.01
-    """Weight of the adversarial term of Eq. 6; 0 leaves the discriminator out."""
+    """Weight of the adversarial term of Eq. 6. Zero disables the discriminator."""
     learning_rate: float = 2e-3
+    """Initial learning rate of Adam."""
     epochs: int = 24
-    """Most epochs; the learning rate falls to zero over them along a cosine."""
+    """Maximum number of epochs. The learning rate falls to zero over them along a cosine."""
     epoch_updates: int = 150
+    """Number of updates per epoch."""
     patience: int = 12
-    """Epochs without a better validation score before stopping."""
+    """Number of epochs without a better validation score before the training stops."""
     fit_samples: int = 250
-    """First samples of a validation condition that a* is fitted on; it is scored on the later ones."""
+    """Number of first samples of a validation condition on which a* is fitted. The score uses the later samples."""
     contact_fit: EstimateConfig = EstimateConfig()
-    """How contact parameters are estimated, if psi has the contact model."""
+    """Settings of the contact parameter estimate, if psi has the contact model."""
     seed: int = 0
+    """Seed of the initial weights and of the batches."""
 
 
 class Model(NamedTuple):
-    """Learned parameters of psi and of the prior, the latter in the unit of normalised labels."""
+    """Learned parameters of psi and of the prior. The prior is in units of normalised labels."""
 
     params: ObjectParams
+    """Parameters of psi."""
     mean: Float[Array, "m K"]
+    """Mean of the prior."""
     factor: Float[Array, "n n"]
-    """Factor of the prior covariance, n = m K."""
+    """Factor F of the prior covariance F F^T, n = m K."""
     log_noise: Float[Array, "m"]
-    """Log of the standard deviation of a sample's residual."""
+    """Log of the standard deviation of one sample's residual."""
 
 
 Discriminator = dict[str, dict[str, Array]]
-"""Parameters of h, the network that guesses the condition from psi (Eq. 6)."""
+"""Parameters of h, the network that predicts the condition from psi (Eq. 6)."""
 
 
 class _State(NamedTuple):
+    """State of the training between updates."""
+
     model: Model
     model_opt: Any
     discriminator: Discriminator
@@ -119,16 +129,17 @@ def train_object(
     config: DaimlConfig | None = None,
     progress: Callable[[training.Progress], None] | None = None,
 ) -> ObjectFit:
-    """Train psi on a data set's train split, stopping on its validation split.
+    """Train psi on the train split of a data set, with early stopping on its validation split.
 
     Args:
-        data: a directory that `store` wrote, or what `store.read` gave.
-        out_dir: keeps a checkpoint there and goes on from it.
+        data: a directory written by `store`, or a result of `store.read`.
+        out_dir: directory of the checkpoint. An interrupted training resumes from it.
         config: settings.
         progress: called after each epoch.
 
     Raises:
-        ShmooError: no or a damaged data set, one without training or validation conditions, or a damaged checkpoint.
+        ShmooError: the data set is missing or damaged or has no training or validation conditions, or the checkpoint
+            is damaged.
     """
     dataset = store.of_training(data)
     train, validation = dataset.split("train"), dataset.split("validation")
@@ -146,10 +157,17 @@ def fit(
     out_dir: str | Path | None = None,
     progress: Callable[[training.Progress], None] | None = None,
 ) -> ObjectFit:
-    """DAIML on any {condition: (x, y)} arrays.
+    """Train psi on arbitrary arrays {condition: (x, y)} with DAIML.
 
-    Inputs of an unknown meaning can not be fed back, so it is teacher-forced, and no contact model can predict from
-    them.
+    The meaning of the inputs is unknown. The training therefore uses teacher forcing, and psi has no contact model and
+    is not equivariant.
+
+    Args:
+        train: inputs and labels of each training condition.
+        validation: inputs and labels of each validation condition.
+        config: settings.
+        out_dir: directory of the checkpoint. An interrupted training resumes from it.
+        progress: called after each epoch.
     """
     config = config or DaimlConfig()
     config = replace(
@@ -170,8 +188,16 @@ def fit_samples(
     progress: Callable[[training.Progress], None] | None = None,
     known_contacts: Contacts | None = None,
 ) -> ObjectFit:
-    """`train_object` on samples that are already made; ``known_contacts`` are the contact parameters, if they need no
-    estimate."""
+    """`train_object` on prepared samples.
+
+    Args:
+        train: training conditions.
+        validation: validation conditions.
+        config: settings.
+        out_dir: directory of the checkpoint. An interrupted training resumes from it.
+        progress: called after each epoch.
+        known_contacts: contact parameters of the conditions; estimated if None.
+    """
     config = config or DaimlConfig()
     device = jax.tree.map(jnp.asarray, train)
     held_out = jax.tree.map(jnp.asarray, validation)
@@ -212,7 +238,7 @@ def fit_samples(
 
 @single_precision
 def contacts_seen(config: DaimlConfig, fitted: ObjectFit, samples: Samples) -> Float[Array, "C p"]:
-    """The contact parameters of conditions by their first ``config.fit_samples`` samples."""
+    """Contact parameters of each condition, estimated from its first ``config.fit_samples`` samples."""
     if not config.object.contact_model:
         return jnp.zeros((samples.inputs.shape[0], len(contact_model.PARAMETERS)))
     return training_contacts.on_first_samples(
@@ -222,9 +248,9 @@ def contacts_seen(config: DaimlConfig, fitted: ObjectFit, samples: Samples) -> F
 
 @lru_cache(maxsize=8)
 def _compiled(config: DaimlConfig) -> tuple[Any, Any, Any]:
-    """`_epoch`, `_validation_scores` and `_prior` for trainings that differ in seed and samples only.
+    """Jitted `_epoch`, `_validation_scores` and `_prior`, shared by trainings that differ only in seed and samples.
 
-    The samples are arguments, not constants: XLA would fold constants of this size at length.
+    The samples are arguments because XLA takes long to fold constants of this size.
     """
     return tuple(jax.jit(partial(function, config)) for function in (_epoch, _validation_scores, _prior))  # type: ignore[return-value]
 
@@ -232,11 +258,11 @@ def _compiled(config: DaimlConfig) -> tuple[Any, Any, Any]:
 def _validation_scores(
     config: DaimlConfig, samples: Samples, contacts: Float[Array, "C p"], model: Model
 ) -> tuple[Float[Array, "C"], Float[Array, "C"]]:
-    """Scores of psi on conditions it has not seen: a* from the first samples, scored on the later ones only.
+    """Validation scores of psi on held-out conditions: a* is fitted on the first samples and scored on the later ones.
 
     Returns:
-        Fraction of variance unexplained per condition, of one-step accelerations; and of the twist's change
-        after H open-loop steps (the one-step share again if config.open_loop is off).
+        The fraction of variance unexplained per condition, first of one-step accelerations, then of the change of
+        twist over H open-loop steps. Without config.open_loop the second equals the first.
     """
 
     def adapted(x: Array, y: Array, w: Array, contact: Array) -> multistep.Predict:
@@ -289,7 +315,7 @@ def _init(config: DaimlConfig, samples: Samples, contacts: Array) -> _State:
 
 
 def _learned(model: Model) -> tuple[Any, ...]:
-    """The part of the model that gradients move: not the normalisers."""
+    """The trainable part of the model, without the normalisers."""
     params = model.params
     return params.net.layers, params.linear, model.mean, model.factor, model.log_noise
 
@@ -299,7 +325,7 @@ def _with_learned(model: Model, learned: tuple[Any, ...], config: ObjectConfig) 
     net = model.params.net._replace(layers=layers)
     params = model.params._replace(net=net, linear=linear if config.linear_terms else model.params.linear)
     if config.equivariant:
-        # An object not yet touched is as likely as its mirror image.
+        # Before contact, an object and its mirror image are equally likely.
         signs = object_model.coefficient_signs(config)
         mean = jnp.where(signs > 0, mean, 0.0)
         factor = jnp.where(signs.reshape(-1, 1) == signs.reshape(-1), factor, 0.0)
@@ -307,7 +333,7 @@ def _with_learned(model: Model, learned: tuple[Any, ...], config: ObjectConfig) 
 
 
 def _coefficients(config: DaimlConfig, model: Model, rows: tuple[Array, Array, Array], contact: Array) -> Array:
-    """a* of Eq. 5 ``[m, K]``, fitted to inputs, labels and weights of some samples."""
+    """a* of Eq. 5 ``[m, K]``, fitted to ``rows``: inputs, labels and weights of samples."""
     x, y, w = rows
     params, labels = model.params, y / model.params.label_scale
     if config.coupled:
@@ -324,7 +350,7 @@ def _coefficients(config: DaimlConfig, model: Model, rows: tuple[Array, Array, A
 
 
 def _epoch(config: DaimlConfig, data: tuple[Samples, Array, Sampler], state: _State) -> tuple[_State, Array]:
-    """One epoch on samples, contact parameters of their conditions, and what draws batches of them."""
+    """One epoch of updates. ``data`` holds the samples, the contact parameters of their conditions and the sampler."""
     samples, contacts, sampler = data
     optimiser = _optimiser(config)
 
@@ -365,18 +391,18 @@ def _epoch(config: DaimlConfig, data: tuple[Samples, Array, Sampler], state: _St
 def daiml_loss(
     model: Model, discriminator: Discriminator, batch: Batch, contacts: Float[Array, "C p"], *, config: DaimlConfig
 ) -> tuple[Scalar, dict[str, Float[Array, "..."]]]:
-    """Eq. 6 for fixed h: the multi-step loss of Eq. 4 with a* of Eq. 5, less ``alpha`` times the cross-entropy of h.
+    """Eq. 6 for fixed h: the multi-step loss of Eq. 4 with a* of Eq. 5, minus ``alpha`` times the cross-entropy of h.
 
     Args:
-        model: psi and what is learned beside it.
-        discriminator: h, which is trained in turn.
-        batch: samples of C conditions: those that a* is fitted to, and windows that it is scored on.
+        model: parameters of psi and of the prior.
+        discriminator: parameters of h, which has its own updates.
+        batch: samples of C conditions: those on which a* is fitted, and the windows of the loss.
         contacts: contact parameters of each condition.
         config: settings.
 
     Returns:
-        The loss and its terms: "multi_step" ``[]``; and, with an adversary, "cross_entropy" ``[]`` and "psi"
-        ``[C, N, n]``, which h is trained on next.
+        The loss and its terms: "multi_step" ``[]`` and, if ``alpha`` is not zero, "cross_entropy" ``[]`` and "psi"
+        ``[C, N, n]``, on which h is trained next.
     """
     params = model.params
 
@@ -402,13 +428,13 @@ def daiml_loss(
 
 
 def _raw_basis(config: DaimlConfig, params: ObjectParams, x: Array, contact: Array) -> Array:
-    """psi with its distinct outputs in one axis ``[..., n]``."""
+    """psi with all its distinct outputs in one axis ``[..., n]``."""
     psi = object_model.basis(params, x, config.object, contact)
     return psi.reshape(*psi.shape[:-2], -1) if config.object.per_axis else psi[..., 0, :]
 
 
 def untrained_discriminator(key: jax.Array, n_psi: int, conditions: int) -> Discriminator:
-    """h before its training, for psi of ``n_psi`` outputs."""
+    """Initial parameters of h, for psi with ``n_psi`` outputs."""
     params: Discriminator = _discriminator(conditions).init(key, jnp.zeros(n_psi))["params"]
     return params
 
@@ -435,8 +461,10 @@ def _train_discriminator(config: DaimlConfig, state: _State, *, psi: Array, cond
 
 
 def _prior(config: DaimlConfig, samples: Samples, contacts: Array, model: Model) -> tuple[Array, Array, Array]:
-    """Prior mean ``[n]``, covariance ``[n, n]`` and residual covariance ``[m, m]``: learned, or else from the
-    samples."""
+    """Prior mean ``[n]``, prior covariance ``[n, n]`` and residual covariance ``[m, m]``.
+
+    They are the learned ones if config.coupled, else they are estimated from the samples.
+    """
     scale = model.params.label_scale
     if config.coupled:
         noise = jnp.diag((jnp.exp(model.log_noise) * scale) ** 2)

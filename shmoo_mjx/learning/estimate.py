@@ -1,14 +1,14 @@
-"""The posterior over an object's contact parameters: a particle filter on where the object went.
+"""The posterior over an object's contact parameters: a particle filter on the measured poses of the object.
 
-Each particle is one hypothesis: parameters of `contact_model`, an error of the sensed force, and the pose and twist
-that the object would have by now. A sample moves every particle by the contact model under the sensed wrench, compares
-it with the measured pose at the time that this was seen, and corrects pose and twist by an observer of fixed gain. So
-late poses, drop-outs, coasting and pushes that move nothing need no rules of their own, and nothing is
+Each particle is one hypothesis: parameters of `contact_model`, an error of the sensed force, and the resulting pose and
+twist of the object. A sample moves every particle by the contact model under the sensed wrench. The filter compares the
+particle with the measured pose at the time of the measurement, and corrects pose and twist with an observer of fixed
+gain. Late poses, drop-outs, coasting and pushes without motion therefore need no special rules, and no measurement is
 differentiated.
 
-Particles are resampled once their weights have become uneven: most are spread by differences between particles (which
-have the posterior's own covariance) and shrunk towards the mean (Liu and West 2001), and some are drawn from the prior
-again, which finds a load or a brake that came on the way.
+Particles are resampled when their weights become uneven. Most are shrunk towards the mean and perturbed by differences
+between particles, which have the covariance of the posterior (Liu and West 2001). Some are drawn from the prior again,
+so that the filter can find a load or a brake that changes during operation.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from shmoo_mjx.geometry.hands import touches
 from shmoo_mjx.types import DT
 
 _DEFAULT_KEY = 580
-"""Seed of an estimate that is given no key: not 0, with which others begin who draw beside it."""
+"""Seed of an estimate without a key. It is not 0, to be independent of other random draws that use seed 0."""
 
 
 @dataclass(frozen=True)
@@ -35,42 +35,49 @@ class EstimateConfig:
     """Settings of the filter; hashable."""
 
     particles: int = 1024
+    """Number of particles. More is more accurate and slower."""
     pose_noise: tuple[float, float, float] = (0.006, 0.006, 0.012)
-    """Scale of a measured pose's error [m, m, rad]: that of the camera's tags."""
+    """Scale of the error of a measured pose [m, m, rad], from the camera's tags. Larger makes poses count less."""
     acceleration_noise: float = 0.5
-    """Scale of the contact model's error of a recorded acceleration (`learn`), over the labels' standard deviation."""
+    """Scale of the contact model's error for a recorded acceleration (`learn`), in standard deviations of the labels
+    [1]. Larger makes recorded samples count less."""
     discount: float = 0.2
-    """Share of a sample's log-likelihood that counts [1]: errors of the model and of the force last for some five
-    samples, so that as many tell as much as one would."""
+    """Fraction of a sample's log-likelihood that counts [1]. Errors of the model and of the force persist for about
+    five samples, so five samples carry the information of one. Larger makes the posterior narrow faster."""
     observer: tuple[float, float] = (0.5, 1.5)
-    """Share of the innovation by which a particle's pose is corrected [1], and its twist [1/s]."""
+    """Observer gains on the innovation, for the pose [1] and for the twist [1/s] of a particle. Larger follows the
+    measurements more closely."""
     force_error: tuple[float, float] = (0.12, 1.5)
-    """Standard deviations of the logarithm of the sensed force over the true one, and of a constant difference [N]:
-    motor constants, and the weight of the arms."""
+    """Standard deviations of two errors of the sensed force: of the logarithm of sensed over true force [1], due to
+    motor constants, and of a constant offset [N], due to the weight of the arms."""
     force_bias: float = 1.2
-    """What is added to the sensed force [N]: arms whose motors are calibrated while the robot sways sense some newtons
-    too little (`sensing.touch`). More: objects seem to resist more."""
+    """Value added to the sensed force [N]. Sensed forces are some newtons too low if the arm motors are calibrated
+    while the robot sways (`sensing.touch`). Larger makes objects appear to resist more."""
     lag: float = 0.05
-    """Time by which the tracker's filter makes poses later than their age [s]. Too short: light objects seem heavy."""
+    """Delay of a tracked pose beyond its age, due to the tracker's filter [s]. A value that is too small makes light
+    objects appear heavy."""
     force_noise: float = 2.5
-    """Standard deviation of a sample's sensed force [N]: arms that swing."""
+    """Standard deviation of the sensed force from sample to sample [N], due to swinging arms. Larger makes the force of
+    one sample count less."""
     redrawn: float = 0.1
-    """Share of the particles that resampling draws from the prior."""
+    """Fraction of the particles that resampling draws from the prior [1]. Larger follows changes of the object faster
+    and widens the posterior."""
     shrinkage: float = 0.98
-    """Share of its distance from the mean that a resampled particle keeps; the spread is restored by differences."""
+    """Fraction of its distance from the mean that a resampled particle keeps [1]. Perturbations by particle differences
+    restore the spread, so smaller perturbs more."""
 
 
 class Sighting(NamedTuple):
-    """What is perceived of an object at the end of a sample."""
+    """Measurements of an object at the end of a sample."""
 
     pose: Float[Array, "... 3"]
-    """Measured pose in {W}, carried on to now by `twist`."""
+    """Measured pose in {W} [m, m, rad], extrapolated to the current time with `twist`."""
     twist: Float[Array, "... 3"]
-    """In {W}."""
+    """Measured twist in {W} [m/s, m/s, rad/s]."""
     age: Scalar | Float[Array, "..."]
-    """Time since the pose was seen [s]."""
+    """Time since the pose was measured [s]."""
     detected: Scalar | Bool[Array, "..."]
-    """Whether it was seen during the sample."""
+    """True if the object was detected during the sample."""
     wrench: Float[Array, "... 3"]
     """Mean wrench of the hands over the sample about the object's centre, in {W} [N, N m]."""
     size: Scalar | Float[Array, "..."]
@@ -78,33 +85,36 @@ class Sighting(NamedTuple):
 
 
 class ObjectEstimate(NamedTuple):
-    """The posterior as N weighted particles; p parameters as `contact_model.PARAMETERS` lists them."""
+    """The posterior as N weighted particles with p parameters each, in the order of `contact_model.PARAMETERS`."""
 
     parameters: Float[Array, "... N p"]
+    """Contact parameters of each particle."""
     force: Float[Array, "... N 2"]
     """Errors of the sensed force, in standard deviations of `EstimateConfig.force_error`."""
     pose: Float[Array, "... N 3"]
-    """In {W}."""
+    """Pose of the object in {W} [m, m, rad]."""
     twist: Float[Array, "... N 3"]
-    """In {W}."""
+    """Twist of the object in {W} [m/s, m/s, rad/s]."""
     log_weight: Float[Array, "... N"]
+    """Logarithms of the normalised weights."""
     prior: Float[Array, "... M p"]
     """Draws from the prior."""
     key: Key[Array, "..."]
+    """Random key of the next sample."""
     located: Scalar | Bool[Array, "..."]
-    """False before the first sample of a push, which places the particles."""
+    """False before the first sample of a push, which sets pose and twist of the particles."""
     restarts: Scalar | Int[Array, "..."]
-    """How many times the posterior had lost all weight and began anew from the prior."""
+    """Number of restarts from the prior, after all particles had lost their weight."""
 
 
 @single_precision
 def init(config: EstimateConfig, prior: Float[Array, "M p"], key: Key[Array, ""] | None = None) -> ObjectEstimate:
-    """The prior: an object not yet touched.
+    """The estimate before the first contact, which equals the prior.
 
     Args:
-        config: static.
-        prior: draws from it (`contact_prior.draws`).
-        key: decides all later draws; equal keys give equal estimates.
+        config: settings; static.
+        prior: draws from the prior (`contact_prior.draws`).
+        key: random key of all later draws; equal keys give equal estimates.
     """
     prior = jnp.asarray(prior, jnp.float32)
     key = jax.random.key(_DEFAULT_KEY) if key is None else key
@@ -125,12 +135,12 @@ def init(config: EstimateConfig, prior: Float[Array, "M p"], key: Key[Array, ""]
 
 @single_precision
 def step(config: EstimateConfig, state: ObjectEstimate, sighting: Sighting) -> ObjectEstimate:
-    """The posterior after one more sample. One with a number that is not finite changes nothing.
+    """The posterior after one more sample. A non-finite sample changes only the random key.
 
     Args:
-        config: static.
-        state: of one object; vmap for more.
-        sighting: what is perceived at the sample's end.
+        config: settings; static.
+        state: estimate of one object; vmap for more.
+        sighting: measurements at the end of the sample.
     """
     sighting = Sighting(*(jnp.asarray(value) for value in sighting))
     use = jnp.all(
@@ -164,7 +174,7 @@ def step(config: EstimateConfig, state: ObjectEstimate, sighting: Sighting) -> O
     )
     likelihood = jnp.where(measured, _log_likelihood(innovation / jnp.array(config.pose_noise)), 0.0)
     new = _updated(config, moved, likelihood, resample_key)
-    # The draws of a sample that changes nothing are not made again for the next one.
+    # An ignored sample also advances the key, so its random draws are not reused.
     return jax.tree.map(lambda a, b: jnp.where(use, a, b), new, state._replace(key=key))
 
 
@@ -178,16 +188,17 @@ def learn(
     scale: Float[Array, "3"],
     valid: Scalar = True,
 ) -> ObjectEstimate:
-    """The posterior after one recorded sample whose twist, wrench and acceleration are known. Not valid or not finite,
-    it changes nothing.
+    """The posterior after one recorded sample with known twist, wrench and acceleration.
+
+    An invalid or non-finite sample changes only the random key.
 
     Args:
-        config: static.
-        state: of one object; vmap for more.
-        inputs: as OBJECT_INPUTS lists them.
-        label: acceleration in {O}.
+        config: settings; static.
+        state: estimate of one object; vmap for more.
+        inputs: in the order of OBJECT_INPUTS.
+        label: acceleration in {O} [m/s^2, m/s^2, rad/s^2].
         scale: standard deviation of the labels in training.
-        valid: False where the sample doesn't count.
+        valid: False if the sample does not count.
     """
     use = jnp.all(jnp.isfinite(inputs)) & jnp.all(jnp.isfinite(label)) & jnp.asarray(valid)
     inputs, label = jnp.where(use, inputs, 1.0), jnp.where(use, label, 0.0)
@@ -198,7 +209,7 @@ def learn(
     predicted = _acceleration(state.parameters, twist, wrench, inputs[where["size"]][0])
     likelihood = _log_likelihood((label - predicted) / (config.acceleration_noise * scale))
     new = _updated(config, state._replace(key=key), likelihood, resample_key)
-    # The draws of a sample that changes nothing are not made again for the next one.
+    # An ignored sample also advances the key, so its random draws are not reused.
     return jax.tree.map(lambda a, b: jnp.where(use, a, b), new, state._replace(key=key))
 
 
@@ -213,7 +224,12 @@ def after_rows(
 ) -> ObjectEstimate:
     """The posterior after N recorded samples (`learn`).
 
-    ``rows`` are their inputs, labels and weights; those with weight 0 don't count.
+    Args:
+        config: settings; static.
+        prior: draws from the prior.
+        scale: standard deviation of the labels in training.
+        rows: inputs, labels and weights of the samples; samples with weight 0 do not count.
+        key: random key of all draws.
     """
 
     def one(state: ObjectEstimate, row: tuple[Array, ...]) -> tuple[ObjectEstimate, None]:
@@ -224,18 +240,24 @@ def after_rows(
 
 
 def relocated(state: ObjectEstimate) -> ObjectEstimate:
-    """The same posterior at the start of another push: the next sample says where the object is."""
+    """The same posterior at the start of another push. The next sample sets the pose and twist of the particles."""
     return state._replace(located=se2.array_module(state.pose).asarray(False))
 
 
 def mean(state: ObjectEstimate) -> Float[Array, "... p"]:
-    """Mean of the parameters; of NumPy arrays without JAX."""
+    """Posterior mean of the parameters. NumPy arrays give a NumPy result."""
     xp = se2.array_module(state.parameters)
     return xp.einsum("...n,...np->...p", xp.exp(state.log_weight), state.parameters)
 
 
 def quantiles(state: ObjectEstimate, values: Float[Array, "N ..."], shares: tuple[float, ...]) -> Float[Array, "q ..."]:
-    """Quantiles of some ``values`` of each particle, such as ``contact_model.resistance(state.parameters)``."""
+    """Posterior quantiles of a quantity.
+
+    Args:
+        state: estimate of one object.
+        values: the quantity for each particle, such as ``contact_model.resistance(state.parameters)``.
+        shares: q probabilities in [0, 1].
+    """
     xp = se2.array_module(values, state.log_weight)
     weight = xp.exp(state.log_weight)
     flat = values.reshape(len(weight), -1)
@@ -255,7 +277,7 @@ def draw(state: ObjectEstimate, key: Key[Array, ""], count: int) -> Float[Array,
 
 
 def _acceleration(parameters: Array, twist: Array, wrench: Array, size: Array) -> Array:
-    """``[N, 3]`` of each particle in {O}, under its wrench."""
+    """Acceleration ``[N, 3]`` of each particle in {O} under its wrench."""
     last = jnp.zeros_like(twist)
     inputs = features.object_inputs(
         twist.T, wrench.T, last_twist=last.T, size=jnp.full(len(twist), size), last_wrench=last.T, axis=0
@@ -266,7 +288,14 @@ def _acceleration(parameters: Array, twist: Array, wrench: Array, size: Array) -
 def true_wrench(
     config: EstimateConfig, force: Float[Array, "N 2"], wrench: Float[Array, "3"], key: Key[Array, ""]
 ) -> Float[Array, "N 3"]:
-    """What the sensed ``wrench`` was if each particle's errors of the force are right: longer or shorter by them."""
+    """The true wrench according to each particle: the sensed ``wrench``, rescaled for the particle's force errors.
+
+    Args:
+        config: settings; static.
+        force: force errors of the particles, as in ObjectEstimate.
+        wrench: sensed wrench [N, N m].
+        key: random key of the noise from sample to sample.
+    """
     scale, offset = config.force_error
     size = jnp.hypot(wrench[0], wrench[1])
     noise = offset * force[:, 1] - config.force_bias + config.force_noise * jax.random.normal(key, force.shape[:1])
@@ -275,12 +304,12 @@ def true_wrench(
 
 
 def _log_likelihood(errors: Array) -> Array:
-    """``[N]`` of errors ``[N, 3]`` over their scales: Student's t with four degrees of freedom."""
+    """Log-likelihood ``[N]`` of scaled errors ``[N, 3]``: Student's t with four degrees of freedom."""
     return -2.5 * jnp.sum(jnp.log1p(errors**2 / 4.0), axis=1)
 
 
 def _updated(config: EstimateConfig, state: ObjectEstimate, log_likelihood: Array, key: Array) -> ObjectEstimate:
-    """The particles with their new weights, resampled if half of the effective sample size is lost."""
+    """The particles with new weights, resampled if the effective sample size is below half of their number."""
     raw = state.log_weight + config.discount * log_likelihood
     log_weight = raw - jax.nn.logsumexp(raw)
     sound = jnp.all(jnp.isfinite(state.twist)) & jnp.all(jnp.isfinite(log_weight) | (log_weight == -jnp.inf))
@@ -292,6 +321,7 @@ def _updated(config: EstimateConfig, state: ObjectEstimate, log_likelihood: Arra
 
 
 def _resampled(config: EstimateConfig, state: ObjectEstimate, key: Array) -> ObjectEstimate:
+    """Systematic resampling, followed by shrinkage, perturbation and new draws from the prior (Liu and West 2001)."""
     count = config.particles
     start, first, second, prior_key = jax.random.split(key, 4)
     places = (jnp.arange(count) + jax.random.uniform(start)) / count

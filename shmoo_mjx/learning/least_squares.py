@@ -1,4 +1,4 @@
-"""Coefficients from data: Eq. 5 with a ridge, its Bayesian form, and the prior that the training conditions imply."""
+"""Estimates of coefficients: Eq. 5 with a ridge, its Bayesian form, and the empirical prior of training conditions."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ def ridge(
     *,
     weights: Float[Array, "N"] | None = None,
 ) -> Float[Array, "m K"]:
-    """a* of Eq. 5, regularised: argmin sum_i |y_i - psi_i a|^2 + strength |a - mean|^2, one problem per axis.
+    """Regularised a* of Eq. 5: argmin sum_i |y_i - psi_i a|^2 + strength |a - mean|^2, one problem per axis.
 
-    Solved by Cholesky, so gradients flow through it.
+    The solution uses Cholesky factors and is differentiable.
 
     Args:
         psi: basis at N samples for each of m axes.
-        labels: in the unit psi a predicts.
-        mean: what a is drawn towards.
-        strength: ridge, in samples times psi squared.
+        labels: labels in the unit of psi a.
+        mean: value towards which a is regularised.
+        strength: strength of the ridge, in samples times psi squared. Larger keeps a closer to ``mean``.
         weights: weight of each sample; ones if None.
     """
     weights = jnp.ones(labels.shape[0]) if weights is None else weights
@@ -37,7 +37,7 @@ def ridge(
 
 
 def cap_norm(a: Float[Array, "m K"], cap: float) -> Float[Array, "m K"]:
-    """``a`` scaled down so that the norm of all its entries is at most ``cap`` (gamma of DAIML)."""
+    """``a`` scaled down to a norm of at most ``cap`` (gamma of DAIML), taken over all its entries."""
     # The small constant keeps the gradient of the norm finite at a = 0.
     norm = jnp.sqrt(jnp.sum(a**2) + 1e-12)
     return a * jnp.minimum(1.0, cap / norm)
@@ -52,14 +52,14 @@ def posterior(
     noise: Float[Array, "m m"],
     weights: Float[Array, "N"] | None = None,
 ) -> tuple[Float[Array, "n"], Float[Array, "n n"]]:
-    """Mean and covariance of a given N samples and the prior N(mean, covariance): Eq. 8 in one batch.
+    """Posterior mean and covariance of a for N samples and the prior N(mean, covariance): Eq. 8 in one batch.
 
     Args:
-        phi: design matrices, label = phi a + noise.
-        labels: of m axes.
-        mean: of the prior.
-        covariance: of the prior.
-        noise: covariance of a sample's residual.
+        phi: design matrices, with label = phi a + noise.
+        labels: labels of m axes.
+        mean: mean of the prior.
+        covariance: covariance of the prior.
+        noise: residual covariance of one sample.
         weights: weight of each sample; ones if None.
     """
     return posterior_from_factor(
@@ -76,9 +76,9 @@ def posterior_from_factor(
     noise: Float[Array, "m m"],
     weights: Float[Array, "N"] | None = None,
 ) -> tuple[Float[Array, "n"], Float[Array, "n n"]]:
-    """`posterior` with the prior covariance given as ``factor factor^T``."""
+    """`posterior` with the prior covariance ``factor factor^T``."""
     weights = jnp.ones(labels.shape[0]) if weights is None else weights
-    # In the coordinates where the prior is N(0, I) the precision is I + something: well conditioned in float32.
+    # In coordinates where the prior is N(0, I), the precision is at least I, so it is well conditioned in float32.
     precision = jnp.linalg.inv(noise)
     white = phi @ factor
     weighted = jnp.einsum("nai,ab->nbi", white * weights[:, None, None], precision)
@@ -100,17 +100,17 @@ def empirical_prior(
     weights: Float[Array, "C N"],
     rounds: int = 8,
 ) -> tuple[Float[Array, "n"], Float[Array, "n n"], Float[Array, "m m"]]:
-    """The prior and the noise under which the training conditions are most likely, by expectation maximisation.
+    """Maximum-likelihood prior and noise for the training conditions, by expectation maximisation (EM).
 
-    Plain statistics of a* over conditions would count what a condition's data could not tell as spread (or, with a
-    strong ridge, as certainty); here each condition contributes its posterior.
+    Each condition contributes its posterior. Plain statistics of a* over conditions would count the uncertainty of a*
+    as spread of the prior or, with a strong ridge, would underestimate the spread.
 
     Args:
         phi: design matrices of C conditions.
-        labels: of C conditions.
-        mean: first guess.
-        covariance: first guess.
-        noise: first guess.
+        labels: labels of C conditions.
+        mean: initial prior mean.
+        covariance: initial prior covariance.
+        noise: initial residual covariance.
         weights: weight of each sample.
         rounds: number of EM rounds.
 
@@ -126,7 +126,7 @@ def empirical_prior(
         means, spreads = fit(phi, labels, weights)
         new_mean = jnp.mean(means, axis=0)
         centred = means - new_mean
-        # A few pseudo-conditions at the present prior keep the estimate of n^2 numbers from C conditions sane.
+        # Two pseudo-conditions at the current prior regularise the estimate of n^2 numbers from C conditions.
         pseudo = 2.0
         total = jnp.einsum("ci,cj->ij", centred, centred) + jnp.sum(spreads, axis=0) + pseudo * covariance
         residual = (labels - jnp.einsum("cnai,ci->cna", phi, means)) * jnp.sqrt(weights)[..., None]
@@ -139,7 +139,8 @@ def empirical_prior(
 
 
 WORST = 2.0
-"""Cap on what one validation condition leaves unexplained: one that diverges must not decide what is kept."""
+"""Upper limit of the fraction unexplained of one validation condition, so that one diverging condition does not decide
+the choice of the best epoch."""
 
 
 def fraction_unexplained(
@@ -148,10 +149,16 @@ def fraction_unexplained(
     weights: Float[Array, "N"],
     floor: Scalar | Float[Array, "m"] = 1e-9,
 ) -> Scalar:
-    """Fraction of the labels' variance left unexplained, the axes counted in units of their own variance.
+    """Fraction of the labels' variance that the predictions leave unexplained, averaged over the axes.
 
-    0 is perfect, 1 is as good as the mean. ``floor`` is added to each axis' variance, so that an object that hardly
-    moves is not judged by its noise.
+    0 is perfect, and 1 is as good as predicting the mean.
+
+    Args:
+        predicted: predictions of N samples.
+        labels: labels of N samples.
+        weights: weight of each sample.
+        floor: value added to the variance of each axis, so that noise does not dominate for an object that hardly
+            moves.
     """
     weights = weights[:, None]
     count = jnp.maximum(jnp.sum(weights), 1.0)

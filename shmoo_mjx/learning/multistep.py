@@ -1,4 +1,4 @@
-"""Eq. 4 for any predictor: the object's open-loop roll-out, the loss on it, and scores on unseen objects."""
+"""Eq. 4 for any predictor: open-loop roll-outs of the object, their loss, and scores on held-out objects."""
 
 from __future__ import annotations
 
@@ -16,20 +16,21 @@ from shmoo_mjx.learning.samples import Samples
 from shmoo_mjx.types import DT
 
 Predict = Callable[[Float[Array, "... 13"]], Float[Array, "... 3"]]
-"""Inputs -> accelerations in {O} of an object that is known."""
+"""A predictor adapted to one object: from inputs to accelerations in {O}."""
 
 WHERE = features.slices(features.OBJECT_INPUTS)
+"""Slice of each entry of OBJECT_INPUTS, by name."""
 
 
 def open_loop(predict: Predict, inputs: Float[Array, "B H 13"]) -> tuple[Float[Array, "B H 3"], Float[Array, "B H 3"]]:
-    """Roll the object's twist out over H steps under the recorded wrench (Eq. 4), the predicted twist fed back.
+    """Roll out the object's twist over H steps under the recorded wrench, feeding back the predicted twist (Eq. 4).
 
     Args:
-        predict: of the object.
+        predict: predictor of the object.
         inputs: recorded inputs of B windows.
 
     Returns:
-        Predicted accelerations in {O} and the twists before each step in {O}.
+        Predicted accelerations in {O}, and the twist before each step in {O}.
     """
 
     def one(carry: tuple[Array, Array], x: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
@@ -57,16 +58,16 @@ def loss(
     one_step: float = 1.0,
     on_twist: bool = True,
 ) -> Scalar:
-    """Eq. 4 on B windows of H steps of one condition: the share of the labels' variance that is left.
+    """Eq. 4 on B windows of H steps of one condition: the fraction of the labels' variance left unexplained.
 
     Args:
-        predict: of the object, after adapting.
-        windows: inputs, labels and the inputs one sample later.
+        predict: predictor of the object, after adaptation.
+        windows: inputs, labels, and the inputs one sample later.
         precision: inverse of Sigma_C in units of ``scale``.
-        scale: of the labels.
-        feed_back: feed the predicted twist back; otherwise every step is predicted from the recorded one.
-        one_step: weight of the error of one step from the recorded twists, beside that of the open loop.
-        on_twist: take the open loop's error on the twist reached after each step, not on each step's acceleration.
+        scale: scale of the labels.
+        feed_back: feed back the predicted twist. If False, predict every step from the recorded twist.
+        one_step: weight of the one-step error from recorded twists, added to the open-loop error.
+        on_twist: compute the open-loop error on the twist after each step. If False, on the acceleration of each step.
     """
     x, y, following = windows
 
@@ -81,7 +82,7 @@ def loss(
     predicted, twists = open_loop(predict, x)
     error = (y - predicted) / scale
     if on_twist:
-        # After h steps of independent errors the twist's covariance would be h times that of one.
+        # With independent errors, the covariance of the twist after h steps is h times that of one step.
         steps = jnp.arange(1, x.shape[1] + 1)[:, None]
         drift = (following[:, :-1, WHERE["object_twist"]] - twists[:, 1:]) / (DT * scale)
         error = jnp.concatenate([drift, error[:, -1:] * steps[-1] ** 0.5], axis=1) / steps**0.5
@@ -98,20 +99,20 @@ def scores(
     horizon: int,
     floor: float,
 ) -> tuple[Float[Array, "C"], Float[Array, "C"]]:
-    """Adapt to each condition on its first samples and score the predictions on the later ones only.
+    """Scores of the predictions for each condition: adapt on its first samples, score on the later ones.
 
     Args:
-        samples: C conditions that were not trained on.
-        contacts: contact parameters of each, a tree of ``[C, ...]``.
-        adapted: (inputs, labels, weights of some samples, contact parameters) -> the object's predictor.
-        scale: of the labels.
-        fit_samples: how many samples are adapted on, at most half of them.
-        horizon: steps of the open-loop roll-out; 0 leaves it out.
-        floor: share of scale squared added to each label's variance.
+        samples: C held-out conditions.
+        contacts: contact parameters of each condition, a tree of ``[C, ...]``.
+        adapted: function from (inputs, labels, weights, contact parameters) to the predictor of the object.
+        scale: scale of the labels.
+        fit_samples: number of samples for the adaptation, at most half of all samples.
+        horizon: number of steps of the open-loop roll-out; 0 for none.
+        floor: fraction of scale squared that is added to the variance of each label.
 
     Returns:
-        Fraction of variance unexplained per condition, of one-step accelerations; and of the twist's change
-        after ``horizon`` steps (the one-step share again without a roll-out).
+        The fraction of variance unexplained per condition, first of one-step accelerations, then of the change of
+        twist over ``horizon`` steps. Without a roll-out the second equals the first.
     """
     extra = floor * jnp.asarray(scale) ** 2
 

@@ -1,4 +1,4 @@
-"""A trained psi with its prior: adapt it to one object, predict, keep it in a file."""
+"""A trained psi with its prior: adaptation to one object, prediction, and storage in a file."""
 
 from __future__ import annotations
 
@@ -22,34 +22,38 @@ _ARRAYS = ("params", "prior_mean", "prior_covariance", "noise", "contact_prior")
 
 
 class ObjectFit(NamedTuple):
-    """A trained psi with what is known of an object: of any object, or after `adapt` of one."""
+    """A trained psi with a prior over all objects or, after `adapt`, with the posterior of one object."""
 
     params: ObjectParams
+    """Parameters of psi."""
     prior_mean: Float[Array, "m K"]
+    """Mean of the coefficients a."""
     prior_covariance: Float[Array, "n n"]
-    """n = m K, axes coupled: what x shows says something about y and yaw."""
+    """Covariance of the coefficients, n = m K. It couples the axes: data along x are informative about y and yaw."""
     noise: Float[Array, "m m"]
-    """Covariance of a sample's residual."""
+    """Residual covariance of one sample."""
     score: float
-    """Best validation score (see `daiml._validation_scores`; one-step and open-loop shares averaged)."""
+    """Best validation score, the mean of the one-step and open-loop scores (`daiml._validation_scores`). Lower is
+    better."""
     history: list[tuple[float, float]]
+    """(training loss, validation score) of each epoch."""
     contact_prior: Float[Array, "M p"]
-    """Draws from the prior of the contact parameters; of no use unless config.contact_model."""
+    """Draws from the prior of the contact parameters. Used only if config.contact_model."""
     config: ObjectConfig
-    """What psi is; `daiml.fit` leaves out of what it was asked for whatever needs inputs of a known meaning."""
+    """Structure of psi. `daiml.fit` disables requested options that need inputs of known meaning."""
 
     @single_precision
     def adapt(self, x: Float[Array, "N n_in"], y: Float[Array, "N m"]) -> ObjectFit:
-        """The fit for the object that N samples come from: the posterior takes the prior's place (Eq. 5).
+        """The fit for one object, given N samples of it: the posterior replaces the prior (Eq. 5).
 
-        More samples of the same object can be added by adapting again.
+        Call it again on the result to add samples of the same object.
 
         Args:
-            x: inputs, as psi was trained on.
-            y: labels, in their unit.
+            x: inputs, in the order and units of the training.
+            y: labels, in the units of the training.
 
         Raises:
-            ShmooError: x or y is not finite, or of another shape than psi was trained on.
+            ShmooError: x or y is not finite, or its shape differs from the training.
         """
         x, y = self._checked("x", x, self._inputs()), self._checked("y", y, len(self.params.label_scale))
         if len(x) != len(y) or not len(x):
@@ -67,22 +71,22 @@ class ObjectFit(NamedTuple):
 
     @single_precision
     def predict(self, x: Float[Array, "N n_in"]) -> Float[np.ndarray, "N m"]:
-        """Labels of N samples, in their unit: psi a, with the mean of what is known of a.
+        """Predicted labels of N samples: psi a with the mean of a, in the units of the labels.
 
         Raises:
-            ShmooError: x is not finite, or of another shape than psi was trained on.
+            ShmooError: x is not finite, or its shape differs from the training.
         """
         x = self._checked("x", x, self._inputs())
         return np.asarray(object_model.predict(self.params, self.prior_mean, x, self.config, contact=self._contact()))
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the fit to one safetensors file, which `load_fit` reads; whole or not at all."""
+        """Write the fit to one safetensors file for `load_fit`, atomically."""
         notes = {"object_fit": asdict(self.config), "score": float(self.score), "history": self.history}
         shape = {"inputs": self._inputs(), "axes": len(self.params.label_scale), "draws": len(self.contact_prior)}
         serialisation.save_tree(path, {name: getattr(self, name) for name in _ARRAYS}, notes | shape)
 
     def _inputs(self) -> int:
-        """Number of inputs, of which psi's network may see more or fewer."""
+        """Number of inputs of psi. Its network can have more or fewer inputs (`object_model.inputs_of`)."""
         return object_model.inputs_of(self.config, self.params.linear.shape[0], len(self.params.label_scale))
 
     def _contact(self) -> Array:
@@ -99,10 +103,10 @@ class ObjectFit(NamedTuple):
 
 @single_precision
 def load_fit(path: str | os.PathLike[str]) -> ObjectFit:
-    """Read what `ObjectFit.save` wrote.
+    """Read a file written by `ObjectFit.save`.
 
     Raises:
-        ShmooError: no such file, damaged, or a safetensors file of something else.
+        ShmooError: the file is missing or damaged, or does not hold an ObjectFit.
     """
     notes = serialisation.read_notes(path)
     try:

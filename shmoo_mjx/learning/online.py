@@ -1,7 +1,7 @@
-"""Online learning of the object at hand, in two ways behind one protocol.
+"""Online learning of the pushed object: two learners with one protocol.
 
-`Posterior` learns the contact parameters of a psi with the contact model; its coefficients stay where training left
-them. `Printed` learns the coefficients of the paper's psi by Eq. 8.
+`Posterior` estimates the contact parameters, for a psi with the contact model. The coefficients keep their values from
+training. `Printed` estimates the coefficients of the paper's psi by Eq. 8.
 """
 
 from __future__ import annotations
@@ -22,46 +22,47 @@ from shmoo_mjx.learning.adaptation import AdaptConfig, AdaptState
 from shmoo_mjx.learning.estimate import EstimateConfig, ObjectEstimate, Sighting
 
 _BELIEVABLE = 1e4
-"""Size from which on a sample holds no measurement and teaches nothing [SI units]: no robot of this kind comes near."""
+"""Magnitude from which on a sample is treated as invalid [SI units]. It is far above any value of this robot."""
 BAND = (0.1, 0.5, 0.9)
-"""Quantiles that `summary` gives: the median and an 80 % band."""
+"""Quantiles in `summary`: the median and an 80 % interval."""
 
 NAMES = tuple(f"{name}{end}" for name in ("mass", "friction_x", "friction_y") for end in ("_low", "", "_high"))
-"""What `summary` tells of a posterior."""
+"""Keys of `summary` for a posterior over contact parameters."""
 
 LearnerState = ObjectEstimate | AdaptState
-"""Estimate of an object's dynamics; a pytree."""
+"""Estimate of an object's dynamics, a pytree."""
 
 
 class Transition(NamedTuple):
-    """What is learned from: the sample that just ended."""
+    """The sample that has just ended, input of a learner."""
 
     inputs: Float[Array, "13"]
-    """Inputs of psi at its start, measured wrench included."""
+    """Inputs of psi at the start of the sample, with the measured wrench."""
     label: Float[Array, "3"]
-    """Measured acceleration in {O}."""
+    """Measured acceleration in {O} [m/s^2, m/s^2, rad/s^2]."""
     valid: Scalar
-    """False without contact, with stale or missing poses: inputs and label say nothing."""
+    """False without contact, or with stale or missing poses. Inputs and label are then not used."""
     sighting: Sighting
-    """What was perceived at its end."""
+    """Measurements of the object at the end of the sample."""
 
 
 @runtime_checkable
 class Learner(Protocol):
-    """A way to learn an object online; hashable and without state of its own."""
+    """An online learner of an object. It is hashable and has no state."""
 
     def adapt(self, state: Any, params: Params, sample: Transition) -> Any:
-        """What is known after one more sample; one that is not finite changes nothing. Pure."""
+        """The estimate after one more sample. A non-finite sample changes no estimate. A pure function."""
 
     def params_for_rollout(self, state: Any, params: Params) -> Params:
-        """The parameters of the dynamics core for this object."""
+        """The parameters of the dynamics model for the estimated object."""
 
 
 @dataclass(frozen=True)
 class Posterior:
-    """The contact parameters as a particle posterior (`estimate`); roll-outs take its mean."""
+    """Particle posterior over the contact parameters (`estimate`). Roll-outs use its mean."""
 
     config: EstimateConfig = EstimateConfig()
+    """Settings of the particle filter."""
 
     def adapt(self, state: ObjectEstimate, params: Params, sample: Transition) -> ObjectEstimate:
         """See `Learner`."""
@@ -74,10 +75,12 @@ class Posterior:
 
 @dataclass(frozen=True)
 class Printed:
-    """The coefficients a of psi, by Eq. 8."""
+    """Estimate of the coefficients a of psi by Eq. 8."""
 
     shape: ObjectConfig
+    """Structure of psi."""
     config: AdaptConfig = AdaptConfig()
+    """Gains of Eq. 8."""
 
     def adapt(self, state: AdaptState, params: Params, sample: Transition) -> AdaptState:
         """See `Learner`."""
@@ -92,24 +95,34 @@ class Printed:
 
 
 def learner(shape: ObjectConfig, contact: EstimateConfig | None = None, adapt: AdaptConfig | None = None) -> Learner:
-    """How an object is learned by a psi of this ``shape``; ``contact`` or ``adapt`` are the settings of that."""
+    """The learner for a psi of this ``shape``.
+
+    Args:
+        shape: structure of psi. With the contact model the learner is `Posterior`, without it `Printed`.
+        contact: settings of `Posterior`.
+        adapt: settings of `Printed`.
+    """
     if shape.contact_model:
         return Posterior(contact or EstimateConfig())
     return Printed(shape, adapt or AdaptConfig())
 
 
 def summary(state: LearnerState) -> dict[str, float]:
-    """What is known, by name: mass [kg], friction along x and y of {O} [N], each the median with `_low` and `_high` of
-    an 80 % band; or a1 ... an of a psi without contact model. Not for jit."""
+    """Estimated quantities by name.
+
+    For a posterior over contact parameters: mass [kg] and friction along x and y of {O} [N], each with its median and
+    the limits `_low` and `_high` of an 80 % interval. Without the contact model: the coefficients a1 ... an. Not for
+    use under jit.
+    """
     if isinstance(state, AdaptState):
         return {f"a{k + 1}": a for k, a in enumerate(np.asarray(state.mean).tolist())}
-    # In NumPy: outside jit, JAX compiles every operation apart.
+    # Use NumPy because outside jit JAX compiles every operation separately.
     on_host = state._replace(parameters=np.asarray(state.parameters), log_weight=np.asarray(state.log_weight))
     return dict(zip(NAMES, summary_values(on_host).tolist(), strict=True))
 
 
 def summary_values(state: LearnerState) -> Float[Array, "n"]:
-    """The numbers of `summary`, in order; for jit too."""
+    """The values of `summary` in the same order. Works under jit."""
     if isinstance(state, AdaptState):
         return state.mean
     xp = se2.array_module(state.parameters)
@@ -118,18 +131,24 @@ def summary_values(state: LearnerState) -> Float[Array, "n"]:
 
 
 def relocated(state: LearnerState) -> LearnerState:
-    """The same at the start of another push."""
+    """The same estimate at the start of another push."""
     return state if isinstance(state, AdaptState) else estimate.relocated(state)
 
 
 def unchanged(before: LearnerState, after: LearnerState) -> LearnerState:
-    """What was known before a sample that says nothing of the object; the next one places a posterior's particles anew
-    and makes draws of its own."""
+    """The estimate without the update of an uninformative sample.
+
+    The next sample sets pose and twist of the particles again, and uses new random draws.
+
+    Args:
+        before: estimate before the sample.
+        after: estimate after the sample.
+    """
     if isinstance(before, AdaptState) or isinstance(after, AdaptState):
         return before
     return estimate.relocated(before)._replace(key=after.key)
 
 
 def restarts(state: LearnerState) -> int:
-    """How many times a posterior had lost all weight and began anew from the prior. Not for jit."""
+    """Number of restarts of a posterior from the prior (`estimate.ObjectEstimate`). Not for use under jit."""
     return 0 if isinstance(state, AdaptState) else int(state.restarts)

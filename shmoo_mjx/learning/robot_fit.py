@@ -1,4 +1,4 @@
-"""Eq. 7: supervised training of R on recorded samples, over a horizon if asked, and the fit of the lean's response."""
+"""Eq. 7: supervised training of R on recorded samples, optionally over a horizon, and the fit of the lean response."""
 
 from __future__ import annotations
 
@@ -31,55 +31,68 @@ class RobotFitConfig:
     """Settings of the training of R."""
 
     robot: RobotConfig = field(default_factory=lambda: RobotConfig())
+    """Structure of R."""
     batch: int = 512
+    """Number of samples per update."""
     epochs: int = 80
-    """Most epochs; the learning rate falls to zero over them along a cosine."""
+    """Maximum number of epochs. The learning rate falls to zero over them along a cosine."""
     epoch_updates: int = 250
+    """Number of updates per epoch."""
     learning_rate: float = 3e-3
+    """Initial learning rate of AdamW."""
     weight_decay: float = 1e-4
+    """Weight decay of AdamW."""
     input_noise: float = 0.02
-    """Noise put on the inputs, in their standard deviations: a roll-out feeds R its own errors."""
+    """Standard deviation of the noise added to the inputs, in standard deviations of each input [1]. It prepares R for
+    its own errors in roll-outs; larger regularises R more."""
     horizon: int = 0
-    """Samples over which R is rolled out beside the one step of Eq. 7, the object moving as recorded; 0 for Eq. 7."""
+    """Length of the roll-outs of R that are trained in addition to the one step of Eq. 7 [samples]. The object moves as
+    recorded. 0 gives Eq. 7."""
     rolled: float = 0.1
-    """Weight of the roll-outs' error against that of one step."""
+    """Weight of the roll-out error relative to the one-step error."""
     windows: int = 64
-    """Roll-outs per update."""
+    """Number of roll-outs per update."""
     patience: int = 20
-    """Epochs without a better validation score before stopping."""
+    """Number of epochs without a better validation score before the training stops."""
     seed: int = 0
+    """Seed of the initial weights and of the batches."""
 
 
 class RobotSamples(NamedTuple):
-    """Samples of R, all conditions together; those of an episode follow one another."""
+    """Training samples of R from all conditions. The samples of an episode are consecutive."""
 
     inputs: Float[Array, "N 28"]
+    """Inputs of R in the order of ROBOT_INPUTS."""
     labels: Float[Array, "N 5"]
-    """Base acceleration and force, {R}."""
+    """Base acceleration and hand force in {R}, in the order of ROBOT_OUTPUTS."""
     state: SystemState
-    """``[N, ...]`` at the start of the sample."""
+    """State ``[N, ...]`` at the start of the sample."""
     u: Float[Array, "N 3"]
-    """Command [rad]."""
+    """Command (phi_x, phi_y, gamma) [rad]."""
     next_lean: Float[Array, "N 2"]
-    """At the end of the sample [rad]."""
+    """Lean at the end of the sample [rad]."""
     next_rate: Float[Array, "N 2"]
-    """[rad/s]"""
+    """Rate of the lean at the end of the sample [rad/s]."""
     following: Int[Array, "N"]
-    """How many samples of the same episode follow."""
+    """Number of samples of the same episode that follow."""
 
 
 class RobotFit(NamedTuple):
     """A trained R."""
 
     params: RobotParams
+    """Parameters of R and of the lean response."""
     score: float
-    """Best validation score: share of each output's variance left unexplained, mean over the five."""
+    """Best validation score: fraction of variance unexplained, mean over the five outputs. Lower is better."""
     per_output: Float[Array, "5"]
-    """The same for each output, on the validation conditions."""
+    """Fraction of variance unexplained of each output on the validation conditions."""
     history: list[tuple[float, float]]
+    """(training loss, validation score) of each epoch."""
 
 
 class _State(NamedTuple):
+    """State of the training between updates."""
+
     net: networks.Network
     opt: Any
     key: jax.Array
@@ -87,7 +100,7 @@ class _State(NamedTuple):
 
 @single_precision
 def samples_from_dataset(dataset: store.Dataset) -> RobotSamples:
-    """The samples of every condition of a data set; the first sample of an episode has no past and is left out."""
+    """The samples of all conditions of a data set, without the first sample of each episode, which has no past."""
     rows = [_condition_rows(arrays) for arrays in dataset.arrays]
     return jax.tree.map(lambda *parts: np.concatenate(parts), *rows)
 
@@ -117,17 +130,18 @@ def train_robot(
     progress: Callable[[training.Progress], None] | None = None,
     start: RobotParams | None = None,
 ) -> RobotFit:
-    """Train R on a data set's train split, stopping on its validation split.
+    """Train R on the train split of a data set, with early stopping on its validation split.
 
     Args:
-        data: a directory that `store` wrote, or what `store.read` gave.
-        out_dir: keeps a checkpoint there and goes on from it.
+        data: a directory written by `store`, or a result of `store.read`.
+        out_dir: directory of the checkpoint. An interrupted training resumes from it.
         config: settings.
         progress: called after each epoch.
-        start: parameters to go on from, for fine-tuning on other data.
+        start: initial parameters, for fine-tuning on other data; untrained if None.
 
     Raises:
-        ShmooError: no or a damaged data set, one without training or validation conditions, or a damaged checkpoint.
+        ShmooError: the data set is missing or damaged or has no training or validation conditions, or the checkpoint
+            is damaged.
     """
     dataset = store.of_training(data)
     train, validation = dataset.split("train"), dataset.split("validation")
@@ -151,15 +165,23 @@ def fit_samples(
     progress: Callable[[training.Progress], None] | None = None,
     start: RobotParams | None = None,
 ) -> RobotFit:
-    """`train_robot` on samples that are already made.
+    """`train_robot` on prepared samples.
+
+    Args:
+        train: training samples.
+        validation: validation samples.
+        config: settings.
+        out_dir: directory of the checkpoint. An interrupted training resumes from it.
+        progress: called after each epoch.
+        start: initial parameters; untrained if None.
 
     Raises:
-        ShmooError: no episode is long enough for the horizon.
+        ShmooError: every episode is shorter than the horizon.
     """
     config = config or RobotFitConfig()
     params = _prepared(config, train) if start is None else start
     params = params._replace(lean=fit_lean(train))
-    # The samples are arguments, not constants: XLA would fold constants of this size at length.
+    # Pass the samples as arguments because XLA takes long to fold constants of this size.
     scores_of = jax.jit(partial(_unexplained, config))
     scores = partial(scores_of, params, (jnp.asarray(validation.inputs), jnp.asarray(validation.labels)))
     epoch = jax.jit(partial(_epoch, config))
@@ -188,21 +210,21 @@ def fit_samples(
 
 
 def fit_lean(samples: RobotSamples) -> LeanResponse:
-    """The lean's response from each sample's start and end, by linear least squares per axis."""
+    """The lean response, fitted to the start and end of each sample by linear least squares per axis."""
     force = samples.state.last_force
     matrix = []
     for axis in range(2):
         columns = [samples.state.lean[:, axis], samples.state.lean_rate[:, axis], samples.u[:, axis], force[:, axis]]
         inputs = np.stack([*columns, np.ones(len(force))], axis=-1).astype(float)
         outputs = np.stack([samples.next_lean[:, axis], samples.next_rate[:, axis]], axis=-1).astype(float)
-        # A trace of ridge: a recording without contact says nothing about the force.
+        # The small ridge makes the problem solvable for recordings without contact, where the force is always zero.
         gram = inputs.T @ inputs + 1e-9 * len(inputs) * np.eye(5)
         matrix.append(np.linalg.solve(gram, inputs.T @ outputs).T)
     return LeanResponse(jnp.asarray(np.stack(matrix), jnp.float32))
 
 
 def _prepared(config: RobotFitConfig, samples: RobotSamples) -> RobotParams:
-    """Untrained parameters with the samples' normalisation."""
+    """Untrained parameters, normalised with the statistics of the samples."""
     params = robot_model.init(jax.random.key(config.seed + 1), config.robot)
     return params._replace(
         net=networks.with_normaliser(params.net, jnp.asarray(samples.inputs), robot_model.REFLECTIONS[0]),
@@ -219,7 +241,7 @@ def _optimiser(config: RobotFitConfig) -> optax.GradientTransformation:
 def _epoch(
     config: RobotFitConfig, params: RobotParams, data: tuple[RobotSamples, Array], state: _State
 ) -> tuple[_State, Array]:
-    """One epoch on samples, at some of which a roll-out may start."""
+    """One epoch of updates. ``data`` holds the samples and the indices at which a roll-out can start."""
     samples, starts = data
     optimiser = _optimiser(config)
 
@@ -248,14 +270,17 @@ def _epoch(
 
 
 def _rolled_out(config: RobotFitConfig, params: RobotParams, samples: RobotSamples, windows: Array) -> Array:
-    """Mean squared error of twist and force over the horizon after the samples ``windows [B]``, in units of Eq. 7's."""
-    # What psi says of the object is thrown away below, so any will do.
+    """Mean squared error of twist and force over roll-outs that start at the samples ``windows [B]``.
+
+    The error has the same scale as the one-step error of Eq. 7.
+    """
+    # The predicted motion of the object is discarded below, so an untrained psi is enough.
     shape = CoreConfig(robot=config.robot, object=ObjectConfig.paper())
     model = core.init(jax.random.key(0), shape)._replace(robot=params)
 
     def one(state: SystemState, sample: Any) -> tuple[SystemState, jax.Array]:
         now = jax.tree.map(lambda a: a[sample], samples.state)
-        # The robot is where it was predicted to be, the object where it was.
+        # Feed back the predicted state of the robot, but use the recorded state of the object.
         state = state._replace(object_pose=now.object_pose, object_twist=now.object_twist)
         new, _ = core.step(model, state, samples.u[sample], shape)
         then = jax.tree.map(lambda a: a[sample + 1], samples.state)
@@ -265,7 +290,7 @@ def _rolled_out(config: RobotFitConfig, params: RobotParams, samples: RobotSampl
     steps = jnp.arange(config.horizon)
     start = jax.tree.map(lambda a: a[windows], samples.state)
     error = jnp.asarray(jax.lax.scan(one, start, windows[None] + steps[:, None])[1] / params.output_scale)
-    # After h steps of independent errors the twist's variance would be h times that of one.
+    # With independent errors, the variance of the twist after h steps is h times that of one step.
     error = error.at[..., :3].divide(jnp.sqrt(1.0 + steps)[:, None, None])
     return jnp.mean(error**2)
 
@@ -273,7 +298,7 @@ def _rolled_out(config: RobotFitConfig, params: RobotParams, samples: RobotSampl
 def _unexplained(
     config: RobotFitConfig, params: RobotParams, rows: tuple[Array, Array], net: networks.Network
 ) -> Array:
-    """Share of each output's variance left unexplained ``[5]`` on rows of inputs and labels."""
+    """Fraction of variance unexplained of each output ``[5]``. ``rows`` holds inputs and labels."""
     inputs, labels = rows
     base, force = robot_model.predict(params._replace(net=net), inputs, config.robot)
     error = jnp.concatenate([base, force], axis=-1) - labels

@@ -1,4 +1,4 @@
-"""Recorded samples as the learner of psi takes them: conditions, samples, and the batches drawn from them."""
+"""Recorded samples in the form for the training of psi, and the batches drawn from them."""
 
 from __future__ import annotations
 
@@ -16,24 +16,25 @@ from shmoo_mjx.geometry import se2
 
 
 class Samples(NamedTuple):
-    """C conditions with N samples each, in the order they were recorded."""
+    """C conditions with N samples each, in the order of the recording."""
 
     inputs: Float[Array, "C N n_in"]
+    """Inputs of psi."""
     labels: Float[Array, "C N m"]
-    """Accelerations in {O} (or whatever the user predicts)."""
+    """Accelerations in {O}, or the labels of an external data set."""
     weights: Float[Array, "C N"]
-    """1 where a sample counts; 0 for padding and for objects that are neither touched nor moving."""
+    """1 if a sample counts; 0 for padding and for an object at rest without contact."""
     run: Int[Array, "C N"]
-    """How many samples from here on, this one included, lie in the same episode."""
+    """Number of remaining samples in the same episode, including this one."""
 
 
 class Sampler(NamedTuple):
-    """Indices at which batches may start."""
+    """Indices from which batches are drawn."""
 
     samples: Int[Array, "C M"]
-    """Samples that a* may be fitted on."""
+    """Indices of samples on which a* can be fitted."""
     starts: Int[Array, "C S"]
-    """Ascending, first samples of windows of H steps within one episode."""
+    """Indices of first samples of windows of H steps within one episode, in ascending order."""
     precision: Float[Array, "C m m"]
     """Inverse of Sigma_C in units of label_scale."""
 
@@ -42,17 +43,18 @@ class Batch(NamedTuple):
     """Samples of one update, for each of its conditions."""
 
     condition: Int[Array, "c"]
-    """Index among the training conditions."""
+    """Indices of the training conditions."""
     adapt: tuple[Float[Array, "c N n_in"], Float[Array, "c N m"], Float[Array, "c N"]]
     """Inputs, labels and weights of B^a."""
     windows: tuple[Float[Array, "c B H n_in"], Float[Array, "c B H m"], Float[Array, "c B H n_in"]]
-    """Inputs, labels and the twist (inputs again) one sample later."""
+    """Inputs, labels, and the inputs one sample later, which hold the resulting twist."""
     precision: Float[Array, "c m m"]
+    """Inverse of Sigma_C in units of label_scale."""
 
 
 @single_precision
 def samples_from_dataset(dataset: store.Dataset) -> Samples:
-    """The samples of psi (OBJECT_INPUTS, acceleration in {O}) of every condition of a data set."""
+    """The samples of psi (OBJECT_INPUTS, acceleration in {O}) for all conditions of a data set."""
     inputs, labels, weights, runs = [], [], [], []
     for arrays in dataset.arrays:
         recorded = store.system_states(arrays)
@@ -74,7 +76,7 @@ def samples_from_dataset(dataset: store.Dataset) -> Samples:
 
 
 def samples_from_arrays(data: Mapping[str, tuple[Float[Array, "_N n_in"], Float[Array, "_N m"]]]) -> Samples:
-    """Samples of any {condition: (x, y)}; conditions may differ in N."""
+    """Samples from arrays {condition: (x, y)}. The conditions can have different numbers of samples."""
     pairs = [(np.asarray(x), np.asarray(y)) for x, y in data.values()]
     return _stack(
         [x for x, _ in pairs],
@@ -91,7 +93,10 @@ def label_scale(samples: Samples) -> Float[np.ndarray, "m"]:
 
 
 def sampler(samples: Samples, horizon: int, floor: float) -> Sampler:
-    """Prepare `draw` for windows of ``horizon`` steps; ``floor`` (in label_scale squared) is added to Sigma_C."""
+    """The indices from which `draw` makes batches with windows of ``horizon`` steps.
+
+    ``floor``, in units of label_scale squared, is added to the diagonal of Sigma_C.
+    """
     scale = label_scale(samples)
     usable, starts, precision = [], [], []
     for y, w, run in zip(samples.labels, samples.weights, samples.run, strict=True):
@@ -115,14 +120,24 @@ def draw(
     windows: int,
     horizon: int,
 ) -> Batch:
-    """Draw a batch: ``conditions`` conditions, for each a stretch B^a and ``windows`` windows of ``horizon`` steps."""
+    """Draw a batch of conditions, each with a stretch B^a and windows.
+
+    Args:
+        samples: all training conditions.
+        sampler: result of `sampler` for these samples.
+        key: random key.
+        conditions: number of conditions.
+        adapt_samples: maximum length of B^a.
+        windows: number of windows per condition.
+        horizon: number of steps of a window.
+    """
     condition_key, sample_key, length_key, start_key, near_key = jax.random.split(key, 5)
     n_conditions, n_samples = samples.inputs.shape[:2]
     count = min(conditions, n_conditions)
     c = jax.random.permutation(condition_key, n_conditions)[:count]
     begin = jax.random.randint(sample_key, (count,), 0, sampler.samples.shape[1])
     most = min(adapt_samples, sampler.samples.shape[1])
-    # Log-uniform: from half a second of contact to all of it.
+    # The length is log-uniform, from 5 samples (half a second) to the maximum.
     length = jnp.exp(jax.random.uniform(length_key, (count, 1), minval=jnp.log(5.0), maxval=jnp.log(most + 1.0)))
     place = (begin[:, None] + jnp.arange(most)) % sampler.samples.shape[1]
     sample = jnp.take_along_axis(sampler.samples[c], place, axis=1)
@@ -145,14 +160,14 @@ def draw(
 
 
 def _stack(inputs: list, labels: list, weights: list, runs: list) -> Samples:
-    """Conditions of different lengths, padded at the end with samples that do not count."""
+    """Stack conditions of different lengths, padded at the end with samples of weight zero."""
     longest = max(len(x) for x in inputs)
 
     def pad(items: list, mode: Literal["constant", "edge"] = "constant") -> np.ndarray:
         whole = [np.pad(a, [(0, longest - len(a))] + [(0, 0)] * (np.ndim(a) - 1), mode=mode) for a in items]
         return np.stack(whole).astype(np.float32)
 
-    # An input of zeros would be an object of size 0, by which the contact model divides.
+    # Pad inputs with the last sample: zeros would give an object of size 0, by which the contact model divides.
     return Samples(pad(inputs, "edge"), pad(labels), pad(weights), pad(runs).astype(np.int32))
 
 

@@ -1,4 +1,4 @@
-"""Pytrees of arrays in safetensors files, with JSON notes in the header and a checksum of the contents."""
+"""Storage of pytrees in safetensors files, with JSON notes in the header and a checksum of the contents."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ Tree = Any
 
 
 def save_tree(path: str | os.PathLike[str], tree: Tree, notes: dict[str, Any]) -> None:
-    """Write ``tree`` and the JSON-able ``notes`` to ``path``, whole or not at all."""
+    """Write ``tree`` and ``notes``, which must be valid JSON, to ``path``, atomically."""
     from safetensors.numpy import save
 
     arrays = _flatten(tree)
-    # One entry: safetensors writes several in any order, and the same tree would give other bytes each time.
+    # Use one entry: safetensors writes several entries in arbitrary order, so equal trees would give different files.
     header = {"notes": json.dumps(notes | {"sha256": _checksum(arrays)})}
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -30,19 +30,26 @@ def save_tree(path: str | os.PathLike[str], tree: Tree, notes: dict[str, Any]) -
 
 
 def read_notes(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """The notes of a file that `save_tree` wrote.
+    """Read the notes of a file written by `save_tree`.
 
     Raises:
-        ShmooError: no such file, or it is damaged.
+        ShmooError: the file is missing or damaged.
     """
     return _read(Path(path))[1]
 
 
 def load_tree(path: str | os.PathLike[str], like: Tree) -> tuple[Tree, dict[str, Any]]:
-    """Read what `save_tree` wrote, into the structure of ``like`` (arrays or shapes).
+    """Read a file written by `save_tree`.
+
+    Args:
+        path: the file.
+        like: tree of arrays or shapes that gives the structure of the result.
+
+    Returns:
+        The tree and the notes.
 
     Raises:
-        ShmooError: no such file, damaged, or other names or shapes than ``like``.
+        ShmooError: the file is missing or damaged, or its names or shapes differ from ``like``.
     """
     path = Path(path)
     arrays, notes = _read(path)
@@ -83,7 +90,7 @@ def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
             header = file.metadata() or {}
             arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no iterator of its own
         notes = json.loads(header.get("notes", "{}"))
-        # Files of schema 3 have the checksum beside the notes.
+        # Files of schema 3 store the checksum outside the notes.
         checksum = header.get("sha256") or notes.pop("sha256", None)
         if checksum is None:
             raise ShmooError(f"{path}: another program's safetensors file; give one that shmoo train wrote.")

@@ -1,4 +1,4 @@
-"""Training of one part of the model into a weights file, as ``shmoo train`` runs it."""
+"""Training of one part of the model into a weights file: the function behind ``shmoo train``."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from shmoo_mjx.learning.training import Progress
 _QUICK: dict[str, Any] = {"epochs": 3, "epoch_updates": 50}
 _QUICK_OBJECT: dict[str, Any] = _QUICK | {"contact_fit": EstimateConfig(particles=128)}
 Form = Literal["ours", "paper"]
-"""Shape of the trained network: ours, or as the paper prints it."""
+"""Structure of the trained network: the default of this package, or the one printed in the paper."""
 _QUICK_CONDITIONS = {"train": 12, "validation": 3}
-"""Conditions of each split that the short form trains on."""
+"""Number of conditions of each split in a quick training."""
 
 
 def train_part(
@@ -33,26 +33,25 @@ def train_part(
     quick: bool = False,
     form: Form = "ours",
 ) -> float:
-    """Train psi or R with the default settings and write it into ``out``, keeping that file's other part.
+    """Train psi or R with the default settings and write it to ``out``, keeping the other part of an existing file.
 
-    The file also gets what made it, under ``made_by`` of its info: see `origin`.
-
-    Checkpoints go to ``OUT.training/``; a training that was stopped goes on from there.
+    The info of the file records the origin of the trained part under ``made_by`` (see `origin`). Checkpoints are in
+    ``OUT.training/``; an interrupted training resumes from them.
 
     Args:
         what: "object" (psi, prior and noise, Eq. 4 to 6) or "robot" (R, Eq. 7).
         data: data set directory.
         out: weights file.
-        seed: of initialisation and batches.
-        progress: called after each epoch of training.
-        quick: a few updates on a few conditions, to try the pipeline; the command that the weights carry says so.
-        form: of the network; "paper" trains `ObjectConfig.paper` or `RobotConfig.paper`.
+        seed: seed of the initial weights and of the batches.
+        progress: called after each epoch.
+        quick: train a few updates on a few conditions, to test the pipeline. The recorded command includes ``--quick``.
+        form: structure of the network; "paper" trains `ObjectConfig.paper` or `RobotConfig.paper`.
 
     Returns:
-        The score on the validation conditions.
+        The score on the validation conditions; lower is better.
     """
     kept = out.with_name(f"{out.name}.training")
-    # Of its own, or the short form would replace what an interrupted training goes on from.
+    # Each variant has its own checkpoint, so a quick training does not replace that of an interrupted full one.
     checkpoints = kept / "-".join([what, *([form] if form != "ours" else []), *(["quick"] if quick else [])])
     with claimed(kept):
         dataset = _few(store.read(data, splits=("train", "validation"))) if quick else data
@@ -77,16 +76,15 @@ def train_part(
 def origin(
     what: str, data: Path, seed: int, *, score: float, quick: bool = False, form: Form = "ours"
 ) -> dict[str, Any]:
-    """What a trained part is made of and by: command, data set, seed, versions, score. The same training gives the
-    same, wherever its files are.
+    """Origin of a trained part: command, data set, seed, versions and score. It does not depend on file locations.
 
     Args:
         what: "object" or "robot".
         data: data set directory.
-        seed: of the training.
-        score: on the validation conditions.
-        quick: whether it was the short form, which is not for use.
-        form: of the network.
+        seed: seed of the training.
+        score: score on the validation conditions.
+        quick: True for a quick training, whose weights are only for tests of the pipeline.
+        form: structure of the network.
     """
     manifest = store.read_manifest(data)
     shape = "" if form == "ours" else f" --form {form}"
@@ -101,7 +99,7 @@ def origin(
 
 
 def _few(dataset: store.Dataset) -> store.Dataset:
-    """Some conditions of each split, of every family: evenly over the names, which begin with the family's."""
+    """Some conditions of each split, evenly spaced. Names begin with the family, so every family is included."""
     chosen: list[int] = []
     for split, most in _QUICK_CONDITIONS.items():
         places = [i for i, condition in enumerate(dataset.conditions) if condition["split"] == split]

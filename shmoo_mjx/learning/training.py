@@ -1,4 +1,4 @@
-"""The loop that the object's and the robot's training share: epochs, early stopping, checkpoints, progress."""
+"""The training loop of psi and R: epochs, early stopping, checkpoints and progress."""
 
 from __future__ import annotations
 
@@ -20,31 +20,33 @@ Tree = Any
 
 
 class Progress(NamedTuple):
-    """Argument of progress callbacks after each epoch."""
+    """Progress of a training after an epoch, the argument of progress callbacks."""
 
     epoch: int
-    """Epochs done so far."""
+    """Number of completed epochs."""
     epochs: int
-    """Epochs planned; early stopping may end before."""
+    """Maximum number of epochs. Early stopping can end the training before."""
     train_loss: float
+    """Mean training loss of the epoch."""
     validation: float
     """Score on the validation conditions; lower is better."""
     best: float
-    """Best score so far."""
+    """Best validation score so far."""
 
 
 class Fitted(NamedTuple):
     """Result of a training."""
 
     best: Tree
-    """What `extract` gave at the epoch with the best validation score."""
+    """Result of ``extract`` at the epoch with the best validation score."""
     score: float
+    """Best validation score; lower is better."""
     history: list[tuple[float, float]]
     """(training loss, validation score) of each epoch."""
 
 
 def bounded_gradient() -> optax.GradientTransformation:
-    """Gradients of norm 1 at most; one that has overflowed, as through the roll-outs of an untrained model, as none."""
+    """Clip gradients to norm 1. A gradient that overflows, as in roll-outs of an untrained model, becomes zero."""
     return optax.chain(optax.clip_by_global_norm(1.0), optax.zero_nans())
 
 
@@ -60,25 +62,26 @@ def run(
     directory: str | Path | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Fitted:
-    """Train until ``epochs`` are done or the validation score has not improved for ``patience`` of them.
+    """Train until ``epochs`` are done or the validation score has not improved for ``patience`` epochs.
 
     Args:
-        state: pytree of arrays, all that the next epoch depends on, random key data included.
-        epoch: one epoch of updates, state -> (state, mean loss).
-        extract: the parameters in a state that are worth keeping.
-        evaluate: validation score of what ``extract`` gave; lower is better.
-        epochs: most epochs.
-        patience: epochs without improvement before stopping.
-        identity: what decides about the training (`base.fingerprints`): its code, config and data. A checkpoint of
-            another one is not continued.
-        directory: where the state is kept after each epoch; a training that was cut short goes on from it and gives
-            what it would have given.
+        state: pytree of arrays with everything that the next epoch depends on, including random key data.
+        epoch: one epoch of updates, from a state to (state, mean loss).
+        extract: selects the parameters to keep from a state.
+        evaluate: validation score of the result of ``extract``; lower is better.
+        epochs: maximum number of epochs.
+        patience: number of epochs without improvement before the training stops.
+        identity: fingerprint of the training's code, config and data (`base.fingerprints`). A checkpoint with another
+            identity is not used.
+        directory: directory of the checkpoint, written after each epoch. An interrupted training resumes from it, with
+            the same result as without the interruption.
         progress: called after each epoch.
 
     Raises:
-        ShmooError: no epoch had a finite score, so nothing has been learned.
+        ShmooError: no epoch had a finite score.
     """
-    # Python scalars leave weakly typed arrays, which an epoch returns strongly typed: without this it compiles twice.
+    # Python scalars give weakly typed arrays, but an epoch returns strongly typed ones. The conversion avoids a second
+    # compilation.
     state = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=jnp.asarray(leaf).dtype), state)
     best = extract(state)
     score, history = float("inf"), list[tuple[float, float]]()

@@ -1,7 +1,7 @@
-"""Contact parameters of the conditions of a training, estimated once for each data set.
+"""Contact parameters of the training conditions, estimated once for each data set.
 
-psi works with the parameters that a robot has estimated so far. So in training it meets some that are known badly and
-well: each training condition's are estimated from short and long stretches of its recording.
+On the robot, psi uses the current estimate of the contact parameters, which can be poor or good. The training therefore
+uses estimates of different quality: for each condition, estimates from short and long stretches of its recording.
 """
 
 from __future__ import annotations
@@ -22,13 +22,14 @@ from shmoo_mjx.learning.estimate import EstimateConfig
 from shmoo_mjx.learning.samples import Samples, label_scale
 
 STRETCHES = (0, 10, 10, 30, 30, 100, 100, 250)
-"""Samples from which a training condition's parameters are estimated, S numbers; 0 is the object not yet touched."""
+"""Lengths of the S stretches from which the parameters of a training condition are estimated [samples]; 0 gives the
+estimate before contact."""
 
 _KEYS = 581
-"""Seed of the estimates of training conditions; the next one is that of validation conditions."""
+"""Seed of the estimates for training conditions. Validation conditions use the next integer."""
 
 Contacts = tuple[Float[Array, "M p"], Float[Array, "C S p"], Float[Array, "C_validation p"]]
-"""Draws from the prior, the parameters of training conditions and those of validation conditions."""
+"""Draws from the prior, parameters of training conditions, and parameters of validation conditions."""
 
 
 def estimated(
@@ -39,15 +40,14 @@ def estimated(
     fit_samples: int,
     out_dir: str | Path | None = None,
 ) -> Contacts:
-    """Estimate the parameters, or take them from beside ``out_dir`` where another training on these samples has left
-    them.
+    """Contact parameters of all conditions, read from the cache in the parent of ``out_dir`` or else estimated.
 
     Args:
-        config: of the estimate.
-        train: C conditions.
-        validation: C' conditions.
-        fit_samples: first samples of a validation condition that count, at most half of them.
-        out_dir: of the training; None keeps nothing.
+        config: settings of the estimate.
+        train: C training conditions.
+        validation: C' validation conditions.
+        fit_samples: number of first samples of a validation condition to use, at most half of them.
+        out_dir: checkpoint directory of the training; None for no cache.
     """
     measured = (train.inputs, train.labels, validation.inputs, validation.labels)
     identity = fingerprint(__name__, (config, fit_samples), *measured)
@@ -63,7 +63,7 @@ def estimated(
 
 
 def zeros(train: Samples, validation: Samples) -> Contacts:
-    """`estimated` for a psi without contact model: zeros of the same shapes."""
+    """Zeros in the shapes of `estimated`, for a psi without the contact model."""
     p, counts = len(contact_model.PARAMETERS), [samples.inputs.shape[0] for samples in (train, validation)]
     shapes = (contact_prior.COUNT, p), (counts[0], len(STRETCHES), p), (counts[1], p)
     return _single(tuple(np.zeros(shape) for shape in shapes))
@@ -78,15 +78,14 @@ def from_stretches(
     samples: Samples,
     lengths: tuple[int, ...],
 ) -> Float[Array, "C S p"]:
-    """Parameters of each condition estimated from stretches of contact of given lengths, from anywhere in its
-    recording.
+    """Contact parameters of each condition, estimated from stretches at random places of its recording.
 
     Args:
-        config: static.
-        prior: draws from it.
+        config: settings of the estimate; static.
+        prior: draws from the prior.
         scale: standard deviation of the labels.
-        samples: of C conditions.
-        lengths: samples that count, S numbers; 0 is the object not yet touched.
+        samples: samples of C conditions.
+        lengths: S numbers of samples that count; 0 gives the estimate before contact.
     """
     rows = tuple(jnp.asarray(a) for a in samples[:3])
     count, total = rows[2].shape
@@ -100,7 +99,7 @@ def from_stretches(
         def one(condition: tuple[Array, Array, Any]) -> Array:
             key, start, (inputs, labels, weights) = condition
             at = (start + jnp.arange(longest)) % total
-            # The samples that count, in order, and no others: most stretches are short.
+            # Select only the samples that count, in order, because most stretches are short.
             at = at[jnp.argsort(weights[at] == 0, stable=True)[: max(length, 1)]]
             own = inputs[at], labels[at], weights[at] * (length > 0)
             return estimate.mean(after(own, key=key))
@@ -113,7 +112,15 @@ def from_stretches(
 def on_first_samples(
     config: EstimateConfig, prior: Float[Array, "M p"], scale: Float[Array, "3"], samples: Samples, *, fit_samples: int
 ) -> Float[Array, "C p"]:
-    """The parameters of conditions by their first ``fit_samples`` samples, at most half of them."""
+    """Contact parameters of each condition, estimated from its first samples.
+
+    Args:
+        config: settings of the estimate; static.
+        prior: draws from the prior.
+        scale: standard deviation of the labels.
+        samples: samples of C conditions.
+        fit_samples: number of first samples to use, at most half of all samples.
+    """
     n = min(fit_samples, samples.inputs.shape[1] // 2)
     after = partial(estimate.after_rows, config, jnp.asarray(prior), jnp.asarray(scale))
     first = tuple(jnp.asarray(a[:, :n]) for a in samples[:3])

@@ -1,4 +1,4 @@
-"""Shipped weights: one safetensors file with everything a controller needs, and its config in the header."""
+"""Weights: one safetensors file with all parameters that a controller needs, and its config in the header."""
 
 from __future__ import annotations
 
@@ -25,28 +25,30 @@ from shmoo_mjx.learning.online import LearnerState
 from shmoo_mjx.learning.robot_fit import RobotFit
 
 SCHEMA_VERSION = 7
-"""Raised whenever a field of the file changes its meaning or its name."""
+"""Version of the file format. It increases when a field changes its meaning or its name."""
 
 
 class Weights(NamedTuple):
-    """A trained model, ready to roll out and to adapt."""
+    """A trained model for roll-outs and adaptation."""
 
     params: Params
-    """Its coefficients are the prior mean."""
+    """Parameters of the dynamics model, with the prior mean as coefficients."""
     prior_covariance: Float[Array, "n n"]
-    """P0 of Eq. 8, n = 3 K."""
+    """P0 of Eq. 8, the covariance of the prior, n = 3 K."""
     noise: Float[Array, "3 3"]
-    """Covariance of a sample's residual, R dt of Eq. 8."""
+    """Residual covariance of one sample, R dt of Eq. 8."""
     contact_prior: Float[Array, "M p"]
-    """`contact_prior.draws`; of no use unless config.object.contact_model."""
+    """Draws from the prior of the contact parameters (`contact_prior.draws`). Used only if
+    config.object.contact_model."""
     config: CoreConfig
+    """Static options of the dynamics model."""
     info: dict[str, Any]
-    """What made each part (`learning.train.origin`), and scores; JSON-able."""
+    """Origin of each part (`learning.train.origin`) and scores; valid JSON."""
 
 
 @single_precision
 def untrained(config: CoreConfig | None = None, seed: int = 0) -> Weights:
-    """Weights to fill in by `with_robot` and `with_object`."""
+    """Untrained weights, to be completed with `with_robot` and `with_object`."""
     config = config or CoreConfig()
     n = 3 * config.object.functions
     params = core.init(jax.random.key(seed), config)
@@ -61,13 +63,13 @@ def prior_state(
     key: Key[Array, ""] | None = None,
     kind: str | None = None,
 ) -> LearnerState:
-    """What is known before an object is touched: the prior.
+    """The estimate before the first contact, which equals the prior.
 
     Args:
-        weights: trained.
-        config: of the posterior.
-        key: decides the draws of its particles.
-        kind: what the object looks like (`contact_prior.of_kind`).
+        weights: trained weights.
+        config: settings of the particle filter.
+        key: random key of the particles.
+        kind: kind of the object by its appearance (`contact_prior.of_kind`).
     """
     if weights.config.object.contact_model:
         return estimate.init(config or EstimateConfig(), contact_prior.of_kind(weights.contact_prior, kind), key)
@@ -81,14 +83,15 @@ def posterior_from_recording(
     labels: Float[Array, "N 3"],
     sample_weights: Float[Array, "N"],
 ) -> LearnerState:
-    """What a whole recording of an object tells: the posterior of its contact parameters, or a* of Eq. 5 given the
-    prior.
+    """The estimate from a whole recording of an object.
+
+    It is the posterior over the contact parameters or, without the contact model, a* of Eq. 5 given the prior.
 
     Args:
-        weights: trained.
-        inputs: as OBJECT_INPUTS lists them.
-        labels: accelerations in {O}.
-        sample_weights: 0 where a sample doesn't count.
+        weights: trained weights.
+        inputs: inputs in the order of OBJECT_INPUTS.
+        labels: accelerations in {O} [m/s^2, m/s^2, rad/s^2].
+        sample_weights: weight of each sample; 0 if it does not count.
     """
     params, shape, scale = weights.params, weights.config.object, weights.params.object.label_scale
     if shape.contact_model:
@@ -107,7 +110,10 @@ def posterior_from_recording(
 
 
 def with_robot(weights: Weights, fit: RobotFit, config: RobotConfig | None = None) -> Weights:
-    """The same weights with a newly trained R of the given shape (by default the shape it had)."""
+    """The weights with a newly trained R.
+
+    ``config`` is the structure of R; by default it does not change.
+    """
     params = weights.params._replace(robot=fit.params)
     info = weights.info | {"robot_score": float(fit.score)}
     core_config = _replace(weights.config, robot=config or weights.config.robot)
@@ -116,7 +122,7 @@ def with_robot(weights: Weights, fit: RobotFit, config: RobotConfig | None = Non
 
 @single_precision
 def with_object(weights: Weights, fit: ObjectFit) -> Weights:
-    """The same weights with a newly trained psi and its prior."""
+    """The weights with a newly trained psi and its prior."""
     prior = jnp.asarray(fit.contact_prior)
     contact = jnp.mean(prior, axis=0)
     params = weights.params._replace(object=fit.params, coefficients=jnp.asarray(fit.prior_mean), contact=contact)
@@ -126,7 +132,7 @@ def with_object(weights: Weights, fit: ObjectFit) -> Weights:
 
 
 def save_weights(path: str | os.PathLike[str], weights: Weights) -> None:
-    """Write the weights to one file, whole or not at all."""
+    """Write the weights to one file, atomically."""
     notes = {
         "schema_version": SCHEMA_VERSION,
         "config": asdict(weights.config),
@@ -138,11 +144,11 @@ def save_weights(path: str | os.PathLike[str], weights: Weights) -> None:
 
 @single_precision
 def load_weights(path: str | os.PathLike[str] | None = None) -> Weights:
-    """Read what `save_weights` wrote, by default the weights that come with the package.
+    """Read a file written by `save_weights`, by default the weights that come with the package.
 
     Raises:
-        ShmooError: no such file, truncated, garbled, of another schema, arrays that do not fit its config, or values
-            that are not finite.
+        ShmooError: the file is missing, damaged or of another schema version, its arrays do not fit its config, or a
+            value is invalid (not finite, or no covariance).
     """
     path = asset(WEIGHTS) if path is None else path
     notes = serialisation.read_notes(path)
@@ -163,7 +169,7 @@ def load_weights(path: str | os.PathLike[str] | None = None) -> Weights:
 
 
 def _check_values(path: str | os.PathLike[str], tree: dict[str, Any]) -> None:
-    """Refuses numbers that no training gives, which would otherwise surface as a robot that does not move."""
+    """Raise ShmooError for values that no training produces. Undetected, they would give a robot that does not move."""
     for key, leaf in jax.tree_util.tree_leaves_with_path(tree):
         if not np.isfinite(leaf).all():
             name = jax.tree_util.keystr(key, simple=True, separator=".")
@@ -171,7 +177,7 @@ def _check_values(path: str | os.PathLike[str], tree: dict[str, Any]) -> None:
     if not (tree["params"].object.label_scale > 0).all():
         raise ShmooError(f"{path}: field 'params.object.label_scale' must be positive; train again.")
     for name in ("prior_covariance", "noise"):
-        # Rounding to single precision may cost the last millionth.
+        # Rounding to single precision can make eigenvalues slightly negative.
         if np.linalg.eigvalsh(np.asarray(tree[name], float)).min() < -1e-5 * np.abs(tree[name]).max():
             raise ShmooError(f"{path}: field '{name}' is no covariance (it has a negative eigenvalue); train again.")
 

@@ -1,1 +1,1 @@
-"""What a run's files say, as pictures, a page and a film. It computes no result; import it only when drawing."""
+"""Figures, HTML page and video of a run, made from its files. It computes no results; import it only for drawing."""

@@ -1,4 +1,4 @@
-"""Figures of one run, from its result and trace; each function returns a matplotlib Figure without touching pyplot."""
+"""Figures of one run, made from its result and trace. The functions return matplotlib Figures and do not use pyplot."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 
 _LABELS = {"friction_x": "along x", "friction_y": "along y"}
 _TITLE_WIDTH = 72
-"""Characters in a line of a decision's title."""
+"""Maximum number of characters per line in the title of a decision."""
 _MOST_COLUMNS = 5
-"""Pushes that fit beside each other in the figure of what was learned."""
+"""Maximum number of pushes in the figure of the learned properties."""
 
 
 def map_figure(result: dict[str, Any], trace: Trace) -> Figure:
-    """Map, planned paths, driven path, objects where they were and are, and the telling decisions with their K."""
+    """The map with planned paths, driven path, initial and final poses of the objects, and the key decisions."""
     from matplotlib.patheffects import withStroke
 
     halo: dict[str, Any] = {"path_effects": [withStroke(linewidth=2.5, foreground="white")], "zorder": 6}
@@ -65,14 +65,14 @@ def map_figure(result: dict[str, Any], trace: Trace) -> Figure:
 
 
 def decision_figure(result: dict[str, Any], trace: Trace, number: int) -> Figure:
-    """Roll-outs, candidate goals and the goal chosen for decision ``number``, round the object."""
+    """Roll-outs, candidate goals and the chosen goal of decision ``number``, around the object."""
     figure = blank_figure(5.6, 5.2)
     draw_decision(figure.subplots(), result, trace, number)
     return figure
 
 
 def draw_decision(axes: Axes, result: dict[str, Any], trace: Trace, number: int) -> None:
-    """What :func:`decision_figure` shows, in ``axes``."""
+    """Draw the content of :func:`decision_figure` in ``axes``."""
     decision = result["decisions"][number]
     index = object_index(result, decision["object"])
     item = result["objects"][index] if index is not None else None
@@ -103,7 +103,7 @@ def draw_decision(axes: Axes, result: dict[str, Any], trace: Trace, number: int)
     verdict = "can be moved" if decision["manipulable"] else "can't be moved"
     by_k, name = is_number(decision.get("K")), object_name(result, decision["object"])
     if not by_k and is_number(decision.get("probability")):
-        says = str(decision["reason"])  # by expected time
+        says = str(decision["reason"])  # decided by expected time
     else:
         says = f"{verdict}, {evidence(decision)}" if by_k else "first goal, dynamics not known yet"
     title = f"{number + 1}. At {float(decision['t']):.1f} s, {name}: {says}"
@@ -112,13 +112,13 @@ def draw_decision(axes: Axes, result: dict[str, Any], trace: Trace, number: int)
 
 
 def evidence(decision: dict[str, Any]) -> str:
-    """What a verdict rests on: the probability, or K in runs of a version that had none."""
+    """The evidence for a decision as text: the probability, or K for results without a probability."""
     by_probability = is_number(decision.get("probability"))
     return f"P = {decision['probability']:.2f}" if by_probability else f"K = {decision['K']:.2f} m²"
 
 
 def learned_figure(result: dict[str, Any], trace: Trace) -> Figure:
-    """What was learned of each object while it was pushed: a row per property, a column per push."""
+    """The learned properties of each object during its pushes, with one row per property and one column per push."""
     panels = _panels(trace)
     pushes = _pushes(trace)[:_MOST_COLUMNS] or [slice(0, len(trace.t))]
     spans = [float(trace.t[p][-1] - trace.t[p][0]) for p in pushes]
@@ -143,8 +143,8 @@ def learned_figure(result: dict[str, Any], trace: Trace) -> Figure:
 
 
 def timeline_figure(result: dict[str, Any], trace: Trace) -> Figure:
-    """State of the navigator, speed, lean with its command, and force of the hands, over time."""
-    # Of somebody else's robot lean or pose may not be known.
+    """State of the navigator, speed, lean with its command, and force of the hands over time."""
+    # Logs of other robots may have no lean or no pose.
     leans, velocity = int(np.isfinite(trace.lean).any()), _speed(trace)
     drives = int(np.isfinite(velocity).any())
     figure = blank_figure(9.0, 2.6 + 1.6 * (1 + leans + drives))
@@ -259,12 +259,12 @@ def _draw_states(axes: Axes, trace: Trace) -> None:
 
 
 def _band(curves: dict[str, np.ndarray], name: str) -> np.ndarray:
-    """``[T, 3]`` low, median and high."""
+    """Lower limit, median and upper limit ``[T, 3]``."""
     return np.stack([curves[f"{name}{end}"] for end in ("_low", "", "_high")], axis=-1)
 
 
 def _panels(trace: Trace) -> list[tuple[str, dict[str, np.ndarray]]]:
-    """Rows of the figure: name with unit, and its curves ``[T]`` by name, or ``[T, 3]`` with an 80 % band."""
+    """Rows of the figure: name with unit, and curves by name, ``[T]``, or ``[T, 3]`` with an 80 % interval."""
     values = np.asarray(trace.learned, dtype=float)
     curves = dict(zip(trace.learned_names, values.T, strict=True))
     if "mass" in curves:
@@ -307,7 +307,7 @@ def _draw_learned(
 
 
 def _named_once(panels: Iterable[Axes], *names: str) -> tuple[list[Any], list[str]]:
-    """Handles and labels of a legend for all panels together, of curves with these names only."""
+    """Handles and labels of one legend for all panels, for the curves with these names."""
     handles: dict[str, Any] = {}
     for axes in panels:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
@@ -317,7 +317,7 @@ def _named_once(panels: Iterable[Axes], *names: str) -> tuple[list[Any], list[st
 
 
 def _pushes(trace: Trace) -> list[slice]:
-    """Stretches of samples in which one object is pushed."""
+    """Slices of consecutive samples in which one object is pushed."""
     which = np.asarray(trace.learned_object).astype(int)
     edges = [0, *(np.flatnonzero(np.diff(which)) + 1).tolist(), len(which)]
     return [slice(a, b) for a, b in pairwise(edges) if which[a] >= 0 and b - a > 1]
@@ -326,7 +326,7 @@ def _pushes(trace: Trace) -> list[slice]:
 def _contact_begins(trace: Trace) -> np.ndarray:
     touching = np.linalg.norm(np.nan_to_num(np.asarray(trace.force, dtype=float)), axis=-1) > CONTACT_FORCE
     begins = np.flatnonzero(touching & ~np.r_[False, touching[:-1]])
-    # Contact that flickers would fill the figure with lines: one per second is enough.
+    # Keep at most one line per second, because intermittent contact would fill the figure with lines.
     kept: list[float] = []
     for t in np.asarray(trace.t, dtype=float)[begins]:
         if not kept or t - kept[-1] > 1.0:
@@ -346,7 +346,7 @@ def _sample(trace: Trace, t: float) -> int:
 def _pose_at(result: dict[str, Any], trace: Trace, index: int | None, t: float) -> np.ndarray:
     sample = _sample(trace, t)
     pose = np.asarray(trace.robot_pose[sample] if index is None else trace.object_pose[sample, index], dtype=float)
-    if index is not None and not np.isfinite(pose).all():  # not perceived at that time
+    if index is not None and not np.isfinite(pose).all():  # not observed at that time
         pose = np.asarray(result["objects"][index]["start_pose"], dtype=float)
     return pose
 

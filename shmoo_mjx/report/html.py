@@ -1,4 +1,4 @@
-"""One page that tells a stranger what happened in a run: self-contained HTML with figures, tables and the film."""
+"""The report of a run: one self-contained HTML page with figures, tables and the video."""
 
 from __future__ import annotations
 
@@ -26,13 +26,21 @@ from shmoo_mjx.report.trace import (
 from shmoo_mjx.report.video import SPEED
 
 MAX_VIDEO_BYTES = 12_000_000
-"""Larger films are linked, not embedded."""
+"""Size from which on a video is linked instead of embedded [bytes]."""
 _FILM = f"{SPEED:g} times as fast as the run."
 _SUCCESS = ("success", "reached", "goal_reached", "goal reached", "done")
 
 
 def write_report(run_dir: str | Path) -> Path:
-    """Reads ``result.json``, ``trace.npz`` and, if there, ``episode.mp4`` of a run; writes ``report.html`` beside them.
+    """Write ``report.html`` for a run.
+
+    It reads ``result.json``, ``trace.npz`` and, if it exists, ``episode.mp4``.
+
+    Args:
+        run_dir: folder of the run, in which the report is written.
+
+    Returns:
+        Path of the report.
 
     Raises:
         ShmooError: a file is missing or damaged.
@@ -45,7 +53,7 @@ def write_report(run_dir: str | Path) -> Path:
 
 
 def render_report(result: dict[str, Any], trace: Trace, video: Path | None = None) -> str:
-    """The page as text; ``video`` is embedded if it is smaller than ``MAX_VIDEO_BYTES`` and linked otherwise."""
+    """The HTML page. ``video`` is embedded if it is smaller than ``MAX_VIDEO_BYTES``, and linked otherwise."""
     from jinja2 import Environment, StrictUndefined
 
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
@@ -53,7 +61,7 @@ def render_report(result: dict[str, Any], trace: Trace, video: Path | None = Non
     environment.filters["pose"] = _pose
     environment.filters["object_name"] = lambda name: object_name(result, name)
     environment.filters["by_name"] = lambda text: _by_name(result, text)
-    recorded = "summary" in result  # of somebody's own robot (custom_log.py)
+    recorded = "summary" in result  # log of another robot (custom_log.py)
     source = resources.files("shmoo_mjx.report").joinpath("report.html.j2").read_text(encoding="utf-8")
     return environment.from_string(source).render(
         title=result.get("name") or "run",
@@ -81,17 +89,17 @@ def render_report(result: dict[str, Any], trace: Trace, video: Path | None = Non
 
 
 def _by_name(result: dict[str, Any], text: Any) -> str:
-    """A reason with "object 0" by the name that its object has on the rest of the page."""
+    """A reason in which "object 0" is replaced by the object's name on the page."""
     return re.sub(r"\bobject (\d+)", lambda match: object_name(result, int(match[1])), str(text))
 
 
 def succeeded(result: dict[str, Any]) -> bool:
-    """True if the outcome's word is one for success."""
+    """True if the outcome is one of the words for success."""
     return str(result["outcome"]).lower() in _SUCCESS
 
 
 def summary(result: dict[str, Any]) -> str:
-    """The run in one paragraph of plain words."""
+    """Summary of the run in one paragraph."""
     pushed = result.get("push_to") is not None
     first = f"The robot brought {_name(result['objects'][0])} to its goal" if pushed else "The robot reached its goal"
     if not succeeded(result):
@@ -116,7 +124,7 @@ def _object_sentence(result: dict[str, Any], item: dict[str, Any]) -> str:
     index = object_index(result, item["id"])
     mine = [d for d in result["decisions"] if object_index(result, d["object"]) == index]
     decided = [d for d in mine if is_number(d.get("K")) or is_number(d.get("probability"))]
-    # What settled a registered object was its last decision; one that was pushed, its first.
+    # Show the last decision for a registered object, and the first decision for a pushed one.
     told = f" ({figures.evidence(decided[-1 if item.get('registered') else 0])})" if decided else ""
     name, moved = _name(item), _moved(item)
     if item.get("toppled"):
@@ -165,7 +173,7 @@ def _learned(result: dict[str, Any], trace: Trace) -> str:
 
 
 def _command(result: dict[str, Any]) -> str:
-    """What runs it again, from where the run's folder lies; empty for a result without a name."""
+    """The command that repeats the run, from the parent of the run's folder; empty for a result without a name."""
     name = str(result.get("name") or "")
     if result.get("command"):
         return str(result["command"])
@@ -190,7 +198,7 @@ def _number(value: Any, digits: int = 2) -> str:
 
 
 def _pose(value: Any) -> str:
-    """(x, y, yaw in degrees) of a pose, or of a point without yaw."""
+    """A pose as text (x, y, yaw in degrees), or a point as (x, y)."""
     if value is None:
         return "–"  # noqa: RUF001
     text = ", ".join(f"{float(v):.2f}" for v in value[:2])

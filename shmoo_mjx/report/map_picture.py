@@ -1,4 +1,4 @@
-"""A map as a picture, with the free space that is left for a robot of a given radius."""
+"""Picture of a map with the free space for a robot of a given radius."""
 
 from __future__ import annotations
 
@@ -11,9 +11,17 @@ from shmoo_mjx.report.style import blank_figure, extent, save_figure, show_cells
 
 
 def draw_map(grid: OccupancyGrid, radius: float, path: Path) -> Path:
-    """Write ``path`` (PNG): walls dark, unknown grey, floor white, and in blue where a robot of ``radius`` [m] may be.
+    """Write a PNG of a map: walls dark, unknown cells grey, floor white, and free positions for the robot blue.
 
-    The axes are those of {W}, as in scenario files, with a grid, so that a start can be read off.
+    The axes are those of {W}, as in scenario files. A grid helps to choose a start.
+
+    Args:
+        grid: the map.
+        radius: radius of the robot [m].
+        path: the file to write.
+
+    Returns:
+        ``path``.
     """
     from matplotlib.patches import Patch
 
@@ -32,7 +40,7 @@ def draw_map(grid: OccupancyGrid, radius: float, path: Path) -> Path:
     figure = blank_figure(1.0, 1.0)
     axes = figure.add_subplot()
     show_cells(axes, picture, grid.resolution, grid.origin)
-    # Maps made by SLAM often lie in a wide frame of cells of which nothing is known.
+    # Crop to the known cells, because maps from SLAM often have a wide border of unknown cells.
     low, high = extent(grid.free | grid.occupied, grid.resolution, grid.origin)
     size = (high - low) * 9.0 / (high - low).max()
     figure.set_size_inches(max(size[0], 3.0) + 1.0, size[1] + 1.6)

@@ -1,4 +1,4 @@
-"""A run as a 3-D recording that a person can scrub through, for the Rerun viewer (an optional dependency)."""
+"""3-D recording of a run for the Rerun viewer (an optional dependency)."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from shmoo_mjx.report.trace import Trace
 _WALL_HEIGHT = 0.6
 _OBJECT_HEIGHT = 0.6
 _BODY = (0.14, 0.14, 0.45)
-"""Half sizes of the box that stands for the robot's body [m]."""
+"""Half sizes of the box that represents the robot's body [m]."""
 _EVIDENCE_LASTS = 3.0
-"""For how long the roll-outs of a decision stay in the picture [s]."""
+"""Time for which the roll-outs of a decision are visible [s]."""
 
 
 def require_rerun() -> Any:
-    """The package of the Rerun viewer.
+    """Import the package of the Rerun viewer.
 
     Raises:
-        ShmooError: it is not installed.
+        ShmooError: the package is not installed.
     """
     try:
         import rerun
@@ -39,10 +39,18 @@ def require_rerun() -> Any:
 
 
 def write_rerun_file(path: Path, result: dict[str, Any], trace: Trace) -> Path:
-    """Write ``path`` (.rrd): walls, robot, objects, plans, roll-outs of the decisions, states and curves over time.
+    """Write a recording (.rrd) with walls, robot, objects, plans, roll-outs of the decisions, states and curves.
+
+    Args:
+        path: the file to write.
+        result: content of ``result.json``.
+        trace: the trace of the run.
+
+    Returns:
+        ``path``.
 
     Raises:
-        ShmooError: the viewer's package is not installed.
+        ShmooError: the package of the Rerun viewer is not installed.
     """
     rerun = require_rerun()
     with whole(path) as part:
@@ -94,7 +102,7 @@ def _motion(rr: Any, stream: Any, result: dict[str, Any], trace: Trace) -> None:
         x, y, yaw = map(float, trace.robot_pose[i])
         stream.log("world/robot", _placed(rr, (x, y, 0.0), (0, 0, 1), yaw))
         lean = np.asarray(trace.lean[i], dtype=float)
-        # A lean towards +x turns the body about +y, one towards +y about -x.
+        # A lean towards +x is a rotation about +y, and a lean towards +y is a rotation about -x.
         axis = np.array([-lean[1], lean[0], 0.0])
         size = float(np.linalg.norm(axis))
         stream.log("world/robot/lean", _placed(rr, (0, 0, 0), axis / size if size else (0, 0, 1), size))

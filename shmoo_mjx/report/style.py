@@ -1,4 +1,4 @@
-"""Colours, geometry and files that figures and films share."""
+"""Colours, geometry and file output shared by figures and videos."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Okabe and Ito's palette, told apart with any colour vision.
+# Palette based on Okabe and Ito, which can be distinguished with colour vision deficiencies.
 SERIES = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#7A6A00", "#555555")
 COLOURS = {
     "free": "#FFFFFF",
@@ -39,25 +39,25 @@ _OTHER_SCRIPTS = (
     "Noto Sans CJK JP", "Noto Sans CJK SC", "Source Han Sans", "WenQuanYi Zen Hei", "Droid Sans Fallback",
     "Microsoft YaHei", "Yu Gothic", "Malgun Gothic", "PingFang SC", "Hiragino Sans", "Arial Unicode MS",
 )  # fmt: skip
-"""Fonts that have characters which matplotlib's own lacks, in the order in which they are tried."""
+"""Fonts with characters that matplotlib's own font lacks, in the order in which they are tried."""
 _RIM = 0.1
-"""What is shown beyond a map's end [m]."""
+"""Width of the area shown beyond the end of a map [m]."""
 _SIGNS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 
 
 def blank_figure(width: float, height: float) -> Figure:
-    """An empty figure [inches], apart from pyplot and whatever display it would look for."""
+    """An empty figure with a size in inches. It does not use pyplot, so it needs no display."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")
 
 
 def to_png(figure: Figure, dpi: int = 110) -> bytes:
-    """The figure as a PNG file. All text is drawn as it is: a name may hold a "$" or characters of any script."""
+    """The content of a PNG file of the figure. Text is drawn literally, including "$" and characters of any script."""
     _take_literally(figure)
     buffer = io.BytesIO()
     with warnings.catch_warnings():
-        # No font of this machine has the character: a box stands in its place.
+        # Ignore characters that no installed font has. They appear as boxes.
         warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from", UserWarning)
         figure.savefig(buffer, format="png", dpi=dpi, facecolor="white")
     return buffer.getvalue()
@@ -80,24 +80,33 @@ def _take_literally(figure: Figure) -> None:
 
 
 def save_figure(path: Path, figure: Figure, dpi: int = 110) -> Path:
-    """Write the figure as PNG, whole or not at all; missing folders are made."""
+    """Write the figure as PNG, atomically. Missing folders are created."""
     return write_whole(path, to_png(figure, dpi))
 
 
 def legend_above(figure: Figure, columns: int = 4) -> None:
-    """A legend of all panels above them."""
+    """Add one legend for all panels above them."""
     figure.legend(loc="outside upper center", ncols=columns, fontsize=8, frameon=False)
 
 
 def beside(group: Any, k: int, count: int) -> Any:
-    """Place of bar ``k`` of ``count`` on an axis with a group of bars at each whole number; they take up 0.8 of it."""
+    """Position of bar ``k`` of ``count`` in a group of bars with total width 0.8, centred at the integer ``group``."""
     return group + (k - (count - 1) / 2) * 0.8 / count
 
 
 def draw_reliability(
     axes: Axes, probability: Array, truth: Array, *, colour: str, label: str, marker: str = "o"
 ) -> None:
-    """How often what is predicted with ``probability [N]`` comes true (``truth [N]``), with counts, in five bins."""
+    """Draw a reliability diagram: observed frequency against predicted probability, in five bins with counts.
+
+    Args:
+        axes: where to draw.
+        probability: N predicted probabilities.
+        truth: N outcomes, 0 or 1.
+        colour: colour of the curve.
+        label: name of the curve in the legend.
+        marker: marker of the points.
+    """
     place = np.minimum((probability * 5).astype(int), 4)
     parts = [place == b for b in np.unique(place)]
     predicted, came = ([np.mean(values[part]) for part in parts] for values in (probability, truth))
@@ -109,9 +118,14 @@ def draw_reliability(
 
 
 def show_cells(axes: Axes, picture: Array, resolution: float, origin: Numbers | Array, **options: Any) -> None:
-    """Draw a map's cells, ``[H, W]`` or ``[H, W, 3]``, row 0 at the bottom, where they lie in {W}.
+    """Draw the cells of a map at their place in {W}.
 
-    ``resolution`` is a cell's side [m], ``origin`` the pose of the lower-left corner, ``options`` are imshow's.
+    Args:
+        axes: where to draw.
+        picture: cells ``[H, W]`` or ``[H, W, 3]``, row 0 at the bottom.
+        resolution: side of a cell [m].
+        origin: pose of the lower-left corner in {W}.
+        options: options of imshow.
     """
     from matplotlib.transforms import Affine2D
 
@@ -123,23 +137,24 @@ def show_cells(axes: Axes, picture: Array, resolution: float, origin: Numbers | 
 
 
 def object_colour(item: dict[str, Any], number: int) -> str:
-    """Colour of an object of ``result.json``: by its family, or red once it is registered as an obstacle."""
+    """Colour of an object of ``result.json``, given by its family, or red if it is registered as an obstacle."""
     if item.get("registered"):
         return COLOURS["registered"]
     return _FAMILIES.get(str(item.get("family")), SERIES[(number + 1) % len(SERIES)])
 
 
 def outline(pose: Array, half_extents: Numbers | Array) -> np.ndarray:
-    """Corners ``[4, 2]`` in {W} of a rectangle with ``half_extents (2,)`` [m] at ``pose (3,)``."""
+    """Corners ``[4, 2]`` in {W} of a rectangle with ``half_extents (2,)`` [m] at ``pose (3,)`` in {W}."""
     corners = np.asarray(half_extents, dtype=float)[:2] * _SIGNS
     return se2.transform_point(np.asarray(pose, dtype=float), corners)
 
 
 def window(result: dict[str, Any], trace: Trace, margin: float = 1.2) -> tuple[float, float, float, float]:
-    """(x_min, x_max, y_min, y_max) in {W} [m] of all that happened, with a margin.
+    """Window (x_min, x_max, y_min, y_max) in {W} [m] that shows all paths and objects with a margin.
 
-    Where the map ends soon beyond, which is within 3 m or half of what is shown, the side reaches to the map's end: its
-    outer walls are in the picture. It never reaches past it. Cells of which nothing is known are no part of the map.
+    A side extends to the end of the map if that is within 3 m or half of the window's size, whichever is larger, so
+    that the outer walls are visible. No side extends beyond the map, except for a small border. Unknown cells do not
+    count as part of the map.
     """
     parts = [np.asarray(trace.robot_pose)[:, :2], *(np.asarray(p)[:, :2] for p in trace.plans if len(p))]
     parts += [
@@ -159,9 +174,12 @@ def window(result: dict[str, Any], trace: Trace, margin: float = 1.2) -> tuple[f
 
 
 def extent(cells: Array, resolution: float, origin: Numbers | Array) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest (x, y) in {W} [m] of the marked ``cells [H, W]``; of all cells if none is marked.
+    """Lowest and highest (x, y) in {W} [m] of the marked cells, or of all cells if none is marked.
 
-    ``resolution`` is a cell's side [m], ``origin`` the pose of the lower-left corner of cell (0, 0).
+    Args:
+        cells: mask ``[H, W]`` of the marked cells.
+        resolution: side of a cell [m].
+        origin: pose of the lower-left corner of cell (0, 0) in {W}.
     """
     rows, columns = np.nonzero(cells) if np.any(cells) else np.nonzero(np.ones_like(cells))
     left, right, bottom, top = columns.min(), columns.max() + 1, rows.min(), rows.max() + 1

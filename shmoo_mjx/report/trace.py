@@ -1,17 +1,17 @@
-"""The two files of a run that the report draws: ``result.json`` (what happened) and ``trace.npz`` (every sample).
+"""The two input files of the report: ``result.json`` (events and outcome) and ``trace.npz`` (every sample).
 
 ``result.json`` is an object with at least
 
-    outcome         str, "success" or the word for what went wrong
+    outcome         str, "success" or a word for the kind of failure
     transitions     [{"t", "from", "to", "reason"}]
     decisions       [{"t", "object", "probability", "K", "G", "manipulable", "goal": [x, y, yaw] or null, "reason"}]
     objects         [{"id", "family", "start_pose", "final_pose", "half_extents", "registered"}], in the trace's order,
                     each with an optional "description" and "toppled"
 
-and, drawn where present: ``reason`` (of the outcome), ``name``, ``seed``, ``time_s``, ``path_length_m``,
-``goal_distance_m``, ``falls``, ``wall_contacts``, ``senses``, ``start`` and ``goal`` ([x, y, ...] in {W}),
-``config`` and ``versions``. ``method`` and ``policy`` say what a replay takes.
-A decision's ``object`` is an object's ``id``; its roll-outs stand in the trace at the decision's index.
+Optional entries, which the report shows if they exist, are ``reason`` (of the outcome), ``name``, ``seed``, ``time_s``,
+``path_length_m``, ``goal_distance_m``, ``falls``, ``wall_contacts``, ``senses``, ``start`` and ``goal`` ([x, y, ...] in
+{W}), ``config`` and ``versions``. A replay uses ``method`` and ``policy``. The ``object`` of a decision is the ``id``
+of an object. The roll-outs of a decision have the same index in the trace.
 """
 
 from __future__ import annotations
@@ -34,44 +34,45 @@ class Trace(NamedTuple):
     """A run sampled every DT: T samples, N objects, D decisions. Poses in {W}, SI units."""
 
     t: Array
-    """``[T]`` [s]"""
+    """Times ``[T]`` [s]."""
     robot_pose: Array
-    """``[T, 3]``"""
+    """Poses of the robot ``[T, 3]``."""
     lean: Array
-    """``[T, 2]`` [rad]"""
+    """Lean towards +x and +y of {R} ``[T, 2]`` [rad]."""
     u: Array
-    """``[T, 3]`` applied command [rad]"""
+    """Applied commands ``[T, 3]`` [rad]."""
     object_pose: Array
-    """``[T, N, 3]``; NaN where an object's pose is not known"""
+    """Poses of the objects ``[T, N, 3]``; NaN if unknown."""
     force: Array
-    """``[T, 2]`` force of the hands on the object in {R} [N]"""
+    """Force of the hands on the object in {R} ``[T, 2]`` [N]."""
     learned: Array
-    """``[T, n]`` what has been learned of the object that is pushed; NaN where none is"""
+    """Estimated properties of the pushed object ``[T, n]``; NaN without a pushed object."""
     learned_names: tuple[str, ...]
-    """n names of `online.summary`"""
+    """Names of the n properties, from `online.summary`."""
     learned_object: Array
-    """int ``[T]`` index of that object, -1 for none"""
+    """Index of the pushed object, int ``[T]``; -1 for none."""
     state: Array
-    """int ``[T]`` index into ``state_names``"""
+    """State of the navigator as an index into ``state_names``, int ``[T]``."""
     state_names: tuple[str, ...]
+    """Names of the states."""
     map_cells: Array
-    """int8 ``[H, W]``, row 0 at the bottom: 0 free, 100 occupied, -1 unknown"""
+    """Cells of the map, int8 ``[H, W]``, row 0 at the bottom: 0 free, 100 occupied, -1 unknown."""
     map_origin: Array
-    """``[3]`` pose of the map's lower-left corner"""
+    """Pose of the map's lower-left corner ``[3]``."""
     map_resolution: float
-    """Side of a cell [m]"""
+    """Side of a cell [m]."""
     plan_times: Array
-    """``[P]`` when each path was planned [s]"""
+    """Time at which each path was planned ``[P]`` [s]."""
     plans: tuple[Array, ...]
-    """P paths ``[M_p, 2]``"""
+    """P planned paths ``[M_p, 2]``."""
     decision_rollouts: tuple[Array, ...]
-    """D sets of the object's predicted positions ``[R_d, H_d, 2]``, a subset of the roll-outs"""
+    """Predicted positions of the object for each of D decisions ``[R_d, H_d, 2]``, a subset of the roll-outs."""
     decision_candidates: tuple[Array, ...]
-    """D sets of candidate goals ``[C_d, 3]``"""
+    """Candidate goals of each of D decisions ``[C_d, 3]``."""
 
 
 def save_trace(path: str | Path, trace: Trace) -> Path:
-    """Writes ``trace.npz``; lists of arrays of unequal shape become numbered entries."""
+    """Write ``trace.npz``. Lists of arrays with different shapes become numbered entries."""
     arrays: dict[str, np.ndarray] = {}
     for name, value in trace._asdict().items():
         if name in _RAGGED:
@@ -82,10 +83,10 @@ def save_trace(path: str | Path, trace: Trace) -> Path:
 
 
 def load_trace(path: str | Path) -> Trace:
-    """Reads ``trace.npz``.
+    """Read ``trace.npz``.
 
     Raises:
-        ShmooError: the file is missing, damaged or lacks an entry.
+        ShmooError: the file is missing or damaged, or lacks an entry.
     """
     source = Path(path)
     arrays = read_arrays(source, "trace")
@@ -104,10 +105,10 @@ def load_trace(path: str | Path) -> Trace:
 
 
 def load_result(path: str | Path) -> dict[str, Any]:
-    """Reads ``result.json``.
+    """Read ``result.json``.
 
     Raises:
-        ShmooError: the file is missing, is no JSON object or lacks a key.
+        ShmooError: the file is missing, is not a JSON object, or lacks a key.
     """
     source = Path(path)
     try:
@@ -123,9 +124,9 @@ def load_result(path: str | Path) -> dict[str, Any]:
 
 
 def telling_decisions(result: dict[str, Any]) -> list[int]:
-    """Decisions worth a picture: of each object the first, the last, and those that changed the verdict.
+    """Indices of the key decisions: for each object the first, the last, and those that changed the verdict.
 
-    A long push is reviewed every few seconds, mostly with the same outcome.
+    The other decisions repeat the verdict: a long push is reviewed every few seconds, mostly with the same outcome.
     """
     kept: list[int] = []
     by_object: dict[Any, list[int]] = {}
@@ -139,16 +140,16 @@ def telling_decisions(result: dict[str, Any]) -> list[int]:
 
 
 def is_number(value: Any) -> bool:
-    """Whether an entry of ``result.json`` is a finite number."""
+    """True if an entry of ``result.json`` is a finite number."""
     return isinstance(value, int | float) and bool(np.isfinite(value))
 
 
 def object_name(result: dict[str, Any], name: Any) -> str:
-    """What to call the object whose ``id`` is ``name``: its family and id."""
+    """Display name of the object whose ``id`` is ``name``: its family and id."""
     index = object_index(result, name)
     return f"object {name}" if index is None else f"{result['objects'][index]['family']} {name}"
 
 
 def object_index(result: dict[str, Any], name: Any) -> int | None:
-    """Place in ``objects`` (and in the trace) of the object whose ``id`` is ``name``."""
+    """Index in ``objects`` and in the trace of the object whose ``id`` is ``name``; None if there is none."""
     return next((i for i, item in enumerate(result["objects"]) if item["id"] == name), None)

@@ -1,4 +1,4 @@
-"""The film of a run: an MP4 writer, a top-down view that needs no GL, and a frame with caption and inset map."""
+"""The video of a run: an MP4 writer, a top-down view that needs no GL, and frames with caption and inset map."""
 
 from __future__ import annotations
 
@@ -19,26 +19,28 @@ if TYPE_CHECKING:
     from PIL import Image, ImageFont
 
 _ROBOT_RADIUS = 0.19
-"""Drawn radius of the robot's body [m]."""
+"""Radius with which the robot's body is drawn [m]."""
 SPEED = 3.0
-"""Seconds of a run per second of its film."""
+"""Seconds of the run per second of video [1]. Larger is faster."""
 _OVERSAMPLE = 2
-"""The top-down view is drawn this much larger and reduced, which smooths its edges."""
+"""Oversampling factor of the top-down view, which smooths its edges [1]."""
 
 
 class TopDown(NamedTuple):
-    """What all frames of the top-down view share."""
+    """Data shared by all frames of the top-down view."""
 
     result: dict[str, Any]
+    """Content of ``result.json``."""
     trace: Trace
+    """Trace of the run."""
     base: Image.Image
-    """Map, start and goal, oversampled."""
+    """Oversampled picture of the map and the goal."""
     corner: np.ndarray
-    """``[2]`` (x, y) in {W} of the picture's upper-left corner [m]."""
+    """(x, y) of the picture's upper-left corner in {W} [m]."""
     scale: float
     """Oversampled pixels per metre."""
     size: tuple[int, int]
-    """(width, height) of a finished picture [pixels]."""
+    """(width, height) of a final picture [pixels]."""
 
     def pixels(self, points: Array) -> list[tuple[float, float]]:
         """Oversampled picture coordinates of ``points [M, 2]`` in {W}."""
@@ -47,9 +49,20 @@ class TopDown(NamedTuple):
 
 
 def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float = 10.0) -> Path:
-    """Writes ``frames`` (uint8 ``[H, W, 3]``, all of one size) as H.264, yuv420p; whole or not at all.
+    """Write frames as an H.264 video (yuv420p), atomically.
 
-    Odd sizes lose their last row or column, which yuv420p can't hold.
+    Frames of odd size lose their last row or column, because yuv420p needs even sizes.
+
+    Args:
+        path: the file to write.
+        frames: images, uint8 ``[H, W, 3]``, all of one size.
+        fps: frames per second.
+
+    Returns:
+        ``path``.
+
+    Raises:
+        ValueError: ``frames`` is empty.
     """
     import imageio.v2 as iio
 
@@ -76,7 +89,7 @@ def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float = 10.
 
 
 def top_down(result: dict[str, Any], trace: Trace, size: tuple[int, int] = (640, 480)) -> TopDown:
-    """Prepares the top-down view of a run for pictures of ``size`` = (width, height) [pixels]."""
+    """The data for top-down pictures of a run with ``size`` = (width, height) [pixels]."""
     from PIL import Image, ImageDraw
 
     width, height = (n * _OVERSAMPLE for n in size)
@@ -96,7 +109,7 @@ def top_down(result: dict[str, Any], trace: Trace, size: tuple[int, int] = (640,
 
 
 def topdown_image(view: TopDown, t: float) -> np.ndarray:
-    """The scene at time ``t`` [s] from above: uint8 ``[H, W, 3]``, +x to the right, +y up."""
+    """Top-down picture at time ``t`` [s], uint8 ``[H, W, 3]``, with +x to the right and +y up."""
     from PIL import Image, ImageDraw
 
     trace, image = view.trace, view.base.copy()
@@ -110,7 +123,7 @@ def topdown_image(view: TopDown, t: float) -> np.ndarray:
         draw.line(view.pixels(trace.robot_pose[: k + 1]), fill=COLOURS["rollout"], width=line, joint="curve")
     for number, item in enumerate(view.result["objects"]):
         if not np.isfinite(trace.object_pose[k, number]).all():
-            continue  # not perceived at that time
+            continue  # not observed at that time
         now = {**item, "registered": item.get("registered") and _registered_at(view.result, item, t)}
         corners = view.pixels(outline(trace.object_pose[k, number], item["half_extents"]))
         draw.polygon(corners, fill=object_colour(now, number), outline="#333333", width=max(1, line // 2))
@@ -128,10 +141,14 @@ def topdown_image(view: TopDown, t: float) -> np.ndarray:
 def topdown_frames(
     result: dict[str, Any], trace: Trace, *, fps: float = 10.0, speed: float = 1.0, size: tuple[int, int] = (800, 600)
 ) -> Iterator[np.ndarray]:
-    """Film frames from above with captions, for machines on which MuJoCo can't render.
+    """Top-down video frames with captions, for machines on which MuJoCo can't render.
 
-    ``fps`` are frames per second of film, ``speed`` seconds of the run per second of film, ``size`` is (width, height)
-    of the view without the caption [pixels].
+    Args:
+        result: content of ``result.json``.
+        trace: trace of the run.
+        fps: frames per second of video.
+        speed: seconds of the run per second of video.
+        size: (width, height) of the view without the caption [pixels].
     """
     view = top_down(result, trace, size)
     end = float(trace.t[-1])
@@ -142,7 +159,14 @@ def topdown_frames(
 def narrate(
     frames: Iterable[tuple[float, np.ndarray]], result: dict[str, Any], trace: Trace, inset_width: int = 360
 ) -> Iterator[np.ndarray]:
-    """3-D frames (time [s], uint8 ``[H, W, 3]``) with the top-down view beside and the caption above each."""
+    """3-D frames with the top-down view beside them and the caption above them.
+
+    Args:
+        frames: pairs of time [s] and image, uint8 ``[H, W, 3]``.
+        result: content of ``result.json``.
+        trace: trace of the run.
+        inset_width: width of the top-down view [pixels].
+    """
     view: TopDown | None = None
     for t, frame in frames:
         view = view or top_down(result, trace, (inset_width, frame.shape[0]))
@@ -150,9 +174,9 @@ def narrate(
 
 
 def compose(frame: np.ndarray, caption: tuple[str, str] = ("", ""), inset: np.ndarray | None = None) -> np.ndarray:
-    """A frame with ``inset`` to its right and ``caption`` (headline, detail) in a strip above, of even size.
+    """A frame of even size with ``inset`` to its right and ``caption`` (headline, detail) in a strip above.
 
-    A player's controls lie over the lower edge.
+    The caption is above because the controls of a video player cover the lower edge.
     """
     from PIL import Image, ImageDraw
 
@@ -173,7 +197,7 @@ def compose(frame: np.ndarray, caption: tuple[str, str] = ("", ""), inset: np.nd
 
 
 def caption_at(result: dict[str, Any], t: float) -> tuple[str, str]:
-    """(headline, detail) of what goes on at time ``t`` [s]: the present state, and why it was entered."""
+    """Caption (headline, detail) at time ``t`` [s]: the current state and the reason for entering it."""
     past = [step for step in result["transitions"] if float(step["t"]) <= t + 1e-6]
     if not past:
         return f"{t:5.1f} s", ""
@@ -181,7 +205,7 @@ def caption_at(result: dict[str, Any], t: float) -> tuple[str, str]:
 
 
 def _map_pixels(trace: Trace, corner: np.ndarray, scale: float, size: tuple[int, int]) -> np.ndarray:
-    """uint8 ``[H, W, 3]``: for each pixel the colour of the map cell under it; unknown off the map."""
+    """Picture of the map, uint8 ``[H, W, 3]``. Pixels outside the map have the colour of unknown cells."""
     from matplotlib.colors import to_rgb
 
     cells = np.asarray(trace.map_cells)
@@ -211,6 +235,7 @@ def _star(draw: Any, view: TopDown, point: np.ndarray) -> None:
 
 
 def _registered_at(result: dict[str, Any], item: dict[str, Any], t: float) -> bool:
+    """True if the object, which is registered at the end, has been found immovable by time ``t``."""
     times = [d["t"] for d in result["decisions"] if d["object"] == item["id"] and not d["manipulable"]]
     return not times or t >= min(times)
 
@@ -219,12 +244,12 @@ def _font(size: int) -> ImageFont.FreeTypeFont:
     import matplotlib
     from PIL import ImageFont
 
-    # Pillow's own font lacks signs such as the superscript in m².
+    # Pillow's own font lacks characters such as the superscript in m².
     return ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"), size)
 
 
 def _lines(text: str, font: Any, width: float, most: int = 2) -> list[str]:
-    """``text`` broken between words into at most ``most`` lines of ``width`` pixels; what is left over is cut."""
+    """``text`` wrapped at words into at most ``most`` lines of ``width`` pixels. Further text is cut off."""
     lines: list[str] = []
     words = text.split()
     while words and len(lines) < most:
