@@ -42,20 +42,29 @@ def fingerprint(code: str, settings: object, *parts: Any) -> str:
 def code_hash(module: str) -> str:
     """Hash of a module's code and of all modules of this package that it imports, also inside functions.
 
-    Comments are ignored; docstrings are not. If the plant is among the modules, its MJCF files are included.
+    Comments and docstrings are ignored. If the plant is among the modules, its MJCF files are included.
     """
     trees, todo = dict[str, str](), [module]
     while todo:
         name = todo.pop()
         if name in trees:
             continue
-        tree = ast.parse(_source(name).read_text(encoding="utf-8"))
+        tree = _NoDocstrings().visit(ast.parse(_source(name).read_text(encoding="utf-8")))
         trees[name] = ast.dump(tree)
         todo += _imported(tree)
     if f"{_PACKAGE}.plant" in trees:
         models = asset("models_xml")
         trees |= {str(p.relative_to(models)): p.read_text(encoding="utf-8") for p in models.rglob("*.xml")}
     return hashlib.sha256(json.dumps(trees, sort_keys=True).encode()).hexdigest()
+
+
+class _NoDocstrings(ast.NodeTransformer):
+    """Removes strings that stand alone: docstrings of modules, classes, functions and fields."""
+
+    def visit_Expr(self, node: ast.Expr) -> ast.Expr | None:
+        """None, which removes the node, for a string."""
+        alone = isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+        return None if alone else node
 
 
 def _imported(tree: ast.AST) -> Iterator[str]:

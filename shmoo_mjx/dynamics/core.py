@@ -59,7 +59,7 @@ class Params(NamedTuple):
     """Parameters of psi."""
     coefficients: Float[Array, "... 3 K"]
     """The coefficients a of Eq. 3, per axis."""
-    contact: Float[Array, "... 12"]
+    contact: Float[Array, "... p"]
     """Parameters of the four-point contact model, in the order of `contact_model.PARAMETERS`. The predictions of this
     model are inputs of psi."""
 

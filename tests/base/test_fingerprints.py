@@ -46,10 +46,12 @@ def test_a_fingerprint_changes_with_settings_files_and_arrays(tmp_path: Path) ->
         ("shmoo_mjx.sweep.simulate", "plant/engine_mjx.py"),
     ],
 )
-def test_code_that_is_imported_however_late_counts_and_its_comments_do_not(copy: Path, module: str, part: str) -> None:
+def test_code_that_is_imported_however_late_counts_and_its_comments_and_docstrings_do_not(
+    copy: Path, module: str, part: str
+) -> None:
     before = code_hash(module)
     source = (copy / part).read_text()
-    for text, changed in (("# a remark", False), ("CHANGED = 1", True)):
+    for text, changed in (("# a remark", False), ('"""Another."""', False), ("CHANGED = 1", True)):
         (copy / part).write_text(f"{source}\n{text}\n")
         code_hash.cache_clear()
         assert (code_hash(module) != before) == changed
