@@ -129,7 +129,8 @@ def test_pushing(reused: Callable[[], list[Any]]) -> None:
     floor = LocalDistanceField(np.full((4, 4), 9.0, np.float32), np.full(3, -20, np.float32), np.float32(10.0))
     state = controller.init(seen, faces_of(half)[0], half, jax.random.key(3))
     for _ in range(3):
-        _, state, _ = controller.step(state, seen, zero, np.array([1.5, 0, 0]), floor, half)
+        goal = np.array([1.5, 0, 0])
+        _, state, _ = controller.step(state, seen, goal=goal, last_u=zero, half_extents=half, clearance=floor)
         controller.planning_rollouts(state, np.array([1.5, 0, 0]), floor, half)
     assert not reused()
 
