@@ -60,6 +60,9 @@ class Stand(SimpleNamespace):
         after = state._replace(pose=now.object_pose, samples=state.samples + bool(now.detected))
         return np.array([*lean, 0.0]), after, SimpleNamespace(ok=True)
 
+    def coast(self, state: State) -> np.ndarray:
+        return state.pose
+
     def _foresees_motion(self) -> bool:
         return bool(self.foresees or (self.world.movable and self.world.foreseen))
 
