@@ -39,7 +39,9 @@ def _state(*conditions: object) -> ObjectEstimate:
 def test_draws_go_where_newton_says(weights: Weights) -> None:
     size = float(np.hypot(*BOX.half_extents))
     ends = np.asarray(
-        experiment._roll_outs(EXACT, weights.config.object, weights.params, _state(BOX), PUSH, np.float32(size))
+        experiment._roll_outs(
+            EXACT, weights.config.object, weights.params, _state(BOX), wrenches=PUSH, size=np.float32(size)
+        )
     )
     assert ends.shape == (32, 2)
     # In {W}, wherever the object looks.
