@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import tyro
 from tyro.conf import Positional
@@ -487,13 +487,13 @@ def experiment(
     policies: tuple[str, ...] = (),
     weights: Path | None = None,
     pushes: Path | None = None,
-    out: Path | None = None,
+    out: Path = Path("runs/experiments"),
     senses: bounded.Senses = "real",
     runs: bounded.Runs | None = None,
     only: tuple[str, ...] = (),
     minutes: bounded.Minutes | None = None,
     buildings: bounded.Buildings | None = None,
-    workers: bounded.Workers = 2,
+    workers: bounded.Workers | None = None,
 ) -> int:
     """Run an experiment: object_model, estimate, outcomes, baselines, ablations, robot_finetune, pushing,
     object_planner, real_pushing, navigation, lifelong; or all of them, with a page of their results. For developers:
@@ -519,28 +519,27 @@ def experiment(
             package.module:Name.
         weights: trained weights (default: the shipped ones).
         pushes: folder of recorded pushes, for real_pushing among all.
-        out: folder for figures and what an interrupted experiment goes on from (default: runs/experiments, for faults
-            and soak runs/NAME).
+        out: folder for figures and what an interrupted experiment goes on from.
         senses: real or perfect, of the robots that act in the experiment.
-        runs: of each fault, for faults (default: 20).
+        runs: of each fault, for faults (default: 20, or 1 if quick).
         only: these faults, for faults (default: all; shmoo list faults).
-        minutes: simulated time in each building, for soak (default: 60).
-        buildings: how many, for soak (default: 10).
-        workers: processes, for faults and soak.
+        minutes: simulated time in each building, for soak (default: 60, or 2 if quick).
+        buildings: how many, for soak (default: 10, or 1 if quick).
+        workers: processes (default: the experiment's own).
     """
     from shmoo_mjx.base import progress
     from shmoo_mjx.base.guard import EXPERIMENT, check_output
-    from shmoo_mjx.evaluation.registry import run_experiment
+    from shmoo_mjx.evaluation.registry import experiment_named, run_experiment
     from shmoo_mjx.evaluation.result import ExperimentOptions, table, write_result
 
-    tests_reliability = name in ("faults", "soak")
-    folder = out or Path("runs") / (name if tests_reliability else "experiments")
-    target = json or folder / f"{name}.json"
+    target = json or out / f"{name}.json"
     check_output(target, EXPERIMENT)
-    for option, value, users in (("runs", runs, "faults"), ("only", only, "faults"),
-                                 ("minutes", minutes, "soak"), ("buildings", buildings, "soak")):  # fmt: skip
-        if value and name != users:
-            raise ShmooError(f"--{option} is for shmoo experiment {users} alone; leave it out.")
+    own = {"runs": ("faults", runs), "only": ("faults", only or None), "minutes": ("soak", minutes),
+           "buildings": ("soak", buildings)}  # fmt: skip
+    for option, (user, value) in own.items():
+        if value is not None and name != user:
+            raise ShmooError(f"--{option} is for shmoo experiment {user} alone; leave it out.")
+    sizes = {option: value for option, (_, value) in own.items() if value is not None}
     count, scenario_set = (None, scenarios) if isinstance(scenarios, Path) else (scenarios, None)
     if scenario_set is not None:
         from shmoo_mjx.evaluation.scenario_set import find_set
@@ -548,22 +547,23 @@ def experiment(
         if name != "navigation" or maps is not None:
             raise ShmooError(f"--scenarios {scenario_set}: a scenario set is for navigation alone, without --maps.")
         scenario_set = find_set(scenario_set)
-    first = {"faults": 900, "soak": 950}.get(name, 0) if seed is None else seed
     with progress.stages() as report:
         options = ExperimentOptions(
-            first, condition_seed, quick, data, maps, count, scenario_set, weights, folder, report, senses, policies
+            seed=(0 if name == "all" else experiment_named(name).first_seed) if seed is None else seed,
+            condition_seed=condition_seed,
+            quick=quick,
+            data=data,
+            maps=maps,
+            scenarios=count,
+            scenario_set=scenario_set,
+            weights=weights,
+            out=out,
+            progress=report,
+            senses=senses,
+            policies=policies,
+            sizes=sizes if workers is None else sizes | {"workers": workers},
         )
-        if tests_reliability:
-            result, summary = _reliability(
-                name,
-                options,
-                runs=runs or 20,
-                only=only,
-                minutes=minutes or 60.0,
-                buildings=buildings or 10,
-                workers=workers,
-            )
-        elif name == "all":
+        if name == "all":
             from shmoo_mjx.evaluation.everything import run_all
 
             page, left_out = run_all(options, pushes)
@@ -571,30 +571,11 @@ def experiment(
                 print(f"{other} was left out: {reason}")
             print(page)
             return 0
-        else:
-            from shmoo_mjx.evaluation.navigation_tables import reference_table
-
-            result = run_experiment(name, options)
-            summary = reference_table(result) or table(result)
+        result = run_experiment(name, options)
     write_result(target, result)
-    print(f"{summary}\n{target}")
+    print(experiment_named(name).printed(result) or table(result))
+    print(target)
     return 0
-
-
-def _reliability(
-    name: str, options: Any, *, runs: int, only: tuple[str, ...], minutes: float, buildings: int, workers: int
-) -> tuple[Any, str]:
-    """Result and table of ``faults`` or ``soak``."""
-    from shmoo_mjx.base.files import claimed
-    from shmoo_mjx.evaluation import faults, soak
-    from shmoo_mjx.evaluation.experiment import run
-
-    with claimed(options.out):
-        if name == "faults":
-            result = run(name, faults.EXPERIMENT, options, faults.FaultTrials(workers, runs=runs, only=only))
-            return result, faults.summary(result)
-        result = run(name, soak.EXPERIMENT, options, soak.SoakTrials(workers, minutes=minutes, buildings=buildings))
-        return result, soak.summary(result)
 
 
 def bench(

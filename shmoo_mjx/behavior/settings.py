@@ -76,6 +76,7 @@ def _changed(config: Any, path: Sequence[str], value: Any, what: str) -> Any:
     numbers = checked if isinstance(checked, tuple) else (checked,)
     if any(isinstance(number, float) and not math.isfinite(number) for number in numbers):
         raise ShmooError(f"{what} must be finite; it is {current} by default.")
+    # Fields do not declare ranges. A count stays at least 1, and what is not negative by default stays so.
     least = 1 if isinstance(current, int) else 0
     if isinstance(current, int | float) and not isinstance(current, bool) and current >= least > checked:
         raise ShmooError(f"{what} must be at least {least}; it is {current} by default.")

@@ -55,10 +55,9 @@ def _short(path: Path) -> str:
 
 
 def _experiments() -> Iterator[Item]:
-    from shmoo_mjx.evaluation.registry import EXPERIMENTS
+    from shmoo_mjx.evaluation.registry import EXPERIMENTS, RELIABILITY
 
-    modules = EXPERIMENTS | {name: f"shmoo_mjx.evaluation.{name}" for name in ("faults", "soak")}
-    for name, module in modules.items():
+    for name, module in (EXPERIMENTS | RELIABILITY).items():
         yield Item(name, f"shmoo experiment {name}", _first_line(module))
 
 

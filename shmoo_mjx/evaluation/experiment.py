@@ -83,6 +83,10 @@ class Experiment[C: ExperimentConfig]:
     """Fields of rows that figures need and the result leaves out."""
     paper: Mapping[str, float] = field(default_factory=dict)
     """The paper's numbers under the names of the metrics they compare with."""
+    first_seed: int = 0
+    """Seed where the command line gives none."""
+    printed: Callable[[ExperimentResult], str] = lambda result: ""
+    """What the command prints of a result in the place of its metrics; they are printed if it is empty."""
 
 
 def run[C: ExperimentConfig](
@@ -122,6 +126,7 @@ def prepare[C: ExperimentConfig](
     if config is None:
         config = experiment.quick if options.quick else experiment.config
         config = config if experiment.adjust is None else experiment.adjust(options, config)
+        config = replace(config, **options.sizes)
     folder = options.out / name
     data, files, settings = experiment.prepare(options, config, folder)
     deciding = {k: v for k, v in asdict(config).items() if k not in ("workers", *experiment.neutral)}

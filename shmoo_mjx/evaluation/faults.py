@@ -356,5 +356,7 @@ EXPERIMENT = Experiment(
     metrics=_metrics,
     prepare=_prepare,
     neutral=("runs", "only"),
+    first_seed=900,
+    printed=summary,
     about=lambda setup: {"faults": {name: FAULTS[name].what for name in setup.data}, "extra": _EXTRA},
 )

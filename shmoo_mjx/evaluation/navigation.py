@@ -37,7 +37,7 @@ from shmoo_mjx.evaluation.navigation_measures import (
     measure,
 )
 from shmoo_mjx.evaluation.navigation_places import find_places, kept_scenario
-from shmoo_mjx.evaluation.navigation_tables import navigation_tables
+from shmoo_mjx.evaluation.navigation_tables import navigation_tables, reference_table
 from shmoo_mjx.evaluation.paired import OURS
 from shmoo_mjx.evaluation.result import ExperimentOptions, file_id
 from shmoo_mjx.evaluation.scenario_set import find_set, open_set
@@ -307,6 +307,7 @@ EXPERIMENT = Experiment(
     draw=_draw,
     prepare=_prepare,
     adjust=_adjust,
+    printed=reference_table,
     neutral=("scenarios", "generated_scenarios", "policies"),
     about=_about,
     only_drawn=("driven", "goal", "objects"),

@@ -2,7 +2,7 @@
 
 python -m shmoo_mjx.evaluation.page FOLDER docs/results.md
 
-FOLDER holds new results (runs/experiments, runs/faults or runs/soak), or is docs/results, to write the page anew.
+FOLDER holds new results (runs/experiments), or is docs/results, to write the page anew.
 
 Numbers, spreads, versions and commands come from the experiments' JSON, of which compressed copies are kept beside
 the page. The page shows the results of FOLDER and, for other experiments, the copies; the README gets the page's first
@@ -24,9 +24,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from shmoo_mjx.base.files import write_whole
-from shmoo_mjx.evaluation import faults, soak
 from shmoo_mjx.evaluation.navigation_tables import reference_table
-from shmoo_mjx.evaluation.registry import EXPERIMENTS, experiment_named
+from shmoo_mjx.evaluation.registry import EXPERIMENTS, RELIABILITY, experiment_named
 from shmoo_mjx.evaluation.result import ExperimentResult, as_json, read_result, same_weights
 from shmoo_mjx.evaluation.tables import NotMeasured, Section
 from shmoo_mjx.report.tables import markdown_table
@@ -37,10 +36,6 @@ SUMMARY = ("navigation", "pushing", "object_planner", "object_model", "real_push
 _BLOCK = re.compile(r"(?<=<!-- results -->\n).*?(?=<!-- end -->)", re.DOTALL)
 
 
-RELIABILITY = {"faults": faults.EXPERIMENT.section, "soak": soak.EXPERIMENT.section}
-"""How the results of ``shmoo experiment faults`` and ``soak`` are shown, behind the experiments."""
-
-
 @cache
 def sections() -> dict[str, Section]:
     """How each experiment is shown, in the order of the page."""
@@ -49,7 +44,7 @@ def sections() -> dict[str, Section]:
 
 def section_named(name: str) -> Section:
     """How this experiment is shown, faults and soak included."""
-    return RELIABILITY[name] if name in RELIABILITY else sections()[name]
+    return experiment_named(name).section
 
 
 def read_results(folder: Path) -> dict[str, ExperimentResult]:
@@ -68,7 +63,7 @@ def render(results: Mapping[str, ExperimentResult], figures: Mapping[str, list[s
         before: the page as it was, whose sections stay where there is no result.
     """
     kept = {title: text.strip() for title, _, text in (part.partition("\n") for part in before.split("\n## ")[1:])}
-    shown = sections() | {name: section for name, section in RELIABILITY.items() if name in results}
+    shown = sections() | {name: section_named(name) for name in RELIABILITY if name in results}
     titles, made = list(kept), {section.title for section in shown.values()}
     first = next((i for i, title in enumerate(titles) if title in made), len(titles))
     written = [(i < first, f"## {title}\n\n{kept[title]}") for i, title in enumerate(titles) if title not in made]

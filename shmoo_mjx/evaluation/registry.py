@@ -26,6 +26,8 @@ EXPERIMENTS = {
     "real_pushing": "shmoo_mjx.evaluation.real_pushing",
 }
 """Name to module."""
+RELIABILITY = {"faults": "shmoo_mjx.evaluation.faults", "soak": "shmoo_mjx.evaluation.soak"}
+"""Experiments for developers, which are not among all."""
 
 
 @cache
@@ -35,9 +37,10 @@ def experiment_named(name: str) -> Experiment[Any]:
     Raises:
         ShmooError: there is none.
     """
-    if name not in EXPERIMENTS:
-        raise ShmooError(f"experiment {name!r} is not known; choose one of {', '.join(EXPERIMENTS)}.")
-    experiment: Experiment[Any] = import_module(EXPERIMENTS[name]).EXPERIMENT
+    modules = EXPERIMENTS | RELIABILITY
+    if name not in modules:
+        raise ShmooError(f"experiment {name!r} is not known; choose one of {', '.join(modules)}.")
+    experiment: Experiment[Any] = import_module(modules[name]).EXPERIMENT
     return experiment
 
 

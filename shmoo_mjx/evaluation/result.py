@@ -7,8 +7,8 @@ import hashlib
 import json
 import math
 import zlib
-from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass, is_dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass, field, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +58,8 @@ class ExperimentOptions:
     """What the robot perceives with, where a simulated robot acts in the experiment."""
     policies: tuple[str, ...] = ()
     """Policies (navigation; one's own as package.module:Name) or methods (pushing) that run; all if none is named."""
+    sizes: Mapping[str, Any] = field(default_factory=dict)
+    """Values that replace fields of the experiment's config, by name, such as ``workers``."""
 
     def __post_init__(self) -> None:
         check_seed("--seed", self.seed)

@@ -204,11 +204,11 @@ EXPERIMENT = Experiment(
     ),
     SoakTrials(),
     quick=SoakTrials(minutes=2.0, buildings=1),
-    trials=lambda setup: {
-        f"seed-{setup.options.seed + i}": setup.options.seed + i for i in range(setup.config.buildings)
-    },
+    trials=_trials,
     trial=_trial,
     metrics=_metrics,
     # Each building is a trial of its own: more of them go on from those that are there.
     neutral=("buildings",),
+    first_seed=950,
+    printed=summary,
 )
