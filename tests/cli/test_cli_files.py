@@ -24,8 +24,8 @@ KEPT = {
     "train": ("train robot data --out OUT/w.safetensors", "w.safetensors.training"),
     "experiment": ("experiment object_planner --quick --out OUT", "object_planner"),
     "sweep": ("sweep sweep.yaml --out OUT", ""),
-    "faults": ("experiment faults --runs 1 --out OUT", ""),
-    "soak": ("experiment soak --minutes 1 --out OUT", ""),
+    "faults": ("experiment faults --runs 1 --out OUT", "faults"),
+    "soak": ("experiment soak --minutes 1 --out OUT", "soak"),
 }
 """Commands, and the folder below OUT that they keep to themselves."""
 
