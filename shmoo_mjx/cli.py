@@ -1,4 +1,4 @@
-"""The command line: thin, each command calls one function of the package. Heavy imports wait until a command runs."""
+"""The command line. Each command calls one function of the package, and imports heavy modules only when it runs."""
 
 from __future__ import annotations
 
@@ -36,20 +36,21 @@ def demo(
     method: bounded.Method = "ours",
     set: tuple[str, ...] = (),
 ) -> int:
-    """Run the whole story on a generated floor plan: push a box away, recognise a locked wheelchair, go round.
+    """Run the demo: the robot pushes a box out of a doorway, then drives around a locked wheelchair.
 
     Example: shmoo demo --seed 3
 
     Args:
-        seed: draws floor plan, objects and properties; a range such as 0..19 runs each and prints the success rate.
-        out: folder that gets one folder per run, demo-SEED.
-        weights: trained weights (default: those of the method).
-        video: draw episode.mp4 (--no-video is about twice as fast).
-        quick: a short form for checks: no video.
-        senses: real (camera, odometry, joint torques) or perfect (the simulator's truth).
-        scene: generated, or paper (a box of 2.8 kg, an empty wheelchair of 11.9 kg with locked wheels).
-        method: ours, frozen (learns nothing of an object), or paper (the paper's system, docs/paper_system.md).
-        set: settings of the run, NAME=VALUE, such as control.num_rollouts=128 (shmoo list settings).
+        seed: seed of the floor plan, the objects and their properties. A range such as 0..19 runs each seed and prints
+            the success rate.
+        out: folder that receives one folder per run, demo-SEED.
+        weights: file with trained weights (default: those of the method).
+        video: write episode.mp4 (--no-video halves the run time).
+        quick: short form for checks, without video.
+        senses: real (simulated camera, odometry and joint torques) or perfect (ground truth of the simulator).
+        scene: generated, or paper (a box of 2.8 kg and an empty wheelchair of 11.9 kg with locked wheels).
+        method: ours, frozen (no adaptation to the object) or paper (the system of the paper, docs/paper_system.md).
+        set: settings of the run as NAME=VALUE, such as control.num_rollouts=128 (shmoo list settings lists them).
     """
     from shmoo_mjx.run.demo import run_demo
 
@@ -74,25 +75,25 @@ def navigate(
     method: bounded.Method = "ours",
     set: tuple[str, ...] = (),
 ) -> int:
-    """Run a scenario in any ROS map_server map.
+    """Run a scenario on any ROS map_server map.
 
     Example: shmoo navigate --map office.yaml --scenario blocked_door.yaml
 
     Args:
-        scenario: scenario file (docs/scenario.md); or give --start and --goal.
-        map: map_server YAML; overrides the scenario's own map.
-        start: x,y,yaw [m, rad] of the robot, without a scenario file.
-        goal: x,y [m], without a scenario file.
+        scenario: scenario file (docs/scenario.md). Without one, give --map, --start and --goal.
+        map: YAML file of a map_server map; replaces the map that the scenario names.
+        start: start pose of the robot as x,y,yaw [m, rad], without a scenario file.
+        goal: goal position of the robot as x,y [m], without a scenario file.
         out: folder for result.json, report.html and episode.mp4.
-        weights: trained weights (default: those of the method).
-        video: draw episode.mp4.
-        record: write episode.rrd too, a 3-D recording to scrub through (needs the package rerun-sdk).
-        senses: real or perfect; overrides the scenario's own (default: real).
-        real_time: run against the wall clock: what computing really takes passes in the world, and each missed
-            deadline is reported.
-        policy: package.module:Name of your own navigation policy, in the place of ours.
-        method: ours, frozen (learns nothing of an object), or paper (the paper's system, docs/paper_system.md).
-        set: settings of the run, NAME=VALUE, such as control.num_rollouts=128 (shmoo list settings).
+        weights: file with trained weights (default: those of the method).
+        video: write episode.mp4.
+        record: also write episode.rrd, a 3-D recording for the Rerun viewer (needs the package rerun-sdk).
+        senses: real or perfect; replaces the scenario's own value (default: the scenario's, or else real).
+        real_time: run against the wall clock. The simulated world advances by the time that computing takes, and each
+            missed deadline is reported.
+        policy: your own navigation policy as package.module:Name, in place of the built-in one.
+        method: ours, frozen (no adaptation to the object) or paper (the system of the paper, docs/paper_system.md).
+        set: settings of the run as NAME=VALUE, such as control.num_rollouts=128 (shmoo list settings lists them).
     """
     from shmoo_mjx.base import progress
     from shmoo_mjx.run import scenario_run as run
@@ -137,23 +138,23 @@ def push(
     senses: bounded.Senses = "real",
     method: bounded.Method = "ours",
 ) -> int:
-    """Push one object to a pose on an open floor, with report and film.
+    """Push one object to a goal pose on an open floor, with report and film.
 
     Example: shmoo push wheelchair --goal 1.5,0,0.8 --set mass=12 friction=0.6
 
     Args:
-        family: box, cart, wheelchair, or an object file that shmoo object add has made. It stands at 0,0,0.
-        goal: x,y,yaw [m, rad] to which the object is to be brought.
-        set: properties of the object as in a scenario file (docs/scenario.md), such as mass=12, of which the others are
-            drawn; and settings of the run, such as control.num_rollouts=128 (shmoo list settings).
-        seed: draws the properties that are not set, and all noise.
-        start: x,y,yaw [m, rad] of the robot.
+        family: box, cart, wheelchair, or an object file made by shmoo object add. The object starts at 0,0,0.
+        goal: goal pose of the object as x,y,yaw [m, rad].
+        set: properties of the object as NAME=VALUE, such as mass=12 (docs/scenario.md lists them), and settings of the
+            run, such as control.num_rollouts=128 (shmoo list settings lists them).
+        seed: seed of the properties that are not set, and of all noise.
+        start: start pose of the robot as x,y,yaw [m, rad].
         out: folder for result.json, report.html and episode.mp4.
-        weights: trained weights (default: those of the method).
-        video: draw episode.mp4.
-        record: write episode.rrd too, a 3-D recording to scrub through (needs the package rerun-sdk).
-        senses: real or perfect.
-        method: ours, frozen (learns nothing of an object), or paper (the paper's system, docs/paper_system.md).
+        weights: file with trained weights (default: those of the method).
+        video: write episode.mp4.
+        record: also write episode.rrd, a 3-D recording for the Rerun viewer (needs the package rerun-sdk).
+        senses: real (simulated camera, odometry and joint torques) or perfect (ground truth of the simulator).
+        method: ours, frozen (no adaptation to the object) or paper (the system of the paper, docs/paper_system.md).
     """
     from shmoo_mjx.base import progress
     from shmoo_mjx.base.options import parted
@@ -189,18 +190,18 @@ def live(
     out: Path = Path("runs/live"),
     seconds: bounded.Seconds | None = None,
 ) -> int:
-    """Watch the robot think in the browser, set its goals, and move things in its way (needs viser and mjviser).
+    """Watch and disturb a run in the browser (needs the packages viser and mjviser).
 
     Example: shmoo live "demo 3"
 
     Args:
-        scene: "demo SEED", a scenario of the package such as box_in_doorway, or a scenario or map file.
-        host: network interface to listen on. Whoever reaches it can use the page.
-        port: where the page is; the next free one if it is in use.
-        senses: real or perfect.
-        weights: trained weights (default: the shipped ones).
-        out: folder for scenes and reports that are saved on the page.
-        seconds: end after this wall-clock time [s] (default: when Ctrl-C is pressed).
+        scene: "demo SEED", the name of a shipped scenario such as box_in_doorway, or a scenario or map file.
+        host: network interface to listen on. Anyone who can reach it can use the page.
+        port: port of the page; the next free one if it is in use.
+        senses: real (simulated camera, odometry and joint torques) or perfect (ground truth of the simulator).
+        weights: file with trained weights (default: the shipped ones).
+        out: folder for the scenes and reports that are saved on the page.
+        seconds: stop after this wall-clock time [s] (default: run until Ctrl-C).
     """
     from shmoo_mjx.live.command import run_live
 
@@ -208,13 +209,13 @@ def live(
 
 
 def replay(run: Positional[Path], *, weights: Path | None = None) -> int:
-    """Feed a run's recorded observations to the navigator again and compare its commands bit for bit.
+    """Feed the recorded observations of a run to the navigator again and compare its commands bit for bit.
 
     Example: shmoo replay runs/demo-0
 
     Args:
-        run: folder that demo or navigate has left.
-        weights: those of the run (default: the ones in its folder, or else those of its method).
+        run: folder written by shmoo demo, navigate or push.
+        weights: weights of the run (default: those in its folder, or else those of its method).
     """
     from shmoo_mjx.run.replay import replay as compare
 
@@ -230,15 +231,16 @@ def report(
     out: Path = Path("runs/report"),
     weights: Path | None = None,
 ) -> int:
-    """Make the report of a recording of your own robot: what was learned of the object, and whether it can be moved.
+    """Write a report on a recording of your own robot: the object's estimated properties, and whether it can be moved.
 
     Example: shmoo report log.csv --size 0.5 0.4
 
     Args:
-        source: CSV or Parquet file (docs/make_your_own.md lists its columns); or the folder of a run, to draw it again.
-        size: length and width of the object's footprint [m].
+        source: CSV or Parquet file (docs/make_your_own.md lists its columns), or the folder of a run, whose report is
+            written again.
+        size: length and width of the object's footprint [m]; required for a recording.
         out: folder for report.html, result.json and trace.npz.
-        weights: trained weights, for what objects are like (default: the shipped ones).
+        weights: file with trained weights; they hold the prior over objects (default: the shipped ones).
     """
     if source.is_dir():
         from shmoo_mjx.report.html import write_report
@@ -265,18 +267,18 @@ def collect(
     seed: Seed = 0,
     workers: bounded.Workers = 2,
 ) -> int:
-    """Let scripted operators push randomised objects and record a data set; resumes where it was stopped.
+    """Record a data set of scripted pushes of randomised objects. Resumes after an interruption.
 
     Example: shmoo collect data/train
 
     Args:
-        directory: data set to make or to go on with.
-        train: training conditions per family.
-        validation: validation conditions per family.
-        episodes: episodes per condition.
+        directory: folder of the data set, new or to be continued.
+        train: number of training objects per family.
+        validation: number of validation objects per family.
+        episodes: episodes per object.
         seconds: length of an episode [s].
-        seed: of the operators.
-        workers: processes.
+        seed: seed of the scripted operators.
+        workers: number of processes.
     """
     from shmoo_mjx.base import progress
     from shmoo_mjx.data.collect import CollectConfig
@@ -298,18 +300,18 @@ def train(
     quick: bool = False,
     form: Literal["ours", "paper"] = "ours",
 ) -> int:
-    """Train the object model (DAIML) or the robot model on a data set; resumes where it was stopped.
+    """Train the object model (DAIML) or the robot model on a data set. Resumes after an interruption.
 
     Example: shmoo train object data/train --out weights.safetensors
 
     Args:
-        what: object (psi, its prior and noise) or robot (R).
+        what: object (basis functions psi, prior and noise) or robot (model R).
         data: data set made by shmoo collect.
-        out: weights file; the part that is trained is written into it, the other part is kept (default:
-            weights.safetensors, or weights-quick.safetensors with --quick).
-        seed: of initialisation and batches.
-        quick: a short form of a few minutes, to try the commands; its weights are not for use.
-        form: shape of the network: ours, or as the paper prints it.
+        out: weights file. Training replaces one part and keeps the other (default: weights.safetensors, or
+            weights-quick.safetensors with --quick).
+        seed: seed of initialisation and batches.
+        quick: short training of a few minutes, to try the commands. Its weights are not fit for use.
+        form: shape of the network: ours, or paper (as the paper prints it).
     """
     from shmoo_mjx.base import progress
     from shmoo_mjx.learning.train import train_part
@@ -330,15 +332,15 @@ def map_(
     out: Path | None = None,
     radius: bounded.Radius = 0.29,
 ) -> int:
-    """Draw a map with the free space of a robot of the given radius.
+    """Draw a map and the area in which a robot of a given radius fits.
 
     Example: shmoo map show office.yaml
 
     Args:
         action: show.
-        map: map_server YAML.
-        out: PNG picture to write (default: the map's name with _free_space.png, in the present folder).
-        radius: robot radius [m].
+        map: YAML file of a map_server map.
+        out: PNG file to write (default: NAME_free_space.png in the current folder).
+        radius: radius of the robot [m].
     """
     from shmoo_mjx.planning.maps import count_free_unknown, load_map
     from shmoo_mjx.report.map_picture import draw_map
@@ -362,16 +364,16 @@ def scenarios(
     condition_seed: tuple[ConditionSeed, ...] = (0,),
     per_map: bounded.PerMap = 4,
 ) -> int:
-    """Draw scenarios with certificates on your maps, in one file, so that others can compare on the same ones.
+    """Generate a set of certified scenarios in one file, for comparisons on the same scenarios.
 
     Example: shmoo scenarios make --maps maps --condition-seed 7 --out set.json
 
     Args:
         action: make.
-        out: file to write: maps, scenarios, and what is known about each.
-        maps: folder with map_server maps (default: five buildings are generated for each seed).
-        condition_seed: one or several; each draws scenarios of its own on every map.
-        per_map: scenarios on each map for each seed.
+        out: file to write. It holds the maps, the scenarios and their certificates.
+        maps: folder with map_server maps (default: five generated buildings per seed).
+        condition_seed: one or several seeds. Each generates its own scenarios on every map.
+        per_map: number of scenarios per map and seed.
     """
     from shmoo_mjx.base import progress
     from shmoo_mjx.evaluation.scenario_set import make_set
@@ -397,23 +399,23 @@ def object_(
     hull: bool = False,
     out: Path | None = None,
 ) -> int:
-    """Turn a mesh (STL, OBJ, PLY, GLB, Collada) or MJCF file into an object that a scenario can name as its family.
+    """Convert a mesh (STL, OBJ, PLY, GLB, Collada) or an MJCF file into an object file that scenarios can use.
 
     Example: shmoo object add chair.stl --mass 7 --friction 0.4 --wheels casters
 
     Args:
         action: add.
         source: mesh file, or MJCF file (.xml) of one rigid object.
-        friction: Coulomb coefficient of feet or wheels on the floor.
-        mass: of the whole object [kg]; an MJCF file's own if not given.
-        wheels: none (slides on its feet), casters, or rear (two fixed wheels behind, casters in front).
-        wheel_radius: [m].
+        friction: Coulomb friction coefficient of feet or wheels on the floor.
+        mass: mass of the whole object [kg]; required for a mesh (default: the mass in the MJCF file).
+        wheels: none (the object slides on feet), casters (four), or rear (two fixed rear wheels, two front casters).
+        wheel_radius: radius of the wheels [m].
         rolling: rolling resistance coefficient of each wheel.
         swivel_friction: dry friction of each caster's swivel [N m].
         scale: metres per unit of the file: 0.001 for millimetres, 0.01 for centimetres, 0.0254 for inches.
-        up: which axis of the file points up; auto is y for GLB and glTF, what a Collada file states, else z.
-        hull: take the mass distribution of the convex hull, for a mesh that is not closed.
-        out: file to write (default: the source's name with .json, in the present folder).
+        up: upward axis of the file: y, z, or auto (y for GLB and glTF, the stated axis for Collada, z otherwise).
+        hull: use the mass distribution of the convex hull, for a mesh that is not closed.
+        out: file to write (default: NAME.json in the current folder).
     """
     from shmoo_mjx.plant.mesh import add_object
 
@@ -444,15 +446,15 @@ def view(
     seconds: bounded.Seconds = 8.0,
     window: bool = True,
 ) -> int:
-    """Show a scene and drive the robot with the keyboard; where no window can open, write a picture and a film.
+    """Show a scene and drive the robot with the keyboard. Without a display, write a picture and a film instead.
 
     Example: shmoo view cart --seed 3 --record data/mine
 
     Args:
         what: robot, demo, box, cart, wheelchair, an object file (*.json) or a scenario file (*.yaml).
-        seed: of the object or the demo.
-        record: data set that the drive is added to when the window is closed.
-        out: folder for scene.png and view.mp4, where no window can open.
+        seed: seed of the object or the demo.
+        record: data set to which the drive is added when the window closes.
+        out: folder for scene.png and view.mp4 if no window opens.
         seconds: length of the film [s].
         window: open a window if there is a display (--no-window always writes the film).
     """
@@ -461,7 +463,9 @@ def view(
     from shmoo_mjx.run import view as viewing
 
     if record is not None:
-        check_seed("--record: --seed", seed, UNSEEN_SEED - 1)  # A drive is training data.
+        check_seed(
+            "--record: --seed", seed, UNSEEN_SEED - 1
+        )  # The drive becomes training data, so seeds of test objects are excluded.
     scene = viewing.scene_named(what, seed)
     if window and has_display():
         print("\n".join(teleop.KEYS.values()))
@@ -495,37 +499,38 @@ def experiment(
     buildings: bounded.Buildings | None = None,
     workers: bounded.Workers | None = None,
 ) -> int:
-    """Run an experiment: object_model, estimate, outcomes, baselines, ablations, robot_finetune, pushing,
-    object_planner, real_pushing, navigation, lifelong; or all of them, with a page of their results. For developers:
-    faults (each fault in the demo's scenes) and soak (hours of errands while others move objects).
+    """Run an experiment, such as navigation or pushing; shmoo list experiments lists them.
+
+    The name all runs every experiment for users and writes a page of results. For developers: faults injects faults
+    into the demo, and soak runs for hours of simulated time.
 
     Example: shmoo experiment object_model --json object_model.json
 
     Example: shmoo experiment faults --runs 2 --only camera_gone person_walks
 
     Args:
-        name: which experiment.
-        seed: of trainings, operators and noise; of the first demo for faults, of the first building for soak (default:
-            0, for faults 900, for soak 950).
-        condition_seed: draws the unseen objects or scenarios; another number gives others nobody has looked at.
+        name: name of the experiment, or all.
+        seed: seed of training, operators and noise; of the first demo for faults and of the first building for soak
+            (default: 0; 900 for faults; 950 for soak).
+        condition_seed: seed of the test objects or scenarios. A new number gives a new test set.
         json: file for the result (default: OUT/NAME.json).
-        quick: a short form of the same shape.
-        data: data set, for the experiments that take one (made if absent; real_pushing: a folder of recorded pushes).
-        maps: folder with map_server maps, for navigation.
-        scenarios: scenarios per map, for navigation; or a scenario set in the place of maps: a file made by shmoo
-            scenarios make, or arena or floor_plans, the shipped ones.
-        policies: which policies (navigation, lifelong) or pushing controllers (pushing) run, by their names (default:
-            all; shmoo list policies, shmoo list controllers); for navigation and pushing also your own, as
+        quick: short form of the same shape.
+        data: data set of experiments that use one, made if absent. For real_pushing: folder of recorded pushes.
+        maps: folder with map_server maps, for navigation (default: generated buildings).
+        scenarios: for navigation: number of scenarios per map, or a scenario set in place of maps (a file made by
+            shmoo scenarios make, or a shipped set: arena, floor_plans).
+        policies: names of policies (navigation, lifelong) or pushing controllers (pushing) to compare (default: all;
+            shmoo list policies, shmoo list controllers). Navigation and pushing also take your own, as
             package.module:Name.
-        weights: trained weights (default: the shipped ones).
-        pushes: folder of recorded pushes, for real_pushing among all.
-        out: folder for figures and what an interrupted experiment goes on from.
-        senses: real or perfect, of the robots that act in the experiment.
-        runs: of each fault, for faults (default: 20, or 1 if quick).
-        only: these faults, for faults (default: all; shmoo list faults).
-        minutes: simulated time in each building, for soak (default: 60, or 2 if quick).
-        buildings: how many, for soak (default: 10, or 1 if quick).
-        workers: processes (default: the experiment's own).
+        weights: file with trained weights (default: the shipped ones).
+        pushes: folder of recorded pushes, for real_pushing as a part of all.
+        out: folder for figures and intermediate results.
+        senses: real (simulated camera, odometry and joint torques) or perfect (ground truth of the simulator).
+        runs: for faults: runs per fault (default: 20, or 1 with --quick).
+        only: for faults: names of the faults to run (default: all; shmoo list faults).
+        minutes: for soak: simulated time per building [min] (default: 60, or 2 with --quick).
+        buildings: for soak: number of buildings (default: 10, or 1 with --quick).
+        workers: number of processes (default: chosen by the experiment).
     """
     from shmoo_mjx.base import progress
     from shmoo_mjx.base.guard import EXPERIMENT, check_output
@@ -590,22 +595,21 @@ def bench(
     seed: Seed = 0,
     out: Path = Path("runs/benchmarks"),
 ) -> int:
-    """Measure how fast a part is: mppi (control step), daiml (training), plant, planner, demo, navigation (a trial),
-    startup, or all of them; or compare two results of one machine.
+    """Measure the speed of a part, or compare two results of one machine; shmoo list benchmarks lists the parts.
 
     Example: shmoo bench mppi --peers-python peers/bin/python --json mppi.json
 
     Example: shmoo bench compare old.json new.json
 
     Args:
-        name: which benchmark; all; or compare, which ends with code 1 if anything takes over 20 % longer than it did.
+        name: name of the benchmark, all, or compare. Compare ends with code 1 if a part takes over 20 % longer.
         files: for compare: the older result, then the newer one.
         json: file for the result (default: OUT/bench_NAME.json).
-        quick: a short form of the same shape.
-        peers_python: Python interpreter with torch and pytorch-mppi (default: this one); absent peers are left out.
-        ratios: for compare: only ratios, of results from two machines; up to 1.9 times as much is let pass.
-        maps: for navigation: folder of map_server maps, on each of which a trial is timed too.
-        seed: of made-up weights and noise.
+        quick: short form of the same shape.
+        peers_python: Python interpreter with torch and pytorch-mppi (default: this one). Missing packages are left out.
+        ratios: for compare: compare only ratios, for results of two machines; the limit is then 1.9 times.
+        maps: for navigation: folder of map_server maps; one trial per map is timed too.
+        seed: seed of random weights and noise.
         out: folder for the result.
     """
     from shmoo_mjx.base import progress
@@ -641,21 +645,21 @@ def sweep(
     options: tuple[str, ...] = (),
     senses: bounded.Senses | None = None,
 ) -> int:
-    """Push objects in thousands of randomised MJX worlds and say when pushes succeed; goes on where it was stopped.
+    """Push objects in thousands of randomised MJX worlds and map when pushes succeed. Resumes after an interruption.
 
     Example: shmoo sweep push_mass_friction --quick
 
     Args:
-        config: sweep file (docs/sweeps.md), or the name of a shipped one.
+        config: sweep file (docs/sweeps.md), or the name of a shipped sweep.
         out: folder for shards, table and figures (default: runs/sweeps/NAME).
-        weights: trained weights (default: the shipped ones).
-        quick: a short form of the same shape.
-        estimate: only say what time and memory it would take.
-        memory_gb: that a batch of worlds may take [GB] (default: what is free).
-        jobs: so many jobs of a cluster share the work; 0 is this process alone.
-        cluster: with --jobs: slurm, or local for processes of this machine.
-        options: with --jobs: settings of submitit, such as timeout_min=60 gpus_per_node=1 slurm_partition=gpu.
-        senses: real or perfect; overrides the sweep's own (default: real).
+        weights: file with trained weights (default: the shipped ones).
+        quick: short form of the same shape.
+        estimate: print the expected time and memory, and run nothing.
+        memory_gb: memory limit for one batch of worlds [GB] (default: the free memory).
+        jobs: number of cluster jobs that share the work; 0 runs everything in this process.
+        cluster: with --jobs: slurm, or local (processes on this machine).
+        options: with --jobs: submitit settings, such as timeout_min=60 gpus_per_node=1 slurm_partition=gpu.
+        senses: real or perfect; replaces the sweep's own value (default: the sweep's, or else real).
     """
     from shmoo_mjx.base import progress
     from shmoo_mjx.sweep.command import carry_out
@@ -698,12 +702,12 @@ def list_(
         ]
     ] = "all",
 ) -> int:
-    """List what is shipped, a line each with what to type.
+    """List what is shipped, with the command to use each item.
 
     Example: shmoo list settings
 
     Args:
-        what: one kind, or all but the settings.
+        what: kind of item. All leaves out the settings.
     """  # fmt: skip
     from shmoo_mjx.evaluation.catalogue import KINDS, lines
 
@@ -714,7 +718,7 @@ def list_(
 
 
 def doctor() -> int:
-    """Check versions, device, renderer and video encoder, and say what to do about each failure.
+    """Check versions, device, renderer, video encoder and weights, and print a remedy for each failure.
 
     Example: shmoo doctor
     """
@@ -724,12 +728,12 @@ def doctor() -> int:
 
 
 def completion(shell: Positional[Literal["bash", "zsh", "fish"]]) -> int:
-    """Print the script that lets a shell complete commands and options.
+    """Print a script that makes a shell complete commands and options.
 
     Example: shmoo completion bash > ~/.local/share/bash-completion/completions/shmoo
 
     Args:
-        shell: which shell.
+        shell: bash, zsh or fish.
     """
     return _run(["--tyro-print-completion", shell])
 
@@ -754,22 +758,22 @@ _COMMANDS: dict[str, Callable[..., int]] = {
     "replay": replay,
     "completion": completion,
 }
-"""Users' commands first, then those for developers."""
+"""All commands, in the order of `shmoo --help`."""
 _MOVED = {"faults": "experiment faults", "soak": "experiment soak"}
 _NEED_NO_DEVICE = ("doctor", "completion", "list")
 _GO_ON = ("collect", "train", "scenarios", "experiment", "sweep")
-"""Commands that go on where they were stopped."""
+"""Commands that resume after an interruption."""
 
 
 def _run(arguments: list[str] | None = None) -> int:
-    """Run the command that the arguments name (default: those of this process)."""
+    """Run the command given by the arguments (default: those of this process) and return its exit code."""
     words = _joined(sys.argv[1:] if arguments is None else arguments)
     if words == ["--version"]:
         print(f"shmoo_mjx {shmoo_mjx.__version__}")
         return 0
     if words and not words[0].startswith("-") and words[0] not in _COMMANDS:
         if moved := _MOVED.get(words[0]):
-            raise ShmooError(f"shmoo {words[0]} is shmoo {moved} now, with the same options.")
+            raise ShmooError(f"there is no command {words[0]!r}; use shmoo {moved}, with the same options.")
         near = get_close_matches(words[0], _COMMANDS, 1)
         hint = f"did you mean {near[0]}?" if near else f"choose from {', '.join(_COMMANDS)}."
         raise ShmooError(f"there is no command {words[0]!r}; {hint}")
@@ -781,14 +785,14 @@ def _run(arguments: list[str] | None = None) -> int:
         prog="shmoo",
         description=str(shmoo_mjx.__doc__).partition("\n")[0],
         args=words,
-        # Without a text tyro parses its own source for one, which takes a fifth of the time of --help.
-        config=(tyro.conf.arg(help="shmoo COMMAND --help lists its options. For developers: bench, doctor, replay."),),  # type: ignore[arg-type]
+        # Without this text tyro parses its own source code to find one, a fifth of the time that --help takes.
+        config=(tyro.conf.arg(help="shmoo COMMAND --help lists the options of a command."),),  # type: ignore[arg-type]
     )
     return code
 
 
 def _joined(words: list[str]) -> list[str]:
-    """``--start -1,2,0`` as ``--start=-1,2,0``: a place may begin with a minus without being an option."""
+    """Join ``--start -1,2,0`` to ``--start=-1,2,0``, because the parser takes a leading minus for an option."""
     joined: list[str] = []
     for word in words:
         if joined and joined[-1] in ("--start", "--goal") and re.match(r"-[\d.]", word):
@@ -799,7 +803,7 @@ def _joined(words: list[str]) -> list[str]:
 
 
 def main() -> None:
-    """Entry point. Bad input ends with one sentence and exit code 2."""
+    """Entry point of ``shmoo``. Bad input prints one sentence and ends with exit code 2."""
     prepare_environment()
     try:
         code = _run()
@@ -807,7 +811,7 @@ def main() -> None:
         print(f"shmoo: {error}", file=sys.stderr)
         code = 2
     except BrokenPipeError:
-        # Whoever read the output has closed it; Python would try to flush once more at its end.
+        # The reader closed the pipe. Without this, Python fails again when it flushes stdout at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 1
     except OSError as error:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import inspect
 import logging
 import platform
+import re
 import sys
 import time
 import typing
@@ -16,6 +17,7 @@ from collections.abc import Callable
 from importlib import metadata
 from typing import Any
 
+import tyro
 from tyro.conf import FlagCreatePairsOff
 
 from shmoo_mjx.errors import ShmooError
@@ -23,8 +25,8 @@ from shmoo_mjx.errors import ShmooError
 LOG = logging.getLogger("shmoo_mjx")
 
 _OPTIONS = """\
-    quiet: say nothing but results and errors.
-    verbose: say what is done as lines with the time on stderr, instead of progress bars: a log, with 2> run.log.
+    quiet: print only results and errors.
+    verbose: print log lines with date and time to stderr, instead of progress bars.
 """
 
 
@@ -58,8 +60,13 @@ def with_verbosity(command: Callable[..., int]) -> Callable[..., int]:
     ]
     signature = inspect.signature(command)
     run.__signature__ = signature.replace(parameters=[*signature.parameters.values(), *added])  # type: ignore[attr-defined]
-    run.__annotations__ = typing.get_type_hints(command, include_extras=True) | {"quiet": flag, "verbose": flag}
-    doc = inspect.getdoc(command) or ""
+    hints = typing.get_type_hints(command, include_extras=True) | {"quiet": flag, "verbose": flag}
+    for name, parameter in signature.parameters.items():
+        if parameter.default in (None, ()):  # The help text itself states what happens by default.
+            hints[name] = typing.Annotated[hints[name], tyro.conf.arg(help_behavior_hint="")]
+    run.__annotations__ = hints
+    # tyro would print the continuation lines of an argument as lines of their own.
+    doc = re.sub(r"\n {8}(?=\S)", " ", inspect.getdoc(command) or "")
     run.__doc__ = doc.rstrip() + ("\n" if "\nArgs:\n" in doc else "\n\nArgs:\n") + _OPTIONS
     run.__name__ = command.__name__
     return run
