@@ -163,7 +163,8 @@ def _least_time(
         price = rank(otherwise=push_options.time_without_push(through, alone))[0].seconds - through.seconds
         options = rank(otherwise=otherwise)
         best, summary = options[0], push_options.describe_options(options[:3], way_round)
-        state = state.with_events(_decision(now, index, summary=summary, options=options, otherwise=otherwise))
+        decision = _decision(now, index, summary=summary, options=options, otherwise=otherwise)
+        state = state.with_events(decision._replace(options=push_options.option_list(options, way_round)))
         state = state.with_object(index, price=max(price, 0.0))
         if near and price >= push_options.BLOCKED:
             return _give_up(setup, state, now, index, why=summary)

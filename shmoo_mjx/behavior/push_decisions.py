@@ -75,11 +75,13 @@ def _think_again(setup: Setup, state: NavigatorState, obs: Observation) -> Navig
     (here,) = push_options.rank_pushes(
         pushes, walks={side: 0.0}, failed=target.failed_faces, rest=through.seconds, otherwise=otherwise
     )
-    summary = push_options.describe_options((here,), None if detour is None else otherwise)
+    way_round = None if detour is None else otherwise
+    summary, options = push_options.describe_options((here,), way_round), push_options.option_list((here,), way_round)
     moves = here.probability >= 0.5
-    state = state.with_object(index, manipulable=moves).with_events(
-        Decision(now, index, np.nan, np.nan, moves, here.goal, summary, here.ends, here.goal[None], here.probability)
+    decision = Decision(
+        now, index, np.nan, np.nan, moves, here.goal, summary, here.ends, here.goal[None], here.probability, options
     )
+    state = state.with_object(index, manipulable=moves).with_events(decision)
     if detour is not None and otherwise < here.seconds:
         return state.failed().go(now, Mode.RETREAT, f"object {index}: {summary}")
     if np.isfinite(here.free).any():

@@ -18,6 +18,7 @@ import shapely
 from shmoo_mjx.arrays import Array, Bool, Float
 from shmoo_mjx.behavior.belief import ObjectBelief, all_faces
 from shmoo_mjx.behavior.routes import PACE, Route
+from shmoo_mjx.behavior.state import Option
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.planning.distance_field import DistanceField
 from shmoo_mjx.planning.paths import Path
@@ -190,6 +191,12 @@ def describe_options(options: Sequence[Push], detour: float | None) -> str:
         for push, average in zip(options, mean, strict=True)
     ]
     return "; ".join([*pushes, "no way round" if detour is None else f"go round {detour:.0f} s"])
+
+
+def option_list(options: Sequence[Push], detour: float | None) -> tuple[Option, ...]:
+    """The pushes, and the detour that takes ``detour`` [s] if there is one, as the options of a decision."""
+    pushes = [Option(f"push from {SIDES[push.side]}", push.works, push.seconds, push.probability) for push in options]
+    return (*pushes, *([] if detour is None else [Option("go round", detour, detour, 1.0)]))
 
 
 def walk_time(length: float) -> float:

@@ -85,6 +85,20 @@ class Transition(NamedTuple):
     """Reason for the switch, as text."""
 
 
+class Option(NamedTuple):
+    """One option that a decision compares: a push from a side, or the detour."""
+
+    text: str
+    """Description of the option."""
+    works: float
+    """Expected time to the robot's goal if the option works [s]."""
+    seconds: float
+    """Expected time to the robot's goal, failures and their consequences included [s]. Without a detour it contains the
+    assumed cost of giving up."""
+    probability: float
+    """Probability that the option works."""
+
+
 class Decision(NamedTuple):
     """A decision about an object, with the evidence for it."""
 
@@ -108,6 +122,8 @@ class Decision(NamedTuple):
     """Candidate target poses in {W}."""
     probability: float | None
     """Probability that the best option frees the path; None if K decides."""
+    options: tuple[Option, ...] = ()
+    """The options that were compared, pushes before the detour; empty if K decides."""
 
 
 class Note(NamedTuple):

@@ -11,7 +11,8 @@
 Optional entries, which the report shows if they exist, are ``reason`` (of the outcome), ``name``, ``seed``, ``time_s``,
 ``path_length_m``, ``goal_distance_m``, ``falls``, ``wall_contacts``, ``senses``, ``start`` and ``goal`` ([x, y, ...] in
 {W}), ``config`` and ``versions``. A replay uses ``method`` and ``policy``. The ``object`` of a decision is the ``id``
-of an object. The roll-outs of a decision have the same index in the trace.
+of an object. The roll-outs of a decision have the same index in the trace. A decision by expected times also has
+``options``: [{"text", "works_s", "mean_s", "probability"}], see `shmoo_mjx.behavior.state.Option`.
 """
 
 from __future__ import annotations

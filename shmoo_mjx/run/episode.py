@@ -261,6 +261,15 @@ def result_of(simulation: Simulation, legs: Sequence[Leg] = (), goals: int = 1) 
                 "manipulable": d.manipulable,
                 "goal": None if d.goal is None else _floats(d.goal),
                 "reason": d.reason,
+                "options": [
+                    {
+                        "text": option.text,
+                        "works_s": round(option.works, 1),
+                        "mean_s": round(option.seconds, 1),
+                        "probability": round(option.probability, 4),
+                    }
+                    for option in d.options
+                ],
             }
             for d in navigator.decisions
         ],

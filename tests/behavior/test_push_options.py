@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from shmoo_mjx.behavior.belief import ObjectBelief
-from shmoo_mjx.behavior.push_options import AWAY, Push, describe_options, predict_pushes, rank_pushes
+from shmoo_mjx.behavior.push_options import AWAY, Push, describe_options, option_list, predict_pushes, rank_pushes
 from shmoo_mjx.planning.maps import OCCUPIED, OccupancyGrid, distance_field
 from shmoo_mjx.planning.paths import Path
 from shmoo_mjx.planning.reach import STEPS, Options, Outcomes
@@ -133,6 +133,9 @@ def test_options_are_told_with_their_times_and_probabilities() -> None:
     assert f"push from behind {push.works:.0f} s ({push.probability:.0%}, {push.seconds:.0f} s on average)" in said
     assert said.endswith("go round 31 s")
     assert describe_options((push,), None).endswith(f"{push.works:.0f} s ({push.probability:.0%}); no way round")
+    pushed, detour = option_list((push,), 31.0)
+    assert pushed == ("push from behind", push.works, push.seconds, push.probability)
+    assert detour == ("go round", 31.0, 31.0, 1.0) and option_list((push,), None) == (pushed,)
 
 
 def test_a_side_that_has_failed_is_trusted_less_each_time() -> None:
