@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
-LINK = re.compile(r"\[([^\]]+)\]\(\.\./([^)\s]+)\)")
+LINK = re.compile(r"\[([^\]]+)\]\(((?:\.\./)+)([^)\s]+)\)")
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
@@ -13,7 +13,9 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     depth = page.file.src_uri.count("/")
 
     def target(match: re.Match[str]) -> str:
-        text, path = match.groups()
+        text, up, path = match.groups()
+        if len(up) // 3 <= depth:
+            return match[0]  # another page of the documentation
         parts = path.removesuffix(".py").removesuffix("/__init__").split("/")
         if parts[0] != "shmoo_mjx" or not path.endswith(".py") or len(parts) < 2:
             return text

@@ -84,7 +84,7 @@ def push(folder: Path) -> Any:
 
 
 def plan(folder: Path) -> Any:
-    """MPPI by itself, as in docs/make_your_own.md, in a loop that is compiled."""
+    """MPPI by itself, as in docs/how_to/cost.md, in a loop that is compiled."""
     from shmoo_mjx.control import mppi
 
     config = mppi.MppiConfig((0.3, 0.2), (-1.0, -1.0), (1.0, 1.0), num_rollouts=32, horizon=5)

@@ -73,7 +73,7 @@ class Log(NamedTuple):
 
 
 def read_log(path: str | Path) -> Log:
-    """Reads a recording from a CSV or Parquet file (docs/make_your_own.md lists its columns) as samples of 0.1 s.
+    """Reads a recording from a CSV or Parquet file (docs/how_to/recording.md lists its columns) as samples of 0.1 s.
 
     Raises:
         ShmooError: as `read_columns`, or the numbers are not plausible.

@@ -88,7 +88,7 @@ def run_episode(
         goals: ``(x, y)`` in {W} [m], in place of the scenario's. The robot drives to one after the other in the same
             world and keeps its belief. The time limit applies to the sum.
         real_time: run against the wall clock. A command takes effect after its real computing time.
-        policy: "package.module:Name" of a policy that replaces the navigator (docs/make_your_own.md).
+        policy: "package.module:Name" of a policy that replaces the navigator (docs/how_to/policy.md).
     """
     chosen = senses if isinstance(senses, Senses) else senses_named(senses or scenario.senses or "real")
     ahead = [tuple(goal) for goal in goals] or [scenario.goal]

@@ -18,7 +18,7 @@ from shmoo_mjx.planning.maps import OCCUPIED, OccupancyGrid, save_map
 from shmoo_mjx.planning.scenario import Limits, ObjectEntry, Scenario, save_scenario
 from shmoo_mjx.run.episode import run_episode
 
-PAGE = (Path(__file__).resolve().parents[2] / "docs/make_your_own.md").read_text().partition("## Navigation policy")[2]
+PAGE = (Path(__file__).resolve().parents[2] / "docs/how_to/policy.md").read_text()
 GO_ROUND, STRAIGHT = (part.partition("```")[0] for part in PAGE.split("```python\n")[1:3])
 BAD = """
 import numpy as np

@@ -19,22 +19,29 @@ from shmoo_mjx import cli
 from shmoo_mjx.base.verbosity import with_verbosity
 
 ROOT = Path(__file__).resolve().parents[2]
-OWN = "docs/make_your_own.md"
-SECTIONS = re.findall(r"^## (.+)$", (ROOT / OWN).read_text(encoding="utf-8"), re.MULTILINE)
-WHOLE = sorted({f"docs/{p.name}" for p in (ROOT / "docs").glob("*.md")} - {OWN})
-PAGES = ["README.md", "CONTRIBUTING.md", *WHOLE, *(f"{OWN}#{title}" for title in SECTIONS)]
-"""Pages, and the sections of one of which each stands alone."""
+HOW_TO = "docs/how_to/"
+PAGES = ["README.md", "CONTRIBUTING.md", *sorted(str(p.relative_to(ROOT)) for p in (ROOT / "docs").rglob("*.md"))]
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.DOTALL | re.MULTILINE)
 PRINTS = {
     "README.md": "->",
-    f"{OWN}#Cost or model": "turned by",
-    f"{OWN}#Robot": "pushed away by",
-    f"{OWN}#Object": "pushed by",
+    f"{HOW_TO}cost.md": "turned by",
+    f"{HOW_TO}robot.md": "pushed away by",
+    f"{HOW_TO}object.md": "pushed by",
+    f"{HOW_TO}recording.md": "prior 32.7",
+    f"{HOW_TO}learner.md": "variance unexplained",
+    f"{HOW_TO}mppi.md": "of 1, cart at",
+    f"{HOW_TO}daiml.md": "after 20 samples",
+    f"{HOW_TO}ballbot.md": "lean",
+    f"{HOW_TO}object_planner.md": "movable: True",
 }
 NEEDS = {"docs/gym.md": "gymnasium"}
 LINES_OF_A_TASK = 32
-TRAINS = (f"{OWN}#Other data", f"{OWN}#Learner")
-"""Pages whose examples train or record for half a minute."""
+LONG = tuple(f"{HOW_TO}{name}.md" for name in ("daiml", "learner", "mppi", "object_planner"))
+"""Pages whose examples train, record or compile for half a minute."""
+LONGEST = 130
+"""Lines of a how-to page."""
+READ = re.compile(r"(?:^|[ =])([\w./-]+\.(?:yaml|json|stl|csv|py|npz))\b|\b(my_\w+):\w+")
+"""File that a command names, or module of a policy or pushing controller."""
 
 
 class Block(NamedTuple):
@@ -43,10 +50,7 @@ class Block(NamedTuple):
 
 
 def text_of(page: str) -> str:
-    """A page, or the section of it that stands behind a #."""
-    name, _, title = page.partition("#")
-    text = (ROOT / name).read_text(encoding="utf-8")
-    return text.partition(f"\n## {title}\n")[2].partition("\n## ")[0] if title else text
+    return (ROOT / page).read_text(encoding="utf-8")
 
 
 def blocks(page: str) -> list[Block]:
@@ -74,15 +78,15 @@ WITH_COMMANDS = [page for page in PAGES if commands(page)]
 
 
 def test_the_pages_are_found() -> None:
-    assert {f"{OWN}#{title}" for title in SECTIONS} <= set(WITH_PYTHON)
-    assert {"README.md", "docs/tutorial.md", "docs/gym.md", f"{OWN}#Other data"} <= set(WITH_PYTHON)
+    how_to = {page for page in PAGES if page.startswith(HOW_TO)} - {f"{HOW_TO}index.md"}
+    assert len(how_to) >= 12 and {"README.md", "docs/tutorial.md", "docs/gym.md", *how_to} <= set(WITH_PYTHON)
     assert {"README.md", "docs/tutorial.md", "docs/performance.md", "docs/sweeps.md"} <= set(WITH_COMMANDS)
 
 
 @pytest.mark.parametrize(
     "page",
     [
-        pytest.param(page, marks=pytest.mark.slow if page in TRAINS else ())
+        pytest.param(page, marks=pytest.mark.slow if page in LONG else ())
         for page in WITH_PYTHON
         if page != "docs/tutorial.md"
     ],
@@ -99,7 +103,21 @@ def test_the_pages_python_runs(
 
 
 def test_a_whole_task_is_short() -> None:
-    assert len([line for line in python_of(f"{OWN}#Cost or model").splitlines() if line.strip()]) <= LINES_OF_A_TASK
+    assert len([line for line in python_of(f"{HOW_TO}cost.md").splitlines() if line.strip()]) <= LINES_OF_A_TASK
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if page.startswith(HOW_TO)])
+def test_how_to_pages_are_short_and_name_files_that_exist(page: str) -> None:
+    """Files that a page's commands read are shipped, or written by its code, its listings or an earlier command."""
+    assert len(text_of(page).splitlines()) <= LONGEST
+    written = set(re.findall(r"\"([\w./-]+\.\w+)\"|^# ([\w./-]+\.\w+)$", python_of(page), re.MULTILINE))
+    there = {name for pair in written for name in pair}
+    for line in commands(page):
+        there.update(re.findall(r"--(?:out|json) (\S+)", line))
+        for file, module in READ.findall(line):
+            name = file or f"{module}.py"
+            assert name in there or (ROOT / name).exists(), f"{page}: {line}"
+        there |= {f"{stem}.json" for stem in re.findall(r"object add (\S+)\.\w+", line)}
 
 
 @pytest.mark.parametrize("page", WITH_COMMANDS)

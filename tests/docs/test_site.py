@@ -54,6 +54,10 @@ def test_links_to_the_source_become_links_to_the_reference() -> None:
     text = "[a](../shmoo_mjx/plant/objects.py) [b](../shmoo_mjx/run/scenario_run.py) [c](../README.md) [d](gym.md)"
     there = "[a](reference/plant.md#shmoo_mjx.plant.objects) [b](reference/run.md#shmoo_mjx.run.scenario_run)"
     assert links.on_page_markdown(text, Page) == f"{there} c [d](gym.md)"
+    Page.file.src_uri = "how_to/robot.md"
+    text = "[a](../../shmoo_mjx/plant/robot.py) [b](../plant.md#engines) [c](../../README.md) [d](object.md)"
+    there = "[a](../reference/plant.md#shmoo_mjx.plant.robot) [b](../plant.md#engines) c [d](object.md)"
+    assert links.on_page_markdown(text, Page) == there
 
 
 @pytest.mark.slow

@@ -277,7 +277,7 @@ def test_a_controller_of_ones_own_pushes_in_the_place_of_ours(tmp_path: Path, mo
     from shmoo_mjx.evaluation.pushing_trials import Runner
     from shmoo_mjx.learning.weights import load_weights
 
-    page = (Path(__file__).resolve().parents[2] / "docs/make_your_own.md").read_text()
+    page = (Path(__file__).resolve().parents[2] / "docs/how_to/pusher.md").read_text()
     example = page.split("```python\n# my_pusher.py\n")[1].partition("```")[0]
     (tmp_path / "my_pusher.py").write_text(example)
     (tmp_path / "my_broken.py").write_text(

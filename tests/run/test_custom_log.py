@@ -289,5 +289,5 @@ def test_bad_input_of_the_command_is_one_sentence_with_exit_code_2(
 
 
 def test_the_page_in_the_documentation_lists_every_column() -> None:
-    text = (ROOT / "docs" / "make_your_own.md").read_text()
+    text = (ROOT / "docs" / "how_to" / "recording.md").read_text()
     assert all(f"`{name}`" in text for name in (*REQUIRED, *OPTIONAL))
