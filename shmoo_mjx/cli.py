@@ -236,8 +236,8 @@ def report(
     Example: shmoo report log.csv --size 0.5 0.4
 
     Args:
-        source: CSV or Parquet file (docs/how_to/recording.md lists its columns), or the folder of a run, whose report is
-            written again.
+        source: CSV or Parquet file (docs/how_to/recording.md lists its columns), or the folder of a run, whose report
+            is written again.
         size: length and width of the object's footprint [m]; required for a recording.
         out: folder for report.html, result.json and trace.npz.
         weights: file with trained weights; they hold the prior over objects (default: the shipped ones).
