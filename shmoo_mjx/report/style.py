@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import warnings
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ from shmoo_mjx.report.trace import Trace
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from PIL import ImageFont
 
 # Palette based on Okabe and Ito, which can be distinguished with colour vision deficiencies.
 SERIES = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#7A6A00", "#555555")
@@ -43,6 +45,16 @@ _OTHER_SCRIPTS = (
 _RIM = 0.1
 """Width of the area shown beyond the end of a map [m]."""
 _SIGNS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+
+
+@cache
+def font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
+    """A font of this size [pixels] for Pillow, whose own font lacks characters such as the superscript in m²."""
+    import matplotlib
+    from PIL import ImageFont
+
+    file = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
+    return ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / file), size)
 
 
 def blank_figure(width: float, height: float) -> Figure:

@@ -1,4 +1,4 @@
-"""The video of a run: an MP4 writer, a top-down view that needs no GL, and frames with caption and inset map."""
+"""The video of a run: an MP4 writer, a top-down view that needs no GL, and frames with caption and map."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ import numpy as np
 from shmoo_mjx.arrays import Array
 from shmoo_mjx.base.files import whole
 from shmoo_mjx.geometry import se2
-from shmoo_mjx.report.style import COLOURS, object_colour, outline, window
+from shmoo_mjx.report import words
+from shmoo_mjx.report.style import COLOURS, font, object_colour, outline, window
 from shmoo_mjx.report.trace import Trace
 
 if TYPE_CHECKING:
-    from PIL import Image, ImageFont
+    from PIL import Image
 
 _ROBOT_RADIUS = 0.19
 """Radius with which the robot's body is drawn [m]."""
@@ -124,18 +125,23 @@ def topdown_image(view: TopDown, t: float) -> np.ndarray:
     for number, item in enumerate(view.result["objects"]):
         if not np.isfinite(trace.object_pose[k, number]).all():
             continue  # not observed at that time
-        now = {**item, "registered": item.get("registered") and _registered_at(view.result, item, t)}
+        now = {**item, "registered": words.registered_at(view.result, item["id"], t)}
         corners = view.pixels(outline(trace.object_pose[k, number], item["half_extents"]))
         draw.polygon(corners, fill=object_colour(now, number), outline="#333333", width=max(1, line // 2))
     past = [d for d in view.result["decisions"] if float(d["t"]) <= t + 1e-6]
     decision = past[-1] if past else None
     if decision is not None and decision.get("goal") is not None:
-        goal = np.asarray(decision["goal"], dtype=float)
-        half = next((o["half_extents"] for o in view.result["objects"] if o["id"] == decision["object"]), (0.2, 0.2))
-        pose = np.array([goal[0], goal[1], goal[2] if len(goal) > 2 else 0.0])
-        draw.polygon(view.pixels(outline(pose, half)), outline=COLOURS["goal"], width=line)
+        (x, y), radius = view.pixels([decision["goal"]])[0], 2.5 * line
+        draw.ellipse([x - radius, y - radius, x + radius, y + radius], fill=COLOURS["decision"])
     _robot(draw, view, np.asarray(trace.robot_pose[k], dtype=float), line)
     return np.asarray(image.resize(view.size, Image.Resampling.BOX))
+
+
+def fitting(result: dict[str, Any], trace: Trace, most: tuple[int, int]) -> tuple[int, int]:
+    """The largest size (width, height) [pixels] within ``most`` that has the proportions of the run's window."""
+    x0, x1, y0, y1 = window(result, trace)
+    scale = min(most[0] / (x1 - x0), most[1] / (y1 - y0))
+    return round(scale * (x1 - x0)), round(scale * (y1 - y0))
 
 
 def topdown_frames(
@@ -153,55 +159,43 @@ def topdown_frames(
     view = top_down(result, trace, size)
     end = float(trace.t[-1])
     for t in np.arange(float(trace.t[0]), end + 0.5 * speed / fps, speed / fps):
-        yield compose(topdown_image(view, float(t)), caption_at(result, float(min(t, end))))
+        clock = f"{min(t, end):.0f} s   {speed:g}x speed"
+        yield compose(topdown_image(view, float(t)), words.caption_at(result, float(min(t, end))), clock=clock)
 
 
-def narrate(
-    frames: Iterable[tuple[float, np.ndarray]], result: dict[str, Any], trace: Trace, inset_width: int = 360
-) -> Iterator[np.ndarray]:
-    """3-D frames with the top-down view beside them and the caption above them.
-
-    Args:
-        frames: pairs of time [s] and image, uint8 ``[H, W, 3]``.
-        result: content of ``result.json``.
-        trace: trace of the run.
-        inset_width: width of the top-down view [pixels].
-    """
-    view: TopDown | None = None
-    for t, frame in frames:
-        view = view or top_down(result, trace, (inset_width, frame.shape[0]))
-        yield compose(frame, caption_at(result, t), topdown_image(view, t))
-
-
-def compose(frame: np.ndarray, caption: tuple[str, str] = ("", ""), inset: np.ndarray | None = None) -> np.ndarray:
-    """A frame of even size with ``inset`` to its right and ``caption`` (headline, detail) in a strip above.
+def compose(
+    frame: np.ndarray, caption: tuple[str, str] = ("", ""), inset: np.ndarray | None = None, *, clock: str = ""
+) -> np.ndarray:
+    """A frame of even size with a caption in a strip above.
 
     The caption is above because the controls of a video player cover the lower edge.
+
+    Args:
+        frame: image, uint8 ``[H, W, 3]``.
+        caption: headline and detail.
+        inset: image for the lower right corner, uint8.
+        clock: text at the right of the headline.
     """
     from PIL import Image, ImageDraw
 
-    height = frame.shape[0]
-    width = frame.shape[1] + (0 if inset is None else inset.shape[1] + 4)
-    big, small = max(14, height // 26), max(11, height // 34)
-    strip = round(2.0 * big + 3.0 * small)
+    height, width = frame.shape[:2]
+    rows = 1 if width >= 1000 else 2  # of the detail
+    big, small = max(14, height // 26), max(11, height // 36)
+    strip = round(1.85 * big + 1.8 * small + 1.35 * small * (rows - 1))
     canvas = Image.new("RGB", ((width + 1) // 2 * 2, (height + strip + 1) // 2 * 2), "#1f2430")
     canvas.paste(Image.fromarray(np.ascontiguousarray(frame[..., :3])), (0, strip))
-    if inset is not None:
-        canvas.paste(Image.fromarray(np.ascontiguousarray(inset[..., :3])), (frame.shape[1] + 4, strip))
     draw = ImageDraw.Draw(canvas)
+    if inset is not None:
+        corner = (width - inset.shape[1] - big // 2, strip + height - inset.shape[0] - big // 2)
+        draw.rectangle([corner[0] - 2, corner[1] - 2, width - big // 2 + 1, strip + height - big // 2 + 1], "#1f2430")
+        canvas.paste(Image.fromarray(np.ascontiguousarray(inset[..., :3])), corner)
     left = big // 2
-    draw.text((left, 0.3 * big), caption[0], fill="white", font=_font(big))
-    for row, line in enumerate(_lines(caption[1], _font(small), width - 2 * left)):
-        draw.text((left, 1.8 * big + 1.35 * row * small), line, fill="#c5cad6", font=_font(small))
+    draw.text((left, 0.35 * big), caption[0], fill="white", font=font(big, bold=True))
+    right = width - left - font(small).getlength(clock)
+    draw.text((right, 0.35 * big + 0.6 * (big - small)), clock, fill="#c5cad6", font=font(small))
+    for row, line in enumerate(_lines(caption[1], font(small), width - 2 * left, most=rows)):
+        draw.text((left, 1.85 * big + 1.35 * row * small), line, fill="#c5cad6", font=font(small))
     return np.asarray(canvas)
-
-
-def caption_at(result: dict[str, Any], t: float) -> tuple[str, str]:
-    """Caption (headline, detail) at time ``t`` [s]: the current state and the reason for entering it."""
-    past = [step for step in result["transitions"] if float(step["t"]) <= t + 1e-6]
-    if not past:
-        return f"{t:5.1f} s", ""
-    return f"{t:5.1f} s   {str(past[-1]['to']).replace('_', ' ')}", str(past[-1].get("reason") or "")
 
 
 def _map_pixels(trace: Trace, corner: np.ndarray, scale: float, size: tuple[int, int]) -> np.ndarray:
@@ -232,20 +226,6 @@ def _star(draw: Any, view: TopDown, point: np.ndarray) -> None:
     radii = np.where(np.arange(10) % 2 == 0, 0.28, 0.12)
     corners = point + radii[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     draw.polygon(view.pixels(corners), fill=COLOURS["goal"])
-
-
-def _registered_at(result: dict[str, Any], item: dict[str, Any], t: float) -> bool:
-    """True if the object, which is registered at the end, has been found immovable by time ``t``."""
-    times = [d["t"] for d in result["decisions"] if d["object"] == item["id"] and not d["manipulable"]]
-    return not times or t >= min(times)
-
-
-def _font(size: int) -> ImageFont.FreeTypeFont:
-    import matplotlib
-    from PIL import ImageFont
-
-    # Pillow's own font lacks characters such as the superscript in m².
-    return ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"), size)
 
 
 def _lines(text: str, font: Any, width: float, most: int = 2) -> list[str]:

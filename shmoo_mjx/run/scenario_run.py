@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import math
 import shlex
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,7 +32,6 @@ from shmoo_mjx.planning.scenario import (
     save_scenario,
     with_own_objects,
 )
-from shmoo_mjx.types import DT
 
 if TYPE_CHECKING:
     from shmoo_mjx.control.pushing import PushController
@@ -246,23 +246,16 @@ def checked_objects(grid: OccupancyGrid, scenario: Scenario, name: str) -> list[
 
 
 def _write_video(path: Path, result: dict[str, Any], episode: Episode, progress: Callable[[str, float], None]) -> None:
-    from shmoo_mjx.plant.render import can_render, frames
-    from shmoo_mjx.report import video
+    from shmoo_mjx.plant.render import can_render
+    from shmoo_mjx.report import film, video
 
-    fps, speed = 15.0, video.SPEED
-    stride = round(speed / fps / DT)
     if problem := can_render():
         progress(f"no 3-D renderer ({problem}), drawing from above", 0.0)
-        video.write_video(path, video.topdown_frames(result, episode.trace, fps=fps, speed=speed), fps)
-        return
-    times = episode.trace.t[::stride]
-
-    def pictures() -> Iterator[tuple[float, np.ndarray]]:
-        for i, picture in enumerate(frames(episode.scene, episode.qpos[::stride])):
-            progress("drawing the video", i / len(times))
-            yield float(times[i]), picture
-
-    video.write_video(path, video.narrate(pictures(), result, episode.trace), fps)
+        frames = video.topdown_frames(result, episode.trace, fps=film.FPS, speed=video.SPEED)
+    else:
+        draws = partial(progress, "drawing the video")
+        frames = film.film_frames(result, episode.trace, episode.scene, episode.qpos, progress=draws)
+    video.write_video(path, frames, film.FPS)
 
 
 def load_inputs(
