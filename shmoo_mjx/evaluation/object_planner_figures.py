@@ -21,8 +21,9 @@ from shmoo_mjx.evaluation.movability import (
 from shmoo_mjx.evaluation.result import ExperimentOptions
 from shmoo_mjx.evaluation.trials import controller_of
 from shmoo_mjx.plant.objects import draw_condition
-from shmoo_mjx.report.figures import draw_decision, evidence
+from shmoo_mjx.report.figures import draw_decision
 from shmoo_mjx.report.style import SERIES, blank_figure, draw_reliability, save_figure
+from shmoo_mjx.report.words import evidence
 
 
 def draw_figures(folder: Path, rows: list[dict[str, Any]], options: ExperimentOptions) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Iterable
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -12,27 +11,30 @@ import numpy as np
 from shmoo_mjx.arrays import Array, Numbers
 from shmoo_mjx.geometry.hands import CONTACT_FORCE
 from shmoo_mjx.report.style import COLOURS, SERIES, blank_figure, object_colour, outline, show_cells, window
-from shmoo_mjx.report.trace import Trace, is_number, object_index, object_name, telling_decisions
+from shmoo_mjx.report.trace import Trace, is_number, object_index, telling_decisions
+from shmoo_mjx.report.words import evidence, object_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _LABELS = {"friction_x": "along x", "friction_y": "along y"}
-_TITLE_WIDTH = 72
-"""Maximum number of characters per line in the title of a decision."""
-_MOST_COLUMNS = 5
-"""Maximum number of pushes in the figure of the learned properties."""
+WIDE, NARROW = 9.0, 4.4
+"""Widths of figures for a desk and for a phone [inches]."""
+_COLUMN = 1.8
+"""Minimum width of a push in the figure of the learned properties [inches]."""
+_ROOM = 1.25
+"""Upper limit of an axis as a multiple of the largest value that it must show."""
 
 
-def map_figure(result: dict[str, Any], trace: Trace) -> Figure:
+def map_figure(result: dict[str, Any], trace: Trace, width: float = WIDE) -> Figure:
     """The map with planned paths, driven path, initial and final poses of the objects, and the key decisions."""
     from matplotlib.patheffects import withStroke
 
     halo: dict[str, Any] = {"path_effects": [withStroke(linewidth=2.5, foreground="white")], "zorder": 6}
     box = window(result, trace)
-    width, height = box[1] - box[0], box[3] - box[2]
-    figure = blank_figure(9.0, min(max(9.0 * height / width, 3.0), 11.0))
+    tall = width * (box[3] - box[2]) / (box[1] - box[0])
+    figure = blank_figure(width, min(max(tall, 3.0), 11.0) + (0.0 if width == WIDE else 1.2))
     axes = figure.subplots()
     _draw_map(axes, trace, box)
     for number, path in enumerate(trace.plans):
@@ -52,7 +54,7 @@ def map_figure(result: dict[str, Any], trace: Trace) -> Figure:
                 (start[0], start[1]),
                 arrowprops={"arrowstyle": "->", "color": colour, "lw": 1.5},
             )
-        text = f"{item['family']} {item['id']}" + (", registered" if item.get("registered") else "")
+        text = object_name(result, item["id"]) + (", can't be moved" if item.get("registered") else "")
         foot = outline(final, item["half_extents"])[:, 1].min()
         place = (float(final[0]), float(foot))
         axes.annotate(text, place, (0, -4), textcoords="offset points", ha="center", va="top", fontsize=8, **halo)
@@ -60,7 +62,7 @@ def map_figure(result: dict[str, Any], trace: Trace) -> Figure:
         _mark_decision(axes, result, trace, number, decision=result["decisions"][number])
     _mark_ends(axes, result, trace)
     if axes.get_legend_handles_labels()[0]:
-        figure.legend(loc="outside lower left", ncols=8, fontsize=8, frameon=False)
+        figure.legend(loc="outside lower left", ncols=8 if width == WIDE else 3, fontsize=8, frameon=False)
     return figure
 
 
@@ -86,68 +88,79 @@ def draw_decision(axes: Axes, result: dict[str, Any], trace: Trace, number: int)
     if path is not None:
         axes.plot(*path.T[:2], "--", color=COLOURS["plan"], lw=1.6, label="path")
     for k, line in enumerate(rollouts):
-        axes.plot(*line.T, color=COLOURS["rollout"], alpha=0.35, lw=0.8, label="roll-outs" if k == 0 else None)
+        axes.plot(*line.T, color=COLOURS["rollout"], alpha=0.35, lw=0.8, label="predicted pushes" if k == 0 else None)
     if len(rollouts):
         axes.plot(*rollouts[:, -1].T, ".", color=COLOURS["rollout"], ms=3)
     if len(candidates):
-        axes.plot(*candidates.T[:2], "o", color=COLOURS["candidate"], ms=3.5, mew=0, label="goals")
+        axes.plot(*candidates.T[:2], "o", color=COLOURS["candidate"], ms=3.5, mew=0, label="where options end")
     colour = object_colour(item, index or 0) if item else COLOURS["object"]
     half = item["half_extents"] if item else (0.3, 0.3)
     _polygon(axes, pose, half, edge=colour, fill=0.6)
     if decision.get("goal") is not None:
-        goal = np.asarray([*decision["goal"], pose[2]][:3], dtype=float)
-        _polygon(axes, goal, half, edge=COLOURS["goal"], style="-", width=2.2)
-        axes.plot(*goal[:2], "*", color=COLOURS["goal"], ms=13, mec="white", label="goal chosen")
+        # Only the position of this goal counts, so it has no outline, which would have a yaw.
+        axes.plot(*decision["goal"][:2], "*", color=COLOURS["goal"], ms=15, mec="white", zorder=6, label="place chosen")
     robot = trace.robot_pose[_sample(trace, decision["t"])]
     axes.plot(*robot[:2], "o", color=COLOURS["robot"], ms=9, label="robot")
-    verdict = "can be moved" if decision["manipulable"] else "can't be moved"
-    by_k, name = is_number(decision.get("K")), object_name(result, decision["object"])
-    if not by_k and is_number(decision.get("probability")):
-        says = str(decision["reason"])  # decided by expected time
-    else:
-        says = f"{verdict}, {evidence(decision)}" if by_k else "first goal, dynamics not known yet"
-    title = f"{number + 1}. At {float(decision['t']):.1f} s, {name}: {says}"
-    axes.set_title(textwrap.fill(title, _TITLE_WIDTH), fontsize=10)
+    told = is_number(decision.get("K")) or is_number(decision.get("probability"))
+    says = evidence(decision) if told else "first goal, dynamics not known yet"
+    name = object_name(result, decision["object"])
+    axes.set_title(f"Decision {number + 1}, at {float(decision['t']):.1f} s, {name}: {says}", fontsize=10)
     axes.legend(loc="best", fontsize=7, framealpha=0.9)
 
 
-def evidence(decision: dict[str, Any]) -> str:
-    """The evidence for a decision as text: the probability, or K for results without a probability."""
-    by_probability = is_number(decision.get("probability"))
-    return f"P = {decision['probability']:.2f}" if by_probability else f"K = {decision['K']:.2f} m²"
+def learned_figure(result: dict[str, Any], trace: Trace, width: float = WIDE) -> Figure:
+    """The learned properties of each object during its pushes.
 
-
-def learned_figure(result: dict[str, Any], trace: Trace) -> Figure:
-    """The learned properties of each object during its pushes, with one row per property and one column per push."""
+    Each push is a column, with one row per property. Pushes that do not fit side by side follow below.
+    """
     panels = _panels(trace)
-    pushes = _pushes(trace)[:_MOST_COLUMNS] or [slice(0, len(trace.t))]
-    spans = [float(trace.t[p][-1] - trace.t[p][0]) for p in pushes]
-    widths = np.maximum(np.array(spans), 0.35 * max(spans) + 1e-6)
-    figure = blank_figure(9.0, 5.8)
-    grid = figure.subplots(len(panels), len(pushes), sharex="col", sharey="row", squeeze=False, width_ratios=widths)
-    for column, push in enumerate(pushes):
-        index = int(trace.learned_object[push.start])
-        item = result["objects"][index] if 0 <= index < len(result["objects"]) else {}
-        grid[0, column].set_title(object_name(result, item["id"]) if item else "", fontsize=10)
-        grid[-1, column].set_xlabel("time [s]")
-        for axes, (_, curves) in zip(grid[:, column], panels, strict=True):
-            _draw_learned(axes, result, trace, curves=curves, push=push, true=item.get("true", {}))
-    for row, (name, curves) in zip(grid, panels, strict=True):
-        row[0].set_ylabel(name, fontsize=9)
-        if len(curves) > 1:
-            names = (_LABELS.get(curve, curve) for curve in curves)
-            row[-1].legend(*_named_once([row[-1]], *names), fontsize=7, framealpha=0.8)
-    marks = _named_once(grid.ravel(), "contact begins", "decision", "true value")
+    pushes = _pushes(trace) or [slice(0, len(trace.t))]
+    columns = min(len(pushes), int(width / _COLUMN))
+    bands = [pushes[i : i + columns] for i in range(0, len(pushes), columns)]
+    figure = blank_figure(width, 0.8 + 2.5 * len(panels) * len(bands))
+    grid = figure.subplots(len(panels) * len(bands), columns, squeeze=False)
+    for band, shown in enumerate(bands):
+        rows = grid[band * len(panels) : (band + 1) * len(panels)]
+        for column in range(columns):
+            if column < len(shown):
+                _draw_push(rows[:, column], result, trace, panels=panels, push=shown[column])
+            else:
+                for axes in rows[:, column]:
+                    axes.remove()
+        for row, (name, curves) in zip(rows, panels, strict=True):
+            row[0].set_ylabel(name, fontsize=9)
+            if len(curves) > 1:
+                names = (_LABELS.get(curve, curve) for curve in curves)
+                last = row[len(shown) - 1]
+                last.legend(*_named_once([last], *names), fontsize=7, framealpha=0.8)
+    marks = _named_once(figure.axes, "contact begins", "decision", "true value")
     figure.legend(*marks, loc="outside upper center", ncols=3, fontsize=8, frameon=False)
     return figure
 
 
-def timeline_figure(result: dict[str, Any], trace: Trace) -> Figure:
+def _draw_push(
+    column: Iterable[Axes],
+    result: dict[str, Any],
+    trace: Trace,
+    *,
+    panels: list[tuple[str, dict[str, np.ndarray]]],
+    push: slice,
+) -> None:
+    index = int(trace.learned_object[push.start])
+    item = result["objects"][index] if 0 <= index < len(result["objects"]) else {}
+    panes = list(column)
+    panes[0].set_title(object_name(result, item["id"]) if item else "", fontsize=10)
+    panes[-1].set_xlabel("time [s]")
+    for axes, (_, curves) in zip(panes, panels, strict=True):
+        _draw_learned(axes, result, trace, curves=curves, push=push, true=item.get("true", {}))
+
+
+def timeline_figure(result: dict[str, Any], trace: Trace, width: float = WIDE) -> Figure:
     """State of the navigator, speed, lean with its command, and force of the hands over time."""
     # Logs of other robots may have no lean or no pose.
     leans, velocity = int(np.isfinite(trace.lean).any()), _speed(trace)
     drives = int(np.isfinite(velocity).any())
-    figure = blank_figure(9.0, 2.6 + 1.6 * (1 + leans + drives))
+    figure = blank_figure(width, 2.6 + 1.6 * (1 + leans + drives))
     panels = list(figure.subplots(2 + leans + drives, 1, sharex=True, height_ratios=[1.4] + [1] * (1 + leans + drives)))
     states, force, t = panels[0], panels[-1], trace.t
     _draw_states(states, trace)
@@ -160,7 +173,7 @@ def timeline_figure(result: dict[str, Any], trace: Trace) -> Figure:
             lean.plot(t, np.degrees(trace.lean[:, axis]), color=colour, lw=1.3, label=f"lean {name}")
             lean.plot(t, np.degrees(trace.u[:, axis]), color=colour, lw=0.9, ls=":", label=f"command {name}")
         lean.set_ylabel("lean [deg]")
-        lean.legend(ncols=4, fontsize=7, loc="upper right", framealpha=0.8)
+        lean.legend(ncols=4 if width == WIDE else 2, fontsize=7, loc="upper right", framealpha=0.8)
     for axis, name, colour in ((0, "forward", SERIES[0]), (1, "sideways", SERIES[1])):
         force.plot(t, trace.force[:, axis], color=colour, lw=1.2, label=name)
     force.set_ylabel("force of hands [N]")
@@ -193,7 +206,8 @@ def _draw_driven(figure: Figure, axes: Axes, trace: Trace) -> None:
     lines = LineCollection(list(np.stack([points[:-1], points[1:]], axis=1)), cmap="viridis", lw=2.6, zorder=3)
     lines.set_array(np.asarray(trace.t)[1:])
     axes.add_collection(lines)
-    figure.colorbar(lines, ax=axes, label="driven path: time [s]", shrink=0.8, pad=0.02)
+    side = {"pad": 0.02} if figure.get_figwidth() == WIDE else {"location": "bottom", "pad": 0.01}
+    figure.colorbar(lines, ax=axes, label="driven path: time [s]", shrink=0.8, **side)
 
 
 def _polygon(
@@ -238,7 +252,7 @@ def _mark_ends(axes: Axes, result: dict[str, Any], trace: Trace) -> None:
     start = result.get("start") or trace.robot_pose[0]
     if np.isfinite(np.asarray(start, dtype=float)).all():
         axes.plot(*np.asarray(start, dtype=float)[:2], "o", color=COLOURS["robot"], ms=9, zorder=5, label="start")
-    if result.get("goal") is not None:
+    if result.get("goal") is not None and result.get("push_to") is None:
         goal = np.asarray(result["goal"], dtype=float)
         axes.plot(*goal[:2], "*", color=COLOURS["goal"], ms=16, mec="white", zorder=5, label="goal")
     if result.get("push_to") is not None:
@@ -303,6 +317,13 @@ def _draw_learned(
     for decision in result["decisions"]:
         if begin <= decision["t"] <= end:
             axes.axvline(decision["t"], color=COLOURS["decision"], lw=1.4, ls="--", label="decision")
+    # The band before the first touch is many times as wide as the later ones, which would be flat lines beside it.
+    late = slice((push.start + push.stop) // 2, push.stop)
+    known = [true[name] for name in curves if name in true]
+    values = [np.ravel(v[late, 1:]) for v in curves.values() if v.ndim == 2]
+    shown = np.concatenate([*values, known]) if values else np.zeros(0)
+    if np.isfinite(shown).any():
+        axes.set_ylim(0.0, _ROOM * float(np.nanmax(shown)))
     axes.grid(alpha=0.25)
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -33,7 +35,7 @@ _FAN = 16
 """Number of predicted pushes that are drawn: those of the best option."""
 _STEP = 3
 """Stride over the time steps of a predicted push."""
-_PER_NEWTON = 0.02
+_PER_NEWTON = 0.03
 """Length of the arrow per force [m/N]."""
 _ASIDE = 34
 """How far up and to the left of its place a label is [pixels], so that it hides neither arrow nor predictions."""
@@ -51,6 +53,8 @@ class Label:
     """Lines of text, the first one bold."""
     colour: str
     """Colour of its frame."""
+    below: bool = False
+    """Whether it stands to the lower right of its place instead of the upper left."""
 
 
 def film_frames(
@@ -90,7 +94,7 @@ def film_frames(
     for i, (k, shot) in enumerate(zip(samples, pictures, strict=True)):
         progress(i / len(samples))
         t = float(trace.t[k])
-        picture = _labelled(shot, drawn.labels(int(k)))
+        picture = _labelled(shot, drawn.labels(int(k)), pushing=result.get("push_to") is not None)
         frame = video.compose(
             picture, words.caption_at(result, t), video.topdown_image(view, t), clock=f"{t:.0f} s   {speed:g}x speed"
         )
@@ -114,7 +118,9 @@ class _Drawn:
         if self.result.get("push_to") is not None:
             target = np.asarray(self.result["push_to"], dtype=float)
             corners = outline(target, self.result["objects"][0]["half_extents"])
-            front = se2.transform_point(target, np.array([[0.0, 0.0], [self.result["objects"][0]["half_extents"][0], 0.0]]))
+            front = se2.transform_point(
+                target, np.array([[0.0, 0.0], [self.result["objects"][0]["half_extents"][0], 0.0]])
+            )
             shapes += _polyline(np.concatenate([corners, corners[:1]]), COLOURS["goal"], 0.018)
             shapes += _polyline(front, COLOURS["goal"], 0.018)
         elif self.result.get("goal") is not None:
@@ -143,14 +149,15 @@ class _Drawn:
         goal = decision.get("goal")
         for line in list(ends)[:_FAN]:
             shapes += _polyline(np.asarray(line)[::_STEP], COLOURS["rollout"], 0.009)
-        if goal is not None and self.result.get("push_to") is None:
+        final = self.result.get("push_to")
+        if goal is not None and (final is None or not np.allclose(goal[:2], final[:2], atol=0.01)):
             place = [*goal[:2], _FLOOR]
             shapes.append(Mark("disc", place, place, 0.09, (*to_rgb(COLOURS["decision"]), 1.0)))
         return shapes
 
     def _force(self, k: int, hands: np.ndarray) -> list[Mark]:
         begin, end = self._arrow(k, hands.mean(axis=0)[:2])
-        return [] if end is None else [Mark("arrow", begin, end, 0.035, (*to_rgb(COLOURS["decision"]), 1.0))]
+        return [] if end is None else [Mark("arrow", begin, end, 0.025, (*to_rgb(COLOURS["decision"]), 1.0))]
 
     def _arrow(self, k: int, hands: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         """Ends of the arrow of force, above the pushed object where it does not hide it; no end without contact."""
@@ -159,7 +166,7 @@ class _Drawn:
         begin = np.array([*hands, 0.1 + (self.tops[index] if 0 <= index < len(self.tops) else 0.7)])
         if not np.isfinite(force).all() or np.linalg.norm(force) < CONTACT_FORCE:
             return begin, None
-        return begin, begin + [*(_PER_NEWTON * se2.rotate(force, pose[2])), 0.0]
+        return begin, begin + _PER_NEWTON * np.array([*se2.rotate(force, pose[2]), 0.0])
 
     def labels(self, k: int) -> list[Label]:
         """Labels at sample ``k``: objects with what the robot believes of them, goal."""
@@ -177,7 +184,7 @@ class _Drawn:
         goal = self.result["push_to"] if pushing else self.result.get("goal")
         if goal is not None:
             name = f"goal of {words.the_object(self.result, self.result['objects'][0]['id'])}" if pushing else "goal"
-            shown.insert(0, Label(np.array([*goal[:2], 0.05]), (name,), COLOURS["goal"]))
+            shown.insert(0, Label(np.array([*goal[:2], 0.05]), (name,), COLOURS["goal"], below=True))
         return shown
 
     def _estimate(self, k: int, index: int, true: dict[str, float]) -> list[str]:
@@ -201,29 +208,53 @@ def _short(value: float) -> str:
 def _polyline(points: np.ndarray, colour: str, radius: float) -> list[Mark]:
     raised = [[float(x), float(y), _FLOOR] for x, y in np.asarray(points, dtype=float)[:, :2] if np.isfinite(x + y)]
     # Nearly equal points have no direction.
-    pairs = [(a, b) for a, b in zip(raised, raised[1:], strict=False) if np.hypot(a[0] - b[0], a[1] - b[1]) > 1e-3]
+    pairs = [(a, b) for a, b in pairwise(raised) if np.hypot(a[0] - b[0], a[1] - b[1]) > 1e-3]
     return [Mark("bar", a, b, radius, (*to_rgb(colour), 1.0)) for a, b in pairs]
 
 
-def _labelled(shot: Shot, labels: list[Label]) -> np.ndarray:
-    """The image with its labels, each beside its place and within the image."""
+def _labelled(shot: Shot, labels: list[Label], *, pushing: bool) -> np.ndarray:
+    """The image with its labels, each beside its place and within the image, and a legend."""
     image = Image.fromarray(shot.image)
-    draw = ImageDraw.Draw(image, "RGBA")
+    draw = ImageDraw.Draw(image)
     for label in labels:
         x, y = shot.pixels(label.place)
         if not (-80 < x < image.width + 80 and -20 < y < image.height + 20):
             continue
-        fonts = [font(18, bold=True), *[font(15)] * (len(label.lines) - 1)]
-        width = max(f.getlength(text) for f, text in zip(fonts, label.lines, strict=True)) + 2 * _EDGE + 2
-        height = 23 + 19 * (len(label.lines) - 1) + _EDGE
-        left = float(np.clip(x - _ASIDE - width, _EDGE, image.width - width - _EDGE))
-        top = float(np.clip(y - _ASIDE - height, _EDGE, image.height - height - _EDGE))
-        draw.line([(x, y), (left + width - 8, top + height)], fill=label.colour, width=2)
-        draw.rounded_rectangle(
-            [left, top, left + width, top + height], 6, fill=(255, 255, 255, 225), outline=label.colour, width=2
-        )
-        row = top + 3
-        for f, text in zip(fonts, label.lines, strict=True):
-            draw.text((left + _EDGE + 1, row), text, fill="#1f2430", font=f)
-            row += 22 if f is fonts[0] else 19
+        tag = _tag(label.lines, label.colour)
+        side = _ASIDE + np.array(tag.size)
+        corner = np.array([x, y]) + (_ASIDE if label.below else -side)
+        left, top = np.clip(corner, _EDGE, np.array(image.size) - tag.size - _EDGE)
+        end = (left + 8, top + 2) if label.below else (left + tag.width - 8, top + tag.height - 2)
+        draw.line([(x, y), end], fill=label.colour, width=2)
+        image.paste(tag, (round(left), round(top)), tag)
+    legend = _legend(pushing)
+    image.paste(legend, (_EDGE, image.height - legend.height - _EDGE), legend)
     return np.asarray(image)
+
+
+@cache
+def _tag(lines: tuple[str, ...], colour: str) -> Image.Image:
+    """A label as an RGBA image."""
+    fonts = [font(18, bold=True), *[font(15)] * (len(lines) - 1)]
+    width = round(max(f.getlength(text) for f, text in zip(fonts, lines, strict=True))) + 2 * _EDGE + 2
+    tag = Image.new("RGBA", (width, 23 + 19 * (len(lines) - 1) + _EDGE))
+    draw = ImageDraw.Draw(tag)
+    draw.rounded_rectangle([0, 0, tag.width - 1, tag.height - 1], 6, (255, 255, 255, 230), colour, width=2)
+    for row, (f, text) in enumerate(zip(fonts, lines, strict=True)):
+        draw.text((_EDGE + 1, 3 + (0 if row == 0 else 3 + 19 * row)), text, fill="#1f2430", font=f)
+    return tag
+
+
+@cache
+def _legend(pushing: bool) -> Image.Image:
+    """What the colours of the lines mean, as an RGBA image. An object that is pushed to a pose has no path."""
+    names = {"decision": "force of the hands, next place of the object"}
+    if not pushing:
+        names = {"plan": "planned path", "rollout": "predicted pushes"} | names
+    image = Image.new("RGBA", (_EDGE + round(max(map(font(14).getlength, names.values()))) + 36, 20 * len(names) + 6))
+    draw = ImageDraw.Draw(image)
+    draw.rounded_rectangle([0, 0, image.width - 1, image.height - 1], 6, (255, 255, 255, 200))
+    for row, (colour, name) in enumerate(names.items()):
+        draw.line([(_EDGE, 13 + 20 * row), (_EDGE + 20, 13 + 20 * row)], fill=COLOURS[colour], width=4)
+        draw.text((_EDGE + 27, 4 + 20 * row), name, fill="#1f2430", font=font(14))
+    return image

@@ -145,12 +145,6 @@ def is_number(value: Any) -> bool:
     return isinstance(value, int | float) and bool(np.isfinite(value))
 
 
-def object_name(result: dict[str, Any], name: Any) -> str:
-    """Display name of the object whose ``id`` is ``name``: its family and id."""
-    index = object_index(result, name)
-    return f"object {name}" if index is None else f"{result['objects'][index]['family']} {name}"
-
-
 def object_index(result: dict[str, Any], name: Any) -> int | None:
     """Index in ``objects`` and in the trace of the object whose ``id`` is ``name``; None if there is none."""
     return next((i for i, item in enumerate(result["objects"]) if item["id"] == name), None)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -23,6 +24,8 @@ _ROBOT_RADIUS = 0.19
 """Radius with which the robot's body is drawn [m]."""
 SPEED = 3.0
 """Seconds of the run per second of video [1]. Larger is faster."""
+_DARK = "#1f2430"
+"""Colour around the picture."""
 _OVERSAMPLE = 2
 """Oversampling factor of the top-down view, which smooths its edges [1]."""
 
@@ -101,7 +104,7 @@ def top_down(result: dict[str, Any], trace: Trace, size: tuple[int, int] = (640,
         result, trace, Image.fromarray(_map_pixels(trace, corner, scale, (width, height))), corner, scale, size
     )
     draw = ImageDraw.Draw(view.base)
-    if result.get("goal") is not None:
+    if result.get("goal") is not None and result.get("push_to") is None:
         _star(draw, view, np.asarray(result["goal"], dtype=float)[:2])
     if result.get("push_to") is not None:
         corners = outline(np.asarray(result["push_to"], dtype=float), result["objects"][0]["half_extents"])
@@ -176,26 +179,36 @@ def compose(
         inset: image for the lower right corner, uint8.
         clock: text at the right of the headline.
     """
-    from PIL import Image, ImageDraw
+    from PIL import Image
 
     height, width = frame.shape[:2]
+    strip = _strip(caption, clock, height, width)
+    canvas = Image.new("RGB", ((width + 1) // 2 * 2, (height + strip.height + 1) // 2 * 2), _DARK)
+    canvas.paste(strip, (0, 0))
+    canvas.paste(Image.fromarray(np.ascontiguousarray(frame[..., :3])), (0, strip.height))
+    if inset is not None:
+        edge = height // 60
+        framed = np.pad(inset[..., :3], ((2, 2), (2, 2), (0, 0)), constant_values=31)
+        corner = (width - framed.shape[1] - edge, strip.height + height - framed.shape[0] - edge)
+        canvas.paste(Image.fromarray(framed), corner)
+    return np.asarray(canvas)
+
+
+@lru_cache(maxsize=8)
+def _strip(caption: tuple[str, str], clock: str, height: int, width: int) -> Image.Image:
+    """The strip with the caption for a frame of this size."""
+    from PIL import Image, ImageDraw
+
     rows = 1 if width >= 1000 else 2  # of the detail
     big, small = max(14, height // 26), max(11, height // 36)
-    strip = round(1.85 * big + 1.8 * small + 1.35 * small * (rows - 1))
-    canvas = Image.new("RGB", ((width + 1) // 2 * 2, (height + strip + 1) // 2 * 2), "#1f2430")
-    canvas.paste(Image.fromarray(np.ascontiguousarray(frame[..., :3])), (0, strip))
-    draw = ImageDraw.Draw(canvas)
-    if inset is not None:
-        corner = (width - inset.shape[1] - big // 2, strip + height - inset.shape[0] - big // 2)
-        draw.rectangle([corner[0] - 2, corner[1] - 2, width - big // 2 + 1, strip + height - big // 2 + 1], "#1f2430")
-        canvas.paste(Image.fromarray(np.ascontiguousarray(inset[..., :3])), corner)
-    left = big // 2
+    strip = Image.new("RGB", (width, round(1.85 * big + 1.8 * small + 1.35 * small * (rows - 1))), _DARK)
+    draw, left = ImageDraw.Draw(strip), big // 2
     draw.text((left, 0.35 * big), caption[0], fill="white", font=font(big, bold=True))
     right = width - left - font(small).getlength(clock)
     draw.text((right, 0.35 * big + 0.6 * (big - small)), clock, fill="#c5cad6", font=font(small))
     for row, line in enumerate(_lines(caption[1], font(small), width - 2 * left, most=rows)):
         draw.text((left, 1.85 * big + 1.35 * row * small), line, fill="#c5cad6", font=font(small))
-    return np.asarray(canvas)
+    return strip
 
 
 def _map_pixels(trace: Trace, corner: np.ndarray, scale: float, size: tuple[int, int]) -> np.ndarray:

@@ -42,6 +42,8 @@ def the_object(result: dict[str, Any], name: Any) -> str:
 def by_name(result: dict[str, Any], text: Any) -> str:
     """A reason of the navigator with the objects' names in place of "object 0"."""
     named = re.sub(r"\bobject (\d+)", lambda match: the_object(result, int(match[1])), str(text))
+    if result.get("push_to") is not None:
+        named = re.sub(r"\bthe object\b", the_object(result, result["objects"][0]["id"]), named)
     return re.sub(r"(\d)%", "\\1\N{NO-BREAK SPACE}%", named.replace(f"; {OBSTACLE}", "; it now counts as an obstacle"))
 
 

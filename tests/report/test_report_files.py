@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.report import html
+from shmoo_mjx.report import html, words
 from shmoo_mjx.report.style import to_png
 from shmoo_mjx.report.trace import Trace, load_result, load_trace, object_index, save_trace, telling_decisions
 
@@ -89,7 +89,7 @@ def test_objects_have_one_name_and_rows_can_be_stacked_on_a_phone(trace: Trace, 
     ]
     result["objects"][0]["start_pose"] = [1.0, 2.0, -0.001]
     page = html.render_report(result, trace)
-    assert "wheelchair 1 no longer blocks the path" in page and "object 1" not in page
+    assert "the wheelchair no longer blocks the path" in page and "object 1" not in page
     assert "(1.00, 2.00, 0°)" in page and "-0°" not in page
     body = page.partition("<body>")[2]
     assert not [cell for cell in re.findall(r"<td[^>]*>", body) if "data-label" not in cell]
@@ -106,21 +106,98 @@ def test_large_film_is_linked(
 
 
 def test_summary_says_what_happened(result: dict[str, Any]) -> None:
-    text = html.summary(result)
-    assert text.startswith("The robot reached its goal after 40 s, having driven 9.3 m")
-    assert "pushed box box-1 by 1.10 m (K = 1.91 m²)" in text
-    assert "wheelchair chair-2 can't be moved (K = 0.01 m²)" in text
+    text = words.summary(result)
+    assert text.startswith("The robot reached the goal in 40 s. It pushed the box 1.1 m out of its way")
+    assert "the wheelchair can't be moved (criterion K = 0.01 m²)" in text
     assert text.endswith("It never fell and never touched a wall.")
-    assert "0.14 m from the goal" in text
+    assert "drove 9.3 m and stopped 0.14 m from the goal" in text
     for item in result["objects"]:
-        assert f"It knocked {item['family']} {item['id']} over (K" in html.summary(
+        assert f"It knocked the {item['family']} over." in words.summary(
             {**result, "objects": [{**item, "toppled": True}]}
         )
-    failed = html.summary(
+    failed = words.summary(
         {**result, "outcome": "no_route", "reason": "all routes are blocked.", "falls": 1, "decisions": []}
     )
-    assert failed.startswith("The run ended without success (all routes are blocked) after")
-    assert failed.endswith("It fell once and touched a wall not once.")
+    assert failed.startswith("The robot did not reach the goal: all routes are blocked.")
+    assert failed.endswith("It fell once and never touched a wall.")
+
+
+def test_summary_tells_chances_in_plain_words(result: dict[str, Any]) -> None:
+    first = result["decisions"][0] | {"K": None, "G": None, "probability": 0.78}
+    text = words.summary({**result, "decisions": [first, first | {"probability": 0.95}]}).replace("\xa0", " ")
+    assert "a 78 % chance that the box can be moved out of the way, at its end 95 %" in text
+    assert "P =" not in text and "object" not in text
+
+
+def test_objects_of_one_family_are_numbered(result: dict[str, Any]) -> None:
+    boxes = [{**item, "family": "box", "id": number} for number, item in enumerate(result["objects"])]
+    result["objects"] = [*boxes, {**boxes[0], "family": "cart", "id": 2}]
+    assert [words.object_name(result, number) for number in range(4)] == ["box 1", "box 2", "cart", "object 3"]
+    assert words.by_name(result, "object 1 hit object 2: 5%") == "box 2 hit the cart: 5\xa0%"
+
+
+def test_an_object_is_an_obstacle_only_while_the_robot_takes_it_for_one(result: dict[str, Any]) -> None:
+    result["objects"] = [{**item, "id": number} for number, item in enumerate(result["objects"])]
+    given_up = "object 1: go round 9 s; registered as an obstacle"
+    result["decisions"] = [{**result["decisions"][1], "object": 1, "t": 4.0}]
+    result["transitions"] = [{"t": t, "from": "push", "to": "replan", "reason": given_up} for t in (10.0, 30.0)]
+    again = "every route is blocked: object 1, registered as an obstacle, is looked at again"
+    result["events"] = [{"t": 20.0, "what": again}]
+    state = [words.registered_at(result, 1, t) for t in (4.0, 9.0, 10.0, 19.0, 20.0, 29.0, 30.0)]
+    assert state == [False, False, True, True, False, False, True]
+    assert not any(words.registered_at(result, 0, t) for t in (0.0, 50.0))
+
+
+def test_without_words_about_it_an_obstacle_is_one_from_the_last_change_of_mind_on(result: dict[str, Any]) -> None:
+    first = result["decisions"][1]
+    for t, moves in ((31.0, True), (33.0, False)):
+        result["decisions"].append(first | {"t": t, "manipulable": moves})
+    assert [words.registered_at(result, "chair-2", t) for t in (30.0, 32.0, 33.0)] == [False, False, True]
+
+
+def test_captions_say_what_the_robot_does(trace: Trace, result: dict[str, Any]) -> None:
+    options = [
+        {"text": "push from behind", "works_s": 20.0, "mean_s": 24.0, "probability": 0.92},
+        {"text": "go round", "works_s": 31.0, "mean_s": 31.0, "probability": 1.0},
+    ]
+    result["decisions"][0] |= {"K": None, "G": None, "probability": 0.92, "options": options}
+    does, why = words.caption_at(result, 13.5)
+    assert does.replace("\xa0", " ") == "pushes the box aside: 92 % sure it moves"
+    assert why == "expected time to the goal: push from behind 24 s, go round 31 s"
+    del options[1]
+    assert "push from behind 20 s if it works" in words.caption_at(result, 13.5)[1]
+    assert words.caption_at({**result, "transitions": []}, 1.0) == ("", "")
+    page = html.render_report(result, trace)
+    assert "push from behind: <b>20 s if it works</b>, 92\xa0%" in page
+
+
+def test_the_axis_of_an_estimate_fits_its_later_part(trace: Trace, result: dict[str, Any]) -> None:
+    from shmoo_mjx.report import figures
+
+    wild = trace.learned.copy()
+    wild[(trace.t > 12) & (trace.t < 13)] = 5000.0
+    panels = figures.learned_figure(result, trace._replace(learned=wild)).axes
+    assert 24.5 < panels[0].get_ylim()[1] < 40.0 and panels[2].get_ylim()[1] < 15.0
+
+
+def test_all_pushes_are_drawn(trace: Trace, result: dict[str, Any]) -> None:
+    from shmoo_mjx.report import figures
+
+    often = trace._replace(learned_object=np.where((trace.t // 1.5) % 2 > 0, 0, -1))
+    count = len(figures._pushes(often))
+    assert count > 10
+    for width in (figures.WIDE, figures.NARROW):
+        assert len(figures.learned_figure(result, often, width).axes) == 2 * count
+
+
+def test_a_goal_is_drawn_with_its_yaw_only_where_it_counts(trace: Trace, result: dict[str, Any]) -> None:
+    from shmoo_mjx.report import figures
+
+    outlines = figures.decision_figure(result, trace, 0).axes[0].patches
+    assert len(outlines) == 1  # that of the object
+    posed = {**result, "push_to": [5.0, 2.0, 0.3]}
+    before, after = (len(figures.map_figure(run, trace).axes[0].patches) for run in (result, posed))
+    assert after == before + 1
 
 
 def test_long_pushes_show_only_the_telling_decisions(trace: Trace, result: dict[str, Any]) -> None:
@@ -180,7 +257,7 @@ def test_figures_show_where_things_are(trace: Trace, result: dict[str, Any]) -> 
     assert np.linalg.norm(corners - (4.3 + 0.25 * np.cos(0.1) - 0.3 * np.sin(0.1), 1.8235), axis=1).min() < 0.05
     labels = [text.get_text() for text in axes.texts]
     assert "1: K = 1.91 m²" in labels and "2: K = 0.01 m²" in labels
-    assert any("registered" in label for label in labels)
+    assert "wheelchair, can't be moved" in labels
 
 
 def test_what_was_learned_has_a_column_per_push(trace: Trace, result: dict[str, Any]) -> None:
@@ -188,7 +265,7 @@ def test_what_was_learned_has_a_column_per_push(trace: Trace, result: dict[str, 
 
     panels = figures.learned_figure(result, trace).axes
     assert len(panels) == 2 * 2
-    assert [p.get_title() for p in panels[:2]] == ["box box-1", "wheelchair chair-2"]
+    assert [p.get_title() for p in panels[:2]] == ["box", "wheelchair"]
     drawn = [line for line in panels[0].lines if str(line.get_label()).startswith("along")]
     x = np.asarray(drawn[0].get_xdata(), dtype=float)
     assert len(drawn) == 2 and 12.0 < x[0] < 12.3 and 19.8 < x[-1] < 20.1

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 
-from shmoo_mjx.report import video
+from shmoo_mjx.report import style, video
 from shmoo_mjx.report.style import COLOURS
 from shmoo_mjx.report.trace import Trace
 
@@ -72,24 +72,27 @@ def test_turned_map_is_drawn_turned(trace: Trace, result: dict[str, Any]) -> Non
 
 def test_composed_frame_holds_scene_inset_and_caption(trace: Trace, result: dict[str, Any]) -> None:
     frame = np.full((241, 321, 3), 90, dtype=np.uint8)
-    (out,) = video.narrate([(15.0, frame)], result, trace, inset_width=200)
+    view = video.topdown_image(video.top_down(result, trace, video.fitting(result, trace, (100, 90))), 15.0)
+    out = video.compose(frame, ("pushes the box", "it moves"), view, clock="15 s")
     assert out.shape[0] % 2 == 0 and out.shape[1] % 2 == 0
-    assert out.shape[1] >= 321 + 200 and out.shape[0] > 241
+    assert out.shape[1] == 322 and out.shape[0] > 241
     # The caption is above: a player's controls lie over the lower edge.
-    strip = next(n for n in range(out.shape[0] - 240) if (out[n : n + 241, :321] == 90).all())
-    assert (out[:strip] > 200).any()  # letters
-    np.testing.assert_array_equal(
-        out[strip : strip + 241, 325:525], video.topdown_image(video.top_down(result, trace, (200, 241)), 15.0)
-    )
-
-
-def test_caption_is_the_state_and_its_reason(result: dict[str, Any]) -> None:
-    assert video.caption_at(result, 12.5) == (" 12.5 s   probe", "hands <on> the face")
-    assert video.caption_at({**result, "transitions": []}, 1.0) == ("  1.0 s", "")
+    strip = next(n for n in range(out.shape[0] - 240) if (out[n : n + 241, :200] == 90).all())
+    assert (out[:strip, :200] > 200).any() and (out[:strip, 280:] > 150).any()  # letters
+    # The map keeps its proportions and lies in the lower right corner.
+    height, width = view.shape[:2]
+    assert 100 in (width, round(100 * width / 90)) and abs(height / width - 6.2 / 8.2) < 0.02
+    found = [
+        (i, j)
+        for i in range(strip + 100, out.shape[0] - height)
+        for j in range(200, 322 - width)
+        if (out[i : i + height, j : j + width] == view).all()
+    ]
+    assert len(found) == 1
 
 
 def test_long_captions_break_between_words() -> None:
-    font = video._font(14)
+    font = style.font(14)
     text = "object 1 blocks the path 2.16 m ahead and the way round is 3.53 m longer " * 3
     lines = video._lines(text, font, 300)
     assert len(lines) == 2 and lines[1].endswith("...") and text.startswith(lines[0] + " ")
