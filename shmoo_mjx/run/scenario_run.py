@@ -60,7 +60,7 @@ _FILES = {
 def run_scenario(
     grid: OccupancyGrid,
     scenario: Scenario,
-    out: Path,
+    out: str | Path,
     *,
     weights: Path | None = None,
     video: bool = True,
@@ -97,6 +97,7 @@ def run_scenario(
         ShmooError: the scenario does not fit the map, the weights can't be read or do not fit the method, there is no
             such method or setting, or a file in ``out`` does not belong to an earlier run.
     """
+    out = Path(out)
     check_run_folder(out)
     check_scenario(grid, scenario, ROBOT_RADIUS, name)
     conditions = checked_objects(grid, scenario, name)

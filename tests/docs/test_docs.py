@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import dataclasses
 import re
+import tokenize
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -23,7 +24,20 @@ PAGES = [
     "CHANGELOG.md",
     *(str(p.relative_to(ROOT)) for p in sorted((ROOT / "docs").rglob("*.md"))),
 ]
+SOURCES = sorted((ROOT / "shmoo_mjx").rglob("*.py"))
 LINK = re.compile(r"\[([^\]]*)\]\(([^)\s]+)\)")
+ON_GITHUB = "../../actions/"
+"""Beginning of links to the host of the repository, relative to its front page."""
+FENCED = re.compile(r"^```.*?^```", re.DOTALL | re.MULTILINE)
+LONGEST_PAGE = 250
+LONG_PAGES = {"CHANGELOG.md", "docs/results.md"}
+PRIVATE = re.compile(
+    r"\b(hindsight|mended|mending|forerunners?|earlier versions?|formerly|previously|used to be|fresh draws?|"
+    r"draws? \d+|missed aims?|livelock|dearest)\b",
+    re.IGNORECASE,
+)
+"""Words of this project's history, which say nothing to a reader who arrives today."""
+COMMIT = re.compile(r"(?<![\w.#/-])(?=[0-9a-f]*\d)(?=[0-9a-f]*[a-f])[0-9a-f]{7,40}(?![\w-])")
 
 
 def read(page: str) -> str:
@@ -45,9 +59,80 @@ def test_the_models_page_holds_the_codes_table(name: str) -> None:
 
 @pytest.mark.parametrize("page", PAGES)
 def test_links_lead_somewhere(page: str) -> None:
-    targets = [target for _, target in LINK.findall(read(page)) if "://" not in target and not target.startswith("#")]
-    missing = [t for t in targets if not ((ROOT / page).parent / t.partition("#")[0]).exists()]
-    assert not missing
+    assert not [target for _, target in LINK.findall(read(page)) if not leads_somewhere(page, target)]
+
+
+def leads_somewhere(page: str, target: str) -> bool:
+    """Whether file and heading exist to which a page links; links to other sites are not followed."""
+    if "://" in target or target.startswith(ON_GITHUB):
+        return True
+    name, _, anchor = target.partition("#")
+    file = (ROOT / page).parent / name if name else ROOT / page
+    return file.exists() and (not anchor or file.suffix != ".md" or anchor in anchors(file.read_text("utf-8")))
+
+
+def anchors(text: str) -> set[str]:
+    """Anchors of a page's headings, as GitHub and the site name them."""
+    headings = re.findall(r"^#+ (.+)$", FENCED.sub("", text), re.MULTILINE)
+    return {re.sub(r"\s+", "-", re.sub(r"[^\w\s-]", "", heading.lower()).strip()) for heading in headings}
+
+
+def test_a_link_to_a_missing_heading_is_found() -> None:
+    assert leads_somewhere("docs/gym.md", "#many-worlds") and leads_somewhere("README.md", "docs/gym.md#many-worlds")
+    assert not leads_somewhere("docs/gym.md", "#no-worlds") and not leads_somewhere("README.md", "docs/none.md")
+
+
+def test_pages_that_the_code_names_exist() -> None:
+    for source in SOURCES:
+        named = re.findall(r"\b((?:docs|examples)/[\w/]+\.(?:md|py|ipynb))\b", source.read_text(encoding="utf-8"))
+        assert not [page for page in named if not (ROOT / page).exists()], source
+
+
+def prose_of(source: Path) -> list[str]:
+    """Comments and docstrings of a Python file."""
+    with source.open("rb") as file:
+        tokens = list(tokenize.tokenize(file.readline))
+    return [t.string for t in tokens if t.type == tokenize.COMMENT or t.string.startswith(('"""', 'r"""'))]
+
+
+def history_in(text: str) -> list[str]:
+    return [match[0] for match in (*PRIVATE.finditer(text), *COMMIT.finditer(text))]
+
+
+@pytest.mark.parametrize("page", sorted({*PAGES} - {"CHANGELOG.md"}))
+def test_pages_speak_of_the_present(page: str) -> None:
+    assert not history_in(read(page))
+
+
+def test_docstrings_and_comments_speak_of_the_present() -> None:
+    found = {source: history_in("\n".join(prose_of(source))) for source in SOURCES}
+    assert not {source: words for source, words in found.items() if words}
+
+
+def test_history_is_recognised() -> None:
+    assert history_in("Mended since draw 112 (commit 8f121ec), formerly wrong.") == [
+        "Mended", "draw 112", "formerly", "8f121ec",
+    ]  # fmt: skip
+    assert not history_in("Draw the map: 1000000 samples, decade, e2e, 0x1f2e3d4c, mass 5.0e-07.")
+
+
+@pytest.mark.parametrize("page", ["docs/index.md"])
+def test_numbers_of_other_pages_are_those_of_the_readme(page: str) -> None:
+    rows = [line.rstrip(" |") for line in read(page).splitlines() if line.startswith("| ")]
+    assert len(rows) >= 3 and all(f"\n{row} |" in read("README.md") for row in rows)
+
+
+def test_words_are_spelt_right(capsys: pytest.CaptureFixture[str]) -> None:
+    codespell = pytest.importorskip("codespell_lib", reason="codespell is not installed")
+    folders = ["shmoo_mjx", "benchmarks", "examples", "docs"]
+    sources = [str(path) for folder in folders for path in sorted((ROOT / folder).rglob("*.py"))]
+    wrong = codespell.main("--toml", str(ROOT / "pyproject.toml"), *sources, *(str(ROOT / page) for page in PAGES))
+    assert not wrong, capsys.readouterr().out
+
+
+@pytest.mark.parametrize("page", sorted({*PAGES} - LONG_PAGES))
+def test_no_page_is_long(page: str) -> None:
+    assert len(read(page).splitlines()) <= LONGEST_PAGE
 
 
 def test_the_paper_map_names_functions_that_exist() -> None:
