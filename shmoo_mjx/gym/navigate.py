@@ -63,10 +63,17 @@ class Rooms(NamedTuple):
 
 def _object_parts(i: int) -> tuple[Part, ...]:
     return (
-        Part(f"object{i}_seen", 1, 0.0, 1.0, "1", "1 if the object is detected; else all about it is 0"),
+        Part(f"object{i}_seen", 1, 0.0, 1.0, "1", "1 if the object is detected; otherwise its other values are 0"),
         Part(f"object{i}", 4, -10.0, 10.0, "m, 1", "its x, y, and cos and sin of its yaw"),
         Part(f"object{i}_twist", 3, -10.0, 10.0, "m/s, rad/s", "its velocity (x, y) and yaw rate"),
-        Part(f"object{i}_wrench", 3, -500.0, 500.0, "N, N m", "of the hands on it about its centre, mean over 0.1 s"),
+        Part(
+            f"object{i}_wrench",
+            3,
+            -500.0,
+            500.0,
+            "N, N m",
+            "wrench of the hands on the object about its centre, mean over 0.1 s",
+        ),
         Part(f"object{i}_half_extents", 2, 0.0, 2.0, "m", "half its length and half its width"),
     )
 
@@ -78,7 +85,7 @@ class NavigateTask:
         *BODY,
         Part("goal", 2, -20.0, 20.0, "m", "the goal's x and y"),
         Part("way", 3, -1.0, 40.0, "m, 1", "length of the way to the goal on the map; cos and sin of its direction"),
-        Part("ranges", _RAYS, 0.0, 3.5, "m", "to the next wall or known object, each 11.25 deg from ahead to the left"),
+        Part("ranges", _RAYS, 0.0, 3.5, "m", "distance to wall or known object, each 11.25 deg anticlockwise from ahead"),
         *(part for i in range(_OBJECTS) for part in _object_parts(i)),
     )  # fmt: skip
     action: tuple[Part, ...] = (*ACTIONS, Part("arms", 1, 0.0, 1.0, "1", "from folded (0) to extended in front (1)"))

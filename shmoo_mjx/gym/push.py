@@ -62,8 +62,15 @@ class PushEnvTask:
         *BODY,
         Part("object", 4, -10.0, 10.0, "m, 1", "the object's x, y, and cos and sin of its yaw"),
         Part("object_twist", 3, -10.0, 10.0, "m/s, rad/s", "its velocity (x, y) and yaw rate"),
-        Part("wrench", 3, -500.0, 500.0, "N, N m", "of the hands on it about its centre, mean over the last 0.1 s"),
-        Part("goal", 4, -10.0, 10.0, "m, 1", "where it should be: x, y, cos and sin of yaw"),
+        Part(
+            "wrench",
+            3,
+            -500.0,
+            500.0,
+            "N, N m",
+            "wrench of the hands on the object about its centre, mean over the last 0.1 s",
+        ),
+        Part("goal", 4, -10.0, 10.0, "m, 1", "goal pose of the object: x, y, cos and sin of yaw"),
         Part("half_extents", 2, 0.0, 2.0, "m", "half its length and half its width"),
     )
     action: tuple[Part, ...] = ACTIONS

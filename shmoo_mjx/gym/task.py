@@ -45,9 +45,23 @@ class Part(NamedTuple):
 
 
 ACTIONS = (
-    Part("lean", 2, -0.14, 0.14, "rad", "lean angles towards +x and +y of {R}: how the robot accelerates and pushes"),
+    Part(
+        "lean",
+        2,
+        -0.14,
+        0.14,
+        "rad",
+        "lean angles towards +x and +y of {R}; a lean accelerates the robot, or pushes the object",
+    ),
     Part("gamma", 1, -0.45, 0.45, "rad", "steering angle of the hands; positive turns the object to the right"),
-    Part("turn", 1, -0.4, 0.4, "rad", "heading to turn to, from the present one; the robot turns at twice that per s"),
+    Part(
+        "turn",
+        1,
+        -0.4,
+        0.4,
+        "rad",
+        "desired heading relative to the present one; the robot turns at twice this angle per second",
+    ),
 )
 """Parts of the action, which is held for 0.1 s. All ranges are within Gymnasium's recommended range of -1 to 1."""
 
