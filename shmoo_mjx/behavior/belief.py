@@ -70,6 +70,8 @@ class ObjectBelief:
     """Result of the last decision; None before the first."""
     failed_faces: tuple[int, ...] = ()
     """Faces on which a push did not free the path. A face occurs once per failed push."""
+    push_errors: tuple[float, ...] = ()
+    """Errors of the pushes towards a pose so far, in the units of `planning.search.ERROR`."""
     price: float | None = None
     """Expected time to push it out of the way, failures included [s]; None before the first evaluation."""
     in_the_way: int = 0

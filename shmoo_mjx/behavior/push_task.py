@@ -31,7 +31,7 @@ from shmoo_mjx.learning.online import LearnerState
 from shmoo_mjx.planning.footprints import footprints_free
 from shmoo_mjx.planning.maps import OccupancyGrid
 from shmoo_mjx.planning.reach import contact_foresight
-from shmoo_mjx.planning.search import choose_push, push_displacements, residual
+from shmoo_mjx.planning.search import choose_push, push_displacements, push_error, residual
 from shmoo_mjx.types import DT, Command, Observation
 
 _FRESH = 0.3
@@ -140,7 +140,7 @@ class PushTask(Machine):
         self.goal = finite_numbers("PushTask: the goal", goal, "x, y, yaw")
         super().head_for(goal, now)
         if self._index in self.belief.objects:
-            self.state = self.state.with_object(self._index, pushes=0)
+            self.state = self.state.with_object(self._index, pushes=0, push_errors=())
 
     def _look(self, setup: Setup, state: NavigatorState, obs: Observation) -> tuple[NavigatorState, Command]:
         """Stand still and look at the object."""
@@ -153,7 +153,7 @@ class PushTask(Machine):
     def _choose(self, setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorState | None:
         """With the object at rest: finish, or choose the next push."""
         if state.segment is not None:  # the previous push is over
-            return replace(state, segment=None)
+            return _with_error(state)
         cfg, index, now = self.settings, self._index, float(obs.time[0])
         target = state.belief.objects.get(index)
         if target is None:
@@ -179,7 +179,15 @@ class PushTask(Machine):
             foresight, adapt=self.adapt, kind=target.kind, half_extents=half, goal=se2.relative(target.pose, self.goal)
         )
         free = partial(footprints_free, clearance_without, half_extents=np.array(half), wall_clearance=_WALL_CLEARANCE)
-        choice = choose_push(reached, target.pose, self.goal, faces=faces, ways=lengths, free=free)
+        choice = choose_push(
+            reached,
+            target.pose,
+            self.goal,
+            faces=faces,
+            ways=lengths,
+            free=free,
+            error=push_error(target.push_errors),
+        )
         if choice is None:
             return state.go(now, Mode.DONE, f"the object is {where}, and another push promises no better")
         chosen = ways[choice.side]
@@ -220,3 +228,13 @@ class PushTask(Machine):
         if at_first - here < _NO_NEARER:
             state = state.failed()
         return state.go(now, Mode.RETREAT, f"hardly nearer to its goal after {_STALL[1]:g} s")
+
+
+def _with_error(state: NavigatorState) -> NavigatorState:
+    """The state after a push, with the error of where it has left the object."""
+    target, segment = state.target(), state.current()
+    errors = target.push_errors
+    if segment.push is not None:
+        start, end = residual(np.array([segment.push.poses[0], target.pose]), segment.goal)
+        errors = (*errors, float(end / (1.0 + start)))
+    return replace(state.with_object(segment.object, push_errors=errors), segment=None)

@@ -217,7 +217,9 @@ def fit_samples(
         ),
         epochs=config.epochs,
         patience=config.patience,
-        identity=fingerprint(__name__, config, train.inputs, train.labels),
+        identity=fingerprint(
+            __name__, config, *(part for data in (train, validation) for part in (data.inputs, data.labels))
+        ),
         directory=out_dir,
         progress=progress,
     )

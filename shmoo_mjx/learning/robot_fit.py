@@ -201,12 +201,17 @@ def fit_samples(
         evaluate=lambda net: jnp.mean(scores(net)),
         epochs=config.epochs,
         patience=config.patience,
-        identity=fingerprint(__name__, (config, start is None), train.inputs, train.labels),
+        identity=fingerprint(__name__, config, *_deciding(train, validation, start)),
         directory=out_dir,
         progress=progress,
     )
     net = jax.tree.map(jnp.asarray, fitted.best)
     return RobotFit(params._replace(net=net), fitted.score, np.asarray(scores(net)), fitted.history)
+
+
+def _deciding(train: RobotSamples, validation: RobotSamples, start: RobotParams | None) -> list[Array]:
+    """Arrays that, beside the config, determine the training."""
+    return [*(part for data in (train, validation) for part in (data.inputs, data.labels)), *jax.tree.leaves(start)]
 
 
 def fit_lean(samples: RobotSamples) -> LeanResponse:

@@ -20,9 +20,11 @@ from shmoo_mjx.planning.reach import Options, goal_ahead
 
 YAW_WEIGHT = 0.25
 """Position error that a yaw error of 1 rad equals [m/rad]: about half the side of an object."""
-COST = 0.05
-"""Cost of each push [m] and of each metre that it moves the object [1]: about the error of a push. Larger values give
-fewer and shorter pushes."""
+ERROR = 0.05
+"""Expected error of a first push [m], and of each metre that it moves the object [1]."""
+_WEIGHT = 3
+"""Number of pushes that `ERROR` counts as, beside the pushes so far. Larger values give more pushes to an object that
+moves otherwise than predicted."""
 _WALK = 0.01
 """Cost of walking to the face [1]. It only decides between faces that are otherwise equal."""
 _ARCS = ((0.25, 2.5), (0.55, 2.5), (0.6, 1.4))
@@ -60,7 +62,7 @@ class Choice(NamedTuple):
     goal: Float[np.ndarray, "3"]
     """Target pose of the object for this push, in {W}."""
     cost: float
-    """Residual error after the last push plus the cost of the pushes [m]."""
+    """Predicted residual after the last push, plus the expected errors of the pushes [m]."""
 
 
 def residual(pose: Float[Array, "*b 3"], goal: Float[Array, "3"]) -> Float[np.ndarray, "*b"]:
@@ -68,6 +70,11 @@ def residual(pose: Float[Array, "*b 3"], goal: Float[Array, "3"]) -> Float[np.nd
     offset = np.asarray(pose)[..., :2] - np.asarray(goal)[:2]
     yaw = se2.wrap(np.asarray(pose)[..., 2] - np.asarray(goal)[2])
     return np.asarray(np.hypot(offset[..., 0], offset[..., 1]) + YAW_WEIGHT * np.abs(yaw))
+
+
+def push_error(errors: Sequence[float]) -> float:
+    """Expected error of the next push in the units of `ERROR`: the weighted mean of it and the ``errors`` so far."""
+    return float(np.mean([ERROR] * _WEIGHT + list(errors)))
 
 
 def push_displacements(
@@ -111,8 +118,11 @@ def choose_push(
     faces: Float[np.ndarray, "F 4"],
     ways: Sequence[float | None],
     free: Callable[[Float[np.ndarray, "N 3"]], Bool[np.ndarray, "N"]],
+    error: float = ERROR,
 ) -> Choice | None:
     """The first push of the sequence of zero, one or two pushes with the least cost. None if zero pushes are best.
+
+    The last push costs its expected error. The one before costs less, because the next choice corrects its error.
 
     Args:
         reached: predicted displacements (`push_displacements`).
@@ -121,16 +131,18 @@ def choose_push(
         faces: faces as `faces_of` returns them.
         ways: length of the way to each face [m]; None if the face is unreachable or must not be pushed.
         free: whether the object may stand at each of these poses in {W} between two pushes.
+        error: expected error of a push (`push_error`). Larger values give fewer and shorter pushes.
     """
     walks = _WALK * np.array([np.inf if way is None else way for way in ways])
     reached = PushDisplacements(*(part[np.isfinite(walks)[reached.side]] for part in reached))
-    side, costs = reached.side, COST * (1.0 + reached.way) + walks[reached.side]
+    side = reached.side
     normals = np.stack([np.cos(faces[:, 2]), np.sin(faces[:, 2])], axis=-1)[side]
     ends = np.asarray(se2.compose(pose, reached.moved))
     best, least = None, float(residual(pose, goal))
     # Pushes that lead to the goal get the goal itself as their target, because feedback may do better than the
     # roll-out.
     leads = normals @ se2.inverse_transform_point(pose, goal[:2]) >= _SHORTEST
+    costs = error * (1.0 + reached.way) + walks[side]
     errors = np.where(leads, residual(ends, goal) + costs, np.inf)
     if len(side) and errors.min() < least:
         k = int(np.argmin(errors))
@@ -140,7 +152,8 @@ def choose_push(
     first = first[free(ends[first])]
     if len(first):
         second = PushDisplacements(*(part[anywhere[::_SECOND]] for part in reached))
-        errors = _after(ends[first], side[first], second, goal) + costs[first]
+        errors = _after(ends[first], side[first], second, goal=goal, error=error)
+        errors += ERROR * (1.0 + reached.way[first]) + walks[side[first]]
         k = int(np.argmin(errors))
         if errors[k] < least:
             best = Choice(int(side[first[k]]), ends[first[k]], float(errors[k]))
@@ -151,7 +164,9 @@ def _after(
     stops: Float[np.ndarray, "M 3"],
     first: Int[np.ndarray, "M"],
     reached: PushDisplacements,
+    *,
     goal: Float[np.ndarray, "3"],
+    error: float,
 ) -> Float[np.ndarray, "M"]:
     """Least cost of a second push from each stop on another side than ``first``: residual error plus push cost."""
     left = np.full(len(stops), np.inf)
@@ -159,5 +174,5 @@ def _after(
         mine, others = first == pushed, reached.side != pushed
         if others.any():
             ends = se2.compose(stops[mine, None].astype(np.float32), reached.moved[others].astype(np.float32))
-            left[mine] = (residual(ends, goal.astype(np.float32)) + COST * (1.0 + reached.way[others])).min(axis=1)
+            left[mine] = (residual(ends, goal.astype(np.float32)) + error * (1.0 + reached.way[others])).min(axis=1)
     return left

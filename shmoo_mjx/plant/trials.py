@@ -21,7 +21,7 @@ from shmoo_mjx.plant.objects import object_spec
 from shmoo_mjx.types import DT, Command, Observation
 
 
-class Track(NamedTuple):
+class ObjectMotion(NamedTuple):
     """Planar motion of an object, sampled at every physics step."""
 
     time: Float[np.ndarray, "T"]
@@ -60,7 +60,7 @@ def pushed(
     *,
     height: float = 0.1,
     follow: bool = False,
-) -> Track:
+) -> ObjectMotion:
     """Apply a planar wrench at the centre of {O} and record the motion.
 
     Args:
@@ -87,7 +87,7 @@ def pushed(
         twists[i] = data.qvel[0], data.qvel[1], data.qvel[5]
     data.qfrc_applied[:] = 0.0
     poses[:, 2] = np.unwrap(poses[:, 2])
-    return Track(model.opt.timestep * np.arange(1, steps + 1), poses, twists)
+    return ObjectMotion(model.opt.timestep * np.arange(1, steps + 1), poses, twists)
 
 
 def _yaw(qpos: np.ndarray) -> float:

@@ -355,8 +355,8 @@ def _summary(
         )
     if errors:
         sentences.append(
-            f"Of its accelerations, {errors['learned']:.0%} of the variance is left unexplained by what the samples "
-            f"before each had taught, {errors['prior']:.0%} by what was expected."
+            f"The estimate before each sample leaves {errors['learned']:.0%} of the squared accelerations unexplained, "
+            f"the prior {errors['prior']:.0%}."
         )
     return " ".join(sentences)
 

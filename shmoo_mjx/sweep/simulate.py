@@ -31,6 +31,7 @@ from shmoo_mjx.learning.contact_prior import kind_of
 from shmoo_mjx.learning.weights import Weights
 from shmoo_mjx.plant.engine_mjx import MjxEngine, MjxWorld
 from shmoo_mjx.plant.lowlevel import Gains
+from shmoo_mjx.plant.observe import fallen
 from shmoo_mjx.plant.randomize import perturbed
 from shmoo_mjx.sensing import Senses, odometry, senses_named
 from shmoo_mjx.sensing import senses as sensing
@@ -327,7 +328,7 @@ def _phase(phase: Array, truth: Observation, world: MjxWorld, setup: WorldSetup)
     away = hands_to_face(truth.object_pose[0], truth.robot_pose, setup.face) > CLEAR
     resting = jnp.hypot(truth.object_twist[0, 0], truth.object_twist[0, 1]) < AT_REST
     phase = jnp.where((phase == one_push.LET_GO) & away & resting, one_push.DONE, phase)
-    phase = jnp.where(jnp.any(jnp.abs(se2.wrap(truth.lean)) > 0.6), one_push.FELL, phase)
+    phase = jnp.where(fallen(truth.lean), one_push.FELL, phase)
     return jnp.where(jnp.all(jnp.isfinite(world.physics)), phase, one_push.UNSTABLE)
 
 

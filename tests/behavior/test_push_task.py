@@ -172,6 +172,9 @@ def test_what_overshoots_is_pushed_back_from_the_other_side() -> None:
     task = _task(np.array([1.0, 0.0, 0.0]))
     _run(task, world, meddle=coast)
     assert "from the front" in _reasons(task)
+    # The first push ended half a metre beyond its goal, the second near it.
+    first, *others = task.belief.objects[0].push_errors
+    assert first == pytest.approx(0.25, abs=0.03) and others and max(others) < 0.1
     assert np.linalg.norm(world.thing[:2] - task.goal[:2]) < 0.12, _reasons(task)
 
 
@@ -190,7 +193,7 @@ def test_it_goes_on_to_another_pose_with_what_it_knows() -> None:
     _run(task, world)
     assert task.mode is Mode.DONE and task.segment is None
     task.head_for((1.0, 0.0, 0.0), world.time)
-    assert not task.finished and task.pushes == 0
+    assert not task.finished and task.pushes == 0 and not task.belief.objects[0].push_errors
     _run(task, world, world.time + 60.0)
     assert task.mode is Mode.DONE, _reasons(task)
     assert np.linalg.norm(world.thing[:2] - (1.0, 0.0)) < 0.12, _reasons(task)

@@ -14,7 +14,15 @@ from shmoo_mjx.geometry import se2
 from shmoo_mjx.geometry.faces import faces_of
 from shmoo_mjx.planning import reach
 from shmoo_mjx.planning.reach import Options
-from shmoo_mjx.planning.search import COST, Choice, PushDisplacements, choose_push, push_displacements, residual
+from shmoo_mjx.planning.search import (
+    ERROR,
+    Choice,
+    PushDisplacements,
+    choose_push,
+    push_displacements,
+    push_error,
+    residual,
+)
 
 HALF = (0.35, 0.25)
 FACES = faces_of(HALF)
@@ -40,12 +48,14 @@ def everywhere(poses: np.ndarray) -> np.ndarray:
     return np.ones(len(poses), bool)
 
 
-def chosen(pose: Any, goal: Any, ways: Any = NEAR, free: Any = everywhere, foresight: Any = None) -> Choice | None:
+def chosen(
+    pose: Any, goal: Any, ways: Any = NEAR, free: Any = everywhere, foresight: Any = None, error: float = ERROR
+) -> Choice | None:
     pose, goal = np.array(pose, float), np.array(goal, float)
     reached = push_displacements(
         foresight or Arcs(), adapt=None, kind=None, half_extents=HALF, goal=np.asarray(se2.relative(pose, goal))
     )
-    return choose_push(reached, pose, goal, faces=FACES, ways=ways, free=free)
+    return choose_push(reached, pose, goal, faces=FACES, ways=ways, free=free, error=error)
 
 
 @settings(deadline=None, max_examples=30)
@@ -58,7 +68,7 @@ def test_a_goal_straight_ahead_of_a_face_is_pushed_to_from_there(side: int, yaw:
     assert choice is not None
     assert choice.side == side
     np.testing.assert_array_equal(choice.goal, goal)
-    assert choice.cost == pytest.approx(COST * (1.0 + distance), abs=0.03)
+    assert choice.cost == pytest.approx(ERROR * (1.0 + distance), abs=0.03)
 
 
 def test_what_went_past_its_goal_is_pushed_back_from_the_other_side() -> None:
@@ -69,6 +79,19 @@ def test_what_went_past_its_goal_is_pushed_back_from_the_other_side() -> None:
 def test_a_push_has_to_mend_what_it_costs() -> None:
     assert chosen([1.0, 0.0, 0.0], [1.0, 0.04, 0.0]) is None
     assert chosen([1.0, 0.0, 0.0], [1.0, 0.2, 0.0]) is not None
+
+
+def test_of_an_object_whose_pushes_err_less_is_asked() -> None:
+    assert chosen(ORIGIN, [1.0, 1.0, 0.0]) is not None
+    assert chosen(ORIGIN, [1.0, 1.0, 0.0], error=0.5) is None
+    assert chosen([1.0, 0.0, 0.0], [1.0, 0.25, 0.0]) is not None
+    assert chosen([1.0, 0.0, 0.0], [1.0, 0.25, 0.0], error=0.25) is None
+
+
+@given(st.lists(st.floats(0.0, 1.0), max_size=6))
+def test_the_expected_error_lies_between_those_so_far(errors: list[float]) -> None:
+    assert push_error([]) == pytest.approx(ERROR)
+    assert min([ERROR, *errors]) - 1e-9 <= push_error(errors) <= max([ERROR, *errors]) + 1e-9
 
 
 def test_a_face_that_can_not_be_reached_is_left_alone() -> None:
