@@ -85,7 +85,7 @@ class NavigateTask:
         *BODY,
         Part("goal", 2, -20.0, 20.0, "m", "the goal's x and y"),
         Part("way", 3, -1.0, 40.0, "m, 1", "length of the way to the goal on the map; cos and sin of its direction"),
-        Part("ranges", _RAYS, 0.0, 3.5, "m", "distance to wall or known object, each 11.25 deg anticlockwise from ahead"),
+        Part("ranges", _RAYS, 0.0, 3.5, "m", "distance to walls and known objects, every 11.25 deg to the left"),
         *(part for i in range(_OBJECTS) for part in _object_parts(i)),
     )  # fmt: skip
     action: tuple[Part, ...] = (*ACTIONS, Part("arms", 1, 0.0, 1.0, "1", "from folded (0) to extended in front (1)"))
