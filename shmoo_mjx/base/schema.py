@@ -1,7 +1,7 @@
-"""Checks what users write against a typed model (pydantic), and says every fault in one sentence.
+"""Validates users' files with typed models (pydantic) and reports the first error in one sentence.
 
-Scenarios, maps, sweeps, scenario sets and object files share these rules: a number is not text and not true or false,
-it is finite, and an angle is in radians.
+Scenarios, maps, sweeps, scenario sets and object files share these rules: numbers are finite, neither text nor
+true/false, and angles are in radians.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, FiniteFloat, Va
 from shmoo_mjx.errors import ShmooError
 
 _PLAIN_TERMS = {"tuple": "list", "Input": "it", "dictionary": "mapping of 'key: value' lines"}
-"""Python's and pydantic's words for what a YAML or JSON file has."""
+"""Plain terms for YAML and JSON files in place of those of Python and pydantic."""
 _LARGEST_ANGLE = 2 * math.pi + 1e-3
-"""A full turn [rad], with room for 6.284."""
+"""Largest allowed angle [rad]: a full turn, with a margin for the rounded value 6.284."""
 
 
 def _no_text(value: object) -> object:
@@ -33,10 +33,10 @@ def _no_text(value: object) -> object:
 
 
 def check_angle(value: float) -> float:
-    """The angle [rad] as it is.
+    """Check an angle [rad] and return it.
 
     Raises:
-        ValueError: it is no finite number, or beyond a full turn, so that degrees are meant.
+        ValueError: the angle is not finite, or exceeds a full turn and is therefore likely in degrees.
     """
     if isinstance(value, bool) or not math.isfinite(value):
         raise ValueError(f"is {value}; give a finite number in radians.")
@@ -47,18 +47,23 @@ def check_angle(value: float) -> float:
 
 
 Number = Annotated[FiniteFloat, BeforeValidator(_no_text)]
-"""A finite number, which pydantic would also read from text."""
+"""A finite number. Text is rejected, which pydantic alone would convert."""
 WholeNumber = Annotated[int, BeforeValidator(_no_text)]
-"""The same for whole numbers."""
+"""A whole number, with the same rule."""
 Angle = Annotated[Number, AfterValidator(check_angle)]
-"""[rad], at most a full turn."""
+"""An angle of at most a full turn [rad]."""
 
 
 def validated[Model: BaseModel](model: type[Model], data: dict[str, Any], path: str | Path) -> Model:
-    """``data`` as an instance of ``model``.
+    """Validate ``data`` and return it as an instance of ``model``.
+
+    Args:
+        model: pydantic model of the file's content.
+        data: content of the file.
+        path: the file, for error messages.
 
     Raises:
-        ShmooError: the first fault found, with the file, the field and the remedy.
+        ShmooError: the data does not fit; the message names file, field and remedy of the first error.
     """
     try:
         return model.model_validate(data)
@@ -67,15 +72,15 @@ def validated[Model: BaseModel](model: type[Model], data: dict[str, Any], path: 
 
 
 def read_json(path: str | Path, what: str, command: str) -> dict[str, Any]:
-    """The top-level object of a JSON file.
+    """Read the top-level object of a JSON file.
 
     Args:
         path: the file.
-        what: what the file is, for the error ("object file").
-        command: what makes such files, for the error ("shmoo object add").
+        what: kind of file, for error messages ("object file").
+        command: command that makes such files, for error messages ("shmoo object add").
 
     Raises:
-        ShmooError: the file is missing, unreadable, no JSON object, or has a key twice.
+        ShmooError: the file is missing or unreadable, holds no JSON object, or repeats a key.
     """
 
     def unique(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
@@ -100,14 +105,14 @@ def read_json(path: str | Path, what: str, command: str) -> dict[str, Any]:
 
 
 def closest_name(name: object, valid: Iterable[str]) -> str:
-    """Advice on a name that is not among ``valid``: the nearest one if there is one, all of them otherwise."""
+    """Hint for an unknown name: the most similar valid name, or all valid names if none is similar."""
     names = list(valid)
     near = difflib.get_close_matches(str(name).lower(), names, n=1, cutoff=0.6)
     return f"did you mean '{near[0]}'?" if near else f"valid names are {', '.join(names)}."
 
 
 def _sentence(error: ValidationError, model: type[BaseModel], path: str | Path) -> str:
-    # A misspelt key also makes the right key "missing"; naming the misspelling helps more, so it goes first.
+    # A misspelt key also makes the correct key "missing". The misspelling is the cause, so it is reported first.
     first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
     field = _dotted(first["loc"])
     kind, message, value = first["type"], first["msg"].split(" or instance of")[0], first.get("input")
@@ -115,7 +120,7 @@ def _sentence(error: ValidationError, model: type[BaseModel], path: str | Path) 
         return f"{path}: '{field}' is not a known key; {closest_name(first['loc'][-1], _keys_at(model, first['loc']))}"
     if kind == "missing":
         return f"{path}: '{field}' is missing; add it."
-    if kind == "value_error":  # our own validators write the remedy themselves
+    if kind == "value_error":  # messages of our own validators contain the remedy
         return f"{path}: '{field}' {message.removeprefix('Value error, ')}" if field else f"{path}: {message[13:]}"
     for term, plain in _PLAIN_TERMS.items():
         message = message.replace(term, plain)
@@ -130,9 +135,9 @@ def _dotted(location: tuple[int | str, ...]) -> str:
 
 
 def _keys_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
-    """The field names valid where ``location`` points, by walking the nested models."""
+    """Valid field names at ``location`` in the nested models."""
     for part in location[:-1]:
-        if isinstance(part, int) or part not in model.model_fields:  # of a list, or a key that the user may name
+        if isinstance(part, int) or part not in model.model_fields:  # index of a list, or a user-defined key
             continue
         annotation: Any = model.model_fields[part].annotation
         candidates = [annotation, *getattr(annotation, "__args__", ())]

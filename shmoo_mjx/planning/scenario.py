@@ -1,12 +1,12 @@
-"""The scenario file: which map, from where to where, and which objects stand about.
+"""The scenario file: the map, start and goal of the robot, and the objects that the map does not show.
 
-map: office.yaml          # ROS map_server YAML, relative to this file; may be left out and given on the command line
+map: office.yaml          # ROS map_server YAML, relative to this file; optional if the command line gives it
 start: [1.0, 1.0, 0.0]    # x, y [m], yaw [rad] in {W}
 goal: [5.0, 2.0]          # x, y [m] in {W}; or push_to: [x, y, yaw], a pose for the first object
 objects:
   - family: box           # box, cart or wheelchair
     pose: [3.0, 1.5, 0.2]
-    seed: 4               # draws the properties that are not given
+    seed: 4               # seed of the properties that are not given
     properties: {mass: 3.0}
 seed: 0
 limits: {time_s: 180}
@@ -38,18 +38,18 @@ if TYPE_CHECKING:
 
 FAMILIES = ("box", "cart", "wheelchair")
 ROBOT_RADIUS = 0.29
-"""Radius of the disc that paths keep clear: body, folded hands and a reserve [m]."""
+"""Radius of the disc that paths keep clear [m]. It contains the body, the folded hands and a margin."""
 MOST_OBJECTS = 50
-"""What a scene may hold: each is a body to simulate and to look for."""
+"""Maximum number of objects in a scene; each one adds a body to the simulation."""
 Pose = tuple[Number, Number, Angle]
 Property = bool | FiniteFloat
 
 _OVERLAP = 1e-4
-"""Two footprints that share less touch each other [m^2]."""
+"""Maximum overlap of two footprints that counts as touching [m^2]."""
 _DEPTH = 0.005
-"""How far a footprint may reach into a wall [m]: less is how exactly poses are written."""
+"""Maximum depth of a footprint in a wall [m]. It allows for poses that are rounded in the file."""
 _NEVER_NEGATIVE = ("size", "mass", "payload", "friction", "rolling", "swivel_friction")
-"""Properties of which a negative number makes no sense; the plant checks names and ranges."""
+"""Properties that must not be negative. The plant checks names and ranges."""
 
 
 class _Strict(BaseModel):
@@ -57,26 +57,26 @@ class _Strict(BaseModel):
 
 
 class ObjectEntry(_Strict):
-    """One object on the floor."""
+    """An object of a scenario."""
 
     family: str
-    """Kind of object: one of FAMILIES, or an object file (*.json) that ``shmoo object add`` made."""
+    """One of FAMILIES, or an object file (*.json) made by ``shmoo object add``."""
     pose: Pose
-    """(x, y, yaw) of its centre in {W} [m, m, rad]."""
+    """Pose (x, y, yaw) of the object's centre in {W} [m, m, rad]."""
     seed: WholeNumber = Field(default=0, ge=0)
-    """Draws every property that is not given; where a mass is given and no load, there is none."""
+    """Seed of the properties that are not given. If a mass but no load is given, the load is zero."""
     properties: dict[str, Property | list[Property]] = Field(default_factory=dict)
-    """Properties given instead of drawn, in SI units; the plant checks their names."""
+    """Given properties in SI units, by name."""
 
     def condition(self) -> Condition:
         """The object with all its properties.
 
         Raises:
-            ShmooError: a property that no such object can have.
+            ShmooError: a property is unknown or out of range for the family.
         """
         from shmoo_mjx.plant.objects import draw_condition
 
-        # Whoever says mass: 6 means 6 kg in all, not 6 kg and whatever load the seed puts on it.
+        # A given mass means the total mass, so the seed must not add a load to it.
         load = {"payload": 0.0} if "mass" in self.properties else {}
         return draw_condition(self.family, self.seed, load | self.properties)
 
@@ -107,33 +107,33 @@ class ObjectEntry(_Strict):
 
 
 class Limits(_Strict):
-    """When a run ends without success."""
+    """Limits at which a run ends, and the tolerance of its goal."""
 
     time_s: Number = Field(default=180.0, ge=0.1, le=86_400)
-    """Simulated time [s]."""
+    """Maximum simulated time [s]."""
     goal_tolerance_m: Number = Field(default=0.25, ge=0.05)
-    """Distance from the goal that counts as reached [m]."""
+    """Maximum distance from the goal that counts as reached [m]."""
 
 
 class Scenario(_Strict):
-    """Everything that defines one run, apart from the map's cells."""
+    """Content of a scenario file: everything that defines a run, except for the cells of the map."""
 
     map: str | None = None
-    """Path of the map's YAML; None where the map comes from elsewhere."""
+    """Path of the map's YAML file; None if the caller provides the map."""
     start: Pose
-    """(x, y, yaw) of the robot in {W} [m, m, rad]."""
+    """Start pose (x, y, yaw) of the robot in {W} [m, m, rad]."""
     goal: tuple[Number, Number]
-    """(x, y) in {W} [m] for the robot; with ``push_to`` that place."""
+    """Goal position (x, y) of the robot in {W} [m]; with ``push_to``, the position of that pose."""
     push_to: Pose | None = None
-    """(x, y, yaw) in {W} [m, m, rad] to which the first object is to be brought, in place of a goal for the robot."""
+    """Goal pose (x, y, yaw) of the first object in {W} [m, m, rad], in place of a goal for the robot."""
     objects: tuple[ObjectEntry, ...] = Field(default=(), max_length=MOST_OBJECTS)
-    """What stands in the map and is not drawn in it."""
+    """Objects that the map does not show."""
     seed: WholeNumber = Field(default=0, ge=0)
-    """Seeds everything random in the run."""
+    """Seed of all noise in the run."""
     limits: Limits = Limits()
-    """When to give up."""
+    """Limits of the run."""
     senses: SensesName | None = None
-    """What the robot perceives with, real or perfect; None leaves it to whoever runs the scenario (real)."""
+    """Sensing, real or perfect; None means that the caller decides (real by default)."""
 
     @model_validator(mode="before")
     @classmethod
@@ -160,32 +160,32 @@ class Scenario(_Strict):
 
 
 def load_scenario(path: str | Path) -> Scenario:
-    """Reads a scenario file; map and object files are taken relative to the file.
+    """Read a scenario file. Paths of map and object files are relative to it.
 
     Raises:
-        ShmooError: names the file, the field and the remedy.
+        ShmooError: the file is missing or wrong; the message names field and remedy.
     """
     path = Path(path)
     return located(validated(Scenario, read_mapping(path, "scenario"), path), path.parent)
 
 
 def located(scenario: Scenario, folder: Path) -> Scenario:
-    """A scenario whose paths are relative to ``folder``, with paths that can be opened from here."""
+    """The scenario with paths relative to the current folder, from one with paths relative to ``folder``."""
     objects = tuple(_with_file(entry, str(folder / entry.family)) for entry in scenario.objects)
     map_path = None if scenario.map is None else str(folder / scenario.map)
     return scenario.model_copy(update={"map": map_path, "objects": objects})
 
 
 def portable(scenario: Scenario, folder: Path) -> Scenario:
-    """The reverse of `located`: files that can be opened from here are named relative to ``folder``.
+    """The scenario with paths relative to ``folder``; the inverse of `located`.
 
-    What is no file here stays as it is, and so does a relative map path that already holds in ``folder``.
+    Paths that name no file, and a relative map path that is already valid in ``folder``, do not change.
     """
 
     def seen_from_there(path: str) -> str:
         if not Path(path).is_file():
             return path
-        real = Path(path).parent.resolve() / Path(path).name  # ".." behind a link leads elsewhere than it looks
+        real = Path(path).parent.resolve() / Path(path).name  # resolves symbolic links before ".."
         return Path(os.path.relpath(real, folder.resolve())).as_posix()
 
     objects = tuple(_with_file(entry, seen_from_there(entry.family)) for entry in scenario.objects)
@@ -196,12 +196,12 @@ def portable(scenario: Scenario, folder: Path) -> Scenario:
 
 
 def with_own_objects(scenario: Scenario, folder: Path) -> Scenario:
-    """The scenario with copies of its object files in ``folder / "objects"``, so that the folder can be moved.
+    """Copy the object files into ``folder / "objects"``, so that the folder can be moved, and return the scenario.
 
-    Files that lie in ``folder`` already are not copied. A copy never replaces another file: it gets a number.
+    Files inside ``folder`` are not copied. A copy never replaces another file; its name gets a number instead.
 
     Raises:
-        ShmooError: an object file is missing or is none.
+        ShmooError: an object file is missing or wrong.
     """
     from shmoo_mjx.plant.object_file import read_object
 
@@ -221,27 +221,27 @@ def with_own_objects(scenario: Scenario, folder: Path) -> Scenario:
 
 
 def _with_file(entry: ObjectEntry, path: str) -> ObjectEntry:
-    """The entry with another path, if it has an object file."""
+    """The entry with ``path`` as its object file; unchanged if it has none."""
     return entry.model_copy(update={"family": path}) if entry.family.endswith(".json") else entry
 
 
 def save_scenario(scenario: Scenario, path: str | Path) -> None:
-    """Writes a scenario file. Map and object files are named relative to it (`portable`), as `load_scenario` reads."""
+    """Write a scenario file. Paths in it are relative to the file (`portable`), as `load_scenario` expects."""
     data = portable(scenario, Path(path).parent).model_dump(mode="json", exclude_none=True)
     write_whole(path, yaml_text(data))
 
 
 def check_scenario(grid: OccupancyGrid, scenario: Scenario, robot_radius: float, name: str = "scenario") -> None:
-    """Checks what only scenario and map together can tell; objects are left out, since they can be moved.
+    """Check that start and goal are free and that a path connects them. Ignores objects, which can be moved.
 
     Args:
         grid: the map.
         scenario: start and goal in the map's {W}.
         robot_radius: radius of the robot's footprint [m].
-        name: the scenario's file or option, for the error.
+        name: file or option of the scenario, for error messages.
 
     Raises:
-        ShmooError: the start or goal is off the map or too near a wall, or no route joins them.
+        ShmooError: start or goal is off the map or too near a wall, or no path connects them.
     """
     from shmoo_mjx.planning.paths import plan_path
 
@@ -259,7 +259,7 @@ def check_scenario(grid: OccupancyGrid, scenario: Scenario, robot_radius: float,
 
 
 def check_point(grid: OccupancyGrid, point: Sequence[float], robot_radius: float, name: str) -> None:
-    """Checks that a robot has room at ``point`` (x, y) in {W} [m], which the error calls ``name``.
+    """Check that the robot fits at ``point`` (x, y) in {W} [m]. Error messages call the point ``name``.
 
     Raises:
         ShmooError: the point is off the map or too near a wall.
@@ -277,7 +277,7 @@ def check_point(grid: OccupancyGrid, point: Sequence[float], robot_radius: float
     if grid.values_at(point) != 0:
         kind = "unknown space" if grid.values_at(point) < 0 else "a wall"
         raise ShmooError(f"{where} lies inside {kind}; choose a point on free floor.")
-    # The field, by which paths are planned, can be too large beside a wall of a coarse map.
+    # The distance field, which path planning uses, can overestimate the distance to a wall of a coarse map.
     exact = wall_distance(grid, shapely.Point(point), robot_radius)
     distance = min(float(distance_field(grid).at(point)), exact)
     if distance < robot_radius:
@@ -288,16 +288,16 @@ def check_point(grid: OccupancyGrid, point: Sequence[float], robot_radius: float
 def check_places(
     grid: OccupancyGrid, scenario: Scenario, sizes: Sequence[tuple[float, float]], name: str = "scenario"
 ) -> None:
-    """Checks that every object stands on free floor, beside the robot and beside the others.
+    """Check that no object overlaps a wall, the robot or another object.
 
     Args:
         grid: the map.
-        scenario: its objects' poses.
-        sizes: each object's half extents along {O} [m].
-        name: the scenario's file or option, for the error.
+        scenario: scenario with the poses of the objects.
+        sizes: half extents of each object along {O} [m].
+        name: file or option of the scenario, for error messages.
 
     Raises:
-        ShmooError: names the first object that does not.
+        ShmooError: an object overlaps; the message names the first one.
     """
     before: dict[str, tuple[Sequence[float], tuple[float, float]]] = {}
     for i, (entry, half) in enumerate(zip(scenario.objects, sizes, strict=True)):
@@ -327,18 +327,18 @@ def check_place(
     robot: Sequence[float] | Array,
     others: Mapping[str, tuple[Sequence[float] | Array, tuple[float, float]]],
 ) -> None:
-    """Checks that an object at ``pose`` (x, y, yaw) stands on free floor, beside the robot and beside the others.
+    """Check that an object at ``pose`` overlaps neither a wall, nor the robot, nor another object.
 
     Args:
         grid: the map.
-        what: the object's name, for the error.
-        pose: in {W}.
-        half_extents: of its footprint along {O} [m].
-        robot: (x, y) of the robot in {W} [m].
-        others: pose and half extents of each other object, by its name.
+        what: name of the object, for error messages.
+        pose: pose (x, y, yaw) of the object in {W} [m, m, rad].
+        half_extents: half extents of the object's footprint along {O} [m].
+        robot: position (x, y) of the robot in {W} [m].
+        others: pose and half extents of each other object, by name.
 
     Raises:
-        ShmooError: it does not.
+        ShmooError: the object overlaps something or is off the map.
     """
     import shapely
 

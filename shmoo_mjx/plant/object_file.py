@@ -1,4 +1,4 @@
-"""Objects from an object file, as plant/mesh.py writes it: their conditions and their MJCF."""
+"""Objects from an object file, which plant/mesh.py writes: their properties and their MJCF."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from shmoo_mjx.base.schema import Number, read_json, validated
 from shmoo_mjx.plant.condition import Condition
 
 _FOOT = 0.01
-"""Radius of the spheres an object without wheels slides on [m]."""
+"""Radius of the spheres on which an object without wheels slides [m]."""
 _CLOSE = 0.01
-"""How exactly the parts of an object file must fit each other [m]; the hull has fewer corners than the mesh."""
+"""Tolerance between the parts of an object file [m], because the hull has fewer corners than the mesh."""
 _SWIVEL = {"damping": 0.01, "armature": 0.001}
 _ROLL = {"damping": 0.001, "armature": 0.0005}
 
@@ -30,7 +30,7 @@ _Side = Annotated[Number, Field(ge=0.05, le=2.5)]
 
 
 class _Source(BaseModel):
-    """What the object was made of."""
+    """The file from which the object was made."""
 
     model_config = ConfigDict(extra="forbid")
     file: str
@@ -38,7 +38,7 @@ class _Source(BaseModel):
 
 
 class ObjectFile(BaseModel):
-    """An object file: hull, mass distribution, and feet or wheels, in {O} with z = 0 on the floor."""
+    """Content of an object file: hull, mass distribution, and feet or wheels, in {O} with z = 0 on the floor."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     version: Literal[1] = Field(alias="schema")
@@ -46,21 +46,21 @@ class ObjectFile(BaseModel):
     size: tuple[_Side, _Side, _Side]
     """Length (x of {O}), width and height [m]."""
     mass: Number = Field(ge=0.5, le=500)
-    """Of the whole object, wheels included [kg]."""
+    """Mass of the whole object with wheels [kg]."""
     friction: Number = Field(ge=0.05, le=2)
-    """Coulomb coefficient of feet or wheels on the floor."""
+    """Coulomb friction coefficient of feet or wheels on the floor."""
     com: Point
-    """Centre of mass [m]."""
+    """Centre of mass in {O} [m]."""
     inertia_per_mass: tuple[Number, Number, Number, Number, Number, Number]
-    """About the centre of mass: xx, yy, zz, xy, xz, yz [m^2]."""
+    """Inertia about the centre of mass, divided by the mass: xx, yy, zz, xy, xz, yz [m^2]."""
     hull: tuple[Point, ...] = Field(min_length=4, max_length=1000)
-    """Points whose convex hull is the object's [m]."""
+    """Points whose convex hull is the shape of the object [m]."""
     feet: tuple[tuple[Number, Number], ...] = Field(min_length=3, max_length=12)
-    """(x, y) of what it stands on [m]; with wheels "rear", the two fixed wheels come first."""
+    """Positions (x, y) of feet or wheels [m]. With wheels "rear", the two fixed wheels come first."""
     wheels: Wheels
-    """None, a swivel caster at each foot, or two fixed wheels behind and casters in front."""
+    """none, casters (a swivel caster at each foot) or rear (two fixed rear wheels, casters in front)."""
     wheel_radius: Number = Field(gt=0)
-    """[m]"""
+    """Radius of the wheels [m]."""
     rolling: Number = Field(ge=0, le=0.5)
     """Rolling resistance coefficient of each wheel."""
     swivel_friction: Number = Field(ge=0, le=5)
@@ -98,23 +98,26 @@ class ObjectFile(BaseModel):
 
 
 def inertia_matrix(values: Sequence[float]) -> Float[np.ndarray, "3 3"]:
-    """The symmetric matrix of (xx, yy, zz, xy, xz, yz)."""
+    """Symmetric matrix from its elements (xx, yy, zz, xy, xz, yz)."""
     xx, yy, zz, xy, xz, yz = values
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 def read_object(path: str | Path) -> dict[str, Any]:
-    """The object file as plain data, of the form of :class:`ObjectFile`.
+    """Read an object file.
+
+    Returns:
+        Its content as plain data with the keys of `ObjectFile`.
 
     Raises:
-        ShmooError: the file is missing, or the first fault in it, with its field and remedy.
+        ShmooError: the file is missing or wrong; the message names the field and the remedy.
     """
     data = read_json(path, "object file", "shmoo object add")
     return validated(ObjectFile, data, path).model_dump(by_alias=True)
 
 
 def custom_condition(path: str, seed: int) -> dict[str, Any]:
-    """Values of a custom object's condition: what its file says; the seed draws only the casters' starting angles."""
+    """Properties of an object from a file. The seed determines only the initial angles of the casters."""
     data = read_object(path)
     wheels = 0 if data["wheels"] == "none" else len(data["feet"])
     casters = wheels - (2 if data["wheels"] == "rear" else 0)
@@ -136,12 +139,12 @@ def custom_condition(path: str, seed: int) -> dict[str, Any]:
 
 
 def _wheel_mass(mass: float) -> float:
-    """Mass of one wheel with its fork [kg]: 0.4, less for a light object."""
+    """Mass of one wheel with its fork [kg]: 0.4, or 5 % of the object's mass if that is less."""
     return min(0.4, 0.05 * mass)
 
 
 def custom_spec(condition: Condition) -> mujoco.MjSpec:
-    """MJCF of a custom object: hull as a convex mesh, feet or wheels below. Its root body is ``object`` at {O}."""
+    """MJCF of an object from a file, with a convex mesh and feet or wheels. The root body is ``object`` at {O}."""
     data = read_object(condition.family)
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
@@ -156,7 +159,7 @@ def custom_spec(condition: Condition) -> mujoco.MjSpec:
         friction=[0.4, 0.005, 0.0001], mass=0, rgba=[0.45, 0.52, 0.60, 1],
     )  # fmt: skip
     if condition.payload > 0:
-        # A body of its own: the root's mass is given, not summed over its geoms.
+        # The load is a separate body, because the root's mass is explicit and ignores its geoms.
         load = root.add_body(name="payload", pos=[condition.payload_x, condition.payload_y, data["com"][2]])
         load.add_geom(
             name="payload", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.08] * 3, mass=condition.payload,
@@ -167,7 +170,7 @@ def custom_spec(condition: Condition) -> mujoco.MjSpec:
             root.add_geom(
                 name=f"foot{i}_sole", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[_FOOT, 0, 0], pos=[x, y, _FOOT],
                 contype=1, conaffinity=0, condim=3, friction=[condition.friction, 0.005, 0.0001], priority=1, mass=0,
-                solimp=[0, 0.95, 0.002, 0.5, 2],  # box.xml says why
+                solimp=[0, 0.95, 0.002, 0.5, 2],  # explained in box.xml
             )  # fmt: skip
     else:
         _add_wheels(root, condition, data)
@@ -204,6 +207,6 @@ def _add_wheels(root: Any, c: Condition, data: Mapping[str, Any]) -> None:
             name=f"wheel{i}", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0],
             contype=1, conaffinity=0, condim=6, priority=1, mass=share,
             friction=[c.friction, 0.002, c.rolling[i] * radius],
-            solimp=[0.985, 0.985, 0.001, 0.5, 2],  # cart.xml says why
+            solimp=[0.985, 0.985, 0.001, 0.5, 2],  # explained in cart.xml
             rgba=[0.8, 0.1, 0.1, 1] if c.locked[i] else [0.12, 0.12, 0.13, 1],
         )  # fmt: skip

@@ -1,4 +1,4 @@
-"""What ``shmoo sweep`` does: say what it will take, compute what is missing, put everything together."""
+"""The command ``shmoo sweep``: prints an estimate, computes the missing shards, and writes table and figures."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Progress = Callable[[], AbstractContextManager[Callable[[str, float], None]]]
 
 
 def find(name: Path) -> Path:
-    """A sweep file, or the shipped one of that name."""
+    """Path of a sweep file, or of the shipped sweep with that name."""
     shipped = asset(f"experiments/sweeps/{name.name.removesuffix('.yaml')}.yaml")
     return shipped if not name.exists() and len(name.parts) == 1 and shipped.exists() else name
 
@@ -38,10 +38,26 @@ def carry_out(
     progress: Progress,
     senses: SensesName | None = None,
 ) -> list[Path]:
-    """Run a sweep, or go on with it; prints the estimate first and the answer last.
+    """Run or resume a sweep. Prints the estimated time first and the summary last.
+
+    Args:
+        name: sweep file, or the name of a shipped sweep.
+        out: folder for shards, table and figures; by default runs/sweeps/NAME.
+        weights: trained weights; by default the shipped ones.
+        short: run the short form (`quick`).
+        only_estimate: print the expected time and memory, and compute nothing.
+        memory_gb: memory limit for a batch of worlds [GB]; by default the free memory.
+        jobs: number of cluster jobs; 0 computes in this process.
+        cluster: kind of cluster, with ``jobs``.
+        options: settings of submitit as ``name=value`` texts, with ``jobs``.
+        progress: opens a progress display, which is called with (text, fraction).
+        senses: replaces the sensing that the file names.
 
     Returns:
-        What it made; nothing with ``only_estimate``.
+        Paths of the written files; empty with ``only_estimate``.
+
+    Raises:
+        ShmooError: file, options or weights are wrong, or ``out`` holds another sweep.
     """
     cluster_options, path = _options(options), find(name)
     config = quick(load_sweep(path)) if short else load_sweep(path)
@@ -55,7 +71,7 @@ def carry_out(
         with progress() as report:
             submit(sweep, jobs, cluster, options=cluster_options, progress=report)
     elif sweep.missing():
-        # A second process is turned away before it compiles for a minute.
+        # The claim comes first, so that a second process fails before it compiles for a minute.
         with claimed(sweep.out):
             if not _alone(sweep, memory_gb, only_estimate, progress):
                 return []
@@ -63,7 +79,7 @@ def carry_out(
 
 
 def _alone(sweep: Sweep, memory_gb: float | None, only_estimate: bool, progress: Progress) -> bool:
-    """Compute what is missing in this process; False if only the estimate was asked for."""
+    """Compute the missing shards in this process. Returns False if only the estimate was requested."""
     runner = ShardRunner(sweep, memory=int(memory_gb * 1e9) if memory_gb else None)
     print("compiling; then one second of each is timed", flush=True)
     seconds = 0.0
@@ -97,7 +113,7 @@ def _devices() -> str:
 
 
 def _options(options: tuple[str, ...]) -> dict[str, Any]:
-    """``name=value`` pairs, numbers as numbers."""
+    """Parse ``name=value`` texts; values of digits become integers."""
     values: dict[str, Any] = {}
     for option in options:
         name, equals, value = option.partition("=")

@@ -1,4 +1,4 @@
-"""The sweep file: what is varied over how many worlds, for which families and controllers.
+"""The sweep file: which parameters vary, over how many worlds, for which object families and controllers.
 
 question: Over which mass and friction does one push succeed?
 worlds: 512                       # per family and controller
@@ -9,7 +9,7 @@ controllers:
 vary:
   object.mass: {log_uniform: [2, 60]}
   object.friction: {uniform: [0.1, 0.9]}
-map: [object.mass, object.friction]   # axes of the map of successes
+map: [object.mass, object.friction]   # axes of the map of success rates
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ class _Strict(BaseModel):
 
 
 class Draw(_Strict):
-    """How a parameter is drawn; a bare number is the same in every world."""
+    """Distribution of a parameter. A plain number gives the same value in every world."""
 
     fixed: Number | None = None
     uniform: tuple[Number, Number] | None = None
     log_uniform: tuple[Number, Number] | None = None
     normal: tuple[Number, Number] | None = None
-    """Mean and standard deviation; cut off at the parameter's bounds."""
+    """Mean and standard deviation of a normal distribution, clipped to the parameter's bounds."""
     choice: tuple[Number, ...] | None = None
 
     @model_validator(mode="before")
@@ -69,14 +69,20 @@ class Draw(_Strict):
 
     @property
     def values(self) -> tuple[float, ...]:
-        """Numbers that must lie within a parameter's bounds."""
+        """The numbers of the distribution that must lie within the parameter's bounds."""
         one = (self.fixed,) if self.fixed is not None else self.normal[:1] if self.normal else None
         values = one or self.uniform or self.log_uniform or self.choice
         assert values is not None
         return values
 
     def at(self, rng: Any, low: float, high: float) -> float:
-        """One value, drawn with a NumPy generator."""
+        """Sample one value.
+
+        Args:
+            rng: NumPy generator.
+            low: lower bound, for a normal distribution.
+            high: upper bound, for a normal distribution.
+        """
         if self.fixed is not None:
             return self.fixed
         if self.uniform:
@@ -90,51 +96,51 @@ class Draw(_Strict):
 
 
 class Controller(_Strict):
-    """One of the controllers that are compared on the same worlds."""
+    """Settings of one controller. All controllers of a sweep run in the same worlds."""
 
     kind: Literal["mppi", "quasi_static"] = "mppi"
-    """The pushing controller of the paper, or the pusher without a model (control/quasi_static.py)."""
+    """mppi (the pushing controller) or quasi_static (a baseline without a model, control/quasi_static.py)."""
     samples: WholeNumber = Field(default=500, ge=16, le=100_000)
-    """S of MPPI."""
+    """Number of MPPI roll-outs S."""
     horizon: WholeNumber = Field(default=30, ge=1, le=200)
-    """T of MPPI."""
+    """Number of MPPI steps T of 0.1 s."""
     temperature: Number = Field(default=0.7, gt=0)
-    """lambda of MPPI."""
+    """MPPI temperature lambda. Larger values average over more roll-outs."""
     adapts: bool = True
-    """False leaves what is known of the object at the prior."""
+    """Whether the estimate of the object adapts. If not, it stays at the prior."""
     governor: Number = Field(default=0.25, ge=0)
-    """Gain of the governor on the lean [rad s/m]; 0 switches it off."""
+    """Gain of the governor from speed error to lean [rad s/m]; 0 switches the governor off."""
     speed_limit: Number = Field(default=0.16, gt=0, le=1)
-    """Speed of the robot that is free of charge [m/s]."""
+    """Speed of the robot above which the MPPI cost grows [m/s]."""
 
 
 class SweepConfig(_Strict):
-    """One sweep."""
+    """Content of a sweep file."""
 
     question: str = ""
-    """What it is to answer; stands above figures and tables."""
+    """The question that the sweep answers; title of figures and tables."""
     seed: WholeNumber = Field(default=0, ge=0, le=MAX_SEED)
     worlds: WholeNumber = Field(default=256, ge=1, le=10_000_000)
-    """Worlds per family and controller; world i of a family is the same for each controller."""
+    """Number of worlds per family and controller. World i of a family is the same for all controllers."""
     families: tuple[str, ...] = Field(default=("box",), min_length=1)
     controllers: dict[str, Controller] = Field(default_factory=lambda: {"ours": Controller()}, min_length=1)
     vary: dict[str, Draw] = Field(default_factory=dict)
     first_object: WholeNumber = Field(default=UNSEEN_SEED, ge=0, le=MAX_SEED)
-    """Seed of world 0's object, world i has this plus i; those from 1,000,000 on take no part in training."""
+    """Object seed of world 0; world i uses this plus i. Training never uses seeds from 1,000,000 on."""
     seconds: WholeNumber = Field(default=20, ge=1, le=600)
-    """Longest push, with 1 s in which the arms unfold."""
+    """Maximum duration of a push [s], including 1 s in which the arms extend."""
     face: WholeNumber = Field(default=0, ge=0, le=3)
-    """Pushed side: rear, right, front, left."""
+    """Pushed face: 0 rear, 1 right, 2 front, 3 left."""
     tolerance_m: Number = Field(default=0.25, gt=0)
-    """A push succeeds if the object ends this near to its goal [m]."""
+    """Maximum distance between the object's final position and its goal for a success [m]."""
     tolerance_deg: Number = Field(default=20.0, gt=0)
-    """Yaw error up to which such a push succeeds [deg]."""
+    """Maximum yaw error for a success [deg]."""
     senses: SensesName = "real"
-    """What the controller perceives: real senses (docs/sensing.md), or the truth; either with swept noise and delay."""
+    """Sensing: real (docs/sensing.md) or perfect (ground truth). Swept noise and delay apply to both."""
     shard: WholeNumber = Field(default=256, ge=1)
-    """Worlds per file of results: what is lost if the machine stops."""
+    """Number of worlds per results file. An interruption loses at most one such file."""
     map: tuple[str, str] | None = None
-    """Two varied parameters over which successes are mapped."""
+    """Two varied parameters, the axes of the map of success rates."""
 
     @field_validator("families")
     @classmethod
@@ -176,7 +182,7 @@ class SweepConfig(_Strict):
 
     @property
     def varied(self) -> list[str]:
-        """Parameters that differ between worlds by the file's wish."""
+        """Names of the parameters that vary between worlds."""
         return [name for name, draw in self.vary.items() if draw.fixed is None]
 
 
@@ -184,7 +190,7 @@ def load_sweep(path: str | Path) -> SweepConfig:
     """Read a sweep file.
 
     Raises:
-        ShmooError: missing, no YAML, an unknown or impossible entry, or a shipped file that is meant by its name.
+        ShmooError: the file is missing or not YAML, or an entry is unknown or out of range.
     """
     config = validated(SweepConfig, read_mapping(path, "sweep"), path)
     folder = Path(path).parent
@@ -193,7 +199,7 @@ def load_sweep(path: str | Path) -> SweepConfig:
 
 
 def _own_file(name: str, folder: Path, path: str | Path) -> str:
-    """A family, or the path of an object file that is given relative to the sweep file."""
+    """The family's name, or the path of an object file, which the sweep file gives relative to itself."""
     if not name.endswith(".json"):
         return name
     file = folder / name
@@ -203,16 +209,16 @@ def _own_file(name: str, folder: Path, path: str | Path) -> str:
 
 
 def quick(config: SweepConfig) -> SweepConfig:
-    """A short form of the same shape: few worlds, few samples."""
+    """Short form of a sweep for a first try: at most 16 worlds, 128 roll-outs and 12 s."""
     fewer = {n: c.model_copy(update={"samples": min(c.samples, 128)}) for n, c in config.controllers.items()}
     sizes = {"worlds": min(config.worlds, 16), "seconds": min(config.seconds, 12)}
     return config.model_copy(update={"controllers": fewer, **sizes})
 
 
 def sweep_fingerprint(config: SweepConfig, weights: Path) -> str:
-    """What decides about a shard's rows: a folder of results with another one belongs to another sweep."""
+    """Fingerprint of everything that determines a shard's rows. Folders with different ones hold different sweeps."""
     deciding = config.model_dump(exclude={"question", "map", "worlds"}, mode="json")
     own = [Path(f) for f in config.families if f.endswith(".json")]
-    # What an object file holds decides, not the path by which it is reached from here.
+    # The content of an object file counts, and its path does not.
     deciding["families"] = [Path(f).name for f in config.families]
     return fingerprint("shmoo_mjx.sweep.simulate", deciding, weights, *own)
