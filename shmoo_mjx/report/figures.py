@@ -316,7 +316,7 @@ def _draw_learned(
             axes.axvline(t, color=COLOURS["contact"], lw=1.2, ls=":", label="contact begins")
     for decision in result["decisions"]:
         if begin <= decision["t"] <= end:
-            axes.axvline(decision["t"], color=COLOURS["decision"], lw=1.4, ls="--", label="decision")
+            axes.axvline(decision["t"], color=COLOURS["decision"], lw=0.8, alpha=0.7, label="decision")
     # The band before the first touch is many times as wide as the later ones, which would be flat lines beside it.
     late = slice((push.start + push.stop) // 2, push.stop)
     known = [true[name] for name in curves if name in true]

@@ -201,7 +201,8 @@ def _object_sentence(result: dict[str, Any], item: dict[str, Any]) -> str:
         told = f": it gave a push a {percent(chances[-1])} chance" if chances else told
         return f"It concluded that {what} can't be moved{told}, and treated it as an obstacle."
     if moved(item) <= _MOVED:
-        return f"It left {what} where it was."
+        told = f": it estimated a {percent(chances[-1])} chance that it can be moved out of the way" if chances else ""
+        return f"It left {what} where it was{told}."
     if result.get("push_to") is not None:
         return ""
     pushed = f"It pushed {what} {moved(item):.1f} m out of its way"

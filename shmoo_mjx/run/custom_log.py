@@ -312,8 +312,7 @@ def _verdict(
     force, faces = log.wrench[push][touching, :2].sum(axis=0), faces_of(half_extents)
     off = se2.wrap(np.arctan2(force[1], force[0]) - heading(poses[-1], faces))
     p = foresight.probability_to_move(estimated, None, poses[-1], half_extents, face=faces[np.argmin(np.abs(off))])
-    verdict = "can be moved" if p >= 0.5 else "can't be moved"
-    reason = f"after {contact:.1f} s of contact, in which it moved {moved:.2f} m, P = {p:.2f}: {verdict}"
+    reason = f"after {contact:.1f} s of contact, in which it moved {moved:.2f} m: a {p:.0%} chance that it can be moved"
     told = {"t": float(log.t[push.stop - 1] + DT), "object": 0, "probability": p, "manipulable": p >= 0.5}
     return told | {"K": None, "G": None, "goal": None, "reason": reason}
 

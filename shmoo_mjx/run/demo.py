@@ -8,6 +8,7 @@ from typing import Any
 
 from shmoo_mjx.base.options import SensesName
 from shmoo_mjx.planning.floorplan import SCENES
+from shmoo_mjx.report.words import evidence, object_name
 
 
 def run_demo(
@@ -70,10 +71,9 @@ def run_demo(
 
 
 def _line(seed: int, result: dict[str, Any]) -> str:
-    words = {True: "can be moved", False: "can't be moved"}
+    verdicts = {True: "can be moved", False: "can't be moved"}
     told = "; ".join(
-        f"object {d['object']} at {d['t']:.0f} s: {words[d['manipulable']]}, "
-        + (f"P = {d['probability']:.2f}" if d["K"] is None else f"K = {d['K']:.2f}")
+        f"{object_name(result, d['object'])} at {d['t']:.0f} s: {verdicts[d['manipulable']]} ({evidence(d)})"
         for d in result["decisions"]
     )
     measured = f"{result['time_s']:.0f} s, {result['path_length_m']:.1f} m, wall contacts {result['wall_contacts']}"

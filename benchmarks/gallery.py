@@ -1,0 +1,102 @@
+"""Pictures of the gallery that commands of ``shmoo`` make: python -m benchmarks.gallery [PICTURE ...].
+
+Each one runs its command in a temporary folder and writes the picture to docs/figures. Films become animated WebP
+pictures, because pages such as the README play no films.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from itertools import islice
+from pathlib import Path
+from typing import NamedTuple
+
+import imageio.v3 as iio
+import numpy as np
+from PIL import Image
+
+from shmoo_mjx.report.figures import map_figure
+from shmoo_mjx.report.style import save_figure
+from shmoo_mjx.report.trace import load_result, load_trace
+
+FIGURES = Path("docs/figures")
+
+
+class Picture(NamedTuple):
+    """How a picture is made."""
+
+    command: str
+    """Command, in which OUT is the folder or file that it writes."""
+    draw: Callable[[Path, Path], None]
+    """Makes the picture (second path) of what the command has written (first path)."""
+
+
+def animation(film: str, *, width: int, every: int, fps: float) -> Callable[[Path, Path], None]:
+    """Makes an animated WebP of a film.
+
+    Args:
+        film: file below the command's folder.
+        width: width of the picture [pixels].
+        every: stride over the film's frames.
+        fps: pictures per second.
+    """
+
+    def draw(out: Path, picture: Path) -> None:
+        frames = []
+        for frame in islice(iio.imiter(out / film, plugin="FFMPEG"), 0, None, every):
+            image = Image.fromarray(np.asarray(frame))
+            size = (width, round(width * image.height / image.width))
+            frames.append(image.resize(size, Image.Resampling.LANCZOS))
+        # The last picture stays, so that a reader sees the end.
+        duration = [round(1000 / fps)] * (len(frames) - 1) + [2000]
+        frames[0].save(
+            picture, save_all=True, append_images=frames[1:], duration=duration, loop=0, quality=40, method=6,
+            minimize_size=True,
+        )  # fmt: skip
+
+    return draw
+
+
+def report_map(out: Path, picture: Path) -> None:
+    """Draws the map of a run's report."""
+    save_figure(picture, map_figure(load_result(out / "result.json"), load_trace(out / "trace.npz")))
+
+
+def copied(out: Path, picture: Path) -> None:
+    """Takes what the command has drawn."""
+    picture.write_bytes(out.read_bytes())
+
+
+PICTURES = {
+    "demo.webp": Picture("demo --seed 0 --out OUT", animation("demo-0/episode.mp4", width=800, every=4, fps=10.0)),
+    "push.webp": Picture(
+        "push wheelchair --goal 1.5,0,0.8 --set mass=12 friction=0.6 --out OUT",
+        animation("episode.mp4", width=640, every=6, fps=8.0),
+    ),
+    "view.webp": Picture(
+        "view cart --seed 3 --no-window --out OUT", animation("view.mp4", width=480, every=4, fps=8.0)
+    ),
+    "report_map.png": Picture(
+        "navigate --scenario experiments/scenarios/box_in_doorway.yaml --no-video --out OUT", report_map
+    ),
+    "map_show.png": Picture("map show experiments/maps/office.yaml --out OUT", copied),
+}
+
+
+def main(names: list[str]) -> None:
+    """Makes the pictures with these names, or all."""
+    for name in names or PICTURES:
+        command, draw = PICTURES[name]
+        with tempfile.TemporaryDirectory() as folder:
+            out = Path(folder) / ("out.png" if draw is copied else "out")
+            words = [str(out) if word == "OUT" else word for word in command.split()]
+            subprocess.run([Path(sys.executable).with_name("shmoo"), *words], check=True)
+            draw(out, FIGURES / name)
+        print(f"{FIGURES / name}: {(FIGURES / name).stat().st_size / 1e3:.0f} kB")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
