@@ -44,14 +44,14 @@ _NEAR = 12.0
 class Mark(NamedTuple):
     """A shape that is drawn into the scene, in {W}."""
 
-    kind: Literal["bar", "arrow", "disc"]
-    """Round bar or arrow from ``a`` to ``b``, or a flat disc at ``a``."""
+    kind: Literal["ribbon", "arrow", "disc"]
+    """Flat ribbon or arrow from ``a`` to ``b``, or a flat disc at ``a``."""
     a: Numbers | Float[np.ndarray, "3"]
     """First point [m]."""
     b: Numbers | Float[np.ndarray, "3"]
     """Second point [m]. A disc does not use it."""
     radius: float
-    """Radius [m]."""
+    """Radius, or half of a ribbon's width [m]."""
     colour: tuple[float, float, float, float]
     """Red, green, blue and opacity, 0 to 1."""
 
@@ -218,30 +218,33 @@ def _cast(
     reach: Float[np.ndarray, "2"],
 ) -> None:
     """The shadow of a box: the rectangle around its footprint and the footprint moved by ``reach`` [m]."""
-    place, yaw = pose
-    turn = np.eye(3)
-    turn[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
+    place, turn = pose[0], _about_z(pose[1])
     size = [*(np.asarray(half) + 0.5 * np.abs(turn[:2, :2].T @ reach)), 0.001]
     centre = [*(place + 0.5 * reach), _LIFT]
     _add(canvas, mujoco.mjtGeom.mjGEOM_BOX, size=size, place=centre, turn=turn, colour=_SHADE)
 
 
 def _draw(canvas: mujoco.MjvScene, mark: Mark) -> None:
+    a, b = (np.asarray(end, dtype=float) for end in (mark.a, mark.b))
     if mark.kind == "disc":
-        _add(
-            canvas,
-            mujoco.mjtGeom.mjGEOM_CYLINDER,
-            size=[mark.radius, 0.003, 0.0],
-            place=mark.a,
-            turn=np.eye(3),
-            colour=mark.colour,
-        )
-        return
-    kind = mujoco.mjtGeom.mjGEOM_CAPSULE if mark.kind == "bar" else mujoco.mjtGeom.mjGEOM_ARROW
-    _add(canvas, kind, size=[mark.radius] * 3, place=mark.a, turn=np.eye(3), colour=mark.colour)
-    if canvas.ngeom:
-        a, b = (np.asarray(end, dtype=float) for end in (mark.a, mark.b))
-        mujoco.mjv_connector(canvas.geoms[canvas.ngeom - 1], kind, mark.radius, a, b)
+        size = [mark.radius, 0.003, 0.0]
+        _add(canvas, mujoco.mjtGeom.mjGEOM_CYLINDER, size=size, place=a, turn=np.eye(3), colour=mark.colour)
+    elif mark.kind == "ribbon":
+        # A box has so few triangles that hundreds of them take no time on a software renderer; a capsule has not.
+        length = float(np.hypot(*(b - a)[:2]))
+        size, turn = [length / 2 + mark.radius / 2, mark.radius, 0.002], _about_z(float(np.arctan2(*(b - a)[1::-1])))
+        _add(canvas, mujoco.mjtGeom.mjGEOM_BOX, size=size, place=(a + b) / 2, turn=turn, colour=mark.colour)
+    else:
+        kind = mujoco.mjtGeom.mjGEOM_ARROW
+        if _add(canvas, kind, size=[mark.radius] * 3, place=a, turn=np.eye(3), colour=mark.colour):
+            mujoco.mjv_connector(canvas.geoms[canvas.ngeom - 1], kind, mark.radius, a, b)
+
+
+def _about_z(yaw: float) -> Float[np.ndarray, "3 3"]:
+    """Rotation about z."""
+    turn = np.eye(3)
+    turn[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
+    return turn
 
 
 def _add(
@@ -252,13 +255,15 @@ def _add(
     place: Numbers | Float[np.ndarray, "3"],
     turn: Float[np.ndarray, "3 3"],
     colour: Sequence[float],
-) -> None:
+) -> bool:
+    """Adds a shape, or returns False if there is no room for it."""
     if canvas.ngeom >= canvas.maxgeom:
-        return
+        return False
     arrays = (np.asarray(a, dtype=float).ravel() for a in (size, place, turn))
     mujoco.mjv_initGeom(canvas.geoms[canvas.ngeom], kind, *arrays, np.asarray(colour, dtype=np.float32))
     canvas.geoms[canvas.ngeom].category = mujoco.mjtCatBit.mjCAT_DECOR
     canvas.ngeom += 1
+    return True
 
 
 def _camera(canvas: mujoco.MjvScene, height: int) -> tuple[np.ndarray, np.ndarray]:
@@ -272,8 +277,8 @@ def _camera(canvas: mujoco.MjvScene, height: int) -> tuple[np.ndarray, np.ndarra
 
 
 def _plain(renderer: mujoco.Renderer) -> None:
-    """Switch off shadows, which cause speckles, and reflections; each would render the scene once more."""
-    for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
+    """Switch off shadow maps and reflections, which render the scene once more, and the sky, which is never in view."""
+    for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION, mujoco.mjtRndFlag.mjRND_SKYBOX):
         renderer.scene.flags[flag] = 0
 
 

@@ -114,7 +114,7 @@ class _Drawn:
     def marks(self, k: int, hands: np.ndarray) -> list[Mark]:
         """Shapes at sample ``k``, with the ``hands [2, 3]`` in {W}."""
         t, shapes = float(self.trace.t[k]), list[Mark]()
-        shapes += _polyline(self._plan(t), COLOURS["plan"], 0.014)
+        shapes += _polyline(self._plan(t), COLOURS["plan"], 0.02)
         if self.result.get("push_to") is not None:
             target = np.asarray(self.result["push_to"], dtype=float)
             corners = outline(target, self.result["objects"][0]["half_extents"])
@@ -148,7 +148,7 @@ class _Drawn:
         ends = self.trace.decision_rollouts[number] if number < len(self.trace.decision_rollouts) else ()
         goal = decision.get("goal")
         for line in list(ends)[:_FAN]:
-            shapes += _polyline(np.asarray(line)[::_STEP], COLOURS["rollout"], 0.009)
+            shapes += _polyline(np.asarray(line)[::_STEP], COLOURS["rollout"], 0.011)
         final = self.result.get("push_to")
         if goal is not None and (final is None or not np.allclose(goal[:2], final[:2], atol=0.01)):
             place = [*goal[:2], _FLOOR]
@@ -209,7 +209,7 @@ def _polyline(points: np.ndarray, colour: str, radius: float) -> list[Mark]:
     raised = [[float(x), float(y), _FLOOR] for x, y in np.asarray(points, dtype=float)[:, :2] if np.isfinite(x + y)]
     # Nearly equal points have no direction.
     pairs = [(a, b) for a, b in pairwise(raised) if np.hypot(a[0] - b[0], a[1] - b[1]) > 1e-3]
-    return [Mark("bar", a, b, radius, (*to_rgb(colour), 1.0)) for a, b in pairs]
+    return [Mark("ribbon", a, b, radius, (*to_rgb(colour), 1.0)) for a, b in pairs]
 
 
 def _labelled(shot: Shot, labels: list[Label], *, pushing: bool) -> np.ndarray:

@@ -76,8 +76,8 @@ def test_what_is_drawn_at_which_time(scene: Scene, trace: Trace, result: dict[st
     def kinds(t: float) -> list[str]:
         return [mark.kind for mark in drawn.marks(round(10 * t), hands)]
 
-    assert kinds(5.0).count("bar") == 2 and "arrow" not in kinds(5.0)  # plan and goal
-    assert kinds(15.0).count("arrow") == 1 and kinds(15.0).count("bar") > 100  # predicted pushes, too
+    assert kinds(5.0).count("ribbon") == 2 and "arrow" not in kinds(5.0)  # plan and goal
+    assert kinds(15.0).count("arrow") == 1 and kinds(15.0).count("ribbon") > 100  # predicted pushes, too
     (arrow,) = (mark for mark in drawn.marks(150, hands) if mark.kind == "arrow")
     force, along = trace.force[150], np.subtract(arrow.b, arrow.a)
     assert np.linalg.norm(along) == pytest.approx(film._PER_NEWTON * np.linalg.norm(force))
@@ -94,6 +94,6 @@ def test_an_object_that_is_pushed_to_a_pose_has_its_goal_in_the_scene(
     drawn = film._Drawn(
         {**result, "push_to": target, "decisions": []}, trace._replace(plans=(), plan_times=np.zeros(0)), tops(scene)
     )
-    bars = [mark for mark in drawn.marks(0, np.zeros((2, 3))) if mark.kind == "bar"]
-    np.testing.assert_allclose(np.mean([mark.a for mark in bars[:4]], axis=0)[:2], target[:2], atol=1e-6)
+    ribbons = [mark for mark in drawn.marks(0, np.zeros((2, 3))) if mark.kind == "ribbon"]
+    np.testing.assert_allclose(np.mean([mark.a for mark in ribbons[:4]], axis=0)[:2], target[:2], atol=1e-6)
     assert any(label.lines == ("goal of the box",) for label in drawn.labels(0))
