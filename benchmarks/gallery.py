@@ -14,7 +14,7 @@ from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
-import imageio.v3 as iio
+import imageio.v2 as iio
 import numpy as np
 from PIL import Image
 
@@ -46,10 +46,11 @@ def animation(film: str, *, width: int, every: int, fps: float) -> Callable[[Pat
 
     def draw(out: Path, picture: Path) -> None:
         frames = []
-        for frame in islice(iio.imiter(out / film, plugin="FFMPEG"), 0, None, every):
-            image = Image.fromarray(np.asarray(frame))
-            size = (width, round(width * image.height / image.width))
-            frames.append(image.resize(size, Image.Resampling.LANCZOS))
+        with iio.get_reader(out / film) as reader:
+            for frame in islice(reader.iter_data(), 0, None, every):
+                image = Image.fromarray(np.asarray(frame))
+                size = (width, round(width * image.height / image.width))
+                frames.append(image.resize(size, Image.Resampling.LANCZOS))
         # The last picture stays, so that a reader sees the end.
         duration = [round(1000 / fps)] * (len(frames) - 1) + [2000]
         frames[0].save(
@@ -61,8 +62,9 @@ def animation(film: str, *, width: int, every: int, fps: float) -> Callable[[Pat
 
 
 def report_map(out: Path, picture: Path) -> None:
-    """Draws the map of a run's report."""
-    save_figure(picture, map_figure(load_result(out / "result.json"), load_trace(out / "trace.npz")))
+    """Draws the map of the demo's report."""
+    run = out / "demo-0"
+    save_figure(picture, map_figure(load_result(run / "result.json"), load_trace(run / "trace.npz")))
 
 
 def copied(out: Path, picture: Path) -> None:
@@ -79,9 +81,7 @@ PICTURES = {
     "view.webp": Picture(
         "view cart --seed 3 --no-window --out OUT", animation("view.mp4", width=480, every=4, fps=8.0)
     ),
-    "report_map.png": Picture(
-        "navigate --scenario experiments/scenarios/box_in_doorway.yaml --no-video --out OUT", report_map
-    ),
+    "report_map.png": Picture("demo --seed 0 --no-video --out OUT", report_map),
     "map_show.png": Picture("map show experiments/maps/office.yaml --out OUT", copied),
 }
 

@@ -320,8 +320,8 @@ def _draw_learned(
     # The band before the first touch is many times as wide as the later ones, which would be flat lines beside it.
     late = slice((push.start + push.stop) // 2, push.stop)
     known = [true[name] for name in curves if name in true]
-    values = [np.ravel(v[late, 1:]) for v in curves.values() if v.ndim == 2]
-    shown = np.concatenate([*values, known]) if values else np.zeros(0)
+    upper = [np.ravel(band[late, 1:]) for band in curves.values() if band.ndim == 2]
+    shown = np.concatenate([*upper, known]) if upper else np.zeros(0)
     if np.isfinite(shown).any():
         axes.set_ylim(0.0, _ROOM * float(np.nanmax(shown)))
     axes.grid(alpha=0.25)

@@ -90,7 +90,8 @@ def film_frames(
         follow=0.08,
         marks=lambda i, hands: drawn.marks(int(samples[i]), hands),
     )
-    view, frame = video.top_down(result, trace, video.fitting(result, trace, _INSET)), None
+    view = video.top_down(result, trace, video.fitting(result, trace, _INSET))
+    frame = np.zeros(0)
     for i, (k, shot) in enumerate(zip(samples, pictures, strict=True)):
         progress(i / len(samples))
         t = float(trace.t[k])
@@ -99,7 +100,7 @@ def film_frames(
             picture, words.caption_at(result, t), video.topdown_image(view, t), clock=f"{t:.0f} s   {speed:g}x speed"
         )
         yield frame
-    for _ in range(round(_HOLD * FPS) if frame is not None else 0):
+    for _ in range(round(_HOLD * FPS)):
         yield frame
 
 
@@ -228,7 +229,7 @@ def _labelled(shot: Shot, labels: list[Label], *, pushing: bool) -> np.ndarray:
         draw.line([(x, y), end], fill=label.colour, width=2)
         image.paste(tag, (round(left), round(top)), tag)
     legend = _legend(pushing)
-    image.paste(legend, (_EDGE, image.height - legend.height - _EDGE), legend)
+    image.paste(legend, (_EDGE, _EDGE), legend)
     return np.asarray(image)
 
 

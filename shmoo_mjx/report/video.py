@@ -134,7 +134,7 @@ def topdown_image(view: TopDown, t: float) -> np.ndarray:
     past = [d for d in view.result["decisions"] if float(d["t"]) <= t + 1e-6]
     decision = past[-1] if past else None
     if decision is not None and decision.get("goal") is not None:
-        (x, y), radius = view.pixels([decision["goal"]])[0], 2.5 * line
+        (x, y), radius = view.pixels(np.array([decision["goal"]]))[0], 2.5 * line
         draw.ellipse([x - radius, y - radius, x + radius, y + radius], fill=COLOURS["decision"])
     _robot(draw, view, np.asarray(trace.robot_pose[k], dtype=float), line)
     return np.asarray(image.resize(view.size, Image.Resampling.BOX))
@@ -171,12 +171,12 @@ def compose(
 ) -> np.ndarray:
     """A frame of even size with a caption in a strip above.
 
-    The caption is above because the controls of a video player cover the lower edge.
+    Caption and inset are above because the controls of a video player cover the lower edge.
 
     Args:
         frame: image, uint8 ``[H, W, 3]``.
         caption: headline and detail.
-        inset: image for the lower right corner, uint8.
+        inset: image for the upper right corner of the frame, uint8.
         clock: text at the right of the headline.
     """
     from PIL import Image
@@ -189,7 +189,7 @@ def compose(
     if inset is not None:
         edge = height // 60
         framed = np.pad(inset[..., :3], ((2, 2), (2, 2), (0, 0)), constant_values=31)
-        corner = (width - framed.shape[1] - edge, strip.height + height - framed.shape[0] - edge)
+        corner = (width - framed.shape[1] - edge, strip.height + edge)
         canvas.paste(Image.fromarray(framed), corner)
     return np.asarray(canvas)
 

@@ -114,6 +114,8 @@ def belief_at(result: dict[str, Any], name: Any, t: float) -> str:
 def caption_at(result: dict[str, Any], t: float) -> tuple[str, str]:
     """Caption (what the robot does, why) at time ``t`` [s]."""
     past = [step for step in result["transitions"] if float(step["t"]) <= t + 1e-6]
+    if not past and result["transitions"]:
+        past = [{"to": result["transitions"][0]["from"], "reason": ""}]
     if not past:
         return "", ""
     mode, why = str(past[-1]["to"]).replace("_", " "), by_name(result, past[-1].get("reason") or "")
@@ -216,6 +218,6 @@ def _object_sentence(result: dict[str, Any], item: dict[str, Any]) -> str:
     return f"{pushed} (criterion K = {by_k[0]:.2f} m²)." if by_k else f"{pushed}."
 
 
-def _times(verb: str, count: float) -> str:
+def _times(verb: str, count: Any) -> str:
     words = {0: f"never {verb}", 1: f"{verb} once", 2: f"{verb} twice"}
     return words.get(int(count), f"{verb} {count:.0f} times")
