@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
+from contextlib import closing
 from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
@@ -46,7 +47,7 @@ def animation(film: str, *, width: int, every: int, fps: float) -> Callable[[Pat
 
     def draw(out: Path, picture: Path) -> None:
         frames = []
-        with iio.get_reader(out / film) as reader:
+        with closing(iio.get_reader(out / film)) as reader:
             for frame in islice(reader.iter_data(), 0, None, every):
                 image = Image.fromarray(np.asarray(frame))
                 size = (width, round(width * image.height / image.width))
@@ -54,9 +55,8 @@ def animation(film: str, *, width: int, every: int, fps: float) -> Callable[[Pat
         # The last picture stays, so that a reader sees the end.
         duration = [round(1000 / fps)] * (len(frames) - 1) + [2000]
         frames[0].save(
-            picture, save_all=True, append_images=frames[1:], duration=duration, loop=0, quality=40, method=6,
-            minimize_size=True,
-        )  # fmt: skip
+            picture, save_all=True, append_images=frames[1:], duration=duration, loop=0, quality=40, method=2
+        )
 
     return draw
 
