@@ -38,7 +38,8 @@ def measure(scene: str, seconds: float, clients: int, picture: Path | None) -> s
     from shmoo_mjx.learning.weights import load_weights
     from shmoo_mjx.live.command import go_on
     from shmoo_mjx.live.page import Page
-    from shmoo_mjx.live.session import Session, scene_named
+    from shmoo_mjx.live.scenes import scene_named
+    from shmoo_mjx.live.session import Session
 
     with tempfile.TemporaryDirectory() as out:
         session = Session(load_weights(), partial(scene_named, scene, Path(out)), "real", Path(out))

@@ -189,6 +189,7 @@ def live(
     weights: Path | None = None,
     out: Path = Path("runs/live"),
     seconds: bounded.Seconds | None = None,
+    set: tuple[str, ...] = (),
 ) -> int:
     """Watch and disturb a run in the browser (needs the packages viser and mjviser).
 
@@ -202,10 +203,11 @@ def live(
         weights: file with trained weights (default: the shipped ones).
         out: folder for the scenes and reports that are saved on the page.
         seconds: stop after this wall-clock time [s] (default: run until Ctrl-C).
+        set: settings of the run as NAME=VALUE, such as control.num_rollouts=128 (shmoo list settings lists them).
     """
     from shmoo_mjx.live.command import run_live
 
-    return run_live(scene, host=host, port=port, senses=senses, weights=weights, out=out, seconds=seconds)
+    return run_live(scene, host=host, port=port, senses=senses, weights=weights, out=out, seconds=seconds, settings=set)
 
 
 def replay(run: Positional[Path], *, weights: Path | None = None) -> int:

@@ -37,6 +37,7 @@ from shmoo_mjx.behavior.state import (
 )
 from shmoo_mjx.control import equilibrium_lean
 from shmoo_mjx.control.observation import ObjectObservation, local_distance_field
+from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.geometry.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.learning import online
 from shmoo_mjx.planning import flat_qp
@@ -360,6 +361,14 @@ class Machine:
         """Sets new objects: half extents [m] and kind of each. A pending decision is dropped."""
         self.setup = self.setup._replace(sizes=sizes, kinds=kinds)
         self.state = replace(self.state, last_obs=None, pending=None)
+
+    def use(self, controller: PushController) -> None:
+        """Continues with another controller that has the same weights. A pending decision is dropped."""
+        self.setup, segment = self.setup._replace(controller=controller), self.state.segment
+        self.state = replace(self.state, pending=None)
+        if segment is not None and segment.push is not None:
+            pushed = replace(segment.push, pusher=controller.resumed(segment.push.pusher))
+            self.state = self.state.with_segment(push=pushed)
 
     @property
     def config(self) -> NavigatorConfig:

@@ -80,6 +80,21 @@ class PushController:
         return state._replace(adapt=adapt, plan=plan)
 
     @single_precision
+    def resumed(self, state: ControllerState) -> ControllerState:
+        """The ``state`` of a push by another controller, for this one.
+
+        The controllers may differ in the settings of MPPI only. The warm start is cut to this horizon, or its last
+        control is repeated.
+        """
+        extra, nominal = self.config.control.horizon - len(state.plan.nominal), np.asarray(state.plan.nominal)
+        nominal = np.concatenate([nominal, np.repeat(nominal[-1:], max(extra, 0), axis=0)])[
+            : self.config.control.horizon
+        ]
+        memory = state.adapt, state.plan._replace(nominal=nominal)
+        adapt, plan = sharding.replicated(self._model.mesh, jax.device_put(memory, jax.devices()[0]))
+        return state._replace(adapt=adapt, plan=plan)
+
+    @single_precision
     def compile(self, clearance: LocalDistanceField) -> None:
         """Compile all functions of a push in advance, to avoid a delay at the first contact.
 

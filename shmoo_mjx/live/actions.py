@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.live.panel import Panel
+from shmoo_mjx.live.panel import SHOVES, Panel
 from shmoo_mjx.live.pictures import Pictures
-from shmoo_mjx.live.session import Session, object_files
-from shmoo_mjx.live.words import object_index
+from shmoo_mjx.live.scenes import object_files
+from shmoo_mjx.live.session import Session
+from shmoo_mjx.live.words import object_index, object_name
 
 
 class Actions:
@@ -27,8 +28,8 @@ class Actions:
     def reset(self) -> str:
         """Restarts the scene."""
         self.session.reset()
-        self.panel.forget_curves()
-        return "The scene begins again."
+        self.panel.curves.forget()
+        return "The scene was restarted."
 
     def load(self, name: str) -> str:
         """Loads another scene."""
@@ -36,7 +37,7 @@ class Actions:
         if name not in loaders:
             raise ShmooError(f"There is no scene {name!r} any more.")
         self.session.load(loaders[name])
-        self.panel.forget_curves()
+        self.panel.curves.forget()
         return f"Loaded {name}."
 
     def save(self, name: str) -> str:
@@ -52,7 +53,7 @@ class Actions:
     def head_for(self, x: float, y: float) -> str:
         """Sets another goal in {W} [m]."""
         self.session.head_for(x, y)
-        return f"It heads for ({x:.2f}, {y:.2f})."
+        return f"The goal is ({x:.2f}, {y:.2f}) m."
 
     def add(self, family: str, pose: tuple[float, float, float], properties: dict[str, float], braked: bool) -> str:
         """Adds a new object at ``pose`` in {W}."""
@@ -62,18 +63,22 @@ class Actions:
             session.brake(index, braked)
         heading = round(float(np.rad2deg(pose[2])), 1)
         self.panel.where.value = (round(pose[0], 2), round(pose[1], 2), heading)
-        return f"Object {index}: {session.simulation.conditions[index].describe()}."
+        return self._described(index)
 
     def alter(self, which: str, what: str, value: Any) -> str:
         """Changes the load, friction or brakes of an existing object."""
-        index, session = object_index(which), self.session
-        if index is None:
-            raise ShmooError("There is no object yet; put one down first.")
+        index, session = self._index(which), self.session
         if what == "set brakes":
             session.brake(index, bool(value))
         else:
             session.alter(index, **{"set load": {"payload": value}, "set friction": {"friction": value}}[what])
-        return f"Object {index}: {session.simulation.conditions[index].describe()}."
+        return self._described(index)
+
+    def shove(self, which: str, direction: str, impulse: float) -> str:
+        """Pushes an existing object by hand with an impulse [N s]."""
+        index = self._index(which)
+        self.session.shove(index, impulse, SHOVES[direction])
+        return f"Shoved {which} with {impulse:g} N s."
 
     def place(self, index: int, pose: tuple[float, float, float]) -> str:
         """Moves an existing object to ``pose`` in {W}."""
@@ -81,4 +86,16 @@ class Actions:
             self.session.place(index, pose)
         finally:
             self.pictures.draw_handles()
-        return f"Object {index} stands at ({pose[0]:.2f}, {pose[1]:.2f})."
+        name = object_name(index, self.session.simulation.conditions[index])
+        return f"Moved {name} to ({pose[0]:.2f}, {pose[1]:.2f}) m."
+
+    def _index(self, which: str) -> int:
+        """Index of the object with this name in the menu."""
+        index = object_index(which)
+        if index is None:
+            raise ShmooError("There is no object; add one first.")
+        return index
+
+    def _described(self, index: int) -> str:
+        condition = self.session.simulation.conditions[index]
+        return f"{object_name(index, condition)}: {condition.describe()}."

@@ -1,9 +1,10 @@
-"""``shmoo live``: steps the session in real time, and the page with it."""
+"""``shmoo live``: runs a session in real time together with its page."""
 
 from __future__ import annotations
 
 import socket
 import time
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from shmoo_mjx.live.page import Page
 
 _IDLE = 0.02
-"""Time between two looks at what is wanted while the world stands still [s]."""
+"""Time between two checks for requests while the simulation is paused [s]."""
 
 
 def run_live(
@@ -29,27 +30,45 @@ def run_live(
     weights: Path | None = None,
     out: Path = Path("runs/live"),
     seconds: float | None = None,
+    settings: Sequence[str] = (),
 ) -> int:
-    """Open the page and go on until Ctrl-C, or for ``seconds`` of wall-clock time.
+    """Opens the page and runs the simulation until Ctrl-C, or for ``seconds`` of wall-clock time.
 
-    ``scene`` is "demo SEED", a scenario of the package or of ``out`` by its name, or a scenario file.
+    Args:
+        scene: "demo SEED", the name of a scenario of the package or of ``out``, or a scenario or map file.
+        host: network interface to listen on.
+        port: first port to try.
+        senses: "real" or "perfect".
+        weights: trained weights; the shipped ones if None.
+        out: folder for scenes and reports that are saved on the page.
+        seconds: wall-clock time after which the command ends [s].
+        settings: "NAME=VALUE" texts that replace settings of the run (`shmoo_mjx.behavior.settings`).
+
+    Returns:
+        The exit status.
+
+    Raises:
+        ShmooError: viser or mjviser is missing, the host is not an address of this machine, or the scene, the weights
+            or a setting are not valid.
     """
     missing = [name for name in ("viser", "mjviser") if find_spec(name) is None]
     if missing:
         names = " and ".join(missing)
-        raise ShmooError(f"shmoo live needs {names}, not installed here; in a clone, pip install '.[live]'.")
+        raise ShmooError(f"shmoo live needs {names}, which are not installed; in a clone, run pip install '.[live]'.")
     _check_host(host)
     from shmoo_mjx.learning.weights import load_weights
     from shmoo_mjx.live.own_page import AT_HOME
     from shmoo_mjx.live.page import Page
-    from shmoo_mjx.live.session import Session, loader_named
+    from shmoo_mjx.live.scenes import loader_named
+    from shmoo_mjx.live.session import Session
 
-    session = Session(load_weights(weights or asset(WEIGHTS)), loader_named(scene, out), senses, out)
+    loaded = load_weights(weights or asset(WEIGHTS))
+    session = Session(loaded, loader_named(scene, out), senses, out, settings=settings)
     session.compile()
     page = Page(session, host, port, scene)
     if host not in AT_HOME:
-        print(f"Everybody who reaches {host} can use this page; it asks for no password.")
-    print(f"{page.url}   (Ctrl-C ends it)", flush=True)
+        print(f"Anyone who can reach {host} can use this page; it has no password.")
+    print(f"{page.url}   (Ctrl-C to stop)", flush=True)
     try:
         go_on(page, seconds)
     except KeyboardInterrupt:
@@ -61,15 +80,15 @@ def run_live(
 
 
 def _check_host(host: str) -> None:
-    """The server would wait for ever for an address that is not this machine's."""
+    """Raises an error for an address of another machine, for which the server would wait for ever."""
     try:
         socket.create_server((host, 0), family=socket.AF_INET6 if ":" in host else socket.AF_INET).close()
     except OSError:
-        raise ShmooError(f"--host {host!r} is no address of this machine; choose 127.0.0.1 or 0.0.0.0.") from None
+        raise ShmooError(f"--host {host!r} is not an address of this machine; choose 127.0.0.1 or 0.0.0.0.") from None
 
 
 def go_on(page: Page, seconds: float | None = None) -> None:
-    """Step the page's session at the speed it is set to, until it is closed or for ``seconds`` of wall-clock time."""
+    """Steps the page's session at the page's speed, until it is closed or for ``seconds`` of wall-clock time."""
     began = time.perf_counter()
     due = began
     while not page.closed and (seconds is None or time.perf_counter() - began < seconds):
@@ -79,6 +98,6 @@ def go_on(page: Page, seconds: float | None = None) -> None:
             continue
         page.session.step()
         page.show()
-        # What was late is not caught up with: a world in a hurry would be another one.
+        # Lost time is not made up for, so that the motion never looks faster than the chosen speed.
         due = max(due + (DT / page.speed if page.speed else 0.0), time.perf_counter() - DT)
         time.sleep(max(0.0, due - time.perf_counter()))

@@ -123,11 +123,11 @@ def legend(plan: Plan | None) -> str:
     bar = f"<div style='height: 9px; border-radius: 4px; background: linear-gradient(90deg, {shades})'></div>"
     names = {
         COLOURS["plan"]: "global path", _LOCAL: "local trajectory", _CAMERA: "camera's field of view",
-        COLOURS["robot"]: "object, seen now", _REMEMBERED: "object, remembered", COLOURS["registered"]: "obstacle",
+        COLOURS["robot"]: "object seen now", _REMEMBERED: "remembered", COLOURS["registered"]: "immovable",
     }  # fmt: skip
     lines = "".join(f"<span style='color: {c}; font-weight: bold'>&#9473;</span> {n} &ensp;" for c, n in names.items())
     return (
-        f"<div style='font-size: 0.8em; line-height: 1.5; margin: 0 0.8em 0.6em'>roll-outs by cost{bar}"
-        f"<div style='display: flex; justify-content: space-between'><span>dearest {ends[0]}</span>"
-        f"<span>cheapest {ends[1]}</span></div>{lines}</div>"
+        f"<div style='font-size: 0.8em; line-height: 1.5; margin: 0 0.8em 0.6em'>roll-outs of MPPI, by cost{bar}"
+        f"<div style='display: flex; justify-content: space-between'><span>highest cost {ends[0]}</span>"
+        f"<span>lowest cost {ends[1]}</span></div>{lines}</div>"
     )

@@ -85,6 +85,7 @@ class Page:
     def close(self) -> None:
         """Stops the server."""
         self.pictures.close()
+        self.panel.tuning.close()
         with redirect_stdout(io.StringIO()):
             self.server.stop()
 
@@ -102,9 +103,12 @@ class Page:
                 break
             any_request = True
             self._attempt(request)
+        self._attempt(self.panel.tuning.advance)
         due, self._single = not self.paused or self._single, False
         if any_request and not due:
             self.show()
+        elif not due:
+            self.panel.tell_compiling()
         return due
 
     def _attempt(self, request: Callable[[], str | None]) -> None:
@@ -115,10 +119,10 @@ class Page:
         except ShmooError as error:
             say(str(error), refused=True)
         except (ValidationError, ValueError, OSError) as error:
-            say(f"That can't be done: {error}", refused=True)
+            say(str(error), refused=True)
         except Exception as error:
             traceback.print_exc()
-            say(f"That failed ({type(error).__name__}: {error}).", refused=True)
+            say(f"The request failed ({type(error).__name__}: {error}).", refused=True)
 
     def show(self) -> None:
         """Shows the session's last sample: lines, texts and curves at once, the world by interpolation from now on."""
@@ -131,7 +135,17 @@ class Page:
 
     def one_sample(self) -> None:
         """Requests one sample while the simulation is paused."""
+        self.panel.back.value = 0.0
         self._single = True
+
+    def look_back(self) -> None:
+        """Pauses while the world is shown as it was."""
+        if self.panel.back.value:
+            self.paused = True
+
+    def tune(self) -> None:
+        """Requests the settings of MPPI that the sliders show."""
+        self.panel.tuning.want({name: slider.value for name, slider in self.panel.control.items()})
 
     def new_object(self, x: float, y: float) -> Callable[[], str]:
         """A request that adds the object described by the panel at (x, y) in {W} [m]."""
@@ -157,6 +171,8 @@ class Page:
 
     def _connect(self) -> None:
         panel, actions, ask = self.panel, self.actions, self.ask
+        panel.pause.on_update(lambda _: None if panel.pause.value else setattr(panel.back, "value", 0.0))
+        panel.back.on_update(lambda _: ask(self.look_back))
         panel.step.on_click(lambda _: ask(self.one_sample))
         panel.speed.on_update(lambda _: setattr(self, "speed", SPEEDS[panel.speed.value]))
         panel.reset.on_click(lambda _: ask(actions.reset))
@@ -174,6 +190,11 @@ class Page:
             ask(partial(actions.alter, panel.which.value, panel.alter.value, values[panel.alter.value]))
 
         panel.alter.on_click(change)
+        panel.shove.on_click(
+            lambda _: ask(partial(actions.shove, panel.which.value, panel.shove.value, panel.impulse.value))
+        )
+        for slider in panel.control.values():
+            slider.on_update(lambda _: ask(self.tune))
         panel.drag.on_update(lambda _: ask(self.pictures.draw_handles))
         for box in panel.shown.values():
             box.on_update(lambda _: ask(self.pictures.draw_lines))

@@ -6,19 +6,24 @@ from typing import Any
 
 import numpy as np
 import viser
-import viser.uplot
 
 from shmoo_mjx.live import overlay, words
-from shmoo_mjx.live.session import SceneLoader, Session, object_files, scenes
+from shmoo_mjx.live.cameras import VIEWS
+from shmoo_mjx.live.curves import Curves
+from shmoo_mjx.live.scenes import SceneLoader, object_files, scenes
+from shmoo_mjx.live.session import Session
+from shmoo_mjx.live.tuning import Tuning
 from shmoo_mjx.planning.scenario import FAMILIES
 from shmoo_mjx.plant.objects import draw_condition
 from shmoo_mjx.types import DT
 
-SPEEDS = {"0.25 x": 0.25, "0.5 x": 0.5, "1 x": 1.0, "2 x": 2.0, "as fast as it goes": 0.0}
+SPEEDS = {"0.25 x": 0.25, "0.5 x": 0.5, "1 x": 1.0, "2 x": 2.0, "as fast as possible": 0.0}
 SETS_GOAL = "sets the goal"
-"""Effect of a click on the floor. The alternative puts down the new object."""
-_KEPT = 30.0
-"""Time span of the curves [s]."""
+"""Effect of a click on the floor. The alternative adds an object."""
+SHOVES = {"away": 0.0, "left": 0.5 * np.pi, "right": -0.5 * np.pi, "back": np.pi}
+"""Directions of a shove as the robot sees the object [rad]."""
+_BACK = 30.0
+"""How far one can look back [s]."""
 
 
 class Panel:
@@ -26,29 +31,50 @@ class Panel:
 
     def __init__(self, server: viser.ViserServer, session: Session, first_scene: str) -> None:
         self.session, self._first_scene = session, first_scene
+        self.tuning = Tuning(session)
         self._shown_goal: tuple[float, float] | None = None
-        self._history: list[tuple[float, float, float, float]] = []
         gui = server.gui
         self.state = gui.add_markdown("")
-        self.message = gui.add_markdown("")
+        self.message = gui.add_markdown("", visible=False)
+        tabs = gui.add_tab_group()
+        for name, fill in (
+            ("Run", self._add_run),
+            ("World", self._add_world),
+            ("MPPI", self._add_mppi),
+            ("View", self._add_view),
+            ("Files", self._add_files),
+        ):
+            with tabs.add_tab(name):
+                fill(gui)
         self.objects = gui.add_markdown("")
+        self.curves = Curves(gui)
+        self.numbers = gui.add_markdown("")
         self.legend = gui.add_html("")
-        self._add_curves(gui)
-        with gui.add_folder("Run"):
-            self.pause: Any = gui.add_checkbox("paused", False)
-            self.step = gui.add_button("one sample of 0.1 s")
-            self.speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1 x")
-            self.reset = gui.add_button("begin again")
-        with gui.add_folder("Scene", expand_by_default=False):
-            self.scene = gui.add_dropdown("scene", tuple(self.scenes()), initial_value=first_scene)
-            self.load = gui.add_button("load it")
-            self.name = gui.add_text("name", "mine")
-            self.save = gui.add_button("save the scene as it is now")
-            self.report = gui.add_button("save the run as a report")
-        with gui.add_folder("Goal and new objects"):
-            self.click = gui.add_dropdown("a click on the floor", (SETS_GOAL, "puts down the new object"))
-            self.goal: Any = gui.add_vector2("goal x, y [m]", session.scenario.goal, step=0.05)
-            self.go = gui.add_button("go there")
+
+    def _add_run(self, gui: viser.GuiApi) -> None:
+        self.pause: Any = gui.add_checkbox("paused", False)
+        self.speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1 x")
+        self.step = gui.add_button("advance 0.1 s")
+        self.reset = gui.add_button("restart")
+        hint = "Pauses, and shows the world as it was."
+        self.back: Any = gui.add_slider("look back [s]", 0.0, _BACK, DT, 0.0, hint=hint)
+
+    def _add_world(self, gui: viser.GuiApi) -> None:
+        self.click = gui.add_dropdown("a click on the floor", (SETS_GOAL, "adds an object"))
+        self.goal: Any = gui.add_vector2("goal x, y [m]", self.session.scenario.goal, step=0.05)
+        self.go = gui.add_button("go there")
+        with gui.add_folder("Change an object"):
+            self.which = gui.add_dropdown("object", ("none",))
+            hint = "Pushes the object by hand, in the direction that the robot sees."
+            self.impulse: Any = gui.add_slider("impulse [N s]", 1.0, 60.0, 1.0, 15.0, hint=hint)
+            self.shove = gui.add_button_group("shove", tuple(SHOVES))
+            heavier: Any = gui.add_slider("load [kg]", 0.0, 100.0, 1.0, 0.0)
+            slippery: Any = gui.add_slider("friction", 0.1, 1.2, 0.01, 0.4)
+            brakes: Any = gui.add_checkbox("brakes on", False)
+            self.present = (heavier, slippery, brakes)
+            self.alter = gui.add_button_group("now", ("set load", "set friction", "set brakes"))
+            self.drag = gui.add_checkbox("drag objects by handles", False)
+        with gui.add_folder("Add an object", expand_by_default=False):
             self.family = gui.add_dropdown("family", FAMILIES)
             self.mass: Any = gui.add_slider("mass [kg]", 1.0, 80.0, 0.5, 8.0)
             self.payload: Any = gui.add_slider("load [kg]", 0.0, 100.0, 1.0, 0.0)
@@ -56,34 +82,40 @@ class Panel:
             self.braked = gui.add_checkbox("brakes on", False)
             self.where: Any = gui.add_vector3("x, y [m], heading [deg]", (0.0, 0.0, 0.0), step=0.05)
             self.put = gui.add_button("put it there")
-        with gui.add_folder("An object that is there"):
-            self.which = gui.add_dropdown("object", ("none",))
-            heavier: Any = gui.add_slider("load [kg]", 0.0, 100.0, 1.0, 0.0)
-            slippery: Any = gui.add_slider("friction", 0.1, 1.2, 0.01, 0.4)
-            brakes: Any = gui.add_checkbox("brakes on", False)
-            self.present = (heavier, slippery, brakes)
-            self.alter = gui.add_button_group("now", ("set load", "set friction", "set brakes"))
-            self.drag = gui.add_checkbox("drag objects by handles", False)
-        with gui.add_folder("Show", expand_by_default=False):
-            names = ("path", "roll-outs", "camera", "what it believes", "clearance")
-            self.shown = {name: gui.add_checkbox(name, name != "clearance") for name in names}
 
-    def _add_curves(self, gui: viser.GuiApi) -> None:
-        empty = np.zeros(1)
-        curves = (
-            viser.uplot.Series(label="t [s]"),
-            viser.uplot.Series(label="lean [deg]", stroke="#0072B2", width=2),
-            viser.uplot.Series(label="force [N / 10]", stroke="#D55E00", width=2),
-        )
-        self._curves = gui.add_uplot((empty, empty, empty), curves, aspect=2.2, scales={"x": {"time": False}})
-        chance = (curves[0], viser.uplot.Series(label="P(push frees the path)", stroke="#009E73", width=2))
-        scales: dict[str, Any] = {"x": {"time": False}, "y": {"auto": False, "range": (-0.05, 1.05)}}
-        self._chance = gui.add_uplot((empty, empty), chance, aspect=3.2, scales=scales)
+    def _add_mppi(self, gui: viser.GuiApi) -> None:
+        control = self.session.controller.config.control
+        self.compiling = gui.add_markdown("")
+        self.control: dict[str, Any] = {
+            "num_rollouts": gui.add_slider("roll-outs", 50, 1000, 50, _within(control.num_rollouts, 50, 1000)),
+            "horizon": gui.add_slider("horizon [0.1 s]", 5, 50, 1, _within(control.horizon, 5, 50)),
+            "temperature": gui.add_slider("temperature", 0.05, 5.0, 0.05, _within(control.temperature, 0.05, 5.0)),
+        }
+
+    def _add_view(self, gui: viser.GuiApi) -> None:
+        self.view = gui.add_dropdown("camera", VIEWS)
+        names = ("path", "roll-outs", "camera", "estimated poses", "clearance")
+        labels = {"camera": "field of view", "clearance": "distance to obstacles"}
+        self.shown = {name: gui.add_checkbox(labels.get(name, name), name != "clearance") for name in names}
+
+    def _add_files(self, gui: viser.GuiApi) -> None:
+        self.scene = gui.add_dropdown("scene", tuple(self.scenes()), initial_value=self._first_scene)
+        self.load = gui.add_button("load")
+        self.name = gui.add_text("name", "mine")
+        self.save = gui.add_button("save the scene as it is now")
+        self.report = gui.add_button("save the run as a report")
 
     def say(self, text: str, refused: bool = False) -> None:
         """Shows the message of a request."""
         if text:
-            self.message.content = f"**{'Refused' if refused else 'Done'}.** {text}"
+            self.message.content = f"**Not possible.** {text}" if refused else f"*{text}*"
+            self.message.visible = True
+
+    @property
+    def past(self) -> int | None:
+        """Row of the history that is shown instead of the present; None for the present."""
+        rows, samples = len(self.session.simulation.history.rows), round(self.back.value / DT)
+        return max(rows - samples, 0) if samples and rows else None
 
     def scenes(self) -> dict[str, SceneLoader]:
         """Loaders of all available scenes, including the page's first scene."""
@@ -119,28 +151,40 @@ class Panel:
             _set(slippery, condition.friction)
             brakes.value = any(condition.locked)
 
-    def forget_curves(self) -> None:
-        """Clears the curves for a new run."""
-        self._history.clear()
-
     def tell(self) -> None:
         """Updates texts and curves with the session's last sample."""
-        session, simulation = self.session, self.session.simulation
-        true, p = simulation.true, session.probability
-        force = float(np.linalg.norm(true.wrench[0, :, :2].sum(axis=0))) if true.wrench.size else 0.0
-        lean = float(np.rad2deg(np.linalg.norm(true.lean[0])))
+        session, past = self.session, self.past
         if session.scenario.goal != self._shown_goal:
             self._shown_goal = session.scenario.goal
             self.goal.value = (round(self._shown_goal[0], 2), round(self._shown_goal[1], 2))
-        self.state.content = words.state_text(session, lean, force)
-        if not self._history or simulation.time > self._history[-1][0]:
-            self._history.append((simulation.time, lean, force / 10, np.nan if p is None else p))
-            self._history = [row for row in self._history if row[0] > simulation.time - _KEPT]
-        if round(simulation.time / DT) % 5 == 0:
+        self.curves.note(session)
+        self.tell_compiling()
+        if past is not None:
+            self.state.content = words.past_text(session, past)
+            return
+        self.state.content = words.state_text(session)
+        self.numbers.content = words.numbers_text(session)
+        if round(session.simulation.time / DT) % 5 == 0:
             self.objects.content = words.beliefs(session)
-            t, leans, forces, chances = (np.array(column) for column in zip(*self._history, strict=True))
-            self._curves.data, self._chance.data = (t, leans, forces), (t, chances)
+            self.curves.draw(session)
             self.legend.content = overlay.legend(session.plan)
+
+    def tell_compiling(self) -> None:
+        """Says whether a controller is being compiled."""
+        control, tuning = self.session.controller.config.control, self.tuning
+        if tuning.pending:
+            text = "**Compiling** the new settings, which takes about 15 s. Until then the robot"
+        else:
+            text = "The robot"
+        text += f" plans with {control.num_rollouts} roll-outs of {control.horizon} samples of 0.1 s, temperature "
+        text += f"{control.temperature:g}."
+        if self.compiling.content != text:
+            self.compiling.content = text
+
+
+def _within(value: float, low: float, high: float) -> Any:
+    """The initial value of a slider; a value outside its range is shown at the end."""
+    return type(value)(min(max(value, low), high))
 
 
 def _set(slider: Any, value: float) -> None:

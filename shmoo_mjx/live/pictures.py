@@ -20,6 +20,7 @@ from mjviser import ViserMujocoScene
 from shmoo_mjx.arrays import Array
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.live import overlay
+from shmoo_mjx.live.cameras import Cameras
 from shmoo_mjx.live.panel import Panel
 from shmoo_mjx.live.session import Session
 from shmoo_mjx.planning import flat_trajectory
@@ -61,6 +62,7 @@ class Pictures:
         self._dragged: set[int] = set()
         """Objects whose handles the user is dragging."""
         self._clearance: Any = None
+        self._cameras = Cameras(server)
         self._thread = threading.Thread(target=self._draw, name="pictures", daemon=True)
 
     @property
@@ -89,9 +91,12 @@ class Pictures:
 
     def show(self) -> None:
         """Shows the session's last sample: lines at once, the world by interpolation from now on."""
-        now = self.session.simulation.qpos
+        past, now = self.panel.past, self.session.simulation.qpos
+        if past is not None:
+            now = self.session.simulation.history.qpos[past]
         with self._lock:
-            before = now if self._samples is None or len(self._samples[1]) != len(now) else self._samples[1]
+            kept = past is None and self._samples is not None and len(self._samples[1]) == len(now)
+            before = self._samples[1] if kept and self._samples is not None else now
             self._samples = (before, now, time.perf_counter())
         self._move_handles()
         self.draw_lines()
@@ -191,6 +196,7 @@ class Pictures:
                 mujoco.mj_kinematics(world.model, world.data)
                 with self.server.atomic():
                     world.scene.update_from_mjdata(world.data)
+                self._cameras.move(self.panel.view.value, world.data)
                 self.count += 1
 
     def draw_lines(self) -> None:
@@ -211,11 +217,13 @@ class Pictures:
             "path/local": (overlay.path(local, local=True), 0.05),
             "roll-outs": (overlay.rollouts(session.plan, top), 0.012),
             "camera": (overlay.field_of_view(session.senses.camera, simulation.true.robot_pose[0]), 0.015),
-            "what it believes": (overlay.believed(simulation.navigator, simulation.observation, sizes), 0.03),
+            "estimated poses": (overlay.believed(simulation.navigator, simulation.observation, sizes), 0.03),
         }
         with self.server.atomic():
             for name, (lines, thickness) in drawn.items():
-                shown = self.panel.shown[name.partition("/")[0]].value and len(lines.points) > 0
+                # The lines belong to the present.
+                wanted = self.panel.past is None and self.panel.shown[name.partition("/")[0]].value
+                shown = wanted and len(lines.points) > 0
                 self.server.scene.add_line_segments(
                     f"/lines/{name}",
                     lines.points if shown else np.zeros((1, 2, 3)),

@@ -5,34 +5,34 @@ An impossible request raises a :class:`~shmoo_mjx.errors.ShmooError` before anyt
 
 from __future__ import annotations
 
-import math
 import re
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from functools import cached_property, partial
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from shmoo_mjx.arrays import finite_numbers
-from shmoo_mjx.base.assets import asset
 from shmoo_mjx.base.guard import MAP, PNG, SCENARIO, check_output, protected
-from shmoo_mjx.base.inputs import files_read
 from shmoo_mjx.base.options import SensesName
 from shmoo_mjx.base.schema import validated
-from shmoo_mjx.base.seeds import seed_of
-from shmoo_mjx.base.yaml_input import read_mapping, yaml_files
+from shmoo_mjx.behavior.methods import OURS, method_named
+from shmoo_mjx.behavior.push_options import make_options
+from shmoo_mjx.behavior.settings import with_settings
 from shmoo_mjx.behavior.state import Mode
 from shmoo_mjx.control.mppi import Plan
 from shmoo_mjx.control.observation import local_distance_field
+from shmoo_mjx.control.presets import PushConfig
 from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.errors import ShmooError
-from shmoo_mjx.learning import online
-from shmoo_mjx.learning.weights import Weights, prior_state
-from shmoo_mjx.planning.floorplan import demo_scenario
-from shmoo_mjx.planning.maps import OccupancyGrid, distance_field, load_map, save_map
+from shmoo_mjx.learning.contact_prior import true_values
+from shmoo_mjx.learning.weights import Weights
+from shmoo_mjx.live.scenes import SceneLoader, files_of
+from shmoo_mjx.planning.maps import OccupancyGrid, save_map
+from shmoo_mjx.planning.reach import Foresight
 from shmoo_mjx.planning.scenario import (
     MOST_OBJECTS,
     ROBOT_RADIUS,
@@ -40,112 +40,30 @@ from shmoo_mjx.planning.scenario import (
     Scenario,
     check_place,
     check_point,
-    check_scenario,
-    load_scenario,
     save_scenario,
     with_own_objects,
 )
+from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.run.episode import result_of, trace_of
-from shmoo_mjx.run.scenario_run import checked_objects, save_run
+from shmoo_mjx.run.scenario_run import save_run
 from shmoo_mjx.run.simulation import Simulation
 from shmoo_mjx.sensing import Senses, senses_named
 from shmoo_mjx.types import DT
 
-SceneLoader = Callable[[], tuple[OccupancyGrid, Scenario]]
-"""Loads a map and a scenario."""
-
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,60}")
-_DEMOS = 20
-_OBJECT_FILE = 100_000
-"""Maximum size of an object file [bytes]."""
 
 
-def scenes(own: Path) -> dict[str, SceneLoader]:
-    """Loaders of all available scenes by name: the demo's floor plans, and the scenarios and maps found.
+class LiveController(PushController):
+    """A controller that stores its last plan.
 
-    Files come from the package, from ``own`` and from the working directory. A map is an empty scene.
+    ``foresee`` predicts the outcomes of its pushes. It does not depend on the settings of MPPI, so that a controller
+    that replaces ``previous`` shares the compiled one.
     """
-    loaders: dict[str, SceneLoader] = {f"demo {seed}": partial(demo_scenario, seed) for seed in range(_DEMOS)}
-    shipped = [asset(f"experiments/{kind}") for kind in ("scenarios", "maps")]
-    for path, text in _texts(path for folder in (*shipped, *_own_folders(own)) for path in yaml_files(folder)):
-        if "image:" in text:
-            loaders[f"map {path.stem.removesuffix('.map')}"] = partial(_from_file, path)
-        elif "start:" in text:
-            loaders[path.stem] = partial(_from_file, path)
-    return loaders
 
-
-def object_files(own: Path) -> dict[str, Path]:
-    """Object files from ``shmoo object add`` in the working directory or in ``own``, by name."""
-    paths = (path for folder in _own_folders(own) for path in sorted(folder.glob("*.json")))
-    return {path.stem: path.resolve() for path, text in _texts(paths, _OBJECT_FILE) if '"hull"' in text}
-
-
-def _texts(paths: Iterable[Path], longest: float = math.inf) -> Iterator[tuple[Path, str]]:
-    """Path and content of the files that can be read and have at most ``longest`` bytes."""
-    for path in paths:
-        try:
-            text = path.read_text(errors="replace") if path.stat().st_size <= longest else None
-        except OSError:  # a folder, a broken link, or a file without read permission
-            continue
-        if text is not None:
-            yield path, text
-
-
-def _own_folders(own: Path) -> tuple[Path, Path]:
-    return own, Path()
-
-
-def scene_named(name: str, own: Path) -> tuple[OccupancyGrid, Scenario]:
-    """Loads the scene with this name, a demo of any seed, or a scenario file."""
-    return loader_named(name, own)()
-
-
-def loader_named(name: str, own: Path) -> SceneLoader:
-    """The loader of the scene with this name, of a demo of any seed, or of a scenario file."""
-    loaders = scenes(own)
-    if name in loaders:
-        return loaders[name]
-    if name.startswith("demo ") and name[5:].isdigit():
-        return partial(demo_scenario, seed_of("the scene's seed", name[5:]))
-    if name.endswith((".yaml", ".yml")):
-        return partial(_from_file, Path(name))
-    others = ", ".join(other for other in loaders if not other.startswith("demo "))
-    raise ShmooError(f"{name!r} is no scene; choose 'demo SEED', a scenario or map file (*.yaml), or one of {others}.")
-
-
-def _from_file(path: Path) -> tuple[OccupancyGrid, Scenario]:
-    if "image" in read_mapping(path, "map or scenario"):
-        return _empty(load_map(path))
-    scenario = load_scenario(path)
-    if scenario.map is None:
-        raise ShmooError(f"{path}: field 'map' is missing; add it.")
-    if scenario.push_to is not None:
-        raise ShmooError(f"{path}: the live page drives to goals; give 'goal' for 'push_to', or use shmoo navigate.")
-    grid = load_map(Path(scenario.map))
-    check_scenario(grid, scenario, ROBOT_RADIUS, str(path))
-    checked_objects(grid, scenario, str(path))
-    return grid, scenario
-
-
-def _empty(grid: OccupancyGrid) -> tuple[OccupancyGrid, Scenario]:
-    """The map with the robot at the place with the most clearance, which is also the goal."""
-    room = np.asarray(distance_field(grid).values)
-    if room.max() < ROBOT_RADIUS:
-        raise ShmooError(f"{grid.source}: has no room for a robot of radius {ROBOT_RADIUS:.2f} m; give another map.")
-    x, y = (round(float(v), 3) for v in grid.cell_to_world(np.array(np.unravel_index(room.argmax(), room.shape))))
-    return grid, Scenario(start=(x, y, 0.0), goal=(x, y))
-
-
-def _files_of(scene: SceneLoader) -> set[Path]:
-    """All files that a loader of `scenes` or `loader_named` reads."""
-    return files_read(getattr(scene, "args", ()))
-
-
-class _Watched(PushController):
-    """A controller that stores its last plan."""
-
-    last_plan: Plan | None = None
+    def __init__(self, weights: Weights, config: PushConfig, previous: LiveController | None = None) -> None:
+        super().__init__(weights, config)
+        self.last_plan: Plan | None = None
+        self.foresee: Foresight = Foresight(weights, config) if previous is None else previous.foresee
 
     def step(self, *args: Any, **kwargs: Any) -> tuple[np.ndarray, Any, Plan]:
         u, state, plan = super().step(*args, **kwargs)
@@ -154,10 +72,30 @@ class _Watched(PushController):
 
 
 class Session:
-    """A simulation that continues across goals. ``load`` makes the first scene; ``out`` is for saved files."""
+    """A simulation that continues across goals.
 
-    def __init__(self, weights: Weights, load: SceneLoader, senses: SensesName = "real", out: Path = Path("runs/live")):
-        self.controller = _Watched(weights)
+    Args:
+        weights: trained weights.
+        load: makes the first scene.
+        senses: "real" or "perfect".
+        out: folder for saved files.
+        settings: "NAME=VALUE" texts that replace settings of the run (`shmoo_mjx.behavior.settings`).
+    """
+
+    def __init__(
+        self,
+        weights: Weights,
+        load: SceneLoader,
+        senses: SensesName = "real",
+        out: Path = Path("runs/live"),
+        *,
+        settings: Sequence[str] = (),
+    ) -> None:
+        method = with_settings(method_named(OURS), settings)
+        self.settings = tuple(settings)
+        """The current settings that differ from the defaults, as texts."""
+        self.controller = LiveController(weights, method.pushing)
+        self._navigator = method.navigator
         self.senses: Senses = senses_named(senses)
         self.out = out
         self.simulation: Simulation
@@ -167,9 +105,11 @@ class Session:
         """Number of samples whose computation took longer than a sample time."""
         self.started = 0
         """Number of worlds so far. A change of objects counts as a new world, so that the page redraws it."""
+        self.goal_since = 0.0
+        """Time at which the current goal was set [s]."""
         self.first = load
         """Makes the first scene again."""
-        self._start, self._inputs = load(), _files_of(load)
+        self._start, self._inputs = load(), files_of(load)
         self._begin(*self._start)
 
     @property
@@ -191,15 +131,43 @@ class Session:
         last, push = navigator.decisions[-1], navigator.state.current().push
         return last.probability if push is not None and last.t >= push.started else None
 
-    @cached_property
-    def prior(self) -> dict[str, float]:
-        """Prior of an object before contact (`online.summary`)."""
-        return online.summary(prior_state(self.controller.weights, self.controller.config.estimate))
+    @property
+    def force(self) -> float:
+        """Horizontal force of the hands [N]."""
+        wrench = self.simulation.true.wrench
+        return float(np.linalg.norm(wrench[0, :, :2].sum(axis=0))) if wrench.size else 0.0
+
+    def true_values(self, index: int) -> dict[str, float]:
+        """Ground truth of the estimated quantities of object ``index`` (`contact_prior.true_values`)."""
+        return _true_values(self.simulation.conditions[index])
 
     def compile(self) -> None:
-        """Compiles what the first push needs. Otherwise the simulation stops for seconds when it begins."""
+        """Compiles what the first decision and the first push need. Otherwise the simulation stops for seconds."""
+        self._compile(self.controller)
+        pose, half = np.zeros(3), (0.3, 0.3)
+        options = make_options(pose, half, np.zeros((8, 3))).options
+        self.controller.foresee(None, None, pose, half, options=options, seed=0)
+
+    def _compile(self, controller: LiveController) -> None:
         belief, pose = self.simulation.navigator.belief, self.simulation.true.robot_pose[0]
-        self.controller.compile(local_distance_field(belief.clearance(), pose))
+        controller.compile(local_distance_field(belief.clearance(), pose))
+
+    def compiled(self, settings: Sequence[str]) -> LiveController:
+        """A compiled controller with the current settings and ``settings``. It changes nothing in this session.
+
+        Raises:
+            ShmooError: a setting is not valid.
+        """
+        config = with_settings(method_named(OURS), (*self.settings, *settings)).pushing
+        made = LiveController(self.controller.weights, config, self.controller)
+        self._compile(made)
+        return made
+
+    def use(self, controller: LiveController, settings: Sequence[str]) -> None:
+        """Continues with a controller that `compiled` made for ``settings``, also in the middle of a push."""
+        by_name = {text.partition("=")[0]: text for text in (*self.settings, *settings)}
+        self.settings, self.controller = tuple(by_name.values()), controller
+        self.simulation.navigator.use(controller)
 
     def close(self) -> None:
         """Stops the simulation's threads."""
@@ -209,19 +177,19 @@ class Session:
         """Loads another map and scenario."""
         loaded = scene()
         self._begin(*loaded)
-        self._start, self._inputs = loaded, _files_of(scene)
+        self._start, self._inputs = loaded, files_of(scene)
 
     def reset(self) -> None:
         """Restores the scene as it was loaded."""
         self._begin(*self._start)
 
     def _begin(self, grid: OccupancyGrid, scenario: Scenario) -> None:
-        fresh = Simulation(grid, scenario, self.controller, senses=self.senses)
+        fresh = Simulation(grid, scenario, self.controller, config=self._navigator, senses=self.senses)
         if hasattr(self, "simulation"):
             self.simulation.close()
         self.simulation, self.controller.last_plan = fresh, None
         self.spent.clear()
-        self.late, self.started = 0, self.started + 1
+        self.late, self.started, self.goal_since = 0, self.started + 1, 0.0
 
     def step(self) -> None:
         """Runs one sample of 0.1 s. After a fall or a divergence nothing happens."""
@@ -241,6 +209,7 @@ class Session:
         check_point(simulation.grid, (x, y), ROBOT_RADIUS, "the goal")
         simulation.scenario = self.scenario.model_copy(update={"goal": (float(x), float(y))})
         simulation.navigator.head_for(np.array([x, y]), simulation.time)
+        self.goal_since = simulation.time
 
     def add(self, family: str, pose: tuple[float, float, float], properties: Mapping[str, Any], seed: int = 0) -> None:
         """Adds an object at ``pose`` (x, y, yaw) in {W}. ``seed`` draws the properties that are not given."""
@@ -259,6 +228,21 @@ class Session:
         objects = list(self.scenario.objects)
         objects[index] = entry.model_copy(update={"pose": tuple(float(v) for v in pose)})
         self.simulation.scenario = self.scenario.model_copy(update={"objects": tuple(objects)})
+
+    def shove(self, index: int, impulse: float, bearing: float) -> None:
+        """Pushes an object by hand.
+
+        Args:
+            index: index of the object.
+            impulse: impulse [N s].
+            bearing: its direction [rad], counterclockwise from the direction from the robot to the object.
+        """
+        self._entry(index)
+        finite_numbers("the shove", (impulse, bearing), "impulse, bearing")
+        true = self.simulation.true
+        away = true.object_pose[0, index, :2] - true.robot_pose[0, :2]
+        angle = float(np.arctan2(away[1], away[0])) + bearing
+        self.simulation.shove(index, (impulse * np.cos(angle), impulse * np.sin(angle)))
 
     def alter(self, index: int, **properties: Any) -> None:
         """Changes ``properties`` (docs/scenario.md) of object ``index`` at once, such as load, brakes or friction."""
@@ -339,10 +323,16 @@ class Session:
                 result=result_of(simulation),
                 trace=trace_of(simulation),
                 controller=self.controller,
+                settings=self.settings,
             )
             (folder / "episode.mp4").unlink(missing_ok=True)
             write_report(folder)
         return folder / "report.html"
+
+
+@lru_cache(maxsize=64)
+def _true_values(condition: Condition) -> dict[str, float]:
+    return true_values(condition)
 
 
 def _checked(name: str) -> str:

@@ -310,8 +310,8 @@ class Foresight:
 
 
 def foresight_of(controller: Any) -> Any:
-    """The predictor of where a controller's pushes lead: its `Foresight`, or its own method ``foresee``."""
-    return _of(controller) if isinstance(controller, PushController) else controller.foresee
+    """The predictor of where a controller's pushes lead: its own ``foresee``, or the `Foresight` of its settings."""
+    return controller.foresee if hasattr(controller, "foresee") else _of(controller)
 
 
 def contact_foresight(controller: Any, config: PushConfig) -> Foresight:

@@ -284,6 +284,15 @@ class Simulation:
         self.world = self.world._replace(truth=self.world.truth._replace(physics=physics))
         self.true = self.engine.true_observation(self.world)
 
+    def shove(self, index: int, impulse: Point) -> None:
+        """Applies the impulse (x, y) in {W} [N s] at the centre of mass of object ``index``."""
+        physics, model = self.world.truth.physics.copy(), self.scene.model
+        v = 1 + model.nq + self.scene.object_qvel[index]
+        mass = model.body_subtreemass[model.body(f"object{index}/object").id]
+        physics[0, v : v + 2] += np.asarray(impulse, dtype=float) / mass
+        self.world = self.world._replace(truth=self.world.truth._replace(physics=physics))
+        self.true = self.engine.true_observation(self.world)
+
     def _note(self, obs: Observation, command: Command) -> None:
         learned, true, history = self.navigator.learned, self.true, self.history
         index = -1 if learned is None else learned[0]

@@ -86,6 +86,32 @@ def test_two_mapped_pushes_are_the_two_controllers() -> None:
         np.testing.assert_allclose(rest[w], controller.coast(alone[w]), atol=1e-4)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("horizon", [4, 9])
+def test_a_push_is_resumed_by_a_controller_with_other_settings_of_mppi(horizon: int) -> None:
+    weights, base = load_weights(ROOT / "experiments/weights/demo.safetensors"), pose_push_config()
+    open_floor = LocalDistanceField(
+        np.full((4, 4), 9.0, np.float32), np.array([-20, -20, 0], np.float32), np.float32(10.0)
+    )
+    first, second = (
+        PushController(weights, replace(base, control=replace(base.control, num_rollouts=count, horizon=steps)))
+        for count, steps in ((40, 6), (25, horizon))
+    )
+
+    def step(controller: PushController, state: Any, sample: int) -> Any:
+        return controller.step(
+            state, object_obs(0, sample), goal=GOALS[0], last_u=np.zeros(3), half_extents=HALF, clearance=open_floor
+        )
+
+    _, state, _ = step(first, first.init(object_obs(0, 0), FACE, HALF, jax.random.key(0)), 1)
+    resumed = second.resumed(state)
+    np.testing.assert_array_equal(resumed.plan.nominal[:4], state.plan.nominal[:4])
+    np.testing.assert_array_equal(resumed.plan.nominal[-1], state.plan.nominal[min(horizon, 6) - 1])
+    np.testing.assert_array_equal(resumed.adapt.parameters, state.adapt.parameters)
+    u, _, plan = step(second, resumed, 2)
+    assert plan.controls.shape == (25, horizon, 3) and np.isfinite(u).all()
+
+
 @pytest.mark.parametrize("age", [0.0, 0.05])
 def test_what_is_seen_late_answers_to_what_was_felt_a_sample_before(age: float) -> None:
     config, yaw = pose_push_config(), 0.4

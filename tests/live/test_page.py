@@ -14,6 +14,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from subprocess import CompletedProcess
 from types import SimpleNamespace
@@ -27,13 +28,16 @@ pytest.importorskip("viser")
 pytest.importorskip("mjviser")
 
 from shmoo_mjx.base.assets import asset
+from shmoo_mjx.behavior.state import Decision, Option
 from shmoo_mjx.learning.weights import load_weights
 from shmoo_mjx.live import overlay
+from shmoo_mjx.live.cameras import FOLLOW
 from shmoo_mjx.live.command import go_on
 from shmoo_mjx.live.page import Page
 from shmoo_mjx.live.pictures import RATE
-from shmoo_mjx.live.session import Session, scene_named
-from shmoo_mjx.live.words import beliefs
+from shmoo_mjx.live.scenes import scene_named
+from shmoo_mjx.live.session import Session
+from shmoo_mjx.live.words import beliefs, state_text
 from shmoo_mjx.plant.mesh import add_object
 from shmoo_mjx.sensing import REAL
 
@@ -65,7 +69,7 @@ def test_it_listens_at_home_only_goes_on_and_sends_pictures(page: Page) -> None:
     spent = time.perf_counter() - began
     assert page.session.simulation.time > 0.3
     assert page.pictures.count - before > 0.5 * RATE * spent
-    assert str(page.session.simulation.navigator.mode) in page.panel.state.content
+    assert page.panel.state.content.startswith("### The robot ")
 
 
 def test_what_is_asked_for_happens_and_what_can_t_be_is_refused_with_a_sentence(page: Page) -> None:
@@ -75,15 +79,15 @@ def test_what_is_asked_for_happens_and_what_can_t_be_is_refused_with_a_sentence(
     page.ask(page.new_object(*place))
     page.carry_out()
     page.show()
-    assert len(page.session.scenario.objects) == count + 1 and said(page).startswith("**Done.** Object 1: box")
-    assert page.panel.which.options == ("0 box", "1 box")
+    assert len(page.session.scenario.objects) == count + 1 and said(page).startswith("*box 1: box")
+    assert page.panel.which.options == ("box 0", "box 1")
     for wanted in (
         page.new_object(*place),
         page.new_object(float("nan"), 0.0),
         lambda: page.actions.alter("none", "set load", 3.0),
-        lambda: page.actions.alter("1 box", "set load", -3.0),
-        lambda: page.actions.alter("1 box", "set brakes", True),
-        lambda: page.actions.alter("7 box", "set load", 3.0),
+        lambda: page.actions.alter("box 1", "set load", -3.0),
+        lambda: page.actions.alter("box 1", "set brakes", True),
+        lambda: page.actions.alter("box 7", "set load", 3.0),
         lambda: page.actions.head_for(1e9, 0.0),
         lambda: page.actions.save("../../etc/passwd"),
         lambda: page.actions.load("gone"),
@@ -91,7 +95,7 @@ def test_what_is_asked_for_happens_and_what_can_t_be_is_refused_with_a_sentence(
         page.panel.message.content = ""
         page.ask(wanted)
         page.carry_out()
-        assert said(page).startswith("**Refused.**") and len(page.session.scenario.objects) == count + 1
+        assert said(page).startswith("**Not possible.**") and len(page.session.scenario.objects) == count + 1
     page.ask(page.actions.reset)
     page.carry_out()
     page.show()
@@ -107,6 +111,68 @@ def test_paused_it_stands_still_but_for_single_samples(page: Page) -> None:
     assert page.session.simulation.time == pytest.approx(0.1)
 
 
+def test_looking_back_pauses_and_shows_the_world_as_it_was(page: Page) -> None:
+    for _ in range(12):
+        page.session.step()
+    page.show()
+    page.panel.back.value = 0.5
+    assert not page.carry_out() and page.paused
+    history = page.session.simulation.history
+    shown = page.pictures._samples
+    assert shown is not None
+    np.testing.assert_array_equal(shown[1], history.qpos[-5])
+    assert f"Looking back to {history.rows[-5].t:.1f} s" in page.panel.state.content
+    page.paused = False
+    assert page.carry_out() and page.panel.back.value == 0.0
+    page.show()
+    shown = page.pictures._samples
+    assert shown is not None
+    np.testing.assert_array_equal(shown[1], page.session.simulation.qpos)
+
+
+def test_an_object_is_shoved_in_the_chosen_direction(page: Page) -> None:
+    page.ask(partial(page.actions.shove, "box 0", "away", 8.0))
+    page.ask(partial(page.actions.shove, "none", "away", 8.0))
+    page.carry_out()
+    assert said(page).startswith("**Not possible.**")
+    assert np.linalg.norm(page.session.simulation.true.object_twist[0, 0, :2]) > 0.1
+
+
+def test_the_options_of_a_decision_are_shown_with_their_times(page: Page) -> None:
+    navigator = page.session.simulation.navigator
+    options = (Option("push from behind", 23.0, 31.0, 0.84), Option("go round", 47.0, 47.0, 1.0))
+    none = np.zeros((0, 2))
+    decision = Decision(0.0, 0, np.nan, np.nan, True, None, "", none, none, 0.84, options)
+    navigator.events.append(decision)
+    text = state_text(page.session)
+    assert "| **push from behind** | 84% | 31 s |" in text and "| go round | 100% | 47 s |" in text
+    navigator.events.append(decision._replace(options=options[:1]))
+    text = state_text(page.session)
+    assert "| **push from behind** | 84% | 23 s |" in text and "no way round" in text
+    page.session.simulation.advance(page.session.simulation.decide())
+    x, y, yaw = page.session.simulation.true.robot_pose[0]
+    page.session.head_for(float(x + 0.8 * np.cos(yaw)), float(y + 0.8 * np.sin(yaw)))
+    assert "|" not in state_text(page.session)  # the decision was about the way to another goal
+
+
+@pytest.mark.slow
+def test_the_robot_goes_on_while_new_settings_of_mppi_are_compiled(page: Page) -> None:
+    page.panel.control["num_rollouts"].value, page.panel.control["horizon"].value = 100, 12
+    before, began = page.session.controller, page.session.simulation.time
+    seen, until = False, time.monotonic() + 120.0
+    while page.session.controller is before and time.monotonic() < until:
+        if page.carry_out():
+            page.session.step()
+            page.show()
+        seen |= "Compiling" in page.panel.compiling.content and page.session.simulation.time > began + 0.2
+    control = page.session.controller.config.control
+    assert seen and (control.num_rollouts, control.horizon) == (100, 12)
+    assert page.session.simulation.navigator.setup.controller is page.session.controller
+    page.show()
+    assert "100 roll-outs of 12 samples" in page.panel.compiling.content and not page.panel.tuning.pending
+    assert not page.session.simulation.history.falls
+
+
 def test_a_click_on_the_floor_is_told_in_the_box_of_the_goal(page: Page) -> None:
     page.paused = True
     go_on(page, 0.1)
@@ -117,20 +183,20 @@ def test_a_click_on_the_floor_is_told_in_the_box_of_the_goal(page: Page) -> None
     page.clicked(click)  # type: ignore[arg-type]
     go_on(page, 0.1)
     assert page.panel.goal.value == pytest.approx(goal, abs=0.006)
-    assert said(page).startswith("**Done.** It heads for")
+    assert said(page).startswith("*The goal is")
     before = page.panel.goal.value
     page.clicked(SimpleNamespace(ray_origin=(1e3, 0.0, 1.0), ray_direction=(0.0, 0.0, -1.0)))  # type: ignore[arg-type]
     go_on(page, 0.1)
-    assert said(page).startswith("**Refused.**") and page.panel.goal.value == before
+    assert said(page).startswith("**Not possible.**") and page.panel.goal.value == before
     page.ask(page.actions.reset)
     go_on(page, 0.1)
     assert page.panel.goal.value == pytest.approx(page.session.scenario.goal) and page.panel.goal.value != before
-    page.panel.click.value = "puts down the new object"
+    page.panel.click.value = "adds an object"
     place = (round(float(x), 2), round(float(y), 2) + 1.0)
     page.clicked(SimpleNamespace(ray_origin=(*place, 1.0), ray_direction=(0.0, 0.0, -1.0)))  # type: ignore[arg-type]
     go_on(page, 0.1)
     assert page.panel.where.value[:2] == pytest.approx(place, abs=0.006)
-    assert page.panel.which.options == ("0 box", "1 box")  # drawn at once, though time stands still
+    assert page.panel.which.options == ("box 0", "box 1")  # drawn at once, though time stands still
 
 
 def test_the_list_of_objects_shows_what_they_are(page: Page) -> None:
@@ -141,14 +207,14 @@ def test_the_list_of_objects_shows_what_they_are(page: Page) -> None:
     heavier, slippery, brakes = page.panel.present
     own = page.session.simulation.conditions[0]
     assert (heavier.value, slippery.value, brakes.value) == (own.payload, own.friction, False)
-    assert page.panel.which.options == ("0 box", "1 wheelchair")
-    page.panel.which.value = "1 wheelchair"
+    assert page.panel.which.options == ("box 0", "wheelchair 1")
+    page.panel.which.value = "wheelchair 1"
     page.carry_out()
     assert (heavier.value, slippery.value, brakes.value) == (120.0, 0.75, True) and heavier.max >= 120.0
-    page.ask(lambda: page.actions.alter("1 wheelchair", "set load", 7.0))
+    page.ask(lambda: page.actions.alter("wheelchair 1", "set load", 7.0))
     page.carry_out()
     page.show()
-    assert (heavier.value, page.panel.which.value) == (7.0, "1 wheelchair")
+    assert (heavier.value, page.panel.which.value) == (7.0, "wheelchair 1")
 
 
 def test_handles_go_with_their_objects_but_not_out_of_a_hand(page: Page) -> None:
@@ -231,7 +297,7 @@ def test_a_damaged_object_file_is_refused_and_the_run_goes_on(page: Page, tmp_pa
     page.panel.message.content = ""
     page.ask(page.new_object(float(x), float(y - 1.0)))
     page.carry_out()
-    assert said(page).startswith("**Refused.**")
+    assert said(page).startswith("**Not possible.**")
     before = page.session.simulation.time
     page.session.step()
     page.show()
@@ -247,7 +313,7 @@ def test_what_cannot_be_read_is_no_scene_and_no_object(page: Page, tmp_path: Pat
     assert not {"folder", "link"} & {*page.panel.scene.options, *page.panel.family.options}
     page.ask(lambda: 1 / 0)  # type: ignore[arg-type, return-value]
     page.carry_out()
-    assert said(page).startswith("**Refused.**") and "ZeroDivisionError" in said(page)
+    assert said(page).startswith("**Not possible.**") and "ZeroDivisionError" in said(page)
 
 
 def test_what_it_can_t_show_is_said_in_one_sentence(
@@ -260,6 +326,7 @@ def test_what_it_can_t_show_is_said_in_one_sentence(
         ("demo 0", ("--port", "0")),
         ("demo -1", ()),
         ("demo 0", ("--host", "192.0.2.1")),
+        ("demo 0", ("--set", "control.rollouts=3")),
     ):
         done = shmoo("live", scene, *more)
         assert done.returncode == 2 and done.stderr.startswith("shmoo: ") and len(done.stderr.splitlines()) == 1
@@ -289,8 +356,8 @@ def test_the_clearance_is_drawn_when_asked_for_and_objects_of_ones_own_are_offer
     page.ask(page.new_object(float(x), float(y - 1.0)))
     page.carry_out()
     page.show()
-    assert said(page).startswith("**Done.** Object 3: stool 0.50 x 0.50 x 0.60 m, 5.0 kg, mu 0.35")
-    assert "3 stool" in beliefs(page.session) and "roll-outs by cost" in page.panel.legend.content
+    assert said(page).startswith("*stool 3: stool 0.50 x 0.50 x 0.60 m, 5.0 kg, mu 0.35")
+    assert "stool 3" in beliefs(page.session) and "roll-outs of MPPI, by cost" in page.panel.legend.content
 
 
 def browser() -> Any:
@@ -348,6 +415,8 @@ def test_in_a_browser_goal_and_object_are_set_and_the_robot_arrives(tmp_path: Pa
         wait_for(lambda: "shmoo live" in chrome.find_element(By.TAG_NAME, "body").text, 60)
         x, y, yaw = session.simulation.true.robot_pose[0]
         side, goal = (float(x), float(y + 1.0)), (float(x + 0.8 * np.cos(yaw)), float(y + 0.8 * np.sin(yaw)))
+        press("World")
+        press("Add an object")
         enter("x, y [m], heading", *(round(v, 2) for v in side), 0)
         press("put it there")
         wait_for(lambda: len(session.scenario.objects) == 2, 60)
@@ -355,11 +424,15 @@ def test_in_a_browser_goal_and_object_are_set_and_the_robot_arrives(tmp_path: Pa
         press("go there")
         assert np.linalg.norm(np.array(session.scenario.objects[1].pose[:2]) - side) < 0.01
         wait_for(lambda: np.allclose(session.scenario.goal, goal, atol=0.01), 20)
+        page.panel.view.value = FOLLOW
+        press("Run")
         chrome.find_element(By.XPATH, "//label[contains(., 'paused')]/ancestor::*[.//input][1]//input").click()
         wait_for(lambda: not page.paused, 20)
         wait_for(lambda: str(session.simulation.navigator.mode) == "done", 120)
         assert np.linalg.norm(session.simulation.true.robot_pose[0, :2] - goal) < 0.25
-        wait_for(lambda: re.search(r"done", chrome.find_element(By.TAG_NAME, "body").text), 20)
+        wait_for(lambda: re.search(r"The robot is at the goal", chrome.find_element(By.TAG_NAME, "body").text), 20)
+        (client,) = page.server.get_clients().values()
+        assert np.linalg.norm(client.camera.look_at[:2] - session.simulation.true.robot_pose[0, :2]) < 0.1
         picture = tmp_path / "page.png"
         chrome.save_screenshot(str(picture))
         assert picture.stat().st_size > 20_000

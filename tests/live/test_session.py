@@ -14,7 +14,8 @@ import trimesh
 from shmoo_mjx.behavior.state import Mode
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.learning.weights import load_weights
-from shmoo_mjx.live.session import Session, object_files, scene_named, scenes
+from shmoo_mjx.live.scenes import object_files, scene_named, scenes
+from shmoo_mjx.live.session import Session
 from shmoo_mjx.planning.maps import FREE, OccupancyGrid, save_map
 from shmoo_mjx.planning.scenario import load_scenario
 from shmoo_mjx.plant.mesh import add_object
@@ -78,6 +79,56 @@ def test_an_object_is_carried_elsewhere_and_rests_there(session: Session) -> Non
     np.testing.assert_allclose(session.simulation.true.object_pose[0, 0], pose, atol=1e-9)
     run(session, 5)
     np.testing.assert_allclose(session.simulation.true.object_pose[0, 0], pose, atol=0.01)
+
+
+@pytest.mark.parametrize("bearing", [0.0, 0.5 * np.pi, np.pi])
+def test_a_shove_gives_an_object_its_impulse_and_friction_stops_it(session: Session, bearing: float) -> None:
+    simulation = session.simulation
+    before, mass = simulation.true, simulation.conditions[0].total_mass
+    robot, box = before.robot_pose[0, :2], before.object_pose[0, 0, :2]
+    away = (box - robot) / np.linalg.norm(box - robot)
+    session.shove(0, 6.0, bearing)
+    twist = session.simulation.true.object_twist[0, 0, :2]
+    assert mass * np.linalg.norm(twist) == pytest.approx(6.0, rel=1e-3)
+    assert twist @ away == pytest.approx(np.linalg.norm(twist) * np.cos(bearing), abs=1e-6)
+    np.testing.assert_array_equal(session.simulation.true.robot_pose, before.robot_pose)
+    run(session, 15)
+    moved = session.simulation.true.object_pose[0, 0, :2] - box
+    assert np.linalg.norm(moved) > 0.005 and np.linalg.norm(session.simulation.true.object_twist[0, 0, :2]) < 0.05
+    assert not simulation.history.falls
+
+
+def test_settings_reach_the_robot_and_the_result(tmp_path: Path) -> None:
+    settings = ("control.temperature=0.3", "navigator.goal_tolerance=0.3")
+    session = Session(
+        load_weights(), lambda: scene_named("box_in_doorway", tmp_path), "perfect", tmp_path, settings=settings
+    )
+    assert session.controller.config.control.temperature == 0.3
+    session.reset()
+    assert session.simulation.navigator.config.goal_tolerance == 0.3
+    run(session, 2)
+    result = load_result(session.save_report("run").parent / "result.json")
+    assert result["settings"] == list(settings) and "goal_tolerance=0.3" in result["command"]
+    session.close()
+
+
+@pytest.mark.slow
+def test_the_settings_of_mppi_change_in_the_middle_of_a_push(tmp_path: Path) -> None:
+    session = Session(load_weights(), partial(scene_named, "box_in_doorway", tmp_path), "perfect", tmp_path)
+    navigator = session.simulation.navigator
+    navigator.setup = navigator.setup._replace(config=replace(navigator.config, goes_round="never"))
+    while session.plan is None and session.simulation.time < 40.0:
+        session.step()
+    before, settings = session.controller, ("control.num_rollouts=64", "control.horizon=20")
+    made = session.compiled(settings)
+    assert session.controller is before and session.settings == ()
+    session.use(made, settings)
+    session.use(made, settings)
+    run(session, 10)
+    assert session.plan is not None and session.plan.controls.shape[:2] == (64, 20)
+    assert session.settings == settings and not session.simulation.history.falls
+    assert navigator.mode in (Mode.PROBE, Mode.PUSH)
+    session.close()
 
 
 def test_loads_and_brakes_reach_the_physics(session: Session) -> None:
