@@ -13,6 +13,8 @@ VIEWS = (FREE, FOLLOW, ROBOT)
 """Names of the views."""
 _DISTANCE = 4.0
 """Distance of a following camera from the robot when following begins [m]."""
+_SHIFT = 1.5
+"""Shift of the view towards the viewer on a narrow window, relative to the horizontal part of the direction [m]."""
 _LEAST = 0.004
 """Displacement of the robot from which the following cameras move [m]."""
 _HOUSING = 0.06
@@ -69,8 +71,11 @@ class Cameras:
             camera.fov = _FIELD
         if view == FOLLOW:
             towards = camera.position - camera.look_at
-            camera.position = robot + _DISTANCE * towards / np.linalg.norm(towards)
-            camera.look_at = robot
+            towards = towards / np.linalg.norm(towards)
+            # On a phone the panel covers the lower half of the view.
+            shift = _SHIFT * towards * (1.0, 1.0, 0.0) if camera.aspect < 1.0 else np.zeros(3)
+            camera.position = robot + _DISTANCE * towards + shift
+            camera.look_at = robot + shift
             self._at[number] = robot
         self._view[number] = view
 

@@ -15,8 +15,8 @@ from shmoo_mjx.report.style import SERIES
 _KEPT = 30.0
 """Time span of the curves [s]."""
 _BLUE, _ORANGE, _GREEN, _RED = SERIES[0], SERIES[1], SERIES[2], SERIES[5]
-_QUANTITIES = {"friction_x": ("along", _BLUE), "friction_y": ("across", _ORANGE), "mass": ("mass", _GREEN)}
-"""Label and colour of each estimated quantity (`online.summary`)."""
+_QUANTITIES = {"friction_y": _ORANGE, "friction_x": _BLUE, "mass": _GREEN}
+"""Colour of each estimated quantity (`online.summary`), in the order of drawing."""
 _X: Any = uplot.Series(label="t [s]")
 _TIME: Any = {"x": {"time": False}}
 
@@ -28,11 +28,11 @@ class Curves:
         self._rows: list[tuple[float, float, float, float]] = []
         self._estimates: list[tuple[float, ...]] = []
         self._object: int | None = None
-        self.friction = _estimate_plot(gui, ("friction_x", "friction_y"))
+        self.friction = _estimate_plot(gui, ("friction_y", "friction_x"))
         self.mass = _estimate_plot(gui, ("mass",))
         chance = (_X, uplot.Series(label="probability", stroke=_GREEN, width=2))
         scale: Any = {"x": {"time": False}, "y": {"auto": False, "range": (0.0, 1.05)}}
-        self.chance = _plot(gui, chance, "Probability that the push frees the path", scales=scale)
+        self.chance = _plot(gui, chance, "Probability that the push frees the path", scales=scale, visible=False)
         motion = (
             _X,
             uplot.Series(label="lean [deg]", stroke=_BLUE, width=2),
@@ -73,13 +73,14 @@ class Curves:
         self.chance.data, self.motion.data = (t, chance), (t, lean, force)
         for plot in (self.friction, self.mass):
             plot.visible = self._object is not None
+        self.chance.visible = bool(np.isfinite(chance).any())
         if self._object is None:
             return
         name = words.object_name(self._object, session.simulation.conditions[self._object])
         t, *columns = _columns(self._estimates, 13)
-        self.friction.title = f"Friction of {name} [N]"
+        self.friction.title = f"Friction of {name} [N]: along blue, across orange; dashed true"
         self.friction.data = (t, *columns[:8])
-        self.mass.title = f"Mass of {name} [kg]"
+        self.mass.title = f"Mass of {name} [kg]; dashed: true"
         self.mass.data = (t, *columns[8:])
 
 
@@ -92,28 +93,28 @@ def _estimate_plot(gui: viser.GuiApi, names: tuple[str, ...]) -> Any:
     """A plot of estimated quantities: median with an 80 % band, and the true value as a dashed line."""
     series, bands = [_X], []
     for name in names:
-        label, colour = _QUANTITIES[name]
-        low = len(series)
+        colour, low = _QUANTITIES[name], len(series)
         series += [
-            uplot.Series(show=True, label="10 %", stroke=f"{colour}55", width=1),
-            uplot.Series(label=label, stroke=colour, width=2),
-            uplot.Series(label="90 %", stroke=f"{colour}55", width=1),
-            uplot.Series(label="true", stroke=colour, width=2, dash=(6, 4)),
+            uplot.Series(stroke=f"{colour}55", width=1),
+            uplot.Series(stroke=colour, width=2),
+            uplot.Series(stroke=f"{colour}55", width=1),
+            uplot.Series(stroke=colour, width=2, dash=(6, 4)),
         ]
         bands.append(uplot.Band(series=(low + 2, low), fill=f"{colour}22"))
-    return _plot(gui, tuple(series), "Estimate", bands=tuple(bands), visible=False)
+    return _plot(gui, tuple(series), "", bands=tuple(bands), legend=False, visible=False)
 
 
-def _plot(gui: viser.GuiApi, series: tuple[Any, ...], title: str, *, scales: Any = None, **more: Any) -> Any:
-    """A plot over time. Its legend shows no values, which would change its height."""
-    empty = tuple(np.zeros(1) for _ in series)
+def _plot(
+    gui: viser.GuiApi, series: tuple[Any, ...], title: str, *, scales: Any = None, legend: bool = True, **more: Any
+) -> Any:
+    """A plot over time. Its legend shows no values, because they would change its height."""
     return gui.add_uplot(
-        empty,
+        tuple(np.zeros(1) for _ in series),
         series,
         title=title,
         scales=scales or _TIME,
-        legend={"show": True, "live": False},
-        aspect=2.0,
+        legend={"show": legend, "live": False},
+        aspect=2.2,
         padding=(10, 24, 0, 0),
         **more,
     )

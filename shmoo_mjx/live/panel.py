@@ -20,7 +20,7 @@ from shmoo_mjx.types import DT
 SPEEDS = {"0.25 x": 0.25, "0.5 x": 0.5, "1 x": 1.0, "2 x": 2.0, "as fast as possible": 0.0}
 SETS_GOAL = "sets the goal"
 """Effect of a click on the floor. The alternative adds an object."""
-SHOVES = {"away": 0.0, "left": 0.5 * np.pi, "right": -0.5 * np.pi, "back": np.pi}
+SHOVES = {"away": 0.0, "left": 0.5 * np.pi, "right": -0.5 * np.pi, "towards": np.pi}
 """Directions of a shove as the robot sees the object [rad]."""
 _BACK = 30.0
 """How far one can look back [s]."""

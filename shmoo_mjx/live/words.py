@@ -37,7 +37,7 @@ _THEN = {
     Mode.RETREAT: "plan a path to the goal",
 }
 """What it does next in each mode."""
-_MOVABLE = {None: "unknown whether it moves", True: "movable", False: "immovable"}
+_MOVABLE = {None: "not pushed yet", True: "movable", False: "immovable"}
 _SHOWN = 5
 """Number of options in the table."""
 
@@ -50,11 +50,16 @@ def state_text(session: Session) -> str:
     if simulation.history.ended:
         heading, reason = "The run is over", DIVERGED if simulation.history.diverged else "the robot has fallen"
         return f"### {heading}\n{reason}. Restart it."
-    parts = [f"### {heading}\n{_capital(with_names(session, reason))}."]
+    # The table below shows what a reason quotes from a decision.
+    for decision in navigator.decisions[-3:]:
+        if decision.options:
+            reason = reason.removesuffix(decision.reason).rstrip(": ")
+    told = "" if re.fullmatch(r"object \d+", reason) else f"\n{_capital(with_names(session, reason))}."
+    parts = [f"### {heading}{told}"]
     if following := next_step(session):
         parts.append(f"**Next:** {following}.")
-    if decision := current_decision(session):
-        parts.append(_options_table(session, decision))
+    if last := current_decision(session):
+        parts.append(_options_table(session, last))
     return "\n\n".join(parts)
 
 
@@ -115,7 +120,7 @@ def _options_table(session: Session, decision: Decision) -> str:
     chosen, name = _chosen(decision), object_name(decision.object, session.simulation.conditions[decision.object])
     detour = any(option.text == "go round" for option in decision.options)
     # Without a detour the mean contains the assumed cost of giving up, which says little.
-    rows = [f"| option for {name} | works | {'expected' if detour else 'time if it works'} |", "|---|---|---|"]
+    rows = [f"| option for {name} | works | {'expected' if detour else 'time if it works'} |", "|:---|---:|---:|"]
     ranked = sorted(decision.options, key=lambda option: option.seconds)
     for option in ranked[:_SHOWN]:
         mark = "**" if option is chosen else ""
@@ -142,7 +147,7 @@ def beliefs(session: Session) -> str:
         if item.adapt is not None:
             parts.append(_in_words(online.summary(item.adapt), session.true_values(index)))
         lines.append(f"- **{name}**: {'. '.join(parts)}")
-    return "\n".join(["**Estimates** (80 % interval; true value)", "", *lines]) if lines else ""
+    return "\n".join(["**Estimates** (80 % interval)", "", *lines]) if lines else ""
 
 
 def object_name(index: int, condition: Condition) -> str:
@@ -187,5 +192,5 @@ def _in_words(learned: dict[str, float], true: dict[str, float]) -> str:
     parts = []
     for name, (label, unit) in units.items():
         low, median, high = (learned[f"{name}{end}"] for end in ("_low", "", "_high"))
-        parts.append(f"{label} {median:.0f} {unit} ({low:.0f} to {high:.0f}; {true[name]:.0f})")
+        parts.append(f"{label} {median:.0f} {unit} ({low:.0f} to {high:.0f}; true {true[name]:.0f})")
     return _capital(", ".join(parts))
