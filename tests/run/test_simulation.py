@@ -18,7 +18,8 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import soak
 from shmoo_mjx.evaluation.pushing_trials import Runner, draw_trials
 from shmoo_mjx.learning.weights import load_weights
-from shmoo_mjx.live.session import Session, scene_named
+from shmoo_mjx.live.scenes import scene_named
+from shmoo_mjx.live.session import Session
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine, World
 from shmoo_mjx.plant.objects import draw_condition
 from shmoo_mjx.plant.observe import DIVERGED
