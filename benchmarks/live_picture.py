@@ -55,7 +55,11 @@ def picture(scene: str, size: tuple[int, int], *, tab: str, view: str, pushed: f
             runner.start()
             window.chrome.get(page.url)
             time.sleep(_LOADING)
-            for button in window.chrome.find_elements(By.XPATH, f"//button[@role='tab'][contains(., '{tab}')]"):
+            # Opens the tab and closes the notice about software rendering.
+            notice = "//*[contains(@class, 'Notification-closeButton')]"
+            for button in window.chrome.find_elements(
+                By.XPATH, f"//button[@role='tab'][contains(., '{tab}')] | {notice}"
+            ):
                 window.chrome.execute_script("arguments[0].click()", button)
             page.paused = False
             _wait(lambda: _pushed_for(session) >= pushed)
