@@ -17,12 +17,16 @@ from pathlib import Path
 from typing import Any
 
 from PIL import Image
+from selenium.common.exceptions import TimeoutException
+from selenium.webdriver.common.by import By
 
 from benchmarks.live_rate import browser
 from shmoo_mjx.base.environment import prepare_environment
 
 _LOADING = 15.0
 """Time until the browser shows the page [s]."""
+_DRAWING = 6.0
+"""Time for the browser to draw the last frame [s]."""
 _LONGEST = 300.0
 """Limit of the wall-clock time until the push [s]."""
 
@@ -37,8 +41,6 @@ def picture(scene: str, size: tuple[int, int], *, tab: str, view: str, pushed: f
         view: camera, one of `cameras.VIEWS`.
         pushed: duration of the push [s].
     """
-    from selenium.webdriver.common.by import By
-
     from shmoo_mjx.learning.weights import load_weights
     from shmoo_mjx.live.command import go_on
     from shmoo_mjx.live.page import Page
@@ -65,10 +67,11 @@ def picture(scene: str, size: tuple[int, int], *, tab: str, view: str, pushed: f
             _wait(lambda: _pushed_for(session) >= pushed)
             page.paused = True
             time.sleep(2.0)
-            taken = Image.open(io.BytesIO(window.chrome.get_screenshot_as_png())).convert("RGB")
+            # Without new frames, because a browser that draws in software is too busy for a screenshot.
             page.pictures.close()
             runner.join()
-            return taken
+            time.sleep(_DRAWING)
+            return window.screenshot()
 
 
 class _Window:
@@ -78,6 +81,16 @@ class _Window:
         self.chrome: Any = browser()
         metrics = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": size[0] < 600}
         self.chrome.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+
+    def screenshot(self, tries: int = 5) -> Image.Image:
+        """The page as the browser shows it."""
+        for left in reversed(range(tries)):
+            try:
+                return Image.open(io.BytesIO(self.chrome.get_screenshot_as_png())).convert("RGB")
+            except TimeoutException:
+                if not left:
+                    raise
+        raise AssertionError
 
     def close(self) -> None:
         """Ends the browser."""
