@@ -93,7 +93,7 @@ class Panel:
         }
 
     def _add_view(self, gui: viser.GuiApi) -> None:
-        self.view = gui.add_dropdown("camera", VIEWS)
+        self.view: Any = gui.add_dropdown("camera", VIEWS)
         names = ("path", "roll-outs", "camera", "estimated poses", "clearance")
         labels = {"camera": "field of view", "clearance": "distance to obstacles"}
         self.shown = {name: gui.add_checkbox(labels.get(name, name), name != "clearance") for name in names}
