@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -84,7 +85,7 @@ class Curves:
         self.mass.data = (t, *columns[8:])
 
 
-def _columns(rows: list[tuple[float, ...]], count: int) -> list[np.ndarray]:
+def _columns(rows: Sequence[tuple[float, ...]], count: int) -> list[np.ndarray]:
     """The columns of a table; one row of zeros if it is empty, because a plot needs data."""
     return list(np.array(rows or [(0.0,) * count], dtype=float).T)
 
