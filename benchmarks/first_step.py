@@ -1,4 +1,4 @@
-"""From nothing to the demo's first commands, in a process of its own: python -m shmoo_mjx.benchmarking.first_step SEED.
+"""From nothing to the demo's first commands, in a process of its own: python -m benchmarks.first_step SEED.
 
 Prints one line of JSON: seconds from the start of this file to the first command (``drive``) and to the first one that
 MPPI gives (``push``), with which the simulated seconds of the drive up to the box are included.

@@ -63,6 +63,6 @@ def run(cfg: StartupSizes, options: BenchOptions) -> Measured:
 
 
 def _first_steps(seed: int) -> dict[str, float]:
-    command = [sys.executable, "-m", "shmoo_mjx.benchmarking.first_step", str(seed)]
+    command = [sys.executable, "-m", f"{__package__}.first_step", str(seed)]
     done = subprocess.run(command, check=True, capture_output=True, text=True)
     return {f"{name}_s": seconds for name, seconds in json.loads(done.stdout.splitlines()[-1]).items()}

@@ -2,7 +2,7 @@
 
 Run: shmoo experiment pushing --condition-seed 25 --policies ours benchmarks.without:aim benchmarks.without:governor
 
-From the repository's root, like any controller of one's own. docs/ablations.md has the results.
+From the repository's root, like any controller of one's own. docs/results/ablations.md has the results.
 """
 
 from __future__ import annotations

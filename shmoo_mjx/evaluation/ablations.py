@@ -5,6 +5,7 @@ Trainings of psi as long as the shipped one, a few seeds each, scored on unseen 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,7 +18,7 @@ from shmoo_mjx.evaluation.baselines.adaptive import daiml_config, from_fit
 from shmoo_mjx.evaluation.baselines.protocol import output_scale
 from shmoo_mjx.evaluation.experiment import Experiment, Setup
 from shmoo_mjx.evaluation.result import ExperimentResult, over_seeds
-from shmoo_mjx.evaluation.tables import Section, cell, over_seeds_cell
+from shmoo_mjx.evaluation.tables import Section, cell, number, over_seeds_cell
 from shmoo_mjx.evaluation.trainings import AFTER_3S, TrainingsConfig, job_of, unseen_objects
 from shmoo_mjx.learning import daiml
 from shmoo_mjx.learning.daiml import DaimlConfig
@@ -39,7 +40,13 @@ VARIANTS: dict[str, dict[str, Any]] = {
 
 PROBED = ("default", "no_adversary")
 """Variants whose psi a fresh probe looks at."""
-_MEASURES = {"mse": "MSE", "fvu": "FVU", "fvu_median": "FVU, median object", **AFTER_3S, "probe_psi": "probe on psi"}
+_MEASURES = {
+    "mse": "mean squared error",
+    "fvu": "unexplained share of the variance, mean",
+    "fvu_median": "unexplained share, median object",
+    **AFTER_3S,
+    "probe_psi": "probe: share of conditions told from psi",
+}
 """With their heads in the table."""
 
 
@@ -111,23 +118,111 @@ def _metrics(rows: list[dict[str, Any]], config: AblationsConfig) -> dict[str, f
     return metrics | {name: raw[name] for name in ("chance", "probe_inputs", "probe_inputs_without_size")}
 
 
-def ablations_table(result: ExperimentResult) -> str:
-    """One line per variant: error on unseen objects, and how well a fresh probe tells the condition from psi."""
+_LABELS = {
+    "default": "the shipped form",
+    "default_5s": "the shipped form, adapted on 5 s",
+    "default_10s": "the shipped form, adapted on 10 s",
+    "horizon_1": "trained one step ahead",
+    "plain_ridge": "a ridge in place of the learned prior",
+    "shared_functions": "functions shared by x, y and yaw",
+    "no_linear_terms": "without linear terms",
+    "no_contact_model": "without the contact model",
+    "no_last_wrench": "without the last wrench",
+    "functions_3": "3 functions in place of 12",
+    "no_adversary": "without the adversary",
+}
+_MAIN = ("mse", "fvu_median", *AFTER_3S)
+
+
+def _table(result: ExperimentResult, measures: Sequence[str]) -> str:
     metrics = result.metrics
     names = [key.removeprefix("mse_") for key in metrics if key.startswith("mse_") and not key.startswith("mse_std_")]
-    rows = [[name, *(over_seeds_cell(metrics, measure, name) for measure in _MEASURES)] for name in names]
+    rows = [[_LABELS.get(n, n), *(over_seeds_cell(metrics, measure, n) for measure in measures)] for n in names]
+    return markdown_table(("", *(_MEASURES[measure] for measure in measures)), rows)
+
+
+def ablations_table(result: ExperimentResult) -> str:
+    """One line per variant: errors on unseen objects."""
+    return _table(result, _MAIN)
+
+
+def _further_table(result: ExperimentResult) -> str:
+    """All measures, and how well a fresh probe tells the condition from psi."""
     inputs, without_size, chance = (
-        cell(metrics, name) for name in ("probe_inputs", "probe_inputs_without_size", "chance")
+        cell(result.metrics, name) for name in ("probe_inputs", "probe_inputs_without_size", "chance")
     )
     probes = f"The same probe on the raw inputs: {inputs}; without the size: {without_size}; chance: {chance}."
-    return "\n\n".join([markdown_table(("variant", *_MEASURES.values()), rows), probes, trainings.size_of(result)])
+    return "\n\n".join([_table(result, tuple(_MEASURES)), probes, trainings.size_of(result)])
+
+
+def _shows(result: ExperimentResult) -> str:
+    errors = {n: result.metrics.get(f"pos_rmse_3s_m_{n}") for n in _LABELS if not n.startswith("default_")}
+    known = {n: value for n, value in errors.items() if value is not None}
+    if "default" not in known or len(known) < 2:
+        return ""
+    best, worst = (choose(known, key=lambda n: known[n]) for choose in (min, max))
+    return (
+        f"Over 3 s the best variant is {_LABELS[best]} ({number(known[best])} m), the worst {_LABELS[worst]} "
+        f"({number(known[worst])} m). The shipped form reaches {number(known['default'])} m."
+    )
+
+
+COST_TERMS = {
+    "running": "cost of the mean pose distance over the roll-out",
+    "lateral": "cost of hands beside the middle of the face",
+    "heading": "cost of a heading off the face's normal",
+    "aim": "cost of a goal beside the line or arc of the push",
+    "speed": "cost of the object's final speed",
+    "overspeed": "cost of robot speed, and slowing down before the goal",
+    "heading_and_overspeed": "both: heading and robot speed",
+    "governor": "governor of the lean",
+    "governor_room": "lower bound of the governor",
+    "foresees_governor": "governor in the roll-outs",
+    "running_lateral_foresees": "three: mean distance, hands, governor in the roll-outs",
+}
+"""Parts of the pushing controller, by their names in `benchmarks.without`."""
+_EFFECTS = {
+    "success": "success rate",
+    "offset_m": "distance [m]",
+    "yaw_error_deg": "yaw error [deg]",
+    "time_s": "time [s]",
+}
+
+
+def cost_terms_table(result: ExperimentResult) -> str:
+    """Change of pushing to a pose without one part of the controller, from a result of the experiment pushing.
+
+    The result's methods are ours and those of `benchmarks.without`.
+    """
+
+    def change(part: str, name: str) -> str:
+        key = f"difference_benchmarks.without:{part}_{name}"
+        mean, low, high = (result.metrics.get(key + end) for end in ("", "_low", "_high"))
+        # The metrics are ours minus the variant. The table shows what removing the part changes.
+        if mean is None or low is None or high is None:
+            return "-"
+        return f"{number(-mean, '+')} ({number(-high)} to {number(-low)})"
+
+    pairs = {p: result.metrics.get(f"difference_benchmarks.without:{p}_success_pairs") for p in COST_TERMS}
+    rows = [
+        [label, *(change(part, name) for name in _EFFECTS), f"{pairs[part]:.0f}"]
+        for part, label in COST_TERMS.items()
+        if pairs[part] is not None
+    ]
+    seed = result.config.get("condition_seed", 0)
+    return (
+        "## Parts of the pushing controller\n\n"
+        "Change of pushing to a pose when one part is removed, with 95 % intervals, on development seeds "
+        f"(`shmoo experiment pushing --condition-seed {seed} --policies ours benchmarks.without:NAME`).\n\n"
+    ) + markdown_table(("removed", *_EFFECTS.values(), "n"), rows)
 
 
 EXPERIMENT = Experiment(
     Section(
-        "One choice at a time",
-        "Trainings that differ in one choice; a fresh probe measures how well the condition can be read from psi.",
-        table=ablations_table,
+        "Ablations",
+        "What does each choice in the learning of psi bring?",
+        (ablations_table, _further_table),
+        _shows,
     ),
     AblationsConfig(),
     quick=AblationsConfig(

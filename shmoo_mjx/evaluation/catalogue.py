@@ -1,4 +1,4 @@
-"""What is shipped and has a name, with what to type for it: ``shmoo list``."""
+"""Lists what is shipped, with the command for each item (``shmoo list``)."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from shmoo_mjx.base.assets import asset, benchmark_suite
 
 
 class Item(NamedTuple):
-    """One line of the list."""
+    """One item of the list."""
 
     name: str
     command: str
-    """What to type."""
+    """Command that uses it."""
     about: str = ""
 
 
@@ -28,7 +28,7 @@ def catalogue(kind: str) -> list[Item]:
 
 
 def lines(kinds: list[str]) -> list[str]:
-    """A line for each item of the kinds, in columns: name, what to type, what it is."""
+    """One line per item of the kinds, with the columns name, command and description."""
     items = {kind: catalogue(kind) for kind in kinds}
     width, wide = (max(len(item[i]) for group in items.values() for item in group) for i in (0, 1))
     return [
@@ -62,7 +62,7 @@ def _experiments() -> Iterator[Item]:
 
 
 def _first_line(module: str) -> str:
-    """Of the module's docstring, without importing the module."""
+    """First line of a module's docstring, read without importing the module."""
     spec = find_spec(module)
     source = Path(str(spec.origin)).read_text(encoding="utf-8") if spec else ""
     first = (ast.get_docstring(ast.parse(source)) or "").partition("\n")[0]
@@ -140,4 +140,4 @@ KINDS: dict[str, Callable[[], Iterator[Item]]] = {
     "sweeps": _files("sweeps", "shmoo sweep {}", stem=True),
     "settings": _settings,
 }
-"""Kind to what lists its items: scenario sets, policies of navigation, controllers of pushing among them."""
+"""Kind of items to the function that lists them."""

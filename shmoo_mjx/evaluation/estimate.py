@@ -1,9 +1,8 @@
-"""Experiment `estimate`: what the posterior over an object's dynamics says of unseen objects, and whether it is so.
+"""Experiment `estimate`: accuracy and coverage of the posterior over an object's dynamics, on unseen objects.
 
-Scripted operators push objects as they are drawn, heavy ones and locked wheels included, with the robot's own senses.
-After some seconds of contact, the posterior's median is compared with the truth of the simulator (`contact_prior`), and
-how often its 80 % band holds the truth is counted. Roll-outs of draws from the posterior, with psi, are compared with
-where the object went in the 3 s that followed.
+Scripted operators push objects as drawn, including heavy ones and locked wheels, with the robot's own sensors. After
+some seconds of contact, the posterior's median is compared with the ground truth (`contact_prior`), and the coverage of
+its 80 % band is counted. Roll-outs of posterior samples with psi are compared with the motion in the following 3 s.
 """
 
 from __future__ import annotations
@@ -21,7 +20,8 @@ from shmoo_mjx.arrays import Array, Scalar
 from shmoo_mjx.data.collect import drive, operators
 from shmoo_mjx.dynamics import contact_model, features, object_model
 from shmoo_mjx.evaluation.experiment import Experiment, ExperimentConfig, Setup
-from shmoo_mjx.evaluation.tables import Section, lines_of
+from shmoo_mjx.evaluation.result import ExperimentResult
+from shmoo_mjx.evaluation.tables import Section, Table, lines_of, measured, percent
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.geometry.hands import HAND_HEIGHT, REACH, touches
 from shmoo_mjx.learning import contact_prior, estimate
@@ -36,16 +36,16 @@ from shmoo_mjx.sensing.engine import SensedEngine
 from shmoo_mjx.types import DT, Command
 
 SECONDS = (1.0, 3.0, 10.0)
-"""Of contact, after which the estimate is looked at [s]."""
+"""Times in contact at which the estimate is scored [s]."""
 _MASS = contact_model.PARAMETERS.index("log_mass")
 _AHEAD = 30
-"""Samples that are rolled out."""
+"""Steps of the roll-outs."""
 _CHUNK = 5
-"""Objects per trial, which are simulated side by side."""
+"""Objects per trial. They are simulated in parallel."""
 _DRAWS = 32
-"""Roll-outs, each of another draw."""
+"""Number of roll-outs, each with another posterior sample."""
 JUMP = 1.5
-"""Ratio of the masses of two samples in a row from which on the estimate has jumped."""
+"""Ratio of the mass estimates of two consecutive samples above which the estimate jumps."""
 
 
 @dataclass(frozen=True)
@@ -53,11 +53,11 @@ class ObjectEstimateConfig(ExperimentConfig):
     """Size of the experiment."""
 
     objects: int = 20
-    """Of each family."""
+    """Objects per family."""
     seconds: float = 40.0
     """Length of a recording [s]."""
     speeds: tuple[float, float] = (0.06, 0.3)
-    """Range of the operators' speeds [m/s]: they push steadily, as the controller does."""
+    """Range of the operators' speeds [m/s], similar to the controller's."""
     estimate: EstimateConfig = field(default_factory=EstimateConfig)
 
 
@@ -67,7 +67,7 @@ def _trials(setup: Setup[ObjectEstimateConfig]) -> dict[str, tuple[str, int]]:
 
 
 def _trial(setup: Setup[ObjectEstimateConfig], trial: tuple[str, int]) -> list[dict[str, Any]]:
-    """One row for some objects and each of SECONDS that their recording has."""
+    """One row per object and time in SECONDS that its recording reaches."""
     config, (family, first) = setup.config.estimate, trial
     count = min(_CHUNK, setup.config.objects - first)
     seeds = [setup.options.first_unseen + first + i for i in range(count)]
@@ -127,8 +127,8 @@ def _ahead(
     size: float,
     true: np.ndarray,
 ) -> dict[str, float]:
-    """Errors [m] of the mean position 3 s ahead of draws from the posterior and from the prior, and the share of the
-    two axes of {W} on which the true position lies in the draws' 80 % band."""
+    """Error [m] of the mean position 3 s ahead, and share of the axes of {W} on which the 80 % band of the samples
+    holds the true position; for samples of the posterior and of the prior."""
     before = estimate.init(config, prior, jax.random.key(1))._replace(pose=state.pose, twist=state.twist)
     row = {}
     for name, posterior in (("ahead", state), ("prior_ahead", before)):
@@ -145,8 +145,8 @@ def _ahead(
 def _roll_outs(
     config: EstimateConfig, shape: Any, params: Any, state: ObjectEstimate, *, wrenches: Array, size: Scalar
 ) -> Array:
-    """``[_DRAWS, 2]`` positions in {W} of the object after the sensed ``wrenches [1 + T, 3]``, of which the first is
-    that of the sample before."""
+    """Positions ``[_DRAWS, 2]`` of the object in {W} after the sensed ``wrenches [1 + T, 3]``. The first wrench is that
+    of the previous sample."""
     key, noise_key = jax.random.split(jax.random.key(0))
     chosen = jax.random.categorical(key, state.log_weight, shape=(_DRAWS,))
     contact, force, pose, twist = (a[chosen] for a in (state.parameters, state.force, state.pose, state.twist))
@@ -169,8 +169,8 @@ def _roll_outs(
 def _recorded(
     setup: Setup[ObjectEstimateConfig], conditions: list[Condition], seeds: list[int]
 ) -> tuple[Sighting, np.ndarray, np.ndarray]:
-    """What is perceived ``[W, T, ...]`` of W objects that operators push, their true poses ``[W, T, 3]`` in {W}, and
-    the axis of {O} that each is pushed along (0 or 1)."""
+    """Sensed samples ``[W, T, ...]`` of W objects that operators push, true poses ``[W, T, 3]`` in {W}, and the axis of
+    {O} along which each is pushed (0 or 1)."""
     senses, count = senses_named(setup.options.senses), len(conditions)
     rng = np.random.default_rng([setup.options.seed, *seeds[:1], FAMILIES.index(conditions[0].family)])
     half_extents = [c.half_extents for c in conditions]
@@ -205,7 +205,7 @@ def _weights(file: Path) -> Weights:
 @partial(jax.jit, static_argnums=0)
 def _filter(config: EstimateConfig, prior: Any, sightings: Sighting) -> tuple[Any, Any, ObjectEstimate]:
     """Bands ``[W, T, 3, 3]`` (low, median, high) of friction along x and y and of mass, the mean mass ``[W, T]``, and
-    the posteriors after each sample, without what does not change."""
+    the posteriors after each sample without their constant fields."""
 
     def step(state: ObjectEstimate, sample: Sighting) -> tuple[ObjectEstimate, Any]:
         state = estimate.step(config, state, sample)
@@ -225,7 +225,7 @@ def _filter(config: EstimateConfig, prior: Any, sightings: Sighting) -> tuple[An
 
 
 def _metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
-    """Median errors, shares of true values in the 80 % band, and the median number of jumps."""
+    """Median errors, coverage of the 80 % band, and median number of jumps."""
     metrics: dict[str, float] = {}
     for family in FAMILIES:
         for seconds in SECONDS:
@@ -243,28 +243,43 @@ def _metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
     return metrics
 
 
+_LINES = {
+    "friction_error": "Friction: median relative error",
+    "friction_coverage": "Friction: share of true values in the 80 % band",
+    "mass_error": "Mass: median relative error",
+    "mass_coverage": "Mass: share of true values in the 80 % band",
+    "ahead_error": "Position 3 s ahead: median error [m]",
+    "prior_ahead_error": "Position 3 s ahead, from the prior: median error [m]",
+    "ahead_coverage": "Position 3 s ahead: share of true values in the 80 % band",
+    "prior_ahead_coverage": "Position 3 s ahead, from the prior: share in the 80 % band",
+}
+
+
+def _shows(result: ExperimentResult) -> str:
+    def each(name: str, seconds: float) -> str:
+        values = (f"{percent(measured(result, f'{name}_{f}_{seconds:g}s'))} ({f})" for f in FAMILIES)
+        return ", ".join(values)
+
+    return (
+        f"After 3 s of contact the friction along the push is known to {each('friction_error', 3.0)}, the mass to "
+        f"{each('mass_error', 3.0)}. The 80 % band holds the true position 3 s ahead in "
+        f"{each('ahead_coverage', 3.0)} of the cases, where 80 % would be right."
+    )
+
+
 EXPERIMENT = Experiment(
     Section(
-        "What the estimate knows of an object",
-        "Scripted operators push 20 unseen objects of each family, heavy ones and locked wheels included, with the "
-        "robot's own senses. Errors are of the posterior's median; coverage is the share of true values in its 80 % "
-        "band. Friction is that along the push. Roll-outs of 32 draws with psi, under the sensed force, predict the "
-        "position 3 s ahead: the error is that of their mean, and the coverage is the share of x and y in their 80 % "
-        "band. The prior's draws start from the same pose.",
-        tuple(f"{family}, {seconds:g} s" for family in FAMILIES for seconds in SECONDS),
-        lines_of(
-            {
-                "friction_error": "friction, relative error, median",
-                "friction_coverage": "friction, coverage",
-                "mass_error": "mass, relative error, median",
-                "mass_coverage": "mass, coverage",
-                "ahead_error": "position 3 s ahead, error, median [m]",
-                "prior_ahead_error": "position 3 s ahead, draws from the prior [m]",
-                "ahead_coverage": "position 3 s ahead, coverage",
-                "prior_ahead_coverage": "position 3 s ahead, coverage of the prior",
-            },
-            *(f"{{}}_{family}_{seconds:g}s" for family in FAMILIES for seconds in SECONDS),
+        "Estimate of an object's dynamics",
+        "How well does the robot know friction and mass after some seconds of contact, and how sure is it?",
+        (
+            Table(FAMILIES, lines_of(_LINES, *(f"{{}}_{family}_3s" for family in FAMILIES)), "After 3 s of contact:"),
+            Table(
+                tuple(f"{family}, {seconds:g} s" for family in FAMILIES for seconds in SECONDS),
+                lines_of(_LINES, *(f"{{}}_{family}_{seconds:g}s" for family in FAMILIES for seconds in SECONDS)),
+                "After 1, 3 and 10 s of contact:",
+            ),
         ),
+        _shows,
     ),
     ObjectEstimateConfig(),
     quick=ObjectEstimateConfig(objects=2, seconds=15.0),

@@ -1,4 +1,4 @@
-"""All experiments one after another, and the page of their results."""
+"""Runs all experiments and writes the page of their results."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from shmoo_mjx.evaluation.result import ExperimentOptions, write_result
 
 
 def run_all(options: ExperimentOptions, pushes: Path | None) -> tuple[Path, dict[str, str]]:
-    """Run every experiment, each with its JSON in ``options.out``; the page grows with each of them.
+    """Run every experiment and write its JSON into ``options.out``. The page is rewritten after each experiment.
 
-    An experiment that lacks something (maps, the folder ``pushes`` of recorded pushes) is left out.
+    An experiment without its inputs (maps, the folder ``pushes`` of recorded pushes) is skipped.
 
     Returns:
-        The page, and why each experiment that was left out was.
+        The page, and the reason for each experiment that was skipped.
     """
     target, left_out = options.out / "results.md", dict[str, str]()
     done = dict[str, page.ExperimentResult]()
@@ -30,7 +30,7 @@ def run_all(options: ExperimentOptions, pushes: Path | None) -> tuple[Path, dict
             options.progress(f"{name}: {stage}", (i + fraction) / len(EXPERIMENTS))
 
         own = replace(options, progress=report, data=pushes if name == "real_pushing" else options.data)
-        # Methods of pushing have other names than the policies of navigation.
+        # The names of pushing controllers differ from those of navigation policies.
         own = replace(own, policies=() if name == "pushing" else options.policies)
         try:
             done[name] = run_experiment(name, own)

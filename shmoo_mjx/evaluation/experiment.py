@@ -1,4 +1,4 @@
-"""The form of an experiment, and the one runner: workers, resume after a stop, fingerprints, progress, result."""
+"""The form of an experiment and its runner, with workers, resuming, fingerprints and progress."""
 
 from __future__ import annotations
 
@@ -18,35 +18,35 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class ExperimentConfig:
-    """What the config of every experiment has."""
+    """Settings that every experiment has."""
 
     workers: int = 2
-    """Processes."""
+    """Number of processes."""
 
 
 class Prepared(NamedTuple):
-    """What an experiment needs before its first trial."""
+    """Inputs of an experiment."""
 
     data: Any = None
-    """For the trials: data sets, maps, objects. Picklable."""
+    """Data sets, maps or objects for the trials. Picklable."""
     files: tuple[Path, ...] = ()
-    """Files whose contents decide about the results; their rows are kept apart from those of others."""
+    """Files that decide about the results. Other contents get another store."""
     settings: tuple[Any, ...] = ()
-    """Settings, besides the config, the seeds and the senses, that decide about the results."""
+    """Settings that decide about the results, in addition to config, seeds and senses."""
 
 
 @dataclass(frozen=True)
 class Setup[C: ExperimentConfig]:
-    """What all trials of one run of an experiment share. Picklable."""
+    """Options, config, folders and data that all trials of a run share. Picklable."""
 
     options: ExperimentOptions
     config: C
     folder: Path
-    """For figures."""
+    """Folder for figures."""
     store: Path
-    """For what is kept of trials: one folder for these settings, inputs and code, and no others."""
+    """Folder for finished trials. It belongs to these settings, inputs and code alone."""
     data: Any = None
-    """What `Experiment.prepare` made."""
+    """Result of `Experiment.prepare`."""
 
 
 def _weights(options: ExperimentOptions, config: Any, folder: Path) -> Prepared:
@@ -55,50 +55,51 @@ def _weights(options: ExperimentOptions, config: Any, folder: Path) -> Prepared:
 
 @dataclass(frozen=True)
 class Experiment[C: ExperimentConfig]:
-    """One claim that is measured on held-out conditions. Every function stands at the top level of its module."""
+    """An experiment on held-out conditions. Its functions stand at the top level of its module."""
 
     section: Section
-    """How the page of results shows it."""
+    """How the results page shows it."""
     config: C
     quick: C
     """Config of the short form."""
     trials: Callable[[Setup[C]], Mapping[str, Any]]
-    """What is tried, by names that are good as file names, in the order of the rows."""
+    """Trials by name, in the order of the rows. The names serve as file names."""
     trial: Callable[[Setup[C], Any], list[Row]]
-    """One value of ``trials`` -> its rows; called in other processes. Code that it imports is in the fingerprint."""
+    """Runs one value of ``trials`` in a worker process and returns its rows. The code that it imports is part of the
+    fingerprint."""
     metrics: Callable[[Setup[C], list[Row]], dict[str, Any]]
     further_trials: Callable[[Setup[C], list[Row]], Mapping[str, Any]] | None = None
-    """What is tried after ``trials``, given their rows."""
+    """Further trials that depend on the rows of ``trials``."""
     draw: Callable[[Setup[C], list[Row]], None] | None = None
     """Writes figures into ``folder``."""
     prepare: Callable[[ExperimentOptions, C, Path], Prepared] = _weights
-    """Makes the inputs, given the experiment's folder; by default the weights are the only one."""
+    """Makes the inputs, given the experiment's folder. By default the weights are the only input."""
     adjust: Callable[[ExperimentOptions, C], C] | None = None
     """Changes the config by options such as ``--policies``."""
     neutral: tuple[str, ...] = ()
-    """Fields of the config that change no single trial, only how many of them there are."""
+    """Fields of the config that change the number of trials but no single trial."""
     about: Callable[[Setup[C]], dict[str, Any]] | None = None
-    """What the result's config says besides ``config``."""
+    """Further entries of the result's config."""
     only_drawn: tuple[str, ...] = ()
-    """Fields of rows that figures need and the result leaves out."""
+    """Fields of rows that only the figures need. The result leaves them out."""
     paper: Mapping[str, float] = field(default_factory=dict)
     """The paper's numbers under the names of the metrics they compare with."""
     first_seed: int = 0
-    """Seed where the command line gives none."""
+    """Default of ``--seed``."""
     printed: Callable[[ExperimentResult], str] = lambda result: ""
-    """What the command prints of a result in the place of its metrics; they are printed if it is empty."""
+    """Text that the command prints for a result. If it is empty, the command prints the metrics."""
 
 
 def run[C: ExperimentConfig](
     name: str, experiment: Experiment[C], options: ExperimentOptions, config: C | None = None
 ) -> ExperimentResult:
-    """Run what is not done yet and put the result together.
+    """Run the missing trials and assemble the result.
 
     Args:
-        name: of the experiment and its folder below ``options.out``.
-        experiment: what is run.
-        options: from the command line.
-        config: by default the experiment's own, or its quick one, adjusted by the options.
+        name: name of the experiment and of its folder below ``options.out``.
+        experiment: the experiment.
+        options: options of the command.
+        config: replaces the experiment's own config or its quick one, and the options that adjust it.
     """
     setup = prepare(name, experiment, options, config)
 
@@ -122,7 +123,7 @@ def run[C: ExperimentConfig](
 def prepare[C: ExperimentConfig](
     name: str, experiment: Experiment[C], options: ExperimentOptions, config: C | None = None
 ) -> Setup[C]:
-    """The inputs, and the folder that belongs to these settings, inputs and code."""
+    """The inputs, and the store that belongs to these settings, inputs and code."""
     if config is None:
         config = experiment.quick if options.quick else experiment.config
         config = config if experiment.adjust is None else experiment.adjust(options, config)

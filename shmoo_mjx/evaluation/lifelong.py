@@ -1,8 +1,8 @@
-"""Experiment lifelong: five goals one after the other, in a world that stays as the robot has left it.
+"""Experiment lifelong: five goals in a row, in a world that stays as the robot has left it.
 
-What it has found out about objects and where it has put them is carried on from goal to goal, as is the drift of its
-senses. A robot that gives up, falls or runs out of time is given no further goal; those that are left count as not
-reached. A goal reached with a wall touched on the way does not count as reached either.
+The robot keeps its beliefs about objects from goal to goal, and the drift of its sensors continues. A sequence ends if
+the robot gives up, falls or runs out of time, and the remaining goals count as not reached. A goal reached with a wall
+contact on the way does not count as reached.
 """
 
 from __future__ import annotations
@@ -22,18 +22,19 @@ from shmoo_mjx.evaluation.navigation import POLICIES, deciding, map_arguments, p
 from shmoo_mjx.evaluation.navigation_failures import keep_failure, write_failures
 from shmoo_mjx.evaluation.navigation_places import Places, find_places, kept
 from shmoo_mjx.evaluation.paired import OURS, metrics_by_method
-from shmoo_mjx.evaluation.result import ExperimentOptions
+from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult
 from shmoo_mjx.evaluation.scenarios import Extra, Generated, ScenarioConfig, draw_scenario, largest_room
-from shmoo_mjx.evaluation.tables import Section, lines_of
+from shmoo_mjx.evaluation.tables import Section, Table, cell, lines_of, measured, number, percent
 from shmoo_mjx.planning.distance_field import DistanceField
 from shmoo_mjx.planning.footprints import footprint_polygon
 from shmoo_mjx.planning.maps import OccupancyGrid, distance_field, load_map
 from shmoo_mjx.planning.paths import Path as Route
 from shmoo_mjx.planning.paths import path_blocked_by, plan_path
 from shmoo_mjx.planning.scenario import ROBOT_RADIUS, Limits, ObjectEntry
+from shmoo_mjx.report.tables import markdown_table
 
 _TRIES = 60
-"""Draws of each further goal."""
+"""Largest number of draws of each further goal."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ def _trials(setup: Setup[LifelongTrials]) -> dict[str, tuple[str, int, str]]:
 
 
 def _trial(setup: Setup[LifelongTrials], trial: tuple[str, int, str]) -> list[dict[str, Any]]:
-    """One run through a sequence. No row if the map has no place for it."""
+    """Run one sequence. No row if the map has no place for it."""
     map_name, number, policy = trial
     grid = load_map(setup.data.maps[map_name])
     sequence = _kept_sequence(setup, grid, map_name, number)
@@ -119,7 +120,7 @@ def _reached(legs: list[dict[str, Any]]) -> int:
 
 
 def _legs(legs: list[dict[str, Any]], shortest: tuple[float, ...]) -> list[dict[str, Any]]:
-    """Of each goal that was begun: what became of it and how it compares with the shortest path past no object."""
+    """Outcome of each goal that was begun, compared with the shortest path without objects."""
     names = ("outcome", "reason", "time_s", "path_length_m", "goal")
     rows = []
     for leg, length in zip(legs, shortest, strict=False):
@@ -146,12 +147,12 @@ def _of_policy(goals: int, rows: list[dict[str, Any]]) -> dict[str, Any]:
         "effort_force": _mean([r["effort_force"] for r in rows]),
         "sequences": len(rows),
     }
-    for number in range(goals):
-        begun = [r["legs"][number] for r in rows if len(r["legs"]) > number]
+    for i in range(goals):
+        begun = [r["legs"][i] for r in rows if len(r["legs"]) > i]
         reached = [leg for leg in begun if leg["outcome"] == "success"]
-        metrics[f"success_rate_goal{number + 1}"] = _mean([leg["outcome"] == "success" for leg in begun])
-        metrics[f"time_s_goal{number + 1}"] = _mean([leg["time_s"] for leg in reached])
-        metrics[f"efficiency_goal{number + 1}"] = _mean([leg["efficiency"] for leg in reached])
+        metrics[f"success_rate_goal{i + 1}"] = _mean([leg["outcome"] == "success" for leg in begun])
+        metrics[f"time_s_goal{i + 1}"] = _mean([leg["time_s"] for leg in reached])
+        metrics[f"efficiency_goal{i + 1}"] = _mean([leg["efficiency"] for leg in reached])
     return metrics
 
 
@@ -162,11 +163,11 @@ def _mean(values: list[Any]) -> float | None:
 def draw_sequence(
     generated: Generated, grid: OccupancyGrid, rng: np.random.Generator, *, count: int, cfg: ScenarioConfig
 ) -> GoalSequence:
-    """Draw further goals in a scenario, ``count`` with its own; the time limit of ``cfg`` is that of each goal.
+    """Draw further goals in a scenario, ``count`` in all. The time limit of ``cfg`` is that of each goal.
 
-    Each goal can be reached from the one before if those objects are gone that stand in the way and can be moved. Every
-    second path leads through an object where it stood at first, if there is such a goal: what the robot has learned of
-    that object, or done to it, is of use then. What its own pushes have blocked meanwhile is its own affair.
+    Each goal can be reached from the previous one without the movable objects in the way. If possible, every second
+    path leads through the initial place of an object, so that what the robot knows about the object is useful. The
+    paths do not take into account where pushes have left objects.
 
     Raises:
         ShmooError: the map has no place for such a sequence.
@@ -195,7 +196,7 @@ def _next_leg(
     rng: np.random.Generator,
     cfg: ScenarioConfig,
 ) -> Route | None:
-    """The path past no object to a goal in reach, if possible one that an object has ``blocked`` or has not."""
+    """The path without objects to a goal in reach, if possible one that an object blocks (``blocked``) or does not."""
     shapes = [_shape(entry) for entry in generated.scenario.objects]
     gone = [movable and in_the_way for movable, in_the_way in zip(generated.movable, generated.blocking, strict=True)]
     staying = [shape for shape, is_gone in zip(shapes, gone, strict=True) if not is_gone]
@@ -229,26 +230,48 @@ def _draw(setup: Setup[LifelongTrials], rows: list[dict[str, Any]]) -> None:
 
 _GOALS = range(1, LifelongTrials().goals + 1)
 
+
+def _goal_table(result: ExperimentResult) -> str:
+    lines = {
+        "success_rate": "Share reached, of those begun",
+        "time_s": "Mean time [s]",
+        "efficiency": "Path efficiency",
+    }
+    rows = [[label, *(cell(result.metrics, f"{name}_goal{i}") for i in _GOALS)] for name, label in lines.items()]
+    return markdown_table(("", *(f"goal {i}" for i in _GOALS)), rows)
+
+
+def _shows(result: ExperimentResult) -> str:
+    first, last = (measured(result, f"time_s_goal{i}") for i in (1, _GOALS[-1]))
+    return (
+        f"All goals are reached in {percent(measured(result, 'success_rate'))} of "
+        f"{measured(result, 'sequences'):.0f} sequences. The first goal takes {number(first)} s, the last "
+        f"{number(last)} s. Objects that were pushed aside stay aside, and the robot keeps what it has learned."
+    )
+
+
 EXPERIMENT = Experiment(
     Section(
-        "One goal after the other",
-        "Five goals in a row in a world that stays as the robot has left it, with what it remembers of objects. A "
-        "sequence ends where the robot gives up, falls or runs out of time.",
-        ("ours",),
-        lines_of(
-            {
-                "success_rate": "all goals reached",
-                "goals_reached": "goals reached",
-                **{f"success_rate_goal{i}": f"goal {i} reached, of those begun" for i in _GOALS},
-                **{f"time_s_goal{i}": f"time to goal {i} [s]" for i in _GOALS},
-                **{f"efficiency_goal{i}": f"path efficiency to goal {i}" for i in _GOALS},
-                "falls": "falls",
-                "wall_contacts_per_100_goals": "wall contacts in 100 goals",
-                "effort": "effort efficiency, mass moved",
-                "effort_force": "effort efficiency, force",
-                "sequences": "sequences",
-            }
+        "Five goals in a row",
+        "Does navigation stay reliable in a world that stays as the robot has left it?",
+        (
+            _goal_table,
+            Table(
+                ("value",),
+                lines_of(
+                    {
+                        "success_rate": "Share of sequences with all goals reached",
+                        "goals_reached": "Share of goals reached",
+                        "falls": "Falls",
+                        "wall_contacts_per_100_goals": "Wall contacts in 100 goals",
+                        "effort": "Effort efficiency, by mass moved",
+                        "effort_force": "Effort efficiency, by force",
+                        "sequences": "Sequences",
+                    }
+                ),
+            ),
         ),
+        _shows,
         arguments=map_arguments,
     ),
     LifelongTrials(),

@@ -1,13 +1,16 @@
-"""Experiment navigation: generated scenarios on any maps, our policy against seven others on the same scenarios.
+"""Experiment navigation: our policy and seven others on the same generated scenarios.
 
-*lazy* goes round whenever there is a way round, however long, and pushes otherwise. *frozen* learns nothing: what is
-known of an object stays what it looks like. *oracle* is told by the certificate which objects the best option pushes,
-pushes these and goes round all others; without a certificate it is told which objects can be moved. Coefficients it
-learns as we do. *always_avoid* takes every object for a wall. *always_push* pushes whatever is in the way and never
-goes round. *paper* is the paper's system (`behavior.methods`): its weights, its cost, and K < 0.3 m^2 after 1 s of
-contact. *geometric* takes whatever is in the way for movable, as planners after Stilman do, pushes wherever that makes
-the path shorter, and registers what a push has not moved. The *reference* is the best option of each certificate, and
-is not run.
+* lazy goes round whenever there is a way round, and pushes otherwise.
+* frozen does not adapt: it keeps the prior of each object's family.
+* oracle pushes the objects that the best option of the certificate pushes, and goes round all others. Without a
+  certificate it knows which objects can be moved. It adapts as ours does.
+* always_avoid treats every object as a wall.
+* always_push pushes whatever is in the way and never goes round.
+* paper is the paper's system (`behavior.methods`): its weights, its cost, and K < 0.3 m^2 after 1 s of contact.
+* geometric assumes that every object is movable, as planners after Stilman do. It pushes where that shortens the path,
+  and registers objects that a push has not moved.
+
+The reference is the best option of each certificate. It is not run.
 """
 
 from __future__ import annotations
@@ -37,12 +40,23 @@ from shmoo_mjx.evaluation.navigation_measures import (
     measure,
 )
 from shmoo_mjx.evaluation.navigation_places import find_places, kept_scenario
-from shmoo_mjx.evaluation.navigation_tables import navigation_tables, reference_table
+from shmoo_mjx.evaluation.navigation_tables import navigation_tables, policies_table, reference_table
 from shmoo_mjx.evaluation.paired import OURS
-from shmoo_mjx.evaluation.result import ExperimentOptions, file_id
+from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, file_id
 from shmoo_mjx.evaluation.scenario_set import find_set, open_set
 from shmoo_mjx.evaluation.scenarios import Generated, ScenarioConfig
-from shmoo_mjx.evaluation.tables import Line, Section, difference, lines_of_methods, measured, rate
+from shmoo_mjx.evaluation.tables import (
+    Effect,
+    Line,
+    Section,
+    Table,
+    difference,
+    effects,
+    lines_of_methods,
+    measured,
+    rate,
+    shown_name,
+)
 from shmoo_mjx.evaluation.trials import controller_of
 from shmoo_mjx.planning.maps import OccupancyGrid, load_map
 from shmoo_mjx.planning.object_planner import ObjectPlannerConfig
@@ -54,13 +68,13 @@ if TYPE_CHECKING:
 
 
 class PolicyVariant(NamedTuple):
-    """How objects are dealt with."""
+    """A policy: settings of the navigator, initial beliefs, and the method behind it."""
 
     config: NavigatorConfig
     first_status: Callable[[Generated], list[Status]] | None = None
-    """What the robot takes each object to be from the start."""
+    """Initial status of each object, given the scenario."""
     method: str = OURS
-    """Whose weights and pushing it has (`shmoo_mjx.behavior.methods`)."""
+    """Method whose weights and pushing it uses (`shmoo_mjx.behavior.methods`)."""
 
 
 def _as_they_are(generated: Generated) -> list[Status]:
@@ -81,7 +95,7 @@ POLICIES = {
     PAPER: PolicyVariant(METHODS[PAPER].navigator, method=PAPER),
     "geometric": PolicyVariant(NavigatorConfig(decides_by="K", planner=_ALL_MOVABLE)),
 }
-"""In the order in which they run: of an experiment that is stopped, ours is there first."""
+"""Policies in the order in which they run. Ours comes first, for experiments that are stopped."""
 
 
 @dataclass(frozen=True)
@@ -89,9 +103,9 @@ class NavigationTrials(ExperimentConfig):
     """What is tried."""
 
     scenarios: int = 20
-    """Per map; each policy runs all of them."""
+    """Scenarios per map. Each policy runs all of them."""
     generated_scenarios: int = 4
-    """Per generated building, where no maps are given."""
+    """Scenarios per generated building, if no maps are given."""
     policies: tuple[str, ...] = tuple(POLICIES)
     scenario: ScenarioConfig = ScenarioConfig()
 
@@ -103,7 +117,7 @@ def _adjust(options: ExperimentOptions, config: NavigationTrials) -> NavigationT
 
 
 def _prepare(options: ExperimentOptions, config: NavigationTrials, folder: Path) -> Prepared:
-    """The places and the number of scenarios per map: those of ``options.maps``, of buildings, or of a scenario set."""
+    """Places and number of scenarios per map, from ``options.maps``, generated buildings or a scenario set."""
     most, count = 2 if options.quick else None, config.scenarios
     if options.scenario_set is None:
         places = find_places(options, folder, config.scenario, most)
@@ -114,7 +128,7 @@ def _prepare(options: ExperimentOptions, config: NavigationTrials, folder: Path)
 
 
 def deciding(options: ExperimentOptions) -> tuple[tuple[Path, ...], tuple[Any, ...]]:
-    """Files and settings that decide about every run, whichever policies and how many scenarios are asked for."""
+    """Files and settings that decide about every run, independent of the requested policies and scenarios."""
     policies = {name: [asdict(p.config), asdict(METHODS[p.method])] for name, p in POLICIES.items()}
     sets = () if options.scenario_set is None else (options.scenario_set,)
     return (options.weights_file, asset(METHODS[PAPER].weights), *sets), (policies,)
@@ -132,7 +146,7 @@ def _trials(setup: Setup[NavigationTrials]) -> dict[str, tuple[str, int, str]]:
 
 
 def _trial(setup: Setup[NavigationTrials], trial: tuple[str, int, str]) -> list[dict[str, Any]]:
-    """One run: of one policy in one scenario. No row if the map has no place for that scenario."""
+    """Run one policy in one scenario. No row if the map has no place for the scenario."""
     places, _ = setup.data
     map_name, number, policy = trial
     grid = load_map(places.maps[map_name])
@@ -171,9 +185,9 @@ def play(
     *,
     goals: Sequence[tuple[float, float]] = (),
 ) -> Episode:
-    """One run of a policy (of POLICIES, or "package.module:Name") through a generated scenario.
+    """Run a policy (of POLICIES, or "package.module:Name") in a generated scenario.
 
-    ``goals``, one after the other, take the place of the scenario's.
+    ``goals`` are reached one after the other in place of the scenario's goal.
     """
     from shmoo_mjx.run.episode import run_episode
 
@@ -191,7 +205,7 @@ def play(
 
 
 def told_of(episode: Episode, generated: Generated) -> dict[str, Any]:
-    """What a row says of a run, however many goals it had."""
+    """Fields of a row that do not depend on the number of goals."""
     names = ("reason", "falls", "wall_contacts", "wall_parts", "time_s", "path_length_m")
     return {
         "movable": list(generated.movable),
@@ -223,7 +237,7 @@ def _row(episode: Episode, generated: Generated) -> dict[str, Any]:
 
 
 def scores_of(episode: Episode, scenario: Scenario, shortest: float) -> dict[str, float]:
-    """Path efficiency, both parts of effort efficiency, and the interactive navigation score of a run."""
+    """Path efficiency, both effort efficiencies, and the interactive navigation score of a run."""
     from shmoo_mjx.run.simulation import conditions_of
 
     result, trace, robot = episode.result, episode.trace, shmoobot().upper_mass + shmoobot().ball_mass
@@ -237,56 +251,87 @@ def scores_of(episode: Episode, scenario: Scenario, shortest: float) -> dict[str
 
 
 def _travelled(path: Array) -> float:
-    """Length [m] of an object's way; what is below 1 mm in 0.1 s is settling."""
+    """Length of an object's path [m]. Steps below 1 mm in 0.1 s are settling and do not count."""
     steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
     return float(steps[steps > 1e-3].sum())
 
 
 def map_arguments(config: Mapping[str, Any]) -> str:
-    """The maps or the scenario set; navigation goes without them as well, on floor plans of its own."""
+    """Arguments for the maps or the scenario set; empty for generated floor plans."""
     if (identity := config.get("scenario_set")) is not None:
         shipped = (file for file in find_set(Path("arena")).parent.glob("*.json") if file_id(file) == identity)
         return f"--scenarios {next((file.stem for file in shipped), 'FILE')}"
     return "" if config.get("generated_maps") else "--maps DIR"
 
 
-_OTHERS = ("",) * 7
-"""Empty cells of the other policies."""
+EFFECTS = Effect("the success rate", "success", "points", 100.0), Effect("the time lost", "regret_s", "s")
+"""What the page compares policies by."""
+
+
+def _shows(result: ExperimentResult) -> str:
+    subjects = {
+        "lazy": "Compared with going round wherever possible, ours",
+        "frozen": "Compared with no adaptation, ours",
+        "always_avoid": "Compared with never pushing, ours",
+        PAPER: "Compared with the paper's system, ours",
+    }
+    told = (effects(result, subject, f"difference_{policy}_", EFFECTS) for policy, subject in subjects.items())
+    return " ".join(sentence for sentence in told if sentence)
+
+
+_OTHERS = ("lazy", FROZEN, "always_avoid", "always_push", PAPER, "geometric", "oracle")
 
 EXPERIMENT = Experiment(
     Section(
-        "Interactive navigation (VI-B)",
-        "Generated scenarios. Effort efficiency is 1 if nothing is pushed; the interactive navigation score is that of "
-        "Interactive Gibson, half path and half effort efficiency. Aims are those for ours.",
-        ("ours", "lazy", "frozen", "always avoid", "always push", "paper", "geometric", "oracle"),
+        "Interactive navigation",
+        "Does the robot reach its goal past objects in its way? Does deciding between pushing and going round pay? "
+        "(Sec. VI-B of the paper)",
         (
-            *lines_of_methods(
-                {
-                    "success_rate": "success (aim 0.96)",
-                    "success_rate_push_only": "success, push only (aim 0.92)",
-                    "success_rate_detour_only": "success, detour only (aim 0.92)",
-                    "success_rate_either": "success, either (aim 0.92)",
-                    "falls": "falls (aim 0)",
-                    "toppled": "objects toppled",
-                    "wall_contacts_per_100": "wall contacts in 100 runs (aim 1)",
-                    "time_s": "time of successes [s]",
-                    "path_length_m": "path of successes [m]",
-                    "displacement_m": "objects displaced by [m]",
-                    "efficiency": "path efficiency",
-                    "effort": "effort efficiency, mass moved",
-                    "effort_force": "effort efficiency, force",
-                    "ins": "interactive navigation score",
-                    "scenarios": "scenarios",
-                },
-                *("lazy", "frozen", "always_avoid", "always_push", "paper", "geometric", "oracle"),
+            policies_table,
+            reference_table,
+            Table(
+                ("ours", *(shown_name(policy) for policy in _OTHERS)),
+                (
+                    *lines_of_methods(
+                        {
+                            "success_rate": "Success rate, all scenarios",
+                            "success_rate_push_only": "Success rate, push only",
+                            "success_rate_detour_only": "Success rate, detour only",
+                            "success_rate_either": "Success rate, either",
+                            "falls": "Falls",
+                            "toppled": "Objects toppled",
+                            "wall_contacts_per_100": "Wall contacts in 100 runs",
+                            "time_s": "Mean time of successes [s]",
+                            "path_length_m": "Mean path of successes [m]",
+                            "displacement_m": "Mean displacement of objects [m]",
+                            "efficiency": "Path efficiency",
+                            "effort": "Effort efficiency, by mass moved",
+                            "effort_force": "Effort efficiency, by force",
+                            "ins": "Interactive navigation score",
+                            "scenarios": "Scenarios",
+                        },
+                        *_OTHERS,
+                    ),
+                    *(
+                        Line(label, (name, *[""] * len(_OTHERS)))
+                        for name, label in {
+                            "time_over_oracle": "Time divided by that of the policy that knows what to push",
+                            "neither_baseline": "Scenarios that neither always nor never pushing solves",
+                            "neither_baseline_but_ours": "Of these, solved by ours",
+                        }.items()
+                    ),
+                ),
             ),
-            Line("time over the oracle's, where both succeed (aim 1.2)", ("time_over_oracle", *_OTHERS)),
-            Line("scenarios that neither baseline can do", ("neither_baseline", *_OTHERS)),
-            Line("scenarios that neither baseline can do and ours can", ("neither_baseline_but_ours", *_OTHERS)),
+            navigation_tables,
         ),
-        ("success.png", "causes.png", "time_over_extra.png"),
+        _shows,
+        {
+            "time_over_extra.png": "Time over the extra length of the way round, for each policy. "
+            "Failures (x) count 120 s more than the best option",
+            "success.png": "Success rate of each policy by kind of scenario",
+            "causes.png": "Causes of failures",
+        },
         arguments=map_arguments,
-        further_tables=navigation_tables,
         summary=(
             (
                 "Success rate of navigation, solvable scenarios",
@@ -296,7 +341,10 @@ EXPERIMENT = Experiment(
                 "Success rate compared with never pushing",
                 difference("difference_always_avoid_success", "points", 100.0),
             ),
-            ("Time lost compared with going round if possible", difference("difference_lazy_regret_s", "s")),
+            (
+                "Time lost compared with going round wherever possible",
+                difference("difference_lazy_regret_s", "s"),
+            ),
         ),
     ),
     NavigationTrials(),

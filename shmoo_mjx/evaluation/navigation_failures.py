@@ -1,4 +1,4 @@
-"""What is kept of failed runs, a film of each, and a list of them by cause."""
+"""Keeps failed runs, and writes a film of each and a list by cause."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FPS, SPEED = 10.0, 4.0
 
 
 def keep_failure(store: Path, name: str, episode: Episode) -> None:
-    """Keep what a film of a failed run needs; a trace takes too much room to be kept of every run."""
+    """Keep the trace and result of a failed run for its film. Traces are too large to keep for every run."""
     folder = store / "failures"
     folder.mkdir(parents=True, exist_ok=True)
     save_trace(folder / f"{name}.npz", episode.trace)
@@ -60,7 +60,7 @@ def write_failures(
 
 
 def _film(folder: Path, name: str) -> Path | None:
-    """The film of a failed run; None if nothing was kept of it."""
+    """The film of a failed run; None if the run was not kept."""
     from shmoo_mjx.report.video import topdown_frames, write_video
 
     film = folder / f"{name}.mp4"

@@ -58,8 +58,9 @@ def _success(rows: list[dict[str, Any]]) -> Any:
             place = beside(g, k, len(policies))
             label = shown_name(policy) if g == 0 else None
             axes.bar(place, np.mean(of), 0.75 / len(policies), color=SERIES[k], label=label)
-            axes.text(place, float(np.mean(of)), f"{sum(of)}/{len(of)}", ha="center", va="bottom", fontsize=7)
-    axes.set_xticks(range(len(groups)), groups)
+            axes.text(place, float(np.mean(of)), str(sum(of)), ha="center", va="bottom", fontsize=7)
+    counts = [len({(r["map"], r["scenario"]) for r in rows if r["kind"] == kind}) for kind in groups]
+    axes.set_xticks(range(len(groups)), [f"{kind} ({n} scenarios)" for kind, n in zip(groups, counts, strict=True)])
     axes.set(ylabel="share of runs that reach the goal", ylim=(0, 1.12))
     legend_above(figure)
     return figure
@@ -87,13 +88,21 @@ def _time_over_extra(rows: list[dict[str, Any]]) -> Any:
         axes.plot(extra[~good], time[~good], "x", color=colour, ms=4, alpha=0.6)
         parts = [(extra >= a) & (extra < b) for a, b in pairwise([0.0, 2.5, 5.0, 10.0, 20.0, 60.5])]
         means = [(np.exp(np.log(extra[p]).mean()), time[p].mean()) for p in parts if p.any()]
-        axes.plot(*np.array(means).reshape(-1, 2).T, color=colour, label=shown_name(policy), lw=1.2 + 0.8 * reference)
+        axes.plot(
+            *np.array(means).reshape(-1, 2).T,
+            color=colour,
+            label="best certified option" if reference else shown_name(policy),
+            lw=1.2 + 0.8 * reference,
+        )
         if (extra == beside).any():
             axes.plot(beside, time[extra == beside].mean(), "D", color=colour, ms=6, markeredgecolor="white")
-    axes.set(xlabel="extra length of the way round [m]", ylabel="time [s], failures (x) at reference + 120 s")
+    axes.set(
+        xlabel="extra length of the way round [m]",
+        ylabel="time [s]",
+    )
     axes.set_xscale("log")
     axes.set_xticks([1, 3, 10, 30, nowhere], ["1", "3", "10", "30", "none"])
-    legend_above(figure, 5)
+    legend_above(figure, 3)
     return figure
 
 
@@ -159,4 +168,4 @@ def _draw_run(axes: Any, row: dict[str, Any], grid: OccupancyGrid) -> None:
     half, middle = 0.5 * max(high - low), 0.5 * (low + high)
     axes.set(xlim=middle[0] + np.array([-half, half]), ylim=middle[1] + np.array([-half, half]))
     verdict = f"{row['time_s']:.0f} s" if row["success"] else row["cause"]
-    axes.set_title(f"{row['policy']}, {row['kind']}\n{verdict}", fontsize=8)
+    axes.set_title(f"{shown_name(row['policy'])}, {row['kind']}\n{verdict}", fontsize=8)

@@ -1,4 +1,4 @@
-"""What is measured of runs of the experiment navigation: scores, differences between policies, causes of failures."""
+"""Metrics of navigation runs: scores, differences between policies, and causes of failures."""
 
 from __future__ import annotations
 
@@ -13,32 +13,32 @@ from shmoo_mjx.geometry import se2
 from shmoo_mjx.geometry.hands import CONTACT_FORCE
 
 COMPARED = {
-    "success": ("success", True),
-    "time_s": ("time, of scenarios that both solve [s]", False),
-    "efficiency": ("path efficiency", True),
-    "effort": ("effort efficiency, mass moved", True),
-    "effort_force": ("effort efficiency, force", True),
-    "ins": ("interactive navigation score", True),
-    "regret_s": ("regret [s]", False),
+    "success": ("Success rate", True),
+    "time_s": ("Time, of scenarios that both solve [s]", False),
+    "efficiency": ("Path efficiency", True),
+    "effort": ("Effort efficiency, by mass moved", True),
+    "effort_force": ("Effort efficiency, by force", True),
+    "ins": ("Interactive navigation score", True),
+    "regret_s": ("Time lost [s]", False),
 }
-"""What policies are compared by, scenario by scenario: label, and whether more of it is better."""
+"""Measures by which policies are compared: label, and whether a larger value is better."""
 FAILURE_S = 120.0
-"""Regret of a failure [s]."""
+"""Regret that a failure counts as [s]."""
 TIE_S = 3.0
-"""A first choice is right if it leads to the goal within this of the reference [s]."""
+"""Largest excess over the reference time of a right first choice [s]."""
 EXTRA_BANDS = {"to_5m": (0.0, 5.0), "to_15m": (5.0, 15.0), "over_15m": (15.0, 1e3), "no_way_round": None}
-"""Ranges of the extra length of the way round [m] for which regret is given."""
+"""Ranges of the extra length of the way round [m]."""
 _GRAVITY = 9.81
 
 
 def effort_by_mass(robot_mass: float, driven: float, masses: list[float], moved: list[float]) -> float:
-    """m0 l0 / (m0 l0 + sum m_i l_i): 1 if nothing was moved (Interactive Gibson, kinematic; Bench-NPIN)."""
+    """Effort efficiency m0 l0 / (m0 l0 + sum m_i l_i): 1 if nothing was moved (Interactive Gibson, Bench-NPIN)."""
     own = robot_mass * driven
     return float(own / max(own + float(np.dot(masses, moved)), 1e-9)) if driven > 0 else 1.0
 
 
 def effort_by_force(robot_mass: float, force: np.ndarray) -> float:
-    """G T / (G T + sum |F_t| dt), G the robot's weight: 1 if it pushed nothing (Interactive Gibson, dynamic).
+    """Effort efficiency G T / (G T + sum |F_t| dt) with the robot's weight G: 1 if it pushed nothing.
 
     Args:
         robot_mass: [kg].
@@ -54,7 +54,7 @@ def interactive_score(efficiency: float, by_mass: float, by_force: float) -> flo
 
 
 def choice_of(result: dict[str, Any], trace: Any, generated: Generated) -> dict[str, Any]:
-    """How a run compares with the certificate; all None without one.
+    """Compare a run with the certificate. All values are None without one.
 
     Returns:
         ``reference_s``: time of the best option [s], None if none works. ``regret_s``: time of the run minus it,
@@ -75,7 +75,7 @@ def choice_of(result: dict[str, Any], trace: Any, generated: Generated) -> dict[
 
 
 def _touched_first(trace: Any, half_extents: list[Any]) -> int | None:
-    """The object nearest to the robot when its hands first felt one."""
+    """The object nearest to the robot at the first contact of its hands."""
     felt = np.flatnonzero(np.linalg.norm(np.asarray(trace.force), axis=1) > CONTACT_FORCE)
     if not felt.size:
         return None
@@ -85,7 +85,7 @@ def _touched_first(trace: Any, half_extents: list[Any]) -> int | None:
 
 
 def cause_of(result: dict[str, Any], generated: Generated) -> str:
-    """Why a run failed, in a few words that failures can be sorted by; empty for a success."""
+    """The cause of a failure in a few words; empty for a success."""
     outcome = result["outcome"]
     if outcome == "success":
         return ""
@@ -109,7 +109,7 @@ def cause_of(result: dict[str, Any], generated: Generated) -> str:
 
 
 def _wrong_verdict(result: dict[str, Any], generated: Generated) -> str:
-    """The first wrong verdict that still held at the end: the last one on its object."""
+    """The first wrong decision among the last decisions on each object."""
     last = {d["object"]: d["manipulable"] for d in result["decisions"]}
     for number, decided in sorted(last.items()):
         given_up = result["objects"][number]["status"] == "fixed"
@@ -121,10 +121,11 @@ def _wrong_verdict(result: dict[str, Any], generated: Generated) -> str:
 
 
 def measure(rows: list[dict[str, Any]], policies: tuple[str, ...]) -> dict[str, Any]:
-    """Metrics of every policy, ours without a prefix, and of ours - each other one on the scenarios that both ran.
+    """Metrics of all policies, and differences between ours and each other policy.
 
-    ``baseline_NAME_*`` is what policy NAME reaches; ``difference_NAME_METRIC`` with ``_low``, ``_high`` and ``_pairs``
-    the mean difference with its 95 % interval and the number of scenarios, for time those that both solve.
+    ``baseline_NAME_*`` are the metrics of policy NAME, ours have no prefix. ``difference_NAME_METRIC`` with ``_low``,
+    ``_high`` and ``_pairs`` is the mean difference over the scenarios that both ran, with its 95 % interval and the
+    number of scenarios. Times are compared on scenarios that both solve.
     """
     of = {policy: {(r["map"], r["scenario"]): r for r in rows if r["policy"] == policy} for policy in policies}
     metrics = metrics_by_method(of, _of_policy, _differences)
@@ -156,7 +157,7 @@ def _of_policy(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _against_reference(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """What certificates tell of a policy; empty where no scenario has one."""
+    """Metrics of a policy relative to the certificates; empty if no scenario has one."""
     certified = [r for r in rows if r.get("reference_s") is not None]
     if not certified:
         return {}
@@ -200,7 +201,7 @@ def _time_ratio(ours: dict[Any, Any], oracle: dict[Any, Any]) -> float | None:
 
 
 def _what_neither_can(of: dict[str, dict[Any, Any]]) -> dict[str, int]:
-    """Scenarios that neither simple policy can do, and those of them that we can."""
+    """Number of scenarios that neither always nor never pushing solves, and of those that ours solves."""
     simple = [of[p] for p in ("always_avoid", "always_push") if of.get(p)]
     if len(simple) < 2:
         return {}
@@ -211,7 +212,7 @@ def _what_neither_can(of: dict[str, dict[Any, Any]]) -> dict[str, int]:
 
 
 def _of_scenarios(rows: list[dict[str, Any]]) -> dict[str, int]:
-    """How many scenarios there are of each kind, and with how many objects."""
+    """Number of scenarios of each kind and by number of objects."""
     scenarios = list({(r["map"], r["scenario"]): r for r in rows}.values())
     metrics = dict[str, int]()
     for kind in KINDS:

@@ -1,4 +1,4 @@
-"""Where the navigation experiments take place: maps that are given or generated, and the scenarios kept for them."""
+"""Maps of the navigation experiments, given or generated, and the scenarios drawn on them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from shmoo_mjx.planning.floorplan import draw_building
 from shmoo_mjx.planning.maps import OccupancyGrid, save_map
 
 BUILDINGS = 5
-"""Generated where no maps are given."""
+"""Number of generated buildings if no maps are given."""
 
 
 class _Place(BaseModel):
@@ -41,17 +41,17 @@ class SetEntry(Generated, _Place):
 
 @dataclass(frozen=True)
 class Places:
-    """Maps, and the folder of what is drawn on them."""
+    """Maps, and the folder of the scenarios drawn on them."""
 
     maps: dict[str, Path]
     """Name to YAML."""
     scenarios: Path
-    """Folder of the drawn scenarios. They take minutes to draw, and hang neither on policies nor on weights."""
+    """Folder of the drawn scenarios. Drawing takes minutes and does not depend on policies or weights."""
     first_unseen: int
     """Seed of the first object."""
     config: ScenarioConfig
     entries: Mapping[str, SetEntry] | None = None
-    """Scenarios of a scenario set, by MAP-NUMBER, in the place of what would be drawn."""
+    """Scenarios of a scenario set by MAP-NUMBER, in place of drawn ones."""
 
 
 def find_places(options: ExperimentOptions, folder: Path, config: ScenarioConfig, most: int | None = None) -> Places:
@@ -91,14 +91,14 @@ def _buildings(folder: Path, first_unseen: int) -> dict[str, Path]:
 
 
 def extras_of(map_name: str, number: int) -> list[Extra]:
-    """The range of the extra length for which scenario ``number`` of a map is drawn, then those that may replace it."""
+    """The range of the extra length for scenario ``number`` of a map, followed by the ranges that may replace it."""
     first = (3 * number + crc32(map_name.encode())) % len(EXTRAS)
     others = [extra for extra in (*EXTRAS[first + 1 :], *EXTRAS[:first]) if extra is not None]
     return [EXTRAS[first], *others, *({None} - {EXTRAS[first]})]
 
 
 def kept_scenario(places: Places, grid: OccupancyGrid, map_name: str, number: int) -> tuple[Kind, Generated | None]:
-    """The kind that scenario ``number`` of a map was to be, and the scenario; None if the map has no place for any."""
+    """The wanted kind of scenario ``number`` of a map, and the scenario; None if the map has no place for any."""
     if places.entries is not None:
         entry = places.entries[f"{map_name}-{number}"]
         return entry.wanted, entry
@@ -119,10 +119,10 @@ def kept[Form: BaseModel](
     form: type[Form],
     draw: Callable[[Extra, np.random.Generator], Form],
 ) -> Form | None:
-    """What ``draw`` returns for the first range of the extra length in turn that the map has a place for, or None.
+    """The result of ``draw`` for the first range of the extra length that the map has a place for, or None.
 
-    It is kept as a file that goes with the function, the map, the settings and the plant. ``number`` begins with the
-    scenario's; with map and objects it fixes the random numbers, and other maps beside this one change nothing.
+    It is kept in a file that belongs to the function, the map, the settings and the plant. The first entry of
+    ``number`` is that of the scenario. Number, map and objects determine the random numbers.
     """
     settings = {
         "frame": [grid.resolution, *grid.origin],

@@ -1,4 +1,4 @@
-"""What the page shows of the navigation experiment below its first table; everything is in the result's JSON."""
+"""Tables of the navigation experiment, made from its result."""
 
 from __future__ import annotations
 
@@ -8,62 +8,78 @@ from typing import Any
 from shmoo_mjx.evaluation.navigation_measures import COMPARED, EXTRA_BANDS, FAILURE_S, TIE_S
 from shmoo_mjx.evaluation.paired import OURS
 from shmoo_mjx.evaluation.result import ExperimentResult
-from shmoo_mjx.evaluation.tables import differences_table, shown_name
+from shmoo_mjx.evaluation.tables import differences_table, number, shown_name
 from shmoo_mjx.report.tables import markdown_table
 
-
-def navigation_tables(result: ExperimentResult) -> str:
-    """Regret, differences from each baseline, scenarios by number of objects, and the causes of our failures."""
-    parts = [reference_table(result), _differences(result), _objects(result), _causes(result)]
-    return "\n\n".join(part for part in parts if part)
-
-
+_BANDS = ("to 5 m", "5 to 15 m", "over 15 m", "no way round")
 _COLUMNS = (
-    ("success", ".2f", "success_rate_certified"),
-    ("regret [s]", ".1f", "regret_s"),
+    ("success rate", ".2f", "success_rate_certified"),
+    ("mean time lost [s]", ".1f", "regret_s"),
     ("median", ".1f", "regret_s_median"),
-    *zip(
-        ("to 5 m", "5 to 15 m", "over 15 m", "no way round"),
-        (".1f",) * len(EXTRA_BANDS),
-        (f"regret_s_{band}" for band in EXTRA_BANDS),
-        strict=True,
-    ),
-    ("right first choice", ".2f", "right_first_choice"),
-    ("said blocked", ".0f", "unsolvable_called_blocked", "unsolvable"),
+    *((label, ".1f", f"regret_s_{band}") for label, band in zip(_BANDS, EXTRA_BANDS, strict=True)),
+    ("right first option", ".2f", "right_first_choice"),
+    ("reported as blocked", ".0f", "unsolvable_called_blocked", "unsolvable"),
     ("falls", ".0f", "falls"),
     ("wall contacts", ".0f", "wall_contacts"),
-    ("score", ".2f", "ins"),
+    ("navigation score", ".2f", "ins"),
 )
-"""Of the table of policies: head, format, and the metrics of a cell."""
+"""Columns of the table of policies: head, format, and the metrics of a cell."""
+_MAIN = ("success rate", "mean time lost [s]", "median", "right first option", "wall contacts")
+
+
+def policies_table(result: ExperimentResult) -> str:
+    """The main columns of `reference_table`."""
+    return _policies(result, _MAIN)
 
 
 def reference_table(result: ExperimentResult) -> str:
-    """Every policy against the certificates of the scenarios, a row per policy; empty where there are none."""
-    metrics = result.metrics
-
-    def cell(name: str, form: str) -> str:
-        value = metrics.get(name)
-        return "-" if value is None else format(value, form)
-
-    prefixes = {p: "" if p == OURS else f"baseline_{p}_" for p in result.config.get("policies", [])}
-    prefixes = {policy: p for policy, p in prefixes.items() if metrics.get(f"{p}certified") is not None}
-    if not prefixes:
+    """Every policy compared with the certificates of the scenarios. Empty if no scenario has a certificate."""
+    table = _policies(result, tuple(head for head, *_ in _COLUMNS))
+    if not table:
         return ""
-    lines = []
-    for policy, p in prefixes.items():
-        mean, low, high = (metrics.get(f"difference_{policy}_regret_s{end}") for end in ("", "_low", "_high"))
-        versus = "" if mean is None or low is None or high is None else f"{mean:+.1f} ({low:.1f} to {high:.1f})"
-        cells = (" / ".join(cell(p + name, form) for name in names) for _, form, *names in _COLUMNS)
-        lines.append([shown_name(policy), *cells, versus])
-    p = prefixes.get(OURS, next(iter(prefixes.values())))
-    counts = [cell(f"{p}certified_{band}", ".0f") for band in EXTRA_BANDS]
+    ours = _prefixes(result)[0][1]
+    counts = [_cell(result, f"{ours}certified_{band}", ".0f") for band in EXTRA_BANDS]
+    solvable = _cell(result, f"{ours}certified", ".0f")
+    reference = _cell(result, f"{ours}reference_s", ".1f")
     return (
-        f"Policies against the certificates: {cell(f'{p}certified', '.0f')} scenarios that can be solved, "
-        f"{', '.join(counts)} of them in the four columns by extra length of the way round. Regret is the time minus "
-        f"that of the best certified option (mean {cell(f'{p}reference_s', '.1f')} s); a failure counts "
-        f"{FAILURE_S:.0f} s. A first choice is right if the best option that begins so is within {TIE_S:.0f} s of the "
-        "best. Said blocked: of the scenarios that no option solves.\n\n"
-    ) + markdown_table(["policy", *(head for head, *_ in _COLUMNS), "regret of ours minus it [s]"], lines)
+        f"{solvable} scenarios can be solved. In {', '.join(counts)} of them the way round is longer by up to 5 m, by "
+        "5 to 15 m, by more, or there is none; these columns show the mean time lost. Time lost is the time minus "
+        f"that of the best certified option, which takes {reference} s on average. A failure counts "
+        f"{FAILURE_S:.0f} s. A first option is right if the best option that begins with it is within {TIE_S:.0f} s of "
+        f"the best. Reported as blocked: of the scenarios that no option solves.\n\n{table}"
+    )
+
+
+def navigation_tables(result: ExperimentResult) -> str:
+    """Differences from each other policy, scenarios by number of objects, and the causes of our failures."""
+    return "\n\n".join(part for part in (_differences(result), _objects(result), _causes(result)) if part)
+
+
+def _prefixes(result: ExperimentResult) -> list[tuple[str, str]]:
+    """(policy, prefix of its metrics) of the policies that ran on scenarios with certificates, ours first."""
+    policies = sorted(result.config.get("policies", []), key=lambda policy: policy != OURS)
+    prefixes = [(policy, "" if policy == OURS else f"baseline_{policy}_") for policy in policies]
+    return [(policy, p) for policy, p in prefixes if result.metrics.get(f"{p}certified") is not None]
+
+
+def _cell(result: ExperimentResult, name: str, form: str) -> str:
+    value = result.metrics.get(name)
+    return "-" if value is None else format(value, form)
+
+
+def _policies(result: ExperimentResult, heads: tuple[str, ...]) -> str:
+    """A row per policy; the last column compares the time lost with ours."""
+    columns = [column for column in _COLUMNS if column[0] in heads]
+    rows = []
+    for policy, p in _prefixes(result):
+        key = f"difference_{policy}_regret_s"
+        mean, low, high = (result.metrics.get(key + end) for end in ("", "_low", "_high"))
+        known = mean is not None and low is not None and high is not None
+        versus = f"{number(mean, '+')} ({number(low)} to {number(high)})" if known else ""
+        cells = (" / ".join(_cell(result, p + name, form) for name in names) for _, form, *names in columns)
+        rows.append([shown_name(policy), *cells, versus])
+    head = ["policy", *(head for head, *_ in columns), "time lost by ours minus by it [s]"]
+    return markdown_table(head, rows) if rows else ""
 
 
 def _differences(result: ExperimentResult) -> str:
@@ -72,7 +88,7 @@ def _differences(result: ExperimentResult) -> str:
         return ""
     measured = [n for n in COMPARED if any(f"difference_{other}_{n}" in result.metrics for other in others)]
     lines = [(COMPARED[name][0], name, COMPARED[name][1]) for name in measured]
-    return differences_table(result.metrics, others, lines, method="policy", trials="scenarios")
+    return differences_table(result.metrics, others, lines, trials="scenarios")
 
 
 def _objects(result: ExperimentResult) -> str:
@@ -80,16 +96,19 @@ def _objects(result: ExperimentResult) -> str:
     if not rows:
         return ""
     counts = sorted({len(r["movable"]) for r in rows})
-    groups = {"all": lambda r: len(r["movable"]), "in the way": lambda r: sum(r["blocking"])}
+    groups = {
+        "Objects in the scenario": lambda r: len(r["movable"]),
+        "Objects in the way": lambda r: sum(r["blocking"]),
+    }
     table = markdown_table(
-        ["", *(f"{n} object{'s' * (n > 1)}" for n in counts)],
+        ["", *map(str, counts)],
         [[label, *(_solved([r for r in rows if of(r) == n]) for n in counts)] for label, of in groups.items()],
     )
-    return f"Scenarios by number of objects (solved by ours / there are).\n\n{table}"
+    return f"Scenarios solved by ours, by number of objects:\n\n{table}"
 
 
 def _solved(rows: list[dict[str, Any]]) -> str:
-    return f"{sum(r['success'] for r in rows)} / {len(rows)}" if rows else "-"
+    return f"{sum(r['success'] for r in rows)} of {len(rows)}" if rows else "-"
 
 
 def _causes(result: ExperimentResult) -> str:

@@ -22,9 +22,9 @@ STEPS = 30
 
 
 def draw_roll_outs(after: Predictor, before: Predictor, objects: store.Dataset, path: Path, *, count: int = 8) -> None:
-    """Eight objects, pushed for 3 s after the 25 s of adaptation: where each went, and where psi says it would go."""
+    """Draw recorded and predicted motion of ``count`` objects over 3 s, after 25 s of adaptation."""
     recorded = recordings(objects)
-    # One family after the other, so that the eight show them all.
+    # Families take turns, so that the figure shows all of them.
     by_family: dict[str, list[int]] = {}
     for i, condition in enumerate(objects.conditions):
         by_family.setdefault(condition["family"], []).append(i)
@@ -34,7 +34,8 @@ def draw_roll_outs(after: Predictor, before: Predictor, objects: store.Dataset, 
     axes = figure.subplots(2, (len(chosen) + 1) // 2, squeeze=False)
     for axis, i in zip(axes.flat, chosen, strict=False):
         _draw_one(axis, after, before, recorded=recorded, i=i, objects=objects)
-    axes.flat[0].legend(fontsize=7, loc="best")
+    handles, labels = axes.flat[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=3, fontsize=8, frameon=False)
     for axis in axes.flat[len(chosen) :]:
         axis.axis("off")
     save_figure(path, figure, 130)
@@ -47,7 +48,10 @@ def _draw_one(axis: Any, after: Predictor, before: Predictor, *, recorded: Any, 
     context = first_samples(recorded, i, FIT_SAMPLES)
     truth = se2.relative(pose[start], pose[start : start + STEPS + 1])
     axis.plot(truth[:, 0], truth[:, 1], color="black", linewidth=2.2, label="recorded")
-    for predictor, label, colour in ((before, "before: the prior", BEFORE), (after, "after 25 s", AFTER)):
+    for predictor, label, colour in (
+        (before, "predicted before contact", BEFORE),
+        (after, "predicted after 25 s", AFTER),
+    ):
         path = np.asarray(roll_out(predictor, predictor.adapt(context), x, time))
         axis.plot(path[:, 0], path[:, 1], color=colour, linewidth=1.6, label=label)
         _outline(axis, path[-1], objects.conditions[i], colour)
@@ -61,7 +65,7 @@ def _draw_one(axis: Any, after: Predictor, before: Predictor, *, recorded: Any, 
 
 
 def _liveliest(recorded: Any, i: int) -> int:
-    """First row of the stretch of STEPS rows in one episode, after the adaptation, over which the object moves most."""
+    """First of the STEPS rows after the adaptation, within one episode, over which the object moves most."""
     starts = np.arange(FIT_SAMPLES, recorded.samples.inputs.shape[1] - STEPS)
     inside = recorded.samples.run[i, starts] > STEPS
     moved = np.linalg.norm(recorded.pose[i, starts + STEPS, :2] - recorded.pose[i, starts, :2], axis=1) * inside
@@ -74,14 +78,13 @@ def _outline(axis: Any, pose: np.ndarray, condition: dict[str, Any], colour: str
 
 
 def draw_curve(seconds: Sequence[float], shares: np.ndarray, path: Path) -> None:
-    """Share of the way from the prior's error to that of a* against seconds of contact: median and quartiles."""
+    """Draw the share of the gap closed over time in contact: median and quartiles."""
     q25, median, q75 = np.nanquantile(shares, [0.25, 0.5, 0.75], axis=0)
     figure = blank_figure(5.5, 3.4)
     axis = figure.subplots()
     axis.fill_between(seconds, q25, q75, color=AFTER, alpha=0.2, label="quartiles")
     axis.plot(seconds, median, color=AFTER, marker="o", label="median over the objects")
-    axis.axhline(0.6, color="black", linestyle=":", linewidth=0.8, label="60 %")
-    axis.set(xscale="log", xlabel="seconds of contact", ylabel="share of prior-to-a* gap closed", ylim=(-0.3, 1.1))
+    axis.set(xscale="log", xlabel="time in contact [s]", ylabel="share of the gap closed", ylim=(-0.3, 1.1))
     axis.set_xticks(list(seconds), [f"{s:g}" for s in seconds])
     axis.minorticks_off()
     axis.legend(fontsize=8)

@@ -1,13 +1,14 @@
-"""Experiment object_planner: can the robot tell, within seconds of touching it, whether an object can be moved?
+"""Experiment object_planner: can the robot tell within seconds of contact whether it can move an object?
 
-Unseen objects stand alone on open floor in the robot's way. The navigator runs as it is, from the approach to three
+Unseen objects stand alone on an open floor in the robot's way. The unchanged navigator runs from the approach to three
 seconds of contact. After each second, roll-outs over the posterior of the object's dynamics (`planning.reach`) give the
-probability that it can be moved. The truth is the plant's (``manipulable``): progress along the push of the side that
-is pushed. What other criteria say after one second of contact is measured on the same touches: K, displacement and
-impulse, and displacement alone. Each is turned into a probability by a logistic regression that is fitted to objects of
-training. Half of the objects are manipulable on the side that faces the robot; it pushes another one, on which fewer
-are. A second stratum are objects near the border of manipulability, so laden that they move only just far enough, or
-nearly, on the very side that is pushed.
+probability that the object can be moved. Ground truth is the object's progress along the push in the plant
+(`manipulable`), on the side that the robot pushes.
+
+Other criteria are evaluated on the same touches after one second: K, displacement with impulse, and displacement alone.
+A logistic regression, fitted to training objects, turns each into a probability. Half of the objects are manipulable on
+the side that faces the robot. The robot may choose another side, on which fewer are. The second stratum has objects
+near the border: their load is chosen such that they move just far enough, or nearly, on the side that is pushed.
 """
 
 from __future__ import annotations
@@ -44,7 +45,8 @@ from shmoo_mjx.evaluation.movability import (
     probability_by,
 )
 from shmoo_mjx.evaluation.object_planner_figures import draw_figures
-from shmoo_mjx.evaluation.tables import Section, lines_of, rate
+from shmoo_mjx.evaluation.result import ExperimentResult
+from shmoo_mjx.evaluation.tables import Section, Table, lines_of, measured, percent, rate
 from shmoo_mjx.evaluation.trials import controller_of
 from shmoo_mjx.planning.object_planner import planning_stage
 from shmoo_mjx.planning.reach import foresight_of
@@ -52,17 +54,17 @@ from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 
 LOOKS = (1.0, 2.0, 3.0)
-"""Contact times at which it is asked [s]; a push that ends before is asked about at its end."""
+"""Contact times of the decisions [s]. For a push that ends earlier, the decision is taken at its end."""
 _BINS = 5
-"""Of the calibration error."""
+"""Number of bins of the calibration error."""
 
 
 @dataclass(frozen=True)
 class ObjectPlannerTrials(ExperimentConfig):
-    """What is tried."""
+    """Size of the experiment."""
 
     objects: int = 60
-    """Of each stratum."""
+    """Objects per stratum."""
     time_s: float = 40.0
     """Longest trial [s]."""
     truth: SteadyPush = SteadyPush()
@@ -71,7 +73,7 @@ class ObjectPlannerTrials(ExperimentConfig):
 def draw_object(index: int, first_seed: int, cfg: SteadyPush) -> tuple[Condition, int, str]:
     """(condition, side, kind) of object ``index``: even ones are manipulable on that side, odd ones are not.
 
-    Families and kinds take turns. Whatever the plant says to be otherwise than its kind is drawn again.
+    Families and kinds take turns. An object that the plant contradicts is drawn again.
     """
     family = FAMILIES[(index // 2) % 3]
     kind = "drawn" if index % 2 == 0 else IMMOVABLE[(index // 6) % 3]
@@ -87,12 +89,12 @@ def draw_border_object(
 ) -> tuple[Condition, int, str]:
     """(condition, side, kind) of object ``index`` near the border: even ones are manipulable, just, odd ones nearly.
 
-    So they are on the side that ``pushed`` says the robot chooses of an object whose ``side`` faces it.
+    This holds on the side that the robot chooses according to ``pushed``, given the ``side`` that faces it.
     """
     family = FAMILIES[(index // 2) % 3]
     # A box has no wheels that a kind could lock or make heavy to turn.
     kind = "drawn" if family == "box" else ("drawn", "heavy", "brakes")[(index // 6) % 3]
-    # From the last of its seeds, which `draw_object` hardly ever gets to.
+    # Seeds are used in reverse, because `draw_object` rarely reaches the last ones.
     for seed in reversed(list(_seeds(index, first_seed))):
         base, side = _of_kind(kind, family, seed)
         condition = near_border_by_load(base, pushed(base, side), index % 2 == 0, cfg)
@@ -108,7 +110,7 @@ def _of_kind(kind: str, family: str, seed: int) -> tuple[Condition, int]:
 
 
 def _seeds(index: int, first_seed: int) -> Iterator[int]:
-    """Sixteen seeds for each object, in two blocks, so that one object's redraws do not change the next one."""
+    """Sixteen seeds for each object in two blocks, so that redraws of one object do not change the next object."""
     # Both lie within the 1,000 seeds of a condition seed, for up to 62 objects.
     blocks = (first_seed + 8 * index, first_seed + 500 + 8 * index)
     return itertools.chain.from_iterable(range(first, first + 8) for first in blocks)
@@ -123,10 +125,10 @@ def probe(
     weights: Path,
     senses: SensesName = "real",
 ) -> tuple[dict[str, Any], Any]:
-    """What three seconds of contact tell (nothing if it was never touched), and the episode.
+    """Evidence from three seconds of contact (empty if the object was never touched), and the episode.
 
-    The object's face ``side`` is towards the robot. What is told is the side that was pushed; the probability of being
-    manipulable at each of `LOOKS`; and K, displacement [m] and impulse [N s] at the first of them.
+    The object's face ``side`` is towards the robot. The evidence is the side that was pushed, the probability of being
+    manipulable at each of `LOOKS`, and K, displacement [m] and impulse [N s] at the first of them.
     """
     from shmoo_mjx.run.episode import Hooks, run_episode
 
@@ -141,7 +143,7 @@ def probe(
         ended = navigator.mode not in (Mode.PROBE, Mode.PUSH)
         belief = navigator.belief.objects[navigator.segment.object]
         if ended and push.contact_time < PROBE_TIME and not rolled(push, belief.pose):
-            return False  # too short a touch to say anything; it touches the object again
+            return False  # the touch is too short for evidence, and the robot touches the object again
         while len(probabilities) < len(LOOKS) and (ended or push.contact_time >= LOOKS[len(probabilities)] - 1e-6):
             if not probabilities:
                 evidence.update(_criteria(navigator, controller))
@@ -156,7 +158,7 @@ def probe(
 
 
 def _probability(navigator: Any, controller: Any, truth: SteadyPush) -> float:
-    """That the object comes as far as the truth asks along the push."""
+    """Probability that the object comes along the push as far as the ground truth requires."""
     segment = navigator.segment
     belief = navigator.belief.objects[segment.object]
     return foresight_of(controller).probability_to_move(
@@ -171,7 +173,7 @@ def _probability(navigator: Any, controller: Any, truth: SteadyPush) -> float:
 
 
 def _criteria(navigator: Any, controller: Any) -> dict[str, Any]:
-    """What the touch has shown so far, and K as the planning stage of Algorithm 1 would find it now."""
+    """Displacement and impulse so far, and K from the planning stage of Algorithm 1."""
     segment, planner = navigator.segment, navigator.config.planner
     push, belief = segment.push, navigator.belief.objects[segment.object]
     poses, _, costs = controller.planning_rollouts(
@@ -189,7 +191,7 @@ def _trial(setup: Setup[ObjectPlannerTrials], trial: tuple[str, int]) -> list[di
     controller, own_seed = controller_of(options.weights_file), 1000 * options.seed + number
 
     def pushed(condition: Condition, side: int) -> int:
-        # The navigator chooses a face by what it sees, before it knows the load.
+        # The navigator chooses a face before it can know the load.
         scenario = open_floor_scenario(condition, side, own_seed, cfg.time_s)
         begins = Hooks(over=lambda navigator: navigator.segment is not None)
         episode = run_episode(
@@ -220,12 +222,12 @@ def _trial(setup: Setup[ObjectPlannerTrials], trial: tuple[str, int]) -> list[di
 
 
 def right(row: dict[str, Any], look: int = 0) -> bool:
-    """Whether roll-outs say at one of `LOOKS` what is true; an object that was not touched counts as a mistake."""
+    """Whether the decision at one of `LOOKS` is right. An object that was not touched counts as a mistake."""
     return "probabilities" in row and (row["probabilities"][look] >= 0.5) == row["manipulable"]
 
 
 def measure(rows: list[dict[str, Any]]) -> dict[str, float]:
-    """Accuracy and the comparison of the criteria."""
+    """Accuracy, confusion counts, and scores of the criteria."""
     touched, clear = [r for r in rows if "probabilities" in r], [r for r in rows if not r["border"]]
     truths = np.array([r["manipulable"] for r in touched], dtype=bool)
     metrics = {
@@ -251,7 +253,7 @@ def measure(rows: list[dict[str, Any]]) -> dict[str, float]:
 
 
 def log_score(probability: Array, truth: Array) -> float:
-    """Mean logarithm of the probability ``[N]`` that was given to what is true: 0 is best, -0.69 is a coin's."""
+    """Mean logarithm of the probability ``[N]`` of the true class: 0 is best, a coin has -0.69."""
     p = np.clip(np.where(np.asarray(truth, dtype=bool), probability, 1.0 - np.asarray(probability)), 1e-6, 1.0)
     return float(np.log(p).mean()) if p.size else float("nan")
 
@@ -264,7 +266,7 @@ def calibration(probability: Array, truth: Array) -> float:
 
 
 def auc(values: np.ndarray, truth: np.ndarray) -> float:
-    """Chance that a manipulable object has the larger value: 1 separates the classes, 0.5 says nothing."""
+    """Area under the ROC curve: 1 separates the classes, 0.5 is chance."""
     positive, negative = values[truth], values[~truth]
     if not positive.size or not negative.size:
         return float("nan")
@@ -284,42 +286,85 @@ def _draw(setup: Setup[ObjectPlannerTrials], rows: list[dict[str, Any]]) -> None
 
 _CRITERIA = {"reach": "roll-outs", "K": "K", "impulse": "displacement and impulse", "moved_m": "displacement"}
 _OF_CRITERIA = {
-    "accuracy": "accuracy",
-    "log_score": "log score (a coin: -0.69)",
-    "calibration_error": "calibration error",
-    "auc": "ROC area",
+    "accuracy": "Share of right decisions",
+    "log_score": "Log score (a coin: -0.69)",
+    "calibration_error": "Calibration error",
+    "auc": "Area under the ROC curve",
 }
+
+
+def _shows(result: ExperimentResult) -> str:
+    wrong = [measured(result, n) for n in ("manipulable_called_immovable_all", "immovable_called_manipulable_all")]
+    right = {
+        name: percent(measured(result, f"accuracy{name}"))
+        for name in ("", "_3s", "_border", "_K_after_1s", "_moved_m_after_1s")
+    }
+    return (
+        f"The robot decides rightly in {right['']} of the cases after 1 s of contact and in {right['_3s']} after 3 s. "
+        f"Near the border {right['_border']} of the decisions after 1 s are right (chance: 50 %). After 1 s it takes "
+        f"{wrong[0]:.0f} movable objects for immovable and {wrong[1]:.0f} immovable ones for movable. The paper's "
+        f"criterion K, with a fitted threshold, decides rightly in {right['_K_after_1s']} after 1 s, displacement "
+        f"alone in {right['_moved_m_after_1s']}."
+    )
+
+
+_COLUMNS, _PARTS = ("as drawn", "near the border", "both"), ("{}", "{}_border", "{}_all")
 
 EXPERIMENT = Experiment(
     Section(
-        "Can it be moved? (IV-B, Algorithm 1, Fig. 5)",
-        "The navigator probes unseen objects, at least half of them immovable. An object is manipulable if a steady "
-        "push moves it 0.316 m along the push before it has turned by 30 deg. Objects near the border are so laden "
-        "that it moves them 0.2 to 0.5 m. The decision is the share of roll-outs over the posterior in which the "
-        "object comes as far. Other criteria are logistic regressions that are fitted to objects of training: on K, "
-        "on displacement and impulse, and on displacement. Seconds are of contact.",
-        ("as drawn", "near the border", "both"),
-        lines_of(
-            {
-                "accuracy": "accuracy after 1 s",
-                "accuracy_2s": "accuracy after 2 s",
-                "accuracy_3s": "accuracy after 3 s",
-                "accuracy_clear": "accuracy after 1 s, objects near the border left out",
-                "near_border": "objects near the border",
-                "manipulable_called_manipulable": "manipulable, called so",
-                "manipulable_called_immovable": "manipulable, called immovable",
-                "immovable_called_immovable": "immovable, called so",
-                "immovable_called_manipulable": "immovable, called manipulable",
-                "undecided": "not touched",
-                **{
-                    f"{measure}_{criterion}_after_1s": f"{name} after 1 s, {by}"
-                    for measure, name in _OF_CRITERIA.items()
-                    for criterion, by in _CRITERIA.items()
-                },
-            },
-            *("{}", "{}_border", "{}_all"),
+        "Decision whether an object can be moved",
+        "Can the robot tell within seconds of contact whether it can move an object? (Sec. IV-B, Algorithm 1, Fig. 5 "
+        "of the paper)",
+        (
+            Table(
+                _COLUMNS,
+                lines_of(
+                    {
+                        "accuracy": "Share of right decisions after 1 s of contact",
+                        "accuracy_2s": "Share of right decisions after 2 s of contact",
+                        "accuracy_3s": "Share of right decisions after 3 s of contact",
+                        "accuracy_K_after_1s": "Share of right decisions after 1 s, by K (paper, fitted threshold)",
+                        "accuracy_moved_m_after_1s": "Share of right decisions after 1 s, by displacement",
+                    },
+                    *_PARTS,
+                ),
+            ),
+            Table(
+                _COLUMNS,
+                lines_of(
+                    {
+                        "accuracy_clear": "Share of right decisions, objects near the border left out",
+                        "near_border": "Objects near the border",
+                        "manipulable_called_manipulable": "Movable objects judged movable",
+                        "manipulable_called_immovable": "Movable objects judged immovable",
+                        "immovable_called_immovable": "Immovable objects judged immovable",
+                        "immovable_called_manipulable": "Immovable objects judged movable",
+                        "undecided": "Objects that were not touched",
+                    },
+                    *_PARTS,
+                ),
+                "After 1 s of contact:",
+            ),
+            Table(
+                _COLUMNS,
+                lines_of(
+                    {
+                        f"{measure}_{criterion}_after_1s": f"{name}, {by}"
+                        for measure, name in _OF_CRITERIA.items()
+                        for criterion, by in _CRITERIA.items()
+                    },
+                    *_PARTS,
+                ),
+                "Criteria after 1 s of contact:",
+            ),
         ),
-        ("reliability.png", "confusion.png", "planned_goals.png"),
+        _shows,
+        {
+            "reliability.png": "Left: predicted and observed frequency of movable objects. Right: the same probability "
+            "beside K",
+            "confusion.png": "Decisions after 1 s of contact and the truth",
+            "planned_goals.png": "Planned goals for three objects, after the paper's Fig. 5",
+        },
         summary=(
             (
                 "Accuracy of the decision whether an object can be moved",

@@ -42,10 +42,10 @@ def _reliability(rows: list[dict[str, Any]]) -> Any:
         of = [r for r in rows if r["stratum"] == stratum]
         truth = np.array([r["manipulable"] for r in of], dtype=bool)
         draw_reliability(left, probability_by("reach", of), truth, colour=colour, label=name)
-    left.set_xlabel("probability of being manipulable, after 1 s of contact")
-    left.set_ylabel("share that is")
-    left.legend(fontsize=8, title="objects, and how many", title_fontsize=8)
-    for value, label, colour in ((False, "not manipulable", SERIES[5]), (True, "manipulable", SERIES[0])):
+    left.set_xlabel("predicted probability of being movable, 1 s of contact")
+    left.set_ylabel("observed share")
+    left.legend(fontsize=8, title="number of objects at the points", title_fontsize=8)
+    for value, label, colour in ((False, "immovable", SERIES[5]), (True, "movable", SERIES[0])):
         for stratum, marker in zip(STRATA, "ox", strict=True):
             of = [r for r in rows if r["manipulable"] == value and r["stratum"] == stratum]
             k = np.clip([r["K_first"] for r in of], LEAST_K, 1e2)
@@ -57,14 +57,14 @@ def _reliability(rows: list[dict[str, Any]]) -> Any:
     right.axhline(fitted, color="black", lw=1.0, ls=":", label=f"K = {fitted:.2g} m², fitted")
     right.axvline(0.5, color="black", lw=1.0)
     right.set_yscale("log")
-    right.set_xlabel("probability after 1 s of contact")
+    right.set_xlabel("predicted probability after 1 s of contact")
     right.set_ylabel("K after 1 s of contact [m²]")
     right.legend(fontsize=7)
     return figure
 
 
 def _confusion(rows: list[dict[str, Any]]) -> Any:
-    names = ("not manipulable", "manipulable")
+    names = ("immovable", "movable")
     figure = blank_figure(8.4, 3.6)
     for axes, (stratum, title) in zip(figure.subplots(1, len(STRATA)), STRATA.items(), strict=True):
         table = np.zeros((2, 2), dtype=int)
@@ -78,8 +78,8 @@ def _confusion(rows: list[dict[str, Any]]) -> Any:
         axes.set_title(title)
         axes.set_xticks((0, 1), names)
         axes.set_yticks((0, 1), names, rotation=90, va="center")
-        axes.set_xlabel("the robot's decision after 1 s of contact")
-        axes.set_ylabel("the plant's truth")
+        axes.set_xlabel("decision after 1 s of contact")
+        axes.set_ylabel("ground truth")
     return figure
 
 

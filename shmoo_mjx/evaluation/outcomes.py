@@ -1,11 +1,11 @@
-"""Experiment `outcomes`: are outcomes of pushes predicted?
+"""Experiment `outcomes`: how well are outcomes of pushes predicted?
 
-The pushing controller pushes an unseen object for 5 s of contact, with the robot's own senses, which gives a posterior
-of the object's dynamics. Then the same object is pushed on three faces by the law of `quasi_static`, in the real plant.
-`planning.reach` predicts these pushes from where they begin, with the posterior and with the prior of the object's
-kind. Compared are the object's pose after the same length of its path, whether it moves that far within the roll-out,
-and whether it comes that far along the push. Another robot makes each push once more: what the two robots differ by
-can't be predicted.
+The pushing controller pushes an unseen object for 5 s of contact with the robot's own sensors. This gives a posterior
+of the object's dynamics. Then the quasi-static law of `quasi_static` pushes the object on three faces in the plant.
+`planning.reach` predicts these pushes from their starts, with the posterior and with the prior of the object's family.
+The experiment compares the object's pose after the same path length, whether it moves that far within the roll-out, and
+whether it comes that far along the push. A second robot repeats each push. The difference between the robots cannot be
+predicted.
 """
 
 from __future__ import annotations
@@ -24,9 +24,18 @@ from shmoo_mjx.control import equilibrium_lean
 from shmoo_mjx.control.observation import ObjectObservation
 from shmoo_mjx.control.speed import SpeedProfile
 from shmoo_mjx.evaluation.experiment import Experiment, ExperimentConfig, Setup
-from shmoo_mjx.evaluation.outcomes_measures import covered, draw_figure, errors, measure, median_pose, outcomes_table
+from shmoo_mjx.evaluation.outcomes_measures import (
+    STRATA,
+    covered,
+    draw_figure,
+    errors,
+    measure,
+    median_pose,
+    outcomes_tables,
+)
 from shmoo_mjx.evaluation.pushing_trials import task_of
-from shmoo_mjx.evaluation.tables import Section
+from shmoo_mjx.evaluation.result import ExperimentResult
+from shmoo_mjx.evaluation.tables import Section, measured, number, percent
 from shmoo_mjx.evaluation.trials import controller_of
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.geometry.faces import faces_of, stand_off
@@ -40,15 +49,15 @@ from shmoo_mjx.sensing import SensedEngine, Senses, senses_named
 from shmoo_mjx.types import DT, Observation
 
 _UNFOLDING = 1.0
-"""Time that the arms take to extend [s]."""
+"""Duration of extending the arms [s]."""
 _TO_CONTACT = 8.0
-"""Time after which a push that has not felt its object is left out [s]."""
+"""Time without contact after which a push is left out [s]."""
 _LONGEST_LEARNING = 40.0
-"""Longest time until the controller has learned [s], its approach included."""
+"""Longest duration of learning including the approach [s]."""
 _SHOWN = 16
-"""Predicted ends that a row keeps for the figure."""
+"""Number of predicted ends in a row, for the figure."""
 _AT_LEAST = 0.25
-"""Share of samples that move as far, from which their poses there are compared with the true one."""
+"""Least share of samples that move as far for a comparison of poses."""
 
 
 @dataclass(frozen=True)
@@ -195,7 +204,8 @@ def _balanced(offsets: list[equilibrium_lean.LeanOffset], each: list[Observation
 
 @cache
 def _policy(speed: SpeedProfile) -> tuple[Any, Any]:
-    """The law as compiled functions of W worlds: (obs, task) -> state, (state, obs, task, ready) -> command, state."""
+    """The quasi-static law as compiled functions of W worlds: (obs, task) -> state, (state, obs, task, ready) ->
+    command, state."""
     policy, key = one_push.quasi_static_policy(speed), jax.random.key(0)
     begin = jax.vmap(lambda obs, task: one_push.init(policy, obs, task, key))
     step = jax.vmap(lambda state, obs, task, ready: one_push.step(policy, state, obs, task, key=key, ready=ready))
@@ -220,7 +230,7 @@ def end_after(
 
 
 def _true(push: _Push, track: np.ndarray, other: np.ndarray | None, distance: float) -> dict[str, Any]:
-    """What has happened, and by how much another robot's ends differ."""
+    """The true outcome, and the difference from the outcome with another robot."""
 
     def come(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray, dict[str, float]]:
         end = end_after(poses[1:], poses[0], distance)
@@ -246,8 +256,11 @@ def _true(push: _Push, track: np.ndarray, other: np.ndarray | None, distance: fl
 def _compared(
     row: dict[str, Any], poses: np.ndarray, push: _Push, start: np.ndarray, *, distance: float
 ) -> dict[str, Any]:
-    """Of a prediction: the probabilities to move and to come as far; how far the median end is off the true one where
-    the push moves the object that far; and the same of where every push stops, at that path or at the last sample."""
+    """Score a prediction: probabilities to move and to come as far, and errors of the median end.
+
+    Ends are compared at the given path length if the push moves the object that far. For all pushes they are also
+    compared at that path length or at the last sample.
+    """
     ends = end_after(poses, start, distance)
     moves = np.isfinite(ends[:, 0])
     along = probability_to_come(poses, start, push.face, distance=distance)
@@ -263,20 +276,26 @@ def _compared(
     return measures
 
 
+def _shows(result: ExperimentResult) -> str:
+    free, locked = (
+        (number(measured(result, f"position_m_{s}_posterior")), number(measured(result, f"yaw_deg_{s}_posterior")))
+        for s in STRATA
+    )
+    sure = percent(measured(result, "stop_covered_locked_posterior"))
+    return (
+        f"After 0.8 m of pushed path, half of the ends of free objects are predicted to {free[0]} m and {free[1]} deg, "
+        f"those of objects with a locked wheel to {locked[0]} m and {locked[1]} deg. The 80 % region of all pushes of "
+        f"objects with a locked wheel holds {sure} of the ends, where 80 % would be right."
+    )
+
+
 EXPERIMENT = Experiment(
     Section(
-        "Where pushes lead",
-        "The pushing controller pushes an unseen object for 5 s of contact, with the robot's own senses. Then the "
-        "object is pushed on three faces, towards goals up to 29 deg beside straight ahead, in the real plant. Samples "
-        "of the posterior predict each push from where it begins, over 12 s; so do samples of the prior of the "
-        "object's kind. Poses are compared after 0.8 m of the object's path, where the push and at least a quarter of "
-        "the samples move it that far, and, for all pushes, after 0.8 m of path or 12 s. The same push by another "
-        "robot shows how much is chance. The gate for chains of pushes, after 0.8 m: 0.10 m and 10 deg for free "
-        "objects, 0.25 m and 30 deg with one locked wheel, and 70 to 90 % of ends within the 80 % region. In brackets "
-        "are 95 % bootstrap intervals over objects. Condition seed 27 is a development seed: it was looked at while "
-        "predictions were improved.",
-        figures=("outcomes.png",),
-        table=outcomes_table,
+        "Prediction of where a push leads",
+        "After 5 s of contact, how well does the robot predict the outcome of another push of the same object?",
+        outcomes_tables(),
+        _shows,
+        {"outcomes.png": "Predicted and true ends of pushes; predicted and observed frequency of moving 0.8 m"},
     ),
     OutcomesConfig(),
     quick=OutcomesConfig(objects=5),

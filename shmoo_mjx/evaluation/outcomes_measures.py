@@ -1,45 +1,44 @@
-"""What is measured of predicted pushes: errors and coverage of their ends, probabilities, a table and a figure."""
+"""Metrics of predicted pushes (errors, coverage, probabilities), with tables and a figure."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from shmoo_mjx.arrays import Float
-from shmoo_mjx.evaluation.result import ExperimentResult
+from shmoo_mjx.evaluation.tables import Table, lines_of
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.report.style import SERIES, blank_figure, draw_reliability, save_figure
-from shmoo_mjx.report.tables import markdown_table
 
 STRATA = {"free": "all wheels free, and boxes", "locked": "one locked wheel"}
-"""Objects, by name."""
+"""Strata of objects: name to description."""
 PREDICTIONS = {"posterior": "posterior", "prior": "prior", "robots": "another robot"}
-"""What predicts: samples of the posterior, samples of the prior of the object's kind, and the same push by another
-robot, which tells how much of a push is chance."""
+"""Predictions: samples of the posterior, samples of the family's prior, and the same push by another robot, which shows
+how much of the outcome is chance."""
 SHARE = 0.8
-"""Share of the samples in the region that is compared with the true end."""
+"""Share of the samples in the region that is tested for coverage."""
 _LINES = {
-    "position_m": "after 0.8 m: error of the position, median [m]",
-    "yaw_deg": "after 0.8 m: error of the yaw, median [deg]",
-    "covered": f"after 0.8 m: true ends within the samples' {SHARE:.0%} region",
-    "compared": "after 0.8 m: pushes compared",
-    "stop_position_m": "after 0.8 m or 12 s: error of the position, median [m]",
-    "stop_yaw_deg": "after 0.8 m or 12 s: error of the yaw, median [deg]",
-    "stop_covered": f"after 0.8 m or 12 s: true ends within the samples' {SHARE:.0%} region",
-    "brier_moves": "moves 0.8 m: Brier score",
-    "right_moves": "moves 0.8 m: share right",
-    "brier_comes": "comes 0.8 m along the push: Brier score",
-    "right_comes": "comes 0.8 m along the push: share right",
-    "pushes": "pushes",
-    "moves": "pushes that move the object 0.8 m",
-    "comes": "pushes on which it comes 0.8 m along the push",
+    "position_m": "After 0.8 m: median position error [m]",
+    "yaw_deg": "After 0.8 m: median yaw error [deg]",
+    "covered": "After 0.8 m: share of ends in the 80 % region",
+    "compared": "After 0.8 m: pushes compared",
+    "stop_position_m": "After 0.8 m or 12 s: median position error [m]",
+    "stop_yaw_deg": "After 0.8 m or 12 s: median yaw error [deg]",
+    "stop_covered": "After 0.8 m or 12 s: share of ends in the 80 % region",
+    "brier_moves": "Whether it moves 0.8 m: Brier score",
+    "right_moves": "Whether it moves 0.8 m: share of right predictions",
+    "brier_comes": "Whether it comes 0.8 m along the push: Brier score",
+    "right_comes": "Whether it comes 0.8 m along the push: share of right predictions",
+    "pushes": "Pushes",
+    "moves": "Pushes that move the object 0.8 m",
+    "comes": "Pushes on which it comes 0.8 m along the push",
 }
 _OF_ENDS: dict[str, Callable[[Any], Any]] = {"position_m": np.median, "yaw_deg": np.median, "covered": np.mean}
-"""What is measured of ends, and the statistic of it."""
+"""Measures of ends and their statistics."""
 _RESAMPLES = 2000
 
 Rows = list[dict[str, Any]]
@@ -105,27 +104,19 @@ def _with_interval(key: str, rows: Rows, values: np.ndarray, statistic: Callable
     return {key: float(statistic(numbers)), f"{key}_low": float(low), f"{key}_high": float(high)}
 
 
-def outcomes_table(result: ExperimentResult) -> str:
-    """Every measure of every stratum, by what predicts."""
+def outcomes_tables() -> tuple[Table, Table]:
+    """The main measures, and all of them, by stratum and by what predicts."""
     columns = [(stratum, name) for stratum in STRATA for name in PREDICTIONS]
-    heads = ["", *(f"{'free' if stratum == 'free' else 'locked wheel'}, {PREDICTIONS[n]}" for stratum, n in columns)]
-    lines = [
-        [label, *(_cell(result, f"{key}_{stratum}_{name}") for stratum, name in columns)]
-        for key, label in _LINES.items()
-    ]
-    return markdown_table(heads, lines)
+    heads = tuple(f"{'free' if stratum == 'free' else 'locked wheel'}: {PREDICTIONS[n]}" for stratum, n in columns)
 
+    def table(names: Iterable[str]) -> Table:
+        return Table(heads, lines_of({n: _LINES[n] for n in names}, *(f"{{}}_{s}_{name}" for s, name in columns)))
 
-def _cell(result: ExperimentResult, key: str) -> str:
-    value, low, high = (result.metrics.get(f"{key}{end}") for end in ("", "_low", "_high"))
-    if value is None:
-        return ""
-    return f"{value:.2g} ({low:.2g} to {high:.2g})" if low is not None and high is not None else f"{value:g}"
+    return table(("position_m", "yaw_deg", "stop_covered", "right_moves", "pushes")), table(_LINES)
 
 
 def draw_figure(file: Path, rows: Rows, distance: float) -> None:
-    """Predicted and true ends of some pushes of each stratum, seen along the push; and how often what is said comes
-    true."""
+    """Draw predicted and true ends of some pushes per stratum along the push, and a reliability diagram."""
     figure = blank_figure(12.0, 4.6)
     *fans, reliability = figure.subplots(1, 3)
     for axes, (stratum, title) in zip(fans, STRATA.items(), strict=True):
@@ -158,7 +149,7 @@ def _draw_reliability(axes: Any, rows: Rows, distance: float) -> None:
     for name, colour, marker in (("posterior", SERIES[0], "o"), ("prior", SERIES[5], "s")):
         p, came = (np.array([r[key] for r in rows]) for key in (f"{name}_comes", "comes"))
         draw_reliability(axes, p, came, colour=colour, label=name, marker=marker)
-    axes.set_xlabel(f"probability to come {distance:g} m along the push")
-    axes.set_ylabel("share that comes")
-    axes.legend(fontsize=8, title="pushes, and how many", title_fontsize=8)
-    axes.set_title("what is said, and what happens", fontsize=11)
+    axes.set_xlabel(f"predicted probability to come {distance:g} m along the push")
+    axes.set_ylabel("observed share")
+    axes.legend(fontsize=8, title="number of pushes at the points", title_fontsize=8)
+    axes.set_title("predicted and observed frequency", fontsize=11)

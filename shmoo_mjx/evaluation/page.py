@@ -1,13 +1,11 @@
-"""One page for all experiments: each number beside the paper's, each table with the command that makes it anew.
+"""Pages of results: a summary with limits, and a section and a page for each experiment.
 
 python -m shmoo_mjx.evaluation.page FOLDER docs/results.md
 
-FOLDER holds new results (runs/experiments), or is docs/results, to write the page anew.
-
-Numbers, spreads, versions and commands come from the experiments' JSON, of which compressed copies are kept beside
-the page. The page shows the results of FOLDER and, for other experiments, the copies; the README gets the page's first
-table, and arena.md beside the page the table of policies. Sections of other titles are written by hand: they stay
-before or behind those of the experiments.
+FOLDER holds new results (runs/experiments), or is docs/results, which writes the same pages again. Compressed copies of
+the results are kept in the folder ``results`` beside the page, together with the page of each experiment. Everything on
+the pages comes from these copies. The README gets the summary, protocols.md the table of commands, and arena.md the
+table of policies.
 """
 
 from __future__ import annotations
@@ -17,65 +15,58 @@ import gzip
 import html
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 from shmoo_mjx.base.files import write_whole
+from shmoo_mjx.evaluation import navigation, pushing
+from shmoo_mjx.evaluation.ablations import cost_terms_table
 from shmoo_mjx.evaluation.navigation_tables import reference_table
 from shmoo_mjx.evaluation.registry import EXPERIMENTS, RELIABILITY, experiment_named
 from shmoo_mjx.evaluation.result import ExperimentResult, as_json, read_result, same_weights
-from shmoo_mjx.evaluation.tables import NotMeasured, Section
+from shmoo_mjx.evaluation.tables import NotMeasured, Section, effects, percent
 from shmoo_mjx.report.tables import markdown_table
 
 SUMMARY = ("navigation", "pushing", "object_planner", "object_model", "real_pushing")
-"""Experiments whose numbers the page and the README begin with, in this order."""
+"""Experiments with numbers in the summary, in this order."""
+
+ADAPTATION = (
+    ("pushing", "In pushing to a pose, it", "frozen_prior", pushing.EFFECTS),
+    ("navigation", "In navigation, it", "frozen", navigation.EFFECTS),
+)
+"""Experiments with a method that does not adapt: start of a sentence, method, and what is compared."""
+
+COST_TERMS = "cost_terms.json.gz"
+"""Result of pushing without parts of the controller, of which the page of the ablations has a table."""
+
+_LIMITS = """
+- Everything is simulated. Only *Recorded pushes of other robots* uses measured data, and psi plays no part in it.
+- One robot is simulated. Most experiments use a proxy robot of the same shape with other masses, friction, motors and
+  delays.
+- Maps are known. Objects carry tags, and the robot is told their sizes.
+- Pushing to a pose takes place on an open floor, and the robot is told where the object starts.
+- Wheelchairs and carts with a locked wheel turn when they are pushed and often jam in doorways.
+- Near the border of what the robot can move, its decisions are hardly better than chance. It tends to go around.
+- The paper's numbers come from its own simulator, objects and robot. Ratios compare better than absolute values.
+""".strip()
 
 _BLOCK = re.compile(r"(?<=<!-- results -->\n).*?(?=<!-- end -->)", re.DOTALL)
 
 
 @cache
 def sections() -> dict[str, Section]:
-    """How each experiment is shown, in the order of the page."""
-    return {name: experiment_named(name).section for name in EXPERIMENTS}
-
-
-def section_named(name: str) -> Section:
-    """How this experiment is shown, faults and soak included."""
-    return experiment_named(name).section
+    """The section of each experiment, in the order of the page. Experiments for developers come last."""
+    return {name: experiment_named(name).section for name in (*EXPERIMENTS, *RELIABILITY)}
 
 
 def read_results(folder: Path) -> dict[str, ExperimentResult]:
-    """The experiments' JSON files that are in a folder, compressed or not."""
-    files = {name: [folder / f"{name}.json", folder / f"{name}.json.gz"] for name in (*EXPERIMENTS, *RELIABILITY)}
+    """The experiments' JSON files in a folder, compressed or not."""
+    files = {name: [folder / f"{name}.json", folder / f"{name}.json.gz"] for name in sections()}
     existing = {name: [file for file in either if file.is_file()] for name, either in files.items()}
     return {name: read_result(either[0]) for name, either in existing.items() if either}
-
-
-def render(results: Mapping[str, ExperimentResult], figures: Mapping[str, list[str]], before: str = "") -> str:
-    """The page as Markdown; experiments that are missing are named as not run.
-
-    Args:
-        results: by name.
-        figures: for each, paths as the page is to name them.
-        before: the page as it was, whose sections stay where there is no result.
-    """
-    kept = {title: text.strip() for title, _, text in (part.partition("\n") for part in before.split("\n## ")[1:])}
-    shown = sections() | {name: section_named(name) for name in RELIABILITY if name in results}
-    titles, made = list(kept), {section.title for section in shown.values()}
-    first = next((i for i, title in enumerate(titles) if title in made), len(titles))
-    written = [(i < first, f"## {title}\n\n{kept[title]}") for i, title in enumerate(titles) if title not in made]
-    parts = ["# Results", _about(results), *([summary_table(results)] if summary(results) else [])]
-    parts += [text for is_before, text in written if is_before]
-    for name, section in shown.items():
-        if name in results:
-            parts.append(section_of(results[name], figures.get(name, [])))
-        else:
-            command = f"shmoo experiment {name} {section.arguments({})}".rstrip()
-            parts.append(f"## {section.title}\n\n{kept.get(section.title, f'Not run. `{command}` measures it.')}")
-    return "\n\n".join([*parts, *(text for is_before, text in written if not is_before)]) + "\n"
 
 
 class SummaryRow(NamedTuple):
@@ -84,10 +75,10 @@ class SummaryRow(NamedTuple):
     experiment: str
     label: str
     value: str
-    """With its unit, and its 95 % interval where there is one."""
+    """With its unit, and its 95 % interval if it has one."""
     trials: int
     paper: str
-    """The paper's number; "" where it has none."""
+    """The paper's value; "" if it has none."""
 
 
 def summary(results: Mapping[str, ExperimentResult]) -> list[SummaryRow]:
@@ -100,14 +91,61 @@ def summary(results: Mapping[str, ExperimentResult]) -> list[SummaryRow]:
     return rows
 
 
-def summary_table(results: Mapping[str, ExperimentResult], commands: bool = True) -> str:
-    """The numbers that the page begins with, as Markdown; without ``commands`` as the README shows them."""
+def summary_table(results: Mapping[str, ExperimentResult], links: bool = True) -> str:
+    """The summary as Markdown. With ``links`` each number leads to the section of its experiment."""
     rows = [
-        [row.label, row.value, f"{row.trials:,}", row.paper]
-        + ([f"`{_command(results[row.experiment])}`"] if commands else [])
+        [f"[{row.label}](#{_anchor(row.experiment)})" if links else row.label, row.value, f"{row.trials:,}", row.paper]
         for row in summary(results)
     ]
-    return markdown_table(["measure", "here", "n", "paper", *(["command"] if commands else [])], rows)
+    return markdown_table(["measure", "here", "n", "paper"], rows)
+
+
+def render(results: Mapping[str, ExperimentResult], figures: Mapping[str, list[str]], linked: bool = True) -> str:
+    """The results page as Markdown. Experiments without a result are named as not run.
+
+    Args:
+        results: by name.
+        figures: of each experiment, as the page names them.
+        linked: whether each section leads to the page of its experiment.
+    """
+    parts = ["# Results", _about(results)]
+    if summary(results):
+        parts.append(summary_table(results))
+    if effect := _adaptation(results):
+        parts.append(f"**What adaptation brings.** {effect}")
+    parts += ["## Limits", _LIMITS]
+    for name, section in sections().items():
+        if name in results:
+            parts.append(_short(results[name], figures.get(name, []), linked))
+        elif name in EXPERIMENTS:
+            command = f"shmoo experiment {name} {section.arguments({})}".rstrip()
+            parts.append(f"## {section.title}\n\n{section.question} Not run. `{command}` measures it.")
+    return "\n\n".join(parts) + "\n"
+
+
+def render_experiment(result: ExperimentResult, figures: list[str], linked: bool = True) -> str:
+    """The page of one experiment as Markdown: all tables and figures."""
+    section = sections()[result.experiment]
+    protocol = f" [Protocol](../protocols.md#{_anchor(result.experiment)})." if linked else ""
+    parts = [f"# {section.title}", f"{section.question}{protocol}", f"`{_command(result)}`", _weights(result)]
+    parts += [_shows(result), *(table(result) for table in section.tables)]
+    captions = {Path(file).stem: caption for file, caption in section.figures.items()}
+    for path in figures:
+        caption = next(text for stem, text in captions.items() if Path(path).stem.endswith(stem))
+        parts.append(f"![{caption}]({path})\n\n*{caption}*")
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def commands_table(results: Mapping[str, ExperimentResult]) -> str:
+    """The command of each experiment, and the versions, as Markdown."""
+    used: dict[str, set[str]] = {}
+    for result in results.values():
+        for name, version in result.versions.items():
+            used.setdefault(name, set()).add(version)
+    shown = [name for name in sections() if name in results]
+    rows = [[f"[{sections()[name].title}](#{_anchor(name)})", f"`{_command(results[name])}`"] for name in shown]
+    versions = ", ".join(f"{name} {' and '.join(sorted(v))}" for name, v in used.items())
+    return f"{markdown_table(['experiment', 'command'], rows)}\n\nVersions: {versions}."
 
 
 def with_block(text: str, block: str) -> str:
@@ -115,28 +153,20 @@ def with_block(text: str, block: str) -> str:
     return _BLOCK.sub(lambda _: f"{block}\n", text)
 
 
-def section_of(result: ExperimentResult, figures: Sequence[str]) -> str:
-    """The part of the page that shows one experiment."""
-    section = section_named(result.experiment)
-    parts = [f"## {section.title}", section.what, f"`{_command(result)}`"]
-    if not same_weights(result) and not section.without_psi:
-        parts.append("**Measured with other weights than those shipped now.**")
-    parts.append(section.body(result))
-    parts += [f"![{Path(path).stem.replace('_', ' ')}]({path})" for path in figures]
-    return "\n\n".join(parts)
-
-
 def write_page(results: Mapping[str, ExperimentResult], made_in: Path, page: Path, copies: Path | None = None) -> None:
-    """Write ``page`` as Markdown, with the figures in ``made_in``, and as HTML beside it if these stay where they are.
+    """Write ``page`` as Markdown with the figures in ``made_in``.
 
-    With ``copies``, a folder apart from the run, figures are copied there and results into ``results`` beside the page;
-    the page then shows all results that are kept there, the README one folder up gets its first table, and arena.md
-    beside the page the table of policies.
+    Without ``copies`` the page holds everything, and an HTML file with the figures inside is written beside it. With
+    ``copies``, a folder for figures, results are kept in ``results`` beside the page. The page then shows all kept
+    results. The pages of experiments are written too, as are the tables in protocols.md, arena.md, index.md,
+    paper.md and the README.
     """
     page.parent.mkdir(parents=True, exist_ok=True)
     if copies is None:
-        named = {name: _named(page, [made_in / name / f for f in _figures(name)]) for name in results}
-        text = render(results, named)
+        named = {name: _named(page, [made_in / name / f for f in sections()[name].figures]) for name in results}
+        shown = [name for name in sections() if name in results]
+        details = [f"## All tables: {render_experiment(results[n], named[n], linked=False)[2:]}" for n in shown]
+        text = "\n".join([render(results, named, linked=False), *details])
         write_whole(page, text.encode())
         write_whole(page.with_suffix(".html"), _as_html(text, page.parent).encode())
         return
@@ -144,66 +174,118 @@ def write_page(results: Mapping[str, ExperimentResult], made_in: Path, page: Pat
     kept_results = page.parent / "results"
     kept_results.mkdir(exist_ok=True)
     for name, result in results.items():
-        for figure, kept in zip(_figures(name), kept_figures(name, copies), strict=True):
+        for figure, kept in zip(sections()[name].figures, kept_figures(name, copies), strict=True):
             if (source := made_in / name / figure).is_file():
                 write_whole(kept, source.read_bytes())
         write_whole(kept_results / f"{name}.json.gz", gzip.compress(as_json(result), mtime=0))
     results = read_results(kept_results)
-    before = page.read_text() if page.is_file() else ""
     named = {name: _named(page, kept_figures(name, copies)) for name in results}
-    write_whole(page, render(results, named, before).encode())
-    blocks = {page.parent.parent / "README.md": summary_table(results, commands=False)}
+    write_whole(page, render(results, named).encode())
+    for name, result in results.items():
+        text = render_experiment(result, [f"../{figure}" for figure in named[name]])
+        if name == "ablations" and (terms := kept_results / COST_TERMS).is_file():
+            text += f"\n{cost_terms_table(read_result(terms))}\n"
+        write_whole(kept_results / f"{name}.md", text.encode())
+    blocks = {
+        page.parent.parent / "README.md": summary_table(results, links=False),
+        page.parent / "protocols.md": commands_table(results),
+    }
     if "navigation" in results and (table := reference_table(results["navigation"])):
         blocks[page.parent / "arena.md"] = f"`{_command(results['navigation'])}`\n\n{table}"
     for file, block in blocks.items():
         if file.is_file():
             write_whole(file, with_block(file.read_text(), block).encode())
+    for file in (page.with_name("index.md"), page.parent.parent / "paper.md"):
+        if file.is_file():
+            write_whole(file, _with_rows(file.read_text(), summary(results)).encode())
+
+
+def _with_rows(text: str, rows: list[SummaryRow]) -> str:
+    """The text with the current values in those lines of its tables that begin with a label of the summary.
+
+    Such a line has the columns measure, here and n, and may have the column paper.
+    """
+    values = {row.label: [row.label, row.value, f"{row.trials:,}", row.paper] for row in rows}
+
+    def current(line: str) -> str:
+        cells = values.get(line.removeprefix("| ").partition(" |")[0])
+        return line if cells is None else f"| {' | '.join(cells[: line.count('|') - 1])} |"
+
+    return "".join(f"{current(line)}\n" for line in text.splitlines())
 
 
 def kept_figures(name: str, copies: Path) -> list[Path]:
     """Where the copies of an experiment's figures are, or would be."""
-    return [copies / (f if Path(f).stem == name else f"{name}_{f}") for f in _figures(name)]
+    return [copies / (f if Path(f).stem == name else f"{name}_{f}") for f in sections()[name].figures]
 
 
-def _figures(name: str) -> tuple[str, ...]:
-    return section_named(name).figures
-
-
-def _named(page: Path, figures: Sequence[Path]) -> list[str]:
-    """The figures that are there, as the page names them."""
+def _named(page: Path, figures: list[Path]) -> list[str]:
+    """The existing figures, as the page names them."""
     return [f.resolve().relative_to(page.parent.resolve()).as_posix() for f in figures if f.is_file()]
 
 
 def _about(results: Mapping[str, ExperimentResult]) -> str:
     if not results:
         return "Nothing has been run."
-    used: dict[str, set[str]] = {}
-    for result in results.values():
-        for name, version in result.versions.items():
-            used.setdefault(name, set()).add(version)
-    quick = sorted(name for name, r in results.items() if r.config.get("quick"))
     lines = [
-        "All numbers come from simulation, except the section on recorded pushes. Objects and scenarios are drawn from "
-        "seeds that training does not use. Numbers in brackets are 95 % intervals: bootstrap intervals over trials for "
-        "differences, Wilson intervals for rates. Numbers after ± are standard deviations over seeds. The paper's "
-        "numbers come from its own simulator, objects and robot.",
-        "Versions: " + ", ".join(f"{name} {' and '.join(sorted(v))}" for name, v in used.items()) + ".",
+        "Measured in simulation on objects and scenarios that training has not seen, with simulated sensors. Brackets "
+        "are 95 % intervals, n counts trials, and psi is the learned object model. How each number is measured: "
+        "[protocols and seeds](protocols.md)."
     ]
+    quick = sorted(name for name, r in results.items() if r.config.get("quick"))
     if quick:
         lines.append(f"**Short form (--quick), for the shape of the page only:** {', '.join(quick)}.")
     return "\n\n".join(lines)
 
 
+def _adaptation(results: Mapping[str, ExperimentResult]) -> str:
+    """What learning in contact changes, in sentences."""
+    told = []
+    if "object_model" in results and (ratio := results["object_model"].metrics.get("ratio_after_before")) is not None:
+        told.append(f"Learning in contact lowers the squared error of predictions to {percent(ratio)}.")
+    for name, where, key, measures in ADAPTATION:
+        if name in results:
+            told.append(effects(results[name], where, f"difference_{key}_", measures))
+    return " ".join(sentence for sentence in told if sentence)
+
+
+def _short(result: ExperimentResult, figures: list[str], linked: bool) -> str:
+    """The section of one experiment: question, command, first table, first figure, one paragraph."""
+    section = sections()[result.experiment]
+    parts = [f"## {section.title}", f"{section.question} `{_command(result)}`", section.tables[0](result)]
+    parts += [f"![{caption}]({path})" for caption, path in zip(section.figures.values(), figures[:1], strict=False)]
+    more = f"[All tables](results/{result.experiment}.md)." if linked else ""
+    parts.append(" ".join(text for text in (_shows(result), _weights(result), more) if text))
+    return "\n\n".join(part for part in parts if part)
+
+
+def _shows(result: ExperimentResult) -> str:
+    try:
+        return sections()[result.experiment].shows(result)
+    except NotMeasured:
+        return ""
+
+
+def _weights(result: ExperimentResult) -> str:
+    if same_weights(result) or sections()[result.experiment].without_weights:
+        return ""
+    return "This experiment was measured with earlier weights than those that are shipped."
+
+
 def _command(result: ExperimentResult) -> str:
-    """The command line that makes a result anew."""
-    section, config = section_named(result.experiment), result.config
-    words = [section.command or f"shmoo experiment {result.experiment}", section.arguments(config)]
-    words += [f"--seed {result.seed}"]
-    if not section.command:
-        words += [f"--condition-seed {config.get('condition_seed', 0)}"]
-        words += ["--senses perfect"] if config.get("senses") == "perfect" else []
-        words += ["--quick"] if config.get("quick") else []
+    """The command line that makes a result again."""
+    section, config = sections()[result.experiment], result.config
+    words = [f"shmoo experiment {result.experiment}", section.arguments(config), f"--seed {result.seed}"]
+    if section.draws_conditions:
+        words.append(f"--condition-seed {config.get('condition_seed', 0)}")
+    words += ["--senses perfect"] if config.get("senses") == "perfect" else []
+    words += ["--quick"] if config.get("quick") else []
     return " ".join(word for word in words if word)
+
+
+def _anchor(name: str) -> str:
+    """The anchor of a heading, as GitHub and mkdocs make it."""
+    return re.sub(r"[^a-z0-9 -]", "", sections()[name].title.lower()).replace(" ", "-")
 
 
 def _as_html(text: str, folder: Path) -> str:
@@ -227,7 +309,7 @@ def _as_html(text: str, folder: Path) -> str:
 
 
 def main() -> None:
-    """Make the page anew from a folder of results."""
+    """Write the pages from a folder of results."""
     made_in, page = Path(sys.argv[1]), Path(sys.argv[2])
     write_page(read_results(made_in), made_in, page, page.parent / "figures")
 

@@ -1,4 +1,4 @@
-"""Ours beside other methods on the same trials: scores of each, and paired differences with bootstrap intervals."""
+"""Comparison of methods on the same trials: metrics of each, and paired differences with bootstrap intervals."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ Row = dict[str, Any]
 
 
 class PairedDifference(NamedTuple):
-    """Mean of (ours - theirs), with a 95 % interval."""
+    """Mean of ours minus theirs with a 95 % interval."""
 
     mean: float
     low: float
     high: float
     pairs: int
-    """Trials that count."""
+    """Number of trials that both have run."""
 
 
 def paired_difference(ours: Sequence[float], theirs: Sequence[float], resamples: int = 9999) -> PairedDifference | None:
-    """Mean of ours - theirs over the same trials, with its 95 % percentile bootstrap interval; None for fewer than two.
+    """Mean of ours minus theirs over the same trials with its 95 % percentile bootstrap interval.
 
-    Resamples of the trials are drawn with the same random numbers always.
+    None for fewer than two trials. The resampling has a fixed seed.
     """
     from scipy.stats import bootstrap
 
     differences = np.asarray(ours, dtype=float) - np.asarray(theirs, dtype=float)
     if differences.size < 2:
         return None
-    # The default interval (BCa) is not defined where all trials differ by the same, as successes often do.
+    # The default interval (BCa) is undefined if all differences are equal, which is common for successes.
     interval = bootstrap(
         (differences,), np.mean, n_resamples=resamples, method="percentile", rng=np.random.default_rng(0)
     ).confidence_interval
@@ -40,9 +40,9 @@ def paired_difference(ours: Sequence[float], theirs: Sequence[float], resamples:
 
 
 def difference_metrics(key: str, name: str, pairs: Sequence[tuple[Row, Row]]) -> dict[str, float]:
-    """`paired_difference` of the rows' field ``name`` as flat metrics; none for too few pairs.
+    """`paired_difference` of the rows' field ``name`` as metrics KEY, KEY_low, KEY_high and KEY_pairs.
 
-    They are called ``key``, ``key_low``, ``key_high`` and ``key_pairs``.
+    Empty for fewer than two pairs.
     """
     difference = paired_difference([ours[name] for ours, _ in pairs], [theirs[name] for _, theirs in pairs])
     if difference is None:
@@ -56,12 +56,12 @@ def metrics_by_method(
     scores: Callable[[list[Row]], dict[str, Any]],
     differences: Callable[[str, list[tuple[Row, Row]]], dict[str, Any]],
 ) -> dict[str, Any]:
-    """Ours by their names, the other methods' as ``baseline_METHOD_*``, and what ``differences`` says of each.
+    """Metrics of all methods: ours by name, those of others as ``baseline_METHOD_*``, and the differences.
 
     Args:
-        of: method -> trial -> row.
-        scores: metrics of one method's rows.
-        differences: metrics of (method, rows of ours and of it on the trials that both have run).
+        of: rows by method and trial.
+        scores: returns the metrics of one method's rows.
+        differences: returns metrics for a method and its pairs of rows (ours, its) on common trials.
     """
     metrics: dict[str, Any] = {}
     for method, mine in of.items():

@@ -1,7 +1,7 @@
-"""Is psi the same in every condition? A fresh network tries to tell the condition from one sample of psi (Eq. 6).
+"""Measures how well a fresh network can read the condition from one sample of psi (Eq. 6).
 
-The adversary's own loss in training says little: it may be weak. This probe is trained from nothing on a psi that does
-not change any more, as well as it can, and is tested on later rows than it was trained on.
+The adversary's loss in training is no such measure, because the adversary may be weak. The probe is trained on the
+final psi and tested on later rows.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from shmoo_mjx.learning.samples import Samples
 HIDDEN = (64, 64)
 BATCH = 1024
 TRAINING_SHARE = 0.6
-"""Share of each condition's rows, the first ones, that the probe is trained on."""
+"""Share of each condition's rows, from the start, that the probe is trained on."""
 
 
 def accuracy(values: Array, weights: Array, seed: int, updates: int = 1500) -> float:
-    """Share of later rows whose condition a fresh probe tells, mean over conditions; chance is 1 / C.
+    """Share of later rows whose condition a fresh probe identifies, mean over conditions. Chance is 1 / C.
 
     The probe is trained by Adam on batches of 1024 rows. It sees ``values [C, N, f]`` of each row; rows with 0 among
     ``weights [C, N]`` are left out.
@@ -48,8 +48,8 @@ def accuracy(values: Array, weights: Array, seed: int, updates: int = 1500) -> f
 def psi_of(fitted: ObjectFit, config: DaimlConfig, rows: Samples) -> Array:
     """psi ``[C, N, n]`` of every row, its distinct functions side by side.
 
-    The inputs of psi depend on the contact parameters found on a condition's first rows, which tells conditions apart
-    by itself.
+    The inputs of psi depend on the contact parameters estimated from a condition's first rows, which by itself
+    distinguishes conditions.
     """
     params = jax.tree.map(jnp.asarray, fitted.params)
     contacts = daiml.contacts_seen(config, fitted, rows)
@@ -59,7 +59,7 @@ def psi_of(fitted: ObjectFit, config: DaimlConfig, rows: Samples) -> Array:
 
 
 def raw_without_size(rows: Samples) -> Array:
-    """The inputs of psi without the size, which is the same in all rows of a condition and gives it away."""
+    """The inputs of psi without the size, which is constant in a condition and would identify it."""
     where = features.slices(features.OBJECT_INPUTS)["size"]
     return np.delete(np.asarray(rows.inputs), np.arange(where.start, where.stop), axis=-1)
 

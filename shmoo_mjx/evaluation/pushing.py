@@ -1,7 +1,7 @@
-"""Experiment ``pushing`` (Sec. VI-A, Fig. 7): objects pushed to three goals.
+"""Experiment ``pushing`` (Sec. VI-A, Fig. 7): objects are pushed to three goals.
 
-Three strata of trials, each with three families and three goals: movable objects, ten runs each; objects that ask for
-adaptation, seven runs each; and five runs with objects as they are drawn. Every method runs every trial.
+The trials form three strata with three families and three goals each: movable objects (ten runs), demanding objects
+(seven runs), and objects as drawn (five runs). Every method runs every trial.
 """
 
 from __future__ import annotations
@@ -21,14 +21,18 @@ from shmoo_mjx.evaluation.pushing_measures import PAPER, metrics_of, pushing_tab
 from shmoo_mjx.evaluation.pushing_trials import EVERYTHING, METHODS, OWN, STRATA, Runner, Trial, draw_trials
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult
 from shmoo_mjx.evaluation.tables import (
+    Effect,
     Line,
     Section,
     SummaryValue,
+    Table,
     difference,
+    effects,
     lines_of_methods,
     measured,
+    number,
     rate,
-    short,
+    shown_name,
 )
 from shmoo_mjx.plant.objects import FAMILIES
 from shmoo_mjx.sensing import senses_named
@@ -41,15 +45,15 @@ class PushingConfig(ExperimentConfig):
     runs: int = 10
     """Runs per family and goal, movable objects."""
     demanding_runs: int = 7
-    """Runs per family and goal, objects that ask for adaptation."""
+    """Runs per family and goal, demanding objects."""
     everything_runs: int = 5
-    """Runs per family and goal, objects as they are drawn: locked wheels and heavy ones included."""
+    """Runs per family and goal, objects as drawn, including heavy ones and locked wheels."""
     goals: tuple[int, ...] = (1, 2, 3)
     methods: tuple[str, ...] = METHODS
     time_limit: float = 120.0
     """Longest trial [s]."""
     videos: bool = True
-    """One film per family."""
+    """Whether to write one film per family."""
 
 
 def _prepare(options: ExperimentOptions, config: PushingConfig, folder: Path) -> Prepared:
@@ -71,21 +75,21 @@ def _drawn(setup: Setup[PushingConfig]) -> list[Trial]:
 
 
 def _trials(setup: Setup[PushingConfig]) -> dict[str, tuple[str, Trial]]:
-    # Ours first, then the method that differs least from it: the trials of a stopped experiment can be compared.
+    # Methods run one after another, ours first, so that the trials of a stopped experiment can be compared.
     drawn = _drawn(setup)
     return {_name(method, trial): (method, trial) for method in setup.config.methods for trial in drawn}
 
 
 @cache
 def _runner(weights: Path, time_limit: float, senses: str) -> Runner:
-    """A worker's own: compiling its controllers takes longer than a trial."""
+    """The runner of a worker process. It is kept because compiling its controllers takes longer than a trial."""
     from shmoo_mjx.learning.weights import load_weights
 
     return Runner(load_weights(weights), time_limit, senses_named(senses))
 
 
 def _trial(setup: Setup[PushingConfig], trial: tuple[str, Trial]) -> list[dict[str, Any]]:
-    """The row of one trial; its track is kept for the figures."""
+    """Run one trial and return its row. Its track is kept for the figures."""
     method, drawn = trial
     runner = _runner(setup.options.weights_file, setup.config.time_limit, setup.options.senses)
     row, track = runner.run(drawn, method)
@@ -98,7 +102,7 @@ def _name(method: str, trial: Trial) -> str:
 
 
 def _draw(setup: Setup[PushingConfig], rows: list[dict[str, Any]]) -> None:
-    """The figure, and a film of one trial of each family."""
+    """Write the figure, and a film of one trial per family."""
     draw_figure(setup.folder / "pushing.png", [r for r in rows if r["stratum"] != EVERYTHING], setup.store)
     drawn = [t for t in _drawn(setup) if t.goal == 2 and t.stratum == STRATA[0]] if setup.config.videos else []
     for first in {trial.family: trial for trial in reversed(drawn)}.values():
@@ -109,46 +113,71 @@ def _draw(setup: Setup[PushingConfig], rows: list[dict[str, Any]]) -> None:
 def _offset(result: ExperimentResult) -> SummaryValue:
     mean, median = (100 * measured(result, name) for name in ("offset_m", "offset_median_m"))
     goals = [result.paper[name] for name in sorted(result.paper) if name.startswith("offset_goal")]
-    paper = f"{short(100 * fmean(goals))} cm" if goals else ""
-    return f"{short(mean)} cm (median {short(median)} cm)", round(measured(result, "trials")), paper
+    paper = f"{number(100 * fmean(goals))} cm" if goals else ""
+    return f"{number(mean)} cm (median {number(median)} cm)", round(measured(result, "trials")), paper
+
+
+EFFECTS = (
+    Effect("the success rate", "success", "points", 100.0),
+    Effect("the mean distance from the goal", "offset_m", "cm", 100.0),
+    Effect("the yaw error", "yaw_error_deg", "deg"),
+    Effect("the time", "time_s", "s"),
+)
+"""What the page compares methods by."""
+
+
+def _shows(result: ExperimentResult) -> str:
+    subjects = {
+        "frozen_prior": "Compared with no adaptation, ours",
+        "paper": "Compared with the paper's system, ours",
+        "contact_model": "Compared with the contact model alone, ours",
+    }
+    told = (effects(result, subject, f"difference_{method}_", EFFECTS) for method, subject in subjects.items())
+    return " ".join(sentence for sentence in told if sentence)
+
+
+_COLUMNS = ("ours", *(shown_name(method) for method in METHODS[1:]))
+
+
+def _table(labels: dict[str, str], *further: Line) -> Table:
+    return Table(_COLUMNS, (*lines_of_methods(labels, *METHODS[1:]), *further))
 
 
 EXPERIMENT = Experiment(
     Section(
-        "Pushing to a pose (VI-A, Fig. 7)",
-        "The proxy robot pushes unseen objects to three goals. Two strata: movable objects, and demanding ones (load "
-        "far off the centre, 25 to 45 N of resistance, half or twice the friction, a brake from the start). "
-        "Both leave out objects with a locked wheel and objects that resist with more than 32 N (demanding: 43 N). "
-        "A third stratum leaves out nothing and has tables of its own. Every method runs every trial.",
-        ("ours", "frozen prior", "contact model", "quasi-static", "oracle coefficients", "paper's system"),
+        "Pushing to a pose",
+        "How precisely does the robot push unseen objects to three goals? (Sec. VI-A, Fig. 7 of the paper)",
         (
-            *lines_of_methods(
+            _table(
                 {
-                    **{f"offset_goal{i}_m": f"offset, goal {i} [m]" for i in (1, 2, 3)},
-                    **{f"radius_goal{i}_m": f"enclosing circle, goal {i} [m]" for i in (1, 2, 3)},
-                    "success_rate": "success",
-                    "success_rate_movable": "success, movable",
-                    "success_rate_demanding": "success, demanding",
-                    **{f"success_rate_{family}": f"success, {family}" for family in FAMILIES},
-                    "success_rate_change_brake": "success, a brake pressed on the way",
-                    "offset_m": "offset, mean [m]",
-                    "offset_movable_m": "offset, mean, movable [m]",
-                    "offset_demanding_m": "offset, mean, demanding [m]",
-                    "offset_median_m": "offset, median [m]",
-                    "yaw_error_deg": "yaw error [deg]",
-                    "falls": "falls",
-                    "toppled": "objects toppled",
-                    "worst_lean_rad": "worst lean [rad]",
-                    "time_s": "time [s]",
-                    "pushes": "pushes",
-                    "trials": "trials",
-                },
-                *("frozen_prior", "contact_model", "quasi_static", "oracle_coefficients", "paper"),
+                    "success_rate": "Success rate",
+                    **{f"offset_goal{i}_m": f"Mean distance from goal {i} [m]" for i in (1, 2, 3)},
+                    "offset_median_m": "Median distance from the goal [m]",
+                    "yaw_error_deg": "Mean yaw error [deg]",
+                    "time_s": "Mean time [s]",
+                    "trials": "Trials",
+                }
             ),
-            Line("way from the prior's offset to the oracle's", ("way_to_oracle", "", "", "", "", "")),
+            _table(
+                {
+                    "offset_m": "Mean distance from the goal [m]",
+                    **{f"offset_{stratum}_m": f"Mean distance, {stratum} objects [m]" for stratum in STRATA[:2]},
+                    **{f"success_rate_{stratum}": f"Success rate, {stratum} objects" for stratum in STRATA[:2]},
+                    **{f"success_rate_{family}": f"Success rate, {family}" for family in FAMILIES},
+                    "success_rate_change_brake": "Success rate, a brake pressed on the way",
+                    **{f"radius_goal{i}_m": f"Radius of the circle of all ends, goal {i} [m]" for i in (1, 2, 3)},
+                    "yaw_error_median_deg": "Median yaw error [deg]",
+                    "falls": "Falls",
+                    "toppled": "Objects toppled",
+                    "worst_lean_rad": "Largest lean [rad]",
+                    "pushes": "Mean number of pushes",
+                },
+                Line("Share of the way from no adaptation to known parameters", ("way_to_oracle", *[""] * 5)),
+            ),
+            pushing_tables,
         ),
-        ("pushing.png",),
-        further_tables=pushing_tables,
+        _shows,
+        {"pushing.png": "Paths of the objects under our controller, and where every object ended"},
         summary=(
             (
                 "Success rate of pushing movable objects to a pose",

@@ -1,4 +1,4 @@
-"""What is measured of pushing trials: scores by method, stratum and family, and paired differences between methods."""
+"""Metrics and tables of pushing trials: scores by method, stratum and family, and paired differences."""
 
 from __future__ import annotations
 
@@ -10,32 +10,41 @@ import numpy as np
 from shmoo_mjx.evaluation.paired import OURS, difference_metrics, metrics_by_method
 from shmoo_mjx.evaluation.pushing_trials import EVERYTHING, KINDS
 from shmoo_mjx.evaluation.result import ExperimentResult
-from shmoo_mjx.evaluation.tables import cell, differences_table, lines_of, shown_name
+from shmoo_mjx.evaluation.tables import cell, differences_table, lines_of, percent, shown_name
 from shmoo_mjx.plant.objects import FAMILIES
 from shmoo_mjx.report.tables import markdown_table
 
 PAPER = {"offset_goal1_m": 0.067, "offset_goal2_m": 0.124, "offset_goal3_m": 0.164}
-"""Sec. VI-A: mean final distance from the goal. The circles of Fig. 7 are printed as a picture only."""
+"""Sec. VI-A: mean final distance from the goal. The circles of Fig. 7 are given only in the figure."""
 COMPARED = {
-    "offset_m": ("final offset [m]", False),
-    "success": ("success", True),
-    "yaw_error_deg": ("yaw error [deg]", False),
-    "time_s": ("time [s]", False),
-    "pushes": ("pushes", False),
+    "offset_m": ("Distance from the goal [m]", False),
+    "success": ("Success rate", True),
+    "yaw_error_deg": ("Yaw error [deg]", False),
+    "time_s": ("Time [s]", False),
+    "pushes": ("Number of pushes", False),
 }
-"""What methods are compared by, trial by trial: label, and whether more of it is better."""
+"""Measures by which methods are compared: label, and whether a larger value is better."""
+
+_GROUP_LABELS = {
+    "movable": "movable objects",
+    "demanding": "demanding objects",
+    "change_none": "no change on the way",
+    "change_mass": "mass added on the way",
+    "change_brake": "brake pressed on the way",
+    **{f"kind_{kind}": label for kind, label in KINDS.items()},
+}
 
 _PREFIX = f"{EVERYTHING}_"
 _EVERYTHING = {
-    "success_rate": "success",
-    **{f"success_rate_{family}": f"success, {family}" for family in FAMILIES},
-    **{f"success_rate_kind_{kind}": f"success, {label}" for kind, label in KINDS.items()},
-    "offset_median_m": "offset, median [m]",
-    "yaw_error_median_deg": "yaw error, median [deg]",
-    "falls": "falls",
-    "toppled": "objects toppled",
-    "time_s": "time [s]",
-    "trials": "trials",
+    "success_rate": "Success rate",
+    **{f"success_rate_{family}": f"Success rate, {family}" for family in FAMILIES},
+    **{f"success_rate_kind_{kind}": f"Success rate, {label}" for kind, label in KINDS.items()},
+    "offset_median_m": "Median distance from the goal [m]",
+    "yaw_error_median_deg": "Median yaw error [deg]",
+    "falls": "Falls",
+    "toppled": "Objects toppled",
+    "time_s": "Mean time [s]",
+    "trials": "Trials",
 }
 """Lines of the table of the stratum "everything"."""
 
@@ -52,25 +61,25 @@ _SCORES: dict[str, tuple[str, Callable[[Any], Any]]] = {
     "time_s": ("time_s", np.mean),
     "pushes": ("pushes", np.mean),
 }
-"""Metrics over all rows: the field of a row, and the statistic of it."""
+"""Metrics over all rows: field of a row and statistic."""
 
 Rows = list[dict[str, Any]]
 
 
 def metrics_of(rows: Rows) -> dict[str, Any]:
-    """Flat metrics: ours by their names, the other methods as ``baseline_<name>_*``.
+    """Metrics of all methods: ours by name, those of others as ``baseline_METHOD_*``.
 
-    ``difference_<name>_<what>`` with ``_low``, ``_high`` and ``_pairs`` is the mean of ours - theirs over the trials
-    that both ran, with its 95 % interval; a group (stratum or family) stands in front of ``what``. ``way_to_oracle``
-    is how much of the frozen prior's offset that oracle coefficients save is saved by ours. The stratum "everything"
-    counts by itself: its metrics have the same names with ``everything_`` in front.
+    ``difference_METHOD_NAME`` with ``_low``, ``_high`` and ``_pairs`` is the mean of ours minus theirs over the trials
+    that both ran, with its 95 % interval. In front of NAME there may be a group, such as a stratum or a family.
+    ``way_to_oracle`` is the reduction of the mean offset by ours as a share of the reduction by oracle coefficients,
+    both compared with the frozen prior. Metrics of the stratum "everything" begin with ``everything_``.
     """
     chosen, all_drawn = _parts(rows)
     return _metrics(chosen) | {_PREFIX + name: value for name, value in _metrics(all_drawn).items()}
 
 
 def _parts(rows: Rows) -> tuple[Rows, Rows]:
-    """The rows of the strata that leave objects out, and those of the one that does not."""
+    """The rows of the strata that leave objects out, and of the stratum that does not."""
     return [r for r in rows if r["stratum"] != EVERYTHING], [r for r in rows if r["stratum"] == EVERYTHING]
 
 
@@ -84,7 +93,7 @@ def _values(rows: Rows, key: str) -> list[Any]:
 
 
 def _groups(rows: Rows) -> dict[str, tuple[str, Any]]:
-    """Name of each group that is looked at by itself, and the field and value that its rows have."""
+    """Name of each group to the field and value that its rows have."""
     named = {"stratum": "", "family": "", "change": "change_", "kind": "kind_"}
     return {prefix + value: (key, value) for key, prefix in named.items() for value in _values(rows, key)}
 
@@ -144,30 +153,30 @@ def enclosing_circle(points: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def pushing_tables(result: ExperimentResult) -> str:
-    """The tables below the first: differences between methods, and the stratum "everything" by itself."""
+    """Tables of the differences between methods, and of the stratum "everything"."""
     own = {name.removeprefix(_PREFIX): v for name, v in result.metrics.items() if name.startswith(_PREFIX)}
     chosen, all_drawn = _parts(result.rows)
     tables = [pushing_differences(result.model_copy(update={"rows": chosen}))]
     if all_drawn:
         everything = result.model_copy(update={"rows": all_drawn, "metrics": own})
-        tables += ["### Everything that is drawn", _about_everything(everything), pushing_differences(everything)]
+        tables += ["## Objects as drawn, none left out", _about_everything(everything), pushing_differences(everything)]
     return "\n\n".join(table for table in tables if table)
 
 
 def _about_everything(result: ExperimentResult) -> str:
-    """What the stratum "everything" holds, and the scores of each method."""
+    """The composition of the stratum "everything" and the scores of each method."""
     trials = result.metrics["trials"] or 0.0
     counts = {kind: result.metrics.get(f"trials_kind_{kind}") or 0.0 for kind in KINDS}
-    held = "; ".join(f"{counts[kind] / trials:.0%} {label}".replace("%", " %") for kind, label in KINDS.items())
+    held = "; ".join(f"{percent(counts[kind] / trials)} {label}" for kind, label in KINDS.items())
     methods = _values(result.rows, "method")
     lines = lines_of(_EVERYTHING, *("{}" if method == OURS else f"baseline_{method}_{{}}" for method in methods))
     rows = [[line.label, *(cell(result.metrics, name, infinite="") for name in line.metrics)] for line in lines]
     table = markdown_table(["", *map(shown_name, methods)], rows)
-    return f"Objects as they are drawn; none is left out, and none changes on the way. Trials: {held}.\n\n{table}"
+    return f"Trials: {held}.\n\n{table}"
 
 
 def pushing_differences(result: ExperimentResult) -> str:
-    """Ours minus each other method: every measure over all trials, and offset and success by group."""
+    """Table of ours minus each other method: every measure over all trials, offset and success by group."""
     others = [m for m in result.config.get("methods", []) if f"difference_{m}_offset_m" in result.metrics]
     if not others:
         return ""
@@ -177,5 +186,5 @@ def pushing_differences(result: ExperimentResult) -> str:
             continue
         for name in ("offset_m", "success"):
             label, better = COMPARED[name]
-            lines.append((f"{label}, {group.replace('_', ' ')}", f"{group}_{name}", better))
+            lines.append((f"{label}, {_GROUP_LABELS.get(group, group)}", f"{group}_{name}", better))
     return differences_table(result.metrics, others, lines)

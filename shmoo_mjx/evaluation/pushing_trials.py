@@ -1,7 +1,7 @@
-"""The trials of the pushing experiment: drawn from seeds, run one by one on a robot with real or perfect senses.
+"""Draws and runs the trials of the pushing experiment.
 
-A trial is an object nobody has looked at, a goal, a start pose of object and robot, another body of the robot,
-and what changes half-way: extra mass, a brake pressed on one wheel, or nothing.
+A trial has an unseen object, a goal, start poses of object and robot, a robot with its own parameters, and a change on
+the way: extra mass, a brake pressed on one wheel, or none.
 """
 
 from __future__ import annotations
@@ -30,51 +30,50 @@ from shmoo_mjx.plant.scene import Scene, build_scene
 from shmoo_mjx.sensing import REAL, SensedEngine, Senses
 
 METHODS = ("ours", "frozen_prior", "contact_model", "oracle_coefficients", "quasi_static", PAPER)
-"""Ours: MPPI while the object's contact parameters are estimated. The others run the same trials: without learning,
-with the contact model alone and no psi, with the posterior of a whole recording of this object, without a learned
-model, and the paper's system (`shmoo_mjx.behavior.methods`)."""
+"""Ours is MPPI with online estimation of the contact parameters. The others do not adapt, use the contact model without
+psi, use the posterior of a long recording of the same object, use no learned model, and are the paper's system
+(`shmoo_mjx.behavior.methods`)."""
 
 OWN = "pushing controller"
-"""What a method of the user's own is called in errors."""
+"""Name of a user's own method in error messages."""
 
 EVERYTHING = "everything"
 STRATA = ("movable", "demanding", EVERYTHING)
-"""Drawn objects that are movable: no wheel is locked, and they resist with at most 32 N. Objects at the edge of
-training or beyond, which ask for adaptation and all change on the way. And objects as they are drawn: none is left out,
-and none changes."""
+"""Movable objects have no locked wheel and at most 32 N of resistance. Demanding objects are at the edge of the
+training distribution or beyond, and all change on the way. The last stratum has objects as drawn: none is left out, and
+none changes."""
 
 GOALS = ((1.2, 0.0), (1.3, 0.28), (1.7, -0.42))
-"""Positions of the three goals in {W} [m]; an object starts near the origin, its x axis about along x of {W}. Straight
-ahead, to the left, and farther to the right. The paper shows its goals in a picture only and calls them dynamically
-feasible; the yaw of a goal is therefore that at the end of the arc which starts along x: twice the bearing (24 and
--28 deg), on arcs that steering gives light and heavy objects alike (0.32 and 0.27 per metre)."""
+"""Positions of the three goals in {W} [m]; an object starts near the origin, its x axis about along x of {W}. They
+lie straight ahead, to the left, and farther to the right. The paper shows its goals only in a figure and calls them
+dynamically feasible. The yaw of a goal is therefore the yaw at the end of the arc that starts along x, which is twice
+the bearing (24 and -28 deg). Light and heavy objects can follow these arcs (curvature 0.32 and 0.27 per metre)."""
 
 _MOST = {"movable": 40.0, "demanding": 45.0}
-"""Resistance up to which an object counts as movable, before and after the change [N]: about half of what the robot can
-push with at its lean limit."""
+"""Largest resistance before and after the change [N]: about half of the force at the robot's lean limit."""
 STRONGEST = 75.0
-"""Resistance from which no push moves an object straight on [N]: a steady push at the lean limit
-(`manipulable.steady_push`) moves boxes of 70 N and not those of 80 N."""
+"""Resistance above which no push moves an object straight on [N]. A steady push at the lean limit
+(`manipulable.steady_push`) moves boxes of 70 N but not of 80 N."""
 KINDS = {
-    "movable": "movable: no locked wheel, up to 32 N",
-    "locked": "with a locked wheel",
-    "heavy": "of 32 to 75 N",
-    "immovable": "of more than 75 N: no push moves them straight on",
+    "movable": "movable objects (no locked wheel, up to 32 N)",
+    "locked": "objects with a locked wheel",
+    "heavy": "objects of 32 to 75 N",
+    "immovable": "objects of more than 75 N, which no push moves straight on",
 }
-"""Kinds of objects in the stratum "everything", by name."""
+"""Kinds of objects in the stratum "everything": name to label."""
 _LEAST_HEAVY = 25.0
-"""Resistance from which a demanding object counts as heavy [N]."""
+"""Least resistance of heavy demanding objects [N]."""
 _DEMANDS = {
     "box": ("off_centre", "heavy", "floor"),
     "cart": ("off_centre", "heavy", "floor", "brake"),
     "wheelchair": ("off_centre", "floor", "brake"),
 }
-"""What is demanding about an object; runs take turns."""
+"""Demands by family. Successive runs take successive demands."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One trial, for every method the same."""
+    """One trial. It is the same for every method."""
 
     family: str
     goal: int
@@ -86,19 +85,19 @@ class Trial:
     change: str
     """none, mass or brake."""
     change_at: float
-    """Share of the way to the goal after which it changes [1]."""
+    """Share of the distance to the goal after which the object changes [1]."""
     object_pose: tuple[float, float, float]
     robot_pose: tuple[float, float, float]
     seed: int
-    """Of the robot's body, its senses and the controller."""
+    """Seed of the robot's parameters, its sensors and the controller."""
     stratum: str = STRATA[0]
     """One of STRATA."""
     demand: str = ""
-    """What is demanding about the object: off_centre, heavy, floor or brake."""
+    """Demand of a demanding object: off_centre, heavy, floor or brake."""
 
     @property
     def name(self) -> str:
-        """Short, unique in an experiment."""
+        """Short name, unique in an experiment."""
         prefix = "" if self.stratum == STRATA[0] else f"{self.stratum}-"
         return f"{prefix}{self.family}-goal{self.goal}-{self.run:02d}"
 
@@ -110,7 +109,7 @@ class Trial:
 
 
 def kind_by_resistance(condition: Condition) -> str:
-    """Whether a push can move an object, one of KINDS."""
+    """The kind of an object, one of KINDS."""
     if condition.resistance > STRONGEST:
         return "immovable"
     if any(condition.locked):
@@ -119,14 +118,14 @@ def kind_by_resistance(condition: Condition) -> str:
 
 
 def _movable(family: str, first_seed: int, count: int) -> list[tuple[Condition, str]]:
-    """The first ``count`` objects from ``first_seed`` on that can be pushed and have no brake on yet."""
+    """The first ``count`` movable objects without a brake, from ``first_seed`` on."""
     drawn = (draw_condition(family, seed) for seed in range(first_seed, first_seed + 1000))
     good = ((c, "") for c in drawn if kind_by_resistance(c) == "movable")
     return list(islice(good, count))
 
 
 def _demanding(family: str, first_seed: int, count: int) -> list[tuple[Condition, str]]:
-    """``count`` objects that ask for adaptation, with what each of them asks; what can't be made so is drawn again."""
+    """``count`` demanding objects with their demands. Objects that cannot meet their demand are drawn again."""
     objects: list[tuple[Condition, str]] = []
     # Other objects than those of `_movable`, of the same 1,000 seeds.
     for seed in range(first_seed + 400, first_seed + 1000):
@@ -144,7 +143,7 @@ def _demanding(family: str, first_seed: int, count: int) -> list[tuple[Condition
 
 
 def _everything(family: str, first_seed: int, count: int) -> list[tuple[Condition, str]]:
-    """``count`` objects as they are drawn; other objects than those of `_movable` and `_demanding`."""
+    """``count`` objects as drawn, with other seeds than those of `_movable` and `_demanding`."""
     return [(draw_condition(family, first_seed + 200 + i), "") for i in range(count)]
 
 
@@ -152,10 +151,10 @@ _OBJECTS = dict(zip(STRATA, (_movable, _demanding, _everything), strict=True))
 
 
 def _demand(rng: np.random.Generator, condition: Condition, demand: str) -> Condition:
-    """The object with its load far off the centre, with 25 to 40 N of resistance, on another floor, or with a brake."""
+    """The object with one demand: its load far off the centre, more resistance, another floor, or a brake."""
     length, width, _ = condition.size
     if demand == "off_centre":
-        # A wheelchair's load stays ahead of its rear axle, or it would tip.
+        # A wheelchair tips if its load is behind the rear axle.
         x = rng.uniform(0.25, 0.35) * length * (1 if condition.family == "wheelchair" else rng.choice([-1, 1]))
         y = rng.uniform(0.25, 0.35) * width * rng.choice([-1, 1])
         load = max(condition.payload, 0.7 * condition.mass)
@@ -167,7 +166,7 @@ def _demand(rng: np.random.Generator, condition: Condition, demand: str) -> Cond
             return replace(condition, payload=round(max(float(total) - condition.mass, 0.0), 3))
         return condition
     if demand == "floor":
-        # The laws of training, 0.25 to 0.65 for soles and 0.008 to 0.05 for wheels, halved or doubled.
+        # Training draws friction from 0.25 to 0.65 for soles, 0.008 to 0.05 for wheels. It is halved or doubled here.
         factor = float(rng.choice([0.5, 2.0]))
         rolling = tuple(round(factor * r, 5) for r in condition.rolling)
         return replace(condition, friction=round(factor * condition.friction, 4), rolling=rolling)
@@ -175,14 +174,14 @@ def _demand(rng: np.random.Generator, condition: Condition, demand: str) -> Cond
 
 
 def _changed(rng: np.random.Generator, condition: Condition, kind: str, most: float) -> Condition:
-    """The object with more on it, or with a brake pressed on one wheel; it resists with at most ``most`` [N]."""
+    """The object with extra mass or with a brake on one wheel, with at most ``most`` [N] of resistance."""
     room = most - condition.resistance
     if kind == "mass":
         per_kilogram = condition.resistance / condition.total_mass
         extra = min(float(rng.uniform(0.2, 0.5)) * condition.total_mass, 15.0, room / per_kilogram)
         return replace(condition, payload=round(condition.payload + extra, 3))
     if kind == "brake":
-        # A braked wheel that slides resists with mu; a brake pressed less hard lets it turn against that much.
+        # A sliding wheel resists with mu times its load. A weaker brake lets the wheel turn against its drag.
         load = condition.total_mass * GRAVITY / 4
         wheel = int(rng.integers(4 if condition.family == "cart" else 2))
         rolling = list(condition.rolling)
@@ -195,7 +194,7 @@ def _changed(rng: np.random.Generator, condition: Condition, kind: str, most: fl
 def draw_trials(
     first_unseen: int, seed: int, runs: int, *, goals: tuple[int, ...] = (1, 2, 3), stratum: str = STRATA[0]
 ) -> list[Trial]:
-    """All trials of a stratum: three families x goals x runs. Run r of a family is the same object for each goal."""
+    """All trials of a stratum: families x goals x runs. Run r of a family has the same object for each goal."""
     trials = []
     stream = [at] if (at := STRATA.index(stratum)) else []
     for number, family in enumerate(FAMILIES):
@@ -219,14 +218,14 @@ def draw_trials(
 
 
 def scene_of_trial(trial: Trial, condition: Condition, senses: Senses) -> Scene:
-    """The trial's world with the body of the trial's robot."""
+    """The scene of a trial with the parameters of the trial's robot."""
     return build_scene([(condition, trial.object_pose)], trial.robot_pose, adjust=senses.adjust(trial.seed))
 
 
 def task_of(
     condition: Condition, goal: Array, pusher: Pusher, *, seed: int, adapt: LearnerState | None = None
 ) -> PushTask:
-    """The task to bring an object near the origin of an open floor to the pose ``goal [3]``."""
+    """The task of pushing an object near the origin of an open floor to the pose ``goal [3]``."""
     grid = OccupancyGrid(np.zeros((240, 240), np.int8), 0.05, (-6.0, -6.0, 0.0))
     kinds = [kind_of(condition)]
     return PushTask(grid, [condition.half_extents], goal, pusher, seed=seed, adapt=adapt, kinds=kinds)
@@ -251,7 +250,7 @@ def _pusher(method: str, weights: Weights, config: PushConfig) -> Pusher:
 
 
 def oracle_coefficients(weights: Weights, condition: Condition, seed: int) -> LearnerState:
-    """a* of Eq. 5 from recorded pushes of this very object, with senses that don't err; it stays as it is."""
+    """a* of Eq. 5 from recorded pushes of the same object with perfect sensing. It does not change afterwards."""
     import jax.numpy as jnp
 
     from shmoo_mjx.data.collect import CollectConfig, record
@@ -266,7 +265,7 @@ def oracle_coefficients(weights: Weights, condition: Condition, seed: int) -> Le
 
 
 class Runner:
-    """Runs trials of every method in one process; each method's controller is compiled once."""
+    """Runs trials of all methods in one process and compiles the controller of each method once."""
 
     def __init__(
         self, weights: Weights, time_limit: float, senses: Senses = REAL, config: PushConfig | None = None
@@ -276,11 +275,11 @@ class Runner:
         self._pushers: dict[str, Pusher] = {}
 
     def run(self, trial: Trial, method: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-        """The trial's row and its track: t, object_pose, robot_pose (all true), phase, qpos, lean."""
+        """The row of a trial, and its track: t, object_pose, robot_pose (true poses), phase, qpos, lean."""
         if method not in self._pushers:
             self._pushers[method] = _pusher(method, self.weights, self.config)
         scene = scene_of_trial(trial, trial.condition, self.senses)
-        # It is told where the object stands, as it is told the goal: to find the object is not part of the task.
+        # The robot is told the pose of the object, because finding it is not part of the task.
         engine = SensedEngine([scene], self.senses, trial.seed, poses_known=True)
         adapt, adapt_after = None, None
         if method == "oracle_coefficients":
@@ -309,7 +308,7 @@ class Runner:
                 command = tick() if method in METHODS else custom.call(OWN, method, tick)
                 after = engine.step(world, command)
                 lost = bool(engine.diverged(after[0])[0])
-                if not lost:  # or the last whole state remains
+                if not lost:  # a diverged state is dropped
                     world, obs = after
                     true, fell = engine.true_observation(world), bool(engine.fallen(world)[0])
                 poses = float(np.asarray(true.time)[0]), true.object_pose[0, 0], true.robot_pose[0], str(task.mode)
@@ -362,7 +361,7 @@ def _row(
 
 
 def _arm_margin(scene: Scene, qpos: np.ndarray) -> float:
-    """How near ``qpos [T, nq]`` brings any joint of the arms to its limits [rad]."""
+    """Least distance of the arms' joints to their limits over ``qpos [T, nq]`` [rad]."""
     names = [
         f"robot/{side}_{part}" for side in ("left", "right") for part in ("shoulder_yaw", "shoulder_pitch", "elbow")
     ]

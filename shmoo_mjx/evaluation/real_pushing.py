@@ -1,8 +1,8 @@
-"""Experiment real_pushing: a quasi-static model identified from real pushes that other people's robots recorded.
+"""Experiment real_pushing: a quasi-static model identified from recorded pushes of other robots.
 
-A condition (a shape-surface pair, or a support) is left out. The outline and the model's parameters are fitted on 20 %
-of its pushes, drawn at random, with what the other conditions say as prior; the other pushes are predicted. Published
-models are scored on exactly those rows.
+One condition (a pair of shape and surface, or a support) is left out. The outline and the model's parameters are fitted
+to a random 20 % of its pushes, with a prior from the other conditions. The other pushes are predicted. Published models
+are scored on the same pushes.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import push_outline, push_physics
 from shmoo_mjx.evaluation.experiment import Experiment, ExperimentConfig, Prepared, Setup
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult
-from shmoo_mjx.evaluation.tables import Line, Section, SummaryValue, measured
+from shmoo_mjx.evaluation.tables import Line, Section, SummaryValue, Table, measured, number
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.report.style import SERIES, blank_figure, save_figure
 
@@ -31,7 +31,8 @@ PREFIXES = {
     ("mit_push", "shape_out"): "shape_out_",
     ("mlab_triangle", "pair_out"): "mlab_",
 }
-"""Of the metrics, by data set and protocol. Pair out: other recordings of the same shape are known; shape out: none."""
+"""Prefix of the metrics by data set and protocol. With pair_out, other recordings of the shape are known; with
+shape_out, none are."""
 _NAMES = {"ours": "", "poly4": "published_", "quadratic": "published_quadratic_"}
 
 _BARS = (
@@ -40,21 +41,21 @@ _BARS = (
     ("pair_out", "poly4", "published 4th-order polynomial", SERIES[1]),
     ("pair_out", "quadratic", "published quadratic", SERIES[7]),
 )
-"""Of the figure: protocol, predictor, label and colour."""
+"""Bars of the figure: protocol, predictor, label and colour."""
 
 
 @dataclass(frozen=True)
 class RealPushing(ExperimentConfig):
-    """What is tried."""
+    """Size of the experiment."""
 
     seeds: int = 3
-    """Each draws the pushes to fit on anew."""
+    """Number of seeds. Each draws other pushes for fitting."""
     share: float = 0.2
-    """Of a condition's pushes that are fitted on, as the published models were."""
+    """Share of a condition's pushes that are used for fitting, as for the published models."""
 
 
 def measure(rows: list[dict[str, Any]]) -> dict[str, float]:
-    """Mean over the conditions of the mean error; then mean and standard deviation over the seeds."""
+    """Mean error over conditions, with mean and standard deviation over seeds."""
     metrics: dict[str, float] = {}
     for trial, prefix in PREFIXES.items():
         own = [row for row in rows if row["trial"] == "-".join(trial)]
@@ -95,9 +96,9 @@ def linear(condition: RealPushCondition, chosen: Array) -> np.ndarray:
 
 
 def credible(condition: RealPushCondition) -> np.ndarray:
-    """``[N]`` False where the point touched moved much farther than the pusher: the object's pose was lost.
+    """False ``[N]`` where the touched point moved much farther than the pusher, because the object's pose was lost.
 
-    It needs the outcome, so it may pick what is fitted on, never what is scored.
+    This uses the outcome, so it may select pushes for fitting but not for scoring.
     """
     carried = np.linalg.norm(se2.transform_point(condition.motion, condition.start) - condition.start, axis=1)
     return np.asarray(carried < 1.3 * np.linalg.norm(condition.end - condition.start, axis=1))
@@ -148,7 +149,7 @@ def _trials(setup: Setup[RealPushing]) -> dict[str, tuple[str, str, int]]:
 
 
 def _trial(setup: Setup[RealPushing], trial: tuple[str, str, int]) -> list[dict[str, Any]]:
-    """Every condition left out once: one row each."""
+    """One row per condition that is left out."""
     data_set, protocol, seed = trial
     directory, condition_seed = setup.options.data, setup.options.condition_seed
     assert directory is not None
@@ -184,21 +185,21 @@ def _trial(setup: Setup[RealPushing], trial: tuple[str, str, int]) -> list[dict[
 
 @cache
 def _parameters(directory: Path, data_set: str) -> dict[str, np.ndarray]:
-    """Of each condition, from all of its own pushes and no other's."""
+    """Parameters of each condition, fitted to all of its own pushes alone."""
     data = real_pushes.load(directory)[data_set]
     return {n: fit(c, np.arange(len(c.start)))[1] for n, c in data.items()}
 
 
 def _prior(parameters: list[Array]) -> tuple[np.ndarray, np.ndarray]:
-    """What the other conditions' parameters say about the next one's."""
+    """Mean and standard deviation of the other conditions' parameters."""
     others = np.stack(parameters)
-    # A few conditions show less than the true spread.
+    # The spread over few conditions underestimates the true spread.
     spread = np.sqrt(others.var(axis=0, ddof=1) + (0.2 * push_physics.SPREAD) ** 2)
     return others.mean(axis=0), spread
 
 
 def _draw(setup: Setup[RealPushing], rows: list[dict[str, Any]]) -> None:
-    """Bars of the mean error by condition, with the range over the seeds."""
+    """Draw the mean error by condition, with the range over seeds."""
     conditions = list(dict.fromkeys(row["condition"] for row in rows))
     figure = blank_figure(10.0, 6.0)
     panels = figure.subplots(2, 1, sharex=True)
@@ -220,7 +221,8 @@ def _draw(setup: Setup[RealPushing], rows: list[dict[str, Any]]) -> None:
             )
         axes.set_ylabel(label)
     panels[1].set_xticks(range(len(conditions)), conditions, rotation=45, ha="right", fontsize=8)
-    panels[0].legend(fontsize=8, ncols=2)
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=4, fontsize=8, frameon=False)
     save_figure(setup.folder / "real_pushing.png", figure)
 
 
@@ -230,24 +232,47 @@ def _summary(result: ExperimentResult) -> SummaryValue:
     return f"{ours:.1f} mm (published model of the same data: {published:.1f} mm)", sum(pushes), ""
 
 
-_PLACES = {"": "pair left out", "shape_out_": "shape left out", "mlab_": "triangle's support left out"}
+_PLACES = {
+    "": "other recordings of the shape known",
+    "shape_out_": "unseen shape",
+    "mlab_": "triangle, unseen support",
+}
+
+
+def _lines(prefixes: Sequence[str]) -> tuple[Line, ...]:
+    return tuple(
+        Line(
+            f"{name} error [{unit}], {_PLACES[prefix]}",
+            tuple(f"{prefix}{model}{error}" for model in (*_NAMES.values(), "linear_", "no_motion_")),
+        )
+        for prefix in prefixes
+        for error, name, unit in (("pos_error_mm", "Position", "mm"), ("angle_error_deg", "Angle", "deg"))
+    )
+
+
+_COLUMNS = ("ours", "4th-order, published", "quadratic, published", "linear", "no motion")
+
+
+def _shows(result: ExperimentResult) -> str:
+    known, ours, published = (
+        number(measured(result, f"{name}pos_error_mm")) for name in ("", "shape_out_", "shape_out_published_")
+    )
+    return (
+        f"The model misses the position by {known} mm if it has other recordings of the same shape, because it then "
+        f"knows the outline. For an unseen shape it has to estimate the outline from touches and misses by {ours} mm. "
+        f"The published model of the same data, which was given the outline, misses by {published} mm."
+    )
+
 
 EXPERIMENT = Experiment(
     Section(
-        "Real pushes (other people's data)",
-        "Mean error of the final pose. Ours is a quasi-static model without psi; published models of the same data.",
-        ("ours", "4th-order, published", "quadratic, published", "linear", "no motion"),
-        tuple(
-            Line(
-                f"{place}, {unit}",
-                tuple(f"{prefix}{model}{error}" for model in (*_NAMES.values(), "linear_", "no_motion_")),
-            )
-            for prefix, place in _PLACES.items()
-            for error, unit in (("pos_error_mm", "mm"), ("angle_error_deg", "deg"))
-        ),
-        ("real_pushing.png",),
+        "Recorded pushes of other robots",
+        "Does the contact physics behind the system predict real pushes?",
+        (Table(_COLUMNS, _lines(("", "shape_out_"))), Table(_COLUMNS, _lines(tuple(_PLACES)))),
+        _shows,
+        {"real_pushing.png": "Errors on each shape and surface, with the range over seeds"},
         arguments=lambda config: "--data DIR",
-        without_psi=True,
+        without_weights=True,
         summary=(("Position error on recorded pushes of unseen shapes", _summary),),
     ),
     RealPushing(),

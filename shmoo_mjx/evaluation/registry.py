@@ -1,4 +1,4 @@
-"""The experiments by name. Each module has an `Experiment` called EXPERIMENT and is imported only when asked for."""
+"""The experiments by name. Each module defines EXPERIMENT and is imported when the experiment is needed."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from shmoo_mjx.evaluation.experiment import Experiment, run
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult
 
 EXPERIMENTS = {
-    "object_model": "shmoo_mjx.evaluation.object_model",
-    "estimate": "shmoo_mjx.evaluation.estimate",
+    "navigation": "shmoo_mjx.evaluation.navigation",
+    "lifelong": "shmoo_mjx.evaluation.lifelong",
+    "pushing": "shmoo_mjx.evaluation.pushing",
+    "object_planner": "shmoo_mjx.evaluation.object_planner",
     "outcomes": "shmoo_mjx.evaluation.outcomes",
+    "estimate": "shmoo_mjx.evaluation.estimate",
+    "object_model": "shmoo_mjx.evaluation.object_model",
     "baselines": "shmoo_mjx.evaluation.baselines.experiment",
     "ablations": "shmoo_mjx.evaluation.ablations",
     "robot_finetune": "shmoo_mjx.evaluation.robot_finetune",
-    "pushing": "shmoo_mjx.evaluation.pushing",
-    "object_planner": "shmoo_mjx.evaluation.object_planner",
-    "navigation": "shmoo_mjx.evaluation.navigation",
-    "lifelong": "shmoo_mjx.evaluation.lifelong",
     "real_pushing": "shmoo_mjx.evaluation.real_pushing",
 }
-"""Name to module."""
+"""Name to module, in the order of the page."""
 RELIABILITY = {"faults": "shmoo_mjx.evaluation.faults", "soak": "shmoo_mjx.evaluation.soak"}
-"""Experiments for developers, which are not among all."""
+"""Experiments for developers. ``shmoo experiment all`` does not run them."""
 
 
 @cache
 def experiment_named(name: str) -> Experiment[Any]:
-    """The experiment of this name; its module is imported only now.
+    """The experiment of this name.
 
     Raises:
-        ShmooError: there is none.
+        ShmooError: there is no experiment of this name.
     """
     modules = EXPERIMENTS | RELIABILITY
     if name not in modules:
@@ -46,9 +46,9 @@ def experiment_named(name: str) -> Experiment[Any]:
 
 @single_precision
 def run_experiment(name: str, options: ExperimentOptions, config: Any = None) -> ExperimentResult:
-    """Run one experiment in a folder of its own below ``options.out``; goes on there after a stop.
+    """Run one experiment in its folder below ``options.out``, or resume it there.
 
-    ``config`` takes the place of the experiment's own, its short form and the options that adjust it.
+    ``config`` replaces the experiment's own config, its short form and the options that adjust it.
     """
     experiment = experiment_named(name)
     with claimed(options.out / name):

@@ -1,4 +1,4 @@
-"""What every experiment leaves: one JSON of one schema, and how experiments are asked for."""
+"""The result of an experiment as JSON, and the options of experiments."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from shmoo_mjx.base.versions import versions
 from shmoo_mjx.errors import ShmooError
 
 _UNITS = ("m", "mm", "deg", "rad", "s", "ms", "kg", "N")
-"""That names of metrics end with."""
+"""Units at the end of metric names."""
 
 
 def no_progress(stage: str, fraction: float) -> None:
@@ -32,46 +32,46 @@ def no_progress(stage: str, fraction: float) -> None:
 
 @dataclass(frozen=True)
 class ExperimentOptions:
-    """What the command line asks of an experiment."""
+    """Options of the command ``shmoo experiment``."""
 
     seed: int = 0
-    """Of trainings, operators and noise."""
+    """Seed of trainings, operators and noise."""
     condition_seed: int = 0
-    """Draws the unseen objects (or scenarios): another number gives others that nobody has looked at."""
+    """Seed of the unseen objects or scenarios."""
     quick: bool = False
-    """A short form of the same shape: fewer objects, seeds and updates."""
+    """Short form with fewer objects, seeds and updates."""
     data: Path | None = None
-    """A data set, for the experiments that take one."""
+    """Data set, for experiments that need one."""
     maps: Path | None = None
     """Folder with map_server maps, for navigation."""
     scenarios: int | None = None
     """Scenarios per map, for navigation."""
     scenario_set: Path | None = None
-    """File with maps and scenarios that others have, for navigation, in the place of ``maps``."""
+    """Scenario set, for navigation, in place of ``maps``."""
     weights: Path | None = None
     """Trained weights (default: the shipped ones)."""
     out: Path = Path("runs/experiments")
-    """Folder for figures and what an interrupted experiment goes on from."""
+    """Folder for figures and finished trials, from which an interrupted experiment resumes."""
     progress: Callable[[str, float], None] = no_progress
     """Called with (stage, fraction done)."""
     senses: SensesName = "real"
-    """What the robot perceives with, where a simulated robot acts in the experiment."""
+    """Sensors of the simulated robot."""
     policies: tuple[str, ...] = ()
-    """Policies (navigation; one's own as package.module:Name) or methods (pushing) that run; all if none is named."""
+    """Policies (navigation) or controllers (pushing) to run; all if empty. Users' own are "package.module:Name"."""
     sizes: Mapping[str, Any] = field(default_factory=dict)
-    """Values that replace fields of the experiment's config, by name, such as ``workers``."""
+    """Fields of the experiment's config to replace, such as ``workers``."""
 
     def __post_init__(self) -> None:
         check_seed("--seed", self.seed)
         check_seed("--condition-seed", self.condition_seed, MAX_CONDITION_SEED)
 
     def chosen(self, names: Iterable[str], others: bool = False) -> tuple[str, ...]:
-        """Those of the policies or methods ``names`` that are asked for, or all, in the order in which they run.
+        """The requested ones of the policies or methods ``names``, or all of them, in the order in which they run.
 
-        With ``others``, "package.module:Name" stands for one of the user's own and comes after them.
+        With ``others``, users' own ("package.module:Name") are allowed and come last.
 
         Raises:
-            ShmooError: one is not known.
+            ShmooError: a name is unknown.
         """
         names = tuple(names)
         own = tuple(dict.fromkeys(name for name in self.policies if others and ":" in name))
@@ -83,7 +83,7 @@ class ExperimentOptions:
 
     @property
     def weights_file(self) -> Path:
-        """Trained weights: those that are asked for, or the shipped ones."""
+        """File of the requested weights, or of the shipped ones."""
         return self.weights or asset(WEIGHTS)
 
     @property
@@ -119,7 +119,7 @@ def make_result(
     paper: dict[str, float],
     rows: list[dict[str, Any]],
 ) -> ExperimentResult:
-    """Assemble a result; numpy numbers become plain ones and what is not finite becomes null."""
+    """Assemble a result. NumPy numbers become plain numbers, and values that are not finite become null."""
     settings = asdict(config) if is_dataclass(config) and not isinstance(config, type) else dict(config)
     choices = {
         "condition_seed": options.condition_seed,
@@ -144,17 +144,17 @@ def weights_id(weights: Path | None = None) -> str:
 
 
 def same_weights(result: ExperimentResult) -> bool:
-    """Whether a result was measured with the weights that are shipped."""
+    """Whether a result was measured with the shipped weights."""
     return str(result.config.get("weights")) == weights_id()
 
 
 def file_id(file: Path) -> str:
-    """The first digits of a file's SHA-256."""
+    """The first ten digits of a file's SHA-256."""
     return hashlib.sha256(file.read_bytes()).hexdigest()[:10]
 
 
 def spread(values: Any) -> dict[str, float]:
-    """Mean, standard deviation, median and quartiles of some numbers, for a row or a table."""
+    """Mean, standard deviation, median and quartiles of the finite values; NaN if there are none."""
     x = np.asarray(values, dtype=float)
     x = x[np.isfinite(x)]
     if not x.size:
@@ -164,7 +164,10 @@ def spread(values: Any) -> dict[str, float]:
 
 
 def over_seeds(measure: str, name: str, values: Any) -> dict[str, float]:
-    """MEASURE_NAME and MEASURE_std_NAME of one value per seed; infinite if one is, nothing if none is a number."""
+    """Metrics MEASURE_NAME (mean) and MEASURE_std_NAME of one value per seed.
+
+    They are infinite if a value is. They are absent if no value is a number.
+    """
     x = np.asarray(values, dtype=float)
     x = x[~np.isnan(x)]
     if not x.size:
@@ -174,20 +177,20 @@ def over_seeds(measure: str, name: str, values: Any) -> dict[str, float]:
 
 
 def as_json(result: ExperimentResult) -> bytes:
-    """What a result's file holds."""
+    """The content of a result's file."""
     return (result.model_dump_json(indent=1) + "\n").encode()
 
 
 def write_result(path: Path, result: ExperimentResult) -> None:
-    """Write the JSON whole or not at all."""
+    """Write the JSON file atomically."""
     write_whole(path, as_json(result))
 
 
 def read_result(path: Path) -> ExperimentResult:
-    """Read an experiment's JSON back, from a compressed file too.
+    """Read a result from its JSON file, compressed or not.
 
     Raises:
-        ShmooError: the file is no such JSON.
+        ShmooError: the file is not a result.
     """
     try:
         data = path.read_bytes()
@@ -202,7 +205,7 @@ def read_result(path: Path) -> ExperimentResult:
 
 
 def table(result: ExperimentResult) -> str:
-    """The metrics beside the paper's numbers, as text."""
+    """The metrics and the paper's values as a text table."""
     labels = {name: _label(name) for name in result.metrics}
     width = max(map(len, labels.values()), default=0)
     lines = [f"{'metric':{width}}  {'ours':>10}  {'paper':>10}"]
@@ -214,7 +217,7 @@ def table(result: ExperimentResult) -> str:
 
 
 def _label(name: str) -> str:
-    """A metric's name as words, with its unit at the end: "time_s_low" is "time low [s]"."""
+    """A metric's name in words with its unit at the end: "time_s_low" becomes "time low [s]"."""
     words = name.split("_")
     units = [i for i, word in enumerate(words) if i and word in _UNITS and not words[i - 1].isdigit()]
     unit = f" [{words.pop(units[-1])}]" if units else ""
@@ -222,7 +225,7 @@ def _label(name: str) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Plain JSON types all the way down."""
+    """The value with all parts converted to JSON types."""
     if isinstance(value, dict):
         return {str(k): _plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):

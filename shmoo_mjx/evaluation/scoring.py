@@ -1,18 +1,17 @@
-"""The one measure of every predictor of an object's motion: adapt on the first 25 s, score on later rows only.
+"""Scores of predictors of an object's motion, which adapt on the first 25 s and are scored on later rows.
 
-Every number is of one condition; experiments average over conditions, so that one lively object does not drown the
-rest.
+Every score is that of one condition. Experiments average over conditions, so that each object has the same weight.
 
 * mse_x, mse_y, mse_yaw: mean squared error of the one-step acceleration in {O} [(m/s^2)^2, (rad/s^2)^2]; mse is their
   mean, the paper's measure.
 * fvu: fraction of variance unexplained. Errors and labels are divided by each axis' standard deviation over the
-  training set; the squared errors of all axes over the squared deviations from the condition's own mean. Nothing is
-  added to the variance of an object that hardly moves.
+  training set; the squared errors of all axes over the squared deviations from the condition's own mean. The
+  variance has no floor, so the score of an object that hardly moves can be large.
 * pos_rmse_1s_m, yaw_rmse_1s_deg and the same at 3 s: the pose is integrated open loop under the recorded wrench, from
   every fifth of the later rows that has the whole stretch before it in the same episode and half of it in contact;
   root of the mean squared error at the end.
 
-A prediction or roll-out that diverges counts as infinitely wrong; left out, it would flatter its method.
+A prediction or roll-out that diverges has an infinite error.
 """
 
 from __future__ import annotations
@@ -31,15 +30,15 @@ from shmoo_mjx.geometry import se2
 from shmoo_mjx.types import DT
 
 FIT_SAMPLES = 250
-"""25 s of recording, in contact or not, to adapt on."""
+"""Rows to adapt on: 25 s of recording, with or without contact."""
 
 HORIZONS = {"1s": 10, "3s": 30}
-"""Steps of the open-loop roll-outs."""
+"""Horizon name to steps of the open-loop roll-outs."""
 
 _ENDS = tuple(name for h in HORIZONS for name in (f"pos_rmse_{h}_m", f"yaw_rmse_{h}_deg"))
 
 NAMES = ("mse", "mse_x", "mse_y", "mse_yaw", "fvu", *_ENDS)
-"""The measures of a condition."""
+"""Scores of a condition."""
 
 STRIDE = 5
 """Rows between the starts of two roll-outs."""
@@ -55,11 +54,11 @@ def score(
     from_sample: int | None = None,
     roll_outs: bool = True,
 ) -> dict[str, np.ndarray]:
-    """Adapt to each condition on its first rows and measure on later ones.
+    """Adapt to each condition on its first rows and score later rows.
 
     Args:
         predictor: a fitted method.
-        recorded: C conditions it has not been trained on.
+        recorded: C conditions that the method was not trained on.
         scale: ``[m]`` standard deviation of the labels over the training set.
         fit_samples: rows to adapt on.
         from_sample: first row that is scored; by default the one after ``fit_samples``.
@@ -84,13 +83,13 @@ def score(
 
 
 def roll_out(predictor: Predictor, state: Any, inputs: Array, time: Array) -> Array:
-    """Open-loop motion of the object under the recorded wrench, from the twist of the first row.
+    """Roll out the object's motion open loop under the recorded wrench, starting with the twist of the first row.
 
-    Every entry of the inputs that is a twist of the object is replaced by the predicted one; the rest is as recorded.
+    Predicted twists replace the recorded twists among the inputs. All other inputs are as recorded.
 
     Args:
         predictor: a fitted method.
-        state: from its ``adapt``.
+        state: from ``predictor.adapt``.
         inputs: ``[H, n]`` recorded.
         time: ``[H]`` [s].
 
@@ -116,14 +115,15 @@ def roll_out(predictor: Predictor, state: Any, inputs: Array, time: Array) -> Ar
 
 
 def average(scores: Mapping[str, np.ndarray]) -> dict[str, float]:
-    """Mean of each measure over the conditions."""
+    """Mean of each score over the conditions."""
     return {name: float(np.nanmean(values)) for name, values in scores.items()}
 
 
 def stretches(run: Array, weights: Array, first: int, steps: int) -> tuple[np.ndarray, Array]:
-    """First rows ``[M]`` of a condition's roll-outs of ``steps`` rows, and which count ``[M]``: half their rows do.
+    """First rows ``[M]`` of a condition's roll-outs of ``steps`` rows, and which of them count ``[M]``.
 
-    All begin at row ``first`` or later; those that count end in the episode. ``run [N]`` are the rows left in it.
+    All begin at row ``first`` or later. A roll-out counts if it ends within the episode and at least half of its rows
+    count. ``run [N]`` is the number of rows left in the episode.
     """
     starts = np.arange(first, run.shape[0] - steps, STRIDE)
     window = starts[:, None] + np.arange(steps)
@@ -163,5 +163,5 @@ def _no_number_is_infinite(values: Array) -> Array:
 
 
 def _twist_slices() -> list[slice]:
-    """Where the inputs of psi hold twists of the object, newest first."""
+    """Slices of psi's inputs that hold twists of the object, newest first."""
     return [where for name, where in features.slices(features.OBJECT_INPUTS).items() if "object_twist" in name]

@@ -6,6 +6,7 @@ end, memory that grows, files that stay open. An errand that fails is given up f
 
 from __future__ import annotations
 
+from collections import Counter
 from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
@@ -20,7 +21,7 @@ from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.evaluation.experiment import Experiment, ExperimentConfig, Setup
 from shmoo_mjx.evaluation.result import ExperimentResult
 from shmoo_mjx.evaluation.scenarios import largest_room
-from shmoo_mjx.evaluation.tables import Section
+from shmoo_mjx.evaluation.tables import Section, cell, measured
 from shmoo_mjx.evaluation.trials import controller_of
 from shmoo_mjx.planning.floorplan import draw_floorplan
 from shmoo_mjx.planning.footprints import footprint_polygon
@@ -194,13 +195,36 @@ def _metrics(setup: Setup[SoakTrials], rows: list[dict[str, Any]]) -> dict[str, 
     return metrics | {"memory_growth": max(r["memory_growth"] for r in rows)}
 
 
+def _totals(result: ExperimentResult) -> str:
+    names = {
+        "hours": "simulated hours",
+        "errands": "goals given",
+        "done": "goals reached",
+        "falls": "falls",
+        "livelocks": "livelocks",
+        "wall_contacts": "wall contacts",
+        "memory_growth": "largest growth of memory",
+        "open_files_left": "files left open",
+    }
+    shown = {name: label for name, label in names.items() if name in result.metrics}
+    return markdown_table(tuple(shown.values()), [[cell(result.metrics, name) for name in shown]])
+
+
+def _shows(result: ExperimentResult) -> str:
+    done, errands = (measured(result, name) for name in ("done", "errands"))
+    reasons = Counter(reason for row in result.rows for reason in row["given_up"])
+    most = f" The most frequent reason to give up: {reasons.most_common(1)[0][0]}." if reasons else ""
+    return f"The robot reaches {done:.0f} of {errands:.0f} goals.{most}"
+
+
 EXPERIMENT = Experiment(
     Section(
         "Soak",
-        "Errand after errand in one building while others move objects.",
+        "Does the robot keep working for hours?",
+        (_totals, summary),
+        _shows,
         arguments=lambda config: f"--minutes {config.get('minutes', 0):g} --buildings {config.get('buildings')}",
-        command="shmoo experiment soak",
-        table=summary,
+        draws_conditions=False,
     ),
     SoakTrials(),
     quick=SoakTrials(minutes=2.0, buildings=1),

@@ -83,7 +83,7 @@ def rows_of(objects: store.Dataset, scores: Mapping[str, np.ndarray], about: dic
     ]
 
 
-AFTER_3S = {"pos_rmse_3s_m": "3 s position [m]", "yaw_rmse_3s_deg": "3 s yaw [deg]"}
+AFTER_3S = {"pos_rmse_3s_m": "position error after 3 s [m]", "yaw_rmse_3s_deg": "yaw error after 3 s [deg]"}
 """Measures of the longest roll-out, and their heads in tables."""
 
 

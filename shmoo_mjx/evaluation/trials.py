@@ -1,4 +1,4 @@
-"""Trials of an experiment in files of their own, so that an interrupted experiment goes on where it was stopped."""
+"""Runs the trials of an experiment and keeps each in a file, so that an interrupted experiment can resume."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from shmoo_mjx.base.files import write_whole
 from shmoo_mjx.base.processes import process_pool
 
 Work = Callable[[Any], list[dict[str, Any]]]
-"""What is to be tried -> its rows. Must be picklable."""
+"""Runs one trial and returns its rows. Must be picklable."""
 
 
 def run_trials(
@@ -26,14 +26,14 @@ def run_trials(
     *,
     workers: int = 2,
 ) -> list[dict[str, Any]]:
-    """The rows of every trial, in the order of ``trials``; those that ``folder`` has already are read from it.
+    """The rows of all trials in the order of ``trials``. Trials with a file in ``folder`` are not run again.
 
     Args:
-        trials: what ``work`` is called with, by names that are good as file names.
-        work: runs one; called in other processes if ``workers`` > 1.
-        folder: gets NAME.json for each.
+        trials: arguments of ``work`` by name. The names serve as file names.
+        work: runs one trial, in another process if ``workers`` > 1.
+        folder: gets a file NAME.json per trial.
         progress: called with (stage, fraction done).
-        workers: processes.
+        workers: number of processes.
     """
     folder.mkdir(parents=True, exist_ok=True)
     files = {name: folder / f"{name}.json" for name in trials}
@@ -48,7 +48,7 @@ def run_trials(
 
 
 def one_core() -> None:
-    """Before a worker's first computation: the trials run side by side, so that each keeps to one core."""
+    """Limit this process to one core. Workers call it before their first computation, as trials run side by side."""
     import jax
 
     jax.config.update("jax_num_cpu_devices", 1)
@@ -72,7 +72,7 @@ def _tried(work: Work, trial: Any) -> list[dict[str, Any]]:
 
 @cache
 def controller_of(weights: Path, method: str = "ours") -> Any:
-    """The pushing controller of a weights file and a method, compiled once in each process."""
+    """The pushing controller of a weights file and a method. It is compiled once per process."""
     from shmoo_mjx.behavior.methods import method_named
 
     return method_named(method).controller(weights)

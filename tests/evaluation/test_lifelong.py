@@ -132,7 +132,7 @@ def test_legs_are_measured_one_by_one(tmp_path: Path, monkeypatch: pytest.Monkey
     assert metrics["wall_contacts_per_100_goals"] == 50.0
     assert result.config["senses"] == "perfect" and "more" not in result.rows[0]["legs"][0]
     assert "out of time while to push (1)" in (tmp_path / "lifelong" / "failures.md").read_text()
-    assert "| goal 2 reached, of those begun | 0.5 |" in render({"lifelong": result}, {})
+    assert "| Share reached, of those begun | 1 | 0.50 |" in render({"lifelong": result}, {})
 
 
 def test_goals_that_were_not_begun_are_not_reached() -> None:

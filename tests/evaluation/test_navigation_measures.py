@@ -24,7 +24,7 @@ from shmoo_mjx.evaluation.navigation_measures import (
     measure,
 )
 from shmoo_mjx.evaluation.navigation_tables import navigation_tables, reference_table
-from shmoo_mjx.evaluation.page import render
+from shmoo_mjx.evaluation.page import render_experiment
 from shmoo_mjx.evaluation.paired import paired_difference
 from shmoo_mjx.evaluation.result import ExperimentOptions, make_result
 from shmoo_mjx.evaluation.tables import verdict
@@ -211,7 +211,7 @@ def test_policies_are_compared_with_the_certificates_of_what_can_be_solved() -> 
     text = reference_table(make_result("navigation", ExperimentOptions(), config, metrics, paper={}, rows=rows))
     assert (
         "| my_own:P | 1.00 | 20.0 | 20.0 | 5.0 | 15.0 | 25.0 | 35.0 | 1.00 | 1 / 1 |" in text
-        and "-5.0 (-5.0 to -5.0)" in text
+        and "-5 (-5 to -5)" in text
     )
     assert _time_over_extra([r for r in rows if r["reference_s"] is not None]) is not None
 
@@ -237,10 +237,10 @@ def test_the_page_says_better_by_interval_and_what_failed() -> None:
         "navigation", ExperimentOptions(senses="perfect"), {"policies": tuple(POLICIES)}, metrics, paper={}, rows=many
     )
     text = navigation_tables(found)
-    assert "| success | " in text and "| -0.25 (" in text and "**worse**" in text and "**better**" in text
-    assert "| all | 24 / 32 |" in text and "- fall: 8" in text
-    page = render({"navigation": found}, {})
-    assert text in page and "| success (aim 0.96) | 0.75 | 0 | 0 | 0.25 | 0.25 | 0 | 0 | 1 |" in page
+    assert "| Success rate | " in text and "| -0.25 (" in text and "**worse**" in text and "**better**" in text
+    assert "| Objects in the scenario | 24 of 32 |" in text and "- fall: 8" in text
+    page = render_experiment(found, [])
+    assert text in page and "| Success rate, all scenarios | 0.75 | 0 | 0 | 0.25 | 0.25 | 0 | 0 | 1 |" in page
     assert "`shmoo experiment navigation --maps DIR --seed 0 --condition-seed 0 --senses perfect`" in page
 
 

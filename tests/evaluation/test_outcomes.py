@@ -16,7 +16,7 @@ from shmoo_mjx.evaluation.outcomes_measures import (
     errors,
     measure,
     median_pose,
-    outcomes_table,
+    outcomes_tables,
 )
 from shmoo_mjx.evaluation.result import ExperimentOptions, make_result
 
@@ -72,8 +72,8 @@ def test_measures_and_their_table() -> None:
     assert metrics["pushes_free_posterior"] == 4 and metrics["comes_free_posterior"] == 3
     low, high = (metrics[f"position_m_free_posterior_{end}"] for end in ("low", "high"))
     assert low == pytest.approx(0.1) and high == pytest.approx(0.2)
-    text = outcomes_table(make_result("outcomes", ExperimentOptions(), {}, metrics, paper={}, rows=rows))
-    assert "| 0.1 (0.1 to 0.2) |" in text and "nan" not in text
+    text = outcomes_tables()[1](make_result("outcomes", ExperimentOptions(), {}, metrics, paper={}, rows=rows))
+    assert "| 0.10 (0.10 to 0.20) |" in text and "nan" not in text
 
 
 def test_objects_have_one_locked_wheel_or_none() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import shutil
 from pathlib import Path
 
@@ -12,13 +11,17 @@ import pytest
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import everything, page
 from shmoo_mjx.evaluation.page import summary
-from shmoo_mjx.evaluation.registry import EXPERIMENTS
+from shmoo_mjx.evaluation.registry import EXPERIMENTS, RELIABILITY
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result, read_result
+from shmoo_mjx.evaluation.tables import Effect, Table, effects, number
+
+DOCS = Path(__file__).parents[2] / "docs"
 
 
 def result_of(name: str, options: ExperimentOptions) -> ExperimentResult:
     """A result with every metric that the page shows."""
-    metrics = {metric: 0.25 for _, names in page.sections()[name].lines for metric in names if metric}
+    tables = [table for table in page.sections()[name].tables if isinstance(table, Table)]
+    metrics = {metric: 0.25 for table in tables for _, names in table.lines for metric in names if metric}
     if name == "object_model":
         metrics |= {"mse_after": 0.134, "mse_after_std": 0.0021}
     if name == "robot_finetune":
@@ -35,7 +38,7 @@ def run_fake(name: str, options: ExperimentOptions) -> ExperimentResult:
         raise ShmooError("experiment navigation needs --maps DIR.")
     if name == "real_pushing" and options.data is None:
         raise ShmooError("real_pushing needs --data.")
-    for figure in page.sections()[name].figures[:1]:
+    for figure in list(page.sections()[name].figures)[:1]:
         target = options.out / name / figure
         target.parent.mkdir(parents=True, exist_ok=True)
         import matplotlib.image
@@ -45,13 +48,16 @@ def run_fake(name: str, options: ExperimentOptions) -> ExperimentResult:
     return result_of(name, options)
 
 
-def test_every_experiment_has_a_section() -> None:
-    assert list(page.sections()) == list(EXPERIMENTS)
+def test_every_experiment_has_a_section_and_a_protocol() -> None:
+    sections = page.sections()
+    assert list(sections) == [*EXPERIMENTS, *RELIABILITY]
+    protocols = (DOCS / "protocols.md").read_text()
+    assert all(f"\n## {section.title}\n" in protocols for section in sections.values())
 
 
 def test_a_result_of_other_weights_says_so() -> None:
     result = result_of("pushing", ExperimentOptions())
-    warning = "Measured with other weights than those shipped now"
+    warning = "measured with earlier weights than those that are shipped"
     assert warning not in page.render({"pushing": result}, {})
     result.config["weights"] = "0123456789"
     assert warning in page.render({"pushing": result}, {})
@@ -72,8 +78,8 @@ def test_everything_is_on_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     target, left_out = everything.run_all(options, None)
     assert set(left_out) == {"navigation", "real_pushing"} and "--maps" in left_out["navigation"]
     text, html = target.read_text(), target.with_suffix(".html").read_text()
-    assert "| MSE of the acceleration | 0.25 | 0.134±0.0021 | 0.25 | 1.31 / 0.427 |" in text
-    assert "| MSE, all outputs | 0.25 | - |" in text
+    assert "| Mean squared error of the acceleration | 0.25 | 0.13 ± 0.0021 | 0.25 | 1.31 / 0.427 |" in text
+    assert "| Mean squared error, all outputs | 0.25 | - |" in text
     assert "`shmoo experiment pushing --seed 3 --condition-seed 0 --quick`" in text
     assert "Not run. `shmoo experiment navigation --maps DIR` measures it." in text
     assert "(object_model/roll_outs.png)" in text and "data:image/png;base64" in html and "<table>" in html
@@ -97,22 +103,16 @@ def test_a_section_without_a_result_stays_and_results_are_kept_beside_the_page(t
     first = (docs / "results.md").read_text()
     other = {"object_model": result_of("object_model", ExperimentOptions())}
     page.write_page(other, run, docs / "results.md", docs / "figures")
-    pushing = page.section_of(read_result(docs / "results" / "pushing.json.gz"), ["figures/pushing.png"])
-    assert pushing in first and pushing in (docs / "results.md").read_text()
+    section = page.sections()["pushing"]
+    pushing = section.tables[0](read_result(docs / "results" / "pushing.json.gz"))
+    text = (docs / "results.md").read_text()
+    assert pushing in first and pushing in text and "(figures/pushing.png)" in text
+    assert section.tables[1](read_result(docs / "results" / "pushing.json.gz")) not in text
+    assert (
+        section.tables[1](read_result(docs / "results" / "pushing.json.gz"))
+        in (docs / "results/pushing.md").read_text()
+    )
     assert set(page.read_results(docs / "results")) == {"pushing", "object_model"}
-
-
-def test_sections_written_by_hand_stay_where_they_are() -> None:
-    lifelong = page.sections()["lifelong"].title
-    before = f"# Results\n\nold\n\n## Caveats\n\none\n\n## {lifelong}\n\nkept\n\n## Faults\n\ntwo\n"
-    text = page.render({"pushing": result_of("pushing", ExperimentOptions())}, {}, before)
-    titles = re.findall("^## (.+)$", text, re.MULTILINE)
-    assert titles == ["Caveats", *(section.title for section in page.sections().values()), "Faults"]
-    assert "\n\none\n\n" in text and "\n\nkept\n\n" in text and text.endswith("\n\ntwo\n") and "old" not in text
-    assert page.render({}, {}, text).count("## Caveats") == 1
-
-
-DOCS = Path(__file__).parents[2] / "docs"
 
 
 def test_the_committed_pages_are_those_of_the_committed_results(tmp_path: Path) -> None:
@@ -120,13 +120,16 @@ def test_the_committed_pages_are_those_of_the_committed_results(tmp_path: Path) 
     assert len(results) > 5
     docs = tmp_path / "docs"
     shutil.copytree(DOCS / "figures", docs / "figures")
-    written = ("docs/results.md", "docs/arena.md", "README.md")
+    written = ["docs/results.md", "docs/protocols.md", "docs/arena.md", "README.md"]
     for name in written:
         shutil.copy(DOCS.parent / name, tmp_path / name)
+    (docs / "results").mkdir()
+    shutil.copy(DOCS / "results" / page.COST_TERMS, docs / "results")
     page.write_page(results, DOCS / "results", docs / "results.md", docs / "figures")
-    for name in written:
+    for name in [*written, *(f"docs/results/{result}.md" for result in results)]:
         remedy = f"{name}: run python -m shmoo_mjx.evaluation.page docs/results docs/results.md"
         assert (tmp_path / name).read_text() == (DOCS.parent / name).read_text(), remedy
+        assert len((tmp_path / name).read_text().splitlines()) <= 250, name
 
 
 def test_the_summary_shows_at_most_ten_numbers_and_skips_what_was_not_measured() -> None:
@@ -162,10 +165,10 @@ def test_the_summary_gives_values_with_intervals() -> None:
         ("10 cm (median 5.4 cm)", 30, "12 cm"),
     ]
     readme = "# A\n\n<!-- results -->\nold\n<!-- end -->\n\nkept\n"
-    text = page.with_block(readme, page.summary_table(results, commands=False))
+    text = page.with_block(readme, page.summary_table(results, links=False))
     assert "old" not in text and text.endswith("<!-- end -->\n\nkept\n") and "+12 points" in text
-    assert page.with_block(text, page.summary_table(results, commands=False)) == text
-    assert "`shmoo" in page.summary_table(results)
+    assert page.with_block(text, page.summary_table(results, links=False)) == text
+    assert "](#interactive-navigation)" in page.summary_table(results)
 
 
 def test_faults_and_soak_have_their_tables_on_the_page(tmp_path: Path) -> None:
@@ -182,28 +185,46 @@ def test_faults_and_soak_have_their_tables_on_the_page(tmp_path: Path) -> None:
     building = {"seed": 950, **dict.fromkeys(names, 7), "given_up": ["blocked", "blocked"]}
     kind = {"minutes": 60.0, "buildings": 10}
     soak = make_result("soak", ExperimentOptions(seed=950), kind, {"falls": 0}, paper={}, rows=[building])
-    docs, before = (
-        tmp_path / "docs",
-        "# Results\n\nold\n\n## Caveats\n\none\n\n## Faults\n\nby hand\n\n## Last\n\ntwo\n",
-    )
-    docs.mkdir()
-    (docs / "results.md").write_text(before)
+    docs = tmp_path / "docs"
     page.write_page({"faults": faults, "soak": soak}, tmp_path, docs / "results.md", docs / "figures")
     text = (docs / "results.md").read_text()
-    assert "`shmoo experiment faults --runs 2 --seed 900`" in text and "by hand" not in text
-    assert "| no object is detected for 5 s | 1 | 0 | 1 | 0 | 1 | fell |" in text and "3 runs: 1 falls" in text
-    assert "`shmoo experiment soak --minutes 60 --buildings 10 --seed 950`" in text and "2 x blocked" in text
-    assert text.index("## Caveats") < text.index("## Faults") < text.index("## Soak") and "\n\ntwo\n" in text
+    assert "`shmoo experiment faults --runs 2 --seed 900`" in text
+    assert "| 2 | 3 | 1 | 1 | 1 | 0 | 1 | 0 |" in text and text.index("## Faults") < text.index("## Soak")
+    assert "`shmoo experiment soak --minutes 60 --buildings 10 --seed 950`" in text
     kept = page.read_results(docs / "results")
-    assert all(page.section_of(kept[name], []) in text for name in ("faults", "soak"))
+    full = {name: page.render_experiment(kept[name], []) for name in ("faults", "soak")}
+    assert all((docs / "results" / f"{name}.md").read_text() == shown for name, shown in full.items())
+    assert "| no object is detected for 5 s | 1 | 0 | 1 | 0 | 1 | fell |" in full["faults"]
+    assert "3 runs: 1 falls" in full["faults"] and "2 x blocked" in full["soak"]
 
 
 def test_a_method_that_did_not_run_has_no_column() -> None:
     alone = result_of("pushing", ExperimentOptions())
     ours = {name: value for name, value in alone.metrics.items() if not name.startswith("baseline_")}
-    shown = page.section_of(alone.model_copy(update={"metrics": ours}), [])
-    assert "| | ours | paper |\n|---|---|---|\n" in shown and "quasi-static" not in shown
-    assert "| ours | frozen prior | contact model | quasi-static |" in page.section_of(alone, [])
+    table = page.sections()["pushing"].tables[0]
+    shown = table(alone.model_copy(update={"metrics": ours}))
+    assert "| | ours |\n|---|---|\n" in shown and "quasi-static" not in shown
+    assert "| ours | no adaptation | contact model without psi |" in table(alone)
+
+
+def test_effects_are_told_by_their_intervals() -> None:
+    metrics = {"d_time": -4.2, "d_time_low": -7.6, "d_time_high": -0.9, "d_rate": 0.03, "d_rate_low": -0.1}
+    measures = (
+        Effect("the time", "time", "s"),
+        Effect("the rate", "rate", "points", 100.0),
+        Effect("the yaw", "yaw", ""),
+    )
+    made = make_result("pushing", ExperimentOptions(), {}, metrics | {"d_rate_high": 0.2}, paper={}, rows=[])
+    assert effects(made, "Ours", "d_", measures) == (
+        "Ours lowers the time by 4.2 s (0.90 to 7.6). It has no clear effect on the rate (+3 points, -10 to 20)."
+    )
+    assert effects(made, "Ours", "other_", measures) == ""
+
+
+def test_numbers_have_two_significant_digits() -> None:
+    assert [number(v) for v in (0.1, 0.0826, 3.0, 12.34, 153.0, 1213.4, -0.5)] == [
+        "0.10", "0.083", "3", "12", "153", "1213", "-0.50",
+    ]  # fmt: skip
 
 
 def test_nothing_could_be_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -180,7 +180,7 @@ def test_differences_are_of_the_trials_that_both_ran() -> None:
     about = {"config": {"methods": list(METHODS)}, "versions": {}, "paper": {}}
     result = ExperimentResult(experiment="pushing", seed=0, metrics=m, rows=rows, **about)
     table = pushing_differences(result)
-    assert "-0.107" in table
+    assert "-0.11 (" in table
     assert "**better**" in table
     assert "**worse**" in table
 
@@ -198,9 +198,9 @@ def test_everything_is_measured_by_itself() -> None:
     assert m["everything_difference_frozen_prior_success"] == 0.5
     about = {"config": {"methods": ["ours", "frozen_prior"]}, "versions": {}, "paper": {}}
     tables = pushing_tables(ExperimentResult(experiment="pushing", seed=0, metrics=m, rows=rows, **about))
-    everything = tables.split("### Everything that is drawn")[1]
-    assert "50 % of more than 75 N" in everything and "| trials | 4 | 4 |" in everything
-    assert "| success | +0.5 (0 to 1, 4 pairs) |" in everything
+    everything = tables.split("## Objects as drawn, none left out")[1]
+    assert "50 % objects of more than 75 N" in everything and "| Trials | 4 | 4 |" in everything
+    assert "| Success rate | +0.50 (0 to 1; n = 4) |" in everything
 
 
 def test_the_paper_pushes_with_its_own_weights_and_settings() -> None:

@@ -57,6 +57,11 @@ def prior(job: Job) -> Predictor:
     return prior_of(*trained(job, DaimlConfig()))
 
 
+def paper_prior(job: Job) -> Predictor:
+    """psi as printed, with the coefficients of an object that has not been touched."""
+    return prior_of(*trained(job, paper_config()))
+
+
 def residual(job: Job) -> Predictor:
     """A network over all conditions, and psi on what it leaves over (Sec. V-B). Both train for the whole budget.
 
