@@ -74,8 +74,9 @@ def _policies(result: ExperimentResult, heads: tuple[str, ...]) -> str:
     for policy, p in _prefixes(result):
         key = f"difference_{policy}_regret_s"
         mean, low, high = (result.metrics.get(key + end) for end in ("", "_low", "_high"))
-        known = mean is not None and low is not None and high is not None
-        versus = f"{number(mean, '+')} ({number(low)} to {number(high)})" if known else ""
+        versus = ""
+        if mean is not None and low is not None and high is not None:
+            versus = f"{number(mean, '+')} ({number(low)} to {number(high)})"
         cells = (" / ".join(_cell(result, p + name, form) for name in names) for _, form, *names in columns)
         rows.append([shown_name(policy), *cells, versus])
     head = ["policy", *(head for head, *_ in columns), "time lost by ours minus by it [s]"]

@@ -38,8 +38,8 @@ def draw_figure(path: Path, rows: list[dict[str, Any]], folder: Path) -> None:
         axis.set_title(f"{family} ({len(mine)} trials)", fontsize=10)
         _goals(axis, mine)
     if lines is not None:
-        bar = {"orientation": "horizontal", "label": "share of the trial's time", "shrink": 0.4, "aspect": 40}
-        figure.colorbar(lines, ax=axes[: len(families)].tolist(), **bar)
+        under, label = axes[: len(families)].tolist(), "share of the trial's time"
+        figure.colorbar(lines, ax=under, orientation="horizontal", label=label, shrink=0.4, aspect=40)
     _offsets(axes[-1], rows)
     save_figure(path, figure, 130)
 

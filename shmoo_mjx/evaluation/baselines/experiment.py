@@ -15,7 +15,7 @@ import numpy as np
 from shmoo_mjx.data import store
 from shmoo_mjx.evaluation import replay, scoring, trainings
 from shmoo_mjx.evaluation.baselines import METHODS, Budget, recordings
-from shmoo_mjx.evaluation.baselines.adaptive import prior
+from shmoo_mjx.evaluation.baselines.adaptive import paper_prior, prior
 from shmoo_mjx.evaluation.baselines.protocol import Method, output_scale
 from shmoo_mjx.evaluation.experiment import Experiment, Setup
 from shmoo_mjx.evaluation.result import ExperimentResult, over_seeds
