@@ -31,7 +31,6 @@ ON_GITHUB = "../../actions/"
 """Beginning of links to the host of the repository, relative to its front page."""
 FENCED = re.compile(r"^```.*?^```", re.DOTALL | re.MULTILINE)
 LONGEST_PAGE = 250
-LONG_PAGES = {"docs/results.md"}
 PRIVATE = re.compile(
     r"\b(hindsight|mended|mending|forerunners?|earlier versions?|formerly|previously|used to be|fresh draws?|"
     r"draws? \d+|missed aims?|livelock|dearest)\b",
@@ -131,7 +130,7 @@ def test_words_are_spelt_right(capsys: pytest.CaptureFixture[str]) -> None:
     assert not wrong, capsys.readouterr().out
 
 
-@pytest.mark.parametrize("page", sorted({*PAGES} - LONG_PAGES))
+@pytest.mark.parametrize("page", PAGES)
 def test_no_page_is_long(page: str) -> None:
     assert len(read(page).splitlines()) <= LONGEST_PAGE
 
