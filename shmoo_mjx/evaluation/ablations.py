@@ -158,12 +158,13 @@ def _further_table(result: ExperimentResult) -> str:
 def _shows(result: ExperimentResult) -> str:
     errors = {n: result.metrics.get(f"pos_rmse_3s_m_{n}") for n in _LABELS if not n.startswith("default_")}
     known = {n: value for n, value in errors.items() if value is not None}
-    if "default" not in known or len(known) < 2:
+    if "default" not in known or len(known) < 3:
         return ""
-    best, worst = (choose(known, key=lambda n: known[n]) for choose in (min, max))
+    best, *_, second, worst = sorted(known, key=lambda n: known[n])
     return (
-        f"Over 3 s the best variant is {_LABELS[best]} ({number(known[best])} m), the worst {_LABELS[worst]} "
-        f"({number(known[worst])} m). The shipped form reaches {number(known['default'])} m."
+        f"Over 3 s the smallest error is that of {_LABELS[best]} ({number(known[best])} m; the shipped form: "
+        f"{number(known['default'])} m), the largest are those of {_LABELS[worst]} ({number(known[worst])} m) and "
+        f"{_LABELS[second]} ({number(known[second])} m)."
     )
 
 

@@ -343,11 +343,17 @@ def _metrics(setup: Setup[FaultTrials], rows: list[dict[str, Any]]) -> dict[str,
 
 
 def _totals(result: ExperimentResult) -> str:
-    counts = Counter(row["outcome"] for row in result.rows)
+    rows = [row for row in result.rows if row["fault"] != "none"]
+    counts = Counter(row["outcome"] for row in rows)
     falls, silent = (f"{result.metrics[name]:g}" for name in ("falls", "silent_wrong_successes"))
     head = ("faults", "runs", *OUTCOMES, "falls", "goal reported but not reached")
-    faults = str(len(result.config["faults"]))
-    row = [faults, str(len(result.rows)), *(str(counts[outcome]) for outcome in OUTCOMES), falls, silent]
+    row = [
+        str(len({row["fault"] for row in rows})),
+        str(len(rows)),
+        *(str(counts[outcome]) for outcome in OUTCOMES),
+        falls,
+        silent,
+    ]
     return markdown_table(head, [row])
 
 

@@ -338,7 +338,7 @@ EXPERIMENT = Experiment(
                 rate("success_rate_certified", lambda r: measured(r, "certified")),
             ),
             (
-                "Success rate compared with never pushing",
+                "Success rate of navigation, compared with never pushing",
                 difference("difference_always_avoid_success", "points", 100.0),
             ),
             (

@@ -282,9 +282,11 @@ def _shows(result: ExperimentResult) -> str:
         for s in STRATA
     )
     sure = percent(measured(result, "stop_covered_locked_posterior"))
+    counts = [round(measured(result, f"compared_{s}_posterior")) for s in STRATA]
     return (
-        f"After 0.8 m of pushed path, half of the ends of free objects are predicted to {free[0]} m and {free[1]} deg, "
-        f"those of objects with a locked wheel to {locked[0]} m and {locked[1]} deg. The 80 % region of all pushes of "
+        f"After 0.8 m of pushed path, half of the ends lie within {free[0]} m and {free[1]} deg of the prediction for "
+        f"free objects ({counts[0]} pushes), and within {locked[0]} m and {locked[1]} deg for objects with a locked "
+        f"wheel ({counts[1]} pushes). The 80 % region of all pushes of "
         f"objects with a locked wheel holds {sure} of the ends, where 80 % would be right."
     )
 

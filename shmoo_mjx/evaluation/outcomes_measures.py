@@ -112,7 +112,7 @@ def outcomes_tables() -> tuple[Table, Table]:
     def table(names: Iterable[str]) -> Table:
         return Table(heads, lines_of({n: _LINES[n] for n in names}, *(f"{{}}_{s}_{name}" for s, name in columns)))
 
-    return table(("position_m", "yaw_deg", "stop_covered", "right_moves", "pushes")), table(_LINES)
+    return table(("position_m", "yaw_deg", "compared", "stop_covered", "right_moves", "pushes")), table(_LINES)
 
 
 def draw_figure(file: Path, rows: Rows, distance: float) -> None:

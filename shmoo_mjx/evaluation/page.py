@@ -228,9 +228,9 @@ def _about(results: Mapping[str, ExperimentResult]) -> str:
     if not results:
         return "Nothing has been run."
     lines = [
-        "Measured in simulation on objects and scenarios that training has not seen, with simulated sensors. Brackets "
-        "are 95 % intervals, n counts trials, and psi is the learned object model. How each number is measured: "
-        "[protocols and seeds](protocols.md)."
+        "Measured on objects and scenarios that training has not seen; all but the recorded pushes in simulation, with "
+        "simulated sensors. Brackets are 95 % intervals, n counts trials, and psi is the learned object model. How "
+        "each number is measured: [protocols and seeds](protocols.md)."
     ]
     quick = sorted(name for name, r in results.items() if r.config.get("quick"))
     if quick:
@@ -269,7 +269,7 @@ def _shows(result: ExperimentResult) -> str:
 def _weights(result: ExperimentResult) -> str:
     if same_weights(result) or sections()[result.experiment].without_weights:
         return ""
-    return "This experiment was measured with earlier weights than those that are shipped."
+    return "Measured with a development snapshot of code and weights; not repeated for this version."
 
 
 def _command(result: ExperimentResult) -> str:

@@ -87,7 +87,8 @@ def number(value: float, sign: str = "") -> str:
     value += 0.0
     if abs(value) >= 99.5 or value == round(value):
         return f"{value:{sign}.0f}"
-    return f"{value:{sign}#.2g}".rstrip(".")
+    # Halves are rounded away from zero, as `percent` does.
+    return f"{value * (1.0 + 1e-9):{sign}#.2g}".rstrip(".")
 
 
 def cell(metrics: Metrics, name: str, std: str = "", *, infinite: str = "-", absent: str = "") -> str:
@@ -130,7 +131,7 @@ METHOD_LABELS = {
     "lazy": "goes round where possible",
     "always_avoid": "never pushes",
     "always_push": "always pushes",
-    "geometric": "takes everything for movable",
+    "geometric": "pushes first, immovable if it does not move",
     "oracle": "knows what to push",
 }
 """Method or policy to its name on pages and in figures."""
@@ -233,7 +234,7 @@ def measured(result: ExperimentResult, name: str) -> float:
 
 def percent(share: float) -> str:
     """A share in per cent."""
-    return f"{100 * share:.0f} %"
+    return f"{100 * share + 1e-9:.0f} %"
 
 
 def _short(value: float, sign: str = "") -> str:

@@ -57,7 +57,7 @@ def test_every_experiment_has_a_section_and_a_protocol() -> None:
 
 def test_a_result_of_other_weights_says_so() -> None:
     result = result_of("pushing", ExperimentOptions())
-    warning = "measured with earlier weights than those that are shipped"
+    warning = "Measured with a development snapshot of code and weights"
     assert warning not in page.render({"pushing": result}, {})
     result.config["weights"] = "0123456789"
     assert warning in page.render({"pushing": result}, {})
@@ -139,7 +139,10 @@ def test_the_summary_shows_at_most_ten_numbers_and_skips_what_was_not_measured()
     pushing = results["pushing"]
     fewer = {name: v for name, v in pushing.metrics.items() if not name.startswith("difference_frozen_prior")}
     alone = summary({"pushing": pushing.model_copy(update={"metrics": fewer | {"offset_median_m": None}})})
-    assert [row.label for row in alone] == ["Success rate of pushing movable objects to a pose"]
+    assert [row.label for row in alone] == [
+        "Success rate of pushing to a pose, objects without a locked wheel, up to 43 N",
+        "Success rate of pushing to a pose, objects as drawn",
+    ]
     assert not summary({}) and not summary({"lifelong": results["lifelong"]})
 
 

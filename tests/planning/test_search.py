@@ -83,7 +83,7 @@ def test_a_push_has_to_mend_what_it_costs() -> None:
 
 def test_of_an_object_whose_pushes_err_less_is_asked() -> None:
     assert chosen(ORIGIN, [1.0, 1.0, 0.0]) is not None
-    assert chosen(ORIGIN, [1.0, 1.0, 0.0], error=0.5) is None
+    assert chosen(ORIGIN, [1.0, 1.0, 0.0], error=1.0) is None
     assert chosen([1.0, 0.0, 0.0], [1.0, 0.25, 0.0]) is not None
     assert chosen([1.0, 0.0, 0.0], [1.0, 0.25, 0.0], error=0.25) is None
 
