@@ -401,7 +401,7 @@ def object_(
     hull: bool = False,
     out: Path | None = None,
 ) -> int:
-    """Convert a mesh (STL, OBJ, PLY, GLB, Collada) or an MJCF file into an object file that scenarios can use.
+    """Convert a mesh (STL, OBJ, PLY, OFF, GLB, glTF, Collada) or an MJCF file into an object file for scenarios.
 
     Example: shmoo object add chair.stl --mass 7 --friction 0.4 --wheels casters
 
@@ -518,12 +518,12 @@ def experiment(
         json: file for the result (default: OUT/NAME.json).
         quick: short form of the same shape.
         data: data set of experiments that use one, made if absent. For real_pushing: folder of recorded pushes.
-        maps: folder with map_server maps, for navigation (default: generated buildings).
+        maps: folder with map_server maps, for navigation and lifelong (default: generated buildings).
         scenarios: for navigation: number of scenarios per map, or a scenario set in place of maps (a file made by
             shmoo scenarios make, or a shipped set: arena, floor_plans).
-        policies: names of policies (navigation, lifelong) or pushing controllers (pushing) to compare (default: all;
-            shmoo list policies, shmoo list controllers). Navigation and pushing also take your own, as
-            package.module:Name.
+        policies: names of policies (navigation, lifelong) or pushing controllers (pushing) to compare (default: all,
+            for lifelong only ours; shmoo list policies, shmoo list controllers). Navigation and pushing also take your
+            own, as package.module:Name.
         weights: file with trained weights (default: the shipped ones).
         pushes: folder of recorded pushes, for real_pushing as a part of all.
         out: folder for figures and intermediate results.

@@ -54,7 +54,10 @@ def run_live(
     missing = [name for name in ("viser", "mjviser") if find_spec(name) is None]
     if missing:
         names = " and ".join(missing)
-        raise ShmooError(f"shmoo live needs {names}, which are not installed; in a clone, run pip install '.[live]'.")
+        raise ShmooError(
+            f"shmoo live needs {names}, which are not installed; in a clone, type uv run shmoo live, "
+            "or pip install '.[live]'."
+        )
     _check_host(host)
     from shmoo_mjx.learning.weights import load_weights
     from shmoo_mjx.live.own_page import AT_HOME
