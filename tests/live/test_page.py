@@ -401,9 +401,20 @@ def test_in_a_browser_goal_and_object_are_set_and_the_robot_arrives(tmp_path: Pa
         button = wait_for(lambda: chrome.find_elements(By.XPATH, f"//button[contains(., '{text}')]"), 60)[0]
         chrome.execute_script("arguments[0].click()", button)
 
+    def open_up(title: str) -> None:
+        """A tab or a folder."""
+        heading = f"//*[@role='tab'][@title='{title}'] | //*[text()='{title}']"
+        wait_for(lambda: chrome.find_elements(By.XPATH, heading), 60)[0].click()
+
     def enter(label: str, *values: float) -> None:
         row = f"//label[contains(., '{label}')]/ancestor::*[.//input][1]"
-        fields = chrome.find_elements(By.XPATH, f"{row}//input[not(@type='hidden')]")
+        inputs = f"{row}//input[not(@type='hidden')]"
+
+        def shown() -> list[Any]:
+            return [field for field in chrome.find_elements(By.XPATH, inputs) if field.is_displayed()]
+
+        wait_for(lambda: len(shown()) >= len(values), 20)
+        fields = shown()
         for field, value in zip(fields[-len(values) :], values, strict=True):
             field.send_keys(Keys.CONTROL, "a")
             field.send_keys(str(value), Keys.ENTER)
@@ -415,8 +426,8 @@ def test_in_a_browser_goal_and_object_are_set_and_the_robot_arrives(tmp_path: Pa
         wait_for(lambda: "shmoo live" in chrome.find_element(By.TAG_NAME, "body").text, 60)
         x, y, yaw = session.simulation.true.robot_pose[0]
         side, goal = (float(x), float(y + 1.0)), (float(x + 0.8 * np.cos(yaw)), float(y + 0.8 * np.sin(yaw)))
-        press("World")
-        press("Add an object")
+        open_up("World")
+        open_up("Add an object")
         enter("x, y [m], heading", *(round(v, 2) for v in side), 0)
         press("put it there")
         wait_for(lambda: len(session.scenario.objects) == 2, 60)
@@ -425,7 +436,7 @@ def test_in_a_browser_goal_and_object_are_set_and_the_robot_arrives(tmp_path: Pa
         assert np.linalg.norm(np.array(session.scenario.objects[1].pose[:2]) - side) < 0.01
         wait_for(lambda: np.allclose(session.scenario.goal, goal, atol=0.01), 20)
         page.panel.view.value = FOLLOW
-        press("Run")
+        open_up("Run")
         chrome.find_element(By.XPATH, "//label[contains(., 'paused')]/ancestor::*[.//input][1]//input").click()
         wait_for(lambda: not page.paused, 20)
         wait_for(lambda: str(session.simulation.navigator.mode) == "done", 120)
@@ -441,8 +452,9 @@ def test_in_a_browser_goal_and_object_are_set_and_the_robot_arrives(tmp_path: Pa
         wait_for(lambda: session.simulation.time > time_then, 30)
     finally:
         chrome.quit()
-        page.close()
+        page.pictures.close()  # ends go_on, which must not show anything on a stopped server
         runner.join(timeout=30.0)
+        page.close()
         session.close()
 
 
