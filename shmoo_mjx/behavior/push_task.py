@@ -236,5 +236,6 @@ def _with_error(state: NavigatorState) -> NavigatorState:
     errors = target.push_errors
     if segment.push is not None:
         start, end = residual(np.array([segment.push.poses[0], target.pose]), segment.goal)
+        # Divided as `choose_push` multiplies: a constant part and one per metre; the residual at the start is the way.
         errors = (*errors, float(end / (1.0 + start)))
     return replace(state.with_object(segment.object, push_errors=errors), segment=None)

@@ -18,7 +18,7 @@ from shmoo_mjx.evaluation.baselines.adaptive import daiml_config, from_fit
 from shmoo_mjx.evaluation.baselines.protocol import output_scale
 from shmoo_mjx.evaluation.experiment import Experiment, Setup
 from shmoo_mjx.evaluation.result import ExperimentResult, over_seeds
-from shmoo_mjx.evaluation.tables import Section, cell, number, over_seeds_cell
+from shmoo_mjx.evaluation.tables import SNAPSHOT, Section, cell, number, over_seeds_cell
 from shmoo_mjx.evaluation.trainings import AFTER_3S, TrainingsConfig, job_of, unseen_objects
 from shmoo_mjx.learning import daiml
 from shmoo_mjx.learning.daiml import DaimlConfig
@@ -214,7 +214,8 @@ def cost_terms_table(result: ExperimentResult) -> str:
     return (
         "## Parts of the pushing controller\n\n"
         "Change of pushing to a pose when one part is removed, with 95 % intervals, on development seeds "
-        f"(`shmoo experiment pushing --condition-seed {seed} --policies ours benchmarks.without:NAME`).\n\n"
+        f"(`shmoo experiment pushing --condition-seed {seed} --policies ours benchmarks.without:NAME`)."
+        f"{'' if result.versions else f' {SNAPSHOT}'}\n\n"
     ) + markdown_table(("removed", *_EFFECTS.values(), "n"), rows)
 
 

@@ -27,7 +27,7 @@ from shmoo_mjx.evaluation.ablations import cost_terms_table
 from shmoo_mjx.evaluation.navigation_tables import reference_table
 from shmoo_mjx.evaluation.registry import EXPERIMENTS, RELIABILITY, experiment_named
 from shmoo_mjx.evaluation.result import ExperimentResult, as_json, read_result, same_weights
-from shmoo_mjx.evaluation.tables import NotMeasured, Section, effects, percent
+from shmoo_mjx.evaluation.tables import SNAPSHOT, NotMeasured, Section, effects, percent
 from shmoo_mjx.report.tables import markdown_table
 
 SUMMARY = ("navigation", "pushing", "object_planner", "object_model", "real_pushing")
@@ -269,7 +269,7 @@ def _shows(result: ExperimentResult) -> str:
 def _weights(result: ExperimentResult) -> str:
     if same_weights(result) or sections()[result.experiment].without_weights:
         return ""
-    return "Measured with a development snapshot of code and weights; not repeated for this version."
+    return SNAPSHOT
 
 
 def _command(result: ExperimentResult) -> str:

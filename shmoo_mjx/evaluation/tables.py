@@ -16,6 +16,10 @@ Show = Callable[[ExperimentResult], str]
 """Makes Markdown from a result; "" if the result has nothing to show."""
 
 
+SNAPSHOT = "Measured with a development snapshot of code and weights; not repeated for this version."
+"""Said of a result that the shipped code and weights have not made."""
+
+
 class Line(NamedTuple):
     """One line of a table of metrics."""
 

@@ -173,7 +173,7 @@ class Panel:
         """Says whether a controller is being compiled."""
         control, tuning = self.session.controller.config.control, self.tuning
         if tuning.pending:
-            text = "**Compiling** the new settings, which takes about 15 s. Until then the robot"
+            text = "**Compiling** the new settings, which takes several seconds. Until then the robot"
         else:
             text = "The robot"
         text += f" plans with {control.num_rollouts} roll-outs of {control.horizon} samples of 0.1 s, temperature "

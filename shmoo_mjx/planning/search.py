@@ -153,6 +153,7 @@ def choose_push(
     if len(first):
         second = PushDisplacements(*(part[anywhere[::_SECOND]] for part in reached))
         errors = _after(ends[first], side[first], second, goal=goal, error=error)
+        # The next choice corrects what this push errs. What it costs is time, for which `ERROR` stands too.
         errors += ERROR * (1.0 + reached.way[first]) + walks[side[first]]
         k = int(np.argmin(errors))
         if errors[k] < least:
