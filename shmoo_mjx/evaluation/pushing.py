@@ -1,7 +1,7 @@
 """Experiment ``pushing`` (Sec. VI-A, Fig. 7): objects are pushed to three goals.
 
-The trials form three strata with three families and three goals each: movable objects (ten runs), demanding objects
-(seven runs), and objects as drawn (five runs). Every method runs every trial.
+The trials form three strata with three families and three goals each: movable objects, demanding objects, and objects
+as drawn, which include heavy ones and locked wheels. Every method runs every trial.
 """
 
 from __future__ import annotations
@@ -43,12 +43,8 @@ from shmoo_mjx.sensing import senses_named
 class PushingConfig(ExperimentConfig):
     """Size of the experiment."""
 
-    runs: int = 10
-    """Runs per family and goal, movable objects."""
-    demanding_runs: int = 7
-    """Runs per family and goal, demanding objects."""
-    everything_runs: int = 5
-    """Runs per family and goal, objects as drawn, including heavy ones and locked wheels."""
+    runs: int = 5
+    """Runs per stratum, family and goal."""
     goals: tuple[int, ...] = (1, 2, 3)
     methods: tuple[str, ...] = METHODS
     time_limit: float = 120.0
@@ -67,10 +63,9 @@ def _prepare(options: ExperimentOptions, config: PushingConfig, folder: Path) ->
 
 def _drawn(setup: Setup[PushingConfig]) -> list[Trial]:
     config, options = setup.config, setup.options
-    runs = zip(STRATA, (config.runs, config.demanding_runs, config.everything_runs), strict=True)
     drawn = (
-        draw_trials(options.first_unseen, options.seed, count, goals=config.goals, stratum=stratum)
-        for stratum, count in runs
+        draw_trials(options.first_unseen, options.seed, config.runs, goals=config.goals, stratum=stratum)
+        for stratum in STRATA
     )
     return [trial for trials in drawn for trial in trials]
 
@@ -202,13 +197,13 @@ EXPERIMENT = Experiment(
         ),
     ),
     PushingConfig(),
-    quick=PushingConfig(runs=1, demanding_runs=1, everything_runs=1, goals=(1, 2), videos=False),
+    quick=PushingConfig(runs=1, goals=(1, 2), videos=False),
     trials=_trials,
     trial=_trial,
     metrics=lambda setup, rows: metrics_of(rows),
     draw=_draw,
     prepare=_prepare,
     adjust=lambda options, config: replace(config, methods=options.chosen(METHODS, others=True)),
-    neutral=("runs", "demanding_runs", "everything_runs", "goals", "methods", "videos"),
+    neutral=("runs", "goals", "methods", "videos"),
     paper=PAPER,
 )
