@@ -88,7 +88,9 @@ class Trial:
     change_at: float
     """Fraction of the distance to the goal after which the object changes [1]."""
     object_pose: tuple[float, float, float]
+    """Pose of the object in {W} at the start [m, m, rad]."""
     robot_pose: tuple[float, float, float]
+    """Pose of the robot in {W} at the start [m, m, rad]."""
     seed: int
     """Seed of the robot's parameters, its sensors and the controller."""
     stratum: str = STRATA[0]
@@ -195,7 +197,15 @@ def _changed(rng: np.random.Generator, condition: Condition, kind: str, most: fl
 def draw_trials(
     first_unseen: int, seed: int, runs: int, *, goals: tuple[int, ...] = (1, 2, 3), stratum: str = STRATA[0]
 ) -> list[Trial]:
-    """All trials of a stratum: families x goals x runs. Run r of a family has the same object for each goal."""
+    """All trials of a stratum: families x goals x runs. Run r of a family has the same object for each goal.
+
+    Args:
+        first_unseen: first seed of the objects.
+        seed: seed of the poses, changes and robots, together with ``first_unseen``.
+        runs: number of objects of each family.
+        goals: numbers of the goals, 1 to 3.
+        stratum: one of STRATA.
+    """
     trials = []
     stream = [at] if (at := STRATA.index(stratum)) else []
     for number, family in enumerate(FAMILIES):
@@ -276,11 +286,15 @@ class Runner:
         self._pushers: dict[str, Pusher] = {}
 
     def run(self, trial: Trial, method: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-        """The row of a trial, and its track: t, object_pose, robot_pose (true poses), phase, qpos, lean."""
+        """Run one trial with one of METHODS or a user's own method.
+
+        Returns:
+            The row of the trial, and its track: t, object_pose, robot_pose (true poses), phase, qpos, lean.
+        """
         if method not in self._pushers:
             self._pushers[method] = _pusher(method, self.weights, self.config)
         scene = scene_of_trial(trial, trial.condition, self.senses)
-        # The robot is told the pose of the object, because finding it is not part of the task.
+        # The robot knows the pose of the object, because detection is not part of the task.
         engine = SensedEngine([scene], self.senses, trial.seed, poses_known=True)
         adapt, adapt_after = None, None
         if method == "oracle_coefficients":

@@ -38,7 +38,7 @@ class Context(NamedTuple):
     inputs: Float[Array, "N n"]
     labels: Float[Array, "N m"]
     weights: Float[Array, "N"]
-    """0 where a sample does not count."""
+    """Weight of each sample, 0 if it does not count."""
     time: Float[Array, "N"]
     """Time since the start of the recording [s]."""
     contact: Float[Array, "p"] | None = None
